@@ -1,0 +1,64 @@
+# Everything runs from .venv, which is made once and again only when requirements.lock or pyproject.toml changes.
+
+PYTHON ?= python3
+ARGS ?=
+PYTEST_ARGS ?=
+LOCK_ARGS ?=
+
+BIN := .venv/bin
+PACKAGES := association data ekf eval graph
+
+# A caller of a compiled kernel does not notice a change in another file, so all kernels are compiled anew when one changes.
+KERNELS := $(shell grep -ls numba /dev/null data/*.py ekf/*.py association/*.py) $(wildcard ekf/warm.py)
+
+export MPLBACKEND := Agg
+unexport PYTHONHOME PYTHONPATH VIRTUAL_ENV
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help venv report test test-slow benchmark lock clean
+
+help: ## this list
+	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z-]+):.*## (.*)/  \1\t\2/' | expand -t 14
+	@echo 'Variables: PYTHON=$(PYTHON), ARGS (report, benchmark), PYTEST_ARGS (test, test-slow), LOCK_ARGS (lock)'
+
+venv: .venv/.warm ## make .venv and compile the kernels
+
+report: .venv/.warm ## write the report; ARGS='--quick --out DIR'
+	$(BIN)/python -m eval.run_all $(ARGS)
+
+test: .venv/.warm ## style, types, import rules, tests; PYTEST_ARGS='-k jcbb'
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/python -m pytest -n 2 $(PYTEST_ARGS)
+
+test-slow: .venv/.warm ## the tests that take long
+	$(BIN)/python -m pytest -m slow $(PYTEST_ARGS)
+
+benchmark: .venv/.warm ## frames per second
+	$(BIN)/python -m eval.benchmark $(ARGS)
+
+lock: ## pin requirements.lock anew; LOCK_ARGS=--upgrade for the newest versions
+	$(PYTHON) -m venv .venv/lock
+	.venv/lock/bin/python -m pip install --quiet uv
+	.venv/lock/bin/uv pip compile --no-config --quiet --universal --fork-strategy fewest --python-version 3.11 \
+	    --extra dev --generate-hashes --custom-compile-command 'make lock' $(LOCK_ARGS) \
+	    --output-file requirements.lock pyproject.toml
+
+clean: ## remove .venv and every cache; results/ stays
+	rm -rf .venv .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache build dist
+	find $(wildcard $(PACKAGES) tests) /dev/null -name __pycache__ -type d -prune -exec rm -rf {} +
+
+.venv/.installed: requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.version_info < (3, 11) and sys.exit("slamref needs Python 3.11 or newer, not " + sys.version)'
+	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear .venv
+	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
+	@touch $@
+
+.venv/.warm: .venv/.installed $(KERNELS)
+	@rm -f $(foreach p,$(PACKAGES),$(p)/__pycache__/*.nbi $(p)/__pycache__/*.nbc)
+	$(BIN)/python -m ekf.warm
+	@touch $@

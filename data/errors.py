@@ -1,0 +1,27 @@
+"""The errors a user can cause: one line that names the place, the value, and what would be right."""
+
+from __future__ import annotations
+
+from os import PathLike
+
+
+class SlamrefError(Exception):
+    """Base of every error that ends a command with one clear line and exit status 2."""
+
+
+class DataError(SlamrefError):
+    """Bad input data. The message reads `file: line N, column C: what is wrong; what would be right`."""
+
+    @classmethod
+    def at(cls, path: str | PathLike[str], what: str, *, line: int | None = None, column: str | None = None) -> DataError:
+        """Build the message for a place in a file; `line` counts from 1, the header included."""
+        place = str(path)
+        if line is not None:
+            place += f": line {line}"
+        if column is not None:
+            place += f", column {column}" if line is not None else f": column {column}"
+        return cls(f"{place}: {what}")
+
+
+class UsageError(SlamrefError):
+    """A wrong or senseless combination of options."""

@@ -1,0 +1,167 @@
+"""What an estimator may see of a log: prior, increments, observations, sensor and (for localization) the map.
+
+All arrays are float64 (ids int64), read-only, SI units and radians. Nothing here knows the truth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data.se2 import Array
+from data.sensors import Sensor
+
+IntArray = NDArray[np.int64]
+
+CLUTTER = -1
+"""Label or true id of an observation that comes from no landmark."""
+UNLABELLED = -2
+"""Label of an observation whose label is blank (nothing is known about it)."""
+
+
+def read_only(obj: object) -> None:
+    """Lock every array of a frozen dataclass: the same inputs feed every estimator, so none may change them."""
+    for f in fields(obj):  # type: ignore[arg-type]
+        value = getattr(obj, f.name)
+        if isinstance(value, np.ndarray):
+            dtype = np.int64 if value.dtype.kind in "iu" else np.float64
+            locked = np.array(value, dtype=dtype, order="C")
+            locked.setflags(write=False)
+            object.__setattr__(obj, f.name, locked)
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Gaussian belief about the first pose: mean (3,) world frame, covariance (3, 3); zero covariance is allowed."""
+
+    mean: Array
+    covariance: Array
+
+    def __post_init__(self) -> None:
+        read_only(self)
+
+
+class Increment(NamedTuple):
+    """Motion from the previous frame, in its body frame: mean (3,), covariance (3, 3) of the additive error."""
+
+    mean: Array
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class Increments:
+    """Mean (N, 3) and covariance (N, 3, 3) of the motion from frame i-1 to i in the body frame of i-1; row 0 is zero."""
+
+    mean: Array
+    covariance: Array
+
+    def __post_init__(self) -> None:
+        read_only(self)
+
+
+class Sightings(NamedTuple):
+    """The observations of one frame: z (m, 2) and R (m, 2, 2)."""
+
+    z: Array
+    R: Array
+
+
+@dataclass(frozen=True)
+class Observations:
+    """frame (M,) ascending, z (M, 2), R (M, 2, 2): what the sensor measured, without names."""
+
+    frame: IntArray
+    z: Array
+    R: Array
+
+    def __post_init__(self) -> None:
+        read_only(self)
+
+
+@dataclass(frozen=True)
+class LabelledObservations(Observations):
+    """Observations with the sensor's label (M,) beside them: only where the experiment grants known association.
+
+    A label is a landmark id >= 0, `CLUTTER` or `UNLABELLED`.
+    """
+
+    label: IntArray
+
+
+@dataclass(frozen=True)
+class LandmarkMap:
+    """Known landmarks: id (L,) ascending and >= 0, xy (L, 2) in the world frame. Estimators take them as exact."""
+
+    id: IntArray
+    xy: Array
+
+    def __post_init__(self) -> None:
+        read_only(self)
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """The estimator's side of a log.
+
+    Attributes:
+        prior: belief about the pose at frame 0.
+        time: (N,) s, strictly increasing (frame numbers where `time_is_index`).
+        increments: motion into each frame.
+        observations: all observations, ascending by frame; `LabelledObservations` if labels were granted.
+        sensor: the measurement model.
+        map: known landmarks, or None (then only SLAM makes sense).
+        time_is_index: the log has no stamps.
+        covariance_floor: smallest eigenvalue allowed in an increment's covariance.
+        floored: how many increments got the floor.
+        start: (N + 1,) offsets; the observations of frame k are rows start[k]:start[k + 1].
+    """
+
+    prior: Prior
+    time: Array
+    increments: Increments
+    observations: Observations
+    sensor: Sensor
+    map: LandmarkMap | None = None
+    time_is_index: bool = False
+    covariance_floor: float = 1e-10
+    floored: int = 0
+    start: IntArray = field(init=False)
+
+    def __post_init__(self) -> None:
+        starts = np.searchsorted(self.observations.frame, np.arange(len(self.time) + 1))
+        object.__setattr__(self, "start", starts.astype(np.int64))
+        read_only(self)
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def increment(self, frame: int) -> Increment:
+        """Motion into a frame."""
+        return Increment(self.increments.mean[frame], self.increments.covariance[frame])
+
+    def sightings(self, frame: int) -> Sightings:
+        """Observations of a frame."""
+        rows = slice(self.start[frame], self.start[frame + 1])
+        return Sightings(self.observations.z[rows], self.observations.R[rows])
+
+    def without_map(self) -> Inputs:
+        """The same inputs for SLAM: the known map withheld."""
+        return replace(self, map=None)
+
+
+def floor_covariances(covariance: Array, floor: float) -> tuple[Array, int]:
+    """Add floor * I to every increment covariance (N, 3, 3), row 0 aside, whose smallest eigenvalue is below `floor`.
+
+    Singular increments (a robot at rest, one odometry sample) are harmless in a filter and fatal in an information
+    form; doing it here once keeps filter and smoother on the same numbers. Returns the covariances and the count.
+    """
+    result = np.array(covariance, float)
+    if floor <= 0.0 or len(result) < 2:
+        return result, 0
+    low = np.linalg.eigvalsh(result)[:, 0] < floor
+    low[0] = False
+    result[low] += floor * np.eye(3)
+    return result, int(low.sum())

@@ -1,0 +1,52 @@
+"""A robot log: the estimator's inputs and the referee's truth, with the firewall between them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from data.inputs import UNLABELLED, Inputs, IntArray, LabelledObservations, Observations
+from data.truth import UNKNOWN_ID, Truth
+
+
+@dataclass(frozen=True)
+class Log:
+    """One log. `recorded` holds everything an estimator could be given; ask for it through `inputs()`.
+
+    Attributes:
+        name: unique in a run; names its folder in the results.
+        recorded: inputs without labels.
+        truth: what the referee compares with.
+        label: (M,) what the sensor claims each observation shows, where that can differ from the truth; None: the
+            true ids serve as labels.
+        labels_are_sensed: the ids come from the sensor (e.g. barcodes), so granting them grants no truth.
+        source: how the log was made (for convert, inspect and provenance); free keys.
+        notes: what a reader should know (spans skipped, readings dropped), one sentence each.
+    """
+
+    name: str
+    recorded: Inputs
+    truth: Truth
+    label: IntArray | None = None
+    labels_are_sensed: bool = False
+    source: Mapping[str, object] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def has_labels(self) -> bool:
+        """Whether known association can be granted."""
+        return self.label is not None or self.truth.landmark_of is not None
+
+    def inputs(self, *, labels: bool = False) -> Inputs:
+        """The estimator's view. Labels are part of it only if the experiment grants known association."""
+        if not labels:
+            return self.recorded
+        label = self.label
+        if label is None and self.truth.landmark_of is not None:
+            label = np.where(self.truth.landmark_of == UNKNOWN_ID, UNLABELLED, self.truth.landmark_of)
+        if label is None:
+            raise ValueError(f"log {self.name!r} has no labels to grant")
+        o: Observations = self.recorded.observations
+        return replace(self.recorded, observations=LabelledObservations(o.frame, o.z, o.R, label))

@@ -1,0 +1,198 @@
+"""Velocity (unicycle) motion: increments from (v, omega) samples, three noise conventions, preintegration.
+
+Inside there is one form of control noise: a variance per second, of displacement D = v dt [m] and rotation
+A = omega dt [rad], that holds for the whole length of a sample; cutting a sample in two does not change the total.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numba
+import numpy as np
+
+from data.inputs import Increments
+from data.se2 import Array
+
+ARC = 0
+HALF_ANGLE = 1
+MODELS = {"unicycle": ARC, "half_angle": HALF_ANGLE}
+NOISES = ("velocity", "displacement", "density")
+MAX_HOLD = 1.0
+"""s. A sample holds at most this long (zero-order hold); what follows is a gap."""
+
+
+@numba.njit(cache=True)
+def sinc(a):  # type: ignore[no-untyped-def]
+    """sin(a) / a, smooth through 0."""
+    if abs(a) < 1e-4:
+        return 1.0 - a * a / 6.0
+    return math.sin(a) / a
+
+
+@numba.njit(cache=True)
+def sinc_slope(a):  # type: ignore[no-untyped-def]
+    """d/da of sin(a) / a; a series where the closed form cancels."""
+    if abs(a) < 0.1:
+        q = a * a
+        return a * (-1.0 / 3.0 + q * (1.0 / 30.0 + q * (-1.0 / 840.0 + q / 45360.0)))
+    return (math.cos(a) - math.sin(a) / a) / a
+
+
+@numba.njit(cache=True)
+def step(model, displacement, rotation, mean, G):  # type: ignore[no-untyped-def]
+    """Body-frame increment `mean` (3,) of a displacement [m] along an arc of `rotation` [rad], and G (3, 2) = d mean / d (D, A).
+
+    `ARC`: exact integration, x = D sin(A)/A, y = D (1 - cos A)/A. `HALF_ANGLE`: the chord taken at the middle heading
+    with length D (the classic tutorials' model).
+    """
+    A = rotation
+    if model == ARC:
+        half = sinc(0.5 * A)
+        along, across = sinc(A), 0.5 * A * half * half
+        d_along, d_across = sinc_slope(A), sinc(A) - 0.5 * half * half
+    else:
+        along, across = math.cos(0.5 * A), math.sin(0.5 * A)
+        d_along, d_across = -0.5 * across, 0.5 * along
+    mean[0], mean[1], mean[2] = displacement * along, displacement * across, A
+    G[0, 0], G[1, 0], G[2, 0] = along, across, 0.0
+    G[0, 1], G[1, 1], G[2, 1] = displacement * d_along, displacement * d_across, 1.0
+
+
+@numba.njit(cache=True)
+def _append(mean, cov, step_mean, step_cov):  # type: ignore[no-untyped-def]
+    """mean, cov <- (mean, cov) followed by a step, both in the first body frame: F cov F' + G step_cov G'."""
+    c, s = math.cos(mean[2]), math.sin(mean[2])
+    F = np.eye(3)
+    F[0, 2] = -s * step_mean[0] - c * step_mean[1]
+    F[1, 2] = c * step_mean[0] - s * step_mean[1]
+    B = np.eye(3)
+    B[0, 0], B[0, 1], B[1, 0], B[1, 1] = c, -s, s, c
+    cov[:, :] = F @ cov @ F.T + B @ step_cov @ B.T
+    mean[0] += c * step_mean[0] - s * step_mean[1]
+    mean[1] += s * step_mean[0] + c * step_mean[1]
+    mean[2] += step_mean[2]
+
+
+@numba.njit(cache=True)
+def _preintegrate(model, lateral, time, v, omega, rate, hold, beyond, lead, fastest, at, mean, cov):  # type: ignore[no-untyped-def]
+    """Loop of `preintegrate`; rate (K, 2): variances per second of D and A; hold (K,), beyond (K,): s that
+    sample k lasts and that pass after it without odometry; lead: s before the first; fastest (2,): largest |v|, |omega|."""
+    n = len(time)
+    k = max(np.searchsorted(time, at[0], side="right") - 1, 0)
+    step_mean, G, M, Q = np.zeros(3), np.zeros((3, 2)), np.zeros((2, 2)), np.zeros((3, 3))
+    for f in range(1, len(at)):
+        t = at[f - 1]
+        m, P = mean[f], cov[f]
+        while t < at[f]:
+            while k + 1 < n and time[k + 1] <= t:
+                k += 1
+            end = at[f]
+            if k + 1 < n:
+                end = min(end, time[k + 1])
+            held_until = time[k] + hold[k]
+            if time[k] <= t < held_until:
+                end = min(end, held_until)
+                dt = end - t
+                step(model, v[k] * dt, omega[k] * dt, step_mean, G)
+                if lateral:  # the tutorials' mapping: half a radian's sideways motion for each radian, whatever the distance
+                    G[0, 1], G[1, 1] = -0.5 * G[1, 0], 0.5 * G[0, 0]
+                M[0, 0], M[1, 1] = rate[k, 0] * dt, rate[k, 1] * dt
+                Q[:, :] = G @ M @ G.T
+            else:  # a gap: the robot may have moved, nobody knows where to
+                gap = beyond[k]
+                if t < time[0]:
+                    end, gap = min(at[f], time[0]), lead
+                dt = end - t
+                step_mean[:] = 0.0
+                Q[:, :] = 0.0
+                Q[0, 0] = Q[1, 1] = fastest[0] ** 2 * gap * dt
+                Q[2, 2] = fastest[1] ** 2 * gap * dt
+            _append(m, P, step_mean, Q)
+            t = end
+        P[:, :] = 0.5 * (P + P.T)
+
+
+@dataclass(frozen=True)
+class VelocityNoise:
+    """Control noise in one of three conventions.
+
+    `velocity`: sigma of v [m/s] and omega [rad/s], independent at each sample, mapped through its length.
+    `displacement`: per sample (a1 |v| + a2 |omega|)^2 and (a3 |v| + a4 |omega|)^2, without the sample's length, and
+    with the classic tutorials' mapping to the pose (along the chord; half sideways and once in heading).
+    `density`: sigma per sqrt(s) of displacement [m] and rotation [rad].
+    """
+
+    kind: str
+    sigma: tuple[float, float] = (0.0, 0.0)
+    alphas: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if self.kind not in NOISES:
+            raise ValueError(f"noise {self.kind!r}; known: {', '.join(NOISES)}")
+        if min(self.sigma) < 0 or min(self.alphas) < 0:
+            raise ValueError("noise parameters must not be negative")
+
+    def variance_per_second(self, v: Array, omega: Array, length: Array) -> Array:
+        """Variance per second (K, 2) of displacement and rotation, for samples of `length` (K,) s."""
+        if self.kind == "displacement":
+            a1, a2, a3, a4 = self.alphas
+            sigma = np.stack([a1 * np.abs(v) + a2 * np.abs(omega), a3 * np.abs(v) + a4 * np.abs(omega)], axis=-1)
+            return sigma**2 / np.maximum(length, 1e-9)[:, None]
+        sigma = np.broadcast_to(np.asarray(self.sigma, float), (len(v), 2))
+        if self.kind == "velocity":
+            # a sample's total is (sigma * length)^2, spread evenly over its length
+            return sigma**2 * length[:, None]
+        return sigma**2
+
+
+@dataclass(frozen=True)
+class VelocityModel:
+    """How (v, omega) become increments: model `unicycle` (exact arc) or `half_angle`, and the noise."""
+
+    noise: VelocityNoise
+    model: str = "unicycle"
+
+    def __post_init__(self) -> None:
+        if self.model not in MODELS:
+            raise ValueError(f"motion model {self.model!r}; known: {', '.join(MODELS)}")
+
+    def scaled(self, factor: float) -> VelocityModel:
+        """The same model with every noise sigma multiplied by `factor`."""
+        n = self.noise
+        a = n.alphas
+        return replace(
+            self,
+            noise=replace(
+                n,
+                sigma=(n.sigma[0] * factor, n.sigma[1] * factor),
+                alphas=(a[0] * factor, a[1] * factor, a[2] * factor, a[3] * factor),
+            ),
+        )
+
+
+def preintegrate(model: VelocityModel, time: Array, v: Array, omega: Array, at: Array) -> tuple[Increments, int]:
+    """Increments between the instants `at` (N,) from samples at `time` (K,), ascending; also the number of gaps met.
+
+    Zero-order hold: a sample holds until the next one, at most `MAX_HOLD` (the last one likewise). In a gap the mean
+    stands still and each coordinate's standard deviation grows as far as the fastest sample of the log would have gone.
+    Composing the increments gives the same mean and covariance as predicting sample by sample (to rounding).
+    """
+    time, v, omega = (np.ascontiguousarray(a, float) for a in (time, v, omega))
+    at = np.ascontiguousarray(at, float)
+    mean, cov = np.zeros((len(at), 3)), np.zeros((len(at), 3, 3))
+    if len(at) == 0 or len(time) == 0:
+        return Increments(mean, cov), 0
+    last = time[-1] - time[-2] if len(time) > 1 else MAX_HOLD
+    length = np.append(np.diff(time), max(last, at[-1] - time[-1]))
+    hold = np.minimum(length, MAX_HOLD)
+    # equal stamps give samples of no length: they are replaced by the next one, as a command overwritten at once
+    rate = model.noise.variance_per_second(v, omega, np.maximum(hold, 1e-9))
+    beyond = length - hold
+    lead = max(float(time[0] - at[0]), 0.0)
+    fastest = np.array([np.abs(v).max(), np.abs(omega).max()])
+    lateral = model.noise.kind == "displacement"
+    _preintegrate(MODELS[model.model], lateral, time, v, omega, rate, hold, beyond, lead, fastest, at, mean, cov)
+    inside = (time + hold < at[-1]) & (time + length > at[0])
+    return Increments(mean, cov), int(((beyond > 1e-9) & inside).sum()) + (lead > 0.0)

@@ -1,0 +1,174 @@
+"""What an estimator hands to the referee: trajectories, map, decisions, and whether it got to the end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data.inputs import IntArray, read_only
+from data.se2 import Array
+
+NEW = -1
+"""Decision: the observation founds a new landmark (SLAM)."""
+DISCARD = -2
+"""Decision: the observation is not used."""
+
+
+class PoseEstimate(NamedTuple):
+    """Mean (3,) and world-frame additive covariance (3, 3) of the newest pose."""
+
+    mean: Array
+    covariance: Array
+
+
+class MapState(NamedTuple):
+    """Landmarks as an estimator holds them: number (L,), xy (L, 2), covariance (L, 2, 2)."""
+
+    number: IntArray
+    xy: Array
+    covariance: Array
+
+
+class Updated(NamedTuple):
+    """What an update did with the observations of a frame.
+
+    used: (m,) bool, entered the update; created: (m,) number of the landmark founded, -1 for none;
+    nis, dof, log_likelihood: of the innovations used (NaN where the estimator forms none).
+    """
+
+    used: NDArray[np.bool_]
+    created: IntArray
+    nis: float
+    dof: int
+    log_likelihood: float
+
+
+class Finished(NamedTuple):
+    """The end of a run: the final trajectory (None for a filter) and the last map (None in localization)."""
+
+    final: Trajectory | None
+    map: MapState | None
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Poses (N, 3) and covariances (N, 3, 3): world frame, error additive in [x, y, theta]."""
+
+    pose: Array
+    covariance: Array
+
+    def __post_init__(self) -> None:
+        read_only(self)
+
+
+@dataclass(frozen=True)
+class MapEstimate:
+    """Landmarks of a run: number (L,), xy (L, 2), covariance (L, 2, 2), first_frame (L,), times_seen (L,).
+
+    A landmark number is its order of creation in SLAM and the map's own id in localization.
+    """
+
+    number: IntArray
+    xy: Array
+    covariance: Array
+    first_frame: IntArray
+    times_seen: IntArray
+
+    def __post_init__(self) -> None:
+        read_only(self)
+
+    def __len__(self) -> int:
+        return len(self.number)
+
+
+def map_estimate(state: MapState, frame: IntArray, decisions: IntArray, created: IntArray) -> MapEstimate:
+    """The map with when and how often each landmark was seen, by the given decisions on observations of `frame` (M,)."""
+    number = np.where(created >= 0, created, decisions)
+    seen = number >= 0
+    size = int(max(number.max(initial=-1), np.max(state.number, initial=-1))) + 1
+    times = np.bincount(number[seen], minlength=size).astype(np.int64)
+    first = np.full(size, -1, np.int64)
+    np.maximum.at(first, number[created >= 0], frame[created >= 0])
+    n = np.asarray(state.number, np.int64)
+    return MapEstimate(n, state.xy, state.covariance, first[n], times[n])
+
+
+@dataclass(frozen=True)
+class Innovations:
+    """Per frame (N,): NIS, its degrees of freedom, and the log-likelihood of the accepted innovations; NaN: not formed."""
+
+    nis: Array
+    dof: IntArray
+    log_likelihood: Array
+
+    def __post_init__(self) -> None:
+        read_only(self)
+
+
+class Failure(NamedTuple):
+    """Where and why an estimator stopped; `status` is `diverged` or `incomplete`."""
+
+    status: str
+    frame: int
+    why: str
+
+
+@dataclass(frozen=True)
+class Run:
+    """One estimator over one log.
+
+    Attributes:
+        estimator, association, task: names as in the result files.
+        online: what was known at each instant (None for a batch smoother).
+        final: after all data (None for a filter).
+        map: the last map (None in localization).
+        decisions: (M,) landmark number, `NEW` or `DISCARD`, as made online.
+        final_decisions: (M,) after all revisions.
+        created: (M,) number of the landmark an observation founded, -1 where it founded none.
+        innovations: per-frame innovation statistics (None: not formed).
+        total_nis: (sum of NIS, degrees of freedom) over the run, or None; for a smoother the minimum of its
+            cost, which for linear models is the same number (the innovations are the whitened residuals).
+        state_size: (N,) length of the state vector after each frame (None for a batch smoother).
+        seconds: wall time of the estimation alone.
+        failure: None when it got to the end; its arrays are then complete.
+        notes: one sentence each, for the report.
+    """
+
+    estimator: str
+    association: str
+    task: str
+    online: Trajectory | None
+    final: Trajectory | None
+    map: MapEstimate | None
+    decisions: IntArray
+    final_decisions: IntArray
+    created: IntArray
+    innovations: Innovations | None = None
+    total_nis: tuple[float, int] | None = None
+    state_size: IntArray | None = None
+    seconds: float = float("nan")
+    failure: Failure | None = None
+    notes: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        read_only(self)
+
+    @property
+    def status(self) -> str:
+        """`ok`, `diverged` or `incomplete`."""
+        return "ok" if self.failure is None else self.failure.status
+
+    @property
+    def phases(self) -> tuple[str, ...]:
+        """The phases this run has a trajectory for."""
+        return tuple(p for p in ("online", "final") if getattr(self, p) is not None)
+
+    def trajectory(self, phase: str) -> Trajectory:
+        """The trajectory of a phase the run has."""
+        found = {"online": self.online, "final": self.final}[phase]
+        if found is None:
+            raise ValueError(f"{self.estimator} has no {phase} trajectory")
+        return found

@@ -1,0 +1,94 @@
+"""Planar poses [x m, y m, theta rad] as plain arrays: wrap, compose, invert, relate.
+
+Every function takes arrays whose last axis is 3 (poses) and broadcasts over the others.
+`T_ab` is the pose of frame b in frame a.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Angle = TypeVar("Angle", float, Array)
+
+TWO_PI = 2.0 * math.pi
+
+
+def wrap_angle(angle: Angle) -> Angle:
+    """Angle [rad] brought to (-pi, pi]; a value already inside comes back bit for bit."""
+    wrapped: Angle = angle - TWO_PI * np.ceil((angle - math.pi) / TWO_PI)
+    return wrapped
+
+
+def rotation(theta: float) -> Array:
+    """Rotation matrix (2, 2) of an angle [rad]."""
+    c, s = math.cos(theta), math.sin(theta)
+    return np.array([[c, -s], [s, c]])
+
+
+def world_from_body(theta: float) -> Array:
+    """blockdiag(R(theta), 1), (3, 3): turns body-frame pose errors of a pose with this heading into world-frame ones."""
+    c, s = math.cos(theta), math.sin(theta)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def compose(T_ab: Array, T_bc: Array) -> Array:
+    """Pose of c in a, heading wrapped; (..., 3) each."""
+    a, b = np.asarray(T_ab, float), np.asarray(T_bc, float)
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    return np.stack(
+        [
+            a[..., 0] + c * b[..., 0] - s * b[..., 1],
+            a[..., 1] + s * b[..., 0] + c * b[..., 1],
+            wrap_angle(a[..., 2] + b[..., 2]),
+        ],
+        axis=-1,
+    )
+
+
+def inverse(T_ab: Array) -> Array:
+    """Pose of a in b; (..., 3)."""
+    a = np.asarray(T_ab, float)
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    return np.stack(
+        [-c * a[..., 0] - s * a[..., 1], s * a[..., 0] - c * a[..., 1], wrap_angle(-a[..., 2])],
+        axis=-1,
+    )
+
+
+def between(T_wa: Array, T_wb: Array) -> Array:
+    """Pose of b in a from the poses of both in w; (..., 3) each."""
+    return compose(inverse(T_wa), T_wb)
+
+
+def pose_error(estimate: Array, truth: Array) -> Array:
+    """World-frame additive error `estimate - truth`, heading wrapped to (-pi, pi]; (..., 3)."""
+    error = np.asarray(estimate, float) - np.asarray(truth, float)
+    error[..., 2] = wrap_angle(error[..., 2])
+    return error
+
+
+def transform_points(T_wb: Array, points_b: Array) -> Array:
+    """Points (..., 2) of frame b expressed in w; one pose (3,) or a pose per point."""
+    pose, p = np.asarray(T_wb, float), np.asarray(points_b, float)
+    c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
+    return np.stack(
+        [pose[..., 0] + c * p[..., 0] - s * p[..., 1], pose[..., 1] + s * p[..., 0] + c * p[..., 1]],
+        axis=-1,
+    )
+
+
+def interpolate(times: Array, poses: Array, at: Array) -> Array:
+    """Poses (K, 3) at stamps `at` [s] by linear interpolation, headings along the shorter way.
+
+    Outside the span of `times` the nearest pose is repeated; callers decide whether that is wanted.
+    """
+    heading = np.unwrap(poses[:, 2])
+    return np.stack(
+        [np.interp(at, times, poses[:, 0]), np.interp(at, times, poses[:, 1]), wrap_angle(np.interp(at, times, heading))],
+        axis=-1,
+    )

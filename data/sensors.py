@@ -1,0 +1,206 @@
+"""Measurement models of a point landmark: range and bearing, or the point in the sensor's frame.
+
+The formulas stand once, compiled, for one observation (`measure`, `invert`, `residual`); the filters' kernels call
+them and the sensor classes below loop them over arrays. Frames: w world, b body, s sensor, p_s = R p_b + T.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numba
+import numpy as np
+
+from data import se2
+from data.se2 import Array
+
+RANGE_BEARING = 0
+RELATIVE_POINT = 1
+
+MIN_RANGE = 1e-6
+"""m. A landmark closer to the sensor than this has no direction: its Jacobians are zero, so it carries no information."""
+
+wrap_angle = numba.njit(cache=True)(se2.wrap_angle)
+
+
+@numba.njit(cache=True)
+def measure(kind, extrinsic, pose, landmark, z_hat, Hx, Hl):  # type: ignore[no-untyped-def]
+    """Expected measurement z_hat (2,), Jacobians Hx (2, 3) to the world-frame pose and Hl (2, 2) to the landmark.
+
+    Probabilistic Robotics, section 6.6 and Table 7.2; `extrinsic` is (rotation, Tx, Ty) of p_s = R p_b + T.
+    """
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    ce, se = math.cos(extrinsic[0]), math.sin(extrinsic[0])
+    dx, dy = landmark[0] - pose[0], landmark[1] - pose[1]
+    bx, by = c * dx + s * dy, -s * dx + c * dy
+    px, py = ce * bx - se * by + extrinsic[1], se * bx + ce * by + extrinsic[2]
+    # A: d z / d p_s, then through the extrinsic to d z / d p_b
+    if kind == RANGE_BEARING:
+        r = math.sqrt(px * px + py * py)
+        z_hat[0] = r
+        z_hat[1] = math.atan2(py, px)
+        if r < MIN_RANGE:
+            Hx[:, :] = 0.0
+            Hl[:, :] = 0.0
+            return
+        a00, a01, a10, a11 = px / r, py / r, -py / (r * r), px / (r * r)
+    else:
+        z_hat[0] = px
+        z_hat[1] = py
+        a00, a01, a10, a11 = 1.0, 0.0, 0.0, 1.0
+    b00, b01 = a00 * ce + a01 * se, -a00 * se + a01 * ce
+    b10, b11 = a10 * ce + a11 * se, -a10 * se + a11 * ce
+    # d p_b / d l = R(theta)^T = -d p_b / d p;  d p_b / d theta = (b_y, -b_x)
+    Hl[0, 0] = b00 * c - b01 * s
+    Hl[0, 1] = b00 * s + b01 * c
+    Hl[1, 0] = b10 * c - b11 * s
+    Hl[1, 1] = b10 * s + b11 * c
+    for i in range(2):
+        Hx[i, 0] = -Hl[i, 0]
+        Hx[i, 1] = -Hl[i, 1]
+    Hx[0, 2] = b00 * by - b01 * bx
+    Hx[1, 2] = b10 * by - b11 * bx
+
+
+@numba.njit(cache=True)
+def invert(kind, extrinsic, pose, z, landmark, Gx, Gz):  # type: ignore[no-untyped-def]
+    """Landmark (2,) that would give z, Jacobians Gx (2, 3) to the pose and Gz (2, 2) to the measurement."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    ce, se = math.cos(extrinsic[0]), math.sin(extrinsic[0])
+    if kind == RANGE_BEARING:
+        cz, sz = math.cos(z[1]), math.sin(z[1])
+        px, py = z[0] * cz, z[0] * sz
+        a00, a01, a10, a11 = cz, -z[0] * sz, sz, z[0] * cz
+    else:
+        px, py = z[0], z[1]
+        a00, a01, a10, a11 = 1.0, 0.0, 0.0, 1.0
+    qx, qy = px - extrinsic[1], py - extrinsic[2]
+    bx, by = ce * qx + se * qy, -se * qx + ce * qy
+    wx, wy = c * bx - s * by, s * bx + c * by
+    landmark[0] = pose[0] + wx
+    landmark[1] = pose[1] + wy
+    Gx[0, 0], Gx[0, 1], Gx[0, 2] = 1.0, 0.0, -wy
+    Gx[1, 0], Gx[1, 1], Gx[1, 2] = 0.0, 1.0, wx
+    # R(theta) Re^T A
+    m00, m01 = c * ce + s * se, c * se - s * ce
+    m10, m11 = s * ce - c * se, s * se + c * ce
+    Gz[0, 0] = m00 * a00 + m01 * a10
+    Gz[0, 1] = m00 * a01 + m01 * a11
+    Gz[1, 0] = m10 * a00 + m11 * a10
+    Gz[1, 1] = m10 * a01 + m11 * a11
+
+
+@numba.njit(cache=True)
+def residual(kind, z, z_hat, out):  # type: ignore[no-untyped-def]
+    """Innovation z - z_hat (2,); the only place that wraps a measured angle."""
+    out[0] = z[0] - z_hat[0]
+    out[1] = wrap_angle(z[1] - z_hat[1]) if kind == RANGE_BEARING else z[1] - z_hat[1]
+
+
+@numba.njit(cache=True)
+def _measure_all(kind, extrinsic, pose, landmarks, z_hat, Hx, Hl):  # type: ignore[no-untyped-def]
+    for i in range(len(landmarks)):
+        measure(kind, extrinsic, pose[i], landmarks[i], z_hat[i], Hx[i], Hl[i])
+
+
+@numba.njit(cache=True)
+def _invert_all(kind, extrinsic, pose, z, landmark, Gx, Gz):  # type: ignore[no-untyped-def]
+    for i in range(len(z)):
+        invert(kind, extrinsic, pose[i], z[i], landmark[i], Gx[i], Gz[i])
+
+
+def _pair(pose: Array, other: Array) -> tuple[Array, Array]:
+    """One row of pose per row of `other`, contiguous float64."""
+    rows = np.ascontiguousarray(np.atleast_2d(np.asarray(other, float)))
+    poses = np.ascontiguousarray(np.broadcast_to(np.asarray(pose, float), (len(rows), 3)))
+    return poses, rows
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A sensor that sees point landmarks; use `RangeBearing` or `RelativePoint`.
+
+    Attributes:
+        max_range: m; min_angle, max_angle: rad in the sensor frame. They describe the field of view; an observation
+            outside is kept and counted, never dropped.
+        rotation: rad, translation: m, of p_sensor = R(rotation) p_body + translation.
+    """
+
+    max_range: float = math.inf
+    min_angle: float = -math.pi
+    max_angle: float = math.pi
+    rotation: float = 0.0
+    translation: tuple[float, float] = (0.0, 0.0)
+
+    kind: ClassVar[int]
+    name: ClassVar[str]
+    units: ClassVar[tuple[str, str]]
+
+    @property
+    def extrinsic(self) -> Array:
+        """(rotation, Tx, Ty), as the compiled functions take it."""
+        return np.array([self.rotation, self.translation[0], self.translation[1]])
+
+    def predict(self, pose: Array, landmarks: Array) -> Array:
+        """Expected measurements (L, 2) of landmarks (L, 2) from a pose (3,) or a pose per landmark (L, 3)."""
+        return self.linearize(pose, landmarks)[0]
+
+    def jacobians(self, pose: Array, landmarks: Array) -> tuple[Array, Array]:
+        """Jacobians (L, 2, 3) to the world-frame pose and (L, 2, 2) to the landmark; zero within `MIN_RANGE`."""
+        return self.linearize(pose, landmarks)[1:]
+
+    def linearize(self, pose: Array, landmarks: Array) -> tuple[Array, Array, Array]:
+        """Expected measurements and both Jacobians, in one pass."""
+        poses, points = _pair(pose, landmarks)
+        n = len(points)
+        z_hat, Hx, Hl = np.empty((n, 2)), np.empty((n, 2, 3)), np.empty((n, 2, 2))
+        _measure_all(self.kind, self.extrinsic, poses, points, z_hat, Hx, Hl)
+        return z_hat, Hx, Hl
+
+    def inverse(self, pose: Array, z: Array) -> tuple[Array, Array, Array]:
+        """Landmarks (m, 2) that would give z (m, 2), with Jacobians (m, 2, 3) to the pose and (m, 2, 2) to z."""
+        poses, rows = _pair(pose, z)
+        n = len(rows)
+        landmark, Gx, Gz = np.empty((n, 2)), np.empty((n, 2, 3)), np.empty((n, 2, 2))
+        _invert_all(self.kind, self.extrinsic, poses, rows, landmark, Gx, Gz)
+        return landmark, Gx, Gz
+
+    def residual(self, z: Array, z_hat: Array) -> Array:
+        """Innovation z - z_hat, angles wrapped to (-pi, pi]; broadcasts over leading axes."""
+        difference = np.asarray(z, float) - np.asarray(z_hat, float)
+        if self.kind == RANGE_BEARING:
+            difference[..., 1] = se2.wrap_angle(difference[..., 1])
+        return difference
+
+    def polar(self, z: Array) -> Array:
+        """Range [m] and bearing [rad] in the sensor frame (m, 2) of measurements (m, 2)."""
+        z = np.asarray(z, float)
+        if self.kind == RANGE_BEARING:
+            return z
+        return np.stack([np.hypot(z[..., 0], z[..., 1]), np.arctan2(z[..., 1], z[..., 0])], axis=-1)
+
+    def in_view(self, z: Array, *, margin_range: Array | float = 0.0, margin_angle: Array | float = 0.0) -> Array:
+        """Whether measurements (m, 2) lie in the field of view, widened by the margins [m, rad]; bool (m,)."""
+        polar = self.polar(z)
+        inside = polar[..., 0] <= self.max_range + margin_range
+        middle, half = 0.5 * (self.min_angle + self.max_angle), 0.5 * (self.max_angle - self.min_angle)
+        view: Array = inside & (np.abs(se2.wrap_angle(polar[..., 1] - middle)) <= half + margin_angle + 1e-12)
+        return view
+
+
+class RangeBearing(Sensor):
+    """z = (range m, bearing rad counter-clockwise from the sensor's x axis)."""
+
+    kind = RANGE_BEARING
+    name = "range_bearing"
+    units = ("m", "rad")
+
+
+class RelativePoint(Sensor):
+    """z = (x, y) m of the landmark in the sensor frame."""
+
+    kind = RELATIVE_POINT
+    name = "relative_point"
+    units = ("m", "m")

@@ -1,0 +1,107 @@
+"""What localizer and SLAM filter share: the state buffers, prediction, and the expectation formed from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from association.expectation import Expectation
+from data.inputs import Increment, IntArray, Prior, Sightings
+from data.result import PoseEstimate
+from data.se2 import Array
+from data.sensors import Sensor
+from ekf import kernels
+
+
+class FilterDiverged(Exception):
+    """The filter cannot go on: its state is not finite or a covariance is not positive semidefinite."""
+
+
+@dataclass(frozen=True)
+class FilterOptions:
+    """How the update is done; the defaults are what every report uses unless it says otherwise.
+
+    Attributes:
+        each: one update per observation (linearized one after the other) instead of one stacked update per frame.
+        new_variance: m^2; a new landmark gets this variance and no correlation (None: the exact augmentation).
+    """
+
+    each: bool = False
+    new_variance: float | None = None
+
+    @property
+    def augment_variance(self) -> float:
+        """`new_variance` as the kernels take it."""
+        return -1.0 if self.new_variance is None else self.new_variance
+
+
+class Filter:
+    """State mean and covariance in buffers that grow in place; see `ekf.kernels` for the layout."""
+
+    def __init__(self, prior: Prior, sensor: Sensor, options: FilterOptions, capacity: int = 3) -> None:
+        """Start at the prior. `capacity` is the number of states to have room for."""
+        self.sensor, self.options = sensor, options
+        self._kind, self._extrinsic = sensor.kind, sensor.extrinsic
+        self._mean, self._P = np.zeros(capacity), np.zeros((capacity, capacity))
+        self._mean[:3], self._P[:3, :3] = prior.mean, prior.covariance
+        self.size = 3
+        self._version = 0
+
+    def predict(self, increment: Increment) -> None:
+        """Move by an increment."""
+        self._version += 1
+        kernels.predict(self._mean, self._P, self.size, increment.mean, increment.covariance)
+
+    def estimate(self) -> PoseEstimate:
+        """The newest pose with its world-frame covariance (copies)."""
+        return PoseEstimate(self._mean[:3].copy(), self._P[:3, :3].copy())
+
+    @property
+    def mean(self) -> Array:
+        """The whole state vector (d,), a copy."""
+        return self._mean[: self.size].copy()
+
+    @property
+    def covariance(self) -> Array:
+        """The whole covariance (d, d), a copy."""
+        return self._P[: self.size, : self.size].copy()
+
+    def _expect(self, sightings: Sightings, number: IntArray, at: IntArray, known: Array) -> Expectation:
+        """Expectation over candidates that stand at offsets `at` of the state, or in `known` where `at` is negative."""
+        n, m = len(number), len(sightings.z)
+        z_hat, blocks = np.empty((n, 2)), np.empty((n, 2, 2))
+        kernels.expect(self._kind, self._extrinsic, self._mean, self._P, at, known, z_hat, blocks)
+        version = self._version
+
+        def joint(indices: IntArray) -> Array:
+            if version != self._version:
+                raise RuntimeError("the filter has moved on since this expectation was formed")
+            chosen = np.asarray(indices, np.int64)
+            k = len(chosen)
+            PHt, S = np.empty((self.size, 2 * k)), np.empty((2 * k, 2 * k))
+            zero = np.zeros((k, 2))
+            kernels.innovate(
+                self._kind, self._extrinsic, self._mean, self._P, self.size, at[chosen], known[chosen],
+                zero, np.zeros((k, 2, 2)), np.empty(2 * k), PHt, S,
+            )  # fmt: skip
+            return S
+
+        frames = np.zeros(n, np.int64), np.zeros(m, np.int64)
+        return Expectation(
+            number, z_hat, blocks, frames[0], sightings.z, sightings.R, frames[1], self.sensor.residual, joint
+        )
+
+    def _correct(self, sightings: Sightings, rows: IntArray, at: IntArray, known: Array, threshold: float) -> tuple[Array, Array]:
+        """Update with the observations `rows`; returns which of them passed the gate, and (NIS, log-likelihood, dof)."""
+        self._version += 1
+        keep, stats = np.ones(len(rows), np.bool_), np.zeros(3)
+        if len(rows):
+            step = kernels.update_each if self.options.each else kernels.update
+            status = step(
+                self._kind, self._extrinsic, self._mean, self._P, self.size, at, known,
+                sightings.z[rows], sightings.R[rows], threshold, keep, stats,
+            )  # fmt: skip
+            if status != kernels.OK:
+                raise FilterDiverged(kernels.FAILURES[status])
+        return keep, stats

@@ -1,0 +1,50 @@
+"""EKF localization: three states, a known map, observations paired with the map's ids."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from association.expectation import Expectation
+from data.inputs import IntArray, LandmarkMap, Prior, Sightings
+from data.result import Finished, Updated
+from data.sensors import Sensor
+from ekf.filter import Filter, FilterOptions
+
+
+class EkfLocalizer(Filter):
+    """Extended Kalman filter over the pose (Probabilistic Robotics, Table 7.2, with one stacked update per frame)."""
+
+    def __init__(self, prior: Prior, sensor: Sensor, known: LandmarkMap, options: FilterOptions = FilterOptions()) -> None:  # noqa: B008
+        """Start at the prior with a map taken as exact."""
+        super().__init__(prior, sensor, options)
+        self.map = known
+
+    def rows_of(self, decisions: IntArray) -> IntArray:
+        """Row of the map for each decision; raises ValueError for an id the map does not have."""
+        rows = np.searchsorted(self.map.id, decisions)
+        if np.any(rows >= len(self.map.id)) or np.any(self.map.id[np.minimum(rows, len(self.map.id) - 1)] != decisions):
+            raise ValueError(f"decisions {decisions.tolist()} name a landmark the map does not have")
+        return rows.astype(np.int64)
+
+    def expect(self, sightings: Sightings) -> Expectation:
+        """What the filter expects of every landmark of the map. Valid until the next `predict` or `update`."""
+        at = np.full(len(self.map.id), -1, np.int64)
+        return self._expect(sightings, self.map.id, at, self.map.xy)
+
+    def update(self, sightings: Sightings, decisions: IntArray, *, threshold: float = np.inf) -> Updated:
+        """One update with every observation whose decision is a landmark id and whose d^2 is below `threshold`."""
+        paired = np.flatnonzero(decisions >= 0)
+        known = self.map.xy[self.rows_of(decisions[paired])]
+        keep, stats = self._correct(sightings, paired, np.full(len(paired), -1, np.int64), known, threshold)
+        used = np.zeros(len(decisions), np.bool_)
+        used[paired] = keep
+        nothing = np.full(len(decisions), -1, np.int64)
+        return Updated(used, nothing, float(stats[0]), int(stats[2]), float(stats[1]))
+
+    def remove(self, numbers: IntArray) -> None:
+        """A known map does not change: asking for it is an error."""
+        raise ValueError("a localizer's map is given; landmarks cannot be removed from it")
+
+    def finish(self) -> Finished:
+        """Nothing to smooth, no map of its own."""
+        return Finished(None, None)

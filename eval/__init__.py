@@ -1,0 +1,1 @@
+"""Replay, referee, experiments, tables, figures, report and the command line."""
