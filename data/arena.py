@@ -1,0 +1,164 @@
+"""The tutorial world: a unicycle robot drives loops among point landmarks; every noise is known and drawn from a seed.
+
+Truth is noise-free and the same path for every seed; map, odometry noise, sensor noise and the error of the prior mean
+come from independent streams of the seed, so changing one parameter does not reshuffle the others.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from data import se2
+from data.errors import UsageError
+from data.inputs import CLUTTER, Increments, Inputs, LandmarkMap, Observations, Prior, floor_covariances
+from data.log import Log
+from data.motion import VelocityModel, VelocityNoise, preintegrate
+from data.se2 import Array
+from data.sensors import RangeBearing, RelativePoint, Sensor
+from data.truth import Truth
+
+
+@dataclass(frozen=True)
+class Arena:
+    """Parameters of the world; the defaults are mild enough for linearization to be harmless.
+
+    Attributes:
+        landmarks: number of point landmarks, uniform in a square.
+        side: m, side of that square, centred on the loop.
+        frames: number of frames.
+        period: s between frames.
+        odometry_rate: Hz of the (v, omega) samples.
+        speed: m/s.
+        radius: m, of the loop the robot drives; its turn rate swings about speed / radius.
+        swing: rad/s, amplitude of that swing.
+        sigma_v: m per sqrt(s), sigma_omega: rad per sqrt(s), odometry noise densities.
+        sensor: `range_bearing` or `relative_point`.
+        sigma_range: m, sigma_bearing: rad, noise of the range-bearing sensor.
+        sigma_point: m, noise of each coordinate of the Cartesian sensor.
+        max_range: m. field_of_view: rad, full opening angle.
+        prior_sigma: m, prior_sigma_heading: rad; the prior mean is drawn with them.
+        detection: probability that a landmark in view is reported.
+        clutter: mean number of false readings per frame (Poisson), uniform over the field of view.
+    """
+
+    landmarks: int = 25
+    side: float = 24.0
+    frames: int = 200
+    period: float = 0.5
+    odometry_rate: float = 10.0
+    speed: float = 1.0
+    radius: float = 6.0
+    swing: float = 0.3
+    sigma_v: float = 0.05
+    sigma_omega: float = 0.02
+    sensor: str = "range_bearing"
+    sigma_range: float = 0.1
+    sigma_bearing: float = 0.02
+    sigma_point: float = 0.1
+    max_range: float = 8.0
+    field_of_view: float = math.pi
+    prior_sigma: float = 0.1
+    prior_sigma_heading: float = 0.03
+    detection: float = 1.0
+    clutter: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("landmarks", "frames"):
+            if getattr(self, name) < 1:
+                raise UsageError(f"arena: {name} = {getattr(self, name)}; at least 1 is needed")
+        for name in ("side", "period", "odometry_rate", "radius", "max_range", "field_of_view"):
+            if not getattr(self, name) > 0:
+                raise UsageError(f"arena: {name} = {getattr(self, name)}; a positive number is needed")
+        for name in ("sigma_v", "sigma_omega", "prior_sigma", "prior_sigma_heading", "clutter"):
+            if not getattr(self, name) >= 0:
+                raise UsageError(f"arena: {name} = {getattr(self, name)}; must not be negative")
+        for name in ("sigma_range", "sigma_bearing", "sigma_point"):
+            if not getattr(self, name) > 0:
+                raise UsageError(f"arena: {name} = {getattr(self, name)}; a positive number is needed")
+        if not 0.0 <= self.detection <= 1.0:
+            raise UsageError(f"arena: detection = {self.detection}; a probability is needed")
+        if self.sensor not in ("range_bearing", "relative_point"):
+            raise UsageError(f"arena: sensor {self.sensor!r}; known: range_bearing, relative_point")
+
+    def model(self) -> Sensor:
+        """The sensor with its field of view."""
+        kind = RangeBearing if self.sensor == "range_bearing" else RelativePoint
+        half = min(0.5 * self.field_of_view, math.pi)
+        return kind(max_range=self.max_range, min_angle=-half, max_angle=half)
+
+    def sigma(self) -> tuple[float, float]:
+        """Standard deviations of a reading's two coordinates."""
+        if self.sensor == "range_bearing":
+            return self.sigma_range, self.sigma_bearing
+        return self.sigma_point, self.sigma_point
+
+
+def simulate(arena: Arena, seed: int, name: str | None = None) -> Log:
+    """One log of the arena. Same parameters and seed: same bytes."""
+    map_rng, odometry_rng, sensor_rng, prior_rng = (
+        np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4)
+    )
+    centre = np.array([0.0, arena.radius])
+    landmarks = centre + map_rng.uniform(-0.5 * arena.side, 0.5 * arena.side, (arena.landmarks, 2))
+    frame_time = arena.period * np.arange(arena.frames)
+    truth, increments, floored = _drive(arena, frame_time, odometry_rng)
+    sensor = arena.model()
+    frame, z, true_id = _observe(arena, sensor, truth, landmarks, sensor_rng)
+    R = np.tile(np.diag(np.square(arena.sigma())), (len(z), 1, 1))
+    sigma = np.array([arena.prior_sigma, arena.prior_sigma, arena.prior_sigma_heading])
+    prior_mean = truth[0] + sigma * prior_rng.standard_normal(3)
+    prior_mean[2] = se2.wrap_angle(prior_mean[2])
+    known = LandmarkMap(np.arange(arena.landmarks), landmarks)
+    inputs = Inputs(
+        Prior(prior_mean, np.diag(sigma**2)), frame_time, increments, Observations(frame, z, R), sensor, known, floored=floored
+    )
+    return Log(
+        name or f"arena:{seed}", inputs, Truth(truth, known, true_id), source={"kind": "arena", "seed": seed}
+    )
+
+
+def _drive(arena: Arena, frame_time: Array, rng: np.random.Generator) -> tuple[Array, Increments, int]:
+    """True poses (N, 3) at the frames and the noisy increments between them."""
+    dt = 1.0 / arena.odometry_rate
+    time = dt * np.arange(int(math.ceil(frame_time[-1] / dt)) + 1)
+    v = np.full(len(time), arena.speed)
+    omega = arena.speed / arena.radius + arena.swing * np.sin(2.0 * math.pi * time / 15.0)
+    exact = VelocityModel(VelocityNoise("density"))
+    true_increments, _ = preintegrate(exact, time, v, omega, frame_time)
+    truth = np.zeros((len(frame_time), 3))
+    for k in range(1, len(truth)):
+        truth[k] = se2.compose(truth[k - 1], true_increments.mean[k])
+    noisy_v = v + arena.sigma_v / math.sqrt(dt) * rng.standard_normal(len(time))
+    noisy_omega = omega + arena.sigma_omega / math.sqrt(dt) * rng.standard_normal(len(time))
+    model = VelocityModel(VelocityNoise("density", (arena.sigma_v, arena.sigma_omega)))
+    increments, _ = preintegrate(model, time, noisy_v, noisy_omega, frame_time)
+    covariance, floored = floor_covariances(increments.covariance, 1e-10)
+    return truth, Increments(increments.mean, covariance), floored
+
+
+def _observe(
+    arena: Arena, sensor: Sensor, truth: Array, landmarks: Array, rng: np.random.Generator
+) -> tuple[Array, Array, Array]:
+    """Frames (M,), readings (M, 2) and true ids (M,), by frame and landmark, clutter last in its frame."""
+    frames, readings, ids = [], [], []
+    sigma = np.array(arena.sigma())
+    for k, pose in enumerate(truth):
+        exact = sensor.predict(pose, landmarks)
+        seen = np.flatnonzero(sensor.in_view(exact) & (rng.random(len(landmarks)) < arena.detection))
+        z = exact[seen] + sigma * rng.standard_normal((len(seen), 2))
+        false = rng.poisson(arena.clutter)
+        r = arena.max_range * np.sqrt(rng.random(false))
+        b = rng.uniform(sensor.min_angle, sensor.max_angle, false)
+        ghost = np.stack([r, b], 1) if arena.sensor == "range_bearing" else np.stack([r * np.cos(b), r * np.sin(b)], 1)
+        z = np.concatenate([z, ghost])
+        if arena.sensor == "range_bearing":
+            z[:, 0] = np.maximum(z[:, 0], 0.0)
+            z[:, 1] = se2.wrap_angle(z[:, 1])
+        frames.append(np.full(len(z), k))
+        readings.append(z)
+        ids.append(np.concatenate([seen, np.full(false, CLUTTER)]))
+    return np.concatenate(frames).astype(np.int64), np.concatenate(readings), np.concatenate(ids).astype(np.int64)
+

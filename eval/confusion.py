@@ -1,0 +1,101 @@
+"""Association outcomes: each decision against the landmark that was right at that moment, as TP, TN, FP or FN.
+
+H is the decision (a landmark, or none for NEW and DISCARD). GT is the lowest-numbered landmark in the map at that frame
+that was created from the same true id, else none; clutter has GT none. TP: H = GT, a landmark. TN: both none.
+FP: H a landmark other than GT. FN: H none although GT is a landmark. The four sum to the number of observations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from data.inputs import IntArray, LandmarkMap
+from data.result import NEW
+from data.truth import UNKNOWN_ID
+
+OUTCOMES = ("tp", "tn", "fp", "fn")
+NO_LANDMARK = -1
+"""GT of an observation whose landmark is not in the map."""
+
+
+@dataclass(frozen=True)
+class Confusion:
+    """Outcomes of a run.
+
+    Attributes:
+        outcome: (M,) index into `OUTCOMES`.
+        ground_truth: (M,) landmark number, or `NO_LANDMARK`.
+        tp, tn, fp, fn: counts, summing to M.
+        wrong: FP where GT was a landmark; spurious: FP where it was none.
+        duplicate: FN that created a second landmark; missed: FN that was discarded.
+        deferred: FN whose decision was put off to a later frame (none of the present methods does).
+    """
+
+    outcome: IntArray
+    ground_truth: IntArray
+    tp: int
+    tn: int
+    fp: int
+    fn: int
+    wrong: int
+    spurious: int
+    duplicate: int
+    missed: int
+    deferred: int = 0
+
+    @property
+    def precision(self) -> float:
+        """TP / (TP + FP); NaN where nothing was paired."""
+        return self.tp / (self.tp + self.fp) if self.tp + self.fp else float("nan")
+
+    @property
+    def recall(self) -> float:
+        """TP / (TP + FN); NaN where nothing could be paired."""
+        return self.tp / (self.tp + self.fn) if self.tp + self.fn else float("nan")
+
+
+def ground_truth(frame: IntArray, true_id: IntArray, created: IntArray, known: LandmarkMap | None) -> IntArray:
+    """GT (M,) per observation. With a known map the landmark number is the true id itself, where the map has it.
+
+    In SLAM a landmark is in the map from the frame after its creation: the decisions of a frame are made together,
+    against the map as it was before.
+    """
+    gt = np.full(len(true_id), NO_LANDMARK, np.int64)
+    if known is not None:
+        inside = np.isin(true_id, known.id)
+        gt[inside] = true_id[inside]
+        return gt
+    lowest: dict[int, tuple[int, int]] = {}
+    for i in np.flatnonzero(created >= 0):
+        lowest.setdefault(int(true_id[i]), (int(created[i]), int(frame[i])))
+    for i, who in enumerate(true_id):
+        if who >= 0 and int(who) in lowest:
+            number, since = lowest[int(who)]
+            if frame[i] > since:
+                gt[i] = number
+    return gt
+
+
+def confuse(
+    frame: IntArray, true_id: IntArray, decisions: IntArray, created: IntArray, known: LandmarkMap | None
+) -> Confusion | None:
+    """Score decisions (M,); None where some true id is unknown, because then the counts would not sum."""
+    if np.any(true_id == UNKNOWN_ID):
+        return None
+    gt = ground_truth(frame, true_id, created, known)
+    paired, has = decisions >= 0, gt >= 0
+    tp = paired & (decisions == gt)
+    fp = paired & ~tp
+    fn = ~paired & has
+    tn = ~paired & ~has
+    outcome = np.select([tp, tn, fp, fn], [0, 1, 2, 3]).astype(np.int64)
+    counts = [int(x.sum()) for x in (tp, tn, fp, fn)]
+    if sum(counts) != len(decisions):
+        raise AssertionError(f"outcomes {counts} do not sum to the {len(decisions)} observations")
+    return Confusion(
+        outcome, gt, *counts,
+        wrong=int((fp & has).sum()), spurious=int((fp & ~has).sum()),
+        duplicate=int((fn & (decisions == NEW)).sum()), missed=int((fn & (decisions != NEW)).sum()),
+    )  # fmt: skip
