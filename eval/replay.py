@@ -9,10 +9,10 @@ from typing import Protocol
 import numpy as np
 
 from association.expectation import Expectation, gate_threshold
-from data.inputs import Increment, Inputs, IntArray, LabelledObservations, Sightings
+from association.known import known_decisions
+from data.inputs import Increment, Inputs, IntArray, Sightings
 from data.result import (
     DISCARD,
-    NEW,
     Failure,
     Finished,
     Innovations,
@@ -43,34 +43,6 @@ class Estimator(Protocol):
     def remove(self, numbers: IntArray) -> None: ...
     def estimate(self) -> PoseEstimate: ...
     def finish(self) -> Finished: ...
-
-
-def known_decisions(inputs: Inputs) -> tuple[IntArray, IntArray]:
-    """Pairing by label: decisions (M,) and the number (M,) of the landmark each observation founds (-1: none).
-
-    Localization: the label, if the map has it. SLAM: the first sighting of a label is `NEW`, later ones its number;
-    a label seen twice in the frame that creates its landmark: the first creates, the others are discarded. Clutter and
-    blank labels are discarded. Labels do not depend on the estimate, so this needs no filter.
-    """
-    o = inputs.observations
-    if not isinstance(o, LabelledObservations):
-        raise ValueError("known association was not granted to these inputs")
-    label, created = o.label, np.full(len(o.label), -1, np.int64)
-    decisions = np.full(len(label), DISCARD, np.int64)
-    if inputs.map is not None:
-        paired = np.isin(label, inputs.map.id)
-        decisions[paired] = label[paired]
-        return decisions, created
-    named = np.flatnonzero(label >= 0)
-    _, first, which = np.unique(label[named], return_index=True, return_inverse=True)
-    number = np.empty(len(first), np.int64)
-    number[np.argsort(first)] = np.arange(len(first))
-    decisions[named] = number[which]
-    founding = named[first]
-    decisions[named[o.frame[named] == o.frame[founding][which]]] = DISCARD
-    decisions[founding] = NEW
-    created[founding] = number
-    return decisions, created
 
 
 def dead_reckoning(inputs: Inputs, task: str) -> Run:

@@ -1,0 +1,88 @@
+"""Logs by name or path, and the datasets found in a folder."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from data.errors import DataError, UsageError
+from data.log import Log
+
+NAMES = "victoria-park, arena:SEED"
+
+
+def open_log(name: str) -> Log:
+    """A log by name (`victoria-park`, `arena:SEED`) or by the path of an open log folder.
+
+    Raises UsageError for a name that is neither, DataError for a folder that is not valid.
+    """
+    if name == "victoria-park":
+        from data.victoria_park import load_victoria_park
+
+        return load_victoria_park()
+    simulated = re.fullmatch(r"arena:(.*)", name)
+    if simulated:
+        from data.arena import Arena, simulate
+
+        if not re.fullmatch(r"\d+", simulated[1]):
+            raise UsageError(f"--log {name}: the seed is a whole number, as in arena:0")
+        return simulate(Arena(), int(simulated[1]))
+    path = Path(name)
+    if path.is_dir():
+        from data.folder import load_folder
+
+        return load_folder(path)
+    if path.exists():
+        raise UsageError(f"--log {name}: a file; expected an open log folder or one of {NAMES}")
+    raise UsageError(f"--log {name}: no such folder, and not one of {NAMES}")
+
+
+def find_logs(folder: Path, say: Callable[[str], None]) -> Iterator[Callable[[], Log]]:
+    """Loaders of every dataset in a folder, two levels deep: open logs, MRCLAM folders and zips with every robot.
+
+    What is not recognised is named through `say` and skipped. Loading is left to the caller, log by log.
+    """
+    if not folder.is_dir():
+        raise UsageError(f"--data {folder}: no such folder")
+    yield from _search(folder, 2, say)
+
+
+def _search(folder: Path, depth: int, say: Callable[[str], None]) -> Iterator[Callable[[], Log]]:
+    from data.folder import load_folder
+
+    for path in sorted(folder.iterdir()):
+        if path.name.startswith("."):
+            continue
+        if path.is_dir() and (path / "log.toml").exists():
+            yield lambda path=path: load_folder(path)  # type: ignore[misc]
+        elif _is_mrclam(path):
+            yield from _mrclam(path, say)
+        elif path.is_dir() and depth > 1:
+            yield from _search(path, depth - 1, say)
+        elif path.is_dir() or path.suffix not in {".md", ".txt", ".dat"}:
+            say(f"skipped {path}: not a dataset that is known here")
+
+
+def _is_mrclam(path: Path) -> bool:
+    if path.is_dir():
+        return (path / "Barcodes.dat").exists()
+    if path.suffix.lower() != ".zip":
+        return False
+    import zipfile
+
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return any(name.endswith("Barcodes.dat") for name in archive.namelist())
+    except zipfile.BadZipFile as broken:
+        raise DataError.at(path, f"{broken}; a zip archive is needed") from broken
+
+
+def _mrclam(path: Path, say: Callable[[str], None]) -> Iterator[Callable[[], Log]]:
+    from data.mrclam import corrected_landmarks, load_mrclam, robots
+
+    landmarks = corrected_landmarks(path)
+    if landmarks is not None:
+        say(f"{path.name}: landmark positions from {landmarks.name} beside it")
+    for robot in robots(path):
+        yield lambda robot=robot: load_mrclam(path, robot, landmarks=landmarks)  # type: ignore[misc]

@@ -1,0 +1,167 @@
+"""How everything drawn looks: a colour, label and line per estimator, page sizes, and saving the same bytes each time.
+
+Filters are warm, smoothers cool; colours are Okabe and Ito's and Tol's, chosen to stay apart for colour-blind readers.
+Nothing here touches pyplot: figures are plain `Figure` objects made inside `matplotlib.rc_context(RC)`.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+from matplotlib.figure import Figure
+from matplotlib.typing import RcKeyType
+
+from data.result import Run, Trajectory
+
+SINGLE = 3.4
+"""in. Width of one column of a two-column paper."""
+DOUBLE = 7.0
+"""in. Width of both columns."""
+PNG_DPI = 200
+
+SOLID, DASHED, DASHDOT, DOTTED = "-", (0, (4.0, 1.4)), (0, (5.0, 1.3, 1.2, 1.3)), (0, (1.0, 1.2))
+Line = str | tuple[int, tuple[float, ...]]
+
+TRUTH_COLOUR = "#000000"
+BAND_COLOUR = "#C8C8C8"
+
+RC: dict[RcKeyType, Any] = {
+    "font.family": ["DejaVu Sans"],  # comes with matplotlib, so a figure does not depend on the machine's fonts
+    "font.size": 8.0,
+    "axes.titlesize": 8.0,
+    "axes.labelsize": 8.0,
+    "legend.fontsize": 7.0,
+    "xtick.labelsize": 7.0,
+    "ytick.labelsize": 7.0,
+    "figure.titlesize": 8.5,
+    "axes.linewidth": 0.6,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#E4E4E4",
+    "grid.linewidth": 0.5,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "lines.linewidth": 0.9,
+    "lines.markersize": 4.0,
+    "legend.frameon": False,
+    "legend.handlelength": 2.4,
+    "legend.borderaxespad": 0.3,
+    "figure.constrained_layout.use": True,
+    "savefig.dpi": PNG_DPI,
+    "pdf.fonttype": 42,
+    "image.composite_image": False,
+    "text.usetex": False,
+}
+
+
+@dataclass(frozen=True)
+class Style:
+    """How one estimator is drawn and called."""
+
+    colour: str
+    label: str
+    line: Line = SOLID
+
+
+STYLES: dict[str, Style] = {
+    "dead-reckoning": Style("#8A8A8A", "dead reckoning", DOTTED),
+    "ekf": Style("#D55E00", "EKF"),
+    "ekf-iterated": Style("#E69F00", "iterated EKF", DASHED),
+    "ekf-fej": Style("#CC79A7", "first-estimates EKF", DASHDOT),
+    "ekf-invariant": Style("#882255", "invariant EKF", DASHED),
+    "batch": Style("#0072B2", "batch"),
+    "batch-huber": Style("#56B4E9", "batch, Huber", DASHED),
+    "batch-cauchy": Style("#332288", "batch, Cauchy", DASHDOT),
+    "gnc": Style("#44AA99", "GNC", DASHDOT),
+    "isam2": Style("#009E73", "iSAM2"),
+    "fixed-lag": Style("#999933", "fixed lag", DASHED),
+}
+_OTHERS = ("#7B3F00", "#5D3A9B", "#B8860B", "#4B4B4B")
+
+
+def style_of(estimator: str) -> Style:
+    """The style of an estimator; a name nobody planned for gets a dull colour of its own, the same each time."""
+    known = STYLES.get(estimator)
+    if known is not None:
+        return known
+    return Style(_OTHERS[zlib.crc32(estimator.encode()) % len(_OTHERS)], estimator, DASHDOT)
+
+
+@dataclass(frozen=True)
+class Series:
+    """One phase of one run, as drawn."""
+
+    run: Run
+    phase: str
+    label: str
+    colour: str
+    line: Line
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Poses and covariances of this phase."""
+        return self.run.trajectory(self.phase)
+
+
+def series(runs: Sequence[Run]) -> list[Series]:
+    """Every phase of every run, in order, each told apart from the others by colour, line or label.
+
+    A smoother's online path is dashed where its final one is drawn too. The association (or the task) is part of the
+    label only where one estimator appears with several, and then changes the line as well.
+    """
+    cycle: tuple[Line, ...] = (SOLID, DASHDOT, DOTTED, DASHED)
+    drawn = []
+    for run in runs:
+        style = style_of(run.estimator)
+        twins = [r for r in runs if r.estimator == run.estimator]
+        extra = ""
+        if len({r.association for r in twins}) > 1:
+            extra += f", {run.association}"
+        if len({r.task for r in twins}) > 1:
+            extra += f", {run.task}"
+        variants = sorted({(r.task, r.association) for r in twins})
+        position = variants.index((run.task, run.association))
+        line = style.line if len(variants) == 1 else cycle[position % len(cycle)]
+        for phase in run.phases:
+            phase_line = DASHED if phase == "online" and len(run.phases) > 1 else line
+            when = "" if run.estimator == "dead-reckoning" else f" ({phase})"
+            drawn.append(Series(run, phase, f"{style.label}{extra}{when}", style.colour, phase_line))
+    return drawn
+
+
+@contextmanager
+def drawing() -> Iterator[None]:
+    """Our settings while a figure is built or saved, and nobody else's before or after."""
+    with matplotlib.rc_context(rc=RC):
+        yield
+
+
+def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] = ("pdf", "png")) -> list[Path]:
+    """Write a figure as `folder/stem.<format>`, without dates or versions: same data, same bytes. Empties the figure.
+
+    Raises ValueError for a format whose metadata is not known to be clean.
+    """
+    clean: dict[str, dict[str, Any]] = {
+        "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+        "png": {"Software": None},
+    }
+    unknown = sorted(set(formats) - set(clean))
+    if unknown:
+        raise ValueError(f"figure format {unknown[0]!r}; known: {', '.join(clean)}")
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    with drawing():
+        for suffix in formats:
+            path = folder / f"{stem}.{suffix}"
+            fig.savefig(path, dpi=PNG_DPI, metadata=clean[suffix])
+            written.append(path)
+    fig.clear()
+    return written

@@ -1,0 +1,88 @@
+"""Both sensors predict, linearize and invert alike, wrap bearings once, and stay finite at the robot's own position."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from data.se2 import wrap_angle
+from data.sensors import MIN_RANGE, RangeBearing, RelativePoint
+
+SENSORS = [RangeBearing(), RelativePoint(), RangeBearing(rotation=0.4, translation=(0.2, -0.1)), RelativePoint(rotation=-1.5, translation=(0.0, 0.3))]
+angle = st.floats(-math.pi, math.pi)
+coordinate = st.floats(-20, 20)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.sampled_from(SENSORS), coordinate, coordinate, angle, coordinate, coordinate)
+def test_jacobians_meet_central_differences_and_inverse_undoes_predict(sensor, x, y, theta, lx, ly):
+    pose, landmark = np.array([x, y, theta]), np.array([[lx, ly]])
+    z, Hx, Hl = sensor.linearize(pose, landmark)
+    assume(sensor.polar(z)[0, 0] > 0.3)
+    h = 1e-6
+    for i in range(3):
+        d = np.eye(3)[i] * h
+        numeric = sensor.residual(sensor.predict(pose + d, landmark), sensor.predict(pose - d, landmark))[0] / (2 * h)
+        assert np.abs(Hx[0, :, i] - numeric).max() < 1e-6
+    for i in range(2):
+        d = np.eye(2)[i] * h
+        numeric = sensor.residual(sensor.predict(pose, landmark + d), sensor.predict(pose, landmark - d))[0] / (2 * h)
+        assert np.abs(Hl[0, :, i] - numeric).max() < 1e-6
+    back, Gx, Gz = sensor.inverse(pose, z)
+    assert np.abs(back - landmark).max() < 1e-10
+    # l = g(x, z) inverts z = h(x, l): Hl Gz = I and Hx + Hl Gx = 0
+    assert np.allclose(Hl[0] @ Gz[0], np.eye(2), atol=1e-9)
+    assert np.allclose(Hx[0] + Hl[0] @ Gx[0], 0, atol=1e-8)
+
+
+@pytest.mark.parametrize("heading", [0.3, np.pi - 1e-9, -np.pi + 1e-9])
+def test_bearings_wrap_at_the_seam(heading):
+    sensor = RangeBearing()
+    behind = np.array([[-3 * math.cos(heading), -3 * math.sin(heading)]])
+    z = sensor.predict(np.array([0, 0, heading]), behind)
+    assert abs(abs(z[0, 1]) - math.pi) < 1e-6
+    assert abs(sensor.residual(np.array([[3.0, math.pi]]), np.array([[3.0, -math.pi]]))[0, 1]) < 1e-12
+    assert RelativePoint().residual(np.array([[3.0, 4.0]]), np.array([[3.0, -4.0]]))[0, 1] == 8.0
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.1 * MIN_RANGE])
+def test_a_landmark_at_the_sensor_has_zero_jacobians(offset):
+    z, Hx, Hl = RangeBearing().linearize(np.array([1.0, 2.0, 0.3]), np.array([[1.0 + offset, 2.0]]))
+    assert np.isfinite(z).all()
+    assert not Hx.any()
+    assert not Hl.any()
+
+
+def test_extrinsic_is_p_sensor_equals_R_p_body_plus_T():
+    # a camera whose z axis looks forward and whose x axis looks right: x_s = -y_b, z_s = x_b + 0.2
+    camera = RelativePoint(rotation=math.pi / 2, translation=(0.0, 0.2))
+    assert np.allclose(camera.predict(np.zeros(3), np.array([[3.0, 1.0]])), [[-1.0, 3.2]])
+
+
+def test_field_of_view_may_lie_across_the_seam_and_be_widened():
+    rear = RangeBearing(max_range=5.0, min_angle=math.radians(150), max_angle=math.radians(210))
+    z = np.array([[4.0, math.pi], [4.0, -math.pi + 0.1], [4.0, 0.0], [6.0, math.pi], [4.0, math.radians(145)]])
+    assert rear.in_view(z).tolist() == [True, True, False, False, False]
+    assert rear.in_view(z, margin_range=2.0, margin_angle=math.radians(6)).tolist() == [True, True, False, True, True]
+    edge = RelativePoint(min_angle=-math.pi / 2, max_angle=math.pi / 2)
+    assert edge.in_view(np.array([[0.0, 1.0], [0.0, -1.0]])).all(), "both ends are inside"
+
+
+@settings(max_examples=200)
+@given(st.floats(-1e4, 1e4))
+def test_wrapped_angles_lie_in_the_half_open_circle_and_keep_their_direction(a):
+    w = wrap_angle(a)
+    assert -math.pi < w <= math.pi
+    assert abs(math.remainder(w - a, 2 * math.pi)) < 1e-9
+    if -math.pi < a <= math.pi:
+        assert w == a
+
+
+def test_the_seam_itself_is_plus_pi():
+    assert wrap_angle(-math.pi) == math.pi
+    assert wrap_angle(math.pi) == math.pi
+    assert wrap_angle(np.array([3 * math.pi]))[0] == pytest.approx(math.pi)

@@ -1,0 +1,257 @@
+"""The filters do what the textbook says, step by step and in one loop, and give the same bytes either way."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from association.known import known_decisions
+from data import se2
+from data.arena import Arena, simulate
+from data.inputs import LabelledObservations, LandmarkMap, Observations, Prior, Sightings
+from data.result import DISCARD, NEW
+from data.sensors import RangeBearing, RelativePoint
+from ekf import kernels
+from ekf.filter import FilterDiverged, FilterOptions
+from ekf.localizer import EkfLocalizer
+from ekf.slam import EkfSlam
+from ekf.whole_run import run_filter
+
+
+_spec = importlib.util.spec_from_file_location("reference_ekf", Path(__file__).parents[1] / "oracle" / "reference_ekf.py")
+reference = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(reference)
+
+SMALL = Arena(landmarks=8, side=14.0, frames=25)
+
+
+def replay(filter_, inputs, decisions, threshold=np.inf):
+    pose, covariance = [], []
+    for k in range(len(inputs)):
+        if k:
+            filter_.predict(inputs.increment(k))
+        rows = slice(inputs.start[k], inputs.start[k + 1])
+        filter_.update(inputs.sightings(k), decisions[rows], threshold=threshold)
+        mean, P = filter_.estimate()
+        pose.append(mean)
+        covariance.append(P)
+    return np.array(pose), np.array(covariance)
+
+
+@pytest.mark.parametrize("sensor", ["range_bearing", "relative_point"])
+@pytest.mark.parametrize("task", ["localization", "slam"])
+@pytest.mark.parametrize("threshold", [np.inf, 5.0])
+def test_whole_run_agrees_with_the_textbook_and_bit_for_bit_with_the_steps(sensor, task, threshold):
+    log = simulate(Arena(**{**vars(SMALL), "sensor": sensor}), 3)
+    inputs = log.inputs(labels=True)
+    if task == "slam":
+        inputs = inputs.without_map()
+    decisions, _ = known_decisions(inputs)
+    run = run_filter(inputs, decisions, threshold=threshold)
+    stepper = (
+        EkfLocalizer(inputs.prior, inputs.sensor, inputs.map)
+        if inputs.map is not None
+        else EkfSlam(inputs.prior, inputs.sensor)
+    )
+    pose, covariance = replay(stepper, inputs, decisions, threshold)
+    assert np.array_equal(run.pose, pose)
+    assert np.array_equal(run.covariance, covariance)
+    o = inputs.observations
+    x, P, nis, *_ = reference.run(
+        inputs.sensor.kind, inputs.sensor.extrinsic, inputs.prior.mean, inputs.prior.covariance,
+        inputs.increments.mean, inputs.increments.covariance, o.frame, o.z, o.R, decisions,
+        None if inputs.map is None else inputs.map.xy, threshold,
+    )  # fmt: skip
+    assert np.abs(se2.pose_error(run.pose, x)).max() < 1e-8
+    assert np.abs(run.covariance - P).max() < 1e-9
+    assert np.allclose(run.nis, nis, rtol=1e-6, atol=1e-6)
+    if threshold < np.inf:
+        assert (run.decisions != decisions).any(), "the gate rejects something in this world"
+
+
+def test_extrinsic_moves_the_sensor_off_the_robot():
+    sensor = RangeBearing(rotation=0.7, translation=(0.3, -0.2))
+    prior = Prior(np.array([1.0, -2.0, 3.0]), 0.01 * np.eye(3))
+    landmark = np.array([[4.0, 1.0]])
+    z = reference.expected(0, (0.7, 0.3, -0.2), prior.mean, landmark[0])[None] + [[0.05, 0.02]]
+    R = np.array([[[0.01, 0.001], [0.001, 0.002]]])
+    f = EkfLocalizer(prior, sensor, LandmarkMap(np.array([4]), landmark))
+    f.update(Sightings(z, R), np.array([4]))
+    x, P, *_ = reference.run(0, (0.7, 0.3, -0.2), prior.mean, prior.covariance, [np.zeros(3)], [np.zeros((3, 3))], [0], z, R, [0], landmark)
+    assert np.abs(f.estimate().mean - x[0]).max() < 1e-9
+    assert np.abs(f.estimate().covariance - P[0]).max() < 1e-9
+
+
+@pytest.mark.parametrize("heading", [0.3, np.pi - 1e-9, -np.pi + 1e-9])
+def test_bearing_innovation_is_wrapped_at_the_seam(heading):
+    prior = Prior(np.array([0.0, 0.0, heading]), np.diag([1e-4, 1e-4, 1e-4]))
+    behind = LandmarkMap(np.array([0]), np.array([[-5.0 * np.cos(heading), -5.0 * np.sin(heading)]]))
+    f = EkfLocalizer(prior, RangeBearing(), behind)
+    f.update(Sightings(np.array([[5.0, -np.pi + 0.001]]), np.diag([0.01, 1e-4])[None]), np.array([0]))
+    assert abs(se2.wrap_angle(f.estimate().mean[2] - heading)) < 0.01
+
+
+def test_covariance_stays_symmetric_to_the_bit_and_positive_definite():
+    log = simulate(Arena(frames=300), 1)
+    inputs = log.inputs(labels=True).without_map()
+    decisions, _ = known_decisions(inputs)
+    f = EkfSlam(inputs.prior, inputs.sensor)
+    replay(f, inputs, decisions)
+    P = f.covariance
+    assert np.array_equal(P, P.T)
+    assert np.linalg.eigvalsh(P)[0] > 0
+
+
+def test_new_landmarks_carry_full_cross_covariance():
+    prior = Prior(np.array([1.0, 2.0, 0.4]), np.diag([0.04, 0.09, 0.01]))
+    f = EkfSlam(prior, RelativePoint())
+    z, R = np.array([[3.0, 1.0]]), np.array([[[0.02, 0.005], [0.005, 0.03]]])
+    f.update(Sightings(z, R), np.array([NEW]))
+    rot = se2.rotation(0.4)
+    w = rot @ z[0]
+    Gx = np.array([[1, 0, -w[1]], [0, 1, w[0]]])
+    P0 = prior.covariance
+    assert np.allclose(f.covariance[3:, :3], Gx @ P0, atol=1e-15)
+    assert np.allclose(f.covariance[3:, 3:], Gx @ P0 @ Gx.T + rot @ R[0] @ rot.T, atol=1e-15)
+
+
+def test_tutorial_options_update_one_by_one_and_add_uncorrelated_landmarks():
+    prior = Prior(np.zeros(3), 0.1 * np.eye(3))
+    landmarks = LandmarkMap(np.arange(2), np.array([[3.0, 1.0], [2.0, -2.0]]))
+    z, R = np.array([[3.0, 0.3], [2.9, -0.7]]), np.tile(np.diag([0.04, 0.01]), (2, 1, 1))
+    both = EkfLocalizer(prior, RangeBearing(), landmarks, FilterOptions(each=True))
+    both.update(Sightings(z, R), np.array([0, 1]))
+    singly = EkfLocalizer(prior, RangeBearing(), landmarks)
+    for i in range(2):
+        singly.update(Sightings(z[i : i + 1], R[i : i + 1]), np.array([i]))
+    assert np.array_equal(both.estimate().mean, singly.estimate().mean)
+    stacked = EkfLocalizer(prior, RangeBearing(), landmarks)
+    stacked.update(Sightings(z, R), np.array([0, 1]))
+    assert np.abs(stacked.estimate().mean - both.estimate().mean).max() > 1e-6
+    slam = EkfSlam(prior, RangeBearing(), FilterOptions(new_variance=10.0))
+    slam.update(Sightings(z[:1], R[:1]), np.array([NEW]))
+    assert np.array_equal(slam.covariance[3:, 3:], 10.0 * np.eye(2))
+    assert not slam.covariance[3:, :3].any()
+
+
+def test_growing_the_buffers_changes_nothing():
+    rng = np.random.default_rng(0)
+    n = 60
+    z = np.stack([rng.uniform(1, 5, n), rng.uniform(-1, 1, n)], 1)
+    sightings = Sightings(z, np.tile(0.01 * np.eye(2), (n, 1, 1)))
+    prior = Prior(np.zeros(3), 0.01 * np.eye(3))
+    small, large = EkfSlam(prior, RangeBearing()), EkfSlam(prior, RangeBearing())
+    large._grow(2 * n)
+    for f in (small, large):
+        f.update(sightings, np.full(n, NEW))
+        f.update(sightings, np.arange(n))
+    assert np.array_equal(small.mean, large.mean)
+    assert np.array_equal(small.covariance, large.covariance)
+
+
+def test_removing_a_landmark_marginalizes_it_out_and_its_number_is_not_reused():
+    log = simulate(SMALL, 5)
+    inputs = log.inputs(labels=True).without_map()
+    decisions, _ = known_decisions(inputs)
+    f = EkfSlam(inputs.prior, inputs.sensor)
+    replay(f, inputs, decisions)
+    before, P = f.mean, f.covariance
+    f.remove(np.array([1]))
+    stay = np.r_[0:5, 7 : len(before)]
+    assert np.array_equal(f.mean, before[stay])
+    assert np.array_equal(f.covariance, P[np.ix_(stay, stay)])
+    last = f.created
+    f.update(Sightings(np.array([[2.0, 0.0]]), 0.01 * np.eye(2)[None]), np.array([NEW]))
+    assert f.finish().map.number[-1] == last
+    with pytest.raises(ValueError, match="not all are in the map"):
+        f.remove(np.array([1]))
+    with pytest.raises(ValueError, match="no landmark has number 1"):
+        f.update(Sightings(np.array([[2.0, 0.0]]), 0.01 * np.eye(2)[None]), np.array([1]))
+
+
+def test_expectation_blocks_are_those_of_the_joint_and_go_stale():
+    log = simulate(SMALL, 2)
+    inputs = log.inputs(labels=True).without_map()
+    decisions, _ = known_decisions(inputs)
+    f = EkfSlam(inputs.prior, inputs.sensor)
+    replay(f, inputs, decisions)
+    e = f.expect(inputs.sightings(0))
+    joint = e.joint(np.arange(len(e.number)))
+    for i in range(len(e.number)):
+        assert np.allclose(joint[2 * i : 2 * i + 2, 2 * i : 2 * i + 2], e.HPHt[i], atol=1e-14)
+    picked = np.array([3, 1])
+    assert np.allclose(e.joint(picked)[:2, 2:], joint[6:8, 2:4], atol=1e-15)
+    mean, P = f.mean, f.covariance
+    H = reference.numeric_jacobian(
+        lambda s: np.concatenate([reference.expected(0, (0, 0, 0), s[:3], s[3 + 2 * i : 5 + 2 * i]) for i in picked]), mean
+    )
+    assert np.allclose(e.joint(picked), H @ P @ H.T, atol=1e-8)
+    f.predict(inputs.increment(1))
+    with pytest.raises(RuntimeError, match="moved on"):
+        e.joint(picked)
+
+
+def test_landmark_at_the_robot_carries_no_information_and_no_nan():
+    f = EkfLocalizer(Prior(np.zeros(3), 0.01 * np.eye(3)), RangeBearing(), LandmarkMap(np.array([0]), np.zeros((1, 2))))
+    f.update(Sightings(np.array([[0.1, 0.2]]), np.diag([0.01, 0.01])[None]), np.array([0]))
+    mean, P = f.estimate()
+    assert np.isfinite(mean).all()
+    assert np.array_equal(P, 0.01 * np.eye(3))
+
+
+def test_singular_innovation_covariance_is_a_divergence_not_a_nan():
+    f = EkfLocalizer(Prior(np.zeros(3), np.zeros((3, 3))), RangeBearing(), LandmarkMap(np.array([0]), np.array([[1.0, 0]])))
+    with pytest.raises(FilterDiverged, match="positive definite"):
+        f.update(Sightings(np.array([[1.0, 0.0]]), np.zeros((1, 2, 2))), np.array([0]))
+
+
+def test_failure_in_the_whole_run_blanks_the_rest_and_names_the_frame():
+    log = simulate(SMALL, 0)
+    inputs = log.inputs(labels=True)
+    o = inputs.observations
+    R = o.R.copy()
+    bad = np.flatnonzero(o.frame == 7)
+    assert len(bad)
+    R[bad] = np.array([[1.0, 0.0], [0.0, -1e9]])
+    broken = type(inputs)(inputs.prior, inputs.time, inputs.increments, LabelledObservations(o.frame, o.z, R, o.label), inputs.sensor, inputs.map)
+    run = run_filter(broken, known_decisions(broken)[0])
+    assert run.failure[0] == 7
+    assert np.isnan(run.pose[7:]).all()
+    assert np.isfinite(run.pose[:7]).all()
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 10_000), st.floats(-3.0, 3.0), st.floats(-50, 50))
+def test_predict_equals_composing_raw_odometry(seed, heading, x):
+    rng = np.random.default_rng(seed)
+    pose = np.array([x, -x, heading])
+    P = rng.normal(size=(3, 3))
+    P = P @ P.T
+    mean, cov = pose.copy(), P.copy()
+    chained = pose.copy()
+    for _ in range(5):
+        u = rng.normal(size=3) * [1.0, 0.1, 0.5]
+        L = rng.normal(size=(3, 3)) * 0.1
+        M = L @ L.T
+        F = reference.numeric_jacobian(lambda p: reference.move(p, u), chained)
+        G = reference.numeric_jacobian(lambda v: reference.move(chained, v), u)
+        P = F @ P @ F.T + G @ M @ G.T
+        chained = reference.move(chained, u)
+        kernels.predict(mean, cov, 3, u, M)
+    assert np.abs(se2.pose_error(mean, chained)).max() < 1e-12 * max(1, abs(x))
+    assert np.allclose(cov, P, atol=1e-6)
+    assert np.array_equal(cov, cov.T)
+
+
+def test_unpaired_observations_leave_the_filter_alone():
+    f = EkfLocalizer(Prior(np.zeros(3), 0.01 * np.eye(3)), RangeBearing(), LandmarkMap(np.array([0]), np.array([[1.0, 0]])))
+    before = f.estimate()
+    done = f.update(Sightings(np.array([[1.0, 0.0]]), 0.01 * np.eye(2)[None]), np.array([DISCARD]))
+    assert not done.used.any()
+    assert np.array_equal(f.estimate().mean, before.mean)
+    assert Observations(np.array([0]), np.zeros((1, 2)), np.eye(2)[None]).z.flags.writeable is False
