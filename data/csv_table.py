@@ -53,8 +53,9 @@ class Table:
         """Raise at the first row where `fine` (K,) is false; `{}` in `what` stands for the value in column `name`."""
         if not fine.all():
             row = int(np.argmin(fine))
-            value = self.columns[name][row]
-            raise self.error(row, name, what.format(repr(int(value) if value.is_integer() else float(value))))
+            value = float(self.columns[name][row])
+            whole = value.is_integer() and abs(value) <= LARGEST
+            raise self.error(row, name, what.format(int(value) if whole else repr(value)))
 
     def error(self, row: int, name: str | None, what: str) -> DataError:
         """What is wrong at a row."""

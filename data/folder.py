@@ -13,6 +13,7 @@ With odometry.csv the frames are the instants with observations, and keyframes w
 
 from __future__ import annotations
 
+import os
 from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
@@ -60,12 +61,16 @@ def load_folder(path: str | PathLike[str]) -> Log:
         DataError: anything missing or wrong, with file, line, column and value.
     """
     folder = Path(path)
-    if not folder.is_dir():
-        raise DataError.at(folder, "not a folder" if folder.exists() else "no such folder")
+    if not os.path.isdir(folder):  # unlike Path.is_dir, also false for a name the system refuses
+        raise DataError.at(folder, "not a folder" if os.path.exists(folder) else "no such folder")
     header = read_header(folder / HEADER)
-    if (folder / FRAMES).exists() and (folder / ODOMETRY).exists():
-        raise DataError.at(folder, f"holds both {FRAMES} and {ODOMETRY}; one of them must go")
     by_stamp = (folder / ODOMETRY).exists()
+    if (folder / FRAMES).exists() == by_stamp:
+        if by_stamp:
+            raise DataError.at(folder / ODOMETRY, f"there is {FRAMES} as well; one of them must go")
+        raise DataError.at(folder / FRAMES, f"no such file; {FRAMES} or {ODOMETRY} is needed")
+    if by_stamp and header.motion is None:
+        raise DataError.at(folder / HEADER, f"no [motion] table; {ODOMETRY} needs one")
     sightings = _sightings(folder / OBSERVATIONS, header, "t" if by_stamp else "frame")
     if by_stamp:
         motion, frame, gaps = _odometry(folder, header, sightings)
@@ -95,7 +100,8 @@ def load_folder(path: str | PathLike[str]) -> Log:
     notes = list(header.notes)
     notes += [f"{table.path.name}: column {name!r} is not known and was left out" for name in table.unknown]
     if gaps:
-        notes.append(f"{ODOMETRY}: {gaps} gaps longer than {MAX_GAP:g} s, where the robot may have moved unseen")
+        plural = "gap" if gaps == 1 else "gaps"
+        notes.append(f"{ODOMETRY}: {gaps} {plural} longer than {MAX_GAP:g} s, where the robot may have moved unseen")
     if survey:
         notes.append(f"{LANDMARKS}: the survey's sigmas were left out; estimators take the map as exact")
     return Log(
@@ -129,14 +135,13 @@ def _require_semidefinite(table: Table, matrices: Array) -> None:
     fine = eigenvalues[:, 0] >= -1e-12 * eigenvalues.sum(axis=1)
     if not fine.all():
         row = int(np.argmin(fine))
-        what = f"covariance is not positive semidefinite: smallest eigenvalue {eigenvalues[row, 0]:.6g}, trace {eigenvalues[row].sum():.6g}"
+        low, trace = eigenvalues[row, 0], eigenvalues[row].sum()
+        what = f"the covariance is not positive semidefinite: smallest eigenvalue {low:.6g}, trace {trace:.6g}"
         raise table.error(row, f"{COVARIANCE[0]} to {COVARIANCE[-1]}", what)
 
 
 def _frames(path: Path) -> _Motion:
     """frames.csv: time (N,) and increments."""
-    if not path.exists():
-        raise DataError.at(path, f"no such file; {FRAMES} or {ODOMETRY} is needed")
     columns = ("t", *MEAN, *COVARIANCE)
     table = read_table(path, columns)
     if len(table) == 0:
@@ -197,8 +202,7 @@ def _noise(table: Table, header: Header) -> Array:
 
 def _odometry(folder: Path, header: Header, sightings: _Sightings) -> tuple[_Motion, IntArray, int]:
     """odometry.csv preintegrated between the frames; frame of each observation (M,); number of gaps in the odometry."""
-    if header.motion is None:
-        raise DataError.at(folder / HEADER, f"no [motion] table; {ODOMETRY} needs one")
+    assert header.motion is not None  # checked before anything was read
     table = read_table(folder / ODOMETRY, ("t", "v", "omega"))
     if len(table) == 0:
         raise DataError.at(table.path, "no rows; at least one sample is needed", line=1)

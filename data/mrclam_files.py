@@ -64,21 +64,30 @@ class Table:
 
 @dataclass(frozen=True)
 class Files:
-    """The files of one dataset: their names, how to read one, how errors name one, and the dataset's name."""
+    """The files of one dataset.
+
+    Attributes:
+        name: of the dataset.
+        names: of its files.
+        read: bytes of one of them.
+        path: how errors name one of them.
+        zipped: whether they are in a zip.
+        sha256: digests by file name, of what was read so far; for a zip its own.
+    """
 
     name: str
     names: frozenset[str]
     read: Callable[[str], bytes]
     path: Callable[[str], str]
+    zipped: bool
     sha256: dict[str, str]
-    """Digest of what was read so far; of the zip, if it is one."""
 
     def content(self, name: str) -> bytes:
         """Bytes of a file; DataError naming it if it is not there."""
         if name not in self.names:
             raise DataError.at(self.path(name), "no such file" + self._others(name))
         content = self.read(name)
-        if not any(key.endswith(".zip") for key in self.sha256):
+        if not self.zipped:
             self.sha256[name] = hashlib.sha256(content).hexdigest()
         return content
 
@@ -133,7 +142,7 @@ def _open_folder(source: Path) -> Files:
             raise DataError.at(folder / name, f"cannot be read: {error.strerror}") from None
 
     inside = frozenset(n.name for n in names if n.parent == home)
-    return Files(folder.resolve().name, inside, read, lambda name: str(folder / name), {})
+    return Files(folder.resolve().name, inside, read, lambda name: str(folder / name), False, {})
 
 
 def _open_zip(source: Path) -> Files:
@@ -155,7 +164,7 @@ def _open_zip(source: Path) -> Files:
     inside = frozenset(n.name for n in names if n.parent == home)
     title = source.stem if home == PurePosixPath(".") else home.name
     digest = {source.name: hashlib.sha256(content).hexdigest()}
-    return Files(title, inside, read, lambda name: str(source / home / name), digest)
+    return Files(title, inside, read, lambda name: str(source / home / name), True, digest)
 
 
 def open_files(source: Path) -> Files:

@@ -6,6 +6,7 @@ Shared by everything that turns asynchronous stamps (odometry, observations, mot
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from data import se2
 from data.se2 import Array
@@ -48,7 +49,7 @@ def truth_at(time: Array, pose: Array, at: Array, max_gap: float = MAX_GAP) -> A
     """
     time, pose, at = np.asarray(time, float), np.asarray(pose, float).reshape(-1, 3), np.asarray(at, float)
     result = np.full((len(at), 3), np.nan)
-    known = np.isfinite(pose).all(axis=1)
+    known: NDArray[np.bool_] = np.all(np.isfinite(pose), axis=1)
     if not known.any():
         return result
     after = np.clip(np.searchsorted(time, at, side="left"), 0, len(time) - 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from textwrap import fill
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,8 +21,13 @@ from eval.style import DOUBLE, Series, drawing, series
 MOST_PANELS = 4
 COORDINATES = (("x", "m", 1.0), ("y", "m", 1.0), ("heading", "deg", 180.0 / np.pi))
 """Name, unit, and factor from SI of each row of the error figure."""
-WIDEST = 8.0
+WIDEST = 4.0
 """A panel may be at most this many times as high as its row's middle panel needs; beyond, the curve leaves it."""
+
+
+def ticks(most: int) -> MaxNLocator:
+    """At most so many intervals, at steps of 1, 2 or 5."""
+    return MaxNLocator(most, steps=[1, 2, 5, 10])
 
 
 def sigmas(trajectory: Trajectory) -> Array:
@@ -108,12 +114,12 @@ def _error_figure(log: Log, runs: Sequence[Run]) -> Figure:
             ax.plot(time, error, color="black", linewidth=0.7)
             _note_outside(ax, error, limit, unit)
         axes[i, 0].set(ylim=(-limit, limit), ylabel=f"{name} error [{unit}]")
-        axes[i, 0].yaxis.set_major_locator(MaxNLocator(5))
+        axes[i, 0].yaxis.set_major_locator(ticks(6))
     for j, s in enumerate(shown):
-        axes[0, j].set_title(heading_of(s))
+        axes[0, j].set_title("\n".join(fill(line, 28) for line in heading_of(s).split("\n")))
     for ax in axes[-1]:
         ax.set_xlabel(time_label(log.recorded))
-        ax.xaxis.set_major_locator(MaxNLocator(4 if columns > 2 else 7))
+        ax.xaxis.set_major_locator(ticks(5 if columns > 2 else 8))
     if len(time) > 1:
         axes[0, 0].set_xlim(time[0], time[-1])
     fig.align_ylabels(axes[:, 0])
@@ -149,10 +155,10 @@ def _difference_figure(log: Log, runs: Sequence[Run], reference: Run) -> Figure:
         ax.plot(time, bound, color=s.colour, linewidth=0.5)
         ax.plot(time, distance, color="black", linewidth=0.8)
         limit = common_reach([reach([distance]), reach([bound])])
-        ax.set(ylim=(0.0, limit), ylabel="distance [m]")
+        ax.set(ylim=(-0.03 * limit, limit), ylabel="distance [m]")
         ax.set_title(heading_of(s).replace("\n", ": "), loc="left")
         _note_outside(ax, distance, limit, "m")
-        ax.yaxis.set_major_locator(MaxNLocator(4))
+        ax.yaxis.set_major_locator(ticks(5))
     axes[-1].set_xlabel(time_label(log.recorded))
     if len(time) > 1:
         axes[0].set_xlim(time[0], time[-1])

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from joblib import Parallel, delayed
 
 from data.arena import Arena, simulate
 from data.result import Run
@@ -19,6 +18,7 @@ from eval.replay import compare
 from eval.score import CONSISTENCY, Trial, frame_of
 
 SCENARIO = "arena"
+ARENA = Arena()
 ESTIMATORS = ("ekf", "isam2", "batch")
 MUST_BE_CONSISTENT = frozenset(("localization", e) for e in ESTIMATORS)
 """Declared: localization in the arena is close enough to linear that a right estimator is consistent. SLAM is not."""
@@ -80,7 +80,7 @@ def sample(run: Run, phase: str, trial: Trial) -> Sample:
     return Sample(means, each["pose"], None)
 
 
-def one_seed(arena: Arena, seed: int, tasks: Sequence[str], estimators: Sequence[str]) -> dict[Key, Sample]:
+def one_seed(seed: int, tasks: Sequence[str], estimators: Sequence[str], arena: Arena = ARENA) -> dict[Key, Sample]:
     """All tasks and estimators on the arena of one seed."""
     log = simulate(arena, seed)
     result = {}
@@ -92,25 +92,12 @@ def one_seed(arena: Arena, seed: int, tasks: Sequence[str], estimators: Sequence
     return result
 
 
-def run_study(
-    runs: int,
-    seed: int,
-    jobs: int,
-    *,
-    arena: Arena = Arena(),  # noqa: B008
-    tasks: Sequence[str] = ("localization", "slam"),
-    estimators: Sequence[str] = ESTIMATORS,
-    progress: Callable[[int, int], None] | None = None,
-) -> Study:
-    """`runs` arenas with seeds seed, seed + 1, ...; the numbers do not depend on `jobs`."""
-    seeds = range(seed, seed + runs)
+def study_of(seeds: Sequence[int], results: Sequence[dict[Key, Sample]], arena: Arena = ARENA) -> Study:
+    """The study made of the results of `one_seed`, one per seed in order."""
     samples: dict[Key, list[Sample]] = {}
-    pool = Parallel(n_jobs=min(jobs, max(runs, 1)), return_as="generator")
-    for done, result in enumerate(pool(delayed(one_seed)(arena, s, tasks, estimators) for s in seeds), start=1):
+    for result in results:
         for key, value in result.items():
             samples.setdefault(key, []).append(value)
-        if progress is not None:
-            progress(done, runs)
     return Study(SCENARIO, tuple(seeds), arena.period * np.arange(arena.frames), samples)
 
 

@@ -89,8 +89,8 @@ def make_estimator(name: str, inputs: Inputs) -> Estimator:
     raise ValueError(f"{name!r} does not work step by step")
 
 
-def step_by_step(name: str, inputs: Inputs, task: str, *, threshold: float = np.inf) -> Run:
-    """Any step-by-step estimator with labels."""
+def step_by_step(name: str, inputs: Inputs, task: str, *, threshold: float = np.inf, finish: bool = True) -> Run:
+    """Any step-by-step estimator with labels; `finish=False` stops at the last frame, without the final phase."""
     planned, _ = known_decisions(inputs)
     n, o = len(inputs), inputs.observations
     pose, covariance = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
@@ -110,7 +110,7 @@ def step_by_step(name: str, inputs: Inputs, task: str, *, threshold: float = np.
                 decisions[rows] = np.where((planned[rows] >= 0) & ~done.used, DISCARD, planned[rows])
                 nis[k], dof[k], likelihood[k] = done.nis, done.dof, done.log_likelihood
             pose[k], covariance[k] = estimator.estimate()
-        finished = estimator.finish()
+        finished = estimator.finish() if finish else Finished(None, None)
     except (FilterDiverged, UnderConstrained) as stop:
         failure, finished = Failure("diverged", k, str(stop)), Finished(None, None)
     seconds = time.perf_counter() - begin

@@ -45,7 +45,7 @@ def test_repeated_instants_are_one_frame():
     [([2.0], 0.0, 1.0, 1.0), ([math.nan], 0.0, 1.0, 1.0), ([], 1.0, 0.0, 1.0), ([], 0.0, 1.0, 0.0)],
 )
 def test_frames_that_make_no_sense_are_refused(at, first, last, gap):
-    with pytest.raises(ValueError, match="must lie within|max_gap"):
+    with pytest.raises(ValueError, match=r"must lie within|max_gap"):
         frame_times(np.array(at), first, last, gap)
 
 

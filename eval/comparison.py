@@ -1,0 +1,134 @@
+"""The tables of the report, made from the rows of metrics.csv, association.csv and consistency.csv, for reading."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import pandas as pd
+
+from eval.tables import drop_blank_columns, is_blank
+
+COMPARISON: Mapping[str, str] = {
+    "log": "log",
+    "task": "task",
+    "estimator": "estimator",
+    "association": "association",
+    "phase": "phase",
+    "status": "status",
+    "rmse_position_m": "position RMSE [m]",
+    "rmse_time_m": "time-weighted RMSE [m]",
+    "rmse_heading_deg": "heading RMSE [deg]",
+    "max_position_m": "largest position error [m]",
+    "rmse_landmark_m": "landmark RMSE [m]",
+    "rms_from_batch_m": "RMS from batch [m]",
+    "nees_pose": "pose NEES (expected 3)",
+    "nis": "NIS per dof (expected 1)",
+    "bounds": "95 % bounds of NIS",
+    "inside": "inside 3σ (expected 98.9) [%]",
+    "accepted": "accepted",
+    "rejected": "rejected",
+}
+"""Column of metrics.csv (or made here) and its head in the comparison table, in order."""
+
+ASSOCIATION: Mapping[str, str] = {
+    "log": "log",
+    "task": "task",
+    "estimator": "estimator",
+    "association": "association",
+    "phase": "phase",
+    "tp": "TP",
+    "tn": "TN",
+    "fp": "FP",
+    "fn": "FN",
+    "precision_percent": "precision [%]",
+    "recall_percent": "recall [%]",
+    "wrong": "wrong (FP)",
+    "spurious": "spurious (FP)",
+    "duplicate": "duplicate (FN)",
+    "missed": "missed (FN)",
+    "deferred": "deferred (FN)",
+}
+
+CONSISTENCY: Mapping[str, str] = {
+    "scenario": "scenario",
+    "task": "task",
+    "estimator": "estimator",
+    "association": "association",
+    "phase": "phase",
+    "quantity": "quantity",
+    "dof": "expected",
+    "mean": "mean",
+    "interval": "95 % interval of the mean",
+    "verdict": "verdict",
+    "runs": "runs",
+    "power_percent": "power against 0.8 P [%]",
+    "diverged": "diverged",
+}
+
+COMPARISON_CAPTION = (
+    "Errors in the world frame, no alignment, all estimators with the same prior and the same inputs. Phase online:"
+    " each pose given the data up to its frame; final: every pose given all data, so a final row is expected to be the"
+    " more accurate one. NEES of one run describes and proves nothing; NIS per dof against its 95 % bounds is a test where"
+    " nothing was gated and the association is known. Blank: unknown or not applicable."
+)
+ASSOCIATION_CAPTION = (
+    "Outcomes of every observation's decision H against the truth GT. TP: H is a landmark and right; TN: both none;"
+    " FP: H is a wrong landmark (GT another: wrong; GT none: spurious); FN: H none though GT is in the map (a second"
+    " landmark founded: duplicate; discarded: missed or deferred)."
+)
+CONSISTENCY_CAPTION = (
+    "Consistency over independent simulated runs: mean over runs of each run's mean NEES (NIS per dof for the quantity"
+    " nis), with Student's t 95 % interval of that mean. Consistent: the interval holds the expected value;"
+    " overconfident: wholly above; conservative: wholly below. Power: probability that this test, with as many runs and"
+    " this spread, rejects a covariance claimed at 0.8 of the true one."
+)
+
+
+def _selected(frame: pd.DataFrame, heads: Mapping[str, str]) -> pd.DataFrame:
+    """Columns by their human heads; `log` and `task` only where they differ, blank ones dropped."""
+    keep = [c for c in heads if c in frame.columns]
+    for same in ("log", "task", "scenario"):
+        if same in keep and frame[same].nunique(dropna=False) <= 1:
+            keep.remove(same)
+    return drop_blank_columns(frame[keep]).rename(columns=dict(heads)).reset_index(drop=True)
+
+
+def _percent(column: pd.Series) -> pd.Series:
+    shares = [None if is_blank(v) else 100.0 * float(v) for v in column.tolist()]
+    return pd.Series(shares, index=column.index, dtype=object)
+
+
+def _interval(lower: pd.Series, upper: pd.Series) -> pd.Series:
+    texts: list[str | None] = []
+    for low, high in zip(lower.tolist(), upper.tolist(), strict=True):
+        if is_blank(low) or is_blank(high):
+            texts.append(None)
+        else:
+            digits = 3 if high - low < 0.1 else 2
+            texts.append(f"{low:.{digits}f}–{high:.{digits}f}")
+    return pd.Series(texts, index=lower.index, dtype=object)
+
+
+def comparison_table(metrics: pd.DataFrame) -> pd.DataFrame:
+    """Rows of metrics.csv as a table to read: heads with units, shares in percent, columns without anything dropped."""
+    made = metrics.astype(object).assign(
+        bounds=_interval(metrics["nis_lower"], metrics["nis_upper"]), inside=_percent(metrics["inside_3sigma"])
+    )
+    return _selected(made, COMPARISON)
+
+
+def association_table(association: pd.DataFrame) -> pd.DataFrame:
+    """Rows of association.csv as a table to read; the final phase only where something was revised."""
+    outcomes = [c for c in association.columns if c != "phase"]
+    revised = ~association.astype(object).duplicated(subset=outcomes, keep="first")
+    made = association.astype(object)[revised.to_numpy()]
+    made = made.assign(precision_percent=_percent(made["precision"]), recall_percent=_percent(made["recall"]))
+    return _selected(made, ASSOCIATION)
+
+
+def consistency_table(consistency: pd.DataFrame) -> pd.DataFrame:
+    """Rows of consistency.csv as a table to read."""
+    made = consistency.astype(object).assign(
+        interval=_interval(consistency["lower"], consistency["upper"]), power_percent=_percent(consistency["power"])
+    )
+    return _selected(made, CONSISTENCY)

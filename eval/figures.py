@@ -1,0 +1,9 @@
+"""Every figure a report can use, in one place: functions that take data and return a `Figure`; none is shown."""
+
+from __future__ import annotations
+
+from eval.figures_consistency import anees_figure, nees_figure
+from eval.figures_error import difference_figure, error_figure
+from eval.figures_map import map_figure
+
+__all__ = ["anees_figure", "difference_figure", "error_figure", "map_figure", "nees_figure"]

@@ -1,0 +1,134 @@
+"""`python -m eval.run_all`: run filters and smoothers on identical inputs, referee them, write the report.
+
+This module talks to the person: flags in, progress and verdict out, exit status 0, 1 or 2. The result folder is built
+beside its final name and moved into place at the end, so an interrupted run leaves the previous report whole.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from data.errors import SlamrefError, UsageError
+from eval.options import Options, read_options
+
+FINE, REJECTED, WRONG = 0, 1, 2
+INTERRUPTED = 130
+MARK = "provenance.json"
+
+
+class Console:
+    """What is said to the person, and kept for run.log."""
+
+    def __init__(self, options: Options) -> None:
+        """Quiet says nothing, verbose says more; run.log gets everything."""
+        self.quiet, self.verbose = options.quiet, options.verbose
+        self.lines: list[str] = []
+
+    def say(self, text: str) -> None:
+        """A sentence everybody wants to see."""
+        self.lines.append(text)
+        if not self.quiet:
+            print(text, flush=True)
+
+    def detail(self, text: str) -> None:
+        """A sentence for -v and run.log."""
+        self.lines.append(text)
+        if self.verbose:
+            print(text, flush=True)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The whole command; returns the exit status."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    try:
+        options = read_options(arguments)
+        console = Console(options)
+        with staged(options.out) as folder:
+            return _run(options, console, folder, arguments)
+    except SlamrefError as fault:
+        print(f"error: {fault}", file=sys.stderr)
+        return WRONG
+    except KeyboardInterrupt:
+        print("interrupted; nothing was changed", file=sys.stderr)
+        return INTERRUPTED
+
+
+@contextmanager
+def staged(out: Path) -> Iterator[Path]:
+    """A folder beside `out` that takes its place when the block ends well, and vanishes when it does not."""
+    out = out.absolute()
+    if out.exists() and any(out.iterdir()) and not (out / MARK).exists():
+        raise UsageError(f"--out {out.name}: the folder holds something else than a report; name another one")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        partial = out.parent / f".{out.name}.partial-{os.getpid()}"
+        partial.mkdir()
+    except OSError as fault:
+        raise UsageError(f"--out {out}: {fault.strerror}") from fault
+    try:
+        yield partial
+        old = out.parent / f".{out.name}.old-{os.getpid()}"
+        if out.exists():
+            out.rename(old)
+        partial.rename(out)
+        shutil.rmtree(old, ignore_errors=True)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def _run(options: Options, console: Console, folder: Path, arguments: Sequence[str]) -> int:
+    from eval import consistency
+    from eval.content import write_results
+    from eval.montecarlo import failed_declarations, judge
+    from eval.suite import execute, make_plan
+
+    plan = make_plan(options, console.say)
+    for log, task in plan.trials:
+        console.detail(f"{log.name}: {task}, {len(log.recorded)} frames")
+        for note in log.notes:
+            console.detail(f"{log.name}: {note}")
+    with _bar("estimating", options.quiet) as progress:
+        outcome = execute(plan, options, progress)
+    judged = judge(outcome.study) if outcome.study else []
+    for trial in outcome.trials:
+        for run in trial.runs:
+            if run.failure is not None:
+                f = run.failure
+                console.say(f"{trial.log.name}, {run.task}: {run.estimator} {f.status} at frame {f.frame}: {f.why}")
+    with _bar("writing", options.quiet) as progress:
+        write_results(folder, options, outcome, judged, arguments, progress)
+    failed = failed_declarations(judged)
+    for j in failed:
+        task, estimator, _, phase = j.key
+        console.say(
+            f"rejected: {estimator} ({task}, {phase}) is declared consistent, but its {j.quantity} NEES is "
+            f"{j.verdict.mean:.3g} where {j.verdict.dof} was expected ({j.verdict.word}; {j.diverged} runs diverged)"
+        )
+    if judged and not failed and judged[0].verdict.runs >= consistency.MIN_RUNS:
+        console.say("every estimator that is declared consistent passed")
+    console.say(f"report: {options.out / 'report.html'}")
+    (folder / "run.log").write_text("\n".join(console.lines) + "\n", encoding="utf-8")
+    return REJECTED if failed else FINE
+
+
+@contextmanager
+def _bar(what: str, quiet: bool) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar on the terminal; yields a function (done, total)."""
+    from tqdm import tqdm
+
+    with tqdm(desc=what, disable=quiet or not sys.stderr.isatty(), leave=False, unit="job") as bar:
+
+        def progress(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        yield progress
+
+
+if __name__ == "__main__":
+    sys.exit(main())

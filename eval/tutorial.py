@@ -1,0 +1,72 @@
+"""The classic UTIAS tutorials' treatment of a recording, as one more row beside ours: their grid, model, noise and update."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from data.calibration import Calibration
+from data.errors import UsageError
+from data.inputs import Prior
+from data.log import Log
+from data.motion import VelocityModel, VelocityNoise
+from data.mrclam import load_mrclam
+from data.result import Run
+from ekf.filter import FilterOptions
+from eval.options import Variant
+from eval.replay import filter_known
+
+
+def variant_log(log: Log, variant: Variant) -> Log:
+    """The recording behind a log, converted with the variant's numbers; raises UsageError if it is not from MRCLAM."""
+    s = log.source
+    if s.get("kind") != "mrclam":
+        raise UsageError(
+            f"{variant.name}: log {log.name!r} does not come from a UTIAS MRCLAM recording; "
+            "make one with python -m data.convert mrclam"
+        )
+    source = Path(str(s["path"]))
+    if not source.exists():
+        raise UsageError(f"{variant.name}: the recording behind log {log.name!r} is not at {source} any more; convert again")
+    window = {k: s.get(k) for k in ("start", "stop")}
+    landmarks = s.get("landmarks")
+    changed = load_mrclam(
+        source,
+        int(str(s["robot"])),
+        start=_seconds(window["start"]),
+        stop=_seconds(window["stop"]),
+        landmarks=None if landmarks is None else Path(str(landmarks)),
+        exclude_truth=_pairs(s.get("exclude_truth")),
+        grid=variant.grid,
+        calibration=Calibration(),
+        motion=VelocityModel(VelocityNoise("displacement", alphas=variant.alphas), variant.model),
+        sigma=variant.sigma,
+    )
+    prior = Prior(changed.recorded.prior.mean, variant.prior_variance * np.eye(3))
+    return replace(
+        changed,
+        name=f"{log.name}:{variant.name}",
+        recorded=replace(changed.recorded, prior=prior),
+        notes=(*changed.notes, *variant.notes),
+    )
+
+
+def tutorial_run(log: Log, variant: Variant) -> Run:
+    """The EKF with labels and the variant's update."""
+    inputs = log.inputs(labels=True)
+    if variant.task == "slam":
+        inputs = inputs.without_map()
+    options = FilterOptions(each=variant.each, new_variance=variant.new_variance)
+    return replace(filter_known(inputs, variant.task, options=options), notes=variant.notes)
+
+
+def _seconds(value: object) -> float | None:
+    return None if value is None else float(str(value))
+
+
+def _pairs(value: object) -> list[tuple[float, float]]:
+    if not isinstance(value, (list, tuple)):
+        return []
+    return [(float(v[0]), float(v[1])) for v in value]

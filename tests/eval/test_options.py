@@ -1,0 +1,96 @@
+"""The command line takes what it says it takes, config files hold the same keys, and nonsense is refused by name."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from data.errors import UsageError
+from eval.options import parser, read_options, shipped
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_flags_and_config_keys_mean_the_same_and_flags_win(tmp_path):
+    config = tmp_path / "run.toml"
+    config.write_text(
+        'log = ["arena:1", "arena:2"]\ntask = "slam"\nestimator = ["ekf", "batch"]\ngate = 0.95\ngate-known = 0.9999\n'
+        'runs = 60\nseed = 7\njobs = 1\nquick = true\nformats = "csv,tex"\nno-plots = true\nout = "elsewhere"\n'
+    )
+    o = read_options(["--config", str(config)])
+    assert (o.log, o.task, o.estimator) == (("arena:1", "arena:2"), ("slam",), ("ekf", "batch"))
+    assert (o.gate, o.gate_known, o.runs, o.seed, o.jobs) == (0.95, 0.9999, 60, 7, 1)
+    assert (o.quick, o.formats, o.no_plots, str(o.out)) == (True, ("csv", "tex"), True, "elsewhere")
+    same = read_options([
+        "--log", "arena:1", "--log", "arena:2", "--task", "slam", "--estimator", "ekf,batch", "--gate", "0.95",
+        "--gate-known", "0.9999", "--runs", "60", "--seed", "7", "--jobs", "1", "--quick", "--formats", "csv,tex",
+        "--no-plots", "--out", "elsewhere",
+    ])  # fmt: skip
+    assert same == o
+    assert read_options(["--config", str(config), "--gate", "none", "--seed", "1"]).gate is None
+    assert read_options(["--config", str(config), "--seed", "1"]).seed == 1
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    (["--gate", "1"], "between 0 and 1"),
+    (["--gate", "0"], "between 0 and 1"),
+    (["--gate-known", "-0.5"], "between 0 and 1"),
+    (["--gate", "nan"], "between 0 and 1"),
+    (["--gate", "wide"], "a number is needed"),
+    (["--estimator", "ukf"], "known: dead-reckoning, ekf"),
+    (["--association", "guess"], "known: known"),
+    (["--task", "mapping"], "known: localization, slam"),
+    (["--formats", "docx"], "known: csv, md, tex"),
+    (["--estimator", "ekf,ekf"], "named twice"),
+    (["--runs", "-1"], "negative"),
+    (["--runs", "2.5"], "whole number"),
+    (["--jobs", "0"], "at least one"),
+    (["-q", "-v"], "exclude each other"),
+    (["--animate", "--no-plots"], "forbids"),
+    (["--config", "nowhere.toml"], "no such file"),
+])  # fmt: skip
+def test_nonsense_is_refused_by_name(arguments, words):
+    with pytest.raises(UsageError, match=words):
+        read_options(arguments)
+
+
+@pytest.mark.parametrize(("text", "words"), [
+    ("lgo = 'x'", "unknown key 'lgo'"), ("quick = 1", "true or false"), ("runs = true", "whole number"), ("log = 3", "a list of names"),
+    ("task = [", "run.toml"), ("[variant]\nname = 'x'", "variant"), ("[variant]\ncolour = 1", "takes the keys"),
+])  # fmt: skip
+def test_a_config_file_with_faults_is_refused(tmp_path, text, words):
+    config = tmp_path / "run.toml"
+    config.write_text(text)
+    with pytest.raises(UsageError, match=words):
+        read_options(["--config", str(config)])
+
+
+def test_shipped_tutorials_hold_the_classic_numbers():
+    assert shipped() == ["tutorial-step1", "tutorial-step3"]
+    o = read_options(["--config", "tutorial-step1", "--config", "tutorial-step3"])
+    one, three = o.variants
+    assert o.task == ("localization", "slam")
+    assert (one.alphas, one.sigma, one.prior_variance, one.each) == ((0.2, 0.03, 0.09, 0.08), (2.0, 3.0), 0.01, True)
+    assert (three.alphas, three.prior_variance, three.new_variance) == ((0.1, 0.01, 0.18, 0.08), 0.001, 10.0)
+    assert [round(s**2, 12) for s in three.sigma] == [11.8, 0.18]
+    assert one.grid == three.grid == 0.02
+
+
+def test_help_shows_an_example_of_every_flag_and_answers_at_once():
+    begin = time.perf_counter()
+    done = subprocess.run([sys.executable, "-m", "eval.run_all", "--help"], capture_output=True, text=True, cwd=ROOT, check=True)
+    assert time.perf_counter() - begin < 3.0  # a second on an idle machine
+    examples = done.stdout.split("examples:")[1]
+    for action in parser()._actions:
+        if action.dest not in ("help",):
+            assert any(s in examples.split() for s in action.option_strings), action.option_strings
+
+
+def test_help_imports_nothing_heavy():
+    code = "import sys; from eval.options import parser; parser().format_help(); print([m for m in ('numpy','gtsam','numba','pandas','matplotlib') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True)
+    assert done.stdout.strip() == "[]"
