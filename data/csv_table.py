@@ -61,14 +61,14 @@ class Table:
         """What is wrong at a row."""
         return DataError.at(self.path, what, line=row + FIRST_ROW, column=name)
 
-    def require_finite(self, names: Collection[str], *, blank: bool = False, nan: bool = False) -> None:
-        """Raise unless every value is an ordinary number no larger than `LARGEST`; blank fields or NaN if allowed."""
+    def require_finite(self, names: Collection[str], *, blank: bool = False) -> None:
+        """Raise unless every value is an ordinary number no larger than `LARGEST`, or blank (NaN) where allowed."""
         for name in names:
             values = self.columns[name]
             fine = np.abs(values) <= LARGEST
-            if blank or nan:
+            if blank:
                 fine |= np.isnan(values)
-            hint = "; leave the field blank where unknown" if blank or nan else ""
+            hint = "; leave the field blank where unknown" if blank else ""
             self.require(fine, name, f"{{}} is not a number between -1e15 and 1e15{hint}")
 
     def require_ascending(self, name: str, *, strictly: bool) -> None:

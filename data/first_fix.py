@@ -50,7 +50,8 @@ def first_fix(
     """The first frame at which the recent readings fix the pose; None if there is none.
 
     Args:
-        time: (N,) s of the frames; increments: (N, 3) motion into each.
+        time: (N,) s of the frames.
+        increments: (N, 3) motion into each.
         frame: (M,) ascending, frame of each reading.
         points: (M, 2) m, the readings in the body frame.
         landmark: (M, 2) m, where the map has the landmark of each.
@@ -70,13 +71,17 @@ def first_fix(
         rms = float(np.sqrt(np.mean(np.sum((se2.transform_points(pose, body) - landmark[used]) ** 2, axis=1))))
         if rms > MISFIT:
             continue
-        return Fix(int(now), Prior(pose, _covariance(pose, body, rms) + np.diag(np.square(sigma))), int(end - begin), rms)
+        return Fix(
+            int(now), Prior(pose, _covariance(pose, body, rms) + np.diag(np.square(sigma))), int(end - begin), rms
+        )
     return None
 
 
 def _covariance(pose: Array, body: Array, rms: float) -> Array:
-    """World-frame covariance (3, 3) of a fit whose points miss by `rms` [m]; errors of one landmark are alike,
-    so the points are not counted as independent: the information is that of their mean point and spread."""
+    """World-frame covariance (3, 3) of a fit whose points miss by `rms` [m].
+
+    Errors of one landmark's readings are alike, so the points do not count as independent: information is their mean.
+    """
     offset = se2.transform_points(np.array([0.0, 0.0, pose[2]]), body)
     J = np.zeros((len(body), 2, 3))
     J[:, 0, 0] = J[:, 1, 1] = 1.0

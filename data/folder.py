@@ -25,7 +25,7 @@ from data.errors import DataError
 from data.folder_header import Header, read_header
 from data.inputs import UNLABELLED, Increments, Inputs, IntArray, LandmarkMap, Observations, floor_covariances
 from data.log import Log
-from data.motion import preintegrate
+from data.motion import VelocityModel, preintegrate
 from data.se2 import Array
 from data.sensors import RangeBearing
 from data.timeline import MAX_GAP, frame_times, truth_at
@@ -69,18 +69,20 @@ def load_folder(path: str | PathLike[str]) -> Log:
         if by_stamp:
             raise DataError.at(folder / ODOMETRY, f"there is {FRAMES} as well; one of them must go")
         raise DataError.at(folder / FRAMES, f"no such file; {FRAMES} or {ODOMETRY} is needed")
-    if by_stamp and header.motion is None:
-        raise DataError.at(folder / HEADER, f"no [motion] table; {ODOMETRY} needs one")
-    sightings = _sightings(folder / OBSERVATIONS, header, "t" if by_stamp else "frame")
     if by_stamp:
-        motion, frame, gaps = _odometry(folder, header, sightings)
+        if header.motion is None:
+            raise DataError.at(folder / HEADER, f"no [motion] table; {ODOMETRY} needs one")
+        sightings = _sightings(folder / OBSERVATIONS, header, "t")
+        motion, frame, gaps = _odometry(folder / ODOMETRY, header.motion, sightings.table)
         pose = _stamped_truth(folder / TRUTH, motion.time)
     else:
+        sightings = _sightings(folder / OBSERVATIONS, header, "frame")
         motion, gaps = _frames(folder / FRAMES), 0
         frame = sightings.table.integers("frame", 0)
         sightings.table.require(
             frame < len(motion.time), "frame", f"{{}} is out of range; there are frames 0 to {len(motion.time) - 1}"
         )
+        sightings.table.require_ascending("frame", strictly=False)
         pose = _truth_per_frame(folder / TRUTH, len(motion.time))
     landmarks, survey = _landmarks(folder / LANDMARKS)
     covariance, floored = floor_covariances(motion.increments.covariance, header.covariance_floor)
@@ -160,13 +162,12 @@ def _frames(path: Path) -> _Motion:
 
 
 def _sightings(path: Path, header: Header, key: str) -> _Sightings:
-    """observations.csv, checked but for the range of `key` (frame or t)."""
+    """observations.csv, checked but for the range and order of `key` (frame or t)."""
     ids = ("true_id", "label")
     other = "t" if key == "frame" else "frame"
     table = read_table(path, (key, "z1", "z2"), (*NOISE, *ids, other), may_be_blank=(*ids, other))
     table.require_finite((key, "z1", "z2"))
     table.require_finite([n for n in ids if n in table], blank=True)
-    table.require_ascending(key, strictly=False)
     if isinstance(header.sensor, RangeBearing):
         table.require(table.columns["z1"] >= 0.0, "z1", "{} is a negative range")
     return _Sightings(
@@ -200,16 +201,16 @@ def _noise(table: Table, header: Header) -> Array:
     return table.symmetric(NOISE)
 
 
-def _odometry(folder: Path, header: Header, sightings: _Sightings) -> tuple[_Motion, IntArray, int]:
+def _odometry(path: Path, model: VelocityModel, sightings: Table) -> tuple[_Motion, IntArray, int]:
     """odometry.csv preintegrated between the frames; frame of each observation (M,); number of gaps in the odometry."""
-    assert header.motion is not None  # checked before anything was read
-    table = read_table(folder / ODOMETRY, ("t", "v", "omega"))
+    table = read_table(path, ("t", "v", "omega"))
     if len(table) == 0:
         raise DataError.at(table.path, "no rows; at least one sample is needed", line=1)
     table.require_finite(("t", "v", "omega"))
     table.require_ascending("t", strictly=True)
-    stamps, seen = table.columns["t"], sightings.table.columns["t"]
-    for part in (table, sightings.table):
+    sightings.require_ascending("t", strictly=False)
+    stamps, seen = table.columns["t"], sightings.columns["t"]
+    for part in (table, sightings):
         part.require(
             np.abs(part.columns["t"] - stamps[0]) <= LONGEST,
             "t",
@@ -217,7 +218,7 @@ def _odometry(folder: Path, header: Header, sightings: _Sightings) -> tuple[_Mot
         )
     both = np.concatenate([stamps, seen])
     time = frame_times(seen, both.min(), both.max())
-    increments, gaps = preintegrate(header.motion, stamps, table.columns["v"], table.columns["omega"], time)
+    increments, gaps = preintegrate(model, stamps, table.columns["v"], table.columns["omega"], time)
     return _Motion(time, increments), np.searchsorted(time, seen).astype(np.int64), gaps
 
 

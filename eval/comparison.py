@@ -68,8 +68,8 @@ CONSISTENCY: Mapping[str, str] = {
 COMPARISON_CAPTION = (
     "Errors in the world frame, no alignment, all estimators with the same prior and the same inputs. Phase online:"
     " each pose given the data up to its frame; final: every pose given all data, so a final row is expected to be the"
-    " more accurate one. NEES of one run describes and proves nothing; NIS per dof against its 95 % bounds is a test where"
-    " nothing was gated and the association is known. Blank: unknown or not applicable."
+    " more accurate one. NEES of one run describes and proves nothing; NIS per dof against its 95 % bounds is a test"
+    " where nothing was gated and the association is known. Blank: unknown or not applicable."
 )
 ASSOCIATION_CAPTION = (
     "Outcomes of every observation's decision H against the truth GT. TP: H is a landmark and right; TN: both none;"

@@ -15,7 +15,7 @@ from data.log import Log
 from data.result import Run
 from data.se2 import Array
 from eval.consistency import anees_band, mean_or_nan, nees
-from eval.figures_error import heading_of, panels, ticks, time_label
+from eval.figures_error import heading_of, panels, thinned, ticks, time_label
 from eval.style import BAND_COLOUR, DOUBLE, drawing, style_of
 
 POSE_DOF = 3
@@ -68,7 +68,8 @@ def _nees_figure(log: Log, runs: Sequence[Run]) -> Figure:
         values = np.full(len(time), np.nan) if truth is None else nees(t.pose, t.covariance, truth, "pose")
         curves.append(values)
         _band(ax, lower, upper, POSE_DOF)
-        ax.plot(time, values, color=s.colour, linewidth=0.7, zorder=2)
+        keep = thinned(values)
+        ax.plot(time[keep], values[keep], color=s.colour, linewidth=0.7, zorder=2)
         mean = mean_or_nan(values)
         measured = f"mean {_short(mean)}" if np.isfinite(mean) else "nothing to compare with"
         ax.set_title(f"{heading_of(s)}: {measured}".replace("\n", ", "), loc="left")

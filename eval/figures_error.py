@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from textwrap import fill
 
@@ -12,13 +13,15 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from data.inputs import Inputs
+from data.inputs import Inputs, IntArray
 from data.log import Log
 from data.result import Run, Trajectory
 from data.se2 import Array, pose_error
 from eval.style import DOUBLE, Series, drawing, series
 
 MOST_PANELS = 4
+MOST_BINS = 600
+"""Stretches of time told apart in a panel; more than paper or screen can show."""
 COORDINATES = (("x", "m", 1.0), ("y", "m", 1.0), ("heading", "deg", 180.0 / np.pi))
 """Name, unit, and factor from SI of each row of the error figure."""
 WIDEST = 4.0
@@ -28,6 +31,27 @@ WIDEST = 4.0
 def ticks(most: int) -> MaxNLocator:
     """At most so many intervals, at steps of 1, 2 or 5."""
     return MaxNLocator(most, steps=[1, 2, 5, 10])
+
+
+def thinned(curve: Array, most: int = MOST_BINS) -> IntArray:
+    """Indices of the points (N,) that a plot needs: of each of `most` equal stretches the ends and the extremes.
+
+    A stretch with gaps keeps one, so that no line is drawn across it.
+    """
+    n = len(curve)
+    if n <= 4 * most:
+        return np.arange(n)
+    edges = np.linspace(0, n, most + 1).astype(int)
+    kept = {0, n - 1}
+    for a, b in itertools.pairwise(edges.tolist()):
+        stretch = curve[a:b]
+        kept |= {a, b - 1}
+        unknown = np.isnan(stretch)
+        if unknown.any():
+            kept.add(a + int(unknown.argmax()))
+        if not unknown.all():
+            kept |= {a + int(np.nanargmin(stretch)), a + int(np.nanargmax(stretch))}
+    return np.array(sorted(kept))
 
 
 def sigmas(trajectory: Trajectory) -> Array:
@@ -77,6 +101,16 @@ def common_reach(needs: Sequence[float]) -> float:
     return 1.1 * min(max(known), WIDEST * float(np.median(known)))
 
 
+def draw_band(ax: Axes, time: Array, bound: Array, colour: str, mirror: float) -> None:
+    """A claimed bound (N,) as a band from `mirror` times the bound up to it, with its edges."""
+    keep = thinned(bound)
+    t, b = time[keep], bound[keep]
+    ax.fill_between(t, mirror * b, b, color=colour, alpha=0.2, linewidth=0.0)
+    ax.plot(t, b, color=colour, linewidth=0.5)
+    if mirror:
+        ax.plot(t, mirror * b, color=colour, linewidth=0.5)
+
+
 def _note_outside(ax: Axes, curve: Array, limit: float, factor_unit: str) -> None:
     finite = np.abs(curve[np.isfinite(curve)])
     if len(finite) and finite.max() > limit:
@@ -108,10 +142,10 @@ def _error_figure(log: Log, runs: Sequence[Run]) -> Figure:
         for j, s in enumerate(shown):
             ax: Axes = axes[i, j]
             error, bound = factor * errors[j][:, i], factor * bounds[j][:, i]
-            ax.fill_between(time, -bound, bound, color=s.colour, alpha=0.2, linewidth=0.0)
-            ax.plot(time, bound, time, -bound, color=s.colour, linewidth=0.5)
+            draw_band(ax, time, bound, s.colour, -1.0)
             ax.axhline(0.0, color="#909090", linewidth=0.5)
-            ax.plot(time, error, color="black", linewidth=0.7)
+            keep = thinned(error)
+            ax.plot(time[keep], error[keep], color="black", linewidth=0.7)
             _note_outside(ax, error, limit, unit)
         axes[i, 0].set(ylim=(-limit, limit), ylabel=f"{name} error [{unit}]")
         axes[i, 0].yaxis.set_major_locator(ticks(6))
@@ -151,9 +185,9 @@ def _difference_figure(log: Log, runs: Sequence[Run], reference: Run) -> Figure:
     for ax, s in zip(axes, shown, strict=False):
         distance = np.hypot(*(s.trajectory.pose - centre)[:, :2].T)
         bound = 3.0 * longest_sigma(s.trajectory)
-        ax.fill_between(time, 0.0, bound, color=s.colour, alpha=0.2, linewidth=0.0)
-        ax.plot(time, bound, color=s.colour, linewidth=0.5)
-        ax.plot(time, distance, color="black", linewidth=0.8)
+        draw_band(ax, time, bound, s.colour, 0.0)
+        keep = thinned(distance)
+        ax.plot(time[keep], distance[keep], color="black", linewidth=0.8)
         limit = common_reach([reach([distance]), reach([bound])])
         ax.set(ylim=(-0.03 * limit, limit), ylabel="distance [m]")
         ax.set_title(heading_of(s).replace("\n", ": "), loc="left")

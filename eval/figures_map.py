@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from textwrap import fill
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,7 +19,7 @@ from data.inputs import Inputs, IntArray, LandmarkMap
 from data.log import Log
 from data.result import Run
 from data.se2 import Array
-from eval.style import DOTTED, DOUBLE, STYLES, TRUTH_COLOUR, Series, drawing, series
+from eval.style import DOTTED, DOUBLE, STYLES, TRUTH_COLOUR, Series, drawing, series, settle
 
 SIGMAS = 3.0
 """Size of every ellipse; in the plane a 3 sigma ellipse holds 1 - exp(-9/2) = 98.89 % of a Gaussian."""
@@ -85,11 +86,16 @@ def _anchor(log: Log, shown: Sequence[Series]) -> Array:
         points.append(log.truth.pose[:, :2])
     if log.truth.known_poses < 0.5 * len(log.recorded):
         good = [s for s in shown if s.run.failure is None and s.run.estimator != "dead-reckoning"]
-        paths = [s.trajectory.pose[:, :2] for s in sorted(good, key=lambda s: s.run.estimator != "batch")]
-        if good and good[0].run.estimator != "batch" and not any(s.run.estimator == "batch" for s in good):
-            paths.sort(key=lambda p: float(np.ptp(p, axis=0).max()))
-            paths = paths[(len(paths) - 1) // 2 :]
-        points.extend(paths[:1] or [s.trajectory.pose[:, :2] for s in shown])
+        # a run that went astray is rarely the middle one by extent
+        good.sort(key=lambda s: float(np.ptp(s.trajectory.pose[:, :2], axis=0).max()))
+        batch = [s for s in good if s.run.estimator == "batch"]
+        for s in [*batch, *good[(len(good) - 1) // 2 :], *shown][:1]:
+            path = s.trajectory.pose[:, :2]
+            points.append(path)
+            if s.run.map is not None and (box := _box(path)) is not None:
+                reach = max(float((box[1] - box[0]).max()), 1.0)
+                near = np.all((s.run.map.xy > box[0] - reach) & (s.run.map.xy < box[1] + reach), axis=1)
+                points.append(s.run.map.xy[near])
     return np.concatenate(points)
 
 
@@ -116,25 +122,25 @@ def true_landmarks(log: Log) -> LandmarkMap | None:
     return log.truth.landmarks if log.truth.landmarks is not None else log.recorded.map
 
 
-def _enlargement(view: View, semi_axes: Array) -> int:
-    """Smallest factor that makes the middle one of the ellipses' semi-axes [m] about 1.2 % of the picture."""
+def enlargement(view: View, semi_axes: Array, share: float = 0.012) -> int:
+    """Smallest factor that makes the middle one of the ellipses' semi-axes [m] this share of the picture's side."""
     if len(semi_axes) == 0 or not np.median(semi_axes) > 0.0:
         return 1
-    wanted = 0.012 * float(view.size.max())
+    wanted = share * float(view.size.max())
     middle = float(np.median(semi_axes))
     if middle >= 0.5 * wanted:
         return 1
     return next((f for f in FACTORS if f * middle >= wanted), FACTORS[-1])
 
 
-def _longest(covariance: Array) -> Array:
+def longest_axis(covariance: Array) -> Array:
     """3 sigma semi-major axis [m] of covariances (K, 2, 2)."""
     largest = np.linalg.eigvalsh(covariance)[:, -1] if len(covariance) else np.empty(0)
     return np.asarray(SIGMAS * np.sqrt(np.maximum(largest, 0.0)))
 
 
-def _along_path(s: Series) -> tuple[Array, Array]:
-    """Mean (K, 2) and covariance (K, 2, 2) at about ten places along the path."""
+def along_path(s: Series) -> tuple[Array, Array]:
+    """Position (K, 2) and its covariance (K, 2, 2) at about ten places along the path."""
     t = s.trajectory
     usable = np.flatnonzero(np.isfinite(t.pose).all(axis=1) & np.isfinite(t.covariance).all(axis=(1, 2)))
     if len(usable) == 0:
@@ -149,7 +155,8 @@ def _with_ellipses(shown: Sequence[Series]) -> list[Series]:
     estimates = [s for s in shown if s.run.estimator != "dead-reckoning" and s.run.failure is None]
     if len(estimates) <= 3:
         return estimates
-    firsts = {s.phase: s for s in reversed(estimates)}
+    ranked = sorted(estimates, key=lambda s: s.run.estimator not in ("ekf", "batch"))
+    firsts = {s.phase: s for s in reversed(ranked)}
     return [firsts[p] for p in ("online", "final") if p in firsts]
 
 
@@ -195,9 +202,9 @@ def _map_figure(log: Log, runs: Sequence[Run], width: float) -> Figure:
     maps = [(s, s.run.map) for s in estimates if s.run.map is not None and len(s.run.map)]
     reach = {f"landmarks of {s.label}": ellipses(m.xy, m.covariance).reshape(-1, 2) for s, m in maps}
     view = view_of(log, shown, paths | reach)
-    poses = [(s, *_along_path(s)) for s in estimates]
-    sizes = [_longest(P) for _, _, P in poses] + [_longest(m.covariance) for _, m in maps]
-    factor = _enlargement(view, np.concatenate(sizes) if sizes else np.empty(0))
+    poses = [(s, *along_path(s)) for s in estimates]
+    sizes = [longest_axis(P) for _, _, P in poses] + [longest_axis(m.covariance) for _, m in maps]
+    factor = enlargement(view, np.concatenate(sizes) if sizes else np.empty(0))
 
     fig = Figure()
     ax = fig.add_subplot()
@@ -239,18 +246,20 @@ def _map_figure(log: Log, runs: Sequence[Run], width: float) -> Figure:
     ax.set_aspect("equal")
     for axis in (ax.xaxis, ax.yaxis):
         axis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 5, 10]))
-    title = _title(log, runs, view)
-    ax.set_title(title, loc="left")
 
     # the page is cut to the scene, so that equal aspect leaves no blank paper
     w, h = view.size
     beside = width > 5.0 and w / h < 1.7
     columns = 1 if beside else (3 if width > 5.0 else 2)
-    scene = (width - (2.7 if beside else 0.65)) * float(h / w)
+    across = width - (2.7 if beside else 0.65)
+    scene = across * float(h / w)
+    title = _title(log, runs, view, round(15.0 * across))
+    ax.set_title(title, loc="left")
     lines = sum(str(handle.get_label()).count("\n") + 1 for handle in handles)
     legend_rows = 0 if beside else -(-lines // columns)
     fig.set_size_inches(width, float(np.clip(scene, 1.5, 6.5)) + 0.6 + 0.14 * title.count("\n") + 0.155 * legend_rows)
     fig.legend(handles=handles, loc="outside right upper" if beside else "outside lower left", ncols=columns)
+    settle(fig)
     return fig
 
 
@@ -267,9 +276,9 @@ def _ellipse_handles(maps: bool, poses: bool, factor: int, only_some: bool) -> l
     return found
 
 
-def _title(log: Log, runs: Sequence[Run], view: View) -> str:
+def _title(log: Log, runs: Sequence[Run], view: View, characters: int) -> str:
     tasks = sorted({"SLAM" if r.task == "slam" else r.task for r in runs})
     title = f"{log.name}: {' and '.join(tasks)}" if tasks else log.name
     if view.leaving:
         title += f"\nnot shown in full: {', '.join(view.leaving)}"
-    return title
+    return "\n".join(fill(line, characters) for line in title.split("\n"))

@@ -104,14 +104,14 @@ def parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = p.add_argument
-    add("--log", action="append", metavar="PATH|NAME", help="open log folder, victoria-park, or arena:SEED (repeatable)")
+    add("--log", action="append", metavar="PATH|NAME", help="open log folder, victoria-park, or arena:SEED (repeatable; default: victoria-park and arena:0)")
     add("--data", action="append", metavar="DIR", help="add every dataset found in DIR: open logs, UTIAS MRCLAM folders or zips")
     add("--task", metavar="LIST", help="localization,slam (default: localization where there is a map, else slam)")
     add("--estimator", metavar="LIST", help=f"of {', '.join(ESTIMATORS)} (default: {','.join(DEFAULT_ESTIMATORS)})")
     add("--association", metavar="LIST", help=f"of {', '.join(ASSOCIATIONS)} (default: known)")
     add("--gate", metavar="P", help="chi-square probability of the association gate, or none (default: 0.99; known is not gated)")
     add("--gate-known", metavar="P", help="gate for readings paired by label, too (default: none)")
-    add("--runs", metavar="N", help="runs of the consistency study (default: 50; 8 with --quick; 0: none, the default with --log or --data)")
+    add("--runs", metavar="N", help="runs of the consistency study (default: 50; 8 with --quick; 0: none, the default with --log)")
     add("--seed", metavar="N", help="first seed of the consistency study (default: 0)")
     add("--jobs", metavar="N", help="processes (default: one per core)")
     add("--quick", action="store_true", default=None, help="a short report in seconds; too few runs for verdicts")

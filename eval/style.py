@@ -144,6 +144,17 @@ def drawing() -> Iterator[None]:
         yield
 
 
+def settle(fig: Figure) -> None:
+    """Lay a figure out now and for good.
+
+    With equal aspect, matplotlib's layout needs a second look to find room for the title, and would move everything a
+    little each time the figure is drawn again.
+    """
+    for _ in range(2):
+        fig.draw_without_rendering()
+    fig.set_layout_engine("none")
+
+
 def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] = ("pdf", "png")) -> list[Path]:
     """Write a figure as `folder/stem.<format>`, without dates or versions: same data, same bytes. Empties the figure.
 

@@ -43,8 +43,8 @@ class Outcome:
 
 def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
     """Open the logs and settle tasks; raises UsageError for what makes no sense together."""
-    chosen = bool(options.log or options.data)
-    logs = [open_log(name) for name in (options.log if chosen else DEFAULT_LOGS)]
+    default = [] if options.log else [open_log(name) for name in DEFAULT_LOGS]
+    logs = [*default, *(open_log(name) for name in options.log)]
     for folder in options.data:
         found = [load() for load in find_logs(Path(folder), say)]
         if not found:
@@ -56,20 +56,21 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
             raise UsageError(f"two logs are named {name!r}; rename one (the name stands in its log.toml)")
     trials = []
     for log in logs:
-        for task in _tasks(log, options, natural_only=chosen):
+        for task in _tasks(log, options, default=any(log is d for d in default)):
             trials.append((shortened(log, QUICK_FRAMES) if options.quick else log, task))
     runs = options.runs
     if runs is None:
-        runs = 0 if chosen else QUICK_RUNS if options.quick else DEFAULT_RUNS
+        runs = 0 if options.log else QUICK_RUNS if options.quick else DEFAULT_RUNS
     return Plan(tuple(trials), runs)
 
 
-def _tasks(log: Log, options: Options, *, natural_only: bool) -> Sequence[str]:
+def _tasks(log: Log, options: Options, *, default: bool) -> Sequence[str]:
     has_map = log.recorded.map is not None
     tasks: Sequence[str] = options.task
     if not tasks:
-        both = not natural_only and has_map
-        tasks = ("localization", "slam") if both else ("localization",) if has_map else ("slam",)
+        tasks = ("localization", "slam") if default and has_map else ("localization",) if has_map else ("slam",)
+    elif default:  # nobody asked for this log by name
+        tasks = [t for t in tasks if t == "slam" or has_map]
     if "localization" in tasks and not has_map:
         raise UsageError(f"--task localization: log {log.name!r} has no map (landmarks.csv); only slam makes sense")
     if "known" in options.association and not log.has_labels:

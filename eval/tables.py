@@ -91,14 +91,20 @@ def drop_blank_columns(frame: pd.DataFrame) -> pd.DataFrame:
     return frame[[c for c in frame.columns if not all(is_blank(v) for v in frame[c].tolist())]]
 
 
+def markdown_escape(text: str) -> str:
+    """Text that Markdown shows as it is, also within a table; underscores inside a word mean nothing and stay."""
+    plain = re.sub(r"[\\`*<|&~]|\[(?=[^]]*\]\()", r"\\\g<0>", text.replace("\n", " "))
+    return re.sub(r"(?<![^\W_])_|_(?![^\W_])", r"\\_", plain)
+
+
 def markdown(frame: pd.DataFrame) -> str:
     """The table in Markdown; numbers to the right."""
-
-    def cell(text: str) -> str:
-        return text.replace("\\", "\\\\").replace("|", "\\|").replace("\n", " ")
-
     rule = ["---:" if is_numeric(frame[c].tolist()) else "---" for c in frame.columns]
-    rows = [[cell(str(c)) for c in frame.columns], rule, *([cell(t) for t in row] for row in texts(frame))]
+    rows = [
+        [markdown_escape(str(c)) for c in frame.columns],
+        rule,
+        *([markdown_escape(t) for t in row] for row in texts(frame)),
+    ]
     return "".join(f"| {' | '.join(row)} |\n" for row in rows)
 
 

@@ -74,7 +74,8 @@ def inside_statement(share: float) -> str:
     """Share of frames inside the 3 sigma ellipse against what a Gaussian gives in the plane; empty if not known."""
     if not math.isfinite(share):
         return ""
-    return f"{100 * share:.1f} % of positions inside their 3σ ellipse (a Gaussian in the plane: {100 * INSIDE_3SIGMA:.1f} %)"
+    expected = f"a Gaussian in the plane: {100 * INSIDE_3SIGMA:.1f} %"
+    return f"{100 * share:.1f} % of positions inside their 3σ ellipse ({expected})"
 
 
 def verdict_statement(
@@ -83,7 +84,8 @@ def verdict_statement(
     """A Monte Carlo verdict with its numbers, and how much the test could have seen."""
     if not math.isfinite(lower):
         return f"{verdict} ({runs} runs, dof {dof})"
-    text = f"{verdict}: mean {number(mean)} where {dof} is expected, 95 % interval {number(lower)}–{number(upper)}, {runs} runs"
+    interval = f"95 % interval {number(lower)}–{number(upper)}"
+    text = f"{verdict}: mean {number(mean)} where {dof} is expected, {interval}, {runs} runs"
     if verdict == TOO_FEW:
         return text + "; too few runs to tell a right covariance from a wrong one"
     if verdict == CONSISTENT and math.isfinite(power):
@@ -155,11 +157,12 @@ def answer(metrics: pd.DataFrame) -> str:
 def _told_with_truth(filtered: Row, smoothed: Row, newest: Row | None) -> list[str]:
     a, b = _value(filtered, "rmse_position_m"), _value(smoothed, "rmse_position_m")
     first = (
-        f"On identical inputs the filter ({filtered['estimator']}, each pose from the data up to it) has a position RMSE of"
-        f" {number(a)} m and the smoother ({smoothed['estimator']}, every pose from all data) {number(b)} m"
+        f"On identical inputs the filter ({filtered['estimator']}, each pose from the data up to it) has a position"
+        f" RMSE of {number(a)} m and the smoother ({smoothed['estimator']}, every pose from all data) one of"
+        f" {number(b)} m"
     )
     if b > 0.0 and a > 0.0:
-        first += f", {number(a / b)} times as much for the filter"
+        first += f": the filter's is {number(a / b)} times the smoother's"
     told = [first + _same_instant(a, b, newest) + "."]
     described = [_value(r, "nees_pose") for r in (filtered, smoothed)]
     if all(math.isfinite(v) for v in described):
@@ -213,4 +216,11 @@ def _innovations(filtered: Row) -> list[str]:
         _value(filtered, "nis"), _value(filtered, "nis_lower"), _value(filtered, "nis_upper"),
         rejected=int(rejected) if math.isfinite(rejected) else 0, known=filtered["association"] == "known",
     )  # fmt: skip
-    return [f"The filter's verdict on itself: {statement}."] if statement else []
+    if not statement:
+        return []
+    told = f"What a single run can test are the filter's innovations; they are {statement.removeprefix('innovations ')}"
+    verdict = nis_verdict(*(_value(filtered, c) for c in ("nis", "nis_lower", "nis_upper")))
+    if verdict != CONSISTENT:
+        claim = "too little" if verdict == OVERCONFIDENT else "more than needed"
+        told += f". Filter and smoother share the noise model, which allows for {claim} here: mind their covariances"
+    return [f"{told}."]

@@ -31,8 +31,9 @@ def test_a_long_gap_is_cut_into_the_fewest_equal_parts():
     assert frame_times(np.array([]), 7.0, 7.0).tolist() == [7.0]
 
 
-def test_stamps_one_second_apart_need_no_keyframe_however_large_they_are():
-    at = 1288971842.161 + np.arange(50.0)
+def test_stamps_one_second_apart_need_no_keyframe_whatever_their_rounding():
+    at = np.array([3.4, 4.4, 5.4])
+    assert at[1] - at[0] > 1.0  # by a rounding
     assert np.array_equal(frame_times(at, at[0], at[-1]), at)
 
 

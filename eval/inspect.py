@@ -1,0 +1,68 @@
+"""`python -m eval.inspect LOG`: what a log holds, what is odd about it, and a picture of it.
+
+Only the parser is imported at once, so that `--help` does not wait for the numerical libraries.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from data.errors import SlamrefError, UsageError
+
+FINE, WRONG = 0, 2
+PICTURES = (".png", ".pdf")
+EXAMPLES = """\
+examples:
+  python -m eval.inspect victoria-park
+  python -m eval.inspect arena:0 --plot arena.png
+  python -m eval.inspect path/to/my_log --plot my_log.pdf
+
+exit status: 0 fine, 2 wrong usage or bad data"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The whole command; returns the exit status."""
+    parser = argparse.ArgumentParser(
+        prog="python -m eval.inspect",
+        description="Print what a log holds and what is odd about it.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("log", metavar="LOG", help="an open log folder, or a name: victoria-park, arena:SEED")
+    parser.add_argument("--plot", metavar="FILE", type=Path, help="write a picture of the log (.png or .pdf)")
+    options = parser.parse_args(argv)
+    try:
+        _inspect(options.log, options.plot)
+    except SlamrefError as fault:
+        print(f"error: {fault}", file=sys.stderr)
+        return WRONG
+    return FINE
+
+
+def _inspect(name: str, plot: Path | None) -> None:
+    """Print the summary; write the picture if one is wanted."""
+    if plot is not None and plot.suffix not in PICTURES:
+        raise UsageError(f"--plot {plot}: a file name that ends in {' or '.join(PICTURES)} is needed")
+    from eval.logs import open_log
+    from eval.summary import summarize
+
+    log = open_log(name)
+    lines = summarize(log)
+    width = max(len(key) for key, _ in lines)
+    for key, text in lines:
+        print(f"{key:<{width}}  {text}")
+    if plot is not None:
+        from eval.figures_log import log_figure
+        from eval.style import save
+
+        try:
+            save(log_figure(log), plot.parent, plot.stem, (plot.suffix[1:],))
+        except OSError as fault:
+            raise UsageError(f"--plot {plot}: cannot be written: {fault.strerror}") from fault
+
+
+if __name__ == "__main__":
+    sys.exit(main())

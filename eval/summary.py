@@ -1,0 +1,246 @@
+"""What a log holds and what is odd about it, in words: a pure function of the log, printed by `eval.inspect`."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from data.inputs import CLUTTER, UNLABELLED, IntArray
+from data.log import Log
+from data.se2 import Array
+from data.timeline import MAX_GAP
+from data.truth import UNKNOWN_ID
+
+JUMP = 10.0
+"""An increment this many times faster than the median moving one is called a jump."""
+SHOWN = 5
+"""That many places of an oddity are named."""
+
+Line = tuple[str, str]
+Mask = NDArray[np.bool_]
+
+
+def summarize(log: Log) -> list[Line]:
+    """Name and sentence, in the order they are printed; `odd` lines are what a careful person would look at."""
+    return [
+        ("name", log.name),
+        *([("source", ", ".join(f"{k} = {_plain(v)}" for k, v in log.source.items()))] if log.source else []),
+        *(("note", note) for note in log.notes),
+        *_frames(log),
+        *_increments(log),
+        *_observations(log),
+        *_labels(log),
+        *_truth(log),
+        *_landmarks(log),
+        *(("odd", oddity) for oddity in _oddities(log)),
+    ]
+
+
+def _plain(value: object) -> str:
+    """A value of the source as a person would write it."""
+    value = value.tolist() if isinstance(value, np.generic | np.ndarray) else value
+    return value if isinstance(value, str) else json.dumps(value, default=str, ensure_ascii=False)
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def _share(part: int, whole: int) -> str:
+    return f"{part} of {whole}" + (f" ({100.0 * part / whole:.1f} %)" if whole else "")
+
+
+def _unit(log: Log) -> str:
+    return "index" if log.recorded.time_is_index else "s"
+
+
+def longest_run(mask: Mask) -> tuple[int, int]:
+    """First index and length of the longest run of true values; length 0 if there is none."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    if len(edges) == 0:
+        return 0, 0
+    lengths = edges[1::2] - edges[::2]
+    k = int(np.argmax(lengths))
+    return int(edges[2 * k]), int(lengths[k])
+
+
+def _frames(log: Log) -> list[Line]:
+    time = log.recorded.time
+    n, span, unit = len(time), float(time[-1] - time[0]), _unit(log)
+    lines = [("frames", _count(n, "frame") + (", without stamps (t is a frame number)" if unit == "index" else ""))]
+    text = f"{span:.6g} {unit}, from {time[0]:.15g} to {time[-1]:.15g}"
+    lines.append(("span", text + (f"; rate {(n - 1) / span:.4g} per {unit}" if n > 1 else "")))
+    if n > 1:
+        gap = np.diff(time)
+        k = int(np.argmax(gap))
+        # a gap of exactly 1 s is one give or take the rounding of its stamps
+        over = int((gap > MAX_GAP + 1e-6).sum())
+        large = f"; {over} longer than {MAX_GAP:g} s" if unit == "s" else ""
+        lines.append(
+            ("gaps", f"largest {gap[k]:.4g} {unit}, before frame {k + 1}; median {np.median(gap):.4g} {unit}{large}")
+        )
+    return lines
+
+
+def _increments(log: Log) -> list[Line]:
+    inputs = log.recorded
+    mean, covariance = inputs.increments.mean[1:], inputs.increments.covariance[1:]
+    if len(mean) == 0:
+        return []
+    still = int((~mean.any(axis=1)).sum())
+    turned = np.degrees(np.abs(mean[:, 2]).sum())
+    path = np.hypot(mean[:, 0], mean[:, 1]).sum()
+    lines = [("increments", f"path {path:.6g} m, turned {turned:.6g} deg in all; {_share(still, len(mean))} at rest")]
+    sigma = np.sqrt(np.median(np.diagonal(covariance, axis1=1, axis2=2), axis=0))
+    text = f"median sigma {sigma[0]:.3g} m, {sigma[1]:.3g} m, {np.degrees(sigma[2]):.3g} deg"
+    if inputs.covariance_floor > 0.0:
+        text += f"; {_share(inputs.floored, len(mean))} got the covariance floor {inputs.covariance_floor:g}"
+    else:
+        singular = int((np.linalg.eigvalsh(covariance)[:, 0] <= 0.0).sum())
+        text += f"; no covariance floor, {singular} singular"
+    lines.append(("noise", text))
+    return lines
+
+
+def _observations(log: Log) -> list[Line]:
+    inputs = log.recorded
+    sensor, o = inputs.sensor, inputs.observations
+    low, high = np.degrees([sensor.min_angle, sensor.max_angle])
+    reach = f"up to {sensor.max_range:g} m" if np.isfinite(sensor.max_range) else "any range"
+    seen = f"{sensor.name}, {reach}, {low:.4g} to {high:.4g} deg"
+    if sensor.rotation or any(sensor.translation):
+        tx, ty = sensor.translation
+        seen += f"; p_sensor = R({np.degrees(sensor.rotation):.4g} deg) p_body + ({tx:g}, {ty:g}) m"
+    lines = [("sensor", seen)]
+    m, per_frame = len(o.frame), np.diff(inputs.start)
+    if m == 0:
+        return [*lines, ("observations", "none")]
+    rate = ""
+    span = float(inputs.time[-1] - inputs.time[0])
+    if span > 0.0 and not inputs.time_is_index:
+        rate = f"; {m / span:.4g} per s"
+    counts = f"per frame {per_frame.min()} to {per_frame.max()}, mean {per_frame.mean():.3g}"
+    lines.append(("observations", f"{m}, {counts}{rate}"))
+    first, blind = longest_run(per_frame == 0)
+    without = _share(int((per_frame == 0).sum()), len(per_frame))
+    where = f"; longest stretch {_count(blind, 'frame')} from frame {first}" if blind else ""
+    lines.append(("unseen", f"{without} frames without observation{where}"))
+    polar = sensor.polar(o.z)
+    bearing = np.degrees(polar[:, 1])
+    outside = len(_out_of_view(log))
+    span_text = f"range {polar[:, 0].min():.4g} to {polar[:, 0].max():.4g} m, "
+    span_text += f"bearing {bearing.min():.4g} to {bearing.max():.4g} deg"
+    lines.append(("seen", f"{span_text}; {_share(outside, m)} outside the stated field of view"))
+    return lines
+
+
+def _out_of_view(log: Log) -> IntArray:
+    """Observations (indices) outside the sensor's stated range or angles."""
+    inside = log.recorded.sensor.in_view(log.recorded.observations.z).astype(bool)
+    return np.flatnonzero(~inside)
+
+
+def granted_labels(log: Log) -> IntArray | None:
+    """The labels (M,) an experiment with known association would be given, or None."""
+    if log.label is not None or log.truth.landmark_of is None:
+        return log.label
+    truth = log.truth.landmark_of
+    return np.where(truth == UNKNOWN_ID, UNLABELLED, truth)
+
+
+def _labels(log: Log) -> list[Line]:
+    label, truth = granted_labels(log), log.truth.landmark_of
+    if label is None:
+        return [("labels", "none")]
+    origin = "sensed" if log.labels_are_sensed else ("claimed" if log.label is not None else "from the true ids")
+    _, times = np.unique(label[label >= 0], return_counts=True)
+    text = f"{origin}; {len(times)} distinct"
+    if len(times):
+        text += f", seen {times.min()} to {times.max()} times, median {np.median(times):g}"
+    text += f"; {_share(int((label == UNLABELLED).sum()), len(label))} unlabelled, {(label == CLUTTER).sum()} clutter"
+    if log.label is not None and truth is not None:
+        comparable = (truth != UNKNOWN_ID) & (label != UNLABELLED)
+        wrong = int((comparable & (truth != label)).sum())
+        text += f"; {_share(wrong, int(comparable.sum()))} differ from the true id"
+    return [("labels", text)]
+
+
+def _known(pose: Array) -> Mask:
+    known: Mask = np.all(np.isfinite(pose), axis=1)
+    return known
+
+
+def _truth(log: Log) -> list[Line]:
+    pose, ids = log.truth.pose, log.truth.landmark_of
+    if pose is None:
+        text = "no poses"
+    else:
+        first, missing = longest_run(~_known(pose))
+        text = f"{_share(log.truth.known_poses, len(pose))} frames with a pose"
+        if missing:
+            text += f"; longest stretch without {_count(missing, 'frame')} from frame {first}"
+    if ids is None:
+        return [("truth", text + "; no ids")]
+    return [("truth", f"{text}; {_share(int((ids != UNKNOWN_ID).sum()), len(ids))} observations with an id")]
+
+
+def _landmarks(log: Log) -> list[Line]:
+    known, true = log.recorded.map, log.truth.landmarks
+    landmarks = known if known is not None else true
+    if landmarks is None or len(landmarks.id) == 0:
+        return [("landmarks", "none known")]
+    xy = landmarks.xy
+    (x0, y0), (x1, y1) = xy.min(axis=0), xy.max(axis=0)
+    use = "given map" if true is None else ("map and truth" if known is not None else "truth only")
+    text = f"{len(xy)} ({use}), ids {landmarks.id.min()} to {landmarks.id.max()}, "
+    text += f"x {x0:.4g} to {x1:.4g} m, y {y0:.4g} to {y1:.4g} m"
+    if len(xy) > 1:
+        distance = np.asarray(cKDTree(xy).query(xy, k=2)[0])
+        text += f"; closest two {distance[:, 1].min():.3g} m apart"
+    return [("landmarks", text)]
+
+
+def _places(what: str, where: IntArray) -> list[str]:
+    """`what` with how often and the first places, or nothing."""
+    if len(where) == 0:
+        return []
+    shown = ", ".join(str(i) for i in where[:SHOWN].tolist()) + (", ..." if len(where) > SHOWN else "")
+    return [f"{_count(len(where), what)} {shown}"]
+
+
+def repeated_in_frame(frame: IntArray, label: IntArray) -> IntArray:
+    """Observations (indices, ascending) whose label >= 0 an earlier observation of the same frame has already."""
+    order = np.lexsort((np.arange(len(frame)), label, frame))
+    f, i = frame[order], label[order]
+    again = (f[1:] == f[:-1]) & (i[1:] == i[:-1]) & (i[1:] >= 0)
+    return np.sort(order[1:][again])
+
+
+def _oddities(log: Log) -> list[str]:
+    """Rows that are valid and still deserve a look."""
+    inputs, label = log.recorded, granted_labels(log)
+    o = inputs.observations
+    odd: list[str] = []
+    if log.truth.pose is not None:
+        odd += _places("frame", np.flatnonzero(~_known(log.truth.pose)))
+        odd = [f"without a true pose: {text}" for text in odd]
+    outside = _places("observation", _out_of_view(log))
+    odd += [f"outside the stated field of view: {text}" for text in outside]
+    if len(inputs.time) > 1:
+        speed = np.hypot(*inputs.increments.mean[1:, :2].T) / np.diff(inputs.time)
+        moving = speed[speed > 0.0]
+        usual = float(np.median(moving)) if len(moving) else 0.0
+        jumps = _places("frame", 1 + np.flatnonzero(speed > JUMP * usual)) if usual else []
+        per = "per index" if inputs.time_is_index else "m/s"
+        odd += [f"moved more than {JUMP:g} times faster than the usual {usual:.3g} {per}: {text}" for text in jumps]
+    if label is not None:
+        twice = _places("observation", repeated_in_frame(o.frame, label))
+        odd += [f"label seen already in the same frame: {text}" for text in twice]
+    landmarks = inputs.map
+    if label is not None and landmarks is not None:
+        strangers = np.setdiff1d(label[label >= 0], landmarks.id)
+        odd += [f"not in the map: {text}" for text in _places("label", strangers)]
+    return odd

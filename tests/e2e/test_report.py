@@ -1,0 +1,150 @@
+"""The command as a person uses it: a report from logs, the same bytes twice, clear errors, nothing half-written."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from data.arena import Arena, simulate
+from data.folder_writer import write_folder
+from eval.run_all import main
+
+ROOT = Path(__file__).parents[2]
+CHECKER = ROOT.parent / "shared" / "tools" / "check_results.py"
+SAME_EVERY_TIME = {"timing.csv", "provenance.json", "run.log"}
+
+
+@pytest.fixture(scope="module")
+def my_log(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("logs") / "my_log"
+    write_folder(simulate(Arena(frames=60, landmarks=12), 4, name="my_log"), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory, my_log):
+    out = tmp_path_factory.mktemp("results") / "report"
+    arguments = ["--log", str(my_log), "--task", "localization,slam", "--estimator", "dead-reckoning,ekf,isam2,batch,batch-huber,batch-cauchy", "--runs", "3", "--out", str(out), "-q"]
+    assert main([*arguments, "--jobs", "1"]) == 0
+    return out, arguments
+
+
+def rows(path):
+    with path.open(newline="") as f:
+        return list(csv.DictReader(f))
+
+
+def test_the_result_folder_keeps_its_contract(report):
+    out, _ = report
+    if not CHECKER.exists():
+        pytest.skip("the contract checker is not beside this checkout")
+    spec = importlib.util.spec_from_file_location("check_results", CHECKER)
+    checker = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(checker)
+    assert checker.check(out) == []
+
+
+def test_every_estimator_and_phase_has_its_row_with_numbers(report):
+    out, _ = report
+    metrics = rows(out / "metrics.csv")
+    phases = {"dead-reckoning": ["online"], "ekf": ["online"], "isam2": ["online", "final"], "batch": ["final"], "batch-huber": ["final"], "batch-cauchy": ["final"]}
+    for task in ("localization", "slam"):
+        for estimator, expected in phases.items():
+            mine = [r for r in metrics if (r["task"], r["estimator"]) == (task, estimator)]
+            assert [r["phase"] for r in mine] == expected
+            for r in mine:
+                assert r["status"] == "ok"
+                assert 0.0 < float(r["rmse_position_m"]) < (3.0 if estimator == "dead-reckoning" else 0.5)
+                assert float(r["nees_pose"]) > 0
+    ekf = next(r for r in metrics if r["estimator"] == "ekf" and r["task"] == "slam")
+    batch = next(r for r in metrics if r["estimator"] == "batch" and r["task"] == "slam")
+    assert float(batch["rmse_position_m"]) < float(ekf["rmse_position_m"])
+    assert float(ekf["nis"]) == pytest.approx(float(batch["nis"]), rel=0.05), "the smoother's least cost is the filter's NIS"
+    assert int(ekf["accepted"]) + int(ekf["rejected"]) + int(ekf["landmarks"]) == int(ekf["observations"])
+    assert float(batch["rms_from_batch_m"]) == 0.0
+    assert float(ekf["rms_from_batch_m"]) > 0.0
+
+
+def test_the_report_shows_pictures_and_needs_no_network(report):
+    out, _ = report
+    html = (out / "report.html").read_text()
+    assert html.count("data:image/png;base64,") >= 8
+    assert "http://" not in html
+    assert "https://" not in html
+    text = (out / "report.md").read_text()
+    assert "not enough runs" in text
+    for name in ("my_log-slam-map.png", "my_log-localization-error.pdf"):
+        assert (out / "figures" / name).stat().st_size > 5000
+    assert r"\toprule" in (out / "tables" / "my_log-slam-comparison.tex").read_text()
+    provenance = json.loads((out / "provenance.json").read_text())
+    assert provenance["versions"]["gtsam"]
+    assert len(provenance["inputs"]["my_log"]["sha256"]) == 64
+
+
+def test_same_inputs_and_seed_give_the_same_bytes_with_any_number_of_processes(report, tmp_path):
+    out, arguments = report
+    again = tmp_path / "again"
+    arguments = [str(again) if a == str(out) else a for a in arguments]
+    assert main([*arguments, "--jobs", "2"]) == 0
+    files = sorted(p.relative_to(out) for p in out.rglob("*") if p.is_file())
+    assert files == sorted(p.relative_to(again) for p in again.rglob("*") if p.is_file())
+    for name in files:
+        if name.name not in SAME_EVERY_TIME:
+            assert (out / name).read_bytes() == (again / name).read_bytes(), name
+
+
+def command(*arguments, **kwargs):
+    return subprocess.run([sys.executable, "-m", "eval.run_all", *arguments], capture_output=True, text=True, cwd=ROOT, check=False, **kwargs)
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    (["--log", "no_such_log"], "no such folder"),
+    (["--log", "arena:x"], "whole number"),
+    (["--log", "victoria-park", "--task", "localization"], "has no map"),
+    (["--log", "arena:0", "--log", "arena:0"], "two logs are named 'arena:0'"),
+    (["--log", "."], "log.toml"),
+    (["--data", "no_such_folder"], "no such folder"),
+    (["--log", "arena:0", "--config", "tutorial-step1"], "does not come from a UTIAS MRCLAM recording"),
+])  # fmt: skip
+def test_bad_input_is_one_line_and_exit_2_and_leaves_nothing(arguments, words, tmp_path):
+    done = command(*arguments, "--out", str(tmp_path / "r"), "--runs", "0", "--jobs", "1")
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_is_no_report_is_not_overwritten(tmp_path):
+    precious = tmp_path / "thesis"
+    precious.mkdir()
+    (precious / "chapter.tex").write_text("years of work")
+    assert main(["--log", "arena:0", "--runs", "0", "--out", str(precious), "-q"]) == 2
+    assert (precious / "chapter.tex").read_text() == "years of work"
+
+
+def test_a_killed_run_leaves_the_previous_report_whole(report, tmp_path):
+    out = tmp_path / "report"
+    assert main(["--log", "arena:0", "--estimator", "ekf", "--no-plots", "--runs", "0", "--out", str(out), "-q"]) == 0
+    before = {p.relative_to(out): p.read_bytes() for p in out.rglob("*") if p.is_file()}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "eval.run_all", "--log", "arena:0", "--out", str(out), "--jobs", "1"],
+        cwd=ROOT, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, start_new_session=True,
+    )  # fmt: skip
+    deadline = time.monotonic() + 60
+    while not any(p.name.startswith(".report.partial") for p in tmp_path.iterdir()) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    os.kill(process.pid, signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert b"Traceback" not in err
+    assert {p.relative_to(out): p.read_bytes() for p in out.rglob("*") if p.is_file()} == before
+    assert [p.name for p in tmp_path.iterdir()] == ["report"]
