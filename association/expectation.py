@@ -18,7 +18,7 @@ Residual = Callable[[Array, Array], Array]
 
 
 def gate_threshold(probability: float | None, dof: int = 2) -> float:
-    """Squared Mahalanobis distance below which a chi-square variable of `dof` lies with `probability`; None: no gate."""
+    """Squared distance that a chi-square variable of `dof` stays below with `probability`; None: no gate."""
     if probability is None:
         return float("inf")
     if not 0.0 < probability < 1.0:
@@ -28,7 +28,8 @@ def gate_threshold(probability: float | None, dof: int = 2) -> float:
 
 def plain_residual(z: Array, z_hat: Array) -> Array:
     """Difference without angles, for problems stated in Cartesian coordinates."""
-    return np.asarray(z, float) - np.asarray(z_hat, float)
+    difference: Array = np.asarray(z, float) - np.asarray(z_hat, float)
+    return difference
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,9 @@ class Expectation:
     joint: Callable[[IntArray], Array]
 
     @classmethod
-    def from_arrays(cls, z: Array, z_hat: Array, joint_HPHt: Array, R: Array, residual: Residual = plain_residual) -> Expectation:
+    def from_arrays(
+        cls, z: Array, z_hat: Array, joint_HPHt: Array, R: Array, residual: Residual = plain_residual
+    ) -> Expectation:
         """A problem stated with plain arrays: z (m, 2), z_hat (n, 2), joint_HPHt (2n, 2n), R (m, 2, 2)."""
         z, z_hat = np.asarray(z, float).reshape(-1, 2), np.asarray(z_hat, float).reshape(-1, 2)
         full = np.asarray(joint_HPHt, float)
@@ -66,12 +69,21 @@ class Expectation:
 
         def joint(indices: IntArray) -> Array:
             rows = (2 * np.asarray(indices)[:, None] + np.arange(2)).ravel()
-            return full[np.ix_(rows, rows)]
+            block: Array = full[np.ix_(rows, rows)]
+            return block
 
         blocks = full.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
         zeros = np.zeros(n, np.int64)
         return cls(
-            np.arange(n), z_hat, blocks, zeros, z, np.asarray(R, float).reshape(m, 2, 2), np.zeros(m, np.int64), residual, joint
+            np.arange(n),
+            z_hat,
+            blocks,
+            zeros,
+            z,
+            np.asarray(R, float).reshape(m, 2, 2),
+            np.zeros(m, np.int64),
+            residual,
+            joint,
         )
 
     def innovations(self) -> Array:

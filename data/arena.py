@@ -13,7 +13,7 @@ import numpy as np
 
 from data import se2
 from data.errors import UsageError
-from data.inputs import CLUTTER, Increments, Inputs, LandmarkMap, Observations, Prior, floor_covariances
+from data.inputs import CLUTTER, Increments, Inputs, IntArray, LandmarkMap, Observations, Prior, floor_covariances
 from data.log import Log
 from data.motion import VelocityModel, VelocityNoise, preintegrate
 from data.se2 import Array
@@ -103,7 +103,7 @@ def simulate(arena: Arena, seed: int, name: str | None = None) -> Log:
     )
     centre = np.array([0.0, arena.radius])
     landmarks = centre + map_rng.uniform(-0.5 * arena.side, 0.5 * arena.side, (arena.landmarks, 2))
-    frame_time = arena.period * np.arange(arena.frames)
+    frame_time = arena.period * np.arange(arena.frames, dtype=np.float64)
     truth, increments, floored = _drive(arena, frame_time, odometry_rng)
     sensor = arena.model()
     frame, z, true_id = _observe(arena, sensor, truth, landmarks, sensor_rng)
@@ -113,17 +113,21 @@ def simulate(arena: Arena, seed: int, name: str | None = None) -> Log:
     prior_mean[2] = se2.wrap_angle(prior_mean[2])
     known = LandmarkMap(np.arange(arena.landmarks), landmarks)
     inputs = Inputs(
-        Prior(prior_mean, np.diag(sigma**2)), frame_time, increments, Observations(frame, z, R), sensor, known, floored=floored
+        Prior(prior_mean, np.diag(sigma**2)),
+        frame_time,
+        increments,
+        Observations(frame, z, R),
+        sensor,
+        known,
+        floored=floored,
     )
-    return Log(
-        name or f"arena:{seed}", inputs, Truth(truth, known, true_id), source={"kind": "arena", "seed": seed}
-    )
+    return Log(name or f"arena:{seed}", inputs, Truth(truth, known, true_id), source={"kind": "arena", "seed": seed})
 
 
 def _drive(arena: Arena, frame_time: Array, rng: np.random.Generator) -> tuple[Array, Increments, int]:
     """True poses (N, 3) at the frames and the noisy increments between them."""
     dt = 1.0 / arena.odometry_rate
-    time = dt * np.arange(int(math.ceil(frame_time[-1] / dt)) + 1)
+    time = dt * np.arange(math.ceil(frame_time[-1] / dt) + 1)
     v = np.full(len(time), arena.speed)
     omega = arena.speed / arena.radius + arena.swing * np.sin(2.0 * math.pi * time / 15.0)
     exact = VelocityModel(VelocityNoise("density"))
@@ -141,7 +145,7 @@ def _drive(arena: Arena, frame_time: Array, rng: np.random.Generator) -> tuple[A
 
 def _observe(
     arena: Arena, sensor: Sensor, truth: Array, landmarks: Array, rng: np.random.Generator
-) -> tuple[Array, Array, Array]:
+) -> tuple[IntArray, Array, IntArray]:
     """Frames (M,), readings (M, 2) and true ids (M,), by frame and landmark, clutter last in its frame."""
     frames, readings, ids = [], [], []
     sigma = np.array(arena.sigma())
@@ -161,4 +165,3 @@ def _observe(
         readings.append(z)
         ids.append(np.concatenate([seen, np.full(false, CLUTTER)]))
     return np.concatenate(frames).astype(np.int64), np.concatenate(readings), np.concatenate(ids).astype(np.int64)
-

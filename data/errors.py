@@ -13,7 +13,9 @@ class DataError(SlamrefError):
     """Bad input data. The message reads `file: line N, column C: what is wrong; what would be right`."""
 
     @classmethod
-    def at(cls, path: str | PathLike[str], what: str, *, line: int | None = None, column: str | None = None) -> DataError:
+    def at(
+        cls, path: str | PathLike[str], what: str, *, line: int | None = None, column: str | None = None
+    ) -> DataError:
         """Build the message for a place in a file; `line` counts from 1, the header included."""
         place = str(path)
         if line is not None:

@@ -15,10 +15,14 @@ from data import se2
 from data.inputs import IntArray, Prior
 from data.se2 import Array
 
-SPAN = 5.0
+SPAN = 10.0
 """s of readings that one fix may use; odometry drifts."""
 READINGS = 6
 """A fix needs that many, of two different landmarks at least."""
+SURE = (0.25, 0.15)
+"""m, rad: standard deviations that the fit must reach, or it waits for better placed landmarks."""
+USUAL = 0.1
+"""m; readings that fit one another better than this do so by luck."""
 MISFIT = 0.5
 """m rms beyond which the readings contradict the map (or one another) and the next instant is tried."""
 
@@ -57,35 +61,44 @@ def first_fix(
         landmark: (M, 2) m, where the map has the landmark of each.
         sigma: added to the fit's own standard deviations of x, y [m] and theta [rad], for what the fit does not know.
     """
-    path = np.zeros((len(time), 3))
-    for k in range(1, len(path)):
-        path[k] = se2.compose(path[k - 1], increments[k])
+    path = _path(increments)
     for end in np.flatnonzero(np.diff(frame, append=-1)) + 1:
         now = frame[end - 1]
         begin = int(np.searchsorted(time[frame[:end]], time[now] - SPAN))
         used = slice(begin, end)
-        if end - begin < READINGS or len(np.unique(landmark[used], axis=0)) < 2:
+        different = len(np.unique(landmark[used], axis=0))
+        if end - begin < READINGS or different < 2:
             continue
         body = se2.transform_points(se2.between(path[now], path[frame[used]]), points[used])
         pose = rigid_fit(body, landmark[used])
         rms = float(np.sqrt(np.mean(np.sum((se2.transform_points(pose, body) - landmark[used]) ** 2, axis=1))))
-        if rms > MISFIT:
+        P = _covariance(pose, body, max(rms, USUAL) / math.sqrt(different))
+        if rms > MISFIT or P is None or max(P[0, 0], P[1, 1]) > SURE[0] ** 2 or P[2, 2] > SURE[1] ** 2:
             continue
-        return Fix(
-            int(now), Prior(pose, _covariance(pose, body, rms) + np.diag(np.square(sigma))), int(end - begin), rms
-        )
+        return Fix(int(now), Prior(pose, P + np.diag(np.square(sigma))), int(end - begin), rms)
     return None
 
 
-def _covariance(pose: Array, body: Array, rms: float) -> Array:
-    """World-frame covariance (3, 3) of a fit whose points miss by `rms` [m].
+def _path(increments: Array) -> Array:
+    """Poses (N, 3) along increments (N, 3), from the zero pose."""
+    path = np.zeros_like(increments)
+    heading = np.cumsum(increments[:, 2])
+    path[:, 2] = se2.wrap_angle(heading)
+    c, s = np.cos(heading[:-1]), np.sin(heading[:-1])
+    path[1:, 0] = np.cumsum(c * increments[1:, 0] - s * increments[1:, 1])
+    path[1:, 1] = np.cumsum(s * increments[1:, 0] + c * increments[1:, 1])
+    return path
 
-    Errors of one landmark's readings are alike, so the points do not count as independent: information is their mean.
+
+def _covariance(pose: Array, body: Array, sigma: float) -> Array | None:
+    """World-frame covariance (3, 3) of a fit whose points' mean errs by `sigma` [m]; None if they are all in one place.
+
+    Errors of one landmark's readings are alike, so the points count as their mean point and spread, not one by one.
     """
     offset = se2.transform_points(np.array([0.0, 0.0, pose[2]]), body)
-    J = np.zeros((len(body), 2, 3))
-    J[:, 0, 0] = J[:, 1, 1] = 1.0
-    J[:, 0, 2], J[:, 1, 2] = -offset[:, 1], offset[:, 0]
-    information = np.einsum("mij,mik->jk", J, J) / len(body)
-    covariance: Array = rms**2 * np.linalg.inv(information)
+    x, y = offset.mean(axis=0)
+    if float(np.mean(np.sum((offset - [x, y]) ** 2, axis=1))) < 1e-4:
+        return None
+    information = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [-y, x, float(np.mean(np.sum(offset**2, axis=1)))]])
+    covariance: Array = sigma**2 * np.linalg.inv(information)
     return covariance

@@ -33,7 +33,7 @@ def read_only(obj: object) -> None:
             object.__setattr__(obj, f.name, locked)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Prior:
     """Gaussian belief about the first pose: mean (3,) world frame, covariance (3, 3); zero covariance is allowed."""
 
@@ -51,9 +51,9 @@ class Increment(NamedTuple):
     covariance: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Increments:
-    """Mean (N, 3) and covariance (N, 3, 3) of the motion from frame i-1 to i in the body frame of i-1; row 0 is zero."""
+    """Mean (N, 3) and covariance (N, 3, 3) of the motion into frame i, in the body frame of i-1; row 0 is zero."""
 
     mean: Array
     covariance: Array
@@ -69,7 +69,7 @@ class Sightings(NamedTuple):
     R: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Observations:
     """frame (M,) ascending, z (M, 2), R (M, 2, 2): what the sensor measured, without names."""
 
@@ -81,7 +81,7 @@ class Observations:
         read_only(self)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LabelledObservations(Observations):
     """Observations with the sensor's label (M,) beside them: only where the experiment grants known association.
 
@@ -91,7 +91,7 @@ class LabelledObservations(Observations):
     label: IntArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LandmarkMap:
     """Known landmarks: id (L,) ascending and >= 0, xy (L, 2) in the world frame. Estimators take them as exact."""
 
@@ -102,7 +102,7 @@ class LandmarkMap:
         read_only(self)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Inputs:
     """The estimator's side of a log.
 

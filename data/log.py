@@ -11,7 +11,7 @@ from data.inputs import UNLABELLED, Inputs, IntArray, LabelledObservations, Obse
 from data.truth import UNKNOWN_ID, Truth
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Log:
     """One log. `recorded` holds everything an estimator could be given; ask for it through `inputs()`.
 

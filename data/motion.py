@@ -42,7 +42,7 @@ def sinc_slope(a):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def step(model, displacement, rotation, mean, G):  # type: ignore[no-untyped-def]
-    """Body-frame increment `mean` (3,) of a displacement [m] along an arc of `rotation` [rad], and G (3, 2) = d mean / d (D, A).
+    """Body-frame increment `mean` (3,) of D m along an arc of A rad, and its Jacobian G (3, 2) to (D, A).
 
     `ARC`: exact integration, x = D sin(A)/A, y = D (1 - cos A)/A. `HALF_ANGLE`: the chord taken at the middle heading
     with length D (the classic tutorials' model).
@@ -78,7 +78,9 @@ def _append(mean, cov, step_mean, step_cov):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True)
 def _preintegrate(model, lateral, time, v, omega, rate, hold, beyond, lead, fastest, at, mean, cov):  # type: ignore[no-untyped-def]
     """Loop of `preintegrate`; rate (K, 2): variances per second of D and A; hold (K,), beyond (K,): s that
-    sample k lasts and that pass after it without odometry; lead: s before the first; fastest (2,): largest |v|, |omega|."""
+    sample k lasts and that pass after it without odometry; lead: s before the first; fastest (2,): largest
+    |v|, |omega|.
+    """
     n = len(time)
     k = max(np.searchsorted(time, at[0], side="right") - 1, 0)
     step_mean, G, M, Q = np.zeros(3), np.zeros((3, 2)), np.zeros((2, 2)), np.zeros((3, 3))
@@ -96,7 +98,9 @@ def _preintegrate(model, lateral, time, v, omega, rate, hold, beyond, lead, fast
                 end = min(end, held_until)
                 dt = end - t
                 step(model, v[k] * dt, omega[k] * dt, step_mean, G)
-                if lateral:  # the tutorials' mapping: half a radian's sideways motion for each radian, whatever the distance
+                if (
+                    lateral
+                ):  # the tutorials' mapping: half a radian's sideways motion for each radian, whatever the distance
                     G[0, 1], G[1, 1] = -0.5 * G[1, 0], 0.5 * G[0, 0]
                 M[0, 0], M[1, 1] = rate[k, 0] * dt, rate[k, 1] * dt
                 Q[:, :] = G @ M @ G.T

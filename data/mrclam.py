@@ -106,7 +106,7 @@ def load_mrclam(
     """One robot's log. The barcodes are sensed labels: granting them grants no truth.
 
     The log starts at the first instant with truth and odometry, with the true pose there as the prior's mean, and ends
-    with the odometry. A robot without ground truth gets its prior from its first sightings, which are then not part of
+    with the odometry. A robot without ground truth gets its prior from its first sightings that fix it, which are then not part of
     the log (`data.first_fix`); if they do not fix it, the prior is the zero pose and the map is withheld, because the
     log's world frame is then the robot's own.
 
@@ -278,7 +278,7 @@ def _without_truth(
         return course, None, note
     at = course.time[fix.frame]
     note = (
-        f"No ground truth: the prior is a fit to the first {fix.readings} readings (rms {fix.rms:.2f} m), "
+        f"No ground truth: the prior is a fit to {fix.readings} readings (rms {fix.rms:.2f} m), "
         f"and the log starts after them, {at:.3f} s after the first odometry row."
     )
     return course.after(fix.frame), fix.prior, note

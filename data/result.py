@@ -53,7 +53,7 @@ class Finished(NamedTuple):
     map: MapState | None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Trajectory:
     """Poses (N, 3) and covariances (N, 3, 3): world frame, error additive in [x, y, theta]."""
 
@@ -64,7 +64,7 @@ class Trajectory:
         read_only(self)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MapEstimate:
     """Landmarks of a run: number (L,), xy (L, 2), covariance (L, 2, 2), first_frame (L,), times_seen (L,).
 
@@ -85,7 +85,7 @@ class MapEstimate:
 
 
 def map_estimate(state: MapState, frame: IntArray, decisions: IntArray, created: IntArray) -> MapEstimate:
-    """The map with when and how often each landmark was seen, by the given decisions on observations of `frame` (M,)."""
+    """The map, with when and how often each landmark was seen by the given decisions; `frame` (M,)."""
     number = np.where(created >= 0, created, decisions)
     seen = number >= 0
     size = int(max(number.max(initial=-1), np.max(state.number, initial=-1))) + 1
@@ -96,9 +96,9 @@ def map_estimate(state: MapState, frame: IntArray, decisions: IntArray, created:
     return MapEstimate(n, state.xy, state.covariance, first[n], times[n])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Innovations:
-    """Per frame (N,): NIS, its degrees of freedom, and the log-likelihood of the accepted innovations; NaN: not formed."""
+    """Per frame (N,): NIS, its degrees of freedom, log-likelihood of the accepted innovations; NaN: not formed."""
 
     nis: Array
     dof: IntArray
@@ -116,7 +116,7 @@ class Failure(NamedTuple):
     why: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Run:
     """One estimator over one log.
 

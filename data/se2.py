@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 Angle = TypeVar("Angle", float, Array)
 
 TWO_PI = 2.0 * math.pi
@@ -31,7 +32,7 @@ def rotation(theta: float) -> Array:
 
 
 def world_from_body(theta: float) -> Array:
-    """blockdiag(R(theta), 1), (3, 3): turns body-frame pose errors of a pose with this heading into world-frame ones."""
+    """blockdiag(R(theta), 1), (3, 3): turns body-frame errors of a pose with this heading into world-frame ones."""
     c, s = math.cos(theta), math.sin(theta)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
@@ -67,7 +68,7 @@ def between(T_wa: Array, T_wb: Array) -> Array:
 
 def pose_error(estimate: Array, truth: Array) -> Array:
     """World-frame additive error `estimate - truth`, heading wrapped to (-pi, pi]; (..., 3)."""
-    error = np.asarray(estimate, float) - np.asarray(truth, float)
+    error: Array = np.asarray(estimate, float) - np.asarray(truth, float)
     error[..., 2] = wrap_angle(error[..., 2])
     return error
 
@@ -89,6 +90,10 @@ def interpolate(times: Array, poses: Array, at: Array) -> Array:
     """
     heading = np.unwrap(poses[:, 2])
     return np.stack(
-        [np.interp(at, times, poses[:, 0]), np.interp(at, times, poses[:, 1]), wrap_angle(np.interp(at, times, heading))],
+        [
+            np.interp(at, times, poses[:, 0]),
+            np.interp(at, times, poses[:, 1]),
+            wrap_angle(np.interp(at, times, heading)),
+        ],
         axis=-1,
     )

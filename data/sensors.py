@@ -14,13 +14,13 @@ import numba
 import numpy as np
 
 from data import se2
-from data.se2 import Array
+from data.se2 import Array, BoolArray
 
 RANGE_BEARING = 0
 RELATIVE_POINT = 1
 
 MIN_RANGE = 1e-6
-"""m. A landmark closer to the sensor than this has no direction: its Jacobians are zero, so it carries no information."""
+"""m. A landmark closer to the sensor has no direction: its Jacobians are zero, so it carries no information."""
 
 wrap_angle = numba.njit(cache=True)(se2.wrap_angle)
 
@@ -169,7 +169,7 @@ class Sensor:
 
     def residual(self, z: Array, z_hat: Array) -> Array:
         """Innovation z - z_hat, angles wrapped to (-pi, pi]; broadcasts over leading axes."""
-        difference = np.asarray(z, float) - np.asarray(z_hat, float)
+        difference: Array = np.asarray(z, float) - np.asarray(z_hat, float)
         if self.kind == RANGE_BEARING:
             difference[..., 1] = se2.wrap_angle(difference[..., 1])
         return difference
@@ -181,12 +181,12 @@ class Sensor:
             return z
         return np.stack([np.hypot(z[..., 0], z[..., 1]), np.arctan2(z[..., 1], z[..., 0])], axis=-1)
 
-    def in_view(self, z: Array, *, margin_range: Array | float = 0.0, margin_angle: Array | float = 0.0) -> Array:
+    def in_view(self, z: Array, *, margin_range: Array | float = 0.0, margin_angle: Array | float = 0.0) -> BoolArray:
         """Whether measurements (m, 2) lie in the field of view, widened by the margins [m, rad]; bool (m,)."""
         polar = self.polar(z)
         inside = polar[..., 0] <= self.max_range + margin_range
         middle, half = 0.5 * (self.min_angle + self.max_angle), 0.5 * (self.max_angle - self.min_angle)
-        view: Array = inside & (np.abs(se2.wrap_angle(polar[..., 1] - middle)) <= half + margin_angle + 1e-12)
+        view: BoolArray = inside & (np.abs(se2.wrap_angle(polar[..., 1] - middle)) <= half + margin_angle + 1e-12)
         return view
 
 

@@ -13,7 +13,7 @@ UNKNOWN_ID = -2
 """True id of an observation about which nothing is known (blank in the file)."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Truth:
     """Ground truth; any part may be absent (None), and metrics that need it are then left blank.
 

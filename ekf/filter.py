@@ -9,12 +9,12 @@ import numpy as np
 from association.expectation import Expectation
 from data.inputs import Increment, IntArray, Prior, Sightings
 from data.result import PoseEstimate
-from data.se2 import Array
+from data.se2 import Array, BoolArray
 from data.sensors import Sensor
 from ekf import kernels
 
 
-class FilterDiverged(Exception):
+class FilterDivergedError(Exception):
     """The filter cannot go on: its state is not finite or a covariance is not positive semidefinite."""
 
 
@@ -34,6 +34,10 @@ class FilterOptions:
     def augment_variance(self) -> float:
         """`new_variance` as the kernels take it."""
         return -1.0 if self.new_variance is None else self.new_variance
+
+
+DEFAULT = FilterOptions()
+"""One stacked update per frame, exact augmentation."""
 
 
 class Filter:
@@ -92,8 +96,10 @@ class Filter:
             number, z_hat, blocks, frames[0], sightings.z, sightings.R, frames[1], self.sensor.residual, joint
         )
 
-    def _correct(self, sightings: Sightings, rows: IntArray, at: IntArray, known: Array, threshold: float) -> tuple[Array, Array]:
-        """Update with the observations `rows`; returns which of them passed the gate, and (NIS, log-likelihood, dof)."""
+    def _correct(
+        self, sightings: Sightings, rows: IntArray, at: IntArray, known: Array, threshold: float
+    ) -> tuple[BoolArray, Array]:
+        """Update with the observations `rows`; returns which passed the gate, and (NIS, log-likelihood, dof)."""
         self._version += 1
         keep, stats = np.ones(len(rows), np.bool_), np.zeros(3)
         if len(rows):
@@ -103,5 +109,5 @@ class Filter:
                 sightings.z[rows], sightings.R[rows], threshold, keep, stats,
             )  # fmt: skip
             if status != kernels.OK:
-                raise FilterDiverged(kernels.FAILURES[status])
+                raise FilterDivergedError(kernels.FAILURES[status])
         return keep, stats

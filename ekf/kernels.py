@@ -202,7 +202,7 @@ def augment(kind, extrinsic, mean, P, d, z, R, variance):  # type: ignore[no-unt
 
 @numba.njit(cache=True)
 def gate(nu, S, threshold, keep):  # type: ignore[no-untyped-def]
-    """keep (k,): whether each observation's own squared Mahalanobis distance is below `threshold`; returns their number."""
+    """Set keep (k,): is each observation's own squared Mahalanobis distance below `threshold`? Returns the count."""
     count = 0
     for i in range(len(keep)):
         a, b, c = S[2 * i, 2 * i], S[2 * i, 2 * i + 1], S[2 * i + 1, 2 * i + 1]

@@ -8,13 +8,13 @@ from association.expectation import Expectation
 from data.inputs import IntArray, LandmarkMap, Prior, Sightings
 from data.result import Finished, Updated
 from data.sensors import Sensor
-from ekf.filter import Filter, FilterOptions
+from ekf.filter import DEFAULT, Filter, FilterOptions
 
 
 class EkfLocalizer(Filter):
     """Extended Kalman filter over the pose (Probabilistic Robotics, Table 7.2, with one stacked update per frame)."""
 
-    def __init__(self, prior: Prior, sensor: Sensor, known: LandmarkMap, options: FilterOptions = FilterOptions()) -> None:  # noqa: B008
+    def __init__(self, prior: Prior, sensor: Sensor, known: LandmarkMap, options: FilterOptions = DEFAULT) -> None:
         """Start at the prior with a map taken as exact."""
         super().__init__(prior, sensor, options)
         self.map = known

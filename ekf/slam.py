@@ -9,7 +9,7 @@ from data.inputs import IntArray, Prior, Sightings
 from data.result import NEW, Finished, MapState, Updated
 from data.sensors import Sensor
 from ekf import kernels
-from ekf.filter import Filter, FilterOptions
+from ekf.filter import DEFAULT, Filter, FilterOptions
 
 
 class EkfSlam(Filter):
@@ -19,7 +19,7 @@ class EkfSlam(Filter):
     coordinates stand at 3 + 2 i of the state.
     """
 
-    def __init__(self, prior: Prior, sensor: Sensor, options: FilterOptions = FilterOptions()) -> None:  # noqa: B008
+    def __init__(self, prior: Prior, sensor: Sensor, options: FilterOptions = DEFAULT) -> None:
         """Start at the prior with an empty map."""
         super().__init__(prior, sensor, options, capacity=3 + 2 * 16)
         self._number = np.empty(0, np.int64)
@@ -42,7 +42,7 @@ class EkfSlam(Filter):
         return self._expect(sightings, self._number, at, np.zeros((len(self._number), 2)))
 
     def update(self, sightings: Sightings, decisions: IntArray, *, threshold: float = np.inf) -> Updated:
-        """One update with all pairings below `threshold`, then new landmarks in observation order from the updated pose."""
+        """One update with all pairings below `threshold`, then new landmarks in order, from the updated pose."""
         paired = np.flatnonzero(decisions >= 0)
         try:
             at = np.array([self._offset[int(n)] for n in decisions[paired]], np.int64)

@@ -19,7 +19,14 @@ def main() -> None:
     sensor, prior = RangeBearing(), Prior(np.zeros(3), 0.01 * np.eye(3))
     z, R = np.array([[2.0, 0.1], [1.5, 0.1], [1.0, 0.1]]), np.tile(0.01 * np.eye(2), (3, 1, 1))
     landmark = LandmarkMap(np.array([0]), np.array([[2.0, 0.2]]))
-    inputs = Inputs(prior, time, Increments(increments.mean, increments.covariance), Observations(np.arange(3), z, R), sensor, landmark)
+    inputs = Inputs(
+        prior,
+        time,
+        Increments(increments.mean, increments.covariance),
+        Observations(np.arange(3), z, R),
+        sensor,
+        landmark,
+    )
     run_filter(inputs, np.zeros(3, np.int64))
     run_filter(inputs.without_map(), np.array([-1, 0, 0]))
     sensor.inverse(prior.mean, z)

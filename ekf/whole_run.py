@@ -13,14 +13,14 @@ from data.inputs import Inputs, IntArray
 from data.result import DISCARD, NEW, MapState
 from data.se2 import Array
 from ekf import kernels
-from ekf.filter import FilterOptions
+from ekf.filter import DEFAULT, FilterOptions
 
 
 class FilterRun(NamedTuple):
-    """pose (N, 3), covariance (N, 3, 3), nis, dof, log_likelihood (N,) each, state_size (N,), decisions (M,), map, failure.
+    """Pose (N, 3), covariance (N, 3, 3); nis, dof, log_likelihood, state_size (N,) each.
 
-    `decisions` are the given ones with gated pairings turned into `DISCARD`; `failure` is (frame, why) or None, and the
-    rows after it are NaN.
+    `decisions` (M,) are the given ones with gated pairings turned into `DISCARD`; `failure` is (frame, why) or None, and
+    the rows after it are NaN.
     """
 
     pose: Array
@@ -35,7 +35,11 @@ class FilterRun(NamedTuple):
 
 
 def run_filter(
-    inputs: Inputs, decisions: IntArray, *, threshold: float = np.inf, options: FilterOptions = FilterOptions()  # noqa: B008
+    inputs: Inputs,
+    decisions: IntArray,
+    *,
+    threshold: float = np.inf,
+    options: FilterOptions = DEFAULT,
 ) -> FilterRun:
     """EKF localization (inputs with a map) or EKF-SLAM (without) with given decisions (M,).
 

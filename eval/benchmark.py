@@ -116,7 +116,7 @@ def filterpy_localizer(inputs: object) -> None:
         return J
 
     def residual(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        e = a - b
+        e: np.ndarray = a - b
         e[1::2] = (e[1::2] + math.pi) % (2 * math.pi) - math.pi
         return e
 
@@ -210,7 +210,9 @@ def table(lines: list[Timed]) -> str:
 
 def main(argv: list[str] | None = None) -> int:
     """Time everything and print the table."""
-    p = argparse.ArgumentParser(prog="python -m eval.benchmark", description=__doc__.split("\n\n")[0] if __doc__ else "")
+    p = argparse.ArgumentParser(
+        prog="python -m eval.benchmark", description=__doc__.split("\n\n")[0] if __doc__ else ""
+    )
     p.add_argument("--quick", action="store_true", help="a tenth of the work, to see that it runs")
     quick = p.parse_args(argv).quick
     lines = localization_lines(2_000 if quick else 20_000)

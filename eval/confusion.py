@@ -70,11 +70,11 @@ def ground_truth(frame: IntArray, true_id: IntArray, created: IntArray, known: L
     lowest: dict[int, tuple[int, int]] = {}
     for i in np.flatnonzero(created >= 0):
         lowest.setdefault(int(true_id[i]), (int(created[i]), int(frame[i])))
-    for i, who in enumerate(true_id):
-        if who >= 0 and int(who) in lowest:
-            number, since = lowest[int(who)]
-            if frame[i] > since:
-                gt[i] = number
+    for k, who in enumerate(true_id.tolist()):
+        if who >= 0 and who in lowest:
+            number, since = lowest[who]
+            if frame[k] > since:
+                gt[k] = number
     return gt
 
 
@@ -91,11 +91,18 @@ def confuse(
     fn = ~paired & has
     tn = ~paired & ~has
     outcome = np.select([tp, tn, fp, fn], [0, 1, 2, 3]).astype(np.int64)
-    counts = [int(x.sum()) for x in (tp, tn, fp, fn)]
-    if sum(counts) != len(decisions):
+    counts = {name: int(mask.sum()) for name, mask in zip(OUTCOMES, (tp, tn, fp, fn), strict=True)}
+    if sum(counts.values()) != len(decisions):
         raise AssertionError(f"outcomes {counts} do not sum to the {len(decisions)} observations")
     return Confusion(
-        outcome, gt, *counts,
-        wrong=int((fp & has).sum()), spurious=int((fp & ~has).sum()),
-        duplicate=int((fn & (decisions == NEW)).sum()), missed=int((fn & (decisions != NEW)).sum()),
-    )  # fmt: skip
+        outcome,
+        gt,
+        tp=counts["tp"],
+        tn=counts["tn"],
+        fp=counts["fp"],
+        fn=counts["fn"],
+        wrong=int((fp & has).sum()),
+        spurious=int((fp & ~has).sum()),
+        duplicate=int((fn & (decisions == NEW)).sum()),
+        missed=int((fn & (decisions != NEW)).sum()),
+    )

@@ -1,4 +1,4 @@
-"""NEES and NIS with what may be concluded from them: intervals, verdicts, and the family-wise test behind the exit status.
+"""NEES and NIS and what may be concluded from them: intervals, verdicts, the family-wise test of the exit status.
 
 NEES = e' P^-1 e of the world-frame error; a consistent estimator has E[NEES] = dof. One run's time average is no sample
 of independent values, so a verdict needs many runs (Student's t on the run means); see Bar-Shalom, Li, Kirubarajan,
@@ -32,12 +32,11 @@ CONSISTENT, OVERCONFIDENT, CONSERVATIVE, TOO_FEW = "consistent", "overconfident"
 
 
 def squared_distance(error: Array, covariance: Array) -> Array:
-    """e' P^-1 e (N,) for errors (N, k) and covariances (N, k, k); NaN where either is not finite or P is not invertible.
+    """Squared distance e' P^-1 e (N,) of errors (N, k) and covariances (N, k, k); NaN if P is singular.
 
     P counts as invertible if its correlation matrix has no eigenvalue below 1e-12 (units must not decide).
     """
-    n, k = error.shape
-    result = np.full(n, np.nan)
+    result = np.full(len(error), np.nan)
     variance = np.einsum("nii->ni", covariance)
     usable = np.isfinite(error).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2)) & (variance > 0).all(axis=1)
     if usable.any():
@@ -78,7 +77,7 @@ def chi2_bounds(dof: int, level: float = LEVEL) -> tuple[float, float]:
 
 
 def anees_band(dof: int, runs: int, level: float = LEVEL) -> tuple[float, float]:
-    """Band of the per-step average NEES over runs: for a plot (5 % of steps fall outside by design), not for a verdict."""
+    """Band of the per-step average NEES over runs: for a plot (5 % of steps lie outside by design), no verdict."""
     lower, upper = chi2_bounds(dof * runs, level)
     return dof * lower, dof * upper
 

@@ -53,7 +53,7 @@ def time_weighted_rmse(pose: Array, truth: Array, time: Array) -> float:
 
 
 def align(points: Array, onto: Array) -> tuple[Array, Array]:
-    """Rotation (2, 2) and translation (2,) of the best rigid fit of points (K, 2) onto others (Umeyama 1991, no scale)."""
+    """Rotation (2, 2), translation (2,) of the best rigid fit of points (K, 2) onto others (Umeyama 1991, no scale)."""
     a, b = points.mean(axis=0), onto.mean(axis=0)
     U, _, Vt = np.linalg.svd((onto - b).T @ (points - a))
     D = np.diag([1.0, np.linalg.det(U) * np.linalg.det(Vt)])

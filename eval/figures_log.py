@@ -35,7 +35,7 @@ def _log_figure(log: Log) -> Figure:
     pose, origin = reckoned, "dead reckoning"
     if truth.pose is not None and truth.known_poses:
         pose, origin = truth.pose, "the true path"
-        ax.plot(*pose[:, :2].T, color=TRUTH_COLOUR, linewidth=1.5, label="true path", zorder=4)
+        ax.plot(*pose[:, :2].T, color=TRUTH_COLOUR, linewidth=1.0, label="true path", zorder=4)
     grey = STYLES["dead-reckoning"].colour
     ax.plot(*reckoned[:, :2].T, color=grey, linestyle=DOTTED, linewidth=1.0, label="dead reckoning", zorder=3)
 

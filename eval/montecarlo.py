@@ -98,7 +98,7 @@ def study_of(seeds: Sequence[int], results: Sequence[dict[Key, Sample]], arena: 
     for result in results:
         for key, value in result.items():
             samples.setdefault(key, []).append(value)
-    return Study(SCENARIO, tuple(seeds), arena.period * np.arange(arena.frames), samples)
+    return Study(SCENARIO, tuple(seeds), arena.period * np.arange(arena.frames, dtype=np.float64), samples)
 
 
 @dataclass(frozen=True)

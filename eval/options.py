@@ -11,6 +11,7 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 from data.errors import UsageError
 
@@ -104,14 +105,32 @@ def parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = p.add_argument
-    add("--log", action="append", metavar="PATH|NAME", help="open log folder, victoria-park, or arena:SEED (repeatable; default: victoria-park and arena:0)")
-    add("--data", action="append", metavar="DIR", help="add every dataset found in DIR: open logs, UTIAS MRCLAM folders or zips")
+    add(
+        "--log",
+        action="append",
+        metavar="PATH|NAME",
+        help="open log folder, victoria-park, or arena:SEED (repeatable; default: victoria-park and arena:0)",
+    )
+    add(
+        "--data",
+        action="append",
+        metavar="DIR",
+        help="add every dataset found in DIR: open logs, UTIAS MRCLAM folders or zips",
+    )
     add("--task", metavar="LIST", help="localization,slam (default: localization where there is a map, else slam)")
     add("--estimator", metavar="LIST", help=f"of {', '.join(ESTIMATORS)} (default: {','.join(DEFAULT_ESTIMATORS)})")
     add("--association", metavar="LIST", help=f"of {', '.join(ASSOCIATIONS)} (default: known)")
-    add("--gate", metavar="P", help="chi-square probability of the association gate, or none (default: 0.99; known is not gated)")
+    add(
+        "--gate",
+        metavar="P",
+        help="chi-square probability of the association gate, or none (default: 0.99; known is not gated)",
+    )
     add("--gate-known", metavar="P", help="gate for readings paired by label, too (default: none)")
-    add("--runs", metavar="N", help="runs of the consistency study (default: 50; 8 with --quick; 0: none, the default with --log)")
+    add(
+        "--runs",
+        metavar="N",
+        help="runs of the consistency study (default: 50; 8 with --quick; 0: none, the default with --log)",
+    )
     add("--seed", metavar="N", help="first seed of the consistency study (default: 0)")
     add("--jobs", metavar="N", help="processes (default: one per core)")
     add("--quick", action="store_true", default=None, help="a short report in seconds; too few runs for verdicts")
@@ -119,7 +138,12 @@ def parser() -> argparse.ArgumentParser:
     add("--formats", metavar="LIST", help="table formats of csv,md,tex (default: all)")
     add("--no-plots", action="store_true", default=None, help="tables only")
     add("--animate", action="store_true", default=None, help="an MP4 per log, task and estimator")
-    add("--config", action="append", metavar="FILE|NAME", help="TOML file with the same keys, or a shipped one: " + ", ".join(shipped()))
+    add(
+        "--config",
+        action="append",
+        metavar="FILE|NAME",
+        help="TOML file with the same keys, or a shipped one: " + ", ".join(shipped()),
+    )
     add("-q", "--quiet", action="store_true", default=None, help="print only errors")
     add("-v", "--verbose", action="store_true", default=None, help="print more")
     return p
@@ -172,7 +196,7 @@ def _variant(name: str, table: object) -> Variant:
     known = {f.name for f in fields(Variant)}
     if not isinstance(table, dict) or set(table) - known:
         raise UsageError(f"--config {name}: [variant] takes the keys {', '.join(sorted(known))}")
-    values = {k: tuple(v) if isinstance(v, list) else v for k, v in table.items()}
+    values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in table.items()}
     try:
         return Variant(**values)
     except TypeError as fault:
@@ -206,7 +230,7 @@ def _number(flag: str, value: object, kind: type[int] | type[float]) -> int | fl
     try:
         if isinstance(value, bool) or (kind is int and isinstance(value, float)):
             raise ValueError
-        return kind(value)  # type: ignore[arg-type]
+        return kind(str(value))
     except (ValueError, TypeError):
         what = "whole number" if kind is int else "number"
         raise UsageError(f"{flag} {value}: a {what} is needed") from None

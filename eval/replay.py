@@ -22,14 +22,13 @@ from data.result import (
     Updated,
     map_estimate,
 )
-from data.se2 import Array
-from ekf.filter import FilterDiverged, FilterOptions
+from ekf.filter import DEFAULT, FilterDivergedError, FilterOptions
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from ekf.whole_run import FilterRun, run_filter
 from graph.batch import Start, smooth
-from graph.incremental import Isam2Smoother
 from graph.factors import UnderConstrained
+from graph.incremental import Isam2Smoother
 
 LOSSES = {"batch": "gaussian", "batch-huber": "huber", "batch-cauchy": "cauchy"}
 
@@ -37,12 +36,29 @@ LOSSES = {"batch": "gaussian", "batch-huber": "huber", "batch-cauchy": "cauchy"}
 class Estimator(Protocol):
     """The verbs every step-by-step estimator has; any association method works with any of them."""
 
-    def predict(self, increment: Increment) -> None: ...
-    def expect(self, sightings: Sightings) -> Expectation: ...
-    def update(self, sightings: Sightings, decisions: IntArray, *, threshold: float = np.inf) -> Updated: ...
-    def remove(self, numbers: IntArray) -> None: ...
-    def estimate(self) -> PoseEstimate: ...
-    def finish(self) -> Finished: ...
+    def predict(self, increment: Increment) -> None:
+        """Move by an increment."""
+        ...
+
+    def expect(self, sightings: Sightings) -> Expectation:
+        """What it expects to see."""
+        ...
+
+    def update(self, sightings: Sightings, decisions: IntArray, *, threshold: float = np.inf) -> Updated:
+        """Use the pairings, found new landmarks."""
+        ...
+
+    def remove(self, numbers: IntArray) -> None:
+        """Drop landmarks."""
+        ...
+
+    def estimate(self) -> PoseEstimate:
+        """The newest pose."""
+        ...
+
+    def finish(self) -> Finished:
+        """The end of the run."""
+        ...
 
 
 def dead_reckoning(inputs: Inputs, task: str) -> Run:
@@ -57,7 +73,11 @@ def dead_reckoning(inputs: Inputs, task: str) -> Run:
 
 
 def filter_known(
-    inputs: Inputs, task: str, *, threshold: float = np.inf, options: FilterOptions = FilterOptions()  # noqa: B008
+    inputs: Inputs,
+    task: str,
+    *,
+    threshold: float = np.inf,
+    options: FilterOptions = DEFAULT,
 ) -> Run:
     """The EKF with labels, in one compiled loop."""
     begin = time.perf_counter()
@@ -111,7 +131,7 @@ def step_by_step(name: str, inputs: Inputs, task: str, *, threshold: float = np.
                 nis[k], dof[k], likelihood[k] = done.nis, done.dof, done.log_likelihood
             pose[k], covariance[k] = estimator.estimate()
         finished = estimator.finish() if finish else Finished(None, None)
-    except (FilterDiverged, UnderConstrained) as stop:
+    except (FilterDivergedError, UnderConstrained) as stop:
         failure, finished = Failure("diverged", k, str(stop)), Finished(None, None)
     seconds = time.perf_counter() - begin
     state = None if finished.map is None else map_estimate(finished.map, o.frame, decisions, created)
@@ -153,9 +173,7 @@ def _failed(name: str, front: Run, failure: Failure, frames: int, seconds: float
     )  # fmt: skip
 
 
-def compare(
-    inputs: Inputs, task: str, estimators: Sequence[str], *, gate_known: float | None = None
-) -> list[Run]:
+def compare(inputs: Inputs, task: str, estimators: Sequence[str], *, gate_known: float | None = None) -> list[Run]:
     """All estimators with labels on identical inputs; the runs come back in the order of `estimators`.
 
     `batch...` use the pairings that the EKF accepted and start from its path; it runs implicitly if not asked for.
@@ -174,5 +192,3 @@ def compare(
             front = front or filter_known(inputs, task, threshold=threshold)
             runs.append(front if name == "ekf" else batch(name, inputs, front))
     return runs
-
-

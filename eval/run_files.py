@@ -13,7 +13,7 @@ from eval.confusion import OUTCOMES
 from eval.errors import landmark_true_ids
 from eval.score import Trial, confusion_of
 
-POSE = "t,x,y,theta,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt".split(",")
+POSE = ["t", "x", "y", "theta", "c_xx", "c_xy", "c_xt", "c_yy", "c_yt", "c_tt"]
 
 
 def folder_name(log_name: str) -> str:

@@ -15,27 +15,87 @@ from eval import consistency, errors
 from eval.confusion import Confusion, confuse
 
 METRICS = (
-    "log,task,estimator,association,phase,status,frames,observations,accepted,rejected,landmarks,"
-    "rmse_position_m,rmse_heading_deg,max_position_m,rmse_aligned_m,rmse_landmark_m,rms_from_batch_m,"
-    "nees_pose,nees_position,nees_heading,nis,nis_lower,nis_upper,inside_3sigma,rmse_time_m,"
-    "sse_position_m2,sse_landmark_m2"
-).split(",")
+    "log",
+    "task",
+    "estimator",
+    "association",
+    "phase",
+    "status",
+    "frames",
+    "observations",
+    "accepted",
+    "rejected",
+    "landmarks",
+    "rmse_position_m",
+    "rmse_heading_deg",
+    "max_position_m",
+    "rmse_aligned_m",
+    "rmse_landmark_m",
+    "rms_from_batch_m",
+    "nees_pose",
+    "nees_position",
+    "nees_heading",
+    "nis",
+    "nis_lower",
+    "nis_upper",
+    "inside_3sigma",
+    "rmse_time_m",
+    "sse_position_m2",
+    "sse_landmark_m2",
+)
 ASSOCIATION = (
-    "log,task,estimator,association,phase,tp,tn,fp,fn,precision,recall,wrong,spurious,duplicate,missed,deferred"
-).split(",")
+    "log",
+    "task",
+    "estimator",
+    "association",
+    "phase",
+    "tp",
+    "tn",
+    "fp",
+    "fn",
+    "precision",
+    "recall",
+    "wrong",
+    "spurious",
+    "duplicate",
+    "missed",
+    "deferred",
+)
 CONSISTENCY = (
-    "scenario,estimator,quantity,dof,runs,mean,lower,upper,verdict,task,association,phase,power,diverged"
-).split(",")
-TIMING = "log,task,estimator,association,frames,seconds,frames_per_second".split(",")
+    "scenario",
+    "estimator",
+    "quantity",
+    "dof",
+    "runs",
+    "mean",
+    "lower",
+    "upper",
+    "verdict",
+    "task",
+    "association",
+    "phase",
+    "power",
+    "diverged",
+)
+TIMING = (
+    "log",
+    "task",
+    "estimator",
+    "association",
+    "frames",
+    "seconds",
+    "frames_per_second",
+)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Trial:
-    """All runs of one log and task on identical inputs."""
+    """All runs of one log and task on identical inputs; `beside` names the log whose table a tutorial's row joins."""
 
     log: Log
     task: str
     runs: tuple[Run, ...]
+    beside: str | None = None
 
     def find(self, estimator: str, association: str = "known") -> Run | None:
         """The run of an estimator, or None."""

@@ -72,12 +72,12 @@ class Style:
 
 
 STYLES: dict[str, Style] = {
-    "dead-reckoning": Style("#8A8A8A", "dead reckoning", DOTTED),
+    "dead-reckoning": Style("#A6A6A6", "dead reckoning", DOTTED),
     "ekf": Style("#D55E00", "EKF"),
     "ekf-iterated": Style("#E69F00", "iterated EKF", DASHED),
     "ekf-fej": Style("#CC79A7", "first-estimates EKF", DASHDOT),
     "ekf-invariant": Style("#882255", "invariant EKF", DASHED),
-    "batch": Style("#0072B2", "batch"),
+    "batch": Style("#0064A8", "batch"),
     "batch-huber": Style("#56B4E9", "batch, Huber", DASHED),
     "batch-cauchy": Style("#332288", "batch, Cauchy", DASHDOT),
     "gnc": Style("#44AA99", "GNC", DASHDOT),

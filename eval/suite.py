@@ -1,10 +1,11 @@
-"""What a run consists of: which logs, tasks and estimators; done in parallel, the same numbers for any number of processes."""
+"""What a run consists of (logs, tasks, estimators), done in parallel: the same numbers for any number of processes."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from joblib import Parallel, delayed
 
@@ -98,7 +99,9 @@ def shortened(log: Log, n: int) -> Log:
         landmark_of=None if t.landmark_of is None else t.landmark_of[:m],
     )
     label = None if log.label is None else log.label[:m]
-    return replace(log, recorded=recorded, truth=truth, label=label, notes=(*log.notes, f"Only the first {n} frames (quick)."))
+    return replace(
+        log, recorded=recorded, truth=truth, label=label, notes=(*log.notes, f"Only the first {n} frames (quick).")
+    )
 
 
 def _estimate(log: Log, task: str, estimators: Sequence[str], gate_known: float | None) -> list[Run]:
@@ -106,10 +109,11 @@ def _estimate(log: Log, task: str, estimators: Sequence[str], gate_known: float 
 
 
 def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) -> Outcome:
-    """Run everything. Jobs are independent: iSAM2 apart from the rest (it takes longest), each seed of the study by itself."""
+    """Run everything as independent jobs: iSAM2 apart from the rest (it takes longest), each seed by itself."""
     apart = [e for e in options.estimator if e == "isam2"]
     rest = [e for e in options.estimator if e != "isam2"]
-    jobs, owner = [], []
+    jobs: list[Any] = []
+    owner: list[tuple[str, int]] = []
     for i, (log, task) in enumerate(plan.trials):
         for group in (apart, rest):
             if group:
@@ -141,4 +145,4 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
 
 def _tutorial(log: Log, variant: Variant) -> Trial:
     changed = variant_log(log, variant)
-    return Trial(changed, variant.task, (tutorial_run(changed, variant),))
+    return Trial(changed, variant.task, (tutorial_run(changed, variant),), beside=log.name)

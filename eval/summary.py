@@ -27,7 +27,7 @@ def summarize(log: Log) -> list[Line]:
     """Name and sentence, in the order they are printed; `odd` lines are what a careful person would look at."""
     return [
         ("name", log.name),
-        *([("source", ", ".join(f"{k} = {_plain(v)}" for k, v in log.source.items()))] if log.source else []),
+        *(("source", f"{key} = {_plain(value)}") for key, value in log.source.items()),
         *(("note", note) for note in log.notes),
         *_frames(log),
         *_increments(log),
@@ -54,7 +54,7 @@ def _share(part: int, whole: int) -> str:
 
 
 def _unit(log: Log) -> str:
-    return "index" if log.recorded.time_is_index else "s"
+    return "steps" if log.recorded.time_is_index else "s"
 
 
 def longest_run(mask: Mask) -> tuple[int, int]:
@@ -70,9 +70,9 @@ def longest_run(mask: Mask) -> tuple[int, int]:
 def _frames(log: Log) -> list[Line]:
     time = log.recorded.time
     n, span, unit = len(time), float(time[-1] - time[0]), _unit(log)
-    lines = [("frames", _count(n, "frame") + (", without stamps (t is a frame number)" if unit == "index" else ""))]
+    lines = [("frames", _count(n, "frame") + (", without stamps (t is a frame number)" if unit == "steps" else ""))]
     text = f"{span:.6g} {unit}, from {time[0]:.15g} to {time[-1]:.15g}"
-    lines.append(("span", text + (f"; rate {(n - 1) / span:.4g} per {unit}" if n > 1 else "")))
+    lines.append(("span", text + (f"; rate {(n - 1) / span:.4g} per s" if n > 1 and unit == "s" else "")))
     if n > 1:
         gap = np.diff(time)
         k = int(np.argmax(gap))
@@ -234,7 +234,7 @@ def _oddities(log: Log) -> list[str]:
         moving = speed[speed > 0.0]
         usual = float(np.median(moving)) if len(moving) else 0.0
         jumps = _places("frame", 1 + np.flatnonzero(speed > JUMP * usual)) if usual else []
-        per = "per index" if inputs.time_is_index else "m/s"
+        per = "m per step" if inputs.time_is_index else "m/s"
         odd += [f"moved more than {JUMP:g} times faster than the usual {usual:.3g} {per}: {text}" for text in jumps]
     if label is not None:
         twice = _places("observation", repeated_in_frame(o.frame, label))

@@ -1,4 +1,4 @@
-"""The classic UTIAS tutorials' treatment of a recording, as one more row beside ours: their grid, model, noise and update."""
+"""The classic UTIAS tutorials' treatment of a recording, as one more row beside ours."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ def variant_log(log: Log, variant: Variant) -> Log:
         )
     source = Path(str(s["path"]))
     if not source.exists():
-        raise UsageError(f"{variant.name}: the recording behind log {log.name!r} is not at {source} any more; convert again")
+        raise UsageError(
+            f"{variant.name}: the recording behind log {log.name!r} is not at {source} any more; convert again"
+        )
     window = {k: s.get(k) for k in ("start", "stop")}
     landmarks = s.get("landmarks")
     changed = load_mrclam(

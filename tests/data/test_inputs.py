@@ -23,7 +23,14 @@ def test_inputs_have_no_labels_unless_granted():
 
 def test_inputs_cannot_be_written_to():
     inputs = simulate(WORLD, 0).inputs(labels=True)
-    for array in (inputs.time, inputs.increments.mean, inputs.observations.z, inputs.observations.label, inputs.prior.mean, inputs.map.xy):
+    for array in (
+        inputs.time,
+        inputs.increments.mean,
+        inputs.observations.z,
+        inputs.observations.label,
+        inputs.prior.mean,
+        inputs.map.xy,
+    ):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1
     with pytest.raises(AttributeError):
@@ -32,8 +39,12 @@ def test_inputs_cannot_be_written_to():
 
 def test_every_array_is_float64_or_int64():
     inputs = simulate(WORLD, 0).inputs(labels=True)
-    assert {a.dtype for a in (inputs.time, inputs.observations.z, inputs.increments.covariance)} == {np.dtype(np.float64)}
-    assert {a.dtype for a in (inputs.observations.frame, inputs.observations.label, inputs.start)} == {np.dtype(np.int64)}
+    assert {a.dtype for a in (inputs.time, inputs.observations.z, inputs.increments.covariance)} == {
+        np.dtype(np.float64)
+    }
+    assert {a.dtype for a in (inputs.observations.frame, inputs.observations.label, inputs.start)} == {
+        np.dtype(np.int64)
+    }
 
 
 def test_frames_slice_their_own_observations():
@@ -80,6 +91,13 @@ def test_the_arena_keeps_the_noise_it_states():
 
 
 def test_senseless_arenas_are_refused():
-    for bad in ({"landmarks": 0}, {"sigma_range": 0.0}, {"sensor": "sonar"}, {"detection": 1.5}, {"sigma_v": -1.0}, {"period": float("nan")}):
+    for bad in (
+        {"landmarks": 0},
+        {"sigma_range": 0.0},
+        {"sensor": "sonar"},
+        {"detection": 1.5},
+        {"sigma_v": -1.0},
+        {"period": float("nan")},
+    ):
         with pytest.raises(UsageError, match="arena: " + next(iter(bad))):
             Arena(**bad)

@@ -117,7 +117,9 @@ def test_no_odometry_for_a_while_lets_the_covariance_grow_and_the_robot_stand():
     increments, gaps = preintegrate(NOISELESS, time, v, 0.1 * v, np.array([0.0, 0.5, 5.0, 5.5]))
     assert gaps == 1
     assert increments.mean[2, 0] == pytest.approx(np.sin(0.1) / 0.1)  # held for 1 s, then standing still
-    assert increments.covariance[2, 0, 0] == pytest.approx(3.5**2, rel=0.05)  # up to 1 m/s for the 3.5 s that are missing
+    assert increments.covariance[2, 0, 0] == pytest.approx(
+        3.5**2, rel=0.05
+    )  # up to 1 m/s for the 3.5 s that are missing
     assert not increments.covariance[1].any()
     late, gaps = preintegrate(NOISELESS, time + 3.0, v, v, np.array([1.0, 3.0, 3.5]))
     assert gaps == 1
@@ -127,14 +129,18 @@ def test_no_odometry_for_a_while_lets_the_covariance_grow_and_the_robot_stand():
 
 def test_equal_stamps_are_commands_overwritten_at_once():
     time, v = np.array([0.0, 1.0, 1.0, 1.5]), np.array([1.0, 50.0, 2.0, 0.0])
-    increments, _ = preintegrate(VelocityModel(VelocityNoise("displacement", alphas=(1, 0, 0, 1))), time, v, 0 * v, np.array([0.0, 1.5]))
+    increments, _ = preintegrate(
+        VelocityModel(VelocityNoise("displacement", alphas=(1, 0, 0, 1))), time, v, 0 * v, np.array([0.0, 1.5])
+    )
     assert increments.mean[1, 0] == pytest.approx(1.0 + 1.0)
     assert increments.covariance[1, 0, 0] == pytest.approx(1.0 + 4.0)
 
 
 def test_a_robot_at_rest_has_increments_of_zero():
     time = np.arange(5.0)
-    increments, _ = preintegrate(VelocityModel(VelocityNoise("displacement", alphas=(1, 1, 1, 1))), time, 0 * time, 0 * time, time)
+    increments, _ = preintegrate(
+        VelocityModel(VelocityNoise("displacement", alphas=(1, 1, 1, 1))), time, 0 * time, 0 * time, time
+    )
     assert not increments.mean.any()
     assert not increments.covariance.any()
 

@@ -50,6 +50,15 @@ def noted(log: Log, *words: str) -> bool:
     return any(all(w in note for w in words) for note in log.notes)
 
 
+def exchange(survey: str, one: int, other: int) -> str:
+    """A landmark file with the numbers of two rows exchanged."""
+    return (
+        survey.replace(f" {one:2d} \t", " AA \t")
+        .replace(f" {other:2d} \t", f" {one:2d} \t")
+        .replace(" AA \t", f" {other:2d} \t")
+    )
+
+
 class TestANoiseFreeRecording:
     def test_every_frame_has_the_true_pose_of_its_instant(self, files: Texts, load: Callable[..., Log]) -> None:
         log = load(files)
@@ -95,7 +104,7 @@ class TestANoiseFreeRecording:
         header, rows = files[MEASURED].splitlines()[:4], files[MEASURED].splitlines()[4:]
         log = load({**files, MEASURED: "\n".join([*header, rows[0], rows[-1]]) + "\n"})
         step = np.diff(log.recorded.time)
-        assert 0.0 < step.min()
+        assert step.min() > 0.0
         assert step.max() <= 1.0 + 1e-6
 
     def test_the_prior_is_the_true_pose_with_5_cm_and_0_05_rad(self, files: Texts, load: Callable[..., Log]) -> None:
@@ -291,7 +300,7 @@ class TestWithoutGroundTruth:
         assert len(log.recorded.observations.z) == total - len(spent)
         assert log.recorded.observations.frame.min() > 0
         np.testing.assert_array_equal(log.recorded.increments.mean[0], 0.0)
-        assert noted(log, "No ground truth", f"first {len(spent)} readings")
+        assert noted(log, "No ground truth", "the prior is a fit to ")
 
     def test_readings_that_do_not_fix_the_pose_leave_the_robot_in_its_own_frame(
         self, files: Texts, load: Callable[..., Log]
@@ -409,16 +418,16 @@ class TestLandmarks:
 
     def test_exchanged_rows_are_noticed_and_named(self, files: Texts, load: Callable[..., Log]) -> None:
         assert not noted(load(files), "contradict")
-        survey = files["Landmark_Groundtruth.dat"].replace(" 11 \t", " AA \t").replace(" 17 \t", " 11 \t")
-        log = load({**files, "Landmark_Groundtruth.dat": survey.replace(" AA \t", " 17 \t")})
-        assert noted(log, "contradict", "11 (", "seen where 17 should be", "17 (", "seen where 11 should be")
+        # two of the landmarks that are seen most often
+        log = load({**files, "Landmark_Groundtruth.dat": exchange(files["Landmark_Groundtruth.dat"], 20, 7)})
+        assert noted(log, "contradict", "20 (", "seen where 7 should be", "7 (", "seen where 20 should be")
 
     def test_a_corrected_file_beside_the_dataset_is_found_if_it_is_about_it(self, files: Texts, tmp_path: Path) -> None:
         source = save_zip(tmp_path / "set.zip", files)
         assert corrected_landmarks(source) is None
         beside = tmp_path / "Landmark_Groundtruth.corrected.dat"
         survey = files["Landmark_Groundtruth.dat"]
-        beside.write_text(survey.replace(" 11 \t", " AA \t").replace(" 17 \t", " 11 \t").replace(" AA \t", " 17 \t"))
+        beside.write_text(exchange(survey, 11, 17))
         assert corrected_landmarks(source) == beside
         beside.write_text(survey.replace("4.5", "4.6", 1).replace("0.9", "0.8", 1))
         assert corrected_landmarks(source) is None
@@ -649,5 +658,6 @@ class TestThePublishedRecordings:
                 stamp = float(blind.source["first_stamp"]) - float(seen.source["first_stamp"])  # type: ignore[arg-type]
                 true = seen.truth.pose[int(np.argmin(np.abs(seen.recorded.time - stamp)))]
                 error = se2.pose_error(blind.recorded.prior.mean, true)
-                assert np.hypot(*error[:2]) < 0.3
-                assert abs(error[2]) < 0.1
+                assert np.hypot(*error[:2]) < 0.5
+                # within the fit's own covariance: chi-square with 3 degrees of freedom, 99.9 %
+                assert error @ np.linalg.solve(blind.recorded.prior.covariance, error) < 16.3

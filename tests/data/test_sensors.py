@@ -12,7 +12,12 @@ from hypothesis import strategies as st
 from data.se2 import wrap_angle
 from data.sensors import MIN_RANGE, RangeBearing, RelativePoint
 
-SENSORS = [RangeBearing(), RelativePoint(), RangeBearing(rotation=0.4, translation=(0.2, -0.1)), RelativePoint(rotation=-1.5, translation=(0.0, 0.3))]
+SENSORS = [
+    RangeBearing(),
+    RelativePoint(),
+    RangeBearing(rotation=0.4, translation=(0.2, -0.1)),
+    RelativePoint(rotation=-1.5, translation=(0.0, 0.3)),
+]
 angle = st.floats(-math.pi, math.pi)
 coordinate = st.floats(-20, 20)
 

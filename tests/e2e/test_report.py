@@ -33,7 +33,19 @@ def my_log(tmp_path_factory):
 @pytest.fixture(scope="module")
 def report(tmp_path_factory, my_log):
     out = tmp_path_factory.mktemp("results") / "report"
-    arguments = ["--log", str(my_log), "--task", "localization,slam", "--estimator", "dead-reckoning,ekf,isam2,batch,batch-huber,batch-cauchy", "--runs", "3", "--out", str(out), "-q"]
+    arguments = [
+        "--log",
+        str(my_log),
+        "--task",
+        "localization,slam",
+        "--estimator",
+        "dead-reckoning,ekf,isam2,batch,batch-huber,batch-cauchy",
+        "--runs",
+        "3",
+        "--out",
+        str(out),
+        "-q",
+    ]
     assert main([*arguments, "--jobs", "1"]) == 0
     return out, arguments
 
@@ -56,7 +68,14 @@ def test_the_result_folder_keeps_its_contract(report):
 def test_every_estimator_and_phase_has_its_row_with_numbers(report):
     out, _ = report
     metrics = rows(out / "metrics.csv")
-    phases = {"dead-reckoning": ["online"], "ekf": ["online"], "isam2": ["online", "final"], "batch": ["final"], "batch-huber": ["final"], "batch-cauchy": ["final"]}
+    phases = {
+        "dead-reckoning": ["online"],
+        "ekf": ["online"],
+        "isam2": ["online", "final"],
+        "batch": ["final"],
+        "batch-huber": ["final"],
+        "batch-cauchy": ["final"],
+    }
     for task in ("localization", "slam"):
         for estimator, expected in phases.items():
             mine = [r for r in metrics if (r["task"], r["estimator"]) == (task, estimator)]
@@ -68,7 +87,9 @@ def test_every_estimator_and_phase_has_its_row_with_numbers(report):
     ekf = next(r for r in metrics if r["estimator"] == "ekf" and r["task"] == "slam")
     batch = next(r for r in metrics if r["estimator"] == "batch" and r["task"] == "slam")
     assert float(batch["rmse_position_m"]) < float(ekf["rmse_position_m"])
-    assert float(ekf["nis"]) == pytest.approx(float(batch["nis"]), rel=0.05), "the smoother's least cost is the filter's NIS"
+    assert float(ekf["nis"]) == pytest.approx(float(batch["nis"]), rel=0.05), (
+        "the smoother's least cost is the filter's NIS"
+    )
     assert int(ekf["accepted"]) + int(ekf["rejected"]) + int(ekf["landmarks"]) == int(ekf["observations"])
     assert float(batch["rms_from_batch_m"]) == 0.0
     assert float(ekf["rms_from_batch_m"]) > 0.0
@@ -103,7 +124,14 @@ def test_same_inputs_and_seed_give_the_same_bytes_with_any_number_of_processes(r
 
 
 def command(*arguments, **kwargs):
-    return subprocess.run([sys.executable, "-m", "eval.run_all", *arguments], capture_output=True, text=True, cwd=ROOT, check=False, **kwargs)
+    return subprocess.run(
+        [sys.executable, "-m", "eval.run_all", *arguments],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        check=False,
+        **kwargs,
+    )
 
 
 @pytest.mark.parametrize(("arguments", "words"), [

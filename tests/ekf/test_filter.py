@@ -17,13 +17,14 @@ from data.inputs import LabelledObservations, LandmarkMap, Observations, Prior, 
 from data.result import DISCARD, NEW
 from data.sensors import RangeBearing, RelativePoint
 from ekf import kernels
-from ekf.filter import FilterDiverged, FilterOptions
+from ekf.filter import FilterDivergedError, FilterOptions
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from ekf.whole_run import run_filter
 
-
-_spec = importlib.util.spec_from_file_location("reference_ekf", Path(__file__).parents[1] / "oracle" / "reference_ekf.py")
+_spec = importlib.util.spec_from_file_location(
+    "reference_ekf", Path(__file__).parents[1] / "oracle" / "reference_ekf.py"
+)
 reference = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(reference)
 
@@ -82,7 +83,9 @@ def test_extrinsic_moves_the_sensor_off_the_robot():
     R = np.array([[[0.01, 0.001], [0.001, 0.002]]])
     f = EkfLocalizer(prior, sensor, LandmarkMap(np.array([4]), landmark))
     f.update(Sightings(z, R), np.array([4]))
-    x, P, *_ = reference.run(0, (0.7, 0.3, -0.2), prior.mean, prior.covariance, [np.zeros(3)], [np.zeros((3, 3))], [0], z, R, [0], landmark)
+    x, P, *_ = reference.run(
+        0, (0.7, 0.3, -0.2), prior.mean, prior.covariance, [np.zeros(3)], [np.zeros((3, 3))], [0], z, R, [0], landmark
+    )
     assert np.abs(f.estimate().mean - x[0]).max() < 1e-9
     assert np.abs(f.estimate().covariance - P[0]).max() < 1e-9
 
@@ -188,7 +191,8 @@ def test_expectation_blocks_are_those_of_the_joint_and_go_stale():
     assert np.allclose(e.joint(picked)[:2, 2:], joint[6:8, 2:4], atol=1e-15)
     mean, P = f.mean, f.covariance
     H = reference.numeric_jacobian(
-        lambda s: np.concatenate([reference.expected(0, (0, 0, 0), s[:3], s[3 + 2 * i : 5 + 2 * i]) for i in picked]), mean
+        lambda s: np.concatenate([reference.expected(0, (0, 0, 0), s[:3], s[3 + 2 * i : 5 + 2 * i]) for i in picked]),
+        mean,
     )
     assert np.allclose(e.joint(picked), H @ P @ H.T, atol=1e-8)
     f.predict(inputs.increment(1))
@@ -205,8 +209,10 @@ def test_landmark_at_the_robot_carries_no_information_and_no_nan():
 
 
 def test_singular_innovation_covariance_is_a_divergence_not_a_nan():
-    f = EkfLocalizer(Prior(np.zeros(3), np.zeros((3, 3))), RangeBearing(), LandmarkMap(np.array([0]), np.array([[1.0, 0]])))
-    with pytest.raises(FilterDiverged, match="positive definite"):
+    f = EkfLocalizer(
+        Prior(np.zeros(3), np.zeros((3, 3))), RangeBearing(), LandmarkMap(np.array([0]), np.array([[1.0, 0]]))
+    )
+    with pytest.raises(FilterDivergedError, match="positive definite"):
         f.update(Sightings(np.array([[1.0, 0.0]]), np.zeros((1, 2, 2))), np.array([0]))
 
 
@@ -218,7 +224,14 @@ def test_failure_in_the_whole_run_blanks_the_rest_and_names_the_frame():
     bad = np.flatnonzero(o.frame == 7)
     assert len(bad)
     R[bad] = np.array([[1.0, 0.0], [0.0, -1e9]])
-    broken = type(inputs)(inputs.prior, inputs.time, inputs.increments, LabelledObservations(o.frame, o.z, R, o.label), inputs.sensor, inputs.map)
+    broken = type(inputs)(
+        inputs.prior,
+        inputs.time,
+        inputs.increments,
+        LabelledObservations(o.frame, o.z, R, o.label),
+        inputs.sensor,
+        inputs.map,
+    )
     run = run_filter(broken, known_decisions(broken)[0])
     assert run.failure[0] == 7
     assert np.isnan(run.pose[7:]).all()
@@ -249,7 +262,9 @@ def test_predict_equals_composing_raw_odometry(seed, heading, x):
 
 
 def test_unpaired_observations_leave_the_filter_alone():
-    f = EkfLocalizer(Prior(np.zeros(3), 0.01 * np.eye(3)), RangeBearing(), LandmarkMap(np.array([0]), np.array([[1.0, 0]])))
+    f = EkfLocalizer(
+        Prior(np.zeros(3), 0.01 * np.eye(3)), RangeBearing(), LandmarkMap(np.array([0]), np.array([[1.0, 0]]))
+    )
     before = f.estimate()
     done = f.update(Sightings(np.array([[1.0, 0.0]]), 0.01 * np.eye(2)[None]), np.array([DISCARD]))
     assert not done.used.any()

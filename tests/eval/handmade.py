@@ -31,8 +31,9 @@ def circle_log(*, truth: bool = True, landmarks: bool = True, known_map: bool = 
     sensor = RangeBearing(max_range=8.0)
     z = np.stack([sensor.predict(path[k], LANDMARKS.xy[:1])[0] for k in range(4)])
     observations = Observations(np.arange(4), z, np.tile(0.01 * np.eye(2), (4, 1, 1)))
+    time = np.arange(FRAMES, dtype=np.float64) * 0.5
     inputs = Inputs(
-        Prior(path[0], np.diag(SIGMA**2)), 0.5 * np.arange(FRAMES), Increments(mean, covariance), observations, sensor,
+        Prior(path[0], np.diag(SIGMA**2)), time, Increments(mean, covariance), observations, sensor,
         LANDMARKS if known_map else None,
     )  # fmt: skip
     known = Truth(path if truth else None, LANDMARKS if landmarks else None, np.full(4, 3))

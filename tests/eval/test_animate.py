@@ -15,7 +15,7 @@ from tests.eval.handmade import FRAMES, circle_log, run_with_error, true_path
 
 
 def frames_of(path) -> list[np.ndarray]:
-    film, frames = cv2.VideoCapture(str(path)), []
+    film, frames = cv2.VideoCapture(str(path)), list[np.ndarray]()
     while True:
         more, image = film.read()
         if not more:
@@ -44,7 +44,7 @@ def test_the_robot_is_where_its_estimate_is_and_nothing_is_there_before(tmp_path
     half = FRAMES // 2
     height, width = coloured[0].shape
     assert not coloured[0][:, : width // 4].any()
-    rows, columns = np.nonzero(coloured[half][:, : width // 2])
+    rows, _ = np.nonzero(coloured[half][:, : width // 2])
     assert len(rows) > 50
     assert abs(np.median(rows) - height / 2) < 0.3 * height
 

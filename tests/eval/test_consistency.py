@@ -129,7 +129,9 @@ def test_heading_nees_wraps():
 
 def test_three_sigma_ellipse_holds_98_89_percent():
     rng = np.random.default_rng(5)
-    assert consistency.inside_3sigma((rng.standard_normal((200_000, 2)) ** 2).sum(1)) == pytest.approx(consistency.INSIDE_3SIGMA, abs=1e-3)
+    assert consistency.inside_3sigma((rng.standard_normal((200_000, 2)) ** 2).sum(1)) == pytest.approx(
+        consistency.INSIDE_3SIGMA, abs=1e-3
+    )
     assert pytest.approx(0.98889, abs=1e-5) == consistency.INSIDE_3SIGMA
 
 

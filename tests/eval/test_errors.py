@@ -54,7 +54,9 @@ def test_alignment_undoes_a_rigid_motion_but_not_a_mirror_or_a_scale():
 
 
 def test_landmarks_are_compared_by_the_true_id_of_their_founding_observation():
-    truth = Truth(landmarks=LandmarkMap(np.array([3, 8]), np.array([[1.0, 1], [2, 2]])), landmark_of=np.array([8, 3, 8, -1, 99]))
+    truth = Truth(
+        landmarks=LandmarkMap(np.array([3, 8]), np.array([[1.0, 1], [2, 2]])), landmark_of=np.array([8, 3, 8, -1, 99])
+    )
     created = np.array([0, 1, -1, 2, 3])
     ids = errors.landmark_true_ids(created, truth, np.array([0, 1, 2, 3]))
     assert ids.tolist() == [8, 3, -1, 99]

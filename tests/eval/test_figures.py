@@ -11,7 +11,7 @@ from matplotlib.path import Path as Outline
 
 from data.result import Failure
 from eval.figures import anees_figure, difference_figure, error_figure, map_figure, nees_figure
-from eval.figures_error import longest_sigma, sigmas
+from eval.figures_error import MOST_BINS, longest_sigma, sigmas, thinned
 from eval.figures_map import View, dead_reckoned, ellipses, enlargement
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error, true_path
 
@@ -21,8 +21,7 @@ STOPPED = Failure("diverged", 15, "covariance not positive semidefinite")
 
 
 def truth_with_holes():
-    log = circle_log()
-    pose = log.truth.pose.copy()
+    log, pose = circle_log(), true_path()
     pose[10:20] = np.nan
     return replace(log, truth=replace(log.truth, pose=pose))
 
@@ -63,6 +62,11 @@ FIGURES = {
 }
 
 
+def within(box, paper) -> bool:
+    """Whether a box lies on the paper, to a pixel."""
+    return bool(np.all(box.min >= paper.min - 1.0) and np.all(box.max <= paper.max + 1.0))
+
+
 @pytest.mark.parametrize(
     ("kind", "situation"),
     [(k, s) for k in FIGURES for s in SITUATIONS if k in ("map", "error") or s not in ("truth", "known map")],
@@ -75,14 +79,12 @@ def test_every_figure_is_drawn_in_every_situation_with_units_and_nothing_cut(kin
     for ax in fig.axes:
         for label in (ax.get_xlabel(), ax.get_ylabel()):
             assert label == "" or label == "frame" or re.search(r"\[(m|s|deg|–)\]$", label)
-        box = ax.get_tightbbox()
-        assert paper.x0 - 1 <= box.x0 and box.x1 <= paper.x1 + 1
-        assert paper.y0 - 1 <= box.y0 and box.y1 <= paper.y1 + 1
+        assert within(ax.get_tightbbox(), paper)
     assert any(ax.get_xlabel() for ax in fig.axes)
     for legend in fig.legends:
         box = legend.get_window_extent()
-        assert paper.x0 <= box.x0 and box.x1 <= paper.x1 and paper.y0 <= box.y0 and box.y1 <= paper.y1
-        assert not any(box.overlaps(ax.get_tightbbox()) for ax in fig.axes)
+        assert within(box, paper)
+        assert not any(box.overlaps(ax.get_tightbbox() or box) for ax in fig.axes)
 
 
 def test_three_sigma_ellipse_holds_as_many_samples_as_theory_says():
@@ -100,8 +102,7 @@ def test_an_ellipse_of_a_diagonal_covariance_has_its_semi_axes_where_paper_says(
 
 def test_rounding_below_zero_counts_as_zero_variance():
     slightly = np.diag([-1e-18, 0.04, 0.01])
-    run = run_with_error(ZERO)
-    path = replace(run.online, covariance=np.tile(slightly, (FRAMES, 1, 1)))
+    path = replace(run_with_error(ZERO).trajectory("online"), covariance=np.tile(slightly, (FRAMES, 1, 1)))
     assert sigmas(path)[0] == pytest.approx([0.0, 0.2, 0.1])
     assert longest_sigma(path)[0] == pytest.approx(0.2)
     assert np.isfinite(ellipses(np.zeros((1, 2)), slightly[None, :2, :2])).all()
@@ -112,7 +113,7 @@ def test_longest_sigma_is_the_root_of_the_largest_eigenvalue():
     R = np.array([[a, -b], [b, a]])
     P = np.zeros((FRAMES, 3, 3))
     P[:, :2, :2] = R @ np.diag([0.09, 0.01]) @ R.T
-    assert longest_sigma(replace(run_with_error(ZERO).online, covariance=P)) == pytest.approx(0.3)
+    assert longest_sigma(replace(run_with_error(ZERO).trajectory("online"), covariance=P)) == pytest.approx(0.3)
 
 
 def test_dead_reckoning_over_noise_free_increments_is_the_true_path():
@@ -143,7 +144,7 @@ def test_ellipses_too_small_to_see_are_enlarged_by_a_round_factor_that_the_legen
     assert enlargement(view, np.array([0.1, 0.1, 0.1])) == 20
     assert enlargement(view, np.empty(0)) == 1
     # 3 mm against 1.2 % of 14 m
-    certain = replace(FILTER.online, covariance=1e-6 * np.tile(np.eye(3), (FRAMES, 1, 1)))
+    certain = replace(FILTER.trajectory("online"), covariance=1e-6 * np.tile(np.eye(3), (FRAMES, 1, 1)))
     fig = map_figure(circle_log(), [replace(FILTER, online=certain, map=None)])
     labels = [t.get_text() for t in fig.legends[0].get_texts()]
     assert "3σ ellipses, drawn 100 times larger" in labels
@@ -157,9 +158,23 @@ def test_few_landmarks_are_numbered(landmarks, numbers):
 
 def test_frames_without_truth_are_gaps_in_the_error():
     ax = error_figure(truth_with_holes(), [FILTER]).axes[0]
-    error = ax.lines[-1].get_ydata()
+    error = np.asarray(ax.lines[-1].get_ydata())
     assert np.flatnonzero(np.isnan(error)).tolist() == list(range(10, 20))
     assert error[5] == pytest.approx(0.1)
+
+
+def test_a_long_curve_is_thinned_without_losing_an_extreme_or_a_gap():
+    rng = np.random.default_rng(2)
+    curve = rng.normal(size=50_000)
+    curve[31_234], curve[1_111] = 90.0, -80.0
+    curve[20_000:20_050] = np.nan
+    keep = thinned(curve)
+    assert len(keep) < 5 * MOST_BINS
+    assert keep[0] == 0
+    assert keep[-1] == 49_999
+    assert {31_234, 1_111} <= set(keep.tolist())
+    assert np.isnan(curve[keep]).any()
+    assert len(thinned(curve[: 4 * MOST_BINS])) == 4 * MOST_BINS
 
 
 def test_heading_errors_are_wrapped_and_in_degrees_and_bounds_are_three_sigma():
@@ -199,7 +214,7 @@ def test_nees_axis_is_logarithmic_only_where_it_must_be():
 def test_difference_is_the_distance_in_the_plane():
     log = circle_log(truth=False)
     off = run_with_error(np.array([0.3, 0.4, 0.0]))
-    fig = difference_figure(log, [off, SMOOTHER], replace(SMOOTHER, final=run_with_error(ZERO).online))
+    fig = difference_figure(log, [off, SMOOTHER], replace(SMOOTHER, final=run_with_error(ZERO).trajectory("online")))
     assert fig.axes[0].lines[-1].get_ydata() == pytest.approx(0.5)
     assert fig.axes[0].lines[0].get_ydata() == pytest.approx(3.0 * SIGMA[1])
     assert "not an error" in fig.get_suptitle()

@@ -82,7 +82,9 @@ def test_shipped_tutorials_hold_the_classic_numbers():
 
 def test_help_shows_an_example_of_every_flag_and_answers_at_once():
     begin = time.perf_counter()
-    done = subprocess.run([sys.executable, "-m", "eval.run_all", "--help"], capture_output=True, text=True, cwd=ROOT, check=True)
+    done = subprocess.run(
+        [sys.executable, "-m", "eval.run_all", "--help"], capture_output=True, text=True, cwd=ROOT, check=True
+    )
     assert time.perf_counter() - begin < 3.0  # a second on an idle machine
     examples = done.stdout.split("examples:")[1]
     for action in parser()._actions:
@@ -91,6 +93,7 @@ def test_help_shows_an_example_of_every_flag_and_answers_at_once():
 
 
 def test_help_imports_nothing_heavy():
-    code = "import sys; from eval.options import parser; parser().format_help(); print([m for m in ('numpy','gtsam','numba','pandas','matplotlib') if m in sys.modules])"
+    heavy = ("numpy", "gtsam", "numba", "pandas", "matplotlib")
+    code = f"import sys; from eval.options import parser; parser().format_help(); print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True)
     assert done.stdout.strip() == "[]"

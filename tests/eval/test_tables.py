@@ -72,7 +72,7 @@ def test_markdown_shows_any_text_as_it_is(text):
 
 
 def without_escapes(tex: str) -> str:
-    return re.sub(r"\\[&%$#_{}]", "", tex)
+    return re.sub(r"\\[\\&%$#_{}]", "", tex)
 
 
 @given(st.text(st.characters(blacklist_categories=("Cc", "Cs"), max_codepoint=0x24F)))
@@ -81,7 +81,8 @@ def test_latex_leaves_no_special_character_of_a_text_active(text):
     assert plain.count("{") == plain.count("}")
     assert plain.count("$") % 2 == 0
     assert not re.search(r"[&%#~^<>|_]", re.sub(r"\$[^$]*\$", "", plain.replace("~", "", text.count("\u00a0"))))
-    assert plain.count("\\") == sum(text.count(c) for c in "\\~^…") + plain.count("$\\")
+    commands = set(re.findall(r"\\(.[a-z]*)", plain))
+    assert commands <= {"textbackslash", "textasciitilde", "textasciicircum", "dots", "circ", "times", "pm", "mu"}
 
 
 def test_latex_is_a_balanced_booktabs_table_with_as_many_cells_in_every_row():
