@@ -38,7 +38,7 @@ class Arena:
         sensor: `range_bearing` or `relative_point`.
         sigma_range: m, sigma_bearing: rad, noise of the range-bearing sensor.
         sigma_point: m, noise of each coordinate of the Cartesian sensor.
-        max_range: m. field_of_view: rad, full opening angle.
+        min_range, max_range: m; nothing nearer or farther is reported. field_of_view: rad, full opening angle.
         prior_sigma: m, prior_sigma_heading: rad; the prior mean is drawn with them.
         detection: probability that a landmark in view is reported.
         clutter: mean number of false readings per frame (Poisson), uniform over the field of view.
@@ -58,6 +58,7 @@ class Arena:
     sigma_range: float = 0.1
     sigma_bearing: float = 0.02
     sigma_point: float = 0.1
+    min_range: float = 0.5
     max_range: float = 8.0
     field_of_view: float = math.pi
     prior_sigma: float = 0.1
@@ -72,7 +73,7 @@ class Arena:
         for name in ("side", "period", "odometry_rate", "radius", "max_range", "field_of_view"):
             if not getattr(self, name) > 0:
                 raise UsageError(f"arena: {name} = {getattr(self, name)}; a positive number is needed")
-        for name in ("sigma_v", "sigma_omega", "prior_sigma", "prior_sigma_heading", "clutter"):
+        for name in ("sigma_v", "sigma_omega", "min_range", "prior_sigma", "prior_sigma_heading", "clutter"):
             if not getattr(self, name) >= 0:
                 raise UsageError(f"arena: {name} = {getattr(self, name)}; must not be negative")
         for name in ("sigma_range", "sigma_bearing", "sigma_point"):
@@ -151,10 +152,13 @@ def _observe(
     sigma = np.array(arena.sigma())
     for k, pose in enumerate(truth):
         exact = sensor.predict(pose, landmarks)
-        seen = np.flatnonzero(sensor.in_view(exact) & (rng.random(len(landmarks)) < arena.detection))
+        reported = rng.random(len(landmarks)) < arena.detection
+        near = sensor.polar(exact)[:, 0] < arena.min_range
+        seen = np.flatnonzero(sensor.in_view(exact) & reported & ~near)
         z = exact[seen] + sigma * rng.standard_normal((len(seen), 2))
         false = rng.poisson(arena.clutter)
-        r = arena.max_range * np.sqrt(rng.random(false))
+        low = (arena.min_range / arena.max_range) ** 2
+        r = arena.max_range * np.sqrt(rng.uniform(low, 1.0, false))
         b = rng.uniform(sensor.min_angle, sensor.max_angle, false)
         ghost = np.stack([r, b], 1) if arena.sensor == "range_bearing" else np.stack([r * np.cos(b), r * np.sin(b)], 1)
         z = np.concatenate([z, ghost])

@@ -165,11 +165,12 @@ def _add_arena(sub: argparse.ArgumentParser) -> None:
 
 
 def _attributes(docstring: str, names: Sequence[str]) -> dict[str, str]:
-    """What a docstring says about each name: the text from `name:` to the next one."""
-    found = list(re.finditer(rf"\b({'|'.join(names)}): ", docstring))
+    """What a docstring says about each name: the text from `name:` (or `name, other:`) to the next one."""
+    name = f"(?:{'|'.join(names)})"
+    found = list(re.finditer(rf"\b({name}(?:, {name})*): ", docstring))
     ends = [m.start() for m in found[1:]] + [len(docstring)]
     texts = {m[1]: " ".join(docstring[m.end() : end].split()) for m, end in zip(found, ends, strict=True)}
-    return {name: text.replace("`", "").rstrip(" .,;") for name, text in texts.items()}
+    return {n: text.replace("`", "").rstrip(" .,;") for group, text in texts.items() for n in group.split(", ")}
 
 
 def _number(text: str) -> float:

@@ -106,8 +106,8 @@ def load_mrclam(
     """One robot's log. The barcodes are sensed labels: granting them grants no truth.
 
     The log starts at the first instant with truth and odometry, with the true pose there as the prior's mean, and ends
-    with the odometry. A robot without ground truth gets its prior from its first sightings that fix it, which are then not part of
-    the log (`data.first_fix`); if they do not fix it, the prior is the zero pose and the map is withheld, because the
+    with the odometry. A robot without ground truth gets its prior from the first sightings that fix it, which are then
+    not part of the log (`data.first_fix`). If none do, the prior is the zero pose and the map is withheld, because the
     log's world frame is then the robot's own.
 
     Args:

@@ -123,7 +123,8 @@ def judge(study: Study) -> list[Judged]:
         good = [s for s in samples if s.failure is None]
         for quantity, dof in DOF.items():
             means = np.array([s.means.get(quantity, math.nan) for s in good])
-            if len(means) and np.isfinite(means).all():
+            missing = not np.isfinite(means).all() if good else quantity not in QUANTITIES
+            if not missing:
                 result.append(Judged(key, quantity, verdict(means, dof), len(samples) - len(good)))
     return result
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from scipy.linalg import lapack
 
 from data.inputs import IntArray
 from data.se2 import Array
@@ -26,7 +25,7 @@ SINGULAR = 1e-13
 
 @dataclass(frozen=True)
 class Linearized:
-    """x_0 ~ N(step[0], Q[0]); x_k = F[k] x_{k-1} + step[k] + N(0, Q[k]); y_i = Hx_i x_{frame_i} + Hl_i l_{slot_i} + N(0, I).
+    """x_0 ~ N(step[0], Q[0]); x_k = F[k] x_{k-1} + step[k] + N(0, Q[k]); y_i = Hx_i x_k + Hl_i l_{slot_i} + N(0, I).
 
     Attributes:
         F: (N, 3, 3). step: (N, 3). Q: (N, 3, 3).
@@ -57,7 +56,7 @@ class Solution:
     landmark_covariance: Array
 
 
-class Undetermined(ValueError):
+class UndeterminedError(ValueError):
     """The landmark in `slot` is not determined by the observations."""
 
     def __init__(self, slot: int) -> None:
@@ -67,7 +66,10 @@ class Undetermined(ValueError):
 
 @numba.njit(cache=True)
 def _gains(F, Q, first, Hx, P_minus, K, W):  # type: ignore[no-untyped-def]
-    """Kalman filter, covariances only: predicted P_minus (N, 3, 3), gains K (M, 3, 2) and whitening W (M, 2, 2) = L^-1, S = L L'."""
+    """Kalman filter, covariances only: predicted P_minus (N, 3, 3), gains K (M, 3, 2), whitening W (M, 2, 2) = L^-1.
+
+    S = L L' is the innovation covariance.
+    """
     P = np.zeros((3, 3))
     for k in range(len(F)):
         P = F[k] @ P @ F[k].T + Q[k] if k > 0 else Q[0].copy()
@@ -102,9 +104,10 @@ def _variances(F, first, Hx, P_minus, K, W, V):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _forward(F, step, first, Hx, K, W, B, a_minus, E, keep):  # type: ignore[no-untyped-def]
-    """Run the filter on the columns of data B (M, 2, c): whitened innovations E (M, 2, c), predictions a_minus (N, 3, c).
+    """Run the filter on the columns of data B (M, 2, c).
 
-    `step` (N, 3) moves the first column only; a_minus is filled where `keep`.
+    Whitened innovations go to E (M, 2, c) and, where `keep`, predictions to a_minus (N, 3, c). `step` (N, 3) moves the
+    first column only.
     """
     c = B.shape[2]
     a, e = np.zeros((3, c)), np.zeros((2, c))
@@ -152,7 +155,7 @@ def _backward(F, first, Hx, P_minus, K, W, E, smoothed):  # type: ignore[no-unty
 
 
 def solve(p: Linearized) -> Solution:
-    """Posterior means and marginal covariances of all poses and landmarks; raises `Undetermined`."""
+    """Posterior means and marginal covariances of all poses and landmarks; raises `UndeterminedError`."""
     n, m, size = len(p.F), len(p.Hx), 2 * p.landmarks
     P_minus, V = np.empty((n, 3, 3)), np.empty((n, 3, 3))
     K, W = np.empty((m, 3, 2)), np.empty((m, 2, 2))
@@ -180,7 +183,7 @@ def solve(p: Linearized) -> Solution:
     E = E.reshape(2 * m, 1 + size)
     T = _root_of_inverse(E[:, 1:].T @ E[:, 1:])
     del rows
-    landmark = -(T @ (T.T @ (E[:, 1:].T @ E[:, 0]))).reshape(-1, 2)
+    landmark = -(T @ (T.T @ (E[:, 1:].T @ E[:, 0]))).reshape(p.landmarks, 2)
     del E
     seen = np.where(p.slot >= 0, p.slot, 0)
     known = p.y.copy()
@@ -188,7 +191,7 @@ def solve(p: Linearized) -> Solution:
         known -= np.where(p.slot[:, None] >= 0, np.einsum("mij,mj->mi", p.Hl, landmark[seen]), 0.0)
     pose = smoothed(p.step, known[:, :, None])[:, :, 0]
     # each pose's sensitivity to the landmarks, C (3, 2L), adds C cov(l) C' = (C T)(C T)'
-    standing, blocks = np.zeros((n, 3)), T.reshape(-1, 2, size)
+    standing, blocks = np.zeros((n, 3)), T.reshape(p.landmarks, 2, size)
     for left in range(0, size, COLUMNS):
         part = blocks[:, :, left : left + COLUMNS]
         mixed = np.einsum("mij,mjc->mic", p.Hl, part[seen])
@@ -200,19 +203,38 @@ def solve(p: Linearized) -> Solution:
 
 
 def _root_of_inverse(information: Array) -> Array:
-    """T (d, d) with T T' = information^-1; raises `Undetermined` with the landmark where it has no inverse."""
-    size = len(information)
-    if size == 0:
-        return np.zeros((0, 0))
-    scale = np.sqrt(np.diag(information))
-    if not np.all(scale > 0.0) or not np.all(np.isfinite(scale)):
-        raise Undetermined(int(np.flatnonzero(~((scale > 0.0) & np.isfinite(scale)))[0]) // 2)
-    root, fault = lapack.dpotrf(information / np.outer(scale, scale), lower=1, clean=1)
-    if fault:
-        raise Undetermined((fault - 1) // 2)
-    weak = np.flatnonzero(np.diag(root) ** 2 < SINGULAR)
-    if len(weak):
-        raise Undetermined(int(weak[0]) // 2)
-    inverse, _ = lapack.dtrtri(root, lower=1)
-    result: Array = (inverse / scale).T
-    return result
+    """T (d, d) with T T' = information^-1; raises `UndeterminedError` with the landmark where it has no inverse."""
+    root = np.zeros_like(information)
+    fault = _invert_root(np.ascontiguousarray(information), np.zeros_like(information), root)
+    if fault >= 0:
+        raise UndeterminedError(fault // 2)
+    return root
+
+
+@numba.njit(cache=True)
+def _invert_root(A, L, T):  # type: ignore[no-untyped-def]
+    """A = L L', T = L^-T, both filled in; returns -1, or the first row of A that depends on the rows before it.
+
+    Compiled here instead of called from LAPACK: its threads wait for each other for a second where two processes share
+    two cores, and the result would depend on their number.
+    """
+    d = len(A)
+    for i in range(d):
+        for j in range(i + 1):
+            total = A[i, j]
+            for q in range(j):
+                total -= L[i, q] * L[j, q]
+            if i == j:
+                if not total > SINGULAR * A[i, i]:
+                    return i
+                L[i, i] = np.sqrt(total)
+            else:
+                L[i, j] = total / L[j, j]
+    for j in range(d):
+        T[j, j] = 1.0 / L[j, j]
+        for i in range(j + 1, d):
+            total = 0.0
+            for q in range(j, i):
+                total -= L[i, q] * T[j, q]
+            T[j, i] = total / L[i, i]
+    return -1

@@ -1,0 +1,96 @@
+"""Batch smoothing: all poses and landmarks of a log from all its data, for decisions made beforehand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from data.errors import UsageError
+from data.inputs import Inputs, IntArray
+from data.result import MapState, Trajectory
+from data.se2 import Array
+from graph.factors import LOSSES, between_factor, check_increments, sight_known, sight_landmarks
+from graph.optimum import Problem, optimize
+
+
+class Start(NamedTuple):
+    """Where the search starts: poses (N, 3) and landmark positions (L, 2), row = landmark number."""
+
+    pose: Array
+    landmark: Array
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """What all data say together.
+
+    Attributes:
+        trajectory: poses and world-frame covariances. Under a robust loss the covariances follow from the information
+            as reweighted at the optimum.
+        map: landmarks, or None in localization.
+        chi_square: minimum of the squared whitened residuals; NaN under a robust loss, whose cost is no chi-square.
+        dof: its degrees of freedom.
+        iterations: of the optimizer.
+        last_step: sigmas, largest component of the Newton step that was left: near zero at an optimum.
+    """
+
+    trajectory: Trajectory
+    map: MapState | None
+    chi_square: float
+    dof: int
+    iterations: int
+    last_step: float
+
+    @property
+    def total_nis(self) -> tuple[float, int] | None:
+        """(chi-square, degrees of freedom), or None under a robust loss."""
+        return None if np.isnan(self.chi_square) else (self.chi_square, self.dof)
+
+
+def smooth(inputs: Inputs, decisions: IntArray, created: IntArray, start: Start, *, loss: str = "gaussian") -> Smoothed:
+    """Maximum a posteriori path (and map), by Levenberg-Marquardt from `start`.
+
+    Inputs with a map: localization, decisions (M,) are map ids or `DISCARD`. Without: SLAM, decisions are landmark
+    numbers, `NEW` or `DISCARD`, and `created` (M,) is the number of the landmark an observation founded (-1: none).
+    `loss`: gaussian, huber or cauchy, on measurements only. Raises `UnderConstrained`, and DataError for a singular
+    increment or measurement covariance.
+    """
+    if loss not in LOSSES:
+        raise ValueError(f"loss {loss!r}; known: {', '.join(LOSSES)}")
+    problem = build(inputs, decisions, created, loss)
+    missing = [n for n in problem.numbers if n >= len(start.landmark) or not np.isfinite(start.landmark[n]).all()]
+    if missing or start.pose.shape != (len(inputs), 3) or not np.isfinite(start.pose).all():
+        what = f"no position for landmark {missing[0]}" if missing else "not a finite pose for every frame"
+        raise ValueError(f"start: {what}")
+    values = problem.values(start.pose, {int(n): start.landmark[n] for n in problem.numbers})
+    found = optimize(problem, values)
+    chi_square = 2.0 * found.error if loss == "gaussian" else float("nan")
+    return Smoothed(found.trajectory, found.map, chi_square, problem.dof, found.iterations, found.last_step)
+
+
+def build(inputs: Inputs, decisions: IntArray, created: IntArray, loss: str = "gaussian") -> Problem:
+    """The factors of a log under given decisions."""
+    check_increments(inputs.increments.covariance[1:], 1)
+    motion = [between_factor(k, inputs.increment(k)) for k in range(1, len(inputs))]
+    number = np.where(created >= 0, created, decisions)
+    used = np.flatnonzero(number >= 0)
+    o = inputs.observations
+    seen = (inputs.sensor, o.z[used], o.R[used], o.frame[used], number[used])
+    if inputs.map is None:
+        return Problem(inputs.prior, motion, sight_landmarks(*seen, loss), known_map=False)
+    xy = inputs.map.xy[_rows_of(inputs, number[used])]
+    return Problem(inputs.prior, motion, sight_known(*seen, xy, 0, loss), known_map=True)
+
+
+def _rows_of(inputs: Inputs, ids: IntArray) -> IntArray:
+    """Row of the map for each id; raises UsageError for one the map does not have."""
+    assert inputs.map is not None
+    rows = np.searchsorted(inputs.map.id, ids)
+    bad = np.flatnonzero(rows >= len(inputs.map.id))
+    if not len(bad):
+        bad = np.flatnonzero(inputs.map.id[rows] != ids)
+    if len(bad):
+        raise UsageError(f"decision {ids[bad[0]]}: the map has no landmark of this id")
+    return rows.astype(np.int64)
