@@ -40,9 +40,11 @@ CALIBRATION = {
     "scale_v": ("FACTOR", "factor on the forward velocity"),
     "scale_omega": ("FACTOR", "factor on the angular velocity"),
     "turn_limit": ("RAD/S", "the robot turns no faster than this, whatever was commanded; inf for no limit"),
-    "limited_v": ("FACTOR", "further factor on the forward velocity while the turn rate is limited"),
+    "turn_drag": ("M/RAD", "a turning robot loses this times its turn rate of its speed"),
+    "midpoint_hold": ("", "a command acts from half-way between the stamp before it and its own"),
     "odometry_delay": ("S", "odometry stamps are moved later by this"),
     "latency": ("S", "camera stamps are moved earlier by this"),
+    "range_is_depth": ("", "the measured range is the distance along the camera's axis"),
     "range_scale": ("FACTOR", "measured range = factor * true range + range bias; it is undone"),
     "range_bias": ("M", "see --range-scale"),
     "bearing_bias": ("RAD", "subtracted from measured bearings"),
@@ -50,7 +52,7 @@ CALIBRATION = {
     "sigma_range_growth": ("M/M", "growth of that standard deviation with the range"),
     "sigma_bearing": ("RAD", "standard deviation of a bearing"),
 }
-"""Numbers of `data.calibration.Calibration` that have a flag: metavar and help."""
+"""Fields of `data.calibration.Calibration` that have a flag: metavar (none for a switch) and help."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -125,7 +127,11 @@ def _add_mrclam(sub: argparse.ArgumentParser) -> None:
         help="correct nothing; noise 0.15 m, 0.1 rad, odometry 0.03 m, 0.06 rad per sqrt(s); flags below still count",
     )
     for name, (unit, text) in CALIBRATION.items():
-        group.add_argument(f"--{name.replace('_', '-')}", type=_number, metavar=unit, help=text)
+        flag = f"--{name.replace('_', '-')}"
+        if unit:
+            group.add_argument(flag, type=_number, metavar=unit, help=text)
+        else:
+            group.add_argument(flag, action=argparse.BooleanOptionalAction, default=None, help=text)
     group.add_argument(
         "--sigma", type=_number, nargs=2, metavar=("M", "RAD"),
         help="standard deviations of every reading, instead of the three flags above",

@@ -20,11 +20,9 @@ SPAN = 10.0
 READINGS = 6
 """A fix needs that many, of two different landmarks at least."""
 SURE = (0.25, 0.15)
-"""m, rad: standard deviations that the fit must reach, or it waits for better placed landmarks."""
+"""m, rad: standard deviations the fit must reach; else it waits for landmarks better placed, or readings that agree."""
 USUAL = 0.1
 """m; readings that fit one another better than this do so by luck."""
-MISFIT = 0.5
-"""m rms beyond which the readings contradict the map (or one another) and the next instant is tried."""
 
 
 class Fix(NamedTuple):
@@ -73,7 +71,7 @@ def first_fix(
         pose = rigid_fit(body, landmark[used])
         rms = float(np.sqrt(np.mean(np.sum((se2.transform_points(pose, body) - landmark[used]) ** 2, axis=1))))
         P = _covariance(pose, body, max(rms, USUAL) / math.sqrt(different))
-        if rms > MISFIT or P is None or max(P[0, 0], P[1, 1]) > SURE[0] ** 2 or P[2, 2] > SURE[1] ** 2:
+        if P is None or max(P[0, 0], P[1, 1]) > SURE[0] ** 2 or P[2, 2] > SURE[1] ** 2:
             continue
         return Fix(int(now), Prior(pose, P + np.diag(np.square(sigma))), int(end - begin), rms)
     return None

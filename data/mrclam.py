@@ -141,7 +141,7 @@ def load_mrclam(
 
     origin = float((commands if rows is None else rows)[0, 0])
     velocities = calibration.velocities(commands[:, 1], commands[:, 2])
-    odometry = Odometry(_since(commands[:, 0], origin, calibration.odometry_delay), *velocities)
+    odometry = Odometry(np.round(calibration.instants(_since(commands[:, 0], origin)), 6), *velocities)
     truth = None if rows is None else _TruePath(_since(rows[:, 0], origin), rows[:, 1:], tuple(exclude_truth))
     first, last, notes = _window(files, robot, odometry, truth, start, stop)
     seen_at = _since(measured[:, 0], origin, -calibration.latency)

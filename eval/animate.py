@@ -23,7 +23,7 @@ SHORTER_SIDE = 480
 HEADER = 56
 """px above the scene for names and time."""
 VISIBLE = 0.025
-"""Share of the picture's side below which ellipses are enlarged: they must show around the robot."""
+"""Share of the picture's side that the robot's ellipse is enlarged to: it must show around the robot."""
 SHIFT = 4
 """Bits of a pixel that OpenCV draws with."""
 
@@ -115,7 +115,8 @@ class _Scene:
     canvas: Canvas
     colour: Colour
     robot: float
-    enlarged: int
+    pose_factor: int
+    landmark_factor: int
     landmark_outlines: Array
     first_frame: IntArray
 
@@ -127,11 +128,12 @@ def _scene(log: Log, run: Run, phase: str) -> _Scene:
         usable = np.isfinite(run.map.xy).all(axis=1) & np.isfinite(run.map.covariance).all(axis=(1, 2))
         xy, P, first = run.map.xy[usable], run.map.covariance[usable], run.map.first_frame[usable]
     path = shown.trajectory.pose[:, :2]
-    view = view_of(log, [shown], {"path": path, "map": ellipses(xy, P).reshape(-1, 2)})
-    enlarged = enlargement(view, np.concatenate([longest_axis(along_path(shown)[1]), longest_axis(P)]), VISIBLE)
-    canvas = canvas_of(view)
-    colour, outlines = bgr(style_of(run.estimator).colour), ellipses(xy, P, SIGMAS * enlarged)
-    return _Scene(log, shown, canvas, colour, 14.0 / canvas.scale, enlarged, outlines, first)
+    view = view_of(log, [shown], {"path": path}, {"map": ellipses(xy, P)})
+    pose_factor = enlargement(view, longest_axis(along_path(shown)[1]), VISIBLE)
+    landmark_factor = enlargement(view, longest_axis(P))
+    canvas, colour = canvas_of(view), bgr(style_of(run.estimator).colour)
+    outlines = ellipses(xy, P, SIGMAS * landmark_factor)
+    return _Scene(log, shown, canvas, colour, 14.0 / canvas.scale, pose_factor, landmark_factor, outlines, first)
 
 
 def _backdrop(scene: _Scene) -> Image:
@@ -165,7 +167,7 @@ def _draw_frame(image: Image, scene: _Scene, k: int) -> None:
     if np.isfinite(covariance).all():
         canvas.line(
             image,
-            ellipses(pose[None, :2], covariance[None, :2, :2], SIGMAS * scene.enlarged)[0],
+            ellipses(pose[None, :2], covariance[None, :2, :2], SIGMAS * scene.pose_factor)[0],
             colour,
             2,
             closed=True,
@@ -198,8 +200,8 @@ def _header(scene: _Scene, k: int) -> Image:
         stamp += f"   {run.failure.status} at frame {run.failure.frame}"
     if scene.log.truth.known_poses:
         stamp += "   true robot and path: black"
-    larger = f", drawn {scene.enlarged} times larger" if scene.enlarged > 1 else ""
-    stamp += f"   3 sigma ellipses{larger}"
+    of_landmarks = f", landmarks x {scene.landmark_factor}" if len(scene.landmark_outlines) else ""
+    stamp += f"   3 sigma ellipses: robot x {scene.pose_factor}{of_landmarks}"
     _write(image, stamp, (12, 44), GREY, 0.45)
     return image
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from textwrap import fill
 
@@ -29,7 +29,7 @@ MOST_IDS = 30
 MARGIN = 0.05
 """Free space around the picture, as a share of its larger side."""
 STRETCH = 0.25
-"""How far a path may push the picture beyond truth and landmarks, as a share of their larger side."""
+"""A path that goes further beyond truth and landmarks than this share of their larger side is cut."""
 FACTORS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 
 
@@ -99,20 +99,26 @@ def _anchor(log: Log, shown: Sequence[Series]) -> Array:
     return np.concatenate(points)
 
 
-def view_of(log: Log, shown: Sequence[Series], paths: dict[str, Array]) -> View:
-    """What to show: truth and landmarks whole, points (n, 2) by label as far as they do not squash the rest."""
+def view_of(log: Log, shown: Sequence[Series], paths: Mapping[str, Array], maps: Mapping[str, Array]) -> View:
+    """What to show: truth and landmarks whole, and by label paths (n, 2) and ellipses (K, c, 2) that do not squash it.
+
+    A path that goes too far is left out of the reckoning as a whole, of a map only the landmarks that do.
+    """
     box = _box(_anchor(log, shown))
     low, high = box if box is not None else (np.zeros(2), np.ones(2))
     side = max(float((high - low).max()), 1.0)
     floor, ceiling = low - STRETCH * side, high + STRETCH * side
     leaving = []
-    for label, path in paths.items():
-        reach = _box(path)
+    pieces = [(label, path) for label, path in paths.items()]
+    pieces += [(label, outline) for label, outlines in maps.items() for outline in outlines]
+    for label, piece in pieces:
+        reach = _box(piece)
         if reach is None:
             continue
-        if np.any(reach[0] < floor) or np.any(reach[1] > ceiling):
+        if np.all(reach[0] >= floor) and np.all(reach[1] <= ceiling):
+            low, high = np.minimum(low, reach[0]), np.maximum(high, reach[1])
+        elif label not in leaving:
             leaving.append(label)
-        low, high = np.minimum(low, np.maximum(reach[0], floor)), np.maximum(high, np.minimum(reach[1], ceiling))
     margin = MARGIN * max(float((high - low).max()), 1.0)
     return View(low - margin, high + margin, tuple(leaving))
 
@@ -200,8 +206,8 @@ def _map_figure(log: Log, runs: Sequence[Run], width: float) -> Figure:
         paths = {STYLES["dead-reckoning"].label: dead_reckoned(log.recorded)[:, :2], **paths}
     estimates = _with_ellipses(shown)
     maps = [(s, s.run.map) for s in estimates if s.run.map is not None and len(s.run.map)]
-    reach = {f"landmarks of {s.label}": ellipses(m.xy, m.covariance).reshape(-1, 2) for s, m in maps}
-    view = view_of(log, shown, paths | reach)
+    outlines = {f"map of {s.label}": ellipses(m.xy, m.covariance) for s, m in maps}
+    view = view_of(log, shown, paths, outlines)
     poses = [(s, *along_path(s)) for s in estimates]
     sizes = [longest_axis(P) for _, _, P in poses] + [longest_axis(m.covariance) for _, m in maps]
     factor = enlargement(view, np.concatenate(sizes) if sizes else np.empty(0))

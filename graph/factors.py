@@ -16,7 +16,7 @@ import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from data.errors import DataError, SlamrefError
-from data.inputs import Increment, IntArray, Prior
+from data.inputs import IntArray, Prior
 from data.se2 import Array, world_from_body
 from data.sensors import RANGE_BEARING, Sensor
 
@@ -78,41 +78,52 @@ def pose2(pose: Array) -> gtsam.Pose2:
     return gtsam.Pose2(float(pose[0]), float(pose[1]), float(pose[2]))
 
 
+def root_information(covariance: Array) -> Array:
+    """Upper triangular R (n, d, d) with R'R = C^-1, from a Cholesky factor of C (n, d, d).
+
+    gtsam's own `Gaussian.Covariance` inverts C instead: for a nearly singular C it gets the well-known direction right
+    and the other one wrong (a rank-one prior of sigma 0.17, floored at 1e-6, came out as 0.002).
+    """
+    U = np.linalg.cholesky(covariance[:, ::-1, ::-1])[:, ::-1, ::-1]  # C = U U', U upper triangular
+    return np.triu(np.linalg.inv(U))
+
+
 def prior_factor(prior: Prior) -> Factor:
     """Prior on the pose of frame 0; zero and singular covariances are allowed (see `EXACT`)."""
     B = world_from_body(prior.mean[2])
-    variance, axes = np.linalg.eigh(B.T @ prior.covariance @ B)
-    floor = EXACT**2
+    body = B.T @ prior.covariance @ B
+    variance, axes = np.linalg.eigh(body)
     model: gtsam.noiseModel.Base
-    if variance[-1] < floor:
+    if variance[-1] < EXACT**2:
         model = noise.Constrained.All(3)
-    elif variance[0] < floor:
-        model = noise.Gaussian.Covariance(axes @ np.diag(np.maximum(variance, floor)) @ axes.T)
     else:
-        model = noise.Gaussian.Covariance(B.T @ prior.covariance @ B)
+        if variance[0] < EXACT**2:
+            body = axes @ np.diag(np.maximum(variance, EXACT**2)) @ axes.T
+        model = noise.Gaussian.SqrtInformation(root_information(body[None])[0])
     return gtsam.PriorFactorPose2(X(0), pose2(prior.mean), model)
 
 
-def between_factor(frame: int, increment: Increment) -> Factor:
-    """Motion into `frame`; the increment's error is additive in the previous body frame, gtsam's sits at the end."""
-    B = world_from_body(increment.mean[2])
-    model = noise.Gaussian.Covariance(B.T @ increment.covariance @ B)
-    return gtsam.BetweenFactorPose2(X(frame - 1), X(frame), pose2(increment.mean), model)
+def between_factors(first_frame: int, mean: Array, covariance: Array) -> list[Factor]:
+    """Motions (n, 3) with covariances (n, 3, 3) into the frames from `first_frame` on.
 
-
-def check_increments(covariance: Array, first_frame: int) -> Array:
-    """Smallest eigenvalue (n,) of covariances (n, 3, 3) of the motion into frames from `first_frame` on.
-
-    Raises DataError for a singular one: a smoother needs its inverse.
+    Our increment's error is additive in the previous body frame, gtsam's sits at the end pose. Raises DataError for a
+    singular covariance: a smoother needs its inverse.
     """
-    smallest = np.linalg.eigvalsh(covariance)[..., 0]
+    smallest = np.linalg.eigvalsh(covariance)[:, 0]
     bad = np.flatnonzero(~(smallest > SINGULAR))
     if len(bad):
         raise DataError(
             f"increment into frame {first_frame + bad[0]}: covariance is singular (smallest eigenvalue "
             f"{smallest[bad[0]]:.3g}); a smoother needs covariance_floor of 1e-10 or so"
         )
-    return np.asarray(smallest, float)
+    B = np.zeros_like(covariance)
+    c, s = np.cos(mean[:, 2]), np.sin(mean[:, 2])
+    B[:, 0, 0], B[:, 0, 1], B[:, 1, 0], B[:, 1, 1], B[:, 2, 2] = c, -s, s, c, 1.0
+    roots = root_information(B.transpose(0, 2, 1) @ covariance @ B)
+    return [
+        gtsam.BetweenFactorPose2(X(k - 1), X(k), pose2(m), noise.Gaussian.SqrtInformation(R))
+        for k, (m, R) in enumerate(zip(mean, roots, strict=True), first_frame)
+    ]
 
 
 def with_loss(model: gtsam.noiseModel.Base, loss: str) -> gtsam.noiseModel.Base:
@@ -127,17 +138,17 @@ def in_body_frame(sensor: Sensor, z: Array) -> tuple[Array, Array]:
 
 
 def bearing_range(sensor: Sensor, z: Array, R: Array) -> tuple[Array, Array]:
-    """[bearing, range] (m, 2) in the body frame, gtsam's order, with covariances (m, 2, 2).
+    """[bearing, range] (m, 2) in the body frame, gtsam's order, with the roots (m, 2, 2) of their information.
 
     A rotated sensor only shifts the bearing; one mounted off the robot's centre is converted through the point, to
     first order in the noise.
     """
     if sensor.translation == (0.0, 0.0):
-        return np.stack([z[:, 1] - sensor.rotation, z[:, 0]], 1), R[:, ::-1, ::-1]
+        return np.stack([z[:, 1] - sensor.rotation, z[:, 0]], 1), root_information(R[:, ::-1, ::-1])
     p, G = in_body_frame(sensor, z)
     r = np.hypot(p[:, 0], p[:, 1])
     A = np.stack([np.stack([-p[:, 1], p[:, 0]], 1) / r[:, None] ** 2, p / r[:, None]], 1) @ G
-    return np.stack([np.arctan2(p[:, 1], p[:, 0]), r], 1), A @ R @ A.transpose(0, 2, 1)
+    return np.stack([np.arctan2(p[:, 1], p[:, 0]), r], 1), root_information(A @ R @ A.transpose(0, 2, 1))
 
 
 def _checked(R: Array, frame: IntArray) -> tuple[Array, Array]:
@@ -175,8 +186,8 @@ def sight_landmarks(
     variance, axes = _checked(R, frame)
     result = []
     if sensor.kind == RANGE_BEARING:
-        for f, n, h, C in zip(frame.tolist(), number.tolist(), *bearing_range(sensor, z, R), strict=True):
-            model = with_loss(noise.Gaussian.Covariance(C), loss)
+        for f, n, h, root in zip(frame.tolist(), number.tolist(), *bearing_range(sensor, z, R), strict=True):
+            model = with_loss(noise.Gaussian.SqrtInformation(root), loss)
             result.append(Sighted(f, n, L(n), [gtsam.BearingRangeFactor2D(X(f), L(n), gtsam.Rot2(h[0]), h[1], model)]))
         return result
     points, turn = in_body_frame(sensor, z)
@@ -204,15 +215,16 @@ def sight_known(
     _checked(R, frame)
     result = []
     if sensor.kind == RANGE_BEARING:
-        for i, (f, h, C) in enumerate(zip(frame.tolist(), *bearing_range(sensor, z, R), strict=True)):
+        for i, (f, h, root) in enumerate(zip(frame.tolist(), *bearing_range(sensor, z, R), strict=True)):
             key = L(first_row + i)
-            model = with_loss(noise.Gaussian.Covariance(C), loss)
+            model = with_loss(noise.Gaussian.SqrtInformation(root), loss)
             factor = gtsam.BearingRangeFactor2D(X(f), key, gtsam.Rot2(h[0]), h[1], model)
             result.append(Sighted(f, int(number[i]), key, [factor], gtsam.PriorFactorPoint2(key, xy[i], _HELD), xy[i]))
         return result
     points, turn = in_body_frame(sensor, z)
-    for i, (f, p, C) in enumerate(zip(frame.tolist(), points, turn @ R @ turn.transpose(0, 2, 1), strict=True)):
-        model = with_loss(noise.Gaussian.Covariance(C), loss)
+    roots = root_information(turn @ R @ turn.transpose(0, 2, 1))
+    for i, (f, p, root) in enumerate(zip(frame.tolist(), points, roots, strict=True)):
+        model = with_loss(noise.Gaussian.SqrtInformation(root), loss)
         result.append(Sighted(f, int(number[i]), None, [gtsam.KnownLandmarkFactorPose2(X(f), xy[i], p, model)]))
     return result
 

@@ -31,8 +31,8 @@ class Linearized:
         F: (N, 3, 3). step: (N, 3). Q: (N, 3, 3).
         first: (N + 1,) offsets: the observations of frame k are rows first[k]:first[k + 1].
         Hx: (M, 2, 3). Hl: (M, 2, 2). y: (M, 2), whitened.
-        slot: (M,) index of the landmark, -1 where it is known exactly.
-        landmarks: number of landmarks L.
+        slot: (M,) index of the landmark.
+        landmarks: number L of landmarks to estimate; 0 where they are known exactly (then Hl, slot do not matter).
     """
 
     F: Array
@@ -172,34 +172,25 @@ def solve(p: Linearized) -> Solution:
         _backward(p.F, p.first, p.Hx, P_minus, K, W, E, states)
         return states
 
-    # innovations as functions of the landmarks: E = E_y + E_l l, white, so their square is the landmarks' likelihood
+    if size == 0:
+        pose = smoothed(p.step, p.y[:, :, None])[:, :, 0]
+        return Solution(pose, 0.5 * (V + V.transpose(0, 2, 1)), np.empty((0, 2)), np.empty((0, 2, 2)))
+    # innovations as functions of the landmarks, E_y + E_l l: they are white, so their square is the likelihood of l
     data = np.zeros((m, 2, 1 + size))
     data[:, :, 0] = p.y
-    rows = np.flatnonzero(p.slot >= 0)
     for q in range(2):
-        data[rows, :, 1 + 2 * p.slot[rows] + q] = -p.Hl[rows, :, q]
-    _, E = filtered(p.step, data, False)
-    del data
-    E = E.reshape(2 * m, 1 + size)
+        data[np.arange(m), :, 1 + 2 * p.slot + q] = -p.Hl[:, :, q]
+    E = filtered(p.step, data, False)[1].reshape(2 * m, 1 + size)
     T = _root_of_inverse(E[:, 1:].T @ E[:, 1:])
-    del rows
-    landmark = -(T @ (T.T @ (E[:, 1:].T @ E[:, 0]))).reshape(p.landmarks, 2)
-    del E
-    seen = np.where(p.slot >= 0, p.slot, 0)
-    known = p.y.copy()
-    if size:
-        known -= np.where(p.slot[:, None] >= 0, np.einsum("mij,mj->mi", p.Hl, landmark[seen]), 0.0)
-    pose = smoothed(p.step, known[:, :, None])[:, :, 0]
+    landmark = -(T @ (T.T @ (E[:, 1:].T @ E[:, 0]))).reshape(-1, 2)
+    del data, E
+    pose = smoothed(p.step, (p.y - np.einsum("mij,mj->mi", p.Hl, landmark[p.slot]))[:, :, None])[:, :, 0]
     # each pose's sensitivity to the landmarks, C (3, 2L), adds C cov(l) C' = (C T)(C T)'
-    standing, blocks = np.zeros((n, 3)), T.reshape(p.landmarks, 2, size)
+    blocks = T.reshape(-1, 2, size)
     for left in range(0, size, COLUMNS):
-        part = blocks[:, :, left : left + COLUMNS]
-        mixed = np.einsum("mij,mjc->mic", p.Hl, part[seen])
-        mixed[p.slot < 0] = 0.0
-        C = smoothed(standing, -mixed)
+        C = smoothed(np.zeros((n, 3)), -np.einsum("mij,mjc->mic", p.Hl, blocks[p.slot, :, left : left + COLUMNS]))
         V += C @ C.transpose(0, 2, 1)
-    pairs = blocks @ blocks.transpose(0, 2, 1)
-    return Solution(pose, 0.5 * (V + V.transpose(0, 2, 1)), landmark, pairs)
+    return Solution(pose, 0.5 * (V + V.transpose(0, 2, 1)), landmark, blocks @ blocks.transpose(0, 2, 1))
 
 
 def _root_of_inverse(information: Array) -> Array:

@@ -22,8 +22,10 @@ from graph.marginals import Linearized, UndeterminedError, solve
 
 STEP = 1e-6
 """sigma. A Newton step smaller than this in every variable ends the search."""
+ROUNDING = 1e-4
+"""sigma. So does one below this that hardly shrank: gtsam's logarithm of a pose is good to about 1e-5 sigma."""
 POLISH = 6
-"""Most Newton steps; a quadratic problem needs one, robust losses converge linearly and may use all."""
+"""Most Newton steps; one or two are usual, robust losses converge linearly and may use all."""
 TINY = 1e-9
 """m, rad. Stands in for a sigma of zero when a step is measured in sigmas."""
 
@@ -102,17 +104,21 @@ def optimize(problem: Problem, start: gtsam.Values) -> Optimum:
     # what is left without the prior (the smoother takes it exact) and without the pins of known landmarks (not moving)
     inner = graph_of([*problem.motion, *(f for s in problem.sighted for f in s.measured)])
     numbers = problem.numbers
+    last_step = np.inf
     for polished in range(POLISH + 1):
         try:
             solution = solve(linearize(problem, inner, values))
         except UndeterminedError as free:
             raise UnderConstrained(f"landmark {numbers[free.slot]} is not determined by the observations") from None
         _check_poses(solution.pose_covariance)
-        last_step = max(
-            _in_sigmas(solution.pose, solution.pose_covariance),
-            _in_sigmas(solution.landmark, solution.landmark_covariance),
+        before, last_step = (
+            last_step,
+            max(
+                _in_sigmas(solution.pose, solution.pose_covariance),
+                _in_sigmas(solution.landmark, solution.landmark_covariance),
+            ),
         )
-        if last_step < STEP or polished == POLISH:
+        if last_step < STEP or 0.5 * before < last_step < ROUNDING or polished == POLISH:
             break
         delta = gtsam.VectorValues()
         for k, row in enumerate(solution.pose):
@@ -169,7 +175,7 @@ def linearize(problem: Problem, inner: gtsam.NonlinearFactorGraph, values: gtsam
     step[0], Q[0] = _prior_in_tangent(problem.prior, values)
     first = np.searchsorted([s.frame for s in problem.sighted], np.arange(n + 1)).astype(np.int64)
     if problem.known_map:
-        slot, count = np.full(m, -1, np.int64), 0
+        slot, count = np.zeros(m, np.int64), 0
     else:
         slot, count = np.searchsorted(keys, key_of).astype(np.int64), landmarks
     Hx, Hl, y = (np.ascontiguousarray(readings[..., c]) for c in (slice(0, 3), slice(3, 5), 5))

@@ -101,14 +101,19 @@ class TestMrclam:
 
     @pytest.mark.parametrize("name", sorted(CALIBRATION))
     def test_each_number_of_the_calibration_has_a_flag(self, convert: Callable[..., Log], name: str) -> None:
-        value = 0.25 if name != "turn_limit" else 0.15
-        log = convert(f"--{name.replace('_', '-')}", str(value))
+        flag = name.replace("_", "-")
+        if isinstance(getattr(FROZEN, name), bool):
+            value: float = not getattr(FROZEN, name)
+            log = convert(f"--{flag}" if value else f"--no-{flag}")
+        else:
+            value = 0.25 if name != "turn_limit" else 0.15
+            log = convert(f"--{flag}", str(value))
         written = log.source["calibration"]
         assert isinstance(written, dict)
         assert written[name] == value
         others = {n: written[n] for n in CALIBRATION if n != name}
         assert others == {n: getattr(FROZEN, n) for n in others}
-        assert not same(log, convert()) or name == "limited_v"  # no command of this robot is limited
+        assert not same(log, convert())
 
     def test_every_number_of_the_calibration_is_covered(self) -> None:
         assert set(CALIBRATION) == {f.name for f in fields(Calibration)} - {"motion"}

@@ -375,9 +375,27 @@ class TestCalibration:
         np.testing.assert_allclose(log.recorded.increments.mean[:, 2], 0.5 * turned, atol=1e-12)
 
     def test_a_turn_limit_holds_only_commands_beyond_it(self) -> None:
-        v, omega = Calibration(turn_limit=0.5, limited_v=0.8).velocities(np.ones(4), np.array([0.4, -0.5, 0.9, -2.0]))
+        v, omega = Calibration(turn_limit=0.5).velocities(np.ones(4), np.array([0.4, -0.5, 0.9, -2.0]))
         assert omega.tolist() == [0.4, -0.5, 0.5, -0.5]
-        assert v.tolist() == [1.0, 1.0, 0.8, 0.8]
+        assert v.tolist() == [1.0, 1.0, 1.0, 1.0]
+
+    def test_a_turning_robot_is_slower_in_either_direction_and_never_reverses(self) -> None:
+        drag = Calibration(turn_drag=0.5, turn_limit=1.0)
+        v, _ = drag.velocities(np.array([1.0, 1.0, -1.0, 0.1, 0.0]), np.array([0.4, -9.0, 0.4, 1.0, 1.0]))
+        assert v.tolist() == [0.8, 0.5, -0.8, 0.0, 0.0]
+
+    def test_depth_along_the_axis_becomes_range(self, files: Texts, load: Callable[..., Log]) -> None:
+        log, exact = load(files, calibration=Calibration(range_is_depth=True)), load(files)
+        r, b = exact.recorded.observations.z.T
+        np.testing.assert_allclose(log.recorded.observations.z, np.stack([r / np.cos(b), b], axis=-1))
+        assert np.abs(b).max() > 0.1
+
+    def test_a_command_acts_from_halfway_to_the_stamp_before(self) -> None:
+        stamps = np.array([1.0, 1.0, 1.2, 4.2])
+        assert Calibration(midpoint_hold=True, odometry_delay=0.1).instants(stamps) == pytest.approx(
+            [1.1, 1.1, 1.2, 3.8]
+        )
+        assert Calibration(odometry_delay=0.1).instants(stamps) == pytest.approx(stamps + 0.1)
 
     def test_delayed_odometry_starts_later(self, files: Texts, load: Callable[..., Log]) -> None:
         assert starts_at(load(files, calibration=Calibration(odometry_delay=0.1))) == pytest.approx(1.1, abs=1e-5)
@@ -403,7 +421,7 @@ class TestCalibration:
     )
     def test_senseless_numbers_are_refused(self, wrong: dict[str, float]) -> None:
         with pytest.raises(UsageError, match=next(iter(wrong))):
-            Calibration(**wrong)
+            Calibration(**wrong)  # type: ignore[arg-type]
 
 
 class TestLandmarks:

@@ -71,6 +71,10 @@ def test_markdown_shows_any_text_as_it_is(text):
     assert cells_of(markdown(pd.DataFrame({"a": [f"x{text}x"], "b": [1]})))[1] == [f"x{text}x", "1"]
 
 
+def test_underscores_that_would_mean_emphasis_are_shown():
+    assert cells_of(markdown(pd.DataFrame({"_a_": ["__init__ _b_c_"]}))) == [["_a_"], ["__init__ _b_c_"]]
+
+
 def without_escapes(tex: str) -> str:
     return re.sub(r"\\[\\&%$#_{}]", "", tex)
 
