@@ -76,26 +76,29 @@ def _box(points: Array) -> tuple[Array, Array] | None:
     return (finite.min(axis=0), finite.max(axis=0)) if len(finite) else None
 
 
+def _credible(shown: Sequence[Series]) -> Series | None:
+    """The series that stands in for a missing truth: batch, or else the middle one by extent of those that finished."""
+    good = [s for s in shown if s.run.failure is None and s.run.estimator != "dead-reckoning"]
+    good.sort(key=lambda s: float(np.ptp(s.trajectory.pose[:, :2], axis=0).max()))
+    batch = [s for s in good if s.run.estimator == "batch"]
+    return next(iter([*batch, *good[(len(good) - 1) // 2 :], *shown]), None)
+
+
 def _anchor(log: Log, shown: Sequence[Series]) -> Array:
-    """Points that must be in the picture: true path and landmarks; without a true path the most credible estimate."""
+    """Points that must be in the picture: true path and landmarks, or their estimate where the truth is missing."""
     points = [np.atleast_2d(log.recorded.prior.mean[:2])]
-    known = true_landmarks(log)
+    known, truth, stand_in = true_landmarks(log), log.truth.pose, _credible(shown)
+    if truth is not None:
+        points.append(truth[:, :2])
+    if stand_in is not None and log.truth.known_poses < 0.5 * len(log.recorded):
+        points.append(stand_in.trajectory.pose[:, :2])
+    path = _box(np.concatenate(points))
     if known is not None:
         points.append(known.xy)
-    if log.truth.pose is not None:
-        points.append(log.truth.pose[:, :2])
-    if log.truth.known_poses < 0.5 * len(log.recorded):
-        good = [s for s in shown if s.run.failure is None and s.run.estimator != "dead-reckoning"]
-        # a run that went astray is rarely the middle one by extent
-        good.sort(key=lambda s: float(np.ptp(s.trajectory.pose[:, :2], axis=0).max()))
-        batch = [s for s in good if s.run.estimator == "batch"]
-        for s in [*batch, *good[(len(good) - 1) // 2 :], *shown][:1]:
-            path = s.trajectory.pose[:, :2]
-            points.append(path)
-            if s.run.map is not None and (box := _box(path)) is not None:
-                reach = max(float((box[1] - box[0]).max()), 1.0)
-                near = np.all((s.run.map.xy > box[0] - reach) & (s.run.map.xy < box[1] + reach), axis=1)
-                points.append(s.run.map.xy[near])
+    elif stand_in is not None and stand_in.run.map is not None and path is not None:
+        # landmarks further from the path than it is long are mistakes, not the scene
+        xy, reach = stand_in.run.map.xy, max(float((path[1] - path[0]).max()), 1.0)
+        points.append(xy[np.all((xy > path[0] - reach) & (xy < path[1] + reach), axis=1)])
     return np.concatenate(points)
 
 

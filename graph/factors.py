@@ -103,19 +103,26 @@ def prior_factor(prior: Prior) -> Factor:
     return gtsam.PriorFactorPose2(X(0), pose2(prior.mean), model)
 
 
-def between_factors(first_frame: int, mean: Array, covariance: Array) -> list[Factor]:
-    """Motions (n, 3) with covariances (n, 3, 3) into the frames from `first_frame` on.
+def check_increments(first_frame: int, covariance: Array) -> Array:
+    """Smallest eigenvalue (n,) of the covariances (n, 3, 3) of the motion into the frames from `first_frame` on.
 
-    Our increment's error is additive in the previous body frame, gtsam's sits at the end pose. Raises DataError for a
-    singular covariance: a smoother needs its inverse.
+    Raises DataError for a singular one: a smoother needs its inverse.
     """
-    smallest = np.linalg.eigvalsh(covariance)[:, 0]
+    smallest = np.asarray(np.linalg.eigvalsh(covariance)[:, 0], float)
     bad = np.flatnonzero(~(smallest > SINGULAR))
     if len(bad):
         raise DataError(
             f"increment into frame {first_frame + bad[0]}: covariance is singular (smallest eigenvalue "
             f"{smallest[bad[0]]:.3g}); a smoother needs covariance_floor of 1e-10 or so"
         )
+    return smallest
+
+
+def between_factors(first_frame: int, mean: Array, covariance: Array) -> list[Factor]:
+    """Motions (n, 3) with covariances (n, 3, 3) into the frames from `first_frame` on.
+
+    Our increment's error is additive in the previous body frame, gtsam's sits at the end pose.
+    """
     B = np.zeros_like(covariance)
     c, s = np.cos(mean[:, 2]), np.sin(mean[:, 2])
     B[:, 0, 0], B[:, 0, 1], B[:, 1, 0], B[:, 1, 1], B[:, 2, 2] = c, -s, s, c, 1.0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.path import Path as Outline
 
-from data.result import Failure
+from data.result import Failure, MapEstimate
 from eval.figures import anees_figure, difference_figure, error_figure, map_figure, nees_figure
 from eval.figures_error import MOST_BINS, longest_sigma, sigmas, thinned
 from eval.figures_map import View, dead_reckoned, ellipses, enlargement
@@ -153,9 +153,8 @@ def test_ellipses_too_small_to_see_are_enlarged_by_a_round_factor_that_the_legen
 
 
 def test_one_landmark_far_away_is_cut_and_the_rest_of_the_map_is_shown():
-    m = FILTER.map
-    far = replace(
-        m, number=np.array([0, 1, 2]), xy=np.array([[6.1, 0.1], [7.5, 0.0], [900.0, 0.0]]),
+    far = MapEstimate(
+        number=np.array([0, 1, 2]), xy=np.array([[6.1, 0.1], [7.5, 0.0], [900.0, 0.0]]),
         covariance=np.tile(0.01 * np.eye(2), (3, 1, 1)), first_frame=np.zeros(3), times_seen=np.ones(3),
     )  # fmt: skip
     ax = map_figure(circle_log(), [replace(FILTER, map=far)]).axes[0]
