@@ -19,8 +19,8 @@ from ekf.filter import DEFAULT, FilterOptions
 class FilterRun(NamedTuple):
     """Pose (N, 3), covariance (N, 3, 3); nis, dof, log_likelihood, state_size (N,) each.
 
-    `decisions` (M,) are the given ones with gated pairings turned into `DISCARD`; `failure` is (frame, why) or None, and
-    the rows after it are NaN.
+    `decisions` (M,) are the given ones, gated pairings turned into `DISCARD`; `failure` is (frame, why) or None, and the
+    rows after it are NaN.
     """
 
     pose: Array

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from data.errors import DataError, UsageError
+from data.errors import UsageError
 from data.log import Log
 
 NAMES = "victoria-park, arena:SEED"
@@ -50,32 +50,19 @@ def find_logs(folder: Path, say: Callable[[str], None]) -> Iterator[Callable[[],
 
 def _search(folder: Path, depth: int, say: Callable[[str], None]) -> Iterator[Callable[[], Log]]:
     from data.folder import load_folder
+    from data.mrclam import is_mrclam
 
     for path in sorted(folder.iterdir()):
         if path.name.startswith("."):
             continue
         if path.is_dir() and (path / "log.toml").exists():
             yield lambda path=path: load_folder(path)  # type: ignore[misc]
-        elif _is_mrclam(path):
+        elif is_mrclam(path):
             yield from _mrclam(path, say)
         elif path.is_dir() and depth > 1:
             yield from _search(path, depth - 1, say)
         elif path.is_dir() or path.suffix not in {".md", ".txt", ".dat"}:
             say(f"skipped {path}: not a dataset that is known here")
-
-
-def _is_mrclam(path: Path) -> bool:
-    if path.is_dir():
-        return (path / "Barcodes.dat").exists()
-    if path.suffix.lower() != ".zip":
-        return False
-    import zipfile
-
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return any(name.endswith("Barcodes.dat") for name in archive.namelist())
-    except zipfile.BadZipFile as broken:
-        raise DataError.at(path, f"{broken}; a zip archive is needed") from broken
 
 
 def _mrclam(path: Path, say: Callable[[str], None]) -> Iterator[Callable[[], Log]]:

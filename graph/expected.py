@@ -17,7 +17,9 @@ MARGIN = math.radians(5.0)
 """rad, ... and by this."""
 
 
-def form(sensor: Sensor, pose: Array, covariance: Array, number: IntArray, xy: Array, sightings: Sightings) -> Expectation:
+def form(
+    sensor: Sensor, pose: Array, covariance: Array, number: IntArray, xy: Array, sightings: Sightings
+) -> Expectation:
     """Expectation over landmarks `number` (n,) at xy (n, 2), seen from `pose` (3,).
 
     `covariance`, world frame: (3 + 2n, 3 + 2n) of pose and landmarks, or (3, 3) of the pose where they are known.
@@ -48,9 +50,7 @@ def form(sensor: Sensor, pose: Array, covariance: Array, number: IntArray, xy: A
         S: Array = H @ covariance[np.ix_(of, of)] @ H.T
         return 0.5 * (S + S.T)
 
-    return Expectation(
-        number, z_hat, blocks, zeros[:n], sightings.z, sightings.R, zeros[:m], sensor.residual, joint
-    )
+    return Expectation(number, z_hat, blocks, zeros[:n], sightings.z, sightings.R, zeros[:m], sensor.residual, joint)
 
 
 def in_view(sensor: Sensor, z_hat: Array, HPHt: Array) -> BoolArray:

@@ -185,7 +185,9 @@ class Isam2Smoother:
             self._extend(Sightings(sightings.z[take], sightings.R[take]), np.where(used, decisions, created)[take])
         return Updated(used, created, nis, dof, likelihood)
 
-    def _gate(self, sightings: Sightings, decisions: IntArray, used: BoolArray, threshold: float) -> tuple[float, int, float]:
+    def _gate(
+        self, sightings: Sightings, decisions: IntArray, used: BoolArray, threshold: float
+    ) -> tuple[float, int, float]:
         """Take pairings with d^2 not below the threshold out of `used`; NIS, dof and log-likelihood of the others."""
         rows = np.flatnonzero(used)
         number, which = np.unique(decisions[rows], return_inverse=True)

@@ -52,7 +52,8 @@ def test_series_and_closed_form_meet_where_they_change_over(edge):
 
 
 @pytest.mark.parametrize("noise", [
-    VelocityNoise("velocity", (0.3, 0.2)), VelocityNoise("density", (0.3, 0.2)), VelocityNoise("displacement", alphas=(0.2, 0.03, 0.09, 0.08)),
+    VelocityNoise("velocity", (0.3, 0.2)), VelocityNoise("density", (0.3, 0.2)),
+    VelocityNoise("displacement", alphas=(0.2, 0.03, 0.09, 0.08)),
 ])  # fmt: skip
 def test_cutting_a_sample_does_not_change_the_total_noise(noise):
     time, v, omega = np.array([0.0, 0.8, 1.6]), np.array([0.5, 1.0, 0.7]), np.zeros(3)

@@ -1,4 +1,4 @@
-"""The consistency study: declared estimators are consistent in the arena, failures are counted, the exit status is Holm's."""
+"""The consistency study: what is declared holds in the arena, failures are counted, the exit status is Holm's."""
 
 from __future__ import annotations
 

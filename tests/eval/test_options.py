@@ -59,7 +59,8 @@ def test_nonsense_is_refused_by_name(arguments, words):
 
 
 @pytest.mark.parametrize(("text", "words"), [
-    ("lgo = 'x'", "unknown key 'lgo'"), ("quick = 1", "true or false"), ("runs = true", "whole number"), ("log = 3", "a list of names"),
+    ("lgo = 'x'", "unknown key 'lgo'"), ("quick = 1", "true or false"), ("runs = true", "whole number"),
+    ("log = 3", "a list of names"),
     ("task = [", "run.toml"), ("[variant]\nname = 'x'", "variant"), ("[variant]\ncolour = 1", "takes the keys"),
 ])  # fmt: skip
 def test_a_config_file_with_faults_is_refused(tmp_path, text, words):
@@ -94,6 +95,7 @@ def test_help_shows_an_example_of_every_flag_and_answers_at_once():
 
 def test_help_imports_nothing_heavy():
     heavy = ("numpy", "gtsam", "numba", "pandas", "matplotlib")
-    code = f"import sys; from eval.options import parser; parser().format_help(); print([m for m in {heavy} if m in sys.modules])"
+    code = "import sys; from eval.options import parser; parser().format_help(); "
+    code += f"print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True)
     assert done.stdout.strip() == "[]"
