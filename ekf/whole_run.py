@@ -19,7 +19,7 @@ from ekf.filter import DEFAULT, FilterOptions
 class FilterRun(NamedTuple):
     """Pose (N, 3), covariance (N, 3, 3); nis, dof, log_likelihood, state_size (N,) each.
 
-    `decisions` (M,) are the given ones, gated pairings turned into `DISCARD`; `failure` is (frame, why) or None, and the
+    `decisions` (M,) are the given ones, gated pairings turned into `DISCARD`; `failure` is (frame, why) or None: the
     rows after it are NaN.
     """
 

@@ -6,10 +6,6 @@ next frame that sees something, so every frame is a variable and the estimate is
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable
-from typing import TypeVar
-
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
@@ -21,13 +17,12 @@ from data.result import NEW, Finished, PoseEstimate, Updated
 from data.se2 import Array, BoolArray
 from data.sensors import Sensor
 from graph import expected
+from graph.engine import Engine
 from graph.factors import (
     Factor,
     Sighted,
-    UnderConstrained,
     between_factors,
     check_increments,
-    graph_of,
     name_of,
     pose2,
     prior_factor,
@@ -37,19 +32,13 @@ from graph.factors import (
 from graph.optimum import Problem, optimize
 
 THRESHOLD = 0.05
-"""m, rad. Relinearize variables that moved further than this."""
+"""m, rad. Relinearize what moved further than this, ..."""
 SKIP = 10
-"""Look for them at every so many updates ..."""
-JUMP = 4.0
-"""... and at once where the newest pose moved by more than JUMP * threshold (a loop was closed), ..."""
-EXTRA = 5
-"""... at most so many times in a frame."""
-WILDFIRE = 0.2
-"""In thresholds: changes smaller than this do not travel further back into the past."""
+"""... at every so many updates."""
+SETTLE = 3
+"""Updates after a removal."""
 DELICATE = 1e-8
-"""m^2, rad^2. Below this eigenvalue of an increment or the prior Cholesky elimination is not safe: QR, 30 % slower."""
-
-Answer = TypeVar("Answer")
+"""m^2, rad^2. Below this eigenvalue of an increment or the prior the elimination is done by QR, a fifth slower."""
 
 
 class Isam2Smoother:
@@ -80,24 +69,12 @@ class Isam2Smoother:
         self._Q = np.zeros((3, 3))
         self._motion: list[Factor] = []
         self._sighted: list[Sighted] = []
-        self._slots: dict[int, list[int]] = {}
+        self._handles: dict[int, list[int]] = {}
         self._copies = 0
         self._spread: dict[int, float] = {}
         self._version = 0
         low = np.linalg.eigvalsh(prior.covariance)
-        self._qr = bool(low[0] < DELICATE < low[-1])
-        self._isam = self._engine()
-
-    def _engine(self) -> gtsam.ISAM2:
-        parameters = gtsam.ISAM2Params()
-        parameters.setRelinearizeThreshold(self.threshold)
-        parameters.relinearizeSkip = self.skip
-        parameters.enablePartialRelinearizationCheck = True
-        parameters.setFactorization("QR" if self._qr else "CHOLESKY")
-        steps = gtsam.ISAM2GaussNewtonParams()
-        steps.setWildfireThreshold(WILDFIRE * self.threshold)
-        parameters.setOptimizationParams(steps)
-        return gtsam.ISAM2(parameters)
+        self._engine = Engine(threshold, skip, qr=bool(low[0] < DELICATE < low[-1]), name=self._name)
 
     def predict(self, increment: Increment) -> None:
         """Move by an increment; the graph grows only when something is seen."""
@@ -119,10 +96,16 @@ class Isam2Smoother:
         """The newest pose with its world-frame covariance (copies)."""
         return PoseEstimate(self._mean.copy(), self._P.copy())
 
+    def _name(self, key: int) -> str:
+        """A variable in words; the copies of known landmarks are numbered by observation."""
+        if self.map is not None and gtsam.symbolChr(key) == ord("l"):
+            return f"landmark {self._sighted[gtsam.symbolIndex(key)].number}"
+        return name_of(key)
+
     @property
     def numbers(self) -> IntArray:
         """Landmark numbers in the map, ascending."""
-        return np.array(sorted(self._slots), np.int64)
+        return np.array(sorted(self._handles), np.int64)
 
     def expect(self, sightings: Sightings) -> Expectation:
         """What it expects of the landmarks in view: sensor range and angles, widened by 3 sigma and 5 degrees."""
@@ -130,7 +113,7 @@ class Isam2Smoother:
             candidates = self.map.id, self.map.xy
         else:
             number = self.numbers
-            xy = self._positions(number)
+            xy = self._engine.points(number.tolist())
             spread = np.array([self._spread[int(n)] for n in number])
             near = expected.may_be_in_view(self.sensor, self._mean, self._P, xy, spread)
             candidates = number[near], xy[near]
@@ -141,16 +124,12 @@ class Isam2Smoother:
             joint = joint[np.ix_(*[np.concatenate([np.ones(3, np.bool_), np.repeat(keep, 2)])] * 2)]
         return expected.form(self.sensor, self._mean, joint, candidates[0][keep], candidates[1][keep], sightings)
 
-    def _positions(self, number: IntArray) -> Array:
-        points = [self._isam.calculateEstimatePoint2(L(n)) for n in number.tolist()]
-        return np.array(points, float).reshape(-1, 2)
-
     def _joint(self, number: IntArray) -> Array:
         """World-frame covariance of the newest pose and landmarks; in localization of the pose alone."""
         if self.map is not None or not len(number):
             return self._P
         keys = [X(self._anchor), *(L(n) for n in number.tolist())]
-        J = self._ask(lambda: self._isam.jointMarginalCovariance(keys).fullMatrix())
+        J = self._engine.covariance(keys)
         for n, variance in zip(number.tolist(), np.diag(J)[3:].reshape(-1, 2).sum(1), strict=True):
             self._spread[n] = float(np.sqrt(variance))
         F = _transport(self._mean - self._anchor_pose) @ se2.world_from_body(self._anchor_pose[2])
@@ -166,7 +145,7 @@ class Isam2Smoother:
         """
         used = decisions >= 0
         if self.map is None:
-            unknown = [n for n in decisions[used].tolist() if n not in self._slots]
+            unknown = [n for n in decisions[used].tolist() if n not in self._handles]
         else:
             unknown = np.setdiff1d(decisions[used], self.map.id).tolist()
         if unknown:
@@ -191,7 +170,11 @@ class Isam2Smoother:
         """Take pairings with d^2 not below the threshold out of `used`; NIS, dof and log-likelihood of the others."""
         rows = np.flatnonzero(used)
         number, which = np.unique(decisions[rows], return_inverse=True)
-        xy = self._positions(number) if self.map is None else self.map.xy[np.searchsorted(self.map.id, number)]
+        xy = (
+            self._engine.points(number.tolist())
+            if self.map is None
+            else self.map.xy[np.searchsorted(self.map.id, number)]
+        )
         e = expected.form(self.sensor, self._mean, self._joint(number), number, xy, sightings)
         nu, R = self.sensor.residual(sightings.z[rows], e.z_hat[which]), sightings.R[rows]
         distance = np.einsum("mi,mi->m", nu, np.linalg.solve(e.HPHt[which] + R, nu[..., None])[..., 0])
@@ -215,10 +198,10 @@ class Isam2Smoother:
             seen = sight_landmarks(self.sensor, *sightings, frames, number, self.loss)
             place, Gx, Gz = self.sensor.inverse(self._mean, sightings.z)
             cover = Gx @ self._P @ Gx.transpose(0, 2, 1) + Gz @ sightings.R @ Gz.transpose(0, 2, 1)
-            for i in np.flatnonzero(~np.isin(number, self.numbers)):
-                values.insert(L(int(number[i])), place[i])
-                self._slots[int(number[i])] = []
-                self._spread[int(number[i])] = float(np.sqrt(np.trace(cover[i])))
+            for i, n in enumerate(number.tolist()):
+                if n not in self._handles:
+                    values.insert(L(n), place[i])
+                    self._handles[n], self._spread[n] = [], float(np.sqrt(np.trace(cover[i])))
         else:
             xy = self.map.xy[np.searchsorted(self.map.id, number)]
             seen = sight_known(self.sensor, *sightings, frames, number, xy, self._copies, self.loss)
@@ -227,17 +210,16 @@ class Isam2Smoother:
                 if s.key is not None and s.xy is not None:
                     values.insert(s.key, s.xy)
         self._sighted += seen
-        first = len(factors)
-        factors += [f for s in seen for f in s.factors]
-        slots = self._change(graph_of(factors), values, [])
-        if self.map is None and slots:
-            for s in seen:
-                self._slots[s.number] += slots[first : first + len(s.factors)]
-                first += len(s.factors)
-        self._settle()
+        motions = len(factors)
+        handles = self._engine.add(factors + [f for s in seen for f in s.factors], values)[motions:]
+        for s in seen:
+            if self.map is None:
+                self._handles[s.number] += handles[: len(s.factors)]
+            handles = handles[len(s.factors) :]
+        self._read()
 
     def _flush(self) -> tuple[list[Factor], gtsam.Values]:
-        """Factors and start values of the motion since the anchor (and of the prior), which becomes part of the graph."""
+        """Factors and start values of the motion since the anchor (and the prior), which becomes part of the graph."""
         factors: list[Factor] = []
         values = gtsam.Values()
         pose = self._anchor_pose
@@ -247,7 +229,8 @@ class Isam2Smoother:
             values.insert(X(0), pose2(pose))
         if self._pending:
             covariance = np.array([m.covariance for m in self._pending])
-            self._qr_from_now(bool(check_increments(self._anchor + 1, covariance).min() < DELICATE))
+            if check_increments(self._anchor + 1, covariance).min() < DELICATE:
+                self._engine.use_qr()
             motion = between_factors(self._anchor + 1, np.array([m.mean for m in self._pending]), covariance)
             for k, m in enumerate(self._pending, self._anchor + 1):
                 pose = se2.compose(pose, m.mean)
@@ -257,3 +240,45 @@ class Isam2Smoother:
             self._anchor += len(motion)
             self._pending = []
         return factors, values
+
+    def _read(self) -> None:
+        """Anchor pose and covariance from the engine, then the newest pose by the motion since."""
+        pose = self._engine.settle(X(self._anchor), pose2(self._mean))
+        self._anchor_pose = np.array([pose.x(), pose.y(), pose.theta()])
+        B = se2.world_from_body(pose.theta())
+        P = B @ self._engine.covariance([X(self._anchor)]) @ B.T
+        self._anchor_P = 0.5 * (P + P.T)
+        self._mean, self._P, self._Q = self._anchor_pose, self._anchor_P, np.zeros((3, 3))
+        for increment in self._pending:
+            self._advance(increment)
+
+    def remove(self, numbers: IntArray) -> None:
+        """Drop landmarks with all their sightings, as if they had never been seen."""
+        if self.map is not None:
+            raise ValueError("a known map is given; landmarks cannot be removed from it")
+        gone = set(np.asarray(numbers).tolist())
+        if not gone <= set(self._handles):
+            raise ValueError(f"cannot remove {sorted(gone)}: not all are in the map")
+        self._version += 1
+        self._engine.drop([h for n in sorted(gone) for h in self._handles.pop(n)])
+        self._sighted = [s for s in self._sighted if s.number not in gone]
+        for _ in range(SETTLE):
+            self._engine.update()
+        self._read()
+
+    def finish(self) -> Finished:
+        """Final path and map with exact marginals: the optimum of all data, reached from the present estimate."""
+        values = self._engine.values()
+        factors, start = self._flush()
+        if len(factors):
+            self._engine.add(factors, start)
+            values.insert(start)
+        found = optimize(Problem(self.prior, self._motion, self._sighted, self.map is not None), values)
+        return Finished(found.trajectory, found.map)
+
+
+def _transport(displacement: Array) -> Array:
+    """d (pose) / d (earlier pose), world frame, for a displacement (3,) between them."""
+    F = np.eye(3)
+    F[0, 2], F[1, 2] = -displacement[1], displacement[0]
+    return F

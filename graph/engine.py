@@ -1,0 +1,145 @@
+"""gtsam's iSAM2 made dependable: switches to QR before Cholesky breaks, survives it where it does, names what is free."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import L
+
+from data.se2 import Array
+from graph.factors import Factor, UnderConstrained, graph_of, name_of
+
+WILDFIRE = 0.2
+"""In thresholds: a change smaller than this does not travel further back into the past."""
+JUMP = 4.0
+"""In thresholds: where the newest pose moves further than this in an update (a loop was closed), another one follows, ..."""
+EXTRA = 5
+"""... at most so many times."""
+
+
+class Engine:
+    """An ISAM2 object with stable handles on its factors.
+
+    After `Indeterminate linear system` an ISAM2 object is ruined; and Cholesky elimination raises it for problems that
+    QR solves (sums of information that differ by 1e10: a robot at rest). So QR takes over on request, or then.
+    """
+
+    def __init__(self, threshold: float, skip: int, *, qr: bool, name: Callable[[int], str] = name_of) -> None:
+        """`threshold` [m, rad]: what moved further is relinearized, at every `skip`-th update; `name` words a key."""
+        self.threshold, self.skip, self.qr, self.name = threshold, skip, qr, name
+        self._factors: list[Factor | None] = []
+        self._slot: list[int] = []
+        self._isam = self._fresh()
+
+    def _fresh(self) -> gtsam.ISAM2:
+        parameters = gtsam.ISAM2Params()
+        parameters.setRelinearizeThreshold(self.threshold)
+        parameters.relinearizeSkip = self.skip
+        parameters.enablePartialRelinearizationCheck = True
+        parameters.setFactorization("QR" if self.qr else "CHOLESKY")
+        steps = gtsam.ISAM2GaussNewtonParams()
+        steps.setWildfireThreshold(WILDFIRE * self.threshold)
+        parameters.setOptimizationParams(steps)
+        return gtsam.ISAM2(parameters)
+
+    def add(self, factors: Sequence[Factor], values: gtsam.Values) -> list[int]:
+        """Add factors and start values of their new variables; returns a handle for each factor."""
+        handles = list(range(len(self._factors), len(self._factors) + len(factors)))
+        self._factors += factors
+        try:
+            self._slot += self._isam.update(graph_of(factors), values).getNewFactorsIndices()
+        except RuntimeError as fault:
+            self._recover(fault)
+        return handles
+
+    def drop(self, handles: Sequence[int]) -> None:
+        """Remove factors; a variable that loses its last one goes with them."""
+        slots = [self._slot[h] for h in handles]
+        for h in handles:
+            self._factors[h] = None
+        try:
+            self._isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), slots)
+        except RuntimeError as fault:
+            self._recover(fault)
+
+    def settle(self, key: int, before: gtsam.Pose2) -> gtsam.Pose2:
+        """Estimate of the newest pose, after more updates if it jumped away from `before`."""
+        pose = self._ask(lambda: self._isam.calculateEstimatePose2(key))
+        for _ in range(EXTRA):
+            if np.abs(before.localCoordinates(pose)).max() < JUMP * self.threshold:
+                break
+            before = pose
+            self.update()
+            pose = self._ask(lambda: self._isam.calculateEstimatePose2(key))
+        return pose
+
+    def update(self) -> None:
+        """One more step towards the optimum: relinearize all that moved further than the threshold."""
+        empty = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        try:
+            self._isam.update(*empty, [], None, None, None, True)
+        except RuntimeError as fault:
+            self._recover(fault)
+
+    def use_qr(self) -> None:
+        """From now on QR, slower and safe."""
+        if not self.qr:
+            self.qr = True
+            self._rebuild()
+
+    def points(self, numbers: Sequence[int]) -> Array:
+        """Landmark positions (n, 2)."""
+        found = self._ask(lambda: [self._isam.calculateEstimatePoint2(L(n)) for n in numbers])
+        return np.array(found, float).reshape(-1, 2)
+
+    def covariance(self, keys: Sequence[int]) -> Array:
+        """Joint covariance of variables in the order asked for, poses in their body frames."""
+        if len(keys) == 1:
+            return np.asarray(self._ask(lambda: self._isam.marginalCovariance(keys[0])), float)
+        return np.asarray(self._ask(lambda: self._isam.jointMarginalCovariance(keys).fullMatrix()), float)
+
+    def values(self) -> gtsam.Values:
+        """The estimate of everything."""
+        return self._isam.calculateEstimate()
+
+    def _ask[Answer](self, question: Callable[[], Answer]) -> Answer:
+        """An answer that needs the elimination; once more with QR if it fails."""
+        try:
+            return question()
+        except RuntimeError as fault:
+            self._recover(fault)
+            return question()
+
+    def _recover(self, fault: RuntimeError) -> None:
+        """After a failed elimination: start again with QR, or say which variable is free."""
+        if "Indeterminate linear system" not in str(fault):
+            raise fault
+        if self.qr:
+            raise self._free(fault) from None
+        self.qr = True
+        self._rebuild()
+
+    def _rebuild(self) -> None:
+        """The same problem in a new ISAM2 object, at the present estimate."""
+        values = self._isam.calculateEstimate()
+        alive = [h for h, f in enumerate(self._factors) if f is not None]
+        self._isam = self._fresh()
+        if not alive:
+            return
+        try:
+            found = self._isam.update(graph_of([f for f in self._factors if f is not None]), values)
+        except RuntimeError as fault:
+            if "Indeterminate linear system" not in str(fault):
+                raise
+            raise self._free(fault) from None
+        self._slot = [-1] * len(self._factors)
+        for h, slot in zip(alive, found.getNewFactorsIndices(), strict=True):
+            self._slot[h] = slot
+
+    def _free(self, fault: RuntimeError) -> UnderConstrained:
+        match = re.search(r"variable\s+(\d+)", str(fault))
+        name = self.name(int(match.group(1))) if match else "a variable"
+        return UnderConstrained(f"{name} is not determined by the data so far")
