@@ -1,9 +1,10 @@
-"""gtsam's iSAM2 made dependable: switches to QR before Cholesky breaks, survives it where it does, names what is free."""
+"""gtsam's iSAM2 made dependable: QR where Cholesky breaks, and a name for what the data leave free."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 import gtsam
 import numpy as np
@@ -12,10 +13,12 @@ from gtsam.symbol_shorthand import L
 from data.se2 import Array
 from graph.factors import Factor, UnderConstrained, graph_of, name_of
 
+Answer = TypeVar("Answer")
+
 WILDFIRE = 0.2
 """In thresholds: a change smaller than this does not travel further back into the past."""
 JUMP = 4.0
-"""In thresholds: where the newest pose moves further than this in an update (a loop was closed), another one follows, ..."""
+"""In thresholds: where an update moves the newest pose further (a loop was closed), another one follows, ..."""
 EXTRA = 5
 """... at most so many times."""
 
@@ -32,7 +35,7 @@ class Engine:
         self.threshold, self.skip, self.qr, self.name = threshold, skip, qr, name
         self._factors: list[Factor | None] = []
         self._slot: list[int] = []
-        self._isam = self._fresh()
+        self.isam = self._fresh()
 
     def _fresh(self) -> gtsam.ISAM2:
         parameters = gtsam.ISAM2Params()
@@ -50,7 +53,7 @@ class Engine:
         handles = list(range(len(self._factors), len(self._factors) + len(factors)))
         self._factors += factors
         try:
-            self._slot += self._isam.update(graph_of(factors), values).getNewFactorsIndices()
+            self._slot += self.isam.update(graph_of(factors), values).getNewFactorsIndices()
         except RuntimeError as fault:
             self._recover(fault)
         return handles
@@ -61,26 +64,26 @@ class Engine:
         for h in handles:
             self._factors[h] = None
         try:
-            self._isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), slots)
+            self.isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), slots)
         except RuntimeError as fault:
             self._recover(fault)
 
     def settle(self, key: int, before: gtsam.Pose2) -> gtsam.Pose2:
         """Estimate of the newest pose, after more updates if it jumped away from `before`."""
-        pose = self._ask(lambda: self._isam.calculateEstimatePose2(key))
+        pose = self._ask(lambda: self.isam.calculateEstimatePose2(key))
         for _ in range(EXTRA):
             if np.abs(before.localCoordinates(pose)).max() < JUMP * self.threshold:
                 break
             before = pose
             self.update()
-            pose = self._ask(lambda: self._isam.calculateEstimatePose2(key))
+            pose = self._ask(lambda: self.isam.calculateEstimatePose2(key))
         return pose
 
     def update(self) -> None:
         """One more step towards the optimum: relinearize all that moved further than the threshold."""
         empty = gtsam.NonlinearFactorGraph(), gtsam.Values()
         try:
-            self._isam.update(*empty, [], None, None, None, True)
+            self.isam.update(*empty, [], None, None, None, True)
         except RuntimeError as fault:
             self._recover(fault)
 
@@ -92,20 +95,20 @@ class Engine:
 
     def points(self, numbers: Sequence[int]) -> Array:
         """Landmark positions (n, 2)."""
-        found = self._ask(lambda: [self._isam.calculateEstimatePoint2(L(n)) for n in numbers])
+        found = self._ask(lambda: [self.isam.calculateEstimatePoint2(L(n)) for n in numbers])
         return np.array(found, float).reshape(-1, 2)
 
     def covariance(self, keys: Sequence[int]) -> Array:
         """Joint covariance of variables in the order asked for, poses in their body frames."""
         if len(keys) == 1:
-            return np.asarray(self._ask(lambda: self._isam.marginalCovariance(keys[0])), float)
-        return np.asarray(self._ask(lambda: self._isam.jointMarginalCovariance(keys).fullMatrix()), float)
+            return np.asarray(self._ask(lambda: self.isam.marginalCovariance(keys[0])), float)
+        return np.asarray(self._ask(lambda: self.isam.jointMarginalCovariance(keys).fullMatrix()), float)
 
     def values(self) -> gtsam.Values:
         """The estimate of everything."""
-        return self._isam.calculateEstimate()
+        return self.isam.calculateEstimate()
 
-    def _ask[Answer](self, question: Callable[[], Answer]) -> Answer:
+    def _ask(self, question: Callable[[], Answer]) -> Answer:
         """An answer that needs the elimination; once more with QR if it fails."""
         try:
             return question()
@@ -124,13 +127,13 @@ class Engine:
 
     def _rebuild(self) -> None:
         """The same problem in a new ISAM2 object, at the present estimate."""
-        values = self._isam.calculateEstimate()
+        values = self.isam.calculateEstimate()
         alive = [h for h, f in enumerate(self._factors) if f is not None]
-        self._isam = self._fresh()
+        self.isam = self._fresh()
         if not alive:
             return
         try:
-            found = self._isam.update(graph_of([f for f in self._factors if f is not None]), values)
+            found = self.isam.update(graph_of([f for f in self._factors if f is not None]), values)
         except RuntimeError as fault:
             if "Indeterminate linear system" not in str(fault):
                 raise

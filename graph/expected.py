@@ -46,15 +46,15 @@ def form(
             for q in range(2):
                 H[np.arange(k), :, 3 + 2 * np.arange(k) + q] = Hl[chosen, :, q]
             of = np.concatenate([of, (3 + 2 * chosen[:, None] + np.arange(2)).ravel()])
-        H = H.reshape(2 * k, -1)
-        S: Array = H @ covariance[np.ix_(of, of)] @ H.T
+        rows = H.reshape(2 * k, -1)
+        S: Array = rows @ covariance[np.ix_(of, of)] @ rows.T
         return 0.5 * (S + S.T)
 
     return Expectation(number, z_hat, blocks, zeros[:n], sightings.z, sightings.R, zeros[:m], sensor.residual, joint)
 
 
 def in_view(sensor: Sensor, z_hat: Array, HPHt: Array) -> BoolArray:
-    """Which expected measurements (n, 2) lie in the field of view, widened by 3 sigma of HPHt (n, 2, 2) and 5 degrees."""
+    """Which expected measurements (n, 2) lie in the field of view, widened by 3 sigma, of HPHt, and 5 degrees."""
     variance = np.diagonal(HPHt, axis1=1, axis2=2)
     if sensor.kind != RANGE_BEARING:
         r = np.maximum(np.hypot(z_hat[:, 0], z_hat[:, 1]), MIN_RANGE)

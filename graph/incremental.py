@@ -72,14 +72,12 @@ class Isam2Smoother:
         self._handles: dict[int, list[int]] = {}
         self._copies = 0
         self._spread: dict[int, float] = {}
-        self._version = 0
         low = np.linalg.eigvalsh(prior.covariance)
         self._engine = Engine(threshold, skip, qr=bool(low[0] < DELICATE < low[-1]), name=self._name)
 
     def predict(self, increment: Increment) -> None:
         """Move by an increment; the graph grows only when something is seen."""
         self.frame += 1
-        self._version += 1
         self._pending.append(increment)
         self._advance(increment)
 
@@ -160,7 +158,6 @@ class Isam2Smoother:
             self.created += len(fresh)
         take = np.flatnonzero(used | (created >= 0))
         if len(take):
-            self._version += 1
             self._extend(Sightings(sightings.z[take], sightings.R[take]), np.where(used, decisions, created)[take])
         return Updated(used, created, nis, dof, likelihood)
 
@@ -259,7 +256,6 @@ class Isam2Smoother:
         gone = set(np.asarray(numbers).tolist())
         if not gone <= set(self._handles):
             raise ValueError(f"cannot remove {sorted(gone)}: not all are in the map")
-        self._version += 1
         self._engine.drop([h for n in sorted(gone) for h in self._handles.pop(n)])
         self._sighted = [s for s in self._sighted if s.number not in gone]
         for _ in range(SETTLE):
@@ -268,17 +264,17 @@ class Isam2Smoother:
 
     def finish(self) -> Finished:
         """Final path and map with exact marginals: the optimum of all data, reached from the present estimate."""
-        values = self._engine.values()
-        factors, start = self._flush()
-        if len(factors):
-            self._engine.add(factors, start)
-            values.insert(start)
-        found = optimize(Problem(self.prior, self._motion, self._sighted, self.map is not None), values)
+        factors, values = self._flush()
+        if factors:
+            self._engine.add(factors, values)
+            self._read()
+        problem = Problem(self.prior, self._motion, self._sighted, self.map is not None)
+        found = optimize(problem, self._engine.values())
         return Finished(found.trajectory, found.map)
 
 
 def _transport(displacement: Array) -> Array:
-    """d (pose) / d (earlier pose), world frame, for a displacement (3,) between them."""
+    """Jacobian of a pose to an earlier one, world frame, for the displacement (3,) between them."""
     F = np.eye(3)
     F[0, 2], F[1, 2] = -displacement[1], displacement[0]
     return F

@@ -1,0 +1,50 @@
+"""The peer of the benchmark: a loop around gtsam's ISAM2 with the same factors, and nothing else."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import L, X
+
+from data.inputs import Inputs, IntArray
+from data.result import Trajectory
+from graph.batch import build
+from graph.engine import Engine
+from graph.factors import pose2, prior_factor
+from graph.incremental import SKIP, THRESHOLD
+from graph.optimum import in_world
+
+
+def bare_isam2(inputs: Inputs, decisions: IntArray, created: IntArray, *, every_frame: bool = False) -> Trajectory:
+    """SLAM, frame by frame: add the factors, update, read the newest pose and its covariance.
+
+    As in our own loop, frames that see nothing join the next update, unless `every_frame` asks for one each. Factors
+    are made beforehand, all at once; the parameters are ours. No recovery, no gate, no bookkeeping.
+    """
+    problem = build(inputs, decisions, created)
+    isam = Engine(THRESHOLD, SKIP, qr=False).isam
+    pose, covariance = np.empty((len(inputs), 3)), np.empty((len(inputs), 3, 3))
+    graph, values, row, known = gtsam.NonlinearFactorGraph(), gtsam.Values(), 0, set()
+    estimate, P = pose2(inputs.prior.mean), np.zeros((3, 3))
+    graph.add(prior_factor(inputs.prior))
+    for k in range(len(inputs)):
+        if k:
+            graph.add(problem.motion[k - 1])
+            estimate = estimate.compose(problem.motion[k - 1].measured())
+        values.insert(X(k), estimate)
+        first = row
+        while row < len(problem.sighted) and problem.sighted[row].frame == k:
+            seen = problem.sighted[row]
+            for factor in seen.measured:
+                graph.add(factor)
+            if seen.number not in known:
+                known.add(seen.number)
+                at = np.array([estimate.x(), estimate.y(), estimate.theta()])
+                values.insert(L(seen.number), inputs.sensor.inverse(at, inputs.observations.z[row])[0][0])
+            row += 1
+        if every_frame or row > first:
+            isam.update(graph, values)
+            graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+            estimate, P = isam.calculateEstimatePose2(X(k)), isam.marginalCovariance(X(k))
+        pose[k], covariance[k] = (estimate.x(), estimate.y(), estimate.theta()), P
+    return Trajectory(pose, in_world(pose, covariance))
