@@ -5,9 +5,12 @@ The EKF forms it from its covariance, iSAM2 from joint marginals; a recorded pro
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 
+import numba
 import numpy as np
 from scipy.stats import chi2
 
@@ -16,6 +19,13 @@ from data.se2 import Array
 
 Residual = Callable[[Array, Array], Array]
 
+SINGULAR = 1e-13
+"""A covariance whose Cholesky pivot is below this part of its diagonal entry is singular (independent of units)."""
+
+
+class SingularInnovationError(ValueError):
+    """An innovation covariance is not positive definite, or not finite: it gives no distance, and none is guessed."""
+
 
 def gate_threshold(probability: float | None, dof: int = 2) -> float:
     """Squared distance that a chi-square variable of `dof` stays below with `probability`; None: no gate."""
@@ -23,6 +33,12 @@ def gate_threshold(probability: float | None, dof: int = 2) -> float:
         return float("inf")
     if not 0.0 < probability < 1.0:
         raise ValueError(f"gate {probability}: a probability between 0 and 1, or none")
+    return _chi2(probability, dof)
+
+
+@lru_cache(maxsize=4096)
+def _chi2(probability: float, dof: int) -> float:
+    """Inverse chi-square distribution; remembered, because every frame asks for the same few."""
     return float(chi2.ppf(probability, dof))
 
 
@@ -30,6 +46,29 @@ def plain_residual(z: Array, z_hat: Array) -> Array:
     """Difference without angles, for problems stated in Cartesian coordinates."""
     difference: Array = np.asarray(z, float) - np.asarray(z_hat, float)
     return difference
+
+
+@numba.njit(cache=True)
+def _distances(nu, HPHt, R, frame, observed_frame, d2, det):  # type: ignore[no-untyped-def]
+    """Fill d2 (m, n) and det S (m, n); infinite where the frames differ. Index i * n + j of a singular pair, or -1."""
+    m, n = d2.shape
+    for i in range(m):
+        for j in range(n):
+            if frame[j] != observed_frame[i]:
+                d2[i, j], det[i, j] = np.inf, np.inf
+                continue
+            a, c = HPHt[j, 0, 0] + R[i, 0, 0], HPHt[j, 1, 1] + R[i, 1, 1]
+            b = 0.5 * (HPHt[j, 0, 1] + HPHt[j, 1, 0] + R[i, 0, 1] + R[i, 1, 0])
+            # Schur complement, not c - b^2 / a from the determinant: no overflow, and the pivot is what is tested
+            pivot = c - b * (b / a) if a > 0.0 else -1.0
+            if not (pivot > SINGULAR * c and c > 0.0):
+                return i * n + j
+            x, y = nu[i, j, 0], nu[i, j, 1] - nu[i, j, 0] * (b / a)
+            d2[i, j] = x * x / a + y * y / pivot
+            det[i, j] = a * pivot
+            if not math.isfinite(d2[i, j]):
+                return i * n + j
+    return -1
 
 
 @dataclass(frozen=True)
@@ -58,9 +97,21 @@ class Expectation:
 
     @classmethod
     def from_arrays(
-        cls, z: Array, z_hat: Array, joint_HPHt: Array, R: Array, residual: Residual = plain_residual
+        cls,
+        z: Array,
+        z_hat: Array,
+        joint_HPHt: Array,
+        R: Array,
+        residual: Residual = plain_residual,
+        *,
+        number: IntArray | None = None,
+        frame: IntArray | None = None,
+        observed_frame: IntArray | None = None,
     ) -> Expectation:
-        """A problem stated with plain arrays: z (m, 2), z_hat (n, 2), joint_HPHt (2n, 2n), R (m, 2, 2)."""
+        """A problem stated with plain arrays: z (m, 2), z_hat (n, 2), joint_HPHt (2n, 2n), R (m, 2, 2).
+
+        `number` (n,) defaults to 0, 1, ...; `frame` (n,) and `observed_frame` (m,) to one frame for all.
+        """
         z, z_hat = np.asarray(z, float).reshape(-1, 2), np.asarray(z_hat, float).reshape(-1, 2)
         full = np.asarray(joint_HPHt, float)
         n, m = len(z_hat), len(z)
@@ -68,31 +119,71 @@ class Expectation:
             raise ValueError(f"joint covariance has shape {full.shape}; {n} candidates need {(2 * n, 2 * n)}")
 
         def joint(indices: IntArray) -> Array:
-            rows = (2 * np.asarray(indices)[:, None] + np.arange(2)).ravel()
+            rows = (2 * np.asarray(indices, np.int64)[:, None] + np.arange(2)).ravel()
             block: Array = full[np.ix_(rows, rows)]
             return block
 
         blocks = full.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
-        zeros = np.zeros(n, np.int64)
         return cls(
-            np.arange(n),
+            np.arange(n) if number is None else np.asarray(number, np.int64),
             z_hat,
             blocks,
-            zeros,
+            np.zeros(n, np.int64) if frame is None else np.asarray(frame, np.int64),
             z,
             np.asarray(R, float).reshape(m, 2, 2),
-            np.zeros(m, np.int64),
+            np.zeros(m, np.int64) if observed_frame is None else np.asarray(observed_frame, np.int64),
             residual,
             joint,
+        )
+
+    def by_age(self) -> Expectation:
+        """The same problem with its candidates in ascending landmark number, the oldest first.
+
+        Methods that break ties by order start with this, so that no decision depends on how a map is stored. In a
+        window of frames the entries of one landmark keep the order of their frames.
+        """
+        order = np.lexsort((self.frame, self.number))
+        if np.array_equal(order, np.arange(len(order))):
+            return self
+        return replace(
+            self,
+            number=self.number[order],
+            z_hat=self.z_hat[order],
+            HPHt=self.HPHt[order],
+            frame=self.frame[order],
+            joint=lambda indices: self.joint(order[np.asarray(indices, np.int64)]),
         )
 
     def innovations(self) -> Array:
         """z_i - z_hat_j for every observation i and candidate j, (m, n, 2)."""
         return self.residual(self.z[:, None, :], self.z_hat[None, :, :])
 
+    @cached_property
+    def _formed(self) -> tuple[Array, Array]:
+        """Squared distances and determinants (m, n); formed once, because method and newness both ask."""
+        m, n = len(self.z), len(self.number)
+        d2, det = np.empty((m, n)), np.empty((m, n))
+        bad = _distances(self.innovations(), self.HPHt, self.R, self.frame, self.observed_frame, d2, det)
+        if bad >= 0:
+            i, j = divmod(int(bad), n)
+            raise SingularInnovationError(
+                f"observation {i} and landmark {self.number[j]}: the innovation covariance "
+                f"{(self.HPHt[j] + self.R[i]).tolist()} is singular, or the innovation is not finite; "
+                "a positive definite covariance is needed"
+            )
+        d2.setflags(write=False)
+        det.setflags(write=False)
+        return d2, det
+
     def individual_distances(self) -> Array:
-        """Squared Mahalanobis distance (m, n) of every observation to every candidate."""
-        nu = self.innovations()
-        S = self.HPHt[None] + self.R[:, None]
-        distances: Array = np.einsum("mni,mni->mn", nu, np.linalg.solve(S, nu[..., None])[..., 0])
-        return distances
+        """Squared Mahalanobis distance (m, n) of every observation to every candidate, infinite in another frame.
+
+        Raises:
+            SingularInnovationError: an innovation covariance is not positive definite, or something is not finite.
+        """
+        return self._formed[0]
+
+    def log_determinants(self) -> Array:
+        """Logarithm of det S (m, n) of every observation and candidate, infinite in another frame."""
+        logs: Array = np.log(self._formed[1])
+        return logs

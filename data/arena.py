@@ -60,7 +60,7 @@ class Arena:
     sigma_point: float = 0.1
     min_range: float = 0.5
     max_range: float = 8.0
-    field_of_view: float = math.pi
+    field_of_view: float = 2.0 * math.pi
     prior_sigma: float = 0.1
     prior_sigma_heading: float = 0.03
     detection: float = 1.0

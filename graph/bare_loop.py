@@ -30,7 +30,7 @@ def bare_isam2(inputs: Inputs, decisions: IntArray, created: IntArray, *, every_
     for k in range(len(inputs)):
         if k:
             graph.add(problem.motion[k - 1])
-            estimate = estimate.compose(problem.motion[k - 1].measured())
+            estimate = estimate.compose(pose2(inputs.increments.mean[k]))
         values.insert(X(k), estimate)
         first = row
         while row < len(problem.sighted) and problem.sighted[row].frame == k:

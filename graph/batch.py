@@ -11,7 +11,7 @@ from data.errors import UsageError
 from data.inputs import Inputs, IntArray
 from data.result import MapState, Trajectory
 from data.se2 import Array
-from graph.factors import LOSSES, between_factors, check_increments, sight_known, sight_landmarks
+from graph.factors import LOSSES, between_factors, sight_known, sight_landmarks
 from graph.optimum import Problem, optimize
 
 
@@ -72,8 +72,7 @@ def smooth(inputs: Inputs, decisions: IntArray, created: IntArray, start: Start,
 
 def build(inputs: Inputs, decisions: IntArray, created: IntArray, loss: str = "gaussian") -> Problem:
     """The factors of a log under given decisions."""
-    check_increments(1, inputs.increments.covariance[1:])
-    motion = between_factors(1, inputs.increments.mean[1:], inputs.increments.covariance[1:])
+    motion, _ = between_factors(1, inputs.increments.mean[1:], inputs.increments.covariance[1:])
     number = np.where(created >= 0, created, decisions)
     used = np.flatnonzero(number >= 0)
     o = inputs.observations

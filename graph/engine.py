@@ -17,7 +17,7 @@ Answer = TypeVar("Answer")
 
 WILDFIRE = 0.2
 """In thresholds: a change smaller than this does not travel further back into the past."""
-JUMP = 4.0
+JUMP = 10.0
 """In thresholds: where an update moves the newest pose further (a loop was closed), another one follows, ..."""
 EXTRA = 5
 """... at most so many times."""

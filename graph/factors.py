@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import gtsam
+import numba
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
@@ -31,7 +32,7 @@ gtsam has no noise that is exact in an arbitrary direction. The covariances of b
 BEACON = 1e7
 """m. Distance of the beacons that stand for the coordinates of a relative point; see `coordinate_factors`."""
 SINGULAR = 1e-13
-"""m^2, rad^2. An increment whose covariance has an eigenvalue below this has no information matrix to speak of."""
+"""m^2, rad^2. An increment that is known better than this in some direction has no information matrix to speak of."""
 KERNELS = {"huber": noise.mEstimator.Huber.Create(1.345), "cauchy": noise.mEstimator.Cauchy.Create(1.0)}
 LOSSES = ("gaussian", *KERNELS)
 _HELD = noise.Constrained.All(2)
@@ -78,14 +79,37 @@ def pose2(pose: Array) -> gtsam.Pose2:
     return gtsam.Pose2(float(pose[0]), float(pose[1]), float(pose[2]))
 
 
-def root_information(covariance: Array) -> Array:
-    """Upper triangular R (n, d, d) with R'R = C^-1, from a Cholesky factor of C (n, d, d).
+@numba.njit(cache=True)
+def root_information(covariance):  # type: ignore[no-untyped-def]
+    """Upper triangular R (n, d, d) with R'R = C^-1 for C (n, d, d), and the smallest pivot (n,) of each C.
 
+    A pivot is the variance of one coordinate given those after it; where it is not positive, R is not filled in.
     gtsam's own `Gaussian.Covariance` inverts C instead: for a nearly singular C it gets the well-known direction right
     and the other one wrong (a rank-one prior of sigma 0.17, floored at 1e-6, came out as 0.002).
     """
-    U = np.linalg.cholesky(covariance[:, ::-1, ::-1])[:, ::-1, ::-1]  # C = U U', U upper triangular
-    return np.triu(np.linalg.inv(U))
+    n, d = len(covariance), covariance.shape[1]
+    R, pivot = np.zeros((n, d, d)), np.full(n, np.inf)
+    U = np.zeros((d, d))  # C = U U'
+    for i in range(n):
+        for c in range(d - 1, -1, -1):
+            for r in range(c, -1, -1):
+                total = covariance[i, r, c]
+                for q in range(c + 1, d):
+                    total -= U[r, q] * U[c, q]
+                if r == c:
+                    pivot[i] = min(pivot[i], total) if total == total else total
+                    U[c, c] = math.sqrt(total) if total > 0.0 else np.nan
+                else:
+                    U[r, c] = total / U[c, c]
+        if pivot[i] > 0.0:
+            for c in range(d):
+                R[i, c, c] = 1.0 / U[c, c]
+                for r in range(c - 1, -1, -1):
+                    total = 0.0
+                    for q in range(r + 1, c + 1):
+                        total += U[r, q] * R[i, q, c]
+                    R[i, r, c] = -total / U[r, r]
+    return R, pivot
 
 
 def prior_factor(prior: Prior) -> Factor:
@@ -99,38 +123,31 @@ def prior_factor(prior: Prior) -> Factor:
     else:
         if variance[0] < EXACT**2:
             body = axes @ np.diag(np.maximum(variance, EXACT**2)) @ axes.T
-        model = noise.Gaussian.SqrtInformation(root_information(body[None])[0])
+        model = noise.Gaussian.SqrtInformation(root_information(body[None])[0][0])
     return gtsam.PriorFactorPose2(X(0), pose2(prior.mean), model)
 
 
-def check_increments(first_frame: int, covariance: Array) -> Array:
-    """Smallest eigenvalue (n,) of the covariances (n, 3, 3) of the motion into the frames from `first_frame` on.
+def between_factors(first_frame: int, mean: Array, covariance: Array) -> tuple[list[Factor], float]:
+    """Motions (n, 3) with covariances (n, 3, 3) into the frames from `first_frame` on, and their smallest pivot.
 
-    Raises DataError for a singular one: a smoother needs its inverse.
-    """
-    smallest = np.asarray(np.linalg.eigvalsh(covariance)[:, 0], float)
-    bad = np.flatnonzero(~(smallest > SINGULAR))
-    if len(bad):
-        raise DataError(
-            f"increment into frame {first_frame + bad[0]}: covariance is singular (smallest eigenvalue "
-            f"{smallest[bad[0]]:.3g}); a smoother needs covariance_floor of 1e-10 or so"
-        )
-    return smallest
-
-
-def between_factors(first_frame: int, mean: Array, covariance: Array) -> list[Factor]:
-    """Motions (n, 3) with covariances (n, 3, 3) into the frames from `first_frame` on.
-
-    Our increment's error is additive in the previous body frame, gtsam's sits at the end pose.
+    Our increment's error is additive in the previous body frame, gtsam's sits at the end pose. Raises DataError for a
+    singular covariance: a smoother needs its inverse.
     """
     B = np.zeros_like(covariance)
     c, s = np.cos(mean[:, 2]), np.sin(mean[:, 2])
     B[:, 0, 0], B[:, 0, 1], B[:, 1, 0], B[:, 1, 1], B[:, 2, 2] = c, -s, s, c, 1.0
-    roots = root_information(B.transpose(0, 2, 1) @ covariance @ B)
-    return [
+    roots, pivot = root_information(B.transpose(0, 2, 1) @ covariance @ B)
+    bad = np.flatnonzero(~(pivot > SINGULAR))
+    if len(bad):
+        raise DataError(
+            f"increment into frame {first_frame + bad[0]}: its covariance is singular (variance {pivot[bad[0]]:.3g} in "
+            "some direction); a smoother needs a covariance_floor of 1e-10 or so"
+        )
+    factors: list[Factor] = [
         gtsam.BetweenFactorPose2(X(k - 1), X(k), pose2(m), noise.Gaussian.SqrtInformation(R))
         for k, (m, R) in enumerate(zip(mean, roots, strict=True), first_frame)
     ]
+    return factors, float(pivot.min(initial=np.inf))
 
 
 def with_loss(model: gtsam.noiseModel.Base, loss: str) -> gtsam.noiseModel.Base:
@@ -145,43 +162,52 @@ def in_body_frame(sensor: Sensor, z: Array) -> tuple[Array, Array]:
 
 
 def bearing_range(sensor: Sensor, z: Array, R: Array) -> tuple[Array, Array]:
-    """[bearing, range] (m, 2) in the body frame, gtsam's order, with the roots (m, 2, 2) of their information.
+    """[bearing, range] (m, 2) in the body frame, gtsam's order, with covariances (m, 2, 2).
 
     A rotated sensor only shifts the bearing; one mounted off the robot's centre is converted through the point, to
     first order in the noise.
     """
     if sensor.translation == (0.0, 0.0):
-        return np.stack([z[:, 1] - sensor.rotation, z[:, 0]], 1), root_information(R[:, ::-1, ::-1])
+        return np.stack([z[:, 1] - sensor.rotation, z[:, 0]], 1), R[:, ::-1, ::-1]
     p, G = in_body_frame(sensor, z)
     r = np.hypot(p[:, 0], p[:, 1])
     A = np.stack([np.stack([-p[:, 1], p[:, 0]], 1) / r[:, None] ** 2, p / r[:, None]], 1) @ G
-    return np.stack([np.arctan2(p[:, 1], p[:, 0]), r], 1), root_information(A @ R @ A.transpose(0, 2, 1))
+    return np.stack([np.arctan2(p[:, 1], p[:, 0]), r], 1), A @ R @ A.transpose(0, 2, 1)
 
 
-def _checked(R: Array, frame: IntArray) -> tuple[Array, Array]:
-    """Principal variances (m, 2) and axes (m, 2, 2) of covariances R; raises DataError for one that is not definite."""
-    variance, axes = np.linalg.eigh(R)
-    bad = np.flatnonzero(~(variance[:, 0] > 0.0))
+def relative_point(sensor: Sensor, z: Array, R: Array) -> tuple[Array, Array]:
+    """Point (m, 2) in the body frame with covariances (m, 2, 2), exact."""
+    p, G = in_body_frame(sensor, z)
+    return p, G @ R @ G.transpose(0, 2, 1)
+
+
+def measured(sensor: Sensor, z: Array, R: Array, frame: IntArray) -> tuple[Array, Array]:
+    """Bearing and range or the point, in the body frame, with the roots (m, 2, 2) of their information."""
+    h, C = (bearing_range if sensor.kind == RANGE_BEARING else relative_point)(sensor, z, R)
+    roots, pivot = root_information(C)
+    bad = np.flatnonzero(~(pivot > 0.0))
     if len(bad):
         i = bad[0]
         raise DataError(f"frame {frame[i]}: measurement covariance {R[i].tolist()} is not positive definite")
-    return variance, axes
+    return h, roots
 
 
-def coordinate_factors(pose: int, landmark: int, point: Array, variance: Array, axes: Array, loss: str) -> list[Factor]:
-    """A relative point (2,) as two independent scalars along the principal axes (2, 2; columns) of its covariance.
+def coordinate_factors(pose: int, landmark: int, point: Array, root: Array, loss: str) -> list[Factor]:
+    """A relative point (2,) as two independent scalars, one for each row of its root information (2, 2).
 
     gtsam's Python API has no Pose2-Point2 factor for a relative point. But the coordinate of a point along an axis is
     its range to a beacon far behind on that axis, and that factor exists, in C++. The range differs from the
     coordinate by y^2 / 2D: a micrometre for a residual of 1 m across at 20 m (D = `BEACON`), and its rounding is
     nanometres. The usual conversion to bearing and range is biased instead: 0.4 m of path on Victoria Park, where
-    that is more than a sigma. A robust kernel acts on each axis by itself.
+    that is more than a sigma. A robust kernel acts on each scalar by itself.
     """
     factors: list[Factor] = []
-    for i in range(2):
-        bx, by = -BEACON * float(axes[0, i]), -BEACON * float(axes[1, i])
-        model = with_loss(noise.Isotropic.Sigma(1, math.sqrt(variance[i])), loss)
-        distance = math.hypot(float(point[0]) - bx, float(point[1]) - by)
+    px, py = point.tolist()
+    for rx, ry in root.tolist():
+        weight = math.hypot(rx, ry)
+        bx, by = -BEACON * rx / weight, -BEACON * ry / weight
+        model = with_loss(noise.Isotropic.Sigma(1, 1.0 / weight), loss)
+        distance = math.hypot(px - bx, py - by)
         factors.append(gtsam.RangeFactorWithTransform2D(pose, landmark, distance, model, gtsam.Pose2(bx, by, 0.0)))
     return factors
 
@@ -190,16 +216,14 @@ def sight_landmarks(
     sensor: Sensor, z: Array, R: Array, frame: IntArray, number: IntArray, loss: str = "gaussian"
 ) -> list[Sighted]:
     """SLAM: observations z (m, 2), R (m, 2, 2) of landmarks `number` (m,) from frames (m,)."""
-    variance, axes = _checked(R, frame)
     result = []
-    if sensor.kind == RANGE_BEARING:
-        for f, n, h, root in zip(frame.tolist(), number.tolist(), *bearing_range(sensor, z, R), strict=True):
+    for f, n, h, root in zip(frame.tolist(), number.tolist(), *measured(sensor, z, R, frame), strict=True):
+        if sensor.kind == RANGE_BEARING:
             model = with_loss(noise.Gaussian.SqrtInformation(root), loss)
-            result.append(Sighted(f, n, L(n), [gtsam.BearingRangeFactor2D(X(f), L(n), gtsam.Rot2(h[0]), h[1], model)]))
-        return result
-    points, turn = in_body_frame(sensor, z)
-    for f, n, p, v, a in zip(frame.tolist(), number.tolist(), points, variance, turn @ axes, strict=True):
-        result.append(Sighted(f, n, L(n), coordinate_factors(X(f), L(n), p, v, a, loss)))
+            factors: list[Factor] = [gtsam.BearingRangeFactor2D(X(f), L(n), gtsam.Rot2(h[0]), h[1], model)]
+        else:
+            factors = coordinate_factors(X(f), L(n), h, root, loss)
+        result.append(Sighted(f, n, L(n), factors))
     return result
 
 
@@ -219,20 +243,15 @@ def sight_known(
     fresh copy for each observation (L(first_row), ...), so that the graph stays a chain. One variable per landmark
     would tie the whole past together: ten times slower in iSAM2, five times in gtsam's Marginals, the same numbers.
     """
-    _checked(R, frame)
     result = []
-    if sensor.kind == RANGE_BEARING:
-        for i, (f, h, root) in enumerate(zip(frame.tolist(), *bearing_range(sensor, z, R), strict=True)):
-            key = L(first_row + i)
-            model = with_loss(noise.Gaussian.SqrtInformation(root), loss)
-            factor = gtsam.BearingRangeFactor2D(X(f), key, gtsam.Rot2(h[0]), h[1], model)
-            result.append(Sighted(f, int(number[i]), key, [factor], gtsam.PriorFactorPoint2(key, xy[i], _HELD), xy[i]))
-        return result
-    points, turn = in_body_frame(sensor, z)
-    roots = root_information(turn @ R @ turn.transpose(0, 2, 1))
-    for i, (f, p, root) in enumerate(zip(frame.tolist(), points, roots, strict=True)):
+    seen = zip(frame.tolist(), number.tolist(), *measured(sensor, z, R, frame), xy, strict=True)
+    for row, (f, n, h, root, at) in enumerate(seen, first_row):
         model = with_loss(noise.Gaussian.SqrtInformation(root), loss)
-        result.append(Sighted(f, int(number[i]), None, [gtsam.KnownLandmarkFactorPose2(X(f), xy[i], p, model)]))
+        if sensor.kind == RANGE_BEARING:
+            factor = gtsam.BearingRangeFactor2D(X(f), L(row), gtsam.Rot2(h[0]), h[1], model)
+            result.append(Sighted(f, n, L(row), [factor], gtsam.PriorFactorPoint2(L(row), at, _HELD), at))
+        else:
+            result.append(Sighted(f, n, None, [gtsam.KnownLandmarkFactorPose2(X(f), at, h, model)]))
     return result
 
 

@@ -6,7 +6,10 @@ next frame that sees something, so every frame is a variable and the estimate is
 
 from __future__ import annotations
 
+import math
+
 import gtsam
+import numba
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
@@ -15,14 +18,13 @@ from data import se2
 from data.inputs import Increment, IntArray, LandmarkMap, Prior, Sightings
 from data.result import NEW, Finished, PoseEstimate, Updated
 from data.se2 import Array, BoolArray
-from data.sensors import Sensor
+from data.sensors import Sensor, wrap_angle
 from graph import expected
 from graph.engine import Engine
 from graph.factors import (
     Factor,
     Sighted,
     between_factors,
-    check_increments,
     name_of,
     pose2,
     prior_factor,
@@ -64,8 +66,9 @@ class Isam2Smoother:
         self.frame, self.created = 0, 0
         self._mean, self._P = prior.mean.copy(), prior.covariance.copy()
         # the newest pose in the graph, and the motion since then
-        self._anchor, self._anchor_pose, self._anchor_P = -1, self._mean, self._P
+        self._anchor, self._anchor_pose = -1, self._mean
         self._pending: list[Increment] = []
+        self._path: list[Array] = []
         self._Q = np.zeros((3, 3))
         self._motion: list[Factor] = []
         self._sighted: list[Sighted] = []
@@ -83,12 +86,8 @@ class Isam2Smoother:
 
     def _advance(self, increment: Increment) -> None:
         """The newest pose and its covariance by one increment (the same arithmetic as a filter's prediction)."""
-        B = se2.world_from_body(self._mean[2])
-        moved = se2.compose(self._mean, increment.mean)
-        F = _transport(moved - self._mean)
-        noise = B @ increment.covariance @ B.T
-        self._mean, self._P = moved, F @ self._P @ F.T + noise
-        self._Q = F @ self._Q @ F.T + noise
+        self._mean, self._P, self._Q = _advance(self._mean, self._P, self._Q, increment.mean, increment.covariance)
+        self._path.append(self._mean)
 
     def estimate(self) -> PoseEstimate:
         """The newest pose with its world-frame covariance (copies)."""
@@ -193,12 +192,12 @@ class Isam2Smoother:
         frames = np.full(len(number), self.frame)
         if self.map is None:
             seen = sight_landmarks(self.sensor, *sightings, frames, number, self.loss)
-            place, Gx, Gz = self.sensor.inverse(self._mean, sightings.z)
-            cover = Gx @ self._P @ Gx.transpose(0, 2, 1) + Gz @ sightings.R @ Gz.transpose(0, 2, 1)
             for i, n in enumerate(number.tolist()):
                 if n not in self._handles:
-                    values.insert(L(n), place[i])
-                    self._handles[n], self._spread[n] = [], float(np.sqrt(np.trace(cover[i])))
+                    place, Gx, Gz = (a[0] for a in self.sensor.inverse(self._mean, sightings.z[i : i + 1]))
+                    values.insert(L(n), place)
+                    spread = np.trace(Gx @ self._P @ Gx.T + Gz @ sightings.R[i] @ Gz.T)
+                    self._handles[n], self._spread[n] = [], float(np.sqrt(spread))
         else:
             xy = self.map.xy[np.searchsorted(self.map.id, number)]
             seen = sight_known(self.sensor, *sightings, frames, number, xy, self._copies, self.loss)
@@ -219,23 +218,21 @@ class Isam2Smoother:
         """Factors and start values of the motion since the anchor (and the prior), which becomes part of the graph."""
         factors: list[Factor] = []
         values = gtsam.Values()
-        pose = self._anchor_pose
         if self._anchor < 0:
             self._anchor = 0
             factors.append(prior_factor(self.prior))
-            values.insert(X(0), pose2(pose))
+            values.insert(X(0), pose2(self.prior.mean))
         if self._pending:
-            covariance = np.array([m.covariance for m in self._pending])
-            if check_increments(self._anchor + 1, covariance).min() < DELICATE:
+            mean, covariance = (np.array(rows) for rows in zip(*self._pending, strict=True))
+            motion, pivot = between_factors(self._anchor + 1, mean, covariance)
+            if pivot < DELICATE:
                 self._engine.use_qr()
-            motion = between_factors(self._anchor + 1, np.array([m.mean for m in self._pending]), covariance)
-            for k, m in enumerate(self._pending, self._anchor + 1):
-                pose = se2.compose(pose, m.mean)
+            for k, pose in enumerate(self._path, self._anchor + 1):
                 values.insert(X(k), pose2(pose))
             self._motion += motion
             factors += motion
             self._anchor += len(motion)
-            self._pending = []
+            self._pending, self._path = [], []
         return factors, values
 
     def _read(self) -> None:
@@ -244,8 +241,8 @@ class Isam2Smoother:
         self._anchor_pose = np.array([pose.x(), pose.y(), pose.theta()])
         B = se2.world_from_body(pose.theta())
         P = B @ self._engine.covariance([X(self._anchor)]) @ B.T
-        self._anchor_P = 0.5 * (P + P.T)
-        self._mean, self._P, self._Q = self._anchor_pose, self._anchor_P, np.zeros((3, 3))
+        self._mean, self._P, self._Q = self._anchor_pose, 0.5 * (P + P.T), np.zeros((3, 3))
+        self._path = []
         for increment in self._pending:
             self._advance(increment)
 
@@ -271,6 +268,18 @@ class Isam2Smoother:
         problem = Problem(self.prior, self._motion, self._sighted, self.map is not None)
         found = optimize(problem, self._engine.values())
         return Finished(found.trajectory, found.map)
+
+
+@numba.njit(cache=True)
+def _advance(mean, P, Q, motion, M):  # type: ignore[no-untyped-def]
+    """Pose (3,), its covariance P and the covariance Q gathered since the anchor, one increment later."""
+    c, s = math.cos(mean[2]), math.sin(mean[2])
+    wx, wy = c * motion[0] - s * motion[1], s * motion[0] + c * motion[1]
+    moved = np.array([mean[0] + wx, mean[1] + wy, wrap_angle(mean[2] + motion[2])])
+    B = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    F = np.array([[1.0, 0.0, -wy], [0.0, 1.0, wx], [0.0, 0.0, 1.0]])
+    G = B @ M @ B.T
+    return moved, F @ P @ F.T + G, F @ Q @ F.T + G
 
 
 def _transport(displacement: Array) -> Array:

@@ -1,0 +1,80 @@
+"""Decide: a method by its name, then newness; what a replay calls in every frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from association.expectation import Expectation
+from association.gnn import gnn
+from association.jcbb import BUDGET, search
+from association.likelihood import ml, ml_ratio
+from association.nearest import nn
+from association.newness import newness
+from association.singles import singles
+from data.errors import UsageError
+from data.inputs import IntArray
+from data.result import DISCARD, NEW
+
+PLAIN: dict[str, Callable[[Expectation, float | None], IntArray]] = {
+    "nn": nn,
+    "ml": ml,
+    "ml-ratio": ml_ratio,
+    "singles": singles,
+    "gnn": gnn,
+}
+"""Methods that always come to an end."""
+SEARCHES = {"jcbb": False, "jcbb-first": True}
+"""Methods with a node budget, and whether the first of the largest hypotheses stays."""
+METHODS = (*PLAIN, *SEARCHES)
+"""Names of all methods that decide for themselves (`known` does not: see `association.known`)."""
+OWN_NEWNESS = frozenset({"ml-ratio"})
+"""Methods in which "new" is a candidate like any other, so that no second gate is asked."""
+
+
+class Decided(NamedTuple):
+    """Decisions (m,): landmark number, `NEW` or `DISCARD`; complete: False if a search ran out of its budget."""
+
+    decisions: IntArray
+    complete: bool
+
+
+def decide(
+    method: str,
+    expectation: Expectation,
+    gate: float | None,
+    new_gate: float | None,
+    *,
+    known_map: bool = False,
+    budget: int = BUDGET,
+) -> Decided:
+    """Decisions of a frame: pair by `method`, then say which of the unpaired found a landmark.
+
+    Args:
+        method: one of `METHODS`.
+        expectation: candidates and observations.
+        gate: chi-square probability of the method's tests, None for no gate.
+        new_gate: chi-square probability outside which an observation is new; None: only where there is no candidate.
+        known_map: the map is given, so nothing is new and the unpaired are discarded.
+        budget: nodes a search may visit in this frame.
+
+    Raises:
+        UsageError: no such method.
+        ValueError: a gate is no probability.
+        SingularInnovationError: an innovation covariance is not positive definite.
+    """
+    complete = True
+    if method in PLAIN:
+        decisions = PLAIN[method](expectation, gate)
+    elif method in SEARCHES:
+        found = search(expectation, gate, first=SEARCHES[method], budget=budget)
+        decisions, complete = found.decisions, found.complete
+    else:
+        raise UsageError(f"no association method {method!r}; there are {', '.join(METHODS)}")
+    if known_map:
+        decisions = np.where(decisions == NEW, DISCARD, decisions)
+    elif method not in OWN_NEWNESS:
+        decisions = newness(expectation, decisions, new_gate)
+    return Decided(decisions, complete)
