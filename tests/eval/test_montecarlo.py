@@ -86,9 +86,10 @@ def test_filter_and_smoother_are_consistent_in_the_arena(estimators):
     study = study_of(seeds, [one_seed(s, ("localization",), estimators) for s in seeds])
     judged = [j for j in judge(study) if j.quantity in QUANTITIES]
     assert len(judged) == 6
-    for j in judged:
-        assert j.verdict.word == "consistent", j
-        assert j.verdict.power > 0.5, j
+    assert failed_declarations(judged) == []
+    for j in judged:  # six verdicts at 95 % fail by chance one time in four: the bounds here are wider, and still tight
+        assert j.verdict.mean == pytest.approx(j.verdict.dof, rel=0.08), j
+        assert j.verdict.power > 0.9, j
 
 
 @pytest.mark.slow

@@ -1,0 +1,154 @@
+"""The batch smoother: right answers, its chi-square, its covariance, outliers, and what it refuses."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2, t
+
+from association.known import known_decisions
+from data import se2
+from data.errors import SlamrefError
+from data.inputs import LabelledObservations
+from data.result import DISCARD
+from data.sensors import RangeBearing
+from ekf.whole_run import run_filter
+from graph.batch import Start, smooth
+from graph.factors import UnderConstrained
+from tests.graph.test_marginals import solved
+from tests.graph.worlds import SENSORS, circle, order_of_creation
+
+every_sensor = pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS)
+
+
+@every_sensor
+@pytest.mark.parametrize("task", ["localization", "slam"])
+@pytest.mark.parametrize("P0", [None, np.zeros((3, 3)), np.diag([0.01, 0.01, 0.0])], ids=["P0", "zero", "singular"])
+def test_noise_free_input_returns_the_truth(sensor, task, P0):
+    inputs, truth, xy = circle(sensor, noise=0.0, P0=P0)
+    inputs = inputs if task == "localization" else inputs.without_map()
+    decisions, created = known_decisions(inputs)
+    rng = np.random.default_rng(1)
+    wrong = truth + rng.normal(0.0, 0.05, truth.shape)  # the search must find its way back
+    ids = order_of_creation(inputs, decisions, created)
+    result = smooth(inputs, decisions, created, Start(wrong, xy[ids] + rng.normal(0.0, 0.1, (len(ids), 2))))
+    assert np.abs(se2.pose_error(result.trajectory.pose, truth)).max() < 1e-6
+    assert result.chi_square == pytest.approx(0.0, abs=1e-6)
+    assert result.last_step < 1e-4
+    if task == "slam":
+        np.testing.assert_allclose(result.map.xy, xy[ids[result.map.number]], atol=1e-6)
+    else:
+        assert result.map is None
+
+
+def test_chi_square_has_the_degrees_of_freedom_stated():
+    """Its mean over runs, within Student's 99.9 % interval; the count is two a reading, less two a landmark."""
+    for task in ("localization", "slam"):
+        values = []
+        for seed in range(30):
+            inputs, _, _ = circle(SENSORS["range-bearing"], frames=20, seed=seed)
+            inputs = inputs if task == "localization" else inputs.without_map()
+            result, (_, created) = solved(inputs)
+            readings = len(inputs.observations.frame)
+            assert result.dof == 2 * readings - 2 * (created >= 0).sum()
+            assert result.total_nis == (result.chi_square, result.dof)
+            values.append(result.chi_square - result.dof)
+        half = t.ppf(0.9995, len(values) - 1) * np.std(values, ddof=1) / math.sqrt(len(values))
+        assert abs(np.mean(values)) < half, task
+
+
+def test_covariance_is_that_of_the_error_in_the_world_frame():
+    """NEES 3 over independent runs; read in the body frame, the same numbers are far off."""
+    right, twisted = [], []
+    for seed in range(60):
+        # one elongated direction, and a heading in which body and world axes differ
+        inputs, truth, _ = circle(SENSORS["range-bearing"], frames=12, seed=seed, heading=1.0, see=0.15,
+                                  P0=np.diag([0.25, 1e-4, 1e-6]))  # fmt: skip
+        result, _ = solved(inputs)
+        e = se2.pose_error(result.trajectory.pose[0], truth[0])
+        P = result.trajectory.covariance[0]
+        B = se2.world_from_body(truth[0, 2])
+        right.append(e @ np.linalg.solve(P, e))
+        twisted.append(e @ np.linalg.solve(B.T @ P @ B, e))
+    low, high = chi2.ppf([0.001, 0.999], 3 * 60) / 60
+    assert low < np.mean(right) < high
+    assert np.mean(twisted) > 3 * high
+
+
+@every_sensor
+@pytest.mark.parametrize("task", ["localization", "slam"])
+def test_robust_losses_shrug_off_outliers_that_ruin_the_gaussian(sensor, task):
+    inputs, truth, _ = circle(sensor)
+    o = inputs.observations
+    rng = np.random.default_rng(5)
+    z = o.z.copy()
+    bad = (rng.random(len(z)) < 0.06) & (o.frame > 5)
+    z[bad] += rng.uniform(0.8, 1.5, (bad.sum(), 2))
+    broken = replace(inputs, observations=LabelledObservations(o.frame, z, o.R, o.label))
+    if task == "slam":
+        inputs, broken = inputs.without_map(), broken.without_map()
+    clean, _ = solved(inputs)
+
+    def miss(result):
+        return np.sqrt(np.mean(np.sum((result.trajectory.pose - clean.trajectory.pose)[:, :2] ** 2, 1)))
+
+    gaussian = miss(solved(broken)[0])
+    for loss in ("huber", "cauchy"):
+        robust, _ = solved(broken, loss)
+        assert miss(robust) < 0.4 * gaussian
+        assert robust.total_nis is None
+        assert math.isnan(robust.chi_square)
+
+
+def test_a_robust_loss_costs_no_certainty_where_all_is_well():
+    inputs, _, _ = circle(SENSORS["range-bearing"], noise=0.0)
+    plain, _ = solved(inputs)
+    for loss in ("huber", "cauchy"):
+        np.testing.assert_allclose(solved(inputs, loss)[0].trajectory.covariance, plain.trajectory.covariance, rtol=1e-6)
+
+
+def test_a_landmark_that_nothing_determines_is_named():
+    """A bearing says nothing where the landmark is at the robot itself."""
+    inputs, _, _ = circle(RangeBearing(), noise=0.0)
+    inputs = inputs.without_map()
+    o = inputs.observations
+    z = o.z.copy()
+    z[o.label == o.label[3], 0] = 0.0
+    inputs = replace(inputs, observations=LabelledObservations(o.frame, z, o.R, o.label))
+    decisions, created = known_decisions(inputs)
+    once = np.flatnonzero((o.label == o.label[3]) & (created < 0))
+    decisions[once] = DISCARD
+    number = int(created[(o.label == o.label[3]) & (created >= 0)][0])
+    run = run_filter(inputs, decisions)
+    with pytest.raises(UnderConstrained, match=rf"landmark {number} is not determined"):
+        smooth(inputs, decisions, created, Start(run.pose, run.map.xy))
+
+
+def test_a_pose_of_infinite_variance_is_named():
+    inputs, _, _ = circle(SENSORS["relative point"])
+    covariance = inputs.increments.covariance.copy()
+    covariance[17] = 1e308 * np.eye(3)
+    inputs = replace(inputs, increments=replace(inputs.increments, covariance=covariance))
+    nothing = np.full(len(inputs.observations.frame), DISCARD)
+    start = Start(run_filter(inputs, nothing).pose, np.empty((0, 2)))
+    with pytest.raises(UnderConstrained, match=r"pose of frame \d+ is not determined"):
+        smooth(inputs, nothing, np.full(len(nothing), -1), start)
+
+
+def test_senseless_requests_are_refused():
+    inputs, _, _ = circle(SENSORS["range-bearing"])
+    decisions, created = known_decisions(inputs)
+    pose = np.zeros((len(inputs), 3))
+    with pytest.raises(ValueError, match="loss 'tukey'"):
+        smooth(inputs, decisions, created, Start(pose, np.empty((0, 2))), loss="tukey")
+    with pytest.raises(ValueError, match="finite pose"):
+        smooth(inputs, decisions, created, Start(pose * np.nan, np.empty((0, 2))))
+    with pytest.raises(ValueError, match="no position for landmark"):
+        slam = inputs.without_map()
+        smooth(slam, *known_decisions(slam), Start(pose, np.empty((0, 2))))
+    decisions = np.full_like(decisions, 77)
+    with pytest.raises(SlamrefError, match="no landmark of this id"):
+        smooth(inputs, decisions, created, Start(pose, np.empty((0, 2))))

@@ -1,0 +1,76 @@
+"""Small worlds for the smoothers' tests: a robot circles among landmarks, with any sensor, noise on or off."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from data import se2
+from data.inputs import Increments, Inputs, LabelledObservations, LandmarkMap, Prior
+from data.sensors import RangeBearing, RelativePoint
+
+OFF_CENTRE = {"rotation": 0.6, "translation": (0.3, -0.2)}
+SENSORS = {
+    "range-bearing": RangeBearing(max_range=8.0),
+    "relative point": RelativePoint(max_range=8.0),
+    "range-bearing, off centre": RangeBearing(max_range=8.0, **OFF_CENTRE),
+    "relative point, off centre": RelativePoint(max_range=8.0, **OFF_CENTRE),
+}
+MOTION_SIGMA = np.array([0.04, 0.02, 0.015])
+
+
+def circle(sensor, *, frames=60, landmarks=8, noise=1.0, seed=0, see=0.7, P0=None, heading=0.4):
+    """(Inputs with a map and labels, true poses, true landmarks); `noise` scales what is drawn, not what is stated."""
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(-5.0, 5.0, (landmarks, 2))
+    truth = np.zeros((frames, 3))
+    truth[0] = 2.0, -1.0, heading
+    step = np.array([0.4, 0.03, 0.17])
+    for k in range(1, frames):
+        truth[k] = se2.compose(truth[k - 1], step)
+    # neither diagonal nor aligned with anything: a wrong frame or order shows
+    M = np.diag(MOTION_SIGMA**2)
+    M[0, 2] = M[2, 0] = 0.4 * MOTION_SIGMA[0] * MOTION_SIGMA[2]
+    mean = np.vstack([np.zeros(3), step + noise * rng.multivariate_normal(np.zeros(3), M, frames - 1)])
+    covariance = np.vstack([np.zeros((1, 3, 3)), np.tile(M, (frames - 1, 1, 1))])
+    frame, label = np.nonzero(rng.random((frames, landmarks)) < see)
+    z = sensor.predict(truth[frame], xy[label])
+    near = sensor.polar(z)[:, 0] < sensor.max_range
+    frame, label, z = frame[near], label[near], z[near]
+    R = np.array([[0.01, 0.001], [0.001, 0.0009]]) if isinstance(sensor, RangeBearing) else np.array([[0.02, 0.006], [0.006, 0.01]])
+    z = z + noise * rng.multivariate_normal(np.zeros(2), R, len(z))
+    if isinstance(sensor, RangeBearing):
+        z[:, 1] = se2.wrap_angle(z[:, 1])
+    if P0 is None:
+        P0 = np.array([[0.02, 0.004, 0.001], [0.004, 0.01, 0.0], [0.001, 0.0, 0.005]])
+    start = truth[0] + noise * rng.multivariate_normal(np.zeros(3), P0)
+    inputs = Inputs(
+        Prior(start, P0),
+        np.arange(frames, dtype=float),
+        Increments(mean, covariance),
+        LabelledObservations(frame, z, np.tile(R, (len(z), 1, 1)), label),
+        sensor,
+        LandmarkMap(np.arange(landmarks), xy),
+    )
+    return inputs, truth, xy
+
+
+def truncated(inputs, frames):
+    """The first frames of a log."""
+    o = inputs.observations
+    m = inputs.start[frames]
+    return Inputs(
+        inputs.prior,
+        inputs.time[:frames],
+        Increments(inputs.increments.mean[:frames], inputs.increments.covariance[:frames]),
+        LabelledObservations(o.frame[:m], o.z[:m], o.R[:m], o.label[:m]),
+        inputs.sensor,
+        inputs.map,
+    )
+
+
+def order_of_creation(inputs, decisions, created):
+    """True landmark id of each landmark number."""
+    founding = created >= 0
+    ids = np.empty(founding.sum(), int)
+    ids[created[founding]] = inputs.observations.label[founding]
+    return ids
