@@ -47,10 +47,14 @@ class Updated(NamedTuple):
 
 
 class Finished(NamedTuple):
-    """The end of a run: the final trajectory (None for a filter) and the last map (None in localization)."""
+    """The end of a run: final trajectory (None for a filter), last map (None in localization), and (sum of NIS, dof).
+
+    A smoother's sum is the minimum of its cost, see `Run.total_nis`; None where it has none to offer.
+    """
 
     final: Trajectory | None
     map: MapState | None
+    total_nis: tuple[float, int] | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -138,7 +138,7 @@ def step_by_step(name: str, inputs: Inputs, task: str, *, threshold: float = np.
     formed = np.isfinite(nis)
     return Run(
         name, "known", task, Trajectory(pose, covariance), finished.final, state, decisions, decisions, created,
-        Innovations(nis, dof, likelihood) if formed.any() else None, None, None, seconds, failure,
+        Innovations(nis, dof, likelihood) if formed.any() else None, finished.total_nis, None, seconds, failure,
     )  # fmt: skip
 
 

@@ -92,15 +92,19 @@ def root_information(covariance):  # type: ignore[no-untyped-def]
     U = np.zeros((d, d))  # C = U U'
     for i in range(n):
         for c in range(d - 1, -1, -1):
-            for r in range(c, -1, -1):
+            total = covariance[i, c, c]
+            for q in range(c + 1, d):
+                total -= U[c, q] * U[c, q]
+            if not total > 0.0:
+                pivot[i] = total
+                break
+            pivot[i] = min(pivot[i], total)
+            U[c, c] = math.sqrt(total)
+            for r in range(c):
                 total = covariance[i, r, c]
                 for q in range(c + 1, d):
                     total -= U[r, q] * U[c, q]
-                if r == c:
-                    pivot[i] = min(pivot[i], total) if total == total else total
-                    U[c, c] = math.sqrt(total) if total > 0.0 else np.nan
-                else:
-                    U[r, c] = total / U[c, c]
+                U[r, c] = total / U[c, c]
         if pivot[i] > 0.0:
             for c in range(d):
                 R[i, c, c] = 1.0 / U[c, c]

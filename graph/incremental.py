@@ -267,7 +267,8 @@ class Isam2Smoother:
             self._read()
         problem = Problem(self.prior, self._motion, self._sighted, self.map is not None)
         found = optimize(problem, self._engine.values())
-        return Finished(found.trajectory, found.map)
+        total = (2.0 * found.error, problem.dof) if self.loss == "gaussian" else None
+        return Finished(found.trajectory, found.map, total)
 
 
 @numba.njit(cache=True)

@@ -270,3 +270,21 @@ def test_unpaired_observations_leave_the_filter_alone():
     assert not done.used.any()
     assert np.array_equal(f.estimate().mean, before.mean)
     assert Observations(np.array([0]), np.zeros((1, 2)), np.eye(2)[None]).z.flags.writeable is False
+
+
+@pytest.mark.parametrize("task", ["localization", "slam"])
+@pytest.mark.parametrize("sensor", ["range_bearing", "relative_point"])
+def test_noise_free_input_returns_the_truth(task, sensor):
+    exact = Arena(
+        landmarks=8, side=14.0, frames=60, sensor=sensor, sigma_v=0.0, sigma_omega=0.0, sigma_range=1e-9,
+        sigma_bearing=1e-9, sigma_point=1e-9, prior_sigma=0.0, prior_sigma_heading=0.0,
+    )  # fmt: skip
+    log = simulate(exact, 0)
+    inputs = log.inputs(labels=True) if task == "localization" else log.inputs(labels=True).without_map()
+    run = run_filter(inputs, known_decisions(inputs)[0])
+    assert run.failure is None
+    assert np.abs(se2.pose_error(run.pose, log.truth.pose)).max() < 1e-6
+    if run.map is not None:
+        first = [int(np.flatnonzero(log.truth.landmark_of == i)[0]) for i in np.unique(log.truth.landmark_of)]
+        ids = log.truth.landmark_of[sorted(first)]
+        assert np.abs(run.map.xy - log.truth.landmarks.xy[ids]).max() < 1e-5
