@@ -163,7 +163,9 @@ class Expectation:
         """Squared distances and determinants (m, n); formed once, because method and newness both ask."""
         m, n = len(self.z), len(self.number)
         d2, det = np.empty((m, n)), np.empty((m, n))
-        bad = _distances(self.innovations(), self.HPHt, self.R, self.frame, self.observed_frame, d2, det)
+        # copies: inputs are read-only and results are not, and the compiler would take these for different types
+        own = [np.array(a, float) for a in (self.innovations(), self.HPHt, self.R)]
+        bad = _distances(*own, np.array(self.frame, np.int64), np.array(self.observed_frame, np.int64), d2, det)
         if bad >= 0:
             i, j = divmod(int(bad), n)
             raise SingularInnovationError(

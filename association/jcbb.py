@@ -12,8 +12,8 @@ from association.expectation import Expectation, SingularInnovationError, gate_t
 from data.inputs import IntArray
 from data.result import NEW
 
-BUDGET = 200_000
-"""Nodes that a search may visit."""
+BUDGET = 50_000
+"""Nodes that a search may visit: some tenths of a second in a frame of twenty observations."""
 
 
 class SearchBudgetWarning(UserWarning):
@@ -55,10 +55,10 @@ def search(expectation: Expectation, gate: float | None, *, first: bool = False,
     thresholds = np.array([np.inf, *(gate_threshold(gate, 2 * (q + 1)) for q in range(len(rows)))])
     kernel = jcbb_kernels.search_first if first else jcbb_kernels.search_best
     choice, distance, pairings, nodes, status = kernel(
-        np.ascontiguousarray(e.residual(e.z[rows, None, :], e.z_hat[None, columns, :])),
+        np.array(e.residual(e.z[rows, None, :], e.z_hat[None, columns, :]), float, order="C"),
         np.ascontiguousarray(compatible[np.ix_(rows, columns)]),
-        np.ascontiguousarray(e.joint(columns), float),
-        np.ascontiguousarray(e.R[rows], float),
+        np.array(e.joint(columns), float, order="C"),
+        np.array(e.R[rows], float, order="C"),
         thresholds,
         budget,
     )

@@ -96,7 +96,7 @@ def _trial_sections(
         if trial.beside is not None:
             continue
         rows = _rows(scores.metrics, trial)
-        content: list[Block] = [words.answer(rows)]
+        content: list[Block] = []
         tutorials = [t for t in trials if t.beside == trial.log.name and t.task == trial.task]
         table = comparison.comparison_table(pd.concat([rows, *(_rows(scores.metrics, t) for t in tutorials)]))
         caption = f"{trial.log.name}, {trial.task}. {comparison.COMPARISON_CAPTION}"

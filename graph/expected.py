@@ -46,7 +46,7 @@ def form(
             for q in range(2):
                 H[np.arange(k), :, 3 + 2 * np.arange(k) + q] = Hl[chosen, :, q]
             of = np.concatenate([of, (3 + 2 * chosen[:, None] + np.arange(2)).ravel()])
-        rows = H.reshape(2 * k, -1)
+        rows = H.reshape(2 * k, H.shape[2])
         S: Array = rows @ covariance[np.ix_(of, of)] @ rows.T
         return 0.5 * (S + S.T)
 

@@ -168,7 +168,11 @@ def linearize(problem: Problem, inner: gtsam.NonlinearFactorGraph, values: gtsam
         of = ~moving & right
         readings[i[of], r[of], 5] = value[of]
     F, step, Q = np.zeros((n, 3, 3)), np.zeros((n, 3)), np.zeros((n, 3, 3))
-    inverse = np.linalg.inv(chain[1:, :, 3:6])
+    end_block = chain[1:, :, 3:6]
+    lost = np.flatnonzero(np.linalg.det(end_block) == 0.0)
+    if len(lost):
+        raise UnderConstrained(f"pose of frame {lost[0] + 1} is not determined: its increment carries no information")
+    inverse = np.linalg.inv(end_block)
     F[1:] = -inverse @ chain[1:, :, :3]
     step[1:] = (inverse @ chain[1:, :, 6:])[:, :, 0]
     Q[1:] = inverse @ inverse.transpose(0, 2, 1)

@@ -77,7 +77,7 @@ def distance_of(e, decisions):
 
 def shuffled(e, order):
     """The same problem with the map stored in another order."""
-    order = np.asarray(order)
+    order = np.asarray(order, np.int64)
     full = e.joint(np.arange(len(e.number)))
     rows = (2 * order[:, None] + np.arange(2)).ravel()
     return Expectation.from_arrays(

@@ -1,0 +1,36 @@
+"""`python -m eval.warm`: compile every kernel once, into the cache, so that no first run has to wait for it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from data.arena import Arena, simulate
+from data.folder import load_folder
+from data.folder_writer import write_folder
+from eval.options import ESTIMATORS
+from eval.replay import compare, make_estimator, step_by_step
+
+
+def main() -> None:
+    """Every estimator on a small arena; one pass in each task, with each sensor, from memory and from a folder."""
+    import tempfile
+    from pathlib import Path
+
+    for sensor in ("range_bearing", "relative_point"):
+        log = simulate(Arena(frames=12, landmarks=6, sensor=sensor), 0, name="warm")
+        with tempfile.TemporaryDirectory() as folder:
+            write_folder(log, Path(folder) / "warm")
+            log = load_folder(Path(folder) / "warm")
+        inputs = log.inputs(labels=True)
+        for task, view in (("localization", inputs), ("slam", inputs.without_map())):
+            compare(inputs, task, ESTIMATORS, gate_known=0.9999)
+            step_by_step("ekf", view, task)
+            for name in ("ekf", "isam2"):
+                estimator = make_estimator(name, view)
+                estimator.update(view.sightings(0), np.full(len(view.sightings(0).z), -2))
+                expectation = estimator.expect(view.sightings(0))
+                expectation.joint(np.arange(len(expectation.number)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,165 @@
+"""JCBB finds what an exhaustive search finds; `jcbb-first` what the recorded lab program finds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import chi2
+
+from association.decide import decide
+from association.expectation import Expectation, SingularInnovationError
+from association.jcbb import SearchBudgetWarning, jcbb, jcbb_first, search
+from data.result import DISCARD, NEW
+from tests.association.plain_jcbb import lab_rule
+from tests.association.problems import GATE, distance_of, exhaustive, problem, shuffled
+
+
+
+def problems(largest):
+    return st.builds(
+        problem,
+        st.integers(0, 2**32 - 1),
+        st.integers(0, largest),
+        st.integers(0, largest),
+        ambiguity=st.sampled_from([0.3, 1.0, 3.0, 8.0]),
+        clutter=st.sampled_from([0.0, 0.3]),
+        correlation=st.sampled_from([0.0, 1.0, 3.0]),
+    )
+
+
+PROBLEMS = problems(6)
+
+
+@settings(max_examples=150, deadline=None)
+@given(PROBLEMS, st.sampled_from([0.9, 0.99, None]))
+def test_as_many_pairings_at_the_same_joint_distance_as_an_exhaustive_search(e, gate):
+    pairings, d2 = exhaustive(e, gate)
+    found = search(e, gate)
+    assert found.complete
+    assert found.pairings == pairings
+    assert found.distance == pytest.approx(d2, rel=1e-9, abs=1e-9)
+    assert distance_of(e, found.decisions) == (pairings, pytest.approx(d2, rel=1e-9, abs=1e-9))
+
+
+@settings(max_examples=80, deadline=None)
+@given(problems(5))
+def test_jcbb_first_decides_as_the_lab_program_is_described(e):
+    np.testing.assert_array_equal(jcbb_first(e, GATE), lab_rule(e, GATE))
+
+
+@settings(max_examples=60, deadline=None)
+@given(PROBLEMS, st.randoms(use_true_random=False))
+def test_neither_the_order_of_the_map_nor_that_of_the_observations_matters(e, random):
+    order = list(range(len(e.number)))
+    random.shuffle(order)
+    expected = jcbb(e, GATE)
+    np.testing.assert_array_equal(jcbb(shuffled(e, order), GATE), expected)
+    turn = list(range(len(e.z)))
+    random.shuffle(turn)
+    turned = replace(e, z=e.z[turn], R=e.R[turn], observed_frame=e.observed_frame[turn])
+    np.testing.assert_array_equal(jcbb(turned, GATE), expected[turn])
+
+
+def test_a_beginning_may_exceed_its_own_gate_where_the_whole_passes():
+    far = 0.88 * np.sqrt(chi2.ppf(GATE, 2))
+    z_hat = np.array([[0.0, 0.0], [100.0, 0.0], [200.0, 0.0], [300.0, 0.0]])
+    z = z_hat + np.array([[far, 0.0], [far, 0.0], [0.0, 0.0], [0.0, 0.0]])
+    e = Expectation.from_arrays(z, z_hat, np.zeros((8, 8)), np.tile(np.eye(2), (4, 1, 1)))
+    assert chi2.ppf(GATE, 4) < 2 * far**2 < chi2.ppf(GATE, 8)
+    assert jcbb(e, GATE).tolist() == [0, 1, 2, 3]
+    assert search(e, GATE, first=True).pairings == 3  # the lab program asks it of every beginning
+
+
+def test_the_joint_covariance_is_asked_for_once_and_for_compatible_candidates_only():
+    z_hat = np.array([[10.0, 0.0], [0.0, 0.0], [20.0, 0.0], [0.5, 0.0]])
+    asked = []
+    e = Expectation.from_arrays(np.array([[0.1, 0.0]]), z_hat, np.eye(8), np.eye(2)[None])
+    e = replace(e, joint=lambda indices, inner=e.joint: asked.append(list(indices)) or inner(indices))
+    assert jcbb(e, GATE).tolist() == [1]
+    assert asked == [[1, 3]]
+    asked.clear()
+    assert jcbb(replace(e, z=e.z + 1000.0), GATE).tolist() == [NEW]
+    assert asked == []
+
+
+def test_identical_landmarks_go_oldest_first_whatever_the_order_of_the_map():
+    z, z_hat = np.array([[0.1, 0.0], [5.1, 0.0]]), np.array([[0.0, 0.0], [0.0, 0.0], [5.0, 0.0], [5.0, 0.0]])
+    joint = np.tile(0.01 * np.eye(2), (4, 4)) + np.kron(np.array([[1, 1, 0, 0], [1, 1, 0, 0], [0, 0, 1, 1], [0, 0, 1, 1]]),
+                                                        0.02 * np.eye(2))  # fmt: skip
+    e = Expectation.from_arrays(z, z_hat, joint, np.tile(0.01 * np.eye(2), (2, 1, 1)))
+    for order in ([0, 1, 2, 3], [3, 2, 1, 0], [1, 3, 0, 2]):
+        assert jcbb(shuffled(e, order), GATE).tolist() == [0, 2]
+
+
+def test_one_landmark_is_given_to_two_observations_by_the_lab_rule_only():
+    z = np.array([[0.1, 0.0], [-0.1, 0.0]])
+    e = Expectation.from_arrays(z, np.zeros((1, 2)), 0.01 * np.eye(2), np.tile(0.04 * np.eye(2), (2, 1, 1)))
+    assert jcbb_first(e, GATE).tolist() == [0, 0]
+    assert sorted(jcbb(e, GATE).tolist()) == [NEW, 0]
+
+
+def test_a_window_of_frames_pairs_a_landmark_once_in_each_of_them():
+    z = np.array([[0.1, 0.0], [5.1, 0.0]])
+    e = Expectation.from_arrays(
+        z, np.array([[5.0, 0.0], [0.0, 0.0]]), np.tile(np.eye(2), (2, 2)), np.tile(0.01 * np.eye(2), (2, 1, 1)),
+        number=np.array([7, 7]), frame=np.array([4, 3]), observed_frame=np.array([3, 4]),
+    )  # fmt: skip
+    assert jcbb(e, GATE).tolist() == [7, 7]
+    swapped = replace(e, observed_frame=np.array([4, 3]))
+    assert jcbb(swapped, GATE).tolist() == [NEW, NEW]
+
+
+def hard():
+    """Twelve observations of a swarm of twenty landmarks, nearly free of each other: many hypotheses of equal size."""
+    return problem(3, 12, 20, ambiguity=0.3, correlation=0.0)
+
+
+@pytest.mark.parametrize("first", [False, True])
+def test_a_search_over_budget_says_so_and_returns_valid_pairings(first):
+    e = hard()
+    short = search(e, GATE, first=first, budget=5)
+    assert not short.complete
+    assert short.nodes == 5
+    assert short.pairings == (short.decisions >= 0).sum() > 0
+    assert short.distance < chi2.ppf(GATE, 2 * short.pairings)
+    assert not decide("jcbb-first" if first else "jcbb", e, GATE, GATE, budget=5).complete
+    with pytest.warns(SearchBudgetWarning, match="5 nodes"):
+        (jcbb_first if first else jcbb)(e, GATE, budget=5)
+    whole = search(e, GATE, first=first)
+    assert whole.complete
+    assert whole.pairings >= short.pairings
+
+
+def test_a_budget_of_nothing_is_an_error():
+    with pytest.raises(ValueError, match="budget 0"):
+        search(hard(), GATE, budget=0)
+
+
+@pytest.mark.parametrize("first", [False, True])
+def test_pairings_whose_joint_covariance_is_singular_are_an_error(first):
+    """Each covariance is fine, but without measurement noise two fully correlated landmarks are not."""
+    e = Expectation.from_arrays(
+        np.array([[0.1, 0.0], [5.1, 0.0]]), np.array([[0.0, 0.0], [5.0, 0.0]]), np.tile(np.eye(2), (2, 2)),
+        np.zeros((2, 2, 2)),
+    )  # fmt: skip
+    with pytest.raises(SingularInnovationError, match="joint innovation covariance"):
+        search(e, GATE, first=first)
+
+
+def test_two_hundred_observations_are_decided():
+    rng = np.random.default_rng(0)
+    z_hat = np.stack(np.meshgrid(np.arange(20.0), np.arange(10.0)), -1).reshape(-1, 2)
+    common = np.tile(np.eye(2), (200, 1))
+    shift, own = np.array([0.15, -0.1]), 0.02
+    z = z_hat + shift + own * rng.normal(size=z_hat.shape)
+    e = Expectation.from_arrays(z, z_hat, 0.01 * common @ common.T, np.tile(own**2 * np.eye(2), (200, 1, 1)))
+    decided = decide("jcbb", e, GATE, 0.99999)
+    assert decided.complete
+    np.testing.assert_array_equal(decided.decisions[decided.decisions >= 0], np.flatnonzero(decided.decisions >= 0))
+    assert (decided.decisions >= 0).sum() >= 195
+    assert not (decided.decisions == NEW).any()
+    assert set(np.unique(decided.decisions[decided.decisions < 0])) <= {DISCARD}

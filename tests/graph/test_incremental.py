@@ -1,0 +1,341 @@
+"""iSAM2 with the filters' verbs: it agrees with batch and, where all is linear or noise-free, with the EKF."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+
+from association.known import known_decisions
+from data import se2
+from data.errors import DataError
+from data.inputs import Increment, Increments, LabelledObservations, Sightings
+from data.result import DISCARD, NEW
+from data.sensors import RangeBearing, RelativePoint
+from ekf.localizer import EkfLocalizer
+from ekf.slam import EkfSlam
+from ekf.whole_run import run_filter
+from graph import expected
+from graph.batch import Start, smooth
+from graph.factors import UnderConstrained, between_factors, graph_of, prior_factor, sight_landmarks
+from graph.incremental import Isam2Smoother
+from tests.graph.test_marginals import solved
+from tests.graph.worlds import SENSORS, circle, order_of_creation, truncated
+
+every_sensor = pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS)
+both_tasks = pytest.mark.parametrize("task", ["localization", "slam"])
+TIGHT = {"threshold": 1e-6, "skip": 1}
+
+
+def for_task(inputs, task):
+    return inputs if task == "localization" else inputs.without_map()
+
+
+def drive(inputs, decisions, *, gate=np.inf, until=None, smoother=None, **options):
+    """The smoother after frames [0, until), with its poses and covariances and what the updates said."""
+    s = smoother or Isam2Smoother(inputs.prior, inputs.sensor, inputs.map, **options)
+    poses, covariances, done = [], [], []
+    for k in range(len(inputs) if until is None else until):
+        if k:
+            s.predict(inputs.increment(k))
+        rows = slice(inputs.start[k], inputs.start[k + 1])
+        if rows.stop > rows.start:
+            done.append(s.update(inputs.sightings(k), decisions[rows], threshold=gate))
+        pose, covariance = s.estimate()
+        poses.append(pose)
+        covariances.append(covariance)
+    return s, np.array(poses), np.array(covariances), done
+
+
+@every_sensor
+@both_tasks
+@pytest.mark.parametrize("P0", [None, np.zeros((3, 3)), 0.01 * np.ones((3, 3))], ids=["P0", "zero", "rank one"])
+def test_noise_free_input_returns_the_truth_with_the_filters_covariance(sensor, task, P0):
+    inputs, truth, xy = circle(sensor, noise=0.0, P0=P0, frames=40)
+    inputs = for_task(inputs, task)
+    decisions, created = known_decisions(inputs)
+    s, poses, covariances, _ = drive(inputs, decisions, **TIGHT)
+    finished = s.finish()
+    run = run_filter(inputs, decisions)
+    assert np.abs(se2.pose_error(poses, truth)).max() < 1e-6
+    assert np.abs(se2.pose_error(finished.final.pose, truth)).max() < 1e-6
+    # a singular prior stands in iSAM2 with sigma 1e-6 in its exact directions, in `finish` as it is
+    np.testing.assert_allclose(covariances, run.covariance, atol=1e-8)
+    np.testing.assert_allclose(finished.final.covariance[-1], run.covariance[-1], atol=1e-9)
+    if task == "slam":
+        ids = order_of_creation(inputs, decisions, created)
+        np.testing.assert_allclose(finished.map.xy, xy[ids], atol=1e-6)
+        np.testing.assert_allclose(finished.map.covariance, run.map.covariance, atol=1e-8)
+    else:
+        assert finished.map is None
+
+
+@every_sensor
+@both_tasks
+def test_the_newest_pose_is_that_of_batch_over_the_same_data(sensor, task):
+    """To 1e-6 with a threshold of 1e-6 and an update after each change of the pose; to a share of sigma by default."""
+    whole, _, _ = circle(sensor)
+    whole = for_task(whole, task)
+    decisions, _ = known_decisions(whole)
+    tight, loose = drive(whole, decisions, **TIGHT), drive(whole, decisions)
+    for k in (8, 21, 40, len(whole) - 1):
+        batch, _ = solved(truncated(whole, k + 1))
+        pose, covariance = batch.trajectory.pose[-1], batch.trajectory.covariance[-1]
+        np.testing.assert_allclose(se2.pose_error(tight[1][k], pose), 0.0, atol=2e-6)
+        np.testing.assert_allclose(tight[2][k], covariance, atol=1e-5 * np.abs(covariance).max())
+        assert (np.abs(se2.pose_error(loose[1][k], pose)) < 0.1 * np.sqrt(np.diag(covariance))).all()
+
+
+@every_sensor
+@both_tasks
+@pytest.mark.parametrize("loss", ["gaussian", "huber"])
+def test_finish_returns_the_batch_solution(sensor, task, loss):
+    inputs, _, _ = circle(sensor)
+    inputs = for_task(inputs, task)
+    batch, (decisions, _) = solved(inputs, loss)
+    finished = drive(inputs, decisions, loss=loss)[0].finish()
+    np.testing.assert_allclose(finished.final.pose, batch.trajectory.pose, atol=2e-6)
+    np.testing.assert_allclose(finished.final.covariance, batch.trajectory.covariance, atol=1e-6)
+    if task == "slam":
+        np.testing.assert_allclose(finished.map.xy, batch.map.xy, atol=2e-6)
+
+
+@both_tasks
+def test_frames_without_sightings_are_composed_at_once_and_join_the_graph_later(task):
+    inputs, _, _ = circle(SENSORS["range-bearing"])
+    inputs = for_task(inputs, task)
+    decisions, created = known_decisions(inputs)
+    o = inputs.observations
+    blind = np.isin(o.frame % 10, (0, 4, 5, 6, 7)) & (created < 0)
+    decisions[blind] = DISCARD
+    seeing = sorted(set(o.frame[decisions != DISCARD].tolist()))
+    s, poses, covariances, _ = drive(inputs, decisions)
+    for k in set(range(1, len(inputs))) - set(seeing):
+        move, F = inputs.increment(k), np.eye(3)
+        moved = se2.compose(poses[k - 1], move.mean)
+        F[:2, 2] = [-(moved - poses[k - 1])[1], (moved - poses[k - 1])[0]]
+        B = se2.world_from_body(poses[k - 1, 2])
+        np.testing.assert_allclose(poses[k], moved, atol=1e-12)
+        np.testing.assert_allclose(covariances[k], F @ covariances[k - 1] @ F.T + B @ move.covariance @ B.T, atol=1e-12)
+    run = run_filter(inputs, decisions)
+    landmark = np.empty((0, 2)) if run.map is None else run.map.xy
+    batch = smooth(inputs, decisions, created, Start(run.pose, landmark))
+    final = s.finish().final
+    assert len(final.pose) == len(inputs)
+    np.testing.assert_allclose(final.pose, batch.trajectory.pose, atol=2e-6)
+
+
+def test_a_run_without_any_sighting_is_dead_reckoning():
+    inputs, _, _ = circle(SENSORS["relative point"])
+    nothing = np.full(len(inputs.observations.frame), DISCARD)
+    run = run_filter(inputs, nothing)
+    for task in ("localization", "slam"):
+        s, poses, covariances, _ = drive(for_task(inputs, task), nothing)
+        np.testing.assert_allclose(poses, run.pose, atol=1e-12)
+        np.testing.assert_allclose(covariances, run.covariance, atol=1e-12)
+        np.testing.assert_allclose(s.finish().final.pose, run.pose, atol=1e-9)
+
+
+@every_sensor
+def test_removing_a_landmark_leaves_what_there_would_be_without_its_sightings(sensor):
+    inputs, _, _ = circle(sensor)
+    inputs = inputs.without_map()
+    decisions, created = known_decisions(inputs)
+    gone = np.array([1, 4])
+    s, *_ = drive(inputs, decisions, **TIGHT)
+    # past the last update, so that motion is pending when the landmarks go
+    extra = Increment(np.array([0.3, 0.0, 0.1]), inputs.increment(1).covariance)
+    s.predict(extra)
+    s.remove(gone)
+    without = decisions.copy()
+    number = np.where(created >= 0, created, decisions)
+    without[np.isin(number, gone)] = DISCARD
+    renumbered = np.cumsum(~np.isin(np.arange(created.max() + 1), gone)) - 1
+    without[without >= 0] = renumbered[without[without >= 0]]
+    other, *_ = drive(inputs, without, **TIGHT)
+    other.predict(extra)
+    assert s.numbers.tolist() == [n for n in range(created.max() + 1) if n not in gone]
+    np.testing.assert_allclose(s.estimate().mean, other.estimate().mean, atol=5e-6)
+    np.testing.assert_allclose(s.estimate().covariance, other.estimate().covariance, atol=1e-6)
+    one, two = s.finish(), other.finish()
+    np.testing.assert_allclose(one.final.pose, two.final.pose, atol=1e-6)
+    np.testing.assert_allclose(one.map.xy, two.map.xy, atol=1e-6)
+    assert set(one.map.number).isdisjoint(gone)
+    with pytest.raises(ValueError, match="not all are in the map"):
+        s.remove(gone)
+    # numbers are never used again
+    s.predict(extra)
+    assert s.update(Sightings(*inputs.sightings(0)), np.full(len(inputs.sightings(0).z), NEW)).created.min() > created.max()
+
+
+@every_sensor
+@both_tasks
+def test_it_expects_what_the_filter_expects(sensor, task):
+    """Noise-free, so that both linearize at the truth; two frames after the last update."""
+    inputs, _, _ = circle(sensor, noise=0.0)
+    inputs = for_task(inputs, task)
+    decisions, _ = known_decisions(inputs)
+    twin = EkfLocalizer(inputs.prior, inputs.sensor, inputs.map) if task == "localization" else EkfSlam(inputs.prior, inputs.sensor)
+    s, *_ = drive(inputs, decisions, until=20, **TIGHT)
+    drive(inputs, decisions, until=20, smoother=twin)
+    for k in (20, 21):
+        s.predict(inputs.increment(k))
+        twin.predict(inputs.increment(k))
+    ours, filters = s.expect(inputs.sightings(21)), twin.expect(inputs.sightings(21))
+    assert 0 < len(ours.number) < len(filters.number)
+    rows = np.searchsorted(filters.number, ours.number)
+    np.testing.assert_array_equal(filters.number[rows], ours.number)
+    np.testing.assert_allclose(ours.z_hat, filters.z_hat[rows], atol=1e-6)
+    np.testing.assert_allclose(ours.HPHt, filters.HPHt[rows], atol=1e-8)
+    pick = np.array([2, 0, 1])
+    np.testing.assert_allclose(ours.joint(pick), filters.joint(rows[pick]), atol=1e-8)
+    np.testing.assert_array_equal(ours.frame, 0)
+    assert (ours.z == inputs.sightings(21).z).all()
+
+
+def test_candidates_are_cut_by_the_field_of_view_and_three_sigma_and_five_degrees():
+    sensor = RangeBearing(max_range=5.0, min_angle=-0.5, max_angle=0.5)
+    z_hat = np.array([[5.2, 0.0], [5.4, 0.0], [3.0, 0.7], [3.0, 0.9], [3.0, -0.58], [3.0, 3.1]])
+    loose = np.tile(np.diag([0.1**2, 0.1**2]), (6, 1, 1))
+    assert expected.in_view(sensor, z_hat, loose).tolist() == [True, False, True, False, True, False]
+    assert expected.in_view(sensor, z_hat, 0.0 * loose).tolist() == [False, False, False, False, True, False]
+    cartesian = RelativePoint(max_range=5.0, min_angle=-0.5, max_angle=0.5)
+    at = np.stack([z_hat[:, 0] * np.cos(z_hat[:, 1]), z_hat[:, 0] * np.sin(z_hat[:, 1])], 1)
+    turn = np.stack([[np.cos(a), -np.sin(a), np.sin(a), np.cos(a)] for a in z_hat[:, 1]]).reshape(-1, 2, 2)
+    polar = turn @ np.stack([np.diag([0.1**2, (0.1 * r) ** 2]) for r in z_hat[:, 0]]) @ turn.transpose(0, 2, 1)
+    assert expected.in_view(cartesian, at, polar).tolist() == [True, False, True, False, True, False]
+
+
+@every_sensor
+def test_the_quick_cut_keeps_everything_the_exact_one_keeps(sensor):
+    """Against the filter's covariance over all landmarks, with a narrow view and a lot of uncertainty."""
+    narrow = replace(sensor, max_range=4.0, min_angle=-0.6, max_angle=0.9)
+    inputs, _, _ = circle(sensor, noise=0.0, landmarks=25)
+    inputs = inputs.without_map()
+    decisions, _ = known_decisions(inputs)
+    twin = EkfSlam(inputs.prior, inputs.sensor)
+    kept = 0
+    for k in range(20):
+        drive(inputs, decisions, until=k, smoother=(twin := EkfSlam(inputs.prior, inputs.sensor)))
+        n = (twin.size - 3) // 2
+        xy, P = twin.mean[3:].reshape(n, 2), twin.covariance
+        spread = np.sqrt(np.diag(P)[3:].reshape(n, 2).sum(1))
+        everything = expected.form(narrow, twin.mean[:3], P, np.arange(n), xy, inputs.sightings(k))
+        exact = expected.in_view(narrow, everything.z_hat, everything.HPHt)
+        quick = expected.may_be_in_view(narrow, twin.mean[:3], P[:3, :3], xy, spread)
+        assert not (exact & ~quick).any()
+        kept += quick.sum() < n
+    assert kept > 10  # and it does cut
+
+
+@every_sensor
+@both_tasks
+def test_the_gate_and_its_statistics_are_the_filters(sensor, task):
+    inputs, _, _ = circle(sensor, noise=0.0)
+    inputs = for_task(inputs, task)
+    o = inputs.observations
+    decisions, created = known_decisions(inputs)
+    z = o.z.copy()
+    # in the last frame only, so that all that went before is noise-free: one outlier, two small errors
+    last = np.flatnonzero((o.frame == o.frame[-1]) & (created < 0))
+    z[last[:3]] += [[1.5, 0.4], [0.05, -0.03], [-0.02, 0.04]]
+    inputs = replace(inputs, observations=LabelledObservations(o.frame, z, o.R, o.label))
+    twin = EkfLocalizer(inputs.prior, inputs.sensor, inputs.map) if task == "localization" else EkfSlam(inputs.prior, inputs.sensor)
+    ours = drive(inputs, decisions, gate=11.0, until=int(o.frame[-1]) + 1, **TIGHT)[3]
+    filters = drive(inputs, decisions, gate=11.0, until=int(o.frame[-1]) + 1, smoother=twin)[3]
+    for a, b in zip(ours, filters, strict=True):
+        np.testing.assert_array_equal(a.used, b.used)
+        np.testing.assert_array_equal(a.created, b.created)
+        assert a.dof == b.dof
+        if b.dof:
+            assert a.nis == pytest.approx(b.nis, abs=1e-5)
+            assert a.log_likelihood == pytest.approx(b.log_likelihood, abs=1e-5)
+    assert not ours[-1].used[0]
+    assert ours[-1].nis > 1e-3
+    ungated = drive(inputs, decisions)[3][-1]
+    assert ungated.dof == 0
+    assert np.isnan(ungated.nis)
+    assert np.isnan(ungated.log_likelihood)
+
+
+def resting(sensor):
+    """Noise-free SLAM of a robot that hardly moves: increments are known to 1e-5 m, which Cholesky does not survive."""
+    inputs, _, _ = circle(sensor, noise=0.0)
+    inputs = inputs.without_map()
+    covariance = np.tile(1e-10 * np.eye(3), (len(inputs), 1, 1))
+    covariance[::2] += np.outer([0.02, 0.0, 0.03], [0.02, 0.0, 0.03])
+    covariance[0] = 0.0
+    return replace(inputs, increments=Increments(inputs.increments.mean, covariance))
+
+
+@pytest.mark.parametrize("sensor", [SENSORS["range-bearing"], SENSORS["relative point"]], ids=["polar", "cartesian"])
+def test_increments_known_to_the_floor_are_eliminated_by_qr(sensor):
+    inputs = resting(sensor)
+    decisions, _ = known_decisions(inputs)
+    s, poses, covariances, _ = drive(inputs, decisions, **TIGHT)
+    run = run_filter(inputs, decisions)
+    assert s._engine.qr
+    np.testing.assert_allclose(poses, run.pose, atol=1e-6)
+    np.testing.assert_allclose(covariances, run.covariance, rtol=1e-3, atol=1e-9)
+
+
+def test_cholesky_that_breaks_down_is_replaced_by_qr_without_a_trace(monkeypatch):
+    import graph.incremental as module
+
+    monkeypatch.setattr(module, "DELICATE", 0.0)  # so that nothing warns beforehand
+    inputs = resting(SENSORS["range-bearing"])
+    covariance = inputs.increments.covariance.copy()
+    covariance[1:30] = np.diag([0.02, 0.02, 0.02]) ** 2  # ... and it starts well
+    inputs = replace(inputs, increments=Increments(inputs.increments.mean, covariance))
+    decisions, _ = known_decisions(inputs)
+    assert not drive(inputs, decisions, until=30, **TIGHT)[0]._engine.qr
+    s, poses, *_ = drive(inputs, decisions, **TIGHT)
+    assert s._engine.qr
+    np.testing.assert_allclose(poses, run_filter(inputs, decisions).pose, atol=1e-6)
+    # handles on factors outlived the change
+    s.remove(np.array([0, 2]))
+    assert len(s.finish().map.number) == decisions.max() - 1
+
+
+def test_bare_gtsam_breaks_down_where_the_recovery_is_needed():
+    inputs = resting(SENSORS["range-bearing"])
+    o = inputs.observations
+    decisions, created = known_decisions(inputs)
+    isam = gtsam.ISAM2()
+    with pytest.raises(RuntimeError, match="Indeterminate"):
+        factors = [prior_factor(inputs.prior), *between_factors(1, inputs.increments.mean[1:], inputs.increments.covariance[1:])[0]]
+        seen = sight_landmarks(inputs.sensor, o.z, o.R, o.frame, np.where(created >= 0, created, decisions))
+        run = run_filter(inputs, decisions)
+        values = gtsam.Values()
+        for k, p in enumerate(run.pose):
+            values.insert(gtsam.symbol("x", k), gtsam.Pose2(*p))
+        for n, p in enumerate(run.map.xy):
+            values.insert(gtsam.symbol("l", n), p)
+        isam.update(graph_of([*factors, *(f for x in seen for f in x.factors)]), values)
+
+
+def test_a_landmark_that_nothing_determines_is_named():
+    """Range zero: its bearing says nothing, so one direction stays open."""
+    inputs, _, _ = circle(RangeBearing())
+    s = Isam2Smoother(inputs.prior, inputs.sensor)
+    R = np.tile(0.01 * np.eye(2), (2, 1, 1))
+    with pytest.raises(UnderConstrained, match="landmark 1 is not determined"):
+        s.update(Sightings(np.array([[2.0, 0.3], [0.0, 0.1]]), R), np.array([NEW, NEW]))
+
+
+def test_senseless_requests_are_refused():
+    inputs, _, _ = circle(SENSORS["range-bearing"])
+    seen = inputs.sightings(0)
+    s = Isam2Smoother(inputs.prior, inputs.sensor)
+    with pytest.raises(ValueError, match="no landmark has number 3"):
+        s.update(seen, np.full(len(seen.z), 3))
+    known = Isam2Smoother(inputs.prior, inputs.sensor, inputs.map)
+    with pytest.raises(ValueError, match="no landmark has number 99"):
+        known.update(seen, np.full(len(seen.z), 99))
+    with pytest.raises(ValueError, match="known map"):
+        known.remove(np.array([0]))
+    s.predict(Increment(np.zeros(3), np.zeros((3, 3))))
+    with pytest.raises(DataError, match="increment into frame 1: its covariance is singular"):
+        s.update(seen, np.full(len(seen.z), NEW))
