@@ -18,12 +18,13 @@ from data import se2
 from data.inputs import Increment, IntArray, LandmarkMap, Prior, Sightings
 from data.result import NEW, Finished, PoseEstimate, Updated
 from data.se2 import Array, BoolArray
-from data.sensors import Sensor, wrap_angle
+from data.sensors import MIN_RANGE, RANGE_BEARING, Sensor, wrap_angle
 from graph import expected
 from graph.engine import Engine
 from graph.factors import (
     Factor,
     Sighted,
+    UnderConstrained,
     between_factors,
     name_of,
     pose2,
@@ -38,7 +39,7 @@ THRESHOLD = 0.05
 SKIP = 10
 """... at every so many updates."""
 SETTLE = 3
-"""Updates after a removal."""
+"""Updates after a removal, and where more are asked for."""
 DELICATE = 1e-8
 """m^2, rad^2. Below this eigenvalue of an increment or the prior the elimination is done by QR, a fifth slower."""
 
@@ -194,6 +195,8 @@ class Isam2Smoother:
             seen = sight_landmarks(self.sensor, *sightings, frames, number, self.loss)
             for i, n in enumerate(number.tolist()):
                 if n not in self._handles:
+                    if self.sensor.kind == RANGE_BEARING and sightings.z[i, 0] < MIN_RANGE:
+                        raise UnderConstrained(f"landmark {n} is not determined: founded at range 0, without a bearing")
                     place, Gx, Gz = (a[0] for a in self.sensor.inverse(self._mean, sightings.z[i : i + 1]))
                     values.insert(L(n), place)
                     spread = np.trace(Gx @ self._P @ Gx.T + Gz @ sightings.R[i] @ Gz.T)
@@ -255,9 +258,14 @@ class Isam2Smoother:
             raise ValueError(f"cannot remove {sorted(gone)}: not all are in the map")
         self._engine.drop([h for n in sorted(gone) for h in self._handles.pop(n)])
         self._sighted = [s for s in self._sighted if s.number not in gone]
-        for _ in range(SETTLE):
+        self.refine()
+
+    def refine(self, updates: int = SETTLE) -> None:
+        """More steps towards the optimum of the data so far: a single update makes only one."""
+        for _ in range(updates):
             self._engine.update()
-        self._read()
+        if self._anchor >= 0:
+            self._read()
 
     def finish(self) -> Finished:
         """Final path and map with exact marginals: the optimum of all data, reached from the present estimate."""

@@ -81,7 +81,7 @@ def test_covariance_is_that_of_the_error_in_the_world_frame():
 @every_sensor
 @pytest.mark.parametrize("task", ["localization", "slam"])
 def test_robust_losses_shrug_off_outliers_that_ruin_the_gaussian(sensor, task):
-    inputs, truth, _ = circle(sensor)
+    inputs, _, _ = circle(sensor)
     o = inputs.observations
     rng = np.random.default_rng(5)
     z = o.z.copy()
@@ -107,7 +107,9 @@ def test_a_robust_loss_costs_no_certainty_where_all_is_well():
     inputs, _, _ = circle(SENSORS["range-bearing"], noise=0.0)
     plain, _ = solved(inputs)
     for loss in ("huber", "cauchy"):
-        np.testing.assert_allclose(solved(inputs, loss)[0].trajectory.covariance, plain.trajectory.covariance, rtol=1e-6)
+        np.testing.assert_allclose(
+            solved(inputs, loss)[0].trajectory.covariance, plain.trajectory.covariance, rtol=1e-6
+        )
 
 
 def test_a_landmark_that_nothing_determines_is_named():
@@ -146,8 +148,8 @@ def test_senseless_requests_are_refused():
         smooth(inputs, decisions, created, Start(pose, np.empty((0, 2))), loss="tukey")
     with pytest.raises(ValueError, match="finite pose"):
         smooth(inputs, decisions, created, Start(pose * np.nan, np.empty((0, 2))))
+    slam = inputs.without_map()
     with pytest.raises(ValueError, match="no position for landmark"):
-        slam = inputs.without_map()
         smooth(slam, *known_decisions(slam), Start(pose, np.empty((0, 2))))
     decisions = np.full_like(decisions, 77)
     with pytest.raises(SlamrefError, match="no landmark of this id"):

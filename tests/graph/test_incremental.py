@@ -18,15 +18,16 @@ from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from ekf.whole_run import run_filter
 from graph import expected
-from graph.batch import Start, smooth
-from graph.factors import UnderConstrained, between_factors, graph_of, prior_factor, sight_landmarks
+from graph.batch import Start, build, smooth
+from graph.engine import Engine
+from graph.factors import UnderConstrained, between_factors
 from graph.incremental import Isam2Smoother
 from tests.graph.test_marginals import solved
 from tests.graph.worlds import SENSORS, circle, order_of_creation, truncated
 
 every_sensor = pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS)
 both_tasks = pytest.mark.parametrize("task", ["localization", "slam"])
-TIGHT = {"threshold": 1e-6, "skip": 1}
+TIGHT = {"threshold": 1e-7, "skip": 1}
 
 
 def for_task(inputs, task):
@@ -75,17 +76,20 @@ def test_noise_free_input_returns_the_truth_with_the_filters_covariance(sensor, 
 @every_sensor
 @both_tasks
 def test_the_newest_pose_is_that_of_batch_over_the_same_data(sensor, task):
-    """To 1e-6 with a threshold of 1e-6 and an update after each change of the pose; to a share of sigma by default."""
+    """To 1e-6 with a threshold of 1e-6 and a few more updates; as it is, to a share of a sigma."""
     whole, _, _ = circle(sensor)
     whole = for_task(whole, task)
     decisions, _ = known_decisions(whole)
-    tight, loose = drive(whole, decisions, **TIGHT), drive(whole, decisions)
-    for k in (8, 21, 40, len(whole) - 1):
-        batch, _ = solved(truncated(whole, k + 1))
+    loose = drive(whole, decisions)
+    for frames in (9, 22, 41, len(whole)):
+        batch, _ = solved(truncated(whole, frames))
         pose, covariance = batch.trajectory.pose[-1], batch.trajectory.covariance[-1]
-        np.testing.assert_allclose(se2.pose_error(tight[1][k], pose), 0.0, atol=2e-6)
-        np.testing.assert_allclose(tight[2][k], covariance, atol=1e-5 * np.abs(covariance).max())
-        assert (np.abs(se2.pose_error(loose[1][k], pose)) < 0.1 * np.sqrt(np.diag(covariance))).all()
+        assert (np.abs(se2.pose_error(loose[1][frames - 1], pose)) < 0.1 * np.sqrt(np.diag(covariance))).all()
+        tight, *_ = drive(whole, decisions, until=frames, threshold=1e-6, skip=1)
+        tight.refine(6)
+        ours = tight.estimate()
+        np.testing.assert_allclose(se2.pose_error(ours.mean, pose), 0.0, atol=1e-6)
+        np.testing.assert_allclose(ours.covariance, covariance, atol=1e-5 * np.abs(covariance).max())
 
 
 @every_sensor
@@ -96,10 +100,10 @@ def test_finish_returns_the_batch_solution(sensor, task, loss):
     inputs = for_task(inputs, task)
     batch, (decisions, _) = solved(inputs, loss)
     finished = drive(inputs, decisions, loss=loss)[0].finish()
-    np.testing.assert_allclose(finished.final.pose, batch.trajectory.pose, atol=2e-6)
+    np.testing.assert_allclose(finished.final.pose, batch.trajectory.pose, atol=1e-5)
     np.testing.assert_allclose(finished.final.covariance, batch.trajectory.covariance, atol=1e-6)
     if task == "slam":
-        np.testing.assert_allclose(finished.map.xy, batch.map.xy, atol=2e-6)
+        np.testing.assert_allclose(finished.map.xy, batch.map.xy, atol=1e-5)
 
 
 @both_tasks
@@ -124,7 +128,7 @@ def test_frames_without_sightings_are_composed_at_once_and_join_the_graph_later(
     batch = smooth(inputs, decisions, created, Start(run.pose, landmark))
     final = s.finish().final
     assert len(final.pose) == len(inputs)
-    np.testing.assert_allclose(final.pose, batch.trajectory.pose, atol=2e-6)
+    np.testing.assert_allclose(final.pose, batch.trajectory.pose, atol=1e-5)
 
 
 def test_a_run_without_any_sighting_is_dead_reckoning():
@@ -167,7 +171,10 @@ def test_removing_a_landmark_leaves_what_there_would_be_without_its_sightings(se
         s.remove(gone)
     # numbers are never used again
     s.predict(extra)
-    assert s.update(Sightings(*inputs.sightings(0)), np.full(len(inputs.sightings(0).z), NEW)).created.min() > created.max()
+    assert (
+        s.update(Sightings(*inputs.sightings(0)), np.full(len(inputs.sightings(0).z), NEW)).created.min()
+        > created.max()
+    )
 
 
 @every_sensor
@@ -177,7 +184,11 @@ def test_it_expects_what_the_filter_expects(sensor, task):
     inputs, _, _ = circle(sensor, noise=0.0)
     inputs = for_task(inputs, task)
     decisions, _ = known_decisions(inputs)
-    twin = EkfLocalizer(inputs.prior, inputs.sensor, inputs.map) if task == "localization" else EkfSlam(inputs.prior, inputs.sensor)
+    twin = (
+        EkfLocalizer(inputs.prior, inputs.sensor, inputs.map)
+        if task == "localization"
+        else EkfSlam(inputs.prior, inputs.sensor)
+    )
     s, *_ = drive(inputs, decisions, until=20, **TIGHT)
     drive(inputs, decisions, until=20, smoother=twin)
     for k in (20, 21):
@@ -242,7 +253,11 @@ def test_the_gate_and_its_statistics_are_the_filters(sensor, task):
     last = np.flatnonzero((o.frame == o.frame[-1]) & (created < 0))
     z[last[:3]] += [[1.5, 0.4], [0.05, -0.03], [-0.02, 0.04]]
     inputs = replace(inputs, observations=LabelledObservations(o.frame, z, o.R, o.label))
-    twin = EkfLocalizer(inputs.prior, inputs.sensor, inputs.map) if task == "localization" else EkfSlam(inputs.prior, inputs.sensor)
+    twin = (
+        EkfLocalizer(inputs.prior, inputs.sensor, inputs.map)
+        if task == "localization"
+        else EkfSlam(inputs.prior, inputs.sensor)
+    )
     ours = drive(inputs, decisions, gate=11.0, until=int(o.frame[-1]) + 1, **TIGHT)[3]
     filters = drive(inputs, decisions, gate=11.0, until=int(o.frame[-1]) + 1, smoother=twin)[3]
     for a, b in zip(ours, filters, strict=True):
@@ -301,28 +316,31 @@ def test_cholesky_that_breaks_down_is_replaced_by_qr_without_a_trace(monkeypatch
 
 def test_bare_gtsam_breaks_down_where_the_recovery_is_needed():
     inputs = resting(SENSORS["range-bearing"])
-    o = inputs.observations
     decisions, created = known_decisions(inputs)
-    isam = gtsam.ISAM2()
+    run = run_filter(inputs, decisions)
+    problem = build(inputs, decisions, created)
+    values = problem.values(run.pose, dict(enumerate(run.map.xy)))
     with pytest.raises(RuntimeError, match="Indeterminate"):
-        factors = [prior_factor(inputs.prior), *between_factors(1, inputs.increments.mean[1:], inputs.increments.covariance[1:])[0]]
-        seen = sight_landmarks(inputs.sensor, o.z, o.R, o.frame, np.where(created >= 0, created, decisions))
-        run = run_filter(inputs, decisions)
-        values = gtsam.Values()
-        for k, p in enumerate(run.pose):
-            values.insert(gtsam.symbol("x", k), gtsam.Pose2(*p))
-        for n, p in enumerate(run.map.xy):
-            values.insert(gtsam.symbol("l", n), p)
-        isam.update(graph_of([*factors, *(f for x in seen for f in x.factors)]), values)
+        gtsam.ISAM2().update(problem.graph(), values)
 
 
-def test_a_landmark_that_nothing_determines_is_named():
-    """Range zero: its bearing says nothing, so one direction stays open."""
+def test_a_landmark_founded_at_range_zero_is_named():
     inputs, _, _ = circle(RangeBearing())
     s = Isam2Smoother(inputs.prior, inputs.sensor)
     R = np.tile(0.01 * np.eye(2), (2, 1, 1))
+    seen = Sightings(np.array([[2.0, 0.3], [0.0, 0.1]]), R)
     with pytest.raises(UnderConstrained, match="landmark 1 is not determined"):
-        s.update(Sightings(np.array([[2.0, 0.3], [0.0, 0.1]]), R), np.array([NEW, NEW]))
+        s.update(seen, np.array([NEW, NEW]))
+
+
+@pytest.mark.parametrize("qr", [False, True], ids=["Cholesky", "QR"])
+def test_what_the_data_leave_free_is_named(qr):
+    values = gtsam.Values()
+    for k in range(2):
+        values.insert(gtsam.symbol("x", k), gtsam.Pose2(k, 0.0, 0.0))
+    step, _ = between_factors(1, np.array([[1.0, 0.0, 0.0]]), np.eye(3)[None])
+    with pytest.raises(UnderConstrained, match=r"pose of frame \d is not determined"):
+        Engine(0.1, 1, qr=qr).add(step, values)
 
 
 def test_senseless_requests_are_refused():

@@ -71,7 +71,13 @@ def test_a_robot_that_rests_for_long_is_no_trouble():
 
 @pytest.mark.parametrize(
     "P0",
-    [np.zeros((3, 3)), np.diag([0.01, 0.01, 0.0]), 0.01 * np.ones((3, 3)), np.diag([0.0, 0.02, 0.01]), 1e-9 * np.eye(3)],
+    [
+        np.zeros((3, 3)),
+        np.diag([0.01, 0.01, 0.0]),
+        0.01 * np.ones((3, 3)),
+        np.diag([0.0, 0.02, 0.01]),
+        1e-9 * np.eye(3),
+    ],
     ids=["zero", "heading exact", "rank one", "x exact", "tiny"],
 )
 def test_without_sightings_the_first_pose_keeps_its_prior_covariance_however_singular(P0):

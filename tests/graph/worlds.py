@@ -36,7 +36,11 @@ def circle(sensor, *, frames=60, landmarks=8, noise=1.0, seed=0, see=0.7, P0=Non
     z = sensor.predict(truth[frame], xy[label])
     near = sensor.polar(z)[:, 0] < sensor.max_range
     frame, label, z = frame[near], label[near], z[near]
-    R = np.array([[0.01, 0.001], [0.001, 0.0009]]) if isinstance(sensor, RangeBearing) else np.array([[0.02, 0.006], [0.006, 0.01]])
+    R = (
+        np.array([[0.01, 0.001], [0.001, 0.0009]])
+        if isinstance(sensor, RangeBearing)
+        else np.array([[0.02, 0.006], [0.006, 0.01]])
+    )
     z = z + noise * rng.multivariate_normal(np.zeros(2), R, len(z))
     if isinstance(sensor, RangeBearing):
         z[:, 1] = se2.wrap_angle(z[:, 1])

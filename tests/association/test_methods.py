@@ -1,0 +1,266 @@
+"""The methods that look at each observation, or each pair, by itself; newness; and what all methods have in common."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import chi2
+
+from association.decide import METHODS, decide
+from association.expectation import Expectation, SingularInnovationError
+from association.gnn import gnn
+from association.likelihood import ml, ml_ratio
+from association.nearest import nn
+from association.newness import newness
+from association.singles import singles
+from data.errors import UsageError
+from data.inputs import LandmarkMap, Prior, Sightings
+from data.result import DISCARD, NEW
+from data.sensors import RangeBearing, RelativePoint
+from ekf.localizer import EkfLocalizer
+from ekf.slam import EkfSlam
+from tests.association.problems import GATE, problem, shuffled
+
+ORDERLESS = [m for m in METHODS if m != "jcbb-first"]
+"""Methods whose decisions do not depend on the order of the map."""
+LINE = 0.01 * np.eye(2)
+
+
+def on_a_line(z, landmarks, variance=None, R=LINE):
+    """Observations and candidates on the x axis; S = (variance + 0.01) I, by default 0.01 I, and no correlations."""
+    variance = np.zeros(len(landmarks)) if variance is None else np.asarray(variance, float)
+    at = [np.stack([np.asarray(a, float), np.zeros(len(a))], 1) for a in (z, landmarks)]
+    return Expectation.from_arrays(*at, np.diag(np.repeat(variance, 2)), np.tile(R, (len(z), 1, 1)))
+
+
+small = st.builds(
+    problem,
+    st.integers(0, 2**32 - 1),
+    st.integers(0, 6),
+    st.integers(0, 6),
+    ambiguity=st.sampled_from([0.3, 1.0, 5.0]),
+)
+
+
+# nearest neighbour
+
+
+def test_nn_gives_one_landmark_to_many_observations_and_the_oldest_on_a_tie():
+    assert nn(on_a_line([0.0, 0.05, 5.0], [5.0, 0.02, 0.02]), GATE).tolist() == [1, 1, 0]
+
+
+def test_nn_takes_a_distance_that_equals_the_gate_and_the_others_do_not(monkeypatch):
+    monkeypatch.setattr("association.expectation._chi2", lambda probability, dof: 4.0)
+    e = on_a_line([2.0], [0.0], R=np.eye(2))
+    assert e.individual_distances()[0, 0] == 4.0
+    assert nn(e, GATE).tolist() == [0]
+    for method in (ml, singles, gnn):
+        assert method(e, GATE).tolist() == [NEW]
+    for method in ("jcbb", "jcbb-first"):
+        assert decide(method, e, GATE, GATE).decisions.tolist() == [NEW]
+    assert newness(e, np.array([NEW]), GATE).tolist() == [NEW]
+
+
+# maximum likelihood
+
+
+@settings(max_examples=40, deadline=None)
+@given(small)
+def test_ml_is_the_largest_gaussian_density_among_the_compatible(e):
+    decisions = ml(e, GATE)
+    for i, decision in enumerate(decisions):
+        density = []
+        for j in range(len(e.number)):
+            S, nu = e.HPHt[j] + e.R[i], e.z[i] - e.z_hat[j]
+            d2 = nu @ np.linalg.inv(S) @ nu
+            inside = d2 < chi2.ppf(GATE, 2)
+            density.append(np.exp(-0.5 * d2) / np.sqrt(np.linalg.det(2 * np.pi * S)) if inside else 0.0)
+        assert decision == (np.argmax(density) if any(density) else NEW)
+
+
+def test_ml_without_a_gate_pairs_every_reading():
+    assert ml(on_a_line([1e6, -1e6, 3.0], [0.0, 10.0]), None).tolist() == [1, 0, 0]
+
+
+def test_ml_ratio_takes_the_best_only_if_it_beats_the_true_second_best():
+    R = np.eye(2)
+
+    def decisions(*distances, **more):
+        """One observation at the origin, landmarks at these squared distances."""
+        return ml_ratio(on_a_line([0.0], np.sqrt(distances), R=R), None, **more).tolist()
+
+    assert decisions(0.1, 50.0) == [0]
+    assert decisions(50.0, 0.1) == [1]
+    assert decisions(0.1, 0.15) == [DISCARD]  # ambiguous between two landmarks,
+    assert decisions(0.15, 9.0, 0.1) == [DISCARD]  # whatever comes between them
+    assert decisions(0.1, 9.0, 0.15) == [DISCARD]
+    assert decisions(0.6) == [DISCARD]  # ambiguous between a landmark and "new" at 0.84
+    assert decisions(1.3) == [DISCARD]
+    assert decisions(1.35) == [NEW]
+    assert decisions(0.52) == [0]
+    assert decisions(0.53) == [DISCARD]
+    assert decisions(0.53, ratio=1.5) == [0]
+    assert decisions(1.3, alpha=0.5) == [NEW]
+    assert ml_ratio(on_a_line([0.0], []), None).tolist() == [NEW]
+
+
+def test_ml_ratio_asks_no_second_gate():
+    e = on_a_line([np.sqrt(2.0)], [0.0], R=np.eye(2))
+    assert decide("ml-ratio", e, GATE, 0.99999).decisions.tolist() == [NEW]
+    assert decide("nn", e, 0.1, 0.99999).decisions.tolist() == [DISCARD]
+
+
+# singles
+
+
+def test_singles_pairs_only_what_has_nobody_else():
+    e = on_a_line([0.0, 0.05, 5.0, 7.0], [0.02, 5.0, 6.95, 7.05])
+    assert singles(e, GATE).tolist() == [NEW, NEW, 1, NEW]
+
+
+# global nearest neighbour
+
+
+@settings(max_examples=40, deadline=None)
+@given(small)
+def test_gnn_is_the_cheapest_of_all_one_to_one_assignments(e):
+    d2, price = e.individual_distances(), chi2.ppf(GATE, 2)
+    m, n = d2.shape
+    best = np.inf
+    for choice in itertools.product(range(-1, n), repeat=m) if m < 5 else ():
+        taken = [j for j in choice if j >= 0]
+        if len(set(taken)) == len(taken) and all(d2[i, j] < price for i, j in enumerate(choice) if j >= 0):
+            best = min(best, sum(d2[i, j] if j >= 0 else price for i, j in enumerate(choice)))
+    decisions = gnn(e, GATE)
+    assert all(d2[i, j] < price for i, j in enumerate(decisions) if j >= 0)
+    assert len(set(decisions[decisions >= 0])) == (decisions >= 0).sum()
+    if np.isfinite(best):
+        assert sum(d2[i, j] if j >= 0 else price for i, j in enumerate(decisions)) == pytest.approx(best)
+
+
+def test_gnn_gives_up_a_nearest_neighbour_for_the_sum():
+    e = on_a_line([0.1, 0.2], [0.0, 0.15])
+    assert nn(e, GATE).tolist() == [1, 1]
+    assert gnn(e, GATE).tolist() == [0, 1]
+
+
+def test_gnn_without_a_gate_pairs_as_many_as_there_are():
+    assert sorted(gnn(on_a_line([0.0, 1.0, 900.0], [5.0, 6.0]), None).tolist()) == [NEW, 0, 1]
+    assert gnn(on_a_line([0.0, 900.0], [5.0, 6.0, 7.0]), None).tolist() == [0, 2]
+
+
+# newness
+
+
+def test_an_observation_is_new_only_outside_the_second_gate_of_every_landmark():
+    e = on_a_line([0.0, 0.4, 3.0], [0.0, 50.0])  # d^2 = 0, 16, 900
+    assert chi2.ppf(0.99, 2) < 16 < chi2.ppf(0.99999, 2)
+    assert decide("nn", e, 0.99, 0.99).decisions.tolist() == [0, NEW, NEW]
+    assert decide("nn", e, 0.99, 0.99999).decisions.tolist() == [0, DISCARD, NEW]
+    assert decide("nn", e, 0.99, None).decisions.tolist() == [0, DISCARD, DISCARD]
+    assert decide("nn", e, 0.99, 0.99, known_map=True).decisions.tolist() == [0, DISCARD, DISCARD]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_in_a_known_map_nothing_is_new(method):
+    decisions = decide(method, on_a_line([0.0, 3.0, 70.0], [0.0, 50.0]), 0.99, 0.99, known_map=True).decisions
+    assert decisions.tolist() == [0, DISCARD, DISCARD]
+
+
+# what all have in common
+
+
+@settings(max_examples=60, deadline=None)
+@given(small, st.randoms(use_true_random=False), st.sampled_from([0.99, None]))
+def test_the_order_of_the_map_changes_no_decision(e, random, gate):
+    order = list(range(len(e.number)))
+    random.shuffle(order)
+    for method in ORDERLESS:
+        np.testing.assert_array_equal(
+            decide(method, shuffled(e, order), gate, 0.99999).decisions, decide(method, e, gate, 0.99999).decisions
+        )
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("gate", [0.99, None])
+def test_every_method_decides_on_nothing_and_on_much(method, gate):
+    def kinds(m, n):
+        decided = decide(method, problem(5, m, n, ambiguity=8.0), gate, 0.99999, budget=300)
+        assert decided.decisions.shape == (m,)
+        assert decided.decisions.dtype == np.int64
+        assert ((decided.decisions >= DISCARD) & (decided.decisions < n)).all()
+        return set(decided.decisions.tolist())
+
+    assert kinds(0, 0) == set()
+    assert kinds(0, 4) == set()
+    assert kinds(4, 0) == {NEW}
+    assert kinds(1, 200)
+    assert kinds(200, 1)
+    assert kinds(200, 60)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_landmarks_of_another_frame_are_no_candidates(method):
+    e = replace(on_a_line([0.0, 0.0], [0.0]), frame=np.array([3]), observed_frame=np.array([3, 4]))
+    for gate in (0.99, None):
+        decisions = decide(method, e, gate, 0.99999).decisions
+        assert decisions.tolist() == [0, NEW]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_singular_innovation_covariance_is_an_error_that_names_the_pair(method):
+    for S in (np.zeros((2, 2)), np.array([[1.0, 1.0], [1.0, 1.0]]), np.array([[1.0, 0.0], [0.0, -1.0]])):
+        e = Expectation.from_arrays(np.zeros((1, 2)), np.array([[0.1, 0.0]]), S, np.zeros((1, 2, 2)), number=[42])
+        with pytest.raises(SingularInnovationError, match="observation 0 and landmark 42"):
+            decide(method, e, 0.99, 0.99)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("gate", [0.0, 1.0, -0.5, 9.21, float("nan")])
+def test_a_gate_that_is_no_probability_is_an_error(method, gate):
+    e = on_a_line([0.0], [0.0])
+    with pytest.raises(ValueError, match="probability"):
+        decide(method, e, gate, 0.99)
+    if method != "ml-ratio":
+        with pytest.raises(ValueError, match="probability"):
+            decide(method, e, 0.99, gate)
+
+
+def test_an_unknown_method_is_an_error_that_names_those_there_are():
+    with pytest.raises(UsageError, match="'icp'; there are nn, ml"):
+        decide("icp", on_a_line([0.0], [0.0]), 0.99, 0.99)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("sensor", [RangeBearing(), RelativePoint()])
+def test_two_landmarks_at_one_place_and_one_at_the_robot_give_decisions(method, sensor):
+    f = EkfSlam(Prior(np.zeros(3), np.zeros((3, 3))), sensor)
+    z = np.array([[2.0, 0.1], [2.0, 0.1], [0.0, 0.0], [3.0, -0.5]])
+    R = np.tile(1e-4 * np.eye(2), (4, 1, 1))
+    f.update(Sightings(z, R), np.full(4, NEW))
+    e = f.expect(Sightings(z, R))
+    assert np.isfinite(e.HPHt).all()
+    decisions = decide(method, e, 0.99, 0.99999).decisions
+    assert decisions[2:].tolist() == [2, 3]
+    assert set(decisions[:2].tolist()) <= {0, 1, DISCARD}
+    f.update(Sightings(z, R), decisions)
+    assert np.isfinite(f.mean).all()
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_localizer_and_arrays_state_the_same_problem(method):
+    rng = np.random.default_rng(2)
+    known = LandmarkMap(np.array([4, 9, 17]), np.array([[2.0, 0.0], [2.2, 0.1], [-1.0, 3.0]]))
+    f = EkfLocalizer(Prior(np.zeros(3), np.diag([0.01, 0.01, 0.001])), RelativePoint(), known)
+    s = Sightings(known.xy[[1, 0, 2]] + 0.02 * rng.normal(size=(3, 2)), np.tile(4e-4 * np.eye(2), (3, 1, 1)))
+    e = f.expect(s)
+    same = Expectation.from_arrays(s.z, e.z_hat, e.joint(np.arange(3)), s.R, number=known.id)
+    np.testing.assert_array_equal(
+        decide(method, e, 0.99, 0.99, known_map=True).decisions,
+        decide(method, same, 0.99, 0.99, known_map=True).decisions,
+    )

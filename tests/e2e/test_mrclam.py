@@ -1,0 +1,100 @@
+"""The recorded UTIAS logs through the whole product: the accuracy that the README states, and the tutorials' rows."""
+
+from __future__ import annotations
+
+import csv
+
+import numpy as np
+import pytest
+
+from association.expectation import gate_threshold
+from data.convert import main as convert
+from data.mrclam import load_mrclam
+from eval.replay import batch, filter_known
+from eval.run_all import main
+from eval.score import metrics_row
+
+BAD = [(755.0, 836.0), (945.0, 1050.0)]
+
+
+def errors(source, robot, **options):
+    """Position RMSE [m] of the gated EKF online and of batch-cauchy over its pairings, localization."""
+    log = load_mrclam(source, robot, **options)
+    inputs = log.inputs(labels=True)
+    front = filter_known(inputs, "localization", threshold=gate_threshold(0.9999))
+    smoothed = batch("batch-cauchy", inputs, front)
+    rows = metrics_row(front, "online", log, None), metrics_row(smoothed, "final", log, None)
+    return np.array([[r["rmse_position_m"], r["rmse_time_m"]] for r in rows], float)
+
+
+def test_dataset_9_on_which_the_numbers_were_tuned(shared_data):
+    ekf, cauchy = errors(shared_data / "mrclam" / "MRCLAM_Dataset9.zip", 3, exclude_truth=BAD)
+    assert ekf[0] < 0.04
+    assert cauchy[0] < 0.033
+
+
+@pytest.mark.slow
+def test_dataset_6_on_which_they_were_not(shared_data):
+    source = shared_data / "mrclam" / "MRCLAM_Dataset6.zip"
+    ekf, cauchy = np.mean([errors(source, robot) for robot in range(1, 6)], axis=0)
+    assert ekf[0] < 0.105
+    assert ekf[1] < 0.125
+    assert cauchy[0] < 0.075
+    assert cauchy[1] < 0.08
+
+
+def test_tutorials_join_the_table_of_the_log_they_treat(shared_data, tmp_path):
+    folder = tmp_path / "window"
+    source = shared_data / "mrclam" / "MRCLAM_Dataset1.zip"
+    landmarks = shared_data / "mrclam" / "Landmark_Groundtruth.corrected.dat"
+    assert (
+        convert(["mrclam", str(source), str(folder), "--robot", "1", "--stop", "120", "--landmarks", str(landmarks)])
+        == 0
+    )
+    out = tmp_path / "report"
+    assert main([
+        "--log", str(folder), "--config", "tutorial-step1", "--config", "tutorial-step3", "--estimator", "ekf",
+        "--out", str(out), "--no-plots", "-q", "--jobs", "1",
+    ]) == 0  # fmt: skip
+    with (out / "metrics.csv").open(newline="") as f:
+        rows = {(r["log"], r["task"]): r for r in csv.DictReader(f)}
+    assert set(rows) == {
+        ("window", "localization"), ("window", "slam"),
+        ("window:tutorial-step1", "localization"), ("window:tutorial-step3", "slam"),
+    }  # fmt: skip
+    one, three = rows["window:tutorial-step1", "localization"], rows["window:tutorial-step3", "slam"]
+    assert abs(int(one["frames"]) - 50 * (120 - 9.5)) < 5
+    for row in (one, three):
+        assert row["status"] == "ok"
+        assert float(row["sse_position_m2"]) == pytest.approx(
+            int(row["frames"]) * float(row["rmse_position_m"]) ** 2, rel=1e-6
+        )
+        assert float(row["rmse_position_m"]) > float(rows["window", row["task"]]["rmse_position_m"])
+    assert float(three["sse_landmark_m2"]) > 0
+    text = (out / "report.md").read_text()
+    assert "all nine entries" in text
+    assert "does not wrap" in text
+
+
+def test_a_tutorial_needs_the_recording_it_was_made_from(shared_data, tmp_path, capsys):
+    copy = tmp_path / "MRCLAM_Dataset9.zip"
+    copy.write_bytes((shared_data / "mrclam" / "MRCLAM_Dataset9.zip").read_bytes())
+    folder = tmp_path / "nine"
+    assert convert(["mrclam", str(copy), str(folder), "--robot", "3", "--stop", "60"]) == 0
+    copy.unlink()
+    assert (
+        main(["--log", str(folder), "--config", "tutorial-step1", "--out", str(tmp_path / "r"), "-q", "--jobs", "1"])
+        == 2
+    )
+    assert "convert again" in capsys.readouterr().err
+
+
+def test_a_robot_without_truth_runs_with_blank_errors(shared_data, tmp_path):
+    folder, out = tmp_path / "blind", tmp_path / "report"
+    source = shared_data / "mrclam" / "MRCLAM_Dataset1.zip"
+    assert convert(["mrclam", str(source), str(folder), "--robot", "5", "--stop", "100"]) == 0
+    assert main(["--log", str(folder), "--estimator", "ekf,batch", "--out", str(out), "-q", "--jobs", "1"]) == 0
+    with (out / "metrics.csv").open(newline="") as f:
+        for row in csv.DictReader(f):
+            assert (row["status"], row["rmse_position_m"], row["nees_pose"]) == ("ok", "", "")
+            assert float(row["nis"]) > 0
