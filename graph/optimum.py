@@ -22,8 +22,10 @@ from graph.marginals import Linearized, UndeterminedError, solve
 
 STEP = 1e-6
 """sigma. A Newton step smaller than this in every variable ends the search."""
-ROUNDING = 1e-4
-"""sigma. So does one below this that hardly shrank: gtsam's logarithm of a pose is good to about 1e-5 sigma."""
+ROUNDING = 2e-5
+"""sigma. So does one below this that hardly shrank: gtsam's logarithm of a pose is good to 1e-5 sigma or so."""
+ERROR_ROUNDING = 1e-7
+"""Of the cost: what a step towards the optimum may seem to lose (the ranges to beacons are rounded to nanometres)."""
 POLISH = 6
 """Most Newton steps; one or two are usual, robust losses converge linearly and may use all."""
 TINY = 1e-9
@@ -127,7 +129,7 @@ def optimize(problem: Problem, start: gtsam.Values) -> Optimum:
             delta.insert(L(int(n)), row)
         moved = values.retract(delta)
         moved_error = graph.error(moved)
-        if not moved_error <= error * (1.0 + 1e-9) + 1e-9:
+        if not moved_error <= error + ERROR_ROUNDING * (1.0 + error):
             break
         values, error, iterations = moved, moved_error, iterations + 1
     pose = poses_of(values, len(problem.motion) + 1)

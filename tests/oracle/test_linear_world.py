@@ -1,0 +1,152 @@
+"""A world in which everything is linear and Gaussian, solved by bare gtsam linear algebra: all estimators must agree.
+
+The heading is known exactly and the sensor is Cartesian, so pose and landmarks are plain points. The oracle shares no
+code with the package: points, rotation matrices, a `GaussianFactorGraph`.
+"""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+import pytest
+
+from data.inputs import Increments, Inputs, Observations, Prior, Sightings
+from data.result import NEW
+from data.sensors import RelativePoint
+from ekf.slam import EkfSlam
+from ekf.whole_run import run_filter
+from graph.batch import Start, smooth
+from graph.incremental import Isam2Smoother
+
+FRAMES, LANDMARKS = 50, 7
+M = np.array([[0.02, 0.006], [0.006, 0.01]])
+R = np.array([[0.03, -0.008], [-0.008, 0.012]])
+P0 = np.array([[0.2, 0.05], [0.05, 0.1]])
+
+
+def x(k):
+    return gtsam.symbol("x", k)
+
+
+def l(j):  # noqa: E743
+    return gtsam.symbol("l", j)
+
+
+@pytest.fixture(scope="module")
+def world():
+    """(motions, headings, sightings (frame, landmark, z), prior mean)."""
+    rng = np.random.default_rng(4)
+    landmarks = rng.uniform(-6.0, 6.0, (LANDMARKS, 2))
+    turn = rng.uniform(-0.4, 0.6, FRAMES)
+    turn[0] = 0.0
+    heading = 0.7 + np.cumsum(turn)
+    at, start = np.array([1.0, 2.0]), np.array([1.0, 2.0]) + rng.multivariate_normal(np.zeros(2), P0)
+    motions, seen = [np.zeros(2)], []
+    for k in range(FRAMES):
+        if k:
+            d = rng.normal(0.0, 0.6, 2)
+            at = at + rotation(heading[k - 1]) @ d
+            motions.append(d + rng.multivariate_normal(np.zeros(2), M))
+        for j in range(LANDMARKS):
+            if rng.random() < 0.4:
+                z = rotation(heading[k]).T @ (landmarks[j] - at) + rng.multivariate_normal(np.zeros(2), R)
+                seen.append((k, j, z))
+    return np.array(motions), turn, heading, seen, start
+
+
+def rotation(a):
+    return np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]])
+
+
+@pytest.fixture(scope="module")
+def oracle(world):
+    """Path (N, 2) with covariances, map in order of first sighting with covariances, and twice the minimal error."""
+    motions, _, heading, seen, start = world
+    graph, one = gtsam.GaussianFactorGraph(), np.eye(2)
+
+    def add(covariance, b, *terms):
+        W = np.linalg.inv(np.linalg.cholesky(covariance))
+        whitened = [part for key, A in terms for part in (key, W @ A)]
+        graph.add(gtsam.JacobianFactor(*whitened, W @ b, gtsam.noiseModel.Unit.Create(2)))
+
+    add(P0, start, (x(0), one))
+    for k in range(1, FRAMES):
+        C = rotation(heading[k - 1])
+        add(C @ M @ C.T, C @ motions[k], (x(k - 1), -one), (x(k), one))
+    for k, j, z in seen:
+        C = rotation(heading[k]).T
+        add(R, z, (x(k), -C), (l(j), C))
+    solution = graph.optimize()
+    marginals = gtsam.Marginals(graph, solution)
+    order = list(dict.fromkeys(j for _, j, _ in seen))
+
+    def read(keys):
+        return np.array([solution.at(k) for k in keys]), np.array([marginals.marginalCovariance(k) for k in keys])
+
+    return *read([x(k) for k in range(FRAMES)]), *read([l(j) for j in order]), 2.0 * graph.error(solution)
+
+
+def inputs_of(world, heading_variance):
+    motions, turn, heading, seen, start = world
+    mean = np.column_stack([motions, turn])
+    covariance = np.zeros((FRAMES, 3, 3))
+    covariance[1:, :2, :2], covariance[1:, 2, 2] = M, heading_variance
+    prior = np.zeros((3, 3))
+    prior[:2, :2] = P0
+    frame = np.array([k for k, _, _ in seen])
+    z = np.array([z for _, _, z in seen])
+    number, decisions, created = {}, [], []
+    for _, j, _ in seen:
+        decisions.append(number.get(j, NEW))
+        created.append(-1 if j in number else len(number))
+        number.setdefault(j, len(number))
+    inputs = Inputs(
+        Prior(np.append(start, heading[0]), prior),
+        np.arange(FRAMES, dtype=float),
+        Increments(mean, covariance),
+        Observations(frame, z, np.tile(R, (len(z), 1, 1))),
+        RelativePoint(),
+    )
+    return inputs, np.array(decisions), np.array(created)
+
+
+def test_ekf_slam_ends_where_the_linear_solution_does(world, oracle):
+    path, path_covariance, landmarks, landmark_covariance, chi_square = oracle
+    inputs, decisions, created = inputs_of(world, 0.0)
+    run = run_filter(inputs, decisions)
+    np.testing.assert_allclose(run.pose[-1, :2], path[-1], atol=1e-6)
+    np.testing.assert_allclose(run.covariance[-1, :2, :2], path_covariance[-1], atol=1e-6)
+    np.testing.assert_allclose(run.map.xy, landmarks, atol=1e-6)
+    np.testing.assert_allclose(run.map.covariance, landmark_covariance, atol=1e-6)
+    # the innovations of a filter carry the same chi-square as the residuals of the smoother
+    assert run.nis.sum() == pytest.approx(chi_square, abs=1e-6)
+    assert run.dof.sum() == 2 * len(decisions) - 2 * (created >= 0).sum()
+    stepwise = EkfSlam(inputs.prior, inputs.sensor)
+    for k in range(FRAMES):
+        if k:
+            stepwise.predict(inputs.increment(k))
+        stepwise.update(inputs.sightings(k), decisions[inputs.start[k] : inputs.start[k + 1]])
+    np.testing.assert_allclose(stepwise.estimate().mean[:2], path[-1], atol=1e-6)
+    np.testing.assert_allclose(stepwise.estimate().covariance[:2, :2], path_covariance[-1], atol=1e-6)
+
+
+def test_batch_and_isam2_find_the_linear_solution(world, oracle):
+    """Their increments cannot be exact, so the heading gets 1e-6 rad of freedom in each step."""
+    path, path_covariance, landmarks, landmark_covariance, chi_square = oracle
+    inputs, decisions, created = inputs_of(world, 1e-12)
+    run = run_filter(inputs, decisions)
+    batch = smooth(inputs, decisions, created, Start(run.pose, run.map.xy))
+    assert batch.chi_square == pytest.approx(chi_square, abs=1e-4)
+    s = Isam2Smoother(inputs.prior, inputs.sensor, threshold=1e-6, skip=1)
+    for k in range(FRAMES):
+        if k:
+            s.predict(inputs.increment(k))
+        s.update(Sightings(*inputs.sightings(k)), decisions[inputs.start[k] : inputs.start[k + 1]])
+    online, finished = s.estimate(), s.finish()
+    np.testing.assert_allclose(online.mean[:2], path[-1], atol=1e-6)
+    np.testing.assert_allclose(online.covariance[:2, :2], path_covariance[-1], atol=1e-6)
+    for trajectory, state in ((batch.trajectory, batch.map), (finished.final, finished.map)):
+        np.testing.assert_allclose(trajectory.pose[:, :2], path, atol=1e-6)
+        np.testing.assert_allclose(trajectory.covariance[:, :2, :2], path_covariance, atol=1e-6)
+        np.testing.assert_allclose(state.xy, landmarks, atol=1e-6)
+        np.testing.assert_allclose(state.covariance, landmark_covariance, atol=1e-6)
