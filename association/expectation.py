@@ -164,8 +164,9 @@ class Expectation:
         m, n = len(self.z), len(self.number)
         d2, det = np.empty((m, n)), np.empty((m, n))
         # copies: inputs are read-only and results are not, and the compiler would take these for different types
-        own = [np.array(a, float) for a in (self.innovations(), self.HPHt, self.R)]
-        bad = _distances(*own, np.array(self.frame, np.int64), np.array(self.observed_frame, np.int64), d2, det)
+        nu, HPHt, R = np.array(self.innovations(), float), np.array(self.HPHt, float), np.array(self.R, float)
+        frames = np.array(self.frame, np.int64), np.array(self.observed_frame, np.int64)
+        bad = _distances(nu, HPHt, R, frames[0], frames[1], d2, det)
         if bad >= 0:
             i, j = divmod(int(bad), n)
             raise SingularInnovationError(

@@ -1,4 +1,4 @@
-"""JCBB written plainly in Python: the recorded lab program's rule to the letter, and faults that were seen in public."""
+"""JCBB written plainly in Python: the recorded lab program's rule to the letter, and faults seen in public."""
 
 from __future__ import annotations
 

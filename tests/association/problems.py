@@ -36,7 +36,7 @@ def problem(seed, m, n, *, ambiguity=1.0, clutter=0.2, correlation=1.0, sigma=0.
 
 
 def joint_distances(e, hypotheses):
-    """Squared joint distance of hypotheses (h, k, 2) of (observation, candidate) pairs, one of the textbook's inverses."""
+    """Squared joint distance of hypotheses (h, k, 2) of (observation, candidate) pairs, by the inverse."""
     h, k, _ = hypotheses.shape
     n = len(e.number)
     full = e.joint(np.arange(n))

@@ -73,6 +73,15 @@ def test_a_beginning_may_exceed_its_own_gate_where_the_whole_passes():
     assert search(e, GATE, first=True).pairings == 3  # the lab program asks it of every beginning
 
 
+def test_what_cannot_grow_is_held_to_its_own_gate():
+    """Two of the three observations want the second landmark, so no three pairings can be made, and two are too far."""
+    far = 0.88 * np.sqrt(chi2.ppf(GATE, 2))
+    z_hat = np.array([[0.0, 0.0], [100.0, 0.0]])
+    z = np.array([[1.01 * far, 0.0], [100.0 + far, 0.0], [100.0, 1.01 * far]])
+    e = Expectation.from_arrays(z, z_hat, np.zeros((4, 4)), np.tile(np.eye(2), (3, 1, 1)))
+    assert jcbb(e, GATE).tolist() == [NEW, 1, NEW]
+
+
 def test_the_joint_covariance_is_asked_for_once_and_for_compatible_candidates_only():
     z_hat = np.array([[10.0, 0.0], [0.0, 0.0], [20.0, 0.0], [0.5, 0.0]])
     asked = []
@@ -87,8 +96,8 @@ def test_the_joint_covariance_is_asked_for_once_and_for_compatible_candidates_on
 
 def test_identical_landmarks_go_oldest_first_whatever_the_order_of_the_map():
     z, z_hat = np.array([[0.1, 0.0], [5.1, 0.0]]), np.array([[0.0, 0.0], [0.0, 0.0], [5.0, 0.0], [5.0, 0.0]])
-    joint = np.tile(0.01 * np.eye(2), (4, 4)) + np.kron(np.array([[1, 1, 0, 0], [1, 1, 0, 0], [0, 0, 1, 1], [0, 0, 1, 1]]),
-                                                        0.02 * np.eye(2))  # fmt: skip
+    twins = np.kron(np.eye(2), np.ones((2, 2)))
+    joint = np.kron(0.01 * np.ones((4, 4)) + 0.02 * twins, np.eye(2))
     e = Expectation.from_arrays(z, z_hat, joint, np.tile(0.01 * np.eye(2), (2, 1, 1)))
     for order in ([0, 1, 2, 3], [3, 2, 1, 0], [1, 3, 0, 2]):
         assert jcbb(shuffled(e, order), GATE).tolist() == [0, 2]
