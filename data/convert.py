@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import argparse
 import math
-import re
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, fields, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from data.errors import SlamrefError, UsageError
+from data.simulated import SIMULATORS, add_flags, number, simulated
 
 if TYPE_CHECKING:
     from data.log import Log
@@ -22,6 +22,7 @@ examples:
   python -m data.convert mrclam MRCLAM_Dataset9.zip logs/nine --robot 3 --exclude-truth 755:836 --exclude-truth 945:1050
   python -m data.convert victoria-park logs/victoria
   python -m data.convert arena logs/arena-0 --seed 0 --landmarks 40
+  python -m data.convert corridor logs/corridor-0 --seed 0 --people
 """
 MRCLAM_EXAMPLES = """\
 examples:
@@ -31,6 +32,24 @@ examples:
   python -m data.convert mrclam MRCLAM_Dataset1.zip logs/grid --robot 1 --grid 0.02 --uncalibrated \\
       --motion-model half_angle --motion-noise displacement --motion-alphas .2 .03 .09 .08 --sigma 2 3
 """
+SIMULATED = {
+    "arena": (
+        "a simulated world whose noise is known",
+        "A simulated robot among point landmarks, every noise known; the same seed gives the same log.",
+        "example:\n  python -m data.convert arena logs/arena-0 --seed 0 --frames 500 --sensor relative_point",
+    ),
+    "corridor": (
+        "the corridor lab on data association, simulated",
+        "A simulated robot once round a square of corridors, with people or without; the same seed gives the same log.",
+        """\
+examples:
+  python -m data.convert corridor logs/corridor-0 --seed 0 --people
+  python -m data.convert corridor logs/blind --seed 3 --no-odometry
+  python -m data.convert corridor logs/narrow --people --crowd 20 --range 8 --min-angle -60 --max-angle 60 --srho .02
+""",
+    ),
+}
+"""Help, description and examples of each simulator."""
 MRCLAM_TEXT = """\
 UTIAS MRCLAM (Leung et al., IJRR 2011). The log starts at the first instant with ground truth and odometry, and the
 mean of its prior is the true pose there; without ground truth the prior is a fit to the first sightings. Times are
@@ -65,8 +84,8 @@ class _Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: {message} (see --help)\n")
 
 
-def parser(*, arena: bool = True) -> argparse.ArgumentParser:
-    """The command line; `arena`: with the simulator's flags, which take the simulator to be loaded."""
+def parser(*, simulators: bool = True) -> argparse.ArgumentParser:
+    """The command line; `simulators`: with their flags, which take the simulators to be loaded."""
     top = _Parser(
         prog="python -m data.convert",
         description="Write a recording or a simulation as an open log folder; OUT's last component becomes its name.",
@@ -85,14 +104,10 @@ def parser(*, arena: bool = True) -> argparse.ArgumentParser:
         epilog="example:\n  python -m data.convert victoria-park logs/victoria",
     )
     park.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
-    simulated = kinds.add_parser(
-        "arena",
-        help="a simulated world whose noise is known",
-        description="A simulated robot among point landmarks, every noise known; the same seed gives the same log.",
-        epilog="example:\n  python -m data.convert arena logs/arena-0 --seed 0 --frames 500 --sensor relative_point",
-    )
-    if arena:
-        _add_arena(simulated)
+    for kind, (text, description, example) in SIMULATED.items():
+        sub = kinds.add_parser(kind, help=text, description=description, epilog=example)
+        if simulators:
+            add_flags(sub, kind)
     return top
 
 
@@ -100,8 +115,8 @@ def _add_mrclam(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("source", metavar="SOURCE", type=Path, help="folder with the .dat files, or the published zip")
     sub.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
     sub.add_argument("--robot", type=int, metavar="N", required=True, help="robot, 1 to 5")
-    sub.add_argument("--start", type=_number, metavar="S", help="the log starts no earlier")
-    sub.add_argument("--stop", type=_number, metavar="S", help="the log ends no later")
+    sub.add_argument("--start", type=number, metavar="S", help="the log starts no earlier")
+    sub.add_argument("--stop", type=number, metavar="S", help="the log ends no later")
     sub.add_argument(
         "--landmarks", type=Path, metavar="FILE", help="read instead of the dataset's Landmark_Groundtruth.dat"
     )
@@ -113,11 +128,11 @@ def _add_mrclam(sub: argparse.ArgumentParser) -> None:
         "--keep-robots", action="store_true", help="keep sightings of the other robots, as clutter that moves"
     )
     sub.add_argument(
-        "--grid", type=_number, metavar="S",
+        "--grid", type=number, metavar="S",
         help="resample to frames this far apart, as the classic tutorials do (0.02); default: the recorded stamps",
     )  # fmt: skip
     sub.add_argument(
-        "--prior-sigma", type=_number, nargs=2, metavar=("M", "RAD"), default=(0.05, 0.05),
+        "--prior-sigma", type=number, nargs=2, metavar=("M", "RAD"), default=(0.05, 0.05),
         help="standard deviations of x and y, and of the heading, at the start (default: 0.05 0.05)",
     )  # fmt: skip
     group = sub.add_argument_group("calibration and noise", "defaults: the frozen numbers of data/calibration.py")
@@ -129,11 +144,11 @@ def _add_mrclam(sub: argparse.ArgumentParser) -> None:
     for name, (unit, text) in CALIBRATION.items():
         flag = f"--{name.replace('_', '-')}"
         if unit:
-            group.add_argument(flag, type=_number, metavar=unit, help=text)
+            group.add_argument(flag, type=number, metavar=unit, help=text)
         else:
             group.add_argument(flag, action=argparse.BooleanOptionalAction, default=None, help=text)
     group.add_argument(
-        "--sigma", type=_number, nargs=2, metavar=("M", "RAD"),
+        "--sigma", type=number, nargs=2, metavar=("M", "RAD"),
         help="standard deviations of every reading, instead of the three flags above",
     )  # fmt: skip
     group.add_argument(
@@ -146,59 +161,19 @@ def _add_mrclam(sub: argparse.ArgumentParser) -> None:
         help="convention of the odometry noise: per sample, per sample in proportion, or per square root of a second",
     )  # fmt: skip
     group.add_argument(
-        "--motion-sigma", type=_number, nargs=2, metavar=("V", "OMEGA"),
+        "--motion-sigma", type=number, nargs=2, metavar=("V", "OMEGA"),
         help="velocity: m/s and rad/s; density: m and rad per square root of a second",
     )  # fmt: skip
     group.add_argument(
-        "--motion-alphas", type=_number, nargs=4, metavar=("A1", "A2", "A3", "A4"),
+        "--motion-alphas", type=number, nargs=4, metavar=("A1", "A2", "A3", "A4"),
         help="displacement: sigma_v = A1 |v| + A2 |omega|, sigma_omega = A3 |v| + A4 |omega|",
     )  # fmt: skip
-
-
-def _add_arena(sub: argparse.ArgumentParser) -> None:
-    from data.arena import Arena
-
-    sub.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
-    sub.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of every random number (default: 0)")
-    described = _attributes(Arena.__doc__ or "", [f.name for f in fields(Arena)])
-    for f in fields(Arena):
-        kind = type(f.default)
-        text = f"{described.get(f.name, '')} (default: {f.default})".strip().replace("%", "%%")
-        convert: Callable[[str], object] = _number if kind is float else kind
-        sub.add_argument(
-            f"--{f.name.replace('_', '-')}", type=convert, default=f.default, metavar=kind.__name__.upper(), help=text
-        )
-
-
-def _attributes(docstring: str, names: Sequence[str]) -> dict[str, str]:
-    """What a docstring says about each name: the text from `name:` (or `name, other:`) to the next one."""
-    name = f"(?:{'|'.join(names)})"
-    found = list(re.finditer(rf"\b({name}(?:, {name})*): ", docstring))
-    ends = [m.start() for m in found[1:]] + [len(docstring)]
-    texts = {m[1]: " ".join(docstring[m.end() : end].split()) for m, end in zip(found, ends, strict=True)}
-    return {n: text.replace("`", "").rstrip(" .,;") for group, text in texts.items() for n in group.split(", ")}
-
-
-def _number(text: str) -> float:
-    value = float(text)
-    if math.isnan(value):
-        raise ValueError
-    return value
-
-
-_number.__name__ = "number"  # argparse names the type in its message
-
-
-def _seed(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 up")
-    return int(text)
 
 
 def _stretch(text: str) -> tuple[float, float]:
     begin, colon, end = text.partition(":")
     try:
-        stretch = _number(begin), _number(end)
+        stretch = number(begin), number(end)
     except ValueError:
         stretch = math.inf, -math.inf
     if not colon or not stretch[0] < stretch[1]:
@@ -263,15 +238,7 @@ def _victoria_park(args: argparse.Namespace) -> Log:
     return load_victoria_park()
 
 
-def _arena(args: argparse.Namespace) -> Log:
-    from data.arena import Arena, simulate
-
-    arena = Arena(**{f.name: getattr(args, f.name) for f in fields(Arena)})
-    log = simulate(arena, args.seed)
-    return replace(log, source={**log.source, "arena": asdict(arena)})
-
-
-MAKERS = {"mrclam": _mrclam, "victoria-park": _victoria_park, "arena": _arena}
+MAKERS = {"mrclam": _mrclam, "victoria-park": _victoria_park, **dict.fromkeys(SIMULATORS, simulated)}
 
 
 def summary(log: Log) -> list[str]:
@@ -292,7 +259,7 @@ def summary(log: Log) -> list[str]:
 def main(argv: Sequence[str] | None = None) -> int:
     """Convert and say what was done; 0, or 2 with one line on stderr."""
     given = list(sys.argv[1:] if argv is None else argv)
-    args = parser(arena="arena" in given).parse_args(given)
+    args = parser(simulators=any(kind in given for kind in SIMULATORS)).parse_args(given)
     from data.folder_writer import write_folder
 
     try:

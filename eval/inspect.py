@@ -18,6 +18,7 @@ EXAMPLES = """\
 examples:
   python -m eval.inspect victoria-park
   python -m eval.inspect arena:0 --plot arena.png
+  python -m eval.inspect corridor:0:people
   python -m eval.inspect path/to/my_log --plot my_log.pdf
 
 exit status: 0 fine, 2 wrong usage or bad data"""
@@ -31,7 +32,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("log", metavar="LOG", help="an open log folder, or a name: victoria-park, arena:SEED")
+    parser.add_argument(
+        "log", metavar="LOG", help="an open log folder, or a name: victoria-park, arena:SEED, corridor:SEED[:KEYS]"
+    )
     parser.add_argument("--plot", metavar="FILE", type=Path, help="write a picture of the log (.png or .pdf)")
     options = parser.parse_args(argv)
     try:

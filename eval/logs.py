@@ -9,11 +9,11 @@ from pathlib import Path
 from data.errors import UsageError
 from data.log import Log
 
-NAMES = "victoria-park, arena:SEED"
+NAMES = "victoria-park, arena:SEED, corridor:SEED, corridor:SEED:people+no-odometry+KEY=VALUE"
 
 
 def open_log(name: str) -> Log:
-    """A log by name (`victoria-park`, `arena:SEED`) or by the path of an open log folder.
+    """A log by name (`victoria-park`, `arena:SEED`, `corridor:SEED:KEYS`) or by the path of an open log folder.
 
     Raises UsageError for a name that is neither, DataError for a folder that is not valid.
     """
@@ -28,6 +28,10 @@ def open_log(name: str) -> Log:
         if not re.fullmatch(r"\d+", simulated[1]):
             raise UsageError(f"--log {name}: the seed is a whole number, as in arena:0")
         return simulate(Arena(), int(simulated[1]))
+    if name.startswith("corridor:"):
+        from data import corridor
+
+        return corridor.simulate(*corridor.parse_name(name), name)
     path = Path(name)
     if path.is_dir():
         from data.folder import load_folder

@@ -82,6 +82,7 @@ examples:
   python -m eval.run_all --quick                            the same, shortened (a check that all works)
   python -m eval.run_all --log my_log --log arena:3         an open log folder and a simulated log
   python -m eval.run_all --log victoria-park --task slam    one log, one task
+  python -m eval.run_all --log corridor:0:people+range=8    the corridor lab: people in the way, any constant changed
   python -m eval.run_all --data ~/datasets                  every dataset found in a folder, two levels deep
   python -m eval.run_all --log my_log --estimator ekf,batch-cauchy --association known
   python -m eval.run_all --log my_log --gate-known 0.9999   leave labelled readings out that fit badly
@@ -109,7 +110,8 @@ def parser() -> argparse.ArgumentParser:
         "--log",
         action="append",
         metavar="PATH|NAME",
-        help="open log folder, victoria-park, or arena:SEED (repeatable; default: victoria-park and arena:0)",
+        help="open log folder, victoria-park, arena:SEED, corridor:SEED, or corridor:SEED:people+no-odometry+KEY=VALUE "
+        "(repeatable; default: victoria-park and arena:0)",
     )
     add(
         "--data",

@@ -249,7 +249,7 @@ def test_help_has_an_example(kind: list[str], capsys: pytest.CaptureFixture[str]
 
 def test_help_loads_neither_numpy_nor_numba() -> None:
     code = (
-        "import sys; from data.convert import parser; parser(arena=False).format_help(); "
+        "import sys; from data.convert import parser; parser(simulators=False).format_help(); "
         "sys.exit(bool({'numpy', 'numba', 'pandas'} & set(sys.modules)))"
     )
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0

@@ -1,0 +1,100 @@
+"""Command-line flags of the simulators, one for every field of their parameters, and the logs they make.
+
+The simulators are imported when asked for, so that `--help` and a mistyped flag do not wait for them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from data.log import Log
+
+SIMULATORS = ("arena", "corridor")
+
+
+def number(text: str) -> float:
+    """A flag's number; nan is none."""
+    value = float(text)
+    if math.isnan(value):
+        raise ValueError
+    return value
+
+
+def degrees(text: str) -> float:
+    """A flag's angle in degrees, in radians."""
+    return math.radians(number(text))
+
+
+number.__name__ = degrees.__name__ = "number"  # argparse names the type in its message
+
+
+def seed(text: str) -> int:
+    """A flag's seed."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 up")
+    return int(text)
+
+
+def _parameters(kind: str) -> type[Any]:
+    """The dataclass of a simulator's parameters."""
+    if kind == "arena":
+        from data.arena import Arena
+
+        return Arena
+    from data.corridor import Corridor
+
+    return Corridor
+
+
+def add_flags(sub: argparse.ArgumentParser, simulator: str) -> None:
+    """OUT, `--seed`, and a flag for every parameter, with what its docstring says; angles kept in degrees stay so."""
+    sub.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
+    sub.add_argument("--seed", type=seed, default=0, metavar="N", help="seed of every random number (default: 0)")
+    parameters = _parameters(simulator)
+    described = _attributes(parameters.__doc__ or "", [f.name for f in fields(parameters)])
+    for f in fields(parameters):
+        flag, text = f"--{f.name.replace('_', '-')}", described.get(f.name, "")
+        if isinstance(f.default, bool):
+            text = f"{text} (default: {'on' if f.default else 'off'})".replace("%", "%%")
+            sub.add_argument(flag, action=argparse.BooleanOptionalAction, default=f.default, help=text)
+            continue
+        kind: type[Any] = type(f.default)
+        default: Any = f.default
+        unit = kind.__name__.upper()
+        convert: Callable[[str], object] = number if kind is float else kind
+        if f.metadata.get("unit") == "deg":
+            default, unit, convert = f"{math.degrees(default):.12g}", "DEG", degrees
+        text = f"{text} (default: {default})".strip().replace("%", "%%")
+        sub.add_argument(flag, type=convert, default=f.default, metavar=unit, help=text)
+
+
+def _attributes(docstring: str, names: Sequence[str]) -> dict[str, str]:
+    """What a docstring says about each name: the text from `name:` (or `name, other:`) to the next one."""
+    docstring = docstring.partition("Raises:")[0]
+    name = f"(?:{'|'.join(names)})"
+    found = list(re.finditer(rf"\b({name}(?:, {name})*): ", docstring))
+    ends = [m.start() for m in found[1:]] + [len(docstring)]
+    texts = {m[1]: " ".join(docstring[m.end() : end].split()) for m, end in zip(found, ends, strict=True)}
+    return {n: text.replace("`", "").rstrip(" .,;") for group, text in texts.items() for n in group.split(", ")}
+
+
+def simulated(args: argparse.Namespace) -> Log:
+    """The log that the flags describe; its source holds every parameter."""
+    parameters = _parameters(args.kind)
+    values = parameters(**{f.name: getattr(args, f.name) for f in fields(parameters)})
+    if args.kind == "arena":
+        from data.arena import simulate
+
+        log = simulate(values, args.seed)
+    else:
+        from data.corridor import simulate as simulate_corridor
+
+        log = simulate_corridor(values, args.seed)
+    return replace(log, source={**log.source, args.kind: asdict(values)})
