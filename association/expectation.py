@@ -12,7 +12,7 @@ from functools import cached_property, lru_cache
 
 import numba
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from data.inputs import IntArray
 from data.se2 import Array
@@ -39,7 +39,7 @@ def gate_threshold(probability: float | None, dof: int = 2) -> float:
 @lru_cache(maxsize=4096)
 def _chi2(probability: float, dof: int) -> float:
     """Inverse chi-square distribution; remembered, because every frame asks for the same few."""
-    return float(chi2.ppf(probability, dof))
+    return float(2.0 * gammaincinv(0.5 * dof, probability))
 
 
 def plain_residual(z: Array, z_hat: Array) -> Array:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from data import se2
 from data.se2 import Array
@@ -25,7 +25,7 @@ FAMILY_LEVEL = 0.001
 """False alarm rate of the exit status over all declared verdicts together."""
 TAIL_LEVEL = 0.001
 """Probability below which a single run's mean NEES is impossible for a consistent estimator."""
-INSIDE_3SIGMA = float(stats.chi2.cdf(9.0, 2))
+INSIDE_3SIGMA = float(special.chdtr(2, 9.0))
 """Share of positions that a consistent estimator has inside its 3 sigma ellipse (98.89 %)."""
 
 CONSISTENT, OVERCONFIDENT, CONSERVATIVE, TOO_FEW = "consistent", "overconfident", "conservative", "not enough runs"
@@ -73,7 +73,7 @@ def chi2_bounds(dof: int, level: float = LEVEL) -> tuple[float, float]:
     if dof <= 0:
         return math.nan, math.nan
     tail = 0.5 * (1.0 - level)
-    return float(stats.chi2.ppf(tail, dof) / dof), float(stats.chi2.ppf(1.0 - tail, dof) / dof)
+    return float(special.chdtri(dof, 1.0 - tail) / dof), float(special.chdtri(dof, tail) / dof)
 
 
 def anees_band(dof: int, runs: int, level: float = LEVEL) -> tuple[float, float]:
@@ -118,10 +118,10 @@ def verdict(run_means: Array, dof: int, level: float = LEVEL) -> Verdict:
     if n < 2 or not np.isfinite(means).all():
         return Verdict(mean_or_nan(means), math.nan, math.nan, dof, n, TOO_FEW, math.nan, math.nan)
     mean, error = float(means.mean()), float(means.std(ddof=1) / math.sqrt(n))
-    half = float(stats.t.ppf(0.5 * (1.0 + level), n - 1)) * error
-    p_value = float(2.0 * stats.t.sf(abs(mean - dof) / error, n - 1)) if error > 0 else float(mean == dof)
+    half = float(special.stdtrit(n - 1, 0.5 * (1.0 + level))) * error
+    p_value = float(2.0 * special.stdtr(n - 1, -abs(mean - dof) / error)) if error > 0 else float(mean == dof)
     word = CONSISTENT if mean - half <= dof <= mean + half else OVERCONFIDENT if mean > dof else CONSERVATIVE
-    tail = min(n * float(stats.chi2.sf(means.max(), dof)), 1.0)
+    tail = min(n * float(special.chdtrc(dof, means.max())), 1.0)
     if tail < TAIL_LEVEL:
         word, p_value = OVERCONFIDENT, min(p_value, tail)
     if n < MIN_RUNS:
@@ -138,8 +138,8 @@ def _power(dof: int, mean: float, error: float, n: int, level: float, claimed: f
         return math.nan
     scaled = error * (dof / mean) / claimed
     shift = (dof / claimed - dof) / scaled
-    critical = float(stats.t.ppf(0.5 * (1.0 + level), n - 1))
-    return float(stats.norm.sf(critical - shift) + stats.norm.cdf(-critical - shift))
+    critical = float(special.stdtrit(n - 1, 0.5 * (1.0 + level)))
+    return float(special.ndtr(shift - critical) + special.ndtr(-critical - shift))
 
 
 def holm_rejected(p_values: Sequence[float], level: float = FAMILY_LEVEL) -> list[bool]:

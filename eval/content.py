@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 from joblib import Parallel, delayed
@@ -12,7 +13,7 @@ from eval import comparison, figures, words
 from eval.consistency import MIN_RUNS
 from eval.montecarlo import DOF, Judged, Study, consistency_table
 from eval.options import Options
-from eval.pictures import publish, stem
+from eval.pictures import draw, kinds, publish_runs, stem
 from eval.provenance import command_of, provenance
 from eval.report import Block, Picture, ReportContent, Section, Table, write_report
 from eval.score import Scores, Trial, score
@@ -73,14 +74,24 @@ def _table(folder: Path, options: Options, frame: pd.DataFrame, name: str, capti
 
 def _publish_trials(
     folder: Path, options: Options, trials: Sequence[Trial], progress: Callable[[int, int], None]
-) -> list[tuple[Picture, ...]]:
-    jobs = [delayed(publish)(folder, options, trial) for trial in trials]
-    pool = Parallel(n_jobs=min(options.jobs, max(len(jobs), 1)), return_as="generator")
-    result = []
-    for done, published in enumerate(pool(jobs), start=1):
-        result.append(published)
+) -> list[list[Picture]]:
+    """Write run files and pictures, each as a job of its own; returns the pictures of each trial."""
+    jobs: list[Any] = []
+    owner: list[int | None] = []
+    for i, trial in enumerate(trials):
+        for kind in () if options.no_plots else kinds(trial):
+            jobs.append(delayed(draw)(folder, trial, kind))
+            owner.append(i)
+    for trial in trials:
+        jobs.append(delayed(publish_runs)(folder, options, trial))
+        owner.append(None)
+    pictures: list[list[Picture]] = [[] for _ in trials]
+    pool: Iterable[Any] = Parallel(n_jobs=min(options.jobs, max(len(jobs), 1)), return_as="generator")(jobs)
+    for done, (whose, made) in enumerate(zip(owner, pool, strict=True), start=1):
+        if whose is not None:
+            pictures[whose].append(made)
         progress(done, len(jobs))
-    return result
+    return pictures
 
 
 def _rows(frame: pd.DataFrame, trial: Trial) -> pd.DataFrame:
@@ -88,7 +99,7 @@ def _rows(frame: pd.DataFrame, trial: Trial) -> pd.DataFrame:
 
 
 def _trial_sections(
-    folder: Path, options: Options, trials: Sequence[Trial], scores: Scores, published: Sequence[tuple[Picture, ...]]
+    folder: Path, options: Options, trials: Sequence[Trial], scores: Scores, published: Sequence[Sequence[Picture]]
 ) -> list[Section]:
     """A section per log and task; a tutorial's row stands in the table of the log it belongs to."""
     sections = []

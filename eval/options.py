@@ -20,7 +20,7 @@ ESTIMATORS = ("dead-reckoning", "ekf", "isam2", "batch", "batch-huber", "batch-c
 ASSOCIATIONS = ("known",)
 FORMATS = ("csv", "md", "tex")
 DEFAULT_ESTIMATORS = ("dead-reckoning", "ekf", "isam2", "batch")
-QUICK_RUNS = 8
+QUICK_RUNS = 4
 CONFIGS = Path(__file__).parent / "configs"
 
 
@@ -131,7 +131,7 @@ def parser() -> argparse.ArgumentParser:
     add(
         "--runs",
         metavar="N",
-        help="runs of the consistency study (default: 50; 8 with --quick; 0: none, the default with --log)",
+        help=f"runs of the consistency study (default: 50; {QUICK_RUNS} with --quick; 0: none, the default with --log)",
     )
     add("--seed", metavar="N", help="first seed of the consistency study (default: 0)")
     add("--jobs", metavar="N", help="processes (default: one per core)")

@@ -173,6 +173,7 @@ def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] = ("pdf", 
         for suffix in formats:
             path = folder / f"{stem}.{suffix}"
             fig.savefig(path, dpi=PNG_DPI, metadata=clean[suffix])
+            fig.set_layout_engine("none")  # one layout for all formats
             written.append(path)
     fig.clear()
     return written
