@@ -143,15 +143,17 @@ class Expectation:
         window of frames the entries of one landmark keep the order of their frames.
         """
         order = np.lexsort((self.frame, self.number))
-        if np.array_equal(order, np.arange(len(order))):
-            return self
+        return self if np.array_equal(order, np.arange(len(order))) else self.only(order)
+
+    def only(self, which: IntArray) -> Expectation:
+        """The same problem with these candidates alone, in this order."""
         return replace(
             self,
-            number=self.number[order],
-            z_hat=self.z_hat[order],
-            HPHt=self.HPHt[order],
-            frame=self.frame[order],
-            joint=lambda indices: self.joint(order[np.asarray(indices, np.int64)]),
+            number=self.number[which],
+            z_hat=self.z_hat[which],
+            HPHt=self.HPHt[which],
+            frame=self.frame[which],
+            joint=lambda indices: self.joint(which[np.asarray(indices, np.int64)]),
         )
 
     def innovations(self) -> Array:
@@ -190,3 +192,23 @@ class Expectation:
         """Logarithm of det S (m, n) of every observation and candidate, infinite in another frame."""
         logs: Array = np.log(self._formed[1])
         return logs
+
+    def innovation_statistics(self, rows: IntArray, chosen: IntArray) -> tuple[float, int, float]:
+        """NIS, degrees of freedom and log-likelihood of pairing observations `rows` with candidates `chosen`, jointly.
+
+        Raises SingularInnovationError if their joint covariance is not positive definite.
+        """
+        if not len(rows):
+            return 0.0, 0, 0.0
+        S = self.joint(chosen)
+        for i, Ri in enumerate(self.R[rows]):
+            S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += Ri
+        try:
+            root = np.linalg.cholesky(S)
+        except np.linalg.LinAlgError:
+            raise SingularInnovationError(
+                f"the joint innovation covariance of landmarks {self.number[chosen].tolist()} is singular"
+            ) from None
+        white = np.linalg.solve(root, self.residual(self.z[rows], self.z_hat[chosen]).ravel())
+        nis, dof = float(white @ white), len(white)
+        return nis, dof, -0.5 * (nis + 2.0 * float(np.log(np.diag(root)).sum()) + dof * math.log(2.0 * math.pi))

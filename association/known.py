@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from data.inputs import Inputs, IntArray, LabelledObservations
@@ -34,3 +36,20 @@ def known_decisions(inputs: Inputs) -> tuple[IntArray, IntArray]:
     decisions[founding] = NEW
     created[founding] = number
     return decisions, created
+
+
+def pair_by_label(label: IntArray, held: Mapping[int, int]) -> IntArray:
+    """SLAM decisions (m,) of one frame by labels (m,), for a map that may have lost landmarks.
+
+    `held`: number of the landmark that is in the map for a label. Without removals this makes the decisions of
+    `known_decisions`.
+    """
+    decisions = np.full(len(label), DISCARD, np.int64)
+    founded: set[int] = set()
+    for i, name in enumerate(label.tolist()):
+        if name in held:
+            decisions[i] = held[name]
+        elif name >= 0 and name not in founded:
+            founded.add(name)
+            decisions[i] = NEW
+    return decisions

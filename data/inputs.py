@@ -151,6 +151,11 @@ class Inputs:
         """The same inputs for SLAM: the known map withheld."""
         return replace(self, map=None)
 
+    def without_labels(self) -> Inputs:
+        """The same inputs for an estimator that must find the pairings itself."""
+        o = self.observations
+        return replace(self, observations=Observations(o.frame, o.z, o.R))
+
 
 def floor_covariances(covariance: Array, floor: float) -> tuple[Array, int]:
     """Add floor * I to every increment covariance (N, 3, 3), row 0 aside, whose smallest eigenvalue is below `floor`.

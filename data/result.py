@@ -139,6 +139,8 @@ class Run:
         seconds: wall time of the estimation alone.
         failure: None when it got to the end; its arrays are then complete.
         notes: one sentence each, for the report.
+        removed: (L,) by landmark number, frame after which it was no longer in the map, -1: it stayed (None: nothing
+            was ever removed). If it was retracted, its observations are discarded in `final_decisions`.
     """
 
     estimator: str
@@ -156,6 +158,7 @@ class Run:
     seconds: float = float("nan")
     failure: Failure | None = None
     notes: tuple[str, ...] = field(default=())
+    removed: IntArray | None = None
 
     def __post_init__(self) -> None:
         read_only(self)

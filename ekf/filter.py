@@ -41,7 +41,11 @@ DEFAULT = FilterOptions()
 
 
 class Filter:
-    """State mean and covariance in buffers that grow in place; see `ekf.kernels` for the layout."""
+    """State mean and covariance in buffers that grow in place; see `ekf.kernels` for the layout.
+
+    The state is the leading `size` entries. The `_carried` entries behind it go through every step with it but are no
+    part of it (see `ekf.parking`; only a SLAM filter with parked landmarks has any).
+    """
 
     def __init__(self, prior: Prior, sensor: Sensor, options: FilterOptions, capacity: int = 3) -> None:
         """Start at the prior. `capacity` is the number of states to have room for."""
@@ -49,13 +53,18 @@ class Filter:
         self._kind, self._extrinsic = sensor.kind, sensor.extrinsic
         self._mean, self._P = np.zeros(capacity), np.zeros((capacity, capacity))
         self._mean[:3], self._P[:3, :3] = prior.mean, prior.covariance
-        self.size = 3
+        self.size, self._carried = 3, 0
         self._version = 0
+
+    @property
+    def _used(self) -> int:
+        """How much of the buffers is in use."""
+        return self.size + self._carried
 
     def predict(self, increment: Increment) -> None:
         """Move by an increment."""
         self._version += 1
-        kernels.predict(self._mean, self._P, self.size, increment.mean, increment.covariance)
+        kernels.predict(self._mean, self._P, self._used, increment.mean, increment.covariance)
 
     def estimate(self) -> PoseEstimate:
         """The newest pose with its world-frame covariance (copies)."""
@@ -83,10 +92,17 @@ class Filter:
                 raise RuntimeError("the filter has moved on since this expectation was formed")
             chosen = np.asarray(indices, np.int64)
             k = len(chosen)
-            PHt, S = np.empty((self.size, 2 * k)), np.empty((2 * k, 2 * k))
+            # only pose and chosen landmarks enter: gathered, the cost does not grow with the map
+            here = at[chosen]
+            held = here >= 0
+            index = np.concatenate([np.arange(3), (here[held][:, None] + np.arange(2)).ravel()])
+            d = len(index)
+            moved = np.full(k, -1, np.int64)
+            moved[held] = np.arange(3, d, 2)
+            PHt, S = np.empty((d, 2 * k)), np.empty((2 * k, 2 * k))
             zero = np.zeros((k, 2))
             kernels.innovate(
-                self._kind, self._extrinsic, self._mean, self._P, self.size, at[chosen], known[chosen],
+                self._kind, self._extrinsic, self._mean[index], self._P[np.ix_(index, index)], d, moved, known[chosen],
                 zero, np.zeros((k, 2, 2)), np.empty(2 * k), PHt, S,
             )  # fmt: skip
             return S
@@ -105,7 +121,7 @@ class Filter:
         if len(rows):
             step = kernels.update_each if self.options.each else kernels.update
             status = step(
-                self._kind, self._extrinsic, self._mean, self._P, self.size, at, known,
+                self._kind, self._extrinsic, self._mean, self._P, self._used, at, known,
                 sightings.z[rows], sightings.R[rows], threshold, keep, stats,
             )  # fmt: skip
             if status != kernels.OK:

@@ -1,4 +1,4 @@
-"""EKF-SLAM: 3 + 2n states, landmarks added with their full cross-covariance and removable at any time."""
+"""EKF-SLAM: 3 + 2n states, landmarks added with their full cross-covariance, removable and parkable at any time."""
 
 from __future__ import annotations
 
@@ -7,16 +7,19 @@ import numpy as np
 from association.expectation import Expectation
 from data.inputs import IntArray, Prior, Sightings
 from data.result import NEW, Finished, MapState, Updated
+from data.se2 import Array
 from data.sensors import Sensor
 from ekf import kernels
 from ekf.filter import DEFAULT, Filter, FilterOptions
+from ekf.parking import NOTHING, Carried, begin_epoch
 
 
 class EkfSlam(Filter):
     """Extended Kalman filter over the pose and all landmarks (Probabilistic Robotics, section 10.2).
 
     A landmark number is the order of creation and is never reused; `self._number[i]` is the number in slot i, whose
-    coordinates stand at 3 + 2 i of the state.
+    coordinates stand at 3 + 2 i of the state. Numbers ascend with the slots. Parked landmarks have no slot: they stay
+    in the map but cost nothing until they are restored, see `ekf.parking`.
     """
 
     def __init__(self, prior: Prior, sensor: Sensor, options: FilterOptions = DEFAULT) -> None:
@@ -24,29 +27,45 @@ class EkfSlam(Filter):
         super().__init__(prior, sensor, options, capacity=3 + 2 * 16)
         self._number = np.empty(0, np.int64)
         self._offset: dict[int, int] = {}
+        self._parked = NOTHING
         self.created = 0
 
     def _grow(self, extra: int) -> None:
         """Room for `extra` more landmarks; capacity at least doubles, so growing is rare."""
-        need = self.size + 2 * extra
-        if need > len(self._mean):
-            capacity = max(need, 2 * len(self._mean))
+        need, old = self._used + 2 * extra, len(self._mean)
+        if need > old:
+            capacity = max(need, 2 * old)
             mean, P = np.zeros(capacity), np.zeros((capacity, capacity))
-            mean[: self.size] = self._mean[: self.size]
-            P[: self.size, : self.size] = self._P[: self.size, : self.size]
+            mean[:old], P[:old, :old] = self._mean, self._P
             self._mean, self._P = mean, P
 
+    def _select(self, index: IntArray) -> None:
+        """Make the buffers hold their entries `index`, in that order."""
+        d = len(index)
+        self._mean[:d] = self._mean[index]
+        self._P[:d, :d] = self._P[np.ix_(index, index)]
+
+    def _renumber(self, number: IntArray) -> None:
+        """The landmarks of the state, slot by slot."""
+        self._number = number
+        self._offset = {int(n): 3 + 2 * i for i, n in enumerate(number)}
+
     def expect(self, sightings: Sightings) -> Expectation:
-        """What the filter expects of every landmark it holds. Valid until the next `predict` or `update`."""
+        """What the filter expects of every active landmark. Valid until the next `predict` or `update`."""
         at = 3 + 2 * np.arange(len(self._number), dtype=np.int64)
         return self._expect(sightings, self._number, at, np.zeros((len(self._number), 2)))
 
     def update(self, sightings: Sightings, decisions: IntArray, *, threshold: float = np.inf) -> Updated:
-        """One update with all pairings below `threshold`, then new landmarks in order, from the updated pose."""
+        """One update with all pairings below `threshold`, then new landmarks in order, from the updated pose.
+
+        Raises ValueError for a decision that names a landmark which is not in the map, or parked.
+        """
         paired = np.flatnonzero(decisions >= 0)
         try:
             at = np.array([self._offset[int(n)] for n in decisions[paired]], np.int64)
         except KeyError as unknown:
+            if unknown.args[0] in self._parked.number:
+                raise ValueError(f"landmark {unknown} is parked: restore it first") from None
             raise ValueError(f"no landmark has number {unknown}") from None
         keep, stats = self._correct(sightings, paired, at, np.zeros((len(paired), 2)), threshold)
         used = np.zeros(len(decisions), np.bool_)
@@ -54,11 +73,17 @@ class EkfSlam(Filter):
         created = np.full(len(decisions), -1, np.int64)
         fresh = np.flatnonzero(decisions == NEW)
         self._grow(len(fresh))
+        end = self._used
         for i in fresh:
             kernels.augment(
-                self._kind, self._extrinsic, self._mean, self._P, self.size,
+                self._kind, self._extrinsic, self._mean, self._P, end,
                 sightings.z[i], sightings.R[i], self.options.augment_variance,
             )  # fmt: skip
+            end += 2
+        if self._carried and len(fresh):
+            d, e = self.size, self._used
+            self._select(np.concatenate([np.arange(d), np.arange(e, end), np.arange(d, e)]))
+        for i in fresh:
             self._offset[self.created] = self.size
             created[i] = self.created
             self._number = np.append(self._number, self.created)
@@ -67,23 +92,81 @@ class EkfSlam(Filter):
         return Updated(used, created, float(stats[0]), int(stats[2]), float(stats[1]))
 
     def remove(self, numbers: IntArray) -> None:
-        """Marginalize landmarks out: their rows and columns go, the rest of the covariance stays as it is."""
-        gone = np.isin(self._number, numbers)
-        if gone.sum() != len(set(np.asarray(numbers).tolist())):
+        """Marginalize landmarks out, active or parked: their rows and columns go, the rest stays as it is."""
+        gone, parked = np.isin(self._number, numbers), np.isin(self._parked.number, numbers)
+        if gone.sum() + parked.sum() != len(set(np.asarray(numbers).tolist())):
             raise ValueError(f"cannot remove {np.asarray(numbers).tolist()}: not all are in the map")
         self._version += 1
-        stay = np.concatenate([[True, True, True], np.repeat(~gone, 2)])
-        kept = np.flatnonzero(stay)
-        d = len(kept)
-        self._mean[:d] = self._mean[kept]
-        self._P[:d, :d] = self._P[np.ix_(kept, kept)]
-        self.size = d
-        self._number = self._number[~gone]
-        self._offset = {int(n): 3 + 2 * i for i, n in enumerate(self._number)}
+        if parked.any():
+            self._parked = self._parked.without(numbers)
+            if not len(self._parked.number):
+                self._parked, self._carried = NOTHING, 0
+        stay = np.concatenate([[True, True, True], np.repeat(~gone, 2), np.ones(self._carried, np.bool_)])
+        self._select(np.flatnonzero(stay))
+        self.size -= 2 * int(gone.sum())
+        self._renumber(self._number[~gone])
+
+    @property
+    def parked(self) -> IntArray:
+        """Numbers (b,) of the parked landmarks, ascending."""
+        return self._parked.number.copy()
+
+    def parked_xy(self) -> Array:
+        """Present means (b, 2) of the parked landmarks, ordered as `parked`."""
+        return self._parked.mean_now(self._mean[self.size : self._used]).reshape(-1, 2)
+
+    def park(self, numbers: IntArray) -> None:
+        """Take active landmarks out of the state; nothing is lost, and `restore` brings them back.
+
+        Raises ValueError for a landmark that is parked already or not in the map.
+        """
+        away = np.unique(np.asarray(numbers, np.int64))
+        for n in away.tolist():
+            if n in self._parked.number:
+                raise ValueError(f"cannot park landmark {n}: it is parked already")
+            if n not in self._offset:
+                raise ValueError(f"cannot park landmark {n}: no landmark has this number")
+        if len(away):
+            self._divide(np.union1d(self._parked.number, away))
+
+    def restore(self, numbers: IntArray) -> None:
+        """Take parked landmarks back into the state. Raises ValueError for a landmark that is not parked."""
+        back = np.unique(np.asarray(numbers, np.int64))
+        for n in back.tolist():
+            if n not in self._parked.number:
+                raise ValueError(f"cannot restore landmark {n}: it is not parked")
+        if len(back):
+            self._divide(np.setdiff1d(self._parked.number, back))
+
+    def _divide(self, parked: IntArray) -> None:
+        """Begin an epoch with exactly the landmarks `parked` (ascending) parked."""
+        self._version += 1
+        d, e = self.size, self._used
+        x_B, P_BA, P_BB = self._parked.now(Carried(self._mean[d:e], self._P[d:e, :d], self._P[d:e, d:e]))
+        mean = np.concatenate([self._mean[:d], x_B])
+        P = np.block([[self._P[:d, :d], P_BA.T], [P_BA, P_BB]])
+        number = np.concatenate([self._number, self._parked.number])
+        order = np.argsort(number)
+        out = np.isin(number[order], parked)
+        pair = 3 + 2 * order[:, None] + np.arange(2)
+        A, B = np.concatenate([np.arange(3), pair[~out].ravel()]), pair[out].ravel()
+        self._parked, y = begin_epoch(parked, mean[B], P[np.ix_(B, A)], P[np.ix_(B, B)])
+        self.size, self._carried = len(A), 0
+        self._renumber(number[order][~out])
+        self._grow((len(y.mean) + 1) // 2)
+        d, e = self.size, self.size + len(y.mean)
+        self._mean[:d], self._mean[d:e] = mean[A], y.mean
+        self._P[:d, :d], self._P[d:e, d:e] = P[np.ix_(A, A)], y.P
+        self._P[d:e, :d], self._P[:d, d:e] = y.cross, y.cross.T
+        self._carried = len(y.mean)
 
     def finish(self) -> Finished:
-        """The last map; a filter does not revise its path."""
-        n = len(self._number)
-        xy = self._mean[3 : self.size].reshape(n, 2).copy()
-        blocks = self._P[3 : self.size, 3 : self.size].reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
-        return Finished(None, MapState(self._number.copy(), xy, blocks.copy()))
+        """The last map, active and parked landmarks; a filter does not revise its path."""
+        n, d, e = len(self._number), self.size, self._used
+        xy = self._mean[3:d].reshape(n, 2)
+        blocks = self._P[3:d, 3:d].reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
+        number = np.concatenate([self._number, self._parked.number])
+        order = np.argsort(number)
+        xy = np.concatenate([xy, self.parked_xy()])[order]
+        blocks = np.concatenate([blocks, self._parked.blocks_now(self._P[d:e, d:e])])[order]
+        return Finished(None, MapState(number[order], xy, blocks))

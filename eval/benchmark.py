@@ -172,8 +172,8 @@ def victoria_park_lines(frames: int) -> list[Timed]:
     from association.known import known_decisions
     from data.victoria_park import load_victoria_park
     from ekf.whole_run import run_filter
+    from eval.experiments import shortened
     from eval.replay import step_by_step
-    from eval.suite import shortened
     from graph.bare_loop import bare_isam2
 
     log = shortened(load_victoria_park(), frames)

@@ -1,8 +1,8 @@
 """Association outcomes: each decision against the landmark that was right at that moment, as TP, TN, FP or FN.
 
 H is the decision (a landmark, or none for NEW and DISCARD). GT is the lowest-numbered landmark in the map at that frame
-that was created from the same true id, else none; clutter has GT none. TP: H = GT, a landmark. TN: both none.
-FP: H a landmark other than GT. FN: H none although GT is a landmark. The four sum to the number of observations.
+(not yet removed) that was created from the same true id, else none; clutter has GT none. TP: H = GT, a landmark. TN:
+both none. FP: H a landmark other than GT. FN: H none although GT is a landmark. They sum to the number of observations.
 """
 
 from __future__ import annotations
@@ -56,35 +56,53 @@ class Confusion:
         return self.tp / (self.tp + self.fn) if self.tp + self.fn else float("nan")
 
 
-def ground_truth(frame: IntArray, true_id: IntArray, created: IntArray, known: LandmarkMap | None) -> IntArray:
+def ground_truth(
+    frame: IntArray,
+    true_id: IntArray,
+    created: IntArray,
+    known: LandmarkMap | None,
+    removed: IntArray | None = None,
+) -> IntArray:
     """GT (M,) per observation. With a known map the landmark number is the true id itself, where the map has it.
 
-    In SLAM a landmark is in the map from the frame after its creation: the decisions of a frame are made together,
-    against the map as it was before.
+    In SLAM a landmark is in the map from the frame after its creation (the decisions of a frame are made together,
+    against the map as it was before) up to the frame `removed` (L,) by landmark number, -1 for good.
     """
-    gt = np.full(len(true_id), NO_LANDMARK, np.int64)
+    gt: IntArray = np.full(len(true_id), NO_LANDMARK, np.int64)
     if known is not None:
         inside = np.isin(true_id, known.id)
         gt[inside] = true_id[inside]
         return gt
-    lowest: dict[int, tuple[int, int]] = {}
-    for i in np.flatnonzero(created >= 0):
-        lowest.setdefault(int(true_id[i]), (int(created[i]), int(frame[i])))
-    for k, who in enumerate(true_id.tolist()):
-        if who >= 0 and who in lowest:
-            number, since = lowest[who]
-            if frame[k] > since:
-                gt[k] = number
+    copies: dict[int, list[tuple[int, int, int]]] = {}
+    for i in np.flatnonzero(created >= 0).tolist():
+        number = int(created[i])
+        until = -1 if removed is None else int(removed[number])
+        copies.setdefault(int(true_id[i]), []).append((number, int(frame[i]), until))
+    for each in copies.values():
+        each.sort()
+    for i, who in enumerate(true_id.tolist()):
+        if who < 0:
+            continue
+        now = int(frame[i])
+        for number, since, until in copies.get(who, ()):
+            if since < now and (until < 0 or now <= until):
+                gt[i] = number
+                break
     return gt
 
 
 def confuse(
-    frame: IntArray, true_id: IntArray, decisions: IntArray, created: IntArray, known: LandmarkMap | None
+    frame: IntArray,
+    true_id: IntArray,
+    decisions: IntArray,
+    created: IntArray,
+    known: LandmarkMap | None,
+    removed: IntArray | None = None,
 ) -> Confusion | None:
     """Score decisions (M,); None where some true id is unknown, because then the counts would not sum."""
     if np.any(true_id == UNKNOWN_ID):
         return None
-    gt = ground_truth(frame, true_id, created, known)
+    gt = ground_truth(frame, true_id, created, known, removed)
     paired, has = decisions >= 0, gt >= 0
     tp = paired & (decisions == gt)
     fp = paired & ~tp

@@ -108,11 +108,11 @@ def _trial_sections(
             continue
         rows = _rows(scores.metrics, trial)
         content: list[Block] = []
-        tutorials = [t for t in trials if t.beside == trial.log.name and t.task == trial.task]
-        table = comparison.comparison_table(pd.concat([rows, *(_rows(scores.metrics, t) for t in tutorials)]))
+        others = [t for t in trials if t.beside == trial.log.name and t.task == trial.task]
+        table = comparison.comparison_table(pd.concat([rows, *(_rows(scores.metrics, t) for t in others)]))
         caption = f"{trial.log.name}, {trial.task}. {comparison.COMPARISON_CAPTION}"
         content.append(_table(folder, options, table, stem(trial, "comparison"), caption))
-        content += [_tutorial_note(t, _rows(scores.metrics, t)) for t in tutorials]
+        content += [_beside_note(t, _rows(scores.metrics, t)) for t in others]
         content += pictures
         notes = [*trial.log.notes, *(f"{r.estimator}: {n}." for r in trial.runs for n in r.notes)]
         if notes:
@@ -121,9 +121,11 @@ def _trial_sections(
     return sections
 
 
-def _tutorial_note(trial: Trial, rows: pd.DataFrame) -> str:
-    """The sums of squares that the tutorials print, and what of them is not reproduced."""
-    told = [f"`{trial.log.name}` is the same recording with a classic tutorial's numbers."]
+def _beside_note(trial: Trial, rows: pd.DataFrame) -> str:
+    """What the rows of a trial beside are; for a tutorial the sums of squares it prints, and what is not reproduced."""
+    told = [f"`{trial.log.name}` is {trial.about}."]
+    if "tutorial" not in trial.about:
+        return told[0]
     for row in rows.to_dict("records"):
         for column, what in (("sse_position_m2", "positions"), ("sse_landmark_m2", "landmarks")):
             if row[column] is not None:

@@ -1,11 +1,11 @@
-"""Everything a person can ask of `python -m eval.run_all`: flags, config files, and the checks on their combination.
+"""What a person asked of `python -m eval.run_all`: flags and config files as one checked `Options`.
 
 Imports nothing heavy, so that `--help` and a mistyped flag answer at once.
 """
 
 from __future__ import annotations
 
-import argparse
+import math
 import os
 import tomllib
 from collections.abc import Sequence
@@ -14,14 +14,17 @@ from pathlib import Path
 from typing import Any
 
 from data.errors import UsageError
-
-TASKS = ("localization", "slam")
-ESTIMATORS = ("dead-reckoning", "ekf", "isam2", "batch", "batch-huber", "batch-cauchy")
-ASSOCIATIONS = ("known",)
-FORMATS = ("csv", "md", "tex")
-DEFAULT_ESTIMATORS = ("dead-reckoning", "ekf", "isam2", "batch")
-QUICK_RUNS = 4
-CONFIGS = Path(__file__).parent / "configs"
+from eval.flags import (
+    ASSOCIATIONS,
+    CONFIGS,
+    DEFAULT_ESTIMATORS,
+    ESTIMATORS,
+    FORMATS,
+    TASKS,
+    parser,
+    shipped,
+)
+from eval.setup import Setup
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,8 @@ class Variant:
         prior_variance: of x, y [m^2] and heading [rad^2].
         each: one update per observation instead of one per frame.
         new_variance: m^2, variance of a new landmark, uncorrelated; None: exact augmentation.
+        new_variance_per_square: the same as a share of the squared range.
+        association: how it pairs; gate, new_gate: probabilities, None for no gate.
         notes: what is not reproduced of the original, one sentence each.
     """
 
@@ -49,6 +54,10 @@ class Variant:
     prior_variance: float
     each: bool = False
     new_variance: float | None = None
+    new_variance_per_square: float | None = None
+    association: str = "known"
+    gate: float | None = None
+    new_gate: float | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -60,13 +69,19 @@ class Options:
     data: tuple[str, ...] = ()
     task: tuple[str, ...] = ()
     estimator: tuple[str, ...] = DEFAULT_ESTIMATORS
-    association: tuple[str, ...] = ("known",)
+    association: tuple[str, ...] = ()
     gate: float | None = 0.99
+    new_gate: float | None = 0.99999
     gate_known: float | None = None
+    in_view: bool = False
+    maintain: bool = False
+    forget_after: float | None = None
+    deactivate_after: float | None = None
     runs: int | None = None
     seed: int = 0
     jobs: int = 1
     quick: bool = False
+    full: bool = False
     out: Path = Path("results/report")
     formats: tuple[str, ...] = FORMATS
     no_plots: bool = False
@@ -75,85 +90,10 @@ class Options:
     verbose: bool = False
     variants: tuple[Variant, ...] = ()
 
-
-EPILOG = """\
-examples:
-  python -m eval.run_all                                    the default report, in results/report
-  python -m eval.run_all --quick                            the same, shortened (a check that all works)
-  python -m eval.run_all --log my_log --log arena:3         an open log folder and a simulated log
-  python -m eval.run_all --log victoria-park --task slam    one log, one task
-  python -m eval.run_all --log corridor:0:people+range=8    the corridor lab: people in the way, any constant changed
-  python -m eval.run_all --data ~/datasets                  every dataset found in a folder, two levels deep
-  python -m eval.run_all --log my_log --estimator ekf,batch-cauchy --association known
-  python -m eval.run_all --log my_log --gate-known 0.9999   leave labelled readings out that fit badly
-  python -m eval.run_all --log my_log --gate none           no gate for the association methods
-  python -m eval.run_all --runs 100 --seed 1000 --jobs 2    the consistency study: 100 arenas, two processes
-  python -m eval.run_all --formats csv,tex --out results/paper --no-plots
-  python -m eval.run_all --log arena:0 --animate            a film of each estimator beside the figures
-  python -m eval.run_all --config my_run.toml -v            the same keys from a file; flags win
-  python -m eval.run_all --log DIR --config tutorial-step1 --config tutorial-step3   (DIR made by data.convert mrclam)
-  python -m eval.run_all -q                                 print nothing but errors
-
-exit status: 0 fine, 1 an estimator that is declared consistent was rejected, 2 wrong usage or bad data"""
-
-
-def parser() -> argparse.ArgumentParser:
-    """The flags. Defaults are left out here (None), so that a config file can tell what was given."""
-    p = argparse.ArgumentParser(
-        prog="python -m eval.run_all",
-        description="Run filters and smoothers on identical inputs, score them with one referee, and write the report.",
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    add = p.add_argument
-    add(
-        "--log",
-        action="append",
-        metavar="PATH|NAME",
-        help="open log folder, victoria-park, arena:SEED, corridor:SEED, or corridor:SEED:people+no-odometry+KEY=VALUE "
-        "(repeatable; default: victoria-park and arena:0)",
-    )
-    add(
-        "--data",
-        action="append",
-        metavar="DIR",
-        help="add every dataset found in DIR: open logs, UTIAS MRCLAM folders or zips",
-    )
-    add("--task", metavar="LIST", help="localization,slam (default: localization where there is a map, else slam)")
-    add("--estimator", metavar="LIST", help=f"of {', '.join(ESTIMATORS)} (default: {','.join(DEFAULT_ESTIMATORS)})")
-    add("--association", metavar="LIST", help=f"of {', '.join(ASSOCIATIONS)} (default: known)")
-    add(
-        "--gate",
-        metavar="P",
-        help="chi-square probability of the association gate, or none (default: 0.99; known is not gated)",
-    )
-    add("--gate-known", metavar="P", help="gate for readings paired by label, too (default: none)")
-    add(
-        "--runs",
-        metavar="N",
-        help=f"runs of the consistency study (default: 50; {QUICK_RUNS} with --quick; 0: none, the default with --log)",
-    )
-    add("--seed", metavar="N", help="first seed of the consistency study (default: 0)")
-    add("--jobs", metavar="N", help="processes (default: one per core)")
-    add("--quick", action="store_true", default=None, help="a short report in seconds; too few runs for verdicts")
-    add("--out", metavar="DIR", help="result folder, replaced as a whole when done (default: results/report)")
-    add("--formats", metavar="LIST", help="table formats of csv,md,tex (default: all)")
-    add("--no-plots", action="store_true", default=None, help="tables only")
-    add("--animate", action="store_true", default=None, help="an MP4 per log, task and estimator")
-    add(
-        "--config",
-        action="append",
-        metavar="FILE|NAME",
-        help="TOML file with the same keys, or a shipped one: " + ", ".join(shipped()),
-    )
-    add("-q", "--quiet", action="store_true", default=None, help="print only errors")
-    add("-v", "--verbose", action="store_true", default=None, help="print more")
-    return p
-
-
-def shipped() -> list[str]:
-    """Names of the configurations that come with the package."""
-    return sorted(f.stem for f in CONFIGS.glob("*.toml"))
+    @property
+    def setup(self) -> Setup:
+        """How observations are paired and how much of the map is kept."""
+        return Setup(**{f.name: getattr(self, f.name) for f in fields(Setup)})
 
 
 def read_options(argv: Sequence[str] | None = None) -> Options:
@@ -215,9 +155,11 @@ def _value(key: str, value: object) -> object:
             raise UsageError(f"{flag} {value!r}: a list of names is needed")
         separate = key not in ("log", "data")
         return tuple(part.strip() for v in value for part in (v.split(",") if separate else [v]) if part.strip())
-    if key in ("gate", "gate_known"):
+    if key in ("gate", "new_gate", "gate_known"):
         if value == "none":
             return None
+        return _number(flag, value, float)
+    if key in ("forget_after", "deactivate_after"):
         return _number(flag, value, float)
     if key in ("runs", "seed", "jobs"):
         return _number(flag, value, int)
@@ -250,13 +192,23 @@ def _check(o: Options) -> None:
                 raise UsageError(f"{flag} {name}: unknown; known: {', '.join(known)}")
         if len(set(given)) != len(given):
             raise UsageError(f"{flag} {','.join(given)}: named twice")
-    for flag, p in (("--gate", o.gate), ("--gate-known", o.gate_known)):
+    for flag, p in (("--gate", o.gate), ("--new-gate", o.new_gate), ("--gate-known", o.gate_known)):
         if p is not None and not 0.0 < p < 1.0:
             raise UsageError(f"{flag} {p:g}: a probability between 0 and 1 (both excluded), or none")
     if not o.estimator:
         raise UsageError("--estimator: at least one is needed")
-    if not o.association:
-        raise UsageError("--association: at least one is needed")
+    for flag, span in (("--forget-after", o.forget_after), ("--deactivate-after", o.deactivate_after)):
+        if span is not None and not 0.0 < span < math.inf:
+            raise UsageError(f"{flag} {span:g}: a positive number is needed")
+    if o.forget_after is not None and o.deactivate_after is not None and o.deactivate_after >= o.forget_after:
+        raise UsageError(
+            f"--deactivate-after {o.deactivate_after:g}: must be less than --forget-after {o.forget_after:g}, "
+            "or nothing is ever parked"
+        )
+    if o.quick and o.full:
+        raise UsageError("--quick and --full exclude each other")
+    if o.full and o.log:
+        raise UsageError("--full is the default suite in full; it takes no --log")
     if o.runs is not None and o.runs < 0:
         raise UsageError(f"--runs {o.runs}: must not be negative")
     if o.seed < 0:

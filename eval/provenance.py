@@ -27,10 +27,11 @@ def command_of(options: Options) -> str:
         if getattr(options, name) != getattr(default, name) and getattr(options, name):
             parts.append(f"--{name} {','.join(getattr(options, name))}")
     parts += [f"--config {v.name}" for v in options.variants]
-    for name in ("gate", "gate_known"):
+    for name in ("gate", "new_gate", "gate_known", "forget_after", "deactivate_after"):
         if getattr(options, name) != getattr(default, name):
             value = getattr(options, name)
             parts.append(f"--{name.replace('_', '-')} {'none' if value is None else format(value, 'g')}")
+    parts += [f"--{name.replace('_', '-')}" for name in ("in_view", "maintain", "full") if getattr(options, name)]
     if options.runs is not None:
         parts.append(f"--runs {options.runs}")
     if options.seed:

@@ -1,64 +1,29 @@
-"""Replay: one log through an estimator, frame by frame (predict, expect, associate, update, record), giving a `Run`."""
+"""Replay: one log through an estimator and a way of association, giving a `Run`; `compare` does so for many of them."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 
-from association.expectation import Expectation, gate_threshold
+from association.decide import METHODS
+from association.expectation import SingularInnovationError, gate_threshold
 from association.known import known_decisions
-from data.inputs import Increment, Inputs, IntArray, Sightings
-from data.result import (
-    DISCARD,
-    Failure,
-    Finished,
-    Innovations,
-    PoseEstimate,
-    Run,
-    Trajectory,
-    Updated,
-    map_estimate,
-)
+from data.inputs import Inputs, IntArray
+from data.result import DISCARD, Failure, Finished, Innovations, Run, Trajectory, map_estimate
+from data.se2 import Array
 from ekf.filter import DEFAULT, FilterDivergedError, FilterOptions
-from ekf.localizer import EkfLocalizer
-from ekf.slam import EkfSlam
 from ekf.whole_run import FilterRun, run_filter
+from eval.frontend import FrontEnd, make_estimator
+from eval.setup import Setup
 from graph.batch import Start, smooth
 from graph.factors import UnderConstrained
-from graph.incremental import Isam2Smoother
+
+__all__ = ["METHODS", "batch", "compare", "dead_reckoning", "filter_known", "make_estimator", "step_by_step"]
 
 LOSSES = {"batch": "gaussian", "batch-huber": "huber", "batch-cauchy": "cauchy"}
-
-
-class Estimator(Protocol):
-    """The verbs every step-by-step estimator has; any association method works with any of them."""
-
-    def predict(self, increment: Increment) -> None:
-        """Move by an increment."""
-        ...
-
-    def expect(self, sightings: Sightings) -> Expectation:
-        """What it expects to see."""
-        ...
-
-    def update(self, sightings: Sightings, decisions: IntArray, *, threshold: float = np.inf) -> Updated:
-        """Use the pairings, found new landmarks."""
-        ...
-
-    def remove(self, numbers: IntArray) -> None:
-        """Drop landmarks."""
-        ...
-
-    def estimate(self) -> PoseEstimate:
-        """The newest pose."""
-        ...
-
-    def finish(self) -> Finished:
-        """The end of the run."""
-        ...
+PLAIN = Setup()
 
 
 def dead_reckoning(inputs: Inputs, task: str) -> Run:
@@ -98,71 +63,112 @@ def filter_known(
     )  # fmt: skip
 
 
-def make_estimator(name: str, inputs: Inputs) -> Estimator:
-    """A fresh step-by-step estimator for these inputs: with a map it localizes, without it does SLAM."""
-    if name == "ekf":
-        if inputs.map is not None:
-            return EkfLocalizer(inputs.prior, inputs.sensor, inputs.map)
-        return EkfSlam(inputs.prior, inputs.sensor)
-    if name == "isam2":
-        return Isam2Smoother(inputs.prior, inputs.sensor, inputs.map)
-    raise ValueError(f"{name!r} does not work step by step")
+def step_by_step(
+    name: str,
+    inputs: Inputs,
+    task: str,
+    association: str = "known",
+    setup: Setup = PLAIN,
+    *,
+    options: FilterOptions = DEFAULT,
+    finish: bool = True,
+) -> Run:
+    """Any step-by-step estimator with any way of association; `finish=False` stops without the final phase.
 
-
-def step_by_step(name: str, inputs: Inputs, task: str, *, threshold: float = np.inf, finish: bool = True) -> Run:
-    """Any step-by-step estimator with labels; `finish=False` stops at the last frame, without the final phase."""
-    planned, _ = known_decisions(inputs)
+    With `options.each` association, too, goes observation by observation, each with its own update.
+    """
     n, o = len(inputs), inputs.observations
+    m = len(o.frame)
     pose, covariance = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
     nis, dof, likelihood = np.full(n, np.nan), np.zeros(n, np.int64), np.full(n, np.nan)
-    decisions, created = planned.copy(), np.full(len(planned), -1, np.int64)
+    size = np.zeros(n, np.int64)
+    decisions, created = np.full(m, DISCARD, np.int64), np.full(m, -1, np.int64)
     failure: Failure | None = None
     begin = time.perf_counter()
-    estimator = make_estimator(name, inputs)
+    front = FrontEnd(name, association, inputs, setup, options)
     try:
         for k in range(n):
-            if k > 0:
-                estimator.predict(inputs.increment(k))
-            rows = slice(inputs.start[k], inputs.start[k + 1])
-            if rows.stop > rows.start:
-                done = estimator.update(inputs.sightings(k), planned[rows], threshold=threshold)
+            front.move()
+            for rows in _portions(inputs, k, options.each):
+                decided, done = front.associate(rows)
                 created[rows] = done.created
-                decisions[rows] = np.where((planned[rows] >= 0) & ~done.used, DISCARD, planned[rows])
-                nis[k], dof[k], likelihood[k] = done.nis, done.dof, done.log_likelihood
-            pose[k], covariance[k] = estimator.estimate()
-        finished = estimator.finish() if finish else Finished(None, None)
-    except (FilterDivergedError, UnderConstrained) as stop:
+                decisions[rows] = np.where((decided >= 0) & ~done.used, DISCARD, decided)
+                if np.isfinite(done.nis):
+                    first = not np.isfinite(nis[k])
+                    nis[k], likelihood[k] = (
+                        (done.nis, done.log_likelihood)
+                        if first
+                        else (nis[k] + done.nis, likelihood[k] + done.log_likelihood)
+                    )
+                    dof[k] += done.dof
+            front.tidy()
+            pose[k], covariance[k] = front.estimator.estimate()
+            size[k] = front.size
+        finished = front.estimator.finish() if finish else Finished(None, None)
+    except (FilterDivergedError, UnderConstrained, SingularInnovationError) as stop:
         failure, finished = Failure("diverged", k, str(stop)), Finished(None, None)
     seconds = time.perf_counter() - begin
+    final = decisions
+    removed = None
+    if front.upkeep is not None:
+        removed = front.upkeep.removal_frames(int(created.max(initial=-1)) + 1)
+        retracted = np.isin(np.where(created >= 0, created, decisions), sorted(front.upkeep.retracted))
+        final = np.where(retracted, DISCARD, decisions)
     state = None if finished.map is None else map_estimate(finished.map, o.frame, decisions, created)
     formed = np.isfinite(nis)
+    innovations = Innovations(nis, dof, likelihood) if formed.any() else None
+    total = finished.total_nis
+    if name == "ekf" and innovations is not None and failure is None:
+        total = float(np.nansum(nis)), int(dof.sum())
     return Run(
-        name, "known", task, Trajectory(pose, covariance), finished.final, state, decisions, decisions, created,
-        Innovations(nis, dof, likelihood) if formed.any() else None, finished.total_nis, None, seconds, failure,
+        name, association, task, Trajectory(pose, covariance), finished.final, state, decisions, final, created,
+        innovations, total, size if name == "ekf" else None, seconds, failure, tuple(front.notes()), removed,
     )  # fmt: skip
 
 
+def _portions(inputs: Inputs, frame: int, each: bool) -> list[slice]:
+    """The rows of a frame's observations: together, or one by one."""
+    begin, end = int(inputs.start[frame]), int(inputs.start[frame + 1])
+    if each:
+        return [slice(i, i + 1) for i in range(begin, end)]
+    return [slice(begin, end)] if end > begin else []
+
+
 def batch(name: str, inputs: Inputs, front: Run) -> Run:
-    """A batch smoother over the decisions of `front`, started at its path."""
+    """A batch smoother over the final decisions of `front`, started at its path."""
     if front.failure is not None or front.online is None:
         why = f"the {front.estimator} it starts from stopped at frame {front.failure.frame if front.failure else 0}"
         return _failed(name, front, Failure("incomplete", 0, why), len(inputs), 0.0)
-    landmarks = np.empty((0, 2)) if front.map is None else front.map.xy
     begin = time.perf_counter()
+    # what was retracted has no landmark; what a filter merely forgot is smoothed like all others
+    founded = np.where(front.final_decisions == DISCARD, -1, front.created)
+    start = Start(front.online.pose, _places(inputs, front, founded))
     try:
-        result = smooth(
-            inputs, front.final_decisions, front.created, Start(front.online.pose, landmarks), loss=LOSSES[name]
-        )
+        result = smooth(inputs, front.final_decisions, founded, start, loss=LOSSES[name])
     except UnderConstrained as stop:
         return _failed(name, front, Failure("diverged", 0, str(stop)), len(inputs), time.perf_counter() - begin)
     seconds = time.perf_counter() - begin
     state = None
     if result.map is not None:
-        state = map_estimate(result.map, inputs.observations.frame, front.final_decisions, front.created)
+        state = map_estimate(result.map, inputs.observations.frame, front.final_decisions, founded)
     return Run(
         name, front.association, front.task, None, result.trajectory, state, front.decisions, front.final_decisions,
         front.created, None, result.total_nis, None, seconds, None, (f"decisions made by {front.estimator}",),
+        front.removed,
     )  # fmt: skip
+
+
+def _places(inputs: Inputs, front: Run, founded: IntArray) -> Array:
+    """Where each landmark is by the front end (L, 2); one that it dropped stands where it was founded."""
+    places = np.full((int(founded.max(initial=-1)) + 1, 2), np.nan)
+    if front.map is not None and front.online is not None:
+        o = inputs.observations
+        for i in np.flatnonzero(founded >= 0):
+            pose = front.online.pose[o.frame[i]]
+            places[founded[i]] = inputs.sensor.inverse(pose, o.z[i : i + 1])[0][0]
+        held = front.map.number < len(places)
+        places[front.map.number[held]] = front.map.xy[held]
+    return places
 
 
 def _failed(name: str, front: Run, failure: Failure, frames: int, seconds: float) -> Run:
@@ -173,22 +179,42 @@ def _failed(name: str, front: Run, failure: Failure, frames: int, seconds: float
     )  # fmt: skip
 
 
-def compare(inputs: Inputs, task: str, estimators: Sequence[str], *, gate_known: float | None = None) -> list[Run]:
-    """All estimators with labels on identical inputs; the runs come back in the order of `estimators`.
+def compare(
+    inputs: Inputs,
+    task: str,
+    estimators: Sequence[str],
+    association: str = "known",
+    setup: Setup = PLAIN,
+) -> list[Run]:
+    """Estimators with one way of association on identical inputs; the runs come in the order of `estimators`.
 
-    `batch...` use the pairings that the EKF accepted and start from its path; it runs implicitly if not asked for.
+    `batch...` take the decisions of a front end and start from its path: under `known` those of the EKF, otherwise
+    those of iSAM2, or of the EKF if iSAM2 was not asked for. A front end that was not asked for runs all the same.
+    Labels are withheld from every method but `known`.
     """
     if task == "slam":
         inputs = inputs.without_map()
-    threshold = gate_threshold(gate_known)
-    front: Run | None = None
+    if association != "known":
+        inputs = inputs.without_labels()
+    done: dict[str, Run] = {}
+
+    def front_end(name: str) -> Run:
+        if name not in done:
+            quick = name == "ekf" and association == "known" and not (setup.upkeep and task == "slam")
+            done[name] = (
+                filter_known(inputs, task, threshold=gate_threshold(setup.gate_known))
+                if quick
+                else step_by_step(name, inputs, task, association, setup)
+            )
+        return done[name]
+
     runs = []
     for name in estimators:
         if name == "dead-reckoning":
             runs.append(dead_reckoning(inputs, task))
-        elif name == "isam2":
-            runs.append(step_by_step(name, inputs, task, threshold=threshold))
+        elif name in LOSSES:
+            first = "isam2" if association != "known" and "isam2" in estimators else "ekf"
+            runs.append(batch(name, inputs, front_end(first)))
         else:
-            front = front or filter_known(inputs, task, threshold=threshold)
-            runs.append(front if name == "ekf" else batch(name, inputs, front))
+            runs.append(front_end(name))
     return runs

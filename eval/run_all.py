@@ -84,14 +84,15 @@ def staged(out: Path) -> Iterator[Path]:
 def _run(options: Options, console: Console, folder: Path, arguments: Sequence[str]) -> int:
     from eval import consistency
     from eval.content import write_results
+    from eval.experiments import make_plan
     from eval.montecarlo import failed_declarations, judge
-    from eval.suite import execute, make_plan
+    from eval.suite import execute
 
     plan = make_plan(options, console.say)
-    for log, task in plan.trials:
-        console.detail(f"{log.name}: {task}, {len(log.recorded)} frames")
-        for note in log.notes:
-            console.detail(f"{log.name}: {note}")
+    for e in plan.experiments:
+        console.detail(f"{e.log.name}: {e.task}, {len(e.log.recorded)} frames")
+        for note in e.log.notes:
+            console.detail(f"{e.log.name}: {note}")
     with _bar("estimating", options.quiet) as progress:
         outcome = execute(plan, options, progress)
     judged = judge(outcome.study) if outcome.study else []

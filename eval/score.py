@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from data.log import Log
-from data.result import Run
+from data.result import DISCARD, Run
 from eval import consistency, errors
 from eval.confusion import Confusion, confuse
 
@@ -90,12 +90,13 @@ TIMING = (
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """All runs of one log and task on identical inputs; `beside` names the log whose table a tutorial's row joins."""
+    """All runs of one log and task on identical inputs; `beside`: the log whose table they join, `about`: why."""
 
     log: Log
     task: str
     runs: tuple[Run, ...]
     beside: str | None = None
+    about: str = ""
 
     def find(self, estimator: str, association: str = "known") -> Run | None:
         """The run of an estimator, or None."""
@@ -109,7 +110,9 @@ def confusion_of(run: Run, log: Log, phase: str) -> Confusion | None:
         return None
     known = log.recorded.map if run.task == "localization" else None
     decisions = run.decisions if phase == "online" else run.final_decisions
-    return confuse(log.recorded.observations.frame, log.truth.landmark_of, decisions, run.created, known)
+    # in the end a landmark that was retracted has never been
+    created = run.created if phase == "online" else np.where(decisions == DISCARD, -1, run.created)
+    return confuse(log.recorded.observations.frame, log.truth.landmark_of, decisions, created, known, run.removed)
 
 
 def _nis(run: Run, phase: str) -> tuple[float, int] | None:
@@ -134,7 +137,7 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None) -> dict[s
     pose, covariance = trajectory.pose, trajectory.covariance
     if run.association != "none":
         row["accepted"] = int((decisions >= 0).sum())
-        row["rejected"] = int(len(decisions) - (decisions >= 0).sum() - (run.created >= 0).sum())
+        row["rejected"] = int((decisions == DISCARD).sum())
     if run.task == "slam" and run.association != "none":
         row["landmarks"] = len(run.map) if run.map is not None else 0
     truth = log.truth.pose

@@ -16,7 +16,8 @@ from data.mrclam import load_mrclam
 from data.result import Run
 from ekf.filter import FilterOptions
 from eval.options import Variant
-from eval.replay import filter_known
+from eval.replay import filter_known, step_by_step
+from eval.setup import Setup
 
 
 def variant_log(log: Log, variant: Variant) -> Log:
@@ -56,12 +57,18 @@ def variant_log(log: Log, variant: Variant) -> Log:
 
 
 def tutorial_run(log: Log, variant: Variant) -> Run:
-    """The EKF with labels and the variant's update."""
-    inputs = log.inputs(labels=True)
+    """The EKF with the variant's update and its way of association."""
+    known = variant.association == "known"
+    inputs = log.inputs(labels=known)
     if variant.task == "slam":
         inputs = inputs.without_map()
-    options = FilterOptions(each=variant.each, new_variance=variant.new_variance)
-    return replace(filter_known(inputs, variant.task, options=options), notes=variant.notes)
+    options = FilterOptions(variant.each, variant.new_variance, variant.new_variance_per_square)
+    if known:
+        run = filter_known(inputs, variant.task, options=options)
+    else:
+        setup = Setup(gate=variant.gate, new_gate=variant.new_gate)
+        run = step_by_step("ekf", inputs, variant.task, variant.association, setup, options=options)
+    return replace(run, notes=(*run.notes, *variant.notes))
 
 
 def _seconds(value: object) -> float | None:

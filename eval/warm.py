@@ -7,8 +7,9 @@ import numpy as np
 from data.arena import Arena, simulate
 from data.folder import load_folder
 from data.folder_writer import write_folder
-from eval.options import ESTIMATORS
-from eval.replay import compare, make_estimator, step_by_step
+from eval.flags import ESTIMATORS
+from eval.replay import METHODS, compare, make_estimator, step_by_step
+from eval.setup import Setup
 
 
 def main() -> None:
@@ -23,7 +24,9 @@ def main() -> None:
             log = load_folder(Path(folder) / "warm")
         inputs = log.inputs(labels=True)
         for task, view in (("localization", inputs), ("slam", inputs.without_map())):
-            compare(inputs, task, ESTIMATORS, gate_known=0.9999)
+            compare(inputs, task, ESTIMATORS, setup=Setup(gate_known=0.9999))
+            for method in METHODS:
+                compare(view, task, ("ekf",), method)
             step_by_step("ekf", view, task)
             for name in ("ekf", "isam2"):
                 estimator = make_estimator(name, view)

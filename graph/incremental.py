@@ -13,6 +13,7 @@ import numba
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
+from association.candidates import in_view, may_be_in_view
 from association.expectation import Expectation
 from data import se2
 from data.inputs import Increment, IntArray, LandmarkMap, Prior, Sightings
@@ -113,11 +114,11 @@ class Isam2Smoother:
             number = self.numbers
             xy = self._engine.points(number.tolist())
             spread = np.array([self._spread[int(n)] for n in number])
-            near = expected.may_be_in_view(self.sensor, self._mean, self._P, xy, spread)
+            near = may_be_in_view(self.sensor, self._mean, self._P, xy, spread)
             candidates = number[near], xy[near]
         joint = self._joint(candidates[0])
         every = expected.form(self.sensor, self._mean, joint, *candidates, sightings)
-        keep = expected.in_view(self.sensor, every.z_hat, every.HPHt)
+        keep = in_view(self.sensor, every.z_hat, every.HPHt)
         if self.map is None:
             joint = joint[np.ix_(*[np.concatenate([np.ones(3, np.bool_), np.repeat(keep, 2)])] * 2)]
         return expected.form(self.sensor, self._mean, joint, candidates[0][keep], candidates[1][keep], sightings)
@@ -177,15 +178,7 @@ class Isam2Smoother:
         distance = np.einsum("mi,mi->m", nu, np.linalg.solve(e.HPHt[which] + R, nu[..., None])[..., 0])
         keep = distance < threshold
         used[rows[~keep]] = False
-        if not keep.any():
-            return 0.0, 0, 0.0
-        S = e.joint(which[keep])
-        for i, Ri in enumerate(R[keep]):
-            S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += Ri
-        root = np.linalg.cholesky(S)
-        white = np.linalg.solve(root, nu[keep].ravel())
-        nis, dof = float(white @ white), len(white)
-        return nis, dof, -0.5 * (nis + 2.0 * float(np.log(np.diag(root)).sum()) + dof * np.log(2.0 * np.pi))
+        return e.innovation_statistics(rows[keep], which[keep])
 
     def _extend(self, sightings: Sightings, number: IntArray) -> None:
         """Add the motion since the anchor and these sightings to the graph, and read the newest pose."""

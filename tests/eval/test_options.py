@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from data.errors import UsageError
-from eval.options import parser, read_options, shipped
+from eval.flags import parser, shipped
+from eval.options import read_options
 
 ROOT = Path(__file__).parents[2]
 
@@ -42,7 +43,7 @@ def test_flags_and_config_keys_mean_the_same_and_flags_win(tmp_path):
     (["--gate", "nan"], "between 0 and 1"),
     (["--gate", "wide"], "a number is needed"),
     (["--estimator", "ukf"], "known: dead-reckoning, ekf"),
-    (["--association", "guess"], "known: known"),
+    (["--association", "guess"], "known: known, nn, ml"),
     (["--task", "mapping"], "known: localization, slam"),
     (["--formats", "docx"], "known: csv, md, tex"),
     (["--estimator", "ekf,ekf"], "named twice"),

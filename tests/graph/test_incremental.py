@@ -8,6 +8,7 @@ import gtsam
 import numpy as np
 import pytest
 
+from association.candidates import in_view
 from association.known import known_decisions
 from data import se2
 from data.errors import DataError
@@ -210,13 +211,13 @@ def test_candidates_are_cut_by_the_field_of_view_and_three_sigma_and_five_degree
     sensor = RangeBearing(max_range=5.0, min_angle=-0.5, max_angle=0.5)
     z_hat = np.array([[5.2, 0.0], [5.4, 0.0], [3.0, 0.7], [3.0, 0.9], [3.0, -0.58], [3.0, 3.1]])
     loose = np.tile(np.diag([0.1**2, 0.1**2]), (6, 1, 1))
-    assert expected.in_view(sensor, z_hat, loose).tolist() == [True, False, True, False, True, False]
-    assert expected.in_view(sensor, z_hat, 0.0 * loose).tolist() == [False, False, False, False, True, False]
+    assert in_view(sensor, z_hat, loose).tolist() == [True, False, True, False, True, False]
+    assert in_view(sensor, z_hat, 0.0 * loose).tolist() == [False, False, False, False, True, False]
     cartesian = RelativePoint(max_range=5.0, min_angle=-0.5, max_angle=0.5)
     at = np.stack([z_hat[:, 0] * np.cos(z_hat[:, 1]), z_hat[:, 0] * np.sin(z_hat[:, 1])], 1)
     turn = np.stack([[np.cos(a), -np.sin(a), np.sin(a), np.cos(a)] for a in z_hat[:, 1]]).reshape(-1, 2, 2)
     polar = turn @ np.stack([np.diag([0.1**2, (0.1 * r) ** 2]) for r in z_hat[:, 0]]) @ turn.transpose(0, 2, 1)
-    assert expected.in_view(cartesian, at, polar).tolist() == [True, False, True, False, True, False]
+    assert in_view(cartesian, at, polar).tolist() == [True, False, True, False, True, False]
 
 
 @every_sensor
@@ -234,7 +235,7 @@ def test_the_quick_cut_keeps_everything_the_exact_one_keeps(sensor):
         xy, P = twin.mean[3:].reshape(n, 2), twin.covariance
         spread = np.sqrt(np.diag(P)[3:].reshape(n, 2).sum(1))
         everything = expected.form(narrow, twin.mean[:3], P, np.arange(n), xy, inputs.sightings(k))
-        exact = expected.in_view(narrow, everything.z_hat, everything.HPHt)
+        exact = in_view(narrow, everything.z_hat, everything.HPHt)
         quick = expected.may_be_in_view(narrow, twin.mean[:3], P[:3, :3], xy, spread)
         assert not (exact & ~quick).any()
         kept += quick.sum() < n

@@ -1,0 +1,168 @@
+"""Which experiments a run consists of: the logs asked for, or the default suite, short, ordinary or full."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from association.decide import METHODS
+from data.errors import UsageError
+from data.log import Log
+from eval.flags import DEFAULT_ESTIMATORS, QUICK_RUNS
+from eval.logs import find_logs, open_log
+from eval.options import Options
+from eval.setup import Setup
+
+DEFAULT_RUNS = 50
+QUICK_FRAMES = 1500
+"""Frames of a log that a quick report looks at."""
+
+
+@dataclass(frozen=True)
+class Work:
+    """Estimators with one way of association."""
+
+    association: str
+    estimators: tuple[str, ...]
+
+    def parts(self) -> tuple[Work, ...]:
+        """What can be done apart: iSAM2 takes longest; batch goes with the front end whose decisions it takes."""
+        if "isam2" not in self.estimators or len(self.estimators) == 1:
+            return (self,)
+        alone = ("isam2",) if self.association == "known" else tuple(e for e in self.estimators if e != "ekf")
+        rest = tuple(e for e in self.estimators if e not in alone)
+        return tuple(Work(self.association, part) for part in (alone, rest) if part)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One log and task with all that is done with it; `beside` names the log whose table it joins, `about` says why."""
+
+    log: Log
+    task: str
+    work: tuple[Work, ...]
+    setup: Setup
+    beside: str | None = None
+    about: str = ""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Everything to do, and the number of runs of the consistency study."""
+
+    experiments: tuple[Experiment, ...]
+    study_runs: int
+
+
+def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
+    """Open the logs and settle what is done; raises UsageError for what makes no sense together."""
+    experiments = [] if options.log else _default(options)
+    asked = [open_log(name) for name in options.log]
+    for folder in options.data:
+        found = [load() for load in find_logs(Path(folder), say)]
+        if not found:
+            raise UsageError(f"--data {folder}: no dataset found")
+        asked += found
+    for log in asked:
+        experiments += [
+            Experiment(_cut(log, options), task, _work(log, options), options.setup) for task in _tasks(log, options)
+        ]
+    names = list(dict.fromkeys((id(e.log), e.log.name) for e in experiments))
+    for _, name in names:
+        if [n for _, n in names].count(name) > 1:
+            raise UsageError(f"two logs are named {name!r}; rename one (the name stands in its log.toml)")
+    runs = options.runs
+    if runs is None:
+        runs = 0 if options.log else QUICK_RUNS if options.quick else DEFAULT_RUNS
+    return Plan(tuple(experiments), runs)
+
+
+def _tasks(log: Log, options: Options) -> Sequence[str]:
+    """The tasks asked for a log that somebody named."""
+    has_map = log.recorded.map is not None
+    if "localization" in options.task and not has_map:
+        raise UsageError(f"--task localization: log {log.name!r} has no map (landmarks.csv); only slam makes sense")
+    return options.task or (("localization",) if has_map else ("slam",))
+
+
+def _work(log: Log, options: Options) -> tuple[Work, ...]:
+    """Every estimator with every way of association asked for."""
+    associations = options.association or (("known",) if log.has_labels else ("jcbb",))
+    if "known" in associations and not log.has_labels:
+        raise UsageError(f"--association known: log {log.name!r} has no labels (true_id or label in observations.csv)")
+    return tuple(Work(a, options.estimator) for a in associations)
+
+
+def _cut(log: Log, options: Options) -> Log:
+    return shortened(log, QUICK_FRAMES) if options.quick else log
+
+
+ALL = DEFAULT_ESTIMATORS
+DECIDING = ("ekf", "isam2", "batch")
+KNOWN = (Work("known", ALL),)
+LAB = (*KNOWN, *(Work(m, DECIDING if m == "jcbb" else ("ekf",)) for m in METHODS))
+"""The corridor lab: every method with the filter, joint compatibility with the smoothers as well."""
+EVERYTHING = (*KNOWN, *(Work(m, DECIDING) for m in METHODS))
+CORRIDORS = ("corridor:0", "corridor:0:people", "corridor:0:no-odometry", "corridor:0:people+no-odometry")
+
+
+def _default(options: Options) -> list[Experiment]:
+    """The suite of a run without `--log`. Estimators or associations asked for replace its selection."""
+    asked = bool(options.association) or options.estimator != ALL
+    park: tuple[Work, ...] = KNOWN if options.quick else (*KNOWN, Work("jcbb", ("isam2",)))
+    corridors: tuple[str, ...] = CORRIDORS
+    lab: tuple[Work, ...] = LAB
+    arena: tuple[Work, ...] = KNOWN
+    if options.quick:
+        corridors, lab = ("corridor:0:people",), (*KNOWN, Work("nn", ("ekf",)), Work("jcbb", ("ekf",)))
+    if options.full:
+        park, lab, arena = EVERYTHING, EVERYTHING, EVERYTHING
+    rows = [
+        ("victoria-park", "slam", park), ("arena:0", "localization", arena), ("arena:0", "slam", arena),
+        *((name, "slam", lab) for name in corridors),
+    ]  # fmt: skip
+    logs = {name: _cut(open_log(name), options) for name, _, _ in rows}
+    experiments = []
+    for name, task, work in rows:
+        if options.task and task not in options.task:
+            continue
+        log = logs[name]
+        experiments.append(Experiment(log, task, _work(log, options) if asked else work, options.setup))
+        if not asked and ":people" in name and not options.quick and not options.setup.upkeep:
+            kept = lab if options.full else (Work("jcbb", ("ekf",)),)
+            experiments.append(_maintained(experiments[-1], kept))
+    return experiments
+
+
+def _maintained(experiment: Experiment, work: tuple[Work, ...]) -> Experiment:
+    """The same with map maintenance, as rows beside."""
+    name = experiment.log.name
+    deciding = tuple(w for w in work if w.association != "known")
+    log, setup = replace(experiment.log, name=f"{name}:maintain"), replace(experiment.setup, maintain=True)
+    return Experiment(log, experiment.task, deciding, setup, name, "the same log with map maintenance (`--maintain`)")
+
+
+def shortened(log: Log, n: int) -> Log:
+    """The first n frames of a log, for a quick look; a shorter log as it is."""
+    r = log.recorded
+    if len(r) <= n:
+        return log
+    o = r.observations
+    m = int(r.start[n])
+    recorded = replace(
+        r,
+        time=r.time[:n],
+        increments=replace(r.increments, mean=r.increments.mean[:n], covariance=r.increments.covariance[:n]),
+        observations=replace(o, frame=o.frame[:m], z=o.z[:m], R=o.R[:m]),
+    )
+    t = log.truth
+    truth = replace(
+        t,
+        pose=None if t.pose is None else t.pose[:n],
+        landmark_of=None if t.landmark_of is None else t.landmark_of[:m],
+    )
+    label = None if log.label is None else log.label[:m]
+    return replace(
+        log, recorded=recorded, truth=truth, label=label, notes=(*log.notes, f"Only the first {n} frames (quick).")
+    )

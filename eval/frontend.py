@@ -1,0 +1,220 @@
+"""One estimator with one way of association, frame by frame: what a replay and the step-through command share."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import numpy as np
+
+from association.candidates import in_view, may_be_in_view
+from association.decide import Decided, decide
+from association.expectation import Expectation, gate_threshold
+from association.jcbb import BUDGET
+from association.known import known_decisions, pair_by_label
+from data.errors import UsageError
+from data.inputs import Increment, Inputs, IntArray, LabelledObservations, Sightings
+from data.result import Finished, PoseEstimate, Updated
+from ekf.filter import DEFAULT, Filter, FilterOptions
+from ekf.localizer import EkfLocalizer
+from ekf.slam import EkfSlam
+from eval.setup import Setup
+from eval.upkeep import Upkeep
+from graph.incremental import Isam2Smoother
+
+
+class Estimator(Protocol):
+    """The verbs every step-by-step estimator has; any association method works with any of them."""
+
+    def predict(self, increment: Increment) -> None:
+        """Move by an increment."""
+        ...
+
+    def expect(self, sightings: Sightings) -> Expectation:
+        """What it expects to see."""
+        ...
+
+    def update(self, sightings: Sightings, decisions: IntArray, *, threshold: float = np.inf) -> Updated:
+        """Use the pairings, found new landmarks."""
+        ...
+
+    def remove(self, numbers: IntArray) -> None:
+        """Drop landmarks."""
+        ...
+
+    def estimate(self) -> PoseEstimate:
+        """The newest pose."""
+        ...
+
+    def finish(self) -> Finished:
+        """The end of the run."""
+        ...
+
+
+def make_estimator(name: str, inputs: Inputs, options: FilterOptions = DEFAULT) -> Estimator:
+    """A fresh step-by-step estimator for these inputs: with a map it localizes, without it does SLAM."""
+    if name == "ekf":
+        if inputs.map is not None:
+            return EkfLocalizer(inputs.prior, inputs.sensor, inputs.map, options)
+        return EkfSlam(inputs.prior, inputs.sensor, options)
+    if name == "isam2":
+        return Isam2Smoother(inputs.prior, inputs.sensor, inputs.map)
+    raise UsageError(f"{name!r} does not work step by step; ekf and isam2 do")
+
+
+class FrontEnd:
+    """The verbs of a frame, in this order: move, (look at the expectation, decide,) update.
+
+    `k` is the frame; `association` is `known` (labels granted by the inputs decide) or a method's name.
+    """
+
+    def __init__(
+        self, estimator: str, association: str, inputs: Inputs, setup: Setup, options: FilterOptions = DEFAULT
+    ) -> None:
+        """Before the first frame."""
+        self.inputs, self.setup, self.association = inputs, setup, association
+        self.estimator = make_estimator(estimator, inputs, options)
+        self.slam = inputs.map is None
+        self.upkeep = Upkeep(setup, inputs.time) if self.slam and setup.upkeep else None
+        self.k = -1
+        self.incomplete = 0
+        self.reactivated = 0
+        self.largest = 0
+        self._threshold = gate_threshold(setup.gate_known) if association == "known" else math.inf
+        self._label: IntArray | None = None
+        self._planned: IntArray | None = None
+        self._held: dict[int, int] = {}
+        self._label_of: dict[int, int] = {}
+        if association == "known":
+            o = inputs.observations
+            if not isinstance(o, LabelledObservations):
+                raise ValueError("known association was not granted to these inputs")
+            self._label = o.label
+            if not self.slam:
+                self._planned = known_decisions(inputs)[0]
+
+    @property
+    def _filter(self) -> EkfSlam | None:
+        return self.estimator if isinstance(self.estimator, EkfSlam) else None
+
+    def move(self) -> None:
+        """The next frame; the first one has no motion."""
+        self.k += 1
+        if self.k > 0:
+            self.estimator.predict(self.inputs.increment(self.k))
+
+    def expect(self, sightings: Sightings) -> Expectation:
+        """What the estimator expects of its candidates: parked landmarks that may be in view are taken back first."""
+        slam, sensor = self._filter, self.inputs.sensor
+        pose, covariance = self.estimator.estimate()
+        if slam is not None and self.upkeep is not None and len(slam.parked):
+            # a parked landmark's own spread is below what the pose and the widened view allow for
+            near = may_be_in_view(sensor, pose, covariance, slam.parked_xy(), np.zeros(len(slam.parked)))
+            self._wake(slam.parked[near])
+        e = self.estimator.expect(sightings)
+        if self.setup.in_view and isinstance(self.estimator, Filter):
+            e = e.only(np.flatnonzero(in_view(sensor, e.z_hat, e.HPHt)))
+        return e
+
+    def _wake(self, numbers: IntArray) -> None:
+        slam = self._filter
+        if slam is not None and self.upkeep is not None and len(numbers):
+            slam.restore(numbers)
+            self.upkeep.wake(self.k, numbers)
+            self.reactivated += len(numbers)
+
+    def decide(self, expectation: Expectation, method: str | None = None) -> Decided:
+        """Decisions by the method of this run, or for comparison by another one."""
+        s = self.setup
+        return decide(method or self.association, expectation, s.gate, s.new_gate, known_map=not self.slam)
+
+    def pair_known(self, rows: slice) -> IntArray:
+        """Decisions by label for some observations of this frame."""
+        if self._planned is not None:
+            return self._planned[rows]
+        assert self._label is not None
+        return pair_by_label(self._label[rows], self._held)
+
+    def associate(self, rows: slice) -> tuple[IntArray, Updated]:
+        """Decide about observations of this frame and use them; returns decisions (m,) and what was done."""
+        o = self.inputs.observations
+        sightings = Sightings(o.z[rows], o.R[rows])
+        expectation = None
+        if self.association == "known":
+            decisions = self.pair_known(rows)
+        else:
+            expectation = self.expect(sightings)
+            decisions, complete = self.decide(expectation)
+            self.incomplete += not complete
+        # an estimator that forms no innovations of its own: before the update, as an expectation ends with it
+        own = None
+        if expectation is not None and not isinstance(self.estimator, Filter):
+            own = _statistics(expectation, decisions)
+        done = self.update(sightings, decisions, rows)
+        if own is not None:
+            done = done._replace(nis=own[0], dof=own[1], log_likelihood=own[2])
+        return decisions, done
+
+    def update(self, sightings: Sightings, decisions: IntArray, rows: slice) -> Updated:
+        """Use the decisions about the observations `rows` of the log."""
+        slam = self._filter
+        if slam is not None and len(slam.parked):
+            self._wake(np.intersect1d(decisions, slam.parked))
+        done = self.estimator.update(sightings, decisions, threshold=self._threshold)
+        if self.slam:
+            founded = np.flatnonzero(done.created >= 0)
+            if self._label is not None:
+                for i in founded:
+                    label, number = int(self._label[rows][i]), int(done.created[i])
+                    self._held[label], self._label_of[number] = number, label
+            if self.upkeep is not None:
+                self.upkeep.see(self.k, decisions[done.used])
+                self.upkeep.see(self.k, done.created[founded])
+        return done
+
+    def tidy(self) -> None:
+        """The end of a frame: landmarks leave the map by the rules of the setup."""
+        slam = self._filter
+        if slam is not None:
+            self.largest = max(self.largest, slam.size)
+        if self.upkeep is None:
+            return
+        leaving = self.upkeep.leaving(self.k)
+        gone = np.concatenate([leaving.retracted, leaving.forgotten])
+        if len(gone):
+            self.estimator.remove(gone)
+            for n in gone.tolist():
+                self._held.pop(self._label_of.pop(n, -1), None)
+        if slam is not None and len(leaving.parked):
+            slam.park(leaving.parked)
+
+    @property
+    def size(self) -> int:
+        """Length of a filter's (active) state; 0 for a smoother."""
+        return self.estimator.size if isinstance(self.estimator, Filter) else 0
+
+    def notes(self) -> list[str]:
+        """What a reader of the results should know."""
+        told, s = [], self.setup
+        if self.incomplete:
+            told.append(
+                f"{self.association} ran out of its {BUDGET} nodes in {self.incomplete} frames; "
+                "the best pairings found until then were used"
+            )
+        if self.slam and self._filter is None and (s.forget_after is not None or s.deactivate_after is not None):
+            told.append("landmarks are forgotten or parked in the filter's state only, not in the graph")
+        if s.deactivate_after is not None and self._filter is not None:
+            told.append(
+                f"landmarks unseen for {s.deactivate_after:g} were parked: at most {self.largest} states were active, "
+                f"and landmarks were taken back {self.reactivated} times"
+            )
+        if self.upkeep is not None and self.upkeep.removed:
+            told.append(f"{len(self.upkeep.removed)} landmarks were removed from the map")
+        return told
+
+
+def _statistics(e: Expectation, decisions: IntArray) -> tuple[float, int, float]:
+    """NIS, degrees of freedom and log-likelihood of a frame's pairings."""
+    rows = np.flatnonzero(decisions >= 0)
+    order = np.argsort(e.number)
+    return e.innovation_statistics(rows, order[np.searchsorted(e.number, decisions[rows], sorter=order)])
