@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from data.inputs import Increment, IntArray, Sightings
 from data.se2 import Array, BoolArray
 from data.sensors import MIN_RANGE, RANGE_BEARING, Sensor
 
@@ -28,11 +29,69 @@ def in_view(sensor: Sensor, z_hat: Array, HPHt: Array) -> BoolArray:
     return sensor.in_view(z_hat, margin_range=sigma[:, 0], margin_angle=np.minimum(sigma[:, 1] + MARGIN, math.pi))
 
 
-def may_be_in_view(sensor: Sensor, pose: Array, covariance: Array, xy: Array, spread: Array) -> BoolArray:
-    """A superset of `in_view` that needs no joint covariance: spread (n,) bounds each landmark's own sigma [m]."""
+def may_be_in_view(sensor: Sensor, pose: Array, xy: Array, sigma: Array, heading: Array) -> BoolArray:
+    """A superset of `in_view` that needs no joint covariance.
+
+    Args:
+        sensor: with its field of view.
+        pose: (3,) of the robot, xy: (n, 2) of the landmarks.
+        sigma: (n,) m, bounds of the landmarks' uncertainty relative to the robot; heading: (n,) rad, the same of the
+            robot's heading.
+    """
     z_hat = sensor.predict(pose, xy)
-    lever = math.hypot(*sensor.translation) * math.sqrt(covariance[2, 2])
-    sigma = spread + math.sqrt(covariance[0, 0] + covariance[1, 1]) + lever
+    total = sigma + math.hypot(*sensor.translation) * heading
     r = np.maximum(sensor.polar(z_hat)[:, 0], MIN_RANGE)
-    angle = SIGMAS * (sigma / r + math.sqrt(covariance[2, 2])) + MARGIN
-    return sensor.in_view(z_hat, margin_range=SIGMAS * sigma, margin_angle=np.minimum(angle, math.pi))
+    angle = SIGMAS * (total / r + heading) + MARGIN
+    return sensor.in_view(z_hat, margin_range=SIGMAS * total, margin_angle=np.minimum(angle, math.pi))
+
+
+class Drift:
+    """Bounds on each landmark's uncertainty relative to the robot, without any joint covariance.
+
+    The lesser of two: the landmark's last sighting and odometry alone since then (all else that was measured can only
+    make it smaller), and its own uncertainty in the world plus the robot's. Far from the start the second is useless,
+    after a long way the first.
+    """
+
+    def __init__(self) -> None:
+        """Nothing seen, nothing driven."""
+        self._now = np.zeros(3)
+        """Sums of position variances [m^2] and heading variances [rad^2], path length [m]."""
+        self._then = np.empty((0, 6))
+        """By landmark number: the sums at its last sighting, its variance [m^2] and distance [m] in that, its own
+        sigma [m] in the world."""
+
+    def move(self, increment: Increment) -> None:
+        """The robot moved."""
+        mean, P = increment
+        self._now = self._now + (P[0, 0] + P[1, 1], P[2, 2], math.hypot(mean[0], mean[1]))
+
+    def see(self, sensor: Sensor, sightings: Sightings, numbers: IntArray, covariance: Array) -> None:
+        """Landmarks `numbers` (m,) were seen from a pose of this covariance (3, 3)."""
+        if not len(numbers):
+            return
+        more = int(numbers.max()) + 1 - len(self._then)
+        if more > 0:
+            self._then = np.concatenate([self._then, np.full((more, 6), np.inf)])
+        variance = np.trace(sightings.R, axis1=1, axis2=2)
+        r = sensor.polar(sightings.z)[:, 0]
+        if sensor.kind == RANGE_BEARING:
+            variance = sightings.R[:, 0, 0] + r**2 * sightings.R[:, 1, 1]
+        self._then[numbers, :3], self._then[numbers, 3], self._then[numbers, 4] = self._now, variance, r
+        lever = r + math.hypot(*sensor.translation)
+        own = np.sqrt(covariance[0, 0] + covariance[1, 1]) + lever * math.sqrt(covariance[2, 2]) + np.sqrt(variance)
+        self.know(numbers, own)
+
+    def know(self, numbers: IntArray, sigma: Array) -> None:
+        """The landmarks' own uncertainty (n,) [m] in the world; it never grows."""
+        self._then[numbers, 5] = np.minimum(self._then[numbers, 5], sigma)
+
+    def sigmas(self, numbers: IntArray, covariance: Array) -> tuple[Array, Array]:
+        """Of landmarks that were seen, from a pose of this covariance (3, 3): position (n,) [m] and heading (n,) [rad]
+        relative to the robot."""
+        then = self._then[numbers]
+        position, heading, path = np.maximum(self._now - then[:, :3], 0.0).T
+        relative = np.sqrt(then[:, 3] + position + heading * (path + then[:, 4]) ** 2)
+        absolute = then[:, 5] + math.sqrt(covariance[0, 0] + covariance[1, 1])
+        nearer = relative <= absolute
+        return np.where(nearer, relative, absolute), np.sqrt(np.where(nearer, heading, covariance[2, 2]))

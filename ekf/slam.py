@@ -11,7 +11,7 @@ from data.se2 import Array
 from data.sensors import Sensor
 from ekf import kernels
 from ekf.filter import DEFAULT, Filter, FilterOptions
-from ekf.parking import NOTHING, Carried, begin_epoch
+from ekf.parking import LONGEST, NOTHING, Carried, begin_epoch, pairs
 
 
 class EkfSlam(Filter):
@@ -64,7 +64,7 @@ class EkfSlam(Filter):
         try:
             at = np.array([self._offset[int(n)] for n in decisions[paired]], np.int64)
         except KeyError as unknown:
-            if unknown.args[0] in self._parked.number:
+            if unknown.args[0] in self._parked.rows:
                 raise ValueError(f"landmark {unknown} is parked: restore it first") from None
             raise ValueError(f"no landmark has number {unknown}") from None
         keep, stats = self._correct(sightings, paired, at, np.zeros((len(paired), 2)), threshold)
@@ -93,27 +93,26 @@ class EkfSlam(Filter):
 
     def remove(self, numbers: IntArray) -> None:
         """Marginalize landmarks out, active or parked: their rows and columns go, the rest stays as it is."""
-        gone, parked = np.isin(self._number, numbers), np.isin(self._parked.number, numbers)
+        gone, parked = np.isin(self._number, numbers), np.isin(self.parked, numbers)
         if gone.sum() + parked.sum() != len(set(np.asarray(numbers).tolist())):
             raise ValueError(f"cannot remove {np.asarray(numbers).tolist()}: not all are in the map")
         self._version += 1
-        if parked.any():
-            self._parked = self._parked.without(numbers)
-            if not len(self._parked.number):
-                self._parked, self._carried = NOTHING, 0
         stay = np.concatenate([[True, True, True], np.repeat(~gone, 2), np.ones(self._carried, np.bool_)])
         self._select(np.flatnonzero(stay))
         self.size -= 2 * int(gone.sum())
         self._renumber(self._number[~gone])
+        if parked.any():
+            self._parked = self._parked.without(numbers)
+            self._tidy()
 
     @property
     def parked(self) -> IntArray:
         """Numbers (b,) of the parked landmarks, ascending."""
-        return self._parked.number.copy()
+        return np.fromiter(self._parked.rows, np.int64)
 
     def parked_xy(self) -> Array:
         """Present means (b, 2) of the parked landmarks, ordered as `parked`."""
-        return self._parked.mean_now(self._mean[self.size : self._used]).reshape(-1, 2)
+        return self._parked.xy(self._mean[self.size : self._used])
 
     def park(self, numbers: IntArray) -> None:
         """Take active landmarks out of the state; nothing is lost, and `restore` brings them back.
@@ -122,51 +121,68 @@ class EkfSlam(Filter):
         """
         away = np.unique(np.asarray(numbers, np.int64))
         for n in away.tolist():
-            if n in self._parked.number:
+            if n in self._parked.rows:
                 raise ValueError(f"cannot park landmark {n}: it is parked already")
             if n not in self._offset:
                 raise ValueError(f"cannot park landmark {n}: no landmark has this number")
-        if len(away):
-            self._divide(np.union1d(self._parked.number, away))
+        if not len(away):
+            return
+        self._version += 1
+        out = np.isin(self._number, away)
+        moved = 3 + pairs(np.flatnonzero(out))
+        self._select(np.concatenate([np.delete(np.arange(self._used), moved), moved]))
+        self.size -= len(moved)
+        self._carried += len(moved)
+        self._parked = self._parked.parking(away)
+        self._renumber(self._number[~out])
+        self._tidy()
 
     def restore(self, numbers: IntArray) -> None:
         """Take parked landmarks back into the state. Raises ValueError for a landmark that is not parked."""
         back = np.unique(np.asarray(numbers, np.int64))
         for n in back.tolist():
-            if n not in self._parked.number:
+            if n not in self._parked.rows:
                 raise ValueError(f"cannot restore landmark {n}: it is not parked")
-        if len(back):
-            self._divide(np.setdiff1d(self._parked.number, back))
-
-    def _divide(self, parked: IntArray) -> None:
-        """Begin an epoch with exactly the landmarks `parked` (ascending) parked."""
+        if not len(back):
+            return
         self._version += 1
-        d, e = self.size, self._used
-        x_B, P_BA, P_BB = self._parked.now(Carried(self._mean[d:e], self._P[d:e, :d], self._P[d:e, d:e]))
-        mean = np.concatenate([self._mean[:d], x_B])
-        P = np.block([[self._P[:d, :d], P_BA.T], [P_BA, P_BB]])
-        number = np.concatenate([self._number, self._parked.number])
+        self._grow(2 * len(back))
+        x, P, d, e, n = self._mean, self._P, self.size, self._used, 2 * len(back)
+        # appended: the landmarks as they are now, whose cross-covariance is needed with all of A and y, and their e
+        p = self._parked.now(Carried(x[d:e], P[d:e, :e], P[d:e, d:e]), self._parked.index(back))
+        x[e : e + n], x[e + n : e + 2 * n] = p.mean, 0.0
+        P[e : e + n, :e], P[:e, e : e + n], P[e : e + n, e : e + n] = p.cross, p.cross.T, p.P
+        P[e + n : e + 2 * n, : e + 2 * n], P[: e + 2 * n, e + n : e + 2 * n] = 0.0, 0.0
+        P[e + n : e + 2 * n, e : e + n], P[e : e + n, e + n : e + 2 * n] = np.eye(n), np.eye(n)
+        number = np.concatenate([self._number, back])
         order = np.argsort(number)
-        out = np.isin(number[order], parked)
-        pair = 3 + 2 * order[:, None] + np.arange(2)
-        A, B = np.concatenate([np.arange(3), pair[~out].ravel()]), pair[out].ravel()
-        self._parked, y = begin_epoch(parked, mean[B], P[np.ix_(B, A)], P[np.ix_(B, B)])
-        self.size, self._carried = len(A), 0
-        self._renumber(number[order][~out])
-        self._grow((len(y.mean) + 1) // 2)
-        d, e = self.size, self.size + len(y.mean)
-        self._mean[:d], self._mean[d:e] = mean[A], y.mean
-        self._P[:d, :d], self._P[d:e, d:e] = P[np.ix_(A, A)], y.P
-        self._P[d:e, :d], self._P[:d, d:e] = y.cross, y.cross.T
+        slots = np.concatenate([np.arange(3, d), np.arange(e, e + n)]).reshape(-1, 2)[order].ravel()
+        self._select(np.concatenate([np.arange(3), slots, np.arange(d, e), np.arange(e + n, e + 2 * n)]))
+        self.size += n
+        self._carried += n
+        self._parked = self._parked.restoring(back)
+        self._renumber(number[order])
+        self._tidy()
+
+    def _tidy(self) -> None:
+        """Begin an epoch if what is carried has grown too long."""
+        d, e, number = self.size, self._used, self.parked
+        if self._carried <= min(LONGEST * d, 2 * len(number)):
+            return
+        B = self._parked.now(Carried(self._mean[d:e], self._P[d:e, :d], self._P[d:e, d:e]), self._parked.index())
+        self._parked, y = begin_epoch(number, B)
         self._carried = len(y.mean)
+        e = self._used
+        self._mean[d:e], self._P[d:e, d:e] = y.mean, y.P
+        self._P[d:e, :d], self._P[:d, d:e] = y.cross, y.cross.T
 
     def finish(self) -> Finished:
         """The last map, active and parked landmarks; a filter does not revise its path."""
         n, d, e = len(self._number), self.size, self._used
         xy = self._mean[3:d].reshape(n, 2)
         blocks = self._P[3:d, 3:d].reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
-        number = np.concatenate([self._number, self._parked.number])
+        number = np.concatenate([self._number, self.parked])
         order = np.argsort(number)
         xy = np.concatenate([xy, self.parked_xy()])[order]
-        blocks = np.concatenate([blocks, self._parked.blocks_now(self._P[d:e, d:e])])[order]
+        blocks = np.concatenate([blocks, self._parked.blocks(self._P[d:e, d:e])])[order]
         return Finished(None, MapState(number[order], xy, blocks))

@@ -11,35 +11,11 @@ import math
 import statistics
 import sys
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-REPEATS = 5
-
-
-@dataclass(frozen=True)
-class Timed:
-    """A line of the table: what, median seconds, what one unit is, units per second, and the peer's ratio if any."""
-
-    what: str
-    seconds: float
-    units: int
-    unit: str
-    ratio: str = ""
-    goal: str = ""
-
-
-def median_seconds(work: Callable[[], object], repeats: int = REPEATS) -> float:
-    """Median wall time of `work` after one warm-up."""
-    work()
-    taken = []
-    for _ in range(repeats):
-        begin = time.perf_counter()
-        work()
-        taken.append(time.perf_counter() - begin)
-    return statistics.median(taken)
+from eval.timed import REPEATS, Timed, median_seconds, table
 
 
 def localization_log(frames: int) -> object:
@@ -200,16 +176,6 @@ def victoria_park_lines(frames: int) -> list[Timed]:
     ]
 
 
-def table(lines: list[Timed]) -> str:
-    """The lines as text."""
-    out = [f"{'':44s} {'median s':>9s} {'per second':>18s} {'ratio':>7s}  goal"]
-    for t in lines:
-        rate = f"{t.units / t.seconds:,.0f} {t.unit}" if t.seconds > 0 else ""
-        seconds = f"{t.seconds:9.4f}" if math.isfinite(t.seconds) else " " * 9
-        out.append(f"{t.what:44s} {seconds} {rate:>18s} {t.ratio:>7s}  {t.goal}")
-    return "\n".join(out)
-
-
 def main(argv: list[str] | None = None) -> int:
     """Time everything and print the table."""
     p = argparse.ArgumentParser(
@@ -219,7 +185,10 @@ def main(argv: list[str] | None = None) -> int:
     quick = p.parse_args(argv).quick
     lines = localization_lines(2_000 if quick else 20_000)
     print(table(lines), flush=True)
-    print(table(victoria_park_lines(700 if quick else 10**9)))
+    print(table(victoria_park_lines(700 if quick else 10**9)), flush=True)
+    from eval.benchmark_association import association_lines
+
+    print(table(association_lines(quick)))
     return 0
 
 

@@ -7,14 +7,14 @@ from typing import Protocol
 
 import numpy as np
 
-from association.candidates import in_view, may_be_in_view
+from association.candidates import Drift, in_view, may_be_in_view
 from association.decide import Decided, decide
 from association.expectation import Expectation, gate_threshold
 from association.jcbb import BUDGET
 from association.known import known_decisions, pair_by_label
 from data.errors import UsageError
 from data.inputs import Increment, Inputs, IntArray, LabelledObservations, Sightings
-from data.result import Finished, PoseEstimate, Updated
+from data.result import Finished, MapState, PoseEstimate, Updated
 from ekf.filter import DEFAULT, Filter, FilterOptions
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
@@ -51,6 +51,22 @@ class Estimator(Protocol):
         ...
 
 
+class Watch(Protocol):
+    """Somebody who looks on while a log is replayed, frame by frame, and changes nothing."""
+
+    def moved(self, front: FrontEnd) -> None:
+        """A frame begins; its observations were not looked at yet."""
+        ...
+
+    def decided(self, front: FrontEnd, rows: slice, expectation: Expectation | None, decisions: IntArray) -> None:
+        """Observations `rows` of the log were decided about, and not used yet; `known` needs no expectation."""
+        ...
+
+    def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
+        """A frame is over; decisions and founded landmarks (M,) are those of the whole log so far."""
+        ...
+
+
 def make_estimator(name: str, inputs: Inputs, options: FilterOptions = DEFAULT) -> Estimator:
     """A fresh step-by-step estimator for these inputs: with a map it localizes, without it does SLAM."""
     if name == "ekf":
@@ -79,6 +95,7 @@ class FrontEnd:
         self.k = -1
         self.incomplete = 0
         self.reactivated = 0
+        self._drift = Drift()
         self.largest = 0
         self._threshold = gate_threshold(setup.gate_known) if association == "known" else math.inf
         self._label: IntArray | None = None
@@ -102,15 +119,15 @@ class FrontEnd:
         self.k += 1
         if self.k > 0:
             self.estimator.predict(self.inputs.increment(self.k))
+            self._drift.move(self.inputs.increment(self.k))
 
     def expect(self, sightings: Sightings) -> Expectation:
         """What the estimator expects of its candidates: parked landmarks that may be in view are taken back first."""
         slam, sensor = self._filter, self.inputs.sensor
         pose, covariance = self.estimator.estimate()
         if slam is not None and self.upkeep is not None and len(slam.parked):
-            # a parked landmark's own spread is below what the pose and the widened view allow for
-            near = may_be_in_view(sensor, pose, covariance, slam.parked_xy(), np.zeros(len(slam.parked)))
-            self._wake(slam.parked[near])
+            bounds = self._drift.sigmas(slam.parked, covariance)
+            self._wake(slam.parked[may_be_in_view(sensor, pose, slam.parked_xy(), *bounds)])
         e = self.estimator.expect(sightings)
         if self.setup.in_view and isinstance(self.estimator, Filter):
             e = e.only(np.flatnonzero(in_view(sensor, e.z_hat, e.HPHt)))
@@ -135,7 +152,7 @@ class FrontEnd:
         assert self._label is not None
         return pair_by_label(self._label[rows], self._held)
 
-    def associate(self, rows: slice) -> tuple[IntArray, Updated]:
+    def associate(self, rows: slice, watch: Watch | None = None) -> tuple[IntArray, Updated]:
         """Decide about observations of this frame and use them; returns decisions (m,) and what was done."""
         o = self.inputs.observations
         sightings = Sightings(o.z[rows], o.R[rows])
@@ -146,6 +163,8 @@ class FrontEnd:
             expectation = self.expect(sightings)
             decisions, complete = self.decide(expectation)
             self.incomplete += not complete
+        if watch is not None:
+            watch.decided(self, rows, expectation, decisions)
         # an estimator that forms no innovations of its own: before the update, as an expectation ends with it
         own = None
         if expectation is not None and not isinstance(self.estimator, Filter):
@@ -168,8 +187,12 @@ class FrontEnd:
                     label, number = int(self._label[rows][i]), int(done.created[i])
                     self._held[label], self._label_of[number] = number, label
             if self.upkeep is not None:
-                self.upkeep.see(self.k, decisions[done.used])
-                self.upkeep.see(self.k, done.created[founded])
+                number = np.where(done.used, decisions, done.created)
+                seen = np.flatnonzero(number >= 0)
+                self.upkeep.see(self.k, number[seen])
+                if slam is not None and self.setup.deactivate_after is not None:
+                    taken = Sightings(sightings.z[seen], sightings.R[seen])
+                    self._drift.see(self.inputs.sensor, taken, number[seen], slam.estimate().covariance)
         return done
 
     def tidy(self) -> None:
@@ -187,6 +210,21 @@ class FrontEnd:
                 self._held.pop(self._label_of.pop(n, -1), None)
         if slam is not None and len(leaving.parked):
             slam.park(leaving.parked)
+
+    def landmarks(self) -> MapState:
+        """The map as it is now, parked landmarks included; a given one has no covariance."""
+        if self.inputs.map is not None:
+            known = self.inputs.map
+            return MapState(known.id, known.xy, np.zeros((len(known.id), 2, 2)))
+        if isinstance(self.estimator, Isam2Smoother):
+            number = self.estimator.numbers
+            n = len(number)
+            xy = self.estimator._engine.points(number.tolist()) if n else np.empty((0, 2))
+            P = self.estimator._joint(number)[3:, 3:].reshape(n, 2, n, 2)
+            return MapState(number, xy, P[np.arange(n), :, np.arange(n), :])
+        state = self.estimator.finish().map
+        assert state is not None  # a SLAM filter always has a map
+        return state
 
     @property
     def size(self) -> int:

@@ -13,7 +13,7 @@ import numba
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
-from association.candidates import in_view, may_be_in_view
+from association.candidates import Drift, in_view, may_be_in_view
 from association.expectation import Expectation
 from data import se2
 from data.inputs import Increment, IntArray, LandmarkMap, Prior, Sightings
@@ -76,7 +76,7 @@ class Isam2Smoother:
         self._sighted: list[Sighted] = []
         self._handles: dict[int, list[int]] = {}
         self._copies = 0
-        self._spread: dict[int, float] = {}
+        self._drift = Drift()
         low = np.linalg.eigvalsh(prior.covariance)
         self._engine = Engine(threshold, skip, qr=bool(low[0] < DELICATE < low[-1]), name=self._name)
 
@@ -84,6 +84,7 @@ class Isam2Smoother:
         """Move by an increment; the graph grows only when something is seen."""
         self.frame += 1
         self._pending.append(increment)
+        self._drift.move(increment)
         self._advance(increment)
 
     def _advance(self, increment: Increment) -> None:
@@ -113,8 +114,7 @@ class Isam2Smoother:
         else:
             number = self.numbers
             xy = self._engine.points(number.tolist())
-            spread = np.array([self._spread[int(n)] for n in number])
-            near = may_be_in_view(self.sensor, self._mean, self._P, xy, spread)
+            near = may_be_in_view(self.sensor, self._mean, xy, *self._drift.sigmas(number, self._P))
             candidates = number[near], xy[near]
         joint = self._joint(candidates[0])
         every = expected.form(self.sensor, self._mean, joint, *candidates, sightings)
@@ -129,8 +129,7 @@ class Isam2Smoother:
             return self._P
         keys = [X(self._anchor), *(L(n) for n in number.tolist())]
         J = self._engine.covariance(keys)
-        for n, variance in zip(number.tolist(), np.diag(J)[3:].reshape(-1, 2).sum(1), strict=True):
-            self._spread[n] = float(np.sqrt(variance))
+        self._drift.know(number, np.sqrt(np.diag(J)[3:].reshape(-1, 2).sum(1)))
         F = _transport(self._mean - self._anchor_pose) @ se2.world_from_body(self._anchor_pose[2])
         J[:3] = F @ J[:3]
         J[:, :3] = J[:, :3] @ F.T
@@ -190,10 +189,9 @@ class Isam2Smoother:
                 if n not in self._handles:
                     if self.sensor.kind == RANGE_BEARING and sightings.z[i, 0] < MIN_RANGE:
                         raise UnderConstrained(f"landmark {n} is not determined: founded at range 0, without a bearing")
-                    place, Gx, Gz = (a[0] for a in self.sensor.inverse(self._mean, sightings.z[i : i + 1]))
-                    values.insert(L(n), place)
-                    spread = np.trace(Gx @ self._P @ Gx.T + Gz @ sightings.R[i] @ Gz.T)
-                    self._handles[n], self._spread[n] = [], float(np.sqrt(spread))
+                    values.insert(L(n), self.sensor.inverse(self._mean, sightings.z[i : i + 1])[0][0])
+                    self._handles[n] = []
+            self._drift.see(self.sensor, sightings, number, self._P)
         else:
             xy = self.map.xy[np.searchsorted(self.map.id, number)]
             seen = sight_known(self.sensor, *sightings, frames, number, xy, self._copies, self.loss)

@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from association.candidates import in_view
+from association.candidates import Drift, in_view, may_be_in_view
 from association.known import known_decisions
 from data import se2
 from data.errors import DataError
@@ -226,20 +226,49 @@ def test_the_quick_cut_keeps_everything_the_exact_one_keeps(sensor):
     narrow = replace(sensor, max_range=4.0, min_angle=-0.6, max_angle=0.9)
     inputs, _, _ = circle(sensor, noise=0.0, landmarks=25)
     inputs = inputs.without_map()
-    decisions, _ = known_decisions(inputs)
-    twin = EkfSlam(inputs.prior, inputs.sensor)
-    kept = 0
+    decisions, created = known_decisions(inputs)
+    drift, kept = Drift(), 0
     for k in range(20):
         drive(inputs, decisions, until=k, smoother=(twin := EkfSlam(inputs.prior, inputs.sensor)))
         n = (twin.size - 3) // 2
         xy, P = twin.mean[3:].reshape(n, 2), twin.covariance
-        spread = np.sqrt(np.diag(P)[3:].reshape(n, 2).sum(1))
+        if k:
+            drift.move(inputs.increment(k))
         everything = expected.form(narrow, twin.mean[:3], P, np.arange(n), xy, inputs.sightings(k))
         exact = in_view(narrow, everything.z_hat, everything.HPHt)
-        quick = expected.may_be_in_view(narrow, twin.mean[:3], P[:3, :3], xy, spread)
+        rows = slice(inputs.start[k], inputs.start[k + 1])
+        number = np.where(created[rows] >= 0, created[rows], decisions[rows])
+        drift.see(sensor, inputs.sightings(k), number, P[:3, :3])
+        quick = may_be_in_view(narrow, twin.mean[:3], xy, *drift.sigmas(np.arange(n), P[:3, :3]))
         assert not (exact & ~quick).any()
         kept += quick.sum() < n
     assert kept > 10  # and it does cut
+
+
+@every_sensor
+def test_the_bounds_on_relative_uncertainty_are_bounds_and_stay_small_far_from_the_start(sensor):
+    """Against the filter's joint covariance: position of each landmark in the robot's frame."""
+    inputs, _, _ = circle(sensor, noise=0.0, landmarks=25)
+    inputs = inputs.without_map()
+    decisions, created = known_decisions(inputs)
+    drift, twin = Drift(), EkfSlam(inputs.prior, inputs.sensor)
+    for k in range(len(inputs)):
+        if k:
+            drift.move(inputs.increment(k))
+            twin.predict(inputs.increment(k))
+        rows = slice(inputs.start[k], inputs.start[k + 1])
+        twin.update(inputs.sightings(k), decisions[rows])
+        number = np.where(created[rows] >= 0, created[rows], decisions[rows])
+        drift.see(sensor, inputs.sightings(k), number, twin.estimate().covariance)
+        n = (twin.size - 3) // 2
+        c, s = np.cos(twin.mean[2]), np.sin(twin.mean[2])
+        C = np.array([[c, s], [-s, c]])
+        bound, _ = drift.sigmas(np.arange(n), twin.estimate().covariance)
+        for i, at in enumerate(twin.mean[3:].reshape(n, 2)):
+            d = at - twin.mean[:2]
+            H = np.zeros((2, twin.size))
+            H[:, :2], H[:, 2], H[:, 3 + 2 * i : 5 + 2 * i] = -C, C @ (d[1], -d[0]), C
+            assert np.sqrt(np.trace(H @ twin.covariance @ H.T)) <= bound[i] * (1.0 + 1e-9)
 
 
 @every_sensor

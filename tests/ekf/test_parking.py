@@ -1,0 +1,220 @@
+"""Parking landmarks changes nothing but the size of the state: the filter that never parks is the oracle."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import event, given, settings
+from hypothesis import strategies as st
+
+from association.known import known_decisions
+from data import se2
+from data.inputs import Increment, Prior, Sightings
+from data.result import DISCARD, NEW
+from data.sensors import RangeBearing, RelativePoint
+from data.victoria_park import load_victoria_park
+from ekf import kernels
+from ekf.filter import FilterOptions
+from ekf.slam import EkfSlam
+
+NOBODY = np.empty(0, np.int64)
+NOTHING_SEEN = Sightings(np.empty((0, 2)), np.empty((0, 2, 2)))
+PRIOR = Prior(np.array([1.0, -2.0, 3.0]), np.diag([0.04, 0.01, 0.002]))
+
+
+def assert_same(a, b):
+    a, b = np.asarray(a), np.asarray(b)
+    assert a.shape == b.shape
+    assert np.abs(a - b).max(initial=0.0) <= 1e-9 * max(np.abs(b).max(initial=0.0), 1e-3)
+
+
+def assert_agree(f, full):
+    """`f` holds, in state and map, what `full` holds, landmark by landmark."""
+    everything, mine = full.finish().map, f.finish().map
+    assert np.array_equal(mine.number, everything.number)
+    assert_same(mine.xy, everything.xy)
+    assert_same(mine.covariance, everything.covariance)
+    parked = np.isin(everything.number, f.parked)
+    assert parked.sum() == len(f.parked)
+    assert_same(f.parked_xy(), everything.xy[parked])
+    active = f.expect(NOTHING_SEEN).number
+    assert sorted(active) == everything.number[~parked].tolist()
+    assert f.size == len(f.mean) == 3 + 2 * len(active)
+    slot = np.searchsorted(everything.number, active)
+    rows = np.concatenate([np.arange(3), (3 + 2 * slot[:, None] + np.arange(2)).ravel()])
+    assert np.abs(se2.wrap_angle(f.mean[2] - full.mean[2])) < 1e-9
+    assert_same(np.delete(f.mean, 2), np.delete(full.mean[rows], 2))
+    assert_same(f.covariance, full.covariance[np.ix_(rows, rows)])
+    e, whole = f.expect(NOTHING_SEEN), full.expect(NOTHING_SEEN)
+    assert_same(e.z_hat, whole.z_hat[slot])
+    some = np.arange(len(slot))[::-2]
+    assert_same(e.joint(some), whole.joint(slot[some]))
+    assert f._used <= full.size, "parking never makes a step dearer"
+
+
+def some_of(rng, numbers, share):
+    return np.asarray(numbers, np.int64)[rng.random(len(numbers)) < share]
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    sensor=st.sampled_from([RangeBearing(rotation=0.3, translation=(0.2, -0.1)), RelativePoint()]),
+    threshold=st.sampled_from([np.inf, 3.0]),
+    options=st.builds(FilterOptions, each=st.booleans(), new_variance=st.sampled_from([None, None, 4.0])),
+    parking=st.sampled_from([0.1, 0.7]),
+)
+def test_a_filter_that_parks_equals_one_that_never_does(seed, sensor, threshold, options, parking):
+    rng = np.random.default_rng(seed)
+    places = rng.uniform(-10, 10, (20, 2))
+    truth = PRIOR.mean.copy()
+    f, full = EkfSlam(PRIOR, sensor, options), EkfSlam(PRIOR, sensor, options)
+    place_of, parked = {}, set()
+    for _ in range(30):
+        u = np.array([0.5, 0.0, 0.4]) + rng.normal(size=3) * [0.1, 0.05, 0.1]
+        L = rng.normal(size=(3, 3)) * 0.03
+        truth = se2.compose(truth, u)
+        for g in (f, full):
+            g.predict(Increment(u, L @ L.T + 1e-6 * np.eye(3)))
+        if rng.random() < 0.4:
+            away = some_of(rng, sorted(set(place_of) - parked), parking)
+            f.park(away)
+            parked.update(away.tolist())
+        if rng.random() < 0.15:
+            gone = some_of(rng, sorted(place_of), 0.1)
+            for g in (f, full):
+                g.remove(gone)
+            parked.difference_update(gone.tolist())
+            for n in gone.tolist():
+                del place_of[n]
+        back = some_of(rng, sorted(parked), 0.08)
+        f.restore(back)
+        parked.difference_update(back.tolist())
+        assert f.parked.tolist() == sorted(parked)
+        held = {place: n for n, place in place_of.items()}
+        seen = np.array([p for p in rng.permutation(len(places))[:4] if held.get(p) not in parked], np.int64)
+        decisions = np.array([held.get(p, rng.choice([NEW, DISCARD])) for p in seen], np.int64)
+        z = sensor.predict(truth, places[seen]) + rng.normal(size=(len(seen), 2)) * [0.1, 0.03]
+        sightings = Sightings(z, np.tile(np.diag([0.01, 0.0009]), (len(seen), 1, 1)))
+        done, expected = (g.update(sightings, decisions, threshold=threshold) for g in (f, full))
+        assert np.array_equal(done.used, expected.used)
+        assert np.array_equal(done.created, expected.created)
+        assert done.dof == expected.dof
+        assert_same([done.nis, done.log_likelihood], [expected.nis, expected.log_likelihood])
+        if (done.used != (decisions >= 0)).any() and parked:
+            event("a pairing is gated while landmarks are parked")
+        place_of.update((int(n), int(p)) for n, p in zip(done.created, seen) if n >= 0)
+        event(f"epochs begin with {'the active part' if len(f._parked.P) else 'the parked part'}")
+        assert_agree(f, full)
+    f.restore(f.parked)
+    assert_agree(f, full)
+    assert f._used == f.size == full.size
+    assert np.array_equal(f.covariance, f.covariance.T)
+    assert np.linalg.eigvalsh(f.covariance)[0] > 0
+
+
+def founded(n=4):
+    f = EkfSlam(PRIOR, RelativePoint())
+    z = np.stack([np.arange(1.0, n + 1), np.ones(n)], 1)
+    f.update(Sightings(z, np.tile(0.01 * np.eye(2), (n, 1, 1))), np.full(n, NEW))
+    return f
+
+
+def test_what_cannot_be_parked_restored_or_paired_is_named_and_changes_nothing():
+    f = founded()
+    f.park(np.array([2]))
+    before = f.covariance
+    one = Sightings(np.array([[2.0, 1.0]]), 0.01 * np.eye(2)[None])
+    with pytest.raises(ValueError, match="cannot park landmark 2: it is parked already"):
+        f.park(np.array([1, 2]))
+    with pytest.raises(ValueError, match="cannot park landmark 9: no landmark has this number"):
+        f.park(np.array([1, 9]))
+    with pytest.raises(ValueError, match="cannot restore landmark 1: it is not parked"):
+        f.restore(np.array([2, 1]))
+    with pytest.raises(ValueError, match="landmark 2 is parked: restore it first"):
+        f.update(one, np.array([2]))
+    with pytest.raises(ValueError, match=r"cannot remove \[2, 9\]: not all are in the map"):
+        f.remove(np.array([2, 9]))
+    assert f.parked.tolist() == [2]
+    assert np.array_equal(f.covariance, before)
+    f.remove(np.array([2]))
+    with pytest.raises(ValueError, match="cannot restore landmark 2: it is not parked"):
+        f.restore(np.array([2]))
+    with pytest.raises(ValueError, match="no landmark has number 2"):
+        f.update(one, np.array([2]))
+
+
+def test_parking_makes_expectations_stale_and_parking_nobody_does_not():
+    f = founded()
+    e = f.expect(NOTHING_SEEN)
+    f.park(NOBODY)
+    f.restore(NOBODY)
+    assert e.joint(np.array([0])).shape == (2, 2)
+    f.park(np.array([0]))
+    with pytest.raises(RuntimeError, match="moved on"):
+        e.joint(np.array([0]))
+    e = f.expect(NOTHING_SEEN)
+    assert e.number.tolist() == [1, 2, 3]
+    f.restore(np.array([0]))
+    with pytest.raises(RuntimeError, match="moved on"):
+        e.joint(np.array([0]))
+
+
+def test_numbers_of_parked_and_removed_landmarks_are_not_given_again():
+    f = founded()
+    f.park(np.array([3, 1]))
+    f.remove(np.array([3]))
+    done = f.update(Sightings(np.array([[2.0, 0.0]]), 0.01 * np.eye(2)[None]), np.array([NEW]))
+    assert done.created.tolist() == [4]
+    assert f.finish().map.number.tolist() == [0, 1, 2, 4]
+    assert f.size == 3 + 2 * 3
+
+
+def test_joint_expectation_works_on_the_chosen_landmarks_alone(monkeypatch):
+    f = founded(60)
+    f.predict(Increment(np.array([0.5, 0.0, 0.4]), 0.01 * np.eye(3)))
+    chosen = np.array([40, 7])
+    rows = (3 + 2 * chosen[:, None] + np.arange(2)).ravel()
+    Hx, Hl = f.sensor.jacobians(f.mean[:3], f.mean[rows].reshape(2, 2))
+    H = np.zeros((4, f.size))
+    H[:, :3] = Hx.reshape(4, 3)
+    H[:2, rows[:2]], H[2:, rows[2:]] = Hl
+    sizes, innovate = [], kernels.innovate
+
+    def watched(kind, extrinsic, mean, P, d, *rest):
+        sizes.append((d, P.shape))
+        innovate(kind, extrinsic, mean, P, d, *rest)
+
+    monkeypatch.setattr(kernels, "innovate", watched)
+    assert np.allclose(f.expect(NOTHING_SEEN).joint(chosen), H @ f.covariance @ H.T, atol=1e-14)
+    assert sizes == [(7, (7, 7))]
+
+
+def test_victoria_park_with_landmarks_parked_that_are_unseen_for_a_minute():
+    """The log has no stamps: a minute is taken as sixty of its time units, its frames."""
+    frames, unseen = 1500, 60.0
+    inputs = load_victoria_park().inputs(labels=True).without_map()
+    decisions, created = known_decisions(inputs)
+    f, full = (EkfSlam(inputs.prior, inputs.sensor) for _ in range(2))
+    last = np.full(created.max() + 1, np.inf)
+    largest, restored = 0, 0
+    for k in range(frames):
+        rows = slice(inputs.start[k], inputs.start[k + 1])
+        seen = np.where(created[rows] >= 0, created[rows], decisions[rows])
+        back = np.intersect1d(seen, f.parked)
+        f.restore(back)
+        restored += len(back)
+        for g in (f, full):
+            if k:
+                g.predict(inputs.increment(k))
+            g.update(inputs.sightings(k), decisions[rows])
+        last[seen[seen >= 0]] = inputs.time[k]
+        f.park(np.setdiff1d(np.flatnonzero(inputs.time[k] - last > unseen), f.parked))
+        largest = max(largest, f.size)
+        assert np.abs(se2.pose_error(f.estimate().mean, full.estimate().mean)).max() < 1e-9
+        assert_same(f.estimate().covariance, full.estimate().covariance)
+    assert_agree(f, full)
+    assert restored > 20
+    assert largest < full.size / 2
+    f.restore(f.parked)
+    assert_agree(f, full)
