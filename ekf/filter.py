@@ -25,14 +25,17 @@ class FilterOptions:
     Attributes:
         each: one update per observation (linearized one after the other) instead of one stacked update per frame.
         new_variance: m^2; a new landmark gets this variance and no correlation (None: the exact augmentation).
+        new_variance_per_square: the same as a share of its squared distance from the sensor; step by step only.
     """
 
     each: bool = False
     new_variance: float | None = None
+    new_variance_per_square: float | None = None
 
-    @property
-    def augment_variance(self) -> float:
-        """`new_variance` as the kernels take it."""
+    def augment_variance(self, distance: float) -> float:
+        """Variance of a new landmark at a distance [m], as the kernels take it: negative for the exact augmentation."""
+        if self.new_variance_per_square is not None:
+            return self.new_variance_per_square * distance**2
         return -1.0 if self.new_variance is None else self.new_variance
 
 

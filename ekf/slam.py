@@ -75,9 +75,10 @@ class EkfSlam(Filter):
         self._grow(len(fresh))
         end = self._used
         for i in fresh:
+            distance = float(self.sensor.polar(sightings.z[i : i + 1])[0, 0])
             kernels.augment(
                 self._kind, self._extrinsic, self._mean, self._P, end,
-                sightings.z[i], sightings.R[i], self.options.augment_variance,
+                sightings.z[i], sightings.R[i], self.options.augment_variance(distance),
             )  # fmt: skip
             end += 2
         if self._carried and len(fresh):

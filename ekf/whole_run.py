@@ -45,6 +45,8 @@ def run_filter(
 
     SLAM: decisions are landmark numbers in order of creation, `NEW` or `DISCARD`; localization: map ids or `DISCARD`.
     """
+    if options.new_variance_per_square is not None:
+        raise ValueError("a new landmark's variance depends on its distance only in the step-by-step filter")
     n, slam = len(inputs), inputs.map is None
     decided = np.array(decisions, np.int64)
     if inputs.map is None:
@@ -62,7 +64,7 @@ def run_filter(
     o = inputs.observations
     d, status, frame = kernels.run(
         inputs.sensor.kind, inputs.sensor.extrinsic, mean, P, 3, inputs.increments.mean, inputs.increments.covariance,
-        inputs.start, o.z, o.R, decided, known, options.each, options.augment_variance, float(threshold),
+        inputs.start, o.z, o.R, decided, known, options.each, options.augment_variance(0.0), float(threshold),
         (pose, covariance, stats, size),
     )  # fmt: skip
     failure = None

@@ -140,6 +140,10 @@ def test_tutorial_options_update_one_by_one_and_add_uncorrelated_landmarks():
     slam.update(Sightings(z[:1], R[:1]), np.array([NEW]))
     assert np.array_equal(slam.covariance[3:, 3:], 10.0 * np.eye(2))
     assert not slam.covariance[3:, :3].any()
+    slam = EkfSlam(prior, RangeBearing(), FilterOptions(new_variance_per_square=1 / 130))
+    slam.update(Sightings(z[:1], R[:1]), np.array([NEW]))
+    np.testing.assert_allclose(slam.covariance[3:, 3:], z[0, 0] ** 2 / 130 * np.eye(2), rtol=1e-15)
+    assert not slam.covariance[3:, :3].any()
 
 
 def test_growing_the_buffers_changes_nothing():

@@ -53,6 +53,14 @@ def test_flags_and_config_keys_mean_the_same_and_flags_win(tmp_path):
     (["-q", "-v"], "exclude each other"),
     (["--animate", "--no-plots"], "forbids"),
     (["--config", "nowhere.toml"], "no such file"),
+    (["--new-gate", "1"], "between 0 and 1"),
+    (["--new-gate", "-0.1"], "between 0 and 1"),
+    (["--association", "jcbb,jcbb"], "named twice"),
+    (["--forget-after", "0"], "positive"),
+    (["--deactivate-after", "inf"], "positive"),
+    (["--deactivate-after", "60", "--forget-after", "30"], "less than --forget-after"),
+    (["--full", "--quick"], "exclude each other"),
+    (["--full", "--log", "arena:0"], "takes no --log"),
 ])  # fmt: skip
 def test_nonsense_is_refused_by_name(arguments, words):
     with pytest.raises(UsageError, match=words):
@@ -72,14 +80,19 @@ def test_a_config_file_with_faults_is_refused(tmp_path, text, words):
 
 
 def test_shipped_tutorials_hold_the_classic_numbers():
-    assert shipped() == ["tutorial-step1", "tutorial-step3"]
-    o = read_options(["--config", "tutorial-step1", "--config", "tutorial-step3"])
-    one, three = o.variants
+    assert shipped() == ["tutorial-step1", "tutorial-step2", "tutorial-step3", "tutorial-step4"]
+    o = read_options([part for name in shipped() for part in ("--config", name)])
+    one, two, three, four = o.variants
     assert o.task == ("localization", "slam")
     assert (one.alphas, one.sigma, one.prior_variance, one.each) == ((0.2, 0.03, 0.09, 0.08), (2.0, 3.0), 0.01, True)
     assert (three.alphas, three.prior_variance, three.new_variance) == ((0.1, 0.01, 0.18, 0.08), 0.001, 10.0)
     assert [round(s**2, 12) for s in three.sigma] == [11.8, 0.18]
-    assert one.grid == three.grid == 0.02
+    assert (two.association, two.gate, two.alphas, two.sigma) == ("ml", None, one.alphas, (0.43, 0.6))
+    assert (two.prior_variance, two.each) == (0.01, True)
+    assert (four.association, four.gate, four.alphas) == ("ml-ratio", None, (0.11, 0.01, 0.18, 0.08))
+    assert [round(s**2, 12) for s in four.sigma] == [11.7, 0.18]
+    assert four.new_variance_per_square == pytest.approx(1 / 130)
+    assert one.grid == two.grid == three.grid == four.grid == 0.02
 
 
 def test_help_shows_an_example_of_every_flag_and_answers_at_once():
@@ -96,7 +109,7 @@ def test_help_shows_an_example_of_every_flag_and_answers_at_once():
 
 def test_help_imports_nothing_heavy():
     heavy = ("numpy", "gtsam", "numba", "pandas", "matplotlib")
-    code = "import sys; from eval.options import parser; parser().format_help(); "
+    code = "import sys; from eval.flags import parser; parser().format_help(); "
     code += f"print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True)
     assert done.stdout.strip() == "[]"
