@@ -187,12 +187,12 @@ class FrontEnd:
                     label, number = int(self._label[rows][i]), int(done.created[i])
                     self._held[label], self._label_of[number] = number, label
             if self.upkeep is not None:
-                number = np.where(done.used, decisions, done.created)
-                seen = np.flatnonzero(number >= 0)
-                self.upkeep.see(self.k, number[seen])
+                numbers = np.where(done.used, decisions, done.created)
+                seen = np.flatnonzero(numbers >= 0)
+                self.upkeep.see(self.k, numbers[seen])
                 if slam is not None and self.setup.deactivate_after is not None:
                     taken = Sightings(sightings.z[seen], sightings.R[seen])
-                    self._drift.see(self.inputs.sensor, taken, number[seen], slam.estimate().covariance)
+                    self._drift.see(self.inputs.sensor, taken, numbers[seen], slam.estimate().covariance)
         return done
 
     def tidy(self) -> None:

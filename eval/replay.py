@@ -15,7 +15,7 @@ from data.result import DISCARD, Failure, Finished, Innovations, Run, Trajectory
 from data.se2 import Array
 from ekf.filter import DEFAULT, FilterDivergedError, FilterOptions
 from ekf.whole_run import FilterRun, run_filter
-from eval.frontend import FrontEnd, make_estimator
+from eval.frontend import FrontEnd, Watch, make_estimator
 from eval.setup import Setup
 from graph.batch import Start, smooth
 from graph.factors import UnderConstrained
@@ -72,10 +72,12 @@ def step_by_step(
     *,
     options: FilterOptions = DEFAULT,
     finish: bool = True,
+    watch: Watch | None = None,
 ) -> Run:
     """Any step-by-step estimator with any way of association; `finish=False` stops without the final phase.
 
-    With `options.each` association, too, goes observation by observation, each with its own update.
+    With `options.each` association, too, goes observation by observation, each with its own update. `watch` is told of
+    every stage and changes nothing but the time taken.
     """
     n, o = len(inputs), inputs.observations
     m = len(o.frame)
@@ -89,8 +91,10 @@ def step_by_step(
     try:
         for k in range(n):
             front.move()
+            if watch is not None:
+                watch.moved(front)
             for rows in _portions(inputs, k, options.each):
-                decided, done = front.associate(rows)
+                decided, done = front.associate(rows, watch)
                 created[rows] = done.created
                 decisions[rows] = np.where((decided >= 0) & ~done.used, DISCARD, decided)
                 if np.isfinite(done.nis):
@@ -102,6 +106,8 @@ def step_by_step(
                     )
                     dof[k] += done.dof
             front.tidy()
+            if watch is not None:
+                watch.updated(front, decisions, created)
             pose[k], covariance[k] = front.estimator.estimate()
             size[k] = front.size
         finished = front.estimator.finish() if finish else Finished(None, None)

@@ -1,0 +1,165 @@
+"""`python -m eval.step`: walk through a log one Enter at a time, and look at what each association method makes of it.
+
+The order of a cycle is that of the university lab on data association: move, observe, compatibility, matching, update.
+Only the parser is imported at once, so that `--help` does not wait for the numerical libraries.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from data.errors import SlamrefError, UsageError
+from eval.flags import ASSOCIATIONS
+from eval.options import Options, read_options
+
+if TYPE_CHECKING:
+    from data.log import Log
+
+FINE, WRONG, INTERRUPTED = 0, 2, 130
+STEPPING = ("ekf", "isam2")
+SHARED = ("log", "association", "estimator", "task", "gate", "new_gate")
+"""Flags that mean what they mean in `eval.run_all`."""
+EXAMPLES = """\
+examples:
+  python -m eval.step --log corridor:0 --association jcbb               the lab, one Enter at a time
+  python -m eval.step --log corridor:0:people --association nn          people in the way, nearest neighbour
+  python -m eval.step --log corridor:0 --estimator isam2 --save steps   the smoother; a picture of each stage in steps/
+  python -m eval.step --log corridor:0 --association known --run-through
+  python -m eval.step --log corridor:0:people --gate 0.95 --new-gate 0.99 --maintain --run-through
+  python -m eval.step --log arena:0 --task localization --frames 20     a known map; the first 20 frames
+  python -m eval.step --log path/to/my_log --association gnn --in-view
+
+At a pause: Enter goes on, r and Enter runs through to the end, q and Enter (or end of file, or Ctrl-C) stops.
+Pictures come in windows where matplotlib can open them (MPLBACKEND=Agg: never), and as PNG files with --save.
+
+exit status: 0 fine, 2 wrong usage or bad data, 130 interrupted"""
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What was asked for."""
+
+    options: Options
+    save: Path | None
+    run_through: bool
+    frames: int | None
+
+
+def parser() -> argparse.ArgumentParser:
+    """The flags."""
+    p = argparse.ArgumentParser(
+        prog="python -m eval.step",
+        description="Walk through a log: move, observe, compatibility, matching, update.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = p.add_argument
+    add("--log", metavar="PATH|NAME", help="open log folder, victoria-park, arena:SEED or corridor:SEED[:KEYS]")
+    add("--association", metavar="NAME", default="jcbb", help=f"of {', '.join(ASSOCIATIONS)} (default: jcbb)")
+    add("--estimator", metavar="NAME", default="ekf", help="ekf or isam2 (default: ekf)")
+    add(
+        "--task",
+        metavar="NAME",
+        help="localization or slam (default: localization where there is a map, but slam in a corridor)",
+    )
+    add("--gate", metavar="P", help="chi-square probability of the association gate, or none (default: 0.99)")
+    add("--new-gate", metavar="P", help="gate outside which an observation may be new (default: 0.99999)")
+    add("--in-view", action="store_true", help="the EKF offers only landmarks in range and view")
+    add("--maintain", action="store_true", help="SLAM: remove landmarks seen once and more than two frames ago")
+    add("--save", metavar="DIR", type=Path, help="write the pictures and the text of all steps there")
+    add("--run-through", action="store_true", help="do not pause (nor does it without a terminal)")
+    add("--frames", metavar="N", help="only the first N frames")
+    return p
+
+
+def read(argv: Sequence[str] | None) -> Wish:
+    """Flags, checked as those of `eval.run_all` are; raises UsageError for what makes no sense."""
+    given = parser().parse_args(argv)
+    if not given.log:
+        raise UsageError("--log: a log is needed, as in --log corridor:0")
+    asked = {key: value for key, value in vars(given).items() if key in SHARED and value is not None}
+    same = [f"--{key.replace('_', '-')}={value}" for key, value in asked.items()]
+    same += [f"--{key.replace('_', '-')}" for key in ("in_view", "maintain") if getattr(given, key)]
+    options = read_options(same)
+    for flag, names in (
+        ("--association", options.association),
+        ("--estimator", options.estimator),
+        ("--task", options.task),
+    ):
+        if len(names) > 1 or not (names or flag == "--task"):
+            raise UsageError(f"{flag} {','.join(names)}: one name is needed")
+    if options.estimator[0] not in STEPPING:
+        raise UsageError(f"--estimator {options.estimator[0]}: does not work step by step; {' and '.join(STEPPING)} do")
+    return Wish(options, given.save, given.run_through, _frames(given.frames))
+
+
+def _frames(text: str | None) -> int | None:
+    if text is None:
+        return None
+    if not text.isascii() or not text.isdigit() or int(text) < 1:
+        raise UsageError(f"--frames {text}: a whole number from 1 up is needed")
+    return int(text)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The whole command; returns the exit status."""
+    try:
+        _step(read(argv))
+    except SlamrefError as fault:
+        print(f"error: {fault}", file=sys.stderr)
+        return WRONG
+    except KeyboardInterrupt:
+        print()
+        print("interrupted; what was written so far is whole", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        # whoever reads has seen enough, as after q; nothing is left to be flushed at the end
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return FINE
+
+
+def _step(wish: Wish) -> None:
+    from eval.experiments import shortened
+    from eval.logs import open_log
+
+    o = wish.options
+    log = open_log(o.log[0])
+    task, association = task_of(log, o), o.association[0]
+    if association == "known" and not log.has_labels:
+        raise UsageError(f"--association known: log {log.name!r} has no labels (true_id or label in observations.csv)")
+    if wish.frames is not None:
+        log = shortened(log, wish.frames)
+    from eval.replay import step_by_step
+    from eval.step_album import Album, open_windows
+    from eval.step_walk import StoppedError, Walk, end
+
+    album = Album(wish.save, open_windows())
+    inputs = log.inputs(labels=association == "known")
+    if task == "slam":
+        inputs = inputs.without_map()
+    walk = Walk(log, task, o.estimator[0], album, pausing=not wish.run_through and sys.stdin.isatty())
+    try:
+        run = step_by_step(o.estimator[0], inputs, task, association, o.setup, watch=walk)
+        end(log, run, album, walk)
+    except StoppedError:
+        print("stopped; what was written so far is whole")
+
+
+def task_of(log: Log, options: Options) -> str:
+    """The task asked for, or else localization where there is a map; a corridor is for SLAM."""
+    has_map = log.recorded.map is not None
+    if "localization" in options.task and not has_map:
+        raise UsageError(f"--task localization: log {log.name!r} has no map (landmarks.csv); only slam makes sense")
+    if options.task:
+        return options.task[0]
+    return "localization" if has_map and not log.name.startswith("corridor") else "slam"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

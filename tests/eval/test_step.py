@@ -1,0 +1,258 @@
+"""`python -m eval.step` walks through a log, pauses only where somebody sits, and leaves nothing half done."""
+
+from __future__ import annotations
+
+import builtins
+import subprocess
+import sys
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from eval import step, step_album
+from eval.logs import open_log
+from eval.replay import step_by_step
+from eval.step import main
+from eval.step_album import Album
+from eval.step_text import run_text
+from eval.step_walk import Walk
+
+STAGES = ("ground-truth", "observations", "compatibility", "matching", "map")
+PNG_END = b"IEND\xaeB`\x82"
+
+
+@pytest.fixture
+def sitting(monkeypatch):
+    """Somebody sits at a terminal; the fixture sets what is typed at each pause."""
+    asked: list[str] = []
+
+    def install(answer) -> list[str]:
+        def typed(prompt: str = "") -> str:
+            asked.append(prompt)
+            return answer(len(asked))
+
+        monkeypatch.setattr(builtins, "input", typed)
+        monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
+        return asked
+
+    return install
+
+
+@pytest.fixture(autouse=True)
+def no_windows(monkeypatch):
+    for name in step_album.SCREENS:
+        monkeypatch.delenv(name, raising=False)
+
+
+def whole(folder: Path) -> set[str]:
+    """Names of the files of a folder, each of which is complete."""
+    for path in folder.glob("*.png"):
+        assert path.read_bytes().endswith(PNG_END)
+    return {path.name for path in folder.iterdir()}
+
+
+def test_a_run_through_writes_a_picture_of_every_stage_and_all_text(tmp_path, capsys):
+    arguments = ["--log", "corridor:0", "--association", "jcbb", "--frames", "2", "--run-through"]
+    assert main([*arguments, "--save", str(tmp_path / "new" / "steps")]) == 0
+    out, err = capsys.readouterr()
+    expected = {f"step-{k:03d}-{stage}.png" for k in range(2) for stage in STAGES}
+    # the first cycle has nothing to match with
+    expected -= {"step-000-compatibility.png", "step-000-matching.png"}
+    assert whole(tmp_path / "new" / "steps") == expected | {"error.png", "steps.txt"}
+    assert (tmp_path / "new" / "steps" / "steps.txt").read_text() == out
+    assert "whole run: 24 observations in 2 steps" in out
+    assert "position RMSE [m]" in out
+    assert err == ""
+
+
+@pytest.mark.parametrize("arguments", [
+    [], ["--association", "nn", "--maintain", "--new-gate", "0.99"], ["--association", "known"],
+    ["--task", "localization", "--association", "ml", "--gate", "none"], ["--association", "gnn", "--in-view"],
+    ["--estimator", "isam2", "--frames", "12"],
+])  # fmt: skip
+def test_what_is_printed_on_the_way_is_what_the_referee_says_in_the_end(arguments, capsys):
+    assert main(["--log", "corridor:0:people", "--run-through", *arguments]) == 0
+    out = capsys.readouterr().out
+    given = dict(zip(arguments[::2], arguments[1::2])) if "--maintain" not in arguments else {"--association": "nn"}
+    if "--maintain" not in arguments and "--frames" not in arguments:
+        log = open_log("corridor:0:people")
+        association, task = given.get("--association", "jcbb"), given.get("--task", "slam")
+        inputs = log.inputs(labels=association == "known")
+        inputs = inputs.without_map() if task == "slam" else inputs
+        setup = step.read(["--log", "corridor:0:people", *arguments]).options.setup
+        run = step_by_step("ekf", inputs, task, association, setup)
+        assert out.startswith(run_text(log, run))
+    sums = np.array([line.split()[1::2] for line in out.split("\n") if line.startswith("TP") and "FN" in line], int)
+    told = {line[:2]: int(line.split()[1]) for line in out.split("\n") if line.endswith("%")}
+    assert dict(zip(("TP", "TN", "FP", "FN"), sums.sum(axis=0).tolist())) == told
+
+
+class Unpainted(Album):
+    """Asks for all that pictures need, and paints none."""
+
+    def show(self, name, paint, stem) -> None:
+        pass
+
+
+def test_looking_on_changes_no_number(tmp_path):
+    log = open_log("corridor:0:people")
+    for estimator in ("ekf", "isam2"):
+        for association in ("known", "jcbb"):
+            short = step_inputs(log, association)
+            walk = Walk(log, "slam", estimator, Unpainted(None, Blind()), pausing=False)
+            seen = step_by_step(estimator, short, "slam", association, watch=walk, finish=False)
+            alone = step_by_step(estimator, short, "slam", association, finish=False)
+            assert np.array_equal(seen.online.pose, alone.online.pose)
+            assert np.array_equal(seen.online.covariance, alone.online.covariance)
+            assert np.array_equal(seen.decisions, alone.decisions)
+
+
+def step_inputs(log, association):
+    from eval.experiments import shortened
+
+    return shortened(log, 10).inputs(labels=association == "known").without_map()
+
+
+class Blind:
+    """Windows that nobody looks at: what is painted is never rendered."""
+
+    def __init__(self) -> None:
+        self.names: list[str] = []
+
+    def figure(self, num: str, clear: bool) -> Figure:
+        assert clear
+        self.names.append(num)
+        return matplotlib.figure.Figure()
+
+    def pause(self, seconds: float) -> None:
+        pass
+
+
+def test_the_order_is_move_observe_compatibility_matching_update(sitting, monkeypatch, capsys):
+    asked = sitting(lambda n: "")
+    windows = Blind()
+    monkeypatch.setattr(step_album, "open_windows", lambda: windows)
+    assert main(["--log", "corridor:0", "--frames", "2"]) == 0
+    stages = [prompt.strip(" []").split(";")[0] for prompt in asked]
+    cycle = ["move", "observe", "compatibility", "matching", "update"]
+    assert stages == ["observe", "update", *cycle, "end"]
+    second = ["ground-truth", "map", "observations", "compatibility", "matching", "map"]
+    assert windows.names == ["ground-truth", "observations", "map", *second, "error"]
+    out = capsys.readouterr().out
+    assert "step 1, move: odometry 1.0" in out
+    assert "step 1, compatibility: " in out
+
+
+def test_typing_r_runs_through_and_q_stops(sitting, capsys):
+    asked = sitting(lambda n: "r" if n == 3 else "")
+    assert main(["--log", "corridor:0", "--frames", "4"]) == 0
+    assert len(asked) == 3
+    assert "whole run" in capsys.readouterr().out
+    asked.clear()
+    sitting(lambda n: "q")
+    assert main(["--log", "corridor:0", "--frames", "4"]) == 0
+    assert "whole run" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("fault", "status", "at"), [(KeyboardInterrupt, 130, 5), (EOFError, 0, 1)])
+def test_interrupt_and_end_of_file_at_a_pause_end_in_one_line_and_leave_whole_files(
+    fault, status, at, sitting, tmp_path, capsys
+):
+    def answer(n: int) -> str:
+        if n == at:
+            raise fault
+        return ""
+
+    asked = sitting(answer)
+    assert main(["--log", "corridor:0", "--save", str(tmp_path)]) == status
+    out, err = capsys.readouterr()
+    assert len(asked) == at
+    first = {f"step-000-{stage}.png" for stage in ("ground-truth", "observations")}
+    more = {f"step-001-{stage}.png" for stage in ("ground-truth", "observations", "compatibility")}
+    assert whole(tmp_path) == (first if at == 1 else first | {"step-000-map.png"} | more)
+    said = err if status else out.rstrip().split("\n")[-1] + "\n"
+    assert said.count("\n") == 1
+    assert "what was written so far is whole" in said
+    assert "Traceback" not in out + err
+
+
+def test_an_interrupt_while_a_file_is_written_leaves_no_part_of_it(tmp_path, monkeypatch):
+    def interrupted(self: Path, target: Path) -> Path:
+        raise KeyboardInterrupt
+
+    album = Album(tmp_path, None)
+    album.write("one.png", b"whole")
+    monkeypatch.setattr(Path, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        album.write("one.png", b"other")
+    with pytest.raises(KeyboardInterrupt):
+        album.write("two.png", b"other")
+    assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("one.png", b"whole")]
+
+
+def test_without_a_terminal_it_never_pauses(monkeypatch, capsys):
+    def typed(prompt: str = "") -> str:
+        raise AssertionError("asked although nobody is there")
+
+    monkeypatch.setattr(builtins, "input", typed)
+    monkeypatch.setattr(sys.stdin, "isatty", lambda: False, raising=False)
+    assert main(["--log", "corridor:0", "--frames", "2"]) == 0
+    monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
+    assert main(["--log", "corridor:0", "--frames", "2", "--run-through"]) == 0
+    assert capsys.readouterr().out.count("whole run") == 2
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    ([], "--log: a log is needed"),
+    (["--log", "nowhere"], "no such folder"),
+    (["--log", "corridor:0", "--gate", "1"], "between 0 and 1"),
+    (["--log", "corridor:0", "--gate", ""], "a number is needed"),
+    (["--log", "corridor:0", "--new-gate", "wide"], "a number is needed"),
+    (["--log", "corridor:0", "--association", "guess"], "known: known, nn, ml"),
+    (["--log", "corridor:0", "--association", "nn,ml"], "one name is needed"),
+    (["--log", "corridor:0", "--association", ""], "one name is needed"),
+    (["--log", "corridor:0", "--estimator", "batch"], "ekf and isam2 do"),
+    (["--log", "corridor:0", "--task", "mapping"], "known: localization, slam"),
+    (["--log", "corridor:0", "--frames", "0"], "a whole number from 1 up"),
+    (["--log", "corridor:0", "--frames", "1.5"], "a whole number from 1 up"),
+    (["--log", "victoria-park", "--task", "localization"], "has no map"),
+    (["--log", "corridor:0", "--save", __file__], "--save"),
+])  # fmt: skip
+def test_nonsense_is_one_line_and_exit_2(arguments, words, capsys):
+    assert main(arguments) == 2
+    err = capsys.readouterr().err
+    assert words in err
+    assert err.count("\n") == 1
+
+
+def test_help_shows_examples_and_does_not_wait_for_the_numerical_libraries(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        main(["--help"])
+    out = capsys.readouterr().out
+    assert "python -m eval.step --log corridor:0 --association jcbb" in out
+    for flag in ("--association", "--estimator", "--task", "--gate", "--new-gate", "--in-view", "--maintain",
+                 "--save", "--run-through", "--frames"):  # fmt: skip
+        assert out.count(flag) >= 2, flag  # explained, and shown
+    code = "import sys, eval.step; sys.exit(len({'numpy', 'numba', 'matplotlib', 'pandas'} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_map_means_localization_but_for_the_corridor():
+    wish = step.read(["--log", "x"]).options
+    assert step.task_of(open_log("arena:0"), wish) == "localization"
+    assert step.task_of(open_log("corridor:0"), wish) == "slam"
+    assert step.task_of(open_log("corridor:0"), step.read(["--log", "x", "--task", "localization"]).options) == (
+        "localization"
+    )
+
+
+def test_a_reader_that_has_seen_enough_is_no_fault():
+    command = f"{sys.executable} -m eval.step --log corridor:0 --frames 30 | head -1"
+    done = subprocess.run(
+        ["sh", "-c", command], check=True, capture_output=True, text=True, cwd=Path(step.__file__).parents[1]
+    )
+    assert done.stdout == "step 0: 14 observations\n"
+    assert done.stderr == ""
