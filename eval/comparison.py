@@ -33,8 +33,8 @@ COMPARISON: Mapping[str, str] = {
 ASSOCIATION: Mapping[str, str] = {
     "log": "log",
     "task": "task",
-    "estimator": "estimator",
     "association": "association",
+    "estimator": "estimator",
     "phase": "phase",
     "tp": "TP",
     "tn": "TN",
@@ -69,12 +69,14 @@ COMPARISON_CAPTION = (
     "Errors in the world frame, no alignment, all estimators with the same prior and the same inputs. Phase online:"
     " each pose given the data up to its frame; final: every pose given all data, so a final row is expected to be the"
     " more accurate one. NEES of one run describes and proves nothing; NIS per dof against its 95 % bounds is a test"
-    " where nothing was gated and the association is known. Blank: unknown or not applicable."
+    " where nothing was gated and the association is known. Blank: unknown or not applicable. A status is shown where"
+    " some run did not get to the end, a time-weighted RMSE where it differs from the plain one by more than 5 %."
 )
 ASSOCIATION_CAPTION = (
     "Outcomes of every observation's decision H against the truth GT. TP: H is a landmark and right; TN: both none;"
     " FP: H is a wrong landmark (GT another: wrong; GT none: spurious); FN: H none though GT is in the map (a second"
-    " landmark founded: duplicate; discarded: missed or deferred)."
+    " landmark founded: duplicate; discarded: missed or deferred). Estimators with the same outcomes share a row; a row"
+    " for the final phase stands only where revised decisions turned out differently."
 )
 CONSISTENCY_CAPTION = (
     "Consistency over independent simulated runs: mean over runs of each run's mean NEES (NIS per dof for the quantity"
@@ -82,6 +84,11 @@ CONSISTENCY_CAPTION = (
     " overconfident: wholly above; conservative: wholly below. Power: probability that this test, with as many runs and"
     " this spread, rejects a covariance claimed at 0.8 of the true one."
 )
+
+
+Row = dict[str, object]
+SAME = 0.05
+"""Relative difference below which two columns say the same."""
 
 
 def _selected(frame: pd.DataFrame, heads: Mapping[str, str]) -> pd.DataFrame:
@@ -110,19 +117,59 @@ def _interval(lower: pd.Series, upper: pd.Series) -> pd.Series:
 
 
 def comparison_table(metrics: pd.DataFrame) -> pd.DataFrame:
-    """Rows of metrics.csv as a table to read: heads with units, shares in percent, columns without anything dropped."""
+    """Rows of metrics.csv as a table to read: heads with units, shares in percent, columns without anything dropped.
+
+    Without news are also a status that is `ok` everywhere and a time-weighted RMSE that is the plain one in every row.
+    """
     made = metrics.astype(object).assign(
         bounds=_interval(metrics["nis_lower"], metrics["nis_upper"]), inside=_percent(metrics["inside_3sigma"])
     )
-    return _selected(made, COMPARISON)
+    told = [c for c in COMPARISON if c in made.columns]
+    if (made["status"] == "ok").all():
+        told.remove("status")
+    if _same(made["rmse_time_m"], made["rmse_position_m"]):
+        told.remove("rmse_time_m")
+    return _selected(made[told], COMPARISON)
+
+
+def _same(values: pd.Series, others: pd.Series) -> bool:
+    """Whether two columns say the same in every row."""
+    pairs = zip(values.tolist(), others.tolist(), strict=True)
+    return all(
+        is_blank(a) == is_blank(b) and (is_blank(a) or abs(float(a) - float(b)) <= SAME * abs(float(b)))
+        for a, b in pairs
+    )
 
 
 def association_table(association: pd.DataFrame) -> pd.DataFrame:
-    """Rows of association.csv as a table to read; the final phase only where something was revised."""
-    outcomes = [c for c in association.columns if c != "phase"]
-    revised = ~association.astype(object).duplicated(subset=outcomes, keep="first")
-    made = association.astype(object)[revised.to_numpy()]
+    """Rows of association.csv as a table to read; estimators with the same outcomes share a row.
+
+    The final phase has rows only where something was revised, and the phase is named only then.
+    """
+    rows = [{str(k): v for k, v in r.items()} for r in association.astype(object).to_dict("records")]
+    outcomes = [c for c in association.columns if c not in ("log", "task", "estimator", "association", "phase")]
+
+    def told(row: Row) -> tuple[object, ...]:
+        return tuple(None if is_blank(row[c]) else row[c] for c in outcomes)
+
+    runs: dict[tuple[object, ...], list[Row]] = {}
+    for row in rows:
+        runs.setdefault((row["log"], row["task"], row["association"], row["estimator"]), []).append(row)
+    shared: dict[tuple[object, ...], list[list[Row]]] = {}
+    for key, phases in runs.items():
+        shared.setdefault((*key[:3], *(told(r) for r in phases)), []).append(phases)
+    kept: list[Row] = []
+    for group in shared.values():
+        estimators = ", ".join(str(phases[0]["estimator"]) for phases in group)
+        online, *later = group[0]
+        for row in [online, *(r for r in later if told(r) != told(online))]:
+            kept.append(row | {"estimator": estimators})
+    made = pd.DataFrame(kept, columns=list(association.columns), dtype=object)
     made = made.assign(precision_percent=_percent(made["precision"]), recall_percent=_percent(made["recall"]))
+    if made["phase"].nunique() <= 1:
+        made = made.drop(columns="phase")
+    if all(is_blank(v) or v == 0 for v in made["deferred"].tolist()):
+        made = made.drop(columns="deferred")
     return _selected(made, ASSOCIATION)
 
 

@@ -6,11 +6,13 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from joblib import Parallel, delayed
 
 from eval import comparison, figures, words
 from eval.consistency import MIN_RUNS
+from eval.lab_questions import lab_sections
 from eval.montecarlo import DOF, Judged, Study, consistency_table
 from eval.options import Options
 from eval.pictures import draw, kinds, publish_runs, stem
@@ -52,7 +54,8 @@ def write_results(
     sections = [*_trial_sections(folder, options, outcome.trials, scores, published)]
     if outcome.study is not None:
         sections.append(_study_section(folder, options, outcome.study, judged, consistency))
-    sections += [_association_section(folder, options, scores), _failure_section(outcome.trials)]
+    sections += _association_sections(folder, options, outcome.trials, scores, published)
+    sections += [*lab_sections(outcome.trials, scores), _failure_section(outcome.trials)]
     sections += [Section("How to read the numbers", (READING,)), _source_section(outcome.trials, options)]
     introduction = _introduction(outcome.trials, scores, judged)
     write_report(
@@ -79,8 +82,9 @@ def _publish_trials(
     jobs: list[Any] = []
     owner: list[int | None] = []
     for i, trial in enumerate(trials):
-        for kind in () if options.no_plots else kinds(trial):
-            jobs.append(delayed(draw)(folder, trial, kind))
+        others = beside(trial, trials)
+        for kind in () if options.no_plots or _retold(trial, trials) else kinds(trial, others):
+            jobs.append(delayed(draw)(folder, trial, kind, others))
             owner.append(i)
     for trial in trials:
         jobs.append(delayed(publish_runs)(folder, options, trial))
@@ -92,6 +96,18 @@ def _publish_trials(
             pictures[whose].append(made)
         progress(done, len(jobs))
     return pictures
+
+
+def beside(trial: Trial, trials: Sequence[Trial]) -> tuple[Trial, ...]:
+    """The trials that stand beside one."""
+    if trial.beside is not None:
+        return ()
+    return tuple(t for t in trials if t.beside == trial.log.name and t.task == trial.task)
+
+
+def _retold(trial: Trial, trials: Sequence[Trial]) -> bool:
+    """Whether a trial is on the very recording of the one it stands beside, whose pictures show it."""
+    return any(trial in beside(t, trials) and t.log.recorded is trial.log.recorded for t in trials)
 
 
 def _rows(frame: pd.DataFrame, trial: Trial) -> pd.DataFrame:
@@ -108,12 +124,12 @@ def _trial_sections(
             continue
         rows = _rows(scores.metrics, trial)
         content: list[Block] = []
-        others = [t for t in trials if t.beside == trial.log.name and t.task == trial.task]
+        others = beside(trial, trials)
         table = comparison.comparison_table(pd.concat([rows, *(_rows(scores.metrics, t) for t in others)]))
         caption = f"{trial.log.name}, {trial.task}. {comparison.COMPARISON_CAPTION}"
         content.append(_table(folder, options, table, stem(trial, "comparison"), caption))
         content += [_beside_note(t, _rows(scores.metrics, t)) for t in others]
-        content += pictures
+        content += [p for p in pictures if p.stem != stem(trial, "association")]
         notes = [*trial.log.notes, *(f"{r.estimator}: {n}." for r in trial.runs for n in r.notes)]
         if notes:
             content.append("\n".join(f"* {n}" for n in dict.fromkeys(notes)))
@@ -161,15 +177,39 @@ def _study_section(
     return Section("Consistency over many simulated runs", tuple(content))
 
 
-def _association_section(folder: Path, options: Options, scores: Scores) -> Section:
+def _association_sections(
+    folder: Path,
+    options: Options,
+    trials: Sequence[Trial],
+    scores: Scores,
+    published: Sequence[Sequence[Picture]],
+) -> list[Section]:
+    """Decisions of every log where some were made without labels, and in one table the logs with labels alone."""
+    head = "Data association"
     if not len(scores.association):
-        text = "No log states which landmark each observation shows, so decisions cannot be scored."
-        return Section("Data association", (text,))
-    text = "With known association the labels decide: a wrong pairing is a wrong label, a missed one was gated out."
-    table = comparison.association_table(scores.association)
-    return Section(
-        "Data association", (text, _table(folder, options, table, "association", comparison.ASSOCIATION_CAPTION))
-    )
+        return [Section(head, ("No log states which landmark each observation shows, so decisions cannot be scored.",))]
+    content: list[Block] = [comparison.ASSOCIATION_CAPTION]
+    sections, granted = [], []
+    for trial, pictures in zip(trials, published, strict=True):
+        if trial.beside is not None:
+            continue
+        rows = pd.concat([_rows(scores.association, t) for t in (trial, *beside(trial, trials))])
+        if not (rows["association"] != "known").any():
+            granted.append(rows)
+            continue
+        table = comparison.association_table(rows)
+        name, what = stem(trial, "association"), f"{trial.log.name}, {trial.task}"
+        shown = [p for p in pictures if p.stem == name]
+        caption = f"{what}: outcomes of the decisions, as explained above."
+        sections.append(Section(f"Decisions: {what}", (_table(folder, options, table, name, caption), *shown), level=3))
+    if granted and any(len(rows) for rows in granted):
+        content.append(
+            "With known association the labels decide: a wrong pairing is a wrong label, a missed one was gated out."
+        )
+        table = comparison.association_table(pd.concat(granted))
+        caption = "Logs on which only known association was run: outcomes of the decisions."
+        content.append(_table(folder, options, table, "association", caption))
+    return [Section(head, tuple(content)), *sections]
 
 
 def _failure_section(trials: Sequence[Trial]) -> Section:
@@ -189,7 +229,8 @@ def _introduction(trials: Sequence[Trial], scores: Scores, judged: Sequence[Judg
     told = ["The same logs, the same inputs, one referee."]
     for trial in trials:
         if trial.beside is None:
-            told.append(f"* **{trial.log.name}, {trial.task}.** {words.answer(_rows(scores.metrics, trial))}")
+            rows = (_rows(scores.metrics, trial), _rows(scores.association, trial))
+            told.append(f"* **{trial.log.name}, {trial.task}.** {words.answer(*rows, _labelled(trial))}")
     declared = [j for j in judged if j.declared and j.verdict.runs >= MIN_RUNS]
     if declared:
         off = [j for j in declared if j.verdict.word != "consistent" or j.diverged]
@@ -200,6 +241,12 @@ def _introduction(trials: Sequence[Trial], scores: Scores, judged: Sequence[Judg
             " uses a family-wise test at 0.1 %."
         )
     return (told[0], "\n".join(told[1:])) if len(told) > 1 else (told[0],)
+
+
+def _labelled(trial: Trial) -> int | None:
+    """Number of landmarks that the log's ids tell apart."""
+    true_id = trial.log.truth.landmark_of
+    return None if true_id is None else len(np.unique(true_id[true_id >= 0]))
 
 
 def _source_section(trials: Sequence[Trial], options: Options) -> Section:

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from eval.figures_association import confusion_figure
 from eval.figures_consistency import anees_figure, nees_figure
 from eval.figures_error import difference_figure, error_figure
+from eval.figures_growth import growth_figure, state_figure
 from eval.figures_map import map_figure
 
-__all__ = ["anees_figure", "difference_figure", "error_figure", "map_figure", "nees_figure"]
+__all__ = [
+    "anees_figure", "confusion_figure", "difference_figure", "error_figure", "growth_figure", "map_figure",
+    "nees_figure", "state_figure",
+]  # fmt: skip

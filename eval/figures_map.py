@@ -30,6 +30,7 @@ MARGIN = 0.05
 """Free space around the picture, as a share of its larger side."""
 STRETCH = 0.25
 """A path that goes further beyond truth and landmarks than this share of their larger side is cut."""
+LONG_LABEL = 24
 FACTORS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 
 
@@ -259,7 +260,9 @@ def _map_figure(log: Log, runs: Sequence[Run], width: float) -> Figure:
     # the page is cut to the scene, so that equal aspect leaves no blank paper
     w, h = view.size
     beside = width > 5.0 and w / h < 1.7
-    columns = 1 if beside else (3 if width > 5.0 else 2)
+    # labels that name the association as well are too long for two columns of a narrow picture
+    narrow = 1 if any(len(s.label) > LONG_LABEL for s in shown) else 2
+    columns = 1 if beside else (3 if width > 5.0 else narrow)
     across = width - (2.7 if beside else 0.65)
     scene = across * float(h / w)
     title = _title(log, runs, view, round(15.0 * across))

@@ -217,11 +217,7 @@ class FrontEnd:
             known = self.inputs.map
             return MapState(known.id, known.xy, np.zeros((len(known.id), 2, 2)))
         if isinstance(self.estimator, Isam2Smoother):
-            number = self.estimator.numbers
-            n = len(number)
-            xy = self.estimator._engine.points(number.tolist()) if n else np.empty((0, 2))
-            P = self.estimator._joint(number)[3:, 3:].reshape(n, 2, n, 2)
-            return MapState(number, xy, P[np.arange(n), :, np.arange(n), :])
+            return self.estimator.landmarks()
         state = self.estimator.finish().map
         assert state is not None  # a SLAM filter always has a map
         return state

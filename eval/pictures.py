@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 from matplotlib.figure import Figure
 
+from data.log import Log
 from data.result import Run
 from eval import figures
+from eval.figures_association import bars
+from eval.figures_error import longest_sigma
+from eval.figures_growth import closing_frame, state_is_informative
+from eval.figures_map import SIGMAS, longest_axis
 from eval.options import Options
 from eval.report import Picture
 from eval.run_files import folder_name, write_run
-from eval.score import Trial
+from eval.score import Trial, confusion_of
+from eval.selection import finished, for_growth, for_map, for_panels, left_out, same, worst
 from eval.style import save
+from eval.words import number
 
 
 def stem(trial: Trial, what: str) -> str:
@@ -30,54 +39,124 @@ def publish_runs(folder: Path, options: Options, trial: Trial) -> None:
             animate(trial.log, run, folder / "figures" / f"{stem(trial, run.estimator)}.mp4")
 
 
-def kinds(trial: Trial) -> tuple[str, ...]:
-    """Which pictures a trial gets."""
-    shown, reference = _shown(trial), trial.find("batch")
-    if not shown:
-        return ("map",)
-    if trial.log.truth.known_poses:
-        return ("map", "error", "nees")
-    comparable = reference is not None and reference.failure is None and len(shown) > 1
-    return ("map", "difference") if comparable else ("map",)
+def kinds(trial: Trial, beside: Sequence[Trial] = ()) -> tuple[str, ...]:
+    """Which pictures a trial gets, with the trials that stand beside it."""
+    shown, reference = finished(trial), trial.find("batch")
+    found = ["map"]
+    if shown and trial.log.truth.known_poses:
+        found += ["error", "nees"]
+    elif reference is not None and reference.failure is None and len(shown) > 1:
+        found.append("difference")
+    if trial.task == "slam" and trial.log.truth.known_poses and for_growth(trial):
+        found.append("growth")
+    if state_is_informative(trial, beside):
+        found.append("state")
+    if has_outcomes(trial, beside):
+        found.append("association")
+    return tuple(found)
 
 
-def draw(folder: Path, trial: Trial, kind: str) -> Picture:
+def has_outcomes(trial: Trial, beside: Sequence[Trial] = ()) -> bool:
+    """Whether decisions were made (not only labels read) that can be scored."""
+    return any(
+        confusion_of(r, t.log, "online") is not None
+        for t in (trial, *beside)
+        for r in t.runs
+        if r.association != "known"
+    )
+
+
+def draw(folder: Path, trial: Trial, kind: str, beside: Sequence[Trial] = ()) -> Picture:
     """Draw one picture of `kinds`, as files below the result folder."""
-    figure, caption, alt = _picture(trial, kind)
+    figure, caption, alt = _picture(trial, kind, beside)
     save(figure, folder / "figures", stem(trial, kind))
     return Picture(stem(trial, kind), caption, alt)
 
 
-def _shown(trial: Trial) -> list[Run]:
-    return [r for r in trial.runs if r.failure is None and r.estimator != "dead-reckoning"]
-
-
-def _picture(trial: Trial, kind: str) -> tuple[Figure, str, str]:
+def _picture(trial: Trial, kind: str, beside: Sequence[Trial]) -> tuple[Figure, str, str]:
     """Figure, caption and what it shows in a sentence."""
-    log, shown = trial.log, _shown(trial)
+    log = trial.log
     where = f"`{log.name}`, {trial.task}"
-    if kind == "map":
+    if kind == "association":
         return (
-            figures.map_figure(log, trial.runs),
-            f"{where}: paths and landmarks with 3σ ellipses. World frame, no alignment.",
-            f"Map of {log.name} with the paths of {', '.join(r.estimator for r in trial.runs)}",
+            figures.confusion_figure(f"{log.name}, {trial.task}: decisions", bars(trial, beside)),
+            f"{where}: outcomes of all observations' decisions, right ones blue; numbers: FP and FN. Estimators with"
+            " the same decisions share a bar.",
+            f"Bars of right and wrong association decisions on {log.name}",
+        )
+    if kind == "state":
+        return (
+            figures.state_figure(trial, beside),
+            f"{where}: length of the filters' state after each frame. A method that founds landmarks twice, or on"
+            " clutter, pays for them in every later update.",
+            f"Length of the state over time on {log.name}",
+        )
+    if kind == "growth":
+        runs = for_growth(trial)
+        return (
+            figures.growth_figure(log, runs),
+            f"{where}, association {runs[0].association}: standard deviation along the least certain direction, of the"
+            f" robot at each frame and of the landmarks after the last one.{_closure(log, runs)}",
+            f"Uncertainty of robot and landmarks on {log.name}",
+        )
+    if kind == "map":
+        drawn = for_map(trial)
+        return (
+            figures.map_figure(log, drawn),
+            f"{where}: paths and landmarks with 3σ ellipses. World frame, no alignment."
+            f"{left_out(trial, drawn)}{_contrast(trial, drawn)}",
+            f"Map of {log.name} with the paths of {', '.join(f'{r.estimator} ({r.association})' for r in drawn)}",
         )
     if kind == "error":
+        columns = for_panels(finished(trial))
         return (
-            figures.error_figure(log, shown),
-            f"{where}: error of each coordinate with the estimator's own ±3σ, which rarely leaves it if consistent.",
+            figures.error_figure(log, columns),
+            f"{where}: error of each coordinate with the estimator's own ±3σ, which it rarely leaves if consistent."
+            f"{left_out(trial, columns)}",
             f"Errors over time on {log.name} in x, y and heading, one column per estimator",
         )
     if kind == "nees":
+        columns = for_panels(finished(trial))
         return (
-            figures.nees_figure(log, shown),
-            f"{where}: pose NEES per frame; a consistent one is in the band 95 % of the time. One run: no verdict.",
+            figures.nees_figure(log, columns),
+            f"{where}: pose NEES per frame; a consistent one is in the band 95 % of the time. One run: no verdict."
+            f"{left_out(trial, columns)}",
             f"Pose NEES over time on {log.name}",
         )
     reference = trial.find("batch")
     assert reference is not None  # `kinds` asks for a difference only where there is one
+    rows = for_panels([r for r in finished(trial) if r is not reference], complete=(reference.association,))
     return (
-        figures.difference_figure(log, [r for r in shown if r is not reference], reference),
-        f"{where}: distance from the batch solution, with each run's own 3σ. No error: the log has no true path.",
+        figures.difference_figure(log, rows, reference),
+        f"{where}: distance from the batch solution, with each run's own 3σ. No error: the log has no true path."
+        f"{left_out(trial, [*rows, reference])}",
         f"Distance from the batch solution over time on {log.name}",
     )
+
+
+def _contrast(trial: Trial, drawn: Sequence[Run]) -> str:
+    """Which run is in the map for going astray, where not all are."""
+    astray = worst(trial)
+    if astray is None or len(drawn) == len(trial.runs) or not any(same(r, astray) for r in drawn):
+        return ""
+    return f" Furthest from the truth is {astray.estimator} with {astray.association}."
+
+
+def _closure(log: Log, runs: Sequence[Run]) -> str:
+    """The uncertainty of robot and landmarks round the loop, in numbers."""
+    told, line = "", False
+    for run in runs:
+        closed, sigma = closing_frame(log, run), longest_sigma(run.trajectory("online"))
+        told += f" {run.estimator}: robot at most {number(float(np.nanmax(sigma)))} m"
+        if closed is not None and closed > 0:
+            line = True
+            told += f", {number(float(sigma[closed - 1]))} m just before the loop is closed"
+        told += f", {number(float(sigma[-1]))} m at the end"
+        if run.map is not None and len(run.map):
+            each, who = longest_axis(run.map.covariance) / SIGMAS, run.map.number
+            told += (
+                f"; first landmark {number(float(each[0]))} m, last {number(float(each[-1]))} m, least certain"
+                f" {number(float(each.max()))} m (number {who[each.argmax()]})"
+            )
+        told += "."
+    return (" The dotted line: landmarks are seen again after going round." if line else "") + told

@@ -115,21 +115,21 @@ def series(runs: Sequence[Run]) -> list[Series]:
     """Every phase of every run, in order, each told apart from the others by colour, line or label.
 
     A smoother's online path is dashed where its final one is drawn too. The association (or the task) is part of the
-    label only where one estimator appears with several, and then changes the line as well.
+    label only where it differs between the estimates, and then decides the line as well, known association first.
     """
     cycle: tuple[Line, ...] = (SOLID, DASHDOT, DOTTED, DASHED)
+    estimates = [r for r in runs if r.estimator != "dead-reckoning"]
+    variants = sorted({(r.task, r.association != "known", r.association) for r in estimates})
     drawn = []
     for run in runs:
-        style = style_of(run.estimator)
-        twins = [r for r in runs if r.estimator == run.estimator]
-        extra = ""
-        if len({r.association for r in twins}) > 1:
-            extra += f", {run.association}"
-        if len({r.task for r in twins}) > 1:
-            extra += f", {run.task}"
-        variants = sorted({(r.task, r.association) for r in twins})
-        position = variants.index((run.task, run.association))
-        line = style.line if len(variants) == 1 else cycle[position % len(cycle)]
+        style, extra, line = style_of(run.estimator), "", style_of(run.estimator).line
+        if run.estimator != "dead-reckoning" and len(variants) > 1:
+            if len({r.association for r in estimates}) > 1:
+                extra += f", {run.association}"
+            if len({r.task for r in estimates}) > 1:
+                extra += f", {run.task}"
+            position = variants.index((run.task, run.association != "known", run.association))
+            line = cycle[position % len(cycle)]
         for phase in run.phases:
             phase_line = DASHED if phase == "online" and len(run.phases) > 1 else line
             when = "" if run.estimator == "dead-reckoning" else f" ({phase})"

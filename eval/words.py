@@ -127,14 +127,30 @@ def chosen_association(rows: Sequence[Row]) -> str | None:
     return order[0] if order else None
 
 
-def answer(metrics: pd.DataFrame) -> str:
-    """Two to four sentences on one log and task: filter and smoother on identical inputs, and which to trust when.
+def answer(metrics: pd.DataFrame, association: pd.DataFrame | None = None, labelled: int | None = None) -> str:
+    """A few sentences on one log and task: filter and smoother on identical inputs, and which to trust when.
 
-    `metrics` are the rows of metrics.csv for one log and task. They compare under known association if there is one.
+    `metrics` and `association` are the rows of metrics.csv and association.csv for one log and task; `labelled` is the
+    number of landmarks that the log's ids tell apart. Filter and smoother are compared under known association if there
+    is one; how well the others decided is said in a sentence of its own.
     """
-    rows: list[Row] = [{str(k): v for k, v in r.items()} for r in metrics.to_dict("records")]
-    association = chosen_association(rows)
-    rows = [r for r in rows if r["association"] == association]
+    rows = _rows(metrics)
+    chosen = chosen_association(rows)
+    several = len({r["association"] for r in rows if r["association"] != "none"}) > 1
+    told = [_compared([r for r in rows if r["association"] == chosen])]
+    if several:
+        told.insert(0, f"Filter and smoother are compared under association {chosen}.")
+    if association is not None:
+        told.append(_decided(rows, _rows(association), labelled))
+    return " ".join(t for t in told if t)
+
+
+def _rows(frame: pd.DataFrame) -> list[Row]:
+    return [{str(k): v for k, v in r.items()} for r in frame.to_dict("records")]
+
+
+def _compared(rows: Sequence[Row]) -> str:
+    """Filter and smoother under one association."""
     filtered, smoothed = _pick(rows, FILTERS, "online"), _pick(rows, SMOOTHERS, "final")
     failed = [r for r in (filtered, smoothed) if r is not None and r["status"] != "ok"]
     if failed:
@@ -152,6 +168,66 @@ def answer(metrics: pd.DataFrame) -> str:
     newest = _pick(rows, ("isam2", "fixed-lag"), "online")
     told = _told_with_truth(filtered, smoothed, newest) if has_truth else _told_without_truth(filtered, smoothed)
     return " ".join(told)
+
+
+def f1(row: Row) -> float:
+    """Harmonic mean of precision and recall, 2 TP / (2 TP + FP + FN); NaN where nothing was or should be paired."""
+    tp, wrong = _value(row, "tp"), _value(row, "fp") + _value(row, "fn")
+    return 2.0 * tp / (2.0 * tp + wrong) if tp + wrong > 0 else math.nan
+
+
+def _decided(rows: Sequence[Row], outcomes: Sequence[Row], labelled: int | None) -> str:
+    """How the methods that decide for themselves did: the best and the worst, or against labels in a log without path.
+
+    Only runs that got to the end count: the others' decisions end with them.
+    """
+    ended = {(r["estimator"], r["association"]) for r in rows if r["status"] == "ok"}
+    deciding = [
+        r
+        for r in outcomes
+        if r["association"] not in ("known", "none")
+        and (r["estimator"], r["association"]) in ended
+        and r["phase"] == ("online" if r["estimator"] in FILTERS else "final")
+    ]
+    # batch smoothers take the decisions of another run, which speaks for itself where it is there
+    own = [r for r in deciding if r["estimator"] in (*FILTERS, "isam2", "fixed-lag")] or deciding
+    own = [r for r in own if math.isfinite(f1(r))]
+    if not own:
+        return ""
+    path = any(math.isfinite(_value(r, "rmse_position_m")) for r in rows)
+
+    def quality(row: Row) -> tuple[float, float]:
+        return f1(row), -_value(row, "fp") - _value(row, "fn")
+
+    best, worst = max(own, key=quality), min(own, key=quality)
+    if not path:
+        return " ".join(_agreement(r, rows, labelled) for r in ([best] if best is worst else [best, worst]))
+    if best is worst:
+        return f"Deciding itself, {_outcome(best)}."
+    if f1(best) == 0.0:
+        return "Of the ways of deciding without labels none made a single right pairing."
+    told = f"Without labels, {_outcome(best)} decides best and {_outcome(worst)} worst, by F1"
+    return f"{told}; even the best is mostly wrong." if f1(best) < 0.5 else f"{told}."
+
+
+def _outcome(row: Row) -> str:
+    counts = {c: int(_value(row, c)) for c in ("tp", "tn", "fp", "fn")}
+    numbers = f"{counts['fp']} FP and {counts['fn']} FN in {sum(counts.values())} decisions, F1 {f1(row):.2f}"
+    return f"{row['association']} ({row['estimator']}: {numbers})"
+
+
+def _agreement(row: Row, rows: Sequence[Row], labelled: int | None) -> str:
+    """Decisions against a log's own labels, which may be wrong themselves, and the size of the map."""
+    right, total = (int(sum(_value(row, c) for c in columns)) for columns in (("tp", "tn"), ("tp", "tn", "fp", "fn")))
+    told = (
+        f"Deciding itself with {row['association']}, {row['estimator']} agrees with the log's labels in {right} of"
+        f" {total} decisions ({100.0 * right / total:.0f} %)"
+    )
+    same = [r for r in rows if (r["estimator"], r["association"]) == (row["estimator"], row["association"])]
+    size = _value(same[-1], "landmarks") if same else math.nan
+    if math.isfinite(size) and labelled is not None:
+        told += f"; its map has {int(size)} landmarks where the labels tell {labelled} apart"
+    return told + "."
 
 
 def _told_with_truth(filtered: Row, smoothed: Row, newest: Row | None) -> list[str]:

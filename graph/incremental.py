@@ -17,7 +17,7 @@ from association.candidates import Drift, in_view, may_be_in_view
 from association.expectation import Expectation
 from data import se2
 from data.inputs import Increment, IntArray, LandmarkMap, Prior, Sightings
-from data.result import NEW, Finished, PoseEstimate, Updated
+from data.result import NEW, Finished, MapState, PoseEstimate, Updated
 from data.se2 import Array, BoolArray
 from data.sensors import MIN_RANGE, RANGE_BEARING, Sensor, wrap_angle
 from graph import expected
@@ -257,6 +257,13 @@ class Isam2Smoother:
             self._engine.update()
         if self._anchor >= 0:
             self._read()
+
+    def landmarks(self) -> MapState:
+        """The map of SLAM as it is now; `finish` gives the final one."""
+        number = self.numbers
+        n = len(number)
+        P = self._joint(number)[3:, 3:].reshape(n, 2, n, 2)
+        return MapState(number, self._engine.points(number.tolist()), P[np.arange(n), :, np.arange(n), :])
 
     def finish(self) -> Finished:
         """Final path and map with exact marginals: the optimum of all data, reached from the present estimate."""

@@ -201,7 +201,7 @@ def test_at_most_four_columns_and_the_rest_is_named():
     log, runs = SITUATIONS["six phases"]
     fig = error_figure(log, runs)
     assert len(fig.axes) == 12
-    assert "not shown: batch, Cauchy (final), EKF, jcbb (online)" in fig.get_suptitle()
+    assert "not shown: batch, Cauchy, known (final), EKF, jcbb (online)" in fig.get_suptitle()
 
 
 def test_a_failed_run_says_where_it_stopped():

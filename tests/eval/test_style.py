@@ -76,11 +76,12 @@ def test_phases_and_associations_of_one_estimator_differ_in_label_and_line():
     ]
     drawn = series(runs)
     assert [s.label for s in drawn] == [
-        "iSAM2 (online)", "iSAM2 (final)", "EKF, known (online)", "EKF, jcbb (online)", "dead reckoning",
+        "iSAM2, known (online)", "iSAM2, known (final)", "EKF, known (online)", "EKF, jcbb (online)", "dead reckoning",
     ]  # fmt: skip
     assert drawn[0].line != drawn[1].line
     assert drawn[2].line != drawn[3].line
     assert drawn[2].colour == drawn[3].colour
+    assert drawn[1].line == drawn[2].line, "one line for one association, whoever uses it"
 
 
 def pictures(folder: Path) -> dict[str, bytes]:

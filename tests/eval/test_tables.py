@@ -150,7 +150,7 @@ def test_comparison_has_human_heads_bounds_and_percent_and_no_blank_columns():
     table = comparison.comparison_table(metrics_rows())
     assert table.to_dict("records") == [
         {
-            "estimator": "ekf", "association": "known", "phase": "online", "status": "ok", "position RMSE [m]": 0.1,
+            "estimator": "ekf", "association": "known", "phase": "online", "position RMSE [m]": 0.1,
             "NIS per dof (expected 1)": 1.9, "95 % bounds of NIS": "0.971–1.033",
             "inside 3σ (expected 98.9) [%]": pytest.approx(98.89), "accepted": 812, "rejected": 28,
         }
@@ -189,6 +189,38 @@ def test_association_table_shows_the_final_phase_only_where_something_was_revise
         ["ekf", "online", 5], ["isam2", "online", 5], ["isam2", "final", 6],
     ]  # fmt: skip
     assert table["precision [%]"].tolist() == [50.0, 50.0, 50.0]
+
+
+def test_estimators_with_the_same_outcomes_share_a_row_and_nothing_is_said_twice():
+    row = {"log": "a", "task": "slam", "tp": 5, "deferred": 0, "precision": 1.0, "recall": 1.0}
+    runs = [("ekf", "known", 5), ("batch", "known", 5), ("ekf", "jcbb", 5), ("isam2", "jcbb", 4)]
+    rows = [
+        row | {"estimator": e, "association": a, "phase": p, "tp": n} for e, a, n in runs for p in ("online", "final")
+    ]
+    table = comparison.association_table(score.frame_of(rows, score.ASSOCIATION))
+    assert list(table.columns) == ["association", "estimator", "TP", "precision [%]", "recall [%]"]
+    assert table[["association", "estimator", "TP"]].to_numpy().tolist() == [
+        ["known", "ekf, batch", 5], ["jcbb", "ekf", 5], ["jcbb", "isam2", 4],
+    ]  # fmt: skip
+    deferred = score.frame_of([r | {"deferred": 1} for r in rows], score.ASSOCIATION)
+    assert "deferred (FN)" in comparison.association_table(deferred)
+
+
+def test_logs_and_associations_are_not_mixed_though_their_outcomes_are_equal():
+    rows = [
+        {"log": g, "task": "slam", "estimator": e, "association": a, "phase": "online", "tp": 5}
+        for g in "ab" for e in ("ekf", "batch") for a in ("known", "nn")
+    ]  # fmt: skip
+    table = comparison.association_table(score.frame_of(rows, score.ASSOCIATION))
+    assert table[["log", "association", "estimator"]].to_numpy().tolist() == [
+        [g, a, "ekf, batch"] for g in "ab" for a in ("known", "nn")
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("weighted", "shown"), [(0.101, False), (0.12, True), (None, True)])
+def test_a_time_weighted_error_is_shown_where_it_is_another(weighted, shown):
+    both = pd.concat([metrics_rows(rmse_time_m=0.1), metrics_rows(rmse_time_m=weighted)])
+    assert ("time-weighted RMSE [m]" in comparison.comparison_table(both)) is shown
 
 
 def test_consistency_table_has_interval_verdict_and_power():

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from eval import words
-from eval.score import METRICS, frame_of
+from eval.score import ASSOCIATION, METRICS, frame_of
 
 FILTER = {
     "log": "arena", "task": "slam", "estimator": "ekf", "association": "known", "phase": "online", "status": "ok",
@@ -156,3 +156,67 @@ def test_known_association_is_compared_first_and_other_decisions_are_called_cond
     jcbb = {"association": "jcbb", "rmse_position_m": 9.0}
     assert "0.120 m" in answer(FILTER | jcbb, SMOOTHER | jcbb, FILTER, SMOOTHER)
     assert "conditional on the association decisions" in answer(FILTER | jcbb, SMOOTHER | jcbb)
+
+
+OUTCOMES = {"log": "arena", "task": "slam", "estimator": "ekf", "association": "nn", "phase": "online"}
+
+
+def decided(metrics, outcomes, labelled=None) -> str:
+    return words.answer(frame_of(metrics, METRICS), frame_of(outcomes, ASSOCIATION), labelled)
+
+
+def counted(association, tp, tn, fp, fn, estimator="ekf", phase="online"):
+    counts = {"tp": tp, "tn": tn, "fp": fp, "fn": fn}
+    return OUTCOMES | counts | {"association": association, "estimator": estimator, "phase": phase}
+
+
+def test_the_answer_says_under_which_association_it_compares_if_there_are_several():
+    nn = FILTER | {"association": "nn"}
+    text = answer(FILTER, SMOOTHER, nn)
+    assert text.startswith("Filter and smoother are compared under association known. On identical inputs")
+    assert not answer(FILTER, SMOOTHER).startswith("Filter and smoother are")
+
+
+def test_the_answer_names_the_best_and_the_worst_way_of_deciding():
+    rows = [FILTER | {"association": a} for a in ("known", "nn", "singles", "jcbb")]
+    # F1: 2 TP / (2 TP + FP + FN)
+    outcomes = [
+        counted("known", 90, 10, 0, 0), counted("nn", 60, 10, 20, 10), counted("singles", 30, 10, 0, 60),
+        counted("jcbb", 88, 10, 0, 2),
+    ]  # fmt: skip
+    text = decided([*rows, SMOOTHER], outcomes)
+    assert text.endswith(
+        "Without labels, jcbb (ekf: 0 FP and 2 FN in 100 decisions, F1 0.99) decides best and singles (ekf: 0 FP and 60"
+        " FN in 100 decisions, F1 0.50) worst, by F1."
+    )
+    assert decided([FILTER, SMOOTHER], outcomes[:1]) == answer(FILTER, SMOOTHER)
+
+
+def test_pairing_nothing_is_not_the_best_and_a_poor_best_is_called_poor():
+    rows = [FILTER | {"association": a} for a in ("nn", "singles")]
+    assert "none made a single right pairing" in decided(
+        rows, [counted("nn", 0, 9, 80, 2), counted("singles", 0, 90, 0, 1)]
+    )
+    text = decided(rows, [counted("nn", 5, 5, 80, 10), counted("singles", 0, 60, 1, 39)])
+    assert "nn (ekf: 80 FP and 10 FN in 100 decisions, F1 0.10) decides best" in text
+    assert text.endswith("even the best is mostly wrong.")
+
+
+def test_decisions_of_a_run_that_failed_or_was_taken_over_do_not_count():
+    rows = [FILTER | {"association": "nn"}, FILTER | {"association": "jcbb", "status": "diverged"}]
+    text = decided(rows, [counted("nn", 50, 10, 20, 20), counted("jcbb", 90, 10, 0, 0)])
+    assert "jcbb" not in text.split("Deciding itself")[1]
+    rows = [FILTER | {"association": "jcbb"}, SMOOTHER | {"association": "jcbb"}]
+    same = [counted("jcbb", 90, 10, 0, 0, "batch", "final"), counted("jcbb", 90, 10, 0, 0)]
+    assert "Deciding itself, jcbb (ekf: 0 FP" in decided(rows, same)
+
+
+def test_without_a_true_path_decisions_are_counted_against_the_labels():
+    blank = {"rmse_position_m": None, "nees_pose": None}
+    own = FILTER | blank | {"estimator": "isam2", "association": "jcbb", "phase": "final", "landmarks": 120}
+    outcomes = [counted("jcbb", 700, 50, 200, 50, "isam2", p) for p in ("online", "final")]
+    text = decided([FILTER | blank, SMOOTHER | blank, own], outcomes, 100)
+    assert text.endswith(
+        "Deciding itself with jcbb, isam2 agrees with the log's labels in 750 of 1000 decisions (75 %); its map has 120"
+        " landmarks where the labels tell 100 apart."
+    )
