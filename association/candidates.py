@@ -34,9 +34,10 @@ def may_be_in_view(sensor: Sensor, pose: Array, xy: Array, sigma: Array, heading
 
     Args:
         sensor: with its field of view.
-        pose: (3,) of the robot, xy: (n, 2) of the landmarks.
-        sigma: (n,) m, bounds of the landmarks' uncertainty relative to the robot; heading: (n,) rad, the same of the
-            robot's heading.
+        pose: (3,) of the robot.
+        xy: (n, 2) of the landmarks.
+        sigma: (n,) m, bounds of the landmarks' uncertainty relative to the robot.
+        heading: (n,) rad, bounds of that of the robot's heading.
     """
     z_hat = sensor.predict(pose, xy)
     total = sigma + math.hypot(*sensor.translation) * heading
@@ -64,7 +65,7 @@ class Drift:
     def move(self, increment: Increment) -> None:
         """The robot moved."""
         mean, P = increment
-        self._now = self._now + (P[0, 0] + P[1, 1], P[2, 2], math.hypot(mean[0], mean[1]))
+        self._now = self._now + np.array([P[0, 0] + P[1, 1], P[2, 2], math.hypot(mean[0], mean[1])])
 
     def see(self, sensor: Sensor, sightings: Sightings, numbers: IntArray, covariance: Array) -> None:
         """Landmarks `numbers` (m,) were seen from a pose of this covariance (3, 3)."""
@@ -87,8 +88,7 @@ class Drift:
         self._then[numbers, 5] = np.minimum(self._then[numbers, 5], sigma)
 
     def sigmas(self, numbers: IntArray, covariance: Array) -> tuple[Array, Array]:
-        """Of landmarks that were seen, from a pose of this covariance (3, 3): position (n,) [m] and heading (n,) [rad]
-        relative to the robot."""
+        """Position (n,) [m] and heading (n,) [rad] relative to a robot of this covariance (3, 3), of landmarks seen."""
         then = self._then[numbers]
         position, heading, path = np.maximum(self._now - then[:, :3], 0.0).T
         relative = np.sqrt(then[:, 3] + position + heading * (path + then[:, 4]) ** 2)
