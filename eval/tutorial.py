@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from data.calibration import Calibration
 from data.errors import UsageError
@@ -63,11 +64,12 @@ def tutorial_run(log: Log, variant: Variant) -> Run:
     if variant.task == "slam":
         inputs = inputs.without_map()
     options = FilterOptions(variant.each, variant.new_variance, variant.new_variance_per_square)
-    if known:
-        run = filter_known(inputs, variant.task, options=options)
-    else:
-        setup = Setup(gate=variant.gate, new_gate=variant.new_gate)
-        run = step_by_step("ekf", inputs, variant.task, variant.association, setup, options=options)
+    with threadpool_limits(1):  # as in `eval.replay.compare`
+        if known:
+            run = filter_known(inputs, variant.task, options=options)
+        else:
+            setup = Setup(gate=variant.gate, new_gate=variant.new_gate)
+            run = step_by_step("ekf", inputs, variant.task, variant.association, setup, options=options)
     return replace(run, notes=(*run.notes, *variant.notes))
 
 
