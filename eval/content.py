@@ -83,8 +83,8 @@ def _publish_trials(
     owner: list[int | None] = []
     for i, trial in enumerate(trials):
         others = beside(trial, trials)
-        for kind in () if options.no_plots or _retold(trial, trials) else kinds(trial, others):
-            jobs.append(delayed(draw)(folder, trial, kind, others))
+        for kind in () if options.no_plots or _retold(trial, trials) else kinds(trial, others, quick=options.quick):
+            jobs.append(delayed(draw)(folder, trial, kind, others, quick=options.quick))
             owner.append(i)
     for trial in trials:
         jobs.append(delayed(publish_runs)(folder, options, trial))
@@ -163,7 +163,7 @@ def _study_section(
         content.append(f"With fewer than {MIN_RUNS} runs there is no verdict: a wrong covariance would pass too often.")
     table = comparison.consistency_table(consistency)
     content.append(_table(folder, options, table, "consistency", comparison.CONSISTENCY_CAPTION))
-    if not options.no_plots:
+    if not (options.no_plots or options.quick):
         for task in dict.fromkeys(j.key[0] for j in judged):
             average = study.anees(task, {"ekf": "online", "isam2": "online", "batch": "final"})
             name = f"arena-{task}-anees"

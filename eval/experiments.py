@@ -15,7 +15,7 @@ from eval.options import Options
 from eval.setup import Setup
 
 DEFAULT_RUNS = 50
-QUICK_FRAMES = 1500
+QUICK_FRAMES = 1000
 """Frames of a log that a quick report looks at."""
 
 

@@ -13,7 +13,7 @@ ESTIMATORS = ("dead-reckoning", "ekf", "isam2", "batch", "batch-huber", "batch-c
 ASSOCIATIONS = ("known", "nn", "ml", "ml-ratio", "singles", "jcbb", "jcbb-first", "gnn")
 FORMATS = ("csv", "md", "tex")
 DEFAULT_ESTIMATORS = ("dead-reckoning", "ekf", "isam2", "batch")
-QUICK_RUNS = 4
+QUICK_RUNS = 2
 CONFIGS = Path(__file__).parent / "configs"
 
 EPILOG = """\
@@ -100,7 +100,12 @@ def parser() -> argparse.ArgumentParser:
     )
     add("--seed", metavar="N", help="first seed of the consistency study (default: 0)")
     add("--jobs", metavar="N", help="processes (default: one per core)")
-    add("--quick", action="store_true", default=None, help="a short report in seconds; too few runs for verdicts")
+    add(
+        "--quick",
+        action="store_true",
+        default=None,
+        help="a short report in seconds: fewer frames and pictures, PNG only, too few runs for verdicts",
+    )
     add("--full", action="store_true", default=None, help="the default suite with every method; takes minutes")
     add("--out", metavar="DIR", help="result folder, replaced as a whole when done (default: results/report)")
     add("--formats", metavar="LIST", help="table formats of csv,md,tex (default: all)")

@@ -39,7 +39,11 @@ def publish_runs(folder: Path, options: Options, trial: Trial) -> None:
             animate(trial.log, run, folder / "figures" / f"{stem(trial, run.estimator)}.mp4")
 
 
-def kinds(trial: Trial, beside: Sequence[Trial] = ()) -> tuple[str, ...]:
+QUICK = ("map", "error", "difference", "association")
+"""All that a quick report shows."""
+
+
+def kinds(trial: Trial, beside: Sequence[Trial] = (), *, quick: bool = False) -> tuple[str, ...]:
     """Which pictures a trial gets, with the trials that stand beside it."""
     shown, reference = finished(trial), trial.find("batch")
     found = ["map"]
@@ -53,7 +57,7 @@ def kinds(trial: Trial, beside: Sequence[Trial] = ()) -> tuple[str, ...]:
         found.append("state")
     if has_outcomes(trial, beside):
         found.append("association")
-    return tuple(found)
+    return tuple(kind for kind in found if kind in QUICK or not quick)
 
 
 def has_outcomes(trial: Trial, beside: Sequence[Trial] = ()) -> bool:
@@ -66,10 +70,10 @@ def has_outcomes(trial: Trial, beside: Sequence[Trial] = ()) -> bool:
     )
 
 
-def draw(folder: Path, trial: Trial, kind: str, beside: Sequence[Trial] = ()) -> Picture:
-    """Draw one picture of `kinds`, as files below the result folder."""
+def draw(folder: Path, trial: Trial, kind: str, beside: Sequence[Trial] = (), *, quick: bool = False) -> Picture:
+    """Draw one picture of `kinds`, as files below the result folder: PDF and PNG, in a quick report PNG alone."""
     figure, caption, alt = _picture(trial, kind, beside)
-    save(figure, folder / "figures", stem(trial, kind))
+    save(figure, folder / "figures", stem(trial, kind), ("png",) if quick else ("pdf", "png"))
     return Picture(stem(trial, kind), caption, alt)
 
 
