@@ -39,6 +39,6 @@ def table(lines: list[Timed]) -> str:
     out = [f"{'':84s} {'median s':>9s} {'per second':>18s} {'ratio':>7s}  goal"]
     for t in lines:
         rate = f"{t.units / t.seconds:,.0f} {t.unit}" if t.seconds > 0 else ""
-        seconds = f"{t.seconds:9.4f}" if math.isfinite(t.seconds) else " " * 9
+        seconds = f"{t.seconds:9.5f}" if math.isfinite(t.seconds) else " " * 9
         out.append(f"{t.what:84s} {seconds} {rate:>18s} {t.ratio:>7s}  {t.goal}")
     return "\n".join(out)
