@@ -12,16 +12,19 @@ from joblib import Parallel, delayed
 
 from eval import comparison, figures, words
 from eval.consistency import MIN_RUNS
+from eval.knowledge import CAPTION, knowledge_table, logs_with_tutorials
 from eval.lab_questions import lab_sections
 from eval.montecarlo import DOF, Judged, Study, consistency_table
 from eval.options import Options
 from eval.pictures import draw, kinds, publish_runs, stem
 from eval.provenance import command_of, provenance
 from eval.report import Block, Picture, ReportContent, Section, Table, write_report
+from eval.run_files import folder_name
 from eval.score import Scores, Trial, score
 from eval.style import save
 from eval.suite import Outcome
 from eval.tables import write_table
+from eval.tutorial import is_tutorial
 
 READING = """\
 * **Identical inputs.** Filter and smoother get the same preintegrated increments, readings, covariances, prior and
@@ -52,6 +55,7 @@ def write_results(
     (folder / "runs").mkdir()
     published = _publish_trials(folder, options, outcome.trials, progress)
     sections = [*_trial_sections(folder, options, outcome.trials, scores, published)]
+    sections += _knowledge_sections(folder, options, outcome.trials, scores)
     if outcome.study is not None:
         sections.append(_study_section(folder, options, outcome.study, judged, consistency))
     sections += _association_sections(folder, options, outcome.trials, scores, published)
@@ -67,6 +71,15 @@ def write_results(
     (folder / "provenance.json").write_text(
         provenance(options, {t.log.name: t.log for t in outcome.trials}.values(), arguments), encoding="utf-8"
     )
+
+
+def _knowledge_sections(folder: Path, options: Options, trials: Sequence[Trial], scores: Scores) -> list[Section]:
+    """For each log with several tutorials beside it: one table over all its tasks."""
+    content: list[Block] = []
+    for log in logs_with_tutorials(trials):
+        table = knowledge_table(log, trials, scores)
+        content.append(_table(folder, options, table, f"{folder_name(log)}-knowledge", CAPTION.format(log=log)))
+    return [Section("From labels and map to nothing", tuple(content))] if content else []
 
 
 def _table(folder: Path, options: Options, frame: pd.DataFrame, name: str, caption: str) -> Table:
@@ -140,7 +153,7 @@ def _trial_sections(
 def _beside_note(trial: Trial, rows: pd.DataFrame) -> str:
     """What the rows of a trial beside are; for a tutorial the sums of squares it prints, and what is not reproduced."""
     told = [f"`{trial.log.name}` is {trial.about}."]
-    if "tutorial" not in trial.about:
+    if not is_tutorial(trial):
         return told[0]
     for row in rows.to_dict("records"):
         for column, what in (("sse_position_m2", "positions"), ("sse_landmark_m2", "landmarks")):

@@ -19,7 +19,7 @@ from eval.montecarlo import Study, one_seed, study_of
 from eval.options import Options, Variant
 from eval.replay import compare
 from eval.score import Trial
-from eval.tutorial import tutorial_run, variant_log
+from eval.tutorial import ABOUT, tutorial_run, variant_log
 
 
 @dataclass(frozen=True)
@@ -74,5 +74,4 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
 
 def _tutorial(log: Log, variant: Variant) -> Trial:
     changed = variant_log(log, variant)
-    about = "the same recording with a classic tutorial's numbers"
-    return Trial(changed, variant.task, (tutorial_run(changed, variant),), log.name, about)
+    return Trial(changed, variant.task, (tutorial_run(changed, variant),), log.name, ABOUT)

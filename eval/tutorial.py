@@ -18,7 +18,15 @@ from data.result import Run
 from ekf.filter import FilterOptions
 from eval.options import Variant
 from eval.replay import filter_known, step_by_step
+from eval.score import Trial
 from eval.setup import Setup
+
+ABOUT = "the same recording with a classic tutorial's numbers"
+
+
+def is_tutorial(trial: Trial) -> bool:
+    """Whether a trial is a variant of another one's recording."""
+    return trial.about == ABOUT
 
 
 def variant_log(log: Log, variant: Variant) -> Log:

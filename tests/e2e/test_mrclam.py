@@ -53,14 +53,15 @@ def test_tutorials_join_the_table_of_the_log_they_treat(shared_data, tmp_path):
     )
     out = tmp_path / "report"
     assert main([
-        "--log", str(folder), "--config", "tutorial-step1", "--config", "tutorial-step3", "--estimator", "ekf",
+        "--log", str(folder), *(f"--config=tutorial-step{i}" for i in range(1, 5)), "--estimator", "ekf",
         "--out", str(out), "--no-plots", "-q", "--jobs", "1",
     ]) == 0  # fmt: skip
     with (out / "metrics.csv").open(newline="") as f:
         rows = {(r["log"], r["task"]): r for r in csv.DictReader(f)}
     assert set(rows) == {
         ("window", "localization"), ("window", "slam"),
-        ("window:tutorial-step1", "localization"), ("window:tutorial-step3", "slam"),
+        ("window:tutorial-step1", "localization"), ("window:tutorial-step2", "localization"),
+        ("window:tutorial-step3", "slam"), ("window:tutorial-step4", "slam"),
     }  # fmt: skip
     one, three = rows["window:tutorial-step1", "localization"], rows["window:tutorial-step3", "slam"]
     assert abs(int(one["frames"]) - 50 * (120 - 9.5)) < 5
@@ -72,6 +73,13 @@ def test_tutorials_join_the_table_of_the_log_they_treat(shared_data, tmp_path):
         assert float(row["rmse_position_m"]) > float(rows["window", row["task"]]["rmse_position_m"])
     assert float(three["sse_landmark_m2"]) > 0
     text = (out / "report.md").read_text()
+    with (out / "association.csv").open(newline="") as f:
+        counts = {r["log"]: r for r in csv.DictReader(f) if r["phase"] == "online" and "step" in r["log"]}
+    assert [r["association"] for r in counts.values()] == ["known", "ml", "known", "ml-ratio"]
+    assert counts["window:tutorial-step2"]["tn"] == counts["window:tutorial-step2"]["fn"] == "0"  # every reading paired
+    assert (out / "tables" / "window-knowledge.csv").exists()
+    assert "From labels and map to nothing" in text
+    assert "running minimum" in text
     assert "all nine entries" in text
     assert "does not wrap" in text
 
