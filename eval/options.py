@@ -62,21 +62,14 @@ class Variant:
 
 
 @dataclass(frozen=True)
-class Options:
-    """What was asked for; field names are the config file's keys (with `-` for `_`)."""
+class Options(Setup):
+    """What was asked for, the setup included; field names are the config file's keys (with `-` for `_`)."""
 
     log: tuple[str, ...] = ()
     data: tuple[str, ...] = ()
     task: tuple[str, ...] = ()
     estimator: tuple[str, ...] = DEFAULT_ESTIMATORS
     association: tuple[str, ...] = ()
-    gate: float | None = 0.99
-    new_gate: float | None = 0.99999
-    gate_known: float | None = None
-    in_view: bool = False
-    maintain: bool = False
-    forget_after: float | None = None
-    deactivate_after: float | None = None
     runs: int | None = None
     seed: int = 0
     jobs: int = 1
