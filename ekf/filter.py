@@ -24,13 +24,20 @@ class FilterOptions:
 
     Attributes:
         each: one update per observation (linearized one after the other) instead of one stacked update per frame.
+        invariant: the correction moves pose and landmarks together (right-invariant EKF); Jacobians stay as they are.
         new_variance: m^2; a new landmark gets this variance and no correlation (None: the exact augmentation).
         new_variance_per_square: the same as a share of its squared distance from the sensor; step by step only.
     """
 
     each: bool = False
+    invariant: bool = False
     new_variance: float | None = None
     new_variance_per_square: float | None = None
+
+    @property
+    def retraction(self) -> int:
+        """How the correction is applied, as the kernels take it."""
+        return kernels.INVARIANT if self.invariant else kernels.ADDITIVE
 
     def augment_variance(self, distance: float) -> float:
         """Variance of a new landmark at a distance [m], as the kernels take it: negative for the exact augmentation."""
@@ -125,7 +132,7 @@ class Filter:
             step = kernels.update_each if self.options.each else kernels.update
             status = step(
                 self._kind, self._extrinsic, self._mean, self._P, self._used, at, known,
-                sightings.z[rows], sightings.R[rows], threshold, keep, stats,
+                sightings.z[rows], sightings.R[rows], threshold, keep, stats, self.options.retraction,
             )  # fmt: skip
             if status != kernels.OK:
                 raise FilterDivergedError(kernels.FAILURES[status])

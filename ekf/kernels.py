@@ -19,6 +19,10 @@ DISCARD = -2
 OK = 0
 NOT_FINITE = 1
 NOT_PSD = 2
+ADDITIVE = 0
+"""Correction: mean += K nu."""
+INVARIANT = 1
+"""Correction: pose and landmarks are moved together by exp(xi), the right-invariant error of SE_(1+n)(2)."""
 FAILURES = {NOT_FINITE: "the state is no longer finite", NOT_PSD: "a covariance lost positive definiteness"}
 
 
@@ -116,8 +120,8 @@ def cholesky(S, L, n):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def correct(mean, P, d, nu, PHt, S, stats):  # type: ignore[no-untyped-def]
-    """The Kalman update: mean += K nu, P -= W W' with W = PHt L^-T, S = L L'.
+def correct(mean, P, d, nu, PHt, S, stats, retraction):  # type: ignore[no-untyped-def]
+    """The Kalman update: mean += K nu (or see `move`), P -= W W' with W = PHt L^-T, S = L L'.
 
     Adds NIS and log-likelihood to `stats` (2,). The subtraction is computed once per pair and mirrored, so P stays
     symmetric to the bit. Returns a status.
@@ -135,15 +139,16 @@ def correct(mean, P, d, nu, PHt, S, stats):  # type: ignore[no-untyped-def]
         white[i] = total / L[i, i]
         nis += white[i] * white[i]
         log_det += 2.0 * math.log(L[i, i])
+    shift = np.zeros(d)
     for r in range(d):
-        shift = 0.0
         for i in range(n):
             total = PHt[r, i]
             for q in range(i):
                 total -= L[i, q] * PHt[r, q]
             PHt[r, i] = total / L[i, i]
-            shift += PHt[r, i] * white[i]
-        mean[r] += shift
+            shift[r] += PHt[r, i] * white[i]
+        if retraction == ADDITIVE:
+            mean[r] += shift[r]
     for r in range(d):
         for c in range(r + 1):
             total = 0.0
@@ -151,10 +156,54 @@ def correct(mean, P, d, nu, PHt, S, stats):  # type: ignore[no-untyped-def]
                 total += PHt[r, i] * PHt[c, i]
             P[r, c] -= total
             P[c, r] = P[r, c]
+    if retraction == INVARIANT:
+        move(mean, P, d, shift)
     mean[2] = wrap_angle(mean[2])
     stats[0] += nis
     stats[1] -= 0.5 * (nis + log_det + n * math.log(2.0 * math.pi))
     return healthy(mean, P)
+
+
+@numba.njit(cache=True)
+def move(mean, P, d, shift):  # type: ignore[no-untyped-def]
+    """Move pose and landmarks by exp(xi) for the additive correction `shift` (d,), and take P along.
+
+    xi_theta = shift_theta; for every point x, rho = shift_x - J x xi_theta and x <- R(xi_theta) x + V(xi_theta) rho
+    (Brossard, Barrau and Bonnabel, IEEE Sensors Journal 19(4), 2019). P is the additive covariance in the world frame
+    before and after: P <- N P N' with N = I + J (x+ - x-) e_theta' on the rows of each point.
+    """
+    angle = shift[2]
+    c, s = math.cos(angle), math.sin(angle)
+    if abs(angle) < 1e-4:  # the series to a rounding; (1 - c) / angle would lose digits
+        a, b = 1.0 - angle * angle / 6.0, 0.5 * angle
+    else:
+        a, b = s / angle, (1.0 - c) / angle
+    step = np.zeros(d)
+    r = 0
+    while r < d:
+        x, y = mean[r], mean[r + 1]
+        u, v = shift[r] + y * angle, shift[r + 1] - x * angle
+        step[r] = c * x - s * y + a * u - b * v - x
+        step[r + 1] = s * x + c * y + b * u + a * v - y
+        r = 3 if r == 0 else r + 2
+    column = np.zeros(d)
+    r = 0
+    while r < d:
+        column[r], column[r + 1] = -step[r + 1], step[r]
+        r = 3 if r == 0 else r + 2
+    for i in range(d):
+        for j in range(d):
+            P[i, j] += column[i] * P[2, j]
+    for i in range(d):
+        for j in range(d):
+            P[i, j] += P[i, 2] * column[j]
+    for i in range(d):
+        for j in range(i):
+            mid = 0.5 * (P[i, j] + P[j, i])
+            P[i, j], P[j, i] = mid, mid
+    for i in range(d):
+        mean[i] += step[i]
+    mean[2] += angle
 
 
 @numba.njit(cache=True)
@@ -214,7 +263,7 @@ def gate(nu, S, threshold, keep):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def update(kind, extrinsic, mean, P, d, at, known, z, R, threshold, keep, stats):  # type: ignore[no-untyped-def]
+def update(kind, extrinsic, mean, P, d, at, known, z, R, threshold, keep, stats, retraction):  # type: ignore[no-untyped-def]
     """One stacked update with k pairings; those outside the gate are left out (`keep` says which). Returns a status.
 
     `stats` (3,) collects NIS, log-likelihood and degrees of freedom.
@@ -236,15 +285,17 @@ def update(kind, extrinsic, mean, P, d, at, known, z, R, threshold, keep, stats)
                     n += 2
             nu, PHt, S = nu[rows], PHt[:, rows], S[rows][:, rows]
     stats[2] += len(nu)
-    return correct(mean, P, d, nu, PHt, S, stats)
+    return correct(mean, P, d, nu, PHt, S, stats, retraction)
 
 
 @numba.njit(cache=True)
-def update_each(kind, extrinsic, mean, P, d, at, known, z, R, threshold, keep, stats):  # type: ignore[no-untyped-def]
+def update_each(kind, extrinsic, mean, P, d, at, known, z, R, threshold, keep, stats, retraction):  # type: ignore[no-untyped-def]
     """One update per observation, each linearized after the one before it (the classic tutorials' way)."""
     for i in range(len(at)):
         one = slice(i, i + 1)
-        status = update(kind, extrinsic, mean, P, d, at[one], known[one], z[one], R[one], threshold, keep[one], stats)
+        status = update(
+            kind, extrinsic, mean, P, d, at[one], known[one], z[one], R[one], threshold, keep[one], stats, retraction
+        )
         if status != OK:
             return status
     return OK
@@ -276,13 +327,14 @@ def expect(kind, extrinsic, mean, P, at, known, z_hat, blocks):  # type: ignore[
 
 
 @numba.njit(cache=True)
-def run(kind, extrinsic, mean, P, d, motion, M, start, z, R, decision, known, each, variance, threshold, out):  # type: ignore[no-untyped-def]
+def run(kind, extrinsic, mean, P, d, motion, M, start, z, R, decision, known, how, threshold, out):  # type: ignore[no-untyped-def]
     """A whole log with decisions made beforehand: what the step-by-step filter does, without leaving compiled code.
 
     `decision` (M,): SLAM (known empty): landmark number, `NEW` or `DISCARD`; localization: row of `known` (L, 2) or
     `DISCARD`. Rejected pairings become `DISCARD` in place. `out` = pose (N, 3), covariance (N, 3, 3), stats (N, 3),
-    state_size (N,). Returns (d, status, frame of the failure).
+    state_size (N,); `how` = each, variance of a new landmark, retraction. Returns (d, status, frame of the failure).
     """
+    each, variance, retraction = how
     pose, covariance, stats, size = out
     slam = len(known) == 0
     n = len(motion)
@@ -309,9 +361,9 @@ def run(kind, extrinsic, mean, P, d, motion, M, start, z, R, decision, known, ea
                         xy[k] = known[decision[i]]
                     k += 1
             if each:
-                status = update_each(kind, extrinsic, mean, P, d, at, xy, zs, Rs, threshold, keep, stats[f])
+                status = update_each(kind, extrinsic, mean, P, d, at, xy, zs, Rs, threshold, keep, stats[f], retraction)
             else:
-                status = update(kind, extrinsic, mean, P, d, at, xy, zs, Rs, threshold, keep, stats[f])
+                status = update(kind, extrinsic, mean, P, d, at, xy, zs, Rs, threshold, keep, stats[f], retraction)
             for k in range(paired):
                 if not keep[k]:
                     decision[rows[k]] = DISCARD

@@ -118,8 +118,11 @@ class EkfSlam(Filter):
     def park(self, numbers: IntArray) -> None:
         """Take active landmarks out of the state; nothing is lost, and `restore` brings them back.
 
-        Raises ValueError for a landmark that is parked already or not in the map.
+        Raises ValueError for a landmark that is parked already or not in the map, and in the invariant filter, whose
+        correction moves every landmark.
         """
+        if self.options.invariant:
+            raise ValueError("the invariant filter moves all landmarks together; none can be parked")
         away = np.unique(np.asarray(numbers, np.int64))
         for n in away.tolist():
             if n in self._parked.rows:

@@ -9,7 +9,7 @@ from pathlib import Path
 from association.decide import METHODS
 from data.errors import UsageError
 from data.log import Log
-from eval.flags import DEFAULT_ESTIMATORS, QUICK_RUNS
+from eval.flags import DEFAULT_ESTIMATORS, FILTERS, QUICK_RUNS
 from eval.logs import find_logs, open_log
 from eval.options import Options
 from eval.setup import Setup
@@ -30,7 +30,7 @@ class Work:
         """What can be done apart: iSAM2 takes longest; batch goes with the front end whose decisions it takes."""
         if "isam2" not in self.estimators or len(self.estimators) == 1:
             return (self,)
-        alone = ("isam2",) if self.association == "known" else tuple(e for e in self.estimators if e != "ekf")
+        alone = ("isam2",) if self.association == "known" else tuple(e for e in self.estimators if e not in FILTERS)
         rest = tuple(e for e in self.estimators if e not in alone)
         return tuple(Work(self.association, part) for part in (alone, rest) if part)
 

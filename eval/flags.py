@@ -9,7 +9,8 @@ import argparse
 from pathlib import Path
 
 TASKS = ("localization", "slam")
-ESTIMATORS = ("dead-reckoning", "ekf", "isam2", "batch", "batch-huber", "batch-cauchy")
+FILTERS = ("ekf", "ekf-invariant")
+ESTIMATORS = ("dead-reckoning", *FILTERS, "isam2", "batch", "batch-huber", "batch-cauchy")
 ASSOCIATIONS = ("known", "nn", "ml", "ml-ratio", "singles", "jcbb", "jcbb-first", "gnn")
 FORMATS = ("csv", "md", "tex")
 DEFAULT_ESTIMATORS = ("dead-reckoning", "ekf", "isam2", "batch")
@@ -25,6 +26,7 @@ examples:
   python -m eval.run_all --log corridor:0:people+range=8    the corridor lab: people in the way, any constant changed
   python -m eval.run_all --data ~/datasets                  every dataset found in a folder, two levels deep
   python -m eval.run_all --log my_log --estimator ekf,batch-cauchy --association known
+  python -m eval.run_all --log arena:0 --task slam --estimator ekf,ekf-invariant,isam2,batch
   python -m eval.run_all --log my_log --gate-known 0.9999   leave labelled readings out that fit badly
   python -m eval.run_all --log my_log --task slam --association known,nn,jcbb    unknown labels beside known ones
   python -m eval.run_all --log corridor:0 --association jcbb --gate 0.95 --new-gate 0.999

@@ -22,6 +22,9 @@ from eval.setup import Setup
 from eval.upkeep import Upkeep
 from graph.incremental import Isam2Smoother
 
+FILTERS = {"ekf": DEFAULT, "ekf-invariant": FilterOptions(invariant=True)}
+"""Filters by name: one filter, whose correction is applied in different ways."""
+
 
 class Estimator(Protocol):
     """The verbs every step-by-step estimator has; any association method works with any of them."""
@@ -67,15 +70,19 @@ class Watch(Protocol):
         ...
 
 
-def make_estimator(name: str, inputs: Inputs, options: FilterOptions = DEFAULT) -> Estimator:
-    """A fresh step-by-step estimator for these inputs: with a map it localizes, without it does SLAM."""
-    if name == "ekf":
+def make_estimator(name: str, inputs: Inputs, options: FilterOptions | None = None) -> Estimator:
+    """A fresh step-by-step estimator for these inputs: with a map it localizes, without it does SLAM.
+
+    `options` stand in for those that go with the name of a filter.
+    """
+    if name in FILTERS:
+        options = options or FILTERS[name]
         if inputs.map is not None:
             return EkfLocalizer(inputs.prior, inputs.sensor, inputs.map, options)
         return EkfSlam(inputs.prior, inputs.sensor, options)
     if name == "isam2":
         return Isam2Smoother(inputs.prior, inputs.sensor, inputs.map)
-    raise UsageError(f"{name!r} does not work step by step; ekf and isam2 do")
+    raise UsageError(f"{name!r} does not work step by step; {', '.join(FILTERS)} and isam2 do")
 
 
 class FrontEnd:
@@ -85,7 +92,7 @@ class FrontEnd:
     """
 
     def __init__(
-        self, estimator: str, association: str, inputs: Inputs, setup: Setup, options: FilterOptions = DEFAULT
+        self, estimator: str, association: str, inputs: Inputs, setup: Setup, options: FilterOptions | None = None
     ) -> None:
         """Before the first frame."""
         self.inputs, self.setup, self.association = inputs, setup, association

@@ -198,6 +198,10 @@ def _check(o: Options) -> None:
             f"--deactivate-after {o.deactivate_after:g}: must be less than --forget-after {o.forget_after:g}, "
             "or nothing is ever parked"
         )
+    if o.deactivate_after is not None and "ekf-invariant" in o.estimator:
+        raise UsageError(
+            "--deactivate-after: ekf-invariant moves all landmarks together, parked ones would stay behind"
+        )
     if o.quick and o.full:
         raise UsageError("--quick and --full exclude each other")
     if o.full and o.log:

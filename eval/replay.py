@@ -14,9 +14,9 @@ from association.known import known_decisions
 from data.inputs import Inputs, IntArray
 from data.result import DISCARD, Failure, Finished, Innovations, Run, Trajectory, map_estimate
 from data.se2 import Array
-from ekf.filter import DEFAULT, FilterDivergedError, FilterOptions
+from ekf.filter import FilterDivergedError, FilterOptions
 from ekf.whole_run import FilterRun, run_filter
-from eval.frontend import FrontEnd, Watch, make_estimator
+from eval.frontend import FILTERS, FrontEnd, Watch, make_estimator
 from eval.setup import Setup
 from graph.batch import Start, smooth
 from graph.factors import UnderConstrained
@@ -42,13 +42,14 @@ def filter_known(
     inputs: Inputs,
     task: str,
     *,
+    name: str = "ekf",
     threshold: float = np.inf,
-    options: FilterOptions = DEFAULT,
+    options: FilterOptions | None = None,
 ) -> Run:
-    """The EKF with labels, in one compiled loop."""
+    """A filter with labels, in one compiled loop."""
     begin = time.perf_counter()
     decisions, created = known_decisions(inputs)
-    result: FilterRun = run_filter(inputs, decisions, threshold=threshold, options=options)
+    result: FilterRun = run_filter(inputs, decisions, threshold=threshold, options=options or FILTERS[name])
     seconds = time.perf_counter() - begin
     failure = None if result.failure is None else Failure("diverged", *result.failure)
     state = None
@@ -58,7 +59,7 @@ def filter_known(
         state = map_estimate(result.map, inputs.observations.frame, result.decisions, kept)
     total = (float(np.nansum(result.nis)), int(result.dof.sum())) if failure is None else None
     return Run(
-        "ekf", "known", task, Trajectory(result.pose, result.covariance), None, state, result.decisions,
+        name, "known", task, Trajectory(result.pose, result.covariance), None, state, result.decisions,
         result.decisions, created, Innovations(result.nis, result.dof, result.log_likelihood), total,
         result.state_size, seconds, failure,
     )  # fmt: skip
@@ -71,7 +72,7 @@ def step_by_step(
     association: str = "known",
     setup: Setup = PLAIN,
     *,
-    options: FilterOptions = DEFAULT,
+    options: FilterOptions | None = None,
     finish: bool = True,
     watch: Watch | None = None,
 ) -> Run:
@@ -94,7 +95,7 @@ def step_by_step(
             front.move()
             if watch is not None:
                 watch.moved(front)
-            for rows in _portions(inputs, k, options.each):
+            for rows in _portions(inputs, k, options is not None and options.each):
                 decided, done = front.associate(rows, watch)
                 created[rows] = done.created
                 decisions[rows] = np.where((decided >= 0) & ~done.used, DISCARD, decided)
@@ -125,11 +126,11 @@ def step_by_step(
     formed = np.isfinite(nis)
     innovations = Innovations(nis, dof, likelihood) if formed.any() else None
     total = finished.total_nis
-    if name == "ekf" and innovations is not None and failure is None:
+    if name in FILTERS and innovations is not None and failure is None:
         total = float(np.nansum(nis)), int(dof.sum())
     return Run(
         name, association, task, Trajectory(pose, covariance), finished.final, state, decisions, final, created,
-        innovations, total, size if name == "ekf" else None, seconds, failure, tuple(front.notes()), removed,
+        innovations, total, size if name in FILTERS else None, seconds, failure, tuple(front.notes()), removed,
     )  # fmt: skip
 
 
@@ -213,9 +214,9 @@ def _compare(inputs: Inputs, task: str, estimators: Sequence[str], association: 
 
     def front_end(name: str) -> Run:
         if name not in done:
-            quick = name == "ekf" and association == "known" and not (setup.upkeep and task == "slam")
+            quick = name in FILTERS and association == "known" and not (setup.upkeep and task == "slam")
             done[name] = (
-                filter_known(inputs, task, threshold=gate_threshold(setup.gate_known))
+                filter_known(inputs, task, name=name, threshold=gate_threshold(setup.gate_known))
                 if quick
                 else step_by_step(name, inputs, task, association, setup)
             )

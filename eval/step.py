@@ -15,14 +15,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data.errors import SlamrefError, UsageError
-from eval.flags import ASSOCIATIONS
+from eval.flags import ASSOCIATIONS, FILTERS
 from eval.options import Options, read_options
 
 if TYPE_CHECKING:
     from data.log import Log
 
 FINE, WRONG, INTERRUPTED = 0, 2, 130
-STEPPING = ("ekf", "isam2")
+STEPPING = (*FILTERS, "isam2")
 SHARED = ("log", "association", "estimator", "task", "gate", "new_gate")
 """Flags that mean what they mean in `eval.run_all`."""
 EXAMPLES = """\
@@ -62,7 +62,7 @@ def parser() -> argparse.ArgumentParser:
     add = p.add_argument
     add("--log", metavar="PATH|NAME", help="open log folder, victoria-park, arena:SEED or corridor:SEED[:KEYS]")
     add("--association", metavar="NAME", default="jcbb", help=f"of {', '.join(ASSOCIATIONS)} (default: jcbb)")
-    add("--estimator", metavar="NAME", default="ekf", help="ekf or isam2 (default: ekf)")
+    add("--estimator", metavar="NAME", default="ekf", help=f"of {', '.join(STEPPING)} (default: ekf)")
     add(
         "--task",
         metavar="NAME",
@@ -95,7 +95,7 @@ def read(argv: Sequence[str] | None) -> Wish:
         if len(names) > 1 or not (names or flag == "--task"):
             raise UsageError(f"{flag} {','.join(names)}: one name is needed")
     if options.estimator[0] not in STEPPING:
-        raise UsageError(f"--estimator {options.estimator[0]}: does not work step by step; {' and '.join(STEPPING)} do")
+        raise UsageError(f"--estimator {options.estimator[0]}: does not work step by step; {', '.join(STEPPING)} do")
     return Wish(options, given.save, given.run_through, _frames(given.frames))
 
 

@@ -71,7 +71,9 @@ def tutorial_run(log: Log, variant: Variant) -> Run:
     inputs = log.inputs(labels=known)
     if variant.task == "slam":
         inputs = inputs.without_map()
-    options = FilterOptions(variant.each, variant.new_variance, variant.new_variance_per_square)
+    options = FilterOptions(
+        each=variant.each, new_variance=variant.new_variance, new_variance_per_square=variant.new_variance_per_square
+    )
     with threadpool_limits(1):  # as in `eval.replay.compare`
         if known:
             run = filter_known(inputs, variant.task, options=options)

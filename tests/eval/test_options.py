@@ -60,6 +60,7 @@ def test_flags_and_config_keys_mean_the_same_and_flags_win(tmp_path):
     (["--deactivate-after", "inf"], "positive"),
     (["--deactivate-after", "60", "--forget-after", "30"], "less than --forget-after"),
     (["--full", "--quick"], "exclude each other"),
+    (["--deactivate-after", "60", "--estimator", "ekf-invariant"], "moves all landmarks together"),
     (["--full", "--log", "arena:0"], "takes no --log"),
 ])  # fmt: skip
 def test_nonsense_is_refused_by_name(arguments, words):
