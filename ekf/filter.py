@@ -25,19 +25,21 @@ class FilterOptions:
     Attributes:
         each: one update per observation (linearized one after the other) instead of one stacked update per frame.
         invariant: the correction moves pose and landmarks together (right-invariant EKF); Jacobians stay as they are.
+        iterations: how often an update is linearized at most, each time where the last one led (1: the plain EKF).
         new_variance: m^2; a new landmark gets this variance and no correlation (None: the exact augmentation).
         new_variance_per_square: the same as a share of its squared distance from the sensor; step by step only.
     """
 
     each: bool = False
     invariant: bool = False
+    iterations: int = 1
     new_variance: float | None = None
     new_variance_per_square: float | None = None
 
     @property
-    def retraction(self) -> int:
-        """How the correction is applied, as the kernels take it."""
-        return kernels.INVARIANT if self.invariant else kernels.ADDITIVE
+    def rule(self) -> tuple[int, int]:
+        """How the correction is found and applied, as the kernels take it."""
+        return kernels.INVARIANT if self.invariant else kernels.ADDITIVE, self.iterations
 
     def augment_variance(self, distance: float) -> float:
         """Variance of a new landmark at a distance [m], as the kernels take it: negative for the exact augmentation."""
@@ -111,8 +113,9 @@ class Filter:
             moved[held] = np.arange(3, d, 2)
             PHt, S = np.empty((d, 2 * k)), np.empty((2 * k, 2 * k))
             zero = np.zeros((k, 2))
+            mean = self._mean[index]
             kernels.innovate(
-                self._kind, self._extrinsic, self._mean[index], self._P[np.ix_(index, index)], d, moved, known[chosen],
+                self._kind, self._extrinsic, mean, mean, self._P[np.ix_(index, index)], d, moved, known[chosen],
                 zero, np.zeros((k, 2, 2)), np.empty(2 * k), PHt, S,
             )  # fmt: skip
             return S
@@ -132,7 +135,7 @@ class Filter:
             step = kernels.update_each if self.options.each else kernels.update
             status = step(
                 self._kind, self._extrinsic, self._mean, self._P, self._used, at, known,
-                sightings.z[rows], sightings.R[rows], threshold, keep, stats, self.options.retraction,
+                sightings.z[rows], sightings.R[rows], threshold, keep, stats, self.options.rule,
             )  # fmt: skip
             if status != kernels.OK:
                 raise FilterDivergedError(kernels.FAILURES[status])

@@ -61,8 +61,10 @@ def predict(mean, P, d, motion, M):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def innovate(kind, extrinsic, mean, P, d, at, known, z, R, nu, PHt, S):  # type: ignore[no-untyped-def]
-    """Innovation nu (2k,), PHt (d, 2k) and S (2k, 2k) of k paired observations, all Jacobians at the prediction.
+def innovate(kind, extrinsic, mean, base, P, d, at, known, z, R, nu, PHt, S):  # type: ignore[no-untyped-def]
+    """Innovation nu (2k,), PHt (d, 2k) and S (2k, 2k) of k paired observations, all Jacobians at `mean`.
+
+    `base` is the prediction: nu = z - h(mean) - H (base - mean), so the two differ only where an update is iterated.
 
     `at` (k,) is the offset of each landmark in the state; where it is negative the landmark is known and stands in
     `known` (k, 2).
@@ -80,6 +82,11 @@ def innovate(kind, extrinsic, mean, P, d, at, known, z, R, nu, PHt, S):  # type:
         residual(kind, z[i], z_hat, nu[2 * i : 2 * i + 2])
         H[i, :, :3] = Hx
         H[i, :, 3:] = Hl
+        for q in range(2):
+            for j in range(3):
+                nu[2 * i + q] -= Hx[q, j] * (base[j] - mean[j])
+            if a >= 0:
+                nu[2 * i + q] -= Hl[q, 0] * (base[a] - mean[a]) + Hl[q, 1] * (base[a + 1] - mean[a + 1])
         for r in range(d):
             for q in range(2):
                 value = P[r, 0] * Hx[q, 0] + P[r, 1] * Hx[q, 1] + P[r, 2] * Hx[q, 2]
@@ -131,21 +138,15 @@ def correct(mean, P, d, nu, PHt, S, stats, retraction):  # type: ignore[no-untyp
     if not cholesky(S, L, n):
         return NOT_PSD
     white = np.empty(n)
+    forward(L, nu, white)
     log_det, nis = 0.0, 0.0
     for i in range(n):
-        total = nu[i]
-        for q in range(i):
-            total -= L[i, q] * white[q]
-        white[i] = total / L[i, i]
         nis += white[i] * white[i]
         log_det += 2.0 * math.log(L[i, i])
     shift = np.zeros(d)
     for r in range(d):
+        forward(L, PHt[r], PHt[r])
         for i in range(n):
-            total = PHt[r, i]
-            for q in range(i):
-                total -= L[i, q] * PHt[r, q]
-            PHt[r, i] = total / L[i, i]
             shift[r] += PHt[r, i] * white[i]
         if retraction == ADDITIVE:
             mean[r] += shift[r]
@@ -263,14 +264,16 @@ def gate(nu, S, threshold, keep):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def update(kind, extrinsic, mean, P, d, at, known, z, R, threshold, keep, stats, retraction):  # type: ignore[no-untyped-def]
+def update(kind, extrinsic, mean, P, d, at, known, z, R, threshold, keep, stats, rule):  # type: ignore[no-untyped-def]
     """One stacked update with k pairings; those outside the gate are left out (`keep` says which). Returns a status.
+
+    `rule` = retraction of the correction, and how often to linearize at most (1: at the prediction only).
 
     `stats` (3,) collects NIS, log-likelihood and degrees of freedom.
     """
     k = len(at)
     nu, PHt, S = np.empty(2 * k), np.empty((d, 2 * k)), np.empty((2 * k, 2 * k))
-    innovate(kind, extrinsic, mean, P, d, at, known, z, R, nu, PHt, S)
+    innovate(kind, extrinsic, mean, mean, P, d, at, known, z, R, nu, PHt, S)
     keep[:] = True
     if threshold < np.inf:
         count = gate(nu, S, threshold, keep)
@@ -285,16 +288,65 @@ def update(kind, extrinsic, mean, P, d, at, known, z, R, threshold, keep, stats,
                     n += 2
             nu, PHt, S = nu[rows], PHt[:, rows], S[rows][:, rows]
     stats[2] += len(nu)
+    retraction, iterations = rule
+    if iterations > 1:
+        at, known, z, R = at[keep], known[keep], z[keep], R[keep]
+        point = iterate(kind, extrinsic, mean, P, d, at, known, z, R, nu, PHt, S, iterations, stats)
+        innovate(kind, extrinsic, point, mean, P, d, at, known, z, R, nu, PHt, S)
+        stats = np.zeros(3)  # the innovation is the one at the prediction
     return correct(mean, P, d, nu, PHt, S, stats, retraction)
 
 
 @numba.njit(cache=True)
-def update_each(kind, extrinsic, mean, P, d, at, known, z, R, threshold, keep, stats, retraction):  # type: ignore[no-untyped-def]
+def iterate(kind, extrinsic, mean, P, d, at, known, z, R, nu, PHt, S, iterations, stats):  # type: ignore[no-untyped-def]
+    """Where to linearize (d,): Gauss-Newton from the prediction, at most `iterations` - 1 steps (Bell and Cathey 1993).
+
+    nu, PHt and S are those at the prediction, whose NIS and log-likelihood are added to `stats`; they are overwritten.
+    Ends early where no state moves by 1e-6 sigma.
+    """
+    point = mean[:d].copy()
+    n = len(nu)
+    L, white = np.empty((n, n)), np.empty(n)
+    for turn in range(iterations - 1):
+        if not cholesky(S, L, n):
+            return point  # the correction itself will say so
+        forward(L, nu, white)
+        if turn == 0:
+            stats[0] += (white * white).sum()
+            stats[1] -= 0.5 * ((white * white).sum() + n * math.log(2.0 * math.pi)) + np.log(np.diag(L)).sum()
+        moved = 0.0
+        for r in range(d):
+            row = np.empty(n)
+            forward(L, PHt[r], row)
+            place = mean[r]
+            for i in range(n):
+                place += row[i] * white[i]
+            if P[r, r] > 0.0:
+                moved = max(moved, abs(place - point[r]) / math.sqrt(P[r, r]))
+            point[r] = place
+        if moved < 1e-6:
+            break
+        innovate(kind, extrinsic, point, mean, P, d, at, known, z, R, nu, PHt, S)
+    return point
+
+
+@numba.njit(cache=True)
+def forward(L, b, x):  # type: ignore[no-untyped-def]
+    """X = L^-1 b for a lower triangle L (n, n); x may be b."""
+    for i in range(len(b)):
+        total = b[i]
+        for q in range(i):
+            total -= L[i, q] * x[q]
+        x[i] = total / L[i, i]
+
+
+@numba.njit(cache=True)
+def update_each(kind, extrinsic, mean, P, d, at, known, z, R, threshold, keep, stats, rule):  # type: ignore[no-untyped-def]
     """One update per observation, each linearized after the one before it (the classic tutorials' way)."""
     for i in range(len(at)):
         one = slice(i, i + 1)
         status = update(
-            kind, extrinsic, mean, P, d, at[one], known[one], z[one], R[one], threshold, keep[one], stats, retraction
+            kind, extrinsic, mean, P, d, at[one], known[one], z[one], R[one], threshold, keep[one], stats, rule
         )
         if status != OK:
             return status
@@ -332,9 +384,9 @@ def run(kind, extrinsic, mean, P, d, motion, M, start, z, R, decision, known, ho
 
     `decision` (M,): SLAM (known empty): landmark number, `NEW` or `DISCARD`; localization: row of `known` (L, 2) or
     `DISCARD`. Rejected pairings become `DISCARD` in place. `out` = pose (N, 3), covariance (N, 3, 3), stats (N, 3),
-    state_size (N,); `how` = each, variance of a new landmark, retraction. Returns (d, status, frame of the failure).
+    state_size (N,); `how` = each, variance of a new landmark, rule. Returns (d, status, frame of the failure).
     """
-    each, variance, retraction = how
+    each, variance, rule = how
     pose, covariance, stats, size = out
     slam = len(known) == 0
     n = len(motion)
@@ -361,9 +413,9 @@ def run(kind, extrinsic, mean, P, d, motion, M, start, z, R, decision, known, ho
                         xy[k] = known[decision[i]]
                     k += 1
             if each:
-                status = update_each(kind, extrinsic, mean, P, d, at, xy, zs, Rs, threshold, keep, stats[f], retraction)
+                status = update_each(kind, extrinsic, mean, P, d, at, xy, zs, Rs, threshold, keep, stats[f], rule)
             else:
-                status = update(kind, extrinsic, mean, P, d, at, xy, zs, Rs, threshold, keep, stats[f], retraction)
+                status = update(kind, extrinsic, mean, P, d, at, xy, zs, Rs, threshold, keep, stats[f], rule)
             for k in range(paired):
                 if not keep[k]:
                     decision[rows[k]] = DISCARD

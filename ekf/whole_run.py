@@ -62,7 +62,7 @@ def run_filter(
     pose, covariance = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
     stats, size = np.zeros((n, 3)), np.zeros(n, np.int64)
     o = inputs.observations
-    how = options.each, options.augment_variance(0.0), options.retraction
+    how = options.each, options.augment_variance(0.0), options.rule
     d, status, frame = kernels.run(
         inputs.sensor.kind, inputs.sensor.extrinsic, mean, P, 3, inputs.increments.mean, inputs.increments.covariance,
         inputs.start, o.z, o.R, decided, known, how, float(threshold), (pose, covariance, stats, size),

@@ -22,7 +22,11 @@ from eval.setup import Setup
 from eval.upkeep import Upkeep
 from graph.incremental import Isam2Smoother
 
-FILTERS = {"ekf": DEFAULT, "ekf-invariant": FilterOptions(invariant=True)}
+FILTERS = {
+    "ekf": DEFAULT,
+    "ekf-iterated": FilterOptions(iterations=10),
+    "ekf-invariant": FilterOptions(invariant=True),
+}
 """Filters by name: one filter, whose correction is applied in different ways."""
 
 

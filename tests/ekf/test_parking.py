@@ -181,9 +181,9 @@ def test_joint_expectation_works_on_the_chosen_landmarks_alone(monkeypatch):
     H[:2, rows[:2]], H[2:, rows[2:]] = Hl
     sizes, innovate = [], kernels.innovate
 
-    def watched(kind, extrinsic, mean, P, d, *rest):
+    def watched(kind, extrinsic, mean, base, P, d, *rest):
         sizes.append((d, P.shape))
-        innovate(kind, extrinsic, mean, P, d, *rest)
+        innovate(kind, extrinsic, mean, base, P, d, *rest)
 
     monkeypatch.setattr(kernels, "innovate", watched)
     assert np.allclose(f.expect(NOTHING_SEEN).joint(chosen), H @ f.covariance @ H.T, atol=1e-14)
