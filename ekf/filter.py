@@ -11,7 +11,7 @@ from data.inputs import Increment, IntArray, Prior, Sightings
 from data.result import PoseEstimate
 from data.se2 import Array, BoolArray
 from data.sensors import Sensor
-from ekf import kernels
+from ekf import kernels, updates
 
 
 class FilterDivergedError(Exception):
@@ -39,7 +39,7 @@ class FilterOptions:
     @property
     def rule(self) -> tuple[int, int]:
         """How the correction is found and applied, as the kernels take it."""
-        return kernels.INVARIANT if self.invariant else kernels.ADDITIVE, self.iterations
+        return updates.INVARIANT if self.invariant else updates.ADDITIVE, self.iterations
 
     def augment_variance(self, distance: float) -> float:
         """Variance of a new landmark at a distance [m], as the kernels take it: negative for the exact augmentation."""
@@ -132,7 +132,7 @@ class Filter:
         self._version += 1
         keep, stats = np.ones(len(rows), np.bool_), np.zeros(3)
         if len(rows):
-            step = kernels.update_each if self.options.each else kernels.update
+            step = updates.update_each if self.options.each else updates.update
             status = step(
                 self._kind, self._extrinsic, self._mean, self._P, self._used, at, known,
                 sightings.z[rows], sightings.R[rows], threshold, keep, stats, self.options.rule,

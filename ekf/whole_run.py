@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numba
 import numpy as np
 
 from data.inputs import Inputs, IntArray
@@ -14,6 +15,8 @@ from data.result import DISCARD, NEW, MapState
 from data.se2 import Array
 from ekf import kernels
 from ekf.filter import DEFAULT, FilterOptions
+from ekf.kernels import OK, augment, healthy, predict
+from ekf.updates import update, update_each
 
 
 class FilterRun(NamedTuple):
@@ -63,7 +66,7 @@ def run_filter(
     stats, size = np.zeros((n, 3)), np.zeros(n, np.int64)
     o = inputs.observations
     how = options.each, options.augment_variance(0.0), options.rule
-    d, status, frame = kernels.run(
+    d, status, frame = run(
         inputs.sensor.kind, inputs.sensor.extrinsic, mean, P, 3, inputs.increments.mean, inputs.increments.covariance,
         inputs.start, o.z, o.R, decided, known, how, float(threshold), (pose, covariance, stats, size),
     )  # fmt: skip
@@ -81,3 +84,59 @@ def run_filter(
     return FilterRun(
         pose, covariance, stats[:, 0], stats[:, 2].astype(np.int64), stats[:, 1], size, decided, state, failure
     )
+
+
+@numba.njit(cache=True)
+def run(kind, extrinsic, mean, P, d, motion, M, start, z, R, decision, known, how, threshold, out):  # type: ignore[no-untyped-def]
+    """A whole log with decisions made beforehand: what the step-by-step filter does, without leaving compiled code.
+
+    `decision` (M,): SLAM (known empty): landmark number, `NEW` or `DISCARD`; localization: row of `known` (L, 2) or
+    `DISCARD`. Rejected pairings become `DISCARD` in place. `out` = pose (N, 3), covariance (N, 3, 3), stats (N, 3),
+    state_size (N,); `how` = each, variance of a new landmark, rule. Returns (d, status, frame of the failure).
+    """
+    each, variance, rule = how
+    pose, covariance, stats, size = out
+    slam = len(known) == 0
+    n = len(motion)
+    for f in range(n):
+        if f > 0:
+            predict(mean, P, d, motion[f], M[f])
+        first, last = start[f], start[f + 1]
+        paired = 0
+        for i in range(first, last):
+            paired += decision[i] >= 0
+        status = OK
+        if paired > 0:
+            at, xy = np.empty(paired, np.int64), np.empty((paired, 2))
+            zs, Rs, rows = np.empty((paired, 2)), np.empty((paired, 2, 2)), np.empty(paired, np.int64)
+            keep = np.empty(paired, np.bool_)
+            k = 0
+            for i in range(first, last):
+                if decision[i] >= 0:
+                    rows[k], zs[k], Rs[k] = i, z[i], R[i]
+                    at[k] = -1
+                    if slam:
+                        at[k] = 3 + 2 * decision[i]
+                    else:
+                        xy[k] = known[decision[i]]
+                    k += 1
+            if each:
+                status = update_each(kind, extrinsic, mean, P, d, at, xy, zs, Rs, threshold, keep, stats[f], rule)
+            else:
+                status = update(kind, extrinsic, mean, P, d, at, xy, zs, Rs, threshold, keep, stats[f], rule)
+            for k in range(paired):
+                if not keep[k]:
+                    decision[rows[k]] = DISCARD
+        if slam and status == OK:
+            for i in range(first, last):
+                if decision[i] == NEW:
+                    augment(kind, extrinsic, mean, P, d, z[i], R[i], variance)
+                    d += 2
+        if status == OK:
+            status = healthy(mean, P)
+        pose[f] = mean[:3]
+        covariance[f] = P[:3, :3]
+        size[f] = d
+        if status != OK:
+            return d, status, f
+    return d, OK, n

@@ -12,7 +12,7 @@ from scipy.linalg import expm
 from data.arena import Arena, simulate
 from data.inputs import Increment, Prior, Sightings
 from data.sensors import RelativePoint
-from ekf import kernels
+from ekf import updates
 from ekf.filter import FilterOptions
 from ekf.slam import EkfSlam
 from eval import consistency
@@ -50,7 +50,7 @@ def test_pose_and_landmarks_move_by_the_exponential_and_the_covariance_goes_alon
     for i, before, after in zip(index, points, expected, strict=True):
         N[i, 2] += J @ (after - before)
     moved, Q = mean.copy(), P.copy()
-    kernels.move(moved, Q, d, shift)
+    updates.move(moved, Q, d, shift)
     np.testing.assert_allclose(np.array([moved[i] for i in index]), expected, atol=1e-11)
     assert moved[2] == mean[2] + angle
     np.testing.assert_allclose(Q, N @ P @ N.T, atol=1e-9 * np.abs(P).max())

@@ -1,0 +1,204 @@
+"""The filter's compiled update, with its variants: plain, iterated, invariant; same buffers as `ekf.kernels`."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+from data.sensors import wrap_angle
+from ekf.kernels import NOT_PSD, OK, gate, healthy, innovate
+
+ADDITIVE = 0
+"""Correction: mean += K nu."""
+INVARIANT = 1
+"""Correction: pose and landmarks are moved together by exp(xi), the right-invariant error of SE_(1+n)(2)."""
+
+
+@numba.njit(cache=True)
+def cholesky(S, L, n):  # type: ignore[no-untyped-def]
+    """Lower Cholesky factor of the leading n x n block of S; False where S is not positive definite."""
+    for i in range(n):
+        for j in range(i + 1):
+            total = S[i, j]
+            for q in range(j):
+                total -= L[i, q] * L[j, q]
+            if i == j:
+                if not total > 0.0:
+                    return False
+                L[i, i] = math.sqrt(total)
+            else:
+                L[i, j] = total / L[j, j]
+    return True
+
+
+@numba.njit(cache=True)
+def forward(L, b, x):  # type: ignore[no-untyped-def]
+    """X = L^-1 b for a lower triangle L (n, n); x may be b."""
+    for i in range(len(b)):
+        total = b[i]
+        for q in range(i):
+            total -= L[i, q] * x[q]
+        x[i] = total / L[i, i]
+
+
+@numba.njit(cache=True)
+def correct(mean, P, d, nu, PHt, S, stats, retraction):  # type: ignore[no-untyped-def]
+    """The Kalman update: mean += K nu (or see `move`), P -= W W' with W = PHt L^-T, S = L L'.
+
+    Adds NIS and log-likelihood to `stats` (2,). The subtraction is computed once per pair and mirrored, so P stays
+    symmetric to the bit. Returns a status.
+    """
+    n = len(nu)
+    L = np.empty((n, n))
+    if not cholesky(S, L, n):
+        return NOT_PSD
+    white = np.empty(n)
+    forward(L, nu, white)
+    log_det, nis = 0.0, 0.0
+    for i in range(n):
+        nis += white[i] * white[i]
+        log_det += 2.0 * math.log(L[i, i])
+    shift = np.zeros(d)
+    for r in range(d):
+        forward(L, PHt[r], PHt[r])
+        for i in range(n):
+            shift[r] += PHt[r, i] * white[i]
+        if retraction == ADDITIVE:
+            mean[r] += shift[r]
+    for r in range(d):
+        for c in range(r + 1):
+            total = 0.0
+            for i in range(n):
+                total += PHt[r, i] * PHt[c, i]
+            P[r, c] -= total
+            P[c, r] = P[r, c]
+    if retraction == INVARIANT:
+        move(mean, P, d, shift)
+    mean[2] = wrap_angle(mean[2])
+    stats[0] += nis
+    stats[1] -= 0.5 * (nis + log_det + n * math.log(2.0 * math.pi))
+    return healthy(mean, P)
+
+
+@numba.njit(cache=True)
+def move(mean, P, d, shift):  # type: ignore[no-untyped-def]
+    """Move pose and landmarks by exp(xi) for the additive correction `shift` (d,), and take P along.
+
+    xi_theta = shift_theta; for every point x, rho = shift_x - J x xi_theta and x <- R(xi_theta) x + V(xi_theta) rho
+    (Brossard, Barrau and Bonnabel, IEEE Sensors Journal 19(4), 2019). P is the additive covariance in the world frame
+    before and after: P <- N P N' with N = I + J (x+ - x-) e_theta' on the rows of each point.
+    """
+    angle = shift[2]
+    c, s = math.cos(angle), math.sin(angle)
+    if abs(angle) < 1e-4:  # the series to a rounding; (1 - c) / angle would lose digits
+        a, b = 1.0 - angle * angle / 6.0, 0.5 * angle
+    else:
+        a, b = s / angle, (1.0 - c) / angle
+    step = np.zeros(d)
+    r = 0
+    while r < d:
+        x, y = mean[r], mean[r + 1]
+        u, v = shift[r] + y * angle, shift[r + 1] - x * angle
+        step[r] = c * x - s * y + a * u - b * v - x
+        step[r + 1] = s * x + c * y + b * u + a * v - y
+        r = 3 if r == 0 else r + 2
+    column = np.zeros(d)
+    r = 0
+    while r < d:
+        column[r], column[r + 1] = -step[r + 1], step[r]
+        r = 3 if r == 0 else r + 2
+    for i in range(d):
+        for j in range(d):
+            P[i, j] += column[i] * P[2, j]
+    for i in range(d):
+        for j in range(d):
+            P[i, j] += P[i, 2] * column[j]
+    for i in range(d):
+        for j in range(i):
+            mid = 0.5 * (P[i, j] + P[j, i])
+            P[i, j], P[j, i] = mid, mid
+    for i in range(d):
+        mean[i] += step[i]
+    mean[2] += angle
+
+
+@numba.njit(cache=True)
+def iterate(kind, extrinsic, mean, P, d, at, known, z, R, nu, PHt, S, iterations, stats):  # type: ignore[no-untyped-def]
+    """Where to linearize (d,): Gauss-Newton from the prediction, at most `iterations` - 1 steps (Bell and Cathey 1993).
+
+    nu, PHt and S are those at the prediction, whose NIS and log-likelihood are added to `stats`; they are overwritten.
+    Ends early where no state moves by 1e-6 sigma.
+    """
+    point = mean[:d].copy()
+    n = len(nu)
+    L, white = np.empty((n, n)), np.empty(n)
+    for turn in range(iterations - 1):
+        if not cholesky(S, L, n):
+            return point  # the correction itself will say so
+        forward(L, nu, white)
+        if turn == 0:
+            stats[0] += (white * white).sum()
+            stats[1] -= 0.5 * ((white * white).sum() + n * math.log(2.0 * math.pi)) + np.log(np.diag(L)).sum()
+        moved = 0.0
+        for r in range(d):
+            row = np.empty(n)
+            forward(L, PHt[r], row)
+            place = mean[r]
+            for i in range(n):
+                place += row[i] * white[i]
+            if P[r, r] > 0.0:
+                moved = max(moved, abs(place - point[r]) / math.sqrt(P[r, r]))
+            point[r] = place
+        if moved < 1e-6:
+            break
+        innovate(kind, extrinsic, point, mean, P, d, at, known, z, R, nu, PHt, S)
+    return point
+
+
+@numba.njit(cache=True)
+def update(kind, extrinsic, mean, P, d, at, known, z, R, threshold, keep, stats, rule):  # type: ignore[no-untyped-def]
+    """One stacked update with k pairings; those outside the gate are left out (`keep` says which). Returns a status.
+
+    `rule` = retraction of the correction, and how often to linearize at most (1: at the prediction only).
+
+    `stats` (3,) collects NIS, log-likelihood and degrees of freedom.
+    """
+    k = len(at)
+    nu, PHt, S = np.empty(2 * k), np.empty((d, 2 * k)), np.empty((2 * k, 2 * k))
+    innovate(kind, extrinsic, mean, mean, P, d, at, known, z, R, nu, PHt, S)
+    keep[:] = True
+    if threshold < np.inf:
+        count = gate(nu, S, threshold, keep)
+        if count == 0:
+            return OK
+        if count < k:
+            rows = np.empty(2 * count, np.int64)
+            n = 0
+            for i in range(k):
+                if keep[i]:
+                    rows[n], rows[n + 1] = 2 * i, 2 * i + 1
+                    n += 2
+            nu, PHt, S = nu[rows], PHt[:, rows], S[rows][:, rows]
+    stats[2] += len(nu)
+    retraction, iterations = rule
+    if iterations > 1:
+        at, known, z, R = at[keep], known[keep], z[keep], R[keep]
+        point = iterate(kind, extrinsic, mean, P, d, at, known, z, R, nu, PHt, S, iterations, stats)
+        innovate(kind, extrinsic, point, mean, P, d, at, known, z, R, nu, PHt, S)
+        stats = np.zeros(3)  # the innovation is the one at the prediction
+    return correct(mean, P, d, nu, PHt, S, stats, retraction)
+
+
+@numba.njit(cache=True)
+def update_each(kind, extrinsic, mean, P, d, at, known, z, R, threshold, keep, stats, rule):  # type: ignore[no-untyped-def]
+    """One update per observation, each linearized after the one before it (the classic tutorials' way)."""
+    for i in range(len(at)):
+        one = slice(i, i + 1)
+        status = update(
+            kind, extrinsic, mean, P, d, at[one], known[one], z[one], R[one], threshold, keep[one], stats, rule
+        )
+        if status != OK:
+            return status
+    return OK
