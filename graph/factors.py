@@ -116,13 +116,18 @@ def root_information(covariance):  # type: ignore[no-untyped-def]
     return R, pivot
 
 
+def is_exact(prior: Prior) -> bool:
+    """Whether the first pose is known exactly in every direction: a hard constraint in the graph."""
+    return bool(np.linalg.eigvalsh(prior.covariance)[-1] < EXACT**2)
+
+
 def prior_factor(prior: Prior) -> Factor:
     """Prior on the pose of frame 0; zero and singular covariances are allowed (see `EXACT`)."""
     B = world_from_body(prior.mean[2])
     body = B.T @ prior.covariance @ B
     variance, axes = np.linalg.eigh(body)
     model: gtsam.noiseModel.Base
-    if variance[-1] < EXACT**2:
+    if is_exact(prior):
         model = noise.Constrained.All(3)
     else:
         if variance[0] < EXACT**2:

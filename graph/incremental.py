@@ -27,6 +27,7 @@ from graph.factors import (
     Sighted,
     UnderConstrained,
     between_factors,
+    is_exact,
     name_of,
     pose2,
     prior_factor,
@@ -129,6 +130,8 @@ class Isam2Smoother:
             return self._P
         keys = [X(self._anchor), *(L(n) for n in number.tolist())]
         J = self._engine.covariance(keys)
+        if self._anchor == 0 and is_exact(self.prior):
+            J[:3], J[:, :3] = 0.0, 0.0  # gtsam's joint marginal takes a hard constraint for a variance of about 1
         self._drift.know(number, np.sqrt(np.diag(J)[3:].reshape(-1, 2).sum(1)))
         F = _transport(self._mean - self._anchor_pose) @ se2.world_from_body(self._anchor_pose[2])
         J[:3] = F @ J[:3]

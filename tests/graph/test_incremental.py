@@ -12,7 +12,7 @@ from association.candidates import Drift, in_view, may_be_in_view
 from association.known import known_decisions
 from data import se2
 from data.errors import DataError
-from data.inputs import Increment, Increments, LabelledObservations, Sightings
+from data.inputs import Increment, Increments, LabelledObservations, Prior, Sightings
 from data.result import DISCARD, NEW
 from data.sensors import RangeBearing, RelativePoint
 from ekf.localizer import EkfLocalizer
@@ -387,3 +387,24 @@ def test_senseless_requests_are_refused():
     s.predict(Increment(np.zeros(3), np.zeros((3, 3))))
     with pytest.raises(DataError, match="increment into frame 1: its covariance is singular"):
         s.update(seen, np.full(len(seen.z), NEW))
+
+
+@pytest.mark.parametrize("variance", [(0.0, 0.0, 0.0), (1e-4, 1e-4, 0.0), (0.0, 0.0, 1e-4), (0.01, 0.02, 0.001)])
+@every_sensor
+def test_the_first_expectations_are_the_filters_whatever_the_prior(sensor, variance):
+    """While the first pose is the only one in the graph: an exact prior is a hard constraint there."""
+    inputs, _, _ = circle(sensor, noise=0.0, landmarks=25)
+    inputs = replace(inputs.without_map(), prior=Prior(inputs.prior.mean, np.diag(variance)))
+    decisions, _ = known_decisions(inputs)
+    ours, twin = Isam2Smoother(inputs.prior, inputs.sensor), EkfSlam(inputs.prior, inputs.sensor)
+    for k in range(3):
+        rows = slice(inputs.start[k], inputs.start[k + 1])
+        sightings = inputs.sightings(k)
+        if k:
+            a, b = (e.predict(inputs.increment(k)) or e.expect(sightings).by_age() for e in (ours, twin))
+            both = np.intersect1d(a.number, b.number)
+            assert len(both) > 2
+            A, B = (e.joint(np.searchsorted(e.number, both)) for e in (a, b))
+            np.testing.assert_allclose(A, B, atol=1e-4 * np.abs(B).max())
+        for e in (ours, twin):
+            e.update(sightings, decisions[rows])
