@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -57,6 +58,7 @@ def decide(
         expectation: candidates and observations.
         gate: chi-square probability of the method's tests, None for no gate.
         new_gate: chi-square probability outside which an observation is new; None: only where there is no candidate.
+            `ml-ratio` decides that itself.
         known_map: the map is given, so nothing is new and the unpaired are discarded.
         budget: nodes a search may visit in this frame.
 
@@ -66,7 +68,9 @@ def decide(
         SingularInnovationError: an innovation covariance is not positive definite.
     """
     complete = True
-    if method in PLAIN:
+    if method == "ml-ratio" and known_map:
+        decisions = ml_ratio(expectation, gate, alpha=math.inf)
+    elif method in PLAIN:
         decisions = PLAIN[method](expectation, gate)
     elif method in SEARCHES:
         found = search(expectation, gate, first=SEARCHES[method], budget=budget)

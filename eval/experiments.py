@@ -12,6 +12,7 @@ from data.log import Log
 from eval.flags import DEFAULT_ESTIMATORS, FILTERS, QUICK_RUNS
 from eval.logs import find_logs, open_log
 from eval.options import Options
+from eval.run_files import folder_name
 from eval.setup import Setup
 
 DEFAULT_RUNS = 50
@@ -68,10 +69,16 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
         experiments += [
             Experiment(_cut(log, options), task, _work(log, options), options.setup) for task in _tasks(log, options)
         ]
-    names = list(dict.fromkeys((id(e.log), e.log.name) for e in experiments))
-    for _, name in names:
-        if [n for _, n in names].count(name) > 1:
-            raise UsageError(f"two logs are named {name!r}; rename one (the name stands in its log.toml)")
+    names = [name for _, name in dict.fromkeys((id(e.log), e.log.name) for e in experiments)]
+    for name in names:
+        same = [n for n in names if folder_name(n) == folder_name(name)]
+        if len(same) > 1:
+            raise UsageError(
+                f"two logs are named {' and '.join(map(repr, dict.fromkeys(same)))} (in file names : and + become _); "
+                "rename one (the name stands in its log.toml)"
+            )
+    if options.setup.upkeep and not any(e.task == "slam" for e in experiments):
+        raise UsageError("--maintain, --forget-after, --deactivate-after: for slam; a known map is kept as it is")
     runs = options.runs
     if runs is None:
         runs = 0 if options.log else QUICK_RUNS if options.quick else DEFAULT_RUNS

@@ -61,7 +61,7 @@ def bars(trial: Trial, beside: Sequence[Trial] = ()) -> list[Bar]:
         extra = t.log.name.removeprefix(trial.log.name).strip(":+ ")
         grouped: dict[tuple[str, bytes, bytes], list[Run]] = {}
         for run in t.runs:
-            if run.association != "none":
+            if run.association != "none" and run.failure is None:
                 key = (run.association, run.decisions.tobytes(), run.final_decisions.tobytes())
                 grouped.setdefault(key, []).append(run)
         for runs in grouped.values():

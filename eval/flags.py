@@ -39,7 +39,8 @@ examples:
   python -m eval.run_all --runs 100 --seed 1000 --jobs 2    the consistency study: 100 arenas, two processes
   python -m eval.run_all --formats csv,tex --out results/paper --no-plots
   python -m eval.run_all --log arena:0 --animate            a film of each estimator beside the figures
-  python -m eval.run_all --config my_run.toml -v            the same keys from a file; flags win
+  python -m eval.run_all --config my_run.toml -v            the same keys from a file; flags win; a table
+                                                            [corridor] (seed, people, range, ...) is a log, too
   python -m eval.run_all --log DIR --config tutorial-step1 --config tutorial-step3   (DIR made by data.convert mrclam)
   python -m eval.run_all -q                                 print nothing but errors
 
@@ -60,7 +61,7 @@ def parser() -> argparse.ArgumentParser:
         action="append",
         metavar="PATH|NAME",
         help="open log folder, victoria-park, arena:SEED, corridor:SEED, or corridor:SEED:people+no-odometry+KEY=VALUE "
-        "(repeatable; default: victoria-park and arena:0)",
+        "(repeatable; default: victoria-park, arena:0, and corridor:0 in four variants)",
     )
     add(
         "--data",
@@ -83,7 +84,8 @@ def parser() -> argparse.ArgumentParser:
     add(
         "--new-gate",
         metavar="P",
-        help="an observation starts a landmark only outside this gate of every other (default: 0.99999; the lab: 0.99)",
+        help="an observation starts a landmark only outside this gate of every other (default: 0.99999; the lab: 0.99; "
+        "ml-ratio decides by itself)",
     )
     add("--gate-known", metavar="P", help="gate for readings paired by label, too (default: none)")
     add("--in-view", action="store_true", default=None, help="the EKF offers only landmarks in range and view")

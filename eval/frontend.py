@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -102,7 +103,8 @@ class FrontEnd:
         self.inputs, self.setup, self.association = inputs, setup, association
         self.estimator = make_estimator(estimator, inputs, options)
         self.slam = inputs.map is None
-        self.upkeep = Upkeep(setup, inputs.time) if self.slam and setup.upkeep else None
+        kept = setup if self._filter is not None else replace(setup, forget_after=None, deactivate_after=None)
+        self.upkeep = Upkeep(kept, inputs.time) if self.slam and kept.upkeep else None
         self.k = -1
         self.incomplete = 0
         self.reactivated = 0

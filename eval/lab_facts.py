@@ -178,6 +178,8 @@ class Motion:
 def true_against_stated(log: Log) -> Motion:
     """How far the motions that happened are from those that the inputs state, measured by the covariances stated."""
     assert log.truth.pose is not None
+    if len(log.recorded) < 2:
+        return Motion(*4 * (float("nan"),), 0, 0)
     happened = between(log.truth.pose[:-1], log.truth.pose[1:])
     stated, Q = log.recorded.increments.mean[1:], log.recorded.increments.covariance[1:]
     off = happened - stated

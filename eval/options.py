@@ -96,6 +96,8 @@ def read_options(argv: Sequence[str] | None = None) -> Options:
     variants: list[Variant] = []
     for name in given.pop("config", []):
         keys = _read_config(name)
+        if "corridor" in keys:
+            keys["log"] = [*_names(keys.get("log")), _corridor(name, keys.pop("corridor"))]
         if "variant" in keys:
             variants.append(_variant(name, keys.pop("variant")))
         merged.update(keys)
@@ -120,11 +122,25 @@ def _read_config(name: str) -> dict[str, object]:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as fault:
         raise UsageError(f"--config {name}: {fault}") from None
     keys = {k.replace("-", "_"): v for k, v in content.items()}
-    known = {f.name for f in fields(Options)} - {"variants"} | {"variant"}
+    known = {f.name for f in fields(Options)} - {"variants"} | {"variant", "corridor"}
     unknown = sorted(set(keys) - known)
     if unknown:
         raise UsageError(f"--config {name}: unknown key {unknown[0]!r}; known: {', '.join(sorted(known))}")
     return keys
+
+
+def _names(value: object) -> list[object]:
+    return list(value) if isinstance(value, list) else [] if value is None else [value]
+
+
+def _corridor(name: str, table: object) -> str:
+    """The log's name that a table of constants stands for: `seed`, and keys and values as in the name."""
+    if not isinstance(table, dict):
+        raise UsageError(f"--config {name}: [corridor] is a table, with seed, people, odometry, range, ...")
+    constants = {k: {True: "on", False: "off"}[v] if isinstance(v, bool) else v for k, v in table.items()}
+    seed = constants.pop("seed", 0)
+    parts = "+".join(f"{k}={v}" for k, v in constants.items())
+    return f"corridor:{seed}" + (f":{parts}" if parts else "")
 
 
 def _variant(name: str, table: object) -> Variant:

@@ -66,7 +66,7 @@ def has_outcomes(trial: Trial, beside: Sequence[Trial] = ()) -> bool:
         confusion_of(r, t.log, "online") is not None
         for t in (trial, *beside)
         for r in t.runs
-        if r.association != "known"
+        if r.association != "known" and r.failure is None
     )
 
 

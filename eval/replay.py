@@ -51,7 +51,11 @@ def filter_known(
     decisions, created = known_decisions(inputs)
     result: FilterRun = run_filter(inputs, decisions, threshold=threshold, options=options or FILTERS[name])
     seconds = time.perf_counter() - begin
-    failure = None if result.failure is None else Failure("diverged", *result.failure)
+    failure, decided = None, result.decisions
+    if result.failure is not None:
+        failure = Failure("diverged", *result.failure)
+        unreached = inputs.observations.frame >= failure.frame
+        decided, created = np.where(unreached, DISCARD, decided), np.where(unreached, -1, created)
     state = None
     if result.map is not None:
         kept = created.copy()
@@ -59,8 +63,8 @@ def filter_known(
         state = map_estimate(result.map, inputs.observations.frame, result.decisions, kept)
     total = (float(np.nansum(result.nis)), int(result.dof.sum())) if failure is None else None
     return Run(
-        name, "known", task, Trajectory(result.pose, result.covariance), None, state, result.decisions,
-        result.decisions, created, Innovations(result.nis, result.dof, result.log_likelihood), total,
+        name, "known", task, Trajectory(result.pose, result.covariance), None, state, decided,
+        decided, created, Innovations(result.nis, result.dof, result.log_likelihood), total,
         result.state_size, seconds, failure,
     )  # fmt: skip
 
@@ -183,7 +187,7 @@ def _failed(name: str, front: Run, failure: Failure, frames: int, seconds: float
     nothing = Trajectory(np.full((frames, 3), np.nan), np.full((frames, 3, 3), np.nan))
     return Run(
         name, front.association, front.task, None, nothing, None, front.decisions, front.final_decisions, front.created,
-        None, None, None, seconds, failure,
+        None, None, None, seconds, failure, (), front.removed,
     )  # fmt: skip
 
 

@@ -101,6 +101,9 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
             if run.failure is not None:
                 f = run.failure
                 console.say(f"{trial.log.name}, {run.task}: {run.estimator} {f.status} at frame {f.frame}: {f.why}")
+            for note in run.notes:
+                if "ran out" in note:
+                    console.say(f"{trial.log.name}, {run.task}: {run.estimator}: {note}")
     with _bar("writing", options.quiet) as progress:
         write_results(folder, options, outcome, judged, arguments, progress)
     failed = failed_declarations(judged)

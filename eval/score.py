@@ -169,9 +169,9 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None) -> dict[s
 
 
 def association_row(run: Run, phase: str, log: Log) -> dict[str, object] | None:
-    """One row of association.csv, or None where nothing was decided or nothing can be compared with."""
+    """One row of association.csv; None for a run that failed, and where there is nothing to compare with."""
     counts = confusion_of(run, log, phase)
-    if counts is None:
+    if counts is None or run.failure is not None:
         return None
     return {
         "log": log.name, "task": run.task, "estimator": run.estimator, "association": run.association, "phase": phase,

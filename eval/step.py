@@ -60,7 +60,12 @@ def parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = p.add_argument
-    add("--log", metavar="PATH|NAME", help="open log folder, victoria-park, arena:SEED or corridor:SEED[:KEYS]")
+    add(
+        "--log",
+        action="append",
+        metavar="PATH|NAME",
+        help="open log folder, victoria-park, arena:SEED or corridor:SEED[:KEYS]",
+    )
     add("--association", metavar="NAME", default="jcbb", help=f"of {', '.join(ASSOCIATIONS)} (default: jcbb)")
     add("--estimator", metavar="NAME", default="ekf", help=f"of {', '.join(STEPPING)} (default: ekf)")
     add(
@@ -83,6 +88,9 @@ def read(argv: Sequence[str] | None) -> Wish:
     given = parser().parse_args(argv)
     if not given.log:
         raise UsageError("--log: a log is needed, as in --log corridor:0")
+    if len(given.log) > 1:
+        raise UsageError(f"--log {' --log '.join(given.log)}: one log is needed")
+    given.log = given.log[0]
     asked = {key: value for key, value in vars(given).items() if key in SHARED and value is not None}
     same = [f"--{key.replace('_', '-')}={value}" for key, value in asked.items()]
     same += [f"--{key.replace('_', '-')}" for key in ("in_view", "maintain") if getattr(given, key)]

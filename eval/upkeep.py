@@ -34,6 +34,8 @@ class Upkeep:
         self._first = np.empty(0, np.int64)
         self._times = np.empty(0, np.int64)
         self._last = np.empty(0)
+        self._awake = np.empty(0)
+        """When each landmark was seen or taken back last."""
         self._parked = np.empty(0, np.bool_)
         self._gone = np.empty(0, np.bool_)
 
@@ -44,15 +46,16 @@ class Upkeep:
             self._first = np.concatenate([self._first, np.full(more, frame)])
             self._times = np.concatenate([self._times, np.zeros(more, np.int64)])
             self._last = np.concatenate([self._last, np.full(more, self.time[frame])])
+            self._awake = np.concatenate([self._awake, np.full(more, self.time[frame])])
             self._parked = np.concatenate([self._parked, np.zeros(more, np.bool_)])
             self._gone = np.concatenate([self._gone, np.zeros(more, np.bool_)])
         np.add.at(self._times, numbers, 1)
-        self._last[numbers] = self.time[frame]
+        self._last[numbers] = self._awake[numbers] = self.time[frame]
 
     def wake(self, frame: int, numbers: IntArray) -> None:
         """Parked landmarks were taken back; the time until they are parked again starts anew."""
         self._parked[numbers] = False
-        self._last[numbers] = self.time[frame]
+        self._awake[numbers] = self.time[frame]
 
     def leaving(self, frame: int) -> Leaving:
         """What leaves after this frame; afterwards it counts as gone."""
@@ -64,12 +67,12 @@ class Upkeep:
             retracted = np.flatnonzero(present & (self._times == 1) & old)
             self._leave(frame, retracted)
             self.retracted.update(retracted.tolist())
-        unseen = self.time[frame] - self._last
+        now = self.time[frame]
         if s.forget_after is not None:
-            forgotten = np.flatnonzero(~self._gone & (unseen > s.forget_after))
+            forgotten = np.flatnonzero(~self._gone & (now - self._last > s.forget_after))
             self._leave(frame, forgotten)
         if s.deactivate_after is not None:
-            parked = np.flatnonzero(~self._gone & ~self._parked & (unseen > s.deactivate_after))
+            parked = np.flatnonzero(~self._gone & ~self._parked & (now - self._awake > s.deactivate_after))
             self._parked[parked] = True
         return Leaving(retracted, forgotten, parked)
 

@@ -109,6 +109,12 @@ def test_ml_ratio_takes_the_best_only_if_it_beats_the_true_second_best():
     assert ml_ratio(on_a_line([0.0], []), None).tolist() == [NEW]
 
 
+def test_ml_ratio_in_a_known_map_chooses_among_landmarks_alone():
+    e = on_a_line([0.0], [np.sqrt(2.0), 10.0], R=np.eye(2))
+    assert decide("ml-ratio", e, GATE, None).decisions.tolist() == [NEW]
+    assert decide("ml-ratio", e, GATE, None, known_map=True).decisions.tolist() == [0]
+
+
 def test_ml_ratio_asks_no_second_gate():
     e = on_a_line([np.sqrt(2.0)], [0.0], R=np.eye(2))
     assert decide("ml-ratio", e, GATE, 0.99999).decisions.tolist() == [NEW]

@@ -140,6 +140,7 @@ def command(*arguments, **kwargs):
     (["--log", "arena:x"], "whole number"),
     (["--log", "victoria-park", "--task", "localization"], "has no map"),
     (["--log", "arena:0", "--log", "arena:0"], "two logs are named 'arena:0'"),
+    (["--log", "arena:0", "--task", "localization", "--maintain"], "for slam"),
     (["--log", "."], "log.toml"),
     (["--data", "no_such_folder"], "no such folder"),
     (["--log", "arena:0", "--config", "tutorial-step1"], "does not come from a UTIAS MRCLAM recording"),

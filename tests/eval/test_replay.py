@@ -20,8 +20,9 @@ from ekf.filter import FilterOptions
 from eval import replay
 from eval.frontend import FrontEnd
 from eval.replay import compare, filter_known, step_by_step
-from eval.score import confusion_of
+from eval.score import association_row, confusion_of
 from eval.setup import Setup
+from eval.upkeep import Upkeep
 
 LAB = Setup(gate=0.99, new_gate=0.99)
 
@@ -197,6 +198,37 @@ def test_a_forgotten_landmark_is_gone_from_the_state_but_its_pairings_stay(lab):
     batch = replay.batch("batch", inputs, run)
     assert batch.failure is None
     assert len(batch.map) == (run.created >= 0).sum()
+
+
+def test_forgetting_is_the_filters_alone_and_leaves_the_graph_whole(lab):
+    inputs = slam(lab, labels=True)
+    (whole,) = compare(inputs, "slam", ["isam2"])
+    (run,) = compare(inputs, "slam", ["isam2"], setup=Setup(forget_after=5))
+    np.testing.assert_array_equal(run.online.pose, whole.online.pose)
+    assert len(run.map) == len(whole.map)
+
+
+def test_a_parked_landmark_that_was_taken_back_unseen_is_still_forgotten_in_time():
+    upkeep = Upkeep(Setup(deactivate_after=2.0, forget_after=6.0), np.arange(12.0))
+    upkeep.see(0, np.array([0]))
+    assert [upkeep.leaving(k).parked.tolist() for k in range(4)] == [[], [], [], [0]]
+    upkeep.wake(4, np.array([0]))
+    assert upkeep.leaving(6).parked.tolist() == []
+    leaving = upkeep.leaving(7)
+    assert (leaving.parked.tolist(), leaving.forgotten.tolist()) == ([], [0])
+
+
+def test_a_filter_that_failed_decided_nothing_after_and_is_counted_nowhere(lab):
+    inputs = slam(lab, labels=True)
+    z = inputs.observations.z.copy()
+    frame = inputs.observations.frame
+    broken = replace(inputs, observations=replace(inputs.observations, z=np.where((frame == 9)[:, None], 1e200, z)))
+    run = filter_known(broken, "slam")
+    assert run.failure is not None
+    after = frame >= run.failure.frame
+    assert set(run.decisions[after]) == {DISCARD}
+    assert (run.created[after] == -1).all()
+    assert association_row(run, "final", lab) is None
 
 
 def test_parked_landmarks_come_back_and_nothing_is_lost(lab):
