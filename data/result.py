@@ -36,7 +36,8 @@ class Updated(NamedTuple):
     """What an update did with the observations of a frame.
 
     used: (m,) bool, entered the update; created: (m,) number of the landmark founded, -1 for none;
-    nis, dof, log_likelihood: of the innovations used (NaN where the estimator forms none).
+    nis, dof, log_likelihood: of the innovations used (NaN where the estimator forms none);
+    white: (m, 2) each of them in units of its own standard deviation, NaN where not used (None: not formed).
     """
 
     used: NDArray[np.bool_]
@@ -44,6 +45,7 @@ class Updated(NamedTuple):
     nis: float
     dof: int
     log_likelihood: float
+    white: Array | None = None
 
 
 class Finished(NamedTuple):
@@ -102,11 +104,15 @@ def map_estimate(state: MapState, frame: IntArray, decisions: IntArray, created:
 
 @dataclass(frozen=True, eq=False)
 class Innovations:
-    """Per frame (N,): NIS, its degrees of freedom, log-likelihood of the accepted innovations; NaN: not formed."""
+    """Per frame (N,): NIS, its degrees of freedom, log-likelihood of the accepted innovations; NaN: not formed.
+
+    `white` (M, 2): each observation's innovation in units of its own standard deviation; NaN: not used, or not formed.
+    """
 
     nis: Array
     dof: IntArray
     log_likelihood: Array
+    white: Array
 
     def __post_init__(self) -> None:
         read_only(self)

@@ -26,6 +26,7 @@ class FilterOptions:
         each: one update per observation (linearized one after the other) instead of one stacked update per frame.
         invariant: the correction moves pose and landmarks together (right-invariant EKF); Jacobians stay as they are.
         iterations: how often an update is linearized at most, each time where the last one led (1: the plain EKF).
+        first_estimates: Jacobians at the first estimates, predicted poses and landmarks as founded (FEJ-EKF).
         new_variance: m^2; a new landmark gets this variance and no correlation (None: the exact augmentation).
         new_variance_per_square: the same as a share of its squared distance from the sensor; step by step only.
     """
@@ -33,8 +34,15 @@ class FilterOptions:
     each: bool = False
     invariant: bool = False
     iterations: int = 1
+    first_estimates: bool = False
     new_variance: float | None = None
     new_variance_per_square: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.first_estimates and (self.iterations > 1 or self.invariant):
+            raise ValueError(
+                "first estimates exclude iterations and the invariant correction, which linearize elsewhere"
+            )
 
     @property
     def rule(self) -> tuple[int, int]:
@@ -65,6 +73,7 @@ class Filter:
         self._kind, self._extrinsic = sensor.kind, sensor.extrinsic
         self._mean, self._P = np.zeros(capacity), np.zeros((capacity, capacity))
         self._mean[:3], self._P[:3, :3] = prior.mean, prior.covariance
+        self._first = self._mean.copy() if options.first_estimates else kernels.NEWEST
         self.size, self._carried = 3, 0
         self._version = 0
 
@@ -76,7 +85,7 @@ class Filter:
     def predict(self, increment: Increment) -> None:
         """Move by an increment."""
         self._version += 1
-        kernels.predict(self._mean, self._P, self._used, increment.mean, increment.covariance)
+        kernels.predict(self._mean, self._P, self._used, increment.mean, increment.covariance, self._first)
 
     def estimate(self) -> PoseEstimate:
         """The newest pose with its world-frame covariance (copies)."""
@@ -96,7 +105,7 @@ class Filter:
         """Expectation over candidates that stand at offsets `at` of the state, or in `known` where `at` is negative."""
         n, m = len(number), len(sightings.z)
         z_hat, blocks = np.empty((n, 2)), np.empty((n, 2, 2))
-        kernels.expect(self._kind, self._extrinsic, self._mean, self._P, at, known, z_hat, blocks)
+        kernels.expect(self._kind, self._extrinsic, self._mean, self._P, at, known, z_hat, blocks, self._first)
         version = self._version
 
         def joint(indices: IntArray) -> Array:
@@ -114,9 +123,10 @@ class Filter:
             PHt, S = np.empty((d, 2 * k)), np.empty((2 * k, 2 * k))
             zero = np.zeros((k, 2))
             mean = self._mean[index]
+            first = self._first[index] if len(self._first) else self._first
             kernels.innovate(
                 self._kind, self._extrinsic, mean, mean, self._P[np.ix_(index, index)], d, moved, known[chosen],
-                zero, np.zeros((k, 2, 2)), np.empty(2 * k), PHt, S,
+                zero, np.zeros((k, 2, 2)), np.empty(2 * k), PHt, S, first,
             )  # fmt: skip
             return S
 
@@ -127,16 +137,19 @@ class Filter:
 
     def _correct(
         self, sightings: Sightings, rows: IntArray, at: IntArray, known: Array, threshold: float
-    ) -> tuple[BoolArray, Array]:
-        """Update with the observations `rows`; returns which passed the gate, and (NIS, log-likelihood, dof)."""
+    ) -> tuple[BoolArray, Array, Array]:
+        """Update with the observations `rows` (k,); returns which passed the gate, (NIS, log-likelihood, dof), and each
+        innovation in units of its own standard deviation (k, 2).
+        """
         self._version += 1
-        keep, stats = np.ones(len(rows), np.bool_), np.zeros(3)
+        keep, stats, white = np.ones(len(rows), np.bool_), np.zeros(3), np.full((len(rows), 2), np.nan)
         if len(rows):
             step = updates.update_each if self.options.each else updates.update
             status = step(
                 self._kind, self._extrinsic, self._mean, self._P, self._used, at, known,
-                sightings.z[rows], sightings.R[rows], threshold, keep, stats, self.options.rule,
+                sightings.z[rows], sightings.R[rows], threshold, keep, stats, white, self.options.rule,
+                self._first,
             )  # fmt: skip
             if status != kernels.OK:
                 raise FilterDivergedError(kernels.FAILURES[status])
-        return keep, stats
+        return keep, stats, white

@@ -3,6 +3,9 @@
 State vector [x, y, theta, l1x, l1y, ...]; `mean` (C,) and `P` (C, C) are buffers of which the leading `d` entries are
 in use. P is the covariance of the additive world-frame error. One set of these functions serves the step-by-step
 filters and the whole-run loop (`run`): same arithmetic, same bytes.
+
+`first` (C,) holds the first estimates (the last predicted pose, each landmark where it was founded) of a filter that
+takes its Jacobians there (Huang, Mourikis and Roumeliotis, IJRR 29(5), 2010, section 5.2); empty: at the newest ones.
 """
 
 from __future__ import annotations
@@ -14,6 +17,8 @@ import numpy as np
 
 from data.sensors import invert, measure, residual, wrap_angle
 
+NEWEST = np.empty(0)
+"""First estimates of a filter that has none: Jacobians at the newest estimates."""
 NEW = -1
 DISCARD = -2
 OK = 0
@@ -23,14 +28,17 @@ FAILURES = {NOT_FINITE: "the state is no longer finite", NOT_PSD: "a covariance 
 
 
 @numba.njit(cache=True)
-def predict(mean, P, d, motion, M):  # type: ignore[no-untyped-def]
+def predict(mean, P, d, motion, M, first):  # type: ignore[no-untyped-def]
     """Move by a body-frame increment `motion` (3,) with covariance M (3, 3): P <- F P F' + G M G', map untouched.
 
-    F differs from I in its third column only, so the cross-covariances with the map change by multiples of row 2.
+    F differs from I in its third column only, so the cross-covariances with the map change by multiples of row 2. With
+    first estimates that column is the displacement between one predicted position and the next.
     """
     c, s = math.cos(mean[2]), math.sin(mean[2])
     wx, wy = c * motion[0] - s * motion[1], s * motion[0] + c * motion[1]
     fx, fy = -wy, wx
+    if len(first):
+        fx, fy = first[1] - (mean[1] + wy), mean[0] + wx - first[0]
     # rows, then columns: F (P F')
     for j in range(d):
         P[0, j] += fx * P[2, j]
@@ -54,11 +62,13 @@ def predict(mean, P, d, motion, M):  # type: ignore[no-untyped-def]
     mean[0] += wx
     mean[1] += wy
     mean[2] = wrap_angle(mean[2] + motion[2])
+    if len(first):
+        first[:3] = mean[:3]
 
 
 @numba.njit(cache=True)
-def innovate(kind, extrinsic, mean, base, P, d, at, known, z, R, nu, PHt, S):  # type: ignore[no-untyped-def]
-    """Innovation nu (2k,), PHt (d, 2k) and S (2k, 2k) of k paired observations, all Jacobians at `mean`.
+def innovate(kind, extrinsic, mean, base, P, d, at, known, z, R, nu, PHt, S, first):  # type: ignore[no-untyped-def]
+    """Innovation nu (2k,), PHt (d, 2k) and S (2k, 2k) of k paired observations, all Jacobians at `mean` or `first`.
 
     `base` is the prediction: nu = z - h(mean) - H (base - mean), so the two differ only where an update is iterated.
 
@@ -67,14 +77,10 @@ def innovate(kind, extrinsic, mean, base, P, d, at, known, z, R, nu, PHt, S):  #
     """
     k = len(at)
     H = np.empty((k, 2, 5))
-    z_hat, Hx, Hl, landmark = np.empty(2), np.empty((2, 3)), np.empty((2, 2)), np.empty(2)
+    z_hat, Hx, Hl = np.empty(2), np.empty((2, 3)), np.empty((2, 2))
     for i in range(k):
         a = at[i]
-        if a < 0:
-            landmark[0], landmark[1] = known[i, 0], known[i, 1]
-        else:
-            landmark[0], landmark[1] = mean[a], mean[a + 1]
-        measure(kind, extrinsic, mean, landmark, z_hat, Hx, Hl)
+        look(kind, extrinsic, mean, a, known[i], first, z_hat, Hx, Hl)
         residual(kind, z[i], z_hat, nu[2 * i : 2 * i + 2])
         H[i, :, :3] = Hx
         H[i, :, 3:] = Hl
@@ -106,6 +112,14 @@ def innovate(kind, extrinsic, mean, base, P, d, at, known, z, R, nu, PHt, S):  #
 
 
 @numba.njit(cache=True)
+def look(kind, extrinsic, mean, a, known, first, z_hat, Hx, Hl):  # type: ignore[no-untyped-def]
+    """`measure` a landmark: at offset `a` of the state, or `known` (2,) where a < 0; Jacobians at `first` if given."""
+    measure(kind, extrinsic, mean, known if a < 0 else mean[a : a + 2], z_hat, Hx, Hl)
+    if len(first):
+        measure(kind, extrinsic, first, known if a < 0 else first[a : a + 2], np.empty(2), Hx, Hl)
+
+
+@numba.njit(cache=True)
 def healthy(mean, P):  # type: ignore[no-untyped-def]
     """Status of the pose: finite, and no variance negative beyond rounding (1e-12 of the trace)."""
     trace = P[0, 0] + P[1, 1] + P[2, 2]
@@ -118,7 +132,7 @@ def healthy(mean, P):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def augment(kind, extrinsic, mean, P, d, z, R, variance):  # type: ignore[no-untyped-def]
+def augment(kind, extrinsic, mean, P, d, z, R, variance, first):  # type: ignore[no-untyped-def]
     """Append the landmark that z (2,) shows from the present pose; the caller has room for d + 2 states.
 
     P_new = [[P, P Gx'], [Gx P, Gx P Gx' + Gz R Gz']]. With `variance` >= 0 the landmark instead gets variance * I and
@@ -127,6 +141,9 @@ def augment(kind, extrinsic, mean, P, d, z, R, variance):  # type: ignore[no-unt
     landmark, Gx, Gz = np.empty(2), np.empty((2, 3)), np.empty((2, 2))
     invert(kind, extrinsic, mean, z, landmark, Gx, Gz)
     mean[d], mean[d + 1] = landmark[0], landmark[1]
+    if len(first):
+        first[d], first[d + 1] = landmark[0], landmark[1]
+        Gx[0, 2], Gx[1, 2] = first[1] - landmark[1], landmark[0] - first[0]
     if variance >= 0.0:
         for q in range(2):
             for j in range(d + 2):
@@ -162,18 +179,14 @@ def gate(nu, S, threshold, keep):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def expect(kind, extrinsic, mean, P, at, known, z_hat, blocks):  # type: ignore[no-untyped-def]
+def expect(kind, extrinsic, mean, P, at, known, z_hat, blocks, first):  # type: ignore[no-untyped-def]
     """Expected measurement z_hat (n, 2) of n candidates and the blocks H P H' (n, 2, 2)."""
-    Hx, Hl, landmark = np.empty((2, 3)), np.empty((2, 2)), np.empty(2)
+    Hx, Hl = np.empty((2, 3)), np.empty((2, 2))
     H, columns = np.empty((2, 5)), np.empty(5, np.int64)
     for i in range(len(at)):
         a = at[i]
         n = 3 if a < 0 else 5
-        if a < 0:
-            landmark[0], landmark[1] = known[i, 0], known[i, 1]
-        else:
-            landmark[0], landmark[1] = mean[a], mean[a + 1]
-        measure(kind, extrinsic, mean, landmark, z_hat[i], Hx, Hl)
+        look(kind, extrinsic, mean, a, known[i], first, z_hat[i], Hx, Hl)
         H[:, :3], H[:, 3:] = Hx, Hl
         columns[0], columns[1], columns[2], columns[3], columns[4] = 0, 1, 2, a, a + 1
         for q in range(2):

@@ -35,11 +35,11 @@ class EkfLocalizer(Filter):
         """One update with every observation whose decision is a landmark id and whose d^2 is below `threshold`."""
         paired = np.flatnonzero(decisions >= 0)
         known = self.map.xy[self.rows_of(decisions[paired])]
-        keep, stats = self._correct(sightings, paired, np.full(len(paired), -1, np.int64), known, threshold)
-        used = np.zeros(len(decisions), np.bool_)
-        used[paired] = keep
+        keep, stats, white = self._correct(sightings, paired, np.full(len(paired), -1, np.int64), known, threshold)
+        used, whitened = np.zeros(len(decisions), np.bool_), np.full((len(decisions), 2), np.nan)
+        used[paired], whitened[paired] = keep, white
         nothing = np.full(len(decisions), -1, np.int64)
-        return Updated(used, nothing, float(stats[0]), int(stats[2]), float(stats[1]))
+        return Updated(used, nothing, float(stats[0]), int(stats[2]), float(stats[1]), whitened)
 
     def remove(self, numbers: IntArray) -> None:
         """A known map does not change: asking for it is an error."""

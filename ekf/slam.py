@@ -38,12 +38,16 @@ class EkfSlam(Filter):
             mean, P = np.zeros(capacity), np.zeros((capacity, capacity))
             mean[:old], P[:old, :old] = self._mean, self._P
             self._mean, self._P = mean, P
+            if len(self._first):
+                self._first = np.concatenate([self._first, np.zeros(capacity - old)])
 
     def _select(self, index: IntArray) -> None:
         """Make the buffers hold their entries `index`, in that order."""
         d = len(index)
         self._mean[:d] = self._mean[index]
         self._P[:d, :d] = self._P[np.ix_(index, index)]
+        if len(self._first):
+            self._first[:d] = self._first[index]
 
     def _renumber(self, number: IntArray) -> None:
         """The landmarks of the state, slot by slot."""
@@ -67,9 +71,9 @@ class EkfSlam(Filter):
             if unknown.args[0] in self._parked.rows:
                 raise ValueError(f"landmark {unknown} is parked: restore it first") from None
             raise ValueError(f"no landmark has number {unknown}") from None
-        keep, stats = self._correct(sightings, paired, at, np.zeros((len(paired), 2)), threshold)
-        used = np.zeros(len(decisions), np.bool_)
-        used[paired] = keep
+        keep, stats, white = self._correct(sightings, paired, at, np.zeros((len(paired), 2)), threshold)
+        used, whitened = np.zeros(len(decisions), np.bool_), np.full((len(decisions), 2), np.nan)
+        used[paired], whitened[paired] = keep, white
         created = np.full(len(decisions), -1, np.int64)
         fresh = np.flatnonzero(decisions == NEW)
         self._grow(len(fresh))
@@ -78,7 +82,7 @@ class EkfSlam(Filter):
             distance = float(self.sensor.polar(sightings.z[i : i + 1])[0, 0])
             kernels.augment(
                 self._kind, self._extrinsic, self._mean, self._P, end,
-                sightings.z[i], sightings.R[i], self.options.augment_variance(distance),
+                sightings.z[i], sightings.R[i], self.options.augment_variance(distance), self._first,
             )  # fmt: skip
             end += 2
         if self._carried and len(fresh):
@@ -90,7 +94,7 @@ class EkfSlam(Filter):
             self._number = np.append(self._number, self.created)
             self.created += 1
             self.size += 2
-        return Updated(used, created, float(stats[0]), int(stats[2]), float(stats[1]))
+        return Updated(used, created, float(stats[0]), int(stats[2]), float(stats[1]), whitened)
 
     def remove(self, numbers: IntArray) -> None:
         """Marginalize landmarks out, active or parked: their rows and columns go, the rest stays as it is."""
@@ -118,11 +122,13 @@ class EkfSlam(Filter):
     def park(self, numbers: IntArray) -> None:
         """Take active landmarks out of the state; nothing is lost, and `restore` brings them back.
 
-        Raises ValueError for a landmark that is parked already or not in the map, and in the invariant filter, whose
-        correction moves every landmark.
+        Raises ValueError for a landmark that is parked already or not in the map, in the invariant filter, whose
+        correction moves every landmark, and with first estimates, which a parked landmark would lose.
         """
         if self.options.invariant:
             raise ValueError("the invariant filter moves all landmarks together; none can be parked")
+        if self.options.first_estimates:
+            raise ValueError("a parked landmark would lose its first estimate; none can be parked")
         away = np.unique(np.asarray(numbers, np.int64))
         for n in away.tolist():
             if n in self._parked.rows:

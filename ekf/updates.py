@@ -8,7 +8,7 @@ import numba
 import numpy as np
 
 from data.sensors import wrap_angle
-from ekf.kernels import NOT_PSD, OK, gate, healthy, innovate
+from ekf.kernels import NEWEST, NOT_PSD, OK, gate, healthy, innovate
 
 ADDITIVE = 0
 """Correction: mean += K nu."""
@@ -153,21 +153,24 @@ def iterate(kind, extrinsic, mean, P, d, at, known, z, R, nu, PHt, S, iterations
             point[r] = place
         if moved < 1e-6:
             break
-        innovate(kind, extrinsic, point, mean, P, d, at, known, z, R, nu, PHt, S)
+        innovate(kind, extrinsic, point, mean, P, d, at, known, z, R, nu, PHt, S, NEWEST)
     return point
 
 
 @numba.njit(cache=True)
-def update(kind, extrinsic, mean, P, d, at, known, z, R, threshold, keep, stats, rule):  # type: ignore[no-untyped-def]
+def update(  # type: ignore[no-untyped-def]
+    kind, extrinsic, mean, P, d, at, known, z, R, threshold, keep, stats, white, rule, first
+):
     """One stacked update with k pairings; those outside the gate are left out (`keep` says which). Returns a status.
 
     `rule` = retraction of the correction, and how often to linearize at most (1: at the prediction only).
 
-    `stats` (3,) collects NIS, log-likelihood and degrees of freedom.
+    `stats` (3,) collects NIS, log-likelihood and degrees of freedom; `white` (k, 2) gets each innovation in units of
+    its own standard deviation, NaN where it was not used. `first`: see `ekf.kernels`; not together with iterations.
     """
     k = len(at)
     nu, PHt, S = np.empty(2 * k), np.empty((d, 2 * k)), np.empty((2 * k, 2 * k))
-    innovate(kind, extrinsic, mean, mean, P, d, at, known, z, R, nu, PHt, S)
+    innovate(kind, extrinsic, mean, mean, P, d, at, known, z, R, nu, PHt, S, first)
     keep[:] = True
     if threshold < np.inf:
         count = gate(nu, S, threshold, keep)
@@ -181,24 +184,44 @@ def update(kind, extrinsic, mean, P, d, at, known, z, R, threshold, keep, stats,
                     rows[n], rows[n + 1] = 2 * i, 2 * i + 1
                     n += 2
             nu, PHt, S = nu[rows], PHt[:, rows], S[rows][:, rows]
+    whiten(nu, S, keep, white)
     stats[2] += len(nu)
     retraction, iterations = rule
     if iterations > 1:
         at, known, z, R = at[keep], known[keep], z[keep], R[keep]
         point = iterate(kind, extrinsic, mean, P, d, at, known, z, R, nu, PHt, S, iterations, stats)
-        innovate(kind, extrinsic, point, mean, P, d, at, known, z, R, nu, PHt, S)
+        innovate(kind, extrinsic, point, mean, P, d, at, known, z, R, nu, PHt, S, NEWEST)
         stats = np.zeros(3)  # the innovation is the one at the prediction
     return correct(mean, P, d, nu, PHt, S, stats, retraction)
 
 
 @numba.njit(cache=True)
-def update_each(kind, extrinsic, mean, P, d, at, known, z, R, threshold, keep, stats, rule):  # type: ignore[no-untyped-def]
+def whiten(nu, S, keep, white):  # type: ignore[no-untyped-def]
+    """Innovations nu (2n,) of the n observations kept, each by its own block of S: rows of `white` (k, 2)."""
+    white[:] = np.nan
+    n = 0
+    for i in range(len(keep)):
+        if keep[i]:
+            if S[n, n] > 0.0:
+                b = S[n + 1, n] / S[n, n]
+                rest = S[n + 1, n + 1] - b * S[n, n + 1]
+                if rest > 0.0:
+                    white[i, 0] = nu[n] / math.sqrt(S[n, n])
+                    white[i, 1] = (nu[n + 1] - b * nu[n]) / math.sqrt(rest)
+            n += 2
+
+
+@numba.njit(cache=True)
+def update_each(  # type: ignore[no-untyped-def]
+    kind, extrinsic, mean, P, d, at, known, z, R, threshold, keep, stats, white, rule, first
+):
     """One update per observation, each linearized after the one before it (the classic tutorials' way)."""
     for i in range(len(at)):
         one = slice(i, i + 1)
         status = update(
-            kind, extrinsic, mean, P, d, at[one], known[one], z[one], R[one], threshold, keep[one], stats, rule
-        )
+            kind, extrinsic, mean, P, d, at[one], known[one], z[one], R[one], threshold, keep[one], stats, white[one],
+            rule, first,
+        )  # fmt: skip
         if status != OK:
             return status
     return OK

@@ -15,15 +15,15 @@ from data.result import DISCARD, NEW, MapState
 from data.se2 import Array
 from ekf import kernels
 from ekf.filter import DEFAULT, FilterOptions
-from ekf.kernels import OK, augment, healthy, predict
+from ekf.kernels import NEWEST, OK, augment, healthy, predict
 from ekf.updates import update, update_each
 
 
 class FilterRun(NamedTuple):
     """Pose (N, 3), covariance (N, 3, 3); nis, dof, log_likelihood, state_size (N,) each.
 
-    `decisions` (M,) are the given ones, gated pairings turned into `DISCARD`; `failure` is (frame, why) or None: the
-    rows after it are NaN.
+    `white` (M, 2) as in `Innovations`. `decisions` (M,) are the given ones, gated pairings turned into `DISCARD`;
+    `failure` is (frame, why) or None: the rows after it are NaN.
     """
 
     pose: Array
@@ -32,6 +32,7 @@ class FilterRun(NamedTuple):
     dof: IntArray
     log_likelihood: Array
     state_size: IntArray
+    white: Array
     decisions: IntArray
     map: MapState | None
     failure: tuple[int, str] | None
@@ -64,11 +65,14 @@ def run_filter(
     mean[:3], P[:3, :3] = inputs.prior.mean, inputs.prior.covariance
     pose, covariance = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
     stats, size = np.zeros((n, 3)), np.zeros(n, np.int64)
+    first = mean.copy() if options.first_estimates else NEWEST
     o = inputs.observations
+    white = np.full((len(o.z), 2), np.nan)
     how = options.each, options.augment_variance(0.0), options.rule
     d, status, frame = run(
         inputs.sensor.kind, inputs.sensor.extrinsic, mean, P, 3, inputs.increments.mean, inputs.increments.covariance,
-        inputs.start, o.z, o.R, decided, known, how, float(threshold), (pose, covariance, stats, size),
+        inputs.start, o.z, o.R, decided, known, how, float(threshold), first,
+        (pose, covariance, stats, size, white),
     )  # fmt: skip
     failure = None
     if status != kernels.OK:
@@ -82,36 +86,39 @@ def run_filter(
         blocks = P[3:d, 3:d].reshape(count, 2, count, 2)[np.arange(count), :, np.arange(count), :]
         state = MapState(np.arange(count, dtype=np.int64), mean[3:d].reshape(count, 2).copy(), blocks)
     return FilterRun(
-        pose, covariance, stats[:, 0], stats[:, 2].astype(np.int64), stats[:, 1], size, decided, state, failure
+        pose, covariance, stats[:, 0], stats[:, 2].astype(np.int64), stats[:, 1], size, white, decided, state, failure
     )
 
 
 @numba.njit(cache=True)
-def run(kind, extrinsic, mean, P, d, motion, M, start, z, R, decision, known, how, threshold, out):  # type: ignore[no-untyped-def]
+def run(  # type: ignore[no-untyped-def]
+    kind, extrinsic, mean, P, d, motion, M, start, z, R, decision, known, how, threshold, first, out
+):
     """A whole log with decisions made beforehand: what the step-by-step filter does, without leaving compiled code.
 
     `decision` (M,): SLAM (known empty): landmark number, `NEW` or `DISCARD`; localization: row of `known` (L, 2) or
-    `DISCARD`. Rejected pairings become `DISCARD` in place. `out` = pose (N, 3), covariance (N, 3, 3), stats (N, 3),
-    state_size (N,); `how` = each, variance of a new landmark, rule. Returns (d, status, frame of the failure).
+    `DISCARD`. Rejected pairings become `DISCARD` in place. `how` = each, variance of a new landmark, rule; `first` as
+    in `ekf.kernels`; `out` = pose (N, 3), covariance (N, 3, 3), stats (N, 3), state_size (N,), white (M, 2). Returns
+    (d, status, frame of the failure).
     """
     each, variance, rule = how
-    pose, covariance, stats, size = out
+    pose, covariance, stats, size, white = out
     slam = len(known) == 0
     n = len(motion)
     for f in range(n):
         if f > 0:
-            predict(mean, P, d, motion[f], M[f])
-        first, last = start[f], start[f + 1]
+            predict(mean, P, d, motion[f], M[f], first)
+        begin, end = start[f], start[f + 1]
         paired = 0
-        for i in range(first, last):
+        for i in range(begin, end):
             paired += decision[i] >= 0
         status = OK
         if paired > 0:
             at, xy = np.empty(paired, np.int64), np.empty((paired, 2))
             zs, Rs, rows = np.empty((paired, 2)), np.empty((paired, 2, 2)), np.empty(paired, np.int64)
-            keep = np.empty(paired, np.bool_)
+            keep, own = np.empty(paired, np.bool_), np.empty((paired, 2))
             k = 0
-            for i in range(first, last):
+            for i in range(begin, end):
                 if decision[i] >= 0:
                     rows[k], zs[k], Rs[k] = i, z[i], R[i]
                     at[k] = -1
@@ -121,16 +128,21 @@ def run(kind, extrinsic, mean, P, d, motion, M, start, z, R, decision, known, ho
                         xy[k] = known[decision[i]]
                     k += 1
             if each:
-                status = update_each(kind, extrinsic, mean, P, d, at, xy, zs, Rs, threshold, keep, stats[f], rule)
+                status = update_each(
+                    kind, extrinsic, mean, P, d, at, xy, zs, Rs, threshold, keep, stats[f], own, rule, first
+                )
             else:
-                status = update(kind, extrinsic, mean, P, d, at, xy, zs, Rs, threshold, keep, stats[f], rule)
+                status = update(
+                    kind, extrinsic, mean, P, d, at, xy, zs, Rs, threshold, keep, stats[f], own, rule, first
+                )
             for k in range(paired):
+                white[rows[k]] = own[k]
                 if not keep[k]:
                     decision[rows[k]] = DISCARD
         if slam and status == OK:
-            for i in range(first, last):
+            for i in range(begin, end):
                 if decision[i] == NEW:
-                    augment(kind, extrinsic, mean, P, d, z[i], R[i], variance)
+                    augment(kind, extrinsic, mean, P, d, z[i], R[i], variance, first)
                     d += 2
         if status == OK:
             status = healthy(mean, P)

@@ -9,7 +9,7 @@ import argparse
 from pathlib import Path
 
 TASKS = ("localization", "slam")
-FILTERS = ("ekf", "ekf-iterated", "ekf-invariant")
+FILTERS = ("ekf", "ekf-iterated", "ekf-fej", "ekf-invariant")
 ESTIMATORS = ("dead-reckoning", *FILTERS, "isam2", "batch", "batch-huber", "batch-cauchy")
 ASSOCIATIONS = ("known", "nn", "ml", "ml-ratio", "singles", "jcbb", "jcbb-first", "gnn")
 FORMATS = ("csv", "md", "tex")

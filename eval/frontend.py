@@ -26,6 +26,7 @@ from graph.incremental import Isam2Smoother
 FILTERS = {
     "ekf": DEFAULT,
     "ekf-iterated": FilterOptions(iterations=10),
+    "ekf-fej": FilterOptions(first_estimates=True),
     "ekf-invariant": FilterOptions(invariant=True),
 }
 """Filters by name: one filter, whose correction is applied in different ways."""

@@ -218,6 +218,8 @@ def _check(o: Options) -> None:
         raise UsageError(
             "--deactivate-after: ekf-invariant moves all landmarks together, parked ones would stay behind"
         )
+    if o.deactivate_after is not None and "ekf-fej" in o.estimator:
+        raise UsageError("--deactivate-after: ekf-fej keeps first estimates, a parked landmark would lose its own")
     if o.quick and o.full:
         raise UsageError("--quick and --full exclude each other")
     if o.full and o.log:

@@ -64,7 +64,7 @@ def filter_known(
     total = (float(np.nansum(result.nis)), int(result.dof.sum())) if failure is None else None
     return Run(
         name, "known", task, Trajectory(result.pose, result.covariance), None, state, decided,
-        decided, created, Innovations(result.nis, result.dof, result.log_likelihood), total,
+        decided, created, Innovations(result.nis, result.dof, result.log_likelihood, result.white), total,
         result.state_size, seconds, failure,
     )  # fmt: skip
 
@@ -89,7 +89,7 @@ def step_by_step(
     m = len(o.frame)
     pose, covariance = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
     nis, dof, likelihood = np.full(n, np.nan), np.zeros(n, np.int64), np.full(n, np.nan)
-    size = np.zeros(n, np.int64)
+    size, white = np.zeros(n, np.int64), np.full((m, 2), np.nan)
     decisions, created = np.full(m, DISCARD, np.int64), np.full(m, -1, np.int64)
     failure: Failure | None = None
     begin = time.perf_counter()
@@ -103,6 +103,8 @@ def step_by_step(
                 decided, done = front.associate(rows, watch)
                 created[rows] = done.created
                 decisions[rows] = np.where((decided >= 0) & ~done.used, DISCARD, decided)
+                if done.white is not None:
+                    white[rows] = done.white
                 if np.isfinite(done.nis):
                     first = not np.isfinite(nis[k])
                     nis[k], likelihood[k] = (
@@ -128,7 +130,7 @@ def step_by_step(
         final = np.where(retracted, DISCARD, decisions)
     state = None if finished.map is None else map_estimate(finished.map, o.frame, decisions, created)
     formed = np.isfinite(nis)
-    innovations = Innovations(nis, dof, likelihood) if formed.any() else None
+    innovations = Innovations(nis, dof, likelihood, white) if formed.any() else None
     total = finished.total_nis
     if name in FILTERS and innovations is not None and failure is None:
         total = float(np.nansum(nis)), int(dof.sum())

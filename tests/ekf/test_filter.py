@@ -259,7 +259,7 @@ def test_predict_equals_composing_raw_odometry(seed, heading, x):
         G = reference.numeric_jacobian(lambda v: reference.move(chained, v), u)
         P = F @ P @ F.T + G @ M @ G.T
         chained = reference.move(chained, u)
-        kernels.predict(mean, cov, 3, u, M)
+        kernels.predict(mean, cov, 3, u, M, kernels.NEWEST)
     assert np.abs(se2.pose_error(mean, chained)).max() < 1e-12 * max(1, abs(x))
     assert np.allclose(cov, P, atol=1e-6)
     assert np.array_equal(cov, cov.T)

@@ -42,8 +42,8 @@ def check_the_filter_is_as_certain_as_the_smoother(log):
 def without_cross_covariance(monkeypatch):
     real = slam_module.kernels.augment
 
-    def augment(kind, extrinsic, mean, P, size, z, R, variance):
-        real(kind, extrinsic, mean, P, size, z, R, variance)
+    def augment(kind, extrinsic, mean, P, size, z, R, variance, first):
+        real(kind, extrinsic, mean, P, size, z, R, variance, first)
         P[size : size + 2, :size] = 0.0
         P[:size, size : size + 2] = 0.0
 

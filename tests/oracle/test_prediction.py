@@ -26,7 +26,7 @@ def test_predictions_equal_the_invariant_filters(seed, heading, turn):
     B = body_to_world(heading)
     other = gtsam.InvariantEKFPose2(gtsam.Pose2(*mean), B.T @ P @ B)
     for motion in (np.array([*rng.normal(size=2), turn]), np.array([*rng.normal(size=2), 0.1])):
-        kernels.predict(mean, P, 3, motion, M)
+        kernels.predict(mean, P, 3, motion, M, kernels.NEWEST)
         E = body_to_world(motion[2])
         other.predict(gtsam.Pose2(*motion), E.T @ M @ E)
     B = body_to_world(mean[2])
