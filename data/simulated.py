@@ -6,6 +6,7 @@ The simulators are imported when asked for, so that `--help` and a mistyped flag
 from __future__ import annotations
 
 import argparse
+import importlib
 import math
 import re
 from collections.abc import Callable, Sequence
@@ -16,7 +17,13 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from data.log import Log
 
-SIMULATORS = ("arena", "corridor")
+SIMULATORS = {
+    "arena": ("data.arena", "Arena"),
+    "corridor": ("data.corridor", "Corridor"),
+    "circle": ("data.circle", "Circle"),
+    "linear": ("data.linear_world", "LinearWorld"),
+}
+"""Module of each simulator and, in it, the dataclass of its parameters; beside that stands `simulate`."""
 
 
 def number(text: str) -> float:
@@ -44,13 +51,9 @@ def seed(text: str) -> int:
 
 def _parameters(kind: str) -> type[Any]:
     """The dataclass of a simulator's parameters."""
-    if kind == "arena":
-        from data.arena import Arena
-
-        return Arena
-    from data.corridor import Corridor
-
-    return Corridor
+    module, parameters = SIMULATORS[kind]
+    found: type[Any] = getattr(importlib.import_module(module), parameters)
+    return found
 
 
 def add_flags(sub: argparse.ArgumentParser, simulator: str) -> None:
@@ -65,8 +68,9 @@ def add_flags(sub: argparse.ArgumentParser, simulator: str) -> None:
             text = f"{text} (default: {'on' if f.default else 'off'})".replace("%", "%%")
             sub.add_argument(flag, action=argparse.BooleanOptionalAction, default=f.default, help=text)
             continue
-        kind: type[Any] = type(f.default)
-        default: Any = f.default
+        # a parameter that may be left out is a number, and says what it is then
+        kind: type[Any] = float if f.default is None else type(f.default)
+        default: Any = f.metadata.get("default", f.default)
         unit = kind.__name__.upper()
         convert: Callable[[str], object] = number if kind is float else kind
         if f.metadata.get("unit") == "deg":
@@ -89,12 +93,5 @@ def simulated(args: argparse.Namespace) -> Log:
     """The log that the flags describe; its source holds every parameter."""
     parameters = _parameters(args.kind)
     values = parameters(**{f.name: getattr(args, f.name) for f in fields(parameters)})
-    if args.kind == "arena":
-        from data.arena import simulate
-
-        log = simulate(values, args.seed)
-    else:
-        from data.corridor import simulate as simulate_corridor
-
-        log = simulate_corridor(values, args.seed)
+    log: Log = importlib.import_module(SIMULATORS[args.kind][0]).simulate(values, args.seed)
     return replace(log, source={**log.source, args.kind: asdict(values)})
