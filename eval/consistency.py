@@ -1,8 +1,9 @@
-"""NEES and NIS and what may be concluded from them: intervals, verdicts, the family-wise test of the exit status.
+"""What may be concluded from NEES, NIS and innovations: intervals, verdicts, the family-wise test of the exit status.
 
 NEES = e' P^-1 e of the world-frame error; a consistent estimator has E[NEES] = dof. One run's time average is no sample
 of independent values, so a verdict needs many runs (Student's t on the run means); see Bar-Shalom, Li, Kirubarajan,
-Estimation with Applications to Tracking and Navigation, section 5.4.
+Estimation with Applications to Tracking and Navigation, section 5.4. docs/verdicts.md has the accept rate and the power
+measured of each verdict.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from scipy import special
 
 from data import se2
+from data.inputs import IntArray
 from data.se2 import Array
 
 QUANTITIES = {"pose": (0, 1, 2), "position": (0, 1), "heading": (2,)}
@@ -25,6 +27,9 @@ FAMILY_LEVEL = 0.001
 """False alarm rate of the exit status over all declared verdicts together."""
 TAIL_LEVEL = 0.001
 """Probability below which a single run's mean NEES is impossible for a consistent estimator."""
+CLAIMED = 0.8
+"""Power is stated against a covariance claimed at this fraction of the true one."""
+COVERAGE_LEVELS = (0.5, 0.9, 0.95, 0.99)
 INSIDE_3SIGMA = float(special.chdtr(2, 9.0))
 """Share of positions that a consistent estimator has inside its 3 sigma ellipse (98.89 %)."""
 
@@ -87,19 +92,21 @@ class Verdict:
     """A mean with its interval, the word it deserves, and what the test could have seen.
 
     Attributes:
-        mean, lower, upper: of the run means, with Student's t interval.
-        dof: what a consistent estimator has as mean.
+        mean, lower, upper: of what was measured once per run, with its 95 % interval.
+        dof: degrees of freedom of the chi-square law behind it; 0 for whiteness, which has none.
+        expected: what a consistent estimator has as mean (NEES and NIS: dof; coverage: the level; whiteness: 0).
         runs: number of runs that enter.
         word: `consistent`, `overconfident`, `conservative` or `not enough runs`.
-        p_value: two-sided, of a mean equal to dof.
+        p_value: two-sided, of a mean equal to `expected`.
         power: probability that this test, with this spread and this many runs, rejects a covariance claimed at 0.8
-            of the true one.
+            of the true one; NaN where that cannot be said.
     """
 
     mean: float
     lower: float
     upper: float
     dof: int
+    expected: float
     runs: int
     word: str
     p_value: float
@@ -114,32 +121,120 @@ def verdict(run_means: Array, dof: int, level: float = LEVEL) -> Verdict:
     a single chi-square value would reach in N draws (probability `TAIL_LEVEL`) makes the verdict overconfident as well.
     """
     means = np.asarray(run_means, float)
-    n = len(means)
-    if n < 2 or not np.isfinite(means).all():
-        return Verdict(mean_or_nan(means), math.nan, math.nan, dof, n, TOO_FEW, math.nan, math.nan)
-    mean, error = float(means.mean()), float(means.std(ddof=1) / math.sqrt(n))
+    if not _judgeable(means):
+        return _undecided(mean_or_nan(means), len(means), dof, float(dof))
+    tail = len(means) * float(special.chdtrc(dof, means.max()))
+    mean, half, word, p_value = _student(means, float(dof), tail, level)
+    power = _power(dof, mean, float(means.std(ddof=1) / math.sqrt(len(means))), len(means), level)
+    return Verdict(mean, mean - half, mean + half, dof, float(dof), len(means), word, p_value, power)
+
+
+def whiteness(correlations: Array, level: float = LEVEL) -> Verdict:
+    """Student's t verdict on the runs' correlations (N,) of successive innovations, see `lag1`; expected 0.
+
+    Positive: a surprise is followed by one alike, so the gain is too low and the prediction trusted too much
+    (overconfident). Negative: the gain is too high, each update overshoots (conservative); an R claimed too small looks
+    the same (Mehra 1970). A run that diverged counts as in `verdict`: for white Gaussian innovations w'w of one pair
+    has Laplace's distribution, P(|w'w| > 2r) = exp(-2r), and an average over pairs has no heavier tail.
+
+    The power is NaN: P, Q and R claimed at 0.8 leave the gain as it is and the innovations white, so the test is blind
+    to that by nature; what other faults do to the correlation depends on the system.
+    """
+    r = np.asarray(correlations, float)
+    if not _judgeable(r):
+        return _undecided(mean_or_nan(r), len(r), 0, 0.0)
+    mean, half, word, p_value = _student(r, 0.0, len(r) * math.exp(-2.0 * float(np.abs(r).max())), level)
+    return Verdict(mean, mean - half, mean + half, 0, 0.0, len(r), word, p_value, math.nan)
+
+
+def _judgeable(values: Array) -> bool:
+    return len(values) >= 2 and bool(np.isfinite(values).all())
+
+
+def _undecided(mean: float, runs: int, dof: int, expected: float) -> Verdict:
+    return Verdict(mean, math.nan, math.nan, dof, expected, runs, TOO_FEW, math.nan, math.nan)
+
+
+def _student(values: Array, expected: float, tail: float, level: float) -> tuple[float, float, str, float]:
+    """Mean, half interval, word and p value; `tail`: bound on the probability of the most extreme value in N draws."""
+    n = len(values)
+    mean, error = float(values.mean()), float(values.std(ddof=1) / math.sqrt(n))
     half = float(special.stdtrit(n - 1, 0.5 * (1.0 + level))) * error
-    p_value = float(2.0 * special.stdtr(n - 1, -abs(mean - dof) / error)) if error > 0 else float(mean == dof)
-    word = CONSISTENT if mean - half <= dof <= mean + half else OVERCONFIDENT if mean > dof else CONSERVATIVE
-    tail = min(n * float(special.chdtrc(dof, means.max())), 1.0)
+    p_value = float(2.0 * special.stdtr(n - 1, -abs(mean - expected) / error)) if error > 0 else float(mean == expected)
+    word = _word(mean - half <= expected <= mean + half, mean > expected, n)
     if tail < TAIL_LEVEL:
-        word, p_value = OVERCONFIDENT, min(p_value, tail)
-    if n < MIN_RUNS:
-        word = TOO_FEW
-    return Verdict(mean, mean - half, mean + half, dof, n, word, p_value, _power(dof, mean, error, n, level))
+        word, p_value = _word(False, True, n), min(p_value, tail)
+    return mean, half, word, p_value
 
 
-def _power(dof: int, mean: float, error: float, n: int, level: float, claimed: float = 0.8) -> float:
-    """Power of the t test against a claimed covariance of `claimed` times the true one.
+def _word(accepted: bool, overconfident: bool, runs: int) -> str:
+    if runs < MIN_RUNS:
+        return TOO_FEW
+    return CONSISTENT if accepted else OVERCONFIDENT if overconfident else CONSERVATIVE
+
+
+def _power(dof: int, mean: float, error: float, n: int, level: float) -> float:
+    """Power of the t test against a claimed covariance of `CLAIMED` times the true one.
 
     Scaling P divides every NEES by the factor, so mean and spread of a consistent estimator's run means do too.
     """
     if error <= 0.0 or mean <= 0.0:
         return math.nan
-    scaled = error * (dof / mean) / claimed
-    shift = (dof / claimed - dof) / scaled
+    scaled = error * (dof / mean) / CLAIMED
+    shift = (dof / CLAIMED - dof) / scaled
     critical = float(special.stdtrit(n - 1, 0.5 * (1.0 + level)))
     return float(special.ndtr(shift - critical) + special.ndtr(-critical - shift))
+
+
+def coverage(values: Array, dof: int, level: float) -> Verdict:
+    """Exact binomial verdict on the share of run-end NEES (N,) inside the chi-square ellipse that should hold `level`.
+
+    Bounds are Clopper and Pearson's (Biometrika 1934) at 95 %, the p value is twice the smaller tail, so that the two
+    agree. Counts are whole, so a consistent estimator is accepted in 95 % of studies or more, and with few runs a high
+    level cannot be exceeded: `conservative` needs level^N < 2.5 % (0.95: 72 runs, 0.99: 368).
+    """
+    nees_end = np.asarray(values, float)
+    n = len(nees_end)
+    if not _judgeable(nees_end):
+        return _undecided(math.nan, n, dof, level)
+    tail = 0.5 * (1.0 - LEVEL)
+    radius = float(special.chdtri(dof, 1.0 - level))
+    inside = int(np.count_nonzero(nees_end <= radius))
+    lower = float(special.betaincinv(inside, n - inside + 1, tail)) if inside else 0.0
+    upper = float(special.betaincinv(inside + 1, n - inside, 1.0 - tail)) if inside < n else 1.0
+    word = _word(lower <= level <= upper, upper < level, n)
+    counts = np.arange(n + 1)
+    p_values = np.minimum(2.0 * np.minimum(special.bdtr(counts, n, level), special.bdtrc(counts - 1, n, level)), 1.0)
+    # an ellipse claimed too small by CLAIMED holds what a right one of CLAIMED its squared radius holds
+    share = special.bdtr(counts, n, float(special.chdtr(dof, CLAIMED * radius)))
+    power = float(np.diff(share, prepend=0.0)[p_values < 2.0 * tail].sum())
+    return Verdict(inside / n, lower, upper, dof, level, n, word, float(p_values[inside]), power)
+
+
+def lag1(white: Array, frame: IntArray, number: IntArray) -> tuple[float, float]:
+    """Correlation of a landmark's standardized innovations in consecutive frames, and its standard error if white.
+
+    Args:
+        white: (M, 2) innovations times the inverse root of their own 2x2 covariance, at the prediction; NaN: not used.
+        frame: (M,) frame of each observation.
+        number: (M,) landmark it was paired with; negative: none.
+
+    Given all data up to frame k, a consistent filter's innovation in frame k+1 has mean zero (Bar-Shalom, Li,
+    Kirubarajan 5.4.2), so T = sum of w_k' w_k+1 over the landmarks of both frames is a martingale difference. Hence
+    r = sum T / (2 pairs) has mean 0 and, although innovations within one frame are correlated, sum T^2 estimates the
+    variance of sum T; their ratio r / error is about standard normal in a long run. As w has unit covariance by the
+    filter's claim, r is the correlation; no variance is estimated. Returns (nan, nan) without pairs. Of a landmark seen
+    twice in a frame, the last observation meets the first of the next frame.
+    """
+    rows = np.flatnonzero(np.isfinite(white).all(axis=1) & (number >= 0))
+    rows = rows[np.lexsort((frame[rows], number[rows]))]
+    before, after = rows[:-1], rows[1:]
+    joined = (number[before] == number[after]) & (frame[before] + 1 == frame[after])
+    before, after = before[joined], after[joined]
+    if not len(after):
+        return math.nan, math.nan
+    T = np.bincount(frame[after], np.einsum("pi,pi->p", white[before], white[after]))
+    return float(T.sum()) / (2 * len(after)), math.sqrt(float(T @ T)) / (2 * len(after))
 
 
 def holm_rejected(p_values: Sequence[float], level: float = FAMILY_LEVEL) -> list[bool]:

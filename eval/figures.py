@@ -7,8 +7,10 @@ from eval.figures_consistency import anees_figure, nees_figure
 from eval.figures_error import difference_figure, error_figure
 from eval.figures_growth import growth_figure, state_figure
 from eval.figures_map import map_figure
+from eval.figures_outliers import outlier_figure
+from eval.figures_verdicts import coverage_figure, run_end_figure
 
 __all__ = [
-    "anees_figure", "confusion_figure", "difference_figure", "error_figure", "growth_figure", "map_figure",
-    "nees_figure", "state_figure",
+    "anees_figure", "confusion_figure", "coverage_figure", "difference_figure", "error_figure", "growth_figure",
+    "map_figure", "nees_figure", "outlier_figure", "run_end_figure", "state_figure",
 ]  # fmt: skip

@@ -9,16 +9,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import ScalarFormatter
+from matplotlib.ticker import FuncFormatter
 
 from data.log import Log
 from data.result import Run
 from data.se2 import Array
 from eval.consistency import anees_band, mean_or_nan, nees
 from eval.figures_error import heading_of, panels, thinned, ticks, time_label
-from eval.style import BAND_COLOUR, DOUBLE, drawing, style_of
+from eval.style import BAND_COLOUR, DOUBLE, LONG_HANDLE, drawing, style_of
 
 POSE_DOF = 3
+MARKERS = 8
+"""About so many on a curve of many, staggered: in grey the lines alone are too alike."""
 LOG_ABOVE = 10.0
 """The axis becomes logarithmic where a value in a thousand exceeds the band's upper end this many times."""
 
@@ -28,18 +30,18 @@ def _band(ax: Axes, lower: float, upper: float, dof: int) -> None:
     ax.axhline(dof, color="#505050", linewidth=0.6, linestyle="--", zorder=1.5)
 
 
-def _scale(axes: Sequence[Axes], curves: Sequence[Array], upper: float) -> None:
+def _scale(axes: Sequence[Axes], curves: Sequence[Array], lower: float, upper: float) -> None:
     """Linear from 0, or logarithmic if the curves need it; the same for all axes."""
     finite = np.concatenate([c[np.isfinite(c)] for c in curves] or [np.empty(0)])
     highest = float(np.quantile(finite, 0.999)) if len(finite) else 0.0
     for ax in axes:
         if highest > LOG_ABOVE * upper:
             positive = finite[finite > 0.0]
-            low = min(0.1, float(np.quantile(positive, 0.02)))
+            low = min(0.5 * lower, float(np.quantile(positive, 0.02)))
             ax.set_yscale("log")
             ax.set_ylim(max(low, 1e-3), 1.5 * float(finite.max()))
             if highest < 1e4:
-                ax.yaxis.set_major_formatter(ScalarFormatter())
+                ax.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:g}"))
         else:
             ax.set_ylim(0.0, 1.08 * max(highest, 1.2 * upper))
             ax.yaxis.set_major_locator(ticks(5))
@@ -74,7 +76,7 @@ def _nees_figure(log: Log, runs: Sequence[Run]) -> Figure:
         measured = f"mean {_short(mean)}" if np.isfinite(mean) else "nothing to compare with"
         ax.set_title(f"{heading_of(s)}: {measured}".replace("\n", ", "), loc="left")
         ax.set_ylabel("pose NEES [–]")
-    _scale(axes, curves, upper)
+    _scale(axes, curves, lower, upper)
     axes[-1].set_xlabel(time_label(log.recorded))
     if len(time) > 1:
         axes[0].set_xlim(time[0], time[-1])
@@ -108,25 +110,29 @@ def anees_figure(
     `title` stands before the rest, e.g. scenario and task.
     """
     with drawing():
-        fig = Figure(figsize=(DOUBLE, 2.9))
+        fig = Figure(figsize=(DOUBLE, 2.7 + 0.13 * ((len(average) + 3) // 2)))
         ax = fig.add_subplot()
         lower, upper = anees_band(dof, runs)
         _band(ax, lower, upper, dof)
         handles: list[Line2D | Patch] = []
-        for name, values in average.items():
-            style = style_of(name)
+        few = max(len(time) // MARKERS, 1)
+        for i, (name, values) in enumerate(average.items()):
+            style, first = style_of(name), few * i // len(average)
             mean, outside = mean_or_nan(values), _share_outside(values, lower, upper)
             measured = f": mean {_short(mean)}, {100.0 * outside:.0f} % outside" if np.isfinite(mean) else ""
             label = style.label + measured
-            handles += ax.plot(time, values, color=style.colour, linestyle=style.line, label=label, zorder=2)
-        _scale([ax], list(average.values()), upper)
+            handles += ax.plot(
+                time, values, color=style.colour, linestyle=style.line, marker=style.marker, markevery=(first, few),
+                markersize=3.0, label=label, zorder=2,
+            )  # fmt: skip
+        _scale([ax], list(average.values()), lower, upper)
         ax.set(ylabel=f"average {quantity} NEES [–]", xlabel="frame" if time_is_index else "time [s]")
         if len(time) > 1:
             ax.set_xlim(time[0], time[-1])
         what = f"average {quantity} NEES over {runs} runs, dof {dof}"
         ax.set_title(f"{title}: {what}" if title else what[0].upper() + what[1:], loc="left")
         handles += _handles(dof, f"95 % band {lower:.2f} to {upper:.2f}: 5 % outside by design")
-        fig.legend(handles=handles, loc="outside lower center", ncols=2)
+        fig.legend(handles=handles, loc="outside lower center", ncols=2, handlelength=LONG_HANDLE)
         return fig
 
 

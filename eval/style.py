@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import matplotlib
 from matplotlib.figure import Figure
@@ -24,9 +24,13 @@ SINGLE = 3.4
 DOUBLE = 7.0
 """in. Width of both columns."""
 PNG_DPI = 200
+LONG_HANDLE = 3.8
+"""Length of a legend's line [font sizes] that shows every line's pattern beside its marker."""
 
-SOLID, DASHED, DASHDOT, DOTTED = "-", (0, (4.0, 1.4)), (0, (5.0, 1.3, 1.2, 1.3)), (0, (1.0, 1.2))
-Line = str | tuple[int, tuple[float, ...]]
+SOLID: Literal["-"] = "-"
+DASHED, DASHDOT, DOTTED = (0, (4.0, 1.4)), (0, (5.0, 1.3, 1.2, 1.3)), (0, (1.0, 1.2))
+LONG, DASHDOTDOT = (0, (8.0, 1.6)), (0, (5.0, 1.2, 1.2, 1.2, 1.2, 1.2))
+Line = Literal["-"] | tuple[int, tuple[float, ...]]
 
 TRUTH_COLOUR = "#000000"
 BAND_COLOUR = "#C8C8C8"
@@ -64,25 +68,26 @@ RC: dict[RcKeyType, Any] = {
 
 @dataclass(frozen=True)
 class Style:
-    """How one estimator is drawn and called."""
+    """How one estimator is drawn and called; line and marker tell it apart in grey."""
 
     colour: str
     label: str
     line: Line = SOLID
+    marker: str = "+"
 
 
 STYLES: dict[str, Style] = {
-    "dead-reckoning": Style("#A6A6A6", "dead reckoning", DOTTED),
-    "ekf": Style("#D55E00", "EKF"),
-    "ekf-iterated": Style("#E69F00", "iterated EKF", DASHED),
-    "ekf-fej": Style("#CC79A7", "first-estimates EKF", DASHDOT),
-    "ekf-invariant": Style("#882255", "invariant EKF", DASHED),
-    "batch": Style("#0064A8", "batch"),
-    "batch-huber": Style("#56B4E9", "batch, Huber", DASHED),
-    "batch-cauchy": Style("#332288", "batch, Cauchy", DASHDOT),
-    "gnc": Style("#44AA99", "GNC", DASHDOT),
-    "isam2": Style("#009E73", "iSAM2"),
-    "fixed-lag": Style("#999933", "fixed lag", DASHED),
+    "dead-reckoning": Style("#A6A6A6", "dead reckoning", DOTTED, "x"),
+    "ekf": Style("#D55E00", "EKF", SOLID, "o"),
+    "ekf-iterated": Style("#E69F00", "iterated EKF", DASHED, "p"),
+    "ekf-fej": Style("#CC79A7", "first-estimates EKF", DASHDOT, "^"),
+    "ekf-invariant": Style("#882255", "invariant EKF", DASHED, "v"),
+    "batch": Style("#0064A8", "batch", SOLID, "s"),
+    "batch-huber": Style("#56B4E9", "batch, Huber", DASHDOTDOT, "<"),
+    "batch-cauchy": Style("#332288", "batch, Cauchy", DASHDOT, ">"),
+    "gnc": Style("#117733", "GNC", LONG, "P"),
+    "isam2": Style("#009E73", "iSAM2", SOLID, "D"),
+    "fixed-lag": Style("#999933", "fixed lag", LONG, "X"),
 }
 _OTHERS = ("#7B3F00", "#5D3A9B", "#B8860B", "#4B4B4B")
 

@@ -14,7 +14,18 @@ from association.known import known_decisions
 from data.arena import Arena, simulate
 from ekf.whole_run import run_filter
 from eval import consistency
-from eval.consistency import anees_band, chi2_bounds, holm_rejected, nees, squared_distance, verdict
+from eval.consistency import (
+    COVERAGE_LEVELS,
+    anees_band,
+    chi2_bounds,
+    coverage,
+    holm_rejected,
+    lag1,
+    nees,
+    squared_distance,
+    verdict,
+    whiteness,
+)
 
 _spec = importlib.util.spec_from_file_location("faulty", Path(__file__).parents[1] / "oracle" / "faulty_localizer.py")
 faulty = importlib.util.module_from_spec(_spec)
@@ -147,3 +158,122 @@ def test_holm_rejects_in_order_and_stops_at_the_first_that_survives():
     assert holm_rejected([0.0001, 0.04, 0.03, 0.005], 0.05) == [True, False, False, True]
     assert holm_rejected([0.5, 0.5]) == [False, False]
     assert holm_rejected([]) == []
+
+
+@pytest.mark.parametrize("level", COVERAGE_LEVELS)
+@pytest.mark.parametrize("inside", [0, 3, 40, 57, 60])
+def test_coverage_bounds_and_p_value_are_the_exact_binomial_ones(level, inside):
+    radius = stats.chi2.ppf(level, 3)
+    v = coverage(np.r_[np.full(inside, 0.99 * radius), np.full(60 - inside, 1.01 * radius)], 3, level)
+    bounds = stats.binomtest(inside, 60).proportion_ci(0.95, method="exact")
+    assert (v.mean, v.lower, v.upper) == pytest.approx((inside / 60, bounds.low, bounds.high))
+    assert (v.dof, v.expected, v.runs) == (3, level, 60)
+    below, above = stats.binom.cdf(inside, 60, level), stats.binom.sf(inside - 1, 60, level)
+    assert v.p_value == pytest.approx(min(1.0, 2 * min(below, above)))
+    assert (v.word == "consistent") == (v.p_value >= 0.05)
+
+
+def test_coverage_calls_errors_outside_their_ellipses_overconfident_and_errors_well_inside_conservative():
+    drawn = stats.chi2.ppf((np.arange(100) + 0.5) / 100, 3)
+    assert [coverage(drawn, 3, level).word for level in COVERAGE_LEVELS] == ["consistent"] * 4
+    assert [coverage(2.5 * drawn, 3, level).word for level in COVERAGE_LEVELS] == ["overconfident"] * 4
+    assert [coverage(0.2 * drawn, 3, level).word for level in (0.5, 0.9)] == ["conservative"] * 2
+
+
+def test_coverage_power_is_the_rejection_rate_of_a_shrunken_covariance():
+    drawn = np.random.default_rng(11).chisquare(3, (3000, 100)) / 0.8
+    for level in COVERAGE_LEVELS:
+        verdicts = [coverage(d, 3, level) for d in drawn]
+        rejected = np.mean([v.word != "consistent" for v in verdicts])
+        assert verdicts[0].power == pytest.approx(rejected, abs=0.03), level
+
+
+def test_coverage_of_too_few_runs_or_of_an_undefined_nees_decides_nothing():
+    assert coverage(np.zeros(49), 3, 0.5).word == "not enough runs"
+    assert coverage(np.zeros(49), 3, 0.5).mean == 1.0
+    assert coverage(np.zeros(50), 3, 0.5).word == "conservative"
+    undefined = coverage(np.r_[np.zeros(59), np.nan], 3, 0.5)
+    assert undefined.word == "not enough runs"
+    assert math.isnan(undefined.mean)
+    assert coverage(np.empty(0), 3, 0.5).word == "not enough runs"
+
+
+def test_innovations_that_follow_each_other_are_overconfident_and_those_that_alternate_conservative():
+    r = 0.1 * np.random.default_rng(12).standard_normal(60)
+    v = whiteness(r)
+    assert (v.word, v.expected, v.dof, v.runs) == ("consistent", 0.0, 0, 60)
+    assert (v.lower, v.upper) == pytest.approx(stats.t.interval(0.95, 59, loc=r.mean(), scale=stats.sem(r)))
+    assert v.p_value == pytest.approx(stats.ttest_1samp(r, 0.0).pvalue)
+    assert math.isnan(v.power), "blind to a claimed covariance: nothing to state"
+    assert whiteness(r + 0.1).word == "overconfident"
+    assert whiteness(r - 0.1).word == "conservative"
+    assert whiteness(r[:49]).word == "not enough runs"
+    assert whiteness(np.r_[r, np.nan]).word == "not enough runs"
+
+
+def test_one_run_of_impossible_innovations_is_overconfident_although_its_spread_widens_the_interval():
+    r = 0.1 * np.random.default_rng(13).standard_normal(60)
+    for diverged in (40.0, -40.0):
+        v = whiteness(np.r_[r, diverged])
+        assert v.lower < 0.0 < v.upper
+        assert v.word == "overconfident"
+        assert v.p_value < 1e-6
+    # a run of a single pair may well be this large: one in 400 is, exp(-6)
+    assert whiteness(np.r_[r, 3.0]).word == "consistent"
+
+
+def lag1_by_hand(white, frame, number):
+    """By loops and look-ups, for at most one observation of a landmark in a frame."""
+    at = {(k, n): w for k, n, w in zip(frame, number, white, strict=True) if np.isfinite(w).all() and n >= 0}
+    terms = {}
+    for (k, n), w in at.items():
+        if (k + 1, n) in at:
+            terms.setdefault(k + 1, []).append(float(w @ at[k + 1, n]))
+    pairs = sum(len(t) for t in terms.values())
+    return sum(map(sum, terms.values())) / (2 * pairs), math.sqrt(sum(sum(t) ** 2 for t in terms.values())) / (
+        2 * pairs
+    )
+
+
+def test_lag_one_pairs_a_landmark_with_itself_in_the_next_frame_only():
+    white = np.array([[1.0, 0.0], [0.0, 2.0], [3.0, 1.0], [5.0, 5.0], [1.0, 1.0], [7.0, 7.0], [np.nan, 1.0]])
+    frame, number = np.array([0, 0, 1, 1, 2, 4, 2]), np.array([4, 9, 4, 8, 4, 4, 9])
+    # landmark 4: (1,0).(3,1) = 3 into frame 1, (3,1).(1,1) = 4 into frame 2; frame 4 has no neighbour
+    assert lag1(white, frame, number) == pytest.approx((7 / 4, math.sqrt(3**2 + 4**2) / 4))
+    assert all(math.isnan(x) for x in lag1(white[:2], frame[:2], number[:2]))
+    assert all(math.isnan(x) for x in lag1(np.empty((0, 2)), np.empty(0, int), np.empty(0, int)))
+    shuffled = np.random.default_rng(14).permutation(len(white))
+    assert lag1(white[shuffled], frame[shuffled], number[shuffled]) == pytest.approx(lag1(white, frame, number))
+
+
+def test_observations_that_were_not_used_enter_no_pair():
+    rng = np.random.default_rng(15)
+    frame, number = np.divmod(np.arange(300), 6)
+    white = rng.standard_normal((300, 2))
+    white[rng.random((300, 2)) < 0.2] = np.nan
+    number = np.where(rng.random(300) < 0.1, -1, number)
+    assert lag1(white, frame, number) == pytest.approx(lag1_by_hand(white, frame, number))
+
+
+def test_error_of_the_correlation_holds_although_innovations_of_one_frame_are_correlated():
+    rng = np.random.default_rng(16)
+    frame, number = np.divmod(np.arange(100 * 5), 5)
+    ratios = []
+    for _ in range(1500):
+        common = rng.standard_normal((100, 1, 2))
+        white = math.sqrt(0.7) * common + math.sqrt(0.3) * rng.standard_normal((100, 5, 2))
+        r, error = lag1(white.reshape(-1, 2), frame, number)
+        ratios.append(r / error)
+    assert np.std(ratios) == pytest.approx(1.0, abs=0.06)
+    assert np.mean(np.abs(ratios) < 1.96) == pytest.approx(0.95, abs=0.02)
+
+
+def test_a_correlated_sequence_gives_its_correlation():
+    rng = np.random.default_rng(17)
+    w = np.empty((20_000, 2))
+    w[0] = rng.standard_normal(2)
+    for k in range(1, len(w)):
+        w[k] = 0.3 * w[k - 1] + math.sqrt(1 - 0.3**2) * rng.standard_normal(2)
+    r, error = lag1(w, np.arange(len(w)), np.zeros(len(w), int))
+    assert r == pytest.approx(0.3, abs=0.02)
+    assert error == pytest.approx(1 / math.sqrt(2 * len(w)), rel=0.2)
