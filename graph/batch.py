@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import gtsam
 import numpy as np
 
 from data.errors import UsageError
@@ -60,14 +61,19 @@ def smooth(inputs: Inputs, decisions: IntArray, created: IntArray, start: Start,
     if loss not in LOSSES:
         raise ValueError(f"loss {loss!r}; known: {', '.join(LOSSES)}")
     problem = build(inputs, decisions, created, loss)
-    missing = [n for n in problem.numbers if n >= len(start.landmark) or not np.isfinite(start.landmark[n]).all()]
-    if missing or start.pose.shape != (len(inputs), 3) or not np.isfinite(start.pose).all():
-        what = f"no position for landmark {missing[0]}" if missing else "not a finite pose for every frame"
-        raise ValueError(f"start: {what}")
-    values = problem.values(start.pose, {int(n): start.landmark[n] for n in problem.numbers})
+    values = start_values(problem, start)
     found = optimize(problem, values)
     chi_square = 2.0 * found.error if loss == "gaussian" else float("nan")
     return Smoothed(found.trajectory, found.map, chi_square, problem.dof, found.iterations, found.last_step)
+
+
+def start_values(problem: Problem, start: Start) -> gtsam.Values:
+    """The start as gtsam takes it; raises ValueError if a variable of the problem has none, or none that is finite."""
+    missing = [n for n in problem.numbers if n >= len(start.landmark) or not np.isfinite(start.landmark[n]).all()]
+    if missing or start.pose.shape != (len(problem.motion) + 1, 3) or not np.isfinite(start.pose).all():
+        what = f"no position for landmark {missing[0]}" if missing else "not a finite pose for every frame"
+        raise ValueError(f"start: {what}")
+    return problem.values(start.pose, {int(n): start.landmark[n] for n in problem.numbers})
 
 
 def build(inputs: Inputs, decisions: IntArray, created: IntArray, loss: str = "gaussian") -> Problem:

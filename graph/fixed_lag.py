@@ -1,0 +1,109 @@
+"""Fixed-lag smoothing: iSAM2 over the newest poses and all landmarks; what is older is marginalized."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from gtsam.symbol_shorthand import L, X
+
+from data.inputs import IntArray, LandmarkMap, Prior, Sightings
+from data.result import Finished, Trajectory
+from data.se2 import Array
+from data.sensors import Sensor
+from graph.incremental import SKIP, THRESHOLD, Isam2Smoother
+from graph.optimum import in_world
+from graph.window import Window
+
+SLACK = 0.1
+"""Of the lag: those older than the lag leave together, when the oldest is older by this much."""
+
+
+class FixedLagSmoother(Isam2Smoother):
+    """The verbs of `Isam2Smoother`, with a bounded number of poses in the graph.
+
+    Poses older than the lag become a linear factor on the oldest pose that stays and on the landmarks. Landmarks stay:
+    their numbers keep their meaning, and loops are closed over any time. The price is that of a filter: this factor
+    ties all landmarks together, and those it touches are never linearized anew.
+
+    The frames' times come with the inputs (a log without stamps counts frames), `lag` is in the same unit.
+    """
+
+    def __init__(
+        self,
+        prior: Prior,
+        sensor: Sensor,
+        known: LandmarkMap | None = None,
+        *,
+        time: Array,
+        lag: float,
+        slack: float = SLACK,
+        threshold: float = THRESHOLD,
+        skip: int = SKIP,
+    ) -> None:
+        """Start at the prior; with a map localize in it, without do SLAM.
+
+        `time` (N,), increasing, of all frames to come. A pose stays for at least `lag` >= 0 after its own time, and at
+        most for (1 + `slack`) times that, at the next sighting: a slack of 0 marginalizes frame by frame, which takes
+        half as long again on Victoria Park with a lag of 30 frames, three times as long with 100.
+        """
+        if not lag >= 0.0 or not slack >= 0.0:
+            raise ValueError(f"lag {lag} and slack {slack} must not be negative")
+        super().__init__(prior, sensor, known, threshold=threshold, skip=skip)
+        self.time, self.lag, self.slack = time, lag, slack
+        self._window = Window(threshold, skip, qr=self._engine.qr, name=self._name)
+        self._engine = self._window
+        # first frame, and first copy of a known landmark, that are still in the window
+        self._oldest, self._first_copy = 0, 0
+        self._left: list[tuple[Array, Array]] = []
+
+    def _extend(self, sightings: Sightings, number: IntArray) -> None:
+        """Add the motion since the anchor and these sightings, then let go of what is too old."""
+        super()._extend(sightings, number)
+        now = self.time[self.frame]
+        if now - self.time[self._oldest] > (1.0 + self.slack) * self.lag:
+            self._forget(int(np.searchsorted(self.time, now - self.lag)))
+
+    def _forget(self, oldest: int) -> None:
+        """Marginalize the poses of all frames before `oldest`, with the copies of landmarks seen from them."""
+        frames = range(self._oldest, oldest)
+        self._left += self._poses(frames)
+        keys = [X(k) for k in frames]
+        while self.map is not None and self._sighted[self._first_copy].frame < oldest:
+            key = self._sighted[self._first_copy].key
+            keys += [] if key is None else [key]
+            self._first_copy += 1
+        self._window.marginalize(keys, X(self._anchor))
+        self._oldest = oldest
+        self._motion.clear()
+        self._read()
+
+    def _poses(self, frames: Iterable[int]) -> list[tuple[Array, Array]]:
+        """Pose and body-frame covariance of frames in the window."""
+        return [(self._window.pose(X(k)), self._window.covariance([X(k)])) for k in frames]
+
+    def remove(self, numbers: IntArray) -> None:
+        """Drop landmarks with their sightings from poses in the window.
+
+        What older sightings said about everything else cannot be taken back any more, as in a filter.
+        """
+        gone = np.asarray(numbers).tolist()
+        super().remove(numbers)
+        held = [L(n) for n in gone if self._window.holds(L(n))]
+        if held:
+            self._window.marginalize(held, X(self._anchor))
+            self._read()
+
+    def finish(self) -> Finished:
+        """Every pose as it was when it left the window, those in it as they are now; there is no cost to sum up.
+
+        Motion since the last sighting joins the window; nothing is optimized that was not during the run.
+        """
+        factors, values = self._flush()
+        if factors:
+            self._window.add(factors, values)
+            self._read()
+        pose, body = zip(*self._left, *self._poses(range(self._oldest, self.frame + 1)), strict=True)
+        path = np.array(pose)
+        final = Trajectory(path, in_world(path, np.array(body)))
+        return Finished(final, None if self.map is not None else self.landmarks())

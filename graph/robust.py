@@ -1,0 +1,124 @@
+"""Batch smoothing against wrong associations: graduated non-convexity chooses the observations to believe.
+
+Yang, Antonante, Tzoumas and Carlone, "Graduated Non-Convexity for Robust Spatial Perception", IEEE RA-L 5(2), 2020,
+with truncated least squares: minimize the sum of min(d^2, c^2), d^2 the squared whitened residual of an observation.
+"""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+
+from association.expectation import gate_threshold
+from data.inputs import Inputs, IntArray, Prior
+from data.result import DISCARD
+from data.se2 import Array, BoolArray
+from graph.batch import Smoothed, Start, build, smooth, start_values
+from graph.factors import EXACT, Factor, graph_of, is_exact, noise, prior_factor
+from graph.incremental import DELICATE
+from graph.optimum import Problem, poses_of
+
+
+def gnc(
+    inputs: Inputs, decisions: IntArray, created: IntArray, start: Start, *, probability: float = 0.99
+) -> tuple[Smoothed, BoolArray]:
+    """The exact optimum over the accepted observations, and which ones those are: (M,), False where not used at all.
+
+    Conventions of `graph.batch.smooth`. Prior, motion and known landmarks are believed. An observation is rejected
+    where its squared whitened residual (2 dof), at this optimum, is not below the chi-square quantile of `probability`:
+    so many of the right ones stay, and without the others chi-square and covariances come out a little small. A
+    landmark that loses all its sightings leaves the map. It is a local method: where wrong pairings agree with each
+    other better than the right ones do, they win.
+
+    Raises `UnderConstrained`, DataError for a singular covariance, ValueError for a probability not in (0, 1).
+    """
+    threshold = gate_threshold(probability)
+    problem = build(inputs, decisions, created)
+    used = np.flatnonzero(np.where(created >= 0, created, decisions) >= 0)
+    start, believed = _graduate(problem, start, probability, qr=_is_delicate(inputs))
+    # block-coordinate descent on the truncated cost, from gtsam's choice: its weights need not be those of its
+    # solution, and it judges the two scalars of a relative point apart
+    before = np.inf
+    while True:
+        accepted = np.zeros(len(decisions), np.bool_)
+        accepted[used[believed]] = True
+        kept = np.where(accepted, decisions, DISCARD), np.where(accepted, created, -1)
+        result = smooth(inputs, *kept, start)
+        start = _as_start(result, start)
+        square = _squares(problem, start)
+        if result.map is not None:
+            # a landmark without a sighting has no position that could win one back
+            square[~np.isin([s.number for s in problem.sighted], result.map.number)] = np.inf
+        cost = float(np.minimum(square, threshold).sum())
+        believed, last = square < threshold, believed
+        if (believed == last).all() or not cost < before:
+            return result, accepted
+        before = cost
+
+
+def _is_delicate(inputs: Inputs) -> bool:
+    """Whether Cholesky elimination would fail so often that Levenberg-Marquardt crawls."""
+    prior = np.linalg.eigvalsh(inputs.prior.covariance)
+    motion = np.linalg.eigvalsh(inputs.increments.covariance[1:])
+    return bool(prior[0] < DELICATE < prior[-1] or motion.min(initial=np.inf) < DELICATE)
+
+
+def _graduate(problem: Problem, start: Start, probability: float, *, qr: bool) -> tuple[Start, BoolArray]:
+    """The solution of gtsam, and which sightings have a weight above one half there: all their factors.
+
+    What gtsam 4.3's GncOptimizer gets wrong, and what is done about it: it gives hard constraints the information zero,
+    that is, it drops them without a word (here they have a sigma of `EXACT`); and it stops where the cost hardly
+    changes, which may be before a weight has (here only weights of 0 and 1 stop it, or its 100 iterations). Its control
+    parameter starts from the residuals at `start`, not from those of the first least-squares solution as in the paper
+    (so a good start is not given away; nothing is done).
+    """
+    believed: list[Factor] = [_soft_prior(problem.prior), *problem.motion]
+    believed += [
+        gtsam.PriorFactorPoint2(s.key, s.xy, noise.Isotropic.Sigma(2, EXACT))
+        for s in problem.sighted
+        if s.key is not None and s.xy is not None
+    ]
+    steps = gtsam.LevenbergMarquardtParams()
+    steps.setLinearSolverType("MULTIFRONTAL_QR" if qr else "MULTIFRONTAL_CHOLESKY")
+    parameters = gtsam.GncLMParams(steps)
+    parameters.setLossType(gtsam.GncLossType.TLS)
+    parameters.setKnownInliers(range(len(believed)))
+    parameters.setRelativeCostTol(0.0)
+    graph = graph_of([*believed, *(f for s in problem.sighted for f in s.measured)])
+    optimizer = gtsam.GncLMOptimizer(graph, start_values(problem, start), parameters)
+    count = np.array([len(s.measured) for s in problem.sighted], np.int64)
+    # one quantile for all: two independent scalars both pass theirs as often as the pair would pass its own
+    scalars = count.max(initial=1) == 2
+    quantile = gate_threshold(np.sqrt(probability), 1) if scalars else gate_threshold(probability)
+    optimizer.setInlierCostThresholds(0.5 * quantile)
+    values = optimizer.optimize()
+    weight = optimizer.getWeights()[len(believed) :]
+    smallest = weight.reshape(-1, 2).min(1) if scalars else weight
+    return _start_of(problem, values, start), smallest > 0.5
+
+
+def _soft_prior(prior: Prior) -> Factor:
+    """The prior without a hard constraint."""
+    return prior_factor(Prior(prior.mean, (2.0 * EXACT) ** 2 * np.eye(3)) if is_exact(prior) else prior)
+
+
+def _start_of(problem: Problem, values: gtsam.Values, start: Start) -> Start:
+    """Values as a start; landmarks that are not in the problem stay as they were."""
+    landmark = start.landmark.copy()
+    for n in problem.numbers.tolist():
+        landmark[n] = values.atPoint2(gtsam.symbol("l", n))
+    return Start(poses_of(values, len(problem.motion) + 1), landmark)
+
+
+def _as_start(result: Smoothed, start: Start) -> Start:
+    """A solution as a start; landmarks that are not in it stay as they were."""
+    landmark = start.landmark.copy()
+    if result.map is not None:
+        landmark[result.map.number] = result.map.xy
+    return Start(result.trajectory.pose, landmark)
+
+
+def _squares(problem: Problem, at: Start) -> Array:
+    """Squared whitened residual of every sighting."""
+    values = start_values(problem, at)
+    return np.array([2.0 * sum(f.error(values) for f in s.measured) for s in problem.sighted], float)

@@ -1,0 +1,114 @@
+"""iSAM2 that can let go of variables: what they said about the others stays, as a linear factor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+import gtsam
+import numpy as np
+
+from data.se2 import Array
+from graph.engine import Engine
+from graph.factors import Factor, name_of
+
+FIRST, MIDDLE, LAST = 0, 1, 2
+"""Places in the order of elimination."""
+
+
+class Window(Engine):
+    """An `Engine` whose variables can be marginalized.
+
+    The means are those of gtsam's IncrementalFixedLagSmoother: an update that eliminates the leaving variables first,
+    then ISAM2's `marginalizeLeaves`. It is done here on the engine's own ISAM2 object, so that recovery by QR, handles
+    on factors and joint covariances are those of the incremental smoother, a landmark stays without a new time stamp at
+    every update, and a pose can be read before it goes.
+    """
+
+    def __init__(self, threshold: float, skip: int, *, qr: bool, name: Callable[[int], str] = name_of) -> None:
+        """As `Engine`."""
+        super().__init__(threshold, skip, qr=qr, name=name)
+        self._handle: dict[int, int] = {}
+        # linear factors that hold about the present linearization point, which is not theirs in a new ISAM2 object
+        self._linear: list[int] = []
+
+    def add(self, factors: Sequence[Factor], values: gtsam.Values) -> list[int]:
+        """Add factors and start values of their new variables; returns a handle for each factor."""
+        handles = super().add(factors, values)
+        self._handle.update((self._slot[h], h) for h in handles)
+        return handles
+
+    def drop(self, handles: Sequence[int]) -> None:
+        """Remove those factors that did not go with a variable; a variable that loses its last one goes with them."""
+        super().drop([h for h in handles if self._factors[h] is not None])
+
+    def holds(self, key: int) -> bool:
+        """Whether a variable is there."""
+        return bool(self.isam.valueExists(key))
+
+    def pose(self, key: int) -> Array:
+        """Estimate of a pose (3,)."""
+        p = self._ask(lambda: self.isam.calculateEstimatePose2(key))
+        return np.array([p.x(), p.y(), p.theta()])
+
+    def marginalize(self, keys: Sequence[int], last: int) -> None:
+        """Let go of variables; `last` stays the last one in the order of elimination.
+
+        What hangs on those that go keeps its linearization point from now on, so it gets the newest one before.
+        """
+        # gtsam 4.3 leaves garbage in what remains of a clique with a hard constraint (it takes rows out of the
+        # conditional, not out of its noise model); the factors are right, so that is eliminated once more
+        hard = any(_is_hard(self._factors[h]) for h in self._handle.values())
+        try:
+            self._eliminate_first(keys, last)
+        except RuntimeError as fault:
+            self._recover(fault)
+            self._eliminate_first(keys, last)
+        added, deleted = self.isam.marginalizeLeavesWithIndices(_key_list(keys))
+        for slot in deleted:
+            self._factors[self._handle.pop(slot)] = None
+        factors = self.isam.getFactorsUnsafe()
+        for slot in added:
+            self._handle[slot] = len(self._factors)
+            self._linear.append(len(self._factors))
+            self._factors.append(factors.at(slot))
+            self._slot.append(slot)
+        if hard:
+            self._eliminate_first([], last)
+
+    def _eliminate_first(self, keys: Sequence[int], last: int) -> None:
+        """Make leaves of these variables: eliminate everything anew, with them first."""
+        every = self.isam.getLinearizationPoint().keys()
+        place = gtsam.KeyGroupMap()
+        place.insert2(last, min(LAST, len(every) - 1))  # CCOLAMD takes no place beyond the number of variables
+        for key in keys:
+            place.insert2(key, FIRST)
+        for key in every:
+            place.insert2(key, MIDDLE)  # changes none that has its place
+        self.isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), [], place, None, _key_list(every), True)
+
+    def _rebuild(self) -> None:
+        """The same problem in a new ISAM2 object; linear factors take their linearization point along."""
+        point = self.isam.getLinearizationPoint()
+        for h in self._linear:
+            factor = self._factors[h]
+            if isinstance(factor, gtsam.LinearContainerFactor):
+                self._factors[h] = gtsam.LinearContainerFactor(factor.factor(), point)
+        self._linear = []
+        super()._rebuild()
+        self._handle = {self._slot[h]: h for h, factor in enumerate(self._factors) if factor is not None}
+
+
+def _is_hard(factor: Factor | None) -> bool:
+    """Whether a factor has a hard constraint, or is what marginalization made of one."""
+    if isinstance(factor, gtsam.LinearContainerFactor):
+        linear = factor.factor()
+        return isinstance(linear, gtsam.JacobianFactor) and isinstance(linear.get_model(), gtsam.noiseModel.Constrained)
+    return isinstance(factor, gtsam.NoiseModelFactor) and isinstance(factor.noiseModel(), gtsam.noiseModel.Constrained)
+
+
+def _key_list(keys: Iterable[int]) -> gtsam.KeyList:
+    """Keys as gtsam takes them."""
+    result = gtsam.KeyList()
+    for key in keys:
+        result.push_back(key)
+    return result

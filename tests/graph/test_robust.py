@@ -1,0 +1,286 @@
+"""Graduated non-convexity: wrong associations go, right ones stay, and the rest is the plain smoother's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import X
+
+from association.known import known_decisions
+from data import se2
+from data.arena import Arena, simulate
+from data.errors import DataError
+from data.inputs import Increments, LabelledObservations, Prior, floor_covariances
+from data.result import DISCARD
+from ekf.whole_run import run_filter
+from graph.batch import Start, build, smooth, start_values
+from graph.robust import gnc
+from tests.graph.test_incremental import for_task
+from tests.graph.worlds import SENSORS, circle
+
+every_sensor = pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS)
+both_tasks = pytest.mark.parametrize("task", ["localization", "slam"])
+
+
+def filtered(inputs, decisions):
+    run = run_filter(inputs, decisions)
+    return Start(run.pose, np.empty((0, 2)) if run.map is None else run.map.xy)
+
+
+def confused(inputs, decisions, created, rate, seed=0):
+    """Decisions with a share of the pairings given to another landmark that was there at the time."""
+    rng = np.random.default_rng(seed)
+    wrong, frame = decisions.copy(), inputs.observations.frame
+    for i in np.flatnonzero((rng.random(len(decisions)) < rate) & (created < 0) & (decisions >= 0)):
+        n = len(inputs.map.id) if inputs.map is not None else int((created[: inputs.start[frame[i]]] >= 0).sum())
+        if n > 1:
+            wrong[i] = (decisions[i] + rng.integers(1, n)) % n
+    return wrong
+
+
+def rms(pose, other):
+    return np.sqrt(np.mean(np.sum(se2.pose_error(pose, other)[:, :2] ** 2, 1)))
+
+
+@pytest.mark.parametrize("kind", ["range_bearing", "relative_point"])
+@both_tasks
+def test_a_fifth_of_wrong_associations_does_no_harm(kind, task):
+    """From the path of a filter that believed them all, where the plain smoother is off by a metre and more."""
+    log = simulate(Arena(sensor=kind, frames=70), 1)
+    inputs = log.inputs(labels=True)
+    inputs = for_task(inputs, task)
+    decisions, created = known_decisions(inputs)
+    wrong = confused(inputs, decisions, created, 0.2)
+    clean = smooth(inputs, decisions, created, filtered(inputs, decisions)).trajectory.pose
+    start = filtered(inputs, wrong)
+    result, accepted = gnc(inputs, wrong, created, start)
+    truth = log.truth.pose
+    assert rms(result.trajectory.pose, truth) < 1.25 * rms(clean, truth)
+    assert rms(result.trajectory.pose, clean) < 0.06
+    assert rms(smooth(inputs, wrong, created, start).trajectory.pose, truth) > 4.0 * rms(clean, truth)
+    bad = wrong != decisions
+    assert bad.sum() > 70
+    assert (accepted & bad).sum() <= 3
+    assert (~accepted & ~bad).sum() < 0.05 * len(bad)
+
+
+@every_sensor
+@both_tasks
+def test_where_all_is_well_it_is_the_plain_smoother(sensor, task):
+    """Nothing is rejected: estimate, covariance, chi-square and degrees of freedom are the same numbers."""
+    inputs, _, _ = circle(sensor)
+    inputs = for_task(inputs, task)
+    decisions, created = known_decisions(inputs)
+    decisions[5::7] = np.where(created[5::7] < 0, DISCARD, decisions[5::7])
+    start = filtered(inputs, decisions)
+    result, accepted = gnc(inputs, decisions, created, start, probability=1.0 - 1e-9)
+    plain = smooth(inputs, decisions, created, start)
+    np.testing.assert_array_equal(accepted, (decisions != DISCARD) | (created >= 0))
+    np.testing.assert_allclose(result.trajectory.pose, plain.trajectory.pose, atol=1e-6)
+    np.testing.assert_allclose(result.trajectory.covariance, plain.trajectory.covariance, atol=1e-8)
+    assert result.chi_square == pytest.approx(plain.chi_square, rel=1e-6)
+    assert result.dof == plain.dof
+
+
+@pytest.mark.parametrize("sensor", [*SENSORS.values()][1:3], ids=[*SENSORS][1:3])
+@both_tasks
+def test_the_result_is_the_optimum_over_what_it_accepted_and_judges_each_observation_by_two_dof(sensor, task):
+    inputs, _, _ = circle(sensor)
+    inputs = for_task(inputs, task)
+    decisions, created = known_decisions(inputs)
+    wrong = confused(inputs, decisions, created, 0.1, seed=3)
+    result, accepted = gnc(inputs, wrong, created, filtered(inputs, decisions))
+    assert 0 < (~accepted).sum() < 0.2 * len(accepted)
+    kept = np.where(accepted, wrong, DISCARD), np.where(accepted, created, -1)
+    landmark = np.empty((0, 2)) if result.map is None else filtered(inputs, decisions).landmark.copy()
+    if result.map is not None:
+        landmark[result.map.number] = result.map.xy
+    again = smooth(inputs, *kept, Start(result.trajectory.pose, landmark))
+    np.testing.assert_allclose(result.trajectory.pose, again.trajectory.pose, atol=1e-5)
+    assert result.total_nis == (pytest.approx(again.chi_square, rel=1e-6), again.dof)
+    # by the sensor model itself, not by factors
+    o, pose = inputs.observations, result.trajectory.pose
+    xy = inputs.map.xy if task == "localization" else landmark
+    number = np.where(created >= 0, created, wrong)
+    nu = inputs.sensor.residual(o.z, inputs.sensor.predict(pose[o.frame], xy[number]))
+    square = np.einsum("mi,mi->m", nu, np.linalg.solve(o.R, nu[..., None])[..., 0])
+    clear = np.abs(square - 9.21034) > 0.3  # range and bearing off centre are converted to first order
+    assert clear.mean() > 0.9
+    np.testing.assert_array_equal(accepted[clear], square[clear] < 9.21034)
+
+
+@pytest.mark.parametrize("kind", ["range-bearing", "relative point"])
+def test_a_landmark_none_of_whose_sightings_are_believed_leaves_the_map(kind, monkeypatch):
+    """It does not come back either: nothing says where it is."""
+    import graph.robust as module
+
+    inputs, _, _ = circle(SENSORS[kind], frames=30)
+    inputs = inputs.without_map()
+    decisions, created = known_decisions(inputs)
+    of = inputs.observations.label == 2
+    number = int(created[of & (created >= 0)][0])
+    graduate = module._graduate
+
+    def disbelieving(problem, start, *rest, **options):
+        solution, believed = graduate(problem, start, *rest, **options)
+        return solution, believed & (np.array([s.number for s in problem.sighted]) != number)
+
+    monkeypatch.setattr(module, "_graduate", disbelieving)
+    result, accepted = gnc(inputs, decisions, created, filtered(inputs, decisions))
+    assert not accepted[of].any()
+    assert accepted[~of].mean() > 0.95
+    assert result.map.number.tolist() == [n for n in range(created.max() + 1) if n != number]
+    kept = np.where(accepted, decisions, DISCARD), np.where(accepted, created, -1)
+    clean = smooth(inputs, *kept, filtered(inputs, decisions))
+    np.testing.assert_allclose(result.trajectory.pose, clean.trajectory.pose, atol=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["range-bearing", "relative point"])
+def test_of_two_sightings_that_contradict_each_other_not_both_are_believed(kind):
+    inputs, _, _ = circle(SENSORS[kind], frames=30)
+    inputs = inputs.without_map()
+    o = inputs.observations
+    of = np.flatnonzero(o.label == 2)[[0, 4]]
+    z = o.z.copy()
+    z[of[1], 0] += 3.0
+    inputs = replace(inputs, observations=LabelledObservations(o.frame, z, o.R, o.label))
+    decisions, created = known_decisions(inputs)
+    decisions[(o.label == 2) & ~np.isin(np.arange(len(z)), of)] = DISCARD
+    result, accepted = gnc(inputs, decisions, created, filtered(inputs, decisions))
+    assert accepted[of].sum() <= 1
+    assert (created[of[0]] in result.map.number) == accepted[of].any()
+
+
+@both_tasks
+def test_the_same_bytes_come_out_twice_and_nothing_is_printed(task, capfd):
+    inputs, _, _ = circle(SENSORS["relative point"])
+    inputs = for_task(inputs, task)
+    decisions, created = known_decisions(inputs)
+    wrong = confused(inputs, decisions, created, 0.2)
+    one, two = (gnc(inputs, wrong, created, filtered(inputs, wrong)) for _ in range(2))
+    assert one[0].trajectory.pose.tobytes() == two[0].trajectory.pose.tobytes()
+    assert one[0].trajectory.covariance.tobytes() == two[0].trajectory.covariance.tobytes()
+    assert one[1].tobytes() == two[1].tobytes()
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert err == ""
+
+
+@pytest.mark.parametrize("kind", ["range-bearing", "relative point"])
+@both_tasks
+@pytest.mark.parametrize("P0", [np.zeros((3, 3)), 0.01 * np.ones((3, 3))], ids=["zero", "rank one"])
+def test_a_first_pose_known_exactly_stays_where_it_is(kind, task, P0):
+    inputs, truth, _ = circle(SENSORS[kind], P0=P0, frames=25)
+    inputs = for_task(inputs, task)
+    decisions, created = known_decisions(inputs)
+    wrong = confused(inputs, decisions, created, 0.15)
+    result, accepted = gnc(inputs, wrong, created, filtered(inputs, decisions))
+    clean = smooth(inputs, decisions, created, filtered(inputs, decisions))
+    assert rms(result.trajectory.pose, clean.trajectory.pose) < 0.05
+    assert (accepted & (wrong != decisions)).sum() <= 2
+    if not P0.any():
+        np.testing.assert_allclose(result.trajectory.pose[0], truth[0], atol=1e-12)
+        np.testing.assert_allclose(result.trajectory.covariance[0], 0.0, atol=1e-15)
+
+
+@pytest.mark.parametrize("kind", ["range-bearing", "relative point"])
+def test_known_landmarks_are_held_while_it_chooses(kind):
+    """The choice alone, before anything is judged again: a landmark that gives way would agree with any sighting."""
+    import graph.robust as module
+
+    inputs, _, _ = circle(SENSORS[kind], frames=30)
+    decisions, created = known_decisions(inputs)
+    wrong = confused(inputs, decisions, created, 0.2)
+    problem = build(inputs, wrong, created)
+    _, believed = module._graduate(problem, filtered(inputs, wrong), 0.99, qr=False)
+    assert believed[wrong == decisions].mean() > 0.9
+    assert believed[wrong != decisions].mean() < 0.1
+
+
+@both_tasks
+def test_motion_is_believed_and_never_given_up_for_observations(task):
+    """All is seen as if the robot had jumped by 3 m: 75 sigma once, or half of the observations."""
+    inputs, truth, xy = circle(SENSORS["relative point"], frames=24)
+    o = inputs.observations
+    late = o.frame >= 16
+    jumped = truth[o.frame] + np.outer(late, [3.0, 0.0, 0.0])
+    z = inputs.sensor.predict(jumped, xy[o.label]) + (o.z - inputs.sensor.predict(truth[o.frame], xy[o.label]))
+    inputs = for_task(replace(inputs, observations=LabelledObservations(o.frame, z, o.R, o.label)), task)
+    decisions, created = known_decisions(inputs)
+    result, accepted = gnc(inputs, decisions, created, filtered(inputs, np.where(late, DISCARD, decisions)))
+    assert rms(result.trajectory.pose, truth) < 0.3
+    assert accepted[~late].mean() > 0.9
+    assert accepted[late].mean() < 0.1
+
+
+def test_gtsams_own_gnc_drops_hard_constraints():
+    """Why an exact prior and known landmarks are given a sigma here: without it the first pose is free to drift."""
+    inputs, _, _ = circle(SENSORS["range-bearing"], P0=np.zeros((3, 3)), frames=10)
+    inputs = inputs.without_map()
+    inputs = replace(inputs, prior=Prior(inputs.prior.mean + [0.5, 0.0, 0.0], np.zeros((3, 3))))
+    decisions, created = known_decisions(inputs)
+    problem = build(inputs, decisions, created)
+    start = filtered(inputs, decisions)
+    values = start_values(problem, Start(start.pose + [1.0, 0.0, 0.0], start.landmark))
+    parameters = gtsam.GncLMParams(gtsam.LevenbergMarquardtParams())
+    parameters.setLossType(gtsam.GncLossType.TLS)
+    parameters.setKnownInliers(range(len(inputs)))
+    found = gtsam.GncLMOptimizer(problem.graph(), values, parameters).optimize()
+    assert abs(found.atPose2(X(0)).x() - inputs.prior.mean[0]) > 0.1
+
+
+@pytest.mark.parametrize("kind", ["range-bearing", "relative point"])
+@both_tasks
+def test_a_robot_at_rest_is_no_trouble(kind, task):
+    """Increments known to 1e-5 m half of the time."""
+    inputs, truth, _ = circle(SENSORS[kind], frames=50)
+    still = np.arange(50) % 10 >= 5
+    truth = truth.copy()
+    mean, covariance = inputs.increments.mean.copy(), inputs.increments.covariance.copy()
+    mean[still], covariance[still] = 0.0, 0.0
+    covariance, _ = floor_covariances(covariance, 1e-10)
+    for k in range(1, 50):
+        truth[k] = truth[k - 1] if still[k] else se2.compose(truth[k - 1], np.array([0.4, 0.03, 0.17]))
+    o = inputs.observations
+    z = inputs.sensor.predict(truth[o.frame], inputs.map.xy[o.label])
+    z = z + np.random.default_rng(0).multivariate_normal(np.zeros(2), o.R[0], len(z))
+    inputs = replace(
+        inputs,
+        increments=Increments(mean, covariance),
+        observations=LabelledObservations(o.frame, z, o.R, o.label),
+    )
+    inputs = for_task(inputs, task)
+    decisions, created = known_decisions(inputs)
+    wrong = confused(inputs, decisions, created, 0.15)
+    result, accepted = gnc(inputs, wrong, created, filtered(inputs, decisions))
+    clean = smooth(inputs, decisions, created, filtered(inputs, decisions))
+    assert rms(result.trajectory.pose, clean.trajectory.pose) < 0.05
+    assert (accepted & (wrong != decisions)).sum() <= 2
+    assert np.abs(result.trajectory.pose[9] - result.trajectory.pose[5]).max() < 1e-3
+
+
+def test_without_a_single_observation_it_is_dead_reckoning():
+    inputs, _, _ = circle(SENSORS["range-bearing"])
+    nothing = np.full(len(inputs.observations.frame), DISCARD)
+    for given in (inputs, inputs.without_map()):
+        result, accepted = gnc(given, nothing, np.full(len(nothing), -1), filtered(given, nothing))
+        np.testing.assert_allclose(result.trajectory.pose, run_filter(given, nothing).pose, atol=1e-9)
+        assert not accepted.any()
+        assert result.total_nis == (pytest.approx(0.0, abs=1e-9), 0)
+
+
+def test_senseless_requests_are_refused():
+    inputs, _, _ = circle(SENSORS["range-bearing"])
+    decisions, created = known_decisions(inputs)
+    start = filtered(inputs, decisions)
+    for probability in (0.0, 1.0, -3.0, np.nan):
+        with pytest.raises(ValueError, match="a probability between 0 and 1"):
+            gnc(inputs, decisions, created, start, probability=probability)
+    with pytest.raises(ValueError, match="finite pose"):
+        gnc(inputs, decisions, created, Start(start.pose * np.nan, start.landmark))
+    singular = replace(inputs, increments=Increments(inputs.increments.mean, 0.0 * inputs.increments.covariance))
+    with pytest.raises(DataError, match="covariance is singular"):
+        gnc(singular, decisions, created, start)
