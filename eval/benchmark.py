@@ -188,7 +188,10 @@ def main(argv: list[str] | None = None) -> int:
     print(table(victoria_park_lines(700 if quick else 10**9)), flush=True)
     from eval.benchmark_association import association_lines
 
-    print(table(association_lines(quick)))
+    print(table(association_lines(quick)), flush=True)
+    from eval.benchmark_studies import study_lines
+
+    print(table(study_lines(quick)))
     return 0
 
 

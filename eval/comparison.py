@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import pandas as pd
@@ -24,6 +25,7 @@ COMPARISON: Mapping[str, str] = {
     "nees_pose": "pose NEES (expected 3)",
     "nis": "NIS per dof (expected 1)",
     "bounds": "95 % bounds of NIS",
+    "whiteness": "lag-1 correlation of innovations ± SE (expected 0)",
     "inside": "inside 3σ (expected 98.9) [%]",
     "accepted": "accepted",
     "rejected": "rejected",
@@ -65,11 +67,34 @@ CONSISTENCY: Mapping[str, str] = {
     "diverged": "diverged",
 }
 
+PUBLISHED: Mapping[str, str] = {
+    "scenario": "scenario",
+    "estimator": "estimator",
+    "quantity": "quantity",
+    "ours": "ours",
+    "se_ours": "± SE",
+    "published": "published",
+    "se_published": "± SE of it",
+    "difference_in_se": "difference [SE]",
+}
+
+OUTLIERS: Mapping[str, str] = {
+    "task": "task",
+    "percent": "wrong labels [%]",
+    "estimator": "estimator",
+    "rmse_position_m": "position RMSE [m]",
+    "rmse": "95 % interval of the RMSE",
+    "nees_pose": "pose NEES (expected 3)",
+    "nees": "95 % interval of the NEES",
+    "diverged": "diverged",
+}
+
 COMPARISON_CAPTION = (
     "Errors in the world frame, no alignment, all estimators with the same prior and the same inputs. Phase online:"
     " each pose given the data up to its frame; final: every pose given all data, so a final row is expected to be the"
-    " more accurate one. NEES of one run describes and proves nothing; NIS per dof against its 95 % bounds is a test"
-    " where nothing was gated and the association is known. Blank: unknown or not applicable. A status is shown where"
+    " more accurate one. NEES of one run describes and proves nothing; NIS per dof against its 95 % bounds, and the"
+    " correlation of a landmark's innovations in successive frames against 0, are tests where nothing was gated and the"
+    " association is known. Blank: unknown or not applicable. A status is shown where"
     " some run did not get to the end, a time-weighted RMSE where it differs from the plain one by more than 5 %."
 )
 ASSOCIATION_CAPTION = (
@@ -79,10 +104,22 @@ ASSOCIATION_CAPTION = (
     " for the final phase stands only where revised decisions turned out differently."
 )
 CONSISTENCY_CAPTION = (
-    "Consistency over independent simulated runs: mean over runs of each run's mean NEES (NIS per dof for the quantity"
-    " nis), with Student's t 95 % interval of that mean. Consistent: the interval holds the expected value;"
+    "Mean over independent simulated runs of each run's mean NEES (NIS per dof for the quantity nis), with Student's t"
+    " 95 % interval of that mean. Consistent: the interval holds the expected value;"
     " overconfident: wholly above; conservative: wholly below. Power: probability that this test, with as many runs and"
-    " this spread, rejects a covariance claimed at 0.8 of the true one."
+    " this spread, rejects a covariance claimed at 0.8 of the true one. Whiteness: correlation of a landmark's"
+    " innovations in successive frames, expected 0; a covariance scaled as a whole leaves it 0, so it has no power"
+    " against that. NIS and whiteness of an estimator that decides for itself are conditional on its decisions."
+)
+COVERAGE_CAPTION = (
+    "Share of the runs [%] whose last position lies inside the estimator's own ellipse of each level, with"
+    " Clopper–Pearson 95 % bounds; marked where the level lies outside them (o: too few inside, overconfident;"
+    " c: too many, conservative)."
+)
+PUBLISHED_CAPTION = (
+    "Our numbers beside published ones, with standard errors of the Monte Carlo means (of the difference: root of the"
+    " sum of their squares). A difference within ±3 is chance. For a replay of a stored run it is the largest relative"
+    " difference of any step over the tolerance, so below 1 is agreement."
 )
 
 
@@ -116,13 +153,23 @@ def _interval(lower: pd.Series, upper: pd.Series) -> pd.Series:
     return pd.Series(texts, index=lower.index, dtype=object)
 
 
+def _spread(values: pd.Series, errors: pd.Series) -> pd.Series:
+    texts = [
+        None if is_blank(v) or is_blank(e) else f"{float(v):.3f} ± {float(e):.3f}"
+        for v, e in zip(values.tolist(), errors.tolist(), strict=True)
+    ]
+    return pd.Series(texts, index=values.index, dtype=object)
+
+
 def comparison_table(metrics: pd.DataFrame) -> pd.DataFrame:
     """Rows of metrics.csv as a table to read: heads with units, shares in percent, columns without anything dropped.
 
     Without news are also a status that is `ok` everywhere and a time-weighted RMSE that is the plain one in every row.
     """
     made = metrics.astype(object).assign(
-        bounds=_interval(metrics["nis_lower"], metrics["nis_upper"]), inside=_percent(metrics["inside_3sigma"])
+        bounds=_interval(metrics["nis_lower"], metrics["nis_upper"]),
+        whiteness=_spread(metrics["innovation_lag1"], metrics["innovation_lag1_se"]),
+        inside=_percent(metrics["inside_3sigma"]),
     )
     told = [c for c in COMPARISON if c in made.columns]
     if (made["status"] == "ok").all():
@@ -179,3 +226,35 @@ def consistency_table(consistency: pd.DataFrame) -> pd.DataFrame:
         interval=_interval(consistency["lower"], consistency["upper"]), power_percent=_percent(consistency["power"])
     )
     return _selected(made, CONSISTENCY)
+
+
+def coverage_table(coverage: pd.DataFrame) -> pd.DataFrame:
+    """The coverage rows of consistency.csv, a row for each estimator and a column for each level."""
+    marks = {"overconfident": " (o)", "conservative": " (c)"}
+    names = ("task", "estimator", "association", "phase")
+    rows: dict[tuple[str, ...], Row] = {}
+    for r in coverage.astype(object).to_dict("records"):
+        key = tuple(str(r[c]) for c in names)
+        row = rows.setdefault(key, dict(zip(names, key, strict=True)))
+        share, low, high = (math.nan if is_blank(r[c]) else 100.0 * float(r[c]) for c in ("mean", "lower", "upper"))
+        head = f"{str(r['quantity']).removeprefix('coverage_')} %"
+        row[head] = f"{share:.0f} [{low:.0f}, {high:.0f}]{marks.get(str(r['verdict']), '')}"
+    made = pd.DataFrame(list(rows.values()), dtype=object)
+    return made[[c for c in made.columns if c not in ("task", "association") or made[c].nunique() > 1]]
+
+
+def published_table(published: pd.DataFrame) -> pd.DataFrame:
+    """published.csv as a table to read."""
+    return _selected(published.astype(object), PUBLISHED)
+
+
+def outliers_table(outliers: pd.DataFrame) -> pd.DataFrame:
+    """The outlier study as a table to read."""
+    made = outliers.astype(object).assign(
+        percent=_percent(outliers["rate"]),
+        rmse=_interval(outliers["rmse_lower"], outliers["rmse_upper"]),
+        nees=_interval(outliers["nees_lower"], outliers["nees_upper"]),
+    )
+    if not outliers["diverged"].any():
+        made = made.drop(columns="diverged")
+    return _selected(made, OUTLIERS)

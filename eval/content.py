@@ -10,18 +10,19 @@ import numpy as np
 import pandas as pd
 from joblib import Parallel, delayed
 
-from eval import comparison, figures, words
+from eval import comparison, words
 from eval.consistency import MIN_RUNS
 from eval.knowledge import CAPTION, knowledge_table, logs_with_tutorials
 from eval.lab_questions import lab_sections
-from eval.montecarlo import DOF, Judged, Study, consistency_table
+from eval.montecarlo import Judged, consistency_table
 from eval.options import Options
 from eval.pictures import draw, kinds, publish_runs, stem
 from eval.provenance import command_of, provenance
 from eval.report import Block, Picture, ReportContent, Section, Table, write_report
+from eval.reproduced import published_frame
 from eval.run_files import folder_name
 from eval.score import Scores, Trial, score
-from eval.style import save
+from eval.study_sections import study_sections
 from eval.suite import Outcome
 from eval.tables import write_table
 from eval.tutorial import is_tutorial
@@ -48,18 +49,20 @@ def write_results(
 ) -> None:
     """Fill the result folder."""
     scores = score(outcome.trials)
-    consistency = consistency_table(outcome.study.scenario if outcome.study else "", judged)
+    consistency = consistency_table(judged)
     tables = {"metrics": scores.metrics, "association": scores.association, "timing": scores.timing}
     for name, table in {**tables, "consistency": consistency}.items():
         table.to_csv(folder / f"{name}.csv", index=False, lineterminator="\n")
+    if outcome.published:
+        published_frame(outcome.published).to_csv(folder / "published.csv", index=False, lineterminator="\n")
     (folder / "runs").mkdir()
     published = _publish_trials(folder, options, outcome.trials, progress)
     sections = [*_trial_sections(folder, options, outcome.trials, scores, published)]
     sections += _knowledge_sections(folder, options, outcome.trials, scores)
-    if outcome.study is not None:
-        sections.append(_study_section(folder, options, outcome.study, judged, consistency))
-    sections += _association_sections(folder, options, outcome.trials, scores, published)
-    sections += [*lab_sections(outcome.trials, scores), _failure_section(outcome.trials)]
+    sections += study_sections(folder, options, outcome, judged)
+    if outcome.trials:
+        sections += _association_sections(folder, options, outcome.trials, scores, published)
+        sections += [*lab_sections(outcome.trials, scores), _failure_section(outcome.trials)]
     sections += [Section("How to read the numbers", (READING,)), _source_section(outcome.trials, options)]
     introduction = _introduction(outcome.trials, scores, judged)
     write_report(
@@ -160,34 +163,6 @@ def _beside_note(trial: Trial, rows: pd.DataFrame) -> str:
             if row[column] is not None:
                 told.append(f"Sum of squared errors of {what}: {words.number(float(row[column]))} m².")
     return " ".join([*told, *trial.runs[0].notes])
-
-
-def _study_section(
-    folder: Path, options: Options, study: Study, judged: Sequence[Judged], consistency: pd.DataFrame
-) -> Section:
-    runs = len(study.seeds)
-    content: list[Block] = [
-        f"{runs} simulated logs of the arena (seeds {study.seeds[0]} to {study.seeds[-1]}); the prior's mean is drawn"
-        " from the prior. Declared to be consistent: localization with `ekf`, `isam2` and `batch`, in pose, position"
-        " and heading. EKF-SLAM is inconsistent by nature once the heading is uncertain, so its verdicts are reported,"
-        " not demanded."
-    ]
-    if runs < MIN_RUNS:
-        content.append(f"With fewer than {MIN_RUNS} runs there is no verdict: a wrong covariance would pass too often.")
-    table = comparison.consistency_table(consistency)
-    content.append(_table(folder, options, table, "consistency", comparison.CONSISTENCY_CAPTION))
-    if not (options.no_plots or options.quick):
-        for task in dict.fromkeys(j.key[0] for j in judged):
-            average = study.anees(task, {"ekf": "online", "isam2": "online", "batch": "final"})
-            name = f"arena-{task}-anees"
-            figure = figures.anees_figure(study.time, average, DOF["pose"], runs, title=f"arena, {task}")
-            save(figure, folder / "figures", name)
-            caption = (
-                f"Arena, {task}: pose NEES averaged over {runs} runs (ekf and isam2 online, batch final). 5 % of the"
-                " steps of a consistent estimator lie outside the band."
-            )
-            content.append(Picture(name, caption, f"Average pose NEES over time, {task}"))
-    return Section("Consistency over many simulated runs", tuple(content))
 
 
 def _association_sections(

@@ -8,11 +8,14 @@ from pathlib import Path
 
 from association.decide import METHODS
 from data.errors import UsageError
+from data.esde import NAME, find_esde
 from data.log import Log
-from eval.flags import DEFAULT_ESTIMATORS, FILTERS, QUICK_RUNS
+from eval.flags import DEFAULT_ESTIMATORS, FILTERS, QUICK_RUNS, scenarios
 from eval.logs import find_logs, open_log
 from eval.options import Options
 from eval.run_files import folder_name
+from eval.scenario import Scenario
+from eval.scenario_file import load_scenario
 from eval.setup import Setup
 
 DEFAULT_RUNS = 50
@@ -29,11 +32,12 @@ class Work:
 
     def parts(self) -> tuple[Work, ...]:
         """What can be done apart: iSAM2 takes longest; batch goes with the front end whose decisions it takes."""
-        if "isam2" not in self.estimators or len(self.estimators) == 1:
-            return (self,)
-        alone = ("isam2",) if self.association == "known" else tuple(e for e in self.estimators if e not in FILTERS)
-        rest = tuple(e for e in self.estimators if e not in alone)
-        return tuple(Work(self.association, part) for part in (alone, rest) if part)
+        apart: list[tuple[str, ...]] = [(e,) for e in self.estimators if e == "fixed-lag"]
+        rest = tuple(e for e in self.estimators if e != "fixed-lag")
+        if "isam2" in rest:
+            alone = ("isam2",) if self.association == "known" else tuple(e for e in rest if e not in FILTERS)
+            apart, rest = [alone, *apart], tuple(e for e in rest if e not in alone)
+        return tuple(Work(self.association, part) for part in (*apart, rest) if part)
 
 
 @dataclass(frozen=True)
@@ -50,14 +54,25 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Plan:
-    """Everything to do, and the number of runs of the consistency study."""
+    """Everything to do.
+
+    Attributes:
+        experiments: logs.
+        studies: scenarios to simulate, each with its number of runs.
+        stored: scenarios that replay a recording, each with its file.
+        skipped: what was asked for and cannot be done here, a sentence each.
+    """
 
     experiments: tuple[Experiment, ...]
-    study_runs: int
+    studies: tuple[tuple[Scenario, int], ...]
+    stored: tuple[tuple[Scenario, Path], ...] = ()
+    skipped: tuple[str, ...] = ()
 
 
 def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
     """Open the logs and settle what is done; raises UsageError for what makes no sense together."""
+    if options.scenario:
+        return _scenarios(options)
     experiments = [] if options.log else _default(options)
     asked = [open_log(name) for name in options.log]
     for folder in options.data:
@@ -82,7 +97,38 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
     runs = options.runs
     if runs is None:
         runs = 0 if options.log else QUICK_RUNS if options.quick else DEFAULT_RUNS
-    return Plan(tuple(experiments), runs)
+    return Plan(tuple(experiments), ((load_scenario("arena"), runs),) if runs else ())
+
+
+def _scenarios(options: Options) -> Plan:
+    """Studies of the scenarios asked for; `--data` is where recordings are looked for."""
+    if options.runs == 0:
+        raise UsageError("--runs 0: a scenario needs at least one run")
+    folders = [Path(name) for name in options.data]
+    for folder in folders:
+        if not folder.is_dir():
+            raise UsageError(f"--data {folder}: no such folder")
+    studies: list[tuple[Scenario, int]] = []
+    stored, skipped = [], []
+    names = scenarios() if "all" in options.scenario else list(options.scenario)
+    for name in names:
+        scenario = load_scenario(name)
+        if options.estimator != ALL:
+            scenario = scenario.only(options.estimator)
+        if scenario.recorded:
+            path = find_esde(folders)
+            if path is None:
+                skipped.append(f"scenario {scenario.name}: skipped, no {NAME} of its study in --data")
+            else:
+                stored.append((scenario, path))
+        else:
+            runs = options.runs or (QUICK_RUNS if options.quick else scenario.runs)
+            studies += [(part, runs) for part in scenario.parts()]
+    every = [s.name for s, _ in [*studies, *stored]]
+    for name in every:
+        if [folder_name(n) for n in every].count(folder_name(name)) > 1:
+            raise UsageError(f"two scenarios are named {name!r}; rename one (the name stands in its file)")
+    return Plan((), tuple(studies), tuple(stored), tuple(skipped))
 
 
 def _tasks(log: Log, options: Options) -> Sequence[str]:

@@ -10,12 +10,14 @@ from pathlib import Path
 
 TASKS = ("localization", "slam")
 FILTERS = ("ekf", "ekf-iterated", "ekf-fej", "ekf-invariant")
-ESTIMATORS = ("dead-reckoning", *FILTERS, "isam2", "batch", "batch-huber", "batch-cauchy")
+STEPPING = (*FILTERS, "isam2", "fixed-lag")
+ESTIMATORS = ("dead-reckoning", *STEPPING, "batch", "batch-huber", "batch-cauchy", "gnc")
 ASSOCIATIONS = ("known", "nn", "ml", "ml-ratio", "singles", "jcbb", "jcbb-first", "gnn")
 FORMATS = ("csv", "md", "tex")
 DEFAULT_ESTIMATORS = ("dead-reckoning", "ekf", "isam2", "batch")
 QUICK_RUNS = 2
 CONFIGS = Path(__file__).parent / "configs"
+SCENARIOS = Path(__file__).parent / "scenarios"
 
 EPILOG = """\
 examples:
@@ -37,6 +39,11 @@ examples:
   python -m eval.run_all --log victoria-park --estimator ekf --deactivate-after 60
   python -m eval.run_all --full                             every method with every estimator; takes minutes
   python -m eval.run_all --runs 100 --seed 1000 --jobs 2    the consistency study: 100 arenas, two processes
+  python -m eval.run_all --scenario circle --runs 100       a published study: ours beside the printed numbers
+  python -m eval.run_all --scenario my_world.toml --estimator ekf,ekf-fej,batch
+  python -m eval.run_all --scenario all --data DIR          every shipped scenario; DIR: the recording of esde-replay
+  python -m eval.run_all --scenario arena --runs 1000 --scheduler tcp://host:8786    on a Dask cluster
+  python -m eval.run_all --log arena:0 --estimator isam2,fixed-lag --lag 20
   python -m eval.run_all --formats csv,tex --out results/paper --no-plots
   python -m eval.run_all --log arena:0 --animate            a film of each estimator beside the figures
   python -m eval.run_all --config my_run.toml -v            the same keys from a file; flags win; a table
@@ -60,14 +67,22 @@ def parser() -> argparse.ArgumentParser:
         "--log",
         action="append",
         metavar="PATH|NAME",
-        help="open log folder, victoria-park, arena:SEED, corridor:SEED, or corridor:SEED:people+no-odometry+KEY=VALUE "
-        "(repeatable; default: victoria-park, arena:0, and corridor:0 in four variants)",
+        help="open log folder, victoria-park, arena:SEED, circle:SEED, linear:SEED, or "
+        "corridor:SEED:people+no-odometry+KEY=VALUE (repeatable; default: victoria-park, arena:0, and corridor:0 in "
+        "four variants)",
     )
     add(
         "--data",
         action="append",
         metavar="DIR",
-        help="add every dataset found in DIR: open logs, UTIAS MRCLAM folders or zips",
+        help="add every dataset found in DIR: open logs, UTIAS MRCLAM folders or zips; with --scenario only where the "
+        "recording of esde-replay is looked for",
+    )
+    add(
+        "--scenario",
+        action="append",
+        metavar="NAME|FILE|all",
+        help=f"Monte Carlo study of a world: {', '.join(scenarios())}, a TOML file, or all of those (repeatable)",
     )
     add("--task", metavar="LIST", help="localization,slam (default: localization where there is a map, else slam)")
     add("--estimator", metavar="LIST", help=f"of {', '.join(ESTIMATORS)} (default: {','.join(DEFAULT_ESTIMATORS)})")
@@ -97,13 +112,16 @@ def parser() -> argparse.ArgumentParser:
     )
     add("--forget-after", metavar="S", help="EKF-SLAM drops landmarks unseen for S seconds (frames without stamps)")
     add("--deactivate-after", metavar="S", help="EKF-SLAM parks such landmarks, and takes them back when seen again")
+    add("--lag", metavar="S", help="fixed-lag keeps poses for S seconds (frames without stamps; default: 30)")
     add(
         "--runs",
         metavar="N",
-        help=f"runs of the consistency study (default: 50; {QUICK_RUNS} with --quick; 0: none, the default with --log)",
+        help=f"runs of the consistency study (default: 50, or what a scenario says; {QUICK_RUNS} with --quick; "
+        "0: none, the default with --log)",
     )
     add("--seed", metavar="N", help="first seed of the consistency study (default: 0)")
     add("--jobs", metavar="N", help="processes (default: one per core)")
+    add("--scheduler", metavar="ADDRESS", help="do the study's runs on a Dask cluster, as in tcp://host:8786")
     add(
         "--quick",
         action="store_true",
@@ -129,3 +147,8 @@ def parser() -> argparse.ArgumentParser:
 def shipped() -> list[str]:
     """Names of the configurations that come with the package."""
     return sorted(f.stem for f in CONFIGS.glob("*.toml"))
+
+
+def scenarios() -> list[str]:
+    """Names of the scenarios that come with the package."""
+    return sorted(f.stem for f in SCENARIOS.glob("*.toml"))

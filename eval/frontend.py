@@ -21,6 +21,7 @@ from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from eval.setup import Setup
 from eval.upkeep import Upkeep
+from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
 
 FILTERS = {
@@ -76,10 +77,12 @@ class Watch(Protocol):
         ...
 
 
-def make_estimator(name: str, inputs: Inputs, options: FilterOptions | None = None) -> Estimator:
+def make_estimator(
+    name: str, inputs: Inputs, options: FilterOptions | None = None, *, lag: float = Setup.lag
+) -> Estimator:
     """A fresh step-by-step estimator for these inputs: with a map it localizes, without it does SLAM.
 
-    `options` stand in for those that go with the name of a filter.
+    `options` stand in for those that go with the name of a filter; `lag` is that of `fixed-lag`.
     """
     if name in FILTERS:
         options = options or FILTERS[name]
@@ -88,7 +91,9 @@ def make_estimator(name: str, inputs: Inputs, options: FilterOptions | None = No
         return EkfSlam(inputs.prior, inputs.sensor, options)
     if name == "isam2":
         return Isam2Smoother(inputs.prior, inputs.sensor, inputs.map)
-    raise UsageError(f"{name!r} does not work step by step; {', '.join(FILTERS)} and isam2 do")
+    if name == "fixed-lag":
+        return FixedLagSmoother(inputs.prior, inputs.sensor, inputs.map, time=inputs.time, lag=lag)
+    raise UsageError(f"{name!r} does not work step by step; {', '.join(FILTERS)}, isam2 and fixed-lag do")
 
 
 class FrontEnd:
@@ -102,7 +107,7 @@ class FrontEnd:
     ) -> None:
         """Before the first frame."""
         self.inputs, self.setup, self.association = inputs, setup, association
-        self.estimator = make_estimator(estimator, inputs, options)
+        self.estimator = make_estimator(estimator, inputs, options, lag=setup.lag)
         self.slam = inputs.map is None
         kept = setup if self._filter is not None else replace(setup, forget_after=None, deactivate_after=None)
         self.upkeep = Upkeep(kept, inputs.time) if self.slam and kept.upkeep else None
@@ -111,7 +116,8 @@ class FrontEnd:
         self.reactivated = 0
         self._drift = Drift()
         self.largest = 0
-        self._threshold = gate_threshold(setup.gate_known) if association == "known" else math.inf
+        gated = association == "known" and (setup.gate_smoothers or estimator in FILTERS)
+        self._threshold = gate_threshold(setup.gate_known) if gated else math.inf
         self._label: IntArray | None = None
         self._planned: IntArray | None = None
         self._held: dict[int, int] = {}

@@ -9,11 +9,11 @@ from pathlib import Path
 from data.errors import UsageError
 from data.log import Log
 
-NAMES = "victoria-park, arena:SEED, corridor:SEED, corridor:SEED:people+no-odometry+KEY=VALUE"
+NAMES = "victoria-park, arena:SEED, circle:SEED, linear:SEED, corridor:SEED, corridor:SEED:people+no-odometry+KEY=VALUE"
 
 
 def open_log(name: str) -> Log:
-    """A log by name (`victoria-park`, `arena:SEED`, `corridor:SEED:KEYS`) or by the path of an open log folder.
+    """A log by name (`victoria-park`, `arena:SEED`, `circle:SEED`, `corridor:SEED:KEYS`, ...) or by its folder.
 
     Raises UsageError for a name that is neither, DataError for a folder that is not valid.
     """
@@ -21,13 +21,11 @@ def open_log(name: str) -> Log:
         from data.victoria_park import load_victoria_park
 
         return load_victoria_park()
-    simulated = re.fullmatch(r"arena:(.*)", name)
+    simulated = re.fullmatch(r"(arena|circle|linear):(.*)", name)
     if simulated:
-        from data.arena import Arena, simulate
-
-        if not re.fullmatch(r"\d+", simulated[1]):
-            raise UsageError(f"--log {name}: the seed is a whole number, as in arena:0")
-        return simulate(Arena(), int(simulated[1]))
+        if not re.fullmatch(r"\d+", simulated[2]):
+            raise UsageError(f"--log {name}: the seed is a whole number, as in {simulated[1]}:0")
+        return _simulated(simulated[1], int(simulated[2]))
     if name.startswith("corridor:"):
         from data import corridor
 
@@ -40,6 +38,23 @@ def open_log(name: str) -> Log:
     if path.exists():
         raise UsageError(f"--log {name}: a file; expected an open log folder or one of {NAMES}")
     raise UsageError(f"--log {name}: no such folder, and not one of {NAMES}")
+
+
+def _simulated(kind: str, seed: int) -> Log:
+    if kind == "arena":
+        from data.arena import Arena
+        from data.arena import simulate as arena
+
+        return arena(Arena(), seed)
+    if kind == "circle":
+        from data.circle import Circle
+        from data.circle import simulate as circle
+
+        return circle(Circle(), seed)
+    from data.linear_world import LinearWorld
+    from data.linear_world import simulate as linear
+
+    return linear(LinearWorld(), seed)
 
 
 def find_logs(folder: Path, say: Callable[[str], None]) -> Iterator[Callable[[], Log]]:

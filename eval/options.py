@@ -67,12 +67,14 @@ class Options(Setup):
 
     log: tuple[str, ...] = ()
     data: tuple[str, ...] = ()
+    scenario: tuple[str, ...] = ()
     task: tuple[str, ...] = ()
     estimator: tuple[str, ...] = DEFAULT_ESTIMATORS
     association: tuple[str, ...] = ()
     runs: int | None = None
     seed: int = 0
     jobs: int = 1
+    scheduler: str | None = None
     quick: bool = False
     full: bool = False
     out: Path = Path("results/report")
@@ -157,21 +159,25 @@ def _variant(name: str, table: object) -> Variant:
 def _value(key: str, value: object) -> object:
     """A flag's text or a config file's value in the type the option has."""
     flag = "--" + key.replace("_", "-")
-    if key in ("log", "data", "task", "estimator", "association", "formats"):
+    if key in ("log", "data", "scenario", "task", "estimator", "association", "formats"):
         if isinstance(value, str):
             value = [value]
         if not isinstance(value, (list, tuple)) or not all(isinstance(v, str) for v in value):
             raise UsageError(f"{flag} {value!r}: a list of names is needed")
-        separate = key not in ("log", "data")
+        separate = key not in ("log", "data", "scenario")
         return tuple(part.strip() for v in value for part in (v.split(",") if separate else [v]) if part.strip())
     if key in ("gate", "new_gate", "gate_known"):
         if value == "none":
             return None
         return _number(flag, value, float)
-    if key in ("forget_after", "deactivate_after"):
+    if key in ("forget_after", "deactivate_after", "lag"):
         return _number(flag, value, float)
     if key in ("runs", "seed", "jobs"):
         return _number(flag, value, int)
+    if key == "scheduler":
+        if not isinstance(value, str) or not value:
+            raise UsageError(f"{flag} {value!r}: an address is needed, as in tcp://host:8786")
+        return value
     if key == "out":
         return Path(str(value))
     if not isinstance(value, bool):
@@ -206,7 +212,11 @@ def _check(o: Options) -> None:
             raise UsageError(f"{flag} {p:g}: a probability between 0 and 1 (both excluded), or none")
     if not o.estimator:
         raise UsageError("--estimator: at least one is needed")
-    for flag, span in (("--forget-after", o.forget_after), ("--deactivate-after", o.deactivate_after)):
+    for flag, span in (
+        ("--forget-after", o.forget_after),
+        ("--deactivate-after", o.deactivate_after),
+        ("--lag", o.lag),
+    ):
         if span is not None and not 0.0 < span < math.inf:
             raise UsageError(f"{flag} {span:g}: a positive number is needed")
     if o.forget_after is not None and o.deactivate_after is not None and o.deactivate_after >= o.forget_after:
@@ -222,8 +232,17 @@ def _check(o: Options) -> None:
         raise UsageError("--deactivate-after: ekf-fej keeps first estimates, a parked landmark would lose its own")
     if o.quick and o.full:
         raise UsageError("--quick and --full exclude each other")
-    if o.full and o.log:
-        raise UsageError("--full is the default suite in full; it takes no --log")
+    if o.full and (o.log or o.scenario):
+        raise UsageError("--full is the default suite in full; it takes no --log and no --scenario")
+    if o.scenario:
+        for flag, stated in (
+            ("--log", o.log), ("--task", o.task), ("--association", o.association), ("--config", o.variants),
+        ):  # fmt: skip
+            if stated:
+                raise UsageError(f"{flag} and --scenario exclude each other: a scenario states its own")
+        for f in fields(Setup):
+            if getattr(o, f.name) != f.default:
+                raise UsageError(f"--{f.name.replace('_', '-')} and --scenario exclude each other: [setup] in its file")
     if o.runs is not None and o.runs < 0:
         raise UsageError(f"--runs {o.runs}: must not be negative")
     if o.seed < 0:

@@ -21,13 +21,13 @@ def command_of(options: Options) -> str:
     """The command that makes the same numbers again (output folder and number of processes do not matter to them)."""
     parts = ["python -m eval.run_all"]
     default = Options()
-    for name in ("log", "data"):
+    for name in ("log", "scenario", "data"):
         parts += [f"--{name} {v}" for v in getattr(options, name)]
     for name in ("task", "estimator", "association"):
         if getattr(options, name) != getattr(default, name) and getattr(options, name):
             parts.append(f"--{name} {','.join(getattr(options, name))}")
     parts += [f"--config {v.name}" for v in options.variants]
-    for name in ("gate", "new_gate", "gate_known", "forget_after", "deactivate_after"):
+    for name in ("gate", "new_gate", "gate_known", "forget_after", "deactivate_after", "lag"):
         if getattr(options, name) != getattr(default, name):
             value = getattr(options, name)
             parts.append(f"--{name.replace('_', '-')} {'none' if value is None else format(value, 'g')}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -13,17 +14,19 @@ from association.expectation import SingularInnovationError, gate_threshold
 from association.known import known_decisions
 from data.inputs import Inputs, IntArray
 from data.result import DISCARD, Failure, Finished, Innovations, Run, Trajectory, map_estimate
-from data.se2 import Array
+from data.se2 import Array, BoolArray
 from ekf.filter import FilterDivergedError, FilterOptions
 from ekf.whole_run import FilterRun, run_filter
 from eval.frontend import FILTERS, FrontEnd, Watch, make_estimator
 from eval.setup import Setup
 from graph.batch import Start, smooth
 from graph.factors import UnderConstrained
+from graph.robust import gnc
 
 __all__ = ["METHODS", "batch", "compare", "dead_reckoning", "filter_known", "make_estimator", "step_by_step"]
 
 LOSSES = {"batch": "gaussian", "batch-huber": "huber", "batch-cauchy": "cauchy"}
+BATCH = (*LOSSES, "gnc")
 PLAIN = Setup()
 
 
@@ -149,7 +152,11 @@ def _portions(inputs: Inputs, frame: int, each: bool) -> list[slice]:
 
 
 def batch(name: str, inputs: Inputs, front: Run) -> Run:
-    """A batch smoother over the final decisions of `front`, started at its path."""
+    """A batch smoother over the final decisions of `front`, started at its path.
+
+    `gnc` chooses among them itself: a pairing that it leaves out is discarded in the end, and so is a landmark of which
+    no sighting is left.
+    """
     if front.failure is not None or front.online is None:
         why = f"the {front.estimator} it starts from stopped at frame {front.failure.frame if front.failure else 0}"
         return _failed(name, front, Failure("incomplete", 0, why), len(inputs), 0.0)
@@ -157,19 +164,32 @@ def batch(name: str, inputs: Inputs, front: Run) -> Run:
     # what was retracted has no landmark; what a filter merely forgot is smoothed like all others
     founded = np.where(front.final_decisions == DISCARD, -1, front.created)
     start = Start(front.online.pose, _places(inputs, front, founded))
+    final, told = front.final_decisions, [f"decisions made by {front.estimator}"]
     try:
-        result = smooth(inputs, front.final_decisions, founded, start, loss=LOSSES[name])
+        if name == "gnc":
+            result, accepted = gnc(inputs, final, founded, start)
+            left_out = _left_out(final, founded, accepted)
+            told.append(f"{(~accepted & (np.where(founded >= 0, founded, final) >= 0)).sum()} sightings were rejected")
+            final, founded = np.where(left_out, DISCARD, final), np.where(left_out, -1, founded)
+        else:
+            result = smooth(inputs, final, founded, start, loss=LOSSES[name])
     except UnderConstrained as stop:
         return _failed(name, front, Failure("diverged", 0, str(stop)), len(inputs), time.perf_counter() - begin)
     seconds = time.perf_counter() - begin
     state = None
     if result.map is not None:
-        state = map_estimate(result.map, inputs.observations.frame, front.final_decisions, founded)
+        state = map_estimate(result.map, inputs.observations.frame, final, founded)
     return Run(
-        name, front.association, front.task, None, result.trajectory, state, front.decisions, front.final_decisions,
-        front.created, None, result.total_nis, None, seconds, None, (f"decisions made by {front.estimator}",),
-        front.removed,
+        name, front.association, front.task, None, result.trajectory, state, front.decisions, final,
+        front.created, None, result.total_nis, None, seconds, None, tuple(told), front.removed,
     )  # fmt: skip
+
+
+def _left_out(decisions: IntArray, founded: IntArray, accepted: BoolArray) -> BoolArray:
+    """Which observations (M,) are discarded in the end: rejected pairings, and landmarks without a sighting left."""
+    number = np.where(founded >= 0, founded, decisions)
+    alive = np.unique(number[accepted])
+    return (number >= 0) & np.where(founded >= 0, ~np.isin(number, alive), ~accepted)
 
 
 def _places(inputs: Inputs, front: Run, founded: IntArray) -> Array:
@@ -204,6 +224,7 @@ def compare(
 
     `batch...` take the decisions of a front end and start from its path: under `known` those of the EKF, otherwise
     those of iSAM2, or of the EKF if iSAM2 was not asked for. A front end that was not asked for runs all the same.
+    Where the setup's gate for labels is not for smoothers, they get every pairing and start at the gated EKF's path.
     Labels are withheld from every method but `known`.
     """
     # sums over two threads round otherwise than over one: the same bytes for any number of processes and cores
@@ -232,9 +253,13 @@ def _compare(inputs: Inputs, task: str, estimators: Sequence[str], association: 
     for name in estimators:
         if name == "dead-reckoning":
             runs.append(dead_reckoning(inputs, task))
-        elif name in LOSSES:
+        elif name in BATCH:
             first = "isam2" if association != "known" and "isam2" in estimators else "ekf"
-            runs.append(batch(name, inputs, front_end(first)))
+            front = front_end(first)
+            if association == "known" and not setup.gate_smoothers:
+                decisions, created = known_decisions(inputs)
+                front = replace(front, decisions=decisions, final_decisions=decisions, created=created)
+            runs.append(batch(name, inputs, front))
         else:
             runs.append(front_end(name))
     return runs

@@ -82,7 +82,7 @@ def staged(out: Path) -> Iterator[Path]:
 
 
 def _run(options: Options, console: Console, folder: Path, arguments: Sequence[str]) -> int:
-    from eval import consistency
+    from eval import consistency, reproduced
     from eval.content import write_results
     from eval.experiments import make_plan
     from eval.montecarlo import failed_declarations, judge
@@ -95,7 +95,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
             console.detail(f"{e.log.name}: {note}")
     with _bar("estimating", options.quiet) as progress:
         outcome = execute(plan, options, progress)
-    judged = judge(outcome.study) if outcome.study else []
+    judged = [j for study in outcome.studies for j in judge(study)]
     for trial in outcome.trials:
         for run in trial.runs:
             if run.failure is not None:
@@ -104,16 +104,21 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
             for note in run.notes:
                 if "ran out" in note:
                     console.say(f"{trial.log.name}, {run.task}: {run.estimator}: {note}")
+    for study in outcome.studies:
+        for (task, estimator, association, _), seed, why in study.failures():
+            console.say(f"{study.scenario.name}, {task}: {estimator} ({association}) diverged with seed {seed}, {why}")
+    for text in [*reproduced.lines(outcome.published), *outcome.skipped]:
+        console.say(text)
     with _bar("writing", options.quiet) as progress:
         write_results(folder, options, outcome, judged, arguments, progress)
     failed = failed_declarations(judged)
     for j in failed:
         task, estimator, _, phase = j.key
         console.say(
-            f"rejected: {estimator} ({task}, {phase}) is declared consistent, but its {j.quantity} NEES is "
-            f"{j.verdict.mean:.3g} where {j.verdict.dof} was expected ({j.verdict.word}; {j.diverged} runs diverged)"
+            f"rejected: {estimator} ({j.scenario}, {task}, {phase}) is declared consistent, but its {j.quantity} NEES "
+            f"is {j.verdict.mean:.3g} where {j.verdict.expected:g} was expected ({j.verdict.word}; {j.diverged} runs diverged)"
         )
-    if judged and not failed and judged[0].verdict.runs >= consistency.MIN_RUNS:
+    if not failed and any(j.declared and j.verdict.runs >= consistency.MIN_RUNS for j in judged):
         console.say("every estimator that is declared consistent passed")
     console.say(f"report: {options.out / 'report.html'}")
     (folder / "run.log").write_text("\n".join(console.lines) + "\n", encoding="utf-8")

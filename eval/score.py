@@ -42,6 +42,8 @@ METRICS = (
     "rmse_time_m",
     "sse_position_m2",
     "sse_landmark_m2",
+    "innovation_lag1",
+    "innovation_lag1_se",
 )
 ASSOCIATION = (
     "log",
@@ -161,6 +163,9 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None) -> dict[s
             row["sse_landmark_m2"] = float(np.nansum(off**2))
     if reference is not None and reference.final is not None and reference.failure is None:
         row["rms_from_batch_m"] = errors.rms(errors.position_distance(pose, reference.final.pose))
+    if phase == "online" and run.innovations is not None:
+        o = log.recorded.observations
+        row["innovation_lag1"], row["innovation_lag1_se"] = consistency.lag1(run.innovations.white, o.frame, decisions)
     total = _nis(run, phase)
     if total is not None and total[1] > 0:
         row["nis"] = total[0] / total[1]

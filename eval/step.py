@@ -15,14 +15,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data.errors import SlamrefError, UsageError
-from eval.flags import ASSOCIATIONS, FILTERS
+from eval.flags import ASSOCIATIONS, STEPPING
 from eval.options import Options, read_options
 
 if TYPE_CHECKING:
     from data.log import Log
 
 FINE, WRONG, INTERRUPTED = 0, 2, 130
-STEPPING = (*FILTERS, "isam2")
 SHARED = ("log", "association", "estimator", "task", "gate", "new_gate")
 """Flags that mean what they mean in `eval.run_all`."""
 EXAMPLES = """\

@@ -1,11 +1,11 @@
-"""What a run consists of (logs, tasks, estimators, ways of association), done in parallel.
+"""What a run consists of (logs, tasks, estimators, ways of association, studies), done in parallel.
 
-The numbers are the same for any number of processes.
+The numbers are the same for any number of processes, and on a cluster.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,21 +13,29 @@ from joblib import Parallel, delayed
 
 from data.log import Log
 from data.result import Run
+from eval import study_store
+from eval.cluster import Call, on_cluster
 from eval.experiments import Experiment, Plan, Work
-from eval.montecarlo import ESTIMATORS as STUDIED
-from eval.montecarlo import Study, one_seed, study_of
+from eval.montecarlo import Result, Study, one_run, study_of
 from eval.options import Options, Variant
 from eval.replay import compare
+from eval.reproduced import published_rows
 from eval.score import Trial
+from eval.stored_run import replay_stored
 from eval.tutorial import ABOUT, tutorial_run, variant_log
+
+Owner = tuple[str, int, int]
+"""What a job belongs to: its kind, which of them, and (of a study) the seed."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Everything done."""
+    """Everything done; `published`: the rows of published.csv, `skipped`: what could not be done, a sentence each."""
 
     trials: tuple[Trial, ...]
-    study: Study | None
+    studies: tuple[Study, ...]
+    published: tuple[Mapping[str, object], ...] = ()
+    skipped: tuple[str, ...] = ()
 
 
 def _estimate(experiment: Experiment, work: Work) -> list[Run]:
@@ -35,43 +43,67 @@ def _estimate(experiment: Experiment, work: Work) -> list[Run]:
     return compare(log.inputs(labels=known), experiment.task, work.estimators, work.association, experiment.setup)
 
 
-def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) -> Outcome:
-    """Run everything as independent jobs: those with iSAM2 first (they take longest), each seed by itself."""
-    jobs: list[Any] = []
-    owner: list[tuple[str, int]] = []
-    for i, experiment in enumerate(plan.experiments):
-        for work in experiment.work:
-            for part in work.parts():
-                jobs.append(delayed(_estimate)(experiment, part))
-                owner.append(("trial", i))
-    variants = [(e, v) for e in plan.experiments for v in options.variants if e.task == v.task and e.beside is None]
-    for i, (experiment, variant) in enumerate(variants):
-        jobs.append(delayed(_tutorial)(experiment.log, variant))
-        owner.append(("variant", i))
-    for seed in range(options.seed, options.seed + plan.study_runs):
-        jobs.append(delayed(one_seed)(seed, ("localization", "slam"), STUDIED))
-        owner.append(("seed", seed))
-    order = sorted(range(len(jobs)), key=lambda j: not (owner[j][0] == "trial" and "isam2" in jobs[j][1][1].estimators))
-    results: dict[tuple[str, int], list[object]] = {}
-    pool: Iterable[object] = Parallel(n_jobs=min(options.jobs, max(len(jobs), 1)), return_as="generator")(
-        jobs[j] for j in order
-    )
-    for done, (j, result) in enumerate(zip(order, pool, strict=True), start=1):
-        results.setdefault(owner[j], []).append(result)
-        progress(done, len(jobs))
-    trials = []
-    for i, e in enumerate(plan.experiments):
-        runs = {(r.association, r.estimator): r for group in results.get(("trial", i), []) for r in group}  # type: ignore[attr-defined]
-        wanted = [("none" if n == "dead-reckoning" else w.association, n) for w in e.work for n in w.estimators]
-        trials.append(Trial(e.log, e.task, tuple(runs[key] for key in dict.fromkeys(wanted)), e.beside, e.about))
-    trials += [results[("variant", i)][0] for i in range(len(variants))]  # type: ignore[misc]
-    study = None
-    if plan.study_runs:
-        seeds = range(options.seed, options.seed + plan.study_runs)
-        study = study_of(seeds, [results[("seed", s)][0] for s in seeds])  # type: ignore[misc]
-    return Outcome(tuple(trials), study)
-
-
 def _tutorial(log: Log, variant: Variant) -> Trial:
     changed = variant_log(log, variant)
     return Trial(changed, variant.task, (tutorial_run(changed, variant),), log.name, ABOUT)
+
+
+def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) -> Outcome:
+    """Run everything as independent jobs: those with iSAM2 first (they take longest), each seed by itself.
+
+    A run of a study is kept on disk as soon as it is done, and taken from there if it was done before.
+    """
+    jobs: list[tuple[Owner, Call]] = []
+    for i, experiment in enumerate(plan.experiments):
+        jobs += [(("trial", i, 0), (_estimate, (experiment, p))) for work in experiment.work for p in work.parts()]
+    variants = [(e, v) for e in plan.experiments for v in options.variants if e.task == v.task and e.beside is None]
+    jobs += [(("variant", i, 0), (_tutorial, (e.log, v))) for i, (e, v) in enumerate(variants)]
+    jobs += [(("stored", i, 0), (replay_stored, asked)) for i, asked in enumerate(plan.stored)]
+    jobs.sort(key=lambda job: not (job[0][0] == "trial" and "isam2" in job[1][1][1].estimators))
+    studies = [range(options.seed, options.seed + runs) for _, runs in plan.studies]
+    kept: dict[tuple[int, int], Result] = {}
+    folders = [study_store.folder_of(options.out.absolute().parent, scenario) for scenario, _ in plan.studies]
+    for i, (scenario, _) in enumerate(plan.studies):
+        for seed in studies[i]:
+            found = study_store.load(folders[i], seed)
+            if found is None:
+                jobs.append((("study", i, seed), (one_run, (scenario, seed))))
+            else:
+                kept[i, seed] = found
+    results: dict[tuple[str, int], list[Any]] = {}
+    for done, ((kind, i, seed), result) in enumerate(_work(jobs, options), start=1):
+        if kind == "study":
+            study_store.save(folders[i], seed, result)
+            kept[i, seed] = result
+        else:
+            results.setdefault((kind, i), []).append(result)
+        progress(done, len(jobs))
+    trials = []
+    for i, e in enumerate(plan.experiments):
+        runs = {(r.association, r.estimator): r for group in results.get(("trial", i), []) for r in group}
+        wanted = [("none" if n == "dead-reckoning" else w.association, n) for w in e.work for n in w.estimators]
+        trials.append(Trial(e.log, e.task, tuple(runs[key] for key in dict.fromkeys(wanted)), e.beside, e.about))
+    trials += [results["variant", i][0] for i in range(len(variants))]
+    replayed = [results["stored", i][0] for i in range(len(plan.stored))]
+    finished = tuple(
+        study_of(scenario, seeds, [kept[i, seed] for seed in seeds])
+        for i, ((scenario, _), seeds) in enumerate(zip(plan.studies, studies, strict=True))
+    )
+    published = [row for _, rows in replayed for row in rows] + [row for s in finished for row in published_rows(s)]
+    return Outcome((*trials, *(t for t, _ in replayed)), finished, tuple(published), plan.skipped)
+
+
+def _work(jobs: list[tuple[Owner, Call]], options: Options) -> Iterator[tuple[Owner, Any]]:
+    """Results with their owners as they come; with `--scheduler` the runs of studies are done on the cluster."""
+    far = [job for job in jobs if job[0][0] == "study"] if options.scheduler else []
+    near = [job for job in jobs if not far or job[0][0] != "study"]
+    if options.scheduler:
+        for i, result in on_cluster(options.scheduler, [call for _, call in far]) if far else ():
+            yield far[i][0], result
+    pool = Parallel(n_jobs=min(options.jobs, max(len(near), 1)), return_as="generator_unordered")
+    for i, result in pool(delayed(_numbered)(i, *call) for i, (_, call) in enumerate(near)):
+        yield near[i][0], result
+
+
+def _numbered(i: int, function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[int, Any]:
+    return i, function(*arguments)

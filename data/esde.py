@@ -1,0 +1,127 @@
+"""One recorded EKF-SLAM run of a published study with the NEES its filters had: a `results.mat` made log and yardstick.
+
+Source: M. Brossard, A. Barrau, S. Bonnabel, "Exploiting Symmetries to Design EKFs With Consistency Properties for
+Navigation and SLAM", IEEE Sensors Journal 19(4), 2019; the file is `simulations/results.mat` of its public code. It
+holds a workspace after two runs; inputs and measurements are those of the second.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from data.errors import DataError
+from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior, floor_covariances
+from data.log import Log
+from data.se2 import Array, wrap_angle
+from data.sensors import RelativePoint
+from data.truth import Truth
+
+NAME = "results.mat"
+RUN = 1
+"""Row of the per-run arrays that the inputs belong to."""
+STORED = {"ekf": "neesR_std", "ekf-invariant": "neesR_iekf"}
+NEEDED = ("v_m", "omega_m", "z", "xR_true", "xL_true_fixed", "sigma_v", "sigma_w", "sigma_p", *STORED.values())
+
+
+@dataclass(frozen=True)
+class StoredRun:
+    """The recording: speed and turn rate (N,), z (3, slots, N), truth (3, N), landmarks (2, L), sigmas, NEES (N,)."""
+
+    v: Array
+    omega: Array
+    z: Array
+    truth: Array
+    landmarks: Array
+    sigma_v: float
+    sigma_omega: float
+    sigma_point: float
+    nees: Mapping[str, Array]
+    sha256: str
+
+
+def find_esde(folders: list[Path]) -> Path | None:
+    """The recording in one of these folders, two levels deep, or None."""
+    for folder in folders:
+        for path in (folder / NAME, *sorted(folder.glob(f"*/{NAME}"))):
+            if path.is_file():
+                return path
+    return None
+
+
+def load_esde(path: Path) -> StoredRun:
+    """Read the recording; DataError where the file is not one."""
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
+    content = path.read_bytes()
+    try:
+        m = loadmat(path, variable_names=list(NEEDED))
+    except (MatReadError, ValueError, NotImplementedError, OSError) as fault:
+        raise DataError(f"{path}: not a MATLAB 5 file ({fault})") from None
+    missing = [name for name in NEEDED if name not in m]
+    if missing:
+        raise DataError(f"{path}: variable {missing[0]} is missing; a stored run of the study has it")
+    n = m["v_m"].size
+    if m["z"].ndim != 3 or m["z"].shape[::2] != (3, n) or m["xR_true"].shape[:2] != (3, n):
+        raise DataError(f"{path}: z {m['z'].shape} and xR_true {m['xR_true'].shape} do not fit {n} steps")
+    return StoredRun(
+        v=m["v_m"].ravel(),
+        omega=m["omega_m"].ravel(),
+        z=m["z"],
+        truth=m["xR_true"][:, :, RUN],
+        landmarks=m["xL_true_fixed"],
+        sigma_v=float(m["sigma_v"].squeeze()),
+        sigma_omega=float(m["sigma_w"].squeeze()),
+        sigma_point=float(np.ravel(m["sigma_p"])[0]),
+        nees={name: m[variable].reshape(-1, m[variable].shape[-1])[:, RUN] for name, variable in STORED.items()},
+        sha256=hashlib.sha256(content).hexdigest(),
+    )
+
+
+def log_of(run: StoredRun, name: str, *, speed_noise: str = "start", floor: float = 0.0) -> Log:
+    """The recording as a log; the measurement of the first step is not used there, nor here.
+
+    Args:
+        run: the recording.
+        name: of the log.
+        speed_noise: whether the noise of the speed acts along the heading at the `start` or at the `end` of a step (the
+            study's invariant filter takes the end).
+        floor: m^2, rad^2, added where a covariance of an increment is singular (all are: speed and turn rate only);
+            smoothers need one.
+    """
+    n = len(run.v)
+    mean = np.zeros((n, 3))
+    mean[1:, 0], mean[1:, 2] = run.v[:-1], run.omega[:-1]
+    covariance = np.zeros((n, 3, 3))
+    angle = mean[1:, 2] if speed_noise == "end" else np.zeros(n - 1)
+    direction = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    covariance[1:, :2, :2] = run.sigma_v**2 * direction[:, :, None] * direction[:, None, :]
+    covariance[1:, 2, 2] = run.sigma_omega**2
+    floored = 0
+    if floor > 0.0:
+        covariance, floored = floor_covariances(covariance, floor)
+    step, slot = np.nonzero(run.z[2].T > 0)
+    step, slot = step[step > 0], slot[step > 0]
+    z = run.z[:2, slot, step].T
+    true_id = run.z[2, slot, step].astype(np.int64)
+    R = np.tile(run.sigma_point**2 * np.eye(2), (len(z), 1, 1))
+    known = LandmarkMap(np.arange(1, run.landmarks.shape[1] + 1), run.landmarks.T)
+    inputs = Inputs(
+        Prior(np.zeros(3), np.zeros((3, 3))),
+        np.arange(n, dtype=np.float64),
+        Increments(mean, covariance),
+        Observations(step.astype(np.int64), z, R),
+        RelativePoint(max_range=5.0),
+        known,
+        covariance_floor=floor,
+        floored=floored,
+    )
+    truth = run.truth.T.copy()
+    truth[:, 2] = wrap_angle(truth[:, 2])
+    source = {"kind": "esde", "file": NAME, "sha256": run.sha256}
+    return Log(name, inputs, Truth(truth, known, true_id), source=source)

@@ -1,0 +1,55 @@
+"""How fast a Monte Carlo study is: the circle scenario with one and two processes, and on a Dask cluster."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from pathlib import Path
+
+from eval.experiments import Plan
+from eval.options import Options
+from eval.scenario import Scenario
+from eval.scenario_file import load_scenario
+from eval.suite import execute
+from eval.timed import Timed
+
+VARIANTS = ("ekf", "ekf-fej", "ekf-invariant")
+PROCESSES = 2
+
+
+def study_seconds(scenario: Scenario, runs: int, jobs: int, scheduler: str | None = None) -> float:
+    """Wall time of a study from nothing; the processes were started before, by a few runs of the same."""
+    taken = 0.0
+    for n in (2 * jobs, runs):
+        with tempfile.TemporaryDirectory() as folder:
+            options = Options(out=Path(folder) / "report", jobs=jobs, scheduler=scheduler)
+            begin = time.perf_counter()
+            execute(Plan((), ((scenario, n),)), options, lambda done, total: None)
+            taken = time.perf_counter() - begin
+    return taken
+
+
+def study_lines(quick: bool) -> list[Timed]:
+    """Every line of the table about studies."""
+    from distributed import LocalCluster
+
+    scenario = load_scenario("circle").only(VARIANTS)
+    runs = 20 if quick else 100
+    one, two = (study_seconds(scenario, runs, jobs) for jobs in (1, PROCESSES))
+    with LocalCluster(
+        n_workers=PROCESSES,
+        threads_per_worker=1,
+        dashboard_address=None,
+        worker_dashboard_address=None,
+        silence_logs=50,
+    ) as cluster:
+        dask = study_seconds(scenario, runs, PROCESSES, cluster.scheduler_address)
+    few = 4 if quick else 10
+    batch = study_seconds(scenario.only(("batch",)), few, PROCESSES)
+    what = f"study: circle (2500 steps, 20 landmarks), {runs} runs, {len(VARIANTS)} filters"
+    return [
+        Timed(f"{what}, 1 process", one, runs, "runs", "1"),
+        Timed(f"{what}, 2 processes", two, runs, "runs", f"{one / two:.2f}", "< 60 s, >= 1.70"),
+        Timed(f"{what}, Dask, 2 workers", dask, runs, "runs", f"{one / dask:.2f}", "within 15 % of it"),
+        Timed(f"the same, batch smoother, {few} runs, 2 processes", batch, few, "runs"),
+    ]

@@ -1,0 +1,218 @@
+"""Studies through the command: resumed after an interrupt, the same for any number of processes and on a cluster."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from eval import study_store
+from eval.run_all import main
+
+ROOT = Path(__file__).parents[2]
+SCENARIO = """
+about = "a small arena"
+task = ["localization", "slam"]
+
+[world]
+kind = "arena"
+frames = 30
+landmarks = 10
+
+[estimators]
+ekf = { must_be = "consistent", task = ["localization"] }
+ekf-invariant = {}
+batch = {}
+"""
+TABLES = ("consistency.csv", "metrics.csv", "association.csv")
+
+
+@pytest.fixture
+def small(tmp_path):
+    path = tmp_path / "small.toml"
+    path.write_text(SCENARIO)
+    return str(path)
+
+
+def study(small, out, *more, runs=6):
+    return main(["--scenario", small, "--runs", str(runs), "--out", str(out), "--no-plots", "-q", *more])
+
+
+def same(a: Path, b: Path) -> None:
+    for name in TABLES:
+        assert (a / name).read_bytes() == (b / name).read_bytes(), name
+    pages = [(p / "report.md").read_text() for p in (a, b)]
+    assert pages[0] == pages[1]
+
+
+def test_numbers_do_not_depend_on_the_number_of_processes(small, tmp_path):
+    assert study(small, tmp_path / "one" / "r", "--jobs", "1") == 0
+    assert study(small, tmp_path / "two" / "r", "--jobs", "2") == 0
+    same(tmp_path / "one" / "r", tmp_path / "two" / "r")
+    table = pd.read_csv(tmp_path / "one" / "r" / "consistency.csv")
+    assert set(table["scenario"]) == {"small"}
+    assert set(table["estimator"]) == {"ekf", "ekf-invariant", "batch"}
+    assert set(table["verdict"]) == {"not enough runs"}
+    assert {"pose", "nis", "whiteness", "landmarks", "coverage_95"} <= set(table["quantity"])
+
+
+def test_a_finished_run_is_never_done_again_and_more_runs_add_to_it(small, tmp_path, monkeypatch):
+    assert study(small, tmp_path / "r", "--jobs", "1", runs=4) == 0
+    done = []
+    real = study_store.save
+    monkeypatch.setattr(
+        "eval.suite.study_store.save", lambda folder, seed, r: (done.append(seed), real(folder, seed, r))
+    )
+    assert study(small, tmp_path / "r", "--jobs", "1", runs=6) == 0
+    assert sorted(done) == [4, 5]
+    assert study(small, tmp_path / "other" / "r", "--jobs", "1", runs=6) == 0
+    same(tmp_path / "r", tmp_path / "other" / "r")
+
+
+def test_an_interrupted_study_leaves_the_old_report_and_resumes(small, tmp_path):
+    out = tmp_path / "r"
+    assert study(small, out, "--jobs", "1", runs=2) == 0
+    before = (out / "consistency.csv").read_bytes()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "eval.run_all", "--scenario", small, "--runs", "2000", "--out", str(out), "--jobs", "1"],
+        cwd=ROOT, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, start_new_session=True,
+    )  # fmt: skip
+    (folder,) = (tmp_path / ".studies").iterdir()
+    deadline = time.monotonic() + 60
+    while len(list(folder.glob("[0-9]*.npz"))) < 6 and time.monotonic() < deadline:
+        time.sleep(0.02)
+    os.kill(process.pid, signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert b"Traceback" not in err
+    assert (out / "consistency.csv").read_bytes() == before
+    kept = {f.name: f.stat().st_mtime_ns for f in folder.glob("[0-9]*.npz")}
+    assert len(kept) >= 6
+    assert study(small, out, "--jobs", "1", runs=8) == 0
+    assert all((folder / name).stat().st_mtime_ns == when for name, when in kept.items())
+    assert set(pd.read_csv(out / "consistency.csv")["runs"]) == {8}
+
+
+def test_a_run_that_diverges_is_listed_with_its_seed_and_a_command_that_replays_it(
+    small, tmp_path, monkeypatch, capsys
+):
+    from eval import montecarlo
+    from eval.montecarlo import Sample
+
+    real = montecarlo.one_run
+
+    def one_run(scenario, seed):
+        result = real(scenario, seed)
+        if seed == 3:
+            result["slam", "ekf", "known", "online"] = Sample(failure="frame 9: the state is no longer finite")
+        return result
+
+    monkeypatch.setattr("eval.suite.one_run", one_run)
+    out = tmp_path / "r"
+    assert main(["--scenario", small, "--runs", "5", "--out", str(out), "--no-plots", "--jobs", "1"]) == 0
+    table = pd.read_csv(out / "consistency.csv").set_index(["task", "estimator", "quantity"])
+    assert table.loc["slam", "ekf", "pose"][["runs", "diverged"]].tolist() == [4, 1]
+    page = (out / "report.md").read_text()
+    assert f"python -m eval.run_all --scenario {small} --estimator ekf --seed 3 --runs 1" in page
+    assert "diverged with seed 3, frame 9" in capsys.readouterr().out
+
+
+def test_a_rejected_declaration_is_exit_1_and_named(small, tmp_path, monkeypatch, capsys):
+    from dataclasses import replace
+
+    from eval import montecarlo
+
+    real = montecarlo.one_run
+
+    def boastful(scenario, seed):
+        return {k: replace(s, means={q: v / 0.6 for q, v in s.means.items()}) for k, s in real(scenario, seed).items()}
+
+    monkeypatch.setattr("eval.suite.one_run", boastful)
+    asked = ["--scenario", small, "--estimator", "ekf", "--runs", "50", "--out", str(tmp_path / "r"), "--no-plots"]
+    assert main([*asked, "--jobs", "1"]) == 1
+    assert "rejected: ekf (small, localization, online)" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    (["--scenario", "arena", "--runs", "0"], "at least one run"),
+    (["--scenario", "nowhere.toml"], "no such file; shipped: arena"),
+    (["--scenario", "arena", "--log", "arena:0"], "exclude each other"),
+    (["--scenario", "arena", "--gate", "0.9"], "exclude each other"),
+    (["--scenario", "arena", "--scenario", "arena"], "two scenarios are named"),
+    (["--scenario", "arena", "--scheduler", "tcp://127.0.0.1:9"], "--scheduler tcp://127.0.0.1:9"),
+    (["--scenario", "esde-replay", "--data", "nowhere"], "no such folder"),
+])  # fmt: skip
+def test_what_makes_no_sense_is_one_line_and_exit_2(arguments, words, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("eval.cluster.CONNECT", 1)
+    assert main([*arguments, "--out", str(tmp_path / "r"), "-q"]) == 2
+    err = capsys.readouterr().err
+    assert words in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "r").exists()
+
+
+def test_a_stored_run_is_replayed_to_its_tolerance(shared_data, tmp_path):
+    out = tmp_path / "r"
+    given = ["--scenario", "esde-replay", "--data", str(shared_data), "--estimator", "ekf,ekf-invariant,batch"]
+    assert main([*given, "--out", str(out), "--no-plots", "-q", "--jobs", "1"]) == 0
+    table = pd.read_csv(out / "published.csv")
+    assert table["estimator"].tolist() == ["ekf", "ekf-invariant"]
+    assert (table["difference_in_se"] < 1.0).all()
+    assert pd.read_csv(out / "metrics.csv")["estimator"].tolist() == ["ekf", "ekf-invariant", "batch"]
+
+
+def test_without_its_recording_a_replay_is_skipped_and_said_so(tmp_path, capsys):
+    out = tmp_path / "r"
+    assert main(["--scenario", "esde-replay", "--out", str(out), "--no-plots", "--jobs", "1"]) == 0
+    assert "esde-replay: skipped" in capsys.readouterr().out
+    assert "esde-replay: skipped" in (out / "report.md").read_text()
+    assert not (out / "published.csv").exists()
+
+
+def test_another_file_of_that_name_is_refused(tmp_path, capsys):
+    (tmp_path / "results.mat").write_bytes(b"MATLAB 5.0 no")
+    given = ["--scenario", "esde-replay", "--data", str(tmp_path), "--out", str(tmp_path / "r"), "-q", "--jobs", "1"]
+    assert main(given) == 2
+    assert "results.mat" in capsys.readouterr().err
+
+
+def test_wrong_associations_are_one_table_over_all_rates(tmp_path):
+    path = tmp_path / "wrong.toml"
+    text = SCENARIO.replace(
+        'task = ["localization", "slam"]\n\n[world]', 'task = ["slam"]\nwrong = [0.0, 0.2]\n\n[world]'
+    )
+    text = text.replace("ekf-invariant = {}", "").replace(
+        'ekf = { must_be = "consistent", task = ["localization"] }', "ekf = {}"
+    )
+    path.write_text(text + "gnc = {}\n\n[setup]\ngate_known = 0.99\ngate_smoothers = false\n")
+    assert study(str(path), tmp_path / "r", "--jobs", "2") == 0
+    table = pd.read_csv(tmp_path / "r" / "tables" / "wrong.csv")
+    assert table.shape[0] == 6
+    assert set(pd.read_csv(tmp_path / "r" / "consistency.csv")["scenario"]) == {"wrong:0", "wrong:0.2"}
+
+
+def test_a_cluster_gives_the_same_numbers_though_a_worker_is_killed(small, tmp_path):
+    from distributed import LocalCluster
+
+    assert study(small, tmp_path / "here" / "r", "--jobs", "1", runs=40) == 0
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, worker_dashboard_address=None
+    ) as cluster:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "eval.run_all", "--scenario", small, "--runs", "40", "--no-plots", "-q",
+             "--out", str(tmp_path / "there" / "r"), "--scheduler", cluster.scheduler_address],
+            cwd=ROOT, stderr=subprocess.PIPE,
+        )  # fmt: skip
+        deadline = time.monotonic() + 120
+        while len(list(tmp_path.glob("there/.studies/*/[0-9]*.npz"))) < 3 and time.monotonic() < deadline:
+            time.sleep(0.01)
+        os.kill(next(iter(cluster.workers.values())).pid, signal.SIGKILL)
+        _, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    same(tmp_path / "here" / "r", tmp_path / "there" / "r")
