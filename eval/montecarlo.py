@@ -165,7 +165,8 @@ def judge(study: Study) -> list[Judged]:
             found.append(("whiteness", consistency.whiteness(np.array([s.means["whiteness"] for s in good]))))
         ends = np.array([s.ends.get("position", math.nan) for s in good])
         if len(ends) and np.isfinite(ends).all():
-            found += [(f"coverage_{100 * p:.0f}", consistency.coverage(ends, DOF["position"], p)) for p in consistency.COVERAGE_LEVELS]
+            for p in consistency.COVERAGE_LEVELS:
+                found.append((f"coverage_{100 * p:.0f}", consistency.coverage(ends, DOF["position"], p)))
         for quantity, v in found:
             result.append(Judged(study.scenario.name, key, quantity, v, diverged, demanded and quantity in QUANTITIES))
     return result

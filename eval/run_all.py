@@ -116,7 +116,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
         task, estimator, _, phase = j.key
         console.say(
             f"rejected: {estimator} ({j.scenario}, {task}, {phase}) is declared consistent, but its {j.quantity} NEES "
-            f"is {j.verdict.mean:.3g} where {j.verdict.expected:g} was expected ({j.verdict.word}; {j.diverged} runs diverged)"
+            f"is {j.verdict.mean:.3g}, not {j.verdict.expected:g} ({j.verdict.word}; {j.diverged} runs diverged)"
         )
     if not failed and any(j.declared and j.verdict.runs >= consistency.MIN_RUNS for j in judged):
         console.say("every estimator that is declared consistent passed")
