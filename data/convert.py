@@ -10,8 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from data.convert_visual import LAB, VISUAL, add_kinds, read_lab, write_visual
 from data.errors import SlamrefError, UsageError
-from data.simulated import SIMULATORS, add_flags, number, simulated
+from data.simulated import SIMULATED, SIMULATORS, add_flags, number, simulated
 
 if TYPE_CHECKING:
     from data.log import Log
@@ -25,6 +26,8 @@ examples:
   python -m data.convert corridor logs/corridor-0 --seed 0 --people
   python -m data.convert circle logs/circle-0 --seed 0
   python -m data.convert linear logs/linear-0 --seed 0
+  python -m data.convert visual my_lab --seed 0
+  python -m data.convert lab my_lab logs/lab
 """
 MRCLAM_EXAMPLES = """\
 examples:
@@ -34,40 +37,6 @@ examples:
   python -m data.convert mrclam MRCLAM_Dataset1.zip logs/grid --robot 1 --grid 0.02 --uncalibrated \\
       --motion-model half_angle --motion-noise displacement --motion-alphas .2 .03 .09 .08 --sigma 2 3
 """
-SIMULATED = {
-    "arena": (
-        "a simulated world whose noise is known",
-        "A simulated robot among point landmarks, every noise known; the same seed gives the same log.",
-        "example:\n  python -m data.convert arena logs/arena-0 --seed 0 --frames 500 --sensor relative_point",
-    ),
-    "corridor": (
-        "the corridor lab on data association, simulated",
-        "A simulated robot once round a square of corridors, with people or without; the same seed gives the same log.",
-        """\
-examples:
-  python -m data.convert corridor logs/corridor-0 --seed 0 --people
-  python -m data.convert corridor logs/blind --seed 3 --no-odometry
-  python -m data.convert corridor logs/narrow --people --crowd 20 --range 8 --min-angle -60 --max-angle 60 --srho .02
-""",
-    ),
-    "circle": (
-        "the circle world of the literature on consistent SLAM, simulated",
-        "A simulated robot round and round among landmarks; the defaults are a published benchmark, the same seed gives"
-        " the same log.",
-        """\
-examples:
-  python -m data.convert circle logs/circle-0 --seed 0
-  python -m data.convert circle logs/short --frames 400 --turn-rate .075 --landmarks 15 --ring 1 --min-range .5
-  python -m data.convert circle logs/scattered --layout scatter --map-seed 1 --substeps 3
-""",
-    ),
-    "linear": (
-        "a simulated world in which every right estimator is consistent",
-        "A simulated robot among a grid of landmarks, its heading all but known; the same seed gives the same log.",
-        "example:\n  python -m data.convert linear logs/linear-0 --seed 0 --frames 200",
-    ),
-}
-"""Help, description and examples of each simulator."""
 MRCLAM_TEXT = """\
 UTIAS MRCLAM (Leung et al., IJRR 2011). The log starts at the first instant with ground truth and odometry, and the
 mean of its prior is the true pose there; without ground truth the prior is a fit to the first sightings. Times are
@@ -126,6 +95,7 @@ def parser(*, simulators: bool = True) -> argparse.ArgumentParser:
         sub = kinds.add_parser(kind, help=text, description=description, epilog=example)
         if simulators:
             add_flags(sub, kind)
+    add_kinds(kinds.add_parser, parameters=simulators)
     return top
 
 
@@ -256,7 +226,9 @@ def _victoria_park(args: argparse.Namespace) -> Log:
     return load_victoria_park()
 
 
-MAKERS = {"mrclam": _mrclam, "victoria-park": _victoria_park, **dict.fromkeys(SIMULATORS, simulated)}
+MAKERS = {
+    "mrclam": _mrclam, "victoria-park": _victoria_park, LAB: read_lab, **dict.fromkeys(SIMULATED, simulated),
+}  # fmt: skip
 
 
 def summary(log: Log) -> list[str]:
@@ -281,6 +253,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     from data.folder_writer import write_folder
 
     try:
+        if args.kind == VISUAL:
+            print(f"{write_visual(args)}; written: {Path(args.out).absolute()}")
+            return 0
         log: Log = MAKERS[args.kind](args)
         write_folder(log, args.out)
     except SlamrefError as error:

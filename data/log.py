@@ -9,6 +9,7 @@ import numpy as np
 
 from data.inputs import UNLABELLED, Inputs, IntArray, LabelledObservations, Observations
 from data.truth import UNKNOWN_ID, Truth
+from data.visual import Evidence
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +25,7 @@ class Log:
         labels_are_sensed: the ids come from the sensor (e.g. barcodes), so granting them grants no truth.
         source: how the log was made (for convert, inspect and provenance); free keys.
         notes: what a reader should know (spans skipped, readings dropped), one sentence each.
+        evidence: of a log made from images, what was found in them.
     """
 
     name: str
@@ -33,6 +35,7 @@ class Log:
     labels_are_sensed: bool = False
     source: Mapping[str, object] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    evidence: Evidence | None = None
 
     @property
     def has_labels(self) -> bool:

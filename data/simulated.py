@@ -22,8 +22,43 @@ SIMULATORS = {
     "corridor": ("data.corridor", "Corridor"),
     "circle": ("data.circle", "Circle"),
     "linear": ("data.linear_world", "LinearWorld"),
+    "visual": ("data.gallery", "Gallery"),
 }
 """Module of each simulator and, in it, the dataclass of its parameters; beside that stands `simulate`."""
+SIMULATED = {
+    "arena": (
+        "a simulated world whose noise is known",
+        "A simulated robot among point landmarks, every noise known; the same seed gives the same log.",
+        "example:\n  python -m data.convert arena logs/arena-0 --seed 0 --frames 500 --sensor relative_point",
+    ),
+    "corridor": (
+        "the corridor lab on data association, simulated",
+        "A simulated robot once round a square of corridors, with people or without; the same seed gives the same log.",
+        """\
+examples:
+  python -m data.convert corridor logs/corridor-0 --seed 0 --people
+  python -m data.convert corridor logs/blind --seed 3 --no-odometry
+  python -m data.convert corridor logs/narrow --people --crowd 20 --range 8 --min-angle -60 --max-angle 60 --srho .02
+""",
+    ),
+    "circle": (
+        "the circle world of the literature on consistent SLAM, simulated",
+        "A simulated robot round and round among landmarks; the defaults are a published benchmark, the same seed gives"
+        " the same log.",
+        """\
+examples:
+  python -m data.convert circle logs/circle-0 --seed 0
+  python -m data.convert circle logs/short --frames 400 --turn-rate .075 --landmarks 15 --ring 1 --min-range .5
+  python -m data.convert circle logs/scattered --layout scatter --map-seed 1 --substeps 3
+""",
+    ),
+    "linear": (
+        "a simulated world in which every right estimator is consistent",
+        "A simulated robot among a grid of landmarks, its heading all but known; the same seed gives the same log.",
+        "example:\n  python -m data.convert linear logs/linear-0 --seed 0 --frames 200",
+    ),
+}
+"""Help, description and examples of each simulator."""
 
 
 def number(text: str) -> float:

@@ -6,14 +6,14 @@ Frames: world w; body b (x forward, y left); camera c (x right, y down, z forwar
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from data.inputs import Prior
+from data.inputs import IntArray, Prior
 from data.se2 import Array
 
 CORNERS = 4
@@ -89,3 +89,58 @@ class VisualRecording(Protocol):
     def frames(self) -> Iterator[VisualFrame]:
         """Every frame in order; may be asked for again."""
         ...
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What was found in the images of a recording of N frames: D detections, ascending by frame.
+
+    Attributes:
+        time, v, omega: (N,) of the frames.
+        frame, picture, inliers: (D,); pixels (D, 4, 2), points (D, 4, 3) as in `Detection`.
+        refused: by picture, in how many frames each reason kept it from being found.
+        tiles: a few frames as encoded images, with their numbers, to look at.
+        focal: px, focal length that the stereo points imply.
+        pixel_noise: px, sigma of a corner in the image. depth_noise: 1/m, k in its sigma_z = k z^2; NaN: unknown.
+    """
+
+    time: Array
+    v: Array
+    omega: Array
+    frame: IntArray
+    picture: IntArray
+    inliers: IntArray
+    pixels: Array
+    points: Array
+    refused: tuple[Mapping[str, int], ...]
+    tiles: tuple[tuple[int, bytes], ...]
+    focal: float
+    pixel_noise: float
+    depth_noise: float
+
+    @property
+    def rejected(self) -> dict[str, int]:
+        """The same of all pictures together."""
+        reasons = sorted({reason for each in self.refused for reason in each})
+        return {reason: sum(each.get(reason, 0) for each in self.refused) for reason in reasons}
+
+
+@dataclass(frozen=True, eq=False)
+class InView:
+    """The truth about E sightings that could have been: pictures fully in view, near enough and not too oblique.
+
+    frame, picture (E,); pixels (E, 4, 2) of the corners.
+    """
+
+    frame: IntArray
+    picture: IntArray
+    pixels: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What a log made from images keeps of them, for the report; `in_view` where the truth is known."""
+
+    setup: VisualSetup
+    found: Found
+    in_view: InView | None = None

@@ -191,7 +191,10 @@ def main(argv: list[str] | None = None) -> int:
     print(table(association_lines(quick)), flush=True)
     from eval.benchmark_studies import study_lines
 
-    print(table(study_lines(quick)))
+    print(table(study_lines(quick)), flush=True)
+    from eval.benchmark_visual import visual_lines
+
+    print(table(visual_lines(quick)))
     return 0
 
 

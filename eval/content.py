@@ -26,6 +26,7 @@ from eval.study_sections import study_sections
 from eval.suite import Outcome
 from eval.tables import write_table
 from eval.tutorial import is_tutorial
+from eval.visual_sections import visual_sections
 
 READING = """\
 * **Identical inputs.** Filter and smoother get the same preintegrated increments, readings, covariances, prior and
@@ -58,6 +59,7 @@ def write_results(
     (folder / "runs").mkdir()
     published = _publish_trials(folder, options, outcome.trials, progress)
     sections = [*_trial_sections(folder, options, outcome.trials, scores, published)]
+    sections += visual_sections(folder, options, outcome.trials)
     sections += _knowledge_sections(folder, options, outcome.trials, scores)
     sections += study_sections(folder, options, outcome, judged)
     if outcome.trials:
@@ -123,7 +125,14 @@ def beside(trial: Trial, trials: Sequence[Trial]) -> tuple[Trial, ...]:
 
 def _retold(trial: Trial, trials: Sequence[Trial]) -> bool:
     """Whether a trial is on the very recording of the one it stands beside, whose pictures show it."""
-    return any(trial in beside(t, trials) and t.log.recorded is trial.log.recorded for t in trials)
+    return any(
+        trial in beside(t, trials) and (t.log.recorded is trial.log.recorded or _seen_again(t, trial)) for t in trials
+    )
+
+
+def _seen_again(trial: Trial, other: Trial) -> bool:
+    """Whether the other trial is on the same images, with other covariances."""
+    return other.log.evidence is not None and other.log.evidence is trial.log.evidence
 
 
 def _rows(frame: pd.DataFrame, trial: Trial) -> pd.DataFrame:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,7 +12,7 @@ from data.errors import UsageError
 from data.esde import NAME, find_esde
 from data.log import Log
 from eval.flags import DEFAULT_ESTIMATORS, FILTERS, QUICK_RUNS, scenarios
-from eval.logs import find_logs, open_log
+from eval.logs import Reading, find_logs, open_log
 from eval.options import Options
 from eval.run_files import folder_name
 from eval.scenario import Scenario
@@ -73,8 +74,8 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
     """Open the logs and settle what is done; raises UsageError for what makes no sense together."""
     if options.scenario:
         return _scenarios(options)
-    experiments = [] if options.log else _default(options)
-    asked = [open_log(name) for name in options.log]
+    experiments = [] if options.log else _default(options, say)
+    asked = [open_log(name, reading_of(options), say) for name in options.log]
     for folder in options.data:
         found = [load() for load in find_logs(Path(folder), say)]
         if not found:
@@ -84,6 +85,7 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
         experiments += [
             Experiment(_cut(log, options), task, _work(log, options), options.setup) for task in _tasks(log, options)
         ]
+    experiments += _with_depth_noise([e for e in experiments if _shows_noise(e, options)])
     names = [name for _, name in dict.fromkeys((id(e.log), e.log.name) for e in experiments)]
     for name in names:
         same = [n for n in names if folder_name(n) == folder_name(name)]
@@ -157,10 +159,21 @@ KNOWN = (Work("known", ALL),)
 LAB = (*KNOWN, *(Work(m, DECIDING if m == "jcbb" else ("ekf",)) for m in METHODS))
 """The corridor lab: every method with the filter, joint compatibility with the smoothers as well."""
 EVERYTHING = (*KNOWN, *(Work(m, DECIDING) for m in METHODS))
+VISUAL = ("dead-reckoning", "ekf", "ekf-iterated", "isam2", "batch")
+SHORT_GALLERY = 60
+"""Frames of the rendered log in the default report; the whole log is `--log visual:0`."""
 CORRIDORS = ("corridor:0", "corridor:0:people", "corridor:0:no-odometry", "corridor:0:people+no-odometry")
 
 
-def _default(options: Options) -> list[Experiment]:
+def reading_of(options: Options) -> Reading:
+    """How logs with images are read."""
+    cache = options.out.absolute().parent / ".detections"
+    return Reading(
+        options.camera_translation, options.camera_reading, options.corner_noise, options.trust_pickle, cache
+    )
+
+
+def _default(options: Options, say: Callable[[str], None]) -> list[Experiment]:
     """The suite of a run without `--log`. Estimators or associations asked for replace its selection."""
     asked = bool(options.association) or options.estimator != ALL
     park: tuple[Work, ...] = KNOWN if options.quick else (*KNOWN, Work("jcbb", ("isam2",)))
@@ -175,11 +188,12 @@ def _default(options: Options) -> list[Experiment]:
         ("victoria-park", "slam", park), ("arena:0", "localization", arena), ("arena:0", "slam", arena),
         *((name, "slam", lab) for name in corridors),
     ]  # fmt: skip
-    logs = {name: _cut(open_log(name), options) for name, _, _ in rows}
+    if not options.quick:
+        rows.append((f"visual:0:frames={SHORT_GALLERY}", "localization", (Work("known", VISUAL),)))
+    rows = [row for row in rows if not options.task or row[1] in options.task]
+    logs = {name: _cut(open_log(name, reading_of(options), say), options) for name, _, _ in rows}
     experiments = []
     for name, task, work in rows:
-        if options.task and task not in options.task:
-            continue
         log = logs[name]
         experiments.append(Experiment(log, task, _work(log, options) if asked else work, options.setup))
         if not asked and ":people" in name and not options.quick and not options.setup.upkeep:
@@ -194,6 +208,31 @@ def _maintained(experiment: Experiment, work: tuple[Work, ...]) -> Experiment:
     deciding = tuple(w for w in work if w.association != "known")
     log, setup = replace(experiment.log, name=f"{name}:maintain"), replace(experiment.setup, maintain=True)
     return Experiment(log, experiment.task, deciding, setup, name, "the same log with map maintenance (`--maintain`)")
+
+
+def _shows_noise(e: Experiment, options: Options) -> bool:
+    """Whether rows with the corners' depth noise stand beside those with the lab's constants."""
+    evidence = e.log.evidence
+    found = evidence is not None and len(evidence.found.frame) > 0 and math.isfinite(evidence.found.depth_noise)
+    return found and options.corner_noise == "lab" and not options.quick
+
+
+def _with_depth_noise(experiments: Sequence[Experiment]) -> list[Experiment]:
+    """The same detections with covariances that follow from the noise of their depth, as rows beside."""
+    from data.visual_log import with_noise
+
+    about = "the same detections, each corner's covariance from the noise of its depth (`--corner-noise depth`)"
+    names = dict.fromkeys(e.log.name for e in experiments)
+    logs = {
+        n: with_noise(next(e.log for e in experiments if e.log.name == n), "depth", f"{n}:depth-noise") for n in names
+    }
+    return [
+        replace(
+            e, log=logs[e.log.name], beside=e.log.name, about=about,
+            work=tuple(Work(w.association, tuple(n for n in w.estimators if n != "dead-reckoning")) for w in e.work),
+        )
+        for e in experiments
+    ]  # fmt: skip
 
 
 def shortened(log: Log, n: int) -> Log:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from textwrap import fill
 
@@ -31,6 +31,8 @@ MARGIN = 0.05
 STRETCH = 0.25
 """A path that goes further beyond truth and landmarks than this share of their larger side is cut."""
 LONG_LABEL = 24
+Surveyed = Callable[[Axes], Sequence[Line2D]]
+"""Draws what was surveyed on a map, and returns what the legend shows of it."""
 FACTORS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 
 
@@ -193,17 +195,17 @@ def _label(s: Series) -> str:
     return s.label if failure is None else f"{s.label}:\n{failure.status} at frame {failure.frame}"
 
 
-def map_figure(log: Log, runs: Sequence[Run], *, width: float = DOUBLE) -> Figure:
+def map_figure(log: Log, runs: Sequence[Run], *, width: float = DOUBLE, surveyed: Surveyed | None = None) -> Figure:
     """Paths, landmarks and 3 sigma ellipses of every run on one log; metres, equal aspect, `width` in inches.
 
     Ellipses too small to see are enlarged, all by one factor that the legend states. A path that runs away does not
-    squash the picture: it is cut, and the title names it.
+    squash the picture: it is cut, and the title names it. `surveyed` draws in place of the true landmarks.
     """
     with drawing():
-        return _map_figure(log, runs, width)
+        return _map_figure(log, runs, width, surveyed)
 
 
-def _map_figure(log: Log, runs: Sequence[Run], width: float) -> Figure:
+def _map_figure(log: Log, runs: Sequence[Run], width: float, surveyed: Surveyed | None) -> Figure:
     shown = series(runs)
     paths = {s.label: s.trajectory.pose[:, :2] for s in shown}
     if not any(r.estimator == "dead-reckoning" for r in runs):
@@ -230,7 +232,9 @@ def _map_figure(log: Log, runs: Sequence[Run], width: float) -> Figure:
         handles += ax.plot(*path.T, color=colour, linestyle=line, linewidth=1.0, label=name, zorder=3)
 
     known = true_landmarks(log)
-    if known is not None and len(known.id):
+    if surveyed is not None:
+        handles += surveyed(ax)
+    elif known is not None and len(known.id):
         name = "true landmarks" if log.truth.landmarks is not None else "landmarks (given map)"
         handles += ax.plot(*known.xy.T, "k+", markersize=6.0, markeredgewidth=1.0, label=name, zorder=4)
         if len(known.id) <= MOST_IDS:

@@ -14,6 +14,12 @@ STEPPING = (*FILTERS, "isam2", "fixed-lag")
 ESTIMATORS = ("dead-reckoning", *STEPPING, "batch", "batch-huber", "batch-cauchy", "gnc")
 ASSOCIATIONS = ("known", "nn", "ml", "ml-ratio", "singles", "jcbb", "jcbb-first", "gnn")
 FORMATS = ("csv", "md", "tex")
+CHOICES = {
+    "camera_translation": ("cm", "mm", "m"),
+    "camera_reading": ("to-camera", "to-body"),
+    "corner_noise": ("lab", "depth"),
+}
+"""Options that take one word of a few."""
 DEFAULT_ESTIMATORS = ("dead-reckoning", "ekf", "isam2", "batch")
 QUICK_RUNS = 2
 CONFIGS = Path(__file__).parent / "configs"
@@ -25,6 +31,9 @@ examples:
   python -m eval.run_all --quick                            the same, shortened (a check that all works)
   python -m eval.run_all --log my_log --log arena:3         an open log folder and a simulated log
   python -m eval.run_all --log victoria-park --task slam    one log, one task
+  python -m eval.run_all --log visual:0                     a rendered camera log: pictures found, corners used
+  python -m eval.run_all --log my_lab_folder --camera-translation m --camera-reading to-body --trust-pickle
+  python -m eval.run_all --log visual:0:frames=40 --corner-noise depth
   python -m eval.run_all --log corridor:0:people+range=8    the corridor lab: people in the way, any constant changed
   python -m eval.run_all --data ~/datasets                  every dataset found in a folder, two levels deep
   python -m eval.run_all --log my_log --estimator ekf,batch-cauchy --association known
@@ -112,6 +121,23 @@ def parser() -> argparse.ArgumentParser:
     )
     add("--forget-after", metavar="S", help="EKF-SLAM drops landmarks unseen for S seconds (frames without stamps)")
     add("--deactivate-after", metavar="S", help="EKF-SLAM parks such landmarks, and takes them back when seen again")
+    add("--camera-translation", metavar="UNIT", help="of T in a lab folder's configuration: cm (default), mm, m")
+    add(
+        "--camera-reading",
+        metavar="WAY",
+        help="R, T of a lab folder: to-camera, p_c = R p_b + T (default), or to-body, the other way round",
+    )
+    add(
+        "--corner-noise",
+        metavar="KIND",
+        help="of picture corners: lab, 2 cm and 5 cm (default), or depth, along the ray and growing with its square",
+    )
+    add(
+        "--trust-pickle",
+        action="store_true",
+        default=None,
+        help="read object arrays of a lab folder: they can run code",
+    )
     add("--lag", metavar="S", help="fixed-lag keeps poses for S seconds (frames without stamps; default: 30)")
     add(
         "--runs",

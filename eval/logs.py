@@ -4,15 +4,34 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from data.errors import UsageError
 from data.log import Log
 
-NAMES = "victoria-park, arena:SEED, circle:SEED, linear:SEED, corridor:SEED, corridor:SEED:people+no-odometry+KEY=VALUE"
+if TYPE_CHECKING:
+    from data.visual_open import Camera
+
+NAMES = (
+    "victoria-park, arena:SEED, circle:SEED, linear:SEED, corridor:SEED, corridor:SEED:people+no-odometry+KEY=VALUE, "
+    "visual:SEED"
+)
 
 
-def open_log(name: str) -> Log:
+@dataclass(frozen=True)
+class Reading:
+    """How logs with images are read (see `data.visual_open.Camera`), and where rendered ones keep their detections."""
+
+    camera_translation: str = "cm"
+    camera_reading: str = "to-camera"
+    corner_noise: str = "lab"
+    trust_pickle: bool = False
+    cache: Path | None = None
+
+
+def open_log(name: str, reading: Reading = Reading(), say: Callable[[str], None] = lambda text: None) -> Log:
     """A log by name (`victoria-park`, `arena:SEED`, `circle:SEED`, `corridor:SEED:KEYS`, ...) or by its folder.
 
     Raises UsageError for a name that is neither, DataError for a folder that is not valid.
@@ -30,14 +49,36 @@ def open_log(name: str) -> Log:
         from data import corridor
 
         return corridor.simulate(*corridor.parse_name(name), name)
+    if name.startswith("visual:"):
+        from data.visual_open import open_rendered
+
+        return open_rendered(name, _camera(reading), say, reading.cache)
     path = Path(name)
     if path.is_dir():
-        from data.folder import load_folder
-
-        return load_folder(path)
+        return _open_folder(path, reading, say)
     if path.exists():
         raise UsageError(f"--log {name}: a file; expected an open log folder or one of {NAMES}")
     raise UsageError(f"--log {name}: no such folder, and not one of {NAMES}")
+
+
+def _camera(reading: Reading) -> Camera:
+    from data.visual_open import Camera
+
+    return Camera(reading.camera_translation, reading.camera_reading, reading.corner_noise, reading.trust_pickle)
+
+
+def _open_folder(path: Path, reading: Reading, say: Callable[[str], None]) -> Log:
+    """An open log folder, or one in the format of the visual lab."""
+    if not (path / "log.toml").exists():
+        from data.lab_folder import is_lab
+
+        if is_lab(path):
+            from data.visual_open import open_lab_log
+
+            return open_lab_log(path, _camera(reading), say)
+    from data.folder import load_folder
+
+    return load_folder(path)
 
 
 def _simulated(kind: str, seed: int) -> Log:

@@ -16,6 +16,7 @@ from typing import Any
 from data.errors import UsageError
 from eval.flags import (
     ASSOCIATIONS,
+    CHOICES,
     CONFIGS,
     DEFAULT_ESTIMATORS,
     ESTIMATORS,
@@ -75,6 +76,10 @@ class Options(Setup):
     seed: int = 0
     jobs: int = 1
     scheduler: str | None = None
+    camera_translation: str = "cm"
+    camera_reading: str = "to-camera"
+    corner_noise: str = "lab"
+    trust_pickle: bool = False
     quick: bool = False
     full: bool = False
     out: Path = Path("results/report")
@@ -174,6 +179,10 @@ def _value(key: str, value: object) -> object:
         return _number(flag, value, float)
     if key in ("runs", "seed", "jobs"):
         return _number(flag, value, int)
+    if key in CHOICES:
+        if value not in CHOICES[key]:
+            raise UsageError(f"{flag} {value!r}: unknown; known: {', '.join(CHOICES[key])}")
+        return value
     if key == "scheduler":
         if not isinstance(value, str) or not value:
             raise UsageError(f"{flag} {value!r}: an address is needed, as in tcp://host:8786")

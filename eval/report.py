@@ -40,6 +40,7 @@ figure { margin: 1.5rem 0; }
 figcaption { color: var(--faint); font-size: 0.88rem; line-height: 1.45; max-width: 50rem; margin: 0.4rem 0; }
 figcaption b { color: var(--ink); }
 img { max-width: 100%; height: auto; background: #ffffff; border-radius: 4px; }
+.formula { margin: 1.25rem 0; }
 .scroll { overflow-x: auto; }
 table { border-collapse: collapse; font-size: 0.86rem; line-height: 1.3; font-variant-numeric: tabular-nums;
   border-top: 2px solid var(--ink); border-bottom: 2px solid var(--ink); }
@@ -80,8 +81,16 @@ class Picture:
     alt: str
 
 
-Block = str | Table | Picture
-"""A paragraph or list in Markdown, a table, or a figure."""
+@dataclass(frozen=True)
+class Formula:
+    """Equations: LaTeX as in math mode, and `figures/<stem>.png` that shows the same where no LaTeX is."""
+
+    stem: str
+    latex: str
+
+
+Block = str | Table | Picture | Formula
+"""A paragraph or list in Markdown, a table, a figure, or equations."""
 
 
 @dataclass(frozen=True)
@@ -148,6 +157,8 @@ def report_markdown(content: ReportContent) -> str:
             alt = re.sub(r"[\[\]\\]", "", item.block.alt)
             parts.append(f"![{alt}](figures/{item.block.stem}.png)")
             parts.append(f"**Figure {item.number}.** {item.block.caption}")
+        elif isinstance(item.block, Formula):
+            parts.append(f"```math\n{item.block.latex}\n```")
         else:
             parts.append(item.block)
     if not content.sections:
@@ -170,14 +181,18 @@ def _png_size(data: bytes) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def _picture_html(picture: Picture, number: int, folder: Path, md: MarkdownIt) -> str:
-    data = (folder / "figures" / f"{picture.stem}.png").read_bytes()
+def _image_html(folder: Path, stem: str, alt: str) -> str:
+    data = (folder / "figures" / f"{stem}.png").read_bytes()
     width, height = _png_size(data)
     # two image pixels for a page pixel: sharp on fine screens
     size = f'width="{width // 2}" height="{height // 2}"'
     source = f"data:image/png;base64,{base64.b64encode(data).decode()}"
+    return f'<img {size} alt="{html.escape(alt)}" src="{source}">'
+
+
+def _picture_html(picture: Picture, number: int, folder: Path, md: MarkdownIt) -> str:
     caption = f"<figcaption><b>Figure {number}.</b> {md.renderInline(picture.caption)}</figcaption>"
-    return f'<figure><img {size} alt="{html.escape(picture.alt)}" src="{source}">\n{caption}</figure>'
+    return f"<figure>{_image_html(folder, picture.stem, picture.alt)}\n{caption}</figure>"
 
 
 def _table_html(table: Table, number: int, md: MarkdownIt) -> str:
@@ -205,6 +220,8 @@ def report_html(folder: Path, content: ReportContent) -> str:
             body.append(_table_html(item.block, item.number, md))
         elif isinstance(item.block, Picture):
             body.append(_picture_html(item.block, item.number, folder, md))
+        elif isinstance(item.block, Formula):
+            body.append(f'<div class="formula">{_image_html(folder, item.block.stem, item.block.latex)}</div>')
         else:
             body.append(md.render(item.block).rstrip("\n"))
     first = next((i for i, part in enumerate(body) if part.startswith("<h2")), len(body))

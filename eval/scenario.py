@@ -15,6 +15,8 @@ from data.circle import simulate as simulate_circle
 from data.corridor import Corridor
 from data.corridor import simulate as simulate_corridor
 from data.errors import UsageError
+from data.gallery import Gallery
+from data.gallery import simulate as simulate_gallery
 from data.linear_world import LinearWorld
 from data.linear_world import simulate as simulate_linear
 from data.log import Log
@@ -26,6 +28,7 @@ WORLDS: Mapping[str, tuple[type[Any], Any]] = {
     "circle": (Circle, simulate_circle),
     "corridor": (Corridor, simulate_corridor),
     "linear": (LinearWorld, simulate_linear),
+    "visual": (Gallery, simulate_gallery),
 }
 RECORDED = "esde"
 """The world that is a recording: one stored run of others, found through `--data`."""

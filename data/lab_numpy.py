@@ -1,0 +1,228 @@
+"""Logs of the lab's format kept by NumPy, `.npy` or `.npz`: their records one by one, read from the file as they come.
+
+A memory map would count every page once touched as memory in use; plain reads of one record do not.
+"""
+
+from __future__ import annotations
+
+import math
+import pickle
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data.errors import DataError
+
+Record: TypeAlias = "dict[str, NDArray[Any] | Mapping[str, Any]]"
+NEEDS_TRUST = (
+    "holds Python objects (a pickle), and loading those can run any code in them; save plain arrays, "
+    "or give --trust-pickle if the file's maker is trusted"
+)
+SMALL = 2
+"""Dimensions of timestamps and commands: such arrays may be read whole, whatever their order."""
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """What an array's header says."""
+
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]
+    fortran: bool
+
+    @property
+    def bytes(self) -> int:
+        return math.prod(self.shape) * self.dtype.itemsize
+
+
+class NpyLog:
+    """A structured array (N,), its fields those of a frame; or, trusted, objects: dicts or records."""
+
+    def __init__(self, path: Path, *, trust_pickle: bool) -> None:
+        self.path = path
+        self._objects: list[Any] | None = None
+        with _reading(path), path.open("rb") as file:
+            layout = _layout(file)
+            self._offset = file.tell()
+            size = path.stat().st_size
+        self._layout = layout
+        if layout.dtype.hasobject:
+            if not trust_pickle:
+                raise DataError.at(path, NEEDS_TRUST)
+            self._objects = _unpickled(path)
+            self.fields = _names(self._objects[0]) if self._objects else ()
+            return
+        if layout.dtype.names is None or len(layout.shape) != 1:
+            raise DataError.at(
+                path, f"an array of {layout.dtype} and shape {layout.shape}; a structured array (N,) is needed"
+            )
+        if size < self._offset + layout.bytes:
+            raise DataError.at(
+                path,
+                f"damaged: ends early: {len(self)} frames of {layout.dtype.itemsize} bytes are announced "
+                f"and {size - self._offset} bytes are there",
+            )
+        self.fields = layout.dtype.names
+
+    def __len__(self) -> int:
+        return self._layout.shape[0] if self._objects is None else len(self._objects)
+
+    def place(self, frame: int, field: str) -> str:
+        """How NumPy writes a frame's field."""
+        return f"[{frame}][{field!r}]"
+
+    def records(self) -> Iterator[Record]:
+        """The frames' fields by name."""
+        if self._objects is not None:
+            for i, item in enumerate(self._objects):
+                yield {name: _plain(self.path, self.place(i, name), item[name]) for name in _names(item)}
+            return
+        with _reading(self.path), self.path.open("rb") as file:
+            file.seek(self._offset)
+            for row in _rows(file, self._layout):
+                yield {name: row[name] for name in self.fields}
+
+
+class NpzLog:
+    """An archive of an array (N, ...) per field."""
+
+    def __init__(self, path: Path, wanted: tuple[str, ...], *, trust_pickle: bool) -> None:
+        self.path = path
+        self._layouts: dict[str, _Layout] = {}
+        self._whole: dict[str, NDArray[Any]] = {}
+        with _reading(path), zipfile.ZipFile(path) as archive:
+            inside = [n.removesuffix(".npy") for n in archive.namelist() if n.endswith(".npy")]
+            self.fields = tuple(name for name in wanted if name in inside)
+            for name in self.fields:
+                with archive.open(f"{name}.npy") as member:
+                    layout = self._layouts[name] = _layout(member)
+                if layout.dtype.hasobject and not trust_pickle:
+                    raise DataError.at(path, f"{name} {NEEDS_TRUST}")
+                if not layout.shape:
+                    raise DataError.at(path, f"{name}: a single value; one row per frame is needed")
+                if layout.dtype.hasobject or (layout.fortran and len(layout.shape) <= SMALL):
+                    with np.load(path, allow_pickle=layout.dtype.hasobject) as arrays:
+                        self._whole[name] = arrays[name]
+                elif layout.fortran and len(layout.shape) > 1:
+                    raise DataError.at(
+                        path,
+                        f"{name}: in Fortran order, frames are not in one piece; save numpy.ascontiguousarray of it",
+                    )
+        lengths = {name: layout.shape[0] for name, layout in self._layouts.items()}
+        if len(set(lengths.values())) > 1:
+            counts = ", ".join(f"{name} {n}" for name, n in lengths.items())
+            raise DataError.at(path, f"rows: {counts}; as many rows as frames are needed in each")
+        self._length = next(iter(lengths.values()), 0)
+
+    def __len__(self) -> int:
+        return self._length
+
+    def place(self, frame: int, field: str) -> str:
+        """How NumPy writes a frame's field."""
+        return f"{field}[{frame}]"
+
+    def records(self) -> Iterator[Record]:
+        """The frames' fields by name."""
+        with ExitStack() as stack:
+            stack.enter_context(_reading(self.path))
+            archive = stack.enter_context(zipfile.ZipFile(self.path))
+            streams: list[Iterator[Any]] = []
+            for name in self.fields:
+                if name in self._whole:
+                    streams.append(iter(self._whole[name]))
+                    continue
+                member = stack.enter_context(archive.open(f"{name}.npy"))
+                streams.append(_rows(member, _layout(member)))
+            for i, rows in enumerate(zip(*streams, strict=True)):
+                yield {
+                    name: _plain(self.path, self.place(i, name), row)
+                    for name, row in zip(self.fields, rows, strict=True)
+                }
+
+
+def npy_fields(path: Path) -> tuple[str, ...] | None:
+    """Field names of a structured array, none of a plain one; None of objects, which may hold any. DataError if bad."""
+    with _reading(path), path.open("rb") as file:
+        dtype = _layout(file).dtype
+    return None if dtype.hasobject else dtype.names or ()
+
+
+def npz_arrays(path: Path) -> tuple[str, ...]:
+    """Names of an archive's arrays; DataError if it is none."""
+    with _reading(path), zipfile.ZipFile(path) as archive:
+        return tuple(n.removesuffix(".npy") for n in archive.namelist() if n.endswith(".npy"))
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Whatever is wrong with a file's bytes becomes a DataError."""
+    try:
+        yield
+    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
+        raise DataError.at(path, f"damaged: {error}") from error
+    except OSError as error:
+        raise DataError.at(path, f"cannot be read: {error.strerror}") from error
+
+
+def _layout(stream: IO[bytes]) -> _Layout:
+    """The header of an array; the stream is left at its first value."""
+    version = np.lib.format.read_magic(stream)
+    if version == (1, 0):
+        shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
+    elif version == (2, 0):
+        shape, fortran, dtype = np.lib.format.read_array_header_2_0(stream)
+    else:
+        raise ValueError(f"an array of format {version[0]}.{version[1]}; 1.0 and 2.0 are read")
+    return _Layout(dtype, shape, fortran)
+
+
+def _rows(stream: IO[bytes], layout: _Layout) -> Iterator[Any]:
+    """The rows of an array whose header has been read, one in memory at a time."""
+    shape = layout.shape[1:]
+    size = math.prod(shape) * layout.dtype.itemsize
+    for i in range(layout.shape[0]):
+        content = stream.read(size)
+        if len(content) < size:
+            raise EOFError(f"ends early: {layout.shape[0]} frames are announced and {i} are there")
+        yield np.frombuffer(content, layout.dtype).reshape(shape)[()]
+
+
+def _unpickled(path: Path) -> list[Any]:
+    """The objects of a trusted array: its elements, or those of the one list in it."""
+    try:
+        array = np.load(path, allow_pickle=True)
+    except (pickle.UnpicklingError, EOFError, ImportError, AttributeError, ValueError, IndexError, TypeError) as error:
+        raise DataError.at(path, f"the pickle cannot be loaded: {error}") from error
+    items = array.item() if array.ndim == 0 and array.dtype.names is None else array.ravel()
+    if not isinstance(items, list | tuple | np.ndarray):
+        raise DataError.at(path, f"holds one {type(items).__name__}; a list of dicts, one per frame, is needed")
+    for i, item in enumerate(items):
+        if not isinstance(item, Mapping) and getattr(getattr(item, "dtype", None), "names", None) is None:
+            raise DataError.at(path, f"[{i}]: a {type(item).__name__}; a dict of the frame's fields is needed")
+    return list(items)
+
+
+def _names(item: Any) -> tuple[str, ...]:
+    return tuple(item) if isinstance(item, Mapping) else tuple(item.dtype.names)
+
+
+def _plain(path: Path, place: str, value: Any) -> NDArray[Any] | Mapping[str, Any]:
+    """A field as an array, or as a mapping if it is one (commands may be)."""
+    if isinstance(value, Mapping):
+        return value
+    if isinstance(value, np.ndarray) and value.dtype.hasobject and value.size == 1:
+        value = value.item()
+    try:
+        array = np.asarray(value)
+    except ValueError as error:
+        raise DataError.at(path, f"{place}: {error}") from error
+    if array.dtype.hasobject:
+        raise DataError.at(path, f"{place}: Python objects; numbers are needed")
+    return array

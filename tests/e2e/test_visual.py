@@ -1,0 +1,88 @@
+"""The visual lab through the commands: rendered, written in the lab's format, read again, localized, reported."""
+
+from __future__ import annotations
+
+import pandas as pd
+import pytest
+
+from data import visual_log
+from data.convert import main as convert
+from eval.run_all import main
+
+FRAMES = 8
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("lab") / "my_lab"
+    assert convert(["visual", str(folder), "--seed", "1", "--frames", str(FRAMES), "--form", "npy"]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def report(lab):
+    out = lab.parent / "report"
+    asked = ["--estimator", "dead-reckoning,ekf,ekf-iterated,isam2,batch", "--task", "localization,slam"]
+    assert main(["--log", str(lab), *asked, "--out", str(out), "-q", "--formats", "csv,tex", "--jobs", "1"]) == 0
+    return out
+
+
+def test_a_lab_folder_is_localized_and_mapped(report):
+    table = pd.read_csv(report / "metrics.csv")
+    assert set(table["task"]) == {"localization", "slam"}
+    assert set(table["status"]) == {"ok"}
+    assert table["rmse_position_m"].isna().all()  # the lab's format holds no truth
+    slam = table[(table["task"] == "slam") & (table["estimator"] == "ekf")]
+    assert (slam["landmarks"] % 4 == 0).all()
+
+
+def test_the_report_holds_models_plan_contact_sheet_and_statistics(report):
+    figures = {f.name for f in (report / "figures").iterdir()}
+    assert {"my_lab-motion.png", "my_lab-observation.png", "my_lab-detections.png"} <= figures
+    assert "my_lab-localization-plan.png" in figures
+    text = (report / "tables" / "my_lab-models.tex").read_text()
+    assert "\\begin{bmatrix}" in text
+    table = pd.read_csv(report / "tables" / "my_lab-detections.csv")
+    assert table["detections"].sum() > 0
+    page = (report / "report.html").read_text()
+    assert "http" not in page.split("<body", 1)[1].replace("http-equiv", "")
+
+
+def test_a_second_run_looks_at_no_image(lab, report, monkeypatch):
+    def never(*arguments, **more):
+        raise AssertionError("the images were looked at again")
+
+    monkeypatch.setattr(visual_log, "Detector", never)
+    monkeypatch.setattr("data.visual_open.find_pictures", never)
+    out = lab.parent / "again"
+    assert main(["--log", str(lab), "--estimator", "ekf", "--out", str(out), "-q", "--no-plots", "--jobs", "1"]) == 0
+    a, b = (pd.read_csv(p / "metrics.csv") for p in (report, out))
+    first = a[(a["estimator"] == "ekf") & (a["task"] == "localization") & (a["log"] == "my_lab")]
+    second = b[(b["estimator"] == "ekf") & (b["log"] == "my_lab")]
+    assert first["nis"].tolist() == second["nis"].tolist()
+
+
+def test_an_open_log_is_made_of_it(lab, report, tmp_path, capsys):
+    assert convert(["lab", str(lab), str(tmp_path / "log")]) == 0
+    assert f"{FRAMES} frames" in capsys.readouterr().out
+    assert main(["--log", str(tmp_path / "log"), "--out", str(tmp_path / "r"), "-q", "--no-plots", "--jobs", "1"]) == 0
+
+
+def test_a_wrong_unit_is_warned_of(lab, report, tmp_path, capsys):
+    asked = ["--camera-translation", "m", "--estimator", "ekf", "--no-plots", "--jobs", "1"]
+    assert main(["--log", str(lab), *asked, "--out", str(tmp_path / "r")]) == 0
+    told = capsys.readouterr().out
+    assert "my_lab: " in told
+    assert "cm" in told
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    (["--log", "visual:x"], "whole number"),
+    (["--log", "visual:0", "--camera-translation", "inch"], "known: cm, mm, m"),
+    (["--log", "visual:0", "--corner-noise", "none"], "known: lab, depth"),
+])  # fmt: skip
+def test_nonsense_is_one_line_and_exit_2(arguments, words, tmp_path, capsys):
+    assert main([*arguments, "--out", str(tmp_path / "r"), "-q"]) == 2
+    err = capsys.readouterr().err
+    assert words in err
+    assert err.count("\n") == 1
