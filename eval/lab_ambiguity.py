@@ -70,14 +70,12 @@ def fit(log: Log, frame: int, steps: Array) -> tuple[Array, IntArray]:
     constant = -0.5 * np.linalg.slogdet(2.0 * math.pi * S)[1] - math.log(len(known))
     reach = max(float(sensor.polar(o.z[rows])[:, 0].max()) for rows in (before, now))
     elsewhere = -math.log(0.5 * (sensor.max_angle - sensor.min_angle) * reach**2)
-    likelihood: Array = np.empty(len(steps))
-    fitting: IntArray = np.empty(len(steps), np.int64)
-    for i, step in enumerate(steps):
-        off = seen[:, None] + (step, 0.0) - known[None]
-        d2 = np.einsum("mni,mnij,mnj->mn", off, weights, off)
-        each = np.logaddexp(logsumexp(constant - 0.5 * d2, axis=1), elsewhere) - math.log(2.0)
-        likelihood[i], fitting[i] = each.sum(), (d2.min(axis=1) < chi2.ppf(0.99, 2)).sum()
-    return likelihood, fitting
+    ahead = np.column_stack([steps, np.zeros(len(steps))])
+    off = (seen[:, None] - known[None])[None] + ahead[:, None, None]
+    d2 = (off[..., 0] * weights[..., 0, 0] + 2.0 * off[..., 1] * weights[..., 0, 1]) * off[..., 0]
+    d2 += off[..., 1] ** 2 * weights[..., 1, 1]
+    each = np.logaddexp(logsumexp(constant - 0.5 * d2, axis=2), elsewhere) - math.log(2.0)
+    return each.sum(axis=1), (d2.min(axis=2) < chi2.ppf(0.99, 2)).sum(axis=1)
 
 
 def straight_pairs(log: Log) -> list[Pair]:

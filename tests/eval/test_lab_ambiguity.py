@@ -46,6 +46,9 @@ def test_in_the_middle_of_a_corridor_a_step_back_explains_the_scan_as_well_as_on
     for frame in (2, 3, 4):
         pair = pairs[frame]
         assert pair.at(1).fitting == pair.at(-1).fitting == 8
+        for peak in (pair.at(1), pair.at(-1)):
+            around = fit(BARE, frame, peak.step + np.array([-0.005, 0.0, 0.005]))[0]
+            assert around[1] == peak.likelihood == around.max()
         assert abs(pair.at(1).likelihood - pair.at(-1).likelihood) < 5.0
         assert max(pair.at(m).likelihood for m in STEPS if m not in (1, -1)) < pair.at(-1).likelihood - 20.0
         assert (pair.at(1).step, pair.at(-1).step) == (pytest.approx(1.0, abs=0.05), pytest.approx(-1.0, abs=0.05))
