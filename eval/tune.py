@@ -177,7 +177,7 @@ def _tuned(log: Log, folder: Path | None, model: Model, theta: Array, origin: Fi
         }
         note = (
             "Noise and biases were fitted to this very log by eval.tune, so its NIS is right by construction: do not "
-            "report results on it; apply its numbers to another log with --origin."
+            "report results on it; apply its numbers to another log with --use."
         )
     else:
         told = origin._asdict()
