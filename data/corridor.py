@@ -18,22 +18,20 @@ from typing import Any
 
 import numpy as np
 
+from data import corridor_world as world
 from data.errors import UsageError
-from data.inputs import CLUTTER, Increments, Inputs, IntArray, LandmarkMap, Observations, Prior, floor_covariances
+from data.inputs import CLUTTER, Increments, Inputs, IntArray, Observations, Prior, floor_covariances
 from data.log import Log
-from data.se2 import Array, wrap_angle
+from data.motion_prior import ConstantVelocityPrior, ForwardPrior, MotionPrior, note_of
+from data.se2 import Array
 from data.sensors import RelativePoint
 from data.truth import Truth
 
-SIDE = 10
-"""m, and moves of 1 m, from corner to corner."""
-ROWS = ((-0.60, range(0, 11, 2)), (-0.35, range(0, 11, 2)), (0.35, range(1, 10, 2)), (0.60, range(1, 10, 2)))
-"""A corridor's rows of points in its own frame: y [m], and x [m] of each point."""
-QUARTERS = ((1, 0), (0, 1), (-1, 0), (0, -1))
-"""cos and sin of 0, 90, 180 and 270 degrees, exact."""
 SLACK = 1e-9
 """m and rad. Points abreast of the robot stand at the very edge of the view; they are seen, whatever rounding says.
 (In the lab's program rounding did decide: its runs see them on three sides of the square, and not on the fourth.)"""
+SWITCHES = ("people", "no-odometry", "forward", "constant-velocity")
+"""Switches as a log's name says them; they are the first fields of `Corridor`."""
 NEAREST = 1e-3
 """m. No range is measured below it: at zero range R is singular."""
 
@@ -50,7 +48,9 @@ class Corridor:
 
     Attributes:
         people: people walk about and are seen like points.
-        odometry: the wheels are read; without, every increment is zero, with the sigmas called blind.
+        odometry: the wheels are read; without, every increment is zero, with the sigmas called blind, or a prior's.
+        forward: without odometry, state that the robot goes forward by a step or turns.
+        constant_velocity: without odometry, state that the robot keeps a velocity (a turn in place is 8 sigma off).
         frames: number of frames; 44 end the first lap, and the motions repeat after that.
         range: m; points as far as this or farther are not seen.
         min_angle, max_angle: deg, bearings between which points are seen, both ends included.
@@ -62,6 +62,11 @@ class Corridor:
         stheta_turn: deg, the same of its heading.
         sx_blind, sy_blind: m, standard deviations claimed for every motion when there is no odometry.
         stheta_blind: deg, the same of its heading.
+        step_mean, step_sigma: m, mean and standard deviation of a step that `forward` states; 0 m (a turn in place) and
+            1 m are within 1.25 sigma, 1 m backwards is at 3.75.
+        velocity, velocity_sigma: m per frame, mean and standard deviation that `constant_velocity` states.
+        lateral_sigma: m, standard deviation sideways that either prior states.
+        turn_sigma: deg, standard deviation of the turn in a frame that either prior states.
         crowd: number of people, where there are people.
         sv_people: m per frame, standard deviation of each coordinate of a person's first velocity.
         sa_people: m per frame, standard deviation of that coordinate's change from frame to frame.
@@ -72,6 +77,8 @@ class Corridor:
 
     people: bool = False
     odometry: bool = True
+    forward: bool = False
+    constant_velocity: bool = False
     frames: int = 44
     range: float = 5.0
     min_angle: float = _degrees(-90.0)
@@ -87,6 +94,12 @@ class Corridor:
     sx_blind: float = 0.25
     sy_blind: float = 0.10
     stheta_blind: float = _degrees(5.0)
+    step_mean: float = 0.5
+    step_sigma: float = 0.4
+    velocity: float = 1.0
+    velocity_sigma: float = 0.5
+    lateral_sigma: float = 0.1
+    turn_sigma: float = _degrees(60.0)
     crowd: int = 10
     sv_people: float = 0.05
     sa_people: float = 0.01
@@ -98,7 +111,8 @@ class Corridor:
                 raise UsageError(f"corridor: {f.name} = {value}; at least 1 is needed")
             if f.name in ("range", "srho", "sphi") and not 0.0 < value < math.inf:
                 raise UsageError(f"corridor: {f.name} = {_written(f, value)}; a positive number is needed")
-            if f.name.startswith(("sx", "sy", "stheta", "sv", "sa")) and not 0.0 <= value < math.inf:
+            spread = f.name.endswith("_sigma") or f.name.startswith(("sx", "sy", "stheta", "sv", "sa"))
+            if spread and not 0.0 <= value < math.inf:
                 raise UsageError(f"corridor: {f.name} = {_written(f, value)}; a number from 0 up is needed")
             idle = self._idle(f.name)
             if idle and value != f.default:
@@ -111,11 +125,29 @@ class Corridor:
 
     def _idle(self, key: str) -> str:
         """Why a constant has no effect; empty if it has one."""
-        if key in ("crowd", "sv_people", "sa_people") and not self.people:
-            return "without people"
-        if key.endswith("_blind") and self.odometry:
-            return "with odometry; add no-odometry"
+        primed = self.forward or self.constant_velocity
+        if key in ("crowd", "sv_people", "sa_people"):
+            return "" if self.people else "without people"
+        if key in ("forward", "constant_velocity") or key.endswith("_blind"):
+            if self.odometry:
+                return "with odometry; add no-odometry"
+            idle = primed if key.endswith("_blind") else key == "constant_velocity" and self.forward
+            return "with a motion prior; one can be stated" if idle else ""
+        if key in ("step_mean", "step_sigma"):
+            return "" if self.forward else "without forward"
+        if key in ("velocity", "velocity_sigma"):
+            return "" if self.constant_velocity else "without constant-velocity"
+        if key in ("lateral_sigma", "turn_sigma"):
+            return "" if primed else "without a motion prior; add forward or constant-velocity"
         return "with no-odometry" if key.endswith(("_move", "_turn")) and not self.odometry else ""
+
+    def prior(self) -> MotionPrior | None:
+        """What is stated about the motion where the wheels are not read, if anything is."""
+        if self.forward:
+            return ForwardPrior(self.step_mean, self.step_sigma, self.lateral_sigma, self.turn_sigma)
+        if self.constant_velocity:
+            return ConstantVelocityPrior(self.velocity, self.velocity_sigma, self.lateral_sigma, 0.0, self.turn_sigma)
+        return None
 
     def model(self) -> RelativePoint:
         """The sensor with its field of view."""
@@ -136,14 +168,16 @@ def name_of(corridor: Corridor, seed: int) -> str:
     for f in fields(Corridor):
         value = getattr(corridor, f.name)
         if value != f.default:
-            parts.append(("" if value else "no-") + f.name if f.type == "bool" else f"{f.name}={_written(f, value)}")
+            switch = ("" if value else "no-") + f.name.replace("_", "-")
+            parts.append(switch if f.type == "bool" else f"{f.name}={_written(f, value)}")
     return f"corridor:{seed}" + (":" + "+".join(parts) if parts else "")
 
 
 def parse_name(name: str) -> tuple[Corridor, int]:
     """Parameters and seed from `corridor:SEED` or `corridor:SEED:KEY+KEY=VALUE+...`, angles in degrees.
 
-    Keys are the fields of `Corridor`, whatever their order; the two switches are also `people` and `no-odometry`.
+    Keys are the fields of `Corridor`, whatever their order; switches are also `people`, `no-odometry`, `forward` and
+    `constant-velocity`.
 
     Raises:
         UsageError: anything not understood, with what would be.
@@ -169,7 +203,7 @@ def _constant(name: str, part: str) -> tuple[str, object]:
         key, text = (key[3:], "off") if key.startswith("no_") else (key, "on")
     if key not in known or (not equals and known[key].type != "bool"):
         what = f"{key} needs a value, as in {key}=1" if key in known else f"{part!r} is not known"
-        raise UsageError(f"{name}: {what}; known: people, no-odometry, {', '.join(f'{k}=' for k in list(known)[2:])}")
+        raise UsageError(f"{name}: {what}; known: {', '.join([*SWITCHES, *(f'{k}=' for k in list(known)[4:])])}")
     f, text = known[key], text.strip()
     if f.type == "bool":
         switch = {"on": True, "true": True, "1": True, "off": False, "false": False, "0": False}
@@ -199,17 +233,14 @@ def simulate(corridor: Corridor, seed: int, name: str | None = None) -> Log:
     odometry_rng, sensor_rng, walk_rng, people_rng = (
         np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4)
     )
-    truth, turned = _path(corridor.frames)
+    truth, turned = world.path(corridor.frames)
     increments, floored = _odometry(corridor, turned, odometry_rng)
-    known = _world()
-    sensor = corridor.model()
-    walks = _walks(corridor, walk_rng) if corridor.people else np.empty((corridor.frames, 0, 2))
+    c, sensor, prior, known = corridor, corridor.model(), corridor.prior(), world.points()
+    crowd = world.walks(c.frames, c.crowd if c.people else 0, c.sv_people, c.sa_people, walk_rng)
     frame, true_id, z, R = [], [], [], []
     for k, pose in enumerate(truth):
-        for points, ids, rng in (
-            (known.xy, known.id, sensor_rng),
-            (walks[k], np.full(walks.shape[1], CLUTTER), people_rng),
-        ):
+        people = crowd[k], np.full(crowd.shape[1], CLUTTER), people_rng
+        for points, ids, rng in ((known.xy, known.id, sensor_rng), people):
             seen, readings, covariances = _look(corridor, sensor, pose, points, rng)
             frame.append(np.full(len(seen), k))
             true_id.append(ids[seen])
@@ -230,28 +261,8 @@ def simulate(corridor: Corridor, seed: int, name: str | None = None) -> Log:
         inputs,
         Truth(truth, known, np.concatenate(true_id)),
         source={"kind": "corridor", "seed": seed, "corridor": asdict(corridor)},
+        notes=() if prior is None else (note_of(prior),),
     )
-
-
-def _world() -> LandmarkMap:
-    """The 88 points: by side, row, and place in the row."""
-    side = np.array([(x, y) for y, places in ROWS for x in places], float)
-    sides, corner = [], np.zeros(2)
-    for c, s in QUARTERS:
-        sides.append(corner + side @ np.array([[c, s], [-s, c]]))
-        corner = corner + SIDE * np.array([c, s])
-    return LandmarkMap(np.arange(1, 4 * len(side) + 1), np.concatenate(sides))
-
-
-def _path(frames: int) -> tuple[Array, IntArray]:
-    """True poses (N, 3), and (N,) 1 where the motion into a frame is a turn of 90 degrees, else 0 (a move of 1 m)."""
-    turned = (np.arange(frames) % (SIDE + 1) == 0).astype(np.int64)
-    turned[0] = 0
-    quarter = np.cumsum(turned)
-    # the motion into a frame is along the heading of the frame before, which a move leaves as it is
-    step = (1 - turned)[:, None] * np.array(QUARTERS)[quarter % 4]
-    step[0] = 0
-    return np.column_stack([np.cumsum(step, axis=0), wrap_angle(0.5 * math.pi * (quarter % 4))]), turned
 
 
 def _odometry(corridor: Corridor, turned: IntArray, rng: np.random.Generator) -> tuple[Increments, int]:
@@ -261,23 +272,14 @@ def _odometry(corridor: Corridor, turned: IntArray, rng: np.random.Generator) ->
         move, turn = (c.sx_move, c.sy_move, c.stheta_move), (c.sx_turn, c.sy_turn, c.stheta_turn)
         sigma = np.array([move, turn])[turned]
         exact = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.5 * math.pi]])[turned]
-        mean = exact + sigma * rng.standard_normal(sigma.shape)
-        mean[0] = 0.0
+        mean, covariance = exact + sigma * rng.standard_normal(sigma.shape), sigma[:, :, None] ** 2 * np.eye(3)
+        mean[0], covariance[0] = 0.0, 0.0
     else:
-        sigma = np.tile([c.sx_blind, c.sy_blind, c.stheta_blind], (len(turned), 1))
-        mean = np.zeros(sigma.shape)
-    sigma[0] = 0.0
-    covariance, floored = floor_covariances(sigma[:, :, None] ** 2 * np.eye(3), Inputs.covariance_floor)
+        stated = c.prior() or ForwardPrior(0.0, c.sx_blind, c.sy_blind, c.stheta_blind)
+        given = stated.increments(np.arange(float(c.frames)))
+        mean, covariance = given.mean, given.covariance
+    covariance, floored = floor_covariances(covariance, Inputs.covariance_floor)
     return Increments(mean, covariance), floored
-
-
-def _walks(corridor: Corridor, rng: np.random.Generator) -> Array:
-    """Where each person is in each frame (N, K, 2); they have made one step by frame 0, and walk through walls."""
-    start = rng.uniform(0.0, SIDE, (corridor.crowd, 2))
-    velocity = corridor.sv_people * rng.standard_normal((corridor.crowd, 2))
-    change = corridor.sa_people * rng.standard_normal((corridor.frames - 1, corridor.crowd, 2))
-    walks: Array = start + np.cumsum(np.cumsum(np.concatenate([velocity[None], change]), axis=0), axis=0)
-    return walks
 
 
 def _look(

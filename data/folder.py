@@ -1,6 +1,6 @@
 """Open log folder, format 1: read and check a log that anybody can write.
 
-    log.toml            see `data.folder_header`
+    log.toml            see `data.folder_header`; a motion prior stated there stands in for increments and odometry
     frames.csv          t,dx,dy,dtheta,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt        row 0: zero increment
     or odometry.csv     t,v,omega                                           preintegrated on loading
     observations.csv    frame,z1,z2[,r11,r12,r22][,true_id][,label]         with odometry.csv: t instead of frame
@@ -26,6 +26,7 @@ from data.folder_header import Header, read_header
 from data.inputs import UNLABELLED, Increments, Inputs, IntArray, LandmarkMap, Observations, floor_covariances
 from data.log import Log
 from data.motion import VelocityModel, preintegrate
+from data.motion_prior import MotionPrior, note_of
 from data.se2 import Array
 from data.sensors import RangeBearing
 from data.timeline import MAX_GAP, frame_times, truth_at
@@ -70,6 +71,10 @@ def load_folder(path: str | PathLike[str]) -> Log:
             raise DataError.at(folder / ODOMETRY, f"there is {FRAMES} as well; one of them must go")
         raise DataError.at(folder / FRAMES, f"no such file; {FRAMES} or {ODOMETRY} is needed")
     if by_stamp:
+        if header.motion_prior is not None:
+            raise DataError.at(
+                folder / ODOMETRY, f"[motion] prior in {HEADER} is for logs without; one of them must go"
+            )
         if header.motion is None:
             raise DataError.at(folder / HEADER, f"no [motion] table; {ODOMETRY} needs one")
         sightings = _sightings(folder / OBSERVATIONS, header, "t")
@@ -77,7 +82,7 @@ def load_folder(path: str | PathLike[str]) -> Log:
         pose = _stamped_truth(folder / TRUTH, motion.time)
     else:
         sightings = _sightings(folder / OBSERVATIONS, header, "frame")
-        motion, gaps = _frames(folder / FRAMES), 0
+        motion, gaps = _frames(folder / FRAMES, header.motion_prior), 0
         frame = sightings.table.integers("frame", 0)
         sightings.table.require(
             frame < len(motion.time), "frame", f"{{}} is out of range; there are frames 0 to {len(motion.time) - 1}"
@@ -99,7 +104,7 @@ def load_folder(path: str | PathLike[str]) -> Log:
         covariance_floor=header.covariance_floor,
         floored=header.floored + floored,
     )
-    notes = list(header.notes)
+    notes = list(header.notes) + ([note_of(header.motion_prior)] if header.motion_prior is not None else [])
     notes += [f"{table.path.name}: column {name!r} is not known and was left out" for name in table.unknown]
     if gaps:
         plural = "gap" if gaps == 1 else "gaps"
@@ -142,14 +147,21 @@ def _require_semidefinite(table: Table, matrices: Array) -> None:
         raise table.error(row, f"{COVARIANCE[0]} to {COVARIANCE[-1]}", what)
 
 
-def _frames(path: Path) -> _Motion:
-    """frames.csv: time (N,) and increments."""
-    columns = ("t", *MEAN, *COVARIANCE)
-    table = read_table(path, columns)
+def _frames(path: Path, prior: MotionPrior | None) -> _Motion:
+    """frames.csv: time (N,) and increments, or the increments of a prior where there is one."""
+    motion = (*MEAN, *COVARIANCE)
+    columns = ("t", *motion) if prior is None else ("t",)
+    table = read_table(path, columns, motion)
     if len(table) == 0:
         raise DataError.at(path, "no rows; at least one frame is needed", line=1)
     table.require_finite(columns)
     table.require_ascending("t", strictly=True)
+    if prior is not None:
+        for name in motion:
+            if name in table:
+                what = f"[motion] prior in {HEADER} states the increments; one of them must go"
+                raise DataError.at(path, what, line=1, column=name)
+        return _Motion(table.columns["t"], prior.increments(table.columns["t"]))
     for name in (*MEAN, *COVARIANCE):
         table.require(
             (table.columns[name] == 0.0) | (np.arange(len(table)) > 0),

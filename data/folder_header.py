@@ -17,7 +17,10 @@ Format 1. Keys, with their defaults where they may be left out:
               rotation = 0 [rad], translation = [0, 0] [m]    p_sensor = R(rotation) p_body + translation;
                                         a table [sensor.extrinsic] with these two keys is the same
     [motion]  model = "unicycle" or "half_angle", noise = "velocity" or "density" with sigma = [2 numbers],
-              or noise = "displacement" with alphas = [4 numbers]     needed with odometry.csv only
+              or noise = "displacement" with alphas = [4 numbers]     needed with odometry.csv only;
+              without odometry, instead: prior = "forward" with step_mean, step_sigma, lateral_sigma [m] and turn_sigma
+              [rad] per frame, or prior = "constant_velocity" with velocity, velocity_sigma, lateral_sigma [m/s],
+              turn_rate and turn_rate_sigma [rad/s]; frames.csv then has the column t alone (see data.motion_prior)
     [source]  anything: how the log was made
 """
 
@@ -26,38 +29,29 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
 
-from data.csv_table import LARGEST
 from data.errors import DataError
+from data.header_reader import Reader, finite, not_negative, positive
 from data.inputs import Prior
 from data.motion import MODELS, NOISES, VelocityModel, VelocityNoise
+from data.motion_prior import PRIORS, MotionPrior
 from data.se2 import Array
 from data.sensors import RangeBearing, RelativePoint, Sensor
 
 FORMAT = 1
 SENSORS: dict[str, Callable[..., Sensor]] = {s.name: s for s in (RangeBearing, RelativePoint)}
-KNOWN = {
-    "": (
-        *("format", "name", "time_is_index", "covariance_floor", "floored", "labels_are_sensed", "notes"),
-        *("prior", "sensor", "motion", "source"),
-    ),
-    "prior": ("mean", "sigma", "covariance"),
-    "sensor": (
-        *("kind", "sigma", "max_range", "min_angle", "max_angle", "field_of_view"),
-        *("rotation", "translation", "extrinsic"),
-    ),
-    "sensor.extrinsic": ("rotation", "translation"),
-    "motion": ("model", "noise", "sigma", "alphas"),
-}
 
 
 @dataclass(frozen=True)
 class Header:
-    """Contents of `log.toml`; `sigma` (2,) is the sensor's default noise, `motion` how odometry becomes increments."""
+    """Contents of `log.toml`; `sigma` (2,) is the sensor's default noise, `motion` how odometry becomes increments.
+
+    `motion_prior`: what stands in for odometry, where the log states that.
+    """
 
     name: str
     prior: Prior
@@ -70,96 +64,10 @@ class Header:
     labels_are_sensed: bool
     notes: tuple[str, ...]
     source: Mapping[str, object]
+    motion_prior: MotionPrior | None = None
 
 
-class _Reader:
-    """One table of the file; every question either gives a checked value or raises."""
-
-    def __init__(self, path: Path, table: Mapping[str, object], where: str = "") -> None:
-        self.path, self.table, self.where = path, table, where
-        for key in table:
-            if key not in KNOWN[where]:
-                homes = [
-                    f"[{w}]" if w else "the top, before the first [table]" for w, keys in KNOWN.items() if key in keys
-                ]
-                home = f"; it belongs to {' or '.join(homes)}" if homes else f"; known: {', '.join(KNOWN[where])}"
-                raise DataError.at(path, f"unknown key {key!r} {f'in [{where}]' if where else 'at the top'}{home}")
-
-    def __contains__(self, key: str) -> bool:
-        return key in self.table
-
-    def error(self, key: str, what: str) -> DataError:
-        place = f"[{self.where}] {key}" if self.where else key
-        if key in self.table and not isinstance(self.table[key], dict):
-            shown = repr(self.table[key])
-            place += f" = {shown if len(shown) <= 60 else shown[:57] + '...'}"
-        return DataError.at(self.path, f"{place}: {what}")
-
-    def optional_table(self, key: str) -> _Reader | None:
-        if key not in self.table:
-            return None
-        value = self.table[key]
-        if not isinstance(value, dict):
-            raise self.error(key, "this must be a table")
-        return _Reader(self.path, value, f"{self.where}.{key}" if self.where else key)
-
-    def table_of(self, key: str) -> _Reader:
-        found = self.optional_table(key)
-        if found is None:
-            raise DataError.at(self.path, f"no [{key}] table")
-        return found
-
-    def one_of(self, key: str, known: Mapping[str, object] | tuple[str, ...], default: str | None = None) -> str:
-        value = self.table.get(key, default)
-        if isinstance(value, str) and value in known:
-            return value
-        raise self.error(key, f"{'missing' if value is None else 'unknown'}; known: {', '.join(known)}")
-
-    def flag(self, key: str) -> bool:
-        value = self.table.get(key, False)
-        if isinstance(value, bool):
-            return value
-        raise self.error(key, "true or false is needed")
-
-    def number(self, key: str, default: float, what: str, fine: Callable[[float], bool] = lambda _: True) -> float:
-        if key not in self.table:
-            return default
-        value = _number(self.table[key])
-        if value is None or not fine(value):
-            raise self.error(key, f"{what} is needed")
-        return value
-
-    def numbers(self, key: str, length: int, what: str, fine: Callable[[float], bool] = lambda _: True) -> Array:
-        value = self.table.get(key)
-        if isinstance(value, list) and len(value) == length:
-            found = [_number(v) for v in value]
-            if all(v is not None and fine(v) for v in found):
-                return np.array(found, float)
-        raise self.error(key, f"{'missing; ' if value is None else ''}{what} needed")
-
-
-def _number(value: object) -> float | None:
-    """A TOML number as a float, infinity included; None for anything else."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return None
-    if abs(value) <= LARGEST or value in (math.inf, -math.inf):
-        return float(value)
-    return None
-
-
-def _finite(value: float) -> bool:
-    return math.isfinite(value)
-
-
-def _not_negative(value: float) -> bool:
-    return 0.0 <= value < math.inf
-
-
-def _positive(value: float) -> bool:
-    return 0.0 < value < math.inf and value * value > 0.0
-
-
-def _name(top: _Reader) -> str:
+def _name(top: Reader) -> str:
     value = top.table.get("name")
     if not isinstance(value, str) or not value.strip():
         raise top.error("name", "a name (text) is needed")
@@ -168,8 +76,8 @@ def _name(top: _Reader) -> str:
     return value
 
 
-def _prior(table: _Reader) -> Prior:
-    mean = table.numbers("mean", 3, "three numbers x [m], y [m], theta [rad] are", _finite)
+def _prior(table: Reader) -> Prior:
+    mean = table.numbers("mean", 3, "three numbers x [m], y [m], theta [rad] are", finite)
     if ("sigma" in table) == ("covariance" in table):
         raise table.error(
             "sigma",
@@ -178,15 +86,13 @@ def _prior(table: _Reader) -> Prior:
             else "missing; sigma or covariance is needed",
         )
     if "sigma" in table:
-        sigma = table.numbers("sigma", 3, "three numbers >= 0 [m, m, rad] are", _not_negative)
+        sigma = table.numbers("sigma", 3, "three numbers >= 0 [m, m, rad] are", not_negative)
         return Prior(mean, np.diag(sigma**2))
     rows = table.table["covariance"]
     if not isinstance(rows, list) or len(rows) != 3:
         raise table.error("covariance", "three rows of three numbers are needed")
     what = "three rows of three numbers are"
-    P = np.stack(
-        [_Reader(table.path, {"covariance": r}, "prior").numbers("covariance", 3, what, _finite) for r in rows]
-    )
+    P = np.stack([Reader(table.path, {"covariance": r}, "prior").numbers("covariance", 3, what, finite) for r in rows])
     if np.abs(P - P.T).max() > 1e-12 * np.trace(P):
         raise table.error("covariance", "not symmetric")
     P = 0.5 * (P + P.T)
@@ -197,7 +103,7 @@ def _prior(table: _Reader) -> Prior:
     return Prior(mean, P)
 
 
-def _view(table: _Reader) -> tuple[float, float]:
+def _view(table: Reader) -> tuple[float, float]:
     """Smallest and largest angle [rad] of the field of view."""
     if "field_of_view" in table:
         if "min_angle" in table or "max_angle" in table:
@@ -205,8 +111,8 @@ def _view(table: _Reader) -> tuple[float, float]:
         what = "an opening angle above 0 and up to 2 pi (radians)"
         opening = table.number("field_of_view", math.inf, what, lambda v: 0.0 < v <= 2.0 * math.pi + 1e-9)
         return -0.5 * opening, 0.5 * opening
-    low = table.number("min_angle", -math.pi, "a finite angle (radians)", _finite)
-    high = table.number("max_angle", math.pi, "a finite angle (radians)", _finite)
+    low = table.number("min_angle", -math.pi, "a finite angle (radians)", finite)
+    high = table.number("max_angle", math.pi, "a finite angle (radians)", finite)
     key = "min_angle" if "min_angle" in table else "max_angle"
     if low >= high:
         raise table.error(key, f"min_angle ({low!r}) must be smaller than max_angle ({high!r})")
@@ -215,36 +121,51 @@ def _view(table: _Reader) -> tuple[float, float]:
     return low, high
 
 
-def _sensor(table: _Reader) -> tuple[Sensor, Array | None]:
+def _sensor(table: Reader) -> tuple[Sensor, Array | None]:
     kind = table.one_of("kind", SENSORS)
     sigma = None
     if "sigma" in table:
-        sigma = table.numbers("sigma", 2, "two numbers > 0 are", _positive)
+        sigma = table.numbers("sigma", 2, "two numbers > 0 are", positive)
     max_range = table.number("max_range", math.inf, "a range > 0 [m]", lambda v: v > 0.0)
     low, high = _view(table)
     extrinsic = table.optional_table("extrinsic")
     if extrinsic is not None and ("rotation" in table or "translation" in table):
         raise table.error("extrinsic", "give rotation and translation here or in [sensor], not both")
     place = table if extrinsic is None else extrinsic
-    rotation = place.number("rotation", 0.0, "a finite angle (radians)", _finite)
+    rotation = place.number("rotation", 0.0, "a finite angle (radians)", finite)
     translation = (0.0, 0.0)
     if "translation" in place:
-        tx, ty = place.numbers("translation", 2, "two numbers [m] are", _finite)
+        tx, ty = place.numbers("translation", 2, "two numbers [m] are", finite)
         translation = (float(tx), float(ty))
     return SENSORS[kind](max_range, low, high, rotation, translation), sigma
 
 
-def _motion(table: _Reader) -> VelocityModel:
+def _motion(table: Reader) -> VelocityModel:
     model = table.one_of("model", MODELS, "unicycle")
     kind = table.one_of("noise", NOISES)
     wanted, other = ("alphas", "sigma") if kind == "displacement" else ("sigma", "alphas")
     if other in table:
         raise table.error(other, f"noise = {kind!r} takes {wanted}, not {other}")
     if kind == "displacement":
-        a1, a2, a3, a4 = table.numbers("alphas", 4, "four numbers >= 0 are", _not_negative).tolist()
+        a1, a2, a3, a4 = table.numbers("alphas", 4, "four numbers >= 0 are", not_negative).tolist()
         return VelocityModel(VelocityNoise(kind, alphas=(a1, a2, a3, a4)), model)
-    s1, s2 = table.numbers("sigma", 2, "two numbers >= 0 are", _not_negative).tolist()
+    s1, s2 = table.numbers("sigma", 2, "two numbers >= 0 are", not_negative).tolist()
     return VelocityModel(VelocityNoise(kind, sigma=(s1, s2)), model)
+
+
+def _motion_prior(table: Reader) -> MotionPrior:
+    kind = PRIORS[table.one_of("prior", PRIORS)]
+    wanted = [f.name for f in fields(kind)]
+    for key in table.table:
+        if key != "prior" and key not in wanted:
+            raise table.error(key, f"prior = {table.table['prior']!r} takes {', '.join(wanted)}")
+    values = {}
+    for key in wanted:
+        if key not in table:
+            raise table.error(key, "missing; a number is needed")
+        fine, what = (not_negative, "a number >= 0") if "sigma" in key else (finite, "a finite number")
+        values[key] = table.number(key, 0.0, what, fine)
+    return kind(**values)
 
 
 def _parse(path: Path) -> dict[str, object]:
@@ -270,7 +191,7 @@ def read_header(path: Path) -> Header:
     if isinstance(number, bool) or number != FORMAT:
         what = "no format number" if number is None else f"format = {number!r}: unknown format number"
         raise DataError.at(path, f"{what}; format = {FORMAT} is needed")
-    top = _Reader(path, table)
+    top = Reader(path, table)
     sensor, sigma = _sensor(top.table_of("sensor"))
     motion = top.optional_table("motion")
     notes = table.get("notes", [])
@@ -284,11 +205,12 @@ def read_header(path: Path) -> Header:
         prior=_prior(top.table_of("prior")),
         sensor=sensor,
         sigma=sigma,
-        motion=None if motion is None else _motion(motion),
+        motion=None if motion is None or "prior" in motion else _motion(motion),
         time_is_index=top.flag("time_is_index"),
-        covariance_floor=top.number("covariance_floor", 1e-10, "a number >= 0", _not_negative),
-        floored=int(top.number("floored", 0, "a whole number >= 0", lambda v: _not_negative(v) and v.is_integer())),
+        covariance_floor=top.number("covariance_floor", 1e-10, "a number >= 0", not_negative),
+        floored=int(top.number("floored", 0, "a whole number >= 0", lambda v: not_negative(v) and v.is_integer())),
         labels_are_sensed=top.flag("labels_are_sensed"),
         notes=tuple(notes),
         source=source,
+        motion_prior=_motion_prior(motion) if motion is not None and "prior" in motion else None,
     )

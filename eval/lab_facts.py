@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.stats import chi2
@@ -23,10 +23,14 @@ DOF = 3
 
 @dataclass(frozen=True)
 class Lab:
-    """Trials of one corridor, by what was switched on: (people, odometry); and those with map maintenance."""
+    """Trials of one corridor, by what was switched on: (people, odometry); and those with map maintenance.
+
+    `primed`: by people, without odometry, but with a motion prior in its place.
+    """
 
     trials: dict[tuple[bool, bool], Trial]
     maintained: dict[tuple[bool, bool], Trial]
+    primed: dict[bool, Trial] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -68,9 +72,22 @@ def is_corridor(trial: Trial) -> bool:
 
 
 def switched_on(log: Log) -> tuple[bool, bool]:
-    """Whether people were seen, and whether the wheels were read (no motion was ever stated if they were not)."""
+    """Whether people were seen, and whether the wheels were read (no motion, or always the same, is stated if not)."""
     people = log.truth.landmark_of is not None and bool(np.any(log.truth.landmark_of == CLUTTER))
-    return people, bool(np.any(log.recorded.increments.mean))
+    made, mean = log.source.get("corridor"), log.recorded.increments.mean[1:]
+    if isinstance(made, Mapping) and "odometry" in made:
+        return people, bool(made["odometry"])
+    return people, bool(np.any(mean != mean[:1]))
+
+
+def has_prior(log: Log) -> bool:
+    """Whether a motion is stated though the wheels were not read."""
+    return not switched_on(log)[1] and bool(np.any(log.recorded.increments.mean))
+
+
+SWITCHES = ("people", "odometry", "forward", "constant_velocity")
+PRIOR = ("step_mean", "step_sigma", "velocity", "velocity_sigma", "lateral_sigma", "turn_sigma")
+"""Constants of the corridor that do not make it another one: what is switched on, and what is stated of the motion."""
 
 
 def find_lab(trials: Sequence[Trial]) -> Lab | None:
@@ -80,13 +97,16 @@ def find_lab(trials: Sequence[Trial]) -> Lab | None:
         if not is_corridor(trial):
             continue
         made = trial.log.source.get("corridor")
-        constants = {k: v for k, v in made.items() if k not in ("people", "odometry")} if isinstance(made, dict) else {}
+        left_out = (*SWITCHES, *PRIOR)
+        constants = {k: v for k, v in made.items() if k not in left_out} if isinstance(made, Mapping) else {}
         lab = groups.setdefault(f"{trial.log.source.get('seed')} {sorted(constants.items())}", Lab({}, {}))
-        if trial.beside is None:
+        if trial.beside is None and has_prior(trial.log):
+            lab.primed.setdefault(switched_on(trial.log)[0], trial)
+        elif trial.beside is None:
             lab.trials.setdefault(switched_on(trial.log), trial)
         elif any(r.removed is not None for r in trial.runs):
             lab.maintained.setdefault(switched_on(trial.log), trial)
-    found = [lab for lab in groups.values() if lab.trials]
+    found = [lab for lab in groups.values() if lab.trials or lab.primed]
     return max(found, key=lambda lab: len(lab.trials), default=None)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
+from eval.lab_ambiguity import ambiguity_sections, prior_sections
 from eval.lab_conditions import what_maintenance_changes, without_odometry
 from eval.lab_facts import Lab, Pairings, find_lab, look, run_of
 from eval.lab_words import NAMES, ODOMETRY, PEOPLE, WORSE, count_change, missing, move, plural, rmse, share
@@ -30,11 +31,16 @@ def lab_sections(trials: Sequence[Trial], scores: Scores) -> list[Section]:
         ("What does map maintenance change?", what_maintenance_changes),
     )
     answered = [(head, *ask(lab, scores)) for head, ask in questions]
-    if not any(known for _, _, known in answered):
+    if not any(known for _, _, known in answered) and not lab.primed:
         return []
-    logs = ", ".join(f"`{t.log.name}`" for t in (*lab.trials.values(), *lab.maintained.values()))
+    logs = ", ".join(f"`{t.log.name}`" for t in (*lab.trials.values(), *lab.maintained.values(), *lab.primed.values()))
     first = f"Answered from the runs on {logs}: SLAM, decisions and paths as they were online."
-    return [Section("The lab's questions", (first,)), *(Section(head, (text,), 3) for head, text, _ in answered)]
+    sections = [Section(head, (text,), 3) for head, text, _ in answered]
+    blind = [head for head, _ in questions].index("What happens without odometry?")
+    return [
+        Section("The lab's questions", (first,)), *sections[:blind], *ambiguity_sections(lab), sections[blind],
+        *prior_sections(lab, scores), *sections[blind + 1 :],
+    ]  # fmt: skip
 
 
 def why_nn_fails(lab: Lab, scores: Scores) -> tuple[str, bool]:

@@ -12,7 +12,7 @@ import pandas as pd
 from data.log import Log
 from data.result import DISCARD, Run
 from eval import consistency, errors
-from eval.confusion import Confusion, confuse
+from eval.confusion import WITHIN, Confusion, confuse, share_within
 
 METRICS = (
     "log",
@@ -62,7 +62,11 @@ ASSOCIATION = (
     "duplicate",
     "missed",
     "deferred",
+    "share_within",
+    "within_m",
 )
+COUNTED = ASSOCIATION[5:-2]
+"""Columns that are fields of `Confusion`."""
 CONSISTENCY = (
     "scenario",
     "estimator",
@@ -180,8 +184,21 @@ def association_row(run: Run, phase: str, log: Log) -> dict[str, object] | None:
         return None
     return {
         "log": log.name, "task": run.task, "estimator": run.estimator, "association": run.association, "phase": phase,
-        **{k: getattr(counts, k) for k in ASSOCIATION[5:]},
+        **{k: getattr(counts, k) for k in COUNTED}, "share_within": _near(run, phase, log), "within_m": WITHIN,
     }  # fmt: skip
+
+
+def _near(run: Run, phase: str, log: Log) -> float | None:
+    """Share of the pairings with a landmark that truly stands within `WITHIN` of the right one; None without truth."""
+    own, places = log.truth.landmark_of, log.truth.landmarks
+    if own is None or places is None:
+        return None
+    decisions = run.decisions if phase == "online" else run.final_decisions
+    taken = decisions.copy()
+    if run.task != "localization":
+        paired = decisions >= 0
+        taken[paired] = errors.landmark_true_ids(run.created, log.truth, decisions[paired])
+    return share_within(decisions, own, taken, places)
 
 
 def frame_of(rows: Sequence[Mapping[str, object]], columns: Sequence[str]) -> pd.DataFrame:

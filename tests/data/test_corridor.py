@@ -348,6 +348,17 @@ class TestNames:
             ("corridor:0:max-angle=45+sphi=.5", Corridor(max_angle=math.radians(45), sphi=math.radians(0.5)), 0),
             ("corridor:0:stheta_move=3+frames=88", Corridor(stheta_move=math.radians(3), frames=88), 0),
             ("corridor:0:people+crowd=20", Corridor(people=True, crowd=20), 0),
+            ("corridor:3:no-odometry+forward", Corridor(odometry=False, forward=True), 3),
+            (
+                "corridor:0:no-odometry+forward+step_mean=1+turn_sigma=30",
+                Corridor(odometry=False, forward=True, step_mean=1.0, turn_sigma=math.radians(30)),
+                0,
+            ),
+            (
+                "corridor:0:people+no-odometry+constant-velocity+velocity=.9",
+                Corridor(people=True, odometry=False, constant_velocity=True, velocity=0.9),
+                0,
+            ),
         ],
     )
     def test_a_name_says_the_parameters_and_angles_in_degrees(self, name, corridor, seed):
@@ -387,6 +398,13 @@ class TestNames:
             ("corridor:0:range=8+range=9", "range is given twice"),
             ("corridor:0:people+people=on", "people is given twice"),
             ("corridor:0:people:range=8", "people:range=8"),
+            ("corridor:0:forward", "forward = True has no effect with odometry"),
+            ("corridor:0:no-odometry+forward+constant-velocity", "one can be stated"),
+            ("corridor:0:no-odometry+forward+sx_blind=1", "with a motion prior"),
+            ("corridor:0:no-odometry+step_mean=1", "without forward"),
+            ("corridor:0:no-odometry+forward+velocity=2", "without constant-velocity"),
+            ("corridor:0:no-odometry+turn_sigma=20", "without a motion prior"),
+            ("corridor:0:no-odometry+forward+step_sigma=-1", "step_sigma = -1"),
         ],
     )
     def test_a_name_that_makes_no_sense_is_refused_in_one_line(self, name, wrong):
@@ -399,7 +417,8 @@ class TestNames:
         with pytest.raises(UsageError) as fault:
             parse_name("corridor:0:colour=red")
         known = str(fault.value).split("known: ")[1].split(", ")
-        assert known == ["people", "no-odometry", *(f"{f.name}=" for f in fields(Corridor)[2:])]
+        switches = ["people", "no-odometry", "forward", "constant-velocity"]
+        assert known == [*switches, *(f"{f.name}=" for f in fields(Corridor)[4:])]
 
     @given(
         st.fixed_dictionaries(
@@ -426,9 +445,31 @@ class TestNames:
             # degrees and back may lose the last bit
             assert math.isclose(wanted, got, rel_tol=1e-15) if isinstance(wanted, float) else wanted == got
 
+    def test_a_motion_prior_changes_what_is_stated_and_nothing_that_is_seen(self):
+        bare = simulate(Corridor(odometry=False), 4)
+        for log in (simulate(Corridor(odometry=False, **{k: True}), 4) for k in ("forward", "constant_velocity")):
+            r = log.recorded
+            assert np.array_equal(r.observations.z, bare.recorded.observations.z)
+            assert np.array_equal(log.truth.pose, bare.truth.pose)
+            assert not r.increments.mean[0].any()
+            assert not r.increments.covariance[0].any()
+            assert len(np.unique(r.increments.mean[1:], axis=0)) == 1, "known before the run"
+            true = se2.between(log.truth.pose[:-1], log.truth.pose[1:])
+            off = true - r.increments.mean[1:]
+            d2 = np.einsum("ni,ni->n", off, np.linalg.solve(r.increments.covariance[1:], off[..., None])[..., 0])
+            # 99 % of what is stated; only a robot that keeps its velocity never turns in place
+            inside = d2 < 11.34
+            assert inside.all() if log.name.endswith("forward") else (inside == (np.abs(true[:, 2]) < 1.0)).all()
+            back = np.array([-1.0, 0.0, 0.0]) - r.increments.mean[1]
+            assert back @ np.linalg.solve(r.increments.covariance[1], back) > 11.34
+            assert "motion prior" in log.notes[0]
+        assert bare.notes == ()
+
     def test_the_name_of_a_log_made_from_parameters_tells_what_is_not_default(self):
         corridor = Corridor(people=True, odometry=False, min_angle=math.radians(-60), srho=0.02)
         assert simulate(corridor, 3).name == "corridor:3:people+no-odometry+min_angle=-60+srho=0.02"
+        primed = Corridor(odometry=False, constant_velocity=True, turn_sigma=math.radians(45))
+        assert simulate(primed, 3).name == "corridor:3:no-odometry+constant-velocity+turn_sigma=45"
         assert simulate(Corridor(), 3).name == "corridor:3"
         assert simulate(Corridor(), 3, "mine").name == "mine"
 

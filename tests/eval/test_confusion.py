@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from association.known import known_decisions
 from data.arena import Arena, simulate
 from data.inputs import LandmarkMap
-from eval.confusion import confuse, ground_truth
+from eval.confusion import confuse, ground_truth, share_within
+from eval.replay import filter_known
+from eval.score import association_row
 
 NEW, DISCARD = -1, -2
 
@@ -80,3 +85,31 @@ def test_outcomes_always_sum_to_the_observations(rows):
     assert c.tp + c.tn + c.fp + c.fn == len(rows)
     assert c.wrong + c.spurious == c.fp
     assert c.duplicate + c.missed + c.deferred == c.fn
+
+
+def test_a_pairing_is_near_enough_if_the_landmark_taken_stands_by_the_right_one():
+    places = LandmarkMap(np.array([3, 5, 9]), np.array([[0.0, 0.0], [0.0, 0.25], [4.0, 0.0]]))
+    own = np.array([3, 3, 3, 9, -1, 3, 9])
+    taken = np.array([3, 5, 9, 7, 3, -1, -2])
+    # right, neighbour, far, without a position, person paired, founded on a person; the last one is not paired
+    decisions = np.array([0, 1, 2, 3, 0, 4, NEW])
+    assert share_within(decisions, own, taken, places) == pytest.approx(2 / 6)
+    assert share_within(decisions, own, taken, places, 0.2) == pytest.approx(1 / 6)
+    assert np.isnan(share_within(decisions[-1:], own[-1:], taken[-1:], places))
+    assert share_within(decisions[:2], own[:2], taken[:2], LandmarkMap(np.empty(0, int), np.empty((0, 2)))) == 0.0
+
+
+def test_the_referee_states_the_share_and_its_distance_beside_the_counts():
+    log = simulate(Arena(frames=40), 1)
+    inputs = log.inputs(labels=True)
+    runs = [filter_known(inputs, "localization"), filter_known(inputs.without_map(), "slam")]
+    for run in runs:
+        row = association_row(run, "online", log)
+        assert (row["fp"], row["share_within"], row["within_m"]) == (0, 1.0, 0.3)
+    # every pairing handed to the next landmark of the map, most of them metres away
+    ids, paired = log.truth.landmarks.id, runs[0].decisions >= 0
+    moved = runs[0].decisions.copy()
+    moved[paired] = np.roll(ids, 1)[np.searchsorted(ids, moved[paired])]
+    assert association_row(replace(runs[0], final_decisions=moved), "final", log)["share_within"] < 0.2
+    nowhere = replace(log, truth=replace(log.truth, landmarks=None))
+    assert association_row(runs[1], "online", nowhere)["share_within"] is None

@@ -1,0 +1,120 @@
+"""What is stated about the motion of a robot whose wheels are not read: increments known before the run.
+
+A prior gives every frame an increment with a wide covariance; it needs no data of the run, so filter and smoother get
+the same numbers, as from odometry. The wider it is, the less the first linearization of a frame is worth: estimators
+that linearize once at the prediction fail where those that iterate work.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from data.errors import UsageError
+from data.inputs import Increments
+from data.motion import ARC, step
+from data.se2 import Array
+
+
+class _Stated:
+    """Numbers of a prior, checked when they are stated."""
+
+    def __post_init__(self) -> None:
+        for f in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, f.name)
+            if not math.isfinite(value) or ("sigma" in f.name and value < 0.0):
+                kind = "a number from 0 up" if "sigma" in f.name else "a finite number"
+                raise UsageError(f"motion prior: {f.name} = {value!r}; {kind} is needed")
+
+
+@dataclass(frozen=True)
+class ForwardPrior(_Stated):
+    """The robot goes forward by about a step from frame to frame, or turns, however long that takes it.
+
+    Step, sideways motion and turn are independent; a turn is as likely to the left as to the right. For a robot that
+    either goes a metre or turns in place, a step of 0.5 +- 0.4 m holds both and holds off a metre backwards
+    (3.75 sigma).
+
+    Attributes:
+        step_mean, step_sigma: m, along the heading of the frame before.
+        lateral_sigma: m, across it.
+        turn_sigma: rad.
+    """
+
+    step_mean: float
+    step_sigma: float
+    lateral_sigma: float
+    turn_sigma: float
+
+    def increments(self, time: Array) -> Increments:
+        """Increments of frames at `time` (N,); row 0 is zero."""
+        sigma = np.array([self.step_sigma, self.lateral_sigma, self.turn_sigma])
+        mean, covariance = _rows(len(time))
+        mean[1:, 0], covariance[1:] = self.step_mean, np.diag(sigma**2)
+        return Increments(mean, covariance)
+
+    def words(self) -> str:
+        """The prior in words."""
+        return (
+            f"a step of {self.step_mean:g} ± {self.step_sigma:g} m, 0 ± {self.lateral_sigma:g} m sideways and a turn of"
+            f" 0 ± {math.degrees(self.turn_sigma):.3g}° from frame to frame"
+        )
+
+
+@dataclass(frozen=True)
+class ConstantVelocityPrior(_Stated):
+    """The robot keeps a velocity that is stated, up to an error that is drawn anew for every interval of frames.
+
+    The mean is the arc that `velocity` and `turn_rate` make in the time between two frames, and all sigmas grow in
+    proportion to it; in a log without stamps, where a second stands for a frame, they hold per frame. The velocity is
+    stated and not estimated: estimated from the frames before, it would be a state that ties three poses together and
+    an increment that differs from estimator to estimator.
+
+    Attributes:
+        velocity, velocity_sigma: m/s, along the heading.
+        lateral_sigma: m/s, across it.
+        turn_rate, turn_rate_sigma: rad/s.
+    """
+
+    velocity: float
+    velocity_sigma: float
+    lateral_sigma: float
+    turn_rate: float
+    turn_rate_sigma: float
+
+    def increments(self, time: Array) -> Increments:
+        """Increments of frames at `time` (N,) s; row 0 is zero."""
+        mean, covariance = _rows(len(time))
+        G = np.empty((3, 2))
+        variance = np.diag([self.velocity_sigma**2, self.turn_rate_sigma**2])
+        for k, dt in enumerate(np.diff(time).tolist(), 1):
+            step(ARC, self.velocity * dt, self.turn_rate * dt, mean[k], G)
+            middle = 0.5 * self.turn_rate * dt
+            across = dt * np.array([-math.sin(middle), math.cos(middle), 0.0])
+            covariance[k] = dt**2 * (G @ variance @ G.T) + self.lateral_sigma**2 * np.outer(across, across)
+        return Increments(mean, covariance)
+
+    def words(self) -> str:
+        """The prior in words."""
+        return (
+            f"a velocity of {self.velocity:g} ± {self.velocity_sigma:g} m/s, 0 ± {self.lateral_sigma:g} m/s sideways"
+            f" and a turn rate of {math.degrees(self.turn_rate):.3g} ± {math.degrees(self.turn_rate_sigma):.3g} °/s"
+        )
+
+
+MotionPrior = ForwardPrior | ConstantVelocityPrior
+PRIORS: Mapping[str, type[MotionPrior]] = {"forward": ForwardPrior, "constant_velocity": ConstantVelocityPrior}
+"""By the name that a log states."""
+
+
+def note_of(prior: MotionPrior) -> str:
+    """What a reader of the log should know."""
+    name = next(n for n, kind in PRIORS.items() if isinstance(prior, kind))
+    return f"No odometry: every increment is the motion prior `{name}`, {prior.words()}."
+
+
+def _rows(frames: int) -> tuple[Array, Array]:
+    return np.zeros((frames, 3)), np.zeros((frames, 3, 3))
