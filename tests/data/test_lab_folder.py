@@ -622,7 +622,7 @@ def test_an_npy_cut_short_is_named_before_the_first_frame(tmp_path: Path) -> Non
     content = (folder / "log.npy").read_bytes()
     (folder / "log.npy").write_bytes(content[:-1])
     with pytest.raises(
-        DataError, match=r"damaged: ends early: 4 frames of 2904 bytes are announced and 11615 bytes are"
+        DataError, match=r"damaged: ends early: 4 frames of 2904 bytes are announced and 11615 bytes"
     ):
         open_lab(folder)
 
