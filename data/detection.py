@@ -174,7 +174,7 @@ class Detector:
         try:
             for _ in range(GUIDED_PASSES):
                 # a collapsed homography cannot guide
-                fault = shape_fault(H, self.corners[picture], size)
+                fault = shape_fault(project(H, self.corners[picture]), size, self.aspects[picture])
                 if fault is not None and fault != OUTSIDE:
                     return fault
                 guided = guided_match(H, reference, scene)
@@ -182,10 +182,10 @@ class Detector:
                 H = fit.H
         except np.linalg.LinAlgError:
             return FEW_INLIERS
-        fault = shape_fault(H, self.corners[picture], size)
+        pixels = project(H, self.corners[picture])
+        fault = shape_fault(pixels, size, self.aspects[picture])
         if fault is not None:
             return fault
-        pixels = project(H, self.corners[picture])
         inliers = int(fit.inlier.sum())
         gap = np.linalg.norm(project(H, reference.place[pairs[0]]) - scene.place[pairs[1]], axis=1)
         if inliers < MIN_INLIERS or np.mean(gap < 2 * THRESHOLD) < MIN_INLIER_SHARE:

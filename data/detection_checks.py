@@ -46,17 +46,12 @@ MAX_SAMPLES = 2000
 """Points of the plane's fit; more change nothing."""
 
 
-def shape_fault(H: Array, corners: Array, size: tuple[int, int]) -> str | None:
-    """What is wrong with a homography (3, 3) as the view of a picture with corners (4, 2) in its own image.
+def shape_fault(pixels: Array, size: tuple[int, int], aspect: float) -> str | None:
+    """What is wrong with corners (4, 2) in an image of `size` (height, width); `aspect` is the picture's height/width.
 
-    `size` (height, width) is that of the image. The line that the homography sends to infinity must miss the picture.
+    They turn alike at all corners if and only if no line within the picture is sent to infinity: the sign of each turn
+    is that of det H w_i w_j w_k.
     """
-    w = corners @ H[2, :2] + H[2, 2]
-    if not (np.all(w > 0) or np.all(w < 0)):
-        return NOT_CONVEX
-    homogeneous = corners @ H[:2, :2].T + H[:2, 2]
-    pixels = homogeneous / w[:, None]
-    aspect = (corners[3, 1] - corners[0, 1]) / (corners[1, 0] - corners[0, 0])
     side = np.roll(pixels, -1, axis=0) - pixels
     turn = side[:, 0] * np.roll(side[:, 1], -1) - side[:, 1] * np.roll(side[:, 0], -1)
     if np.all(turn < 0):

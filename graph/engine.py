@@ -79,15 +79,23 @@ class Engine:
             if np.abs(before.localCoordinates(pose)).max() < JUMP * self.threshold:
                 break
             before = pose
-            self.update()
+            self.update(key)
             pose = self._ask(lambda: self.isam.calculateEstimatePose2(key))
         return pose
 
-    def update(self) -> None:
-        """One more step towards the optimum: relinearize all that moved further than the threshold."""
+    def update(self, root: int | None = None) -> None:
+        """One more step towards the optimum: relinearize all that moved further than the threshold.
+
+        `root`: eliminate this variable last. The search for what moved begins at the root of the tree and ends where
+        nothing did: were the one variable that jumps deep in the tree, the next step would not find it.
+        """
         empty = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        last = None
+        if root is not None:
+            last = gtsam.KeyGroupMap()
+            last.insert2(root, 1)
         try:
-            self.isam.update(*empty, [], None, None, None, True)
+            self.isam.update(*empty, [], last, None, None, True)
         except RuntimeError as fault:
             self._recover(fault)
 

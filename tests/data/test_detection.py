@@ -14,7 +14,7 @@ import pytest
 
 import data.detection_checks as checks
 import data.detection_features as features
-from data.detection import NOT_SEEN, SAME_PLACE, Detected, Detector, tally
+from data.detection import FEW_INLIERS, NOT_SEEN, SAME_PLACE, UNCERTAIN, Detected, Detector, tally
 from data.errors import DataError
 
 HEIGHT, WIDTH, FOCAL = 480, 640, 525.0
@@ -268,6 +268,35 @@ def test_of_two_pictures_at_one_place_the_better_supported_stays(textures, detec
     assert found(without) == [0], "the inner picture is there, and found where nothing competes"
 
 
+def test_a_picture_of_which_only_a_part_can_be_seen_has_no_certain_corners(textures, sizeless):
+    truth = hung(0.8)
+    scene = hang(wall(), textures[0], truth)
+    u, v = np.rint(projected(truth)[0]).astype(int)
+    shown = np.zeros((HEIGHT, WIDTH, 1), bool)
+    shown[v : v + 125, u : u + 110] = True
+    result = sizeless.detect(np.where(shown, scene.rgb, wall().rgb))
+    assert reason(result, 0) == UNCERTAIN
+
+
+def test_a_picture_whose_pieces_are_shuffled_is_refused(textures, sizeless):
+    pieces = [tile for row in np.split(textures[0], 6) for tile in np.split(row, 6, axis=1)]
+    order = np.random.default_rng(0).permutation(36)
+    shuffled = np.vstack([np.hstack([pieces[i] for i in row]) for row in order.reshape(6, 6)])
+    result = sizeless.detect(hang(wall(), shuffled, hung(0.8)).rgb)
+    assert found(result) == []
+    assert reason(result, 0) == FEW_INLIERS
+
+
+def test_a_glimpse_of_a_picture_is_not_a_sight_of_it(textures, sizeless):
+    truth = hung(0.8)
+    scene = hang(wall(), textures[0], truth)
+    u, v = np.rint(projected(truth).mean(axis=0)).astype(int)
+    for size in (20, 30, 40):
+        glimpse = wall().rgb
+        glimpse[v : v + size, u : u + size] = scene.rgb[v : v + size, u : u + size]
+        assert reason(sizeless.detect(glimpse), 0) == NOT_SEEN
+
+
 def test_scattered_holes_of_the_stereo_points_do_no_harm(textures, detector):
     truth = hung(1.5, 20)
     scene = hang(wall(), textures[0], truth)
@@ -339,13 +368,12 @@ SHAPES = {
 @pytest.mark.parametrize("name", SHAPES)
 def test_a_quadrilateral_is_judged_by_its_shape(name):
     pixels, expected = SHAPES[name]
-    H = cv2.getPerspectiveTransform(CARD.astype(np.float32), np.array(pixels, np.float32))
-    assert checks.shape_fault(H, CARD, SIZE) == expected
+    assert checks.shape_fault(np.array(pixels, float), SIZE, 0.8) == expected
 
 
 def test_a_homography_that_tears_the_picture_apart_is_refused():
     H = np.array([[1.0, 0, 0], [0, 1.0, 0], [-0.02, 0, 1.0]])  # the line x = 50 goes to infinity
-    assert checks.shape_fault(H, CARD, SIZE) == checks.NOT_CONVEX
+    assert checks.shape_fault(features.project(H, CARD), SIZE, 0.8) == checks.NOT_CONVEX
 
 
 def test_overlap_is_the_share_of_the_smaller_one():

@@ -621,9 +621,7 @@ def test_an_npy_cut_short_is_named_before_the_first_frame(tmp_path: Path) -> Non
     folder = lab(tmp_path / "lab", form="log.npy")
     content = (folder / "log.npy").read_bytes()
     (folder / "log.npy").write_bytes(content[:-1])
-    with pytest.raises(
-        DataError, match=r"damaged: ends early: 4 frames of 2904 bytes are announced and 11615 bytes"
-    ):
+    with pytest.raises(DataError, match=r"damaged: ends early: 4 frames of 2904 bytes are announced and 11615 bytes"):
         open_lab(folder)
 
 
@@ -748,8 +746,10 @@ def test_a_log_beyond_2_gib_is_refused_as_mat_at_the_first_frame(tmp_path: Path)
 # --- does it fit? -----------------------------------------------------------------------------------------------------
 
 
-def seen_from(setup: VisualSetup, pose: tuple[float, float, float], rng: np.random.Generator) -> np.ndarray:
-    """Corners (L, 4, 3) as a camera sees them, with the lab's noise; the formulas written out."""
+def seen_from(
+    setup: VisualSetup, pose: tuple[float, float, float], rng: np.random.Generator, *, noise: float = 1.0
+) -> np.ndarray:
+    """Corners (L, 4, 3) as a camera sees them, with the lab's noise or so many times it; the formulas written out."""
     x, y, theta = pose
     dx, dy = setup.corners[..., 0] - x, setup.corners[..., 1] - y
     forward = math.cos(theta) * dx + math.sin(theta) * dy
@@ -758,8 +758,8 @@ def seen_from(setup: VisualSetup, pose: tuple[float, float, float], rng: np.rand
     points = np.zeros((*dx.shape, 3))
     points[..., 0] = c * forward - s * left + setup.translation[0]
     points[..., 2] = s * forward + c * left + setup.translation[1]
-    points[..., 0] += rng.normal(0, 0.02, dx.shape)
-    points[..., 2] += rng.normal(0, 0.05, dx.shape)
+    points[..., 0] += noise * rng.normal(0, 0.02, dx.shape)
+    points[..., 2] += noise * rng.normal(0, 0.05, dx.shape)
     return points
 
 
@@ -803,20 +803,29 @@ def test_the_reading_that_fits_is_named(
         assert f"'{true_reading}' with T in {true_unit}" in said
 
 
-@pytest.mark.parametrize(("factor", "said"), [(100.0, "100 times as wide"), (0.001, "0.001 times as wide")])
-def test_a_unit_no_reading_can_mend_is_suspected_with_its_factor(tmp_path: Path, factor: float, said: str) -> None:
+def test_of_two_readings_that_fit_the_better_one_is_named(tmp_path: Path) -> None:
+    # T is 12 cm or 12 mm long: the first pose's uncertainty makes room for either
+    folder = lab(tmp_path / "lab")
+    read = open_lab(folder, translation_unit="m").setup
+    for unit in ("cm", "mm"):
+        true = open_lab(folder, translation_unit=unit).setup
+        points = seen_from(true, (1.0, -0.2, math.pi / 6), np.random.default_rng(1), noise=0.01)
+        assert unit_suspicion(open_lab(folder).setup, points, BOTH) is None
+        said = unit_suspicion(read, points, BOTH, translation_unit="m")
+        assert said is not None
+        assert f"'to-camera' with T in {unit};" in said
+
+
+@pytest.mark.parametrize("factor", [100.0, 0.01, 0.001])
+def test_a_unit_no_reading_can_mend_is_suspected_with_its_factor(tmp_path: Path, factor: float) -> None:
     setup = open_lab(lab(tmp_path / "lab")).setup
-    exact = np.random.default_rng(0)
-    points = seen_from(setup, (1.0, -0.2, math.pi / 6), exact)
-    points[..., [0, 2]] -= exact.normal(0, 1e-9, (2, 4, 2))
-    near = seen_from(setup, (1.0, -0.2, math.pi / 6), np.random.default_rng(0)) * factor
-    message = unit_suspicion(setup, near, BOTH)
-    assert message is not None
-    assert "nor with another reading" in message
-    wide = float(message.split("seen ")[1].split(" ")[0])
-    away = float(message.split("wide and ")[1].split(" ")[0])
-    assert wide == pytest.approx(factor, rel=0.25)
-    assert away == pytest.approx(factor, rel=0.25)
+    points = seen_from(setup, (1.0, -0.2, math.pi / 6), np.random.default_rng(0), noise=0.01)
+    said = unit_suspicion(setup, factor * points, BOTH)
+    assert said is not None
+    assert "nor with another reading" in said
+    assert float(said.split("seen ")[1].split(" times as wide")[0]) == pytest.approx(factor, rel=0.05)
+    away = float(said.split("wide and ")[1].split(" ")[0])
+    assert away == pytest.approx(factor, rel=0.05)
 
 
 # --- memory -----------------------------------------------------------------------------------------------------------

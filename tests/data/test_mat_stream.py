@@ -279,3 +279,13 @@ def test_elements_of_something_else_are_refused(tmp_path: Path) -> None:
     scipy.io.savemat(path, {"log": np.arange(9.0)})
     with pytest.raises(DataError, match="log is not a struct array but of kind numbers"):
         list(elements(variables(path)[0]))
+
+
+def test_a_size_that_is_no_whole_number_is_damage(tmp_path: Path) -> None:
+    path = tmp_path / "x.mat"
+    scipy.io.savemat(path, {"x": np.array([[1.0]])})
+    raw = path.read_bytes()
+    assert raw[152:160] == struct.pack("<II", 5, 8)
+    path.write_bytes(raw[:152] + struct.pack("<IId", 9, 8, float("nan")) + raw[168:])
+    with pytest.raises(DataError, match=r"x.mat: damaged: fractions are where whole numbers should be"):
+        variables(path)

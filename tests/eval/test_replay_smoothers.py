@@ -9,6 +9,7 @@ from association.known import known_decisions
 from data.arena import Arena, simulate
 from data.result import DISCARD, NEW
 from eval import errors
+from eval.logs import open_log
 from eval.replay import compare
 from eval.scenario import with_wrong_labels
 from eval.score import Trial, confusion_of, score
@@ -42,6 +43,17 @@ def test_a_fixed_lag_longer_than_the_log_is_isam2_and_a_short_one_is_near(clean,
     distance = errors.position_distance(short.online.pose, isam2.online.pose)
     assert 1e-7 < errors.rms(distance) < 0.01
     assert short.map is None or len(short.map) == len(isam2.map)
+
+
+def test_a_wide_prior_on_the_motion_loses_the_plain_filter_and_nobody_who_relinearizes():
+    """Without odometry a step is anything from standing still to a turn on the spot; the labels say where."""
+    log = open_log("corridor:3:no-odometry+forward")
+    ekf, iterated, isam2, batch = compare(log.inputs(labels=True), "slam", ["ekf", "ekf-iterated", "isam2", "batch"])
+    assert off(ekf, log) > 1.0
+    assert max(off(run, log) for run in (iterated, batch)) < 0.15
+    online = errors.position_distance(isam2.online.pose, log.truth.pose)
+    assert errors.rms(online) < 0.15
+    assert off(isam2, log) < 0.1
 
 
 def test_the_lag_reaches_the_smoother_only(clean):
