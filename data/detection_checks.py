@@ -40,7 +40,7 @@ MIN_VALID = 0.2
 """Share of the picture's pixels with depth."""
 MIN_ON_PLANE = 0.6
 """Share of those that lie on the plane."""
-WINDOW = (2, 4, 7)
+WINDOW = (2, 4, 7, 12)
 """px, half widths of the window of depths at a corner, widened while too few of its points are valid."""
 MAX_SAMPLES = 2000
 """Points of the plane's fit; more change nothing."""

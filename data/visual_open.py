@@ -120,12 +120,16 @@ def open_lab_log(folder: Path, camera: Camera, say: Say) -> Log:
     notes = [*recording.notes, *([note] if note else [])]
     if len(found.frame):
         first = found.frame == found.frame[0]
-        suspicion = unit_suspicion(recording.setup, found.points[first], found.picture[first])
+        suspicion = unit_suspicion(
+            recording.setup, found.points[first], found.picture[first],
+            translation_unit=recording.translation_unit, reading=recording.reading,
+        )  # fmt: skip
         if suspicion:
             say(f"{folder.name}: {suspicion}")
             notes.append(suspicion)
     else:
-        notes.append("No picture was found in any image: this is dead reckoning.")
+        why = ", ".join(f"{reason} ({count})" for reason, count in found.rejected.items())
+        notes.append(f"No picture was found in any image ({why}): this is dead reckoning. Are the map's lengths in cm?")
         say(f"{folder.name}: {notes[-1]}")
     return log_of(
         recording.setup, found, folder.name, noise=camera.noise, source={"folder": folder.name}, notes=tuple(notes)

@@ -284,17 +284,16 @@ def test_a_picture_whose_pieces_are_shuffled_is_refused(textures, sizeless):
     shuffled = np.vstack([np.hstack([pieces[i] for i in row]) for row in order.reshape(6, 6)])
     result = sizeless.detect(hang(wall(), shuffled, hung(0.8)).rgb)
     assert found(result) == []
-    assert reason(result, 0) == FEW_INLIERS
 
 
 def test_a_glimpse_of_a_picture_is_not_a_sight_of_it(textures, sizeless):
     truth = hung(0.8)
     scene = hang(wall(), textures[0], truth)
     u, v = np.rint(projected(truth).mean(axis=0)).astype(int)
-    for size in (20, 30, 40):
+    for size, expected in ((30, NOT_SEEN), (60, NOT_SEEN), (80, FEW_INLIERS)):
         glimpse = wall().rgb
         glimpse[v : v + size, u : u + size] = scene.rgb[v : v + size, u : u + size]
-        assert reason(sizeless.detect(glimpse), 0) == NOT_SEEN
+        assert reason(sizeless.detect(glimpse), 0) == expected
 
 
 def test_scattered_holes_of_the_stereo_points_do_no_harm(textures, detector):

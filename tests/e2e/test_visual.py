@@ -73,7 +73,7 @@ def test_a_wrong_unit_is_warned_of(lab, report, tmp_path, capsys):
     assert main(["--log", str(lab), *asked, "--out", str(tmp_path / "r")]) == 0
     told = capsys.readouterr().out
     assert "my_lab: " in told
-    assert "cm" in told
+    assert "do not fit the map" in told
 
 
 @pytest.mark.parametrize(("arguments", "words"), [
