@@ -74,6 +74,9 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
     """Open the logs and settle what is done; raises UsageError for what makes no sense together."""
     if options.scenario:
         return _scenarios(options)
+    for folder in options.data:
+        if not Path(folder).is_dir():
+            raise UsageError(f"--data {folder}: no such folder")
     experiments = [] if options.log else _default(options, say)
     asked = [open_log(name, reading_of(options), say) for name in options.log]
     for folder in options.data:
