@@ -16,8 +16,8 @@ MARGIN = math.radians(5.0)
 """rad, ... and by this."""
 
 
-def in_view(sensor: Sensor, z_hat: Array, HPHt: Array) -> BoolArray:
-    """Which expected measurements (n, 2) lie in the field of view, widened by 3 sigma, of HPHt, and 5 degrees."""
+def polar_sigma(sensor: Sensor, z_hat: Array, HPHt: Array) -> Array:
+    """Sigmas (n, 2) of range [m] and bearing [rad] of expected measurements (n, 2) with covariances (n, 2, 2)."""
     variance = np.diagonal(HPHt, axis1=1, axis2=2)
     if sensor.kind != RANGE_BEARING:
         r = np.maximum(np.hypot(z_hat[:, 0], z_hat[:, 1]), MIN_RANGE)
@@ -25,7 +25,13 @@ def in_view(sensor: Sensor, z_hat: Array, HPHt: Array) -> BoolArray:
         along = np.einsum("ni,nij,nj->n", u, HPHt, u)
         across = np.einsum("nii->n", HPHt) - along
         variance = np.stack([along, across / r**2], 1)
-    sigma = SIGMAS * np.sqrt(np.maximum(variance, 0.0))
+    sigma: Array = np.sqrt(np.maximum(variance, 0.0))
+    return sigma
+
+
+def in_view(sensor: Sensor, z_hat: Array, HPHt: Array) -> BoolArray:
+    """Which expected measurements (n, 2) lie in the field of view, widened by 3 sigma, of HPHt, and 5 degrees."""
+    sigma = SIGMAS * polar_sigma(sensor, z_hat, HPHt)
     return sensor.in_view(z_hat, margin_range=sigma[:, 0], margin_angle=np.minimum(sigma[:, 1] + MARGIN, math.pi))
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from association.expectation import Expectation
 from association.gnn import gnn
+from association.hindsight import jcbb_hindsight
 from association.jcbb import BUDGET, search
 from association.likelihood import ml, ml_ratio
 from association.nearest import nn
@@ -31,8 +32,10 @@ SEARCHES = {"jcbb": False, "jcbb-first": True}
 """Methods with a node budget, and whether the first of the largest hypotheses stays."""
 METHODS = (*PLAIN, *SEARCHES)
 """Names of all methods that decide for themselves (`known` does not: see `association.known`)."""
-OWN_NEWNESS = frozenset({"ml-ratio"})
-"""Methods in which "new" is a candidate like any other, so that no second gate is asked."""
+HINDSIGHT = "jcbb-hindsight"
+"""The method whose decisions may be revised; what it decides in a frame needs no later one."""
+OWN_NEWNESS = frozenset({"ml-ratio", HINDSIGHT})
+"""Methods that say themselves what is new."""
 
 
 class Decided(NamedTuple):
@@ -54,11 +57,11 @@ def decide(
     """Decisions of a frame: pair by `method`, then say which of the unpaired found a landmark.
 
     Args:
-        method: one of `METHODS`.
+        method: one of `METHODS`, or `HINDSIGHT`.
         expectation: candidates and observations.
         gate: chi-square probability of the method's tests, None for no gate.
         new_gate: chi-square probability outside which an observation is new; None: only where there is no candidate.
-            `ml-ratio` decides that itself.
+            `ml-ratio` and `jcbb-hindsight` decide that themselves.
         known_map: the map is given, so nothing is new and the unpaired are discarded.
         budget: nodes a search may visit in this frame.
 
@@ -75,8 +78,10 @@ def decide(
     elif method in SEARCHES:
         found = search(expectation, gate, first=SEARCHES[method], budget=budget)
         decisions, complete = found.decisions, found.complete
+    elif method == HINDSIGHT:
+        decisions, complete = jcbb_hindsight(expectation, gate, new_gate, budget=budget)
     else:
-        raise UsageError(f"no association method {method!r}; there are {', '.join(METHODS)}")
+        raise UsageError(f"no association method {method!r}; there are {', '.join((*METHODS, HINDSIGHT))}")
     if known_map:
         decisions = np.where(decisions == NEW, DISCARD, decisions)
     elif method not in OWN_NEWNESS:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -118,6 +119,29 @@ class Innovations:
         read_only(self)
 
 
+class Event(NamedTuple):
+    """A decision that was revised: in which frame, about which observation (row of the log), from what to what, why."""
+
+    frame: int
+    observation: int
+    old: int
+    new: int
+    why: str
+
+
+def revised(decisions: IntArray, events: Sequence[Event]) -> IntArray:
+    """Final decisions (M,): those made online, with all revisions applied in their order."""
+    final = decisions.copy()
+    for e in events:
+        final[e.observation] = e.new
+    return final
+
+
+def founders(final: IntArray, created: IntArray) -> IntArray:
+    """Which landmark (M,) each observation founded by the final decisions, -1 where it founded none that is left."""
+    return np.where(final == NEW, created, -1)
+
+
 class Failure(NamedTuple):
     """Where and why an estimator stopped; `status` is `diverged` or `incomplete`."""
 
@@ -147,6 +171,7 @@ class Run:
         notes: one sentence each, for the report.
         removed: (L,) by landmark number, frame after which it was no longer in the map, -1: it stayed (None: nothing
             was ever removed). If it was retracted, its observations are discarded in `final_decisions`.
+        events: decisions revised in hindsight, in the order of revision.
     """
 
     estimator: str
@@ -165,6 +190,7 @@ class Run:
     failure: Failure | None = None
     notes: tuple[str, ...] = field(default=())
     removed: IntArray | None = None
+    events: tuple[Event, ...] = ()
 
     def __post_init__(self) -> None:
         read_only(self)

@@ -7,6 +7,7 @@ import numpy as np
 from association.expectation import Expectation
 from data.inputs import IntArray, LandmarkMap, Prior, Sightings
 from data.result import Finished, Updated
+from data.se2 import Array
 from data.sensors import Sensor
 from ekf.filter import DEFAULT, Filter, FilterOptions
 
@@ -40,6 +41,13 @@ class EkfLocalizer(Filter):
         used[paired], whitened[paired] = keep, white
         nothing = np.full(len(decisions), -1, np.int64)
         return Updated(used, nothing, float(stats[0]), int(stats[2]), float(stats[1]), whitened)
+
+    def reset(self, mean: Array, covariance: Array) -> None:
+        """Believe another pose (3,) of covariance (3, 3), whatever was believed before."""
+        self._version += 1
+        self._mean[:3], self._P[:3, :3] = mean, covariance
+        if len(self._first):
+            self._first[:3] = mean
 
     def remove(self, numbers: IntArray) -> None:
         """A known map does not change: asking for it is an error."""

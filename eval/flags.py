@@ -12,7 +12,7 @@ TASKS = ("localization", "slam")
 FILTERS = ("ekf", "ekf-iterated", "ekf-fej", "ekf-invariant")
 STEPPING = (*FILTERS, "isam2", "fixed-lag")
 ESTIMATORS = ("dead-reckoning", *STEPPING, "batch", "batch-huber", "batch-cauchy", "gnc")
-ASSOCIATIONS = ("known", "nn", "ml", "ml-ratio", "singles", "jcbb", "jcbb-first", "gnn")
+ASSOCIATIONS = ("known", "nn", "ml", "ml-ratio", "singles", "jcbb", "jcbb-first", "gnn", "jcbb-hindsight")
 FORMATS = ("csv", "md", "tex")
 CHOICES = {
     "camera_translation": ("cm", "mm", "m"),

@@ -9,16 +9,17 @@ from typing import Protocol
 import numpy as np
 
 from association.candidates import Drift, in_view, may_be_in_view
-from association.decide import Decided, decide
+from association.decide import HINDSIGHT, Decided, decide
 from association.expectation import Expectation, gate_threshold
 from association.jcbb import BUDGET
 from association.known import known_decisions, pair_by_label
 from data.errors import UsageError
 from data.inputs import Increment, Inputs, IntArray, LabelledObservations, Sightings
-from data.result import Finished, MapState, PoseEstimate, Updated
+from data.result import Event, Finished, MapState, PoseEstimate, Updated
 from ekf.filter import DEFAULT, Filter, FilterOptions
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
+from eval.hindsight import Hindsight
 from eval.setup import Setup
 from eval.upkeep import Upkeep
 from graph.fixed_lag import FixedLagSmoother
@@ -110,7 +111,10 @@ class FrontEnd:
         self.estimator = make_estimator(estimator, inputs, options, lag=setup.lag)
         self.slam = inputs.map is None
         kept = setup if self._filter is not None else replace(setup, forget_after=None, deactivate_after=None)
-        self.upkeep = Upkeep(kept, inputs.time) if self.slam and kept.upkeep else None
+        self.hindsight = Hindsight(inputs.sensor) if self.slam and association == HINDSIGHT else None
+        if self.hindsight is not None and options is not None and options.each:
+            raise UsageError(f"{HINDSIGHT} judges the observations of a frame together; they cannot be used one by one")
+        self.upkeep = Upkeep(kept, inputs.time) if self.slam and (kept.upkeep or self.hindsight) else None
         self.k = -1
         self.incomplete = 0
         self.reactivated = 0
@@ -185,6 +189,8 @@ class FrontEnd:
             self.incomplete += not complete
         if watch is not None:
             watch.decided(self, rows, expectation, decisions)
+        if self.hindsight is not None and expectation is not None:
+            self.hindsight.judge(expectation, decisions)
         # an estimator that forms no innovations of its own: before the update, as an expectation ends with it
         own = None
         if expectation is not None and not isinstance(self.estimator, Filter):
@@ -192,6 +198,8 @@ class FrontEnd:
         done = self.update(sightings, decisions, rows)
         if own is not None:
             done = done._replace(nis=own[0], dof=own[1], log_likelihood=own[2])
+        if self.hindsight is not None:
+            self.hindsight.see(rows.start, sightings.z, done, self.estimator.estimate().mean)
         return decisions, done
 
     def update(self, sightings: Sightings, decisions: IntArray, rows: slice) -> Updated:
@@ -222,14 +230,34 @@ class FrontEnd:
             self.largest = max(self.largest, slam.size)
         if self.upkeep is None:
             return
+        if self.hindsight is not None:
+            self._retract(self.hindsight.contradicted(self.k))
         leaving = self.upkeep.leaving(self.k)
         gone = np.concatenate([leaving.retracted, leaving.forgotten])
         if len(gone):
             self.estimator.remove(gone)
+            if self.hindsight is not None:
+                self.hindsight.leave(gone)
             for n in gone.tolist():
                 self._held.pop(self._label_of.pop(n, -1), None)
         if slam is not None and len(leaving.parked):
             slam.park(leaving.parked)
+
+    def close(self) -> None:
+        """The end of the log: what did not become certain is taken back."""
+        if self.hindsight is not None:
+            self._retract(self.hindsight.uncertain(self.k))
+
+    def events(self) -> tuple[Event, ...]:
+        """Decisions that were revised."""
+        return () if self.hindsight is None else tuple(self.hindsight.events)
+
+    def _retract(self, numbers: IntArray) -> None:
+        """Landmarks that hindsight takes back leave the map."""
+        if len(numbers):
+            assert self.upkeep is not None  # hindsight has one
+            self.estimator.remove(numbers)
+            self.upkeep.retract(self.k, numbers)
 
     def landmarks(self) -> MapState:
         """The map as it is now, parked landmarks included; a given one has no covariance."""
@@ -262,6 +290,8 @@ class FrontEnd:
                 f"landmarks unseen for {s.deactivate_after:g} were parked: at most {self.largest} states were active, "
                 f"and landmarks were taken back {self.reactivated} times"
             )
+        if self.hindsight is not None:
+            told += self.hindsight.notes()
         if self.upkeep is not None and self.upkeep.removed:
             told.append(f"{len(self.upkeep.removed)} landmarks were removed from the map")
         return told

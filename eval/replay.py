@@ -9,15 +9,16 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from association.decide import METHODS
+from association.decide import HINDSIGHT, METHODS
 from association.expectation import SingularInnovationError, gate_threshold
 from association.known import known_decisions
 from data.inputs import Inputs, IntArray
-from data.result import DISCARD, Failure, Finished, Innovations, Run, Trajectory, map_estimate
+from data.result import DISCARD, Failure, Finished, Innovations, Run, Trajectory, founders, map_estimate, revised
 from data.se2 import Array, BoolArray
 from ekf.filter import FilterDivergedError, FilterOptions
 from ekf.whole_run import FilterRun, run_filter
 from eval.frontend import FILTERS, FrontEnd, Watch, make_estimator
+from eval.hindsight_frontend import LocalizingFrontEnd
 from eval.setup import Setup
 from graph.batch import Start, smooth
 from graph.factors import UnderConstrained
@@ -96,7 +97,8 @@ def step_by_step(
     decisions, created = np.full(m, DISCARD, np.int64), np.full(m, -1, np.int64)
     failure: Failure | None = None
     begin = time.perf_counter()
-    front = FrontEnd(name, association, inputs, setup, options)
+    kind = LocalizingFrontEnd if association == HINDSIGHT and inputs.map is not None else FrontEnd
+    front = kind(name, association, inputs, setup, options)
     try:
         for k in range(n):
             front.move()
@@ -121,6 +123,8 @@ def step_by_step(
                 watch.updated(front, decisions, created)
             pose[k], covariance[k] = front.estimator.estimate()
             size[k] = front.size
+        if finish:
+            front.close()
         finished = front.estimator.finish() if finish else Finished(None, None)
     except (FilterDivergedError, UnderConstrained, SingularInnovationError) as stop:
         failure, finished = Failure("diverged", k, str(stop)), Finished(None, None)
@@ -131,7 +135,9 @@ def step_by_step(
         removed = front.upkeep.removal_frames(int(created.max(initial=-1)) + 1)
         retracted = np.isin(np.where(created >= 0, created, decisions), sorted(front.upkeep.retracted))
         final = np.where(retracted, DISCARD, decisions)
-    state = None if finished.map is None else map_estimate(finished.map, o.frame, decisions, created)
+    events = front.events()
+    final = revised(final, events)
+    state = None if finished.map is None else map_estimate(finished.map, o.frame, final, founders(final, created))
     formed = np.isfinite(nis)
     innovations = Innovations(nis, dof, likelihood, white) if formed.any() else None
     total = finished.total_nis
@@ -140,6 +146,7 @@ def step_by_step(
     return Run(
         name, association, task, Trajectory(pose, covariance), finished.final, state, decisions, final, created,
         innovations, total, size if name in FILTERS else None, seconds, failure, tuple(front.notes()), removed,
+        events,
     )  # fmt: skip
 
 
@@ -162,7 +169,7 @@ def batch(name: str, inputs: Inputs, front: Run) -> Run:
         return _failed(name, front, Failure("incomplete", 0, why), len(inputs), 0.0)
     begin = time.perf_counter()
     # what was retracted has no landmark; what a filter merely forgot is smoothed like all others
-    founded = np.where(front.final_decisions == DISCARD, -1, front.created)
+    founded = founders(front.final_decisions, front.created)
     start = Start(front.online.pose, _places(inputs, front, founded))
     final, told = front.final_decisions, [f"decisions made by {front.estimator}"]
     try:

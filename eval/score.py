@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from data.log import Log
-from data.result import DISCARD, Run
+from data.result import DISCARD, Run, founders
 from eval import consistency, errors
 from eval.confusion import WITHIN, Confusion, confuse, share_within
 
@@ -117,7 +117,7 @@ def confusion_of(run: Run, log: Log, phase: str) -> Confusion | None:
     known = log.recorded.map if run.task == "localization" else None
     decisions = run.decisions if phase == "online" else run.final_decisions
     # in the end a landmark that was retracted has never been
-    created = run.created if phase == "online" else np.where(decisions == DISCARD, -1, run.created)
+    created = run.created if phase == "online" else founders(decisions, run.created)
     return confuse(log.recorded.observations.frame, log.truth.landmark_of, decisions, created, known, run.removed)
 
 

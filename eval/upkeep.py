@@ -76,6 +76,10 @@ class Upkeep:
             self._parked[parked] = True
         return Leaving(retracted, forgotten, parked)
 
+    def retract(self, frame: int, numbers: IntArray) -> None:
+        """Landmarks that leave after this frame for another reason, as if never seen."""
+        self._leave(frame, numbers)
+
     def _leave(self, frame: int, numbers: IntArray) -> None:
         self._gone[numbers] = True
         self.removed.update((n, frame) for n in numbers.tolist())

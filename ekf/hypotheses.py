@@ -1,0 +1,265 @@
+"""Several pose hypotheses in a known map, each with its own pairings: decisions that later observations may revise.
+
+Multiple hypothesis tracking (Reid, IEEE TAC 24(6), 1979; of poses: Jensfelt and Kristensen, IEEE TRA 17(5), 2001).
+Three states and a given map make the whole of it affordable: every compatible pairing is followed for as long as what
+comes after does not tell against it. In SLAM each hypothesis would need a map of its own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from association.expectation import gate_threshold
+from data import se2
+from data.inputs import Increment, IntArray, LandmarkMap, Prior, Sightings
+from data.result import DISCARD, PoseEstimate
+from data.se2 import Array
+from data.sensors import RANGE_BEARING, Sensor
+from ekf import kernels, updates
+from ekf.filter import DEFAULT, FilterDivergedError, FilterOptions
+
+GATE = 0.9999
+"""Chi-square probability of a single pairing; wide, because a wrong one is outweighed later and a missed one is not."""
+LIMIT = 100
+"""Hypotheses kept."""
+DROP = 15.0
+"""A hypothesis is dropped when its likelihood is exp(DROP) times less than the best one's."""
+MERGE = 1.0
+"""Hypotheses whose means differ by less than so many standard deviations in every state are one."""
+ALIKE = 5.0
+"""... if their variances are alike, within this factor."""
+STRAY = 0.01
+"""Expected number of observations in view, in a frame, that come from no landmark of the map."""
+
+
+BINS = 10
+"""Distances up to the sensor's reach, for each of which the probability of seeing a landmark in view is learned, ..."""
+FIRST = (1.0, 10.0)
+"""... beginning with so many seen of so many expected."""
+DEPENDENCE = 0.2
+"""A miss counts as this share of an independent one: what hides a landmark hides it for many frames."""
+SIGMAS = 2.0
+"""A landmark is well in view if so many standard deviations of its expectation are inside the limits, ..."""
+MARGIN = 0.1
+"""rad, ... and this angle."""
+
+
+class Choice(NamedTuple):
+    """One decision in a hypothesis's past: row of the log, landmark id or `DISCARD`, and what came before."""
+
+    row: int
+    number: int
+    before: Choice | None
+
+
+@dataclass
+class Hypothesis:
+    """A pose (3,), its covariance (3, 3), logarithm of its weight, its past, and what it did in the newest frame."""
+
+    mean: Array
+    P: Array
+    weight: float
+    past: Choice | None = None
+    taken: frozenset[int] = frozenset()
+    nis: float = 0.0
+
+
+class Standing(NamedTuple):
+    """A frame seen by the leading hypothesis.
+
+    decisions: (m,) landmark id or `DISCARD`; sure: (m,) weight of all hypotheses that decide so; nis, dof: of its
+    pairings.
+    """
+
+    decisions: IntArray
+    sure: Array
+    nis: float
+    dof: int
+
+
+class Hypotheses:
+    """A bank of localizers that begins with one and branches wherever an observation may be of several landmarks."""
+
+    def __init__(
+        self, prior: Prior, sensor: Sensor, known: LandmarkMap, options: FilterOptions = DEFAULT, limit: int = LIMIT
+    ) -> None:
+        """Start at the prior with a map taken as exact; updates are applied as `options` say."""
+        self.sensor, self.map, self.limit = sensor, known, limit
+        self._rule, self._extrinsic = options.rule, sensor.extrinsic
+        self._xy = np.array(known.xy)
+        # as far as the map reaches, where the sensor has no limit
+        self._reach = min(sensor.max_range, max(float(np.hypot(*np.ptp(known.xy, axis=0))), 1.0))
+        self._stray = math.log(STRAY / _view_area(sensor, self._reach))
+        self._seen, self._expected = np.full(BINS, FIRST[0]), np.full(BINS, FIRST[1])
+        self._at = np.full(len(self._xy), -1, np.int64)
+        self._gate = gate_threshold(GATE)
+        self.members = [Hypothesis(prior.mean.copy(), prior.covariance.copy(), 0.0)]
+
+    def predict(self, increment: Increment) -> None:
+        """Move all by an increment."""
+        for h in self.members:
+            kernels.predict(h.mean, h.P, 3, increment.mean, increment.covariance, kernels.NEWEST)
+
+    def observe(self, sightings: Sightings, first_row: int) -> Standing:
+        """Branch over the observations of a frame, which are the rows of the log from `first_row` on."""
+        for h in self.members:
+            h.taken, h.nis = frozenset(), 0.0
+        m = len(sightings.z)
+        for i in range(m):
+            children: list[Hypothesis] = []
+            for h in self.members:
+                children += self._branches(h, sightings.z[i : i + 1], sightings.R[i : i + 1], first_row + i)
+            self._keep(children)
+        self._miss()
+        chosen = np.array([_last(h.past, m) for h in self.members], np.int64).reshape(len(self.members), m)
+        share = np.exp([h.weight for h in self.members])
+        sure: Array = (share[:, None] * (chosen == chosen[0])).sum(axis=0)
+        return Standing(chosen[0], sure, self.members[0].nis, 2 * int((chosen[0] >= 0).sum()))
+
+    def _miss(self) -> None:
+        """Weigh each hypothesis by the landmarks that it expects well in view and that were not seen.
+
+        How often a landmark in view is seen is learned by distance, from all hypotheses by their weight.
+        """
+        log_miss = DEPENDENCE * np.log1p(-self._seen / self._expected)
+        for h in self.members:
+            z_hat, HPHt = self._expect(h)
+            sigma = SIGMAS * np.sqrt(HPHt[:, [0, 1], [0, 1]])
+            inside = np.flatnonzero(
+                self.sensor.in_view(z_hat, margin_range=-sigma[:, 0], margin_angle=self._edge(sigma))
+            )
+            distance = self.sensor.polar(z_hat[inside])[:, 0]
+            part = np.minimum((distance / self._reach * BINS).astype(np.int64), BINS - 1)
+            taken = np.isin(self.map.id[inside], list(h.taken))
+            share = math.exp(h.weight)
+            np.add.at(self._expected, part, share)
+            np.add.at(self._seen, part[taken], share)
+            h.weight += float(log_miss[part[~taken]].sum())
+        _normalize(self.members)
+
+    def _edge(self, sigma: Array) -> Array | float:
+        """How far inside the limits of its view (n,) [rad] the sensor certainly sees a landmark; no limit, no edge."""
+        if self.sensor.max_angle - self.sensor.min_angle >= 2.0 * math.pi:
+            return 0.0
+        across = sigma[:, 1] if self.sensor.kind == RANGE_BEARING else sigma.max(axis=1)
+        return -across - MARGIN
+
+    def _expect(self, h: Hypothesis) -> tuple[Array, Array]:
+        """Expected measurements (n, 2) of all landmarks and their covariances (n, 2, 2)."""
+        n = len(self._xy)
+        z_hat, HPHt = np.empty((n, 2)), np.empty((n, 2, 2))
+        kernels.expect(
+            self.sensor.kind, self._extrinsic, h.mean, h.P, self._at, self._xy, z_hat, HPHt, kernels.NEWEST
+        )  # fmt: skip
+        return z_hat, HPHt
+
+    def _branches(self, h: Hypothesis, z: Array, R: Array, row: int) -> list[Hypothesis]:
+        """The hypothesis with its observation unpaired, and paired with each landmark in the gate that is free."""
+        z_hat, S = self._expect(h)
+        S += R[0]
+        nu = self.sensor.residual(z, z_hat)
+        det = S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] * S[:, 1, 0]
+        d2 = (S[:, 1, 1] * nu[:, 0] ** 2 - 2 * S[:, 0, 1] * nu[:, 0] * nu[:, 1] + S[:, 0, 0] * nu[:, 1] ** 2) / det
+        found = [
+            Hypothesis(h.mean, h.P, h.weight + self._stray, Choice(row, DISCARD, h.past), h.taken, h.nis)
+        ]  # fmt: skip
+        for j in np.flatnonzero(d2 < self._gate).tolist():
+            number = int(self.map.id[j])
+            if number in h.taken:
+                continue
+            mean, P, stats = h.mean.copy(), h.P.copy(), np.zeros(3)
+            status = updates.update(
+                self.sensor.kind, self._extrinsic, mean, P, 3, self._at[:1], self._xy[j : j + 1], z, R, np.inf,
+                np.ones(1, np.bool_), stats, np.empty((1, 2)), self._rule, kernels.NEWEST,
+            )  # fmt: skip
+            if status != kernels.OK:
+                raise FilterDivergedError(kernels.FAILURES[status])
+            past, taken = Choice(row, number, h.past), h.taken | {number}
+            found.append(Hypothesis(mean, P, h.weight + float(stats[1]), past, taken, h.nis + float(stats[0])))
+        return found
+
+    def _keep(self, children: list[Hypothesis]) -> None:
+        """The best of them, those in one place merged into the likelier; weights sum to one."""
+        children.sort(key=lambda h: -h.weight)
+        kept: list[Hypothesis] = []
+        for child in children:
+            if len(kept) == self.limit or child.weight < children[0].weight - DROP:
+                break
+            same = next((k for k in kept if _one(k, child)), None)
+            if same is None:
+                # an unpaired child shares its parent's arrays
+                kept.append(Hypothesis(
+                    child.mean.copy(), child.P.copy(), child.weight, child.past, child.taken, child.nis
+                ))  # fmt: skip
+            else:
+                same.weight = float(np.logaddexp(same.weight, child.weight))
+        _normalize(kept)
+        self.members = kept
+
+    def estimate(self) -> PoseEstimate:
+        """Mean and covariance of the whole mixture; of the one hypothesis where there is one."""
+        leader = self.members[0]
+        if len(self.members) == 1:
+            return PoseEstimate(leader.mean.copy(), leader.P.copy())
+        share = np.exp([h.weight for h in self.members])
+        away = np.array([se2.pose_error(h.mean, leader.mean) for h in self.members])
+        shift = share @ away
+        mean = leader.mean + shift
+        mean[2] = se2.wrap_angle(float(mean[2]))
+        spread = away - shift
+        P = np.einsum("h,hij->ij", share, np.array([h.P for h in self.members])) + (spread.T * share) @ spread
+        return PoseEstimate(mean, 0.5 * (P + P.T))
+
+    def begin_anew(self, mean: Array, covariance: Array) -> None:
+        """One hypothesis at another pose: the robot was found there. The leader's past stays its past."""
+        self.members = [Hypothesis(mean.copy(), covariance.copy(), 0.0, self.members[0].past)]
+
+    def decisions(self, rows: int) -> IntArray:
+        """All decisions (rows,) of the leading hypothesis, as it sees the past now."""
+        found = np.full(rows, DISCARD, np.int64)
+        node = self.members[0].past
+        while node is not None:
+            found[node.row] = node.number
+            node = node.before
+        return found
+
+
+def _normalize(members: list[Hypothesis]) -> None:
+    """Likeliest first, weights summing to one."""
+    members.sort(key=lambda h: -h.weight)
+    total = float(np.logaddexp.reduce([h.weight for h in members]))
+    for h in members:
+        h.weight -= total
+
+
+def _last(past: Choice | None, count: int) -> Sequence[int]:
+    """The newest `count` decisions, oldest first."""
+    found = []
+    for _ in range(count):
+        assert past is not None
+        found.append(past.number)
+        past = past.before
+    return found[::-1]
+
+
+def _one(a: Hypothesis, b: Hypothesis) -> bool:
+    """Whether two hypotheses are in one place (see `MERGE`, `ALIKE`)."""
+    for i in range(3):
+        v = a.P[i, i]
+        difference = b.mean[i] - a.mean[i]
+        if i == 2:
+            difference = se2.wrap_angle(float(difference))
+        if difference * difference > MERGE * MERGE * v or not v <= ALIKE * b.P[i, i] or not b.P[i, i] <= ALIKE * v:
+            return False
+    return True
+
+
+def _view_area(sensor: Sensor, reach: float) -> float:
+    """Area of the field of view in units of the measurement (m rad, or m^2)."""
+    angle = sensor.max_angle - sensor.min_angle
+    return reach * angle if sensor.kind == RANGE_BEARING else 0.5 * reach**2 * angle

@@ -1,0 +1,116 @@
+"""SLAM in hindsight: evidence for every landmark, and what is taken back when later frames contradict it.
+
+The poor man's multi-hypothesis tracking: one hypothesis is kept, and what it decided is decided again where the
+evidence turns against it. The work of a frame is bounded by the landmarks in view.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from association.evidence import ENOUGH, FOUNDED, Evidence, detection_rate, missing, overlooked, sighted, verdict
+from association.expectation import Expectation
+from association.hindsight import Alone, alone, pairs_of
+from data.inputs import IntArray
+from data.result import DISCARD, NEW, Event, Updated
+from data.se2 import Array
+from data.sensors import Sensor
+
+
+class Judged(NamedTuple):
+    """What a frame's expectation says about its pairings, to be taken before the update, which it does not survive.
+
+    rows (k,) of the paired observations, the landmarks' numbers (k,), their innovations given each other; the landmarks
+    (n,) that should have been seen and were not.
+    """
+
+    rows: IntArray
+    number: IntArray
+    alone: Alone
+    missing: IntArray
+
+
+class Hindsight:
+    """Evidence for the landmarks of one run, and the decisions that were taken back.
+
+    Attributes:
+        events: the revisions, in order.
+    """
+
+    def __init__(self, sensor: Sensor) -> None:
+        """Before the first frame."""
+        self.sensor = sensor
+        self.events: list[Event] = []
+        self._evidence: dict[int, Evidence] = {}
+        self._sightings: dict[int, list[tuple[int, int]]] = {}
+        """Of each landmark in the map: the observations that are taken for it, and the decision about each."""
+        self._touched: set[int] = set()
+        nobody = np.empty(0, np.int64)
+        self._judged = Judged(nobody, nobody, Alone(np.empty((0, 2)), np.empty((0, 2, 2))), nobody)
+        self._seen, self._missed = 0, 0
+        """Of certain landmarks."""
+
+    def judge(self, e: Expectation, decisions: IntArray) -> None:
+        """Note what the expectation of a frame says about the decisions (m,) made from it; `see` takes it in."""
+        rows, chosen = pairs_of(e, decisions)
+        absent = missing(e, decisions, self.sensor)
+        self._judged = Judged(rows, e.number[chosen], alone(e, rows, chosen), e.number[absent])
+
+    def see(self, first_row: int, z: Array, done: Updated, pose: Array) -> None:
+        """Take in what was judged, and done with the observations z (m, 2), rows `first_row`... of the log.
+
+        `pose` (3,) is where they were made, after the update.
+        """
+        judged = self._judged
+        for n in judged.missing.tolist():
+            self._count(n, 0)
+            self._evidence[n] = overlooked(self._evidence[n])
+            self._touched.add(n)
+        _, _, Gz = self.sensor.inverse(pose, z)
+        for q, (i, n) in enumerate(zip(judged.rows.tolist(), judged.number.tolist(), strict=True)):
+            self._count(n, 1)
+            self._evidence[n] = sighted(
+                self._evidence[n], judged.alone.innovation[q], judged.alone.information[q], Gz[i]
+            )
+            self._sightings[n].append((first_row + i, n))
+            self._touched.add(n)
+        for i in np.flatnonzero(done.created >= 0).tolist():
+            n = int(done.created[i])
+            self._evidence[n], self._sightings[n] = FOUNDED, [(first_row + i, NEW)]
+
+    def _count(self, number: int, seen: int) -> None:
+        """A certain landmark was seen or missed: together they tell how often a landmark in view is seen."""
+        if self._evidence[number].seen >= ENOUGH:
+            self._seen, self._missed = self._seen + seen, self._missed + 1 - seen
+
+    def contradicted(self, frame: int) -> IntArray:
+        """Landmarks (r,) that the evidence of this frame speaks against; all decisions for them are taken back."""
+        rate = detection_rate(self._seen, self._missed)
+        found = {n: verdict(self._evidence[n], rate) for n in sorted(self._touched)}
+        self._touched.clear()
+        return self._retract(frame, {n: why for n, why in found.items() if why})
+
+    def uncertain(self, frame: int) -> IntArray:
+        """Landmarks (r,) that were never seen often enough to be certain; at the end of a run they are taken back."""
+        few = [n for n, e in sorted(self._evidence.items()) if e.seen < ENOUGH]
+        return self._retract(frame, dict.fromkeys(few, "uncertain"))
+
+    def leave(self, numbers: IntArray) -> None:
+        """Landmarks left the map for another reason: nothing more is decided about them."""
+        for n in numbers.tolist():
+            del self._evidence[n], self._sightings[n]
+
+    def _retract(self, frame: int, gone: dict[int, str]) -> IntArray:
+        for n, why in gone.items():
+            self.events += [Event(frame, row, old, DISCARD, why) for row, old in self._sightings.pop(n)]
+            del self._evidence[n]
+        return np.array(list(gone), np.int64)
+
+    def notes(self) -> list[str]:
+        """What a reader of the results should know."""
+        if not self.events:
+            return []
+        undone = sum(e.old >= 0 for e in self.events)
+        return [f"{undone} pairings were undone in hindsight, {sum(e.new >= 0 for e in self.events)} made instead"]

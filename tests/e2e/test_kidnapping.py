@@ -1,0 +1,171 @@
+"""A robot moved unseen: the monitor notices, the map tells where it is, and the filter goes on from there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from association.decide import decide
+from data import se2
+from data.arena import Arena, simulate
+from data.inputs import Observations
+from data.result import revised
+from ekf.filter import DEFAULT
+from ekf.localizer import EkfLocalizer
+from eval.hindsight_frontend import LocalizingFrontEnd
+from eval.setup import Setup
+
+AT = 40
+WITHIN = chi2.ppf(0.9973, 3)
+
+
+def kidnapped(seed, frames=60, distance=5.0):
+    """Inputs of an arena in which the robot is moved and turned by somebody before frame `AT`, true poses and ids."""
+    arena = Arena(frames=frames)
+    log = simulate(arena, seed)
+    rng = np.random.default_rng([seed, 1])
+    truth, way = log.truth.pose.copy(), rng.uniform(-np.pi, np.pi)
+    there = truth[AT] + [distance * np.cos(way), distance * np.sin(way), rng.uniform(-np.pi, np.pi)]
+    truth[AT:] = se2.compose(se2.compose(there, se2.inverse(truth[AT])), truth[AT:])
+    sensor, xy = log.recorded.sensor, log.recorded.map.xy
+    frame, z, who = [], [], []
+    for k, pose in enumerate(truth):
+        exact = sensor.predict(pose, xy)
+        seen = np.flatnonzero(sensor.in_view(exact) & (exact[:, 0] > arena.min_range))
+        reading = exact[seen] + np.array(arena.sigma()) * rng.standard_normal((len(seen), 2))
+        reading[:, 1] = se2.wrap_angle(reading[:, 1])
+        frame, z, who = [*frame, *[k] * len(seen)], [*z, reading], [*who, *seen]
+    R = np.tile(np.diag(np.square(arena.sigma())), (len(frame), 1, 1))
+    return replace(log.recorded, observations=Observations(np.array(frame), np.concatenate(z), R)), truth, np.array(who)
+
+
+def replay(inputs, estimator="ekf"):
+    """The front end at the end, poses (N, 3), covariances (N, 3, 3), online and final decisions (M,)."""
+    front = LocalizingFrontEnd(estimator, "jcbb-hindsight", inputs, Setup())
+    pose, covariance = np.empty((len(inputs), 3)), np.empty((len(inputs), 3, 3))
+    decisions = np.full(len(inputs.observations.frame), -2)
+    for k in range(len(inputs)):
+        front.move()
+        rows = slice(int(inputs.start[k]), int(inputs.start[k + 1]))
+        if rows.stop > rows.start:
+            decided, done = front.associate(rows)
+            decisions[rows] = np.where(done.used, decided, -2)
+        front.tidy()
+        pose[k], covariance[k] = front.estimator.estimate()
+    front.close()
+    return front, pose, covariance, decisions, revised(decisions, front.events())
+
+
+def back_after(inputs, truth, pose, covariance):
+    """Scans of three landmarks or more from the kidnapping until the pose was within 3 sigma; None: never.
+
+    A wide covariance is not counted as being back: the position must be right to half a metre, too.
+    """
+    scans = 0
+    for k in range(AT, len(truth)):
+        scans += inputs.start[k + 1] - inputs.start[k] >= 3
+        error = se2.pose_error(pose[k], truth[k])
+        if error @ np.linalg.solve(covariance[k], error) < WITHIN and np.hypot(*error[:2]) < 0.5:
+            return scans
+    return None
+
+
+def outcome(seed):
+    """Whether the robot was back in time (None: it never saw three landmarks thrice), and false alarms before."""
+    inputs, truth, _ = kidnapped(seed)
+    front, pose, covariance, *_ = replay(inputs)
+    back = back_after(inputs, truth, pose, covariance)
+    enough = (np.diff(inputs.start)[AT:] >= 3).sum() >= 3
+    false = sum(k < AT for k in front.localizer.alarms)
+    return (back is not None and back <= 3) if enough or back is not None else None, false
+
+
+def test_a_kidnapped_robot_is_back_after_three_scans():
+    found = [outcome(seed) for seed in range(6)]
+    assert sum(ok is False for ok, _ in found) == 0
+    assert sum(false for _, false in found) == 0
+
+
+@pytest.mark.slow
+def test_two_hundred_kidnapped_robots():
+    found = [outcome(seed) for seed in range(200)]
+    answered = [ok for ok, _ in found if ok is not None]
+    assert len(answered) >= 180
+    assert np.mean(answered) >= 0.95
+    assert sum(false for _, false in found) <= 1  # in 8000 healthy frames
+
+
+def test_a_textbook_filter_does_not_come_back():
+    inputs, truth, _ = kidnapped(0)
+    front, pose, *_ = replay(inputs)
+    plain = EkfLocalizer(inputs.prior, inputs.sensor, inputs.map)
+    assert np.hypot(*(pose[-1] - truth[-1])[:2]) < 0.2
+    for k in range(len(inputs)):
+        if k:
+            plain.predict(inputs.increment(k))
+        seen = inputs.sightings(k)
+        plain.update(seen, decide("jcbb", plain.expect(seen), 0.99, None, known_map=True).decisions)
+    assert np.hypot(*(plain.estimate().mean - truth[-1])[:2]) > 2.0
+    assert front.localizer.found
+
+
+def test_decisions_made_while_it_was_lost_are_revised():
+    for seed in range(1, 4):
+        inputs, _, who = kidnapped(seed)
+        front, _, _, online, final = replay(inputs)
+        assert (final == who).mean() > 0.97
+        # three landmarks a frame: it takes two frames to be sure, and the first of them is decided then
+        assert (final == who).sum() > (online == who).sum()
+        for event in front.events():
+            assert event.old != event.new
+            assert inputs.observations.frame[event.observation] < event.frame or event.why == "put off until the end"
+
+
+def test_without_a_kidnapping_labels_are_not_missed():
+    inputs, truth = (log := simulate(Arena(frames=100), 3)).recorded, log.truth
+    front, pose, _, online, _ = replay(inputs)
+    assert not front.localizer.alarms
+    assert (online == truth.landmark_of).mean() > 0.995
+    labelled = EkfLocalizer(inputs.prior, inputs.sensor, inputs.map, DEFAULT)
+    for k in range(len(inputs)):
+        if k:
+            labelled.predict(inputs.increment(k))
+        rows = slice(inputs.start[k], inputs.start[k + 1])
+        labelled.update(inputs.sightings(k), truth.landmark_of[rows])
+    assert np.hypot(*(pose[-1] - labelled.estimate().mean)[:2]) < 0.05
+
+
+def test_a_smoother_is_begun_anew_where_the_robot_is_found():
+    inputs, truth, who = kidnapped(1, frames=55)
+    front, pose, _, _, final = replay(inputs, "isam2")
+    assert np.hypot(*(pose[-1] - truth[-1])[:2]) < 0.2
+    path = front.estimator.finish().final
+    assert path.pose.shape == (55, 3)
+    found = front.localizer.found[0]
+    away = np.hypot(*(path.pose - truth)[:, :2].T)
+    assert away[: AT - 1].max() < 0.2
+    assert away[found:].max() < 0.2
+    assert (final == who).mean() > 0.97
+
+
+def test_a_filter_that_is_reset_believes_only_that():
+    for options in (DEFAULT, replace(DEFAULT, first_estimates=True)):
+        inputs, _, _ = kidnapped(0)
+        anew, fresh = (EkfLocalizer(inputs.prior, inputs.sensor, inputs.map, options) for _ in range(2))
+        for k in range(5):
+            anew.predict(inputs.increment(k + 1))
+            anew.update(inputs.sightings(k), np.full(len(inputs.sightings(k).z), -2))
+        mean, P = np.array([3.0, -1.0, 2.0]), np.diag([0.04, 0.01, 0.02])
+        expectation = anew.expect(inputs.sightings(5))
+        anew.reset(mean, P)
+        with pytest.raises(RuntimeError, match="moved on"):
+            expectation.joint(np.arange(2))
+        fresh = EkfLocalizer(replace(inputs.prior, mean=mean, covariance=P), inputs.sensor, inputs.map, options)
+        for f in (anew, fresh):
+            f.update(inputs.sightings(5), np.full(len(inputs.sightings(5).z), -2))
+            f.predict(inputs.increment(6))
+        assert np.array_equal(anew.mean, fresh.mean)
+        assert np.array_equal(anew.covariance, fresh.covariance)

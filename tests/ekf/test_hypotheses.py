@@ -1,0 +1,156 @@
+"""Several pose hypotheses in a known map: weights, revision, merging."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from data import se2
+from data.inputs import Increment, LandmarkMap, Prior, Sightings
+from data.result import DISCARD
+from data.sensors import RangeBearing, RelativePoint
+from ekf.hypotheses import DROP, STRAY, Hypotheses
+from ekf.localizer import EkfLocalizer
+
+SENSOR = RelativePoint(max_range=20.0)
+R = np.diag([0.1, 0.1]) ** 2
+STILL = Increment(np.zeros(3), 0.01 * np.eye(3))
+
+
+def one(x, y):
+    return Sightings(np.array([[x, y]], float), R[None])
+
+
+def bank(xy, sigma=(1.0, 1.0, 0.01), sensor=SENSOR):
+    known = LandmarkMap(np.arange(len(xy)) + 10, np.array(xy, float))
+    return Hypotheses(Prior(np.zeros(3), np.diag(np.square(sigma))), sensor, known), known
+
+
+def test_weights_are_the_posterior_of_all_pairings():
+    xy = [[5.0, 0.0], [6.5, 0.0], [5.0, 3.0]]
+    b, known = bank(xy, sigma=(0.6, 0.6, 1e-6))
+    b._seen[:] = 0.0  # a miss says nothing here
+    z = np.array([[5.6, 0.1], [5.4, 2.9]])
+    b.observe(Sightings(z, np.array([R, R])), 0)
+    reach = max(float(np.hypot(*np.ptp(known.xy, axis=0))), 1.0)
+    stray = np.log(STRAY / (0.5 * reach**2 * 2 * np.pi))
+    weight = {}
+    for pair in itertools.product([-1, 0, 1, 2], repeat=2):
+        used = [(i, j) for i, j in enumerate(pair) if j >= 0]
+        if len({j for _, j in used}) < len(used):
+            continue
+        log = stray * (2 - len(used))
+        if used:
+            nu = np.concatenate([z[i] - known.xy[j] for i, j in used])
+            S = np.kron(np.ones((len(used),) * 2), 0.36 * np.eye(2)) + np.kron(np.eye(len(used)), R)
+            log += multivariate_normal.logpdf(nu, np.zeros(len(nu)), S)
+        weight[tuple(int(known.id[j]) if j >= 0 else DISCARD for j in pair)] = log
+    best = max(weight.values())
+    total = sum(np.exp(w - best) for w in weight.values())
+    for h in b.members:
+        assert h.past is not None
+        expected = weight[h.past.before.number, h.past.number] - best - np.log(total)
+        assert h.weight == pytest.approx(expected, abs=2e-3)
+    assert len(b.members) >= 2
+    assert sum(w > best - 5.0 for w in weight.values()) <= len(b.members)
+
+
+def test_one_hypothesis_is_the_localizer():
+    rng = np.random.default_rng(0)
+    sensor = RangeBearing(max_range=10.0)
+    known = LandmarkMap(np.arange(4), np.array([[5.0, 0.0], [0.0, 5.0], [-5.0, 0.0], [0.0, -5.0]]))
+    prior = Prior(np.zeros(3), 1e-4 * np.eye(3))
+    b, ekf = Hypotheses(prior, sensor, known), EkfLocalizer(prior, sensor, known)
+    step = Increment(np.array([0.1, 0.0, 0.05]), 1e-5 * np.eye(3))
+    pose = np.zeros(3)
+    for k in range(30):
+        b.predict(step)
+        ekf.predict(step)
+        pose = se2.compose(pose, step.mean)
+        z = sensor.predict(pose, known.xy[k % 4 : k % 4 + 1]) + 0.01 * rng.standard_normal((1, 2))
+        seen = Sightings(z, np.diag([1e-4, 1e-4])[None])
+        assert b.observe(seen, k).decisions.tolist() == [k % 4]
+        ekf.update(seen, np.array([k % 4]))
+        # others, in which a sighting was a stray, have next to no weight
+        leader = b.members[0]
+        assert leader.weight > -1e-3
+        assert np.array_equal(leader.mean, ekf.estimate().mean)
+        assert np.array_equal(leader.P, ekf.estimate().covariance)
+
+
+def test_a_wrong_pairing_is_revised_when_later_sightings_contradict_it():
+    # 0.9 m off: the first sighting is nearest to the wrong one of two landmarks; the third landmark tells
+    b, _ = bank([[5.0, 0.0], [6.6, 0.0], [0.0, 8.0]])
+    truth = np.array([0.9, 0.0])
+    first = b.observe(one(*(np.array([6.6, 0.0]) - truth)), 0)
+    assert first.decisions.tolist() == [10]
+    assert first.sure[0] < 0.9
+    b.predict(STILL)
+    second = b.observe(one(*(np.array([0.0, 8.0]) - truth)), 1)
+    assert second.decisions.tolist() == [12]
+    assert b.decisions(2).tolist() == [11, 12]
+    assert np.hypot(*(b.estimate().mean[:2] - truth)) < 0.3
+
+
+def test_the_mixture_has_mean_and_covariance_of_its_members():
+    b, _ = bank([[5.0, 0.0], [6.6, 0.0]])
+    b.observe(one(5.8, 0.0), 0)
+    w = np.exp([h.weight for h in b.members])
+    assert len(b.members) >= 2
+    assert w.sum() == pytest.approx(1.0)
+    rng = np.random.default_rng(0)
+    draws = np.concatenate([
+        rng.multivariate_normal(h.mean, h.P, int(400_000 * p)) for h, p in zip(b.members, w)
+    ])  # fmt: skip
+    mean, P = b.estimate()
+    assert np.allclose(mean, draws.mean(axis=0), atol=0.01)
+    assert np.allclose(P, np.cov(draws.T), atol=0.01)
+
+
+def test_a_landmark_is_taken_once_in_a_frame():
+    b, _ = bank([[5.0, 0.0]])
+    seen = b.observe(Sightings(np.array([[5.0, 0.0], [5.0, 0.05]]), np.array([R, R])), 0)
+    assert sorted(seen.decisions.tolist()) == [DISCARD, 10]
+
+
+def test_clutter_is_not_paired():
+    b, _ = bank([[5.0, 0.0]], sigma=(0.1, 0.1, 0.01))
+    assert b.observe(one(-3.0, 4.0), 0).decisions.tolist() == [DISCARD]
+
+
+def test_landmarks_that_should_have_been_seen_tell_against_a_hypothesis():
+    # seen alone, 4 m ahead: from the one place another landmark should be in view, from the other place two
+    sensor = RangeBearing(max_range=8.0, min_angle=-1.0, max_angle=1.0)
+    z = Sightings(np.array([[4.0, 0.0]]), np.diag([0.05, 0.02])[None] ** 2)
+    share = []
+    for seen in (0.0, 9.0):
+        b, _ = bank([[4.0, 0.0], [5.5, 0.0], [9.2, 0.0]], sigma=(0.8, 0.05, 0.01), sensor=sensor)
+        b._seen[:], b._expected[:] = seen, 10.0
+        for k in range(3):
+            b.observe(z, k)
+        share.append(sum(np.exp(h.weight) for h in b.members if h.past.number == 10))
+    never, often = share
+    assert often / (1.0 - often) > 2.0 * never / (1.0 - never)
+
+
+def test_the_number_of_hypotheses_is_bounded():
+    xy = np.random.default_rng(0).uniform(-10, 10, (60, 2))
+    known = LandmarkMap(np.arange(60), xy)
+    b = Hypotheses(Prior(np.zeros(3), np.diag([25.0, 25.0, 1.0])), SENSOR, known, limit=20)
+    for k in range(5):
+        b.predict(STILL)
+        b.observe(one(3.0, 0.1 * k), k)
+        assert 1 <= len(b.members) <= 20
+        assert b.members[-1].weight >= b.members[0].weight - DROP - 5.0
+
+
+def test_beginning_anew_keeps_the_past():
+    b, _ = bank([[5.0, 0.0]])
+    b.observe(one(5.0, 0.0), 0)
+    b.begin_anew(np.array([1.0, 2.0, 3.0]), np.eye(3))
+    assert len(b.members) == 1
+    assert b.estimate().mean.tolist() == [1.0, 2.0, 3.0]
+    assert b.decisions(1).tolist() == [10]
