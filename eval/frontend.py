@@ -16,10 +16,12 @@ from association.known import known_decisions, pair_by_label
 from data.errors import UsageError
 from data.inputs import Increment, Inputs, IntArray, LabelledObservations, Sightings
 from data.result import Event, Finished, MapState, PoseEstimate, Updated
+from data.se2 import Array
 from ekf.filter import DEFAULT, Filter, FilterOptions
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from eval.hindsight import Hindsight
+from eval.placing import Placing
 from eval.setup import Setup
 from eval.upkeep import Upkeep
 from graph.fixed_lag import FixedLagSmoother
@@ -45,8 +47,10 @@ class Estimator(Protocol):
         """What it expects to see."""
         ...
 
-    def update(self, sightings: Sightings, decisions: IntArray, *, threshold: float = np.inf) -> Updated:
-        """Use the pairings, found new landmarks."""
+    def update(
+        self, sightings: Sightings, decisions: IntArray, *, threshold: float = np.inf, at: Array | None = None
+    ) -> Updated:
+        """Use the pairings, found new landmarks; `at` (3,): where to linearize first, if not at the prediction."""
         ...
 
     def remove(self, numbers: IntArray) -> None:
@@ -112,6 +116,7 @@ class FrontEnd:
         self.slam = inputs.map is None
         kept = setup if self._filter is not None else replace(setup, forget_after=None, deactivate_after=None)
         self.hindsight = Hindsight(inputs.sensor) if self.slam and association == HINDSIGHT else None
+        self.placing = None if self.hindsight is None else Placing(inputs.sensor, setup)
         if self.hindsight is not None and options is not None and options.each:
             raise UsageError(f"{HINDSIGHT} judges the observations of a frame together; they cannot be used one by one")
         self.upkeep = Upkeep(kept, inputs.time) if self.slam and (kept.upkeep or self.hindsight) else None
@@ -144,6 +149,8 @@ class FrontEnd:
         if self.k > 0:
             self.estimator.predict(self.inputs.increment(self.k))
             self._drift.move(self.inputs.increment(self.k))
+            if self.placing is not None:
+                self.placing.move(self.inputs.increment(self.k))
 
     def expect(self, sightings: Sightings) -> Expectation:
         """What the estimator expects of its candidates: parked landmarks that may be in view are taken back first."""
@@ -180,34 +187,41 @@ class FrontEnd:
         """Decide about observations of this frame and use them; returns decisions (m,) and what was done."""
         o = self.inputs.observations
         sightings = Sightings(o.z[rows], o.R[rows])
-        expectation = None
+        expectation, placed = None, None
         if self.association == "known":
             decisions = self.pair_known(rows)
         else:
             expectation = self.expect(sightings)
-            decisions, complete = self.decide(expectation)
-            self.incomplete += not complete
+            if self.placing is not None:
+                placed = self.placing.find(expectation, self.estimator.estimate().mean)
+            if placed is not None:
+                expectation, decisions = placed.expectation, placed.decisions
+            else:
+                decisions, complete = self.decide(expectation)
+                self.incomplete += not complete
         if watch is not None:
             watch.decided(self, rows, expectation, decisions)
         if self.hindsight is not None and expectation is not None:
-            self.hindsight.judge(expectation, decisions)
+            self.hindsight.judge(expectation, decisions, None if placed is None else placed.believed)
         # an estimator that forms no innovations of its own: before the update, as an expectation ends with it
         own = None
         if expectation is not None and not isinstance(self.estimator, Filter):
             own = _statistics(expectation, decisions)
-        done = self.update(sightings, decisions, rows)
+        done = self.update(sightings, decisions, rows, None if placed is None else placed.pose)
         if own is not None:
             done = done._replace(nis=own[0], dof=own[1], log_likelihood=own[2])
-        if self.hindsight is not None:
-            self.hindsight.see(rows.start, sightings.z, done, self.estimator.estimate().mean)
+        if self.hindsight is not None and self.placing is not None:
+            pose = self.estimator.estimate().mean
+            self.hindsight.see(rows.start, sightings.z, done, pose)
+            self.placing.see(pose, bool(done.used.any()))
         return decisions, done
 
-    def update(self, sightings: Sightings, decisions: IntArray, rows: slice) -> Updated:
-        """Use the decisions about the observations `rows` of the log."""
+    def update(self, sightings: Sightings, decisions: IntArray, rows: slice, at: Array | None = None) -> Updated:
+        """Use the decisions about the observations `rows` of the log; `at`: where the frame was placed, if it was."""
         slam = self._filter
         if slam is not None and len(slam.parked):
             self._wake(np.intersect1d(decisions, slam.parked))
-        done = self.estimator.update(sightings, decisions, threshold=self._threshold)
+        done = self.estimator.update(sightings, decisions, threshold=self._threshold, at=at)
         if self.slam:
             founded = np.flatnonzero(done.created >= 0)
             if self._label is not None:

@@ -52,11 +52,14 @@ class Hindsight:
         self._seen, self._missed = 0, 0
         """Of certain landmarks."""
 
-    def judge(self, e: Expectation, decisions: IntArray) -> None:
-        """Note what the expectation of a frame says about the decisions (m,) made from it; `see` takes it in."""
+    def judge(self, e: Expectation, decisions: IntArray, believed: Expectation | None = None) -> None:
+        """Note what the expectation of a frame says about the decisions (m,) made from it; `see` takes it in.
+
+        `believed`: what is expected once the pairings are believed, where the prediction alone tells too little.
+        """
         rows, chosen = pairs_of(e, decisions)
-        absent = missing(e, decisions, self.sensor)
-        self._judged = Judged(rows, e.number[chosen], alone(e, rows, chosen), e.number[absent])
+        absent = missing(believed or e, decisions, self.sensor)
+        self._judged = Judged(rows, e.number[chosen], alone(e, rows, chosen), (believed or e).number[absent])
 
     def see(self, first_row: int, z: Array, done: Updated, pose: Array) -> None:
         """Take in what was judged, and done with the observations z (m, 2), rows `first_row`... of the log.

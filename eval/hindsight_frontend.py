@@ -46,9 +46,11 @@ class Stretches:
         """What the present smoother expects to see."""
         return self._now.expect(sightings)
 
-    def update(self, sightings: Sightings, decisions: IntArray, *, threshold: float = math.inf) -> Updated:
+    def update(
+        self, sightings: Sightings, decisions: IntArray, *, threshold: float = math.inf, at: Array | None = None
+    ) -> Updated:
         """Use the pairings."""
-        return self._now.update(sightings, decisions, threshold=threshold)
+        return self._now.update(sightings, decisions, threshold=threshold, at=at)
 
     def remove(self, numbers: IntArray) -> None:
         """A known map does not change: asking for it is an error."""

@@ -139,10 +139,12 @@ class Isam2Smoother:
         J[:3, :3] += self._Q
         return J
 
-    def update(self, sightings: Sightings, decisions: IntArray, *, threshold: float = np.inf) -> Updated:
+    def update(
+        self, sightings: Sightings, decisions: IntArray, *, threshold: float = np.inf, at: Array | None = None
+    ) -> Updated:
         """Add all pairings below `threshold` and the new landmarks; in localization decisions are ids of the map.
 
-        An expectation is formed only where there is a gate; otherwise NIS and likelihood are NaN, dof 0.
+        The newest pose starts at the prediction, or `at` (3,) if that is known to be better. An expectation is formed only where there is a gate; otherwise NIS and likelihood are NaN, dof 0.
         """
         used = decisions >= 0
         if self.map is None:
@@ -161,6 +163,8 @@ class Isam2Smoother:
             self.created += len(fresh)
         take = np.flatnonzero(used | (created >= 0))
         if len(take):
+            if at is not None and self._pending:
+                self._mean = self._path[-1] = at.copy()
             self._extend(Sightings(sightings.z[take], sightings.R[take]), np.where(used, decisions, created)[take])
         return Updated(used, created, nis, dof, likelihood)
 

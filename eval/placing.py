@@ -1,0 +1,51 @@
+"""Placing frames in SLAM: what `association.placement` needs to know of the frames before."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from association.expectation import Expectation
+from association.placement import Placed, drifted, place, too_uncertain
+from data.inputs import Increment
+from data.se2 import Array
+from data.sensors import Sensor
+from eval.setup import Setup
+
+REMEMBERED = 100
+"""Frames that tell what was in view before."""
+
+
+class Placing:
+    """How far the robot may have moved since the map was last paired with, and from where it was seen.
+
+    Attributes:
+        placed: frames whose pose was found by geometry.
+    """
+
+    def __init__(self, sensor: Sensor, setup: Setup) -> None:
+        """Before the first frame."""
+        self.sensor, self.setup = sensor, setup
+        self.placed = 0
+        self._motion = np.zeros((3, 3))
+        self._seen_from: deque[Array] = deque(maxlen=REMEMBERED)
+
+    def move(self, increment: Increment) -> None:
+        """The robot moved."""
+        self._motion = drifted(self._motion, increment)
+
+    def find(self, e: Expectation, predicted: Array) -> Placed | None:
+        """The pose of a frame by geometry; None where the prediction is good enough, or the map does not give one."""
+        if e.elsewhere is None or not too_uncertain(e, self.sensor, self._motion):
+            return None
+        s = self.setup
+        found = place(e, self.sensor, predicted, self._motion, self._seen_from, s.gate, s.new_gate)
+        self.placed += found is not None
+        return found
+
+    def see(self, pose: Array, paired: bool) -> None:
+        """A frame was used; `pose` (3,) is where it was seen from, `paired`: with landmarks of the map."""
+        self._seen_from.append(pose)
+        if paired or len(self._seen_from) == 1:
+            self._motion = np.zeros((3, 3))
