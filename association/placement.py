@@ -39,8 +39,6 @@ SIGMAS = 3.0
 """Distances agree within so many standard deviations."""
 ALLOWED = 0.9999
 """Chi-square probability (3 dof) of the motion inside which poses are looked for: the likelihood decides, not this."""
-CONTRADICTION = math.log(100.0)
-"""What it costs in log-likelihood that a landmark well in view is not seen, or a point that was well in view before."""
 LIMIT = 12
 """Different pairings that may be verified in a frame, ..."""
 SLACK = 0.5
@@ -49,17 +47,31 @@ KEPT = 20_000
 """Poses that a frame may give."""
 
 
+class Memory(NamedTuple):
+    """What the frames before tell.
+
+    seen_from: poses (3,) from which the map was seen; rate: (n,) with which each candidate is seen where it is well in
+    view; strays: share of what is seen, where the map was seen before, that is no landmark of it.
+    """
+
+    seen_from: Sequence[Array]
+    rate: Array
+    strays: float
+
+
 class Placed(NamedTuple):
     """A frame with its pose found.
 
     pose: (3,) in the world; expectation: linearized there; believed: the same once the pairings are believed;
-    decisions: (m,) as of `association.hindsight`; score: log-likelihood, see `place`.
+    decisions: (m,) as of `association.hindsight`; sudden: how many of the unpaired should have been seen before;
+    score: log-likelihood, see `place`.
     """
 
     pose: Array
     expectation: Expectation
     believed: Expectation
     decisions: IntArray
+    sudden: int
     score: float
 
 
@@ -92,36 +104,36 @@ def place(
     sensor: Sensor,
     predicted: Array,
     motion: Array,
-    seen_from: Sequence[Array],
+    memory: Memory,
     gate: float | None,
     new_gate: float | None,
 ) -> Placed | None:
     """The pose at which a frame is to be decided about, with its decisions; None if the map does not give one.
 
-    The score of a pose is -d^2 / 2 of the motion to it, less `CONTRADICTION` for every landmark that should have been
-    seen and for every unpaired observation that should have been seen before. Pairings must hold, jointly and each
-    given the others; their number and how well they fit are worth nothing more: where a world repeats itself that is
-    luck.
+    The score of a pose is -d^2 / 2 of the motion to it, and the logarithms of the probabilities that landmarks which
+    should have been seen were missed, and that unpaired observations which should have been seen before are strays.
+    Pairings must hold, jointly and each given the others; their number and how well they fit are worth nothing more:
+    where a world repeats itself that is luck.
 
     Args:
         e: expectation at the predicted pose, with `elsewhere`.
         sensor: of the observations.
         predicted: (3,) pose in the world.
         motion: (3, 3) its covariance relative to what is mapped, in the predicted body frame.
-        seen_from: poses (3,) from which the map was seen.
+        memory: of the frames before.
         gate: chi-square probability of a pairing given the others of its frame.
         new_gate: the one outside which an unpaired observation founds a landmark.
     """
     near = _near(e, sensor, motion)
     if min(len(near), len(e.z)) < FEWEST:
         return None
-    e = e.only(near)
+    e, memory = e.only(near), memory._replace(rate=memory.rate[near])
     outer = gate if gate is None or new_gate is None else max(gate, new_gate)
     best: Placed | None = None
     for d2, choice in sorted(_candidates(e, sensor, motion), key=lambda c: c[0]):
         if best is not None and best.score > SLACK - 0.5 * d2:
             break
-        found = _verified(e, sensor, predicted, motion, choice, seen_from, outer)
+        found = _verified(e, sensor, predicted, motion, choice, memory, outer)
         if found is not None and (best is None or found.score > best.score):
             best = found
     if best is None:
@@ -185,7 +197,7 @@ def _verified(
     predicted: Array,
     motion: Array,
     choice: IntArray,
-    seen_from: Sequence[Array],
+    memory: Memory,
     gate: float | None,
 ) -> Placed | None:
     """The place that a pairing (m,) leads to, its decisions those of all pairings; None if they do not hold."""
@@ -208,12 +220,13 @@ def _verified(
     if nis >= gate_threshold(gate, dof):
         return None
     believed = given(here, decisions, every)
-    absent = int(missing(believed, decisions, sensor).sum())
+    absent = missing(believed, decisions, sensor)
     stray = decisions == NEW
-    sudden = _in_view_before(sensor, pose, xy[stray], R[stray], seen_from)
+    sudden = _in_view_before(sensor, pose, xy[stray], R[stray], memory.seen_from)
     off = se2.between(predicted, pose)
-    score = -0.5 * float(off @ np.linalg.solve(motion, off)) - CONTRADICTION * (absent + sudden)
-    return Placed(pose, here, believed, decisions, score)
+    score = -0.5 * float(off @ np.linalg.solve(motion, off))
+    score += float(np.log1p(-memory.rate[absent]).sum()) + sudden * math.log(memory.strays)
+    return Placed(pose, here, believed, decisions, sudden, score)
 
 
 def _more(believed: Expectation, decisions: IntArray, gate: float | None) -> IntArray:

@@ -192,8 +192,9 @@ class FrontEnd:
             decisions = self.pair_known(rows)
         else:
             expectation = self.expect(sightings)
-            if self.placing is not None:
-                placed = self.placing.find(expectation, self.estimator.estimate().mean)
+            if self.placing is not None and self.hindsight is not None:
+                mean, rate = self.estimator.estimate().mean, self.hindsight.rates(expectation.number)
+                placed = self.placing.find(expectation, mean, rate)
             if placed is not None:
                 expectation, decisions = placed.expectation, placed.decisions
             else:

@@ -100,6 +100,11 @@ class Hindsight:
         few = [n for n, e in sorted(self._evidence.items()) if e.seen < ENOUGH]
         return self._retract(frame, dict.fromkeys(few, "uncertain"))
 
+    def rates(self, numbers: IntArray) -> Array:
+        """With which rate (n,) landmarks of the map are seen where they are in view: the common one once certain."""
+        common, own = detection_rate(self._seen, self._missed), [self._evidence[n] for n in numbers.tolist()]
+        return np.array([common if e.seen >= ENOUGH else detection_rate(e.seen, e.missed) for e in own])
+
     def leave(self, numbers: IntArray) -> None:
         """Landmarks left the map for another reason: nothing more is decided about them."""
         for n in numbers.tolist():

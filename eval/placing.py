@@ -6,8 +6,9 @@ from collections import deque
 
 import numpy as np
 
+from association.evidence import detection_rate
 from association.expectation import Expectation
-from association.placement import Placed, drifted, place, too_uncertain
+from association.placement import Memory, Placed, drifted, place, too_uncertain
 from data.inputs import Increment
 from data.se2 import Array
 from data.sensors import Sensor
@@ -29,19 +30,29 @@ class Placing:
         self.sensor, self.setup = sensor, setup
         self.placed = 0
         self._motion = np.zeros((3, 3))
+        self._explained = (0, 0)
+        """Observations where the map had been seen before: paired, and strays."""
         self._seen_from: deque[Array] = deque(maxlen=REMEMBERED)
 
     def move(self, increment: Increment) -> None:
         """The robot moved."""
         self._motion = drifted(self._motion, increment)
 
-    def find(self, e: Expectation, predicted: Array) -> Placed | None:
-        """The pose of a frame by geometry; None where the prediction is good enough, or the map does not give one."""
+    def find(self, e: Expectation, predicted: Array, rate: Array) -> Placed | None:
+        """The pose of a frame by geometry; None where the prediction is good enough, or the map does not give one.
+
+        `rate` (n,) with which each candidate is seen where it is well in view.
+        """
         if e.elsewhere is None or not too_uncertain(e, self.sensor, self._motion):
             return None
         s = self.setup
-        found = place(e, self.sensor, predicted, self._motion, self._seen_from, s.gate, s.new_gate)
-        self.placed += found is not None
+        strays = 1.0 - detection_rate(*self._explained)
+        memory = Memory(self._seen_from, rate, strays)
+        found = place(e, self.sensor, predicted, self._motion, memory, s.gate, s.new_gate)
+        if found is not None:
+            self.placed += 1
+            paired, sudden = self._explained
+            self._explained = paired + int((found.decisions >= 0).sum()), sudden + found.sudden
         return found
 
     def see(self, pose: Array, paired: bool) -> None:
