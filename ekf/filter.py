@@ -102,7 +102,7 @@ class Filter:
         return self._P[: self.size, : self.size].copy()
 
     def _state_at(self, pose: Array) -> Array:
-        """The state, a copy, with this pose (3,), its heading not wrapped: differences to the mean are taken as they are.
+        """A copy of the state with this pose (3,), its heading not wrapped: differences to the mean are as they are.
 
         Raises ValueError for a filter with first estimates, which are where it linearizes.
         """

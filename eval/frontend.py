@@ -24,6 +24,7 @@ from eval.hindsight import Hindsight
 from eval.placing import Placing
 from eval.setup import Setup
 from eval.upkeep import Upkeep
+from eval.watch import Watch
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
 
@@ -66,22 +67,6 @@ class Estimator(Protocol):
         ...
 
 
-class Watch(Protocol):
-    """Somebody who looks on while a log is replayed, frame by frame, and changes nothing."""
-
-    def moved(self, front: FrontEnd) -> None:
-        """A frame begins; its observations were not looked at yet."""
-        ...
-
-    def decided(self, front: FrontEnd, rows: slice, expectation: Expectation | None, decisions: IntArray) -> None:
-        """Observations `rows` of the log were decided about, and not used yet; `known` needs no expectation."""
-        ...
-
-    def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
-        """A frame is over; decisions and founded landmarks (M,) are those of the whole log so far."""
-        ...
-
-
 def make_estimator(
     name: str, inputs: Inputs, options: FilterOptions | None = None, *, lag: float = Setup.lag
 ) -> Estimator:
@@ -116,13 +101,12 @@ class FrontEnd:
         self.slam = inputs.map is None
         kept = setup if self._filter is not None else replace(setup, forget_after=None, deactivate_after=None)
         self.hindsight = Hindsight(inputs.sensor) if self.slam and association == HINDSIGHT else None
-        self.placing = None if self.hindsight is None else Placing(inputs.sensor, setup)
+        self.placing = None if self.hindsight is None else Placing(inputs.sensor, setup, self.hindsight.rates)
         if self.hindsight is not None and options is not None and options.each:
             raise UsageError(f"{HINDSIGHT} judges the observations of a frame together; they cannot be used one by one")
         self.upkeep = Upkeep(kept, inputs.time) if self.slam and (kept.upkeep or self.hindsight) else None
         self.k = -1
-        self.incomplete = 0
-        self.reactivated = 0
+        self.incomplete, self.reactivated = 0, 0
         self._drift = Drift()
         self.largest = 0
         gated = association == "known" and (setup.gate_smoothers or estimator in FILTERS)
@@ -147,10 +131,11 @@ class FrontEnd:
         """The next frame; the first one has no motion."""
         self.k += 1
         if self.k > 0:
-            self.estimator.predict(self.inputs.increment(self.k))
-            self._drift.move(self.inputs.increment(self.k))
+            increment = self.inputs.increment(self.k)
+            self.estimator.predict(increment)
+            self._drift.move(increment)
             if self.placing is not None:
-                self.placing.move(self.inputs.increment(self.k))
+                self.placing.move(increment)
 
     def expect(self, sightings: Sightings) -> Expectation:
         """What the estimator expects of its candidates: parked landmarks that may be in view are taken back first."""
@@ -165,8 +150,7 @@ class FrontEnd:
         return e
 
     def _wake(self, numbers: IntArray) -> None:
-        slam = self._filter
-        if slam is not None and self.upkeep is not None and len(numbers):
+        if (slam := self._filter) is not None and self.upkeep is not None and len(numbers):
             slam.restore(numbers)
             self.upkeep.wake(self.k, numbers)
             self.reactivated += len(numbers)
@@ -187,19 +171,17 @@ class FrontEnd:
         """Decide about observations of this frame and use them; returns decisions (m,) and what was done."""
         o = self.inputs.observations
         sightings = Sightings(o.z[rows], o.R[rows])
-        expectation, placed = None, None
+        expectation = placed = None
         if self.association == "known":
             decisions = self.pair_known(rows)
         else:
             expectation = self.expect(sightings)
-            if self.placing is not None and self.hindsight is not None:
-                mean, rate = self.estimator.estimate().mean, self.hindsight.rates(expectation.number)
-                placed = self.placing.find(expectation, mean, rate)
+            if self.placing is not None:
+                placed = self.placing.find(expectation, self.estimator.estimate().mean)
             if placed is not None:
-                expectation, decisions = placed.expectation, placed.decisions
-            else:
-                decisions, complete = self.decide(expectation)
-                self.incomplete += not complete
+                expectation = placed.expectation
+            decisions, complete = self.decide(expectation) if placed is None else (placed.decisions, True)
+            self.incomplete += not complete
         if watch is not None:
             watch.decided(self, rows, expectation, decisions)
         if self.hindsight is not None and expectation is not None:
@@ -269,8 +251,7 @@ class FrontEnd:
 
     def _retract(self, numbers: IntArray) -> None:
         """Landmarks that hindsight takes back leave the map."""
-        if len(numbers):
-            assert self.upkeep is not None  # hindsight has one
+        if len(numbers) and self.upkeep is not None:  # hindsight has one
             self.estimator.remove(numbers)
             self.upkeep.retract(self.k, numbers)
 
@@ -305,8 +286,8 @@ class FrontEnd:
                 f"landmarks unseen for {s.deactivate_after:g} were parked: at most {self.largest} states were active, "
                 f"and landmarks were taken back {self.reactivated} times"
             )
-        if self.hindsight is not None:
-            told += self.hindsight.notes()
+        for part in (self.hindsight, self.placing):
+            told += [] if part is None else part.notes()
         if self.upkeep is not None and self.upkeep.removed:
             told.append(f"{len(self.upkeep.removed)} landmarks were removed from the map")
         return told

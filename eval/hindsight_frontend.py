@@ -20,9 +20,10 @@ from data.result import DISCARD, Event, Finished, PoseEstimate, Trajectory, Upda
 from data.se2 import Array
 from ekf.filter import Filter, FilterOptions
 from ekf.localizer import EkfLocalizer
-from eval.frontend import Estimator, FrontEnd, Watch, make_estimator
+from eval.frontend import Estimator, FrontEnd, make_estimator
 from eval.hindsight_localizer import MAYBE, HindsightLocalizer
 from eval.setup import Setup
+from eval.watch import Watch
 
 CERTAIN = 0.9
 """A smoother gets a decision that at least this share of the hypotheses agree on, by weight."""

@@ -144,7 +144,8 @@ class Isam2Smoother:
     ) -> Updated:
         """Add all pairings below `threshold` and the new landmarks; in localization decisions are ids of the map.
 
-        The newest pose starts at the prediction, or `at` (3,) if that is known to be better. An expectation is formed only where there is a gate; otherwise NIS and likelihood are NaN, dof 0.
+        The newest pose starts at the prediction, or `at` (3,) if that is known to be better.
+        An expectation is formed only where there is a gate; otherwise NIS and likelihood are NaN, dof 0.
         """
         used = decisions >= 0
         if self.map is None:
