@@ -160,7 +160,7 @@ def _verified(
             return None
         pose = rigid_fit(xy[rows], landmarks[chosen])
         here = e.elsewhere(pose)
-        decisions = prune(here, decisions, gate)
+        decisions = _clear(given(here, prune(here, decisions, gate), every), decisions, gate)
         decisions = prune(here, _more(given(here, decisions, every), decisions, gate), gate)
     rows, chosen = pairs_of(e, decisions)
     if len(rows) < FEWEST:
@@ -176,6 +176,18 @@ def _verified(
     score = -0.5 * float(off @ np.linalg.solve(motion, off))
     score += float(np.log1p(-memory.rate[absent]).sum()) + sudden * math.log(memory.strays)
     return Placed(pose, here, believed, decisions, sudden, score)
+
+
+def _clear(believed: Expectation, decisions: IntArray, gate: float | None) -> IntArray:
+    """Those pairings whose observation and whose landmark have no other in the gate, given all; all if these are few."""
+    near = believed.individual_distances() < gate_threshold(gate)
+    rows, chosen = pairs_of(believed, decisions)
+    clear = (near[rows].sum(axis=1) == 1) & (near[:, chosen].sum(axis=0) == 1) & near[rows, chosen]
+    if clear.sum() < FEWEST:
+        return decisions
+    left = np.full(len(decisions), NEW, np.int64)
+    left[rows[clear]] = decisions[rows[clear]]
+    return left
 
 
 def _more(believed: Expectation, decisions: IntArray, gate: float | None) -> IntArray:
