@@ -179,7 +179,7 @@ def _verified(
 
 
 def _clear(believed: Expectation, decisions: IntArray, gate: float | None) -> IntArray:
-    """Those pairings whose observation and whose landmark have no other in the gate, given all; all if these are few."""
+    """Those pairings of which neither side has another one in the gate, given all; all of them if these are few."""
     near = believed.individual_distances() < gate_threshold(gate)
     rows, chosen = pairs_of(believed, decisions)
     clear = (near[rows].sum(axis=1) == 1) & (near[:, chosen].sum(axis=0) == 1) & near[rows, chosen]

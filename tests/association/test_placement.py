@@ -122,9 +122,7 @@ def test_a_landmark_that_should_be_seen_and_is_not_speaks_against_a_pose():
 
 
 def test_a_point_that_should_have_been_seen_before_speaks_against_a_pose():
-    strange = np.array(
-        [[2.0, 0.1], [2.4, -0.1], [2.7, 0.2]]
-    )  # if the robot were at -1, they would be 2 m nearer
+    strange = np.array([[2.0, 0.1], [2.4, -0.1], [2.7, 0.2]])  # if the robot were at -1, they would be 2 m nearer
     points = np.concatenate([ROWS, strange])
     sightings, _ = look(AHEAD, np.array([1.0, 0.0, 0.0]), points, np.random.default_rng(2))
     filter_ = at_start(AHEAD, rows(-10, 15), BACK, NARROW)
@@ -136,6 +134,15 @@ def test_a_point_that_should_have_been_seen_before_speaks_against_a_pose():
     assert held.pose[0] == pytest.approx(1.0, abs=0.1)
     assert held.sudden == 0
     assert placed(filter_, sightings, [np.array([-3.5, 0.0, 0.0])], strays=0.9, motion=NARROW).sudden == 3
+
+
+def test_landmarks_that_stand_close_are_told_apart_by_all_pairings_together():
+    rng = np.random.default_rng(11)
+    xy = START[:2] + apart(rng, 12, 4.0)
+    known = LandmarkMap(np.arange(24), np.concatenate([xy, xy + [0.11, 0.0]]))
+    sensor, pose = RelativePoint(max_range=12.0), se2.compose(START, np.array([0.2, 0.0, 1.2]))
+    sightings, seen = look(sensor, pose, known.xy, rng)
+    assert (placed(at_start(sensor, known), sightings).decisions == seen).mean() > 0.95
 
 
 def test_every_landmark_is_given_to_one_observation():

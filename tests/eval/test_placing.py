@@ -1,5 +1,7 @@
 """SLAM without odometry or labels: frames placed by geometry, where a motion prior is all that is stated."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from gtsam.symbol_shorthand import L, X
@@ -96,12 +98,39 @@ def test_an_expectation_elsewhere_is_the_tangent_there_taken_to_the_mean(begun):
 def test_filter_and_smoother_expect_the_same_elsewhere(begun):
     pose = np.array([0.9, 0.1, -0.8])
     ekf, isam2, sightings = begun
-    a, b = (e.expect(sightings).elsewhere(pose) for e in (ekf, isam2))
-    a = a.only(np.searchsorted(a.number, b.number))
-    every = np.arange(len(b.number))
-    assert len(every) > 10
+    e = ekf.expect(sightings), isam2.expect(sightings)
+    some = e[1].number[2:9]
+    a, b = (each.only(np.searchsorted(each.number, some)).elsewhere(pose) for each in e)
+    every = np.arange(7)
+    assert np.array_equal(a.number, some)
     np.testing.assert_allclose(a.z_hat, b.z_hat, atol=1e-6)
     np.testing.assert_allclose(a.joint(every), b.joint(every), atol=1e-5)
+
+
+def test_a_smoother_begins_where_it_is_told_to(begun):
+    _, isam2, sightings = begun
+    labels = np.full(len(sightings.z), -2)
+    turn = 3.0  # what is seen of five landmarks, from a pose that Gauss-Newton does not find from the prediction
+    pose = np.array([0.6, 0.1, turn])
+    labels[:5] = [1, 3, 5, 7, 9]
+    xy = isam2.landmarks().xy[[1, 3, 5, 7, 9]]
+    z = sightings.z.copy()
+    z[:5] = isam2.sensor.predict(pose, xy)
+    isam2.update(Sightings(z, sightings.R), labels, at=pose)
+    assert np.abs(pose_error(isam2.estimate().mean, pose)).max() < 0.05
+
+
+def test_a_landmark_that_is_there_no_longer_is_missed_in_placed_frames(primed):
+    log = primed[0]
+    inputs, own = log.inputs(), log.truth.landmark_of
+    o = inputs.observations
+    times = np.flatnonzero(own == 3)  # seen in frames 0 to 4, and again in the end
+    gone = times[2:]
+    keep = ~np.isin(np.arange(len(own)), gone)
+    rest = replace(inputs, observations=replace(o, frame=o.frame[keep], z=o.z[keep], R=o.R[keep]))
+    (run,) = compare(rest, "slam", ["ekf-iterated"], METHOD)
+    missed = {e.observation for e in run.events if e.why == "missed"}
+    assert missed >= set((np.cumsum(keep) - 1)[times[:2]].tolist())
 
 
 def test_an_update_at_a_pose_is_one_gauss_newton_step_from_there(begun):
