@@ -66,17 +66,15 @@ class Isam2Smoother:
         """Start at the prior; with a map localize in it, without do SLAM. `loss` as in `graph.batch.smooth`."""
         self.prior, self.sensor, self.map, self.loss = prior, sensor, known, loss
         self.threshold, self.skip = threshold, skip
-        self.frame, self.created = 0, 0
+        self.frame, self.created, self._copies = 0, 0, 0
         self._mean, self._P = prior.mean.copy(), prior.covariance.copy()
         # the newest pose in the graph, and the motion since then
         self._anchor, self._anchor_pose = -1, self._mean
-        self._pending: list[Increment] = []
-        self._path: list[Array] = []
+        self._pending, self._path = list[Increment](), list[Array]()
         self._Q = np.zeros((3, 3))
         self._motion: list[Factor] = []
         self._sighted: list[Sighted] = []
         self._handles: dict[int, list[int]] = {}
-        self._copies = 0
         self._drift = Drift()
         low = np.linalg.eigvalsh(prior.covariance)
         self._engine = Engine(threshold, skip, qr=bool(low[0] < DELICATE < low[-1]), name=self._name)
@@ -144,8 +142,7 @@ class Isam2Smoother:
     ) -> Updated:
         """Add all pairings below `threshold` and the new landmarks; in localization decisions are ids of the map.
 
-        The newest pose starts at the prediction, or `at` (3,) if that is known to be better.
-        An expectation is formed only where there is a gate; otherwise NIS and likelihood are NaN, dof 0.
+        The newest pose starts at the prediction, or `at` (3,). NIS and likelihood are NaN, dof 0 without a threshold.
         """
         used = decisions >= 0
         if self.map is None:
@@ -175,11 +172,10 @@ class Isam2Smoother:
         """Take pairings with d^2 not below the threshold out of `used`; NIS, dof and log-likelihood of the others."""
         rows = np.flatnonzero(used)
         number, which = np.unique(decisions[rows], return_inverse=True)
-        xy = (
-            self._engine.points(number.tolist())
-            if self.map is None
-            else self.map.xy[np.searchsorted(self.map.id, number)]
-        )
+        if self.map is None:
+            xy = self._engine.points(number.tolist())
+        else:
+            xy = self.map.xy[np.searchsorted(self.map.id, number)]
         e = expected.form(self.sensor, self._mean, self._joint(number), number, xy, sightings)
         nu, R = self.sensor.residual(sightings.z[rows], e.z_hat[which]), sightings.R[rows]
         distance = np.einsum("mi,mi->m", nu, np.linalg.solve(e.HPHt[which] + R, nu[..., None])[..., 0])
