@@ -15,6 +15,8 @@ import numba
 import numpy as np
 
 from association.expectation import gate_threshold
+from data import se2
+from data.first_fix import rigid_fit
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 
@@ -46,7 +48,8 @@ def squared_distances(new: Landmarks, old: Landmarks, cross: Array) -> tuple[Arr
     here = new.covariance.reshape(m, 2, m, 2)[np.arange(m), :, np.arange(m), :]
     there = old.covariance.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
     both = cross.reshape(m, 2, n, 2).transpose(0, 2, 1, 3)
-    D = here[:, None] + there[None] - both - both.transpose(0, 1, 3, 2)
+    # a landmark compared with itself has no uncertainty
+    D = here[:, None] + there[None] - both - both.transpose(0, 1, 3, 2) + 1e-12 * np.eye(2)
     nu = new.xy[:, None] - old.xy[None]
     d2: Array = np.einsum("mni,mni->mn", nu, np.linalg.solve(D, nu[..., None])[..., 0])
     det: Array = np.linalg.det(D)
@@ -115,6 +118,13 @@ def recognize(
     if paired.sum() < FEWEST or (paired.sum() - second) * -math.log(max(chance, 1e-9)) < math.log(ODDS):
         return []
     i, j = np.flatnonzero(paired), sides[best[paired]]
+    # a neighbour just as near leaves open which of both it is
+    xy = se2.transform_points(rigid_fit(new.xy[i], old.xy[j]), new.xy)
+    near = np.hypot(*(xy[:, None] - old.xy[sides][None]).transpose(2, 0, 1)) < tolerance
+    sure = (near[i].sum(axis=1) == 1) & (near[:, best[paired]].sum(axis=0) == 1)
+    i, j = i[sure], j[sure]
+    if len(i) < FEWEST:
+        return []
     return list(zip(i.tolist(), j.tolist(), strict=True)) if _agree(new, old, cross, i, j) else []
 
 

@@ -61,7 +61,7 @@ FOUNDED = Evidence(1, 1, 0, 0, 0, 0.0, np.zeros(2), np.zeros((2, 2)))
 
 
 class Judgement(NamedTuple):
-    """Innovation (2,) of a sighting given others of its frame, its information (2, 2); G (2, 2) turns it to the world."""
+    """Innovation (2,) of a sighting given others of its frame, its information (2, 2); G (2, 2): to the world."""
 
     innovation: Array
     information: Array

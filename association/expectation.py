@@ -83,6 +83,8 @@ class Expectation:
         z: (m, 2), R: (m, 2, 2) the observations; observed_frame: (m,) their frames.
         residual: the sensor's `residual(z, z_hat)`, broadcasting.
         joint: `joint(indices)` gives the joint covariance (2k, 2k) of the expectations of k candidates, in that order.
+        elsewhere: `elsewhere(pose)` is the same expectation linearized at another pose (3,): z_hat is what the tangent
+            there gives at the mean, h(pose) + H (mean - pose), as in an iterated update; None: it cannot be had.
     """
 
     number: IntArray
@@ -94,6 +96,7 @@ class Expectation:
     observed_frame: IntArray
     residual: Residual
     joint: Callable[[IntArray], Array]
+    elsewhere: Callable[[Array], Expectation] | None = None
 
     @classmethod
     def from_arrays(
@@ -147,8 +150,10 @@ class Expectation:
 
     def only(self, which: IntArray) -> Expectation:
         """The same problem with these candidates alone, in this order."""
+        elsewhere = self.elsewhere
         return replace(
             self,
+            elsewhere=None if elsewhere is None else lambda pose: elsewhere(pose).only(which),
             number=self.number[which],
             z_hat=self.z_hat[which],
             HPHt=self.HPHt[which],

@@ -102,7 +102,7 @@ def given(e: Expectation, decisions: IntArray, candidates: IntArray) -> Expectat
         return block
 
     blocks = P.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
-    return replace(few, z_hat=few.z_hat + (gain @ nu).reshape(n, 2), HPHt=blocks, joint=joint)
+    return replace(few, z_hat=few.z_hat + (gain @ nu).reshape(n, 2), HPHt=blocks, joint=joint, elsewhere=None)
 
 
 def jcbb_hindsight(
@@ -116,7 +116,12 @@ def jcbb_hindsight(
     """
     outer = gate if gate is None or new_gate is None else max(gate, new_gate)
     found = search(e, outer, budget=budget)
-    decisions = prune(e, found.decisions, gate)
+    return settled(e, prune(e, found.decisions, gate), new_gate), found.complete
+
+
+def settled(e: Expectation, decisions: IntArray, new_gate: float | None) -> IntArray:
+    """Decisions (m,) with `DISCARD` for what is unpaired and inside `new_gate` of a landmark, given the pairings."""
+    decisions = decisions.copy()
     left = np.flatnonzero(decisions == NEW)
     threshold = gate_threshold(new_gate)
     # believing the pairings makes an expectation more certain: only what is inside without them can be inside with them
@@ -125,4 +130,4 @@ def jcbb_hindsight(
     if len(candidates):
         close = near[:, candidates] & (given(e, decisions, candidates).individual_distances()[left] < threshold)
         decisions[left[close.any(axis=1)]] = DISCARD
-    return decisions, found.complete
+    return decisions

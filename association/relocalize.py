@@ -79,7 +79,7 @@ def relocalize(scan: Scan, known: LandmarkMap, gate: float = 0.99) -> Place | No
     at = (2 * used[:, None] + np.arange(2)).ravel()
     P = scan.covariance[np.ix_(at, at)]
     choices, complete = _search(
-        xy, SIGMAS * _distance_sigmas(xy, P), np.array(known.xy), fewest, SLACK, KEPT, BUDGET
+        xy, SIGMAS * distance_sigmas(xy, P), np.array(known.xy), fewest, SLACK, KEPT, BUDGET
     )  # fmt: skip
     if not complete or not len(choices):
         return None
@@ -107,7 +107,7 @@ def _same(best: _Fit, other: _Fit) -> bool:
     return float(error @ np.linalg.solve(best.covariance + other.covariance, error)) < 25.0
 
 
-def _distance_sigmas(xy: Array, P: Array) -> Array:
+def distance_sigmas(xy: Array, P: Array) -> Array:
     """Standard deviations (m, m) of the distances between points (m, 2) of joint covariance P (2m, 2m)."""
     m = len(xy)
     d = xy[:, None] - xy[None]

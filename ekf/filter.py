@@ -9,7 +9,7 @@ import numpy as np
 from association.expectation import Expectation
 from data.inputs import Increment, IntArray, Prior, Sightings
 from data.result import PoseEstimate
-from data.se2 import Array, BoolArray
+from data.se2 import Array, BoolArray, wrap_angle
 from data.sensors import Sensor
 from ekf import kernels, updates
 
@@ -101,12 +101,33 @@ class Filter:
         """The whole covariance (d, d), a copy."""
         return self._P[: self.size, : self.size].copy()
 
-    def _expect(self, sightings: Sightings, number: IntArray, at: IntArray, known: Array) -> Expectation:
-        """Expectation over candidates that stand at offsets `at` of the state, or in `known` where `at` is negative."""
+    def _state_at(self, pose: Array) -> Array:
+        """A copy of the state with this pose (3,), its heading not wrapped: differences to the mean are as they are.
+
+        Raises ValueError for a filter with first estimates, which are where it linearizes.
+        """
+        if len(self._first):
+            raise ValueError("a filter with first estimates linearizes nowhere else")
+        state = self._mean[: self._used].copy()
+        state[:2], state[2] = pose[:2], state[2] + wrap_angle(float(pose[2]) - float(state[2]))
+        return state
+
+    def _expect(
+        self, sightings: Sightings, number: IntArray, at: IntArray, known: Array, pose: Array | None = None
+    ) -> Expectation:
+        """Expectation over candidates that stand at offsets `at` of the state, or in `known` where `at` is negative.
+
+        It is linearized at the mean, or at another `pose` (3,).
+        """
         n, m = len(number), len(sightings.z)
         z_hat, blocks = np.empty((n, 2)), np.empty((n, 2, 2))
-        kernels.expect(self._kind, self._extrinsic, self._mean, self._P, at, known, z_hat, blocks, self._first)
-        version = self._version
+        version, state = self._version, self._mean
+        if pose is not None:
+            state = self._state_at(pose)
+        kernels.expect(self._kind, self._extrinsic, state, self._P, at, known, z_hat, blocks, self._first)
+        if pose is not None:
+            xy = np.where(at[:, None] >= 0, state[np.maximum(at, 0)[:, None] + np.arange(2)], known)
+            z_hat += self.sensor.jacobians(state[:3], xy)[0] @ (self._mean[:3] - state[:3])
 
         def joint(indices: IntArray) -> Array:
             if version != self._version:
@@ -122,7 +143,7 @@ class Filter:
             moved[held] = np.arange(3, d, 2)
             PHt, S = np.empty((d, 2 * k)), np.empty((2 * k, 2 * k))
             zero = np.zeros((k, 2))
-            mean = self._mean[index]
+            mean = state[index]
             first = self._first[index] if len(self._first) else self._first
             kernels.innovate(
                 self._kind, self._extrinsic, mean, mean, self._P[np.ix_(index, index)], d, moved, known[chosen],
@@ -130,26 +151,41 @@ class Filter:
             )  # fmt: skip
             return S
 
+        def elsewhere(pose: Array) -> Expectation:
+            if version != self._version:
+                raise RuntimeError("the filter has moved on since this expectation was formed")
+            return self._expect(sightings, number, at, known, pose)
+
         frames = np.zeros(n, np.int64), np.zeros(m, np.int64)
         return Expectation(
-            number, z_hat, blocks, frames[0], sightings.z, sightings.R, frames[1], self.sensor.residual, joint
-        )
+            number, z_hat, blocks, frames[0], sightings.z, sightings.R, frames[1], self.sensor.residual, joint,
+            None if len(self._first) else elsewhere,
+        )  # fmt: skip
 
     def _correct(
-        self, sightings: Sightings, rows: IntArray, at: IntArray, known: Array, threshold: float
+        self,
+        sightings: Sightings,
+        rows: IntArray,
+        at: IntArray,
+        known: Array,
+        threshold: float,
+        pose: Array | None = None,
     ) -> tuple[BoolArray, Array, Array]:
         """Update with the observations `rows` (k,); returns which passed the gate, (NIS, log-likelihood, dof), and each
-        innovation in units of its own standard deviation (k, 2).
+        innovation in units of its own standard deviation (k, 2). It is first linearized at the mean, or at `pose` (3,).
         """
         self._version += 1
         keep, stats, white = np.ones(len(rows), np.bool_), np.zeros(3), np.full((len(rows), 2), np.nan)
         if len(rows):
-            step = updates.update_each if self.options.each else updates.update
-            status = step(
-                self._kind, self._extrinsic, self._mean, self._P, self._used, at, known,
-                sightings.z[rows], sightings.R[rows], threshold, keep, stats, white, self.options.rule,
-                self._first,
+            rest = (
+                self._mean, self._P, self._used, at, known, sightings.z[rows], sightings.R[rows], threshold, keep,
+                stats, white, self.options.rule, self._first,
             )  # fmt: skip
+            if pose is not None:
+                status = updates.update_from(self._kind, self._extrinsic, self._state_at(pose), *rest)
+            else:
+                step = updates.update_each if self.options.each else updates.update
+                status = step(self._kind, self._extrinsic, *rest)
             if status != kernels.OK:
                 raise FilterDivergedError(kernels.FAILURES[status])
         return keep, stats, white

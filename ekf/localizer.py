@@ -32,11 +32,17 @@ class EkfLocalizer(Filter):
         at = np.full(len(self.map.id), -1, np.int64)
         return self._expect(sightings, self.map.id, at, self.map.xy)
 
-    def update(self, sightings: Sightings, decisions: IntArray, *, threshold: float = np.inf) -> Updated:
-        """One update with every observation whose decision is a landmark id and whose d^2 is below `threshold`."""
+    def update(
+        self, sightings: Sightings, decisions: IntArray, *, threshold: float = np.inf, at: Array | None = None
+    ) -> Updated:
+        """One update with every observation whose decision is a landmark id and whose d^2 is below `threshold`.
+
+        It is first linearized at the prediction, or at the pose `at` (3,) if that is known to be better.
+        """
         paired = np.flatnonzero(decisions >= 0)
         known = self.map.xy[self.rows_of(decisions[paired])]
-        keep, stats, white = self._correct(sightings, paired, np.full(len(paired), -1, np.int64), known, threshold)
+        given = np.full(len(paired), -1, np.int64)
+        keep, stats, white = self._correct(sightings, paired, given, known, threshold, at)
         used, whitened = np.zeros(len(decisions), np.bool_), np.full((len(decisions), 2), np.nan)
         used[paired], whitened[paired] = keep, white
         nothing = np.full(len(decisions), -1, np.int64)

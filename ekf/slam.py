@@ -62,19 +62,22 @@ class EkfSlam(Filter):
         at = 3 + 2 * np.arange(len(self._number), dtype=np.int64)
         return self._expect(sightings, self._number, at, np.zeros((len(self._number), 2)))
 
-    def update(self, sightings: Sightings, decisions: IntArray, *, threshold: float = np.inf) -> Updated:
+    def update(
+        self, sightings: Sightings, decisions: IntArray, *, threshold: float = np.inf, at: Array | None = None
+    ) -> Updated:
         """One update with all pairings below `threshold`, then new landmarks in order, from the updated pose.
 
+        It is first linearized at the prediction, or at the pose `at` (3,) if that is known to be better.
         Raises ValueError for a decision that names a landmark which is not in the map, or parked.
         """
         paired = np.flatnonzero(decisions >= 0)
         try:
-            at = np.array([self._offset[int(n)] for n in decisions[paired]], np.int64)
+            offset = np.array([self._offset[int(n)] for n in decisions[paired]], np.int64)
         except KeyError as unknown:
             if unknown.args[0] in self._parked.rows:
                 raise ValueError(f"landmark {unknown} is parked: restore it first") from None
             raise ValueError(f"no landmark has number {unknown}") from None
-        keep, stats, white = self._correct(sightings, paired, at, np.zeros((len(paired), 2)), threshold)
+        keep, stats, white = self._correct(sightings, paired, offset, np.zeros((len(paired), 2)), threshold, at)
         used, whitened = np.zeros(len(decisions), np.bool_), np.full((len(decisions), 2), np.nan)
         used[paired], whitened[paired] = keep, white
         created = np.full(len(decisions), -1, np.int64)

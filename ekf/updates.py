@@ -125,13 +125,13 @@ def move(mean, P, d, shift):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def iterate(kind, extrinsic, mean, P, d, at, known, z, R, nu, PHt, S, iterations, stats):  # type: ignore[no-untyped-def]
-    """Where to linearize (d,): Gauss-Newton from the prediction, at most `iterations` - 1 steps (Bell and Cathey 1993).
+def iterate(kind, extrinsic, start, mean, P, d, at, known, z, R, nu, PHt, S, iterations, stats):  # type: ignore[no-untyped-def]
+    """Where to linearize (d,): Gauss-Newton from `start`, at most `iterations` - 1 steps (Bell and Cathey 1993).
 
-    nu, PHt and S are those at the prediction, whose NIS and log-likelihood are added to `stats`; they are overwritten.
+    nu, PHt and S are those at `start`, whose NIS and log-likelihood are added to `stats`; they are overwritten.
     Ends early where no state moves by 1e-6 sigma.
     """
-    point = mean[:d].copy()
+    point = start[:d].copy()
     n = len(nu)
     L, white = np.empty((n, n)), np.empty(n)
     for turn in range(iterations - 1):
@@ -163,14 +163,27 @@ def update(  # type: ignore[no-untyped-def]
 ):
     """One stacked update with k pairings; those outside the gate are left out (`keep` says which). Returns a status.
 
-    `rule` = retraction of the correction, and how often to linearize at most (1: at the prediction only).
+    See `update_from`; the first linearization is at the prediction.
+    """
+    return update_from(
+        kind, extrinsic, mean, mean, P, d, at, known, z, R, threshold, keep, stats, white, rule, first
+    )  # fmt: skip
+
+
+@numba.njit(cache=True)
+def update_from(  # type: ignore[no-untyped-def]
+    kind, extrinsic, start, mean, P, d, at, known, z, R, threshold, keep, stats, white, rule, first
+):
+    """An update whose first linearization is at the state `start` (d,), which may be `mean` itself.
+
+    `rule` = retraction of the correction, and how often to linearize at most (1: at `start` only).
 
     `stats` (3,) collects NIS, log-likelihood and degrees of freedom; `white` (k, 2) gets each innovation in units of
     its own standard deviation, NaN where it was not used. `first`: see `ekf.kernels`; not together with iterations.
     """
     k = len(at)
     nu, PHt, S = np.empty(2 * k), np.empty((d, 2 * k)), np.empty((2 * k, 2 * k))
-    innovate(kind, extrinsic, mean, mean, P, d, at, known, z, R, nu, PHt, S, first)
+    innovate(kind, extrinsic, start, mean, P, d, at, known, z, R, nu, PHt, S, first)
     keep[:] = True
     if threshold < np.inf:
         count = gate(nu, S, threshold, keep)
@@ -189,9 +202,9 @@ def update(  # type: ignore[no-untyped-def]
     retraction, iterations = rule
     if iterations > 1:
         at, known, z, R = at[keep], known[keep], z[keep], R[keep]
-        point = iterate(kind, extrinsic, mean, P, d, at, known, z, R, nu, PHt, S, iterations, stats)
+        point = iterate(kind, extrinsic, start, mean, P, d, at, known, z, R, nu, PHt, S, iterations, stats)
         innovate(kind, extrinsic, point, mean, P, d, at, known, z, R, nu, PHt, S, NEWEST)
-        stats = np.zeros(3)  # the innovation is the one at the prediction
+        stats = np.zeros(3)  # the innovation is the one at `start`
     return correct(mean, P, d, nu, PHt, S, stats, retraction)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from association.decide import METHODS
+from association.decide import HINDSIGHT, METHODS
 from data.errors import UsageError
 from data.esde import NAME, find_esde
 from data.log import Log
@@ -166,6 +166,9 @@ VISUAL = ("dead-reckoning", "ekf", "ekf-iterated", "isam2", "batch")
 SHORT_GALLERY = 60
 """Frames of the rendered log in the default report; the whole log is `--log visual:0`."""
 CORRIDORS = ("corridor:0", "corridor:0:people", "corridor:0:no-odometry", "corridor:0:people+no-odometry")
+PRIMED = "corridor:0:no-odometry+forward"
+PRIMED_WORK = (Work("known", ("ekf", "ekf-iterated", "isam2")), Work(HINDSIGHT, ("ekf-iterated",)))
+"""The corridor with a motion prior instead of odometry: with labels, and with decisions in hindsight."""
 
 
 def reading_of(options: Options) -> Reading:
@@ -192,6 +195,7 @@ def _default(options: Options, say: Callable[[str], None]) -> list[Experiment]:
         *((name, "slam", lab) for name in corridors),
     ]  # fmt: skip
     if not options.quick:
+        rows.append((PRIMED, "slam", PRIMED_WORK))
         rows.append((f"visual:0:frames={SHORT_GALLERY}", "localization", (Work("known", VISUAL),)))
     rows = [row for row in rows if not options.task or row[1] in options.task]
     logs = {name: _cut(open_log(name, reading_of(options), say), options) for name, _, _ in rows}

@@ -16,11 +16,13 @@ from association.known import known_decisions, pair_by_label
 from data.errors import UsageError
 from data.inputs import Increment, Inputs, IntArray, LabelledObservations, Sightings
 from data.result import Event, Finished, MapState, PoseEstimate, Updated
+from data.se2 import Array
 from ekf.filter import DEFAULT, Filter, FilterOptions
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from eval.setup import Setup
 from eval.upkeep import Upkeep
+from eval.watch import Watch
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
 
@@ -44,8 +46,10 @@ class Estimator(Protocol):
         """What it expects to see."""
         ...
 
-    def update(self, sightings: Sightings, decisions: IntArray, *, threshold: float = np.inf) -> Updated:
-        """Use the pairings, found new landmarks."""
+    def update(
+        self, sightings: Sightings, decisions: IntArray, *, threshold: float = np.inf, at: Array | None = None
+    ) -> Updated:
+        """Use the pairings, found new landmarks; `at` (3,): where to linearize first, if not at the prediction."""
         ...
 
     def remove(self, numbers: IntArray) -> None:
@@ -62,22 +66,6 @@ class Estimator(Protocol):
 
     def finish(self) -> Finished:
         """The end of the run."""
-        ...
-
-
-class Watch(Protocol):
-    """Somebody who looks on while a log is replayed, frame by frame, and changes nothing."""
-
-    def moved(self, front: FrontEnd) -> None:
-        """A frame begins; its observations were not looked at yet."""
-        ...
-
-    def decided(self, front: FrontEnd, rows: slice, expectation: Expectation | None, decisions: IntArray) -> None:
-        """Observations `rows` of the log were decided about, and not used yet; `known` needs no expectation."""
-        ...
-
-    def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
-        """A frame is over; decisions and founded landmarks (M,) are those of the whole log so far."""
         ...
 
 
@@ -116,8 +104,7 @@ class FrontEnd:
         kept = setup if self._filter is not None else replace(setup, forget_after=None, deactivate_after=None)
         self.upkeep = Upkeep(kept, inputs.time) if self.slam and kept.upkeep else None
         self.k = -1
-        self.incomplete = 0
-        self.reactivated = 0
+        self.incomplete, self.reactivated = 0, 0
         self._drift = Drift()
         self.largest = 0
         gated = association == "known" and (setup.gate_smoothers or estimator in FILTERS)
@@ -142,8 +129,9 @@ class FrontEnd:
         """The next frame; the first one has no motion."""
         self.k += 1
         if self.k > 0:
-            self.estimator.predict(self.inputs.increment(self.k))
-            self._drift.move(self.inputs.increment(self.k))
+            increment = self.inputs.increment(self.k)
+            self.estimator.predict(increment)
+            self._drift.move(increment)
 
     def expect(self, sightings: Sightings) -> Expectation:
         """What the estimator expects of its candidates: parked landmarks that may be in view are taken back first."""
@@ -199,12 +187,12 @@ class FrontEnd:
             done = done._replace(nis=own[0], dof=own[1], log_likelihood=own[2])
         return decisions, done
 
-    def update(self, sightings: Sightings, decisions: IntArray, rows: slice) -> Updated:
-        """Use the decisions about the observations `rows` of the log."""
+    def update(self, sightings: Sightings, decisions: IntArray, rows: slice, at: Array | None = None) -> Updated:
+        """Use the decisions about the observations `rows` of the log; `at`: where the frame was placed, if it was."""
         slam = self._filter
         if slam is not None and len(slam.parked):
             self.wake(np.intersect1d(decisions, slam.parked))
-        done = self.estimator.update(sightings, decisions, threshold=self._threshold)
+        done = self.estimator.update(sightings, decisions, threshold=self._threshold, at=at)
         if self.slam:
             founded = np.flatnonzero(done.created >= 0)
             if self._label is not None:

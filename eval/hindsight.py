@@ -19,6 +19,7 @@ from association.evidence import (
     Judgement,
     Visibility,
     certain,
+    detection_rate,
     missing,
     overlooked,
     sighted,
@@ -70,11 +71,14 @@ class Hindsight:
         self._judged = Judged(nobody, nobody, Alone(np.empty((0, 2)), np.empty((0, 2, 2))), nobody)
         self._visibility = Visibility()
 
-    def judge(self, e: Expectation, decisions: IntArray) -> None:
-        """Note what the expectation of a frame says about the decisions (m,) made from it; `see` takes it in."""
+    def judge(self, e: Expectation, decisions: IntArray, believed: Expectation | None = None) -> None:
+        """Note what the expectation of a frame says about the decisions (m,) made from it; `see` takes it in.
+
+        `believed`: what is expected once the pairings are believed, where the prediction alone tells too little.
+        """
         rows, chosen = pairs_of(e, decisions)
-        absent = missing(e, decisions, self.sensor)
-        self._judged = Judged(rows, e.number[chosen], alone(e, rows, chosen), e.number[absent])
+        absent = missing(believed or e, decisions, self.sensor)
+        self._judged = Judged(rows, e.number[chosen], alone(e, rows, chosen), (believed or e).number[absent])
 
     def see(self, first_row: int, z: Array, done: Updated, pose: Array) -> None:
         """Take in what was judged, and done with the observations z (m, 2), rows `first_row`... of the log.
@@ -137,6 +141,11 @@ class Hindsight:
             self._evidence[kept] = stays._replace(
                 seen=stays.seen + gone.seen, looks=stays.looks + gone.looks, missed=stays.missed + gone.missed, row=0
             )
+
+    def rates(self, numbers: IntArray) -> Array:
+        """With which rate (n,) landmarks of the map are seen where they are in view: the common one once certain."""
+        v, every = self._visibility, [self._evidence[n] for n in numbers.tolist()]
+        return np.array([v.rate if certain(e, v) else detection_rate(e.looks, e.missed) for e in every])
 
     def leave(self, numbers: IntArray) -> None:
         """Landmarks left the map for another reason: nothing more is decided about them."""

@@ -20,9 +20,10 @@ from data.result import DISCARD, Event, Finished, PoseEstimate, Trajectory, Upda
 from data.se2 import Array
 from ekf.filter import Filter, FilterOptions
 from ekf.localizer import EkfLocalizer
-from eval.frontend import Estimator, FrontEnd, Watch, make_estimator
+from eval.frontend import Estimator, FrontEnd, make_estimator
 from eval.hindsight_localizer import MAYBE, HindsightLocalizer
 from eval.setup import Setup
+from eval.watch import Watch
 
 CERTAIN = 0.9
 """A smoother gets a decision that at least this share of the hypotheses agree on, by weight."""
@@ -46,9 +47,11 @@ class Stretches:
         """What the present smoother expects to see."""
         return self._now.expect(sightings)
 
-    def update(self, sightings: Sightings, decisions: IntArray, *, threshold: float = math.inf) -> Updated:
+    def update(
+        self, sightings: Sightings, decisions: IntArray, *, threshold: float = math.inf, at: Array | None = None
+    ) -> Updated:
         """Use the pairings."""
-        return self._now.update(sightings, decisions, threshold=threshold)
+        return self._now.update(sightings, decisions, threshold=threshold, at=at)
 
     def remove(self, numbers: IntArray) -> None:
         """A known map does not change: asking for it is an error."""

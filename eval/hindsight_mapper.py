@@ -13,14 +13,17 @@ from typing import NamedTuple
 import numpy as np
 
 from association.candidates import in_view
-from association.constellation import Landmarks, density, recognize, squared_distances
+from association.constellation import Landmarks, recognize, squared_distances
 from association.decide import Decided
 from association.expectation import Expectation, gate_threshold
 from association.hindsight import jcbb_hindsight
 from data.inputs import Increment, Inputs, IntArray, Sightings
 from data.result import Event
+from data.se2 import Array, BoolArray
+from data.sensors import RANGE_BEARING
 from ekf.calibrating import CalibratingSlam
 from eval.hindsight import Hindsight
+from eval.placing import Placing
 from eval.setup import Setup
 
 SPAN = 2.0
@@ -39,12 +42,31 @@ EVERY = 5
 """Frames with sightings between two looks at the window, where nothing new is founded."""
 
 
+class Mapped(NamedTuple):
+    """Decisions (m,), whether the search for them was complete, and where (3,) the frame was placed, if it was."""
+
+    decisions: IntArray
+    complete: bool
+    at: Array | None
+
+
 class Revision(NamedTuple):
     """What a frame takes back: landmarks as if never seen (r,); those (j,) that are one with others, `kept` (j,)."""
 
     retracted: IntArray
     joined: IntArray
     kept: IntArray
+
+
+class _Compared(NamedTuple):
+    """New and old landmarks with what is between them; `beside` (m, n): they cannot be the same."""
+
+    new: Landmarks
+    old: Landmarks
+    cross: Array
+    d2: Array
+    det: Array
+    beside: BoolArray
 
 
 class HindsightMapper:
@@ -63,6 +85,7 @@ class HindsightMapper:
         self.inputs, self.setup = inputs, setup
         self.filter = CalibratingSlam(inputs.prior, inputs.sensor)
         self.hindsight = Hindsight(inputs.sensor)
+        self.placing = Placing(inputs.sensor, setup, self.hindsight.rates)
         self.joined: list[tuple[int, int, int]] = []
         self._k, self._way, self._reach = -1, 0.0, 0.0
         self._first: dict[int, float] = {}
@@ -71,14 +94,13 @@ class HindsightMapper:
         self._beside: dict[int, set[int]] = {}
         """Landmarks that were seen in one frame with each: they cannot be the same."""
         self._waited, self._founded = 0, False
-        self._counted = 0, 0.0
-        """Landmarks, and how many there are per square metre."""
 
     def move(self, increment: Increment | None) -> None:
         """The next frame; the first one has no motion."""
         self._k += 1
         if increment is not None:
             self.filter.predict(increment)
+            self.placing.move(increment)
             self._way += math.hypot(*increment.mean[:2])
 
     @property
@@ -86,37 +108,45 @@ class HindsightMapper:
         """The sensor's range, or the farthest that was seen."""
         return min(self.inputs.sensor.max_range, self._reach)
 
-    def decide(self, rows: slice) -> Decided:
-        """Decisions (m,) about observations of this frame, used by the filter, too."""
+    def decide(self, rows: slice) -> Mapped:
+        """Decisions about observations of this frame, used by the filter, too."""
         o, sensor = self.inputs.observations, self.inputs.sensor
         seen = Sightings(o.z[rows], o.R[rows])
         e = self.filter.expect(seen)
         e = e.only(np.flatnonzero(in_view(sensor, e.z_hat, e.HPHt)))
-        decisions, complete = self._choose(e)
-        self.hindsight.judge(e, decisions)
-        done = self.filter.update(seen, decisions)
-        self.hindsight.see(rows.start, seen.z, done, self.filter.estimate().mean)
+        placed = self.placing.find(e, self.filter.estimate().mean)
+        if placed is None:
+            decisions, complete = self._choose(e)
+            self.hindsight.judge(e, decisions)
+        else:
+            decisions, complete = placed.decisions, True
+            self.hindsight.judge(placed.expectation, decisions, placed.believed)
+        at = None if placed is None else placed.pose
+        done = self.filter.update(seen, decisions, at=at)
+        pose = self.filter.estimate().mean
+        self.hindsight.see(rows.start, seen.z, done, pose)
+        self.placing.see(pose, bool(done.used.any()))
         self._note(np.where(done.created >= 0, done.created, decisions), bool((done.created >= 0).any()))
         self._reach = max(self._reach, float(sensor.polar(seen.z)[:, 0].max(initial=0.0)))
-        return Decided(decisions, complete)
+        return Mapped(decisions, complete, at)
 
     def _choose(self, e: Expectation) -> Decided:
         """Joint compatibility; a pairing among several likely ones counts only if the frame as a whole makes it."""
-        gate, new_gate = self.setup.gate, self.setup.new_gate
+        gate, new_gate, sensor = self.setup.gate, self.setup.new_gate, self.inputs.sensor
         found = Decided(*jcbb_hindsight(e, gate, new_gate))
         if not len(e.number) or not len(e.z):
             return found
-        crowded = self._crowd() * math.pi * gate_threshold(gate or 0.99) * np.sqrt(np.linalg.det(e.HPHt)) > CROWDED
+        area = np.sqrt(np.linalg.det(e.HPHt)) * (sensor.polar(e.z_hat)[:, 0] if sensor.kind == RANGE_BEARING else 1.0)
+        crowded = self._crowd() * math.pi * gate_threshold(gate or 0.99) * area > CROWDED
         if not np.isin(found.decisions, e.number[crowded]).any() or (found.decisions >= 0).sum() >= TOGETHER:
             return found
         return Decided(*jcbb_hindsight(e.only(np.flatnonzero(~crowded)), gate, new_gate))
 
     def _crowd(self) -> float:
-        """Landmarks per square metre, looked at again when there are a tenth more."""
-        n = len(self._first)
-        if not 0.9 * self._counted[0] <= n <= 1.1 * self._counted[0]:
-            self._counted = n, density(self.filter.mean[3:].reshape(-1, 2))
-        return self._counted[1]
+        """Landmarks per square metre around the robot."""
+        mean = self.filter.mean
+        near = np.hypot(*(mean[3:].reshape(-1, 2) - mean[:2]).T) < self._range
+        return max(1, int(near.sum())) / (math.pi * self._range**2) if self._range > 0.0 else 0.0
 
     def _note(self, number: IntArray, founded: bool) -> None:
         here = [n for n in number.tolist() if n >= 0]
@@ -145,33 +175,51 @@ class HindsightMapper:
         return Revision(gone, away, kept)
 
     def _recognize(self) -> list[tuple[int, int]]:
-        """Landmarks of the window that are old ones: (away, kept)."""
+        """Landmarks of the window that were founded before: (away, kept)."""
         span, age = SPAN * self._range, AGE * self._range
         known = [n for n in self._first if self._times[n] >= SEEN]
-        window = {n for n in known if self._way - self._last[n] <= span}
-        young = [n for n in known if n in window and self._way - self._first[n] <= age]
-        old = [n for n in known if self._way - self._first[n] > age]
-        anchored = any(n in window for n in old)
-        if not anchored:
-            old = [n for n in old if n not in window]
-        if not young or not old:
+        window = [n for n in known if self._way - self._last[n] <= span]
+        young = [n for n in window if self._way - self._first[n] <= age]
+        aged = [n for n in known if self._way - self._first[n] > age]
+        if not young:
             return []
+        if not set(aged) & set(window):
+            far = [n for n in aged if n not in set(window)]
+            if far:
+                near = self._compare(young, far)
+                turn = 3.0 * math.sqrt(self.filter.estimate().covariance[2, 2]) + 0.1
+                allowed = (near.d2 < gate_threshold(0.999)) & ~near.beside
+                found = recognize(near.new, near.old, near.cross, allowed, self._crowd(), turn)
+                if found:
+                    return [(young[i], far[j]) for i, j in found]
+        pair = self._single(window, aged, LONELY) or self._single(window, known, 0.2 * LONELY)
+        return [] if pair is None else [pair]
+
+    def _compare(self, young: list[int], old: list[int]) -> _Compared:
         mean, P = self.filter.position(np.array(young + old))
         m = 2 * len(young)
-        new = Landmarks(mean[:m].reshape(-1, 2), P[:m, :m])
-        there, cross = Landmarks(mean[m:].reshape(-1, 2), P[m:, m:]), P[:m, m:]
-        d2, det = squared_distances(new, there, cross)
-        apart = np.array([np.isin(old, list(self._beside[a])) for a in young])
-        crowd = self._crowd()
-        if anchored:
-            near = (d2 < gate_threshold(0.99)) & ~apart
-            lonely = crowd * math.pi * gate_threshold(0.99) * np.sqrt(det) < LONELY
-            alone = near & lonely & (near.sum(axis=0) == 1)[None] & (near.sum(axis=1) == 1)[:, None]
-            found = [(int(i), int(j)) for i, j in np.argwhere(alone)[:1]]
-        else:
-            turn = 3.0 * math.sqrt(self.filter.estimate().covariance[2, 2]) + 0.1
-            found = recognize(new, there, cross, (d2 < gate_threshold(0.999)) & ~apart, crowd, turn)
-        return [(young[i], old[j]) for i, j in found]
+        new, there = Landmarks(mean[:m].reshape(-1, 2), P[:m, :m]), Landmarks(mean[m:].reshape(-1, 2), P[m:, m:])
+        d2, det = squared_distances(new, there, P[:m, m:])
+        beside = np.array([np.isin(old, [*self._beside[a], a]) for a in young])
+        return _Compared(new, there, P[:m, m:], d2, det, beside)
+
+    def _single(self, window: list[int], others: list[int], lonely: float) -> tuple[int, int] | None:
+        """Two landmarks that stand where one does, and no other near: (away, kept)."""
+        young = sorted(window)
+        old = sorted(others)
+        if len(young) < 1 or len(old) < 1:
+            return None
+        c = self._compare(young, old)
+        younger = np.array(young)[:, None] > np.array(old)[None]
+        d2 = np.where(c.beside | ~younger, np.inf, c.d2)
+        near = d2 < gate_threshold(0.99)
+        with np.errstate(invalid="ignore"):
+            alone = near & (self._crowd() * math.pi * gate_threshold(0.99) * np.sqrt(np.maximum(c.det, 0.0)) < lonely)
+        alone &= (near.sum(axis=0) == 1)[None] & (near.sum(axis=1) == 1)[:, None]
+        if not alone.any():
+            return None
+        i, j = np.argwhere(alone)[0]
+        return young[i], old[j]
 
     def _join(self, away: int, kept: int) -> None:
         self.joined.append((self._k, away, kept))
@@ -210,7 +258,7 @@ class HindsightMapper:
 
     def notes(self) -> list[str]:
         """What a reader of the results should know."""
-        told = self.hindsight.notes()
+        told = [*self.hindsight.notes(), *self.placing.notes()]
         if self.joined:
             first = self.joined[0][0]
             told.append(f"{len(self.joined)} landmarks turned out to be ones founded before (first in frame {first})")

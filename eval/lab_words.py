@@ -11,7 +11,13 @@ from eval.words import number
 
 WORSE = 1.5
 """An error this many times another one is called worse, below it comparable."""
-NAMES = {"nn": "NN", "singles": "SINGLES", "jcbb": "JCBB", "known": "known association"}
+NAMES = {
+    "nn": "NN",
+    "singles": "SINGLES",
+    "jcbb": "JCBB",
+    "known": "known association",
+    "jcbb-hindsight": "JCBB in hindsight",
+}
 ODOMETRY, PEOPLE, BLIND = (False, True), (True, True), (False, False)
 """(people, odometry) of the logs that the questions are about."""
 

@@ -13,10 +13,11 @@ from data.errors import UsageError
 from data.inputs import Inputs, IntArray, Sightings
 from data.result import Event, Updated
 from ekf.filter import Filter, FilterOptions
-from eval.frontend import FrontEnd, Watch
+from eval.frontend import FrontEnd
 from eval.hindsight_mapper import HindsightMapper
 from eval.setup import Setup
 from eval.upkeep import Upkeep
+from eval.watch import Watch
 
 EVERYTHING = float(np.finfo(float).max)
 """A gate that lets all pass, but for which a smoother forms its innovations."""
@@ -41,6 +42,8 @@ class MappingFrontEnd(FrontEnd):
             self.upkeep = Upkeep(setup, inputs.time)
         if not isinstance(self.estimator, Filter):
             self._threshold = EVERYTHING
+        self._stays = isinstance(self.estimator, Filter) and self.estimator.options.first_estimates
+        """It linearizes nowhere else."""
 
     def move(self) -> None:
         """The next frame."""
@@ -52,11 +55,11 @@ class MappingFrontEnd(FrontEnd):
         o = self.inputs.observations
         sightings = Sightings(o.z[rows], o.R[rows])
         expectation = self.expect(sightings) if watch is not None else None
-        decisions, complete = self.mapper.decide(rows)
+        decisions, complete, at = self.mapper.decide(rows)
         self.incomplete += not complete
         if watch is not None:
             watch.decided(self, rows, expectation, decisions)
-        return decisions, self.update(sightings, decisions, rows)
+        return decisions, self.update(sightings, decisions, rows, None if self._stays else at)
 
     def tidy(self) -> None:
         """The end of a frame: landmarks leave the map by the rules of the setup, and in hindsight."""

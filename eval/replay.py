@@ -17,10 +17,11 @@ from data.result import DISCARD, Failure, Finished, Innovations, Run, Trajectory
 from data.se2 import Array, BoolArray
 from ekf.filter import FilterDivergedError, FilterOptions
 from ekf.whole_run import FilterRun, run_filter
-from eval.frontend import FILTERS, FrontEnd, Watch, make_estimator
+from eval.frontend import FILTERS, FrontEnd, make_estimator
 from eval.hindsight_frontend import LocalizingFrontEnd
 from eval.mapping_frontend import MappingFrontEnd
 from eval.setup import Setup
+from eval.watch import Watch
 from graph.batch import Start, smooth
 from graph.factors import UnderConstrained
 from graph.robust import gnc

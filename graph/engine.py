@@ -114,7 +114,30 @@ class Engine:
         """Joint covariance of variables in the order asked for, poses in their body frames."""
         if len(keys) == 1:
             return np.asarray(self._ask(lambda: self.isam.marginalCovariance(keys[0])), float)
-        return np.asarray(self._ask(lambda: self.isam.jointMarginalCovariance(keys).fullMatrix()), float)
+        if len(keys) == 2:
+            return np.asarray(self._ask(lambda: self.isam.jointMarginalCovariance(keys).fullMatrix()), float)
+        try:
+            return np.asarray(self.isam.jointMarginalCovariance(keys).fullMatrix(), float)
+        except RuntimeError as fault:
+            if "Indeterminate linear system" not in str(fault):
+                raise
+        return self._in_parts(keys)
+
+    def _in_parts(self, keys: Sequence[int]) -> Array:
+        """The joint covariance of three or more variables, put together from those of two thirds of them each.
+
+        gtsam takes pivots of very different size (a turn that is all but unknown, landmarks known to millimetres) for a
+        system that is indeterminate; that happens in large joint marginals, with QR as well. A block of a covariance
+        is the same whatever else was asked for.
+        """
+        size = np.array([3 if gtsam.symbolChr(k) == ord("x") else 2 for k in keys])
+        end = np.cumsum(size)
+        whole = np.zeros((end[-1], end[-1]))
+        for left_out in range(3):
+            part = [i for i in range(len(keys)) if i % 3 != left_out]
+            at = np.concatenate([np.arange(end[i] - size[i], end[i]) for i in part])
+            whole[np.ix_(at, at)] = self.covariance([keys[i] for i in part])
+        return whole
 
     def values(self) -> gtsam.Values:
         """The estimate of everything."""

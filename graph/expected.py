@@ -6,19 +6,27 @@ import numpy as np
 
 from association.expectation import Expectation
 from data.inputs import IntArray, Sightings
-from data.se2 import Array
+from data.se2 import Array, pose_error
 from data.sensors import Sensor
 
 
 def form(
-    sensor: Sensor, pose: Array, covariance: Array, number: IntArray, xy: Array, sightings: Sightings
+    sensor: Sensor,
+    pose: Array,
+    covariance: Array,
+    number: IntArray,
+    xy: Array,
+    sightings: Sightings,
+    at: Array | None = None,
 ) -> Expectation:
-    """Expectation over landmarks `number` (n,) at xy (n, 2), seen from `pose` (3,).
+    """Expectation over landmarks `number` (n,) at xy (n, 2), seen from `pose` (3,), linearized there or `at` (3,).
 
     `covariance`, world frame: (3 + 2n, 3 + 2n) of pose and landmarks, or (3, 3) of the pose where they are known.
     """
     n, m = len(number), len(sightings.z)
-    z_hat, Hx, Hl = sensor.linearize(pose, xy)
+    z_hat, Hx, Hl = sensor.linearize(pose if at is None else at, xy)
+    if at is not None:
+        z_hat = z_hat + Hx @ pose_error(pose, at)
     known = len(covariance) == 3
     Pxx = covariance[:3, :3]
     blocks = Hx @ Pxx @ Hx.transpose(0, 2, 1)
@@ -43,4 +51,9 @@ def form(
         S: Array = rows @ covariance[np.ix_(of, of)] @ rows.T
         return 0.5 * (S + S.T)
 
-    return Expectation(number, z_hat, blocks, zeros[:n], sightings.z, sightings.R, zeros[:m], sensor.residual, joint)
+    def elsewhere(at: Array) -> Expectation:
+        return form(sensor, pose, covariance, number, xy, sightings, at)
+
+    return Expectation(
+        number, z_hat, blocks, zeros[:n], sightings.z, sightings.R, zeros[:m], sensor.residual, joint, elsewhere
+    )

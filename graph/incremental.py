@@ -66,17 +66,15 @@ class Isam2Smoother:
         """Start at the prior; with a map localize in it, without do SLAM. `loss` as in `graph.batch.smooth`."""
         self.prior, self.sensor, self.map, self.loss = prior, sensor, known, loss
         self.threshold, self.skip = threshold, skip
-        self.frame, self.created = 0, 0
+        self.frame, self.created, self._copies = 0, 0, 0
         self._mean, self._P = prior.mean.copy(), prior.covariance.copy()
         # the newest pose in the graph, and the motion since then
         self._anchor, self._anchor_pose = -1, self._mean
-        self._pending: list[Increment] = []
-        self._path: list[Array] = []
+        self._pending, self._path = list[Increment](), list[Array]()
         self._Q = np.zeros((3, 3))
         self._motion: list[Factor] = []
         self._sighted: list[Sighted] = []
         self._handles: dict[int, list[int]] = {}
-        self._copies = 0
         self._drift = Drift()
         low = np.linalg.eigvalsh(prior.covariance)
         self._engine = Engine(threshold, skip, qr=bool(low[0] < DELICATE < low[-1]), name=self._name)
@@ -139,10 +137,12 @@ class Isam2Smoother:
         J[:3, :3] += self._Q
         return J
 
-    def update(self, sightings: Sightings, decisions: IntArray, *, threshold: float = np.inf) -> Updated:
+    def update(
+        self, sightings: Sightings, decisions: IntArray, *, threshold: float = np.inf, at: Array | None = None
+    ) -> Updated:
         """Add all pairings below `threshold` and the new landmarks; in localization decisions are ids of the map.
 
-        An expectation is formed only where there is a gate; otherwise NIS and likelihood are NaN, dof 0.
+        The newest pose starts at the prediction, or `at` (3,). NIS and likelihood are NaN, dof 0 without a threshold.
         """
         used = decisions >= 0
         if self.map is None:
@@ -153,7 +153,7 @@ class Isam2Smoother:
             raise ValueError(f"no landmark has number {unknown[0]}")
         nis, dof, likelihood = np.nan, 0, np.nan
         if threshold < np.inf and used.any():
-            nis, dof, likelihood = self._gate(sightings, decisions, used, threshold)
+            nis, dof, likelihood = self._gate(sightings, decisions, used, threshold, at)
         created = np.full(len(decisions), -1, np.int64)
         if self.map is None:
             fresh = np.flatnonzero(decisions == NEW)
@@ -161,21 +161,22 @@ class Isam2Smoother:
             self.created += len(fresh)
         take = np.flatnonzero(used | (created >= 0))
         if len(take):
+            if at is not None and self._pending:
+                self._mean = self._path[-1] = at.copy()
             self._extend(Sightings(sightings.z[take], sightings.R[take]), np.where(used, decisions, created)[take])
         return Updated(used, created, nis, dof, likelihood)
 
     def _gate(
-        self, sightings: Sightings, decisions: IntArray, used: BoolArray, threshold: float
+        self, sightings: Sightings, decisions: IntArray, used: BoolArray, threshold: float, at: Array | None
     ) -> tuple[float, int, float]:
         """Take pairings with d^2 not below the threshold out of `used`; NIS, dof and log-likelihood of the others."""
         rows = np.flatnonzero(used)
         number, which = np.unique(decisions[rows], return_inverse=True)
-        xy = (
-            self._engine.points(number.tolist())
-            if self.map is None
-            else self.map.xy[np.searchsorted(self.map.id, number)]
-        )
-        e = expected.form(self.sensor, self._mean, self._joint(number), number, xy, sightings)
+        if self.map is None:
+            xy = self._engine.points(number.tolist())
+        else:
+            xy = self.map.xy[np.searchsorted(self.map.id, number)]
+        e = expected.form(self.sensor, self._mean, self._joint(number), number, xy, sightings, at)
         nu, R = self.sensor.residual(sightings.z[rows], e.z_hat[which]), sightings.R[rows]
         distance = np.einsum("mi,mi->m", nu, np.linalg.solve(e.HPHt[which] + R, nu[..., None])[..., 0])
         keep = distance < threshold
