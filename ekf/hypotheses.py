@@ -127,10 +127,14 @@ class Hypotheses:
             self._keep(children)
         self._miss()
         self._learn()
-        chosen = np.array([_last(h.past, m) for h in self.members], np.int64).reshape(len(self.members), m)
-        share = np.exp([h.weight for h in self.members])
-        sure: Array = (share[:, None] * (chosen == chosen[0])).sum(axis=0)
-        return Standing(chosen[0], sure, self.members[0].nis, 2 * int((chosen[0] >= 0).sum()))
+        decisions, sure = self.opinion(m)
+        return Standing(decisions, sure, self.members[0].nis, 2 * int((decisions >= 0).sum()))
+
+    def opinion(self, newest: int) -> tuple[IntArray, Array]:
+        """The leader's decisions (m,) about the `newest` rows, and weight (m,) of all that decide so; 1: all agree."""
+        chosen = np.array([_last(h.past, newest) for h in self.members], np.int64).reshape(-1, newest)
+        same, share = chosen == chosen[0], np.exp([h.weight for h in self.members])
+        return chosen[0], np.where(same.all(axis=0), 1.0, np.minimum(share @ same, np.nextafter(1.0, 0.0)))
 
     def _learn(self) -> None:
         """How well pairings fit, from all hypotheses by their weight."""
