@@ -60,9 +60,9 @@ class Choice(NamedTuple):
 
 @dataclass
 class Hypothesis:
-    """A pose (3,), its covariance (3, 3), logarithm of its weight, its past, and what it did in the newest frame:
+    """A pose (3,), its covariance (3, 3), logarithm of its weight, and its past.
 
-    landmarks taken, squared innovations of its pairings.
+    Of the newest frame: the landmarks that were taken, and the squared innovations of its pairings.
     """
 
     mean: Array

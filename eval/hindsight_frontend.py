@@ -1,8 +1,8 @@
 """A front end for localization in hindsight: how an estimator lives with decisions that may be revised.
 
-A filter is set to the bank's mixture wherever there is more than one hypothesis. A smoother gets what is all but certain:
-a decision that has to wait is handed over when later frames have settled it, and one that they contradict is replaced. If
-it turns out to be elsewhere than the bank is sure of all the same, it is begun anew there.
+A filter is set to the bank's mixture wherever there is more than one hypothesis. A smoother gets what is all but
+certain: a decision that has to wait is handed over when later frames have settled it, and one that they contradict is
+replaced. If it turns out to be elsewhere than the bank is sure of all the same, it is begun anew there.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ class LocalizingFrontEnd(FrontEnd):
         self._decided = np.empty(0, np.int64)
         self._was_single = True
         # of a smoother: what it takes each observation for, and the first one that not all hypotheses agree about
-        self._held, self._open = np.full(len(inputs.observations.frame), DISCARD, np.int64), 0
+        self._given_as, self._open = np.full(len(inputs.observations.frame), DISCARD, np.int64), 0
         self._filtering = isinstance(self.estimator, Filter)
         if not self._filtering:
 
@@ -141,7 +141,7 @@ class LocalizingFrontEnd(FrontEnd):
             return self._decided, done
         self._hand_over(rows.start, rows.stop, CERTAIN)
         decisions, done = super().associate(rows, watch)
-        self._held[rows] = np.where(done.used, decisions, DISCARD)
+        self._given_as[rows] = np.where(done.used, decisions, DISCARD)
         several = not (localizer.single and self._was_single)
         self._was_single = localizer.single
         if (several and self._filtering) or localizer.elsewhere(self.estimator.estimate()):
@@ -154,12 +154,12 @@ class LocalizingFrontEnd(FrontEnd):
             return
         o, rows = self.inputs.observations, np.arange(self._open, stop)
         number, sure = (a[: len(rows)] for a in self.localizer.bank.opinion(seen - self._open))
-        changed = (sure >= share) & (number != self._held[rows])
+        changed = (sure >= share) & (number != self._given_as[rows])
         if changed.any():
-            self._held[rows[changed]] = number[changed]
+            self._given_as[rows[changed]] = number[changed]
             whole = np.flatnonzero(np.isin(o.frame, o.frame[rows[changed]]))
             assert isinstance(self.estimator, Stretches)
-            self.estimator.amend(o.frame[whole], Sightings(o.z[whole], o.R[whole]), self._held[whole])
+            self.estimator.amend(o.frame[whole], Sightings(o.z[whole], o.R[whole]), self._given_as[whole])
         undecided = np.flatnonzero(sure < 1.0)
         self._open = int(rows[undecided[0]]) if len(undecided) else stop
 
@@ -171,7 +171,7 @@ class LocalizingFrontEnd(FrontEnd):
     def close(self) -> None:
         """The end of the log: what is not settled is as the leading hypothesis has it."""
         self.localizer.close()
-        self._hand_over(len(self._held), len(self._held), 0.0)
+        self._hand_over(len(self._given_as), len(self._given_as), 0.0)
 
     def events(self) -> tuple[Event, ...]:
         """Decisions that were revised."""

@@ -298,4 +298,3 @@ class Isam2Smoother:
         found = optimize(problem, self._engine.values())
         total = (2.0 * found.error, problem.dof) if self.loss == "gaussian" else None
         return Finished(found.trajectory, found.map, total)
-
