@@ -1,8 +1,8 @@
 """A front end for localization in hindsight: how an estimator lives with decisions that may be revised.
 
-A filter is set to the bank's mixture wherever there is more than one hypothesis. A smoother gets what is all but
-certain: a decision that has to wait is handed over when later frames have settled it, and one that they contradict is
-replaced. If it turns out to be elsewhere than the bank is sure of all the same, it is begun anew there.
+A filter is set to the bank's mixture wherever there is more than one hypothesis. A smoother gets what most of them
+decide, by weight: a decision that has to wait is handed over when later frames have settled it, and one that they
+contradict is replaced. If it turns out to be elsewhere than the bank is sure of all the same, it is begun anew there.
 """
 
 from __future__ import annotations
@@ -24,9 +24,6 @@ from eval.frontend import Estimator, FrontEnd, Watch, make_estimator
 from eval.hindsight_localizer import MAYBE, HindsightLocalizer
 from eval.setup import Setup
 from graph.incremental import Isam2Smoother
-
-CERTAIN = 0.9
-"""A smoother gets a decision that at least this share of the hypotheses agree on, by weight."""
 
 
 class Stretches:
@@ -130,7 +127,7 @@ class LocalizingFrontEnd(FrontEnd):
     def associate(self, rows: slice, watch: Watch | None = None) -> tuple[IntArray, Updated]:
         """Decide about observations of this frame and use them; returns decisions (m,) and what was done."""
         localizer, times = self.localizer, len(self.localizer.found)
-        self._decided = localizer.decide(rows, MAYBE if self._filtering else CERTAIN)
+        self._decided = localizer.decide(rows)
         if len(localizer.found) > times:
             if watch is not None:
                 watch.decided(self, rows, None, self._decided)
@@ -139,7 +136,7 @@ class LocalizingFrontEnd(FrontEnd):
             done = Updated(self._decided >= 0, nothing, math.nan, 0, math.nan)
             self._was_single = True
             return self._decided, done
-        self._hand_over(rows.start, rows.stop, CERTAIN)
+        self._hand_over(rows.start, rows.stop, MAYBE)
         decisions, done = super().associate(rows, watch)
         self._given_as[rows] = np.where(done.used, decisions, DISCARD)
         several = not (localizer.single and self._was_single)
