@@ -25,7 +25,14 @@ MOVED = 0.9999
 RESTLESS = 0.99999
 """... or the sum of its squared innovations outside this one, 2 dof for each."""
 UNLIKELY = 1e-3
-"""A landmark is not there if it was missed so often in a row that this had so small a probability."""
+"""A landmark is not there if it was missed so often in a row that this had so small a probability; a certain one if it
+had the square of it."""
+WEIGHT = 2.0
+"""Misses that independent ones count for, in what is known of rows of them."""
+PLACE = 0.05
+"""In ranges of the sensor: from nearer places the view is the same, and what hides a landmark hides it still."""
+OTHERS = 2
+"""Pairings that it takes to judge another one: three coordinates of the pose are common to all of them."""
 SHADOW = math.radians(0.5)
 """rad. What is nearer and within this angle may hide a landmark."""
 
@@ -33,28 +40,47 @@ SHADOW = math.radians(0.5)
 class Evidence(NamedTuple):
     """What speaks for one landmark and against it.
 
-    seen: sightings; missed: times it should have been seen and was not, `row` of them since the last sighting;
-    squares: sum of its squared innovations; pull (2,), information (2, 2): those in the world, weighted, summed.
+    seen: sightings, `looks` of them from different places; missed: places where it should have been seen and was not,
+    `row` of them since the last sighting;
+    judged: sightings whose innovation others of the frame told; squares: the sum of these squared; pull (2,),
+    information (2, 2): these in the world, weighted, summed.
     """
 
     seen: int
+    looks: int
     missed: int
     row: int
+    judged: int
     squares: float
     pull: Array
     information: Array
 
 
-FOUNDED = Evidence(1, 0, 0, 0.0, np.zeros(2), np.zeros((2, 2)))
+FOUNDED = Evidence(1, 1, 0, 0, 0, 0.0, np.zeros(2), np.zeros((2, 2)))
 """Of a landmark that was founded just now."""
 
 
-def sighted(e: Evidence, innovation: Array, information: Array, G: Array) -> Evidence:
-    """One more sighting: innovation (2,) with information (2, 2); G (2, 2) turns it into a shift in the world."""
-    inverse = np.linalg.inv(G)
-    world = inverse.T @ information @ inverse
-    squares = e.squares + float(innovation @ information @ innovation)
-    return Evidence(e.seen + 1, e.missed, 0, squares, e.pull + world @ (G @ innovation), e.information + world)
+class Judgement(NamedTuple):
+    """Innovation (2,) of a sighting given others of its frame, its information (2, 2); G (2, 2) turns it to the world."""
+
+    innovation: Array
+    information: Array
+    G: Array
+
+
+def sighted(e: Evidence, judged: Judgement | None, elsewhere: bool) -> Evidence:
+    """One more sighting, and what the others of the frame say about it; `elsewhere`: not from the place of the last."""
+    e = e._replace(seen=e.seen + 1, looks=e.looks + elsewhere, row=0)
+    if judged is None:
+        return e
+    inverse = np.linalg.inv(judged.G)
+    world = inverse.T @ judged.information @ inverse
+    return e._replace(
+        judged=e.judged + 1,
+        squares=e.squares + float(judged.innovation @ judged.information @ judged.innovation),
+        pull=e.pull + world @ (judged.G @ judged.innovation),
+        information=e.information + world,
+    )
 
 
 def overlooked(e: Evidence) -> Evidence:
@@ -62,23 +88,62 @@ def overlooked(e: Evidence) -> Evidence:
     return e._replace(missed=e.missed + 1, row=e.row + 1)
 
 
+class Visibility(NamedTuple):
+    """How often certain landmarks in view were seen and missed: sightings and misses after a sighting, after a miss.
+
+    A landmark that is hidden from here stays hidden for a while, so misses come in rows; where a sensor sees all there
+    is in view, a second miss in a row is as unlikely as the first.
+    """
+
+    seen_seen: int = 0
+    seen_missed: int = 0
+    missed_seen: int = 0
+    missed_missed: int = 0
+
+    def counting(self, before_missed: bool, seen: bool) -> Visibility:
+        """With one more landmark in view."""
+        name = ("missed_" if before_missed else "seen_") + ("seen" if seen else "missed")
+        return self._replace(**{name: getattr(self, name) + 1})
+
+    @property
+    def rate(self) -> float:
+        """With which a landmark in view is seen."""
+        return detection_rate(self.seen_seen + self.missed_seen, self.seen_missed + self.missed_missed)
+
+    def row(self, length: int, rate: float) -> float:
+        """Probability that a landmark which is there is missed so often in a row; `rate`: with which it is seen.
+
+        A Markov chain; before much is known of rows, misses are taken for independent.
+        """
+        if not length:
+            return 1.0
+        again = (self.missed_missed + WEIGHT * (1.0 - rate)) / (self.missed_missed + self.missed_seen + WEIGHT)
+        return (1.0 - rate) * max(again, 1.0 - rate) ** (length - 1)
+
+
 def detection_rate(seen: int, missed: int) -> float:
     """Mean of the beta distribution of a rate after so many sightings and misses, from a uniform prior."""
     return (seen + 1) / (seen + missed + 2)
 
 
-def verdict(e: Evidence, rate: float) -> str:
+def certain(e: Evidence, v: Visibility) -> bool:
+    """Whether a landmark was seen as often as `ENOUGH` times in view would give, and at least twice."""
+    return e.seen >= max(2.0, ENOUGH * v.rate)
+
+
+def verdict(e: Evidence, v: Visibility) -> str:
     """Why a landmark is to be retracted, `moved` or `missed`; empty: it stays.
 
-    `rate`: with which certain landmarks in view are seen. A certain landmark has its own, if that is lower.
+    A certain landmark has its own rate of detection, if that is lower, and there must be more against it.
     """
-    if e.seen > 1:
+    if e.judged:
         drift = float(e.pull @ np.linalg.solve(e.information, e.pull))
-        if drift > gate_threshold(MOVED) or e.squares > gate_threshold(RESTLESS, 2 * (e.seen - 1)):
+        if drift > gate_threshold(MOVED) or e.squares > gate_threshold(RESTLESS, 2 * e.judged):
             return "moved"
-    if e.seen >= ENOUGH:
-        rate = min(rate, detection_rate(e.seen, e.missed - e.row))
-    return "missed" if (1.0 - rate) ** e.row < UNLIKELY else ""
+    if certain(e, v):
+        own = min(v.rate, detection_rate(e.looks, e.missed - e.row))
+        return "missed" if v.row(e.row, own) < UNLIKELY**2 else ""
+    return "missed" if v.row(e.row, v.rate) < UNLIKELY else ""
 
 
 def missing(e: Expectation, decisions: IntArray, sensor: Sensor) -> BoolArray:

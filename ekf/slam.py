@@ -7,11 +7,14 @@ import numpy as np
 from association.expectation import Expectation
 from data.inputs import IntArray, Prior, Sightings
 from data.result import NEW, Finished, MapState, Updated
-from data.se2 import Array
+from data.se2 import Array, wrap_angle
 from data.sensors import Sensor
 from ekf import kernels
 from ekf.filter import DEFAULT, Filter, FilterOptions
-from ekf.parking import LONGEST, NOTHING, Carried, begin_epoch, pairs
+from ekf.parking import LONGEST, NOTHING, Carried, begin_epoch, pairs, symmetric
+
+JOINED = 1e-4
+"""m; standard deviation of the difference of two landmarks that are one."""
 
 
 class EkfSlam(Filter):
@@ -87,7 +90,12 @@ class EkfSlam(Filter):
             end += 2
         if self._carried and len(fresh):
             d, e = self.size, self._used
-            self._select(np.concatenate([np.arange(d), np.arange(e, end), np.arange(d, e)]))
+            order = np.concatenate([np.arange(e, end), np.arange(d, e)])
+            self._mean[d:end] = self._mean[order]
+            self._P[:end, d:end] = self._P[:end, order]
+            self._P[d:end, :end] = self._P[order, :end]
+            if len(self._first):
+                self._first[d:end] = self._first[order]
         for i in fresh:
             self._offset[self.created] = self.size
             created[i] = self.created
@@ -109,6 +117,38 @@ class EkfSlam(Filter):
         if parked.any():
             self._parked = self._parked.without(numbers)
             self._tidy()
+
+    def position(self, numbers: IntArray) -> tuple[Array, Array]:
+        """Means (2n,) and joint covariance (2n, 2n) of active landmarks."""
+        at = self._at(numbers)
+        return self._mean[at], self._P[np.ix_(at, at)]
+
+    def _at(self, numbers: IntArray) -> IntArray:
+        """Where the coordinates of active landmarks (n,) stand in the state (2n,)."""
+        first = np.array([self._offset[n] for n in numbers.tolist()], np.int64)
+        at: IntArray = (first[:, None] + np.arange(2)).ravel()
+        return at
+
+    def join(self, away: IntArray, kept: IntArray) -> None:
+        """Landmarks `away` (k,) are the same as `kept` (k,), all of them active: both estimates become one, `away` go.
+
+        An update with the measurement that their difference is zero.
+        """
+        self._version += 1
+        e, a, b = self._used, self._at(away), self._at(kept)
+        P, mean = self._P[:e, :e], self._mean[:e]
+        PHt = P[:, a] - P[:, b]
+        S = PHt[a] - PHt[b] + JOINED**2 * np.eye(len(a))
+        gain = np.linalg.solve(S, PHt.T).T
+        mean -= gain @ (mean[a] - mean[b])
+        mean[2] = wrap_angle(float(mean[2]))
+        # Joseph's form: what is certain of the difference afterwards must not be rounding
+        P -= gain @ PHt.T
+        PHt = P[:, a] - P[:, b]
+        P -= PHt @ gain.T
+        P += JOINED**2 * gain @ gain.T
+        P[:] = symmetric(P)
+        self.remove(away)
 
     @property
     def parked(self) -> IntArray:

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from association.candidates import Drift, in_view, may_be_in_view
-from association.decide import HINDSIGHT, Decided, decide
+from association.decide import Decided, decide
 from association.expectation import Expectation, gate_threshold
 from association.jcbb import BUDGET
 from association.known import known_decisions, pair_by_label
@@ -19,7 +19,6 @@ from data.result import Event, Finished, MapState, PoseEstimate, Updated
 from ekf.filter import DEFAULT, Filter, FilterOptions
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
-from eval.hindsight import Hindsight
 from eval.setup import Setup
 from eval.upkeep import Upkeep
 from graph.fixed_lag import FixedLagSmoother
@@ -51,6 +50,10 @@ class Estimator(Protocol):
 
     def remove(self, numbers: IntArray) -> None:
         """Drop landmarks."""
+        ...
+
+    def join(self, away: IntArray, kept: IntArray) -> None:
+        """Landmarks `away` are the same as `kept`, and go."""
         ...
 
     def estimate(self) -> PoseEstimate:
@@ -111,10 +114,7 @@ class FrontEnd:
         self.estimator = make_estimator(estimator, inputs, options, lag=setup.lag)
         self.slam = inputs.map is None
         kept = setup if self._filter is not None else replace(setup, forget_after=None, deactivate_after=None)
-        self.hindsight = Hindsight(inputs.sensor) if self.slam and association == HINDSIGHT else None
-        if self.hindsight is not None and options is not None and options.each:
-            raise UsageError(f"{HINDSIGHT} judges the observations of a frame together; they cannot be used one by one")
-        self.upkeep = Upkeep(kept, inputs.time) if self.slam and (kept.upkeep or self.hindsight) else None
+        self.upkeep = Upkeep(kept, inputs.time) if self.slam and kept.upkeep else None
         self.k = -1
         self.incomplete = 0
         self.reactivated = 0
@@ -151,13 +151,14 @@ class FrontEnd:
         pose, covariance = self.estimator.estimate()
         if slam is not None and self.upkeep is not None and len(slam.parked):
             bounds = self._drift.sigmas(slam.parked, covariance)
-            self._wake(slam.parked[may_be_in_view(sensor, pose, slam.parked_xy(), *bounds)])
+            self.wake(slam.parked[may_be_in_view(sensor, pose, slam.parked_xy(), *bounds)])
         e = self.estimator.expect(sightings)
         if self.setup.in_view and isinstance(self.estimator, Filter):
             e = e.only(np.flatnonzero(in_view(sensor, e.z_hat, e.HPHt)))
         return e
 
-    def _wake(self, numbers: IntArray) -> None:
+    def wake(self, numbers: IntArray) -> None:
+        """Parked landmarks come back into the filter's state."""
         slam = self._filter
         if slam is not None and self.upkeep is not None and len(numbers):
             slam.restore(numbers)
@@ -189,8 +190,6 @@ class FrontEnd:
             self.incomplete += not complete
         if watch is not None:
             watch.decided(self, rows, expectation, decisions)
-        if self.hindsight is not None and expectation is not None:
-            self.hindsight.judge(expectation, decisions)
         # an estimator that forms no innovations of its own: before the update, as an expectation ends with it
         own = None
         if expectation is not None and not isinstance(self.estimator, Filter):
@@ -198,15 +197,13 @@ class FrontEnd:
         done = self.update(sightings, decisions, rows)
         if own is not None:
             done = done._replace(nis=own[0], dof=own[1], log_likelihood=own[2])
-        if self.hindsight is not None:
-            self.hindsight.see(rows.start, sightings.z, done, self.estimator.estimate().mean)
         return decisions, done
 
     def update(self, sightings: Sightings, decisions: IntArray, rows: slice) -> Updated:
         """Use the decisions about the observations `rows` of the log."""
         slam = self._filter
         if slam is not None and len(slam.parked):
-            self._wake(np.intersect1d(decisions, slam.parked))
+            self.wake(np.intersect1d(decisions, slam.parked))
         done = self.estimator.update(sightings, decisions, threshold=self._threshold)
         if self.slam:
             founded = np.flatnonzero(done.created >= 0)
@@ -230,34 +227,25 @@ class FrontEnd:
             self.largest = max(self.largest, slam.size)
         if self.upkeep is None:
             return
-        if self.hindsight is not None:
-            self._retract(self.hindsight.contradicted(self.k))
         leaving = self.upkeep.leaving(self.k)
         gone = np.concatenate([leaving.retracted, leaving.forgotten])
         if len(gone):
-            self.estimator.remove(gone)
-            if self.hindsight is not None:
-                self.hindsight.leave(gone)
+            self.leave(gone)
             for n in gone.tolist():
                 self._held.pop(self._label_of.pop(n, -1), None)
         if slam is not None and len(leaving.parked):
             slam.park(leaving.parked)
 
+    def leave(self, numbers: IntArray) -> None:
+        """Landmarks (r,) leave the map by the rules of the setup."""
+        self.estimator.remove(numbers)
+
     def close(self) -> None:
-        """The end of the log: what did not become certain is taken back."""
-        if self.hindsight is not None:
-            self._retract(self.hindsight.uncertain(self.k))
+        """The end of the log."""
 
     def events(self) -> tuple[Event, ...]:
-        """Decisions that were revised."""
-        return () if self.hindsight is None else tuple(self.hindsight.events)
-
-    def _retract(self, numbers: IntArray) -> None:
-        """Landmarks that hindsight takes back leave the map."""
-        if len(numbers):
-            assert self.upkeep is not None  # hindsight has one
-            self.estimator.remove(numbers)
-            self.upkeep.retract(self.k, numbers)
+        """Decisions that were revised: none, where they are made frame by frame."""
+        return ()
 
     def landmarks(self) -> MapState:
         """The map as it is now, parked landmarks included; a given one has no covariance."""
@@ -290,8 +278,6 @@ class FrontEnd:
                 f"landmarks unseen for {s.deactivate_after:g} were parked: at most {self.largest} states were active, "
                 f"and landmarks were taken back {self.reactivated} times"
             )
-        if self.hindsight is not None:
-            told += self.hindsight.notes()
         if self.upkeep is not None and self.upkeep.removed:
             told.append(f"{len(self.upkeep.removed)} landmarks were removed from the map")
         return told

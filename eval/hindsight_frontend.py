@@ -62,6 +62,10 @@ class Stretches:
         """A known map does not change: asking for it is an error."""
         self._now.remove(numbers)
 
+    def join(self, away: IntArray, kept: IntArray) -> None:
+        """No two landmarks of a known map are one: asking for it is an error."""
+        self._now.join(away, kept)
+
     def estimate(self) -> PoseEstimate:
         """The newest pose."""
         return self._now.estimate()

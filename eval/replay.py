@@ -19,6 +19,7 @@ from ekf.filter import FilterDivergedError, FilterOptions
 from ekf.whole_run import FilterRun, run_filter
 from eval.frontend import FILTERS, FrontEnd, Watch, make_estimator
 from eval.hindsight_frontend import LocalizingFrontEnd
+from eval.mapping_frontend import MappingFrontEnd
 from eval.setup import Setup
 from graph.batch import Start, smooth
 from graph.factors import UnderConstrained
@@ -97,8 +98,7 @@ def step_by_step(
     decisions, created = np.full(m, DISCARD, np.int64), np.full(m, -1, np.int64)
     failure: Failure | None = None
     begin = time.perf_counter()
-    kind = LocalizingFrontEnd if association == HINDSIGHT and inputs.map is not None else FrontEnd
-    front = kind(name, association, inputs, setup, options)
+    front = front_end(name, association, inputs, setup, options)
     try:
         for k in range(n):
             front.move()
@@ -148,6 +148,16 @@ def step_by_step(
         innovations, total, size if name in FILTERS else None, seconds, failure, tuple(front.notes()), removed,
         events,
     )  # fmt: skip
+
+
+def front_end(
+    name: str, association: str, inputs: Inputs, setup: Setup, options: FilterOptions | None = None
+) -> FrontEnd:
+    """What decides and updates frame by frame, before the first frame."""
+    kind = FrontEnd
+    if association == HINDSIGHT:
+        kind = MappingFrontEnd if inputs.map is None else LocalizingFrontEnd
+    return kind(name, association, inputs, setup, options)
 
 
 def _portions(inputs: Inputs, frame: int, each: bool) -> list[slice]:
@@ -247,7 +257,7 @@ def _compare(inputs: Inputs, task: str, estimators: Sequence[str], association: 
         inputs = inputs.without_labels()
     done: dict[str, Run] = {}
 
-    def front_end(name: str) -> Run:
+    def ahead(name: str) -> Run:
         if name not in done:
             quick = name in FILTERS and association == "known" and not (setup.upkeep and task == "slam")
             done[name] = (
@@ -268,11 +278,11 @@ def _compare(inputs: Inputs, task: str, estimators: Sequence[str], association: 
                 first = "ekf-iterated" if "ekf-iterated" in estimators else "ekf"
             else:
                 first = "isam2" if "isam2" in estimators else "ekf"
-            front = front_end(first)
+            front = ahead(first)
             if association == "known" and not setup.gate_smoothers:
                 decisions, created = known_decisions(inputs)
                 front = replace(front, decisions=decisions, final_decisions=decisions, created=created)
             runs.append(batch(name, inputs, front))
         else:
-            runs.append(front_end(name))
+            runs.append(ahead(name))
     return runs

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numba
@@ -72,6 +72,11 @@ class Sighted:
     def factors(self) -> list[Factor]:
         """All of them."""
         return self.measured if self.pin is None else [*self.measured, self.pin]
+
+    def renumbered(self, number: int) -> Sighted:
+        """The same observation (SLAM) taken for another landmark."""
+        keys = [X(self.frame), L(number)]
+        return replace(self, number=number, key=L(number), measured=[f.rekey(keys) for f in self.measured])
 
 
 def pose2(pose: Array) -> gtsam.Pose2:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
@@ -17,6 +18,9 @@ from graph.window import Window
 
 SLACK = 0.1
 """Of the lag: those older than the lag leave together, when the oldest is older by this much."""
+
+JOINED = 1e-4
+"""m; standard deviation of the difference of two landmarks that are one."""
 
 
 class FixedLagSmoother(Isam2Smoother):
@@ -99,6 +103,21 @@ class FixedLagSmoother(Isam2Smoother):
         if held:
             self._window.marginalize(held, X(self._anchor))
             self._read()
+
+    def join(self, away: IntArray, kept: IntArray) -> None:
+        """Landmarks `away` (k,) are the same as `kept` (k,): an observation of no difference, as in a filter."""
+        pairs = list(zip(away.tolist(), kept.tolist(), strict=True))
+        gone = {a for a, _ in pairs}
+        if not gone | {b for _, b in pairs} <= set(self._handles) or any(b in gone for _, b in pairs):
+            raise ValueError(f"cannot join {pairs}: not all are in the map, or one is to go and to stay")
+        same = gtsam.noiseModel.Isotropic.Sigma(2, JOINED)
+        none = np.zeros(2)
+        self._window.add([gtsam.BetweenFactorPoint2(L(a), L(b), none, same) for a, b in pairs], gtsam.Values())
+        self.refine()
+        for n in gone:
+            del self._handles[n]
+        self._window.marginalize([L(n) for n in sorted(gone)], X(self._anchor))
+        self._read()
 
     def finish(self) -> Finished:
         """Every pose as it was when it left the window, those in it as they are now; there is no cost to sum up.

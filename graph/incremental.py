@@ -274,6 +274,22 @@ class Isam2Smoother:
         self._sighted = [s for s in self._sighted if s.number not in gone]
         self.refine()
 
+    def join(self, away: IntArray, kept: IntArray) -> None:
+        """Landmarks `away` (k,) are the same as `kept` (k,): what was seen of the first was seen of the second.
+
+        Their factors are removed, and put in again with the other landmark.
+        """
+        if self.map is not None:
+            raise ValueError("a known map is given; its landmarks cannot be joined")
+        other = dict(zip(away.tolist(), kept.tolist(), strict=True))
+        if not other.keys() | other.values() <= set(self._handles) or other.keys() & other.values():
+            raise ValueError(f"cannot join {other}: not all are in the map, or one is to go and to stay")
+        moved = [s.renumbered(other[s.number]) for s in self._sighted if s.number in other]
+        self._engine.drop([h for n in other for h in self._handles.pop(n)])
+        self._sighted = sorted([s for s in self._sighted if s.number not in other] + moved, key=lambda s: s.frame)
+        self._add([], moved, gtsam.Values())
+        self.refine()
+
     def refine(self, updates: int = SETTLE) -> None:
         """More steps towards the optimum of the data so far: a single update makes only one."""
         for _ in range(updates):
