@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from association.expectation import gate_threshold
+from association.noise_scale import STATED, learned, log_density
 from data import se2
 from data.inputs import Increment, IntArray, LandmarkMap, Prior, Sightings
 from data.result import DISCARD, PoseEstimate
@@ -29,7 +30,7 @@ LIMIT = 100
 """Hypotheses kept."""
 DROP = 15.0
 """A hypothesis is dropped when its likelihood is exp(DROP) times less than the best one's."""
-MERGE = 1.0
+MERGE = 0.5
 """Hypotheses whose means differ by less than so many standard deviations in every state are one."""
 ALIKE = 5.0
 """... if their variances are alike, within this factor."""
@@ -59,14 +60,22 @@ class Choice(NamedTuple):
 
 @dataclass
 class Hypothesis:
-    """A pose (3,), its covariance (3, 3), logarithm of its weight, its past, and what it did in the newest frame."""
+    """A pose (3,), its covariance (3, 3), logarithm of its weight, and its past.
+
+    Of the newest frame: the landmarks that were taken, and the squared innovations of its pairings.
+    """
 
     mean: Array
     P: Array
     weight: float
     past: Choice | None = None
     taken: frozenset[int] = frozenset()
-    nis: float = 0.0
+    squares: tuple[float, ...] = ()
+
+    @property
+    def nis(self) -> float:
+        """Of its pairings in the newest frame."""
+        return sum(self.squares)
 
 
 class Standing(NamedTuple):
@@ -98,6 +107,7 @@ class Hypotheses:
         self._seen, self._expected = np.full(BINS, FIRST[0]), np.full(BINS, FIRST[1])
         self._at = np.full(len(self._xy), -1, np.int64)
         self._gate = gate_threshold(GATE)
+        self.noise = STATED
         self.members = [Hypothesis(prior.mean.copy(), prior.covariance.copy(), 0.0)]
 
     def predict(self, increment: Increment) -> None:
@@ -108,7 +118,7 @@ class Hypotheses:
     def observe(self, sightings: Sightings, first_row: int) -> Standing:
         """Branch over the observations of a frame, which are the rows of the log from `first_row` on."""
         for h in self.members:
-            h.taken, h.nis = frozenset(), 0.0
+            h.taken, h.squares = frozenset(), ()
         m = len(sightings.z)
         for i in range(m):
             children: list[Hypothesis] = []
@@ -116,10 +126,20 @@ class Hypotheses:
                 children += self._branches(h, sightings.z[i : i + 1], sightings.R[i : i + 1], first_row + i)
             self._keep(children)
         self._miss()
-        chosen = np.array([_last(h.past, m) for h in self.members], np.int64).reshape(len(self.members), m)
-        share = np.exp([h.weight for h in self.members])
-        sure: Array = (share[:, None] * (chosen == chosen[0])).sum(axis=0)
-        return Standing(chosen[0], sure, self.members[0].nis, 2 * int((chosen[0] >= 0).sum()))
+        self._learn()
+        decisions, sure = self.opinion(m)
+        return Standing(decisions, sure, self.members[0].nis, 2 * int((decisions >= 0).sum()))
+
+    def opinion(self, newest: int) -> tuple[IntArray, Array]:
+        """The leader's decisions (m,) about the `newest` rows, and weight (m,) of all that decide so; 1: all agree."""
+        chosen = np.array([_last(h.past, newest) for h in self.members], np.int64).reshape(-1, newest)
+        same, share = chosen == chosen[0], np.exp([h.weight for h in self.members])
+        return chosen[0], np.where(same.all(axis=0), 1.0, np.minimum(share @ same, np.nextafter(1.0, 0.0)))
+
+    def _learn(self) -> None:
+        """How well pairings fit, from all hypotheses by their weight."""
+        share = np.repeat(np.exp([h.weight for h in self.members]), [len(h.squares) for h in self.members])
+        self.noise = learned(self.noise, np.array([d2 for h in self.members for d2 in h.squares]), share)
 
     def _miss(self) -> None:
         """Weigh each hypothesis by the landmarks that it expects well in view and that were not seen.
@@ -166,7 +186,7 @@ class Hypotheses:
         det = S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] * S[:, 1, 0]
         d2 = (S[:, 1, 1] * nu[:, 0] ** 2 - 2 * S[:, 0, 1] * nu[:, 0] * nu[:, 1] + S[:, 0, 0] * nu[:, 1] ** 2) / det
         found = [
-            Hypothesis(h.mean, h.P, h.weight + self._stray, Choice(row, DISCARD, h.past), h.taken, h.nis)
+            Hypothesis(h.mean, h.P, h.weight + self._stray, Choice(row, DISCARD, h.past), h.taken, h.squares)
         ]  # fmt: skip
         for j in np.flatnonzero(d2 < self._gate).tolist():
             number = int(self.map.id[j])
@@ -179,8 +199,11 @@ class Hypotheses:
             )  # fmt: skip
             if status != kernels.OK:
                 raise FilterDivergedError(kernels.FAILURES[status])
+            d2_there = float(stats[0])
+            log_det = -2.0 * float(stats[1]) - d2_there - 2.0 * math.log(2.0 * math.pi)
+            weight = h.weight + log_density(self.noise, d2_there, log_det)
             past, taken = Choice(row, number, h.past), h.taken | {number}
-            found.append(Hypothesis(mean, P, h.weight + float(stats[1]), past, taken, h.nis + float(stats[0])))
+            found.append(Hypothesis(mean, P, weight, past, taken, (*h.squares, d2_there)))
         return found
 
     def _keep(self, children: list[Hypothesis]) -> None:
@@ -194,7 +217,7 @@ class Hypotheses:
             if same is None:
                 # an unpaired child shares its parent's arrays
                 kept.append(Hypothesis(
-                    child.mean.copy(), child.P.copy(), child.weight, child.past, child.taken, child.nis
+                    child.mean.copy(), child.P.copy(), child.weight, child.past, child.taken, child.squares
                 ))  # fmt: skip
             else:
                 same.weight = float(np.logaddexp(same.weight, child.weight))

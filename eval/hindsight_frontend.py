@@ -1,8 +1,8 @@
 """A front end for localization in hindsight: how an estimator lives with decisions that may be revised.
 
-A filter is set to the bank's mixture wherever there is more than one hypothesis. A smoother, which cannot take a
-pairing in a known map back, gets what is all but certain; if it turns out to be elsewhere than the bank is sure of, it
-is begun anew there.
+A filter is set to the bank's mixture wherever there is more than one hypothesis. A smoother gets what most of them
+decide, by weight: a decision that has to wait is handed over when later frames have settled it, and one that they
+contradict is replaced. If it turns out to be elsewhere than the bank is sure of all the same, it is begun anew there.
 """
 
 from __future__ import annotations
@@ -24,9 +24,7 @@ from eval.frontend import Estimator, FrontEnd, make_estimator
 from eval.hindsight_localizer import MAYBE, HindsightLocalizer
 from eval.setup import Setup
 from eval.watch import Watch
-
-CERTAIN = 0.9
-"""A smoother gets a decision that at least this share of the hypotheses agree on, by weight."""
+from graph.incremental import Isam2Smoother
 
 
 class Stretches:
@@ -36,6 +34,8 @@ class Stretches:
         """`begin(prior, frame)` makes the smoother of the log from a frame on."""
         self._begin, self._now = begin, begin(prior, 0)
         self._first, self._frame = 0, 0
+        self._given = 0
+        """First frame whose sightings are the present smoother's: those of the one it began in are in its prior."""
         self._done: list[Finished] = []
 
     def predict(self, increment: Increment) -> None:
@@ -52,6 +52,14 @@ class Stretches:
     ) -> Updated:
         """Use the pairings."""
         return self._now.update(sightings, decisions, threshold=threshold, at=at)
+
+    def amend(self, frames: IntArray, sightings: Sightings, decisions: IntArray) -> None:
+        """Take what frames (m,) saw for other landmarks than before; what stretches before this one saw stays."""
+        assert isinstance(self._now, Isam2Smoother)
+        keep = np.flatnonzero(frames >= self._given)
+        if len(keep):
+            seen = Sightings(sightings.z[keep], sightings.R[keep])
+            self._now.amend(frames[keep] - self._first, seen, decisions[keep])
 
     def remove(self, numbers: IntArray) -> None:
         """A known map does not change: asking for it is an error."""
@@ -73,7 +81,7 @@ class Stretches:
             kept = self._frame - self._first
             path = Trajectory(ended.final.pose[:kept], ended.final.covariance[:kept])
             self._done.append(ended._replace(final=path))
-        self._first = self._frame
+        self._first, self._given = self._frame, self._frame + 1
         self._now = self._begin(Prior(mean, covariance), self._frame)
 
     def finish(self) -> Finished:
@@ -101,6 +109,8 @@ class LocalizingFrontEnd(FrontEnd):
         super().__init__(estimator, association, inputs, setup, options)
         self._decided = np.empty(0, np.int64)
         self._was_single = True
+        # of a smoother: what it takes each observation for, and the first one that not all hypotheses agree about
+        self._given_as, self._open = np.full(len(inputs.observations.frame), DISCARD, np.int64), 0
         self._filtering = isinstance(self.estimator, Filter)
         if not self._filtering:
 
@@ -124,7 +134,7 @@ class LocalizingFrontEnd(FrontEnd):
     def associate(self, rows: slice, watch: Watch | None = None) -> tuple[IntArray, Updated]:
         """Decide about observations of this frame and use them; returns decisions (m,) and what was done."""
         localizer, times = self.localizer, len(self.localizer.found)
-        self._decided = localizer.decide(rows, MAYBE if self._filtering else CERTAIN)
+        self._decided = localizer.decide(rows)
         if len(localizer.found) > times:
             if watch is not None:
                 watch.decided(self, rows, None, self._decided)
@@ -133,12 +143,29 @@ class LocalizingFrontEnd(FrontEnd):
             done = Updated(self._decided >= 0, nothing, math.nan, 0, math.nan)
             self._was_single = True
             return self._decided, done
+        self._hand_over(rows.start, rows.stop, MAYBE)
         decisions, done = super().associate(rows, watch)
+        self._given_as[rows] = np.where(done.used, decisions, DISCARD)
         several = not (localizer.single and self._was_single)
         self._was_single = localizer.single
         if (several and self._filtering) or localizer.elsewhere(self.estimator.estimate()):
             self._reset()
         return decisions, done
+
+    def _hand_over(self, stop: int, seen: int, share: float) -> None:
+        """Decisions about rows before `stop` that `share` of the hypotheses agree on by now, with `seen` rows seen."""
+        if self._filtering or stop <= self._open:
+            return
+        o, rows = self.inputs.observations, np.arange(self._open, stop)
+        number, sure = (a[: len(rows)] for a in self.localizer.bank.opinion(seen - self._open))
+        changed = (sure >= share) & (number != self._given_as[rows])
+        if changed.any():
+            self._given_as[rows[changed]] = number[changed]
+            whole = np.flatnonzero(np.isin(o.frame, o.frame[rows[changed]]))
+            assert isinstance(self.estimator, Stretches)
+            self.estimator.amend(o.frame[whole], Sightings(o.z[whole], o.R[whole]), self._given_as[whole])
+        undecided = np.flatnonzero(sure < 1.0)
+        self._open = int(rows[undecided[0]]) if len(undecided) else stop
 
     def _reset(self) -> None:
         """The estimator is where the hypotheses are."""
@@ -146,8 +173,9 @@ class LocalizingFrontEnd(FrontEnd):
         self.estimator.reset(*self.localizer.pose())
 
     def close(self) -> None:
-        """The end of the log."""
+        """The end of the log: what is not settled is as the leading hypothesis has it."""
         self.localizer.close()
+        self._hand_over(len(self._given_as), len(self._given_as), 0.0)
 
     def events(self) -> tuple[Event, ...]:
         """Decisions that were revised."""

@@ -66,14 +66,14 @@ class HindsightLocalizer:
             self.bank.predict(increment)
             self._scans = (moved(self._scans[0], increment), moved(self._scans[1], increment))
 
-    def decide(self, rows: slice, share: float = MAYBE) -> IntArray:
-        """Decisions (m,) about observations of this frame: landmark id, or `DISCARD` where less than `share` agree."""
+    def decide(self, rows: slice) -> IntArray:
+        """Decisions (m,) about observations of this frame: landmark id, or `DISCARD` where they are to wait."""
         o, past = self.inputs.observations, self.bank.members[0].past
         standing = self.bank.observe(Sightings(o.z[rows], o.R[rows]), rows.start)
         self._revise(past, self.bank.members[0].past)
         before, paired = self.health, int((standing.decisions >= 0).sum())
         self.health = watch(self.monitor, before, len(standing.decisions), paired, standing.nis, standing.dof)
-        decisions = np.where(standing.sure >= share, standing.decisions, DISCARD)
+        decisions = np.where(standing.sure >= MAYBE, standing.decisions, DISCARD)
         sums = self.health.unpaired, self.health.misfit
         self._scans = (self._since(sums[0], self._scans[0], rows), self._since(sums[1], self._scans[1], rows))
         if self.health.lost:

@@ -86,6 +86,12 @@ class FixedLagSmoother(Isam2Smoother):
         """Pose and body-frame covariance of frames in the window."""
         return [(self._window.pose(X(k)), self._window.covariance([X(k)])) for k in frames]
 
+    def amend(self, frames: IntArray, sightings: Sightings, decisions: IntArray) -> None:
+        """As `Isam2Smoother.amend`, for frames in the window; what older ones saw cannot be taken back any more."""
+        keep = np.flatnonzero(frames >= self._oldest)
+        if len(keep):
+            super().amend(frames[keep], Sightings(sightings.z[keep], sightings.R[keep]), decisions[keep])
+
     def remove(self, numbers: IntArray) -> None:
         """Drop landmarks with their sightings from poses in the window.
 

@@ -6,10 +6,7 @@ next frame that sees something, so every frame is a variable and the estimate is
 
 from __future__ import annotations
 
-import math
-
 import gtsam
-import numba
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
@@ -19,7 +16,7 @@ from data import se2
 from data.inputs import Increment, IntArray, LandmarkMap, Prior, Sightings
 from data.result import NEW, Finished, MapState, PoseEstimate, Updated
 from data.se2 import Array, BoolArray
-from data.sensors import MIN_RANGE, RANGE_BEARING, Sensor, wrap_angle
+from data.sensors import MIN_RANGE, RANGE_BEARING, Sensor
 from graph import expected
 from graph.engine import Engine
 from graph.factors import (
@@ -35,6 +32,7 @@ from graph.factors import (
     sight_landmarks,
 )
 from graph.optimum import Problem, optimize
+from graph.transport import advance, transport
 
 THRESHOLD = 0.05
 """m, rad. Relinearize what moved further than this, ..."""
@@ -74,6 +72,7 @@ class Isam2Smoother:
         self._Q = np.zeros((3, 3))
         self._motion: list[Factor] = []
         self._sighted: list[Sighted] = []
+        # by landmark, or by frame where the landmarks are known
         self._handles: dict[int, list[int]] = {}
         self._drift = Drift()
         low = np.linalg.eigvalsh(prior.covariance)
@@ -88,7 +87,7 @@ class Isam2Smoother:
 
     def _advance(self, increment: Increment) -> None:
         """The newest pose and its covariance by one increment (the same arithmetic as a filter's prediction)."""
-        self._mean, self._P, self._Q = _advance(self._mean, self._P, self._Q, increment.mean, increment.covariance)
+        self._mean, self._P, self._Q = advance(self._mean, self._P, self._Q, increment.mean, increment.covariance)
         self._path.append(self._mean)
 
     def estimate(self) -> PoseEstimate:
@@ -97,14 +96,12 @@ class Isam2Smoother:
 
     def _name(self, key: int) -> str:
         """A variable in words; the copies of known landmarks are numbered by observation."""
-        if self.map is not None and gtsam.symbolChr(key) == ord("l"):
-            return f"landmark {self._sighted[gtsam.symbolIndex(key)].number}"
-        return name_of(key)
+        return next((f"landmark {s.number}" for s in self._sighted if self.map and s.key == key), name_of(key))
 
     @property
     def numbers(self) -> IntArray:
         """Landmark numbers in the map, ascending."""
-        return np.array(sorted(self._handles), np.int64)
+        return np.array(sorted(self._handles) if self.map is None else [], np.int64)
 
     def expect(self, sightings: Sightings) -> Expectation:
         """What it expects of the landmarks in view: sensor range and angles, widened by 3 sigma and 5 degrees."""
@@ -131,7 +128,7 @@ class Isam2Smoother:
         if self._anchor == 0 and is_exact(self.prior):
             J[:3], J[:, :3] = 0.0, 0.0  # gtsam's joint marginal takes a hard constraint for a variance of about 1
         self._drift.know(number, np.sqrt(np.diag(J)[3:].reshape(-1, 2).sum(1)))
-        F = _transport(self._mean - self._anchor_pose) @ se2.world_from_body(self._anchor_pose[2])
+        F = transport(self._mean - self._anchor_pose) @ se2.world_from_body(self._anchor_pose[2])
         J[:3] = F @ J[:3]
         J[:, :3] = J[:, :3] @ F.T
         J[:3, :3] += self._Q
@@ -197,20 +194,43 @@ class Isam2Smoother:
                     self._handles[n] = []
             self._drift.see(self.sensor, sightings, number, self._P)
         else:
-            xy = self.map.xy[np.searchsorted(self.map.id, number)]
-            seen = sight_known(self.sensor, *sightings, frames, number, xy, self._copies, self.loss)
-            self._copies += len(seen)
-            for s in seen:
-                if s.key is not None and s.xy is not None:
-                    values.insert(s.key, s.xy)
+            seen = self._sight_known(sightings, frames, number)
         self._sighted += seen
-        motions = len(factors)
-        handles = self._engine.add(factors + [f for s in seen for f in s.factors], values)[motions:]
-        for s in seen:
-            if self.map is None:
-                self._handles[s.number] += handles[: len(s.factors)]
-            handles = handles[len(s.factors) :]
+        self._add(factors, seen, values)
         self._read()
+
+    def _sight_known(self, sightings: Sightings, frames: IntArray, number: IntArray) -> list[Sighted]:
+        """Observations of known landmarks from frames (m,)."""
+        assert self.map is not None
+        xy = self.map.xy[np.searchsorted(self.map.id, number)]
+        self._copies += len(number)
+        return sight_known(self.sensor, *sightings, frames, number, xy, self._copies - len(number), self.loss)
+
+    def _add(self, motion: list[Factor], seen: list[Sighted], values: gtsam.Values) -> None:
+        """Give factors to the engine; those of a landmark, or of a frame in a known map, can be taken back."""
+        for s in seen:
+            if s.key is not None and s.xy is not None:
+                values.insert(s.key, s.xy)
+        handles = self._engine.add(motion + [f for s in seen for f in s.factors], values)[len(motion) :]
+        for s in seen:
+            held = self._handles.setdefault(s.number if self.map is None else s.frame, [])
+            held += handles[: len(s.factors)]
+            handles = handles[len(s.factors) :]
+
+    def amend(self, frames: IntArray, sightings: Sightings, decisions: IntArray) -> None:
+        """In a known map: take what frames (m,) up to now saw (m) for other landmarks than before.
+
+        These frames' former pairings are forgotten. Decisions (m,) are ids of the map; others leave a sighting unused.
+        """
+        again, take = set(frames.tolist()), np.flatnonzero(decisions >= 0)
+        old = [h for f in sorted(again) for h in self._handles.pop(f, [])]
+        if old:
+            self._engine.drop(old)
+        motion, values = self._flush()
+        seen = self._sight_known(Sightings(sightings.z[take], sightings.R[take]), frames[take], decisions[take])
+        self._sighted = sorted([s for s in self._sighted if s.frame not in again] + seen, key=lambda s: s.frame)
+        self._add(motion, seen, values)
+        self.refine()
 
     def _flush(self) -> tuple[list[Factor], gtsam.Values]:
         """Factors and start values of the motion since the anchor (and the prior), which becomes part of the graph."""
@@ -268,10 +288,7 @@ class Isam2Smoother:
         moved = [s.renumbered(other[s.number]) for s in self._sighted if s.number in other]
         self._engine.drop([h for n in other for h in self._handles.pop(n)])
         self._sighted = sorted([s for s in self._sighted if s.number not in other] + moved, key=lambda s: s.frame)
-        handles = self._engine.add([f for s in moved for f in s.factors], gtsam.Values())
-        for s in moved:
-            self._handles[s.number] += handles[: len(s.factors)]
-            handles = handles[len(s.factors) :]
+        self._add([], moved, gtsam.Values())
         self.refine()
 
     def refine(self, updates: int = SETTLE) -> None:
@@ -298,22 +315,3 @@ class Isam2Smoother:
         found = optimize(problem, self._engine.values())
         total = (2.0 * found.error, problem.dof) if self.loss == "gaussian" else None
         return Finished(found.trajectory, found.map, total)
-
-
-@numba.njit(cache=True)
-def _advance(mean, P, Q, motion, M):  # type: ignore[no-untyped-def]
-    """Pose (3,), its covariance P and the covariance Q gathered since the anchor, one increment later."""
-    c, s = math.cos(mean[2]), math.sin(mean[2])
-    wx, wy = c * motion[0] - s * motion[1], s * motion[0] + c * motion[1]
-    moved = np.array([mean[0] + wx, mean[1] + wy, wrap_angle(mean[2] + motion[2])])
-    B = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    F = np.array([[1.0, 0.0, -wy], [0.0, 1.0, wx], [0.0, 0.0, 1.0]])
-    G = B @ M @ B.T
-    return moved, F @ P @ F.T + G, F @ Q @ F.T + G
-
-
-def _transport(displacement: Array) -> Array:
-    """Jacobian of a pose to an earlier one, world frame, for the displacement (3,) between them."""
-    F = np.eye(3)
-    F[0, 2], F[1, 2] = -displacement[1], displacement[0]
-    return F

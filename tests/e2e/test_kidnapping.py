@@ -80,7 +80,7 @@ def outcome(seed):
     back = back_after(inputs, truth, pose, covariance)
     enough = (np.diff(inputs.start)[AT:] >= 3).sum() >= 3
     false = sum(k < AT for k in front.localizer.alarms)
-    return (back is not None and back <= 3) if enough or back is not None else None, false
+    return bool(back is not None and back <= 3) if enough or back is not None else None, false
 
 
 def test_a_kidnapped_robot_is_back_after_three_scans():

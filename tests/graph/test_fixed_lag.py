@@ -12,7 +12,7 @@ from gtsam.symbol_shorthand import L, X
 from association.known import known_decisions
 from data import se2
 from data.arena import Arena, simulate
-from data.inputs import Increment, Increments, Prior
+from data.inputs import Increment, Increments, Prior, Sightings
 from data.result import DISCARD, NEW
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
@@ -405,3 +405,20 @@ def test_senseless_requests_are_refused():
     with pytest.raises(ValueError, match="known map"):
         lagged(inputs, 3.0).remove(np.array([0]))
     assert isinstance(lagged(inputs, 3.0), Isam2Smoother)
+
+
+def test_pairings_are_amended_in_the_window_only():
+    inputs, _, _ = circle(SENSORS["range-bearing"], frames=40, landmarks=6)
+    right, _ = known_decisions(inputs)
+    o = inputs.observations
+    wrong = np.where(np.isin(o.frame, [5, 36]), (right + 1) % 6, right)
+    rows = np.flatnonzero(np.isin(o.frame, [5, 36]))
+    recent = np.where(o.frame == 36, right, wrong)
+    s, *_ = drive(inputs, wrong, smoother=lagged(inputs, 10.0, **TIGHT))
+    expected, *_ = drive(inputs, recent, smoother=lagged(inputs, 10.0, **TIGHT))
+    s.amend(o.frame[rows], Sightings(o.z[rows], o.R[rows]), right[rows])
+    expected.refine(10)
+    s.refine(10)
+    for a, b in zip(s.estimate(), expected.estimate(), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-6)
+    assert len(s.finish().final.pose) == len(inputs)

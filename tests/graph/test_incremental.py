@@ -408,3 +408,43 @@ def test_the_first_expectations_are_the_filters_whatever_the_prior(sensor, varia
             np.testing.assert_allclose(A, B, atol=1e-4 * np.abs(B).max())
         for e in (ours, twin):
             e.update(sightings, decisions[rows])
+
+
+@every_sensor
+def test_amended_pairings_leave_no_trace_of_what_they_replace(sensor):
+    inputs, _, _ = circle(sensor, frames=40, landmarks=6)
+    right, _ = known_decisions(inputs)
+    o, rng = inputs.observations, np.random.default_rng(0)
+    amended = np.flatnonzero((o.frame > 5) & (rng.random(len(right)) < 0.3))
+    wrong = right.copy()
+    wrong[amended] = np.where(rng.random(len(amended)) < 0.5, DISCARD, (right[amended] + 1) % 6)
+    straight, *_ = drive(inputs, right, until=30, **TIGHT)
+    detour, *_ = drive(inputs, wrong, until=30, **TIGHT)
+    detour.predict(inputs.increment(30))  # the newest frame may be without a sighting yet
+    straight.predict(inputs.increment(30))
+    whole = np.flatnonzero(np.isin(o.frame, o.frame[amended]) & (o.frame < 30))
+    detour.amend(o.frame[whole], Sightings(o.z[whole], o.R[whole]), right[whole])
+    detour.refine(10)
+    straight.refine(10)
+    for a, b in zip(detour.estimate(), straight.estimate(), strict=True):
+        assert np.allclose(a, b, atol=1e-7)
+    for s in (detour, straight):
+        for k in range(30, 40):
+            if k > 30:
+                s.predict(inputs.increment(k))
+            s.update(inputs.sightings(k), right[inputs.start[k] : inputs.start[k + 1]])
+    ended, expected_end = detour.finish(), straight.finish()
+    assert np.allclose(ended.final.pose, expected_end.final.pose, atol=1e-6)
+    assert np.allclose(ended.final.covariance, expected_end.final.covariance, rtol=1e-3, atol=1e-8)
+    assert ended.total_nis[1] == expected_end.total_nis[1]
+
+
+def test_a_pairing_can_be_taken_back_without_another_one():
+    inputs, _, _ = circle(SENSORS["range-bearing"], frames=12)
+    decisions, _ = known_decisions(inputs)
+    fewer = np.where(inputs.observations.frame == 4, DISCARD, decisions)
+    s, *_ = drive(inputs, decisions, **TIGHT)
+    other, *_ = drive(inputs, fewer, **TIGHT)
+    rows = slice(inputs.start[4], inputs.start[5])
+    s.amend(np.full(rows.stop - rows.start, 4), inputs.sightings(4), fewer[rows])
+    assert np.allclose(s.finish().final.pose, other.finish().final.pose, atol=1e-6)
