@@ -183,8 +183,8 @@ def preintegrate(model: VelocityModel, time: Array, v: Array, omega: Array, at: 
     stands still and each coordinate's standard deviation grows as far as the fastest sample of the log would have gone.
     Composing the increments gives the same mean and covariance as predicting sample by sample (to rounding).
     """
-    time, v, omega = (np.ascontiguousarray(a, float) for a in (time, v, omega))
-    at = np.ascontiguousarray(at, float)
+    # copies: for arrays that cannot be written to the kernel would be compiled once more
+    time, v, omega, at = (np.array(a, float, order="C") for a in (time, v, omega, at))
     mean, cov = np.zeros((len(at), 3)), np.zeros((len(at), 3, 3))
     if len(at) == 0 or len(time) == 0:
         return Increments(mean, cov), 0

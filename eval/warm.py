@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from association.pair_poses import candidates
+from association.relocalize import relocalize
+from association.scan import Scan
 from data.arena import Arena, simulate
 from data.folder import load_folder
 from data.folder_writer import write_folder
@@ -33,6 +36,11 @@ def main() -> None:
                 estimator.update(view.sightings(0), np.full(len(view.sightings(0).z), -2))
                 expectation = estimator.expect(view.sightings(0))
                 expectation.joint(np.arange(len(expectation.number)))
+                candidates(expectation, view.sensor, np.eye(3))
+        place = inputs.map
+        if place is not None:
+            n = len(place.id)
+            relocalize(Scan(place.xy, 1e-4 * np.eye(2 * n), tuple((i,) for i in range(n))), place)
 
 
 if __name__ == "__main__":

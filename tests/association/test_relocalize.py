@@ -49,7 +49,7 @@ def brute_force(scan, known):
 
 @pytest.mark.parametrize("clutter", [0, 2])
 def test_place_and_pairings_are_found_without_a_prior(clutter):
-    for seed in range(20):
+    for seed in range(10):
         known, pose, scan, truth = scene(seed, clutter=clutter)
         place = relocalize(scan, known)
         assert place is not None

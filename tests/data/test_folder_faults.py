@@ -379,11 +379,12 @@ def corruptions(draw, files: dict[str, str]) -> dict[str, bytes]:
 
 @pytest.mark.parametrize("source", ["frames", "odometry"])
 @pytest.mark.parametrize("sensor", ["range_bearing", "relative_point"])
-def test_a_corrupted_folder_is_refused_with_its_place_or_read_soundly(small_log_files, save, source, sensor):
+@pytest.mark.parametrize("examples", [100, pytest.param(400, marks=pytest.mark.slow)])
+def test_a_corrupted_folder_is_refused_with_its_place_or_read_soundly(small_log_files, save, source, sensor, examples):
     files = small_log_files(source, sensor)
 
     @given(corruptions(files))
-    @settings(max_examples=400, deadline=None)
+    @settings(max_examples=examples, deadline=None)
     def check(broken):
         with tempfile.TemporaryDirectory() as temporary:
             folder = save(Path(temporary) / "log", broken)

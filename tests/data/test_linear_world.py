@@ -89,10 +89,11 @@ class TestLinearity:
         assert filtered > 0.05
         assert smoothed > 0.05
 
+    @pytest.mark.parametrize("runs", [70, pytest.param(200, marks=pytest.mark.slow)])
     @pytest.mark.parametrize("task", ["localization", "slam"])
-    def test_the_filter_is_consistent_in_pose_position_and_heading(self, task: str):
+    def test_the_filter_is_consistent_in_pose_position_and_heading(self, task: str, runs: int):
         means: dict[str, list[float]] = {"pose": [], "position": [], "heading": []}
-        for seed in range(200):
+        for seed in range(runs):
             log = simulate(LinearWorld(), seed)
             run = compare(log.inputs(labels=True), task, ["ekf"])[0].online
             for quantity, values in means.items():

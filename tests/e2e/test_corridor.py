@@ -1,4 +1,4 @@
-"""The corridor lab from end to end: recorded runs reproduced by the command, and what 50 simulated ones must show."""
+"""The corridor lab from end to end: recorded runs reproduced by the command, and what simulated ones must show."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from eval.score import confusion_of
 
 LOGS = [f"corridor_s0_people{people}_odo{odometry}" for people in (0, 1) for odometry in (0, 1)]
 RECORDED = {"nn": "NN", "singles": "SINGLES", "jcbb-first": "JCBB"}
-SEEDS = range(50)
+FEW, MANY = range(12), range(50)
 
 
 def rows(path):
@@ -69,11 +69,11 @@ def test_least_joint_distance_and_labels_do_on_the_recorded_runs_what_independen
     assert found[LOGS[1], "known"] == [437, 88, 0, 0]
 
 
-@pytest.fixture(scope="module")
-def study():
-    """(log, runs by (estimator, association)) of 50 seeds without people."""
+@pytest.fixture(scope="module", params=[FEW, pytest.param(MANY, marks=pytest.mark.slow)], ids=["few", "many"])
+def study(request):
+    """(log, runs by (estimator, association)) of seeds without people."""
     result = []
-    for seed in SEEDS:
+    for seed in request.param:
         log = simulate(Corridor(), seed)
         inputs = log.inputs(labels=True)
         runs = {("ekf", a): compare(inputs, "slam", ["ekf"], a)[0] for a in ("known", "jcbb")}

@@ -38,7 +38,7 @@ def localize(log):
 
 
 def test_a_robot_is_followed_without_labels(shared_data):
-    ratio, shares = localize(load_mrclam(shared_data / "mrclam" / "MRCLAM_Dataset9.zip", 3, stop=200.0))
+    ratio, shares = localize(load_mrclam(shared_data / "mrclam" / "MRCLAM_Dataset9.zip", 3, stop=100.0))
     assert ratio < 1.001
     assert min(shares) == 1.0
 

@@ -39,7 +39,7 @@ def report(tmp_path_factory, my_log):
         "--task",
         "localization,slam",
         "--estimator",
-        "dead-reckoning,ekf,isam2,batch,batch-huber,batch-cauchy",
+        "dead-reckoning,ekf,isam2,batch,batch-huber",
         "--runs",
         "3",
         "--out",
@@ -75,7 +75,6 @@ def test_every_estimator_and_phase_has_its_row_with_numbers(report):
         "isam2": ["online", "final"],
         "batch": ["final"],
         "batch-huber": ["final"],
-        "batch-cauchy": ["final"],
     }
     for task in ("localization", "slam"):
         for estimator, expected in phases.items():
@@ -112,27 +111,17 @@ def test_the_report_shows_pictures_and_needs_no_network(report):
     assert len(provenance["inputs"]["my_log"]["sha256"]) == 64
 
 
-def test_same_inputs_and_seed_give_the_same_bytes_with_any_number_of_processes(report, tmp_path):
-    out, arguments = report
-    again = tmp_path / "again"
-    arguments = [str(again) if a == str(out) else a for a in arguments]
-    assert main([*arguments, "--jobs", "2"]) == 0
-    files = sorted(p.relative_to(out) for p in out.rglob("*") if p.is_file())
-    assert files == sorted(p.relative_to(again) for p in again.rglob("*") if p.is_file())
+def test_same_inputs_and_seed_give_the_same_bytes_with_any_number_of_processes(my_log, tmp_path):
+    asked = ["--log", str(my_log), "--estimator", "ekf,batch", "--runs", "2", "--quick", "-q"]
+    one, two = tmp_path / "one" / "r", tmp_path / "two" / "r"
+    assert main([*asked, "--out", str(one), "--jobs", "1"]) == 0
+    assert main([*asked, "--out", str(two), "--jobs", "2"]) == 0
+    files = sorted(p.relative_to(one) for p in one.rglob("*") if p.is_file())
+    assert {".png", ".csv", ".md", ".html"} <= {name.suffix for name in files}
+    assert files == sorted(p.relative_to(two) for p in two.rglob("*") if p.is_file())
     for name in files:
         if name.name not in SAME_EVERY_TIME:
-            assert (out / name).read_bytes() == (again / name).read_bytes(), name
-
-
-def command(*arguments, **kwargs):
-    return subprocess.run(
-        [sys.executable, "-m", "eval.run_all", *arguments],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        check=False,
-        **kwargs,
-    )
+            assert (one / name).read_bytes() == (two / name).read_bytes(), name
 
 
 @pytest.mark.parametrize(("arguments", "words"), [
@@ -145,10 +134,21 @@ def command(*arguments, **kwargs):
     (["--data", "no_such_folder"], "no such folder"),
     (["--log", "arena:0", "--config", "tutorial-step1"], "does not come from a UTIAS MRCLAM recording"),
 ])  # fmt: skip
-def test_bad_input_is_one_line_and_exit_2_and_leaves_nothing(arguments, words, tmp_path):
-    done = command(*arguments, "--out", str(tmp_path / "r"), "--runs", "0", "--jobs", "1")
+def test_bad_input_is_one_line_and_exit_2_and_leaves_nothing(arguments, words, tmp_path, capfd):
+    assert main([*arguments, "--out", str(tmp_path / "r"), "--runs", "0", "--jobs", "1"]) == 2
+    said = capfd.readouterr().err
+    assert words in said
+    assert len(said.strip().splitlines()) == 1, said
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_exits_with_that_status_and_says_no_more(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "eval.run_all", "--log", ".", "--out", str(tmp_path / "r"), "--runs", "0"],
+        capture_output=True, text=True, cwd=ROOT, check=False,
+    )  # fmt: skip
     assert done.returncode == 2
-    assert words in done.stderr
+    assert "log.toml" in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1, done.stderr
     assert list(tmp_path.iterdir()) == []
 
@@ -169,11 +169,11 @@ def test_a_killed_run_leaves_the_previous_report_whole(report, tmp_path):
         [sys.executable, "-m", "eval.run_all", "--log", "arena:0", "--out", str(out), "--jobs", "1"],
         cwd=ROOT, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, start_new_session=True,
     )  # fmt: skip
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 300
     while not any(p.name.startswith(".report.partial") for p in tmp_path.iterdir()) and time.monotonic() < deadline:
         time.sleep(0.02)
     os.kill(process.pid, signal.SIGINT)
-    _, err = process.communicate(timeout=60)
+    _, err = process.communicate(timeout=300)
     assert process.returncode == 130
     assert b"Traceback" not in err
     assert {p.relative_to(out): p.read_bytes() for p in out.rglob("*") if p.is_file()} == before

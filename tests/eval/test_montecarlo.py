@@ -88,15 +88,15 @@ def test_a_seed_gives_the_same_numbers_every_time():
     assert set(a) == {KEY, ("localization", "batch", "known", "final")}
 
 
-@pytest.mark.parametrize("estimators", [("ekf", "batch")])
+@pytest.mark.parametrize("estimators", [("ekf",), pytest.param(("ekf", "batch"), marks=pytest.mark.slow)])
 def test_filter_and_smoother_are_consistent_in_the_arena(estimators):
     seeds = range(1000, 1050)
     scenario = only(*estimators)
     study = study_of(scenario, seeds, [one_run(scenario, s) for s in seeds])
     judged = [j for j in judge(study) if j.quantity in QUANTITIES]
-    assert len(judged) == 6
+    assert len(judged) == 3 * len(estimators)
     assert failed_declarations(judged) == []
-    for j in judged:  # six verdicts at 95 % fail by chance one time in four: the bounds here are wider, and still tight
+    for j in judged:  # of six verdicts at 95 % one fails by chance one time in four: wider bounds, and still tight
         assert j.verdict.mean == pytest.approx(j.verdict.dof, rel=0.08), j
         assert j.verdict.power > 0.9, j
 

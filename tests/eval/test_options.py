@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import resource
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -103,12 +103,18 @@ def test_shipped_tutorials_hold_the_classic_numbers():
     assert one.grid == two.grid == three.grid == four.grid == 0.02
 
 
+def children_cpu() -> float:
+    """s of processor time that finished subprocesses used, on a busy machine as on an idle one."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
 def test_help_shows_an_example_of_every_flag_and_answers_at_once():
-    begin = time.perf_counter()
+    begin = children_cpu()
     done = subprocess.run(
         [sys.executable, "-m", "eval.run_all", "--help"], capture_output=True, text=True, cwd=ROOT, check=True
     )
-    assert time.perf_counter() - begin < 3.0  # a second on an idle machine
+    assert children_cpu() - begin < 1.0  # a tenth, unless the numerical libraries are imported
     examples = done.stdout.split("examples:")[1]
     for action in parser()._actions:
         if action.dest not in ("help",):
