@@ -126,7 +126,7 @@ class TestImagesAreTrueToTheGeometry:
             narrow = replace(large, room_length=12.0, wall_distance=0.5, camera_yaw=-0.6)
             recording = Rendered(replace(narrow, duration=30.0, reference_width=200), 0)
         cut = behind = 0
-        for k in range(0, len(recording), 20):
+        for k in range(0, len(recording), 40 if near else 20):
             frame, whole = recording.frame(k), recording.true_pixels(k)
             place = to_world(recording.gallery, recording.scene.pose[k], frame.xyz.astype(float))
             for number, corners in enumerate(recording.scene.corners):
@@ -196,7 +196,7 @@ class TestStereoIsTrueToTheGeometry:
         assert checked == 96
 
     def test_with_noise_the_corner_errs_by_the_noise_of_stereo(self):
-        g = replace(CLEAN, disparity_noise=0.25)
+        g = replace(CLEAN, disparity_noise=0.25, reference_width=120)
         noisy, score = Rendered(g, 0), []
         for k, number in views(noisy, 4):
             xyz = noisy.frame(k).xyz
@@ -320,7 +320,7 @@ class TestLightAndLens:
         plain, blurred = Rendered(CLEAN, 0), Rendered(replace(CLEAN, exposure=0.03), 0)
         moving = np.abs(plain.scene.command[:, 1]) > 0.1
         kept = {True: [], False: []}
-        for k in range(2, 100, 5):
+        for k in range(2, 100, 9):
             if moving[k] != moving[k - 1]:
                 continue
             for s in plain.in_view(k):
