@@ -178,6 +178,43 @@ def test_removing_a_landmark_leaves_what_there_would_be_without_its_sightings(se
     )
 
 
+def parted(inputs, decisions, created, landmark, later):
+    """Decisions under which a landmark is founded again at its first sighting after frame `later`, with that number."""
+    o, number = inputs.observations, np.where(created >= 0, created, decisions)
+    again = np.flatnonzero((number == landmark) & (o.frame > later))
+    apart = decisions.copy()
+    apart[again[0]] = NEW
+    apart[again[1:]] = created.max() + 1
+    return apart, int(created.max() + 1)
+
+
+@every_sensor
+def test_joining_landmarks_is_having_known_that_they_are_one(sensor):
+    inputs, _, _ = circle(sensor)
+    inputs = inputs.without_map()
+    decisions, created = known_decisions(inputs)
+    late = int(inputs.observations.frame[created >= 0].max())
+    apart, number = parted(inputs, decisions, created, 2, late + 5)
+    s, *_ = drive(inputs, apart, **TIGHT)
+    assert number in s.numbers
+    other, *_ = drive(inputs, decisions, **TIGHT)
+    assert np.abs(s.estimate().mean - other.estimate().mean).max() > 1e-4
+    s.join(np.array([number]), np.array([2]))
+    assert s.numbers.tolist() == other.numbers.tolist()
+    np.testing.assert_allclose(s.estimate().mean, other.estimate().mean, atol=5e-6)
+    np.testing.assert_allclose(s.estimate().covariance, other.estimate().covariance, atol=1e-6)
+    one, two = s.finish(), other.finish()
+    np.testing.assert_allclose(one.final.pose, two.final.pose, atol=1e-6)
+    np.testing.assert_allclose(one.map.xy, two.map.xy, atol=1e-6)
+    assert one.total_nis[1] == two.total_nis[1]
+    for senseless in ((number, 2), (2, 2), (2, 99)):
+        with pytest.raises(ValueError, match="cannot join"):
+            s.join(np.array(senseless[:1]), np.array(senseless[1:]))
+    localizer = Isam2Smoother(inputs.prior, inputs.sensor, circle(sensor)[0].map)
+    with pytest.raises(ValueError, match="known map"):
+        localizer.join(np.array([1]), np.array([0]))
+
+
 @every_sensor
 @both_tasks
 def test_it_expects_what_the_filter_expects(sensor, task):
