@@ -32,7 +32,7 @@ test: .venv/.warm ## style, types, import rules, tests; PYTEST_ARGS='-k jcbb'
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest -n 2 $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n 2 --dist loadfile $(PYTEST_ARGS)
 
 test-slow: .venv/.warm ## the tests that take long
 	$(BIN)/python -m pytest -m slow $(PYTEST_ARGS)

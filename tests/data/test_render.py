@@ -126,7 +126,7 @@ class TestImagesAreTrueToTheGeometry:
             narrow = replace(large, room_length=12.0, wall_distance=0.5, camera_yaw=-0.6)
             recording = Rendered(replace(narrow, duration=30.0, reference_width=200), 0)
         cut = behind = 0
-        for k in range(0, len(recording), 40 if near else 20):
+        for k in range(0, len(recording), 20):
             frame, whole = recording.frame(k), recording.true_pixels(k)
             place = to_world(recording.gallery, recording.scene.pose[k], frame.xyz.astype(float))
             for number, corners in enumerate(recording.scene.corners):

@@ -22,7 +22,8 @@ def with_innovate(innovate):
     """Put in: the update with another `innovate` instead of the compiled one."""
 
     def put_in(monkeypatch):
-        monkeypatch.setattr(updates, "update", interpreted(updates.update, innovate=innovate))
+        update_from = interpreted(updates.update_from, innovate=innovate)
+        monkeypatch.setattr(updates, "update", interpreted(updates.update, update_from=update_from))
 
     return put_in
 
