@@ -216,10 +216,10 @@ def test_a_cluster_gives_the_same_numbers_though_a_worker_is_killed(small, tmp_p
     assert study(small, tmp_path / "here" / "r", "--jobs", "1", runs=CLUSTER_RUNS) == 0
     there = tmp_path / "there" / "r"
     with (
-        LocalCluster(
-            n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None, worker_dashboard_address=None
-        ) as cluster,
         ThreadPoolExecutor() as pool,
+        LocalCluster(
+            n_workers=1, threads_per_worker=1, processes=True, dashboard_address=":0", worker_dashboard_address=":0"
+        ) as cluster,
     ):
         asked = pool.submit(study, small, there, "--scheduler", cluster.scheduler_address, runs=CLUSTER_RUNS)
         kept = wait_for(asked.done, there.parent / ".studies", 1)
