@@ -17,14 +17,15 @@ from association.constellation import Landmarks, recognize, squared_distances
 from association.decide import Decided
 from association.expectation import Expectation, gate_threshold
 from association.hindsight import jcbb_hindsight
-from data.inputs import Increment, Inputs, IntArray, Sightings
-from data.result import Event
+from data.inputs import Increment, Inputs, IntArray, LandmarkMap, Sightings
+from data.result import DISCARD, Event
 from data.se2 import Array, BoolArray
 from data.sensors import RANGE_BEARING
 from ekf.calibrating import CalibratingSlam
 from eval.hindsight import Hindsight
 from eval.placing import Placing
 from eval.setup import Setup
+from eval.whereabouts import Whereabouts, unknown
 
 SPAN = 2.0
 """In ranges of the sensor: what was seen on a way as short as this is the window."""
@@ -38,16 +39,22 @@ TOGETHER = 4
 """Pairings of one frame that tell each other which is which."""
 SEEN = 2
 """Sightings that a landmark needs to be recognized."""
+KNOWN = 0.1
+"""In ranges: with a smaller standard deviation the robot is not lost any more."""
 EVERY = 5
 """Frames with sightings between two looks at the window, where nothing new is founded."""
 
 
 class Mapped(NamedTuple):
-    """Decisions (m,), whether the search for them was complete, and where (3,) the frame was placed, if it was."""
+    """Decisions (m,), whether the search for them was complete, and where (3,) the frame was placed, if it was.
+
+    astray: where the robot turned out to have been moved unseen, what is to be added (3, 3) to its motion's covariance.
+    """
 
     decisions: IntArray
     complete: bool
     at: Array | None
+    astray: Array | None
 
 
 class Revision(NamedTuple):
@@ -77,6 +84,7 @@ class HindsightMapper:
     Attributes:
         filter: what decides.
         hindsight: the evidence for its landmarks.
+        whereabouts: whether the robot has been moved unseen.
         joined: (frame, away, kept) of every landmark that turned out to be another one.
     """
 
@@ -86,7 +94,11 @@ class HindsightMapper:
         self.filter = CalibratingSlam(inputs.prior, inputs.sensor)
         self.hindsight = Hindsight(inputs.sensor)
         self.placing = Placing(inputs.sensor, setup, self.hindsight.rates)
+        self.whereabouts = Whereabouts(inputs.sensor)
         self.joined: list[tuple[int, int, int]] = []
+        self._again: list[tuple[int, int]] = []
+        """Landmarks founded while lost, and which they are."""
+        self._founder: dict[int, int] = {}
         self._k, self._way, self._reach = -1, 0.0, 0.0
         self._first: dict[int, float] = {}
         self._last: dict[int, float] = {}
@@ -101,6 +113,7 @@ class HindsightMapper:
         if increment is not None:
             self.filter.predict(increment)
             self.placing.move(increment)
+            self.whereabouts.move(increment)
             self._way += math.hypot(*increment.mean[:2])
 
     @property
@@ -121,26 +134,60 @@ class HindsightMapper:
         else:
             decisions, complete = placed.decisions, True
             self.hindsight.judge(placed.expectation, decisions, placed.believed)
-        at = None if placed is None else placed.pose
+        at: Array | None = None if placed is None else placed.pose
+        astray: Array | None = None
+        if placed is None:
+            at, astray, decisions = self._astray(e, decisions, rows)
         done = self.filter.update(seen, decisions, at=at)
         pose = self.filter.estimate().mean
         self.hindsight.see(rows.start, seen.z, done, pose)
         self.placing.see(pose, bool(done.used.any()))
         self._note(np.where(done.created >= 0, done.created, decisions), bool((done.created >= 0).any()))
+        self._founder.update({rows.start + int(i): int(done.created[i]) for i in np.flatnonzero(done.created >= 0)})
         self._reach = max(self._reach, float(sensor.polar(seen.z)[:, 0].max(initial=0.0)))
-        return Mapped(decisions, complete, at)
+        return Mapped(decisions, complete, at, astray)
 
     def _choose(self, e: Expectation) -> Decided:
         """Joint compatibility; a pairing among several likely ones counts only if the frame as a whole makes it."""
-        gate, new_gate, sensor = self.setup.gate, self.setup.new_gate, self.inputs.sensor
+        gate, new_gate = self.setup.gate, self.setup.new_gate
         found = Decided(*jcbb_hindsight(e, gate, new_gate))
         if not len(e.number) or not len(e.z):
             return found
-        area = np.sqrt(np.linalg.det(e.HPHt)) * (sensor.polar(e.z_hat)[:, 0] if sensor.kind == RANGE_BEARING else 1.0)
-        crowded = self._crowd() * math.pi * gate_threshold(gate or 0.99) * area > CROWDED
+        crowded = self._crowded(e)
         if not np.isin(found.decisions, e.number[crowded]).any() or (found.decisions >= 0).sum() >= TOGETHER:
             return found
         return Decided(*jcbb_hindsight(e.only(np.flatnonzero(~crowded)), gate, new_gate))
+
+    def _astray(self, e: Expectation, decisions: IntArray, rows: slice) -> tuple[Array | None, Array | None, IntArray]:
+        """Where the frame is after all, by its surroundings; what was unknown about its motion; its decisions."""
+        w, astray = self.whereabouts, None
+        sure = self.hindsight.certain()
+        paired = int(np.isin(decisions, sure).sum())
+        if w.watch(self._k, self.filter.created, paired, self.hindsight.surprise()):
+            astray = unknown(self.filter.mean[3:].reshape(-1, 2), self._range)
+            self.filter.lose(astray)
+        if w.lost and np.trace(self.filter.estimate().covariance[:2, :2]) < (KNOWN * self._range) ** 2:
+            w.recover(self._k)  # a constellation told
+        if not w.lost:
+            return None, astray, decisions
+        xy = self.filter.position(sure)[0].reshape(-1, 2)
+        o = self.inputs.observations
+        seen = Sightings(o.z[rows], o.R[rows])
+        found = w.search(self._k, seen, np.arange(rows.start, rows.stop), LandmarkMap(sure, xy))
+        if found is None:
+            e = self.filter.expect(seen)
+            known = np.flatnonzero(~self._crowded(e))
+            return None, astray, jcbb_hindsight(e.only(known), self.setup.gate, self.setup.new_gate)[0]
+        place, of = found
+        self._again = [(self._founder[row], n) for row, n in of.items() if row in self._founder]
+        return place.pose, astray, np.array([of.get(row, DISCARD) for row in range(rows.start, rows.stop)], np.int64)
+
+    def _crowded(self, e: Expectation) -> BoolArray:
+        """Candidates (n,) into whose gate so many landmarks fall by chance that a single observation tells nothing."""
+        sensor = self.inputs.sensor
+        area = np.sqrt(np.linalg.det(e.HPHt)) * (sensor.polar(e.z_hat)[:, 0] if sensor.kind == RANGE_BEARING else 1.0)
+        crowded: BoolArray = self._crowd() * math.pi * gate_threshold(self.setup.gate or 0.99) * area > CROWDED
+        return crowded
 
     def _crowd(self) -> float:
         """Landmarks per square metre around the robot."""
@@ -162,8 +209,9 @@ class HindsightMapper:
         """The end of a frame: what is taken back, from the filter already."""
         gone = self.hindsight.contradicted(self._k)
         self._drop(gone)
-        pairs: list[tuple[int, int]] = []
-        if self._founded or self._waited >= EVERY:
+        again, self._again = dict(self._again), []
+        pairs = [(a, b) for a, b in again.items() if a in self._first and b in self._first and b < a]
+        if not pairs and (self._founded or self._waited >= EVERY):
             self._founded, self._waited = False, 0
             pairs = self._recognize()
         away, kept = np.array(pairs, np.int64).reshape(-1, 2).T
@@ -259,6 +307,12 @@ class HindsightMapper:
     def notes(self) -> list[str]:
         """What a reader of the results should know."""
         told = [*self.hindsight.notes(), *self.placing.notes()]
+        w = self.whereabouts
+        if w.alarms:
+            told.append(
+                f"the robot was moved unseen {len(w.alarms)} times (first in frame {w.alarms[0]}), and"
+                f" {len(w.found)} times its place in the map was found again"
+            )
         if self.joined:
             first = self.joined[0][0]
             told.append(f"{len(self.joined)} landmarks turned out to be ones founded before (first in frame {first})")

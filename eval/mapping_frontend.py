@@ -55,7 +55,9 @@ class MappingFrontEnd(FrontEnd):
         o = self.inputs.observations
         sightings = Sightings(o.z[rows], o.R[rows])
         expectation = self.expect(sightings) if watch is not None else None
-        decisions, complete, at = self.mapper.decide(rows)
+        decisions, complete, at, astray = self.mapper.decide(rows)
+        if astray is not None:
+            self.estimator.lose(astray)
         self.incomplete += not complete
         if watch is not None:
             watch.decided(self, rows, expectation, decisions)

@@ -82,6 +82,16 @@ def test_a_place_that_the_joint_covariance_excludes_is_not_taken():
     assert recognize(known, old, cross, everything, density(old.xy), FREE) == []
 
 
+def test_pairs_that_are_each_likely_and_all_together_are_not_are_not_taken():
+    rng = np.random.default_rng(4)
+    old = Landmarks(rng.uniform(0.0, 60.0, (40, 2)), block(40, 0.2))
+    way = rng.uniform(0.0, 2.0 * np.pi, 8)
+    off = 0.2 * np.sqrt(2.0) * np.stack([np.cos(way), np.sin(way)], 1)
+    for sigmas, taken in ((1.5, True), (2.8, False)):
+        new = Landmarks(old.xy[:8] + sigmas * off, block(8, 0.2))
+        assert bool(found_in(new, old, np.zeros((16, 80)))) is taken
+
+
 def test_three_landmarks_are_too_few():
     new, old, cross, _ = twice(1, common=3)
     assert found_in(new, old, cross) == []

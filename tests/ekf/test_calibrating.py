@@ -94,6 +94,31 @@ def test_the_motion_with_errors_is_linearized_where_it_stands():
     np.testing.assert_allclose(f._P[:10, :10], expected, atol=1e-8)
 
 
+@pytest.mark.parametrize("step", [(0.8, 0.0, 0.0), (0.8, 0.05, 0.3), (0.8, -0.1, -0.4)])
+def test_an_increments_errors_are_those_of_driving_it_in_small_pieces(step):
+    """Uneven wheels turn a little with every metre of the way, a scale falsifies every piece alike."""
+    step, n = np.array(step), 2000
+    piece = se2.compose(np.zeros(3), step)
+    turn, way = piece[2] / n, np.hypot(*piece[:2])
+
+    def driven(curvature, scale, length):
+        pose, each = np.zeros(3), way / n
+        for _ in range(n):
+            pose = se2.compose(pose, np.array([each * length, 0.0, turn * scale + each * curvature]))
+        return pose
+
+    small = 1e-5
+    exact = driven(0.0, 1.0, 1.0)
+    A = systematic(exact)
+    for column, error in (
+        (1, (small, 1.0, 1.0)),
+        (2 if turn > 0.0 else 3, (0.0, 1.0 + small, 1.0)),
+        (4, (0.0, 1.0, 1.0 + small)),
+    ):
+        if column in (1, 4) or turn != 0.0:
+            np.testing.assert_allclose(A[:, column], (driven(*error) - exact) / small, atol=0.03)
+
+
 def test_backward_motion_turns_the_other_way():
     forth, back = systematic(np.array([1.0, 0.0, 0.0])), systematic(np.array([-1.0, 0.0, 0.0]))
     assert forth[2, 1] == 1.0

@@ -5,7 +5,9 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from data.inputs import Increments, Inputs, Observations, Prior
 from data.result import NEW, founders, revised
+from data.sensors import RelativePoint
 from eval.hindsight import JOINED
 from eval.mapping_frontend import MappingFrontEnd
 from eval.replay import batch, step_by_step
@@ -123,3 +125,33 @@ def test_the_same_log_gives_the_same_decisions(world, runs):
     again = step_by_step("ekf", world[0], "slam", METHOD)
     assert np.array_equal(again.final_decisions, runs["ekf"].final_decisions)
     assert np.array_equal(again.online.pose, runs["ekf"].online.pose)
+
+
+def standing(frames, step, seen):
+    """Inputs of a robot that moves by `step` [m] sideways to its view; `seen(k)` (n, 2): points it sees in frame k."""
+    sensor = RelativePoint(max_range=40.0)
+    mean = np.tile([0.0, step, 0.0], (frames, 1))
+    mean[0] = 0.0
+    M = np.tile(np.diag([1e-4, 1e-4, 1e-6]), (frames, 1, 1))
+    points = [(k, p - [0.0, k * step]) for k in range(frames) for p in seen(k)]
+    frame, z = np.array([k for k, _ in points]), np.array([p for _, p in points])
+    observations = Observations(frame, z, np.tile(0.3**2 * np.eye(2), (len(z), 1, 1)))
+    prior = Prior(np.zeros(3), np.zeros((3, 3)))
+    return Inputs(prior, np.arange(frames, dtype=float), Increments(mean, M), observations, sensor, None)
+
+
+def test_two_points_seen_in_one_frame_stay_two_however_near():
+    both = np.array([[5.0, 0.0], [5.3, 0.2]])
+    run = step_by_step("ekf", standing(12, 0.05, lambda k: both), "slam", METHOD)
+    assert run.map.number.tolist() == [0, 1]
+    assert not run.events
+
+
+@pytest.mark.parametrize(("step", "stays"), [(0.0, True), (0.6, False)])
+def test_what_is_hidden_from_one_place_is_missed_once(step, stays):
+    """Five frames with all points, then twenty without the last: from one place it is hidden, from others gone."""
+    points = np.stack([np.full(9, 5.0), np.linspace(-12.0, 12.0, 9)], 1)
+    points = np.vstack([points[:4], points[5:], points[4:5]])
+    run = step_by_step("ekf", standing(25, step, lambda k: points if k < 5 else points[:8]), "slam", METHOD)
+    assert set(range(8)) <= set(run.map.number.tolist())
+    assert (8 in run.map.number) is stays

@@ -57,7 +57,8 @@ def test_the_example_is_not_what_the_end_of_the_log_took_back(people):
 
 def test_joined_landmarks_are_shown_before_others():
     run = revising_run(
-        Event(3, 0, 5, DISCARD, "moved"), Event(3, 1, 5, DISCARD, "moved"), Event(3, 2, 5, DISCARD, "moved"),
+        Event(3, 0, 5, 4, "another hypothesis leads"), Event(3, 1, 5, 4, "another hypothesis leads"),
+        Event(3, 2, 5, 4, "another hypothesis leads"),
         Event(5, 3, NEW, 2, JOINED), Event(5, 4, 7, 2, JOINED), Event(9, 5, 1, DISCARD, "uncertain"),
     )  # fmt: skip
     one = example(run)
@@ -65,7 +66,7 @@ def test_joined_landmarks_are_shown_before_others():
     assert one.old.tolist() == [7, 7]
     assert one.new.tolist() == [2, 2]
     row = tally(run)
-    assert [row[k] for k in ("pairings undone", "made instead", "landmarks joined")] == ["5", "1", "1"]
+    assert [row[k] for k in ("pairings undone", "made instead", "landmarks joined")] == ["5", "4", "1"]
     assert example(revising_run(Event(9, 5, 1, DISCARD, "uncertain"))) is None
 
 

@@ -178,6 +178,30 @@ def test_removing_a_landmark_leaves_what_there_would_be_without_its_sightings(se
     )
 
 
+@every_sensor
+def test_a_motion_that_is_not_believed_is_as_uncertain_as_said(sensor):
+    """The filter's prediction with that much more, and what is seen afterwards decides."""
+    inputs, _, _ = circle(sensor, noise=0.0)
+    inputs = inputs.without_map()
+    decisions, _ = known_decisions(inputs)
+    more = np.diag([25.0, 25.0, 1.0])
+    twin = EkfSlam(inputs.prior, inputs.sensor)
+    s, *_ = drive(inputs, decisions, until=20, **TIGHT)
+    drive(inputs, decisions, until=20, smoother=twin)
+    rows = slice(int(inputs.start[20]), int(inputs.start[21]))
+    for f in (s, twin):
+        f.predict(inputs.increment(20))
+        f.lose(more)
+    np.testing.assert_allclose(s.estimate().covariance, twin.estimate().covariance, atol=1e-6)
+    assert s.estimate().covariance[0, 0] > 25.0
+    for f in (s, twin):
+        f.update(inputs.sightings(20), decisions[rows])
+    np.testing.assert_allclose(s.estimate().covariance, twin.estimate().covariance, atol=1e-4)
+    assert s.estimate().covariance[0, 0] < 1.0
+    with pytest.raises(ValueError, match="no motion"):
+        s.lose(more)
+
+
 def parted(inputs, decisions, created, landmark, later):
     """Decisions under which a landmark is founded again at its first sighting after frame `later`, with that number."""
     o, number = inputs.observations, np.where(created >= 0, created, decisions)
