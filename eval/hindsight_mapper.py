@@ -15,10 +15,13 @@ import numpy as np
 from association.candidates import in_view
 from association.constellation import Landmarks, recognize, squared_distances
 from association.decide import Decided
+from association.evidence import PLACE
 from association.expectation import Expectation, gate_threshold
-from association.hindsight import jcbb_hindsight
+from association.hindsight import jcbb_hindsight, settled
+from association.learned_gates import Scales, counted, relearned, scaled, widest
+from association.tentative import Tentative
 from data.inputs import Increment, Inputs, IntArray, Sightings
-from data.result import Event
+from data.result import DISCARD, NEW, Event
 from data.se2 import Array, BoolArray
 from data.sensors import RANGE_BEARING
 from ekf.calibrating import CalibratingSlam
@@ -38,6 +41,8 @@ TOGETHER = 4
 """Pairings of one frame that tell each other which is which."""
 SEEN = 2
 """Sightings that a landmark needs to be recognized."""
+MOST = 16
+"""Landmarks of a constellation, those seen last."""
 EVERY = 5
 """Frames with sightings between two looks at the window, where nothing new is founded."""
 
@@ -87,6 +92,10 @@ class HindsightMapper:
         self.hindsight = Hindsight(inputs.sensor)
         self.placing = Placing(inputs.sensor, setup, self.hindsight.rates)
         self.joined: list[tuple[int, int, int]] = []
+        self.scales = Scales()
+        self._parted, self._epoch = -math.inf, 0
+        self._tentative, self._pairings = Tentative(), 0
+        self._asked: dict[tuple[int, bool], float] = {}
         self._k, self._way, self._reach = -1, 0.0, 0.0
         self._first: dict[int, float] = {}
         self._last: dict[int, float] = {}
@@ -117,6 +126,7 @@ class HindsightMapper:
         placed = self.placing.find(e, self.filter.estimate().mean)
         if placed is None:
             decisions, complete = self._choose(e)
+            self.scales = relearned(self.scales, e, decisions)
             self.hindsight.judge(e, decisions)
         else:
             decisions, complete = placed.decisions, True
@@ -131,16 +141,50 @@ class HindsightMapper:
         return Mapped(decisions, complete, at)
 
     def _choose(self, e: Expectation) -> Decided:
-        """Joint compatibility; a pairing among several likely ones counts only if the frame as a whole makes it."""
+        """Joint compatibility by the noise that there is, and by the stated one what is neither paired nor new.
+
+        A pairing among several likely ones counts only if the frame as a whole makes it.
+        """
         gate, new_gate, sensor = self.setup.gate, self.setup.new_gate, self.inputs.sensor
-        found = Decided(*jcbb_hindsight(e, gate, new_gate))
+        real = scaled(e, self.scales)
+        found = Decided(*jcbb_hindsight(real, gate, new_gate))
         if not len(e.number) or not len(e.z):
             return found
         area = np.sqrt(np.linalg.det(e.HPHt)) * (sensor.polar(e.z_hat)[:, 0] if sensor.kind == RANGE_BEARING else 1.0)
         crowded = self._crowd() * math.pi * gate_threshold(gate or 0.99) * area > CROWDED
-        if not np.isin(found.decisions, e.number[crowded]).any() or (found.decisions >= 0).sum() >= TOGETHER:
-            return found
-        return Decided(*jcbb_hindsight(e.only(np.flatnonzero(~crowded)), gate, new_gate))
+        if (found.decisions >= 0).sum() < TOGETHER and crowded.any():
+            few = np.flatnonzero(~crowded)
+            if self._way - self._parted > AGE * self._range:
+                self._parted, self._epoch = self._way, self.filter.created
+            again = Decided(*jcbb_hindsight(real.only(few), gate, new_gate))
+            return Decided(self._put_off(e.only(few), again.decisions), again.complete)
+        return Decided(self._put_off(e, found.decisions), found.complete)
+
+    def _put_off(self, e: Expectation, decisions: IntArray) -> IntArray:
+        """Decisions (m,) with `DISCARD` for what the stated noise allows to be a landmark, until several agree."""
+        gated = settled(e, decisions, self.setup.new_gate)
+        pose, nearest = self.filter.estimate().mean, e.individual_distances()
+        paired = gated[gated >= 0]
+        self._pairings += len(paired)
+        inside, outside = sum(self._elsewhere(n, True) for n in paired.tolist()), 0
+        for i in np.flatnonzero(gated == DISCARD).tolist():
+            counts = self._elsewhere(int(e.number[np.argmin(nearest[i])]), False)
+            outside += counts
+            if decisions[i] == NEW:
+                xy, _, Gz = self.inputs.sensor.inverse(pose, e.z[i : i + 1])
+                covariance = Gz[0] @ e.R[i] @ Gz[0].T
+                if self._tentative.see(xy[0], covariance, self._way, self._pairings, self._range):
+                    gated[i] = NEW
+                    outside -= 1
+        self.scales = counted(self.scales, inside, outside)
+        return gated
+
+    def _elsewhere(self, number: int, inside: bool) -> bool:
+        """Whether the robot has moved since a landmark's gate was judged the same way: from one place it is one case."""
+        if self._way - self._asked.get((number, inside), -math.inf) < PLACE * self._range:
+            return False
+        self._asked[number, inside] = self._way
+        return True
 
     def _crowd(self) -> float:
         """Landmarks per square metre around the robot."""
@@ -183,17 +227,24 @@ class HindsightMapper:
         aged = [n for n in known if self._way - self._first[n] > age]
         if not young:
             return []
-        if not set(aged) & set(window):
-            far = [n for n in aged if n not in set(window)]
-            if far:
-                near = self._compare(young, far)
-                turn = 3.0 * math.sqrt(self.filter.estimate().covariance[2, 2]) + 0.1
-                allowed = (near.d2 < gate_threshold(0.999)) & ~near.beside
-                found = recognize(near.new, near.old, near.cross, allowed, self._crowd(), turn)
-                if found:
-                    return [(young[i], far[j]) for i, j in found]
+        anew = [n for n in young if n >= self._epoch]
+        pairs = [] if set(aged) & set(window) else self._fit(young, [n for n in aged if n not in set(window)])
+        pairs = pairs or self._fit(anew, [n for n in known if n < self._epoch])
+        if pairs:
+            return pairs
         pair = self._single(window, aged, LONELY) or self._single(window, known, 0.2 * LONELY)
         return [] if pair is None else [pair]
+
+    def _fit(self, young: list[int], old: list[int]) -> list[tuple[int, int]]:
+        """Young landmarks that are old ones by their constellation: (away, kept)."""
+        if not young or not old:
+            return []
+        young = sorted(young, key=lambda n: self._last[n])[-MOST:]
+        c = self._compare(young, old)
+        turn = 3.0 * math.sqrt(self.filter.estimate().covariance[2, 2]) + 0.1
+        allowed = (c.d2 < gate_threshold(0.999)) & ~c.beside
+        found = recognize(c.new, c.old, c.cross, allowed, self._crowd(), turn, widest(self.scales))
+        return [(young[i], old[j]) for i, j in found]
 
     def _compare(self, young: list[int], old: list[int]) -> _Compared:
         mean, P = self.filter.position(np.array(young + old))
@@ -212,9 +263,10 @@ class HindsightMapper:
         c = self._compare(young, old)
         younger = np.array(young)[:, None] > np.array(old)[None]
         d2 = np.where(c.beside | ~younger, np.inf, c.d2)
-        near = d2 < gate_threshold(0.99)
-        with np.errstate(invalid="ignore"):
-            alone = near & (self._crowd() * math.pi * gate_threshold(0.99) * np.sqrt(np.maximum(c.det, 0.0)) < lonely)
+        near, scale = d2 < gate_threshold(0.99), widest(self.scales)
+        alone = near & (d2 < scale * gate_threshold(0.99))
+        area = scale * math.pi * gate_threshold(0.99) * np.sqrt(np.maximum(c.det, 0.0))
+        alone &= self._crowd() * area < lonely
         alone &= (near.sum(axis=0) == 1)[None] & (near.sum(axis=1) == 1)[:, None]
         if not alone.any():
             return None
