@@ -153,9 +153,10 @@ class HindsightMapper:
         area = np.sqrt(np.linalg.det(e.HPHt)) * (sensor.polar(e.z_hat)[:, 0] if sensor.kind == RANGE_BEARING else 1.0)
         crowded = self._crowd() * math.pi * gate_threshold(gate or 0.99) * area > CROWDED
         if (found.decisions >= 0).sum() < TOGETHER and crowded.any():
-            few = np.flatnonzero(~crowded)
-            if self._way - self._parted > AGE * self._range:
+            if self._way - self._parted > SPAN * self._range:
                 self._parted, self._epoch = self._way, self.filter.created
+            # of what was founded since, nothing is founded again
+            few = np.flatnonzero(~crowded | (e.number >= self._epoch))
             again = Decided(*jcbb_hindsight(real.only(few), gate, new_gate))
             return Decided(self._put_off(e.only(few), again.decisions), again.complete)
         return Decided(self._put_off(e, found.decisions), found.complete)
@@ -231,6 +232,7 @@ class HindsightMapper:
         pairs = [] if set(aged) & set(window) else self._fit(young, [n for n in aged if n not in set(window)])
         pairs = pairs or self._fit(anew, [n for n in known if n < self._epoch])
         if pairs:
+            self._parted = -math.inf
             return pairs
         pair = self._single(window, aged, LONELY) or self._single(window, known, 0.2 * LONELY)
         return [] if pair is None else [pair]
@@ -260,14 +262,17 @@ class HindsightMapper:
         old = sorted(others)
         if len(young) < 1 or len(old) < 1:
             return None
-        c = self._compare(young, old)
-        younger = np.array(young)[:, None] > np.array(old)[None]
-        d2 = np.where(c.beside | ~younger, np.inf, c.d2)
+        every = np.array(sorted({*young, *old}))
+        c = self._compare(every.tolist(), every.tolist())
+        d2 = np.where(c.beside, np.inf, c.d2)
         near, scale = d2 < gate_threshold(0.99), widest(self.scales)
-        alone = near & (d2 < scale * gate_threshold(0.99))
         area = scale * math.pi * gate_threshold(0.99) * np.sqrt(np.maximum(c.det, 0.0))
-        alone &= self._crowd() * area < lonely
-        alone &= (near.sum(axis=0) == 1)[None] & (near.sum(axis=1) == 1)[:, None]
+        alone = near & (d2 < scale * gate_threshold(0.99)) & (self._crowd() * area < lonely)
+        # a third one nearby leaves open which of both it is, unless all three may be one
+        together = near | np.eye(len(every), dtype=np.bool_)
+        alone &= together.astype(np.int64) @ (~together).astype(np.int64) == 0
+        alone = alone[np.isin(every, young)][:, np.isin(every, old)]
+        alone &= np.array(young)[:, None] > np.array(old)[None]
         if not alone.any():
             return None
         i, j = np.argwhere(alone)[0]
