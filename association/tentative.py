@@ -8,6 +8,7 @@ until the pose is right again; beside a new landmark, the others stay where they
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,14 +21,25 @@ GATE = 0.99
 """Chi-square probability, 2 dof, inside which two sightings agree, by the stated noise of the sensor."""
 
 
-@dataclass(eq=False)
-class _Place:
-    """Latest sighting (2,) and covariance (2, 2) in the world; `times` it was seen, `way` [m] and pairings then."""
+class Sighting(NamedTuple):
+    """Place (2,) [m] of what was seen, in the world, its covariance (2, 2) by the sensor alone, and the way [m] then."""
 
     xy: Array
     covariance: Array
-    times: int
     way: float
+
+    def distance(self, other: Sighting) -> float:
+        """Squared Mahalanobis distance to another one."""
+        nu = self.xy - other.xy
+        return float(nu @ np.linalg.solve(self.covariance + other.covariance, nu))
+
+
+@dataclass(eq=False)
+class _Place:
+    """The latest sighting, how many there were, and the pairings in the run before the first."""
+
+    last: Sighting
+    times: int
     pairings: int
 
 
@@ -37,28 +49,32 @@ class Tentative:
     def __init__(self) -> None:
         """None yet."""
         self._places: list[_Place] = []
+        self._doubts: list[Sighting] = []
 
-    def see(self, xy: Array, covariance: Array, way: float, pairings: int, reach: float) -> int:
-        """Another such sighting; how many agree on a new landmark by now, 0: none.
+    def see(self, sighting: Sighting, pairings: int, reach: float) -> bool:
+        """Another such sighting; whether it is a new landmark by now.
 
-        Args:
-            xy: (2,) m, in the world. covariance: (2, 2) by the sensor alone.
-            way: m, travelled so far; a place is forgotten `reach` [m] after its last sighting.
-            pairings: so far in the run: one between the first sighting and this one says that the pose is right.
+        `pairings` so far in the run: one between the first sighting and this one says that the pose is right. A place
+        is forgotten `reach` [m] of way after its last sighting.
         """
-        self._places = [p for p in self._places if way - p.way <= reach]
-        best, least = None, gate_threshold(GATE)
-        for p in self._places:
-            nu = xy - p.xy
-            d2 = float(nu @ np.linalg.solve(covariance + p.covariance, nu))
-            if d2 < least:
-                best, least = p, d2
-        if best is None:
-            self._places.append(_Place(xy, covariance, 1, way, pairings))
-            return 0
-        best.xy, best.covariance, best.way = xy, covariance, way
-        best.times += 1
-        if best.times < AGREE or pairings <= best.pairings:
-            return 0
-        self._places = [p for p in self._places if p is not best]
-        return best.times
+        self._places = [p for p in self._places if sighting.way - p.last.way <= reach]
+        self._doubts = [d for d in self._doubts if sighting.way - d.way <= reach]
+        near = min(self._places, key=lambda p: p.last.distance(sighting), default=None)
+        if near is None or near.last.distance(sighting) >= gate_threshold(GATE):
+            self._places.append(_Place(sighting, 1, pairings))
+            return False
+        near.last, near.times = sighting, near.times + 1
+        if near.times < AGREE or pairings <= near.pairings:
+            return False
+        self._places.remove(near)
+        return True
+
+    def doubt(self, sighting: Sighting) -> None:
+        """It was counted as one that a landmark's gate left out."""
+        self._doubts.append(sighting)
+
+    def settle(self, sighting: Sighting) -> int:
+        """A landmark was founded there: how many were counted that are its own; they are forgotten."""
+        own = [d for d in self._doubts if d.distance(sighting) < gate_threshold(GATE)]
+        self._doubts = [d for d in self._doubts if not any(d is o for o in own)]
+        return len(own)

@@ -19,7 +19,7 @@ from association.evidence import PLACE
 from association.expectation import Expectation, gate_threshold
 from association.hindsight import jcbb_hindsight, settled
 from association.learned_gates import Scales, counted, relearned, scaled, widest
-from association.tentative import Tentative
+from association.tentative import Sighting, Tentative
 from data.inputs import Increment, Inputs, IntArray, Sightings
 from data.result import DISCARD, NEW, Event
 from data.se2 import Array, BoolArray
@@ -168,15 +168,17 @@ class HindsightMapper:
         paired = gated[gated >= 0]
         self._pairings += len(paired)
         inside, outside = sum(self._elsewhere(n, True) for n in paired.tolist()), 0
-        for i in np.flatnonzero(gated == DISCARD).tolist():
-            counts = self._elsewhere(int(e.number[np.argmin(nearest[i])]), False)
-            outside += counts
-            if decisions[i] == NEW:
-                xy, _, Gz = self.inputs.sensor.inverse(pose, e.z[i : i + 1])
-                covariance = Gz[0] @ e.R[i] @ Gz[0].T
-                if self._tentative.see(xy[0], covariance, self._way, self._pairings, self._range):
-                    gated[i] = NEW
-                    outside -= 1
+        for i in np.flatnonzero(gated < 0).tolist():
+            xy, _, Gz = self.inputs.sensor.inverse(pose, e.z[i : i + 1])
+            sighting = Sighting(xy[0], Gz[0] @ e.R[i] @ Gz[0].T, self._way)
+            if decisions[i] == NEW != gated[i] and self._tentative.see(sighting, self._pairings, self._range):
+                gated[i] = NEW
+            if gated[i] == NEW:
+                # what was in doubt there was not of the landmark beside it
+                outside -= self._tentative.settle(sighting)
+            elif self._elsewhere(int(e.number[np.argmin(nearest[i])]), False):
+                self._tentative.doubt(sighting)
+                outside += 1
         self.scales = counted(self.scales, inside, outside)
         return gated
 
@@ -262,7 +264,10 @@ class HindsightMapper:
         old = sorted(others)
         if len(young) < 1 or len(old) < 1:
             return None
-        every = np.array(sorted({*young, *old}))
+        may = ((between := self._compare(young, old)).d2 < gate_threshold(0.99)) & ~between.beside
+        every = np.array(sorted({*np.array(young)[may.any(axis=1)].tolist(), *np.array(old)[may.any(axis=0)].tolist()}))
+        if not len(every):
+            return None
         c = self._compare(every.tolist(), every.tolist())
         d2 = np.where(c.beside, np.inf, c.d2)
         near, scale = d2 < gate_threshold(0.99), widest(self.scales)
@@ -271,12 +276,11 @@ class HindsightMapper:
         # a third one nearby leaves open which of both it is, unless all three may be one
         together = near | np.eye(len(every), dtype=np.bool_)
         alone &= together.astype(np.int64) @ (~together).astype(np.int64) == 0
-        alone = alone[np.isin(every, young)][:, np.isin(every, old)]
-        alone &= np.array(young)[:, None] > np.array(old)[None]
+        alone &= (every[:, None] > every[None]) & np.isin(every, young)[:, None] & np.isin(every, old)[None]
         if not alone.any():
             return None
-        i, j = np.argwhere(alone)[0]
-        return young[i], old[j]
+        i, j = every[np.argwhere(alone)[0]].tolist()
+        return i, j
 
     def _join(self, away: int, kept: int) -> None:
         self.joined.append((self._k, away, kept))
