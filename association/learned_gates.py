@@ -16,7 +16,7 @@ import numpy as np
 
 from association.expectation import Expectation
 from association.hindsight import pairs_of
-from association.noise_scale import FINEST, FREEDOM, MEMORY, STATED, NoiseScale
+from association.noise_scale import FINEST, FREEDOM, MEMORY, NoiseScale
 from data.inputs import IntArray
 from data.se2 import Array
 
@@ -24,6 +24,8 @@ TAILS = 2.0
 """Variance of Student's t with four degrees of freedom, in units of its scale: the Gaussian that gates in its place."""
 
 
+FIRST = NoiseScale(1.0, 1.0)
+"""What was stated, worth as much as one innovation."""
 LEFT_OUT = 0.01
 STEP = 0.1
 HORIZON = 30.0
@@ -36,8 +38,8 @@ class Scales(NamedTuple):
     `log_tails` is the logarithm of a factor on variances, `told` the sightings that it was learned from.
     """
 
-    sensor: NoiseScale = STATED
-    motion: NoiseScale = STATED
+    sensor: NoiseScale = FIRST
+    motion: NoiseScale = FIRST
     log_tails: float = 0.0
     told: float = 0.0
 
