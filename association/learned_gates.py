@@ -24,7 +24,7 @@ TAILS = 2.0
 """Variance of Student's t with four degrees of freedom, in units of its scale: the Gaussian that gates in its place."""
 
 
-FIRST = NoiseScale(1.0, 1.0)
+FIRST = NoiseScale(1.0, 3.0)
 """What was stated, worth as much as one innovation."""
 LEFT_OUT = 0.01
 STEP = 0.1
