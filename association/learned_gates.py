@@ -22,14 +22,16 @@ from data.se2 import Array
 
 TAILS = 2.0
 """Variance of Student's t with four degrees of freedom, in units of its scale: the Gaussian that gates in its place."""
-
-
 FIRST = NoiseScale(1.0, 3.0)
-"""What was stated, worth as much as one innovation."""
+"""What was stated, worth as much as three innovations."""
 LEFT_OUT = 0.01
+"""Share of sightings that the gate of pairings is to leave out."""
 STEP = 0.1
+"""Of the logarithm of the gate, for one sighting left out, at most; ..."""
 HORIZON = 30.0
+"""... later this by the number of sightings, as much as one in a tail that falls with d^-4 tells; ..."""
 SLOWEST = 0.03
+"""... and at least this: the tails may change."""
 
 
 class Scales(NamedTuple):
@@ -45,21 +47,25 @@ class Scales(NamedTuple):
 
 
 def scaled(e: Expectation, scales: Scales) -> Expectation:
-    """The expectation with the noise that there is, never more than was stated; linearized where it was."""
-    r = p = widest(scales)
-    if r == p == 1.0:
+    """The expectation with the noise that there is."""
+    share = widest(scales)
+    if share == 1.0:
         return e
     return replace(
-        e, R=r * e.R, HPHt=p * e.HPHt, joint=lambda indices: p * e.joint(indices), elsewhere=None
+        e, R=share * e.R, HPHt=share * e.HPHt, joint=lambda indices: share * e.joint(indices), elsewhere=None
     )
 
 
 def widest(scales: Scales) -> float:
-    """Share of the stated variance that there is in a map, which both make."""
+    """Share of the stated variance that decisions count with: the wider of both, for a gate must hold what either does.
+
+    Never more than was stated.
+    """
     return min(1.0, _core(scales) * math.exp(scales.log_tails))
 
 
 def _core(scales: Scales) -> float:
+    """Without the tails."""
     return min(1.0, TAILS * max(scales.sensor.scale, scales.motion.scale))
 
 
@@ -86,8 +92,8 @@ def relearned(scales: Scales, e: Expectation, decisions: IntArray) -> Scales:
     parts = scales.sensor.scale * e.R[rows], scales.motion.scale * e.HPHt[chosen]
     nu = e.residual(e.z[rows], e.z_hat[chosen])
     S = parts[0] + parts[1]
-    v = np.linalg.solve(S, nu[..., None])[..., 0]
-    weight = (FREEDOM + 2.0) / (FREEDOM + np.einsum("ki,ki->k", nu, v))
+    v = np.asarray(np.linalg.solve(S, nu[..., None])[..., 0], np.float64)
+    weight = (FREEDOM + 2.0) / (FREEDOM + (nu * v).sum(axis=1))
     sensor, motion = (_toward(s, part, S, v, weight) for s, part in zip(scales[:2], parts, strict=True))
     return scales._replace(sensor=sensor, motion=motion)
 

@@ -22,7 +22,7 @@ GATE = 0.99
 
 
 class Sighting(NamedTuple):
-    """Place (2,) [m] of what was seen, in the world, its covariance (2, 2) by the sensor alone, and the way [m] then."""
+    """Place (2,) [m] in the world, its covariance (2, 2) by the sensor alone, the way [m] travelled until then."""
 
     xy: Array
     covariance: Array

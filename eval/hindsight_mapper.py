@@ -15,17 +15,16 @@ import numpy as np
 from association.candidates import in_view
 from association.constellation import Landmarks, recognize, squared_distances
 from association.decide import Decided
-from association.evidence import PLACE
 from association.expectation import Expectation, gate_threshold
 from association.hindsight import jcbb_hindsight, settled
-from association.learned_gates import Scales, counted, relearned, scaled, widest
-from association.tentative import Sighting, Tentative
+from association.learned_gates import scaled, widest
 from data.inputs import Increment, Inputs, IntArray, Sightings
-from data.result import DISCARD, NEW, Event
+from data.result import Event
 from data.se2 import Array, BoolArray
 from data.sensors import RANGE_BEARING
 from ekf.calibrating import CalibratingSlam
 from eval.hindsight import Hindsight
+from eval.learned_gates import LearnedGates
 from eval.placing import Placing
 from eval.setup import Setup
 
@@ -82,6 +81,7 @@ class HindsightMapper:
     Attributes:
         filter: what decides.
         hindsight: the evidence for its landmarks.
+        gates: the noise that there is, by which it decides.
         joined: (frame, away, kept) of every landmark that turned out to be another one.
     """
 
@@ -92,10 +92,9 @@ class HindsightMapper:
         self.hindsight = Hindsight(inputs.sensor)
         self.placing = Placing(inputs.sensor, setup, self.hindsight.rates)
         self.joined: list[tuple[int, int, int]] = []
-        self.scales = Scales()
+        self.gates = LearnedGates(inputs.sensor)
         self._parted, self._epoch = -math.inf, 0
-        self._tentative, self._pairings = Tentative(), 0
-        self._asked: dict[tuple[int, bool], float] = {}
+        """Way and next landmark where the robot last could not tell which is which."""
         self._k, self._way, self._reach = -1, 0.0, 0.0
         self._first: dict[int, float] = {}
         self._last: dict[int, float] = {}
@@ -111,6 +110,7 @@ class HindsightMapper:
             self.filter.predict(increment)
             self.placing.move(increment)
             self._way += math.hypot(*increment.mean[:2])
+            self.gates.move(increment)
 
     @property
     def _range(self) -> float:
@@ -126,7 +126,7 @@ class HindsightMapper:
         placed = self.placing.find(e, self.filter.estimate().mean)
         if placed is None:
             decisions, complete = self._choose(e)
-            self.scales = relearned(self.scales, e, decisions)
+            self.gates.learn(e, decisions)
             self.hindsight.judge(e, decisions)
         else:
             decisions, complete = placed.decisions, True
@@ -141,12 +141,9 @@ class HindsightMapper:
         return Mapped(decisions, complete, at)
 
     def _choose(self, e: Expectation) -> Decided:
-        """Joint compatibility by the noise that there is, and by the stated one what is neither paired nor new.
-
-        A pairing among several likely ones counts only if the frame as a whole makes it.
-        """
+        """Joint compatibility; a pairing among several likely ones counts only if the frame as a whole makes it."""
         gate, new_gate, sensor = self.setup.gate, self.setup.new_gate, self.inputs.sensor
-        real = scaled(e, self.scales)
+        real = scaled(e, self.gates.scales)
         found = Decided(*jcbb_hindsight(real, gate, new_gate))
         if not len(e.number) or not len(e.z):
             return found
@@ -163,31 +160,8 @@ class HindsightMapper:
 
     def _put_off(self, e: Expectation, decisions: IntArray) -> IntArray:
         """Decisions (m,) with `DISCARD` for what the stated noise allows to be a landmark, until several agree."""
-        gated = settled(e, decisions, self.setup.new_gate)
-        pose, nearest = self.filter.estimate().mean, e.individual_distances()
-        paired = gated[gated >= 0]
-        self._pairings += len(paired)
-        inside, outside = sum(self._elsewhere(n, True) for n in paired.tolist()), 0
-        for i in np.flatnonzero(gated < 0).tolist():
-            xy, _, Gz = self.inputs.sensor.inverse(pose, e.z[i : i + 1])
-            sighting = Sighting(xy[0], Gz[0] @ e.R[i] @ Gz[0].T, self._way)
-            if decisions[i] == NEW != gated[i] and self._tentative.see(sighting, self._pairings, self._range):
-                gated[i] = NEW
-            if gated[i] == NEW:
-                # what was in doubt there was not of the landmark beside it
-                outside -= self._tentative.settle(sighting)
-            elif self._elsewhere(int(e.number[np.argmin(nearest[i])]), False):
-                self._tentative.doubt(sighting)
-                outside += 1
-        self.scales = counted(self.scales, inside, outside)
-        return gated
-
-    def _elsewhere(self, number: int, inside: bool) -> bool:
-        """Whether the robot has moved since a landmark's gate was judged the same way: from one place it is one case."""
-        if self._way - self._asked.get((number, inside), -math.inf) < PLACE * self._range:
-            return False
-        self._asked[number, inside] = self._way
-        return True
+        stated = settled(e, decisions, self.setup.new_gate)
+        return self.gates.judge(e, decisions, stated, self.filter.estimate().mean, self._range)
 
     def _crowd(self) -> float:
         """Landmarks per square metre around the robot."""
@@ -247,7 +221,7 @@ class HindsightMapper:
         c = self._compare(young, old)
         turn = 3.0 * math.sqrt(self.filter.estimate().covariance[2, 2]) + 0.1
         allowed = (c.d2 < gate_threshold(0.999)) & ~c.beside
-        found = recognize(c.new, c.old, c.cross, allowed, self._crowd(), turn, widest(self.scales))
+        found = recognize(c.new, c.old, c.cross, allowed, self._crowd(), turn, widest(self.gates.scales))
         return [(young[i], old[j]) for i, j in found]
 
     def _compare(self, young: list[int], old: list[int]) -> _Compared:
@@ -260,27 +234,26 @@ class HindsightMapper:
 
     def _single(self, window: list[int], others: list[int], lonely: float) -> tuple[int, int] | None:
         """Two landmarks that stand where one does, and no other near: (away, kept)."""
-        young = sorted(window)
-        old = sorted(others)
-        if len(young) < 1 or len(old) < 1:
+        young, old = sorted(window), sorted(others)
+        if not young or not old:
             return None
-        may = ((between := self._compare(young, old)).d2 < gate_threshold(0.99)) & ~between.beside
-        every = np.array(sorted({*np.array(young)[may.any(axis=1)].tolist(), *np.array(old)[may.any(axis=0)].tolist()}))
+        between = self._compare(young, old)
+        may = (between.d2 < gate_threshold(0.99)) & ~between.beside
+        every = np.union1d(np.array(young)[may.any(axis=1)], np.array(old)[may.any(axis=0)])
         if not len(every):
             return None
         c = self._compare(every.tolist(), every.tolist())
         d2 = np.where(c.beside, np.inf, c.d2)
-        near, scale = d2 < gate_threshold(0.99), widest(self.scales)
+        near, scale = d2 < gate_threshold(0.99), widest(self.gates.scales)
         area = scale * math.pi * gate_threshold(0.99) * np.sqrt(np.maximum(c.det, 0.0))
         alone = near & (d2 < scale * gate_threshold(0.99)) & (self._crowd() * area < lonely)
         # a third one nearby leaves open which of both it is, unless all three may be one
         together = near | np.eye(len(every), dtype=np.bool_)
-        alone &= together.astype(np.int64) @ (~together).astype(np.int64) == 0
+        apart = together.astype(np.int64) @ (~together).astype(np.int64)
+        alone &= apart + apart.T == 0
         alone &= (every[:, None] > every[None]) & np.isin(every, young)[:, None] & np.isin(every, old)[None]
-        if not alone.any():
-            return None
-        i, j = every[np.argwhere(alone)[0]].tolist()
-        return i, j
+        found = every[np.argwhere(alone)].tolist()
+        return tuple(found[0]) if found else None
 
     def _join(self, away: int, kept: int) -> None:
         self.joined.append((self._k, away, kept))
