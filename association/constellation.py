@@ -28,6 +28,8 @@ ODDS = 100.0
 """The best place must be so many times as likely as the second, by the number of landmarks that agree with each."""
 GATE = 0.9999
 """Chi-square probability of the joint test of all that are taken for the same."""
+ALONE = 0.999
+"""Chi-square probability of each of them, given the others."""
 FEWEST = 4
 """Landmarks that a place needs; two are laid on each other, so two more must agree."""
 
@@ -123,19 +125,30 @@ def recognize(
     xy = se2.transform_points(rigid_fit(new.xy[i], old.xy[j]), new.xy)
     near = np.hypot(*(xy[:, None] - old.xy[sides][None]).transpose(2, 0, 1)) < tolerance
     sure = (near[i].sum(axis=1) == 1) & (near[:, best[paired]].sum(axis=0) == 1)
-    i, j = i[sure], j[sure]
-    if len(i) < FEWEST:
-        return []
-    return list(zip(i.tolist(), j.tolist(), strict=True)) if _agree(new, old, cross, i, j) else []
+    kept = _agreeing(new, old, cross, i[sure], j[sure])
+    return [] if len(kept[0]) < FEWEST else list(zip(kept[0].tolist(), kept[1].tolist(), strict=True))
 
 
-def _agree(new: Landmarks, old: Landmarks, cross: Array, i: IntArray, j: IntArray) -> bool:
-    """Whether new landmarks i (k,) and old ones j (k,) can be the same jointly, with all their correlations."""
-    a, b = ((2 * at[:, None] + np.arange(2)).ravel() for at in (i, j))
-    both = cross[np.ix_(a, b)]
-    S = new.covariance[np.ix_(a, a)] + old.covariance[np.ix_(b, b)] - both - both.T
-    nu = (new.xy[i] - old.xy[j]).ravel()
-    return float(nu @ np.linalg.solve(S, nu)) < gate_threshold(GATE, len(nu))
+def _agreeing(new: Landmarks, old: Landmarks, cross: Array, i: IntArray, j: IntArray) -> tuple[IntArray, IntArray]:
+    """Those of new landmarks i (k,) and old ones j (k,) that can be the same, with all their correlations.
+
+    Worst first, a pair that the others contradict is left out (`ALONE`); the rest must pass the joint test (`GATE`).
+    """
+    while len(i) >= FEWEST:
+        a, b = ((2 * at[:, None] + np.arange(2)).ravel() for at in (i, j))
+        both = cross[np.ix_(a, b)]
+        W = np.linalg.inv(new.covariance[np.ix_(a, a)] + old.covariance[np.ix_(b, b)] - both - both.T)
+        nu = (new.xy[i] - old.xy[j]).ravel()
+        # each difference given the others: blocks of the inverse, see `association.hindsight.alone`
+        weighed, k = (W @ nu).reshape(-1, 2), np.arange(len(i))
+        blocks = W.reshape(len(i), 2, len(i), 2)[k, :, k, :]
+        alone = np.einsum("ka,ka->k", weighed, np.linalg.solve(blocks, weighed[..., None])[..., 0])
+        if alone.max() < gate_threshold(ALONE):
+            if float(nu @ W @ nu) < gate_threshold(GATE, len(nu)):
+                return i, j
+            break
+        i, j = np.delete(i, alone.argmax()), np.delete(j, alone.argmax())
+    return i[:0], j[:0]
 
 
 @numba.njit(cache=True)

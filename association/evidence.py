@@ -105,6 +105,14 @@ class Visibility(NamedTuple):
         name = ("missed_" if before_missed else "seen_") + ("seen" if seen else "missed")
         return self._replace(**{name: getattr(self, name) + 1})
 
+    def without(self, row: int) -> Visibility:
+        """Without a row of misses that is not over: a landmark must not testify for itself."""
+        if not row:
+            return self
+        return self._replace(
+            seen_missed=max(0, self.seen_missed - 1), missed_missed=max(0, self.missed_missed - (row - 1))
+        )
+
     @property
     def rate(self) -> float:
         """With which a landmark in view is seen."""
@@ -141,6 +149,7 @@ def verdict(e: Evidence, v: Visibility) -> str:
         if drift > gate_threshold(MOVED) or e.squares > gate_threshold(RESTLESS, 2 * e.judged):
             return "moved"
     if certain(e, v):
+        v = v.without(e.row)
         own = min(v.rate, detection_rate(e.looks, e.missed - e.row))
         return "missed" if v.row(e.row, own) < UNLIKELY**2 else ""
     return "missed" if v.row(e.row, v.rate) < UNLIKELY else ""

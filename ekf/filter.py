@@ -87,6 +87,11 @@ class Filter:
         self._version += 1
         kernels.predict(self._mean, self._P, self._used, increment.mean, increment.covariance, self._first)
 
+    def lose(self, covariance: Array) -> None:
+        """The last motion is not to be believed: so much covariance (3, 3), world frame, is added to the pose's."""
+        self._version += 1
+        self._P[:3, :3] += covariance
+
     def estimate(self) -> PoseEstimate:
         """The newest pose with its world-frame covariance (copies)."""
         return PoseEstimate(self._mean[:3].copy(), self._P[:3, :3].copy())

@@ -186,9 +186,10 @@ def main(argv: list[str] | None = None) -> int:
     lines = localization_lines(2_000 if quick else 20_000)
     print(table(lines), flush=True)
     print(table(victoria_park_lines(700 if quick else 10**9)), flush=True)
-    from eval.benchmark_association import association_lines
+    from eval.benchmark_association import association_lines, hindsight_lines
 
     print(table(association_lines(quick)), flush=True)
+    print(table(hindsight_lines(700 if quick else 10**9)), flush=True)
     from eval.benchmark_studies import study_lines
 
     print(table(study_lines(quick)), flush=True)

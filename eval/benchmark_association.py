@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
-from association.decide import decide
+from association.decide import HINDSIGHT, decide
 from association.expectation import Expectation, gate_threshold
 from association.jcbb import jcbb
 from data.inputs import Increments, Inputs, IntArray, LabelledObservations, Prior
 from data.result import NEW
+from data.se2 import Array
 from data.sensors import RangeBearing
 from eval.frontend import FrontEnd
-from eval.replay import step_by_step
+from eval.replay import front_end, step_by_step
 from eval.setup import Setup
 from eval.timed import Timed, median_seconds
 
@@ -110,6 +113,43 @@ def frame_seconds(estimator: str, inputs: Inputs, setup: Setup) -> tuple[float, 
     sightings = inputs.sightings(last)
     seconds = median_seconds(lambda: decide("jcbb", front.expect(sightings), GATE, 0.99999), 20)
     return seconds, len(sightings.z), len(front.expect(sightings).number)
+
+
+def each_frame(estimator: str, association: str, inputs: Inputs) -> Array:
+    """Seconds (N,) of every frame of a log, all that is done for it."""
+    front = front_end(estimator, association, inputs, Setup())
+    seconds = np.empty(len(inputs))
+    with threadpool_limits(1):
+        for k in range(len(inputs)):
+            begin = time.perf_counter()
+            front.move()
+            rows = slice(int(inputs.start[k]), int(inputs.start[k + 1]))
+            if rows.stop > rows.start:
+                front.associate(rows)
+            front.tidy()
+            front.estimator.estimate()
+            seconds[k] = time.perf_counter() - begin
+    return seconds
+
+
+def hindsight_lines(frames: int) -> list[Timed]:
+    """Victoria Park without labels, frame by frame: the mean, the slowest in a hundred, the slowest."""
+    from data.victoria_park import load_victoria_park
+    from eval.experiments import shortened
+
+    inputs = shortened(load_victoria_park(), frames).inputs().without_map()
+    lines = []
+    for name in ("ekf", "isam2"):
+        each_frame(name, HINDSIGHT, shortened(load_victoria_park(), 300).inputs().without_map())
+        seconds = each_frame(name, HINDSIGHT, inputs)
+        what = f"Victoria Park without labels, {name}, jcbb-hindsight, a frame"
+        for label, value, goal in (
+            ("mean", seconds.mean(), "< 10 ms"),
+            ("99 %", np.quantile(seconds, 0.99), "< 50 ms"),
+            ("longest", seconds.max(), ""),
+        ):
+            lines.append(Timed(f"{what}: {label}", float(value), 1, "frames", "", goal if name == "isam2" else ""))
+    return lines
 
 
 def association_lines(quick: bool) -> list[Timed]:

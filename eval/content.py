@@ -20,6 +20,7 @@ from eval.pictures import draw, kinds, publish_runs, stem
 from eval.provenance import command_of, provenance
 from eval.report import Block, Picture, ReportContent, Section, Table, write_report
 from eval.reproduced import published_frame
+from eval.revisions import revision_section
 from eval.run_files import folder_name
 from eval.score import Scores, Trial, score
 from eval.study_sections import study_sections
@@ -64,6 +65,7 @@ def write_results(
     sections += study_sections(folder, options, outcome, judged)
     if outcome.trials:
         sections += _association_sections(folder, options, outcome.trials, scores, published)
+        sections += revision_section(folder, options, outcome.trials)
         sections += [*lab_sections(outcome.trials, scores), _failure_section(outcome.trials)]
     sections += [Section("How to read the numbers", (READING,)), _source_section(outcome.trials, options)]
     introduction = _introduction(outcome.trials, scores, judged)

@@ -159,9 +159,12 @@ def _cut(log: Log, options: Options) -> Log:
 ALL = DEFAULT_ESTIMATORS
 DECIDING = ("ekf", "isam2", "batch")
 KNOWN = (Work("known", ALL),)
-LAB = (*KNOWN, *(Work(m, DECIDING if m == "jcbb" else ("ekf",)) for m in METHODS))
-"""The corridor lab: every method with the filter, joint compatibility with the smoothers as well."""
-EVERYTHING = (*KNOWN, *(Work(m, DECIDING) for m in METHODS))
+WAYS = (*METHODS, HINDSIGHT)
+HELPED = {"jcbb": DECIDING, HINDSIGHT: ("ekf", "batch")}
+LAB = (*KNOWN, *(Work(m, HELPED.get(m, ("ekf",))) for m in WAYS))
+"""The corridor lab: every method with the filter, joint compatibility with smoothers as well."""
+PARK = (*KNOWN, *(Work(m, HELPED[HINDSIGHT]) for m in ("jcbb", HINDSIGHT)))
+EVERYTHING = (*KNOWN, *(Work(m, DECIDING) for m in WAYS))
 VISUAL = ("dead-reckoning", "ekf", "ekf-iterated", "isam2", "batch")
 SHORT_GALLERY = 60
 """Frames of the rendered log in the default report; the whole log is `--log visual:0`."""
@@ -182,7 +185,7 @@ def reading_of(options: Options) -> Reading:
 def _default(options: Options, say: Callable[[str], None]) -> list[Experiment]:
     """The suite of a run without `--log`. Estimators or associations asked for replace its selection."""
     asked = bool(options.association) or options.estimator != ALL
-    park: tuple[Work, ...] = KNOWN if options.quick else (*KNOWN, Work("jcbb", ("isam2",)))
+    park: tuple[Work, ...] = KNOWN if options.quick else PARK
     corridors: tuple[str, ...] = CORRIDORS
     lab: tuple[Work, ...] = LAB
     arena: tuple[Work, ...] = KNOWN

@@ -77,8 +77,8 @@ def parser() -> argparse.ArgumentParser:
         action="append",
         metavar="PATH|NAME",
         help="open log folder, victoria-park, arena:SEED, circle:SEED, linear:SEED, or "
-        "corridor:SEED:people+no-odometry+KEY=VALUE (repeatable; default: victoria-park, arena:0, and corridor:0 in "
-        "four variants)",
+        "corridor:SEED:people+no-odometry+KEY=VALUE (repeatable; default: victoria-park, arena:0, corridor:0 in "
+        "five variants, a short visual:0)",
     )
     add(
         "--data",

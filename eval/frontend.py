@@ -60,6 +60,10 @@ class Estimator(Protocol):
         """Landmarks `away` are the same as `kept`, and go."""
         ...
 
+    def lose(self, covariance: Array) -> None:
+        """Believe the last motion so much less, by a covariance (3, 3) that is the same in all directions."""
+        ...
+
     def estimate(self) -> PoseEstimate:
         """The newest pose."""
         ...

@@ -34,6 +34,9 @@ from data.sensors import Sensor
 
 JOINED = "the same landmark as one founded before"
 
+LOST_SHARE = 0.2
+"""A robot that is elsewhere takes something for a landmark so much less often than one that sees it."""
+
 
 class Judged(NamedTuple):
     """What a frame's expectation says about its pairings, to be taken before the update, which it does not survive.
@@ -141,6 +144,21 @@ class Hindsight:
             self._evidence[kept] = stays._replace(
                 seen=stays.seen + gone.seen, looks=stays.looks + gone.looks, missed=stays.missed + gone.missed, row=0
             )
+
+    def surprise(self) -> float:
+        """Log-likelihood ratio of being elsewhere against being here, of certain landmarks the judged frame missed."""
+        v, total = self._visibility, 0.0
+        for n in self._judged.missing.tolist():
+            e = self._evidence[n]
+            if certain(e, v):
+                rate = min(v.rate, detection_rate(e.looks, e.missed - e.row))
+                here = v.row(e.row + 1, rate) / v.row(e.row, rate)
+                total += max(0.0, math.log((1.0 - LOST_SHARE * rate) / here))
+        return total
+
+    def certain(self) -> IntArray:
+        """Numbers (n,) of the landmarks that are certain, ascending."""
+        return np.array([n for n, e in sorted(self._evidence.items()) if certain(e, self._visibility)], np.int64)
 
     def rates(self, numbers: IntArray) -> Array:
         """With which rate (n,) landmarks of the map are seen where they are in view: the common one once certain."""

@@ -69,6 +69,10 @@ class Stretches:
         """No two landmarks of a known map are one: asking for it is an error."""
         self._now.join(away, kept)
 
+    def lose(self, covariance: Array) -> None:
+        """Believe the last motion so much less."""
+        self._now.lose(covariance)
+
     def estimate(self) -> PoseEstimate:
         """The newest pose."""
         return self._now.estimate()

@@ -13,20 +13,21 @@ from typing import NamedTuple
 import numpy as np
 
 from association.candidates import in_view
-from association.constellation import Landmarks, recognize, squared_distances
 from association.decide import Decided
 from association.expectation import Expectation, gate_threshold
 from association.hindsight import jcbb_hindsight, settled
 from association.learned_gates import scaled, widest
-from data.inputs import Increment, Inputs, IntArray, Sightings
-from data.result import Event
+from data.inputs import Increment, Inputs, IntArray, LandmarkMap, Sightings
+from data.result import DISCARD, Event
 from data.se2 import Array, BoolArray
 from data.sensors import RANGE_BEARING
 from ekf.calibrating import CalibratingSlam
 from eval.hindsight import Hindsight
 from eval.learned_gates import LearnedGates
 from eval.placing import Placing
+from eval.recognizing import LONELY, constellation, single
 from eval.setup import Setup
+from eval.whereabouts import Whereabouts, unknown
 
 SPAN = 2.0
 """In ranges of the sensor: what was seen on a way as short as this is the window."""
@@ -34,24 +35,26 @@ AGE = 6.0
 """In ranges: what was first seen longer ago than this is old."""
 CROWDED = 0.5
 """Landmarks that one expects inside a gate by chance: with more, a frame alone cannot tell which is which."""
-LONELY = 0.1
-"""With fewer, a single pair of landmarks may be recognized."""
 TOGETHER = 4
 """Pairings of one frame that tell each other which is which."""
 SEEN = 2
 """Sightings that a landmark needs to be recognized."""
-MOST = 16
-"""Landmarks of a constellation, those seen last."""
+KNOWN = 0.1
+"""In ranges: with a smaller standard deviation the robot is not lost any more."""
 EVERY = 5
 """Frames with sightings between two looks at the window, where nothing new is founded."""
 
 
 class Mapped(NamedTuple):
-    """Decisions (m,), whether the search for them was complete, and where (3,) the frame was placed, if it was."""
+    """Decisions (m,), whether the search for them was complete, and where (3,) the frame was placed, if it was.
+
+    astray: where the robot turned out to have been moved unseen, what is to be added (3, 3) to its motion's covariance.
+    """
 
     decisions: IntArray
     complete: bool
     at: Array | None
+    astray: Array | None
 
 
 class Revision(NamedTuple):
@@ -60,17 +63,6 @@ class Revision(NamedTuple):
     retracted: IntArray
     joined: IntArray
     kept: IntArray
-
-
-class _Compared(NamedTuple):
-    """New and old landmarks with what is between them; `beside` (m, n): they cannot be the same."""
-
-    new: Landmarks
-    old: Landmarks
-    cross: Array
-    d2: Array
-    det: Array
-    beside: BoolArray
 
 
 class HindsightMapper:
@@ -82,6 +74,7 @@ class HindsightMapper:
         filter: what decides.
         hindsight: the evidence for its landmarks.
         gates: the noise that there is, by which it decides.
+        whereabouts: whether the robot has been moved unseen.
         joined: (frame, away, kept) of every landmark that turned out to be another one.
     """
 
@@ -91,10 +84,14 @@ class HindsightMapper:
         self.filter = CalibratingSlam(inputs.prior, inputs.sensor)
         self.hindsight = Hindsight(inputs.sensor)
         self.placing = Placing(inputs.sensor, setup, self.hindsight.rates)
+        self.whereabouts = Whereabouts(inputs.sensor)
         self.joined: list[tuple[int, int, int]] = []
         self.gates = LearnedGates(inputs.sensor)
         self._parted, self._epoch = -math.inf, 0
         """Way and next landmark where the robot last could not tell which is which."""
+        self._again: list[tuple[int, int]] = []
+        """Landmarks founded while lost, and which they are."""
+        self._founder: dict[int, int] = {}
         self._k, self._way, self._reach = -1, 0.0, 0.0
         self._first: dict[int, float] = {}
         self._last: dict[int, float] = {}
@@ -109,6 +106,7 @@ class HindsightMapper:
         if increment is not None:
             self.filter.predict(increment)
             self.placing.move(increment)
+            self.whereabouts.move(increment)
             self._way += math.hypot(*increment.mean[:2])
             self.gates.move(increment)
 
@@ -131,24 +129,27 @@ class HindsightMapper:
         else:
             decisions, complete = placed.decisions, True
             self.hindsight.judge(placed.expectation, decisions, placed.believed)
-        at = None if placed is None else placed.pose
+        at: Array | None = None if placed is None else placed.pose
+        astray: Array | None = None
+        if placed is None:
+            at, astray, decisions = self._astray(e, decisions, rows)
         done = self.filter.update(seen, decisions, at=at)
         pose = self.filter.estimate().mean
         self.hindsight.see(rows.start, seen.z, done, pose)
         self.placing.see(pose, bool(done.used.any()))
         self._note(np.where(done.created >= 0, done.created, decisions), bool((done.created >= 0).any()))
+        self._founder.update({rows.start + int(i): int(done.created[i]) for i in np.flatnonzero(done.created >= 0)})
         self._reach = max(self._reach, float(sensor.polar(seen.z)[:, 0].max(initial=0.0)))
-        return Mapped(decisions, complete, at)
+        return Mapped(decisions, complete, at, astray)
 
     def _choose(self, e: Expectation) -> Decided:
         """Joint compatibility; a pairing among several likely ones counts only if the frame as a whole makes it."""
-        gate, new_gate, sensor = self.setup.gate, self.setup.new_gate, self.inputs.sensor
+        gate, new_gate = self.setup.gate, self.setup.new_gate
         real = scaled(e, self.gates.scales)
         found = Decided(*jcbb_hindsight(real, gate, new_gate))
         if not len(e.number) or not len(e.z):
             return found
-        area = np.sqrt(np.linalg.det(e.HPHt)) * (sensor.polar(e.z_hat)[:, 0] if sensor.kind == RANGE_BEARING else 1.0)
-        crowded = self._crowd() * math.pi * gate_threshold(gate or 0.99) * area > CROWDED
+        crowded = self._crowded(e)
         if (found.decisions >= 0).sum() < TOGETHER and crowded.any():
             if self._way - self._parted > SPAN * self._range:
                 self._parted, self._epoch = self._way, self.filter.created
@@ -162,6 +163,37 @@ class HindsightMapper:
         """Decisions (m,) with `DISCARD` for what the stated noise allows to be a landmark, until several agree."""
         stated = settled(e, decisions, self.setup.new_gate)
         return self.gates.judge(e, decisions, stated, self.filter.estimate().mean, self._range)
+
+    def _astray(self, e: Expectation, decisions: IntArray, rows: slice) -> tuple[Array | None, Array | None, IntArray]:
+        """Where the frame is after all, by its surroundings; what was unknown about its motion; its decisions."""
+        w, astray = self.whereabouts, None
+        sure = self.hindsight.certain()
+        paired = int(np.isin(decisions, sure).sum())
+        if w.watch(self._k, self.filter.created, paired, self.hindsight.surprise()):
+            astray = unknown(self.filter.mean[3:].reshape(-1, 2), self._range)
+            self.filter.lose(astray)
+        if w.lost and np.trace(self.filter.estimate().covariance[:2, :2]) < (KNOWN * self._range) ** 2:
+            w.recover(self._k)  # a constellation told
+        if not w.lost:
+            return None, astray, decisions
+        xy = self.filter.position(sure)[0].reshape(-1, 2)
+        o = self.inputs.observations
+        seen = Sightings(o.z[rows], o.R[rows])
+        found = w.search(self._k, seen, np.arange(rows.start, rows.stop), LandmarkMap(sure, xy))
+        if found is None:
+            e = self.filter.expect(seen)
+            known = np.flatnonzero(~self._crowded(e))
+            return None, astray, jcbb_hindsight(e.only(known), self.setup.gate, self.setup.new_gate)[0]
+        place, of = found
+        self._again = [(self._founder[row], n) for row, n in of.items() if row in self._founder]
+        return place.pose, astray, np.array([of.get(row, DISCARD) for row in range(rows.start, rows.stop)], np.int64)
+
+    def _crowded(self, e: Expectation) -> BoolArray:
+        """Candidates (n,) into whose gate so many landmarks fall by chance that a single observation tells nothing."""
+        sensor = self.inputs.sensor
+        area = np.sqrt(np.linalg.det(e.HPHt)) * (sensor.polar(e.z_hat)[:, 0] if sensor.kind == RANGE_BEARING else 1.0)
+        crowded: BoolArray = self._crowd() * math.pi * gate_threshold(self.setup.gate or 0.99) * area > CROWDED
+        return crowded
 
     def _crowd(self) -> float:
         """Landmarks per square metre around the robot."""
@@ -183,8 +215,9 @@ class HindsightMapper:
         """The end of a frame: what is taken back, from the filter already."""
         gone = self.hindsight.contradicted(self._k)
         self._drop(gone)
-        pairs: list[tuple[int, int]] = []
-        if self._founded or self._waited >= EVERY:
+        again, self._again = dict(self._again), []
+        pairs = [(a, b) for a, b in again.items() if a in self._first and b in self._first and b < a]
+        if not pairs and (self._founded or self._waited >= EVERY):
             self._founded, self._waited = False, 0
             pairs = self._recognize()
         away, kept = np.array(pairs, np.int64).reshape(-1, 2).T
@@ -204,56 +237,17 @@ class HindsightMapper:
         aged = [n for n in known if self._way - self._first[n] > age]
         if not young:
             return []
+        f, crowd, scale = self.filter, self._crowd(), widest(self.gates.scales)
+        young.sort(key=lambda n: self._last[n])
         anew = [n for n in young if n >= self._epoch]
-        pairs = [] if set(aged) & set(window) else self._fit(young, [n for n in aged if n not in set(window)])
-        pairs = pairs or self._fit(anew, [n for n in known if n < self._epoch])
+        pairs = [] if set(aged) & set(window) else constellation(f, self._beside, young, aged, crowd, scale)
+        pairs = pairs or constellation(f, self._beside, anew, [n for n in known if n < self._epoch], crowd, scale)
         if pairs:
             self._parted = -math.inf
             return pairs
-        pair = self._single(window, aged, LONELY) or self._single(window, known, 0.2 * LONELY)
-        return [] if pair is None else [pair]
-
-    def _fit(self, young: list[int], old: list[int]) -> list[tuple[int, int]]:
-        """Young landmarks that are old ones by their constellation: (away, kept)."""
-        if not young or not old:
-            return []
-        young = sorted(young, key=lambda n: self._last[n])[-MOST:]
-        c = self._compare(young, old)
-        turn = 3.0 * math.sqrt(self.filter.estimate().covariance[2, 2]) + 0.1
-        allowed = (c.d2 < gate_threshold(0.999)) & ~c.beside
-        found = recognize(c.new, c.old, c.cross, allowed, self._crowd(), turn, widest(self.gates.scales))
-        return [(young[i], old[j]) for i, j in found]
-
-    def _compare(self, young: list[int], old: list[int]) -> _Compared:
-        mean, P = self.filter.position(np.array(young + old))
-        m = 2 * len(young)
-        new, there = Landmarks(mean[:m].reshape(-1, 2), P[:m, :m]), Landmarks(mean[m:].reshape(-1, 2), P[m:, m:])
-        d2, det = squared_distances(new, there, P[:m, m:])
-        beside = np.array([np.isin(old, [*self._beside[a], a]) for a in young])
-        return _Compared(new, there, P[:m, m:], d2, det, beside)
-
-    def _single(self, window: list[int], others: list[int], lonely: float) -> tuple[int, int] | None:
-        """Two landmarks that stand where one does, and no other near: (away, kept)."""
-        young, old = sorted(window), sorted(others)
-        if not young or not old:
-            return None
-        between = self._compare(young, old)
-        may = (between.d2 < gate_threshold(0.99)) & ~between.beside
-        every = np.union1d(np.array(young)[may.any(axis=1)], np.array(old)[may.any(axis=0)])
-        if not len(every):
-            return None
-        c = self._compare(every.tolist(), every.tolist())
-        d2 = np.where(c.beside, np.inf, c.d2)
-        near, scale = d2 < gate_threshold(0.99), widest(self.gates.scales)
-        area = scale * math.pi * gate_threshold(0.99) * np.sqrt(np.maximum(c.det, 0.0))
-        alone = near & (d2 < scale * gate_threshold(0.99)) & (self._crowd() * area < lonely)
-        # a third one nearby leaves open which of both it is, unless all three may be one
-        together = near | np.eye(len(every), dtype=np.bool_)
-        apart = together.astype(np.int64) @ (~together).astype(np.int64)
-        alone &= apart + apart.T == 0
-        alone &= (every[:, None] > every[None]) & np.isin(every, young)[:, None] & np.isin(every, old)[None]
-        found = every[np.argwhere(alone)].tolist()
-        return tuple(found[0]) if found else None
+        return single(f, self._beside, window, aged, LONELY / crowd, scale) or single(
+            f, self._beside, window, known, 0.2 * LONELY / crowd, scale
+        )
 
     def _join(self, away: int, kept: int) -> None:
         self.joined.append((self._k, away, kept))
@@ -293,6 +287,12 @@ class HindsightMapper:
     def notes(self) -> list[str]:
         """What a reader of the results should know."""
         told = [*self.hindsight.notes(), *self.placing.notes()]
+        w = self.whereabouts
+        if w.alarms:
+            told.append(
+                f"the robot was moved unseen {len(w.alarms)} times (first in frame {w.alarms[0]}), and"
+                f" {len(w.found)} times its place in the map was found again"
+            )
         if self.joined:
             first = self.joined[0][0]
             told.append(f"{len(self.joined)} landmarks turned out to be ones founded before (first in frame {first})")

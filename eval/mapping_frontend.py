@@ -55,21 +55,24 @@ class MappingFrontEnd(FrontEnd):
         o = self.inputs.observations
         sightings = Sightings(o.z[rows], o.R[rows])
         expectation = self.expect(sightings) if watch is not None else None
-        decisions, complete, at = self.mapper.decide(rows)
+        decisions, complete, at, astray = self.mapper.decide(rows)
+        if astray is not None:
+            self.estimator.lose(astray)
         self.incomplete += not complete
         if watch is not None:
             watch.decided(self, rows, expectation, decisions)
         return decisions, self.update(sightings, decisions, rows, None if self._stays else at)
 
     def tidy(self) -> None:
-        """The end of a frame: landmarks leave the map by the rules of the setup, and in hindsight."""
-        super().tidy()
+        """The end of a frame: landmarks leave the map in hindsight, and by the rules of the setup."""
         found = self.mapper.revise()
         self._retract(found.retracted)
         if len(found.joined):
-            self.wake(np.concatenate([found.joined, found.kept]))
+            if (slam := self._filter) is not None:
+                self.wake(np.intersect1d(slam.parked, np.concatenate([found.joined, found.kept])))
             self.estimator.join(found.joined, found.kept)
             self._gone(found.joined)
+        super().tidy()
 
     def leave(self, numbers: IntArray) -> None:
         """Landmarks (r,) leave the map by the rules of the setup; nothing more is decided about them."""

@@ -90,6 +90,15 @@ class Isam2Smoother:
         self._mean, self._P, self._Q = advance(self._mean, self._P, self._Q, increment.mean, increment.covariance)
         self._path.append(self._mean)
 
+    def lose(self, covariance: Array) -> None:
+        """The last motion is not to be believed: so much covariance (3, 3), alike in all directions, is added to it."""
+        if not self._pending:
+            raise ValueError("there was no motion since the last sighting")
+        mean, stated = self._pending[-1]
+        self._pending[-1] = Increment(mean, stated + covariance)
+        self._P, self._Q = self._P + covariance, self._Q + covariance
+        self._drift.move(Increment(np.zeros(3), covariance))
+
     def estimate(self) -> PoseEstimate:
         """The newest pose with its world-frame covariance (copies)."""
         return PoseEstimate(self._mean.copy(), self._P.copy())

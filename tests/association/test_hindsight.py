@@ -4,7 +4,18 @@ import numpy as np
 import pytest
 
 from association import evidence
-from association.evidence import ENOUGH, FOUNDED, detection_rate, missing, overlooked, sighted, verdict
+from association.evidence import (
+    ENOUGH,
+    FOUNDED,
+    Judgement,
+    Visibility,
+    certain,
+    detection_rate,
+    missing,
+    overlooked,
+    sighted,
+    verdict,
+)
 from association.expectation import Expectation, SingularInnovationError, gate_threshold
 from association.hindsight import alone, given, jcbb_hindsight, prune
 from association.jcbb import jcbb
@@ -114,6 +125,12 @@ def test_without_candidates_everything_is_new():
     assert jcbb_hindsight(e, GATE, NEW_GATE)[0].tolist() == [NEW, NEW]
 
 
+def usual(rate, looks=10_000):
+    """Landmarks in view seen with a rate, each time independently."""
+    seen, missed = round(looks * rate), round(looks * (1.0 - rate))
+    return Visibility(round(seen * rate), round(missed * rate), round(seen * (1 - rate)), round(missed * (1 - rate)))
+
+
 def life(rng, steps, velocity=(0.0, 0.0), sigma=0.03, turning=0.0):
     """Evidence for a point that is seen `steps` times by a robot that turns, and filtered as one that stands still."""
     R = sigma**2 * EYE
@@ -124,7 +141,7 @@ def life(rng, steps, velocity=(0.0, 0.0), sigma=0.03, turning=0.0):
         G = np.array([[c, -s], [s, c]])
         seen = np.asarray(velocity) * k + rng.normal(0.0, sigma, 2)
         S = P + R
-        known = sighted(known, G.T @ (seen - place), np.linalg.inv(G.T @ S @ G), G)
+        known = sighted(known, Judgement(G.T @ (seen - place), np.linalg.inv(G.T @ S @ G), G), True)
         gain = P @ np.linalg.inv(S)
         place, P = place + gain @ (seen - place), P - gain @ P
     return known
@@ -132,7 +149,7 @@ def life(rng, steps, velocity=(0.0, 0.0), sigma=0.03, turning=0.0):
 
 def test_a_landmark_that_stands_still_is_hardly_ever_said_to_move():
     rng = np.random.default_rng(0)
-    assert sum(verdict(life(rng, 12, turning=0.4), 0.9) == "moved" for _ in range(1000)) <= 2
+    assert sum(verdict(life(rng, 12, turning=0.4), usual(0.9)) == "moved" for _ in range(1000)) <= 2
 
 
 def test_the_mean_innovation_of_a_landmark_that_stands_still_is_chi_square():
@@ -147,16 +164,16 @@ def test_the_mean_innovation_of_a_landmark_that_stands_still_is_chi_square():
 def test_a_walk_of_less_than_a_sigma_a_step_is_found_however_the_robot_turns(turning):
     rng = np.random.default_rng(2)
     lives = [life(rng, 9, velocity=(0.02, 0.015), turning=turning) for _ in range(200)]
-    assert np.mean([verdict(e, 0.9) == "moved" for e in lives]) > 0.9
+    assert np.mean([verdict(e, usual(0.9)) == "moved" for e in lives]) > 0.9
     assert np.mean([e.squares > gate_threshold(evidence.RESTLESS, 16) for e in lives]) < 0.75
 
 
 def test_what_jumps_to_and_fro_is_restless_though_its_mean_stays():
     known = FOUNDED
     for k in range(20):
-        known = sighted(known, np.array([0.1 * (-1) ** k, 0.0]), EYE / 0.03**2, EYE)
+        known = sighted(known, Judgement(np.array([0.1 * (-1) ** k, 0.0]), EYE / 0.03**2, EYE), True)
     assert abs(known.pull @ np.linalg.solve(known.information, known.pull)) < 1e-9
-    assert verdict(known, 0.9) == "moved"
+    assert verdict(known, usual(0.9)) == "moved"
 
 
 @pytest.mark.parametrize(("rate", "misses"), [(0.99, 2), (0.85, 4), (0.5, 10), (0.1, 66)])
@@ -164,14 +181,14 @@ def test_the_rarer_landmarks_are_seen_the_more_misses_are_needed(rate, misses):
     known = FOUNDED
     for _ in range(misses - 1):
         known = overlooked(known)
-    assert verdict(known, rate) == ""
-    assert verdict(overlooked(known), rate) == "missed"
+    assert verdict(known, usual(rate)) == ""
+    assert verdict(overlooked(known), usual(rate)) == "missed"
 
 
 def test_a_sighting_ends_a_row_of_misses():
-    known = sighted(overlooked(overlooked(FOUNDED)), np.zeros(2), EYE, EYE)
+    known = sighted(overlooked(overlooked(FOUNDED)), None, True)
     assert (known.seen, known.missed, known.row) == (2, 2, 0)
-    assert verdict(overlooked(known), 0.9) == ""
+    assert verdict(overlooked(known), usual(0.9)) == ""
 
 
 def test_a_certain_landmark_that_is_often_overlooked_is_given_more_time():
@@ -179,11 +196,11 @@ def test_a_certain_landmark_that_is_often_overlooked_is_given_more_time():
     for _ in range(ENOUGH):
         for _ in range(3):
             known = overlooked(known)
-        known = sighted(known, np.zeros(2), EYE, EYE)
+        known = sighted(known, None, True)
     for _ in range(4):
         known = overlooked(known)
-    assert verdict(known, 0.95) == ""
-    assert verdict(known._replace(seen=2), 0.95) == "missed"
+    assert verdict(known, usual(0.95)) == ""
+    assert verdict(known._replace(seen=2), usual(0.95)) == "missed"
 
 
 def test_nothing_is_known_of_a_rate_before_anything_was_seen():
@@ -204,3 +221,63 @@ def test_only_what_stands_well_inside_the_view_and_unhidden_is_missed(sensor_typ
     joint = np.diag(np.tile(scale, len(polar)))
     e = Expectation.from_arrays(z_hat[:1], z_hat, joint, np.tile(1e-4 * EYE, (1, 1, 1)))
     assert missing(e, np.array([0]), sensor).tolist() == [False, True, False, False, False, False, True]
+
+
+def test_misses_come_in_rows_where_landmarks_are_hidden_for_a_while():
+    """Seen every other time in both worlds; in one a landmark that is hidden stays so for ten looks."""
+    independent, hidden = usual(0.5), Visibility(4500, 500, 500, 4500)
+    assert independent.rate == pytest.approx(0.5, abs=0.01)
+    assert hidden.rate == pytest.approx(0.5, abs=0.01)
+    assert independent.row(6, 0.5) == pytest.approx(0.5**6, rel=0.02)
+    assert hidden.row(6, 0.5) == pytest.approx(0.5 * 0.9**5, rel=0.02)
+    known = FOUNDED
+    for _ in range(10):
+        known = overlooked(known)
+    assert verdict(known, independent) == "missed"
+    assert verdict(known, hidden) == ""
+
+
+def test_before_anything_is_known_of_rows_misses_are_independent():
+    assert Visibility().row(3, 0.8) == pytest.approx(0.2**3)
+    assert Visibility().row(0, 0.8) == 1.0
+
+
+def test_looks_are_counted_by_what_came_before():
+    v = Visibility()
+    for before_missed, seen in [(False, True), (False, False), (True, False), (True, True), (False, True)]:
+        v = v.counting(before_missed, seen)
+    assert v == Visibility(2, 1, 1, 1)
+    assert v.rate == pytest.approx(4 / 7)
+
+
+def test_where_landmarks_are_rarely_seen_two_sightings_make_one_certain():
+    twice = sighted(FOUNDED, None, True)
+    assert certain(twice, usual(0.3))
+    assert not certain(twice, usual(0.95))
+    assert not certain(FOUNDED, usual(0.05))
+    assert certain(twice._replace(seen=ENOUGH), usual(0.95))
+
+
+def test_against_a_certain_landmark_there_must_be_more():
+    v, few = usual(0.8), FOUNDED
+    sure = FOUNDED._replace(seen=20, looks=20)
+    for _ in range(5):
+        few, sure = overlooked(few), overlooked(sure)
+    assert verdict(few, v) == "missed"
+    assert verdict(sure, v) == ""
+    for _ in range(4):
+        sure = overlooked(sure)
+    assert verdict(sure, v) == "missed"
+
+
+def test_a_sighting_that_no_other_pairing_judges_says_nothing_about_moving():
+    known = FOUNDED
+    for _ in range(30):
+        known = sighted(known, None, True)
+    assert (known.seen, known.judged, known.squares) == (31, 0, 0.0)
+    assert verdict(known, usual(0.9)) == ""
+
+
+def test_sightings_from_one_place_are_one_look():
+    assert sighted(FOUNDED, None, False).looks == 1
+    assert sighted(FOUNDED, None, True).looks == 2

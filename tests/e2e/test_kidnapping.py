@@ -16,6 +16,7 @@ from data.result import revised
 from ekf.filter import DEFAULT
 from ekf.localizer import EkfLocalizer
 from eval.hindsight_frontend import LocalizingFrontEnd
+from eval.mapping_frontend import MappingFrontEnd
 from eval.setup import Setup
 
 AT = 40
@@ -169,3 +170,52 @@ def test_a_filter_that_is_reset_believes_only_that():
             f.predict(inputs.increment(6))
         assert np.array_equal(anew.mean, fresh.mean)
         assert np.array_equal(anew.covariance, fresh.covariance)
+
+
+def mapped(seed, estimator="ekf", frames=60):
+    """The front end of SLAM at the end of a log with a kidnapping, and position errors (N,)."""
+    inputs, truth, _ = kidnapped(seed, frames=frames)
+    inputs = inputs.without_map()
+    front, off = MappingFrontEnd(estimator, "jcbb-hindsight", inputs, Setup()), []
+    for k in range(len(inputs)):
+        front.move()
+        rows = slice(int(inputs.start[k]), int(inputs.start[k + 1]))
+        if rows.stop > rows.start:
+            front.associate(rows)
+        front.tidy()
+        off.append(np.hypot(*(front.estimator.estimate().mean - truth[k])[:2]))
+    front.close()
+    return front, np.array(off)
+
+
+@pytest.mark.parametrize(("seed", "estimator"), [(0, "ekf"), (5, "ekf"), (12, "ekf"), (0, "isam2"), (3, "isam2")])
+def test_a_robot_moved_while_it_maps_finds_its_place_in_its_own_map(seed, estimator):
+    front, off = mapped(seed, estimator)
+    told = front.mapper.whereabouts
+    assert [AT <= k < AT + 3 for k in told.alarms] == [True]
+    assert told.found == told.alarms
+    assert off[told.found[0]] < off[AT - 1] + 0.5
+    assert off[-1] < off[AT - 1] + 0.5
+    assert any("moved unseen" in note for note in front.notes())
+
+
+def test_what_was_founded_before_the_place_was_found_is_joined_to_what_it_is():
+    front, off = mapped(13, frames=70)
+    told = front.mapper.whereabouts
+    assert told.alarms == [AT]
+    assert told.found[0] > AT
+    assert len(front.mapper.joined) >= 3
+    assert off[-1] < 0.5
+
+
+def test_mapping_undisturbed_raises_no_alarm():
+    for seed in range(6):
+        log = simulate(Arena(frames=60), seed)
+        front = MappingFrontEnd("ekf", "jcbb-hindsight", log.inputs().without_map(), Setup())
+        for k in range(60):
+            front.move()
+            rows = slice(int(front.inputs.start[k]), int(front.inputs.start[k + 1]))
+            if rows.stop > rows.start:
+                front.associate(rows)
+            front.tidy()
+        assert front.mapper.whereabouts.alarms == []

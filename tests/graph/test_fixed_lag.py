@@ -21,7 +21,7 @@ from graph.batch import Start, build, smooth
 from graph.factors import UnderConstrained, graph_of, pose2, prior_factor
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
-from tests.graph.test_incremental import drive, for_task, resting
+from tests.graph.test_incremental import drive, for_task, parted, resting
 from tests.graph.test_marginals import solved
 from tests.graph.worlds import SENSORS, circle, order_of_creation
 
@@ -282,6 +282,27 @@ def test_removal_of_an_old_landmark_leaves_the_rest_as_a_filter_does(sensor, P0)
     ours, theirs = s.finish().map, twin.finish().map
     np.testing.assert_array_equal(ours.number, np.sort(theirs.number))
     np.testing.assert_allclose(ours.covariance, theirs.covariance[np.argsort(theirs.number)], atol=2e-8)
+
+
+@every_sensor
+@pytest.mark.parametrize("lag", [1e9, 8.0])
+def test_joined_landmarks_are_one_in_the_window_and_before_it(sensor, lag):
+    """Noise-free with the short lag: what leaves the window is then linearized where it is in the end."""
+    inputs, _, _ = circle(sensor, noise=1.0 if lag > 100.0 else 0.0)
+    inputs = inputs.without_map()
+    decisions, created = known_decisions(inputs)
+    apart, number = parted(inputs, decisions, created, 2, int(inputs.observations.frame[created >= 0].max()) + 5)
+    s = drive(inputs, apart, smoother=lagged(inputs, lag, **TIGHT))[0]
+    whole = drive(inputs, decisions, smoother=lagged(inputs, lag, **TIGHT))[0]
+    assert np.abs(s.estimate().covariance - whole.estimate().covariance).max() > 1e-5
+    s.join(np.array([number]), np.array([2]))
+    assert s.numbers.tolist() == whole.numbers.tolist()
+    np.testing.assert_allclose(s.estimate().mean, whole.estimate().mean, atol=1e-5)
+    np.testing.assert_allclose(s.estimate().covariance, whole.estimate().covariance, atol=1e-6)
+    np.testing.assert_allclose(s.landmarks().xy, whole.landmarks().xy, atol=1e-4)
+    np.testing.assert_allclose(s.landmarks().covariance, whole.landmarks().covariance, atol=1e-6)
+    with pytest.raises(ValueError, match="cannot join"):
+        s.join(np.array([number]), np.array([2]))
 
 
 @every_sensor

@@ -179,6 +179,67 @@ def test_removing_a_landmark_leaves_what_there_would_be_without_its_sightings(se
 
 
 @every_sensor
+def test_a_motion_that_is_not_believed_is_as_uncertain_as_said(sensor):
+    """The filter's prediction with that much more, and what is seen afterwards decides."""
+    inputs, _, _ = circle(sensor, noise=0.0)
+    inputs = inputs.without_map()
+    decisions, _ = known_decisions(inputs)
+    more = np.diag([25.0, 25.0, 1.0])
+    twin = EkfSlam(inputs.prior, inputs.sensor)
+    s, *_ = drive(inputs, decisions, until=20, **TIGHT)
+    drive(inputs, decisions, until=20, smoother=twin)
+    rows = slice(int(inputs.start[20]), int(inputs.start[21]))
+    for f in (s, twin):
+        f.predict(inputs.increment(20))
+        f.lose(more)
+    np.testing.assert_allclose(s.estimate().covariance, twin.estimate().covariance, atol=1e-6)
+    assert s.estimate().covariance[0, 0] > 25.0
+    for f in (s, twin):
+        f.update(inputs.sightings(20), decisions[rows])
+    np.testing.assert_allclose(s.estimate().covariance, twin.estimate().covariance, atol=1e-4)
+    assert s.estimate().covariance[0, 0] < 1.0
+    with pytest.raises(ValueError, match="no motion"):
+        s.lose(more)
+
+
+def parted(inputs, decisions, created, landmark, later):
+    """Decisions under which a landmark is founded again at its first sighting after frame `later`, with that number."""
+    o, number = inputs.observations, np.where(created >= 0, created, decisions)
+    again = np.flatnonzero((number == landmark) & (o.frame > later))
+    apart = decisions.copy()
+    apart[again[0]] = NEW
+    apart[again[1:]] = created.max() + 1
+    return apart, int(created.max() + 1)
+
+
+@every_sensor
+def test_joining_landmarks_is_having_known_that_they_are_one(sensor):
+    inputs, _, _ = circle(sensor)
+    inputs = inputs.without_map()
+    decisions, created = known_decisions(inputs)
+    late = int(inputs.observations.frame[created >= 0].max())
+    apart, number = parted(inputs, decisions, created, 2, late + 5)
+    s, *_ = drive(inputs, apart, **TIGHT)
+    assert number in s.numbers
+    other, *_ = drive(inputs, decisions, **TIGHT)
+    assert np.abs(s.estimate().mean - other.estimate().mean).max() > 1e-4
+    s.join(np.array([number]), np.array([2]))
+    assert s.numbers.tolist() == other.numbers.tolist()
+    np.testing.assert_allclose(s.estimate().mean, other.estimate().mean, atol=5e-6)
+    np.testing.assert_allclose(s.estimate().covariance, other.estimate().covariance, atol=1e-6)
+    one, two = s.finish(), other.finish()
+    np.testing.assert_allclose(one.final.pose, two.final.pose, atol=1e-6)
+    np.testing.assert_allclose(one.map.xy, two.map.xy, atol=1e-6)
+    assert one.total_nis[1] == two.total_nis[1]
+    for senseless in ((number, 2), (2, 2), (2, 99)):
+        with pytest.raises(ValueError, match="cannot join"):
+            s.join(np.array(senseless[:1]), np.array(senseless[1:]))
+    localizer = Isam2Smoother(inputs.prior, inputs.sensor, circle(sensor)[0].map)
+    with pytest.raises(ValueError, match="known map"):
+        localizer.join(np.array([1]), np.array([0]))
+
+
+@every_sensor
 @both_tasks
 def test_it_expects_what_the_filter_expects(sensor, task):
     """Noise-free, so that both linearize at the truth; two frames after the last update."""
