@@ -172,6 +172,7 @@ class HindsightMapper:
         if w.watch(self._k, self.filter.created, paired, self.hindsight.surprise()):
             astray = unknown(self.filter.mean[3:].reshape(-1, 2), self._range)
             self.filter.lose(astray)
+            self._parted, self._epoch = self._way, self.filter.created
         if w.lost and np.trace(self.filter.estimate().covariance[:2, :2]) < (KNOWN * self._range) ** 2:
             w.recover(self._k)  # a constellation told
         if not w.lost:
@@ -182,7 +183,7 @@ class HindsightMapper:
         found = w.search(self._k, seen, np.arange(rows.start, rows.stop), LandmarkMap(sure, xy))
         if found is None:
             e = self.filter.expect(seen)
-            known = np.flatnonzero(~self._crowded(e))
+            known = np.flatnonzero(~self._crowded(e) | (e.number >= self._epoch))
             return None, astray, jcbb_hindsight(e.only(known), self.setup.gate, self.setup.new_gate)[0]
         place, of = found
         self._again = [(self._founder[row], n) for row, n in of.items() if row in self._founder]
