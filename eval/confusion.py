@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from data.inputs import IntArray, LandmarkMap
-from data.result import NEW
+from data.result import DISCARD, NEW
 from data.se2 import Array
 from data.truth import UNKNOWN_ID
 
@@ -33,7 +33,7 @@ class Confusion:
         tp, tn, fp, fn: counts, summing to M.
         wrong: FP where GT was a landmark; spurious: FP where it was none.
         duplicate: FN that created a second landmark; missed: FN that was discarded.
-        deferred: FN whose decision was put off to a later frame (none of the present methods does).
+        deferred: FN whose decision was put off: discarded at first, paired in the end.
     """
 
     outcome: IntArray
@@ -101,8 +101,12 @@ def confuse(
     created: IntArray,
     known: LandmarkMap | None,
     removed: IntArray | None = None,
+    final: IntArray | None = None,
 ) -> Confusion | None:
-    """Score decisions (M,); None where some true id is unknown, because then the counts would not sum."""
+    """Score decisions (M,); None where some true id is unknown, because then the counts would not sum.
+
+    `final` (M,): where decisions were revised later, what became of them.
+    """
     if np.any(true_id == UNKNOWN_ID):
         return None
     gt = ground_truth(frame, true_id, created, known, removed)
@@ -111,6 +115,7 @@ def confuse(
     fp = paired & ~tp
     fn = ~paired & has
     tn = ~paired & ~has
+    deferred = np.zeros(len(decisions), np.bool_) if final is None else fn & (decisions == DISCARD) & (final >= 0)
     outcome = np.select([tp, tn, fp, fn], [0, 1, 2, 3]).astype(np.int64)
     counts = {name: int(mask.sum()) for name, mask in zip(OUTCOMES, (tp, tn, fp, fn), strict=True)}
     if sum(counts.values()) != len(decisions):
@@ -125,7 +130,8 @@ def confuse(
         wrong=int((fp & has).sum()),
         spurious=int((fp & ~has).sum()),
         duplicate=int((fn & (decisions == NEW)).sum()),
-        missed=int((fn & (decisions != NEW)).sum()),
+        missed=int((fn & (decisions != NEW) & ~deferred).sum()),
+        deferred=int(deferred.sum()),
     )
 
 

@@ -118,7 +118,9 @@ def confusion_of(run: Run, log: Log, phase: str) -> Confusion | None:
     decisions = run.decisions if phase == "online" else run.final_decisions
     # in the end a landmark that was retracted has never been
     created = run.created if phase == "online" else founders(decisions, run.created)
-    return confuse(log.recorded.observations.frame, log.truth.landmark_of, decisions, created, known, run.removed)
+    final = run.final_decisions if phase == "online" else None
+    frame = log.recorded.observations.frame
+    return confuse(frame, log.truth.landmark_of, decisions, created, known, run.removed, final)
 
 
 def _nis(run: Run, phase: str) -> tuple[float, int] | None:

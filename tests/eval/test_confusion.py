@@ -87,6 +87,18 @@ def test_outcomes_always_sum_to_the_observations(rows):
     assert c.duplicate + c.missed + c.deferred == c.fn
 
 
+def test_what_was_discarded_and_paired_in_the_end_was_put_off():
+    known = LandmarkMap(np.array([3, 5]), np.zeros((2, 2)))
+    frame, true_id = np.arange(5), np.array([3, 3, 3, 5, 3])
+    decisions, final = np.array([3, DISCARD, DISCARD, DISCARD, 5]), np.array([3, 3, DISCARD, 3, 3])
+    nothing = np.full(5, -1)
+    online = confuse(frame, true_id, decisions, nothing, known, None, final)
+    assert (online.tp, online.fp, online.fn) == (1, 1, 3)
+    assert (online.missed, online.deferred) == (1, 2)
+    settled = confuse(frame, true_id, final, nothing, known)
+    assert (settled.missed, settled.deferred) == (1, 0)
+
+
 def test_a_pairing_is_near_enough_if_the_landmark_taken_stands_by_the_right_one():
     places = LandmarkMap(np.array([3, 5, 9]), np.array([[0.0, 0.0], [0.0, 0.25], [4.0, 0.0]]))
     own = np.array([3, 3, 3, 9, -1, 3, 9])
