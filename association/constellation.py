@@ -84,7 +84,7 @@ def density(xy: Array) -> float:
 
 
 def recognize(
-    new: Landmarks, old: Landmarks, cross: Array, allowed: BoolArray, crowd: float, max_turn: float
+    new: Landmarks, old: Landmarks, cross: Array, allowed: BoolArray, crowd: float, max_turn: float, scale: float = 1.0
 ) -> list[tuple[int, int]]:
     """New landmarks (indices) that are old ones, [(new, old), ...]; none where no place stands out.
 
@@ -95,13 +95,14 @@ def recognize(
         allowed: (m, n) pairs that may be the same by themselves.
         crowd: landmarks per square metre in the old map.
         max_turn: rad, by which the new ones may be turned.
+        scale: share of the stated variance that there is in the distances between landmarks.
     """
     if len(new.xy) < FEWEST:
         return []
     sides = np.flatnonzero(allowed.any(axis=0))
     if len(sides) < FEWEST:
         return []
-    tolerance = SIGMAS * np.hypot(spread(new)[:, None], spread(old)[sides][None])
+    tolerance = SIGMAS * math.sqrt(scale) * np.hypot(spread(new)[:, None], spread(old)[sides][None])
     choices, counts, misfit = _vote(
         np.ascontiguousarray(new.xy), np.ascontiguousarray(old.xy[sides]), np.ascontiguousarray(allowed[:, sides]),
         tolerance, max_turn, KEPT,

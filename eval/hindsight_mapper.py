@@ -13,17 +13,19 @@ from typing import NamedTuple
 import numpy as np
 
 from association.candidates import in_view
-from association.constellation import Landmarks, recognize, squared_distances
 from association.decide import Decided
 from association.expectation import Expectation, gate_threshold
-from association.hindsight import jcbb_hindsight
+from association.hindsight import jcbb_hindsight, settled
+from association.learned_gates import scaled, widest
 from data.inputs import Increment, Inputs, IntArray, LandmarkMap, Sightings
 from data.result import DISCARD, Event
 from data.se2 import Array, BoolArray
 from data.sensors import RANGE_BEARING
 from ekf.calibrating import CalibratingSlam
 from eval.hindsight import Hindsight
+from eval.learned_gates import LearnedGates
 from eval.placing import Placing
+from eval.recognizing import LONELY, constellation, single
 from eval.setup import Setup
 from eval.whereabouts import Whereabouts, unknown
 
@@ -33,8 +35,6 @@ AGE = 6.0
 """In ranges: what was first seen longer ago than this is old."""
 CROWDED = 0.5
 """Landmarks that one expects inside a gate by chance: with more, a frame alone cannot tell which is which."""
-LONELY = 0.1
-"""With fewer, a single pair of landmarks may be recognized."""
 TOGETHER = 4
 """Pairings of one frame that tell each other which is which."""
 SEEN = 2
@@ -65,17 +65,6 @@ class Revision(NamedTuple):
     kept: IntArray
 
 
-class _Compared(NamedTuple):
-    """New and old landmarks with what is between them; `beside` (m, n): they cannot be the same."""
-
-    new: Landmarks
-    old: Landmarks
-    cross: Array
-    d2: Array
-    det: Array
-    beside: BoolArray
-
-
 class HindsightMapper:
     """What decides about the observations of a log without a map: `move`, `decide`, `revise`; at the end `close`.
 
@@ -84,6 +73,7 @@ class HindsightMapper:
     Attributes:
         filter: what decides.
         hindsight: the evidence for its landmarks.
+        gates: the noise that there is, by which it decides.
         whereabouts: whether the robot has been moved unseen.
         joined: (frame, away, kept) of every landmark that turned out to be another one.
     """
@@ -96,6 +86,9 @@ class HindsightMapper:
         self.placing = Placing(inputs.sensor, setup, self.hindsight.rates)
         self.whereabouts = Whereabouts(inputs.sensor)
         self.joined: list[tuple[int, int, int]] = []
+        self.gates = LearnedGates(inputs.sensor)
+        self._parted, self._epoch = -math.inf, 0
+        """Way and next landmark where the robot last could not tell which is which."""
         self._again: list[tuple[int, int]] = []
         """Landmarks founded while lost, and which they are."""
         self._founder: dict[int, int] = {}
@@ -115,6 +108,7 @@ class HindsightMapper:
             self.placing.move(increment)
             self.whereabouts.move(increment)
             self._way += math.hypot(*increment.mean[:2])
+            self.gates.move(increment)
 
     @property
     def _range(self) -> float:
@@ -130,6 +124,7 @@ class HindsightMapper:
         placed = self.placing.find(e, self.filter.estimate().mean)
         if placed is None:
             decisions, complete = self._choose(e)
+            self.gates.learn(e, decisions)
             self.hindsight.judge(e, decisions)
         else:
             decisions, complete = placed.decisions, True
@@ -150,13 +145,24 @@ class HindsightMapper:
     def _choose(self, e: Expectation) -> Decided:
         """Joint compatibility; a pairing among several likely ones counts only if the frame as a whole makes it."""
         gate, new_gate = self.setup.gate, self.setup.new_gate
-        found = Decided(*jcbb_hindsight(e, gate, new_gate))
+        real = scaled(e, self.gates.scales)
+        found = Decided(*jcbb_hindsight(real, gate, new_gate))
         if not len(e.number) or not len(e.z):
             return found
         crowded = self._crowded(e)
-        if not np.isin(found.decisions, e.number[crowded]).any() or (found.decisions >= 0).sum() >= TOGETHER:
-            return found
-        return Decided(*jcbb_hindsight(e.only(np.flatnonzero(~crowded)), gate, new_gate))
+        if (found.decisions >= 0).sum() < TOGETHER and crowded.any():
+            if self._way - self._parted > SPAN * self._range:
+                self._parted, self._epoch = self._way, self.filter.created
+            # of what was founded since, nothing is founded again
+            few = np.flatnonzero(~crowded | (e.number >= self._epoch))
+            again = Decided(*jcbb_hindsight(real.only(few), gate, new_gate))
+            return Decided(self._put_off(e.only(few), again.decisions), again.complete)
+        return Decided(self._put_off(e, found.decisions), found.complete)
+
+    def _put_off(self, e: Expectation, decisions: IntArray) -> IntArray:
+        """Decisions (m,) with `DISCARD` for what the stated noise allows to be a landmark, until several agree."""
+        stated = settled(e, decisions, self.setup.new_gate)
+        return self.gates.judge(e, decisions, stated, self.filter.estimate().mean, self._range)
 
     def _astray(self, e: Expectation, decisions: IntArray, rows: slice) -> tuple[Array | None, Array | None, IntArray]:
         """Where the frame is after all, by its surroundings; what was unknown about its motion; its decisions."""
@@ -166,6 +172,7 @@ class HindsightMapper:
         if w.watch(self._k, self.filter.created, paired, self.hindsight.surprise()):
             astray = unknown(self.filter.mean[3:].reshape(-1, 2), self._range)
             self.filter.lose(astray)
+            self._parted, self._epoch = self._way, self.filter.created
         if w.lost and np.trace(self.filter.estimate().covariance[:2, :2]) < (KNOWN * self._range) ** 2:
             w.recover(self._k)  # a constellation told
         if not w.lost:
@@ -176,7 +183,7 @@ class HindsightMapper:
         found = w.search(self._k, seen, np.arange(rows.start, rows.stop), LandmarkMap(sure, xy))
         if found is None:
             e = self.filter.expect(seen)
-            known = np.flatnonzero(~self._crowded(e))
+            known = np.flatnonzero(~self._crowded(e) | (e.number >= self._epoch))
             return None, astray, jcbb_hindsight(e.only(known), self.setup.gate, self.setup.new_gate)[0]
         place, of = found
         self._again = [(self._founder[row], n) for row, n in of.items() if row in self._founder]
@@ -231,43 +238,17 @@ class HindsightMapper:
         aged = [n for n in known if self._way - self._first[n] > age]
         if not young:
             return []
-        if not set(aged) & set(window):
-            far = [n for n in aged if n not in set(window)]
-            if far:
-                near = self._compare(young, far)
-                turn = 3.0 * math.sqrt(self.filter.estimate().covariance[2, 2]) + 0.1
-                allowed = (near.d2 < gate_threshold(0.999)) & ~near.beside
-                found = recognize(near.new, near.old, near.cross, allowed, self._crowd(), turn)
-                if found:
-                    return [(young[i], far[j]) for i, j in found]
-        pair = self._single(window, aged, LONELY) or self._single(window, known, 0.2 * LONELY)
-        return [] if pair is None else [pair]
-
-    def _compare(self, young: list[int], old: list[int]) -> _Compared:
-        mean, P = self.filter.position(np.array(young + old))
-        m = 2 * len(young)
-        new, there = Landmarks(mean[:m].reshape(-1, 2), P[:m, :m]), Landmarks(mean[m:].reshape(-1, 2), P[m:, m:])
-        d2, det = squared_distances(new, there, P[:m, m:])
-        beside = np.array([np.isin(old, [*self._beside[a], a]) for a in young])
-        return _Compared(new, there, P[:m, m:], d2, det, beside)
-
-    def _single(self, window: list[int], others: list[int], lonely: float) -> tuple[int, int] | None:
-        """Two landmarks that stand where one does, and no other near: (away, kept)."""
-        young = sorted(window)
-        old = sorted(others)
-        if len(young) < 1 or len(old) < 1:
-            return None
-        c = self._compare(young, old)
-        younger = np.array(young)[:, None] > np.array(old)[None]
-        d2 = np.where(c.beside | ~younger, np.inf, c.d2)
-        near = d2 < gate_threshold(0.99)
-        with np.errstate(invalid="ignore"):
-            alone = near & (self._crowd() * math.pi * gate_threshold(0.99) * np.sqrt(np.maximum(c.det, 0.0)) < lonely)
-        alone &= (near.sum(axis=0) == 1)[None] & (near.sum(axis=1) == 1)[:, None]
-        if not alone.any():
-            return None
-        i, j = np.argwhere(alone)[0]
-        return young[i], old[j]
+        f, crowd, scale = self.filter, self._crowd(), widest(self.gates.scales)
+        young.sort(key=lambda n: self._last[n])
+        anew = [n for n in young if n >= self._epoch]
+        pairs = [] if set(aged) & set(window) else constellation(f, self._beside, young, aged, crowd, scale)
+        pairs = pairs or constellation(f, self._beside, anew, [n for n in known if n < self._epoch], crowd, scale)
+        if pairs:
+            self._parted = -math.inf
+            return pairs
+        return single(f, self._beside, window, aged, LONELY / crowd, scale) or single(
+            f, self._beside, window, known, 0.2 * LONELY / crowd, scale
+        )
 
     def _join(self, away: int, kept: int) -> None:
         self.joined.append((self._k, away, kept))
