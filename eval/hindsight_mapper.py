@@ -169,7 +169,7 @@ class HindsightMapper:
         w, astray = self.whereabouts, None
         sure = self.hindsight.certain()
         paired = int(np.isin(decisions, sure).sum())
-        if w.watch(self._k, self.filter.created, paired, self.hindsight.surprise()):
+        if w.watch(self._k, len(decisions), self.filter.created, paired, self.hindsight.surprise()):
             astray = unknown(self.filter.mean[3:].reshape(-1, 2), self._range)
             self.filter.lose(astray)
             self._parted, self._epoch = self._way, self.filter.created

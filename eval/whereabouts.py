@@ -20,6 +20,8 @@ ALARM = 14.0
 """Score of an alarm, as in `association.monitor`."""
 TRUST = 2.0
 """What a pairing with a certain landmark takes off: it may be wrong, one in e^2."""
+SEVERAL = 3
+"""Observations of one frame. A single one, where more were expected, is of a sensor whose view is covered."""
 
 
 class Whereabouts:
@@ -45,15 +47,15 @@ class Whereabouts:
         if self.lost:
             self._scan = moved(self._scan, increment)
 
-    def watch(self, frame: int, created: int, paired: int, surprise: float) -> bool:
+    def watch(self, frame: int, seen: int, created: int, paired: int, surprise: float) -> bool:
         """Whether this frame raises the alarm.
 
-        `created`: landmarks so far; `paired`: with certain ones; `surprise`: log-likelihood ratio of lost against
-        healthy of all that it missed.
+        `seen`: observations; `created`: landmarks so far; `paired`: with certain ones; `surprise`: log-likelihood ratio
+        of lost against healthy of all that it missed. It counts where several observations say that the sensor sees.
         """
         if self._score == 0.0 and not self.lost:
             self._before = created
-        self._score = max(0.0, self._score + surprise - TRUST * paired)
+        self._score = max(0.0, self._score + (surprise if seen >= SEVERAL else 0.0) - TRUST * paired)
         if self.lost or self._score < ALARM:
             return False
         self.lost, self._score, self._scan = True, 0.0, EMPTY
