@@ -37,6 +37,9 @@ JOINED = "the same landmark as one founded before"
 LOST_SHARE = 0.2
 """A robot that is elsewhere takes something for a landmark so much less often than one that sees it."""
 
+LOOKS = 100
+"""At certain landmarks in view, before it is known how often these are missed."""
+
 
 class Judged(NamedTuple):
     """What a frame's expectation says about its pairings, to be taken before the update, which it does not survive.
@@ -148,6 +151,8 @@ class Hindsight:
     def surprise(self) -> float:
         """Log-likelihood ratio of being elsewhere against being here, of certain landmarks the judged frame missed."""
         v, total = self._visibility, 0.0
+        if sum(v) < LOOKS:
+            return 0.0
         for n in self._judged.missing.tolist():
             e = self._evidence[n]
             if certain(e, v):
