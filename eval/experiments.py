@@ -163,7 +163,7 @@ WAYS = (*METHODS, HINDSIGHT)
 HELPED = {"jcbb": DECIDING, HINDSIGHT: ("ekf", "batch")}
 LAB = (*KNOWN, *(Work(m, HELPED.get(m, ("ekf",))) for m in WAYS))
 """The corridor lab: every method with the filter, joint compatibility with smoothers as well."""
-PARK = (*KNOWN, *(Work(m, HELPED[HINDSIGHT]) for m in ("jcbb", HINDSIGHT)))
+PARK = (*KNOWN, Work(HINDSIGHT, HELPED[HINDSIGHT]), Work("jcbb", ("ekf",)))
 EVERYTHING = (*KNOWN, *(Work(m, DECIDING) for m in WAYS))
 VISUAL = ("dead-reckoning", "ekf", "ekf-iterated", "isam2", "batch")
 SHORT_GALLERY = 60
