@@ -15,6 +15,7 @@ import numba
 import numpy as np
 
 from association.expectation import gate_threshold
+from association.relocalize import distance_sigmas
 from data import se2
 from data.first_fix import rigid_fit
 from data.inputs import IntArray
@@ -60,27 +61,10 @@ def squared_distances(new: Landmarks, old: Landmarks, cross: Array) -> tuple[Arr
 
 def spread(landmarks: Landmarks) -> Array:
     """Standard deviation (n,) [m] of each landmark's distance to the others, the median over these."""
-    xy, P = landmarks
-    n = len(xy)
-    d = xy[:, None] - xy[None]
-    r = np.hypot(d[..., 0], d[..., 1])
-    u = d / np.where(r > 0.0, r, 1.0)[..., None]
-    blocks = P.reshape(n, 2, n, 2).transpose(0, 2, 1, 3)
-    own = blocks[np.arange(n), np.arange(n)]
-    difference = own[:, None] + own[None] - blocks - blocks.transpose(1, 0, 2, 3)
-    variance = np.einsum("mna,mnab,mnb->mn", u, difference, u)
-    variance[np.arange(n), np.arange(n)] = np.nan
-    sigma: Array = np.sqrt(np.maximum(np.nanmedian(variance, axis=1), 0.0))
-    return sigma
-
-
-def density(xy: Array) -> float:
-    """Landmarks per square metre around a landmark: from the median distance to the nearest, as if Poisson."""
-    if len(xy) < 2:
-        return 0.0
-    apart = np.hypot(*(xy[:, None] - xy[None]).transpose(2, 0, 1))
-    np.fill_diagonal(apart, np.inf)
-    return math.log(2.0) / (math.pi * float(np.median(apart.min(axis=1))) ** 2)
+    sigma = distance_sigmas(*landmarks)
+    np.fill_diagonal(sigma, np.nan)
+    middle: Array = np.nanmedian(sigma, axis=1)
+    return middle
 
 
 def recognize(

@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
-from association.constellation import Landmarks, density, recognize, squared_distances
+from association.constellation import Landmarks, recognize, squared_distances
 from data import se2
 
 FREE = 3.0
+CROWD = 48 / 60.0**2
+"""Landmarks per square metre."""
 
 
 def block(n, sigma):
@@ -33,7 +35,7 @@ def twice(seed, *, common=8, others=40, new=0, sigma=0.2, turn=0.1, shift=(3.0, 
 
 def found_in(new, old, cross):
     d2, _ = squared_distances(new, old, cross)
-    return recognize(new, old, cross, d2 < 13.8, density(old.xy), FREE)
+    return recognize(new, old, cross, d2 < 13.8, CROWD, FREE)
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -78,8 +80,8 @@ def test_a_place_that_the_joint_covariance_excludes_is_not_taken():
     new, old, cross, _ = twice(3)
     known = Landmarks(new.xy, block(len(new.xy), 0.2))  # the same shift, and a pose that is certain
     everything = np.ones((len(new.xy), len(old.xy)), bool)
-    assert recognize(new, old, cross, everything, density(old.xy), FREE)
-    assert recognize(known, old, cross, everything, density(old.xy), FREE) == []
+    assert recognize(new, old, cross, everything, CROWD, FREE)
+    assert recognize(known, old, cross, everything, CROWD, FREE) == []
 
 
 def test_pairs_that_are_each_likely_and_all_together_are_not_are_not_taken():
@@ -100,8 +102,8 @@ def test_three_landmarks_are_too_few():
 def test_a_turn_that_the_heading_does_not_allow_is_not_tried():
     new, old, cross, _ = twice(2, turn=0.15)
     near = squared_distances(new, old, cross)[0] < 13.8
-    assert recognize(new, old, cross, near, density(old.xy), 0.6)
-    assert recognize(new, old, cross, near, density(old.xy), 0.01) == []
+    assert recognize(new, old, cross, near, CROWD, 0.6)
+    assert recognize(new, old, cross, near, CROWD, 0.01) == []
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -120,9 +122,3 @@ def test_squared_distances_are_those_of_the_differences(seed):
             nu, S = H @ x.ravel(), H @ P @ H.T
             assert d2[i, j] == pytest.approx(nu @ np.linalg.inv(S) @ nu)
             assert det[i, j] == pytest.approx(np.linalg.det(S))
-
-
-def test_density_is_that_of_the_field():
-    rng = np.random.default_rng(0)
-    assert density(rng.uniform(0.0, 100.0, (400, 2))) == pytest.approx(0.04, rel=0.15)
-    assert density(np.zeros((1, 2))) == 0.0
