@@ -9,7 +9,7 @@ BIN := .venv/bin
 PACKAGES := association data ekf eval graph
 
 # A caller of a compiled kernel does not notice a change in another file, so all kernels are compiled anew when one changes.
-KERNELS := $(shell grep -ls numba /dev/null data/*.py ekf/*.py association/*.py graph/*.py) $(wildcard eval/warm.py)
+KERNELS := $(shell grep -lsr --include=*.py numba $(wildcard $(PACKAGES))) $(wildcard eval/warm.py)
 
 export MPLBACKEND := Agg
 unexport PYTHONHOME PYTHONPATH VIRTUAL_ENV
@@ -59,6 +59,6 @@ clean: ## remove .venv and every cache; results/ stays
 	@touch $@
 
 .venv/.warm: .venv/.installed $(KERNELS)
-	@rm -f $(foreach p,$(PACKAGES),$(p)/__pycache__/*.nbi $(p)/__pycache__/*.nbc)
+	@find $(wildcard $(PACKAGES)) -name '*.nb[ic]' -delete
 	$(BIN)/python -m eval.warm
 	@touch $@

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from association.evidence.pairings import jcbb_hindsight
 from association.expectation import Expectation
 from association.gnn import gnn
-from association.hindsight import jcbb_hindsight
 from association.jcbb import BUDGET, search
 from association.likelihood import ml, ml_ratio
 from association.nearest import nn

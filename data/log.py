@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from data.inputs import UNLABELLED, Inputs, IntArray, LabelledObservations, Observations
+from data.pictures import Evidence
 from data.truth import UNKNOWN_ID, Truth
-from data.visual import Evidence
 
 
 @dataclass(frozen=True, eq=False)

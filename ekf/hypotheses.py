@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from association.evidence.noise import STATED, learned, log_density
 from association.expectation import gate_threshold
-from association.noise_scale import STATED, learned, log_density
 from data import se2
 from data.inputs import Increment, IntArray, LandmarkMap, Prior, Sightings
 from data.result import DISCARD, PoseEstimate

@@ -15,13 +15,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from eval.timed import REPEATS, Timed, median_seconds, table
+from eval.benchmarks.timed import REPEATS, Timed, median_seconds, table
 
 
 def localization_log(frames: int) -> object:
     """An arena log with exactly three readings in every frame."""
-    from data.arena import Arena, simulate
     from data.inputs import LabelledObservations
+    from data.worlds.arena import Arena, simulate
 
     log = simulate(Arena(frames=frames, landmarks=40, field_of_view=2 * math.pi), 0)
     inputs = log.inputs(labels=True)
@@ -122,7 +122,7 @@ def localization_lines(frames: int) -> list[Timed]:
     from association.known import known_decisions
     from data.inputs import Inputs
     from ekf.whole_run import run_filter
-    from eval.replay import step_by_step
+    from eval.replay.run import step_by_step
 
     inputs = localization_log(frames)
     assert isinstance(inputs, Inputs)
@@ -146,10 +146,10 @@ def localization_lines(frames: int) -> list[Timed]:
 def victoria_park_lines(frames: int) -> list[Timed]:
     """EKF-SLAM and iSAM2 over Victoria Park, iSAM2 beside a bare gtsam loop with the same factors."""
     from association.known import known_decisions
-    from data.victoria_park import load_victoria_park
+    from data.recordings.victoria_park import load_victoria_park
     from ekf.whole_run import run_filter
-    from eval.experiments import shortened
-    from eval.replay import step_by_step
+    from eval.plan.experiments import shortened
+    from eval.replay.run import step_by_step
     from graph.bare_loop import bare_isam2
 
     log = shortened(load_victoria_park(), frames)
@@ -186,14 +186,14 @@ def main(argv: list[str] | None = None) -> int:
     lines = localization_lines(2_000 if quick else 20_000)
     print(table(lines), flush=True)
     print(table(victoria_park_lines(700 if quick else 10**9)), flush=True)
-    from eval.benchmark_association import association_lines, hindsight_lines
+    from eval.benchmarks.association import association_lines, hindsight_lines
 
     print(table(association_lines(quick)), flush=True)
     print(table(hindsight_lines(700 if quick else 10**9)), flush=True)
-    from eval.benchmark_studies import study_lines
+    from eval.benchmarks.studies import study_lines
 
     print(table(study_lines(quick)), flush=True)
-    from eval.benchmark_visual import visual_lines
+    from eval.benchmarks.visual import visual_lines
 
     print(table(visual_lines(quick)))
     return 0

@@ -49,8 +49,8 @@ def _inspect(name: str, plot: Path | None) -> None:
     """Print the summary; write the picture if one is wanted."""
     if plot is not None and plot.suffix not in PICTURES:
         raise UsageError(f"--plot {plot}: a file name that ends in {' or '.join(PICTURES)} is needed")
-    from eval.logs import open_log
-    from eval.summary import summarize
+    from data.logs import open_log
+    from data.summary import summarize
 
     log = open_log(name)
     lines = summarize(log)
@@ -58,8 +58,8 @@ def _inspect(name: str, plot: Path | None) -> None:
     for key, text in lines:
         print(f"{key:<{width}}  {text}")
     if plot is not None:
-        from eval.figures_log import log_figure
-        from eval.style import save
+        from eval.figures.log import log_figure
+        from eval.figures.style import save
 
         try:
             save(log_figure(log), plot.parent, plot.stem, (plot.suffix[1:],))

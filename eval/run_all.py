@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from data.errors import SlamrefError, UsageError
-from eval.options import Options, read_options
+from eval.plan.options import Options, read_options
 
 FINE, REJECTED, WRONG = 0, 1, 2
 INTERRUPTED = 130
@@ -82,11 +82,12 @@ def staged(out: Path) -> Iterator[Path]:
 
 
 def _run(options: Options, console: Console, folder: Path, arguments: Sequence[str]) -> int:
-    from eval import consistency, reproduced
-    from eval.content import write_results
-    from eval.experiments import make_plan
-    from eval.montecarlo import failed_declarations, judge
-    from eval.suite import execute
+    from eval.plan.execute import execute
+    from eval.plan.experiments import make_plan
+    from eval.referee import consistency
+    from eval.report.contents import write_results
+    from eval.studies import reproduced
+    from eval.studies.montecarlo import failed_declarations, judge
 
     plan = make_plan(options, console.say)
     for e in plan.experiments:

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data.errors import SlamrefError, UsageError
-from eval.flags import ASSOCIATIONS, STEPPING
-from eval.options import Options, read_options
+from eval.plan.flags import ASSOCIATIONS, STEPPING
+from eval.plan.options import Options, read_options
 
 if TYPE_CHECKING:
     from data.log import Log
@@ -132,8 +132,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _step(wish: Wish) -> None:
-    from eval.experiments import shortened
-    from eval.logs import open_log
+    from data.logs import open_log
+    from eval.plan.experiments import shortened
 
     o = wish.options
     log = open_log(o.log[0])
@@ -142,9 +142,9 @@ def _step(wish: Wish) -> None:
         raise UsageError(f"--association known: log {log.name!r} has no labels (true_id or label in observations.csv)")
     if wish.frames is not None:
         log = shortened(log, wish.frames)
-    from eval.replay import step_by_step
-    from eval.step_album import Album, open_windows
-    from eval.step_walk import StoppedError, Walk, end
+    from eval.replay.run import step_by_step
+    from eval.walk.album import Album, open_windows
+    from eval.walk.walk import StoppedError, Walk, end
 
     album = Album(wish.save, open_windows())
     inputs = log.inputs(labels=association == "known")

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from data.inputs import IntArray
     from data.log import Log
     from data.se2 import Array
-    from eval.tune_fit import Fit, Score
-    from eval.tune_model import Model
+    from eval.tuning.fit import Fit, Score
+    from eval.tuning.model import Model
 
 FINE, WRONG = 0, 2
 MARK = "tuned"
@@ -99,8 +99,8 @@ def _run(options: argparse.Namespace) -> str:
     """Tune, write the copy, and give the report."""
     from threadpoolctl import threadpool_limits
 
-    from data.folder_writer import write_folder
-    from eval.logs import open_log
+    from data.logs import open_log
+    from data.open_log.writer import write_folder
 
     log = open_log(options.log)
     folder = Path(options.log) if Path(options.log).is_dir() else None
@@ -127,7 +127,7 @@ def tune(
     Args:
         log: with labels.
         folder: where it was loaded from, for its odometry.csv.
-        groups: comma list of `eval.tune_model.GROUPS`; None: the default ones.
+        groups: comma list of `eval.tuning.model.GROUPS`; None: the default ones.
         gate: chi-square probability beyond which pairings are left out, under the noise as stated.
         use: of another log; then nothing is fitted.
 
@@ -136,8 +136,8 @@ def tune(
         DataError: nothing to fit to, or the filter fails.
     """
     from association.expectation import gate_threshold
-    from eval.tune_fit import Fit, fit, pairings
-    from eval.tune_model import DEFAULT_GROUPS, GROUPS, make_model, read_odometry, vector
+    from eval.tuning.fit import Fit, fit, pairings
+    from eval.tuning.model import DEFAULT_GROUPS, GROUPS, make_model, read_odometry, vector
 
     if not log.has_labels:
         raise UsageError(f"log {log.name!r} has no labels; noise is fitted with known association only")
@@ -160,8 +160,8 @@ def tune(
 
 def _tuned(log: Log, folder: Path | None, model: Model, theta: Array, origin: Fit | Numbers) -> Log:
     """The copy: new numbers, the truth at the same frames (where they moved, at the new instants), and its origin."""
-    from eval.tune_fit import HELD, Fit
-    from eval.tune_model import apply
+    from eval.tuning.fit import HELD, Fit
+    from eval.tuning.model import apply
 
     inputs = apply(model, theta, floor=True)
     truth = log.truth
@@ -193,8 +193,8 @@ def _tuned(log: Log, folder: Path | None, model: Model, theta: Array, origin: Fi
 
 def _truth_at(folder: Path, time: Array) -> Array:
     """truth.csv beside odometry.csv at other instants (N,)."""
-    from data.csv_table import read_table
-    from data.folder import POSE, TRUTH
+    from data.open_log.csv_table import read_table
+    from data.open_log.reader import POSE, TRUTH
     from data.timeline import truth_at
 
     table = read_table(folder / TRUTH, ("t", *POSE), may_be_blank=POSE)
@@ -206,9 +206,9 @@ def _judge(
 ) -> tuple[dict[str, Score | str], dict[str, tuple[float, float]]]:
     """Innovations and errors before and after; where something was fitted, its first half's numbers on the second."""
     from ekf.whole_run import run_filter
-    from eval.errors import heading_rmse_deg, position_distance, rms
-    from eval.tune_fit import fit, middle, score
-    from eval.tune_model import apply
+    from eval.referee.errors import heading_rmse_deg, position_distance, rms
+    from eval.tuning.fit import fit, middle, score
+    from eval.tuning.model import apply
 
     after = tuned.inputs(labels=True)
     scores: dict[str, Score | str] = {"as stated": score(model.inputs, decisions)}
@@ -234,8 +234,8 @@ def _judge(
 
 def _require_free(out: Path, folder: Path | None) -> None:
     """Raise unless OUT is free, empty, or an earlier tuned log."""
-    from data.folder import HEADER
-    from data.folder_header import read_header
+    from data.open_log.header import read_header
+    from data.open_log.reader import HEADER
 
     if folder is not None and os.path.realpath(out) == os.path.realpath(folder):
         raise UsageError(f"OUT {out}: that is LOG itself; choose another name")
@@ -247,7 +247,7 @@ def _require_free(out: Path, folder: Path | None) -> None:
 
 def _numbers_of(folder: Path) -> Numbers:
     """What a tuned log's [source] says about it, checked: a person may have edited it."""
-    from data.folder import load_folder
+    from data.open_log.reader import load_folder
 
     told = load_folder(folder).source.get(MARK)
     if not isinstance(told, Mapping):

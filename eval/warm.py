@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from association.pair_poses import candidates
-from association.relocalize import relocalize
-from association.scan import Scan
-from data.arena import Arena, simulate
-from data.folder import load_folder
-from data.folder_writer import write_folder
-from eval.flags import ESTIMATORS
-from eval.replay import METHODS, compare, make_estimator, step_by_step
-from eval.setup import Setup
+from association.geometry.local_map import Scan
+from association.geometry.pair_poses import candidates
+from association.geometry.relocalize import relocalize
+from data.open_log.reader import load_folder
+from data.open_log.writer import write_folder
+from data.worlds.arena import Arena, simulate
+from eval.plan.flags import ESTIMATORS
+from eval.replay.run import METHODS, compare, make_estimator, step_by_step
+from eval.replay.settings import Setup
 
 
 def main() -> None:

@@ -8,7 +8,7 @@ from association.expectation import Expectation
 from data.inputs import IntArray
 
 if TYPE_CHECKING:
-    from eval.frontend import FrontEnd
+    from eval.replay.frontend import FrontEnd
 
 
 class Watch(Protocol):

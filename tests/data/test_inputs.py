@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.arena import Arena, simulate
 from data.errors import UsageError
 from data.inputs import CLUTTER, LabelledObservations, floor_covariances
+from data.worlds.arena import Arena, simulate
 
 WORLD = Arena(landmarks=6, frames=10, clutter=1.0)
 

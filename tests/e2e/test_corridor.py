@@ -8,11 +8,11 @@ import math
 import numpy as np
 import pytest
 
-from data.corridor import Corridor, simulate
-from eval import consistency, errors
-from eval.replay import compare
+from data.worlds.corridor import Corridor, simulate
+from eval.referee import consistency, errors
+from eval.referee.score import confusion_of
+from eval.replay.run import compare
 from eval.run_all import main
-from eval.score import confusion_of
 
 LOGS = [f"corridor_s0_people{people}_odo{odometry}" for people in (0, 1) for odometry in (0, 1)]
 RECORDED = {"nn": "NN", "singles": "SINGLES", "jcbb-first": "JCBB"}

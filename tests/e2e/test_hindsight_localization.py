@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.mrclam import load_mrclam
+from data.mrclam.load import load_mrclam
 from data.result import DISCARD, revised
-from eval.confusion import share_within
-from eval.hindsight_frontend import LocalizingFrontEnd
-from eval.replay import compare, filter_known
-from eval.setup import Setup
+from eval.referee.confusion import share_within
+from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
+from eval.replay.run import compare, filter_known
+from eval.replay.settings import Setup
 
 
 def localize(log):

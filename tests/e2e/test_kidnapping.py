@@ -10,14 +10,14 @@ from scipy.stats import chi2
 
 from association.decide import decide
 from data import se2
-from data.arena import Arena, simulate
 from data.inputs import Observations
 from data.result import revised
+from data.worlds.arena import Arena, simulate
 from ekf.filter import DEFAULT
 from ekf.localizer import EkfLocalizer
-from eval.hindsight_frontend import LocalizingFrontEnd
-from eval.mapping_frontend import MappingFrontEnd
-from eval.setup import Setup
+from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
+from eval.replay.hindsight.mapping_frontend import MappingFrontEnd
+from eval.replay.settings import Setup
 
 AT = 40
 WITHIN = chi2.ppf(0.9973, 3)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from association.expectation import gate_threshold
-from data.convert import main as convert
-from data.mrclam import load_mrclam
-from eval.replay import batch, filter_known
+from data.convert.__main__ import main as convert
+from data.mrclam.load import load_mrclam
+from eval.referee.score import metrics_row
+from eval.replay.run import batch, filter_known
 from eval.run_all import main
-from eval.score import metrics_row
 
 BAD = [(755.0, 836.0), (945.0, 1050.0)]
 

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from data.arena import Arena, simulate
-from data.folder_writer import write_folder
+from data.open_log.writer import write_folder
+from data.worlds.arena import Arena, simulate
 from eval.run_all import main
 
 ROOT = Path(__file__).parents[2]

@@ -14,8 +14,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from eval import study_store
 from eval.run_all import main
+from eval.studies import store as study_store
 
 ROOT = Path(__file__).parents[2]
 SCENARIO = """
@@ -82,7 +82,7 @@ def test_a_finished_run_is_never_done_again_and_more_runs_add_to_it(small, tmp_p
     done = []
     real = study_store.save
     monkeypatch.setattr(
-        "eval.suite.study_store.save", lambda folder, seed, r: (done.append(seed), real(folder, seed, r))
+        "eval.plan.execute.study_store.save", lambda folder, seed, r: (done.append(seed), real(folder, seed, r))
     )
     assert study(small, tmp_path / "r", "--jobs", "1", runs=6) == 0
     assert sorted(done) == [4, 5]
@@ -115,8 +115,8 @@ def test_an_interrupted_study_leaves_the_old_report_and_resumes(small, tmp_path)
 def test_a_run_that_diverges_is_listed_with_its_seed_and_a_command_that_replays_it(
     small, tmp_path, monkeypatch, capsys
 ):
-    from eval import montecarlo
-    from eval.montecarlo import Sample
+    from eval.studies import montecarlo
+    from eval.studies.montecarlo import Sample
 
     real = montecarlo.one_run
 
@@ -126,7 +126,7 @@ def test_a_run_that_diverges_is_listed_with_its_seed_and_a_command_that_replays_
             result["slam", "ekf", "known", "online"] = Sample(failure="frame 9: the state is no longer finite")
         return result
 
-    monkeypatch.setattr("eval.suite.one_run", one_run)
+    monkeypatch.setattr("eval.plan.execute.one_run", one_run)
     out = tmp_path / "r"
     assert main(["--scenario", small, "--runs", "5", "--out", str(out), "--no-plots", "--jobs", "1"]) == 0
     table = pd.read_csv(out / "consistency.csv").set_index(["task", "estimator", "quantity"])
@@ -139,14 +139,14 @@ def test_a_run_that_diverges_is_listed_with_its_seed_and_a_command_that_replays_
 def test_a_rejected_declaration_is_exit_1_and_named(small, tmp_path, monkeypatch, capsys):
     from dataclasses import replace
 
-    from eval import montecarlo
+    from eval.studies import montecarlo
 
     real = montecarlo.one_run
 
     def boastful(scenario, seed):
         return {k: replace(s, means={q: v / 0.6 for q, v in s.means.items()}) for k, s in real(scenario, seed).items()}
 
-    monkeypatch.setattr("eval.suite.one_run", boastful)
+    monkeypatch.setattr("eval.plan.execute.one_run", boastful)
     asked = ["--scenario", small, "--estimator", "ekf", "--runs", "50", "--out", str(tmp_path / "r"), "--no-plots"]
     assert main([*asked, "--jobs", "1"]) == 1
     assert "rejected: ekf (small, localization, online)" in capsys.readouterr().out
@@ -162,7 +162,7 @@ def test_a_rejected_declaration_is_exit_1_and_named(small, tmp_path, monkeypatch
     (["--scenario", "esde-replay", "--data", "nowhere"], "no such folder"),
 ])  # fmt: skip
 def test_what_makes_no_sense_is_one_line_and_exit_2(arguments, words, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("eval.cluster.CONNECT", 1)
+    monkeypatch.setattr("eval.plan.cluster.CONNECT", 1)
     assert main([*arguments, "--out", str(tmp_path / "r"), "-q"]) == 2
     err = capsys.readouterr().err
     assert words in err

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
-from data import visual_log
-from data.convert import main as convert
+from data.convert.__main__ import main as convert
+from data.visual import observations as visual_log
 from eval.run_all import main
 
 FRAMES = 8
@@ -54,7 +54,7 @@ def test_a_second_run_looks_at_no_image(lab, report, monkeypatch):
         raise AssertionError("the images were looked at again")
 
     monkeypatch.setattr(visual_log, "Detector", never)
-    monkeypatch.setattr("data.visual_open.find_pictures", never)
+    monkeypatch.setattr("data.visual.opening.find_pictures", never)
     out = lab.parent / "again"
     assert main(["--log", str(lab), "--estimator", "ekf", "--out", str(out), "-q", "--no-plots", "--jobs", "1"]) == 0
     a, b = (pd.read_csv(p / "metrics.csv") for p in (report, out))

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from association.known import known_decisions
 from data import se2
-from data.arena import Arena, simulate
 from data.inputs import LabelledObservations, LandmarkMap, Observations, Prior, Sightings
 from data.result import DISCARD, NEW
 from data.sensors import RangeBearing, RelativePoint
+from data.worlds.arena import Arena, simulate
 from ekf import kernels
 from ekf.filter import FilterDivergedError, FilterOptions
 from ekf.localizer import EkfLocalizer

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.arena import Arena, simulate
 from data.inputs import Prior, Sightings
 from data.sensors import RelativePoint
+from data.worlds.arena import Arena, simulate
 from ekf.filter import FilterOptions
 from ekf.slam import EkfSlam
-from eval.replay import compare, filter_known, step_by_step
+from eval.replay.run import compare, filter_known, step_by_step
 
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
 FEJ = FilterOptions(first_estimates=True)

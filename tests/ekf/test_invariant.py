@@ -9,14 +9,14 @@ from hypothesis import strategies as st
 from scipy.io import loadmat
 from scipy.linalg import expm
 
-from data.arena import Arena, simulate
 from data.inputs import Increment, Prior, Sightings
 from data.sensors import RelativePoint
+from data.worlds.arena import Arena, simulate
 from ekf import updates
 from ekf.filter import FilterOptions
 from ekf.slam import EkfSlam
-from eval import consistency
-from eval.replay import compare
+from eval.referee import consistency
+from eval.replay.run import compare
 
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
 
@@ -98,7 +98,7 @@ def test_in_the_arena_it_keeps_up_with_the_smoother_where_the_plain_filter_does_
 def test_whole_run_and_step_by_step_are_one_filter():
     log = simulate(Arena(frames=60), 2)
     inputs = log.inputs(labels=True)
-    from eval.replay import filter_known, step_by_step
+    from eval.replay.run import filter_known, step_by_step
 
     for task, view in (("localization", inputs), ("slam", inputs.without_map())):
         whole = filter_known(view, task, name="ekf-invariant")

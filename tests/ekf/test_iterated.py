@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from data.arena import Arena, simulate
 from data.inputs import LandmarkMap, Prior, Sightings
 from data.se2 import wrap_angle
 from data.sensors import RangeBearing, RelativePoint
+from data.worlds.arena import Arena, simulate
 from ekf.filter import FilterOptions
 from ekf.localizer import EkfLocalizer
-from eval.replay import filter_known, step_by_step
+from eval.replay.run import filter_known, step_by_step
 
 LANDMARKS = LandmarkMap(np.arange(3), np.array([[2.0, 1.0], [-1.0, 2.5], [1.0, -3.0]]))
 PRIOR = Prior(np.array([0.4, -0.3, 0.5]), np.diag([0.5, 0.5, 0.3]))

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from association.known import known_decisions
 from data import se2
 from data.inputs import Increment, Prior, Sightings
+from data.recordings.victoria_park import load_victoria_park
 from data.result import DISCARD, NEW
 from data.sensors import RangeBearing, RelativePoint
-from data.victoria_park import load_victoria_park
 from ekf import kernels
 from ekf.filter import FilterOptions
 from ekf.slam import EkfSlam

@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from eval import step, step_album
-from eval.logs import open_log
-from eval.replay import step_by_step
+from data.logs import open_log
+from eval import step
+from eval.replay.run import step_by_step
 from eval.step import main
-from eval.step_album import Album
-from eval.step_text import run_text
-from eval.step_walk import Walk
+from eval.walk import album as step_album
+from eval.walk.album import Album
+from eval.walk.text import run_text
+from eval.walk.walk import Walk
 
 STAGES = ("ground-truth", "observations", "compatibility", "matching", "map")
 PNG_END = b"IEND\xaeB`\x82"
@@ -111,7 +112,7 @@ def test_looking_on_changes_no_number(tmp_path):
 
 
 def step_inputs(log, association):
-    from eval.experiments import shortened
+    from eval.plan.experiments import shortened
 
     return shortened(log, 10).inputs(labels=association == "known").without_map()
 

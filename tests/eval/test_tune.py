@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data.arena import Arena, simulate
 from data.errors import DataError, UsageError
-from data.folder import load_folder
-from data.folder_writer import write_folder
 from data.inputs import Increments, Observations
 from data.motion import VelocityModel, VelocityNoise, preintegrate
+from data.open_log.reader import load_folder
+from data.open_log.writer import write_folder
 from data.sensors import RangeBearing
+from data.worlds.arena import Arena, simulate
 from eval.tune import Numbers, main, tune
-from eval.tune_fit import AT_BOUND, FITTED, HELD, fit, middle, pairings, score
-from eval.tune_model import GROUPS, apply, make_model, vector
+from eval.tuning.fit import AT_BOUND, FITTED, HELD, fit, middle, pairings, score
+from eval.tuning.model import GROUPS, apply, make_model, vector
 
 SMALL = Arena(frames=80)
 NOISE = ("motion", "sensor")

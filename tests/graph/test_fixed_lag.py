@@ -11,9 +11,9 @@ from gtsam.symbol_shorthand import L, X
 
 from association.known import known_decisions
 from data import se2
-from data.arena import Arena, simulate
 from data.inputs import Increment, Increments, Prior, Sightings
 from data.result import DISCARD, NEW
+from data.worlds.arena import Arena, simulate
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from ekf.whole_run import run_filter

@@ -11,10 +11,10 @@ from gtsam.symbol_shorthand import X
 
 from association.known import known_decisions
 from data import se2
-from data.arena import Arena, simulate
 from data.errors import DataError
 from data.inputs import Increments, LabelledObservations, Prior, floor_covariances
 from data.result import DISCARD
+from data.worlds.arena import Arena, simulate
 from ekf.whole_run import run_filter
 from graph.batch import Start, build, smooth, start_values
 from graph.robust import gnc

@@ -18,8 +18,8 @@ from data.inputs import Inputs, LabelledObservations
 from data.result import DISCARD, NEW
 from data.sensors import measure
 from ekf import kernels
-from eval import replay
-from eval.replay import compare
+from eval.replay import run as replay
+from eval.replay.run import compare
 from tests.association import test_traps as alone
 from tests.mutation.faults import Check, Fault, interpreted, replaced
 from tests.mutation.verdicts import corridor

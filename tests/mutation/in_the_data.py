@@ -8,15 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from data import mrclam, se2
-from data.calibration import Calibration
-from data.corridor import Corridor
-from data.corridor import simulate as simulate_corridor
+from data import se2
 from data.inputs import CLUTTER, Prior
 from data.motion import VelocityModel, VelocityNoise, preintegrate
+from data.mrclam import load as mrclam
+from data.mrclam.calibration import Calibration
 from data.timeline import truth_at
-from eval import consistency
-from tests.data import mrclam_world as recording
+from data.worlds.corridor import Corridor
+from data.worlds.corridor import simulate as simulate_corridor
+from eval.referee import consistency
+from tests.data.mrclam import world as recording
 from tests.mutation.faults import Check, Fault, changed, replaced
 from tests.mutation.verdicts import FRESH_NEES
 
@@ -24,7 +25,7 @@ LATENCY = 0.04
 MEASURED = "Robot1_Measurement.dat"
 
 
-# a recording in the published form, without noise (see `tests.data.mrclam_world`), whose camera is late
+# a recording in the published form, without noise (see `tests.data.mrclam.world`), whose camera is late
 
 
 def files():
@@ -172,21 +173,22 @@ FAULTS = (
     Fault(1, "headings averaged across the cut", ACROSS,
           changed("data.se2.interpolate", {"np.unwrap(poses[:, 2])": "poses[:, 2]"})),
     Fault(8, "true pose of the frame before", READINGS_FIT,
-          replaced("data.mrclam.truth_at", truth_of_the_frame_before)),
+          replaced("data.mrclam.load.truth_at", truth_of_the_frame_before)),
     Fault(14, "prior covariance filled with one constant", FRESH_NEES,
-          replaced("data.arena.Prior", lambda real: lambda mean, P: Prior(mean, np.full((3, 3), P[0, 0]))),
+          replaced("data.worlds.arena.Prior", lambda real: lambda mean, P: Prior(mean, np.full((3, 3), P[0, 0]))),
           match="overconfident"),
-    Fault(20, "readings moved to a grid of 0.03 s", READINGS_FIT, replaced("data.mrclam.lay_out", on_a_grid)),
+    Fault(20, "readings moved to a grid of 0.03 s", READINGS_FIT, replaced("data.mrclam.load.lay_out", on_a_grid)),
     Fault(21, "MRCLAM: barcode taken for the subject", READINGS_FIT,
-          replaced("data.mrclam.read_barcodes", barcodes_for_subjects)),
+          replaced("data.mrclam.load.read_barcodes", barcodes_for_subjects)),
     Fault(21, "MRCLAM: another robot taken for a landmark", ROBOTS,
-          changed("data.mrclam.identify", {"np.where(robot, CLUTTER, subject)": "subject"})),
+          changed("data.mrclam.load.identify", {"np.where(robot, CLUTTER, subject)": "subject"})),
     Fault(21, "MRCLAM: camera lag forgotten", READINGS_FIT,
-          changed("data.mrclam.load_mrclam", {"-calibration.latency": "0.0"})),
+          changed("data.mrclam.load.load_mrclam", {"-calibration.latency": "0.0"})),
     Fault(21, "MRCLAM: two landmarks exchanged in the survey", SURVEY_FITS,
-          replaced("data.mrclam.read_landmarks", two_landmarks_exchanged), match="seen where 20 should be"),
+          replaced("data.mrclam.load.read_landmarks", two_landmarks_exchanged), match="seen where 20 should be"),
     Fault(21, "MRCLAM: bad ground truth not left out", BAD_TRUTH, bad_stretches_forgotten),
     Fault(22, "covariance that does not grow over a gap", GAP, changed("data.motion._preintegrate", NO_GROWTH)),
     Fault(24, "(sigma dt)^2 for each piece of a sample", CUT, changed("data.motion._preintegrate", SQUARED_PIECES)),
-    Fault(25, "corridor: R from the true range", FROM_THE_READING, changed("data.corridor._look", FROM_THE_TRUTH)),
+    Fault(25, "corridor: R from the true range", FROM_THE_READING, changed("data.worlds.corridor._look",
+    FROM_THE_TRUTH)),
 )  # fmt: skip

@@ -8,9 +8,9 @@ import numpy as np
 
 from data import se2
 from data.result import Trajectory
-from eval import consistency
-from eval.replay import compare, dead_reckoning
-from eval.score import confusion_of, metrics_row
+from eval.referee import consistency
+from eval.referee.score import confusion_of, metrics_row
+from eval.replay.run import compare, dead_reckoning
 from tests.mutation.faults import Check, Fault, replaced
 from tests.mutation.verdicts import arena, corridor
 
@@ -108,11 +108,12 @@ def two_runs_will_do(monkeypatch):
 
 FAULTS = (
     Fault(8, "true answer of the frame before", LABELS,
-          replaced("eval.confusion.ground_truth", answers_of_the_frame_before)),
-    Fault(13, "root of the sum sold as RMSE", RMSE, replaced("eval.errors.rms", root_of_the_sum)),
-    Fault(13, "RMSE over frames without truth", RMSE, replaced("eval.errors.rms", unknown_as_zero)),
+          replaced("eval.referee.confusion.ground_truth", answers_of_the_frame_before)),
+    Fault(13, "root of the sum sold as RMSE", RMSE, replaced("eval.referee.errors.rms", root_of_the_sum)),
+    Fault(13, "RMSE over frames without truth", RMSE, replaced("eval.referee.errors.rms", unknown_as_zero)),
     Fault(16, "NEES verdict from two runs", FEW_RUNS, two_runs_will_do),
-    Fault(16, "NEES bounds from time averages", ACCEPTS, replaced("eval.consistency.verdict", every_frame_a_sample)),
+    Fault(16, "NEES bounds from time averages", ACCEPTS,
+          replaced("eval.referee.consistency.verdict", every_frame_a_sample)),
     Fault(23, "heading errors not wrapped", HEADING,
           replaced("data.se2.pose_error", lambda real: lambda estimate, truth: np.asarray(estimate) - truth)),
 )  # fmt: skip

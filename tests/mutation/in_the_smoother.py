@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from data.arena import Arena, simulate
-from data.corridor import Corridor
-from data.corridor import simulate as simulate_corridor
 from data.errors import DataError
-from eval.replay import compare, step_by_step
-from eval.setup import Setup
+from data.worlds.arena import Arena, simulate
+from data.worlds.corridor import Corridor
+from data.worlds.corridor import simulate as simulate_corridor
+from eval.replay.run import compare, step_by_step
+from eval.replay.settings import Setup
 from graph.incremental import Isam2Smoother
 from tests.mutation.faults import Check, Fault, replaced
 from tests.mutation.verdicts import BATCH_NEES, BATCH_NIS, SAME_LAST_POSE, agree, corridor
@@ -69,7 +69,7 @@ FAULTS = (
     Fault(11, "noise as [range, bearing] to gtsam", BATCH_NIS,
           replaced("graph.factors.bearing_range", range_before_bearing)),
     Fault(26, "robot at rest, covariance without a floor", AT_REST,
-          replaced("data.arena.floor_covariances", lambda real: lambda covariance, floor: (covariance, 0)),
+          replaced("data.worlds.arena.floor_covariances", lambda real: lambda covariance, floor: (covariance, 0)),
           by=DataError, match="covariance is singular"),
     Fault(27, "iSAM2 hardly ever relinearizes", INCREMENTAL, no_relinearization),
 )  # fmt: skip

@@ -11,11 +11,11 @@ from functools import cache
 import numpy as np
 
 from data import se2
-from data.arena import Arena, simulate
-from data.corridor import Corridor
-from data.corridor import simulate as simulate_corridor
-from eval import consistency
-from eval.replay import compare, step_by_step
+from data.worlds.arena import Arena, simulate
+from data.worlds.corridor import Corridor
+from data.worlds.corridor import simulate as simulate_corridor
+from eval.referee import consistency
+from eval.replay.run import compare, step_by_step
 from tests.mutation.faults import Check
 
 RUNS = 50

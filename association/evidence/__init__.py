@@ -1,0 +1,1 @@
+"""What sightings and misses say about landmarks, pairings, and how large the noise really is."""

@@ -1,0 +1,204 @@
+"""Constellations: the same landmarks founded twice, recognized by how they stand to each other.
+
+With one or two observations a frame a single one says little after a long way: the pose is uncertain, and several old
+landmarks are inside its gate. What was founded since the robot came back is a window over the last few dozen frames,
+and together it fits the old map in one way or in none: every pair of new landmarks laid onto a pair of old ones gives a
+place, the others vote for it (geometric consensus), and the places that most agree with are compared.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from association.expectation import gate_threshold
+from association.geometry.relocalize import distance_sigmas
+from data import se2
+from data.inputs import IntArray
+from data.mrclam.first_fix import rigid_fit
+from data.se2 import Array, BoolArray
+
+SIGMAS = 3.0
+"""Distances agree within so many standard deviations."""
+KEPT = 200
+"""Places that are compared."""
+ODDS = 100.0
+"""The best place must be so many times as likely as the second, by the number of landmarks that agree with each."""
+GATE = 0.9999
+"""Chi-square probability of the joint test of all that are taken for the same."""
+ALONE = 0.999
+"""Chi-square probability of each of them, given the others."""
+FEWEST = 4
+"""Landmarks that a place needs; two are laid on each other, so two more must agree."""
+
+
+class Landmarks(NamedTuple):
+    """Mean (n, 2) and joint covariance (2n, 2n) of landmarks."""
+
+    xy: Array
+    covariance: Array
+
+
+def squared_distances(new: Landmarks, old: Landmarks, cross: Array) -> tuple[Array, Array]:
+    """Squared Mahalanobis distance (m, n) of each new landmark to each old one, and det (m, n) of their difference.
+
+    `cross` (2m, 2n) is the covariance between both.
+    """
+    m, n = len(new.xy), len(old.xy)
+    here = new.covariance.reshape(m, 2, m, 2)[np.arange(m), :, np.arange(m), :]
+    there = old.covariance.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
+    both = cross.reshape(m, 2, n, 2).transpose(0, 2, 1, 3)
+    # a landmark compared with itself has no uncertainty
+    D = here[:, None] + there[None] - both - both.transpose(0, 1, 3, 2) + 1e-12 * np.eye(2)
+    nu = new.xy[:, None] - old.xy[None]
+    d2: Array = np.einsum("mni,mni->mn", nu, np.linalg.solve(D, nu[..., None])[..., 0])
+    det: Array = np.linalg.det(D)
+    return d2, det
+
+
+def spread(landmarks: Landmarks) -> Array:
+    """Standard deviation (n,) [m] of each landmark's distance to the others, the median over these."""
+    sigma = distance_sigmas(*landmarks)
+    np.fill_diagonal(sigma, np.nan)
+    middle: Array = np.nanmedian(sigma, axis=1)
+    return middle
+
+
+def recognize(
+    new: Landmarks, old: Landmarks, cross: Array, allowed: BoolArray, crowd: float, max_turn: float, scale: float = 1.0
+) -> list[tuple[int, int]]:
+    """New landmarks (indices) that are old ones, [(new, old), ...]; none where no place stands out.
+
+    Args:
+        new: m landmarks.
+        old: n landmarks.
+        cross: (2m, 2n) covariance between both.
+        allowed: (m, n) pairs that may be the same by themselves.
+        crowd: landmarks per square metre in the old map.
+        max_turn: rad, by which the new ones may be turned.
+        scale: share of the stated variance that there is in the distances between landmarks.
+    """
+    if len(new.xy) < FEWEST:
+        return []
+    sides = np.flatnonzero(allowed.any(axis=0))
+    if len(sides) < FEWEST:
+        return []
+    tolerance = SIGMAS * math.sqrt(scale) * np.hypot(spread(new)[:, None], spread(old)[sides][None])
+    choices, counts, misfit = _vote(
+        np.ascontiguousarray(new.xy), np.ascontiguousarray(old.xy[sides]), np.ascontiguousarray(allowed[:, sides]),
+        tolerance, max_turn, KEPT,
+    )  # fmt: skip
+    if not len(choices):
+        return []
+    order = np.lexsort((misfit, -counts))
+    best = choices[order[0]]
+    paired = best >= 0
+    second = 2
+    for other in order[1:]:
+        if np.sum((choices[other] == best) & paired) <= 1:
+            second = max(second, int(counts[other]))
+            break
+    chance = min(0.5, crowd * math.pi * float(np.max(tolerance[paired, best[paired]])) ** 2)
+    if paired.sum() < FEWEST or (paired.sum() - second) * -math.log(max(chance, 1e-9)) < math.log(ODDS):
+        return []
+    i, j = np.flatnonzero(paired), sides[best[paired]]
+    # a neighbour just as near leaves open which of both it is
+    xy = se2.transform_points(rigid_fit(new.xy[i], old.xy[j]), new.xy)
+    near = np.hypot(*(xy[:, None] - old.xy[sides][None]).transpose(2, 0, 1)) < tolerance
+    sure = (near[i].sum(axis=1) == 1) & (near[:, best[paired]].sum(axis=0) == 1)
+    kept = _agreeing(new, old, cross, i[sure], j[sure])
+    return [] if len(kept[0]) < FEWEST else list(zip(kept[0].tolist(), kept[1].tolist(), strict=True))
+
+
+def _agreeing(new: Landmarks, old: Landmarks, cross: Array, i: IntArray, j: IntArray) -> tuple[IntArray, IntArray]:
+    """Those of new landmarks i (k,) and old ones j (k,) that can be the same, with all their correlations.
+
+    Worst first, a pair that the others contradict is left out (`ALONE`); the rest must pass the joint test (`GATE`).
+    """
+    while len(i) >= FEWEST:
+        a, b = ((2 * at[:, None] + np.arange(2)).ravel() for at in (i, j))
+        both = cross[np.ix_(a, b)]
+        W = np.linalg.inv(new.covariance[np.ix_(a, a)] + old.covariance[np.ix_(b, b)] - both - both.T)
+        nu = (new.xy[i] - old.xy[j]).ravel()
+        # each difference given the others: blocks of the inverse, see `association.evidence.pairings.alone`
+        weighed, k = (W @ nu).reshape(-1, 2), np.arange(len(i))
+        blocks = W.reshape(len(i), 2, len(i), 2)[k, :, k, :]
+        alone = np.einsum("ka,ka->k", weighed, np.linalg.solve(blocks, weighed[..., None])[..., 0])
+        if alone.max() < gate_threshold(ALONE):
+            if float(nu @ W @ nu) < gate_threshold(GATE, len(nu)):
+                return i, j
+            break
+        i, j = np.delete(i, alone.argmax()), np.delete(j, alone.argmax())
+    return i[:0], j[:0]
+
+
+@numba.njit(cache=True)
+def _vote(x, y, allowed, tolerance, max_turn, kept):  # type: ignore[no-untyped-def]
+    """Lay every pair of points x (m, 2) onto every allowed pair of y (n, 2); the other points vote, nearest first.
+
+    Returns the best `kept` assignments (h, m), -1 for none, with their number of pairings and sum of squared misfits.
+    """
+    m, n = allowed.shape
+    best, counts = np.full((kept, m), -1), np.zeros(kept, np.int64)
+    misfit, h = np.zeros(kept), 0
+    choice, taken = np.empty(m, np.int64), np.zeros(n, np.bool_)
+    for i in range(m):
+        for a in range(n):
+            if not allowed[i, a]:
+                continue
+            for k in range(i + 1, m):
+                dx, dy = x[k, 0] - x[i, 0], x[k, 1] - x[i, 1]
+                long = math.hypot(dx, dy)
+                for b in range(n):
+                    if b == a or not allowed[k, b]:
+                        continue
+                    reach = math.hypot(tolerance[i, a], tolerance[k, b])
+                    ex, ey = y[b, 0] - y[a, 0], y[b, 1] - y[a, 1]
+                    # a short pair says nothing about the turn
+                    if long < 1.5 * reach or abs(math.hypot(ex, ey) - long) > reach:
+                        continue
+                    turn = math.atan2(dx * ey - dy * ex, dx * ex + dy * ey)
+                    if abs(turn) > max_turn:
+                        continue
+                    c, s = math.cos(turn), math.sin(turn)
+                    mx, my = 0.5 * (x[i, 0] + x[k, 0]), 0.5 * (x[i, 1] + x[k, 1])
+                    ux, uy = 0.5 * (y[a, 0] + y[b, 0]), 0.5 * (y[a, 1] + y[b, 1])
+                    taken[:] = False
+                    votes, total = 0, 0.0
+                    for t in range(m):
+                        vx, vy = x[t, 0] - mx, x[t, 1] - my
+                        tx, ty = ux + c * vx - s * vy, uy + s * vx + c * vy
+                        choice[t] = -1
+                        least = 1.0
+                        for w in range(n):
+                            if taken[w] or not allowed[t, w]:
+                                continue
+                            off = ((y[w, 0] - tx) ** 2 + (y[w, 1] - ty) ** 2) / tolerance[t, w] ** 2
+                            if off < least:
+                                least, choice[t] = off, w
+                        if choice[t] >= 0:
+                            taken[choice[t]] = True
+                            votes += 1
+                            total += least
+                    if votes < 3:
+                        continue
+                    same = -1
+                    for z in range(h):
+                        if counts[z] == votes and np.all(best[z] == choice):
+                            same = z
+                            break
+                    if same >= 0:
+                        misfit[same] = min(misfit[same], total)
+                        continue
+                    slot = h
+                    if h == kept:
+                        slot = int(np.argmin(counts))
+                        if counts[slot] >= votes:
+                            continue
+                    else:
+                        h += 1
+                    best[slot], counts[slot], misfit[slot] = choice, votes, total
+    return best[:h], counts[:h], misfit[:h]

@@ -1,0 +1,131 @@
+"""Poses from pairs: two observations and two landmarks as far apart from each other give the pose of a frame.
+
+They need no linearization, and no start. Each pose is judged by what else it pairs, as in
+`association.geometry.relocalize`, but only where a motion allows it; poses that pair alike are one.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+from association.expectation import Expectation, gate_threshold
+from association.geometry.relocalize import distance_sigmas
+from data.inputs import IntArray
+from data.se2 import Array
+from data.sensors import Sensor
+
+FEWEST = 3
+"""Pairings that a place needs."""
+POINTS = 12
+"""Observations that poses are made from, the surest."""
+ALLOWED = 0.9999
+"""Chi-square probability (3 dof) of the motion inside which poses are looked for."""
+LIMIT = 12
+"""Different pairings that are handed over."""
+KEPT = 20_000
+"""Poses that a frame may give."""
+
+
+def body_points(sensor: Sensor, z: Array, P: Array) -> tuple[Array, Array]:
+    """Measurements (n, 2) with covariances (n, 2, 2) as points of the body frame."""
+    xy, _, G = sensor.inverse(np.zeros(3), z)
+    return xy, G @ P @ G.transpose(0, 2, 1)
+
+
+def candidates(e: Expectation, sensor: Sensor, motion: Array) -> list[tuple[float, IntArray]]:
+    """Different pairings (m,), candidate of each observation or -1, that poses allowed by the motion make.
+
+    Each with its squared distance from the predicted motion; those with most pairs first, `LIMIT` at most.
+    """
+    seen, R = body_points(sensor, e.z, e.R)
+    there, _, G = sensor.inverse(np.zeros(3), e.z_hat)
+    every = np.arange(len(there))
+    variance = np.trace(R, axis1=1, axis2=2)
+    surest = np.sort(np.argsort(variance, kind="stable")[:POINTS])
+    pairings, d2, count = _poses(
+        seen, np.sqrt(variance), distance_sigmas(seen, _diagonal(R)), surest,
+        there, distance_sigmas(there, _diagonal(G) @ e.joint(every) @ _diagonal(G).T),
+        np.linalg.inv(motion), gate_threshold(ALLOWED, 3), FEWEST, KEPT,
+    )  # fmt: skip
+    kept: list[tuple[float, IntArray]] = []
+    for c in np.lexsort((d2[:count], -(pairings[:count] >= 0).sum(axis=1))).tolist():
+        choice = pairings[c]
+        paired = choice >= 0
+        if all(2 * (k[paired] == choice[paired]).sum() <= paired.sum() for _, k in kept):
+            kept.append((float(d2[c]), choice))
+        if len(kept) == LIMIT:
+            break
+    return kept
+
+
+def _diagonal(blocks: Array) -> Array:
+    """Matrix (2n, 2n) with these blocks (n, 2, 2) on its diagonal."""
+    n = len(blocks)
+    whole = np.zeros((n, 2, n, 2))
+    whole[np.arange(n), :, np.arange(n), :] = blocks
+    return whole.reshape(2 * n, 2 * n)
+
+
+@numba.njit(cache=True)
+def _poses(seen, sigma, seen_sigma, surest, there, there_sigma, information, threshold, fewest, kept):  # type: ignore[no-untyped-def]
+    """Poses (x, y, a) with there = R(a) seen + (x, y) that two pairs of points give, and what they pair.
+
+    seen (m, 2) of standard deviations (m,), seen_sigma (m, m) those of their distances; there (n, 2), there_sigma
+    (n, n). Of the observations `surest` pairs at least half as far apart as the farthest. Returns the pairings (kept,
+    m), nearest within 3 sigma or -1, the squared distance (kept,) of each pose by `information` (3, 3), which is below
+    `threshold`, and how many there are, of at least `fewest` pairs each.
+    """
+    m, n = len(seen), len(there)
+    pairings, distance, count = np.full((kept, m), -1, np.int64), np.empty(kept), 0
+    longest, free = 0.0, np.ones(n, np.bool_)
+    for i in surest:
+        for j in surest:
+            longest = max(longest, math.hypot(seen[i, 0] - seen[j, 0], seen[i, 1] - seen[j, 1]))
+    for i in surest:
+        for j in surest:
+            dx, dy = seen[j, 0] - seen[i, 0], seen[j, 1] - seen[i, 1]
+            d = math.hypot(dx, dy)
+            if j <= i or 2.0 * d < longest or d == 0.0:
+                continue
+            for a in range(n):
+                for b in range(n):
+                    ex, ey = there[b, 0] - there[a, 0], there[b, 1] - there[a, 1]
+                    tolerance = 3.0 * math.sqrt(seen_sigma[i, j] ** 2 + there_sigma[a, b] ** 2)
+                    if a == b or abs(math.hypot(ex, ey) - d) > tolerance:
+                        continue
+                    angle = math.atan2(dx * ey - dy * ex, dx * ex + dy * ey)
+                    c, s = math.cos(angle), math.sin(angle)
+                    mx, my = 0.5 * (seen[i, 0] + seen[j, 0]), 0.5 * (seen[i, 1] + seen[j, 1])
+                    x = 0.5 * (there[a, 0] + there[b, 0]) - (c * mx - s * my)
+                    y = 0.5 * (there[a, 1] + there[b, 1]) - (s * mx + c * my)
+                    pose = np.array([x, y, angle])
+                    d2 = pose @ information @ pose
+                    if d2 > threshold:
+                        continue
+                    paired = 0
+                    free[:] = True
+                    for k in range(m):
+                        px, py = c * seen[k, 0] - s * seen[k, 1] + x, s * seen[k, 0] + c * seen[k, 1] + y
+                        # the heading is as uncertain as the two points are, across, at their distance
+                        lever = math.hypot(seen[k, 0] - mx, seen[k, 1] - my) / d
+                        own = there_sigma[a, b] ** 2 + sigma[i] ** 2 + sigma[j] ** 2
+                        nearest = 9.0 * (sigma[k] ** 2 + own * (0.5 + lever * lever))
+                        pairings[count, k] = -1
+                        for o in range(n):
+                            ox, oy = there[o, 0] - px, there[o, 1] - py
+                            if free[o] and ox * ox + oy * oy < nearest:
+                                nearest = ox * ox + oy * oy
+                                pairings[count, k] = o
+                        if pairings[count, k] >= 0:
+                            free[pairings[count, k]] = False
+                            paired += 1
+                    if paired < fewest:
+                        continue
+                    distance[count] = d2
+                    count += 1
+                    if count == kept:
+                        return pairings, distance, count
+    return pairings, distance, count

@@ -1,0 +1,137 @@
+"""Logs by name or path, and the datasets found in a folder."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from data.errors import UsageError
+from data.log import Log
+
+if TYPE_CHECKING:
+    from data.visual.opening import Camera
+
+NAMES = (
+    "victoria-park, arena:SEED, circle:SEED, linear:SEED, corridor:SEED, corridor:SEED:people+no-odometry+KEY=VALUE, "
+    "visual:SEED"
+)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How logs with images are read (see `data.visual.opening.Camera`), and where rendered ones keep their
+    detections.
+    """
+
+    camera_translation: str = "cm"
+    camera_reading: str = "to-camera"
+    corner_noise: str = "lab"
+    trust_pickle: bool = False
+    cache: Path | None = None
+
+
+def open_log(name: str, reading: Reading = Reading(), say: Callable[[str], None] = lambda text: None) -> Log:
+    """A log by name (`victoria-park`, `arena:SEED`, `circle:SEED`, `corridor:SEED:KEYS`, ...) or by its folder.
+
+    Raises UsageError for a name that is neither, DataError for a folder that is not valid.
+    """
+    if name == "victoria-park":
+        from data.recordings.victoria_park import load_victoria_park
+
+        return load_victoria_park()
+    simulated = re.fullmatch(r"(arena|circle|linear):(.*)", name)
+    if simulated:
+        if not re.fullmatch(r"\d+", simulated[2]):
+            raise UsageError(f"--log {name}: the seed is a whole number, as in {simulated[1]}:0")
+        return _simulated(simulated[1], int(simulated[2]))
+    if name.startswith("corridor:"):
+        from data.worlds import corridor
+
+        return corridor.simulate(*corridor.parse_name(name), name)
+    if name.startswith("visual:"):
+        from data.visual.opening import open_rendered
+
+        return open_rendered(name, _camera(reading), say, reading.cache)
+    path = Path(name)
+    if path.is_dir():
+        return _open_folder(path, reading, say)
+    if path.exists():
+        raise UsageError(f"--log {name}: a file; expected an open log folder or one of {NAMES}")
+    raise UsageError(f"--log {name}: no such folder, and not one of {NAMES}")
+
+
+def _camera(reading: Reading) -> Camera:
+    from data.visual.opening import Camera
+
+    return Camera(reading.camera_translation, reading.camera_reading, reading.corner_noise, reading.trust_pickle)
+
+
+def _open_folder(path: Path, reading: Reading, say: Callable[[str], None]) -> Log:
+    """An open log folder, or one in the format of the visual lab."""
+    if not (path / "log.toml").exists():
+        from data.visual.lab.folder import is_lab
+
+        if is_lab(path):
+            from data.visual.opening import open_lab_log
+
+            return open_lab_log(path, _camera(reading), say)
+    from data.open_log.reader import load_folder
+
+    return load_folder(path)
+
+
+def _simulated(kind: str, seed: int) -> Log:
+    if kind == "arena":
+        from data.worlds.arena import Arena
+        from data.worlds.arena import simulate as arena
+
+        return arena(Arena(), seed)
+    if kind == "circle":
+        from data.worlds.circle import Circle
+        from data.worlds.circle import simulate as circle
+
+        return circle(Circle(), seed)
+    from data.worlds.linear import LinearWorld
+    from data.worlds.linear import simulate as linear
+
+    return linear(LinearWorld(), seed)
+
+
+def find_logs(folder: Path, say: Callable[[str], None]) -> Iterator[Callable[[], Log]]:
+    """Loaders of every dataset in a folder, two levels deep: open logs, MRCLAM folders and zips with every robot.
+
+    What is not recognised is named through `say` and skipped. Loading is left to the caller, log by log.
+    """
+    if not folder.is_dir():
+        raise UsageError(f"--data {folder}: no such folder")
+    yield from _search(folder, 2, say)
+
+
+def _search(folder: Path, depth: int, say: Callable[[str], None]) -> Iterator[Callable[[], Log]]:
+    from data.mrclam.load import is_mrclam
+    from data.open_log.reader import load_folder
+
+    for path in sorted(folder.iterdir()):
+        if path.name.startswith("."):
+            continue
+        if path.is_dir() and (path / "log.toml").exists():
+            yield lambda path=path: load_folder(path)  # type: ignore[misc]
+        elif is_mrclam(path):
+            yield from _mrclam(path, say)
+        elif path.is_dir() and depth > 1:
+            yield from _search(path, depth - 1, say)
+        elif path.is_dir() or path.suffix not in {".md", ".txt", ".dat"}:
+            say(f"skipped {path}: not a dataset that is known here")
+
+
+def _mrclam(path: Path, say: Callable[[str], None]) -> Iterator[Callable[[], Log]]:
+    from data.mrclam.load import corrected_landmarks, load_mrclam, robots
+
+    landmarks = corrected_landmarks(path)
+    if landmarks is not None:
+        say(f"{path.name}: landmark positions from {landmarks.name} beside it")
+    for robot in robots(path):
+        yield lambda robot=robot: load_mrclam(path, robot, landmarks=landmarks)  # type: ignore[misc]

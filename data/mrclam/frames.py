@@ -1,0 +1,84 @@
+"""The frames of a UTIAS MRCLAM log: at the readings' own instants or on a grid, with the motion between them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from data.inputs import Increments, IntArray
+from data.motion import MAX_HOLD, VelocityModel, preintegrate
+from data.mrclam.readings import Readings
+from data.se2 import Array
+from data.timeline import frame_times
+
+STALE = 0.05
+"""s; on a grid, a reading older than this at its frame's instant is dropped, as the classic tutorials do."""
+
+
+@dataclass(frozen=True)
+class Odometry:
+    """Corrected odometry: time (K,) s, v (K,) m/s, omega (K,) rad/s."""
+
+    time: Array
+    v: Array
+    omega: Array
+
+
+@dataclass(frozen=True)
+class Course:
+    """Frames: time (N,) s, increments, readings (M,) and the frame (M,) of each."""
+
+    time: Array
+    increments: Increments
+    readings: Readings
+    frame: IntArray
+
+    def after(self, first: int) -> Course:
+        """The course from frame `first` on, without the readings of that frame and before."""
+        mean, covariance = self.increments.mean[first:].copy(), self.increments.covariance[first:].copy()
+        mean[0], covariance[0] = 0.0, 0.0
+        rest = self.frame > first
+        return Course(
+            self.time[first:], Increments(mean, covariance), self.readings.where(rest), self.frame[rest] - first
+        )
+
+
+def lay_out(
+    readings: Readings, odometry: Odometry, first: float, last: float, grid: float | None, motion: VelocityModel
+) -> tuple[Course, list[str]]:
+    """Frames from `first` to `last` [s], and sentences about what was lost on the way.
+
+    Without `grid` [s] they are the readings' instants and keyframes. With it they are that far apart, the odometry
+    is interpolated at each and held until the next, and readings move to the nearest.
+    """
+    notes = []
+    if grid is None:
+        readings = readings.where((readings.time >= first) & (readings.time <= last))
+        time = frame_times(readings.time, first, last)
+        frame = np.searchsorted(time, readings.time).astype(np.int64)
+    else:
+        time = np.asarray(first + grid * np.arange(math.floor((last - first) / grid + 1e-9) + 1))
+        odometry = _on_grid(odometry, time)
+        nearest = np.rint((readings.time - first) / grid).astype(np.int64)
+        inside = (nearest >= 0) & (nearest < len(time))
+        stale = inside & (time[nearest.clip(0, len(time) - 1)] - readings.time > STALE)
+        if stale.any():
+            notes.append(f"{int(stale.sum())} readings older than {STALE:g} s at the instant of their frame: dropped.")
+        readings, frame = readings.where(inside & ~stale), nearest[inside & ~stale]
+    increments, gaps = preintegrate(motion, odometry.time, odometry.v, odometry.omega, time)
+    if gaps:
+        many = "1 gap" if gaps == 1 else f"{gaps} gaps"
+        notes.append(f"{many} of more than {MAX_HOLD:g} s in the odometry: the increments' covariance grows there.")
+    return Course(time, increments, readings, frame), notes
+
+
+def _on_grid(odometry: Odometry, time: Array) -> Odometry:
+    """Velocities interpolated at the grid's instants (N,); none inside a gap, where nothing is known."""
+    t = odometry.time
+    after = np.searchsorted(t, time, side="left").clip(0, len(t) - 1)
+    before = (np.searchsorted(t, time, side="right") - 1).clip(0)
+    close = t[after] - t[before] <= MAX_HOLD
+    at = time[close]
+    return Odometry(at, np.interp(at, t, odometry.v), np.interp(at, t, odometry.omega))

@@ -1,0 +1,284 @@
+"""UTIAS MRCLAM: one robot's recording as a log, with the stamps it was recorded with or resampled to a grid.
+
+Frames are the instants with readings (all readings of one image are one frame) and keyframes in between; the odometry
+is preintegrated between them. Times are seconds after the robot's first ground-truth row (after its first odometry row
+where it has no ground truth); `Inputs.time` counts from the log's first frame.
+"""
+
+from __future__ import annotations
+
+import math
+import zipfile
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from data.errors import DataError, UsageError
+from data.inputs import CLUTTER, Increments, Inputs, LandmarkMap, Observations, Prior, floor_covariances
+from data.log import Log
+from data.motion import VelocityModel
+from data.mrclam.calibration import FROZEN, Calibration
+from data.mrclam.files import Files, open_files, robot_file
+from data.mrclam.first_fix import first_fix
+from data.mrclam.frames import Course, Odometry, lay_out
+from data.mrclam.readings import identify, misplaced, within
+from data.mrclam.tables import read_barcodes, read_landmarks, read_measurements, read_odometry, read_truth
+from data.se2 import Array
+from data.sensors import RangeBearing
+from data.timeline import MAX_GAP, truth_at
+from data.truth import Truth
+
+FLOOR = 1e-10
+"""Smallest eigenvalue of an increment's covariance."""
+SENSOR = RangeBearing(max_range=10.0, min_angle=-0.6, max_angle=0.6)
+"""The camera as the recordings show it: ranges up to 9.2 m, bearings up to 0.58 rad to either side."""
+CORRECTED = "Landmark_Groundtruth.corrected.dat"
+"""A landmark file with rows put right, beside a dataset whose published file has them exchanged."""
+
+
+@dataclass(frozen=True)
+class _TruePath:
+    """Ground truth: time (K,) s, pose (K, 3), and the stretches that are marked bad."""
+
+    time: Array
+    pose: Array
+    bad: tuple[tuple[float, float], ...]
+
+    def at(self, instants: Array) -> Array:
+        """Poses (N, 3), NaN where unknown or bad."""
+        pose = truth_at(self.time, self.pose, instants)
+        for begin, end in self.bad:
+            pose[(instants >= begin) & (instants <= end)] = np.nan
+        return pose
+
+
+def robots(source: Path) -> list[int]:
+    """Robots of a dataset (folder or zip) that have odometry and measurements, ascending."""
+    return open_files(Path(source)).robots()
+
+
+def is_mrclam(source: Path) -> bool:
+    """Whether a folder or zip holds an MRCLAM dataset with at least one robot; raises for nothing."""
+    source = Path(source)
+    if not source.is_dir() and not (source.is_file() and zipfile.is_zipfile(source)):
+        return False
+    try:
+        return bool(robots(source))
+    except DataError:
+        return False
+
+
+def corrected_landmarks(source: Path) -> Path | None:
+    """`Landmark_Groundtruth.corrected.dat` in or beside a dataset, if it has the same places under exchanged numbers.
+
+    One for another dataset, whose landmarks stand elsewhere, is told apart that way.
+    """
+    source = Path(source)
+    files = open_files(source)
+    published = read_landmarks(files)
+    for folder in (source, source.parent) if source.is_dir() else (source.parent,):
+        path = folder / CORRECTED
+        if path.is_file():
+            found = read_landmarks(files, path)
+            same_places = sorted(found.xy.tolist()) == sorted(published.xy.tolist())
+            if same_places and found.id.tolist() == published.id.tolist():
+                return path
+    return None
+
+
+def load_mrclam(
+    source: Path,
+    robot: int,
+    *,
+    start: float | None = None,
+    stop: float | None = None,
+    landmarks: Path | None = None,
+    exclude_truth: Sequence[tuple[float, float]] = (),
+    keep_robots: bool = False,
+    grid: float | None = None,
+    calibration: Calibration = FROZEN,
+    motion: VelocityModel | None = None,
+    sigma: tuple[float, float] | None = None,
+    prior_sigma: tuple[float, float] = (0.05, 0.05),
+) -> Log:
+    """One robot's log. The barcodes are sensed labels: granting them grants no truth.
+
+    The log starts at the first instant with truth and odometry, with the true pose there as the prior's mean, and ends
+    with the odometry. A robot without ground truth gets its prior from the first sightings that fix it, which are then
+    not part of the log (`data.mrclam.first_fix`). If none do, the prior is the zero pose and the map is withheld,
+    because the log's world frame is then the robot's own.
+
+    Args:
+        source: folder with the .dat files, directly or in one subfolder; or the published zip.
+        robot: 1 to 5.
+        start: s, beginning of the wanted window (the module's first lines say what it counts from).
+        stop: s, its end.
+        landmarks: file read instead of the dataset's Landmark_Groundtruth.dat.
+        exclude_truth: stretches (from, to) [s] whose truth is bad and left out, ends included.
+        keep_robots: keep sightings of the other robots, as clutter that moves.
+        grid: s; resample to frames this far apart, as the classic tutorials do (0.02): odometry interpolated at each
+            frame and held until the next, readings moved to the nearest frame.
+        calibration: corrections and noise of odometry and camera.
+        motion: replaces `calibration.motion`.
+        sigma: (m, rad), replaces the calibration's noise of a reading, whatever its range.
+        prior_sigma: (m, rad), standard deviations of x and y, and of the heading, at the start.
+
+    Raises:
+        DataError: anything missing or wrong in the files, with file and line; nothing in the window.
+        UsageError: arguments that make no sense.
+    """
+    _check(start, stop, exclude_truth, grid, prior_sigma)
+    if motion is not None:
+        calibration = replace(calibration, motion=motion)
+    if sigma is not None:
+        calibration = replace(calibration, sigma_range=sigma[0], sigma_bearing=sigma[1], sigma_range_growth=0.0)
+    source = Path(source)
+    files = open_files(source)
+    subjects, survey = read_barcodes(files), read_landmarks(files, landmarks)
+    commands, measured, rows = read_odometry(files, robot), read_measurements(files, robot), read_truth(files, robot)
+
+    origin = float((commands if rows is None else rows)[0, 0])
+    velocities = calibration.velocities(commands[:, 1], commands[:, 2])
+    odometry = Odometry(np.round(calibration.instants(_since(commands[:, 0], origin)), 6), *velocities)
+    truth = None if rows is None else _TruePath(_since(rows[:, 0], origin), rows[:, 1:], tuple(exclude_truth))
+    first, last, notes = _window(files, robot, odometry, truth, start, stop)
+    seen_at = _since(measured[:, 0], origin, -calibration.latency)
+    z = calibration.readings(measured[:, 2:])
+    readings, more = identify(seen_at, measured[:, 1], z, subjects, survey, keep_robots=keep_robots)
+    notes += more
+    readings, more = within(readings, odometry.time[0], odometry.time[-1])
+    notes += more
+    course, more = lay_out(readings, odometry, first, last, grid, calibration.motion)
+    notes += more
+
+    spread = (prior_sigma[0], prior_sigma[0], prior_sigma[1])
+    pose = None
+    if truth is not None:
+        pose = truth.at(course.time)
+        prior: Prior | None = Prior(pose[0], np.diag(np.square(spread)))
+        notes += [f"Ground truth left out from {a:g} to {b:g} s after its first row." for a, b in exclude_truth]
+        notes += misplaced(course.readings, pose[course.frame], survey)
+    else:
+        course, prior, note = _without_truth(course, survey, spread)
+        notes.append(note)
+    known = None if prior is None else survey
+    covariance, floored = floor_covariances(course.increments.covariance, FLOOR)
+    z = course.readings.z
+    recorded = Inputs(
+        prior=prior or Prior(np.zeros(3), np.diag(np.square(spread))),
+        time=course.time - course.time[0],
+        increments=Increments(course.increments.mean, covariance),
+        observations=Observations(course.frame, z, calibration.noise(z)),
+        sensor=SENSOR,
+        map=known,
+        covariance_floor=FLOOR,
+        floored=floored,
+    )
+    given = {
+        "start": start,
+        "stop": stop,
+        "landmarks": None if landmarks is None else str(Path(landmarks).absolute()),
+        "exclude_truth": [list(map(float, s)) for s in exclude_truth] or None,
+        "keep_robots": keep_robots or None,
+        "grid": grid,
+    }
+    provenance = {
+        "kind": "mrclam",
+        "path": str(source.absolute()),
+        "dataset": files.name,
+        "robot": robot,
+        "first_stamp": round(origin + float(course.time[0]), 6),
+        **{key: value for key, value in given.items() if value is not None},
+        "calibration": asdict(calibration),
+        "sha256": dict(sorted(files.sha256.items())),
+    }
+    return Log(
+        name=f"{files.name.lower().replace('_dataset', '')}-robot{robot}",
+        recorded=recorded,
+        truth=Truth(pose, known, course.readings.true_id),
+        labels_are_sensed=True,
+        source=provenance,
+        notes=tuple(notes),
+    )
+
+
+def _check(
+    start: float | None,
+    stop: float | None,
+    exclude_truth: Sequence[tuple[float, float]],
+    grid: float | None,
+    prior_sigma: tuple[float, float],
+) -> None:
+    for name, value in (("start", start), ("stop", stop)):
+        if value is not None and not math.isfinite(value):
+            raise UsageError(f"{name} {value}: a number of seconds is needed")
+    if start is not None and stop is not None and not start < stop:
+        raise UsageError(f"stop {stop:g} s does not come after start {start:g} s")
+    for begin, end in exclude_truth:
+        if not begin < end:
+            raise UsageError(f"exclude truth {begin:g}:{end:g}: the end must come after the beginning")
+    if grid is not None and not 0.0 < grid <= MAX_GAP:
+        raise UsageError(f"grid {grid:g} s: more than 0 and at most {MAX_GAP:g} s is needed")
+    if not all(0.0 <= s < math.inf for s in prior_sigma):
+        raise UsageError(f"prior sigma {prior_sigma}: numbers from 0 up are needed")
+
+
+def _since(stamps: Array, origin: float, shift: float = 0.0) -> Array:
+    """Seconds after `origin`, moved by `shift`; rounded to microseconds, as a large binary number loses the rest."""
+    seconds: Array = np.round(stamps - origin + shift, 6)
+    return seconds
+
+
+def _window(
+    files: Files, robot: int, odometry: Odometry, truth: _TruePath | None, start: float | None, stop: float | None
+) -> tuple[float, float, list[str]]:
+    """First and last instant of the log, and a sentence about what comes before the first."""
+    path = files.path(robot_file(robot, "Odometry"))
+    last = float(odometry.time[-1]) if stop is None else min(stop, float(odometry.time[-1]))
+    first, why = float(odometry.time[0]), "the odometry starts there"
+    if truth is not None and truth.time[0] > first:
+        first, why = float(truth.time[0]), "the ground truth starts there"
+    if start is not None and start > first:
+        first, why = start, "asked for"
+    if truth is not None:
+        instants = np.append(first, truth.time[truth.time > first])
+        known = np.isfinite(truth.at(instants)[:, 2])
+        if not known.any():
+            raise DataError.at(
+                path, "no instant with both odometry and ground truth" + (f" from {first:g} s on" if start else "")
+            )
+        if not known[0]:
+            first, why = float(instants[np.argmax(known)]), "the first instant with truth"
+    if not first < last:
+        raise DataError.at(path, f"nothing between {first:g} s (the first instant of the log) and {last:g} s")
+    row = "odometry" if truth is None else "ground-truth"
+    if first > 0.0 and (truth is not None or first == start):
+        return first, last, [f"Skipped the first {first:.3f} s after the first {row} row ({why})."]
+    if odometry.time[0] < first:
+        return first, last, [f"Skipped {first - odometry.time[0]:.3f} s of odometry ({why})."]
+    return first, last, []
+
+
+def _without_truth(
+    course: Course, survey: LandmarkMap, spread: tuple[float, float, float]
+) -> tuple[Course, Prior | None, str]:
+    """The course from where its readings fix the pose, that pose as the prior, and a sentence; no prior if none do."""
+    seen = course.readings.true_id != CLUTTER
+    readings = course.readings.where(seen)
+    fix = first_fix(
+        course.time, course.increments.mean, course.frame[seen], readings.body(), readings.surveyed(survey), spread
+    )
+    if fix is None:
+        note = (
+            "No ground truth, and the readings do not fix the pose: the log starts at the zero pose, its frame is the "
+            "robot's own, and the map is withheld."
+        )
+        return course, None, note
+    at = course.time[fix.frame]
+    note = (
+        f"No ground truth: the prior is a fit to {fix.readings} readings (rms {fix.rms:.2f} m), "
+        f"and the log starts after them, {at:.3f} s after the first odometry row."
+    )
+    return course.after(fix.frame), fix.prior, note

@@ -1,0 +1,117 @@
+"""Camera readings of a UTIAS MRCLAM robot: whose barcode each shows, which are kept, whether the survey fits them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data import se2
+from data.inputs import CLUTTER, IntArray, LandmarkMap
+from data.mrclam.tables import ROBOTS
+from data.se2 import Array
+
+UNKNOWN_BARCODE = -2
+MISPLACED = 1.0
+"""m; a landmark that its readings miss by more, in the median, is not where the survey says."""
+ENOUGH = 5
+"""Readings of a landmark before its place is doubted."""
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Readings, ascending by time: time (M,) s, true_id (M,) landmark's subject or `CLUTTER`, z (M, 2) in m and rad."""
+
+    time: Array
+    true_id: IntArray
+    z: Array
+
+    def where(self, rows: NDArray[np.bool_]) -> Readings:
+        """Some of them, in order."""
+        return Readings(self.time[rows], self.true_id[rows], self.z[rows])
+
+    def body(self) -> Array:
+        """Points (M, 2) in the body frame."""
+        direction: Array = np.stack([np.cos(self.z[:, 1]), np.sin(self.z[:, 1])], axis=-1)
+        return self.z[:, :1] * direction
+
+    def surveyed(self, survey: LandmarkMap) -> Array:
+        """Where the survey has the landmark of each (M, 2), NaN for clutter."""
+        places = np.full((len(self.time), 2), np.nan)
+        seen = self.true_id != CLUTTER
+        places[seen] = survey.xy[np.searchsorted(survey.id, self.true_id[seen])]
+        return places
+
+
+def identify(
+    time: Array, barcode: Array, z: Array, subjects: dict[int, int], survey: LandmarkMap, *, keep_robots: bool
+) -> tuple[Readings, list[str]]:
+    """Readings of landmarks (and of robots as clutter, if they are to be kept), and a sentence for each kind left out.
+
+    Args:
+        time: (M,) s, when each was taken.
+        barcode: (M,) what the camera read.
+        z: (M, 2) range [m] and bearing [rad].
+        subjects: subject by barcode.
+        survey: the landmarks whose places are known; readings of any other are left out.
+        keep_robots: keep sightings of robots.
+    """
+    notes = []
+    subject = np.array([subjects.get(int(b), UNKNOWN_BARCODE) for b in barcode], np.int64)
+    nobody = subject == UNKNOWN_BARCODE
+    robot = np.isin(subject, ROBOTS)
+    stray = ~nobody & ~robot & ~np.isin(subject, survey.id)
+    if nobody.any():
+        codes = ", ".join(f"{b:g}" for b in np.unique(barcode[nobody]))
+        notes.append(f"{_count(nobody)} of a barcode that no subject has ({codes}): skipped.")
+    if robot.any():
+        share = 100.0 * robot.sum() / len(robot)
+        what = "kept as clutter" if keep_robots else "dropped"
+        notes.append(f"{_count(robot)} of other robots ({share:.0f} % of all): {what}.")
+    if stray.any():
+        who = ", ".join(map(str, np.unique(subject[stray])))
+        notes.append(f"{_count(stray)} of subjects that the landmark file does not have ({who}): dropped.")
+    keep = ~nobody & ~stray
+    if not keep_robots:
+        keep &= ~robot
+    return Readings(time, np.where(robot, CLUTTER, subject), z).where(keep), notes
+
+
+def within(readings: Readings, first: float, last: float) -> tuple[Readings, list[str]]:
+    """Readings between the first and the last odometry, and a sentence for each end that lost some."""
+    early, late = readings.time < first, readings.time > last
+    notes = [
+        f"{_count(lost)} {where} odometry: dropped."
+        for lost, where in ((early, "before the first"), (late, "after the last"))
+        if lost.any()
+    ]
+    return readings.where(~early & ~late), notes
+
+
+def misplaced(readings: Readings, pose: Array, survey: LandmarkMap) -> list[str]:
+    """A sentence if readings contradict the survey, given the true pose (M, 3) of each; none if they agree.
+
+    Where the readings of one landmark lie at the place of another, it says so: two rows may have been exchanged.
+    """
+    points = se2.transform_points(pose, readings.body())
+    known = np.isfinite(points).all(axis=1) & (readings.true_id != CLUTTER)
+    distance = np.hypot(*(points - readings.surveyed(survey)).T)
+    findings = []
+    for number in survey.id.tolist():
+        rows = known & (readings.true_id == number)
+        if rows.sum() < ENOUGH or (miss := float(np.median(distance[rows]))) <= MISPLACED:
+            continue
+        away = np.hypot(*(survey.xy - np.median(points[rows], axis=0)).T)
+        other = int(survey.id[np.argmin(away)])
+        hint = f", seen where {other} should be" if away.min() <= 0.5 * MISPLACED and other != number else ""
+        findings.append(f"{number} ({miss:.1f} m{hint})")
+    if not findings:
+        return []
+    who = ", ".join(findings)
+    return [f"The readings contradict the landmark file (or the ground truth is wrong); median miss of landmark {who}."]
+
+
+def _count(rows: NDArray[np.bool_]) -> str:
+    n = int(rows.sum())
+    return f"{n} reading{'s' * (n != 1)}"

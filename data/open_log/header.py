@@ -1,0 +1,217 @@
+"""`log.toml` of an open log folder: what its tables say, checked key by key.
+
+Format 1. Keys, with their defaults where they may be left out:
+
+    format = 1
+    name = "..."                        unique in a run; it becomes part of file names
+    time_is_index = false               t is a frame number, there are no stamps
+    covariance_floor = 1e-10            smallest eigenvalue of an increment's covariance; 0 for none
+    floored = 0                         increments that already hold the floor (written by us)
+    labels_are_sensed = false           ids come from the sensor, e.g. barcodes
+    notes = []                          sentences for the reader
+    [prior]   mean = [x, y, theta]      and sigma = [3 numbers] or covariance = [[3], [3], [3]]
+    [sensor]  kind = "range_bearing" or "relative_point"
+              sigma = [2 numbers]       default noise; needed if observations.csv has no r11, r12, r22
+              max_range = inf           m
+              min_angle = -pi, max_angle = pi, or field_of_view (the full opening angle)   rad
+              rotation = 0 [rad], translation = [0, 0] [m]    p_sensor = R(rotation) p_body + translation;
+                                        a table [sensor.extrinsic] with these two keys is the same
+    [motion]  model = "unicycle" or "half_angle", noise = "velocity" or "density" with sigma = [2 numbers],
+              or noise = "displacement" with alphas = [4 numbers]     needed with odometry.csv only;
+              without odometry, instead: prior = "forward" with step_mean, step_sigma, lateral_sigma [m] and turn_sigma
+              [rad] per frame, or prior = "constant_velocity" with velocity, velocity_sigma, lateral_sigma [m/s],
+              turn_rate and turn_rate_sigma [rad/s]; frames.csv then has the column t alone (see
+              data.open_log.motion_prior)
+    [source]  anything: how the log was made
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from data.errors import DataError
+from data.inputs import Prior
+from data.motion import MODELS, NOISES, VelocityModel, VelocityNoise
+from data.open_log.motion_prior import PRIORS, MotionPrior
+from data.open_log.toml_table import Reader, finite, not_negative, positive
+from data.se2 import Array
+from data.sensors import RangeBearing, RelativePoint, Sensor
+
+FORMAT = 1
+SENSORS: dict[str, Callable[..., Sensor]] = {s.name: s for s in (RangeBearing, RelativePoint)}
+
+
+@dataclass(frozen=True)
+class Header:
+    """Contents of `log.toml`; `sigma` (2,) is the sensor's default noise, `motion` how odometry becomes increments.
+
+    `motion_prior`: what stands in for odometry, where the log states that.
+    """
+
+    name: str
+    prior: Prior
+    sensor: Sensor
+    sigma: Array | None
+    motion: VelocityModel | None
+    time_is_index: bool
+    covariance_floor: float
+    floored: int
+    labels_are_sensed: bool
+    notes: tuple[str, ...]
+    source: Mapping[str, object]
+    motion_prior: MotionPrior | None = None
+
+
+def _name(top: Reader) -> str:
+    value = top.table.get("name")
+    if not isinstance(value, str) or not value.strip():
+        raise top.error("name", "a name (text) is needed")
+    if value in (".", "..") or any(c in "/\\" or not c.isprintable() for c in value):
+        raise top.error("name", "the name becomes a folder name: no slashes, no line ends")
+    return value
+
+
+def _prior(table: Reader) -> Prior:
+    mean = table.numbers("mean", 3, "three numbers x [m], y [m], theta [rad] are", finite)
+    if ("sigma" in table) == ("covariance" in table):
+        raise table.error(
+            "sigma",
+            "either sigma or covariance is needed, not both"
+            if "sigma" in table
+            else "missing; sigma or covariance is needed",
+        )
+    if "sigma" in table:
+        sigma = table.numbers("sigma", 3, "three numbers >= 0 [m, m, rad] are", not_negative)
+        return Prior(mean, np.diag(sigma**2))
+    rows = table.table["covariance"]
+    if not isinstance(rows, list) or len(rows) != 3:
+        raise table.error("covariance", "three rows of three numbers are needed")
+    what = "three rows of three numbers are"
+    P = np.stack([Reader(table.path, {"covariance": r}, "prior").numbers("covariance", 3, what, finite) for r in rows])
+    if np.abs(P - P.T).max() > 1e-12 * np.trace(P):
+        raise table.error("covariance", "not symmetric")
+    P = 0.5 * (P + P.T)
+    if np.linalg.eigvalsh(P)[0] < -1e-12 * np.trace(P):
+        raise table.error(
+            "covariance", f"not positive semidefinite (smallest eigenvalue {np.linalg.eigvalsh(P)[0]:.3g})"
+        )
+    return Prior(mean, P)
+
+
+def _view(table: Reader) -> tuple[float, float]:
+    """Smallest and largest angle [rad] of the field of view."""
+    if "field_of_view" in table:
+        if "min_angle" in table or "max_angle" in table:
+            raise table.error("field_of_view", "give it or min_angle and max_angle, not both")
+        what = "an opening angle above 0 and up to 2 pi (radians)"
+        opening = table.number("field_of_view", math.inf, what, lambda v: 0.0 < v <= 2.0 * math.pi + 1e-9)
+        return -0.5 * opening, 0.5 * opening
+    low = table.number("min_angle", -math.pi, "a finite angle (radians)", finite)
+    high = table.number("max_angle", math.pi, "a finite angle (radians)", finite)
+    key = "min_angle" if "min_angle" in table else "max_angle"
+    if low >= high:
+        raise table.error(key, f"min_angle ({low!r}) must be smaller than max_angle ({high!r})")
+    if high - low > 2.0 * math.pi + 1e-9:
+        raise table.error(key, f"the field of view opens {high - low:.6g}, more than 2 pi; angles are in radians")
+    return low, high
+
+
+def _sensor(table: Reader) -> tuple[Sensor, Array | None]:
+    kind = table.one_of("kind", SENSORS)
+    sigma = None
+    if "sigma" in table:
+        sigma = table.numbers("sigma", 2, "two numbers > 0 are", positive)
+    max_range = table.number("max_range", math.inf, "a range > 0 [m]", lambda v: v > 0.0)
+    low, high = _view(table)
+    extrinsic = table.optional_table("extrinsic")
+    if extrinsic is not None and ("rotation" in table or "translation" in table):
+        raise table.error("extrinsic", "give rotation and translation here or in [sensor], not both")
+    place = table if extrinsic is None else extrinsic
+    rotation = place.number("rotation", 0.0, "a finite angle (radians)", finite)
+    translation = (0.0, 0.0)
+    if "translation" in place:
+        tx, ty = place.numbers("translation", 2, "two numbers [m] are", finite)
+        translation = (float(tx), float(ty))
+    return SENSORS[kind](max_range, low, high, rotation, translation), sigma
+
+
+def _motion(table: Reader) -> VelocityModel:
+    model = table.one_of("model", MODELS, "unicycle")
+    kind = table.one_of("noise", NOISES)
+    wanted, other = ("alphas", "sigma") if kind == "displacement" else ("sigma", "alphas")
+    if other in table:
+        raise table.error(other, f"noise = {kind!r} takes {wanted}, not {other}")
+    if kind == "displacement":
+        a1, a2, a3, a4 = table.numbers("alphas", 4, "four numbers >= 0 are", not_negative).tolist()
+        return VelocityModel(VelocityNoise(kind, alphas=(a1, a2, a3, a4)), model)
+    s1, s2 = table.numbers("sigma", 2, "two numbers >= 0 are", not_negative).tolist()
+    return VelocityModel(VelocityNoise(kind, sigma=(s1, s2)), model)
+
+
+def _motion_prior(table: Reader) -> MotionPrior:
+    kind = PRIORS[table.one_of("prior", PRIORS)]
+    wanted = [f.name for f in fields(kind)]
+    for key in table.table:
+        if key != "prior" and key not in wanted:
+            raise table.error(key, f"prior = {table.table['prior']!r} takes {', '.join(wanted)}")
+    values = {}
+    for key in wanted:
+        if key not in table:
+            raise table.error(key, "missing; a number is needed")
+        fine, what = (not_negative, "a number >= 0") if "sigma" in key else (finite, "a finite number")
+        values[key] = table.number(key, 0.0, what, fine)
+    return kind(**values)
+
+
+def _parse(path: Path) -> dict[str, object]:
+    try:
+        with path.open("rb") as file:
+            return tomllib.load(file)
+    except FileNotFoundError:
+        raise DataError.at(path, "no such file; a log folder needs it") from None
+    except OSError as error:
+        raise DataError.at(path, f"cannot be read: {error.strerror}") from None
+    except (ValueError, RecursionError) as error:  # bad UTF-8 and absurd numbers are ValueErrors too
+        raise DataError.at(path, f"not valid TOML: {' '.join(str(error).split())}") from None
+
+
+def read_header(path: Path) -> Header:
+    """Read and check a `log.toml`.
+
+    Raises:
+        DataError: missing file, not TOML, unknown format number or key, or a value that makes no sense.
+    """
+    table = _parse(path)
+    number = table.get("format")
+    if isinstance(number, bool) or number != FORMAT:
+        what = "no format number" if number is None else f"format = {number!r}: unknown format number"
+        raise DataError.at(path, f"{what}; format = {FORMAT} is needed")
+    top = Reader(path, table)
+    sensor, sigma = _sensor(top.table_of("sensor"))
+    motion = top.optional_table("motion")
+    notes = table.get("notes", [])
+    if not isinstance(notes, list) or not all(isinstance(n, str) for n in notes):
+        raise top.error("notes", "a list of sentences is needed")
+    source = table.get("source", {})
+    if not isinstance(source, dict):
+        raise top.error("source", "this must be a table")
+    return Header(
+        name=_name(top),
+        prior=_prior(top.table_of("prior")),
+        sensor=sensor,
+        sigma=sigma,
+        motion=None if motion is None or "prior" in motion else _motion(motion),
+        time_is_index=top.flag("time_is_index"),
+        covariance_floor=top.number("covariance_floor", 1e-10, "a number >= 0", not_negative),
+        floored=int(top.number("floored", 0, "a whole number >= 0", lambda v: not_negative(v) and v.is_integer())),
+        labels_are_sensed=top.flag("labels_are_sensed"),
+        notes=tuple(notes),
+        source=source,
+        motion_prior=_motion_prior(motion) if motion is not None and "prior" in motion else None,
+    )

@@ -1,0 +1,285 @@
+"""Open log folder, format 1: read and check a log that anybody can write.
+
+    log.toml            see `data.open_log.header`; a motion prior stated there stands in for increments and odometry
+    frames.csv          t,dx,dy,dtheta,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt        row 0: zero increment
+    or odometry.csv     t,v,omega                                           preintegrated on loading
+    observations.csv    frame,z1,z2[,r11,r12,r22][,true_id][,label]         with odometry.csv: t instead of frame
+    truth.csv           x,y,theta per frame, blank or nan where unknown     with odometry.csv: t,x,y,theta; optional
+    landmarks.csv       id,x,y[,sx,sy]                                      optional
+
+true_id: -1 clutter, blank unknown. label: what the sensor claimed, where that can differ; absent, it is true_id.
+With odometry.csv the frames are the instants with observations, and keyframes where those are more than 1 s apart.
+"""
+
+from __future__ import annotations
+
+import os
+from os import PathLike
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from data.errors import DataError
+from data.inputs import UNLABELLED, Increments, Inputs, IntArray, LandmarkMap, Observations, floor_covariances
+from data.log import Log
+from data.motion import VelocityModel, preintegrate
+from data.open_log.csv_table import Table, read_table
+from data.open_log.header import Header, read_header
+from data.open_log.motion_prior import MotionPrior, note_of
+from data.se2 import Array
+from data.sensors import RangeBearing
+from data.timeline import MAX_GAP, frame_times, truth_at
+from data.truth import CLUTTER, UNKNOWN_ID, Truth
+
+HEADER = "log.toml"
+FRAMES, ODOMETRY, OBSERVATIONS, TRUTH, LANDMARKS = (
+    "frames.csv",
+    "odometry.csv",
+    "observations.csv",
+    "truth.csv",
+    "landmarks.csv",
+)
+FILES = (HEADER, FRAMES, ODOMETRY, OBSERVATIONS, TRUTH, LANDMARKS)
+
+MEAN = ("dx", "dy", "dtheta")
+COVARIANCE = ("c_xx", "c_xy", "c_xt", "c_yy", "c_yt", "c_tt")
+NOISE = ("r11", "r12", "r22")
+POSE = ("x", "y", "theta")
+
+LONGEST = 1e6
+"""s. An odometry log that lasts longer has stamps in another unit, or a broken one; keyframes would fill the memory."""
+
+
+def load_folder(path: str | PathLike[str]) -> Log:
+    """Read an open log folder.
+
+    Observations outside the sensor's stated range or angles are kept. The covariance floor is applied once, here;
+    a folder that was written by `data.open_log.writer` already holds it. A survey's sigmas (sx, sy in landmarks.csv)
+    are checked but not used, because every estimator takes the map as exact; a note says so.
+
+    Raises:
+        DataError: anything missing or wrong, with file, line, column and value.
+    """
+    folder = Path(path)
+    if not os.path.isdir(folder):  # unlike Path.is_dir, also false for a name the system refuses
+        raise DataError.at(folder, "not a folder" if os.path.exists(folder) else "no such folder")
+    header = read_header(folder / HEADER)
+    by_stamp = (folder / ODOMETRY).exists()
+    if (folder / FRAMES).exists() == by_stamp:
+        if by_stamp:
+            raise DataError.at(folder / ODOMETRY, f"there is {FRAMES} as well; one of them must go")
+        raise DataError.at(folder / FRAMES, f"no such file; {FRAMES} or {ODOMETRY} is needed")
+    if by_stamp:
+        if header.motion_prior is not None:
+            raise DataError.at(
+                folder / ODOMETRY, f"[motion] prior in {HEADER} is for logs without; one of them must go"
+            )
+        if header.motion is None:
+            raise DataError.at(folder / HEADER, f"no [motion] table; {ODOMETRY} needs one")
+        sightings = _sightings(folder / OBSERVATIONS, header, "t")
+        motion, frame, gaps = _odometry(folder / ODOMETRY, header.motion, sightings.table)
+        pose = _stamped_truth(folder / TRUTH, motion.time)
+    else:
+        sightings = _sightings(folder / OBSERVATIONS, header, "frame")
+        motion, gaps = _frames(folder / FRAMES, header.motion_prior), 0
+        frame = sightings.table.integers("frame", 0)
+        sightings.table.require(
+            frame < len(motion.time), "frame", f"{{}} is out of range; there are frames 0 to {len(motion.time) - 1}"
+        )
+        sightings.table.require_ascending("frame", strictly=False)
+        pose = _truth_per_frame(folder / TRUTH, len(motion.time))
+    landmarks, survey = _landmarks(folder / LANDMARKS)
+    covariance, floored = floor_covariances(motion.increments.covariance, header.covariance_floor)
+
+    table = sightings.table
+    recorded = Inputs(
+        prior=header.prior,
+        time=motion.time,
+        increments=Increments(motion.increments.mean, covariance),
+        observations=Observations(frame, table.stack(("z1", "z2")), sightings.R),
+        sensor=header.sensor,
+        map=landmarks,
+        time_is_index=header.time_is_index,
+        covariance_floor=header.covariance_floor,
+        floored=header.floored + floored,
+    )
+    notes = list(header.notes) + ([note_of(header.motion_prior)] if header.motion_prior is not None else [])
+    notes += [f"{table.path.name}: column {name!r} is not known and was left out" for name in table.unknown]
+    if gaps:
+        plural = "gap" if gaps == 1 else "gaps"
+        notes.append(f"{ODOMETRY}: {gaps} {plural} longer than {MAX_GAP:g} s, where the robot may have moved unseen")
+    if survey:
+        notes.append(f"{LANDMARKS}: the survey's sigmas were left out; estimators take the map as exact")
+    return Log(
+        name=header.name,
+        recorded=recorded,
+        truth=Truth(pose, landmarks, sightings.true_id),
+        label=sightings.label,
+        labels_are_sensed=header.labels_are_sensed,
+        source=header.source,
+        notes=tuple(notes),
+    )
+
+
+class _Motion(NamedTuple):
+    time: Array
+    increments: Increments
+
+
+class _Sightings(NamedTuple):
+    """Observations before their frames are known; R (M, 2, 2), true_id and label (M,) or None."""
+
+    table: Table
+    R: Array
+    true_id: IntArray | None
+    label: IntArray | None
+
+
+def _require_semidefinite(table: Table, matrices: Array) -> None:
+    """Raise unless each increment covariance (K, 3, 3) is positive semidefinite, to 1e-12 of its trace."""
+    eigenvalues = np.linalg.eigvalsh(matrices)
+    fine = eigenvalues[:, 0] >= -1e-12 * eigenvalues.sum(axis=1)
+    if not fine.all():
+        row = int(np.argmin(fine))
+        low, trace = eigenvalues[row, 0], eigenvalues[row].sum()
+        what = f"the covariance is not positive semidefinite: smallest eigenvalue {low:.6g}, trace {trace:.6g}"
+        raise table.error(row, f"{COVARIANCE[0]} to {COVARIANCE[-1]}", what)
+
+
+def _frames(path: Path, prior: MotionPrior | None) -> _Motion:
+    """frames.csv: time (N,) and increments, or the increments of a prior where there is one."""
+    motion = (*MEAN, *COVARIANCE)
+    columns = ("t", *motion) if prior is None else ("t",)
+    table = read_table(path, columns, motion)
+    if len(table) == 0:
+        raise DataError.at(path, "no rows; at least one frame is needed", line=1)
+    table.require_finite(columns)
+    table.require_ascending("t", strictly=True)
+    if prior is not None:
+        for name in motion:
+            if name in table:
+                what = f"[motion] prior in {HEADER} states the increments; one of them must go"
+                raise DataError.at(path, what, line=1, column=name)
+        return _Motion(table.columns["t"], prior.increments(table.columns["t"]))
+    for name in (*MEAN, *COVARIANCE):
+        table.require(
+            (table.columns[name] == 0.0) | (np.arange(len(table)) > 0),
+            name,
+            "{} in row 0; the first frame has no motion, so 0 is needed",
+        )
+    covariance = table.symmetric(COVARIANCE)
+    _require_semidefinite(table, covariance)
+    return _Motion(table.columns["t"], Increments(table.stack(MEAN), covariance))
+
+
+def _sightings(path: Path, header: Header, key: str) -> _Sightings:
+    """observations.csv, checked but for the range and order of `key` (frame or t)."""
+    ids = ("true_id", "label")
+    other = "t" if key == "frame" else "frame"
+    table = read_table(path, (key, "z1", "z2"), (*NOISE, *ids, other), may_be_blank=(*ids, other))
+    table.require_finite((key, "z1", "z2"))
+    table.require_finite([n for n in ids if n in table], blank=True)
+    if isinstance(header.sensor, RangeBearing):
+        table.require(table.columns["z1"] >= 0.0, "z1", "{} is a negative range")
+    return _Sightings(
+        table,
+        _noise(table, header),
+        table.integers("true_id", CLUTTER, blank=UNKNOWN_ID) if "true_id" in table else None,
+        table.integers("label", CLUTTER, blank=UNLABELLED) if "label" in table else None,
+    )
+
+
+def _noise(table: Table, header: Header) -> Array:
+    """R (M, 2, 2) of each observation: its own, else the sensor's."""
+    if not any(n in table for n in NOISE):
+        if header.sigma is None:
+            raise DataError.at(
+                table.path, f"no columns {','.join(NOISE)}, and no sigma in [sensor] of {HEADER}; one of them is needed"
+            )
+        return np.tile(np.diag(header.sigma**2), (len(table), 1, 1))
+    for name in NOISE:
+        if name not in table:
+            raise DataError.at(table.path, f"no such column; {','.join(NOISE)} come together", line=1, column=name)
+    table.require_finite(NOISE)
+    r11, r12, r22 = (table.columns[n] for n in NOISE)
+    table.require(r11 > 0.0, "r11", "variance {} must be positive")
+    table.require(r22 > 0.0, "r22", "variance {} must be positive")
+    # by the correlation, so that the units of z1 and z2 do not matter
+    largest = (1.0 - 1e-12) * np.sqrt(r11) * np.sqrt(r22)
+    table.require(
+        np.abs(r12) < largest, "r12", "{} is too large for r11 and r22: the covariance must be positive definite"
+    )
+    return table.symmetric(NOISE)
+
+
+def _odometry(path: Path, model: VelocityModel, sightings: Table) -> tuple[_Motion, IntArray, int]:
+    """odometry.csv preintegrated between the frames; frame of each observation (M,); number of gaps in the odometry."""
+    table = read_table(path, ("t", "v", "omega"))
+    if len(table) == 0:
+        raise DataError.at(table.path, "no rows; at least one sample is needed", line=1)
+    table.require_finite(("t", "v", "omega"))
+    table.require_ascending("t", strictly=True)
+    sightings.require_ascending("t", strictly=False)
+    stamps, seen = table.columns["t"], sightings.columns["t"]
+    for part in (table, sightings):
+        part.require(
+            np.abs(part.columns["t"] - stamps[0]) <= LONGEST,
+            "t",
+            f"{{}} s is more than {LONGEST:g} s from the first odometry; stamps are in seconds",
+        )
+    both = np.concatenate([stamps, seen])
+    time = frame_times(seen, both.min(), both.max())
+    increments, gaps = preintegrate(model, stamps, table.columns["v"], table.columns["omega"], time)
+    return _Motion(time, increments), np.searchsorted(time, seen).astype(np.int64), gaps
+
+
+def _truth_table(path: Path, columns: tuple[str, ...]) -> Table | None:
+    if not path.exists():
+        return None
+    table = read_table(path, columns, may_be_blank=POSE)
+    table.require_finite(POSE, blank=True)
+    return table
+
+
+def _truth_per_frame(path: Path, frames: int) -> Array | None:
+    """truth.csv beside frames.csv: pose (N, 3), NaN where unknown."""
+    table = _truth_table(path, POSE)
+    if table is None:
+        return None
+    if len(table) != frames:
+        raise DataError.at(
+            path,
+            f"{len(table)} rows for {frames} frames; one row per frame is needed",
+            line=min(len(table), frames + 1) + 1,
+        )
+    return table.stack(POSE)
+
+
+def _stamped_truth(path: Path, at: Array) -> Array | None:
+    """truth.csv beside odometry.csv, interpolated at the frames; NaN where unknown."""
+    table = _truth_table(path, ("t", *POSE))
+    if table is None:
+        return None
+    table.require_finite(("t",))
+    table.require_ascending("t", strictly=True)
+    return truth_at(table.columns["t"], table.stack(POSE), at)
+
+
+def _landmarks(path: Path) -> tuple[LandmarkMap | None, bool]:
+    """landmarks.csv, ascending by id, and whether a survey's sigmas were left out."""
+    if not path.exists():
+        return None, False
+    table = read_table(path, ("id", "x", "y"), ("sx", "sy"))
+    sigmas = [n for n in ("sx", "sy") if n in table]
+    table.require_finite(("x", "y", *sigmas))
+    for name in sigmas:
+        table.require(table.columns[name] >= 0.0, name, "{} is a negative standard deviation")
+    number = table.integers("id", 0)
+    order = np.argsort(number, kind="stable")
+    repeated = np.zeros(len(number), bool)
+    repeated[order[1:]] = number[order[1:]] == number[order[:-1]]
+    table.require(~repeated, "id", "{} stands for two landmarks")
+    return LandmarkMap(number[order], table.stack(("x", "y"))[order]), any(
+        (table.columns[n] > 0.0).any() for n in sigmas
+    )

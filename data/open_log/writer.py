@@ -1,0 +1,207 @@
+"""Write a log as an open log folder, format 1, that loads again with every number the same bit for bit."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+
+from data.errors import DataError
+from data.inputs import UNLABELLED, IntArray, LandmarkMap
+from data.log import Log
+from data.open_log.header import FORMAT
+from data.open_log.reader import (
+    COVARIANCE,
+    FILES,
+    FRAMES,
+    HEADER,
+    LANDMARKS,
+    MEAN,
+    NOISE,
+    OBSERVATIONS,
+    POSE,
+    TRUTH,
+    load_folder,
+)
+from data.truth import UNKNOWN_ID
+
+
+def write_folder(log: Log, path: str | PathLike[str]) -> None:
+    """Write `log` into the folder `path`, whose last component becomes the log's name; an older log there is replaced.
+
+    Always with frames.csv: calibration, preintegration and covariance floor are baked in. The folder is written beside
+    its final name, read back as a check, and moved into place, so an interruption leaves the old folder or the new one.
+    landmarks.csv is map and truth in one, so a log without a map that has true landmarks gets them as its map.
+
+    Raises:
+        DataError: `path` holds something other than a log, cannot be written, or the log cannot be stated in format 1.
+    """
+    target = Path(os.path.abspath(path))
+    _require_replaceable(target)
+    staging = target.with_name(f".{target.name}.{os.getpid()}.partial")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.rmtree(staging, ignore_errors=True)
+        staging.mkdir()
+        try:
+            for name, text in _files(log, target.name).items():
+                (staging / name).write_text(text, encoding="utf-8", newline="")
+            load_folder(staging)
+            _move(staging, target)
+        finally:
+            shutil.rmtree(staging, ignore_errors=True)
+    except OSError as error:
+        raise DataError.at(target, f"cannot be written: {error.strerror}") from error
+
+
+def _require_replaceable(target: Path) -> None:
+    """Raise unless `target` is free, an empty folder, or a log folder with nothing else in it."""
+    if not target.exists() and not target.is_symlink():
+        return
+    if target.is_symlink() or not target.is_dir():
+        raise DataError.at(target, "exists and is not a folder; choose another name")
+    inside = sorted(p.name for p in target.iterdir())
+    if inside and HEADER not in inside:
+        raise DataError.at(target, f"exists and is not a log folder (no {HEADER}); choose another name")
+    other = [name for name in inside if name not in FILES]
+    if other:
+        raise DataError.at(target, f"holds {other[0]!r}, which is not part of a log; choose another name or move it")
+
+
+def _move(staging: Path, target: Path) -> None:
+    """Put the finished folder in place; the old one comes back if that fails."""
+    if not target.exists():
+        staging.rename(target)
+        return
+    old = target.with_name(f".{target.name}.{os.getpid()}.old")
+    shutil.rmtree(old, ignore_errors=True)
+    target.rename(old)
+    try:
+        staging.rename(target)
+    except BaseException:
+        old.rename(target)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def _files(log: Log, name: str) -> dict[str, str]:
+    """Contents by file name."""
+    inputs, truth = log.recorded, log.truth
+    increments, observations = inputs.increments, inputs.observations
+    files = {HEADER: _toml(_header(log, name))}
+    upper = np.triu_indices(3)
+    files[FRAMES] = _csv(
+        ("t", *MEAN, *COVARIANCE),
+        np.column_stack([inputs.time, increments.mean, increments.covariance[:, upper[0], upper[1]]]).tolist(),
+    )
+    R = observations.R
+    columns: list[Sequence[object]] = [
+        observations.frame.tolist(),
+        *np.column_stack([observations.z, R[:, 0, 0], R[:, 0, 1], R[:, 1, 1]]).T.tolist(),
+    ]
+    names = ["frame", "z1", "z2", *NOISE]
+    if truth.landmark_of is not None:
+        names.append("true_id")
+        columns.append(_or_blank(truth.landmark_of, UNKNOWN_ID))
+    if log.label is not None:
+        names.append("label")
+        columns.append(_or_blank(log.label, UNLABELLED))
+    files[OBSERVATIONS] = _csv(names, zip(*columns, strict=True))
+    if truth.pose is not None:
+        files[TRUTH] = _csv(POSE, truth.pose.tolist())
+    landmarks = _landmarks(log)
+    if landmarks is not None:
+        files[LANDMARKS] = _csv(
+            ("id", "x", "y"), zip(landmarks.id.tolist(), *landmarks.xy.reshape(-1, 2).T.tolist(), strict=True)
+        )
+    return files
+
+
+def _landmarks(log: Log) -> LandmarkMap | None:
+    """The one map the format has room for."""
+    known, true = log.recorded.map, log.truth.landmarks
+    if known is not None and true is not None:
+        if not (np.array_equal(known.id, true.id) and np.array_equal(known.xy, true.xy)):
+            raise DataError(
+                f"log {log.name!r}: its map differs from its true landmarks; {LANDMARKS} can hold only one of them"
+            )
+        return known
+    return known if known is not None else true
+
+
+def _header(log: Log, name: str) -> dict[str, object]:
+    inputs = log.recorded
+    sensor = inputs.sensor
+    return {
+        "format": FORMAT,
+        "name": name,
+        "time_is_index": inputs.time_is_index,
+        "covariance_floor": inputs.covariance_floor,
+        "floored": inputs.floored,
+        "labels_are_sensed": log.labels_are_sensed,
+        "notes": log.notes,
+        "prior": {"mean": inputs.prior.mean, "covariance": inputs.prior.covariance},
+        "sensor": {
+            "kind": sensor.name,
+            "max_range": sensor.max_range,
+            "min_angle": sensor.min_angle,
+            "max_angle": sensor.max_angle,
+            "rotation": sensor.rotation,
+            "translation": sensor.translation,
+        },
+        "source": log.source,
+    }
+
+
+def _or_blank(ids: IntArray, blank: int) -> list[object]:
+    return ["" if i == blank else i for i in ids.tolist()]
+
+
+def _csv(names: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
+    """Header and rows; floats by `repr`, the shortest text that reads back as the same bits."""
+    lines = [",".join(names)]
+    lines += [",".join([v if isinstance(v, str) else repr(v) for v in row]) for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def _toml(table: Mapping[str, object]) -> str:
+    """Plain keys first, then one [table] for each mapping."""
+    lines = [f"{_key(k)} = {_value(v)}" for k, v in table.items() if not isinstance(v, Mapping)]
+    for key, value in table.items():
+        if isinstance(value, Mapping) and value:
+            lines += ["", f"[{_key(key)}]"]
+            lines += [f"{_key(k)} = {_value(v)}" for k, v in value.items() if v is not None]
+    return "\n".join(lines) + "\n"
+
+
+def _key(key: str) -> str:
+    bare = key.replace("_", "a").replace("-", "a")
+    return key if bare.isascii() and bare.isalnum() else _text(key)
+
+
+def _text(value: str) -> str:
+    """TOML's basic strings are JSON's, but for the one control character that JSON lets through."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _value(value: object) -> str:
+    """A value as TOML; text for whatever TOML has no form for (paths)."""
+    if isinstance(value, np.generic | np.ndarray):
+        return _value(value.tolist())
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float):
+        return repr(value) if math.isfinite(value) else str(value)
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_key(str(k))} = {_value(v)}" for k, v in value.items() if v is not None) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_value(v) for v in value) + "]"
+    return _text(str(value))

@@ -1,0 +1,1 @@
+"""Recordings that others published: Victoria Park, the ESDE study."""

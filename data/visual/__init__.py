@@ -1,0 +1,1 @@
+"""Logs with images: pictures are found, and their corners become observations."""

@@ -1,0 +1,183 @@
+"""The configuration of a lab recording, a MATLAB file in cm and degrees, to and from a setup in SI units."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data.errors import DataError, UsageError
+from data.inputs import Prior
+from data.open_log.csv_table import LARGEST
+from data.pictures import CORNERS, VisualSetup
+from data.se2 import Array, rotation, wrap_angle
+from data.visual.lab.mat_stream import Struct, Value, Variable, read
+
+REFERENCES = "landmark"
+"""Folder of the reference images, one for each row of the map."""
+CM = 0.01
+"""Metres; the map's and the prior's unit, and T's unless said otherwise."""
+TRANSLATION_UNITS = {"cm": CM, "mm": 0.001, "m": 1.0}
+READINGS = ("to-camera", "to-body")
+PARTS = {
+    "camera_to_body": ("R", "T"),
+    "landmark": ("xpos", "ypos"),
+    "pose_init": ("x0", "y0", "theta0", "sigma_x", "sigma_y", "sigma_theta"),
+}
+"""Structs of the file and their fields."""
+ORTHOGONAL = 1e-3
+"""Largest deviation of R R' from the identity: matrices typed with four digits pass."""
+
+
+def camera_from_body(R: Array, T: Array, *, translation_unit: str, reading: str) -> tuple[float, tuple[float, float]]:
+    """Rotation [rad] and translation [m] of p_c = R p_b + T from the file's R (2, 2) and T (2,).
+
+    Args:
+        R: as in the file.
+        T: as in the file.
+        translation_unit: of T: "cm", "mm" or "m".
+        reading: "to-camera" if R and T are those of p_c = R p_b + T (the lab's formula); "to-body" if they are those of
+            p_b = R p_c + T (what the name camera_to_body says).
+    """
+    T = T * TRANSLATION_UNITS[translation_unit]
+    if reading == "to-body":
+        R, T = R.T, -R.T @ T
+    # of a matrix rounded to a few digits this is the nearest rotation
+    angle = math.atan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
+    return angle, (float(T[0]), float(T[1]))
+
+
+def read_configuration(variables: Iterable[Variable], *, translation_unit: str, reading: str) -> VisualSetup:
+    """The setup from the variables of a file; its corners have a row for each picture of the map.
+
+    Raises:
+        DataError: a struct or field is missing, not finite or not of its size, a sigma is negative, a picture has no
+            width, or R is no rotation.
+        UsageError: unknown unit or reading.
+    """
+    if translation_unit not in TRANSLATION_UNITS:
+        raise UsageError(f"unit of T {translation_unit!r}; known: {', '.join(TRANSLATION_UNITS)}")
+    if reading not in READINGS:
+        raise UsageError(f"reading of camera_to_body {reading!r}; known: {', '.join(READINGS)}")
+    values = _Values(tuple(variables))
+    angle, translation = camera_from_body(
+        values.rotation("camera_to_body", "R"),
+        values.numbers("camera_to_body", "T", 2),
+        translation_unit=translation_unit,
+        reading=reading,
+    )
+    pose = {name: float(values.numbers("pose_init", name, 1)[0]) for name in PARTS["pose_init"]}
+    sigma = np.array([pose["sigma_x"] * CM, pose["sigma_y"] * CM, math.radians(pose["sigma_theta"])])
+    for name, value in zip(PARTS["pose_init"][3:], sigma, strict=True):
+        if value < 0:
+            raise values.error(f"pose_init.{name}", f"{pose[name]:g}; a standard deviation is not negative")
+    mean = np.array([pose["x0"] * CM, pose["y0"] * CM, wrap_angle(math.radians(pose["theta0"]))])
+    return VisualSetup(angle, translation, values.corners() * CM, Prior(mean, np.diag(sigma**2)))
+
+
+def configuration(setup: VisualSetup) -> dict[str, dict[str, Any]]:
+    """The same setup as the file's structs, p_c = R p_b + T with T in cm.
+
+    Raises:
+        DataError: the prior's errors are correlated, which the format cannot say.
+    """
+    P = setup.prior.covariance
+    if np.any(P - np.diag(np.diag(P))):
+        raise DataError("the prior's covariance is not diagonal; the lab's format has standard deviations only")
+    sigma, mean = np.sqrt(np.diag(P)), setup.prior.mean
+    return {
+        "camera_to_body": {"R": rotation(setup.rotation), "T": np.array(setup.translation)[:, None] / CM},
+        "landmark": {"xpos": setup.corners[..., 0] / CM, "ypos": setup.corners[..., 1] / CM},
+        "pose_init": {
+            "x0": mean[0] / CM,
+            "y0": mean[1] / CM,
+            "theta0": math.degrees(mean[2]),
+            "sigma_x": sigma[0] / CM,
+            "sigma_y": sigma[1] / CM,
+            "sigma_theta": math.degrees(sigma[2]),
+        },
+    }
+
+
+class _Values:
+    """The fields of the file's structs, checked."""
+
+    def __init__(self, variables: tuple[Variable, ...]) -> None:
+        self._path = variables[0].path if variables else Path()
+        self._fields: dict[str, dict[str, Value]] = {}
+        known = {v.name: v for v in variables}
+        for name, needed in PARTS.items():
+            if name not in known:
+                raise DataError.at(self._path, f"no struct {name}; {', '.join(PARTS)} are needed")
+            value = read(known[name])
+            if not isinstance(value, Struct) or len(value.elements) != 1:
+                size = "x".join(map(str, known[name].shape))
+                raise self.error(name, f"{known[name].kind} of size {size}; one struct is needed")
+            self._fields[name] = value.elements[0]
+            for field in needed:
+                if field not in value.elements[0]:
+                    raise self.error(name, f"no field {field}; {', '.join(needed)} are needed")
+
+    def error(self, place: str, what: str) -> DataError:
+        """What is wrong with a field."""
+        return DataError.at(self._path, f"{place}: {what}")
+
+    def array(self, part: str, field: str) -> Array:
+        """A field's numbers, all finite."""
+        value = self._fields[part][field]
+        if not isinstance(value, np.ndarray):
+            kind = "a struct" if isinstance(value, Struct) else value.kind
+            raise self.error(f"{part}.{field}", f"{kind}; numbers are needed")
+        result: NDArray[np.float64] = value.astype(float)
+        wrong = np.argwhere(~(np.abs(result) <= LARGEST))
+        if len(wrong):
+            at = ",".join(str(k + 1) for k in wrong[0])
+            number = result[tuple(wrong[0])]
+            raise self.error(f"{part}.{field}({at})", f"{number:g} is not a number between -1e15 and 1e15")
+        return result
+
+    def numbers(self, part: str, field: str, count: int) -> Array:
+        """A field of `count` numbers (count,), as a row or a column."""
+        value = self.array(part, field)
+        if value.size != count:
+            needed = "one number" if count == 1 else f"{count} numbers"
+            raise self.error(f"{part}.{field}", f"size {_size(value)}; {needed} needed")
+        return value.ravel()
+
+    def rotation(self, part: str, field: str) -> Array:
+        """A proper rotation (2, 2)."""
+        R = self.array(part, field)
+        shown = str(R.tolist())
+        if R.shape != (2, 2):
+            raise self.error(f"{part}.{field}", f"size {_size(R)}; a rotation matrix, 2x2, is needed")
+        if np.abs(R @ R.T - np.eye(2)).max() > ORTHOGONAL:
+            raise self.error(f"{part}.{field}", f"{shown} is no rotation; R R' = I is needed, as [[0, -1], [1, 0]]")
+        if np.linalg.det(R) < 0:
+            raise self.error(f"{part}.{field}", f"{shown} mirrors (det -1); a rotation as [[0, -1], [1, 0]] is needed")
+        return R
+
+    def corners(self) -> Array:
+        """Corners (L, 4, 2) of the map in the file's unit."""
+        x, y = self.array("landmark", "xpos"), self.array("landmark", "ypos")
+        for field, value in (("xpos", x), ("ypos", y)):
+            if value.ndim != 2 or value.shape[1] != CORNERS or not len(value):
+                raise self.error(f"landmark.{field}", f"size {_size(value)}; a row of 4 corners per picture is needed")
+        if x.shape != y.shape:
+            raise self.error("landmark.ypos", f"size {_size(y)}, but xpos has size {_size(x)}; the same is needed")
+        both = np.stack([x, y], axis=-1)
+        for i, picture in enumerate(both):
+            if np.array_equal(picture[0], picture[1]):
+                raise self.error(
+                    f"landmark.xpos({i + 1},:), ypos({i + 1},:)",
+                    "a picture without width: its first two corners are one place in plan; "
+                    "corners run upper left, upper right, lower right, lower left",
+                )
+        return both
+
+
+def _size(value: NDArray[Any]) -> str:
+    return "x".join(map(str, value.shape))

@@ -1,0 +1,212 @@
+"""A recording in the university lab's format: a folder with a configuration, a log, and reference images.
+
+    my_recording/
+      config.mat           camera_to_body, landmark, pose_init (cm, degrees); see data.visual.lab.configuration
+      log.mat|.npy|.npz    timestamp [s], commands [m/s, rad/s], rgb, xyz [mm] per frame; see data.visual.lab.frames
+      landmark/            a reference image for each row of landmark.xpos, in the order of their names
+
+The two files are told by what is in them, whatever they are called; one .mat may hold both.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from data.errors import DataError
+from data.pictures import VisualFrame, VisualSetup
+from data.visual.lab.configuration import PARTS, REFERENCES, read_configuration
+from data.visual.lab.frames import FIELDS, LogFile, MatLog, check_fields, frames
+from data.visual.lab.mat_stream import Variable, variables
+from data.visual.lab.numpy_files import NpyLog, NpzLog, npy_fields, npz_arrays
+from data.visual.lab.units import unit_suspicion
+from data.visual.lab.writer import write_lab
+
+T = TypeVar("T")
+__all__ = ["LabRecording", "is_lab", "open_lab", "unit_suspicion", "write_lab"]
+
+LOG_VARIABLE = "log"
+IMAGES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm"})
+
+
+@dataclass(eq=False)
+class LabRecording:
+    """A recording of the lab's format, its frames still on disk.
+
+    Attributes:
+        path: the folder.
+        translation_unit, reading: how T and R were read, see `data.visual.lab.configuration.camera_from_body`.
+        notes: what was assumed or left aside.
+    """
+
+    setup: VisualSetup
+    references: list[NDArray[np.uint8]]
+    path: Path
+    translation_unit: str
+    reading: str
+    notes: tuple[str, ...]
+    _log: LogFile = field(repr=False)
+    _files: tuple[Path, ...] = field(repr=False)
+
+    def __len__(self) -> int:
+        return len(self._log)
+
+    def frames(self) -> Iterator[VisualFrame]:
+        """Every frame in order, one in memory at a time; DataError names the frame and field that is wrong."""
+        return frames(self._log)
+
+    def digest(self) -> str:
+        """SHA-256 over the contents of configuration, log and reference images (in their order)."""
+        total = hashlib.sha256()
+        for path in self._files:
+            try:
+                with path.open("rb") as file:
+                    total.update(hashlib.file_digest(file, "sha256").digest())
+            except OSError as error:
+                raise DataError.at(path, f"cannot be read: {error.strerror}") from error
+        return total.hexdigest()
+
+
+def is_lab(folder: Path) -> bool:
+    """Whether a folder seems to be a recording of this format, perhaps a faulty one."""
+    if not folder.is_dir():
+        return False
+    if (folder / REFERENCES).is_dir():
+        return True
+    found = _Found(folder)
+    return bool(found.configurations or found.logs)
+
+
+def open_lab(
+    folder: Path, *, translation_unit: str = "cm", reading: str = "to-camera", trust_pickle: bool = False
+) -> LabRecording:
+    """Open a recording; its configuration and reference images are read, its frames stay on disk.
+
+    Args:
+        folder: holds the configuration, the log and `landmark/`.
+        translation_unit: of camera_to_body.T, which the format does not state: "cm", "mm" or "m".
+        reading: "to-camera": p_c = R p_b + T, the lab's formula; "to-body": p_b = R p_c + T, the name's meaning.
+        trust_pickle: load a log of Python objects, which can run any code in it.
+
+    Raises:
+        DataError: a file, field or image is missing, ambiguous or wrong; one line names it.
+        UsageError: unknown unit or reading.
+    """
+    if not folder.is_dir():
+        raise DataError.at(folder, "not a folder")
+    found = _Found(folder)
+    known = found.the("configuration", found.configurations, f"a .mat with {', '.join(PARTS)}")
+    setup = read_configuration(known, translation_unit=translation_unit, reading=reading)
+    source = found.the("log", found.logs, f"a .mat with the struct array {LOG_VARIABLE}, or a .npy or .npz, its fields")
+    log = _open_log(source, trust_pickle=trust_pickle)
+    check_fields(log)
+    images, others = _reference_files(folder / REFERENCES)
+    if len(images) != len(setup.corners):
+        names = ", ".join(p.name for p in images)
+        raise DataError.at(
+            known[0].path,
+            f"landmark.xpos: {len(setup.corners)} rows, but {folder / REFERENCES} holds {len(images)} images "
+            f"({names}); a row per image is needed, in the order of their names",
+        )
+    formula = "p_c = R p_b + T" if reading == "to-camera" else "p_b = R p_c + T"
+    notes = [f"camera_to_body is read as {formula} with T in {translation_unit} (the format states neither)"]
+    if others:
+        notes.append(f"not images, left aside in {REFERENCES}/: {', '.join(others)}")
+    return LabRecording(
+        setup,
+        [_image(path) for path in images],
+        folder,
+        translation_unit,
+        reading,
+        tuple(notes),
+        log,
+        (known[0].path, log.path, *images),
+    )
+
+
+class _Found:
+    """The files of a folder that look like a configuration or a log, and what was wrong with those that do not open."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.configurations: dict[str, tuple[Variable, ...]] = {}
+        self.logs: dict[str, Variable | Path] = {}
+        self._faults: list[DataError] = []
+        self._names: list[str] = []
+        for path in sorted(p for p in folder.iterdir() if p.is_file() and not p.name.startswith(".")):
+            self._names.append(path.name)
+            try:
+                self._look(path)
+            except DataError as fault:
+                self._faults.append(fault)
+
+    def _look(self, path: Path) -> None:
+        suffix = path.suffix.lower()
+        if suffix == ".mat":
+            inside = variables(path)
+            if any(v.name in PARTS for v in inside):
+                self.configurations[path.name] = inside
+            for variable in inside:
+                if variable.name == LOG_VARIABLE or {"rgb", "xyz"} <= set(variable.fields):
+                    self.logs[f"{path.name}:{variable.name}"] = variable
+        elif suffix == ".npy":
+            fields = npy_fields(path)
+            if fields is None or set(fields) & set(FIELDS):
+                self.logs[path.name] = path
+        elif suffix == ".npz" and set(npz_arrays(path)) & set(FIELDS):
+            self.logs[path.name] = path
+
+    def the(self, what: str, candidates: Mapping[str, T], right: str) -> T:
+        """The only candidate; otherwise a DataError that says what would be `right`."""
+        if len(candidates) == 1:
+            return next(iter(candidates.values()))
+        if candidates:
+            raise DataError.at(self._folder, f"{', '.join(candidates)} each hold a {what}; one per folder is needed")
+        # a file that does not open is the likeliest reason
+        if self._faults:
+            raise self._faults[0]
+        names = ", ".join(self._names) or "no files"
+        raise DataError.at(self._folder, f"no {what} found (there: {names}); {right} is needed")
+
+
+def _open_log(source: Variable | Path, *, trust_pickle: bool) -> LogFile:
+    if isinstance(source, Variable):
+        return MatLog(source)
+    if source.suffix.lower() == ".npy":
+        return NpyLog(source, trust_pickle=trust_pickle)
+    return NpzLog(source, FIELDS, trust_pickle=trust_pickle)
+
+
+def _reference_files(folder: Path) -> tuple[list[Path], list[str]]:
+    """Images of the folder in the natural order of their names (2 before 10), and the names of other files."""
+    if not folder.is_dir():
+        raise DataError.at(folder, "missing; a folder with one reference image per picture is needed")
+    files = [p for p in folder.iterdir() if not p.name.startswith(".")]
+    images = [p for p in files if p.is_file() and p.suffix.lower() in IMAGES]
+    others = sorted(p.name for p in files if p not in images)
+    return sorted(images, key=lambda p: (_natural(p.name), p.name)), others
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    """Sort key: text as text and runs of digits as numbers."""
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name.casefold()) if part]
+
+
+def _image(path: Path) -> NDArray[np.uint8]:
+    """An image as RGB (H, W, 3)."""
+    try:
+        content = np.frombuffer(path.read_bytes(), np.uint8)
+    except OSError as error:
+        raise DataError.at(path, f"cannot be read: {error.strerror}") from error
+    image = cv2.imdecode(content, cv2.IMREAD_COLOR) if content.size else None
+    if image is None:
+        raise DataError.at(path, "not an image that can be read")
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)

@@ -1,0 +1,136 @@
+"""Logs with images: `visual:SEED` is rendered, a folder in the lab's format is read; pictures are found in both."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from data.errors import UsageError
+from data.log import Log
+from data.pictures import Found, InView
+from data.visual.lab.folder import open_lab
+from data.visual.lab.units import unit_suspicion
+from data.visual.observations import cached, find_pictures, log_of
+from data.visual.rendering.render import Rendered
+from data.worlds.gallery import Gallery
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """How a recording with images is read.
+
+    Attributes:
+        translation: unit of T in the lab's configuration, `cm`, `mm` or `m`.
+        reading: `to-camera`, p_c = R p_b + T as the lab applies it, or `to-body`, the other way round.
+        noise: of the corners, `lab` or `depth`, see `data.visual.observations.noise_of`.
+        trust_pickle: read object arrays, which can run code.
+    """
+
+    translation: str = "cm"
+    reading: str = "to-camera"
+    noise: str = "lab"
+    trust_pickle: bool = False
+
+
+def parse_name(name: str) -> tuple[Gallery, int, int | None]:
+    """Parameters, seed and number of frames of `visual:SEED[:KEY=VALUE+...]`; `frames=N` looks at the first N only."""
+    _, _, rest = name.partition(":")
+    seed, _, keys = rest.partition(":")
+    if not seed.isdecimal():
+        raise UsageError(f"{name}: the seed is a whole number, as in visual:0")
+    known = {f.name: f for f in fields(Gallery)}
+    values: dict[str, object] = {}
+    frames: int | None = None
+    for part in filter(None, keys.split("+")):
+        key, _, text = part.partition("=")
+        key = key.strip().replace("-", "_")
+        if key not in known and key != "frames":
+            raise UsageError(f"{name}: {part!r} is not known; known: frames=, {', '.join(f'{k}=' for k in known)}")
+        like = int if key == "frames" else type(known[key].default)
+        try:
+            value = float(text) if like is float else int(text) if like is int else text
+        except ValueError:
+            what = "a number" if like is float else "a whole number"
+            raise UsageError(f"{name}: {part}: {what} is needed") from None
+        if key == "frames":
+            frames = int(value)
+            if frames < 1:
+                raise UsageError(f"{name}: {part}: at least 1 is needed")
+        else:
+            values[key] = value
+    return Gallery(**values), int(seed), frames  # type: ignore[arg-type]
+
+
+def open_rendered(name: str, camera: Camera, say: Say, cache: Path | None) -> Log:
+    """The log of `visual:SEED[:KEY=VALUE+...]`."""
+    gallery, seed, frames = parse_name(name)
+    recording = Rendered(gallery, seed, frames=frames)
+    n = len(recording)
+
+    def look() -> Found:
+        say(f"{name}: rendering {n} frames and looking for pictures")
+        return find_pictures(recording)
+
+    notes: list[str] = []
+    if cache is None:
+        found = find_pictures(recording)
+    else:
+        found, note = cached(cache, repr((gallery, seed, n)), look)
+        notes += [note] if note else []
+    return log_of(
+        recording.setup,
+        found,
+        name,
+        noise=camera.noise,
+        pose=recording.scene.pose[:n],
+        in_view=in_view_of(recording),
+        source={"seed": seed},
+        notes=tuple(notes),
+    )
+
+
+def in_view_of(recording: Rendered) -> InView:
+    """Every picture that could have been found."""
+    frame, picture, pixels = [], [], []
+    for k in range(len(recording)):
+        true = recording.true_pixels(k)
+        for i in recording.visible(k):
+            frame.append(k)
+            picture.append(i)
+            pixels.append(true[i])
+    return InView(np.array(frame, np.int64), np.array(picture, np.int64), np.array(pixels, float).reshape(-1, 4, 2))
+
+
+def open_lab_log(folder: Path, camera: Camera, say: Say) -> Log:
+    """The log of a folder in the lab's format; what was found in its images is kept in the folder."""
+    recording = open_lab(
+        folder, translation_unit=camera.translation, reading=camera.reading, trust_pickle=camera.trust_pickle
+    )
+
+    def look() -> Found:
+        say(f"{folder.name}: looking for pictures in {len(recording)} frames")
+        return find_pictures(recording)
+
+    found, note = cached(folder, recording.digest(), look)
+    notes = [*recording.notes, *([note] if note else [])]
+    if len(found.frame):
+        first = found.frame == found.frame[0]
+        suspicion = unit_suspicion(
+            recording.setup, found.points[first], found.picture[first],
+            translation_unit=recording.translation_unit, reading=recording.reading,
+        )  # fmt: skip
+        if suspicion:
+            say(f"{folder.name}: {suspicion}")
+            notes.append(suspicion)
+    else:
+        why = ", ".join(f"{reason} ({count})" for reason, count in found.rejected.items())
+        notes.append(f"No picture was found in any image ({why}): this is dead reckoning. Are the map's lengths in cm?")
+        say(f"{folder.name}: {notes[-1]}")
+    return log_of(
+        recording.setup, found, folder.name, noise=camera.noise, source={"folder": folder.name}, notes=tuple(notes)
+    )

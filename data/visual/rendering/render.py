@@ -1,0 +1,194 @@
+"""Renders the gallery: what camera and stereo would have recorded on the way, true to the pixel, with its noise.
+
+A picture is warped into the image by its exact homography. Its surveyed corners are the outer corners of its own
+image: half a pixel outside the centres of the corner pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TypeVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from data.errors import UsageError
+from data.pictures import VisualFrame
+from data.se2 import Array
+from data.visual.rendering.room import Room, View
+from data.visual.rendering.stereo import stereo_points
+from data.visual.rendering.textures import Image, picture
+from data.worlds.gallery import Gallery, Scene, gallery
+from data.worlds.gallery_camera import Sight, in_view, sights
+
+FINER = 2
+"""A picture is drawn so many times finer than the image and averaged (anti-aliasing)."""
+_WALLS, _PICTURES, _FRAMES = 10, 11, 12
+"""Streams of the seed beside those of `data.worlds.gallery`."""
+Level = TypeVar("Level", np.uint8, np.int16)
+
+
+class Rendered:
+    """A recording of the gallery, rendered frame by frame when asked for. Same arguments: same bytes.
+
+    Attributes:
+        gallery: the parameters; seed: of the run; name: `visual:SEED`.
+        scene: the truth.
+        setup: what was surveyed.
+        references: image of each picture, (H, W, 3) RGB uint8.
+    """
+
+    def __init__(self, g: Gallery, seed: int, *, frames: int | None = None) -> None:
+        """Draw the world; `frames` takes only that many from the start.
+
+        Raises:
+            UsageError: more frames than there are, or none.
+        """
+        if frames is not None and not 1 <= frames <= g.frames:
+            raise UsageError(f"gallery: frames = {frames}; from 1 to {g.frames} is possible")
+        self.gallery, self.seed, self.name = g, seed, f"visual:{seed}"
+        self.scene: Scene = gallery(g, seed)
+        self.setup = self.scene.setup
+        height = max(round(g.reference_width * g.picture_height / g.picture_width), 1)
+        self.references: list[Image] = [
+            picture(i, g.reference_width, height, _rng(seed, _PICTURES, i)) for i in range(g.pictures)
+        ]
+        self._frames = g.frames if frames is None else frames
+        self._room = Room(g, self.scene.corners, _rng(seed, _WALLS))
+        self._pyramids = [_pyramid(reference) for reference in self.references]
+
+    def __len__(self) -> int:
+        return self._frames
+
+    def frames(self) -> Iterator[VisualFrame]:
+        """Every frame in order; may be asked for again."""
+        return (self.frame(k) for k in range(len(self)))
+
+    def frame(self, k: int) -> VisualFrame:
+        """Frame k, whatever was asked for before."""
+        g = self.gallery
+        light, sensor, disparity, holes = _rng(self.seed, _FRAMES, k).spawn(4)
+        view = self._room.look(self.scene.pose[k])
+        seen = self.sights(k)
+        for sight in seen:
+            self._hang(view, sight)
+        # the exposure lies about the stamp: half of it under the command before, half under the one that begins
+        motion = self.scene.command[max(k - 1, 0) : k + 1].mean(axis=0)
+        depth = float(np.median(view.depth[g.image_height // 2]))
+        sharp = _blurred(view.rgb, g.exposure * sideways_motion(g, motion[0], motion[1], depth))
+        outlines = [s.pixels for s in seen if np.isfinite(s.pixels).all()]
+        xyz = stereo_points(g, view.depth, sharp, outlines, disparity, holes)
+        v, omega = self.scene.recorded[k]
+        return VisualFrame(float(self.scene.time[k]), float(v), float(omega), _exposed(g, sharp, light, sensor), xyz)
+
+    def sights(self, k: int) -> list[Sight]:
+        """Every picture as seen in frame k, in view or not."""
+        return sights(self.gallery, self.scene.corners, self.scene.pose[k])
+
+    def in_view(self, k: int) -> list[Sight]:
+        """The pictures wholly in view in frame k within the gallery's limits of distance and obliquity."""
+        return in_view(self.gallery, self.scene.corners, self.scene.pose[k])
+
+    def visible(self, k: int) -> list[int]:
+        """Numbers of the pictures `in_view` in frame k."""
+        return [s.picture for s in self.in_view(k)]
+
+    def true_pixels(self, k: int) -> dict[int, Array]:
+        """Corners (4, 2) px in frame k of every picture wholly in front of the camera, be they in the image or not."""
+        return {s.picture: s.pixels for s in self.sights(k) if np.isfinite(s.pixels).all()}
+
+    def _hang(self, view: View, sight: Sight) -> None:
+        """Draw a picture into the view, in the columns that show its wall."""
+        g = self.gallery
+        columns = np.flatnonzero(view.wall == self._room.owner[sight.picture])
+        if not len(columns):
+            return
+        left, right, top, bottom = columns[0], columns[-1] + 1, 0, g.image_height
+        # level of the pyramid: as many pixels as will be drawn, or up to 1.4 times that, if all of it is before us
+        level = 0
+        pyramid = self._pyramids[sight.picture]
+        if np.isfinite(sight.pixels).all():
+            low, high = np.floor(sight.pixels.min(axis=0)) - 1, np.ceil(sight.pixels.max(axis=0)) + 2
+            left, right = int(max(left, low[0])), int(min(right, high[0]))
+            top, bottom = int(max(top, low[1])), int(min(bottom, high[1]))
+            sides = np.linalg.norm(np.roll(sight.pixels, -1, axis=0) - sight.pixels, axis=1)
+            h, w = pyramid[0].shape[:2]
+            ratio = min(w / max(sides[0], sides[2]), h / max(sides[1], sides[3])) / FINER
+            level = int(np.clip(np.rint(np.log2(ratio)), 0, len(pyramid) - 1))
+        if right <= left or bottom <= top:
+            return
+        image = pyramid[level]
+        H = _finer(left, top) @ image_homography(g, sight.points, image.shape[1], image.shape[0])
+        size = (FINER * (right - left), FINER * (bottom - top))
+        fine = cv2.warpPerspective(image, H, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+        drawn = cv2.resize(fine, (right - left, bottom - top), interpolation=cv2.INTER_AREA).astype(np.float32)
+        place = view.rgb[top:bottom, left:right]
+        # the fourth channel is the share of a pixel that the picture covers; colours are already scaled by it
+        place[:] = np.rint(drawn[:, :, :3] + place * (1.0 - drawn[:, :, 3:] / np.float32(255.0)))
+
+
+def sideways_motion(g: Gallery, v: float, omega: float, depth: float) -> float:
+    """How fast [px/s] a point straight ahead of the camera at `depth` m moves to the right in the image."""
+    velocity = np.array([v - omega * g.camera_y, omega * g.camera_x])
+    rightwards = np.array([np.cos(g.rotation), -np.sin(g.rotation)]) @ velocity
+    return float(g.focal * (omega - rightwards / depth))
+
+
+def image_homography(g: Gallery, points: Array, width: int, height: int) -> Array:
+    """Homography (3, 3) from an image's pixels to the camera's, `points` (4, 3) m being its outer corners."""
+    right, down = (points[1] - points[0]) / width, (points[3] - points[0]) / height
+    K = np.array([[g.focal, 0, 0.5 * (g.image_width - 1)], [0, g.focal, 0.5 * (g.image_height - 1)], [0, 0, 1]])
+    H: Array = K @ np.column_stack([right, down, points[0] + 0.5 * (right + down)])
+    return H
+
+
+def _rng(seed: int, *stream: int) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=stream))
+
+
+def _pyramid(image: Image) -> list[Image]:
+    """The image with full cover as fourth channel, and its halves, quarters, ..., averaged."""
+    h, w = image.shape[:2]
+    levels = [np.dstack([image, np.full((h, w), 255, np.uint8)])]
+    while min(levels[-1].shape[:2]) >= 16:
+        size = (levels[-1].shape[1] // 2, levels[-1].shape[0] // 2)
+        levels.append(np.asarray(cv2.resize(levels[-1], size, interpolation=cv2.INTER_AREA), np.uint8))
+    return levels
+
+
+def _finer(left: int, top: int) -> Array:
+    """From the image's pixels to those of a finer image of the part that begins at (left, top)."""
+    middle = 0.5 * (FINER - 1)
+    return np.array([[FINER, 0, middle - FINER * left], [0, FINER, middle - FINER * top], [0, 0, 1.0]])
+
+
+def _blurred(image: Image, length: float) -> Image:
+    """The image averaged sideways over `length` px about each pixel."""
+    half = 0.5 * abs(length)
+    if half <= 0.5:
+        return image
+    reach = int(np.ceil(half - 0.5))
+    edges = np.clip(np.arange(-reach, reach + 2) - 0.5, -half, half)
+    kernel = np.diff(edges) / (2.0 * half)
+    return np.asarray(cv2.filter2D(image, -1, kernel[None], borderType=cv2.BORDER_REPLICATE), np.uint8)
+
+
+def _exposed(g: Gallery, image: Image, light: np.random.Generator, sensor: np.random.Generator) -> NDArray[np.uint8]:
+    """The image under this frame's light, with the sensor's noise."""
+    offset, gain = light.standard_normal(2) * np.array([g.brightness, g.contrast])
+    level = np.arange(256) - 127.5
+    taken = cv2.LUT(image, _levels(np.exp(gain) * level + 127.5 + offset, np.uint8))
+    if g.image_noise > 0:
+        # inverse of the normal distribution by table: many times faster than drawing normal numbers
+        table = _levels(g.image_noise * ndtri((np.arange(2**16) + 0.5) / 2**16), np.int16)
+        noise = table[sensor.integers(0, 2**16, image.shape, np.uint16)]
+        taken = cv2.add(taken, noise, dtype=cv2.CV_8U)
+    return np.asarray(taken, np.uint8)
+
+
+def _levels(values: Array, kind: type[Level]) -> NDArray[Level]:
+    """Grey levels rounded to whole numbers that the type holds."""
+    limits = np.iinfo(kind)
+    return np.clip(np.rint(values), limits.min, limits.max).astype(kind)

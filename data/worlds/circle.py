@@ -1,0 +1,210 @@
+"""The circle world of the SLAM consistency literature: a robot drives round and round among landmarks it sees nearby.
+
+Truth is noise-free and moves in straight steps (Euler): p += R(theta) [speed period, 0], theta += turn_rate period. The
+robot reads speed and turn rate with independent noise at every step and sees landmarks as points in its own frame.
+With the defaults this is the 2D SLAM benchmark of Brossard, Barrau, Bonnabel, "A code for unscented Kalman filtering on
+manifolds", ICRA 2020; other parameters give those of Brossard, Barrau, Bonnabel, IEEE Sensors Journal 19(4), 2019, and
+of Huang, Mourikis, Roumeliotis, IJRR 29(5), 2010.
+
+Odometry noise, sensor noise and the error of the prior mean come from independent streams of the seed, and noise is
+drawn for unseen landmarks, too: noise, view or number of frames reshuffle nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+
+from data.errors import UsageError
+from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations, Prior, floor_covariances
+from data.log import Log
+from data.se2 import Array, wrap_angle
+from data.sensors import RelativePoint
+from data.truth import Truth
+from data.worlds.parameters import check_parameters
+
+_CHOICES = {
+    "heading_noise": ("after", "before"),
+    "speed_noise": ("start", "end"),
+    "layout": ("ring", "scatter"),
+}
+
+
+@dataclass(frozen=True)
+class Circle:
+    """Parameters of the world; every one is a plain number or a word.
+
+    `heading_noise`, `speed_noise` and `substeps`, in which published filters differ, change what the inputs state as
+    covariance of the increments, never what was measured.
+
+    Attributes:
+        frames: number of frames; nothing is seen at the first.
+        period: s between frames.
+        speed: m/s, true speed.
+        turn_rate: rad/s, true turn rate; the path's radius is speed / turn_rate.
+        sigma_speed: m/s, noise of the measured speed of a step.
+        sigma_turn: rad/s, noise of the measured turn rate of a step.
+        sigma_point: m, noise of each coordinate of a seen point.
+        landmarks: number of landmarks.
+        layout: `ring`, landmarks at equal angles on one circle, or `scatter`, at random angles and, inside or outside
+            the path, at random distances between min_range and max_range from it.
+        ring: m, radius of the landmarks' circle less that of the path.
+        map_seed: seed of the scattered map, which every run shares.
+        centre_x, centre_y: m, centre of the landmarks.
+        min_range, max_range: m; landmarks are seen between these distances, both excluded.
+        prior_sigma: m and rad; the prior mean is drawn with it, 0 is an exact start.
+        heading_noise: `after`, a step's heading noise leaves its translation alone (exact for this motion), or
+            `before`, it turns the translation, too.
+        speed_noise: the noise of the speed acts along the heading at the `start` or at the `end` of a step.
+        substeps: a step's covariance is integrated in so many parts, with white noise of the same total.
+        covariance_floor: smallest eigenvalue of an increment's covariance; 0 for none (a filter can do without).
+
+    Raises:
+        UsageError: a value of the wrong type or out of range, or one given a value where it has no effect.
+    """
+
+    frames: int = 2500
+    period: float = 1.0
+    speed: float = 0.25
+    turn_rate: float = math.radians(1.5)
+    sigma_speed: float = 0.05 * 0.25 / math.sqrt(2.0)
+    sigma_turn: float = 0.05 * 0.25 * math.sqrt(8.0)
+    sigma_point: float = 0.1
+    landmarks: int = 20
+    layout: str = "ring"
+    ring: float = 3.0
+    map_seed: int = 0
+    centre_x: float = 0.0
+    centre_y: float | None = field(default=None, metadata={"default": "speed / turn_rate, the centre of the path"})
+    min_range: float = 1.0
+    max_range: float = 5.0
+    prior_sigma: float = 0.0
+    heading_noise: str = "after"
+    speed_noise: str = "start"
+    substeps: int = 1
+    covariance_floor: float = 1e-10
+
+    def __post_init__(self) -> None:
+        check_parameters(
+            "circle",
+            self,
+            positive=(
+                *("frames", "period", "speed", "turn_rate", "sigma_point", "landmarks", "max_range", "substeps"),
+            ),
+            not_negative=("sigma_speed", "sigma_turn", "map_seed", "min_range", "prior_sigma", "covariance_floor"),
+            choices=_CHOICES,
+        )
+        if not self.min_range < self.max_range:
+            raise UsageError(
+                f"circle: min_range = {self.min_range}, max_range = {self.max_range}; min_range < max_range is needed"
+            )
+        if self.layout == "ring" and self.map_seed != Circle.map_seed:
+            raise UsageError(f"circle: map_seed = {self.map_seed} has no effect with layout ring")
+        if self.layout == "scatter" and self.ring != Circle.ring:
+            raise UsageError(f"circle: ring = {self.ring} has no effect with layout scatter")
+        if self.layout == "ring" and not self.radius + self.ring > 0:
+            raise UsageError(f"circle: ring = {self.ring}; more than -{self.radius} is needed, the radius of the path")
+
+    @property
+    def radius(self) -> float:
+        """Radius of the path [m]."""
+        return self.speed / self.turn_rate
+
+
+def simulate(circle: Circle, seed: int, name: str | None = None) -> Log:
+    """One log of the circle world; labels are the true ids, ascending in each frame. Same arguments: same bytes."""
+    odometry_rng, sensor_rng, prior_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
+    truth = _path(circle)
+    known = _landmarks(circle)
+    increments, floored = _odometry(circle, odometry_rng)
+    frame, ids, z = _look(circle, truth, known.xy, sensor_rng)
+    R = np.tile(circle.sigma_point**2 * np.eye(2), (len(z), 1, 1))
+    mean = truth[0] + circle.prior_sigma * prior_rng.standard_normal(3)
+    mean[2] = wrap_angle(mean[2])
+    inputs = Inputs(
+        Prior(mean, circle.prior_sigma**2 * np.eye(3)),
+        circle.period * np.arange(circle.frames, dtype=np.float64),
+        increments,
+        Observations(frame, z, R),
+        RelativePoint(max_range=circle.max_range),
+        known,
+        covariance_floor=circle.covariance_floor,
+        floored=floored,
+    )
+    source = {"kind": "circle", "seed": seed, "circle": asdict(circle)}
+    return Log(name or f"circle:{seed}", inputs, Truth(truth, known, ids), source=source)
+
+
+def _path(circle: Circle) -> Array:
+    """True poses (N, 3)."""
+    theta = circle.turn_rate * circle.period * np.arange(circle.frames, dtype=np.float64)
+    step = circle.speed * circle.period * np.stack([np.cos(theta), np.sin(theta)], axis=1)
+    path = np.zeros((circle.frames, 3))
+    path[1:, :2] = np.cumsum(step[:-1], axis=0)
+    path[:, 2] = wrap_angle(theta)
+    return path
+
+
+def _landmarks(circle: Circle) -> LandmarkMap:
+    """The map; a scattered one depends on `map_seed` and not on the run's seed."""
+    if circle.layout == "ring":
+        angle = 2.0 * math.pi * np.arange(circle.landmarks) / circle.landmarks
+        radius = np.full(circle.landmarks, circle.radius + circle.ring)
+    else:
+        side, depth, turn = np.random.default_rng(circle.map_seed).random((circle.landmarks, 3)).T
+        away = circle.min_range + (circle.max_range - circle.min_range) * depth
+        radius = circle.radius + np.where(side < 0.5, away, -away)
+        angle = 2.0 * math.pi * turn
+    centre = np.array([circle.centre_x, circle.radius if circle.centre_y is None else circle.centre_y])
+    xy = centre + radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return LandmarkMap(np.arange(circle.landmarks), xy)
+
+
+def _odometry(circle: Circle, rng: np.random.Generator) -> tuple[Increments, int]:
+    """Increments as measured, and how many got the covariance floor."""
+    sigma = np.array([circle.sigma_speed, circle.sigma_turn])
+    measured = np.array([circle.speed, circle.turn_rate]) + sigma * rng.standard_normal((circle.frames - 1, 2))
+    mean, covariance = np.zeros((circle.frames, 3)), np.zeros((circle.frames, 3, 3))
+    mean[1:, 0], mean[1:, 2] = circle.period * measured.T
+    covariance[1:] = _stated(circle, measured, sigma**2)
+    covariance, floored = floor_covariances(covariance, circle.covariance_floor)
+    return Increments(mean, covariance), floored
+
+
+def _stated(circle: Circle, measured: Array, variance: Array) -> Array:
+    """Covariances (K, 3, 3) of the increments of measured (v, omega) (K, 2), in the body frame at a step's start.
+
+    P <- F P F' + G Q G' over the substeps, Q = variance (2,) times their number: white noise, cut up, keeps its total.
+    G = [h [cos a, sin a, 0], h [0, 0, 1]], h the length of a substep and a its heading; where heading noise comes
+    `before` the translation, it turns that by v h [-sin, cos].
+    """
+    h = circle.period / circle.substeps
+    v, omega = measured.T
+    P, F, G = np.zeros((len(v), 3, 3)), np.tile(np.eye(3), (len(v), 1, 1)), np.zeros((len(v), 3, 2))
+    G[:, 2, 1] = h
+    heading = np.zeros(len(v))
+    for _ in range(circle.substeps):
+        after = heading + h * omega
+        along = after if circle.speed_noise == "end" else heading
+        F[:, 0, 2], F[:, 1, 2] = -v * h * np.sin(heading), v * h * np.cos(heading)
+        G[:, 0, 0], G[:, 1, 0] = h * np.cos(along), h * np.sin(along)
+        if circle.heading_noise == "before":
+            G[:, :2, 1] = h * F[:, :2, 2]
+        P = F @ P @ np.swapaxes(F, 1, 2) + G @ (circle.substeps * variance * np.eye(2)) @ np.swapaxes(G, 1, 2)
+        heading = after
+    return 0.5 * (P + np.swapaxes(P, 1, 2))
+
+
+def _look(circle: Circle, truth: Array, xy: Array, rng: np.random.Generator) -> tuple[IntArray, IntArray, Array]:
+    """Frame (M,), landmark id (M,) and reading (M, 2) of what is seen, by frame and id."""
+    c, s = np.cos(truth[:, None, 2]), np.sin(truth[:, None, 2])
+    dx, dy = np.moveaxis(xy - truth[:, None, :2], 2, 0)
+    distance = np.hypot(dx, dy)
+    exact = np.stack([c * dx + s * dy, -s * dx + c * dy], axis=2)
+    z = exact + circle.sigma_point * rng.standard_normal(exact.shape)
+    seen = (circle.min_range < distance) & (distance < circle.max_range)
+    seen[0] = False
+    frame, ids = np.nonzero(seen)
+    return frame.astype(np.int64), ids.astype(np.int64), z[seen]

@@ -1,0 +1,299 @@
+"""The corridor lab: a robot drives once round a square of four corridors; people may walk about, odometry may be off.
+
+World, motion and constants of the university lab on data association built around Neira and Tardos, "Data association
+in stochastic mapping using the joint compatibility test", IEEE Trans. Robotics & Automation 17(6), 2001. Unlike the
+lab's program, R comes from the measured range and bearing, so that no truth leaks into the inputs.
+
+Odometry noise, sensor noise, the walks of people and the noise of seeing them come from independent streams of the
+seed, and noise is drawn for unseen points, too: people, range or angles leave every reading they do not concern as it
+was.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import Field, asdict, dataclass, field, fields
+from typing import Any
+
+import numpy as np
+
+from data.errors import UsageError
+from data.inputs import CLUTTER, Increments, Inputs, IntArray, Observations, Prior, floor_covariances
+from data.log import Log
+from data.open_log.motion_prior import ConstantVelocityPrior, ForwardPrior, MotionPrior, note_of
+from data.se2 import Array
+from data.sensors import RelativePoint
+from data.truth import Truth
+from data.worlds import corridor_plan as world
+
+SLACK = 1e-9
+"""m and rad. Points abreast of the robot stand at the very edge of the view; they are seen, whatever rounding says.
+(In the lab's program rounding did decide: its runs see them on three sides of the square, and not on the fourth.)"""
+SWITCHES = ("people", "no-odometry", "forward", "constant-velocity")
+"""Switches as a log's name says them; they are the first fields of `Corridor`."""
+NEAREST = 1e-3
+"""m. No range is measured below it: at zero range R is singular."""
+
+
+def _degrees(value: float) -> float:
+    """A field in radians whose value is written in degrees, in a log's name and as a flag."""
+    default: float = field(default=math.radians(value), metadata={"unit": "deg"})
+    return default
+
+
+@dataclass(frozen=True)
+class Corridor:
+    """Parameters of the lab, with its own numbers as defaults. Angles: radians here, degrees in names and flags.
+
+    Attributes:
+        people: people walk about and are seen like points.
+        odometry: the wheels are read; without, every increment is zero, with the sigmas called blind, or a prior's.
+        forward: without odometry, state that the robot goes forward by a step or turns.
+        constant_velocity: without odometry, state that the robot keeps a velocity (a turn in place is 8 sigma off).
+        frames: number of frames; 44 end the first lap, and the motions repeat after that.
+        range: m; points as far as this or farther are not seen.
+        min_angle, max_angle: deg, bearings between which points are seen, both ends included.
+        srho: standard deviation of a range, as a share of that range.
+        sphi: deg, standard deviation of a bearing.
+        sx_move, sy_move: m, standard deviations of the odometry of a move of 1 m.
+        stheta_move: deg, the same of its heading.
+        sx_turn, sy_turn: m, standard deviations of the odometry of a turn of 90 deg in place.
+        stheta_turn: deg, the same of its heading.
+        sx_blind, sy_blind: m, standard deviations claimed for every motion when there is no odometry.
+        stheta_blind: deg, the same of its heading.
+        step_mean, step_sigma: m, mean and standard deviation of a step that `forward` states; 0 m (a turn in place) and
+            1 m are within 1.25 sigma, 1 m backwards is at 3.75.
+        velocity, velocity_sigma: m per frame, mean and standard deviation that `constant_velocity` states.
+        lateral_sigma: m, standard deviation sideways that either prior states.
+        turn_sigma: deg, standard deviation of the turn in a frame that either prior states.
+        crowd: number of people, where there are people.
+        sv_people: m per frame, standard deviation of each coordinate of a person's first velocity.
+        sa_people: m per frame, standard deviation of that coordinate's change from frame to frame.
+
+    Raises:
+        UsageError: a number out of range, or one given a value of its own where it has no effect.
+    """
+
+    people: bool = False
+    odometry: bool = True
+    forward: bool = False
+    constant_velocity: bool = False
+    frames: int = 44
+    range: float = 5.0
+    min_angle: float = _degrees(-90.0)
+    max_angle: float = _degrees(90.0)
+    srho: float = 0.01
+    sphi: float = _degrees(0.125)
+    sx_move: float = 0.01
+    sy_move: float = 0.01
+    stheta_move: float = _degrees(2.0)
+    sx_turn: float = 0.03
+    sy_turn: float = 0.03
+    stheta_turn: float = _degrees(2.5)
+    sx_blind: float = 0.25
+    sy_blind: float = 0.10
+    stheta_blind: float = _degrees(5.0)
+    step_mean: float = 0.5
+    step_sigma: float = 0.4
+    velocity: float = 1.0
+    velocity_sigma: float = 0.5
+    lateral_sigma: float = 0.1
+    turn_sigma: float = _degrees(60.0)
+    crowd: int = 10
+    sv_people: float = 0.05
+    sa_people: float = 0.01
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if f.name in ("frames", "crowd") and value < 1:
+                raise UsageError(f"corridor: {f.name} = {value}; at least 1 is needed")
+            if f.name in ("range", "srho", "sphi") and not 0.0 < value < math.inf:
+                raise UsageError(f"corridor: {f.name} = {_written(f, value)}; a positive number is needed")
+            spread = f.name.endswith("_sigma") or f.name.startswith(("sx", "sy", "stheta", "sv", "sa"))
+            if spread and not 0.0 <= value < math.inf:
+                raise UsageError(f"corridor: {f.name} = {_written(f, value)}; a number from 0 up is needed")
+            idle = self._idle(f.name)
+            if idle and value != f.default:
+                raise UsageError(f"corridor: {f.name} = {_written(f, value)} has no effect {idle}")
+        if not -math.pi <= self.min_angle < self.max_angle <= math.pi:
+            low, high = (_written(f, getattr(self, f.name)) for f in fields(self) if f.name.endswith("_angle"))
+            raise UsageError(
+                f"corridor: min_angle = {low}, max_angle = {high}; -180 <= min_angle < max_angle <= 180 is needed"
+            )
+
+    def _idle(self, key: str) -> str:
+        """Why a constant has no effect; empty if it has one."""
+        primed = self.forward or self.constant_velocity
+        if key in ("crowd", "sv_people", "sa_people"):
+            return "" if self.people else "without people"
+        if key in ("forward", "constant_velocity") or key.endswith("_blind"):
+            if self.odometry:
+                return "with odometry; add no-odometry"
+            idle = primed if key.endswith("_blind") else key == "constant_velocity" and self.forward
+            return "with a motion prior; one can be stated" if idle else ""
+        if key in ("step_mean", "step_sigma"):
+            return "" if self.forward else "without forward"
+        if key in ("velocity", "velocity_sigma"):
+            return "" if self.constant_velocity else "without constant-velocity"
+        if key in ("lateral_sigma", "turn_sigma"):
+            return "" if primed else "without a motion prior; add forward or constant-velocity"
+        return "with no-odometry" if key.endswith(("_move", "_turn")) and not self.odometry else ""
+
+    def prior(self) -> MotionPrior | None:
+        """What is stated about the motion where the wheels are not read, if anything is."""
+        if self.forward:
+            return ForwardPrior(self.step_mean, self.step_sigma, self.lateral_sigma, self.turn_sigma)
+        if self.constant_velocity:
+            return ConstantVelocityPrior(self.velocity, self.velocity_sigma, self.lateral_sigma, 0.0, self.turn_sigma)
+        return None
+
+    def model(self) -> RelativePoint:
+        """The sensor with its field of view."""
+        return RelativePoint(max_range=self.range, min_angle=self.min_angle, max_angle=self.max_angle)
+
+
+def _written(f: Field[Any], value: Any) -> str:
+    """A constant as it stands in a log's name."""
+    if isinstance(value, float) and f.metadata.get("unit") == "deg":
+        short = f"{math.degrees(value):.12g}"
+        return short if math.radians(float(short)) == value else repr(math.degrees(value))
+    return f"{value:.12g}" if isinstance(value, float) and float(f"{value:.12g}") == value else str(value)
+
+
+def name_of(corridor: Corridor, seed: int) -> str:
+    """The log's name, `corridor:SEED` and what differs from the defaults, in the order of the fields."""
+    parts = []
+    for f in fields(Corridor):
+        value = getattr(corridor, f.name)
+        if value != f.default:
+            switch = ("" if value else "no-") + f.name.replace("_", "-")
+            parts.append(switch if f.type == "bool" else f"{f.name}={_written(f, value)}")
+    return f"corridor:{seed}" + (":" + "+".join(parts) if parts else "")
+
+
+def parse_name(name: str) -> tuple[Corridor, int]:
+    """Parameters and seed from `corridor:SEED` or `corridor:SEED:KEY+KEY=VALUE+...`, angles in degrees.
+
+    Keys are the fields of `Corridor`, whatever their order; switches are also `people`, `no-odometry`, `forward` and
+    `constant-velocity`.
+
+    Raises:
+        UsageError: anything not understood, with what would be.
+    """
+    head, seed, text = (*name.split(":", 2), "", "")[:3]
+    if head != "corridor" or not re.fullmatch(r"[0-9]{1,18}", seed):
+        raise UsageError(f"{name}: the seed is a whole number, as in corridor:0 or corridor:0:people+range=8")
+    values: dict[str, object] = {}
+    for part in text.split("+") if len(name.split(":", 2)) == 3 else ():
+        key, value = _constant(name, part)
+        if key in values:
+            raise UsageError(f"{name}: {key} is given twice")
+        values[key] = value
+    return Corridor(**values), int(seed)  # type: ignore[arg-type]
+
+
+def _constant(name: str, part: str) -> tuple[str, object]:
+    """Field and value from `key=value`, `key` or `no-key`."""
+    key, equals, text = part.partition("=")
+    key = key.strip().replace("-", "_")
+    known = {f.name: f for f in fields(Corridor)}
+    if not equals:
+        key, text = (key[3:], "off") if key.startswith("no_") else (key, "on")
+    if key not in known or (not equals and known[key].type != "bool"):
+        what = f"{key} needs a value, as in {key}=1" if key in known else f"{part!r} is not known"
+        raise UsageError(f"{name}: {what}; known: {', '.join([*SWITCHES, *(f'{k}=' for k in list(known)[4:])])}")
+    f, text = known[key], text.strip()
+    if f.type == "bool":
+        switch = {"on": True, "true": True, "1": True, "off": False, "false": False, "0": False}
+        if text not in switch:
+            hint = "; their number is crowd=N" if key == "people" else ""
+            raise UsageError(f"{name}: {part}: on or off is needed{hint}")
+        return key, switch[text]
+    if f.type == "int":
+        if not re.fullmatch(r"[0-9]{1,9}", text):
+            raise UsageError(f"{name}: {part}: a whole number is needed")
+        return key, int(text)
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise UsageError(f"{name}: {part}: a number is needed")
+    return key, math.radians(number) if f.metadata.get("unit") == "deg" else number
+
+
+def simulate(corridor: Corridor, seed: int, name: str | None = None) -> Log:
+    """One log of the corridor. Same parameters and seed: same bytes. The true path and the 88 points never change.
+
+    Observations of a frame come by landmark id (1 to 88), then people (true id -1); frames are numbered, not timed; the
+    prior is exact.
+    """
+    odometry_rng, sensor_rng, walk_rng, people_rng = (
+        np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4)
+    )
+    truth, turned = world.path(corridor.frames)
+    increments, floored = _odometry(corridor, turned, odometry_rng)
+    c, sensor, prior, known = corridor, corridor.model(), corridor.prior(), world.points()
+    crowd = world.walks(c.frames, c.crowd if c.people else 0, c.sv_people, c.sa_people, walk_rng)
+    frame, true_id, z, R = [], [], [], []
+    for k, pose in enumerate(truth):
+        people = crowd[k], np.full(crowd.shape[1], CLUTTER), people_rng
+        for points, ids, rng in ((known.xy, known.id, sensor_rng), people):
+            seen, readings, covariances = _look(corridor, sensor, pose, points, rng)
+            frame.append(np.full(len(seen), k))
+            true_id.append(ids[seen])
+            z.append(readings)
+            R.append(covariances)
+    inputs = Inputs(
+        Prior(np.zeros(3), np.zeros((3, 3))),
+        np.arange(corridor.frames, dtype=np.float64),
+        increments,
+        Observations(np.concatenate(frame).astype(np.int64), np.concatenate(z), np.concatenate(R)),
+        sensor,
+        known,
+        time_is_index=True,
+        floored=floored,
+    )
+    return Log(
+        name or name_of(corridor, seed),
+        inputs,
+        Truth(truth, known, np.concatenate(true_id)),
+        source={"kind": "corridor", "seed": seed, "corridor": asdict(corridor)},
+        notes=() if prior is None else (note_of(prior),),
+    )
+
+
+def _odometry(corridor: Corridor, turned: IntArray, rng: np.random.Generator) -> tuple[Increments, int]:
+    """Increments as read, and how many got the covariance floor."""
+    c = corridor
+    if c.odometry:
+        move, turn = (c.sx_move, c.sy_move, c.stheta_move), (c.sx_turn, c.sy_turn, c.stheta_turn)
+        sigma = np.array([move, turn])[turned]
+        exact = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.5 * math.pi]])[turned]
+        mean, covariance = exact + sigma * rng.standard_normal(sigma.shape), sigma[:, :, None] ** 2 * np.eye(3)
+        mean[0], covariance[0] = 0.0, 0.0
+    else:
+        stated = c.prior() or ForwardPrior(0.0, c.sx_blind, c.sy_blind, c.stheta_blind)
+        given = stated.increments(np.arange(float(c.frames)))
+        mean, covariance = given.mean, given.covariance
+    covariance, floored = floor_covariances(covariance, Inputs.covariance_floor)
+    return Increments(mean, covariance), floored
+
+
+def _look(
+    corridor: Corridor, sensor: RelativePoint, pose: Array, points: Array, rng: np.random.Generator
+) -> tuple[IntArray, Array, Array]:
+    """Indices (m,) of the points in view; z (m, 2) and R (m, 2, 2), both from the noisy range and bearing."""
+    exact = sensor.predict(pose, points)
+    noise = np.array([corridor.srho, corridor.sphi]) * rng.standard_normal((len(points), 2))
+    seen = np.flatnonzero(sensor.in_view(exact, margin_range=-SLACK, margin_angle=SLACK))
+    polar = sensor.polar(exact[seen])
+    r = np.maximum(polar[:, 0] * (1.0 + noise[seen, 0]), NEAREST)
+    b = polar[:, 1] + noise[seen, 1]
+    direction = np.stack([np.cos(b), np.sin(b)], axis=-1)
+    across = np.stack([-direction[:, 1], direction[:, 0]], axis=-1)
+    # R = J J', J with the sigmas in it: d z / d range = direction, d z / d bearing = r across
+    J = np.stack([corridor.srho * r[:, None] * direction, corridor.sphi * r[:, None] * across], axis=-1)
+    return seen, r[:, None] * direction, J @ np.swapaxes(J, 1, 2)

@@ -1,0 +1,33 @@
+"""How fast pictures are found: frames of 640 x 480 with eight reference pictures, from image to corners."""
+
+from __future__ import annotations
+
+import statistics
+import time
+
+from data.visual.detector import Detector
+from data.visual.rendering.render import Rendered
+from data.worlds.gallery import Gallery
+from eval.benchmarks.timed import Timed
+
+
+def visual_lines(quick: bool) -> list[Timed]:
+    """Every line of the table about images."""
+    recording = Rendered(Gallery(), 0, frames=6 if quick else 30)
+    begin = time.perf_counter()
+    frames = list(recording.frames())
+    rendered = (time.perf_counter() - begin) / len(frames)
+    detector = Detector(recording.references, recording.setup.width)
+    detector.detect(frames[0].rgb, frames[0].xyz)
+    taken, found = [], 0
+    for f in frames:
+        begin = time.perf_counter()
+        found += len(detector.detect(f.rgb, f.xyz).detections)
+        taken.append(time.perf_counter() - begin)
+    h, w = frames[0].rgb.shape[:2]
+    each = found / len(frames)
+    what = f"pictures found in a frame of {w} x {h}, {len(recording.references)} references ({each:.1f} found)"
+    return [
+        Timed(what, statistics.median(taken), 1, "frames", "", ">= 10 frames/s"),
+        Timed("a frame rendered with its stereo points", rendered, 1, "frames"),
+    ]

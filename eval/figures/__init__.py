@@ -1,0 +1,16 @@
+"""Every figure a report can use, in one place: functions that take data and return a `Figure`; none is shown."""
+
+from __future__ import annotations
+
+from eval.figures.association import confusion_figure
+from eval.figures.consistency import anees_figure, nees_figure
+from eval.figures.error import difference_figure, error_figure
+from eval.figures.growth import growth_figure, state_figure
+from eval.figures.map import map_figure
+from eval.figures.outliers import outlier_figure
+from eval.figures.verdicts import coverage_figure, run_end_figure
+
+__all__ = [
+    "anees_figure", "confusion_figure", "coverage_figure", "difference_figure", "error_figure", "growth_figure",
+    "map_figure", "nees_figure", "outlier_figure", "run_end_figure", "state_figure",
+]  # fmt: skip

@@ -1,0 +1,124 @@
+"""The figure of association outcomes: a bar per run, split into right and wrong decisions of every kind."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from data.result import Run
+from eval.figures.style import DOUBLE, drawing, style_of
+from eval.referee.confusion import Confusion
+from eval.referee.score import Trial, confusion_of
+
+OUTCOME_COLOURS = {"tp": "#0072B2", "tn": "#A9CBE3", "fp": "#D55E00", "fn": "#F0E442"}
+"""Right is blue, wrong is warm; within each pair one is dark and one is light (Okabe and Ito's, and a tint)."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A stretch of a bar: a kind of outcome, its share of the colour's outcome, and its hatch."""
+
+    key: str
+    outcome: str
+    label: str
+    hatch: str = ""
+
+
+PARTS = (
+    Part("tp", "tp", "TP: right landmark"),
+    Part("tn", "tn", "TN: rightly none"),
+    Part("wrong", "fp", "FP: another landmark (wrong)"),
+    Part("spurious", "fp", "FP: though none is right (spurious)", "/////"),
+    Part("duplicate", "fn", "FN: founded a second one (duplicate)"),
+    Part("missed", "fn", "FN: discarded (missed)", "....."),
+)
+
+
+@dataclass(frozen=True)
+class Bar:
+    """One way of deciding, who decided so, and what came of it."""
+
+    label: str
+    counts: Confusion
+
+    def length(self, key: str) -> int:
+        """Observations in a part of the bar; a deferred decision counts as missed."""
+        return int(getattr(self.counts, key)) + (self.counts.deferred if key == "missed" else 0)
+
+
+def bars(trial: Trial, beside: Sequence[Trial] = ()) -> list[Bar]:
+    """A bar per run that decided, and for each trial beside; runs with the same decisions share one.
+
+    Where revised decisions turned out differently, each phase has a bar.
+    """
+    found: list[Bar] = []
+    for t in (trial, *beside):
+        extra = t.log.name.removeprefix(trial.log.name).strip(":+ ")
+        grouped: dict[tuple[str, bytes, bytes], list[Run]] = {}
+        for run in t.runs:
+            if run.association != "none" and run.failure is None:
+                key = (run.association, run.decisions.tobytes(), run.final_decisions.tobytes())
+                grouped.setdefault(key, []).append(run)
+        for runs in grouped.values():
+            first, names = runs[0], ", ".join(style_of(r.estimator).label for r in runs)
+            label = f"{first.association} ({names})" + (f", {extra}" if extra and t is not trial else "")
+            online, final = (confusion_of(first, t.log, phase) for phase in ("online", "final"))
+            if online is None or final is None:
+                continue
+            if all(getattr(online, p.key) == getattr(final, p.key) for p in PARTS):
+                found.append(Bar(label, online))
+            else:
+                found += [Bar(f"{label}, online", online), Bar(f"{label}, final", final)]
+    return found
+
+
+def confusion_figure(title: str, shown: Sequence[Bar]) -> Figure:
+    """Stacked bars of observation counts, FP and FN in numbers beside them; same colours in every figure."""
+    with drawing():
+        return _confusion_figure(title, shown)
+
+
+def _confusion_figure(title: str, shown: Sequence[Bar]) -> Figure:
+    fig = Figure(figsize=(DOUBLE, 1.35 + 0.2 * len(shown)))
+    ax = fig.add_subplot()
+    rows = np.arange(len(shown))
+    left = np.zeros(len(shown))
+    present = [p for p in PARTS if any(b.length(p.key) for b in shown)]
+    for part in present:
+        width = np.array([b.length(part.key) for b in shown], float)
+        ax.barh(
+            rows, width, left=left, height=0.74, color=OUTCOME_COLOURS[part.outcome], edgecolor="#303030",
+            linewidth=0.4, hatch=part.hatch, hatch_linewidth=0.5,
+        )  # fmt: skip
+        left += width
+    ax.set_yticks(rows, [b.label for b in shown])
+    ax.set_ylim(len(shown) - 0.5, -0.5)
+    ax.set_xlim(0.0, max(float(left.max(initial=0.0)), 1.0))
+    ax.grid(axis="y", visible=False)
+    ax.tick_params(axis="y", length=0)
+    ax.set_xlabel("observations [–]")
+    _numbers(ax, shown)
+    ax.set_title(title, loc="left")
+    handles = [
+        Patch(
+            facecolor=OUTCOME_COLOURS[p.outcome], edgecolor="#303030", linewidth=0.4, hatch=p.hatch,
+            hatch_linewidth=0.5, label=p.label,
+        )
+        for p in present
+    ]  # fmt: skip
+    fig.legend(handles=handles, loc="outside lower center", ncols=3)
+    return fig
+
+
+def _numbers(ax: Axes, shown: Sequence[Bar]) -> None:
+    """FP and FN of each bar, in columns to the right of it."""
+    for place, key in ((1.065, "fp"), (1.125, "fn")):
+        ax.text(place, 1.02, key.upper(), transform=ax.transAxes, ha="right", va="bottom", fontsize=7, weight="bold")
+        for row, bar in enumerate(shown):
+            text = str(getattr(bar.counts, key))
+            ax.text(place, row, text, transform=ax.get_yaxis_transform(), ha="right", va="center", fontsize=7)

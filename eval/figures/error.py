@@ -1,0 +1,206 @@
+"""Figures of error over time: each coordinate with its claimed 3 sigma, and the distance from a reference solution."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from textwrap import fill
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
+
+from data.inputs import Inputs, IntArray
+from data.log import Log
+from data.result import Run, Trajectory
+from data.se2 import Array, pose_error
+from eval.figures.style import DOUBLE, Series, drawing, series
+
+MOST_PANELS = 4
+MOST_BINS = 600
+"""Stretches of time told apart in a panel; more than paper or screen can show."""
+COORDINATES = (("x", "m", 1.0), ("y", "m", 1.0), ("heading", "deg", 180.0 / np.pi))
+"""Name, unit, and factor from SI of each row of the error figure."""
+WIDEST = 4.0
+"""A panel may be at most this many times as high as its row's middle panel needs; beyond, the curve leaves it."""
+
+
+def ticks(most: int) -> MaxNLocator:
+    """At most so many intervals, at steps of 1, 2 or 5."""
+    return MaxNLocator(most, steps=[1, 2, 5, 10])
+
+
+def thinned(curve: Array, most: int = MOST_BINS) -> IntArray:
+    """Indices of the points (N,) that a plot needs: of each of `most` equal stretches the ends and the extremes.
+
+    A stretch with gaps keeps one, so that no line is drawn across it.
+    """
+    n = len(curve)
+    if n <= 4 * most:
+        return np.arange(n)
+    edges = np.linspace(0, n, most + 1).astype(int)
+    kept = {0, n - 1}
+    for a, b in itertools.pairwise(edges.tolist()):
+        stretch = curve[a:b]
+        kept |= {a, b - 1}
+        unknown = np.isnan(stretch)
+        if unknown.any():
+            kept.add(a + int(unknown.argmax()))
+        if not unknown.all():
+            kept |= {a + int(np.nanargmin(stretch)), a + int(np.nanargmax(stretch))}
+    return np.array(sorted(kept))
+
+
+def sigmas(trajectory: Trajectory) -> Array:
+    """Standard deviations (N, 3) [m, m, rad] claimed; variances slightly below zero (rounding) count as zero."""
+    variance = np.diagonal(trajectory.covariance, axis1=1, axis2=2)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+
+def longest_sigma(trajectory: Trajectory) -> Array:
+    """Standard deviation of the position (N,) [m] along its least certain direction; NaN where unknown."""
+    P = trajectory.covariance[:, :2, :2]
+    mean, half = 0.5 * (P[:, 0, 0] + P[:, 1, 1]), 0.5 * (P[:, 0, 0] - P[:, 1, 1])
+    return np.asarray(np.sqrt(np.maximum(mean + np.hypot(half, P[:, 0, 1]), 0.0)))
+
+
+def time_label(inputs: Inputs) -> str:
+    """Label of the time axis: seconds, or the frame number of a log without stamps."""
+    return "frame" if inputs.time_is_index else "time [s]"
+
+
+def panels(runs: Sequence[Run], most: int = MOST_PANELS) -> tuple[list[Series], str]:
+    """The series that get a panel of their own (dead reckoning only if it is alone), and a remark if not all fit."""
+    shown = series(runs)
+    estimates = [s for s in shown if s.run.estimator != "dead-reckoning"] or shown
+    left_out = [s.label for s in estimates[most:]]
+    return estimates[:most], f"\nnot shown: {', '.join(left_out)}" if left_out else ""
+
+
+def heading_of(s: Series) -> str:
+    """Title of a panel: who, and where it stopped if it did."""
+    failure = s.run.failure
+    return s.label if failure is None else f"{s.label}\n{failure.status} at frame {failure.frame}"
+
+
+def reach(curves: Sequence[Array]) -> float:
+    """Half height of an axis: what the curves (N,) need, short of a rare spike; 0 where nothing is known."""
+    finite = [c[np.isfinite(c)] for c in curves]
+    needs = [float(np.quantile(np.abs(c), 0.998)) for c in finite if len(c)]
+    return max(needs, default=0.0)
+
+
+def common_reach(needs: Sequence[float]) -> float:
+    """One half height for a row of panels; a run that went astray does not flatten the others."""
+    known = [n for n in needs if np.isfinite(n) and n > 0.0]
+    if not known:
+        return 1.0
+    return 1.1 * min(max(known), WIDEST * float(np.median(known)))
+
+
+def draw_band(ax: Axes, time: Array, bound: Array, colour: str, mirror: float) -> None:
+    """A claimed bound (N,) as a band from `mirror` times the bound up to it, with its edges."""
+    keep = thinned(bound)
+    t, b = time[keep], bound[keep]
+    ax.fill_between(t, mirror * b, b, color=colour, alpha=0.2, linewidth=0.0)
+    ax.plot(t, b, color=colour, linewidth=0.5)
+    if mirror:
+        ax.plot(t, mirror * b, color=colour, linewidth=0.5)
+
+
+def _note_outside(ax: Axes, curve: Array, limit: float, factor_unit: str) -> None:
+    finite = np.abs(curve[np.isfinite(curve)])
+    if len(finite) and finite.max() > limit:
+        text = f"up to {finite.max():.3g} {factor_unit}"
+        ax.annotate(text, (0.98, 0.96), xycoords="axes fraction", ha="right", va="top", fontsize=6, color="#404040")
+
+
+def error_figure(log: Log, runs: Sequence[Run]) -> Figure:
+    """Error (estimate minus truth, heading wrapped) with the claimed ±3 sigma: rows x, y, heading; a column per phase.
+
+    Frames without truth are gaps. Without any truth only the ±3 sigma are drawn, and the title says so.
+    """
+    with drawing():
+        return _error_figure(log, runs)
+
+
+def _error_figure(log: Log, runs: Sequence[Run]) -> Figure:
+    shown, remark = panels(runs)
+    columns = max(len(shown), 1)
+    fig = Figure(figsize=(DOUBLE, 5.0))
+    axes = fig.subplots(3, columns, sharex=True, sharey="row", squeeze=False)
+    time, truth = log.recorded.time, log.truth.pose
+    unknown = np.full((len(time), 3), np.nan)
+    errors = [unknown if truth is None else pose_error(s.trajectory.pose, truth) for s in shown]
+    bounds = [3.0 * sigmas(s.trajectory) for s in shown]
+    for i, (name, unit, factor) in enumerate(COORDINATES):
+        needs = [factor * reach([e[:, i], b[:, i]]) for e, b in zip(errors, bounds, strict=True)]
+        limit = common_reach(needs)
+        for j, s in enumerate(shown):
+            ax: Axes = axes[i, j]
+            error, bound = factor * errors[j][:, i], factor * bounds[j][:, i]
+            draw_band(ax, time, bound, s.colour, -1.0)
+            ax.axhline(0.0, color="#909090", linewidth=0.5)
+            keep = thinned(error)
+            ax.plot(time[keep], error[keep], color="black", linewidth=0.7)
+            _note_outside(ax, error, limit, unit)
+        axes[i, 0].set(ylim=(-limit, limit), ylabel=f"{name} error [{unit}]")
+        axes[i, 0].yaxis.set_major_locator(ticks(6))
+    for j, s in enumerate(shown):
+        axes[0, j].set_title("\n".join(fill(line, 28) for line in heading_of(s).split("\n")))
+    for ax in axes[-1]:
+        ax.set_xlabel(time_label(log.recorded))
+        ax.xaxis.set_major_locator(ticks(5 if columns > 2 else 8))
+    if len(time) > 1:
+        axes[0, 0].set_xlim(time[0], time[-1])
+    fig.align_ylabels(axes[:, 0])
+    what = "error and claimed ±3σ" if log.truth.known_poses else "claimed ±3σ (the log has no truth, so no error)"
+    fig.suptitle(f"{log.name}: {what}, world frame, no alignment{remark}", x=0.01, ha="left")
+    handles = [Patch(facecolor="#D0D0D0", edgecolor="#606060", linewidth=0.5, label="claimed ±3σ")]
+    known = [Line2D([], [], color="black", linewidth=0.7, label="error")] if log.truth.known_poses else []
+    fig.legend(handles=[*known, *handles], loc="outside lower center", ncols=2)
+    return fig
+
+
+def difference_figure(log: Log, runs: Sequence[Run], reference: Run) -> Figure:
+    """Distance [m] of every path from a reference solution (batch with known association), for a log without truth.
+
+    Beside it the run's own 3 sigma along its least certain direction. For an optimal estimator the difference from
+    the solution with all data has covariance P_run - P_reference, so it should stay inside; the reference's own error
+    shows in neither. `reference` counts with its final phase.
+    """
+    with drawing():
+        return _difference_figure(log, runs, reference)
+
+
+def _difference_figure(log: Log, runs: Sequence[Run], reference: Run) -> Figure:
+    shown, remark = panels([r for r in runs if r is not reference])
+    rows = max(len(shown), 1)
+    fig = Figure(figsize=(DOUBLE, 1.0 + 1.15 * rows))
+    axes = fig.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
+    time, centre = log.recorded.time, reference.trajectory(reference.phases[-1]).pose
+    for ax, s in zip(axes, shown, strict=False):
+        distance = np.hypot(*(s.trajectory.pose - centre)[:, :2].T)
+        bound = 3.0 * longest_sigma(s.trajectory)
+        draw_band(ax, time, bound, s.colour, 0.0)
+        keep = thinned(distance)
+        ax.plot(time[keep], distance[keep], color="black", linewidth=0.8)
+        limit = common_reach([reach([distance]), reach([bound])])
+        ax.set(ylim=(-0.03 * limit, limit), ylabel="distance [m]")
+        ax.set_title(heading_of(s).replace("\n", ": "), loc="left")
+        _note_outside(ax, distance, limit, "m")
+        ax.yaxis.set_major_locator(ticks(5))
+    axes[-1].set_xlabel(time_label(log.recorded))
+    if len(time) > 1:
+        axes[0].set_xlim(time[0], time[-1])
+    name = series([reference])[-1].label
+    fig.suptitle(f"{log.name}: distance from {name} over time (not an error: no truth){remark}", x=0.01, ha="left")
+    handles = [
+        Line2D([], [], color="black", linewidth=0.8, label="distance"),
+        Patch(facecolor="#D0D0D0", edgecolor="#606060", linewidth=0.5, label="own 3σ, least certain direction"),
+    ]
+    fig.legend(handles=handles, loc="outside lower center", ncols=2)
+    return fig

@@ -1,0 +1,129 @@
+"""Figures of growth in SLAM: the length of a filter's state, and how sure it is of robot and landmarks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from data.log import Log
+from data.result import Run
+from eval.figures.error import longest_sigma, ticks, time_label
+from eval.figures.map import SIGMAS, longest_axis
+from eval.figures.style import DASHED, DOTTED, DOUBLE, SOLID, Line, drawing, style_of
+from eval.referee.score import Trial
+
+METHOD_COLOURS = {
+    "known": "#000000", "nn": "#D55E00", "ml": "#E69F00", "ml-ratio": "#7B3F00", "singles": "#CC79A7", "gnn": "#999933",
+    "jcbb": "#0072B2", "jcbb-first": "#56B4E9",
+}  # fmt: skip
+OTHER_COLOUR = "#707070"
+LOOP = 0.3
+"""A landmark seen again after this share of the run means that a loop was closed."""
+
+
+def sized(trial: Trial) -> list[Run]:
+    """Filters of a trial whose state grows."""
+    return [r for r in trial.runs if r.task == "slam" and r.association != "none" and r.state_size is not None]
+
+
+def state_is_informative(trial: Trial, beside: Sequence[Trial] = ()) -> bool:
+    """Whether the length of the state tells something: several methods to compare, or landmarks that leave."""
+    runs = [r for t in (trial, *beside) for r in sized(t)]
+    shrinks = any(np.any(np.diff(r.state_size) < 0) for r in runs if r.state_size is not None)
+    return shrinks or len({r.association for r in runs}) > 1
+
+
+def state_figure(trial: Trial, beside: Sequence[Trial] = ()) -> Figure:
+    """Length of every filter's state vector after each frame; legend by length at the end. Trials beside are dashed."""
+    with drawing():
+        return _state_figure(trial, beside)
+
+
+def _state_figure(trial: Trial, beside: Sequence[Trial]) -> Figure:
+    fig = Figure(figsize=(DOUBLE, 2.7))
+    ax = fig.add_subplot()
+    time = trial.log.recorded.time
+    lines = []
+    for t in (trial, *beside):
+        extra = t.log.name.removeprefix(trial.log.name).strip(":+ ")
+        for run in sized(t):
+            if run.state_size is None or (t is not trial and len(run.state_size) != len(time)):
+                continue
+            # after a failure nothing was recorded
+            size = np.where(run.state_size > 0, run.state_size.astype(float), np.nan)
+            end = int(run.state_size[run.state_size > 0][-1]) if np.any(run.state_size > 0) else 0
+            name = run.association if run.estimator == "ekf" else f"{run.association}, {style_of(run.estimator).label}"
+            label = f"{name}{f', {extra}' if extra and t is not trial else ''}: {end}"
+            line: Line = SOLID if t is trial else DASHED
+            colour = METHOD_COLOURS.get(run.association, OTHER_COLOUR)
+            (drawn,) = ax.step(time, size, where="post", color=colour, linestyle=line, linewidth=1.1, label=label)
+            lines.append((end, drawn))
+    ax.set(xlabel=time_label(trial.log.recorded), ylabel="length of the state [–]", ylim=(0.0, None))
+    if len(time) > 1:
+        ax.set_xlim(time[0], time[-1])
+    ax.yaxis.set_major_locator(ticks(6))
+    ax.set_title(f"{trial.log.name}: state of the filters (3 for the pose, 2 for a landmark)", loc="left")
+    handles = [drawn for _, drawn in sorted(lines, key=lambda pair: -pair[0])]
+    fig.legend(handles=handles, loc="outside right upper", title="length at the end", title_fontsize=7)
+    return fig
+
+
+def closing_frame(log: Log, run: Run) -> int | None:
+    """First frame that pairs a landmark unseen for a good part of the run; None if no loop is closed."""
+    frames = log.recorded.observations.frame
+    number = np.where(run.created >= 0, run.created, run.decisions)
+    last: dict[int, int] = {}
+    for frame, n in zip(frames.tolist(), number.tolist(), strict=True):
+        if n >= 0:
+            if frame - last.get(n, frame) > LOOP * len(log.recorded):
+                return int(frame)
+            last[n] = frame
+    return None
+
+
+def growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
+    """Standard deviation, along its least certain direction, of the robot online and of each landmark in the last map.
+
+    Landmarks stand in the order in which they were founded. A vertical line marks the frame that closed a loop.
+    """
+    with drawing():
+        return _growth_figure(log, runs)
+
+
+def _growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
+    fig = Figure(figsize=(DOUBLE, 2.9))
+    robot, landmarks = fig.subplots(1, 2)
+    time = log.recorded.time
+    for i, run in enumerate(runs):
+        style, sigma = style_of(run.estimator), longest_sigma(run.trajectory("online"))
+        known = sigma[np.isfinite(sigma)]
+        most, end = (float(known.max()), float(known[-1])) if len(known) else (np.nan, np.nan)
+        label = f"{style.label}, {run.association}: at most {most:.2g} m, {end:.2g} m at the end"
+        robot.plot(time, sigma, color=style.colour, linestyle=SOLID if i == 0 else DASHED, linewidth=1.2, label=label)
+        if run.map is not None and len(run.map):
+            last = longest_axis(run.map.covariance) / SIGMAS
+            face = style.colour if i == 0 else "none"
+            landmarks.plot(
+                run.map.number, last, linestyle="none", marker="o", markersize=2.2 if i == 0 else 4.0,
+                markerfacecolor=face, markeredgecolor=style.colour, markeredgewidth=0.7,
+            )  # fmt: skip
+    closed = next((f for f in (closing_frame(log, r) for r in runs) if f is not None), None)
+    if closed is not None:
+        robot.axvline(
+            time[closed], color="#505050", linestyle=DOTTED, linewidth=1.0, label="first landmarks seen again"
+        )
+    robot.set(xlabel=time_label(log.recorded), ylabel="robot σ [m]", ylim=(0.0, None))
+    landmarks.set(xlabel="landmark number [–]", ylabel="landmark σ [m]", ylim=(0.0, None))
+    if len(time) > 1:
+        robot.set_xlim(time[0], time[-1])
+    for ax in (robot, landmarks):
+        ax.xaxis.set_major_locator(ticks(6))
+        ax.yaxis.set_major_locator(ticks(6))
+    robot.set_title("robot, online", loc="left")
+    landmarks.set_title("landmarks in the last map, in order of founding", loc="left")
+    fig.suptitle(f"{log.name}: claimed σ along the least certain direction", x=0.01, ha="left")
+    handles, _ = robot.get_legend_handles_labels()
+    fig.legend(handles=handles, loc="outside lower center", ncols=1 if len(handles) > 3 else 2)
+    return fig

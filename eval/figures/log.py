@@ -1,0 +1,78 @@
+"""The picture of a log as it was recorded: paths, landmarks, and where its observations say the landmarks are."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from data.inputs import CLUTTER, IntArray
+from data.log import Log
+from data.summary import granted_labels
+from eval.figures.map import dead_reckoned
+from eval.figures.style import DOTTED, DOUBLE, STYLES, TRUTH_COLOUR, drawing
+
+SEEN_COLOUR = "#56B4E9"
+CLUTTER_COLOUR = "#D55E00"
+
+
+def log_figure(log: Log) -> Figure:
+    """A log seen from above, metres, equal aspect.
+
+    Observations are placed from the true poses, or from dead reckoning if the log has no true pose at all; those of
+    frames without truth are then left out, and the legend counts the others.
+    """
+    with drawing():
+        return _log_figure(log)
+
+
+def _log_figure(log: Log) -> Figure:
+    inputs, truth = log.recorded, log.truth
+    fig = Figure()
+    ax = fig.add_subplot()
+    reckoned = dead_reckoned(inputs)
+    pose, origin = reckoned, "dead reckoning"
+    if truth.pose is not None and truth.known_poses:
+        pose, origin = truth.pose, "the true path"
+        ax.plot(*pose[:, :2].T, color=TRUTH_COLOUR, linewidth=1.0, label="true path", zorder=4)
+    grey = STYLES["dead-reckoning"].colour
+    ax.plot(*reckoned[:, :2].T, color=grey, linestyle=DOTTED, linewidth=1.0, label="dead reckoning", zorder=3)
+
+    o = inputs.observations
+    placed: IntArray = np.flatnonzero(np.all(np.isfinite(pose[o.frame]), axis=1))
+    if len(placed):
+        xy = inputs.sensor.inverse(pose[o.frame[placed]], o.z[placed])[0]
+        label = granted_labels(log)
+        clutter = np.zeros(len(placed), bool) if label is None else label[placed] == CLUTTER
+        name = f"{len(placed)} of {len(o.frame)} observations, from {origin}"
+        dots: dict[str, Any] = {
+            "marker": ".",
+            "linestyle": "none",
+            "markersize": 3.0,
+            "markeredgewidth": 0.0,
+            "rasterized": True,
+        }
+        ax.plot(*xy[~clutter].T, color=SEEN_COLOUR, alpha=0.6, label=name, zorder=2, **dots)
+        if clutter.any():
+            ax.plot(*xy[clutter].T, color=CLUTTER_COLOUR, label=f"{clutter.sum()} of them clutter", zorder=2, **dots)
+    landmarks = inputs.map if inputs.map is not None else truth.landmarks
+    if landmarks is not None and len(landmarks.id):
+        name = f"{len(landmarks.id)} landmarks"
+        ax.plot(*landmarks.xy.T, "k+", markersize=5.0, markeredgewidth=0.7, label=name, zorder=5)
+    x, y, theta = inputs.prior.mean
+    start: dict[str, Any] = {
+        "marker": (3, 0, float(np.degrees(theta)) - 90.0),
+        "color": "white",
+        "markeredgecolor": "black",
+    }
+    ax.plot(x, y, markersize=8, linestyle="none", label="start", zorder=6, **start)
+
+    ax.set(xlabel="x [m]", ylabel="y [m]")
+    ax.set_aspect("equal")
+    ax.set_title(f"{log.name}: {len(inputs)} frames, as recorded", loc="left")
+    fig.legend(loc="outside lower left", ncols=3, markerscale=1.5)
+    # the page is cut to the scene, so that equal aspect leaves no blank paper
+    (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
+    fig.set_size_inches(DOUBLE, float(np.clip(DOUBLE * (top - bottom) / (right - left), 2.0, 6.5)) + 0.9)
+    return fig

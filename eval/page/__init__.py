@@ -1,0 +1,1 @@
+"""What any report needs: document, tables, equations, numbers in words."""

@@ -1,0 +1,270 @@
+"""Which experiments a run consists of: the logs asked for, or the default suite, short, ordinary or full."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from association.decide import HINDSIGHT, METHODS
+from data.errors import UsageError
+from data.log import Log
+from data.logs import Reading, find_logs, open_log
+from data.recordings.esde import NAME, find_esde
+from eval.plan.flags import DEFAULT_ESTIMATORS, FILTERS, QUICK_RUNS, scenarios
+from eval.plan.options import Options
+from eval.replay.settings import Setup
+from eval.report.run_files import folder_name
+from eval.studies.scenario import Scenario
+from eval.studies.scenario_file import load_scenario
+
+DEFAULT_RUNS = 50
+QUICK_FRAMES = 1000
+"""Frames of a log that a quick report looks at."""
+
+
+@dataclass(frozen=True)
+class Work:
+    """Estimators with one way of association."""
+
+    association: str
+    estimators: tuple[str, ...]
+
+    def parts(self) -> tuple[Work, ...]:
+        """What can be done apart: iSAM2 takes longest; batch goes with the front end whose decisions it takes."""
+        apart: list[tuple[str, ...]] = [(e,) for e in self.estimators if e == "fixed-lag"]
+        rest = tuple(e for e in self.estimators if e != "fixed-lag")
+        if "isam2" in rest:
+            alone = ("isam2",) if self.association == "known" else tuple(e for e in rest if e not in FILTERS)
+            apart, rest = [alone, *apart], tuple(e for e in rest if e not in alone)
+        return tuple(Work(self.association, part) for part in (*apart, rest) if part)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One log and task with all that is done with it; `beside` names the log whose table it joins, `about` says why."""
+
+    log: Log
+    task: str
+    work: tuple[Work, ...]
+    setup: Setup
+    beside: str | None = None
+    about: str = ""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Everything to do.
+
+    Attributes:
+        experiments: logs.
+        studies: scenarios to simulate, each with its number of runs.
+        stored: scenarios that replay a recording, each with its file.
+        skipped: what was asked for and cannot be done here, a sentence each.
+    """
+
+    experiments: tuple[Experiment, ...]
+    studies: tuple[tuple[Scenario, int], ...]
+    stored: tuple[tuple[Scenario, Path], ...] = ()
+    skipped: tuple[str, ...] = ()
+
+
+def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
+    """Open the logs and settle what is done; raises UsageError for what makes no sense together."""
+    if options.scenario:
+        return _scenarios(options)
+    for folder in options.data:
+        if not Path(folder).is_dir():
+            raise UsageError(f"--data {folder}: no such folder")
+    experiments = [] if options.log else _default(options, say)
+    asked = [open_log(name, reading_of(options), say) for name in options.log]
+    for folder in options.data:
+        found = [load() for load in find_logs(Path(folder), say)]
+        if not found:
+            raise UsageError(f"--data {folder}: no dataset found")
+        asked += found
+    for log in asked:
+        experiments += [
+            Experiment(_cut(log, options), task, _work(log, options), options.setup) for task in _tasks(log, options)
+        ]
+    experiments += _with_depth_noise([e for e in experiments if _shows_noise(e, options)])
+    names = [name for _, name in dict.fromkeys((id(e.log), e.log.name) for e in experiments)]
+    for name in names:
+        same = [n for n in names if folder_name(n) == folder_name(name)]
+        if len(same) > 1:
+            raise UsageError(
+                f"two logs are named {' and '.join(map(repr, dict.fromkeys(same)))} (in file names : and + become _); "
+                "rename one (the name stands in its log.toml)"
+            )
+    if options.setup.upkeep and not any(e.task == "slam" for e in experiments):
+        raise UsageError("--maintain, --forget-after, --deactivate-after: for slam; a known map is kept as it is")
+    runs = options.runs
+    if runs is None:
+        runs = 0 if options.log else QUICK_RUNS if options.quick else DEFAULT_RUNS
+    return Plan(tuple(experiments), ((load_scenario("arena"), runs),) if runs else ())
+
+
+def _scenarios(options: Options) -> Plan:
+    """Studies of the scenarios asked for; `--data` is where recordings are looked for."""
+    if options.runs == 0:
+        raise UsageError("--runs 0: a scenario needs at least one run")
+    folders = [Path(name) for name in options.data]
+    for folder in folders:
+        if not folder.is_dir():
+            raise UsageError(f"--data {folder}: no such folder")
+    studies: list[tuple[Scenario, int]] = []
+    stored, skipped = [], []
+    names = scenarios() if "all" in options.scenario else list(options.scenario)
+    for name in names:
+        scenario = load_scenario(name)
+        if options.estimator != ALL:
+            scenario = scenario.only(options.estimator)
+        if scenario.recorded:
+            path = find_esde(folders)
+            if path is None:
+                skipped.append(f"scenario {scenario.name}: skipped, no {NAME} of its study in --data")
+            else:
+                stored.append((scenario, path))
+        else:
+            runs = options.runs or (QUICK_RUNS if options.quick else scenario.runs)
+            studies += [(part, runs) for part in scenario.parts()]
+    every = [s.name for s, _ in [*studies, *stored]]
+    for name in every:
+        if [folder_name(n) for n in every].count(folder_name(name)) > 1:
+            raise UsageError(f"two scenarios are named {name!r}; rename one (the name stands in its file)")
+    return Plan((), tuple(studies), tuple(stored), tuple(skipped))
+
+
+def _tasks(log: Log, options: Options) -> Sequence[str]:
+    """The tasks asked for a log that somebody named."""
+    has_map = log.recorded.map is not None
+    if "localization" in options.task and not has_map:
+        raise UsageError(f"--task localization: log {log.name!r} has no map (landmarks.csv); only slam makes sense")
+    return options.task or (("localization",) if has_map else ("slam",))
+
+
+def _work(log: Log, options: Options) -> tuple[Work, ...]:
+    """Every estimator with every way of association asked for."""
+    associations = options.association or (("known",) if log.has_labels else ("jcbb",))
+    if "known" in associations and not log.has_labels:
+        raise UsageError(f"--association known: log {log.name!r} has no labels (true_id or label in observations.csv)")
+    return tuple(Work(a, options.estimator) for a in associations)
+
+
+def _cut(log: Log, options: Options) -> Log:
+    return shortened(log, QUICK_FRAMES) if options.quick else log
+
+
+ALL = DEFAULT_ESTIMATORS
+DECIDING = ("ekf", "isam2", "batch")
+KNOWN = (Work("known", ALL),)
+WAYS = (*METHODS, HINDSIGHT)
+HELPED = {"jcbb": DECIDING, HINDSIGHT: ("ekf", "batch")}
+LAB = (*KNOWN, *(Work(m, HELPED.get(m, ("ekf",))) for m in WAYS))
+"""The corridor lab: every method with the filter, joint compatibility with smoothers as well."""
+PARK = (*KNOWN, Work(HINDSIGHT, HELPED[HINDSIGHT]), Work("jcbb", ("ekf",)))
+EVERYTHING = (*KNOWN, *(Work(m, DECIDING) for m in WAYS))
+VISUAL = ("dead-reckoning", "ekf", "ekf-iterated", "isam2", "batch")
+SHORT_GALLERY = 60
+"""Frames of the rendered log in the default report; the whole log is `--log visual:0`."""
+CORRIDORS = ("corridor:0", "corridor:0:people", "corridor:0:no-odometry", "corridor:0:people+no-odometry")
+PRIMED = "corridor:0:no-odometry+forward"
+PRIMED_WORK = (Work("known", ("ekf", "ekf-iterated", "isam2")), Work(HINDSIGHT, ("ekf-iterated",)))
+"""The corridor with a motion prior instead of odometry: with labels, and with decisions in hindsight."""
+
+
+def reading_of(options: Options) -> Reading:
+    """How logs with images are read."""
+    cache = options.out.absolute().parent / ".detections"
+    return Reading(
+        options.camera_translation, options.camera_reading, options.corner_noise, options.trust_pickle, cache
+    )
+
+
+def _default(options: Options, say: Callable[[str], None]) -> list[Experiment]:
+    """The suite of a run without `--log`. Estimators or associations asked for replace its selection."""
+    asked = bool(options.association) or options.estimator != ALL
+    park: tuple[Work, ...] = KNOWN if options.quick else PARK
+    corridors: tuple[str, ...] = CORRIDORS
+    lab: tuple[Work, ...] = LAB
+    arena: tuple[Work, ...] = KNOWN
+    if options.quick:
+        corridors, lab = ("corridor:0:people",), (*KNOWN, Work("nn", ("ekf",)), Work("jcbb", ("ekf",)))
+    if options.full:
+        park, lab, arena = EVERYTHING, EVERYTHING, EVERYTHING
+    rows = [
+        ("victoria-park", "slam", park), ("arena:0", "localization", arena), ("arena:0", "slam", arena),
+        *((name, "slam", lab) for name in corridors),
+    ]  # fmt: skip
+    if not options.quick:
+        rows.append((PRIMED, "slam", PRIMED_WORK))
+        rows.append((f"visual:0:frames={SHORT_GALLERY}", "localization", (Work("known", VISUAL),)))
+    rows = [row for row in rows if not options.task or row[1] in options.task]
+    logs = {name: _cut(open_log(name, reading_of(options), say), options) for name, _, _ in rows}
+    experiments = []
+    for name, task, work in rows:
+        log = logs[name]
+        experiments.append(Experiment(log, task, _work(log, options) if asked else work, options.setup))
+        if not asked and ":people" in name and not options.quick and not options.setup.upkeep:
+            kept = lab if options.full else (Work("jcbb", ("ekf",)),)
+            experiments.append(_maintained(experiments[-1], kept))
+    return experiments
+
+
+def _maintained(experiment: Experiment, work: tuple[Work, ...]) -> Experiment:
+    """The same with map maintenance, as rows beside."""
+    name = experiment.log.name
+    deciding = tuple(w for w in work if w.association != "known")
+    log, setup = replace(experiment.log, name=f"{name}:maintain"), replace(experiment.setup, maintain=True)
+    return Experiment(log, experiment.task, deciding, setup, name, "the same log with map maintenance (`--maintain`)")
+
+
+def _shows_noise(e: Experiment, options: Options) -> bool:
+    """Whether rows with the corners' depth noise stand beside those with the lab's constants."""
+    evidence = e.log.evidence
+    found = evidence is not None and len(evidence.found.frame) > 0 and math.isfinite(evidence.found.depth_noise)
+    return found and options.corner_noise == "lab" and not options.quick
+
+
+def _with_depth_noise(experiments: Sequence[Experiment]) -> list[Experiment]:
+    """The same detections with covariances that follow from the noise of their depth, as rows beside."""
+    from data.visual.observations import with_noise
+
+    about = "the same detections, each corner's covariance from the noise of its depth (`--corner-noise depth`)"
+    names = dict.fromkeys(e.log.name for e in experiments)
+    logs = {
+        n: with_noise(next(e.log for e in experiments if e.log.name == n), "depth", f"{n}:depth-noise") for n in names
+    }
+    return [
+        replace(
+            e, log=logs[e.log.name], beside=e.log.name, about=about,
+            work=tuple(Work(w.association, tuple(n for n in w.estimators if n != "dead-reckoning")) for w in e.work),
+        )
+        for e in experiments
+    ]  # fmt: skip
+
+
+def shortened(log: Log, n: int) -> Log:
+    """The first n frames of a log, for a quick look; a shorter log as it is."""
+    r = log.recorded
+    if len(r) <= n:
+        return log
+    o = r.observations
+    m = int(r.start[n])
+    recorded = replace(
+        r,
+        time=r.time[:n],
+        increments=replace(r.increments, mean=r.increments.mean[:n], covariance=r.increments.covariance[:n]),
+        observations=replace(o, frame=o.frame[:m], z=o.z[:m], R=o.R[:m]),
+    )
+    t = log.truth
+    truth = replace(
+        t,
+        pose=None if t.pose is None else t.pose[:n],
+        landmark_of=None if t.landmark_of is None else t.landmark_of[:m],
+    )
+    label = None if log.label is None else log.label[:m]
+    return replace(
+        log, recorded=recorded, truth=truth, label=label, notes=(*log.notes, f"Only the first {n} frames (quick).")
+    )

@@ -1,0 +1,93 @@
+"""The classic UTIAS tutorials' treatment of a recording, as one more row beside ours."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from data.errors import UsageError
+from data.inputs import Prior
+from data.log import Log
+from data.motion import VelocityModel, VelocityNoise
+from data.mrclam.calibration import Calibration
+from data.mrclam.load import load_mrclam
+from data.result import Run
+from ekf.filter import FilterOptions
+from eval.plan.options import Variant
+from eval.referee.score import Trial
+from eval.replay.run import filter_known, step_by_step
+from eval.replay.settings import Setup
+
+ABOUT = "the same recording with a classic tutorial's numbers"
+
+
+def is_tutorial(trial: Trial) -> bool:
+    """Whether a trial is a variant of another one's recording."""
+    return trial.about == ABOUT
+
+
+def variant_log(log: Log, variant: Variant) -> Log:
+    """The recording behind a log, converted with the variant's numbers; raises UsageError if it is not from MRCLAM."""
+    s = log.source
+    if s.get("kind") != "mrclam":
+        raise UsageError(
+            f"{variant.name}: log {log.name!r} does not come from a UTIAS MRCLAM recording; "
+            "make one with python -m data.convert mrclam"
+        )
+    source = Path(str(s["path"]))
+    if not source.exists():
+        raise UsageError(
+            f"{variant.name}: the recording behind log {log.name!r} is not at {source} any more; convert again"
+        )
+    window = {k: s.get(k) for k in ("start", "stop")}
+    landmarks = s.get("landmarks")
+    changed = load_mrclam(
+        source,
+        int(str(s["robot"])),
+        start=_seconds(window["start"]),
+        stop=_seconds(window["stop"]),
+        landmarks=None if landmarks is None else Path(str(landmarks)),
+        exclude_truth=_pairs(s.get("exclude_truth")),
+        grid=variant.grid,
+        calibration=Calibration(),
+        motion=VelocityModel(VelocityNoise("displacement", alphas=variant.alphas), variant.model),
+        sigma=variant.sigma,
+    )
+    prior = Prior(changed.recorded.prior.mean, variant.prior_variance * np.eye(3))
+    return replace(
+        changed,
+        name=f"{log.name}:{variant.name}",
+        recorded=replace(changed.recorded, prior=prior),
+        notes=(*changed.notes, *variant.notes),
+    )
+
+
+def tutorial_run(log: Log, variant: Variant) -> Run:
+    """The EKF with the variant's update and its way of association."""
+    known = variant.association == "known"
+    inputs = log.inputs(labels=known)
+    if variant.task == "slam":
+        inputs = inputs.without_map()
+    options = FilterOptions(
+        each=variant.each, new_variance=variant.new_variance, new_variance_per_square=variant.new_variance_per_square
+    )
+    with threadpool_limits(1):  # as in `eval.replay.run.compare`
+        if known:
+            run = filter_known(inputs, variant.task, options=options)
+        else:
+            setup = Setup(gate=variant.gate, new_gate=variant.new_gate)
+            run = step_by_step("ekf", inputs, variant.task, variant.association, setup, options=options)
+    return replace(run, notes=(*run.notes, *variant.notes))
+
+
+def _seconds(value: object) -> float | None:
+    return None if value is None else float(str(value))
+
+
+def _pairs(value: object) -> list[tuple[float, float]]:
+    if not isinstance(value, (list, tuple)):
+        return []
+    return [(float(v[0]), float(v[1])) for v in value]

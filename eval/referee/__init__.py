@@ -1,0 +1,1 @@
+"""Scores: errors, consistency and confusion as pure functions of runs and truth."""

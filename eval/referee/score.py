@@ -1,0 +1,244 @@
+"""The referee: a run and the truth in, the rows of metrics.csv, association.csv and timing.csv out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from data.log import Log
+from data.result import DISCARD, Run, founders
+from eval.referee import consistency, errors
+from eval.referee.confusion import WITHIN, Confusion, confuse, share_within
+
+METRICS = (
+    "log",
+    "task",
+    "estimator",
+    "association",
+    "phase",
+    "status",
+    "frames",
+    "observations",
+    "accepted",
+    "rejected",
+    "landmarks",
+    "rmse_position_m",
+    "rmse_heading_deg",
+    "max_position_m",
+    "rmse_aligned_m",
+    "rmse_landmark_m",
+    "rms_from_batch_m",
+    "nees_pose",
+    "nees_position",
+    "nees_heading",
+    "nis",
+    "nis_lower",
+    "nis_upper",
+    "inside_3sigma",
+    "rmse_time_m",
+    "sse_position_m2",
+    "sse_landmark_m2",
+    "innovation_lag1",
+    "innovation_lag1_se",
+)
+ASSOCIATION = (
+    "log",
+    "task",
+    "estimator",
+    "association",
+    "phase",
+    "tp",
+    "tn",
+    "fp",
+    "fn",
+    "precision",
+    "recall",
+    "wrong",
+    "spurious",
+    "duplicate",
+    "missed",
+    "deferred",
+    "share_within",
+    "within_m",
+)
+COUNTED = ASSOCIATION[5:-2]
+"""Columns that are fields of `Confusion`."""
+CONSISTENCY = (
+    "scenario",
+    "estimator",
+    "quantity",
+    "dof",
+    "runs",
+    "mean",
+    "lower",
+    "upper",
+    "verdict",
+    "task",
+    "association",
+    "phase",
+    "power",
+    "diverged",
+)
+TIMING = (
+    "log",
+    "task",
+    "estimator",
+    "association",
+    "frames",
+    "seconds",
+    "frames_per_second",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """All runs of one log and task on identical inputs; `beside`: the log whose table they join, `about`: why."""
+
+    log: Log
+    task: str
+    runs: tuple[Run, ...]
+    beside: str | None = None
+    about: str = ""
+
+    def find(self, estimator: str, association: str = "known") -> Run | None:
+        """The run of an estimator, or None."""
+        found = [r for r in self.runs if r.estimator == estimator and r.association == association]
+        return found[0] if found else None
+
+
+def confusion_of(run: Run, log: Log, phase: str) -> Confusion | None:
+    """Association outcomes of a run in a phase; None for dead reckoning and where true ids are missing."""
+    if run.association == "none" or log.truth.landmark_of is None:
+        return None
+    known = log.recorded.map if run.task == "localization" else None
+    decisions = run.decisions if phase == "online" else run.final_decisions
+    # in the end a landmark that was retracted has never been
+    created = run.created if phase == "online" else founders(decisions, run.created)
+    final = run.final_decisions if phase == "online" else None
+    frame = log.recorded.observations.frame
+    return confuse(frame, log.truth.landmark_of, decisions, created, known, run.removed, final)
+
+
+def _nis(run: Run, phase: str) -> tuple[float, int] | None:
+    """Sum of NIS and its degrees of freedom that belong to a phase, if the run has them."""
+    if phase == "online" and run.innovations is not None:
+        formed = np.isfinite(run.innovations.nis)
+        return float(run.innovations.nis[formed].sum()), int(run.innovations.dof[formed].sum())
+    return run.total_nis if phase == "final" else None
+
+
+def metrics_row(run: Run, phase: str, log: Log, reference: Run | None) -> dict[str, object]:
+    """One row of metrics.csv. `reference` is the batch smoother with labels on the same log, or None."""
+    frames = len(log.recorded)
+    decisions = run.decisions if phase == "online" else run.final_decisions
+    row: dict[str, object] = {
+        "log": log.name, "task": run.task, "estimator": run.estimator, "association": run.association, "phase": phase,
+        "status": run.status, "frames": frames, "observations": len(log.recorded.observations.frame),
+    }  # fmt: skip
+    if run.failure is not None:
+        return row
+    trajectory = run.trajectory(phase)
+    pose, covariance = trajectory.pose, trajectory.covariance
+    if run.association != "none":
+        row["accepted"] = int((decisions >= 0).sum())
+        row["rejected"] = int((decisions == DISCARD).sum())
+    if run.task == "slam" and run.association != "none":
+        row["landmarks"] = len(run.map) if run.map is not None else 0
+    truth = log.truth.pose
+    if truth is not None and np.isfinite(truth).all(axis=1).any():
+        distance = errors.position_distance(pose, truth)
+        row["rmse_position_m"] = errors.rms(distance)
+        row["rmse_heading_deg"] = errors.heading_rmse_deg(pose, truth)
+        row["max_position_m"] = float(np.nanmax(distance))
+        row["rmse_aligned_m"] = errors.aligned_rmse(pose, truth)
+        row["rmse_time_m"] = errors.time_weighted_rmse(pose, truth, log.recorded.time)
+        row["sse_position_m2"] = float(np.nansum(distance**2))
+        each = {q: consistency.nees(pose, covariance, truth, q) for q in consistency.QUANTITIES}
+        for quantity, values in each.items():
+            row[f"nees_{quantity}"] = consistency.mean_or_nan(values)
+        row["inside_3sigma"] = consistency.inside_3sigma(each["position"])
+    if run.map is not None and len(run.map):
+        ids = errors.landmark_true_ids(run.created, log.truth, run.map.number)
+        off = np.hypot(*errors.landmark_errors(run.map.xy, ids, log.truth).T)
+        row["rmse_landmark_m"] = errors.rms(off)
+        if np.isfinite(off).any():
+            row["sse_landmark_m2"] = float(np.nansum(off**2))
+    if reference is not None and reference.final is not None and reference.failure is None:
+        row["rms_from_batch_m"] = errors.rms(errors.position_distance(pose, reference.final.pose))
+    if phase == "online" and run.innovations is not None:
+        o = log.recorded.observations
+        row["innovation_lag1"], row["innovation_lag1_se"] = consistency.lag1(run.innovations.white, o.frame, decisions)
+    total = _nis(run, phase)
+    if total is not None and total[1] > 0:
+        row["nis"] = total[0] / total[1]
+        row["nis_lower"], row["nis_upper"] = consistency.chi2_bounds(total[1])
+    return row
+
+
+def association_row(run: Run, phase: str, log: Log) -> dict[str, object] | None:
+    """One row of association.csv; None for a run that failed, and where there is nothing to compare with."""
+    counts = confusion_of(run, log, phase)
+    if counts is None or run.failure is not None:
+        return None
+    return {
+        "log": log.name, "task": run.task, "estimator": run.estimator, "association": run.association, "phase": phase,
+        **{k: getattr(counts, k) for k in COUNTED}, "share_within": _near(run, phase, log), "within_m": WITHIN,
+    }  # fmt: skip
+
+
+def _near(run: Run, phase: str, log: Log) -> float | None:
+    """Share of the pairings with a landmark that truly stands within `WITHIN` of the right one; None without truth."""
+    own, places = log.truth.landmark_of, log.truth.landmarks
+    if own is None or places is None:
+        return None
+    decisions = run.decisions if phase == "online" else run.final_decisions
+    taken = decisions.copy()
+    if run.task != "localization":
+        paired = decisions >= 0
+        taken[paired] = errors.landmark_true_ids(run.created, log.truth, decisions[paired])
+    return share_within(decisions, own, taken, places)
+
+
+def frame_of(rows: Sequence[Mapping[str, object]], columns: Sequence[str]) -> pd.DataFrame:
+    """Rows as a table with exactly these columns; unknown is None, integers stay integers."""
+    plain = [{k: _blank(v) for k, v in row.items()} for row in rows]
+    return pd.DataFrame([[row.get(c) for c in columns] for row in plain], columns=list(columns), dtype=object)
+
+
+def _blank(value: object) -> object:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+@dataclass(frozen=True)
+class Scores:
+    """The three tables of a set of trials."""
+
+    metrics: pd.DataFrame
+    association: pd.DataFrame
+    timing: pd.DataFrame
+
+
+def score(trials: Sequence[Trial]) -> Scores:
+    """Referee every run of every trial."""
+    metrics, association, timing = [], [], []
+    for trial in trials:
+        reference = trial.find("batch")
+        for run in trial.runs:
+            for phase in run.phases:
+                metrics.append(metrics_row(run, phase, trial.log, reference))
+            if run.association != "none":
+                for phase in ("online", "final"):
+                    row = association_row(run, phase, trial.log)
+                    if row is not None:
+                        association.append(row)
+            frames = len(trial.log.recorded)
+            timing.append({
+                "log": trial.log.name, "task": run.task, "estimator": run.estimator, "association": run.association,
+                "frames": frames, "seconds": run.seconds,
+                "frames_per_second": frames / run.seconds if run.seconds > 0 else None,
+            })  # fmt: skip
+    return Scores(frame_of(metrics, METRICS), frame_of(association, ASSOCIATION), frame_of(timing, TIMING))

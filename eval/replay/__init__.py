@@ -1,0 +1,1 @@
+"""Drives estimators over a log; sees the inputs only, never the truth."""

@@ -1,0 +1,282 @@
+"""One estimator with one way of association, frame by frame: what a replay and the step-through command share."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+
+from association.candidates import Drift, in_view, may_be_in_view
+from association.decide import Decided, decide
+from association.expectation import Expectation, gate_threshold
+from association.jcbb import BUDGET
+from association.known import known_decisions, pair_by_label
+from data.errors import UsageError
+from data.inputs import Increment, Inputs, IntArray, LabelledObservations, Sightings
+from data.result import Event, Finished, MapState, PoseEstimate, Updated
+from data.se2 import Array
+from ekf.filter import DEFAULT, Filter, FilterOptions
+from ekf.localizer import EkfLocalizer
+from ekf.slam import EkfSlam
+from eval.replay.map_management import Upkeep
+from eval.replay.settings import Setup
+from eval.watch import Watch
+from graph.fixed_lag import FixedLagSmoother
+from graph.incremental import Isam2Smoother
+
+FILTERS = {
+    "ekf": DEFAULT,
+    "ekf-iterated": FilterOptions(iterations=10),
+    "ekf-fej": FilterOptions(first_estimates=True),
+    "ekf-invariant": FilterOptions(invariant=True),
+}
+"""Filters by name: one filter, whose correction is applied in different ways."""
+
+
+class Estimator(Protocol):
+    """The verbs every step-by-step estimator has; any association method works with any of them."""
+
+    def predict(self, increment: Increment) -> None:
+        """Move by an increment."""
+        ...
+
+    def expect(self, sightings: Sightings) -> Expectation:
+        """What it expects to see."""
+        ...
+
+    def update(
+        self, sightings: Sightings, decisions: IntArray, *, threshold: float = np.inf, at: Array | None = None
+    ) -> Updated:
+        """Use the pairings, found new landmarks; `at` (3,): where to linearize first, if not at the prediction."""
+        ...
+
+    def remove(self, numbers: IntArray) -> None:
+        """Drop landmarks."""
+        ...
+
+    def join(self, away: IntArray, kept: IntArray) -> None:
+        """Landmarks `away` are the same as `kept`, and go."""
+        ...
+
+    def lose(self, covariance: Array) -> None:
+        """Believe the last motion so much less, by a covariance (3, 3) that is the same in all directions."""
+        ...
+
+    def estimate(self) -> PoseEstimate:
+        """The newest pose."""
+        ...
+
+    def finish(self) -> Finished:
+        """The end of the run."""
+        ...
+
+
+def make_estimator(
+    name: str, inputs: Inputs, options: FilterOptions | None = None, *, lag: float = Setup.lag
+) -> Estimator:
+    """A fresh step-by-step estimator for these inputs: with a map it localizes, without it does SLAM.
+
+    `options` stand in for those that go with the name of a filter; `lag` is that of `fixed-lag`.
+    """
+    if name in FILTERS:
+        options = options or FILTERS[name]
+        if inputs.map is not None:
+            return EkfLocalizer(inputs.prior, inputs.sensor, inputs.map, options)
+        return EkfSlam(inputs.prior, inputs.sensor, options)
+    if name == "isam2":
+        return Isam2Smoother(inputs.prior, inputs.sensor, inputs.map)
+    if name == "fixed-lag":
+        return FixedLagSmoother(inputs.prior, inputs.sensor, inputs.map, time=inputs.time, lag=lag)
+    raise UsageError(f"{name!r} does not work step by step; {', '.join(FILTERS)}, isam2 and fixed-lag do")
+
+
+class FrontEnd:
+    """The verbs of a frame, in this order: move, (look at the expectation, decide,) update.
+
+    `k` is the frame; `association` is `known` (labels granted by the inputs decide) or a method's name.
+    """
+
+    def __init__(
+        self, estimator: str, association: str, inputs: Inputs, setup: Setup, options: FilterOptions | None = None
+    ) -> None:
+        """Before the first frame."""
+        self.inputs, self.setup, self.association = inputs, setup, association
+        self.estimator = make_estimator(estimator, inputs, options, lag=setup.lag)
+        self.slam = inputs.map is None
+        kept = setup if self._filter is not None else replace(setup, forget_after=None, deactivate_after=None)
+        self.upkeep = Upkeep(kept, inputs.time) if self.slam and kept.upkeep else None
+        self.k = -1
+        self.incomplete, self.reactivated = 0, 0
+        self._drift = Drift()
+        self.largest = 0
+        gated = association == "known" and (setup.gate_smoothers or estimator in FILTERS)
+        self._threshold = gate_threshold(setup.gate_known) if gated else math.inf
+        self._label: IntArray | None = None
+        self._planned: IntArray | None = None
+        self._held: dict[int, int] = {}
+        self._label_of: dict[int, int] = {}
+        if association == "known":
+            o = inputs.observations
+            if not isinstance(o, LabelledObservations):
+                raise ValueError("known association was not granted to these inputs")
+            self._label = o.label
+            if not self.slam:
+                self._planned = known_decisions(inputs)[0]
+
+    @property
+    def _filter(self) -> EkfSlam | None:
+        return self.estimator if isinstance(self.estimator, EkfSlam) else None
+
+    def move(self) -> None:
+        """The next frame; the first one has no motion."""
+        self.k += 1
+        if self.k > 0:
+            increment = self.inputs.increment(self.k)
+            self.estimator.predict(increment)
+            self._drift.move(increment)
+
+    def expect(self, sightings: Sightings) -> Expectation:
+        """What the estimator expects of its candidates: parked landmarks that may be in view are taken back first."""
+        slam, sensor = self._filter, self.inputs.sensor
+        pose, covariance = self.estimator.estimate()
+        if slam is not None and self.upkeep is not None and len(slam.parked):
+            bounds = self._drift.sigmas(slam.parked, covariance)
+            self.wake(slam.parked[may_be_in_view(sensor, pose, slam.parked_xy(), *bounds)])
+        e = self.estimator.expect(sightings)
+        if self.setup.in_view and isinstance(self.estimator, Filter):
+            e = e.only(np.flatnonzero(in_view(sensor, e.z_hat, e.HPHt)))
+        return e
+
+    def wake(self, numbers: IntArray) -> None:
+        """Parked landmarks come back into the filter's state."""
+        slam = self._filter
+        if slam is not None and self.upkeep is not None and len(numbers):
+            slam.restore(numbers)
+            self.upkeep.wake(self.k, numbers)
+            self.reactivated += len(numbers)
+
+    def decide(self, expectation: Expectation, method: str | None = None) -> Decided:
+        """Decisions by the method of this run, or for comparison by another one."""
+        s = self.setup
+        return decide(method or self.association, expectation, s.gate, s.new_gate, known_map=not self.slam)
+
+    def pair_known(self, rows: slice) -> IntArray:
+        """Decisions by label for some observations of this frame."""
+        if self._planned is not None:
+            return self._planned[rows]
+        assert self._label is not None
+        return pair_by_label(self._label[rows], self._held)
+
+    def associate(self, rows: slice, watch: Watch | None = None) -> tuple[IntArray, Updated]:
+        """Decide about observations of this frame and use them; returns decisions (m,) and what was done."""
+        o = self.inputs.observations
+        sightings = Sightings(o.z[rows], o.R[rows])
+        expectation = None
+        if self.association == "known":
+            decisions = self.pair_known(rows)
+        else:
+            expectation = self.expect(sightings)
+            decisions, complete = self.decide(expectation)
+            self.incomplete += not complete
+        if watch is not None:
+            watch.decided(self, rows, expectation, decisions)
+        # an estimator that forms no innovations of its own: before the update, as an expectation ends with it
+        own = None
+        if expectation is not None and not isinstance(self.estimator, Filter):
+            own = _statistics(expectation, decisions)
+        done = self.update(sightings, decisions, rows)
+        if own is not None:
+            done = done._replace(nis=own[0], dof=own[1], log_likelihood=own[2])
+        return decisions, done
+
+    def update(self, sightings: Sightings, decisions: IntArray, rows: slice, at: Array | None = None) -> Updated:
+        """Use the decisions about the observations `rows` of the log; `at`: where the frame was placed, if it was."""
+        slam = self._filter
+        if slam is not None and len(slam.parked):
+            self.wake(np.intersect1d(decisions, slam.parked))
+        done = self.estimator.update(sightings, decisions, threshold=self._threshold, at=at)
+        if self.slam:
+            founded = np.flatnonzero(done.created >= 0)
+            if self._label is not None:
+                for i in founded:
+                    label, number = int(self._label[rows][i]), int(done.created[i])
+                    self._held[label], self._label_of[number] = number, label
+            if self.upkeep is not None:
+                numbers = np.where(done.used, decisions, done.created)
+                seen = np.flatnonzero(numbers >= 0)
+                self.upkeep.see(self.k, numbers[seen])
+                if slam is not None and self.setup.deactivate_after is not None:
+                    taken = Sightings(sightings.z[seen], sightings.R[seen])
+                    self._drift.see(self.inputs.sensor, taken, numbers[seen], slam.estimate().covariance)
+        return done
+
+    def tidy(self) -> None:
+        """The end of a frame: landmarks leave the map by the rules of the setup."""
+        slam = self._filter
+        if slam is not None:
+            self.largest = max(self.largest, slam.size)
+        if self.upkeep is None:
+            return
+        leaving = self.upkeep.leaving(self.k)
+        gone = np.concatenate([leaving.retracted, leaving.forgotten])
+        if len(gone):
+            self.leave(gone)
+            for n in gone.tolist():
+                self._held.pop(self._label_of.pop(n, -1), None)
+        if slam is not None and len(leaving.parked):
+            slam.park(leaving.parked)
+
+    def leave(self, numbers: IntArray) -> None:
+        """Landmarks (r,) leave the map by the rules of the setup."""
+        self.estimator.remove(numbers)
+
+    def close(self) -> None:
+        """The end of the log."""
+
+    def events(self) -> tuple[Event, ...]:
+        """Decisions that were revised: none, where they are made frame by frame."""
+        return ()
+
+    def landmarks(self) -> MapState:
+        """The map as it is now, parked landmarks included; a given one has no covariance."""
+        if self.inputs.map is not None:
+            known = self.inputs.map
+            return MapState(known.id, known.xy, np.zeros((len(known.id), 2, 2)))
+        if isinstance(self.estimator, Isam2Smoother):
+            return self.estimator.landmarks()
+        state = self.estimator.finish().map
+        assert state is not None  # a SLAM filter always has a map
+        return state
+
+    @property
+    def size(self) -> int:
+        """Length of a filter's (active) state; 0 for a smoother."""
+        return self.estimator.size if isinstance(self.estimator, Filter) else 0
+
+    def notes(self) -> list[str]:
+        """What a reader of the results should know."""
+        told, s = [], self.setup
+        if self.incomplete:
+            told.append(
+                f"{self.association} ran out of its {BUDGET} nodes in {self.incomplete} frames; "
+                "the best pairings found until then were used"
+            )
+        if self.slam and self._filter is None and (s.forget_after is not None or s.deactivate_after is not None):
+            told.append("landmarks are forgotten or parked in the filter's state only, not in the graph")
+        if s.deactivate_after is not None and self._filter is not None:
+            told.append(
+                f"landmarks unseen for {s.deactivate_after:g} were parked: at most {self.largest} states were active, "
+                f"and landmarks were taken back {self.reactivated} times"
+            )
+        if self.upkeep is not None and self.upkeep.removed:
+            told.append(f"{len(self.upkeep.removed)} landmarks were removed from the map")
+        return told
+
+
+def _statistics(e: Expectation, decisions: IntArray) -> tuple[float, int, float]:
+    """NIS, degrees of freedom and log-likelihood of a frame's pairings."""
+    rows = np.flatnonzero(decisions >= 0)
+    order = np.argsort(e.number)
+    return e.innovation_statistics(rows, order[np.searchsorted(e.number, decisions[rows], sorter=order)])

@@ -1,0 +1,1 @@
+"""`jcbb-hindsight`: decisions that later frames may revise."""

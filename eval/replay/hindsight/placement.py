@@ -1,0 +1,66 @@
+"""Placing frames in SLAM: what `association.geometry.placement` needs to know of the frames before."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+
+from association.evidence.landmarks import detection_rate
+from association.expectation import Expectation
+from association.geometry.placement import Memory, Placed, drifted, place, too_uncertain
+from data.inputs import Increment, IntArray
+from data.se2 import Array
+from data.sensors import Sensor
+from eval.replay.settings import Setup
+
+REMEMBERED = 100
+"""Frames that tell what was in view before."""
+
+
+class Placing:
+    """How far the robot may have moved since the map was last paired with, and from where it was seen.
+
+    Attributes:
+        placed: frames whose pose was found by geometry.
+    """
+
+    def __init__(self, sensor: Sensor, setup: Setup, rates: Callable[[IntArray], Array]) -> None:
+        """Before the first frame; `rates(numbers)` (n,): how often landmarks are seen where they are in view."""
+        self.sensor, self.setup, self._rates = sensor, setup, rates
+        self.placed = 0
+        self._motion = np.zeros((3, 3))
+        self._explained = (0, 0)
+        """Observations where the map had been seen before: paired, and strays."""
+        self._seen_from: deque[Array] = deque(maxlen=REMEMBERED)
+
+    def move(self, increment: Increment) -> None:
+        """The robot moved."""
+        self._motion = drifted(self._motion, increment)
+
+    def find(self, e: Expectation, predicted: Array) -> Placed | None:
+        """The pose of a frame by geometry; None where the prediction is good enough, or the map does not give one."""
+        if e.elsewhere is None or not too_uncertain(e, self.sensor, self._motion):
+            return None
+        s = self.setup
+        strays = 1.0 - detection_rate(*self._explained)
+        memory = Memory(self._seen_from, self._rates(e.number), strays)
+        found = place(e, self.sensor, predicted, self._motion, memory, s.gate, s.new_gate)
+        if found is not None:
+            self.placed += 1
+            paired, sudden = self._explained
+            self._explained = paired + int((found.decisions >= 0).sum()), sudden + found.sudden
+        return found
+
+    def see(self, pose: Array, paired: bool) -> None:
+        """A frame was used; `pose` (3,) is where it was seen from, `paired`: with landmarks of the map."""
+        self._seen_from.append(pose)
+        if paired or len(self._seen_from) == 1:
+            self._motion = np.zeros((3, 3))
+
+    def notes(self) -> list[str]:
+        """What a reader of the results should know."""
+        if not self.placed:
+            return []
+        return [f"{self.placed} frames were placed by geometry: the motion into them was too uncertain to predict them"]

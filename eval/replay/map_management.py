@@ -1,0 +1,92 @@
+"""Which landmarks leave the map, and when: map maintenance, forgetting and parking."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from data.inputs import IntArray
+from data.se2 import Array
+from eval.replay.settings import Setup
+
+MAINTENANCE_FRAMES = 2
+"""A landmark seen only once is removed when its sighting is more frames ago than this."""
+
+
+class Leaving(NamedTuple):
+    """Landmark numbers: `retracted` as if never seen, `forgotten` from now on, `parked` until seen again."""
+
+    retracted: IntArray
+    forgotten: IntArray
+    parked: IntArray
+
+
+class Upkeep:
+    """When each landmark was seen, and what follows from it."""
+
+    def __init__(self, setup: Setup, time: Array) -> None:
+        """`time` (N,) of the frames, in the unit of the setup's spans."""
+        self.setup, self.time = setup, time
+        self.removed: dict[int, int] = {}
+        """Frame after which a landmark was no longer in the map."""
+        self.retracted: set[int] = set()
+        self._first = np.empty(0, np.int64)
+        self._times = np.empty(0, np.int64)
+        self._last = np.empty(0)
+        self._awake = np.empty(0)
+        """When each landmark was seen or taken back last."""
+        self._parked = np.empty(0, np.bool_)
+        self._gone = np.empty(0, np.bool_)
+
+    def see(self, frame: int, numbers: IntArray) -> None:
+        """Landmarks paired or founded in a frame; numbers come in order of creation."""
+        more = int(numbers.max(initial=-1)) + 1 - len(self._first)
+        if more > 0:
+            self._first = np.concatenate([self._first, np.full(more, frame)])
+            self._times = np.concatenate([self._times, np.zeros(more, np.int64)])
+            self._last = np.concatenate([self._last, np.full(more, self.time[frame])])
+            self._awake = np.concatenate([self._awake, np.full(more, self.time[frame])])
+            self._parked = np.concatenate([self._parked, np.zeros(more, np.bool_)])
+            self._gone = np.concatenate([self._gone, np.zeros(more, np.bool_)])
+        np.add.at(self._times, numbers, 1)
+        self._last[numbers] = self._awake[numbers] = self.time[frame]
+
+    def wake(self, frame: int, numbers: IntArray) -> None:
+        """Parked landmarks were taken back; the time until they are parked again starts anew."""
+        self._parked[numbers] = False
+        self._awake[numbers] = self.time[frame]
+
+    def leaving(self, frame: int) -> Leaving:
+        """What leaves after this frame; afterwards it counts as gone."""
+        s, nobody = self.setup, np.empty(0, np.int64)
+        retracted = forgotten = parked = nobody
+        present = ~self._gone
+        if s.maintain:
+            old = frame - self._first > MAINTENANCE_FRAMES
+            retracted = np.flatnonzero(present & (self._times == 1) & old)
+            self._leave(frame, retracted)
+            self.retracted.update(retracted.tolist())
+        now = self.time[frame]
+        if s.forget_after is not None:
+            forgotten = np.flatnonzero(~self._gone & (now - self._last > s.forget_after))
+            self._leave(frame, forgotten)
+        if s.deactivate_after is not None:
+            parked = np.flatnonzero(~self._gone & ~self._parked & (now - self._awake > s.deactivate_after))
+            self._parked[parked] = True
+        return Leaving(retracted, forgotten, parked)
+
+    def retract(self, frame: int, numbers: IntArray) -> None:
+        """Landmarks that leave after this frame for another reason, as if never seen."""
+        self._leave(frame, numbers)
+
+    def _leave(self, frame: int, numbers: IntArray) -> None:
+        self._gone[numbers] = True
+        self.removed.update((n, frame) for n in numbers.tolist())
+
+    def removal_frames(self, count: int) -> IntArray:
+        """Frame (count,) after which each landmark was no longer in the map; -1: it stayed."""
+        frames = np.full(count, -1, np.int64)
+        for n, frame in self.removed.items():
+            frames[n] = frame
+        return frames

@@ -1,0 +1,1 @@
+"""The report: sections, and the files of the result folder."""

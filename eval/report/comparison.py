@@ -1,0 +1,260 @@
+"""The tables of the report, made from the rows of metrics.csv, association.csv and consistency.csv, for reading."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import pandas as pd
+
+from eval.page.tables import drop_blank_columns, is_blank
+
+COMPARISON: Mapping[str, str] = {
+    "log": "log",
+    "task": "task",
+    "estimator": "estimator",
+    "association": "association",
+    "phase": "phase",
+    "status": "status",
+    "rmse_position_m": "position RMSE [m]",
+    "rmse_time_m": "time-weighted RMSE [m]",
+    "rmse_heading_deg": "heading RMSE [deg]",
+    "max_position_m": "largest position error [m]",
+    "rmse_landmark_m": "landmark RMSE [m]",
+    "rms_from_batch_m": "RMS from batch [m]",
+    "nees_pose": "pose NEES (expected 3)",
+    "nis": "NIS per dof (expected 1)",
+    "bounds": "95 % bounds of NIS",
+    "whiteness": "lag-1 correlation of innovations ± SE (expected 0)",
+    "inside": "inside 3σ (expected 98.9) [%]",
+    "accepted": "accepted",
+    "rejected": "rejected",
+}
+"""Column of metrics.csv (or made here) and its head in the comparison table, in order."""
+
+ASSOCIATION: Mapping[str, str] = {
+    "log": "log",
+    "task": "task",
+    "association": "association",
+    "estimator": "estimator",
+    "phase": "phase",
+    "tp": "TP",
+    "tn": "TN",
+    "fp": "FP",
+    "fn": "FN",
+    "precision_percent": "precision [%]",
+    "recall_percent": "recall [%]",
+    "wrong": "wrong (FP)",
+    "spurious": "spurious (FP)",
+    "duplicate": "duplicate (FN)",
+    "missed": "missed (FN)",
+    "deferred": "deferred (FN)",
+}
+
+CONSISTENCY: Mapping[str, str] = {
+    "scenario": "scenario",
+    "task": "task",
+    "estimator": "estimator",
+    "association": "association",
+    "phase": "phase",
+    "quantity": "quantity",
+    "dof": "expected",
+    "mean": "mean",
+    "interval": "95 % interval of the mean",
+    "verdict": "verdict",
+    "runs": "runs",
+    "power_percent": "power against 0.8 P [%]",
+    "diverged": "diverged",
+}
+
+PUBLISHED: Mapping[str, str] = {
+    "scenario": "scenario",
+    "estimator": "estimator",
+    "quantity": "quantity",
+    "ours": "ours",
+    "se_ours": "± SE",
+    "published": "published",
+    "se_published": "± SE of it",
+    "difference_in_se": "difference [SE]",
+}
+
+OUTLIERS: Mapping[str, str] = {
+    "task": "task",
+    "percent": "wrong labels [%]",
+    "estimator": "estimator",
+    "rmse_position_m": "position RMSE [m]",
+    "rmse": "95 % interval of the RMSE",
+    "nees_pose": "pose NEES (expected 3)",
+    "nees": "95 % interval of the NEES",
+    "diverged": "diverged",
+}
+
+COMPARISON_CAPTION = (
+    "Errors in the world frame, no alignment, all estimators with the same prior and the same inputs. Phase online:"
+    " each pose given the data up to its frame; final: every pose given all data, so a final row is expected to be the"
+    " more accurate one. NEES of one run describes and proves nothing; NIS per dof against its 95 % bounds, and the"
+    " correlation of a landmark's innovations in successive frames against 0, are tests where nothing was gated and the"
+    " association is known. Blank: unknown or not applicable. A status is shown where"
+    " some run did not get to the end, a time-weighted RMSE where it differs from the plain one by more than 5 %."
+)
+ASSOCIATION_CAPTION = (
+    "Outcomes of every observation's decision H against the truth GT. TP: H is a landmark and right; TN: both none;"
+    " FP: H is a wrong landmark (GT another: wrong; GT none: spurious); FN: H none though GT is in the map (a second"
+    " landmark founded: duplicate; discarded: missed or deferred). Estimators with the same outcomes share a row; a row"
+    " for the final phase stands only where revised decisions turned out differently."
+)
+CONSISTENCY_CAPTION = (
+    "Mean over independent simulated runs of each run's mean NEES (NIS per dof for the quantity nis), with Student's t"
+    " 95 % interval of that mean. Consistent: the interval holds the expected value;"
+    " overconfident: wholly above; conservative: wholly below. Power: probability that this test, with as many runs and"
+    " this spread, rejects a covariance claimed at 0.8 of the true one. Whiteness: correlation of a landmark's"
+    " innovations in successive frames, expected 0; a covariance scaled as a whole leaves it 0, so it has no power"
+    " against that. NIS and whiteness of an estimator that decides for itself are conditional on its decisions."
+)
+COVERAGE_CAPTION = (
+    "Share of the runs [%] whose last position lies inside the estimator's own ellipse of each level, with"
+    " Clopper–Pearson 95 % bounds; marked where the level lies outside them (o: too few inside, overconfident;"
+    " c: too many, conservative)."
+)
+PUBLISHED_CAPTION = (
+    "Our numbers beside published ones, with standard errors of the Monte Carlo means (of the difference: root of the"
+    " sum of their squares). A difference within ±3 is chance. For a replay of a stored run it is the largest relative"
+    " difference of any step over the tolerance, so below 1 is agreement."
+)
+
+
+Row = dict[str, object]
+SAME = 0.05
+"""Relative difference below which two columns say the same."""
+
+
+def _selected(frame: pd.DataFrame, heads: Mapping[str, str]) -> pd.DataFrame:
+    """Columns by their human heads; `log` and `task` only where they differ, blank ones dropped."""
+    keep = [c for c in heads if c in frame.columns]
+    for same in ("log", "task", "scenario"):
+        if same in keep and frame[same].nunique(dropna=False) <= 1:
+            keep.remove(same)
+    return drop_blank_columns(frame[keep]).rename(columns=dict(heads)).reset_index(drop=True)
+
+
+def _percent(column: pd.Series) -> pd.Series:
+    shares = [None if is_blank(v) else 100.0 * float(v) for v in column.tolist()]
+    return pd.Series(shares, index=column.index, dtype=object)
+
+
+def _interval(lower: pd.Series, upper: pd.Series) -> pd.Series:
+    texts: list[str | None] = []
+    for low, high in zip(lower.tolist(), upper.tolist(), strict=True):
+        if is_blank(low) or is_blank(high):
+            texts.append(None)
+        else:
+            digits = 3 if high - low < 0.1 else 2
+            texts.append(f"{low:.{digits}f}–{high:.{digits}f}")
+    return pd.Series(texts, index=lower.index, dtype=object)
+
+
+def _spread(values: pd.Series, errors: pd.Series) -> pd.Series:
+    texts = [
+        None if is_blank(v) or is_blank(e) else f"{float(v):.3f} ± {float(e):.3f}"
+        for v, e in zip(values.tolist(), errors.tolist(), strict=True)
+    ]
+    return pd.Series(texts, index=values.index, dtype=object)
+
+
+def comparison_table(metrics: pd.DataFrame) -> pd.DataFrame:
+    """Rows of metrics.csv as a table to read: heads with units, shares in percent, columns without anything dropped.
+
+    Without news are also a status that is `ok` everywhere and a time-weighted RMSE that is the plain one in every row.
+    """
+    made = metrics.astype(object).assign(
+        bounds=_interval(metrics["nis_lower"], metrics["nis_upper"]),
+        whiteness=_spread(metrics["innovation_lag1"], metrics["innovation_lag1_se"]),
+        inside=_percent(metrics["inside_3sigma"]),
+    )
+    told = [c for c in COMPARISON if c in made.columns]
+    if (made["status"] == "ok").all():
+        told.remove("status")
+    if _same(made["rmse_time_m"], made["rmse_position_m"]):
+        told.remove("rmse_time_m")
+    return _selected(made[told], COMPARISON)
+
+
+def _same(values: pd.Series, others: pd.Series) -> bool:
+    """Whether two columns say the same in every row."""
+    pairs = zip(values.tolist(), others.tolist(), strict=True)
+    return all(
+        is_blank(a) == is_blank(b) and (is_blank(a) or abs(float(a) - float(b)) <= SAME * abs(float(b)))
+        for a, b in pairs
+    )
+
+
+def association_table(association: pd.DataFrame) -> pd.DataFrame:
+    """Rows of association.csv as a table to read; estimators with the same outcomes share a row.
+
+    The final phase has rows only where something was revised, and the phase is named only then.
+    """
+    rows = [{str(k): v for k, v in r.items()} for r in association.astype(object).to_dict("records")]
+    outcomes = [c for c in association.columns if c not in ("log", "task", "estimator", "association", "phase")]
+
+    def told(row: Row) -> tuple[object, ...]:
+        return tuple(None if is_blank(row[c]) else row[c] for c in outcomes)
+
+    runs: dict[tuple[object, ...], list[Row]] = {}
+    for row in rows:
+        runs.setdefault((row["log"], row["task"], row["association"], row["estimator"]), []).append(row)
+    shared: dict[tuple[object, ...], list[list[Row]]] = {}
+    for key, phases in runs.items():
+        shared.setdefault((*key[:3], *(told(r) for r in phases)), []).append(phases)
+    kept: list[Row] = []
+    for group in shared.values():
+        estimators = ", ".join(str(phases[0]["estimator"]) for phases in group)
+        online, *later = group[0]
+        for row in [online, *(r for r in later if told(r) != told(online))]:
+            kept.append(row | {"estimator": estimators})
+    made = pd.DataFrame(kept, columns=list(association.columns), dtype=object)
+    made = made.assign(precision_percent=_percent(made["precision"]), recall_percent=_percent(made["recall"]))
+    if made["phase"].nunique() <= 1:
+        made = made.drop(columns="phase")
+    if all(is_blank(v) or v == 0 for v in made["deferred"].tolist()):
+        made = made.drop(columns="deferred")
+    return _selected(made, ASSOCIATION)
+
+
+def consistency_table(consistency: pd.DataFrame) -> pd.DataFrame:
+    """Rows of consistency.csv as a table to read."""
+    made = consistency.astype(object).assign(
+        interval=_interval(consistency["lower"], consistency["upper"]), power_percent=_percent(consistency["power"])
+    )
+    return _selected(made, CONSISTENCY)
+
+
+def coverage_table(coverage: pd.DataFrame) -> pd.DataFrame:
+    """The coverage rows of consistency.csv, a row for each estimator and a column for each level."""
+    marks = {"overconfident": " (o)", "conservative": " (c)"}
+    names = ("task", "estimator", "association", "phase")
+    rows: dict[tuple[str, ...], Row] = {}
+    for r in coverage.astype(object).to_dict("records"):
+        key = tuple(str(r[c]) for c in names)
+        row = rows.setdefault(key, dict(zip(names, key, strict=True)))
+        share, low, high = (math.nan if is_blank(r[c]) else 100.0 * float(r[c]) for c in ("mean", "lower", "upper"))
+        head = f"{str(r['quantity']).removeprefix('coverage_')} %"
+        row[head] = f"{share:.0f} [{low:.0f}, {high:.0f}]{marks.get(str(r['verdict']), '')}"
+    made = pd.DataFrame(list(rows.values()), dtype=object)
+    return made[[c for c in made.columns if c not in ("task", "association") or made[c].nunique() > 1]]
+
+
+def published_table(published: pd.DataFrame) -> pd.DataFrame:
+    """published.csv as a table to read."""
+    return _selected(published.astype(object), PUBLISHED)
+
+
+def outliers_table(outliers: pd.DataFrame) -> pd.DataFrame:
+    """The outlier study as a table to read."""
+    made = outliers.astype(object).assign(
+        percent=_percent(outliers["rate"]),
+        rmse=_interval(outliers["rmse_lower"], outliers["rmse_upper"]),
+        nees=_interval(outliers["nees_lower"], outliers["nees_upper"]),
+    )
+    if not outliers["diverged"].any():
+        made = made.drop(columns="diverged")
+    return _selected(made, OUTLIERS)

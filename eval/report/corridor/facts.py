@@ -1,0 +1,222 @@
+"""What went wrong in a run of the corridor lab, in numbers: counts beyond the referee's, from decisions and truth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.stats import chi2
+
+from data.inputs import CLUTTER, IntArray
+from data.log import Log
+from data.result import NEW, Run
+from data.se2 import Array, between, compose, wrap_angle
+from eval.referee.confusion import Confusion
+from eval.referee.errors import landmark_true_ids, position_distance, rms
+from eval.referee.score import Trial, confusion_of
+
+TURN = 0.5
+"""rad. A true motion that turns by more is called a turn, else a move."""
+DOF = 3
+
+
+@dataclass(frozen=True)
+class Lab:
+    """Trials of one corridor, by what was switched on: (people, odometry); and those with map maintenance.
+
+    `primed`: by people, without odometry, but with a motion prior in its place.
+    """
+
+    trials: dict[tuple[bool, bool], Trial]
+    maintained: dict[tuple[bool, bool], Trial]
+    primed: dict[bool, Trial] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Pairings:
+    """A run's decisions (online) looked at more closely; distances in m, NaN where there is nothing to measure.
+
+    Attributes:
+        counts: the referee's.
+        neighbour: pairings with the landmark of another point, though the right one was in the map.
+        copy: pairings with a second landmark of the right point.
+        ghost: points paired with a landmark that was founded on a person.
+        clutter: observations of people; of them paired, founding a landmark, and paired with one founded on a person.
+        first_wrong: frame of the first FP, None if there is none.
+        before, after: RMS position error in the frames before it, and from it on.
+        apart: median distance of the points confused.
+        off: median distance of those observations, placed in the world from the predicted pose, from their own point.
+    """
+
+    counts: Confusion
+    neighbour: int
+    copy: int
+    ghost: int
+    clutter: int
+    clutter_paired: int
+    clutter_founding: int
+    clutter_again: int
+    first_wrong: int | None
+    before: float
+    after: float
+    apart: float
+    off: float
+
+
+def is_corridor(trial: Trial) -> bool:
+    """Whether a trial is SLAM on a log of the lab, simulated or recorded, with the truth that its questions need."""
+    t = trial.log.truth
+    named = trial.log.source.get("kind") == "corridor" or trial.log.name.startswith("corridor")
+    return named and trial.task == "slam" and t.landmark_of is not None and t.known_poses == len(trial.log.recorded)
+
+
+def switched_on(log: Log) -> tuple[bool, bool]:
+    """Whether people were seen, and whether the wheels were read (no motion, or always the same, is stated if not)."""
+    people = log.truth.landmark_of is not None and bool(np.any(log.truth.landmark_of == CLUTTER))
+    made, mean = log.source.get("corridor"), log.recorded.increments.mean[1:]
+    if isinstance(made, Mapping) and "odometry" in made:
+        return people, bool(made["odometry"])
+    return people, bool(np.any(mean != mean[:1]))
+
+
+def has_prior(log: Log) -> bool:
+    """Whether a motion is stated though the wheels were not read."""
+    return not switched_on(log)[1] and bool(np.any(log.recorded.increments.mean))
+
+
+SWITCHES = ("people", "odometry", "forward", "constant_velocity")
+PRIOR = ("step_mean", "step_sigma", "velocity", "velocity_sigma", "lateral_sigma", "turn_sigma")
+"""Constants of the corridor that do not make it another one: what is switched on, and what is stated of the motion."""
+
+
+def find_lab(trials: Sequence[Trial]) -> Lab | None:
+    """The corridor that was run with most of its switches; of several the first. None if there is no corridor."""
+    groups: dict[str, Lab] = {}
+    for trial in trials:
+        if not is_corridor(trial):
+            continue
+        made = trial.log.source.get("corridor")
+        left_out = (*SWITCHES, *PRIOR)
+        constants = {k: v for k, v in made.items() if k not in left_out} if isinstance(made, Mapping) else {}
+        lab = groups.setdefault(f"{trial.log.source.get('seed')} {sorted(constants.items())}", Lab({}, {}))
+        if trial.beside is None and has_prior(trial.log):
+            lab.primed.setdefault(switched_on(trial.log)[0], trial)
+        elif trial.beside is None:
+            lab.trials.setdefault(switched_on(trial.log), trial)
+        elif any(r.removed is not None for r in trial.runs):
+            lab.maintained.setdefault(switched_on(trial.log), trial)
+    found = [lab for lab in groups.values() if lab.trials or lab.primed]
+    return max(found, key=lambda lab: len(lab.trials), default=None)
+
+
+def run_of(trial: Trial | None, association: str) -> Run | None:
+    """The finished run with that association: the filter's, or else the incremental smoother's."""
+    for estimator in ("ekf", "isam2"):
+        run = None if trial is None else trial.find(estimator, association)
+        if run is not None and run.failure is None:
+            return run
+    return None
+
+
+def look(run: Run, log: Log) -> Pairings:
+    """The closer look at a run that has an online trajectory, on a log with true poses and ids."""
+    counts, truth = confusion_of(run, log, "online"), log.truth
+    assert counts is not None
+    assert truth.landmark_of is not None
+    assert truth.pose is not None
+    own, o = truth.landmark_of, log.recorded.observations
+    paired = run.decisions >= 0
+    taken = np.full(len(own), CLUTTER - 1, np.int64)
+    taken[paired] = landmark_true_ids(run.created, truth, run.decisions[paired])
+    wrong = paired & (counts.ground_truth != run.decisions)
+    had = counts.ground_truth >= 0
+    clutter = own == CLUTTER
+    confused = np.flatnonzero(wrong & (own >= 0) & (taken >= 0) & (taken != own))
+    frames = o.frame[wrong]
+    first = int(frames.min()) if len(frames) else None
+    path = run.trajectory("online").pose
+    error = position_distance(path, truth.pose)
+    split = len(error) if first is None else first
+    apart, off = np.full(len(confused), np.nan), np.full(len(confused), np.nan)
+    if truth.landmarks is not None and len(confused):
+        own_xy, taken_xy = (_places(log, ids[confused]) for ids in (own, taken))
+        placed = log.recorded.sensor.inverse(predicted(log, path)[o.frame[confused]], o.z[confused])[0]
+        apart, off = np.hypot(*(own_xy - taken_xy).T), np.hypot(*(placed - own_xy).T)
+    return Pairings(
+        counts,
+        neighbour=int((wrong & had & (taken >= 0) & (taken != own)).sum()),
+        copy=int((wrong & had & (taken == own)).sum()),
+        ghost=int((wrong & ~clutter & (taken == CLUTTER)).sum()),
+        clutter=int(clutter.sum()),
+        clutter_paired=int((clutter & paired).sum()),
+        clutter_founding=int((clutter & (run.decisions == NEW)).sum()),
+        clutter_again=int((clutter & paired & (taken == CLUTTER)).sum()),
+        first_wrong=first,
+        before=rms(error[:split]) if split else float("nan"),
+        after=rms(error[split:]) if split < len(error) else float("nan"),
+        apart=_median(apart),
+        off=_median(off),
+    )
+
+
+def _median(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else float("nan")
+
+
+def _places(log: Log, ids: IntArray) -> Array:
+    """True positions (m, 2) by id, NaN where unknown."""
+    known = log.truth.landmarks
+    assert known is not None
+    where = dict(zip(known.id.tolist(), known.xy, strict=True))
+    return np.array([where.get(int(i), (np.nan, np.nan)) for i in ids], float).reshape(-1, 2)
+
+
+def predicted(log: Log, path: Array) -> Array:
+    """Poses (N, 3) that a filter with this online path (N, 3) expected before it saw anything in the frame."""
+    ahead = np.asarray(compose(path[:-1], log.recorded.increments.mean[1:]))
+    return np.concatenate([log.recorded.prior.mean[None], ahead])
+
+
+@dataclass(frozen=True)
+class Motion:
+    """True against stated motions, the first frame aside: Mahalanobis distances and share within 99 %.
+
+    moves, turns: mean distance [-] of each, NaN if there is none; step, step_sigma: m, largest true motion along x and
+    the standard deviation claimed for it; within: number of motions inside the 99 % ellipsoid of `count`.
+    """
+
+    moves: float
+    turns: float
+    step_off: float
+    step_sigma: float
+    within: int
+    count: int
+
+
+def true_against_stated(log: Log) -> Motion:
+    """How far the motions that happened are from those that the inputs state, measured by the covariances stated."""
+    assert log.truth.pose is not None
+    if len(log.recorded) < 2:
+        return Motion(*4 * (float("nan"),), 0, 0)
+    happened = between(log.truth.pose[:-1], log.truth.pose[1:])
+    stated, Q = log.recorded.increments.mean[1:], log.recorded.increments.covariance[1:]
+    off = happened - stated
+    off[:, 2] = wrap_angle(off[:, 2])
+    distance = np.sqrt(np.einsum("ni,ni->n", off, np.linalg.solve(Q, off[:, :, None])[:, :, 0]))
+    turned = np.abs(happened[:, 2]) > TURN
+    furthest = int(np.argmax(np.abs(off[:, 0]) / np.sqrt(Q[:, 0, 0])))
+    return Motion(
+        float(distance[~turned].mean()) if np.any(~turned) else float("nan"),
+        float(distance[turned].mean()) if np.any(turned) else float("nan"),
+        float(abs(off[furthest, 0])),
+        float(np.sqrt(Q[furthest, 0, 0])),
+        int((distance**2 < chi2.ppf(0.99, DOF)).sum()),
+        len(distance),
+    )
+
+
+def furthest_from_start(path: Array) -> float:
+    """Largest distance [m] of a path (N, 3) from its first position."""
+    return float(np.nanmax(np.hypot(*(path[:, :2] - path[0, :2]).T)))

@@ -1,0 +1,226 @@
+"""The corridor lab's five questions, answered from the runs of a report: pure functions of trials and scores to text.
+
+Every number is taken from the runs, and every sentence turns round where the numbers do. Seconds differ from run to
+run, so they stand in timing.csv only; here the cost of a filter is counted in covariance entries.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+from eval.page.document import Section
+from eval.referee.score import Scores, Trial
+from eval.report.corridor.ambiguity import ambiguity_sections, prior_sections
+from eval.report.corridor.conditions import what_maintenance_changes, without_odometry
+from eval.report.corridor.facts import Lab, Pairings, find_lab, look, run_of
+from eval.report.corridor.phrases import (
+    NAMES,
+    ODOMETRY,
+    PEOPLE,
+    WORSE,
+    count_change,
+    missing,
+    move,
+    plural,
+    rmse,
+    share,
+)
+from eval.report.statements import number
+
+
+def lab_sections(trials: Sequence[Trial], scores: Scores) -> list[Section]:
+    """The section with its questions; nothing where no corridor was run with what at least one of them needs."""
+    lab = find_lab(trials)
+    if lab is None:
+        return []
+    questions: tuple[tuple[str, Callable[[Lab, Scores], tuple[str, bool]]], ...] = (
+        ("Why does NN fail?", why_nn_fails),
+        ("Why do people break NN and SINGLES?", why_people_break_it),
+        ("Why does JCBB cope better?", why_jcbb_copes),
+        ("What happens without odometry?", without_odometry),
+        ("What does map maintenance change?", what_maintenance_changes),
+    )
+    answered = [(head, *ask(lab, scores)) for head, ask in questions]
+    if not any(known for _, _, known in answered) and not lab.primed:
+        return []
+    logs = ", ".join(f"`{t.log.name}`" for t in (*lab.trials.values(), *lab.maintained.values(), *lab.primed.values()))
+    first = f"Answered from the runs on {logs}: SLAM, decisions and paths as they were online."
+    sections = [Section(head, (text,), 3) for head, text, _ in answered]
+    blind = [head for head, _ in questions].index("What happens without odometry?")
+    return [
+        Section("The lab's questions", (first,)), *sections[:blind], *ambiguity_sections(lab), sections[blind],
+        *prior_sections(lab, scores), *sections[blind + 1 :],
+    ]  # fmt: skip
+
+
+def why_nn_fails(lab: Lab, scores: Scores) -> tuple[str, bool]:
+    """NN beside known association, without people."""
+    trial = lab.trials.get(ODOMETRY)
+    nn, known = run_of(trial, "nn"), run_of(trial, "known")
+    if trial is None or nn is None or known is None:
+        return missing(lab, ODOMETRY, "nn", "known"), False
+    p = look(nn, trial.log)
+    c = p.counts
+    mine, best = rmse(scores, trial, nn), rmse(scores, trial, known)
+    where = f"On `{trial.log.name}` NN ({nn.estimator})"
+    if p.first_wrong is None:
+        return (
+            f"{where} does not fail: none of its {c.tp} pairings is wrong, and its position RMSE is {number(mine)} m"
+            f" ({number(best)} m with known association).",
+            True,
+        )
+    told = [
+        f"{where} pairs {c.fp} of {len(c.outcome)} observations wrongly: {p.neighbour} with the landmark of another"
+        f" point though their own was in the map, {p.copy} with a second landmark of their own point, {c.spurious}"
+        " though their point was not in the map yet."
+    ]
+    if math.isfinite(p.apart):
+        told.append(
+            f"The points confused are {number(p.apart, 2)} m apart (median), and these observations, placed in the"
+            f" world from the predicted pose, are {number(p.off, 2)} m off their own point:"
+            + (
+                " more than half that spacing, enough to make another landmark the nearest one; and since each"
+                " observation is decided on its own, nothing notices that all are off the same way."
+                if p.off >= 0.5 * p.apart
+                else " less than half that spacing, so the error of the pose alone does not explain them."
+            )
+        )
+    if math.isfinite(p.before):
+        told.append(
+            f"The first wrong pairing is in frame {p.first_wrong}; the position error is {number(p.before)} m RMS"
+            f" before and {number(p.after)} m from then on."
+        )
+    else:
+        told.append(f"The first wrong pairing is in frame {p.first_wrong} already.")
+    size = 0 if nn.map is None else len(nn.map)
+    points = len(known.map) if known.map is not None else 0
+    told.append(
+        f"It founds {plural(c.duplicate, 'landmark')} on points that were in the map already, and its map ends with"
+        f" {size} landmarks where known association has {points}."
+    )
+    told.append(
+        f"The position RMSE is {number(mine)} m against {number(best)} m with known association"
+        + (
+            f", {number(mine / best, 2)} times as large."
+            if mine > WORSE * best
+            else ": on this log the wrong pairings cost little."
+        )
+    )
+    return " ".join(told), True
+
+
+def why_people_break_it(lab: Lab, scores: Scores) -> tuple[str, bool]:
+    """NN and SINGLES with and without people."""
+    quiet, busy = lab.trials.get(ODOMETRY), lab.trials.get(PEOPLE)
+    found = [(m, run_of(quiet, m), run_of(busy, m)) for m in ("nn", "singles")]
+    pairs = [(m, a, b) for m, a, b in found if a is not None and b is not None]
+    if quiet is None or busy is None or not pairs:
+        switches = PEOPLE if quiet is not None else ODOMETRY
+        return missing(lab, switches, "nn", "singles"), False
+    told: list[str] = []
+    broken: list[str] = []
+    ghosts = points = 0
+    for method, without, with_people in pairs:
+        a, b = look(without, quiet.log), look(with_people, busy.log)
+        if not told:
+            told.append(f"On `{busy.log.name}` {b.clutter} of {len(b.counts.outcome)} observations show people.")
+        ghosts, points = ghosts + b.clutter_again, points + b.clutter_paired - b.clutter_again
+        before, after = rmse(scores, quiet, without), rmse(scores, busy, with_people)
+        if after > WORSE * before:
+            broken.append(NAMES[method])
+        told.append(
+            f"**{NAMES[method]}** pairs {b.clutter_paired} of them, {b.clutter_again} with a landmark founded on a"
+            f" person and {b.clutter_paired - b.clutter_again} with one of a point, and founds"
+            f" {plural(b.clutter_founding, 'landmark')} on others."
+            + (f" {plural(b.ghost, 'observation')} of points are paired with people's landmarks." if b.ghost else "")
+            + f" FP {count_change(a.counts.fp, b.counts.fp)}, recall is {share(a.counts.recall)} without people and"
+            f" {share(b.counts.recall)} with them, the position RMSE {move(before, after)} m."
+        )
+        if method == "singles":
+            told.append(_unpaired(a, b))
+    if broken:
+        told.append(f"People break {' and '.join(broken)} here. {_pulled(ghosts, points)}")
+    else:
+        told.append("So people do not break them on this log: the errors are hardly larger than without.")
+    for method, without_people, with_them in found:
+        if without_people is None or with_them is None:
+            told.append(f"{NAMES[method]} was not run on both logs.")
+    return " ".join(told), True
+
+
+def _pulled(ghosts: int, points: int) -> str:
+    """How pairings of people do harm, by what they are mostly paired with."""
+    if not ghosts + points:
+        return "None of them is paired, so what does harm are the landmarks founded on them."
+    what = (
+        "a landmark founded on a person has moved on when it is paired again"
+        if ghosts >= points
+        else "a person in the gate of a point passes as that point"
+    )
+    return (
+        f"Mostly {what}, and since no pairing is held against the others of the frame, it pulls the pose of the robot"
+        " along; pairings of points that are tested alone go wrong in turn."
+    )
+
+
+def _unpaired(a: Pairings, b: Pairings) -> str:
+    """What the caution of SINGLES costs."""
+    fewer = "fewer" if b.counts.tp < a.counts.tp else "not fewer"
+    return (
+        f"It leaves {b.counts.missed} observations of points unpaired that were in the map ({a.counts.missed} without"
+        " people), as whatever has a second candidate is not used: right pairings to correct the pose with are"
+        f" {fewer}, {b.counts.tp} ({a.counts.tp} without people)."
+    )
+
+
+def why_jcbb_copes(lab: Lab, scores: Scores) -> tuple[str, bool]:
+    """JCBB beside NN, SINGLES and known association on the same log: with people, or else without."""
+    switches = next((s for s in (PEOPLE, ODOMETRY) if run_of(lab.trials.get(s), "jcbb") is not None), PEOPLE)
+    trial = lab.trials.get(switches)
+    jcbb, nn = run_of(trial, "jcbb"), run_of(trial, "nn")
+    if trial is None or jcbb is None or nn is None:
+        return missing(lab, switches, "jcbb", "nn"), False
+    told, seen, errors = [], {}, {}
+    for method in ("jcbb", "nn", "singles", "known"):
+        run = run_of(trial, method)
+        if run is not None:
+            seen[method], errors[method] = look(run, trial.log), rmse(scores, trial, run)
+    rows = [f"{NAMES[m]} {p.counts.fp} / {p.counts.fn} / {number(errors[m])} m" for m, p in seen.items()]
+    told.append(f"FP / FN / position RMSE on `{trial.log.name}` ({jcbb.estimator}): {'; '.join(rows)}.")
+    mine, other = seen["jcbb"], seen["nn"]
+    wrong = (mine.counts.fp + mine.counts.fn, other.counts.fp + other.counts.fn)
+    told.append(
+        f"Pairings with the landmark of another point: JCBB {mine.neighbour}, NN {other.neighbour}; people paired:"
+        f" {mine.clutter_paired} and {other.clutter_paired} of {mine.clutter}."
+        if mine.clutter
+        else f"Pairings with the landmark of another point: JCBB {mine.neighbour}, NN {other.neighbour}."
+    )
+    if mine.clutter_paired:
+        told.append(
+            f"Of the people that JCBB pairs, {mine.clutter_again} go to a landmark founded on a person:"
+            + (
+                " somebody who walks slowly agrees with the map nearly as well as a point does."
+                if 2 * mine.clutter_again >= mine.clutter_paired
+                else " most are taken for points."
+            )
+        )
+    if wrong[0] < wrong[1] and errors["jcbb"] < errors["nn"]:
+        told.append(
+            "The pairings of a frame share one error of the pose, and JCBB accepts only those that agree on it: a"
+            " person or a neighbour may be in the gate of a landmark, but rarely where the other pairings say that"
+            " landmark should be seen."
+        )
+    else:
+        told.append(
+            f"JCBB does not cope better than NN here ({wrong[0]} wrong decisions against {wrong[1]}, RMSE"
+            f" {number(errors['jcbb'])} m against {number(errors['nn'])} m): that pairings agree with each other does"
+            " not make them right."
+        )
+    if "known" in errors:
+        close = errors["jcbb"] <= WORSE * errors["known"]
+        told.append(
+            f"Its path is {'about as good as' if close else 'still worse than'} with known association"
+            f" ({number(errors['jcbb'] / errors['known'], 2)} times the RMSE)."
+        )
+    return " ".join(told), True

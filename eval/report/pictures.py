@@ -1,0 +1,166 @@
+"""The files of one trial: its runs and films, and each of its pictures with caption and alternative text."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from data.log import Log
+from data.result import Run
+from eval import figures
+from eval.figures.association import bars
+from eval.figures.error import longest_sigma
+from eval.figures.growth import closing_frame, state_is_informative
+from eval.figures.map import SIGMAS, longest_axis
+from eval.figures.style import save
+from eval.page.document import Picture
+from eval.plan.options import Options
+from eval.referee.score import Trial, confusion_of
+from eval.report.run_files import folder_name, write_run
+from eval.report.shown_runs import finished, for_growth, for_map, for_panels, left_out, same, worst
+from eval.report.statements import number
+
+
+def stem(trial: Trial, what: str) -> str:
+    """Name of a trial's file, without suffix."""
+    return f"{folder_name(trial.log.name)}-{trial.task}-{what}"
+
+
+def publish_runs(folder: Path, options: Options, trial: Trial) -> None:
+    """Write the run files of a trial, and its films if asked for."""
+    for run in trial.runs:
+        write_run(folder, trial, run)
+        if options.animate and run.failure is None:
+            from eval.figures.film import animate
+
+            animate(trial.log, run, folder / "figures" / f"{stem(trial, run.estimator)}.mp4")
+
+
+QUICK = ("map", "error", "difference", "association")
+"""All that a quick report shows."""
+
+
+def kinds(trial: Trial, beside: Sequence[Trial] = (), *, quick: bool = False) -> tuple[str, ...]:
+    """Which pictures a trial gets, with the trials that stand beside it."""
+    shown, reference = finished(trial), trial.find("batch")
+    found = ["map"]
+    if shown and trial.log.truth.known_poses:
+        found += ["error", "nees"]
+    elif reference is not None and reference.failure is None and len(shown) > 1:
+        found.append("difference")
+    if trial.task == "slam" and trial.log.truth.known_poses and for_growth(trial):
+        found.append("growth")
+    if state_is_informative(trial, beside):
+        found.append("state")
+    if has_outcomes(trial, beside):
+        found.append("association")
+    return tuple(kind for kind in found if kind in QUICK or not quick)
+
+
+def has_outcomes(trial: Trial, beside: Sequence[Trial] = ()) -> bool:
+    """Whether decisions were made (not only labels read) that can be scored."""
+    return any(
+        confusion_of(r, t.log, "online") is not None
+        for t in (trial, *beside)
+        for r in t.runs
+        if r.association != "known" and r.failure is None
+    )
+
+
+def draw(folder: Path, trial: Trial, kind: str, beside: Sequence[Trial] = (), *, quick: bool = False) -> Picture:
+    """Draw one picture of `kinds`, as files below the result folder: PDF and PNG, in a quick report PNG alone."""
+    figure, caption, alt = _picture(trial, kind, beside)
+    save(figure, folder / "figures", stem(trial, kind), ("png",) if quick else ("pdf", "png"))
+    return Picture(stem(trial, kind), caption, alt)
+
+
+def _picture(trial: Trial, kind: str, beside: Sequence[Trial]) -> tuple[Figure, str, str]:
+    """Figure, caption and what it shows in a sentence."""
+    log = trial.log
+    where = f"`{log.name}`, {trial.task}"
+    if kind == "association":
+        return (
+            figures.confusion_figure(f"{log.name}, {trial.task}: decisions", bars(trial, beside)),
+            f"{where}: outcomes of all observations' decisions, right ones blue; numbers: FP and FN. Estimators with"
+            " the same decisions share a bar.",
+            f"Bars of right and wrong association decisions on {log.name}",
+        )
+    if kind == "state":
+        return (
+            figures.state_figure(trial, beside),
+            f"{where}: length of the filters' state after each frame. A method that founds landmarks twice, or on"
+            " clutter, pays for them in every later update.",
+            f"Length of the state over time on {log.name}",
+        )
+    if kind == "growth":
+        runs = for_growth(trial)
+        return (
+            figures.growth_figure(log, runs),
+            f"{where}, association {runs[0].association}: standard deviation along the least certain direction, of the"
+            f" robot at each frame and of the landmarks after the last one.{_closure(log, runs)}",
+            f"Uncertainty of robot and landmarks on {log.name}",
+        )
+    if kind == "map":
+        drawn = for_map(trial)
+        return (
+            figures.map_figure(log, drawn),
+            f"{where}: paths and landmarks with 3σ ellipses. World frame, no alignment."
+            f"{left_out(trial, drawn)}{_contrast(trial, drawn)}",
+            f"Map of {log.name} with the paths of {', '.join(f'{r.estimator} ({r.association})' for r in drawn)}",
+        )
+    if kind == "error":
+        columns = for_panels(finished(trial))
+        return (
+            figures.error_figure(log, columns),
+            f"{where}: error of each coordinate with the estimator's own ±3σ, which it rarely leaves if consistent."
+            f"{left_out(trial, columns)}",
+            f"Errors over time on {log.name} in x, y and heading, one column per estimator",
+        )
+    if kind == "nees":
+        columns = for_panels(finished(trial))
+        return (
+            figures.nees_figure(log, columns),
+            f"{where}: pose NEES per frame; a consistent one is in the band 95 % of the time. One run: no verdict."
+            f"{left_out(trial, columns)}",
+            f"Pose NEES over time on {log.name}",
+        )
+    reference = trial.find("batch")
+    assert reference is not None  # `kinds` asks for a difference only where there is one
+    rows = for_panels([r for r in finished(trial) if r is not reference], complete=(reference.association,))
+    return (
+        figures.difference_figure(log, rows, reference),
+        f"{where}: distance from the batch solution, with each run's own 3σ. No error: the log has no true path."
+        f"{left_out(trial, [*rows, reference])}",
+        f"Distance from the batch solution over time on {log.name}",
+    )
+
+
+def _contrast(trial: Trial, drawn: Sequence[Run]) -> str:
+    """Which run is in the map for going astray, where not all are."""
+    astray = worst(trial)
+    if astray is None or len(drawn) == len(trial.runs) or not any(same(r, astray) for r in drawn):
+        return ""
+    return f" Furthest from the truth is {astray.estimator} with {astray.association}."
+
+
+def _closure(log: Log, runs: Sequence[Run]) -> str:
+    """The uncertainty of robot and landmarks round the loop, in numbers."""
+    told, line = "", False
+    for run in runs:
+        closed, sigma = closing_frame(log, run), longest_sigma(run.trajectory("online"))
+        told += f" {run.estimator}: robot at most {number(float(np.nanmax(sigma)))} m"
+        if closed is not None and closed > 0:
+            line = True
+            told += f", {number(float(sigma[closed - 1]))} m just before the loop is closed"
+        told += f", {number(float(sigma[-1]))} m at the end"
+        if run.map is not None and len(run.map):
+            each, who = longest_axis(run.map.covariance) / SIGMAS, run.map.number
+            told += (
+                f"; first landmark {number(float(each[0]))} m, last {number(float(each[-1]))} m, least certain"
+                f" {number(float(each.max()))} m (number {who[each.argmax()]})"
+            )
+        told += "."
+    return (" The dotted line: landmarks are seen again after going round." if line else "") + told

@@ -1,0 +1,96 @@
+"""The files of one run in the result folder: trajectories, map and decisions, as DESIGN's columns and as TUM paths."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from data.result import Run, Trajectory
+from data.se2 import Array
+from eval.referee.confusion import OUTCOMES
+from eval.referee.errors import landmark_true_ids
+from eval.referee.score import Trial, confusion_of
+
+POSE = ["t", "x", "y", "theta", "c_xx", "c_xy", "c_xt", "c_yy", "c_yt", "c_tt"]
+
+
+def folder_name(log_name: str) -> str:
+    """A log's name as a folder: `:` and `+` become `_`."""
+    return log_name.replace(":", "_").replace("+", "_").replace("/", "_")
+
+
+def _blank(values: Array) -> pd.Series:
+    """Numbers for a CSV: unknown is blank."""
+    return pd.Series(values).astype(object).where(np.isfinite(values), None)
+
+
+def trajectory_table(time: Array, trajectory: Trajectory) -> pd.DataFrame:
+    """One row per frame: time, pose, upper triangle of the world-frame covariance."""
+    rows, cols = np.triu_indices(3)
+    values = np.column_stack([time, trajectory.pose, trajectory.covariance[:, rows, cols]])
+    return pd.DataFrame({name: _blank(values[:, i]) for i, name in enumerate(POSE)})
+
+
+def write_tum(path: Path, time: Array, pose: Array) -> None:
+    """`t x y z qx qy qz qw`, the format other evaluation tools read; frames without a pose are left out."""
+    known = np.isfinite(pose).all(axis=1)
+    half = 0.5 * pose[known, 2]
+    zero = np.zeros(len(half))
+    columns = [time[known], pose[known, 0], pose[known, 1], zero, zero, zero, np.sin(half), np.cos(half)]
+    with path.open("w", encoding="utf-8") as file:
+        np.savetxt(file, np.column_stack(columns), fmt="%.17g")
+
+
+def write_run(folder: Path, trial: Trial, run: Run) -> None:
+    """Everything about one run below `folder/runs/<log>/<task>-<estimator>-<association>/`."""
+    log = trial.log
+    place = folder / "runs" / folder_name(log.name) / f"{run.task}-{run.estimator}-{run.association}"
+    place.mkdir(parents=True, exist_ok=True)
+    time = log.recorded.time
+    for phase in run.phases:
+        trajectory = run.trajectory(phase)
+        table = trajectory_table(time, trajectory)
+        if phase == "online":
+            likelihood = run.innovations.log_likelihood if run.innovations is not None else np.full(len(time), np.nan)
+            table["log_likelihood"] = _blank(likelihood)
+            table["state_size"] = run.state_size if run.state_size is not None else None
+        table.to_csv(place / f"{phase}.csv", index=False, lineterminator="\n")
+        write_tum(place / f"{phase}.tum", time, trajectory.pose)
+    _write_map(place, trial, run)
+    _write_decisions(place, trial, run)
+
+
+def _write_map(place: Path, trial: Trial, run: Run) -> None:
+    m = run.map
+    if m is None:
+        if run.task != "slam" or run.association == "none" or run.failure is not None:
+            return
+        raise AssertionError(f"{run.estimator} did SLAM but returned no map")
+    ids = landmark_true_ids(run.created, trial.log.truth, m.number)
+    table = pd.DataFrame({
+        "landmark": m.number, "x": m.xy[:, 0], "y": m.xy[:, 1], "c_xx": m.covariance[:, 0, 0],
+        "c_xy": m.covariance[:, 0, 1], "c_yy": m.covariance[:, 1, 1],
+        "true_id": pd.Series(ids, dtype=object).where(ids >= -1, None), "first_frame": m.first_frame,
+        "times_seen": m.times_seen,
+    })  # fmt: skip
+    table.to_csv(place / "landmarks.csv", index=False, lineterminator="\n")
+
+
+def _write_decisions(place: Path, trial: Trial, run: Run) -> None:
+    """One row per observation; truth and outcome are blank where the true id is unknown."""
+    if run.association == "none":
+        return
+    recorded = trial.log.recorded
+    frame = recorded.observations.frame
+    table = pd.DataFrame({"frame": frame, "observation": np.arange(len(frame)) - recorded.start[frame]})
+    table["decision"] = run.decisions
+    names = np.array(OUTCOMES, dtype=object)
+    scored = {phase: confusion_of(run, trial.log, phase) for phase in ("online", "final")}
+    online, final = scored["online"], scored["final"]
+    table["truth"] = None if online is None else online.ground_truth
+    table["outcome"] = None if online is None else names[online.outcome]
+    table["final_decision"] = run.final_decisions
+    table["final_outcome"] = None if final is None else names[final.outcome]
+    table.to_csv(place / "decisions.csv", index=False, lineterminator="\n")

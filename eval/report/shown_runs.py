@@ -1,0 +1,133 @@
+"""Which of many runs are drawn: few enough to read, known association and joint compatibility first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from data.result import Run
+from eval.figures.error import MOST_PANELS
+from eval.referee.errors import position_distance, rms
+from eval.referee.score import Trial
+from eval.report.statements import FILTERS
+
+FIRST = ("known", "jcbb", "jcbb-first")
+"""Ways of association that are shown before all others."""
+MOST_PATHS = 6
+"""Paths in one map, the dead-reckoned one included."""
+BATCH = ("batch", "batch-huber", "batch-cauchy", "gnc")
+
+
+def finished(trial: Trial) -> list[Run]:
+    """The estimates that got to the end; dead reckoning is none."""
+    return [r for r in trial.runs if r.failure is None and r.estimator != "dead-reckoning"]
+
+
+def associations(runs: Sequence[Run]) -> list[str]:
+    """The ways of association of some runs, those to be shown first in front."""
+    given = list(dict.fromkeys(r.association for r in runs if r.association != "none"))
+    return sorted(given, key=lambda a: FIRST.index(a) if a in FIRST else len(FIRST))
+
+
+def _kind(run: Run) -> int:
+    """0 filter, 1 incremental smoother, 2 batch smoother."""
+    return 0 if run.estimator in FILTERS else 2 if run.estimator in BATCH else 1
+
+
+def _by_importance(runs: Sequence[Run], kinds: Sequence[tuple[int, int]]) -> list[Run]:
+    """Runs in the order of `kinds`, (kind of estimator, place of its association), one for each; then all others."""
+    order = associations(runs)
+    chosen: list[Run] = []
+    for kind, place in kinds:
+        fitting = (r for r in runs if _kind(r) == kind and place < len(order) and r.association == order[place])
+        first = next(fitting, None)
+        if first is not None:
+            chosen.append(first)
+    rest = [r for r in runs if not any(r is c for c in chosen)]
+    return [*chosen, *sorted(rest, key=lambda r: order.index(r.association))]
+
+
+def _in_order(chosen: Sequence[Run]) -> list[Run]:
+    """The runs by association, those of one association as they came by kind of estimator."""
+    order = associations(chosen)
+    return sorted(chosen, key=lambda r: (order.index(r.association), _kind(r)))
+
+
+def worst(trial: Trial) -> Run | None:
+    """The run that ended furthest from the true path (RMS position), of those that decide for themselves."""
+    truth = trial.log.truth.pose
+    deciding = [r for r in finished(trial) if r.association != "known"]
+    if truth is None or not trial.log.truth.known_poses or not deciding:
+        return None
+    return max(deciding, key=lambda r: rms(position_distance(r.trajectory(r.phases[-1]).pose, truth)))
+
+
+def for_map(trial: Trial, most: int = MOST_PATHS) -> list[Run]:
+    """Runs for the map: all while they are few; else a filter and a smoother with known and with decided association.
+
+    The run that went furthest astray is always among them, as a contrast. With several ways of association a smoother
+    is there with its final path only, as lines then tell the associations apart.
+    """
+    if len(trial.runs) <= most:
+        return _final_only(trial.runs)
+    others = [r for r in trial.runs if r.estimator == "dead-reckoning"]
+    astray, estimates = worst(trial), finished(trial)
+    ranked = _by_importance(estimates, ((0, 0), (2, 0), (0, 1), (2, 1), (1, 0), (1, 1)))
+    room = most - len(others) - (astray is not None)
+    chosen = [r for r in ranked if r is not astray][:room]
+    return _final_only([*others, *_in_order(chosen), *([] if astray is None else [astray])])
+
+
+def _final_only(runs: Sequence[Run]) -> list[Run]:
+    if len(associations(runs)) <= 1:
+        return list(runs)
+    return [replace(r, online=None) if r.final is not None and r.online is not None else r for r in runs]
+
+
+def same(a: Run, b: Run) -> bool:
+    """Whether two are the same run, though perhaps with other phases."""
+    return (a.estimator, a.association) == (b.estimator, b.association)
+
+
+def for_panels(runs: Sequence[Run], most: int = MOST_PANELS, complete: Sequence[str] = ()) -> list[Run]:
+    """Runs for figures with a panel per phase: all if they fit; else filter, smoothers, and decided association first.
+
+    An incremental smoother is shown online only where the batch smoother's path, which is its final one, is there:
+    among the runs, or elsewhere in the figure (`complete`: under these associations).
+    """
+    if sum(len(r.phases) for r in runs) <= most:
+        return list(runs)
+    complete = [*complete, *(r.association for r in runs if r.estimator == "batch")]
+    single = [
+        replace(r, final=None) if _kind(r) == 1 and len(r.phases) > 1 and r.association in complete else r for r in runs
+    ]
+    if len(associations(runs)) == 1:
+        ranked = _by_importance(single, ((0, 0), (1, 0), (2, 0)))
+    else:
+        ranked = _by_importance(single, ((0, 0), (0, 1), (1, 1), (2, 1), (1, 0), (2, 0)))
+    chosen: list[Run] = []
+    for run in ranked:
+        if sum(len(r.phases) for r in (*chosen, run)) <= most:
+            chosen.append(run)
+    return _in_order(chosen)
+
+
+def for_growth(trial: Trial) -> list[Run]:
+    """A filter and an incremental smoother under one association, known if there is one: how uncertainty grew."""
+    estimates = [r for r in finished(trial) if r.online is not None and r.map is not None]
+    order = associations(estimates)
+    alike = [r for r in estimates if r.association == order[0]] if order else []
+    found = (next((r for r in alike if r.estimator == name), None) for name in ("ekf", "isam2"))
+    return [r for r in found if r is not None]
+
+
+def left_out(trial: Trial, shown: Sequence[Run]) -> str:
+    """A sentence for the caption that names who is shown, if not all are; empty if all are."""
+    names = [_name(r) for r in shown if r.estimator != "dead-reckoning"]
+    if len(names) == len(finished(trial)):
+        return ""
+    return f" Shown are {', '.join(names)}; the other runs' files are in `runs/`."
+
+
+def _name(run: Run) -> str:
+    return f"{run.estimator} with {run.association}"

@@ -1,0 +1,209 @@
+"""The report's sections on studies: verdicts, figures, diverged runs, published numbers, and wrong associations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from joblib import Parallel, delayed
+from scipy import special
+
+from eval import figures
+from eval.figures.style import save
+from eval.page.document import Block, Picture, Section, Table
+from eval.page.tables import write_table
+from eval.plan.execute import Outcome
+from eval.plan.options import Options
+from eval.referee.consistency import MIN_RUNS
+from eval.report import comparison
+from eval.report.run_files import folder_name
+from eval.studies.montecarlo import DOF, Judged, Study, consistency_table
+from eval.studies.published import Estimate, mean_of, rms_of
+from eval.studies.reproduced import orderings, published_frame
+
+OUTLIERS = ("task", "estimator", "rate", "rmse_position_m", "rmse_lower", "rmse_upper", "nees_pose", "nees_lower",
+            "nees_upper", "runs", "diverged")  # fmt: skip
+
+Writer = Callable[[pd.DataFrame, str, str], Table]
+"""(frame, name, caption): writes a table in the formats asked for and hands it to the report."""
+
+
+def study_sections(folder: Path, options: Options, outcome: Outcome, judged: Sequence[Judged]) -> list[Section]:
+    """All that is said about the studies of a report; nothing where there is none."""
+
+    def table(frame: pd.DataFrame, name: str, caption: str) -> Table:
+        write_table(frame, folder / "tables", name, caption, options.formats)
+        return Table(frame, caption, name if "csv" in options.formats else None)
+
+    sections = _published(outcome, table)
+    if outcome.studies:
+        sections.append(Section("Consistency over many simulated runs", tuple(_reading(outcome.studies))))
+    plain = [s for s in outcome.studies if not _of_rates(s)]
+    drawn = _draw(folder, options, plain)
+    for study, pictures in zip(plain, drawn, strict=True):
+        own = [j for j in judged if j.scenario == study.scenario.name]
+        sections.append(_study(study, own, pictures, table))
+    for source in dict.fromkeys(s.scenario.source for s in outcome.studies if _of_rates(s)):
+        group = [s for s in outcome.studies if s.scenario.source == source and _of_rates(s)]
+        sections.append(_outliers(folder, options, group, table))
+    return sections
+
+
+def _of_rates(study: Study) -> bool:
+    """Whether a study is one rate of an outlier study."""
+    return study.scenario.part
+
+
+def _reading(studies: Sequence[Study]) -> Iterator[Block]:
+    yield (
+        "Every run is an independent simulated log of its seed; all estimators of a scenario get the same ones, and the"
+        " prior's mean is drawn from the prior. Only what a scenario declares to be consistent decides the exit status,"
+        " in pose, position and heading, by Holm's procedure over all declared verdicts at 0.1 %."
+    )
+    yield f"**Verdicts.** {comparison.CONSISTENCY_CAPTION}"
+    yield f"**Coverage.** {comparison.COVERAGE_CAPTION}"
+    few = [s.scenario.name for s in studies if len(s.seeds) < MIN_RUNS]
+    if few:
+        yield f"With fewer than {MIN_RUNS} runs there is no verdict: a wrong covariance would pass too often."
+
+
+def _study(study: Study, judged: Sequence[Judged], pictures: Sequence[Picture], table: Writer) -> Section:
+    s = study.scenario
+    declared = [f"`{m.name}` ({', '.join(m.must_be_consistent)})" for m in s.members if m.must_be_consistent]
+    content: list[Block] = [
+        f"{s.about} {len(study.seeds)} runs (seeds {study.seeds[0]} to {study.seeds[-1]}).",
+        f"Declared to be consistent: {', '.join(declared)}." if declared else "Nothing is declared to be consistent.",
+    ]
+    if s.cite:
+        content.append(f"Source: {s.cite}.")
+    name = folder_name(s.name)
+    tests = [j for j in judged if not j.quantity.startswith("coverage")]
+    shares = [j for j in judged if j.quantity.startswith("coverage")]
+    if tests:
+        made = comparison.consistency_table(consistency_table(tests))
+        content.append(table(made, f"{name}-consistency", f"Scenario {s.name}: verdicts."))
+    if shares:
+        made = comparison.coverage_table(consistency_table(shares))
+        content.append(table(made, f"{name}-coverage", f"Scenario {s.name}: coverage of the last position's ellipses."))
+    content += pictures
+    content.append(_diverged(study))
+    return Section(f"Scenario {s.name}", tuple(content), level=3)
+
+
+def _diverged(study: Study) -> str:
+    """Runs that did not get to the end, each with its seed and the command that replays it."""
+    lost = study.failures()
+    if not lost:
+        return "Every run of every estimator got to its end."
+    told = []
+    for (task, estimator, association, _), seed, why in lost:
+        asked = f"--scenario {study.scenario.source} --estimator {estimator} --seed {seed} --runs 1"
+        told.append(f"* seed {seed}: `{estimator}` ({task}, {association}), {why}: `python -m eval.run_all {asked}`")
+    return f"{len(lost)} runs diverged; they are in no average:\n\n" + "\n".join(dict.fromkeys(told))
+
+
+def _draw(folder: Path, options: Options, studies: Sequence[Study]) -> list[list[Picture]]:
+    """The figures of every study, drawn in parallel."""
+    pictures: list[list[Picture]] = [[] for _ in studies]
+    if options.no_plots or options.quick:
+        return pictures
+    jobs: list[Any] = []
+    owner: list[int] = []
+    for i, study in enumerate(studies):
+        for task in study.scenario.task:
+            for association in study.scenario.association:
+                for kind in ("anees", "ends", "coverage"):
+                    jobs.append(delayed(_picture)(folder, study, task, association, kind))
+                    owner.append(i)
+    made: Any = Parallel(n_jobs=min(options.jobs, max(len(jobs), 1)))(jobs)
+    for i, picture in zip(owner, made, strict=True):
+        if picture is not None:
+            pictures[i].append(picture)
+    return pictures
+
+
+def _picture(folder: Path, study: Study, task: str, association: str, kind: str) -> Picture | None:
+    """One figure of a study: filters and incremental smoothers online, batch smoothers final."""
+    keys = {k[1]: k for k in study.samples if k[0] == task and k[2] in (association, "none") and k[3] == "final"}
+    keys |= {k[1]: k for k in study.samples if k[0] == task and k[2] in (association, "none") and k[3] == "online"}
+    keys = {name: keys[name] for name in study.scenario.estimators if name in keys and study.good(keys[name])}
+    if not keys:
+        return None
+    s, runs = study.scenario, len(study.seeds)
+    what = f"{s.name}, {task}" + (f", {association}" if len(s.association) > 1 else "")
+    stem = folder_name(f"{s.name}-{task}-{association}-{kind}" if len(s.association) > 1 else f"{s.name}-{task}-{kind}")
+    if kind == "anees":
+        average = {n: np.mean([x.nees_pose for x in study.good(k)], axis=0) for n, k in keys.items()}
+        fig = figures.anees_figure(
+            study.time, average, DOF["pose"], runs, title=what, time_is_index=study.time_is_index
+        )
+        told = "pose NEES averaged over the runs at each instant (of a consistent estimator 5 % lie outside)."
+    elif kind == "ends":
+        ends = {n: np.array([x.ends["pose"] for x in study.good(k)]) for n, k in keys.items()}
+        fig = figures.run_end_figure(ends, DOF["pose"], what)
+        told = "pose NEES at the end of each run against the χ² density of a consistent estimator."
+    else:
+        ends = {n: np.array([x.ends["position"] for x in study.good(k)]) for n, k in keys.items()}
+        fig = figures.coverage_figure(ends, DOF["position"], what)
+        told = "share of the runs whose last position lies inside the ellipse of each level, with 95 % bounds."
+    save(fig, folder / "figures", stem)
+    return Picture(stem, f"{what}, {runs} runs: {told}", f"{kind} of {what}")
+
+
+def _published(outcome: Outcome, table: Writer) -> list[Section]:
+    """One table of all published numbers with ours, and what is to be known of each scenario's."""
+    told = []
+    for study in outcome.studies:
+        p = study.scenario.published
+        if p is not None:
+            told += [f"* `{study.scenario.name}`: {p.note} Source: {study.scenario.cite}."] if p.note else []
+            told += [f"* `{study.scenario.name}`: {text}" for text in orderings(study)]
+    told += [f"* {text}." for text in outcome.skipped]
+    content: list[Block] = []
+    if outcome.published:
+        made = comparison.published_table(published_frame(outcome.published))
+        content.append(table(made, "published", comparison.PUBLISHED_CAPTION))
+    if told:
+        content.append("\n".join(told))
+    return [Section("Published numbers reproduced", tuple(content))] if content else []
+
+
+def outlier_table(studies: Sequence[Study]) -> pd.DataFrame:
+    """RMSE and pose NEES with 95 % intervals (Student's t) against the rate, a row per task, estimator and rate."""
+    rows: list[list[object]] = []
+    for study in studies:
+        for key, samples in study.samples.items():
+            good = study.good(key)
+            task, estimator = key[:2]
+            values: list[object] = [None] * 6
+            if good:
+                rmse = rms_of([s.squares["position"] for s in good])
+                nees = mean_of([s.means["pose"] for s in good])
+                values = [*_interval(rmse), *_interval(nees)]
+            rows.append([task, estimator, study.scenario.wrong, *values, len(good), len(samples) - len(good)])
+    return pd.DataFrame(rows, columns=list(OUTLIERS)).sort_values(["task", "rate"], kind="stable", ignore_index=True)
+
+
+def _interval(e: Estimate) -> tuple[float, float, float]:
+    half = float(special.stdtrit(e.runs - 1, 0.975)) * e.se if e.runs > 1 else float("nan")
+    return e.value, e.value - half, e.value + half
+
+
+def _outliers(folder: Path, options: Options, studies: Sequence[Study], table: Writer) -> Section:
+    s = studies[0].scenario
+    name = folder_name(s.source if "/" not in s.source else Path(s.source).stem)
+    data = outlier_table(studies)
+    caption = (
+        f"{name}: position RMSE and mean pose NEES (expected {DOF['pose']}) with 95 % intervals over"
+        f" {len(studies[0].seeds)} runs, against the share of wrong labels."
+    )
+    content: list[Block] = [f"{s.about} {len(studies[0].seeds)} runs at each rate.", table(
+        comparison.outliers_table(data), name, caption)]  # fmt: skip
+    if not (options.no_plots or options.quick):
+        save(figures.outlier_figure(data, name), folder / "figures", name)
+        content.append(Picture(name, caption, "RMSE and NEES against the share of wrong associations"))
+    content += [f"At {100 * study.scenario.wrong:g} %: {_diverged(study)}" for study in studies if study.failures()]
+    return Section(f"Wrong associations: {name}", tuple(content), level=3)

@@ -1,0 +1,1 @@
+"""The visual lab's section of the report: models, pictures, plan."""

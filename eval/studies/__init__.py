@@ -1,0 +1,1 @@
+"""Scenarios: Monte Carlo runs, their store, published numbers beside ours."""

@@ -1,0 +1,198 @@
+"""Consistency studies: many seeded runs of a scenario through the same estimators, and the verdicts on them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+
+from data.log import Log
+from data.result import Run
+from data.se2 import Array
+from eval.referee import consistency, errors
+from eval.referee.consistency import QUANTITIES, Verdict
+from eval.referee.score import CONSISTENCY, frame_of
+from eval.replay.run import compare
+from eval.studies.scenario import Scenario
+
+DOF = {**{q: len(c) for q, c in QUANTITIES.items()}, "landmarks": 2, "nis": 1}
+Key = tuple[str, str, str, str]
+"""(task, estimator, association, phase)"""
+Result = dict[Key, "Sample"]
+"""What one run of a scenario gives."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What one run contributes, by quantity; what does not apply is not in it, what has no value is NaN.
+
+    Attributes:
+        means: mean over the run of the NEES (pose, position, heading, landmarks), `nis` per dof, and `whiteness`, the
+            lag-1 correlation of the innovations.
+        ends: NEES at the last frame.
+        squares: mean squared error of `position` [m^2] and `heading` [rad^2].
+        published: NEES averaged as the scenario's published numbers are.
+        nees_pose: (N,) pose NEES of every frame that counts, NaN before.
+        failure: where and why it stopped; nothing else is then filled in.
+    """
+
+    means: Mapping[str, float] = field(default_factory=dict)
+    ends: Mapping[str, float] = field(default_factory=dict)
+    squares: Mapping[str, float] = field(default_factory=dict)
+    published: Mapping[str, float] = field(default_factory=dict)
+    nees_pose: Array = field(default_factory=lambda: np.empty(0))
+    failure: str | None = None
+
+
+@dataclass(frozen=True)
+class Study:
+    """A finished study: samples by estimator and phase, one per seed in order; `time` (N,) of the frames."""
+
+    scenario: Scenario
+    seeds: tuple[int, ...]
+    time: Array
+    time_is_index: bool
+    samples: dict[Key, list[Sample]]
+
+    def good(self, key: Key) -> list[Sample]:
+        """The runs that got to the end."""
+        return [s for s in self.samples[key] if s.failure is None]
+
+    def failures(self) -> list[tuple[Key, int, str]]:
+        """Every run that did not get to the end: which, its seed, and why."""
+        return [
+            (key, seed, s.failure)
+            for key, samples in self.samples.items()
+            for seed, s in zip(self.seeds, samples, strict=True)
+            if s.failure is not None
+        ]
+
+
+def sample(run: Run, phase: str, log: Log, scenario: Scenario) -> Sample:
+    """Reduce a run to what the verdicts need."""
+    truth = log.truth
+    if run.failure is not None:
+        return Sample(failure=f"frame {run.failure.frame}: {run.failure.why}")
+    assert truth.pose is not None  # a simulator knows
+    t = run.trajectory(phase)
+    each = {q: consistency.nees(t.pose, t.covariance, truth.pose, q) for q in QUANTITIES}
+    first = scenario.from_frame
+    means = {q: consistency.mean_or_nan(v[first:]) for q, v in each.items()}
+    if run.map is not None and len(run.map):
+        ids = errors.landmark_true_ids(run.created, truth, run.map.number)
+        off = errors.landmark_errors(run.map.xy, ids, truth)
+        means["landmarks"] = consistency.mean_or_nan(consistency.squared_distance(off, run.map.covariance))
+    if phase == "online" and run.innovations is not None:
+        i = run.innovations
+        formed = np.isfinite(i.nis)
+        dof = int(i.dof[formed].sum())
+        means["nis"] = float(i.nis[formed].sum()) / dof if dof else math.nan
+        correlation, _ = consistency.lag1(i.white, log.recorded.observations.frame, run.decisions)
+        if math.isfinite(correlation):
+            means["whiteness"] = correlation
+    elif phase == "final" and run.total_nis is not None and run.total_nis[1] > 0:
+        means["nis"] = run.total_nis[0] / run.total_nis[1]
+    p = scenario.published
+    return Sample(
+        means,
+        {q: float(v[-1]) for q, v in each.items()},
+        {
+            "position": errors.rms(errors.position_distance(t.pose, truth.pose)) ** 2,
+            "heading": math.radians(errors.heading_rmse_deg(t.pose, truth.pose)) ** 2,
+        },
+        {q: p.average(v, len(QUANTITIES[q]), first) for q, v in each.items()} if p is not None else {},
+        np.concatenate([np.full(min(first, len(t.pose)), np.nan), each["pose"][first:]]),
+    )
+
+
+def one_run(scenario: Scenario, seed: int) -> Result:
+    """All tasks, ways of association and estimators on the log of one seed."""
+    result: Result = {}
+    for changed in dict.fromkeys(m.world for m in scenario.members):
+        names = [m.name for m in scenario.members if m.world == changed]
+        log = scenario.simulate(seed, changed)
+        for task in scenario.task:
+            for association in scenario.association:
+                inputs = log.inputs(labels=association == "known")
+                for run in compare(inputs, task, names, association, scenario.setup):
+                    for phase in run.phases:
+                        result[(task, run.estimator, run.association, phase)] = sample(run, phase, log, scenario)
+    return result
+
+
+def study_of(scenario: Scenario, seeds: Sequence[int], results: Sequence[Result]) -> Study:
+    """The study made of the results of `one_run`, one per seed in order."""
+    samples: dict[Key, list[Sample]] = {}
+    for result in results:
+        for key, value in result.items():
+            samples.setdefault(key, []).append(value)
+    recorded = scenario.simulate(seeds[0]).recorded
+    order = {name: i for i, name in enumerate(scenario.estimators)}
+    ranked = sorted(samples, key=lambda k: (scenario.task.index(k[0]), k[2], order[k[1]], k[3] == "final"))
+    return Study(scenario, tuple(seeds), recorded.time, recorded.time_is_index, {k: samples[k] for k in ranked})
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One line of consistency.csv: what was tested and what came out."""
+
+    scenario: str
+    key: Key
+    quantity: str
+    verdict: Verdict
+    diverged: int
+    declared: bool = False
+    """Whether the exit status depends on it."""
+
+
+def judge(study: Study) -> list[Judged]:
+    """Every verdict of a study. Runs that failed are counted, never averaged in."""
+    result = []
+    for key, samples in study.samples.items():
+        good = study.good(key)
+        diverged = len(samples) - len(good)
+        demanded = study.scenario.declared(key[0], key[1])
+        found: list[tuple[str, Verdict]] = []
+        for quantity, dof in DOF.items():
+            means = np.array([s.means.get(quantity, math.nan) for s in good])
+            missing = not np.isfinite(means).all() if good else quantity not in QUANTITIES
+            if not missing:
+                found.append((quantity, consistency.verdict(means, dof)))
+        if good and all("whiteness" in s.means for s in good):
+            found.append(("whiteness", consistency.whiteness(np.array([s.means["whiteness"] for s in good]))))
+        ends = np.array([s.ends.get("position", math.nan) for s in good])
+        if len(ends) and np.isfinite(ends).all():
+            for p in consistency.COVERAGE_LEVELS:
+                found.append((f"coverage_{100 * p:.0f}", consistency.coverage(ends, DOF["position"], p)))
+        for quantity, v in found:
+            result.append(Judged(study.scenario.name, key, quantity, v, diverged, demanded and quantity in QUANTITIES))
+    return result
+
+
+def consistency_table(judged: Sequence[Judged]) -> pd.DataFrame:
+    """Rows of consistency.csv."""
+    rows = []
+    for j in judged:
+        task, estimator, association, phase = j.key
+        v = j.verdict
+        rows.append({
+            "scenario": j.scenario, "estimator": estimator, "quantity": j.quantity, "dof": v.dof, "runs": v.runs,
+            "mean": v.mean, "lower": v.lower, "upper": v.upper, "verdict": v.word, "task": task,
+            "association": association, "phase": phase, "power": v.power, "diverged": j.diverged,
+        })  # fmt: skip
+    return frame_of(rows, CONSISTENCY)
+
+
+def failed_declarations(judged: Sequence[Judged]) -> list[Judged]:
+    """Declared verdicts that Holm's procedure rejects at family level 0.1 % (they decide the exit status).
+
+    Fewer than `MIN_RUNS` runs decide nothing. A declared estimator that diverged in some run has failed outright.
+    """
+    declared = [j for j in judged if j.declared and j.verdict.runs + j.diverged >= consistency.MIN_RUNS]
+    tested = [j for j in declared if math.isfinite(j.verdict.p_value)]
+    rejected = consistency.holm_rejected([j.verdict.p_value for j in tested])
+    bad = [j for j, r in zip(tested, rejected, strict=True) if r]
+    return bad + [j for j in declared if j.diverged and j not in bad]

@@ -1,0 +1,104 @@
+"""Published numbers: by what definition they were computed, and how ours differ, in standard errors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from data.se2 import Array
+from eval.referee.consistency import QUANTITIES
+
+COLUMNS = (
+    "scenario", "estimator", "quantity", "ours", "se_ours", "published", "se_published", "difference_in_se",
+)  # fmt: skip
+PUBLISHABLE = (*(f"nees_{q}" for q in QUANTITIES), "rmse_position_m", "rmse_heading_deg")
+
+
+@dataclass(frozen=True)
+class Row:
+    """A published number with the standard error of its Monte Carlo (0: not known)."""
+
+    estimator: str
+    quantity: str
+    value: float
+    se: float
+
+
+@dataclass(frozen=True)
+class Ordering:
+    """A statement that one estimator's number is smaller than another's."""
+
+    quantity: str
+    smaller: str
+    larger: str
+
+
+@dataclass(frozen=True)
+class Published:
+    """What was published of a scenario, and the definition of its averages.
+
+    Attributes:
+        rows, orderings: numbers, and statements where numbers cannot be compared.
+        skipped_are_zero: frames before the scenario's first count as zeros in the average of the NEES.
+        per_dof: NEES divided by its degrees of freedom.
+        tolerance: of a replay, (estimator, largest relative difference of the NEES of any step).
+        note: what a reader should know.
+    """
+
+    rows: tuple[Row, ...] = ()
+    orderings: tuple[Ordering, ...] = ()
+    skipped_are_zero: bool = False
+    per_dof: bool = False
+    tolerance: tuple[tuple[str, float], ...] = ()
+    note: str = ""
+
+    def average(self, nees: Array, dof: int, from_frame: int) -> float:
+        """The run's average of a NEES (N,) by this definition; NaN if a step that enters has none."""
+        used = nees[from_frame:]
+        total = float(used.sum()) / (dof if self.per_dof else 1)
+        return total / (len(nees) if self.skipped_are_zero else len(used)) if len(used) else math.nan
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Our number with its standard error, from `runs` independent runs."""
+
+    value: float
+    se: float
+    runs: int
+
+
+def mean_of(values: Sequence[float]) -> Estimate:
+    """Mean and its standard error."""
+    x = np.asarray(values, float)
+    return Estimate(float(x.mean()), float(x.std(ddof=1) / math.sqrt(len(x))) if len(x) > 1 else math.nan, len(x))
+
+
+def rms_of(squares: Sequence[float], scale: float = 1.0) -> Estimate:
+    """Root of the mean of each run's mean squared error, pooled; the standard error to first order."""
+    m = mean_of(squares)
+    root = math.sqrt(m.value)
+    return Estimate(scale * root, scale * m.se / (2.0 * root) if root > 0 else math.nan, m.runs)
+
+
+def difference(ours: Estimate, published: float, se_published: float) -> float:
+    """Difference in standard errors of the difference."""
+    spread = math.hypot(ours.se, se_published)
+    return (ours.value - published) / spread if spread > 0 else math.nan
+
+
+def row_of(scenario: str, row: Row, ours: Estimate) -> Mapping[str, object]:
+    """A row of published.csv."""
+    return dict(
+        zip(
+            COLUMNS,
+            (
+                scenario, row.estimator, row.quantity, ours.value, ours.se, row.value, row.se or math.nan,
+                difference(ours, row.value, row.se),
+            ),
+            strict=True,
+        )
+    )  # fmt: skip

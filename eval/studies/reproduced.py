@@ -1,0 +1,88 @@
+"""Our numbers beside published ones: the rows of published.csv, and statements about orderings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+
+from eval.referee.score import frame_of
+from eval.studies.montecarlo import Key, Study
+from eval.studies.published import COLUMNS, Estimate, Ordering, mean_of, rms_of, row_of
+
+SQUARES = {"rmse_position_m": ("position", 1.0), "rmse_heading_deg": ("heading", 180.0 / np.pi)}
+
+
+def published_rows(study: Study) -> list[Mapping[str, object]]:
+    """Rows of published.csv for every published number of a study's scenario whose estimator ran."""
+    p = study.scenario.published
+    if p is None:
+        return []
+    rows = []
+    for row in p.rows:
+        ours = ours_of(study, row.estimator, row.quantity)
+        if ours is not None:
+            rows.append(row_of(study.scenario.name, row, ours))
+    return rows
+
+
+def published_frame(rows: Sequence[Mapping[str, object]]) -> pd.DataFrame:
+    """published.csv."""
+    return frame_of(rows, COLUMNS)
+
+
+def ours_of(study: Study, estimator: str, quantity: str) -> Estimate | None:
+    """Our value of a publishable quantity with its standard error; None where the estimator has no run that ended.
+
+    Filters are compared as they were online, batch smoothers in their only phase.
+    """
+    key = _key(study, estimator)
+    good = [] if key is None else study.good(key)
+    if not good:
+        return None
+    if quantity in SQUARES:
+        name, scale = SQUARES[quantity]
+        return rms_of([s.squares[name] for s in good], scale)
+    return mean_of([s.published[quantity.removeprefix("nees_")] for s in good])
+
+
+def _key(study: Study, estimator: str) -> Key | None:
+    found = [k for k in study.samples if k[1] == estimator]
+    return next((k for k in found if k[3] == "online"), found[0] if found else None)
+
+
+def orderings(study: Study) -> list[str]:
+    """Each published ordering in words, with our numbers and whether it holds."""
+    p = study.scenario.published
+    return [] if p is None else [t for o in p.orderings if (t := _ordering(study, o)) is not None]
+
+
+def _ordering(study: Study, o: Ordering) -> str | None:
+    smaller, larger = (ours_of(study, name, o.quantity) for name in (o.smaller, o.larger))
+    if smaller is None or larger is None:
+        return None
+    holds = "holds" if smaller.value < larger.value else "does not hold"
+    return (
+        f"{o.quantity} of `{o.smaller}` ({smaller.value:.3g} ± {smaller.se:.2g}) below that of `{o.larger}` "
+        f"({larger.value:.3g} ± {larger.se:.2g}): {holds}."
+    )
+
+
+def lines(rows: Sequence[Mapping[str, object]]) -> list[str]:
+    """The rows as text for a terminal: ours, published, difference in standard errors."""
+    if not rows:
+        return []
+    table = [("scenario", "estimator", "quantity", "ours", "published", "difference [SE]")]
+    for r in rows:
+        table.append((
+            str(r["scenario"]), str(r["estimator"]), str(r["quantity"]), _pair(r["ours"], r["se_ours"]),
+            _pair(r["published"], r["se_published"]), f"{float(str(r['difference_in_se'])):+.2f}",
+        ))  # fmt: skip
+    widths = [max(len(row[i]) for row in table) for i in range(len(table[0]))]
+    return ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in table]
+
+
+def _pair(value: object, se: object) -> str:
+    v, s = float(str(value)), float(str(se))
+    return f"{v:.4g} ± {s:.2g}" if np.isfinite(s) else f"{v:.6g}"

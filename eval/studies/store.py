@@ -1,0 +1,88 @@
+"""Finished runs of studies on disk: a study that was interrupted resumes, a run that is done is never done again.
+
+Runs are kept beside the result folders, in `.studies/<scenario>-<code>-<content>/<seed>.npz`. Both digests stand for
+everything a run depends on: program and libraries, and what the scenario says. The folder may be deleted at any time.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import zipfile
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eval.report.run_files import folder_name
+from eval.studies.montecarlo import Key, Result, Sample
+from eval.studies.scenario import Scenario
+
+ROOT = Path(__file__).parents[2]
+SOURCES = ("data", "association", "ekf", "graph")
+OWN = ("replay", "referee", "studies")
+LIBRARIES = ("gtsam", "numba", "numpy", "scipy")
+DIGITS = 10
+
+
+@cache
+def code_digest() -> str:
+    """Digest of the program and the libraries that the numbers come from."""
+    digest = hashlib.sha256()
+    files = sorted(f for folder in SOURCES for f in (ROOT / folder).rglob("*.py"))
+    for f in [*files, *(f for room in OWN for f in sorted((ROOT / "eval" / room).rglob("*.py")))]:
+        digest.update(f.relative_to(ROOT).as_posix().encode() + f.read_bytes())
+    for library in LIBRARIES:
+        digest.update(f"{library} {version(library)}".encode())
+    return digest.hexdigest()[:DIGITS]
+
+
+def content_digest(s: Scenario) -> str:
+    """Digest of what a scenario says that its runs depend on (not what it declares, cites or compares with)."""
+    p = s.published
+    averages = None if p is None else (p.skipped_are_zero, p.per_dof)
+    members = [(m.name, m.world) for m in s.members]
+    said = (s.kind, s.values, s.task, s.association, members, s.setup, s.from_frame, s.wrong, averages)
+    return hashlib.sha256(repr(said).encode()).hexdigest()[:DIGITS]
+
+
+def folder_of(root: Path, scenario: Scenario) -> Path:
+    """Where the runs of a scenario are kept; made if need be. Runs of the same by an older program are removed."""
+    name = folder_name(scenario.name)
+    folder = root / ".studies" / f"{name}-{code_digest()}-{content_digest(scenario)}"
+    folder.mkdir(parents=True, exist_ok=True)
+    for old in folder.parent.glob(f"{name}-{'?' * DIGITS}-{'?' * DIGITS}"):
+        if old.name.split("-")[-2] != code_digest():
+            shutil.rmtree(old, ignore_errors=True)
+    return folder
+
+
+def save(folder: Path, seed: int, result: Result) -> None:
+    """Keep a run; a file appears whole or not at all."""
+    told = [
+        [list(key), dict(s.means), dict(s.ends), dict(s.squares), dict(s.published), s.failure]
+        for key, s in result.items()
+    ]
+    kept: dict[str, Any] = {f"nees_{i}": s.nees_pose for i, s in enumerate(result.values())}
+    kept["told"] = np.frombuffer(json.dumps(told).encode(), np.uint8)
+    partial = folder / f".{seed}.partial-{os.getpid()}.npz"
+    np.savez(partial, **kept)
+    partial.replace(folder / f"{seed}.npz")
+
+
+def load(folder: Path, seed: int) -> Result | None:
+    """A kept run, or None; a file that is damaged counts as none."""
+    try:
+        with (folder / f"{seed}.npz").open("rb") as file, np.load(file) as kept:
+            told = json.loads(kept["told"].tobytes())
+            result: Result = {}
+            for i, (key, means, ends, squares, published, failure) in enumerate(told):
+                named: Key = tuple(key)
+                result[named] = Sample(means, ends, squares, published, kept[f"nees_{i}"], failure)
+            return result
+    except (FileNotFoundError, zipfile.BadZipFile, KeyError, ValueError, EOFError):
+        return None

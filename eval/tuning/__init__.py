@@ -1,0 +1,1 @@
+"""Noise fitted to a log: model and fit of `python -m eval.tune`."""

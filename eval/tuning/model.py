@@ -1,0 +1,237 @@
+"""What noise, biases, odometry scales and a latency do to a log's inputs: the model that `eval.tuning.fit` fits.
+
+Every parameter is 0 where the log stays as it is stated: the logarithm of a factor (noise, odometry scale), a bias in
+the unit of its reading, or seconds. Nothing here knows the truth.
+
+Odometry predicts the motion, so a scale is that of the best prediction: noisy odometry is shrunk by the share of its
+noise in its mean square (regression on a noisy quantity), by 1 % where that share is 1 %. For the same reason a latency
+that averages two noisy samples is favoured by a fraction of the time between samples.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from data import se2
+from data.errors import DataError, UsageError
+from data.inputs import Increments, Inputs, LabelledObservations, floor_covariances
+from data.motion import VelocityModel, VelocityNoise, preintegrate
+from data.open_log.csv_table import read_table
+from data.open_log.header import read_header
+from data.open_log.reader import HEADER, ODOMETRY
+from data.se2 import Array
+from data.sensors import RangeBearing
+
+GROUPS = ("motion", "sensor", "bias", "odometry", "latency", "growth")
+"""What may be fitted; `growth` only where it is asked for."""
+DEFAULT_GROUPS = GROUPS[:-1]
+CLOSEST = 0.1
+"""m. The noise of nearer readings no longer shrinks with the range."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number to fit, 0 where the log stays as stated.
+
+    Attributes:
+        name: what it is called in reports and in the copy's log.toml.
+        unit: of the fitted value; empty for a factor, of which the logarithm is the parameter.
+        bound: the parameter lies within -bound and bound.
+        limit: a standard error above it means that the log does not determine the parameter.
+        about: what it is, in a few words.
+    """
+
+    name: str
+    unit: str
+    bound: float
+    limit: float
+    about: str
+
+    @property
+    def is_factor(self) -> bool:
+        """Whether exp(parameter) multiplies something that the log states."""
+        return not self.unit
+
+    def value(self, theta: float) -> float:
+        """The parameter as a person reads it: the factor, or the number in its unit."""
+        return math.exp(theta) if self.is_factor else float(theta)
+
+    def parameter(self, value: float) -> float:
+        """The other way round."""
+        return math.log(value) if self.is_factor else value
+
+
+@dataclass(frozen=True, eq=False)
+class Odometry:
+    """odometry.csv as recorded: stamps [s], v [m/s], omega [rad/s] (K,), and how they become increments."""
+
+    time: Array
+    v: Array
+    omega: Array
+    model: VelocityModel
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A log's inputs as stated (labels granted), its recorded odometry where it has one, and what is to be fitted."""
+
+    inputs: Inputs
+    odometry: Odometry | None
+    parameters: tuple[Parameter, ...]
+
+    def __len__(self) -> int:
+        return len(self.parameters)
+
+
+def read_odometry(folder: Path) -> Odometry | None:
+    """The recorded odometry of a log folder that has loaded; None for one with frames.csv, or for a log by name."""
+    if not (folder / ODOMETRY).is_file():
+        return None
+    motion = read_header(folder / HEADER).motion
+    if motion is None:
+        raise DataError.at(folder / HEADER, f"no [motion] table; {ODOMETRY} needs one")
+    table = read_table(folder / ODOMETRY, ("t", "v", "omega"))
+    return Odometry(table.columns["t"], table.columns["v"], table.columns["omega"], motion)
+
+
+def make_model(inputs: Inputs, odometry: Odometry | None, groups: Collection[str] = DEFAULT_GROUPS) -> Model:
+    """The parameters of `groups` that the log has room for: no growth without ranges, no latency without odometry.csv.
+
+    Increments that were integrated beforehand cannot be cut anew: interpolating them averages the errors of neighbours,
+    which the likelihood takes for a better instant.
+
+    Raises UsageError for a group that is not known.
+    """
+    for group in groups:
+        if group not in GROUPS:
+            raise UsageError(f"--fit {group}: not known; known: {', '.join(GROUPS)}")
+    sigma = np.sqrt(np.median(np.einsum("nii->ni", inputs.observations.R), axis=0))
+    polar = isinstance(inputs.sensor, RangeBearing)
+    first, second = ("range", "bearing") if polar else ("x", "y")
+    noise, scale = math.log(1e3), math.log(2.0)
+    found: list[Parameter] = []
+    if "motion" in groups:
+        found += [Parameter(name, "", noise, 1.0, about) for name, about in _motion_parameters(odometry)]
+    if "sensor" in groups:
+        found += [
+            Parameter(f"sigma_{name}", "", noise, 1.0, f"factor on the sigma of {name}") for name in (first, second)
+        ]
+    if "growth" in groups and polar:
+        found.append(Parameter("range_growth", "log(m)", 3.0, 0.5, "sigma of range also times (range / 1 m)^this"))
+    if "bias" in groups:
+        for name, s, unit in zip((first, second), sigma.tolist(), inputs.sensor.units, strict=True):
+            largest = min(20.0 * s, 1.0) if unit == "rad" else 20.0 * s
+            found.append(Parameter(f"bias_{name}", unit, largest, s, f"measured minus true {name}"))
+    if "odometry" in groups:
+        found.append(Parameter("odometry_v", "", scale, 0.2, "true distance per odometry distance"))
+        found.append(Parameter("odometry_omega", "", scale, 0.2, "true rotation per odometry rotation"))
+    if "latency" in groups and odometry is not None:
+        found.append(Parameter("latency", "s", 1.0, 0.2, "readings were taken this long before their stamp"))
+    return Model(inputs, odometry, tuple(found))
+
+
+def _motion_parameters(odometry: Odometry | None) -> list[tuple[str, str]]:
+    """Names and meanings of the factors on motion noise: those of [motion], or of the increments' components."""
+    if odometry is None:
+        return [
+            ("motion_along", "factor on the sigma of increments, forward"),
+            ("motion_heading", "the same, heading and sideways"),
+            ("motion_lateral", "the same, sideways, beyond that of heading"),
+        ]
+    if odometry.model.noise.kind == "displacement":
+        return [(f"motion_alpha{i}", f"factor on alphas[{i - 1}]") for i in range(1, 5)]
+    return [("motion_v", "factor on sigma[0] of [motion]"), ("motion_omega", "factor on sigma[1] of [motion]")]
+
+
+def vector(model: Model, values: Mapping[str, float]) -> Array:
+    """Parameters (n,) from readable values by name (`Parameter.value`); what is not named stays as stated.
+
+    Raises UsageError for a name that this log has no parameter for.
+    """
+    names = [p.name for p in model.parameters]
+    for name in values:
+        if name not in names:
+            raise UsageError(f"{name} was fitted, and this log has no such parameter; it has {', '.join(names)}")
+    return np.array([p.parameter(values[p.name]) if p.name in values else 0.0 for p in model.parameters])
+
+
+def apply(model: Model, theta: Sequence[float] | Array, *, floor: bool = False) -> Inputs:
+    """The inputs with parameters theta (n,).
+
+    With odometry.csv the velocity is scaled and preintegrated anew, between frames that stand `latency` earlier: at the
+    instants when the readings were taken. Otherwise an increment is scaled as an arc of constant curvature.
+
+    Args:
+        model: the log and what may change.
+        theta: parameters, in the order of `model.parameters`.
+        floor: add the log's covariance floor, as loading would (an EKF does not need it).
+    """
+    value = {p.name: float(t) for p, t in zip(model.parameters, theta, strict=True)}
+    inputs = model.inputs
+    increments = _increments(model, value)
+    covariance, floored = increments.covariance, inputs.floored
+    if floor:
+        covariance, more = floor_covariances(covariance, inputs.covariance_floor)
+        floored = more if model.odometry is not None else max(floored, more)
+    o = inputs.observations
+    if not isinstance(o, LabelledObservations):
+        raise ValueError("known association was not granted to these inputs")
+    z, R = _readings(model, value)
+    return replace(
+        inputs,
+        time=inputs.time - value.get("latency", 0.0),
+        increments=Increments(increments.mean, covariance),
+        observations=LabelledObservations(o.frame, z, R, o.label),
+        floored=floored,
+    )
+
+
+def _increments(model: Model, value: Mapping[str, float]) -> Increments:
+    """Scaled motion with scaled noise."""
+    forward, turn = math.exp(value.get("odometry_v", 0.0)), math.exp(value.get("odometry_omega", 0.0))
+    if model.odometry is not None:
+        odometry = model.odometry
+        noisy = replace(odometry.model, noise=_scaled(odometry.model.noise, value))
+        at = model.inputs.time - value.get("latency", 0.0)
+        return preintegrate(noisy, odometry.time, forward * odometry.v, turn * odometry.omega, at)[0]
+    stated = model.inputs.increments
+    # a chord stands half the arc's turn off the first heading
+    half = 0.5 * (turn - 1.0) * stated.mean[:, 2]
+    c, s = forward * np.cos(half), forward * np.sin(half)
+    dx, dy = stated.mean[:, 0], stated.mean[:, 1]
+    mean = np.column_stack([c * dx - s * dy, s * dx + c * dy, turn * stated.mean[:, 2]])
+    heading = value.get("motion_heading", 0.0)
+    # sideways noise of a turning robot comes from its heading, so it goes along unless the log tells them apart
+    D = np.exp([value.get("motion_along", 0.0), heading + value.get("motion_lateral", 0.0), heading])
+    return Increments(mean, D[:, None] * stated.covariance * D)
+
+
+def _scaled(noise: VelocityNoise, value: Mapping[str, float]) -> VelocityNoise:
+    sigma = (
+        noise.sigma[0] * math.exp(value.get("motion_v", 0.0)),
+        noise.sigma[1] * math.exp(value.get("motion_omega", 0.0)),
+    )
+    a1, a2, a3, a4 = (a * math.exp(value.get(f"motion_alpha{i}", 0.0)) for i, a in enumerate(noise.alphas, 1))
+    return replace(noise, sigma=sigma, alphas=(a1, a2, a3, a4))
+
+
+def _readings(model: Model, value: Mapping[str, float]) -> tuple[Array, Array]:
+    """Corrected readings (M, 2) and their noise (M, 2, 2)."""
+    inputs = model.inputs
+    o, sensor = inputs.observations, inputs.sensor
+    polar = isinstance(sensor, RangeBearing)
+    first, second = ("range", "bearing") if polar else ("x", "y")
+    D = np.empty_like(o.z)
+    D[:] = np.exp([value.get(f"sigma_{first}", 0.0), value.get(f"sigma_{second}", 0.0)])
+    if value.get("range_growth", 0.0):
+        D[:, 0] *= np.maximum(o.z[:, 0], CLOSEST) ** value["range_growth"]
+    R = D[:, :, None] * o.R * D[:, None, :]
+    z = o.z - np.array([value.get(f"bias_{first}", 0.0), value.get(f"bias_{second}", 0.0)])
+    if polar:
+        z = np.column_stack([np.maximum(z[:, 0], 0.0), se2.wrap_angle(z[:, 1])])
+    return z, R

@@ -1,0 +1,1 @@
+"""Step mode: a log walked frame by frame, in pictures and words."""

@@ -1,0 +1,141 @@
+"""The figures of one step: ground truth, map, observations, compatibility and matching, as in the university lab.
+
+Each function paints on a figure that is given, so that a window can be painted again and a file once. The last three
+are seen from the robot: x forward, y left.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from data.inputs import CLUTTER, LandmarkMap
+from data.log import Log
+from data.result import MapState, PoseEstimate
+from data.se2 import Array, transform_points
+from data.sensors import RangeBearing, Sensor
+from eval.figures.map import ellipses, true_landmarks
+from eval.figures.style import TRUTH_COLOUR, style_of
+from eval.walk.painting import BAD, FAINT, GOOD, ONE, fit, mark_robot, outlines, robot_axes, robot_frame, write_numbers
+
+
+def field_of_view(sensor: Sensor) -> Array | None:
+    """Outline (c, 2) m of what the sensor sees, in the body frame; None if its range has no end."""
+    if not np.isfinite(sensor.max_range):
+        return None
+    angle = np.linspace(sensor.min_angle, sensor.max_angle, 73)
+    arc = np.stack([np.full(len(angle), sensor.max_range), angle], axis=-1)
+    polar = RangeBearing(rotation=sensor.rotation, translation=sensor.translation)
+    outline = polar.inverse(np.zeros(3), arc)[0]
+    if sensor.max_angle - sensor.min_angle < 2.0 * np.pi - 1e-9:
+        apex = polar.inverse(np.zeros(3), np.zeros((1, 2)))[0]
+        outline = np.concatenate([apex, outline, apex])
+    return outline
+
+
+def _picture(fig: Figure) -> Axes:
+    """The one place of a figure with one picture; everything has its place, so that nothing moves between steps."""
+    fig.set_layout_engine("none")
+    fig.set_size_inches(*ONE)
+    return fig.add_axes((0.09, 0.145, 0.89, 0.8))
+
+
+def _scene(log: Log) -> Array:
+    """Points that the pictures of the world always show, so that they stay in place from step to step."""
+    known, truth = true_landmarks(log), log.truth.pose
+    points = [np.atleast_2d(log.recorded.prior.mean[:2])]
+    if known is not None:
+        points.append(known.xy)
+    if truth is not None:
+        points.append(truth[:, :2])
+    return np.concatenate(points)
+
+
+def _legend_below(fig: Figure, ax: Axes, columns: int = 4) -> None:
+    fig.legend(*ax.get_legend_handles_labels(), loc="lower left", ncols=columns)
+
+
+def paint_ground_truth(fig: Figure, log: Log, frame: int, title: str) -> None:
+    """The world: true landmarks, path so far and pose, what the sensor sees from there, and what it saw."""
+    ax = _picture(fig)
+    known, truth, inputs = true_landmarks(log), log.truth.pose, log.recorded
+    rows = slice(int(inputs.start[frame]), int(inputs.start[frame + 1]))
+    shown: list[Array] = [_scene(log)]
+    if known is not None:
+        ax.plot(*known.xy.T, "k+", markersize=5.0, markeredgewidth=0.8, label="true landmarks", zorder=4)
+    if truth is not None and np.isfinite(truth[frame]).all():
+        ax.plot(*truth[: frame + 1, :2].T, color=TRUTH_COLOUR, linewidth=1.0, label="true path", zorder=3)
+        outline = field_of_view(inputs.sensor)
+        if outline is not None:
+            view = transform_points(truth[frame], outline)
+            shown.append(view)
+            ax.fill(*view.T, facecolor=GOOD, alpha=0.07, edgecolor=GOOD, linewidth=0.5, label="sensor's view", zorder=1)
+        _seen(ax, log, rows, truth[frame], known)
+        mark_robot(ax, truth[frame], TRUTH_COLOUR, "true pose")
+    else:
+        title += "\n(no true pose here)"
+    ax.set(xlabel="x [m]", ylabel="y [m]")
+    ax.set_title(f"{title}: ground truth", loc="left")
+    fit(ax, np.concatenate(shown))
+    _legend_below(fig, ax)
+
+
+def _seen(ax: Axes, log: Log, rows: slice, pose: Array, known: LandmarkMap | None) -> None:
+    """Mark the landmarks observed, and where observations of nothing in the map come from."""
+    if log.truth.landmark_of is None:
+        return
+    who = log.truth.landmark_of[rows]
+    ring: dict[str, Any] = {"linestyle": "none", "markerfacecolor": "none", "markersize": 7.0, "zorder": 5}
+    if known is not None:
+        seen = known.xy[np.isin(known.id, who)]
+        ax.plot(*seen.T, "o", markeredgecolor=GOOD, label=f"{len(seen)} observed", **ring)
+    stray = log.recorded.observations.z[rows][who == CLUTTER]
+    if len(stray):
+        xy = log.recorded.sensor.inverse(pose, stray)[0]
+        ax.plot(*xy.T, "s", markeredgecolor=BAD, label=f"{len(stray)} of no landmark", **ring)
+
+
+def paint_map(
+    fig: Figure, log: Log, frame: int, estimator: str, path: Array, now: PoseEstimate, landmarks: MapState, title: str
+) -> None:
+    """The estimate: path so far (k, 2), robot and landmarks, each with its 3 sigma ellipse in true size."""
+    ax = _picture(fig)
+    style, known, truth = style_of(estimator), true_landmarks(log), log.truth.pose
+    if known is not None:
+        name = "true landmarks" if np.any(landmarks.covariance) or log.truth.landmarks is not None else "given map"
+        ax.plot(*known.xy.T, "+", color=FAINT, markersize=5.0, label=name, zorder=1)
+    if truth is not None:
+        ax.plot(*truth[: frame + 1, :2].T, color=FAINT, linewidth=1.6, label="true path", zorder=1)
+    ax.plot(*path.T, color=style.colour, linewidth=1.0, label="estimated path", zorder=3)
+    if np.any(landmarks.covariance):
+        outlines(ax, landmarks.xy, landmarks.covariance, style.colour)
+        ax.plot(*landmarks.xy.T, ".", color=style.colour, markersize=3.0, label=f"{len(landmarks.xy)} landmarks")
+    outlines(ax, now.mean[None, :2], now.covariance[None, :2, :2], "#202020", 5.0)
+    mark_robot(ax, now.mean, style.colour, "robot")
+    ax.set(xlabel="x [m]", ylabel="y [m]")
+    ax.set_title(f"{title}: map with 3σ ellipses", loc="left")
+    box = ellipses(now.mean[None, :2], now.covariance[None, :2, :2])[0]
+    fit(ax, np.concatenate([_scene(log), path, landmarks.xy, box]))
+    _legend_below(fig, ax, 5)
+
+
+def paint_observations(fig: Figure, sensor: Sensor, z: Array, R: Array, title: str) -> None:
+    """Observations z (m, 2) with their 3 sigma ellipses in the robot frame, numbered."""
+    ax = _picture(fig)
+    xy, P = robot_frame(sensor, z, R)
+    outline = field_of_view(sensor)
+    shown = [xy, np.zeros((1, 2))]
+    if outline is not None:
+        shown.append(outline)
+        ax.fill(*outline.T, facecolor=GOOD, alpha=0.07, edgecolor=GOOD, linewidth=0.5, label="sensor's view", zorder=1)
+    outlines(ax, xy, P, GOOD)
+    ax.plot(*xy.T, ".", color=GOOD, markersize=4.0, label="observations with 3σ ellipses", zorder=4)
+    write_numbers(ax, xy, [str(i) for i in range(len(xy))], "#202020", 7.0)
+    mark_robot(ax, np.zeros(3), "black", "robot")
+    robot_axes(ax)
+    ax.set_title(f"{title}: {len(xy)} observation{'s' * (len(xy) != 1)}, robot frame", loc="left")
+    fit(ax, np.concatenate(shown))
+    _legend_below(fig, ax)

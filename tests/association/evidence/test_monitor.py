@@ -1,0 +1,117 @@
+"""The monitor of the innovations: silent on healthy frames, quick where the pose is wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import binom, chi2, poisson
+
+from association.evidence.monitor import Health, Monitor, healthy, recovered, watch
+
+M = Monitor()
+
+
+def alarms(frames, monitor=M, state=None):
+    """Frames in which an alarm begins, and the last state; frames are (offered, paired, nis, dof)."""
+    state, found = state or healthy(monitor), []
+    for k, frame in enumerate(frames):
+        before, state = state, watch(monitor, state, *frame)
+        if state.lost and not before.lost:
+            found.append(k)
+            state = recovered(state)
+    return found, state
+
+
+def healthy_frames(rng, n, seen=(1, 9), share=0.99, scale=1.0):
+    for _ in range(n):
+        offered = int(rng.integers(*seen))
+        paired = int(rng.binomial(offered, share))
+        yield offered, paired, scale * rng.chisquare(2 * paired) if paired else 0.0, 2 * paired
+
+
+@pytest.mark.parametrize(
+    ("share", "scale"), [(0.99, 1.0), (0.99, 0.05), (0.9, 1.0), (0.7, 1.0)], ids=["plain", "conservative", "10%", "30%"]
+)
+def test_false_alarms_stay_below_one_in_ten_thousand_frames(share, scale):
+    found, _ = alarms(healthy_frames(np.random.default_rng(0), 40_000, share=share, scale=scale))
+    assert len(found) <= 4
+
+
+def test_places_with_few_landmarks_and_as_much_clutter_raise_no_alarm():
+    rng = np.random.default_rng(0)
+    frames = []
+    for k in range(20_000):
+        landmarks = 12 if k % 200 < 150 else 1
+        offered = landmarks + rng.poisson(2.0)
+        frames.append((offered, landmarks, rng.chisquare(2 * landmarks), 2 * landmarks))
+    assert len(alarms(frames)[0]) <= 2
+
+
+def test_a_lost_robot_is_noticed_in_its_first_frames():
+    for seed in range(50):
+        rng = np.random.default_rng(seed)
+        _, state = alarms(healthy_frames(rng, 300))
+        lost = [(8, int(rng.binomial(8, 0.05)), 0.0, 0) for _ in range(3)]
+        found, _ = alarms(lost, state=state)
+        assert found
+        assert found[0] <= 1
+
+
+def test_misfit_alone_is_noticed_too():
+    rng = np.random.default_rng(0)
+    found, state = alarms(healthy_frames(rng, 300, share=1.0))
+    assert not found
+    assert alarms([(8, 8, 6.0 * 16, 16)] * 4, state=state)[0]
+
+
+def test_one_misfitting_frame_is_not_enough():
+    _, state = alarms(healthy_frames(np.random.default_rng(0), 300, share=1.0))
+    assert not alarms([(8, 8, 1e6, 16)], state=state)[0]
+
+
+def test_a_sum_leaves_zero_where_the_trouble_begins_and_comes_back_where_it_was_none():
+    _, state = alarms([(4, 4, 8.0, 8)] * 50)
+    assert (state.unpaired, state.misfit) == (0.0, 0.0)
+    state = watch(M, state, 4, 3, 6.0, 6)
+    assert state.unpaired > 0.0 == state.misfit
+    for _ in range(5):
+        state = watch(M, state, 4, 4, 8.0, 8)
+    assert state.unpaired == 0.0
+
+
+def test_being_lost_is_not_learned_to_be_normal():
+    _, state = alarms([(4, 4, 8.0, 8)] * 50)
+    for _ in range(5):
+        state = watch(M, state, 4, 0, 0.0, 0)
+    assert state.lost
+    share = state.share
+    for _ in range(100):
+        state = watch(M, state, 4, 0, 0.0, 0)
+    assert state.share == share > 0.85
+
+
+def test_clutter_is_learned_to_be_normal():
+    _, state = alarms([(8, 6, 12.0, 12)] * 500)
+    assert state.share == pytest.approx(0.75, abs=0.01)
+
+
+def test_what_a_frame_adds_is_a_log_likelihood_ratio():
+    p, q, r = 0.9, 0.9 * M.lost_share, M.lost_scale
+    before = Health(unpaired=5.0, misfit=4.0, share=p, strays=0.1)
+    after = watch(M, before, 3, 1, 7.0, 2)
+    assert after.unpaired == pytest.approx(5.0 + binom.logpmf(1, 3, q) - binom.logpmf(1, 3, p), rel=1e-12)
+    clutter = watch(M, replace(before, strays=1.5), 3, 1, 7.0, 2)
+    assert clutter.unpaired == pytest.approx(5.0 + poisson.logpmf(2, 3 * (1 - q)) - poisson.logpmf(2, 1.5), rel=1e-12)
+    assert after.misfit == pytest.approx(4.0 + chi2.logpdf(7.0, 2, scale=r) - chi2.logpdf(7.0, 2), rel=1e-12)
+
+
+def test_a_frame_without_observations_says_nothing():
+    state = Health(unpaired=3.0)
+    assert watch(M, state, 0, 0, 0.0, 0) == state
+
+
+def test_after_recovery_there_is_no_suspicion_and_nothing_is_forgotten():
+    state = Health(unpaired=20.0, misfit=3.0, share=0.8, scale=2.0, learned=500.0, lost=True)
+    assert recovered(state) == Health(share=0.8, scale=2.0, learned=500.0)

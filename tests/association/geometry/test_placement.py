@@ -1,0 +1,197 @@
+"""The pose of a frame by geometry: found where no linearization helps, and chosen by what speaks for it."""
+
+import math
+
+import numpy as np
+import pytest
+
+from association.expectation import Expectation
+from association.geometry.placement import Memory, drifted, place, too_uncertain
+from data import se2
+from data.inputs import Increment, LandmarkMap, Prior, Sightings
+from data.result import NEW
+from data.sensors import RangeBearing, RelativePoint
+from ekf.localizer import EkfLocalizer
+
+FORWARD = np.diag([0.4, 0.1, math.radians(60)]) ** 2
+START = np.array([1.0, -2.0, 0.7])
+GATE, NEW_GATE = 0.99, 0.99999
+SIGMA = 0.02
+
+
+def apart(rng, count, side):
+    """Points (n, 2) of a square, farther from each other than the noise confuses."""
+    xy = np.empty((0, 2))
+    while len(xy) < count:
+        p = rng.uniform(-side, side, 2)
+        if not len(xy) or np.hypot(*(xy - p).T).min() > 0.5:
+            xy = np.vstack([xy, p])
+    return xy
+
+
+def look(sensor, pose, xy, rng):
+    """Sightings of points (n, 2), and which of them are in view."""
+    z = sensor.predict(pose, xy)
+    seen = np.flatnonzero(sensor.in_view(z))
+    sigma = np.array([SIGMA, 0.01]) if isinstance(sensor, RangeBearing) else np.full(2, SIGMA)
+    z = z[seen] + sigma * rng.standard_normal((len(seen), 2))
+    return Sightings(z, np.tile(np.diag(sigma**2), (len(seen), 1, 1))), seen
+
+
+def at_start(sensor, known, mean=START, motion=FORWARD):
+    """A localizer whose pose has the covariance `motion` in its own body frame."""
+    B = se2.world_from_body(mean[2])
+    return EkfLocalizer(Prior(mean, B @ motion @ B.T), sensor, known)
+
+
+def placed(filter_, sightings, seen_from=(), rate=0.99, strays=0.01, motion=FORWARD):
+    e = filter_.expect(sightings)
+    memory = Memory(list(seen_from), np.full(len(e.number), rate), strays)
+    return place(e, filter_.sensor, filter_.estimate().mean, motion, memory, GATE, NEW_GATE)
+
+
+@pytest.mark.parametrize("sensor", [RelativePoint(max_range=6.0), RangeBearing(8.0, -2.0, 2.0, 0.3, (0.2, -0.1))])
+@pytest.mark.parametrize("turn", [-1.7, 0.4, 1.5])
+def test_pose_and_pairings_are_found_after_a_turn_no_linearization_survives(sensor, turn):
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        known = LandmarkMap(np.arange(40) * 3 + 5, START[:2] + apart(rng, 40, 9.0))
+        pose = se2.compose(START, np.array([0.5, 0.1, turn]))
+        sightings, seen = look(sensor, pose, known.xy, rng)
+        found = placed(at_start(sensor, known), sightings)
+        assert found is not None
+        assert np.abs(se2.pose_error(found.pose, pose)).max() < 4 * SIGMA
+        paired = found.decisions >= 0
+        assert np.array_equal(found.decisions[paired], known.id[seen][paired])
+        assert paired.mean() > 0.8
+
+
+def test_a_point_that_no_landmark_is_near_is_new():
+    rng = np.random.default_rng(3)
+    known = LandmarkMap(np.arange(12), START[:2] + rng.uniform(-4, 4, (12, 2)))
+    pose, sensor = se2.compose(START, np.array([0.2, 0.0, 1.2])), RelativePoint(max_range=9.0)
+    sightings, _ = look(sensor, pose, np.concatenate([known.xy, [[9.0, -2.0]]]), rng)
+    found = placed(at_start(sensor, known), sightings)
+    assert found is not None
+    assert (found.decisions[:-1] != NEW).all()
+    assert found.decisions[-1] == NEW
+
+
+# two rows of points that repeat every 2 m, seen up to 5 m ahead: a step of 1 m and one of -1 m look alike
+ROWS = np.concatenate([[[x, -0.5] for x in range(-10, 16, 2)], [[x, 0.6] for x in range(-9, 16, 2)]]).astype(float)
+AHEAD = RelativePoint(max_range=5.0, min_angle=-math.pi / 2 + 0.01, max_angle=math.pi / 2 - 0.01)
+
+
+def rows(first, last):
+    inside = (ROWS[:, 0] >= first) & (ROWS[:, 0] <= last)
+    return LandmarkMap(np.flatnonzero(inside), ROWS[inside])
+
+
+@pytest.mark.parametrize("step", [1.0, -1.0])
+def test_where_the_world_repeats_itself_the_motion_decides_and_not_the_number_of_pairings(step):
+    # mapped are the points behind the robot and those in view from x = 0: a move backwards would pair everything
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        sightings, seen = look(AHEAD, np.array([1.0, 0.0, 0.0]), ROWS, rng)
+        expected = np.array([0.5 * step, 0.0, 0.0])
+        found = placed(at_start(AHEAD, rows(-10, 4), expected), sightings, [np.zeros(3)])
+        assert found is not None
+        assert found.pose[0] == pytest.approx(step, abs=0.1)
+        mapped = ROWS[seen, 0] <= 4
+        assert (found.decisions[mapped] >= 0).mean() > 0.8
+        if step > 0:
+            assert (found.decisions[~mapped] == NEW).all()
+
+
+NARROW = np.diag([0.4, 0.1, math.radians(20)]) ** 2
+BACK = np.array([-0.4, 0.0, 0.0])  # the motion speaks for -1, where only the marks tell it from 1
+
+
+def test_a_landmark_that_should_be_seen_and_is_not_speaks_against_a_pose():
+    sightings, _ = look(AHEAD, np.array([1.0, 0.0, 0.0]), ROWS, np.random.default_rng(1))
+    marks = np.array([[0.3, 0.1], [0.5, 0.1], [0.7, 0.2]])  # ahead of -1, behind 1
+    known = LandmarkMap(np.arange(len(ROWS) + 3), np.concatenate([ROWS, marks]))
+
+    def step(landmarks, rate):
+        filter_ = at_start(AHEAD, landmarks, BACK, NARROW)
+        return placed(filter_, sightings, rate=rate, motion=NARROW).pose[0]
+
+    assert step(rows(-10, 15), 0.99) == pytest.approx(-1.0, abs=0.1)
+    assert step(known, 0.99) == pytest.approx(1.0, abs=0.1)
+    assert step(known, 0.2) == pytest.approx(-1.0, abs=0.1)  # hardly ever seen: that they are not says little
+
+
+def test_a_point_that_should_have_been_seen_before_speaks_against_a_pose():
+    strange = np.array([[2.0, 0.1], [2.4, -0.1], [2.7, 0.2]])  # if the robot were at -1, they would be 2 m nearer
+    points = np.concatenate([ROWS, strange])
+    sightings, _ = look(AHEAD, np.array([1.0, 0.0, 0.0]), points, np.random.default_rng(2))
+    filter_ = at_start(AHEAD, rows(-10, 15), BACK, NARROW)
+    free = placed(filter_, sightings, motion=NARROW)
+    assert free.pose[0] == pytest.approx(-1.0, abs=0.1)
+    assert free.sudden == 0
+    # from -3.5 one sees as far as 1.5: where they would stand if the robot were at -1, and not where they stand
+    held = placed(filter_, sightings, [np.array([-3.5, 0.0, 0.0])], motion=NARROW)
+    assert held.pose[0] == pytest.approx(1.0, abs=0.1)
+    assert held.sudden == 0
+    assert placed(filter_, sightings, [np.array([-3.5, 0.0, 0.0])], strays=0.9, motion=NARROW).sudden == 3
+
+
+def test_landmarks_that_stand_close_are_told_apart_by_all_pairings_together():
+    rng = np.random.default_rng(11)
+    xy = START[:2] + apart(rng, 12, 4.0)
+    known = LandmarkMap(np.arange(24), np.concatenate([xy, xy + [0.11, 0.0]]))
+    sensor, pose = RelativePoint(max_range=12.0), se2.compose(START, np.array([0.2, 0.0, 1.2]))
+    sightings, seen = look(sensor, pose, known.xy, rng)
+    assert (placed(at_start(sensor, known), sightings).decisions == seen).mean() > 0.95
+
+
+def test_every_landmark_is_given_to_one_observation():
+    rng = np.random.default_rng(5)
+    known = LandmarkMap(np.arange(15), START[:2] + rng.uniform(-4, 4, (15, 2)))
+    sensor, pose = RelativePoint(max_range=9.0), se2.compose(START, np.array([0.2, 0.0, 1.2]))
+    sightings, _ = look(sensor, pose, np.concatenate([known.xy, known.xy + 0.03]), rng)
+    found = placed(at_start(sensor, known), sightings)
+    paired = found.decisions[found.decisions >= 0]
+    assert len(paired) >= 10
+    assert len(set(paired.tolist())) == len(paired)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_too_few_observations_give_no_pose(count):
+    rng = np.random.default_rng(0)
+    known = LandmarkMap(np.arange(9), rng.uniform(-4, 4, (9, 2)))
+    sightings, _ = look(RelativePoint(max_range=20.0), np.zeros(3), known.xy, rng)
+    few = Sightings(sightings.z[:count], sightings.R[:count])
+    assert placed(at_start(RelativePoint(max_range=20.0), known, np.zeros(3)), few) is None
+
+
+def test_a_scan_of_another_place_gives_no_pose():
+    rng = np.random.default_rng(7)
+    known = LandmarkMap(np.arange(9), rng.uniform(-4, 4, (9, 2)))
+    sensor = RelativePoint(max_range=20.0)
+    sightings, _ = look(sensor, np.zeros(3), rng.uniform(-4, 4, (9, 2)), rng)
+    assert placed(at_start(sensor, known, np.zeros(3)), sightings, motion=FORWARD / 4) is None
+
+
+def test_covariance_of_a_motion_is_that_of_sampled_motions_in_the_frame_where_they_should_end():
+    rng = np.random.default_rng(0)
+    first = Increment(np.array([0.8, 0.2, 0.9]), np.diag([1e-3, 2e-3, 3e-3]) ** 2)
+    second = Increment(np.array([0.3, -0.1, -0.4]), np.array([[4, 1, 0], [1, 2, 0.5], [0, 0.5, 3]]) * 1e-6)
+    P = drifted(drifted(np.zeros((3, 3)), first), second)
+    motions = [rng.multivariate_normal(m.mean, m.covariance, 200_000) for m in (first, second)]
+    off = se2.between(se2.compose(first.mean, second.mean), se2.compose(*motions))
+    np.testing.assert_allclose(np.cov(off.T), P, rtol=0.03, atol=2e-8)
+
+
+@pytest.mark.parametrize(("turn", "shift"), [(0.1, 0.0), (0.6, 0.3), (0.05, 0.4)])
+def test_a_motion_is_too_uncertain_where_the_second_order_exceeds_the_noise(turn, shift):
+    rng = np.random.default_rng(1)
+    xy = np.array([[3.0, 0.5], [2.8, -1.0], [3.1, 0.0]])
+    a, d = turn * rng.standard_normal(50_000), shift / math.sqrt(2) * rng.standard_normal((50_000, 2))
+    second_order = -0.5 * a[:, None] ** 2 * xy[0] - a[:, None] * np.stack([d[:, 1], -d[:, 0]], 1)
+    rms = math.sqrt((second_order**2).sum(1).mean())
+    motion = np.diag([shift**2 / 2, shift**2 / 2, turn**2])
+    for noise, expected in ((0.5 * rms, True), (2.5 * rms, False)):
+        R = np.tile(noise**2 * np.eye(2), (3, 1, 1))
+        e = Expectation.from_arrays(xy, xy, np.eye(6), R)
+        assert too_uncertain(e, RelativePoint(), motion) is expected

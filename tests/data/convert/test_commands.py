@@ -1,0 +1,255 @@
+"""The converter's command line: what it writes, what it says, and that each flag does what its help says."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data.convert.__main__ import CALIBRATION, main
+from data.log import Log
+from data.mrclam.calibration import FROZEN, Calibration
+from data.mrclam.load import load_mrclam
+from data.open_log.reader import load_folder
+from data.worlds.arena import Arena, simulate
+from tests.data.mrclam import world
+from tests.data.mrclam.world import replace_row, save_folder
+
+ROOT = Path(__file__).parents[3]
+
+
+@pytest.fixture
+def source(tmp_path: Path) -> Path:
+    return save_folder(tmp_path / "MRCLAM_Dataset77", world.texts())
+
+
+@pytest.fixture
+def convert(source: Path, tmp_path: Path) -> Callable[..., Log]:
+    """`convert(*flags)`: the log that comes out of robot 1 of the small dataset."""
+
+    def run(*flags: str) -> Log:
+        assert main(["mrclam", str(source), str(tmp_path / "out"), "--robot", "1", *flags]) == 0
+        return load_folder(tmp_path / "out")
+
+    return run
+
+
+def same(a: Log, b: Log) -> bool:
+    """Whether everything but name and source agrees, bit for bit."""
+    one, two = a.recorded, b.recorded
+    pairs = [
+        (one.time, two.time),
+        (one.prior.mean, two.prior.mean),
+        (one.prior.covariance, two.prior.covariance),
+        (one.increments.mean, two.increments.mean),
+        (one.increments.covariance, two.increments.covariance),
+        (one.observations.frame, two.observations.frame),
+        (one.observations.z, two.observations.z),
+        (one.observations.R, two.observations.R),
+        (a.truth.pose, b.truth.pose),
+        (a.truth.landmark_of, b.truth.landmark_of),
+    ]
+    agree = all((x is None and y is None) or np.array_equal(x, y, equal_nan=True) for x, y in pairs)  # type: ignore[arg-type]
+    return agree and one.sensor == two.sensor and a.notes == b.notes
+
+
+class TestMrclam:
+    def test_the_folder_holds_the_loaders_log_under_its_own_name(
+        self, source: Path, convert: Callable[..., Log]
+    ) -> None:
+        log = convert()
+        assert log.name == "out"
+        assert same(log, load_mrclam(source, 1))
+        assert log.source["path"] == str(source)
+        assert log.labels_are_sensed
+
+    def test_it_says_what_it_did(
+        self, convert: Callable[..., Log], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        log = convert()
+        said = capsys.readouterr().out
+        assert f"{len(log.recorded)} frames" in said
+        assert f"{len(log.recorded.observations.z)} readings" in said
+        assert str(tmp_path / "out") in said
+        for note in log.notes:
+            assert note in said
+        assert "Skipped the first" in said
+
+    def test_window_truth_robots_and_prior_flags_reach_the_loader(
+        self, source: Path, convert: Callable[..., Log], tmp_path: Path
+    ) -> None:
+        other = tmp_path / "places.dat"
+        other.write_text("6 1.0 2.0 0 0\n20 3.0 4.0 0 0\n")
+        log = convert(
+            "--start", "2", "--stop", "9", "--exclude-truth", "4:5", "--exclude-truth", "6:6.5", "--keep-robots",
+            "--landmarks", str(other), "--prior-sigma", "0.2", "0.1",
+        )  # fmt: skip
+        wanted = load_mrclam(
+            source, 1, start=2.0, stop=9.0, exclude_truth=[(4.0, 5.0), (6.0, 6.5)], keep_robots=True,
+            landmarks=other, prior_sigma=(0.2, 0.1),
+        )  # fmt: skip
+        assert same(log, wanted)
+        assert log.recorded.map is not None
+        assert log.recorded.map.id.tolist() == [6, 20]
+        assert log.source["exclude_truth"] == [[4.0, 5.0], [6.0, 6.5]]
+
+    @pytest.mark.parametrize("name", sorted(CALIBRATION))
+    def test_each_number_of_the_calibration_has_a_flag(self, convert: Callable[..., Log], name: str) -> None:
+        flag = name.replace("_", "-")
+        if isinstance(getattr(FROZEN, name), bool):
+            value: float = not getattr(FROZEN, name)
+            log = convert(f"--{flag}" if value else f"--no-{flag}")
+        else:
+            value = 0.25 if name != "turn_limit" else 0.15
+            log = convert(f"--{flag}", str(value))
+        written = log.source["calibration"]
+        assert isinstance(written, dict)
+        assert written[name] == value
+        others = {n: written[n] for n in CALIBRATION if n != name}
+        assert others == {n: getattr(FROZEN, n) for n in others}
+        assert not same(log, convert())
+
+    def test_every_number_of_the_calibration_is_covered(self) -> None:
+        assert set(CALIBRATION) == {f.name for f in fields(Calibration)} - {"motion"}
+
+    def test_uncalibrated_corrects_nothing(self, source: Path, convert: Callable[..., Log]) -> None:
+        assert same(convert("--uncalibrated"), load_mrclam(source, 1, calibration=Calibration()))
+        assert Calibration().turn_limit == math.inf
+
+    def test_the_tutorials_treatment(self, convert: Callable[..., Log]) -> None:
+        log = convert(
+            "--grid", "0.02", "--uncalibrated", "--sigma", "2", "3", "--motion-model", "half_angle",
+            "--motion-noise", "displacement", "--motion-alphas", ".2", ".03", ".09", ".08",
+        )  # fmt: skip
+        np.testing.assert_allclose(np.diff(log.recorded.time), 0.02, atol=1e-9)
+        np.testing.assert_allclose(log.recorded.observations.R[0], np.diag([4.0, 9.0]))
+        heading = (0.09 * world.SPEED + 0.08 * world.TURN) ** 2
+        np.testing.assert_allclose(log.recorded.increments.covariance[5, 2, 2], heading, rtol=1e-6)
+        # the chord at the middle heading is as long as the arc
+        np.testing.assert_allclose(np.hypot(*log.recorded.increments.mean[5, :2]), 0.02 * world.SPEED, rtol=1e-12)
+
+    def test_velocity_noise_takes_its_sigma(self, convert: Callable[..., Log]) -> None:
+        log = convert("--uncalibrated", "--motion-noise", "velocity", "--motion-sigma", "0.1", "0.3")
+        span = np.diff(log.recorded.time)
+        # samples of 0.1 s: (0.3 * 0.1)^2 each, so 0.009 per second; the floor comes on top
+        np.testing.assert_allclose(log.recorded.increments.covariance[1:, 2, 2], 0.009 * span, rtol=1e-3)
+
+    @pytest.mark.parametrize(
+        ("flags", "why"),
+        [
+            (["--sigma", "1", "1", "--sigma-range", "1"], "--sigma and --sigma-range contradict"),
+            (["--motion-noise", "displacement"], "--motion-noise displacement needs --motion-alphas"),
+            (["--motion-noise", "density", "--motion-alphas", "1", "1", "1", "1"], "--motion-alphas does not go with"),
+            (["--motion-sigma", "-1", "1"], "numbers from 0 up"),
+            (["--motion-sigma", "inf", "1"], "numbers from 0 up"),
+            (["--range-scale", "0"], "range_scale"),
+            (["--start", "5", "--stop", "4"], "does not come after"),
+            (["--grid", "7"], "grid"),
+            (["--landmarks", "nowhere.dat"], "nowhere.dat"),
+        ],
+    )
+    def test_a_senseless_combination_is_one_line_and_status_2(
+        self, source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], flags: list[str], why: str
+    ) -> None:
+        assert main(["mrclam", str(source), str(tmp_path / "out"), "--robot", "1", *flags]) == 2
+        said = capsys.readouterr()
+        assert why in said.err
+        assert said.err.count("\n") == 1
+        assert said.out == ""
+        assert not (tmp_path / "out").exists()
+
+    def test_bad_data_is_one_line_and_leaves_the_older_log(
+        self, source: Path, convert: Callable[..., Log], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        before = convert()
+        name = "Robot1_Odometry.dat"
+        text, line = replace_row((source / name).read_text(), 3, "1 2")
+        (source / name).write_text(text)
+        capsys.readouterr()
+        assert main(["mrclam", str(source), str(tmp_path / "out"), "--robot", "1"]) == 2
+        assert f"{name}: line {line}" in capsys.readouterr().err
+        assert same(load_folder(tmp_path / "out"), before)
+
+
+class TestTheOthers:
+    def test_victoria_park(self, tmp_path: Path) -> None:
+        assert main(["victoria-park", str(tmp_path / "park")]) == 0
+        log = load_folder(tmp_path / "park")
+        assert (log.name, len(log.recorded), len(log.recorded.observations.z)) == ("park", 6969, 3640)
+        assert log.recorded.time_is_index
+
+    def test_arena_takes_seed_and_parameters(self, tmp_path: Path) -> None:
+        flags = [
+            "--seed",
+            "7",
+            "--frames",
+            "20",
+            "--sensor",
+            "relative_point",
+            "--sigma-point",
+            "0.3",
+            "--clutter",
+            "1.5",
+        ]
+        assert main(["arena", str(tmp_path / "world"), *flags]) == 0
+        log = load_folder(tmp_path / "world")
+        wanted = simulate(Arena(frames=20, sensor="relative_point", sigma_point=0.3, clutter=1.5), 7)
+        assert same(log, wanted)
+        assert log.source["arena"]["sigma_point"] == 0.3  # type: ignore[index]
+        assert log.source["seed"] == 7
+
+    def test_every_parameter_of_the_arena_has_a_described_flag(self, capsys: pytest.CaptureFixture[str]) -> None:
+        with pytest.raises(SystemExit) as end:
+            main(["arena", "--help"])
+        assert end.value.code == 0
+        text = capsys.readouterr().out
+        for f in fields(Arena):
+            flag = text.index(f"  --{f.name.replace('_', '-')} ")
+            assert len(text[flag : text.index("(default", flag)].split()) > 2
+
+    def test_a_senseless_arena_is_status_2(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        assert main(["arena", str(tmp_path / "world"), "--frames", "0"]) == 2
+        assert "frames" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["mrclam", "a", "b"],
+        ["mrclam", "a", "b", "--robot", "one"],
+        ["mrclam", "a", "b", "--robot", "1", "--exclude-truth", "5:4"],
+        ["mrclam", "a", "b", "--robot", "1", "--exclude-truth", "5"],
+        ["mrclam", "a", "b", "--robot", "1", "--start", "nan"],
+        ["mrclam", "a", "b", "--robot", "1", "--star", "1"],
+        ["arena", "a", "--seed", "-1"],
+        ["moon", "a"],
+        [],
+    ],
+)
+def test_wrong_usage_is_one_line_and_status_2(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(words)
+    assert end.value.code == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize("kind", [[], ["mrclam"], ["victoria-park"], ["arena"]])
+def test_help_has_an_example(kind: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main([*kind, "--help"])
+    assert end.value.code == 0
+    assert f"python -m data.convert {' '.join(kind)}" in capsys.readouterr().out.split("example")[-1]
+
+
+def test_help_loads_neither_numpy_nor_numba() -> None:
+    code = (
+        "import sys; from data.convert.__main__ import parser; parser(simulators=False).format_help(); "
+        "sys.exit(bool({'numpy', 'numba', 'pandas'} & set(sys.modules)))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0

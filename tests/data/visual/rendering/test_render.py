@@ -1,0 +1,399 @@
+"""Rendered frames: image, stereo points and truth tell the same story; noise and holes are as stated."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from data.errors import UsageError
+from data.visual.rendering.render import Rendered, sideways_motion
+from data.visual.rendering.stereo import smeared_noise, stereo_points
+from data.worlds.gallery import Gallery
+from data.worlds.gallery_camera import in_camera, to_pixels
+
+DEFAULT = Gallery()
+CLEAN = replace(
+    DEFAULT, brightness=0.0, contrast=0.0, exposure=0.0, image_noise=0.0,
+    disparity_noise=0.0, disparity_step=0.0, patches=0, edge_hole=0, least_texture=0.0,
+)  # fmt: skip
+SMALL = replace(DEFAULT, image_width=320, image_height=240, reference_width=120, duration=8.0)
+SMALL_CLEAN = replace(CLEAN, image_width=320, image_height=240, reference_width=120)
+
+
+@pytest.fixture(scope="module")
+def clean() -> Rendered:
+    return Rendered(CLEAN, 0)
+
+
+@pytest.fixture(scope="module")
+def default() -> Rendered:
+    return Rendered(DEFAULT, 0)
+
+
+def views(recording: Rendered, each: int = 3) -> list[tuple[int, int]]:
+    """Frames and pictures in view: of every picture the first and the last frame that show it and some between."""
+    shown: dict[int, list[int]] = {}
+    for k in range(len(recording)):
+        for number in recording.visible(k):
+            shown.setdefault(number, []).append(k)
+    assert len(shown) == 8
+    return [(f[i], n) for n, f in shown.items() for i in np.linspace(0, len(f) - 1, each).astype(int)]
+
+
+def rectified(recording: Rendered, frame: int, number: int) -> np.ndarray:
+    """A picture cut out of the image by its true corners, as large as its reference, grey."""
+    h, w = recording.references[number].shape[:2]
+    own = np.array([[-0.5, -0.5], [w - 0.5, -0.5], [w - 0.5, h - 0.5], [-0.5, h - 0.5]])
+    pixels = recording.true_pixels(frame)[number]
+    H = cv2.getPerspectiveTransform(own.astype(np.float32), pixels.astype(np.float32))
+    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    cut = cv2.warpPerspective(recording.frame(frame).rgb, H, (w, h), flags=flags)
+    return cv2.cvtColor(cut, cv2.COLOR_RGB2GRAY).astype(np.float32)
+
+
+def soft(image: np.ndarray) -> np.ndarray:
+    """A reference, grey, as soft as a picture that fills a third of its width."""
+    return cv2.GaussianBlur(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 1.6)
+
+
+def shift(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """How far (dx, dy) px the content of b lies to the right of and below that of a (least squares, small shifts)."""
+    slope = np.stack([np.gradient(a, axis=1).ravel(), np.gradient(a, axis=0).ravel()], axis=1)
+    return -np.linalg.lstsq(slope, (b - a).ravel(), rcond=None)[0]
+
+
+def to_world(g: Gallery, pose: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points (..., 3) of the camera's frame in the world."""
+    x, y, t = pose
+    c, s, a = math.cos(t), math.sin(t), t + g.camera_yaw
+    eye = [x + c * g.camera_x - s * g.camera_y, y + s * g.camera_x + c * g.camera_y, g.camera_height]
+    return points @ np.array([[math.sin(a), -math.cos(a), 0], [0, 0, -1], [math.cos(a), math.sin(a), 0]]) + eye
+
+
+def bilinear(values: np.ndarray, pixel: np.ndarray) -> np.ndarray:
+    """Values (3,) between the four pixels around (u, v)."""
+    u, v = np.floor(pixel).astype(int)
+    a, b = pixel - [u, v]
+    rows = (1 - b) * values[v, u : u + 2] + b * values[v + 1, u : u + 2]
+    return (1 - a) * rows[0] + a * rows[1]
+
+
+class TestReferences:
+    def test_every_picture_is_full_of_features(self, clean):
+        assert len(clean.references) == 8
+        for image in clean.references:
+            assert image.shape == (450, 600, 3)
+            assert image.dtype == np.uint8
+            assert len(cv2.SIFT_create().detect(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), None)) > 300
+
+    def test_no_picture_resembles_another(self, clean):
+        small = [cv2.resize(soft(r), (60, 45), interpolation=cv2.INTER_AREA).ravel() for r in clean.references]
+        likeness = np.corrcoef(np.array(small)) - np.eye(8)
+        assert np.abs(likeness).max() < 0.5
+
+    def test_no_picture_takes_the_features_of_another(self, clean):
+        sift, matcher = cv2.SIFT_create(500), cv2.BFMatcher()
+        found = [sift.detectAndCompute(cv2.cvtColor(r, cv2.COLOR_RGB2GRAY), None)[1] for r in clean.references]
+        for i, j in ((0, 6), (1, 7), (0, 1), (3, 4), (2, 5)):  # 0 and 6, 1 and 7 are in one manner
+            pairs = matcher.knnMatch(found[i], found[j], k=2)
+            assert sum(a.distance < 0.7 * b.distance for a, b in pairs) < 25
+
+
+class TestImagesAreTrueToTheGeometry:
+    def test_a_picture_cut_out_by_its_true_corners_is_its_reference(self, clean):
+        for frame, number in views(clean):
+            cut, reference = rectified(clean, frame, number), soft(clean.references[number])
+            assert np.corrcoef(cut.ravel(), reference.ravel())[0, 1] > 0.97
+
+    def test_no_picture_is_off_by_a_tenth_of_a_pixel(self, clean):
+        shifts = []
+        for frame, number in views(clean):
+            cut, reference = rectified(clean, frame, number), soft(clean.references[number])
+            scale = np.linalg.norm(np.diff(clean.true_pixels(frame)[number][:2], axis=0)) / cut.shape[1]
+            shifts.append(shift(reference, cut) * scale)
+        assert np.abs(np.median(shifts, axis=0)).max() < 0.03
+        assert np.abs(shifts).max() < 0.1
+
+    @pytest.mark.parametrize("near", [False, True])
+    def test_every_pixel_of_a_picture_has_its_colour_be_it_cut_by_the_images_edge_or_reach_behind_us(self, clean, near):
+        recording = clean
+        if near:  # close along a wall with large pictures
+            large = replace(SMALL_CLEAN, pictures=4, picture_width=2.0, picture_height=1.5, spacing=3.0, hang=1.3)
+            narrow = replace(large, room_length=12.0, wall_distance=0.5, camera_yaw=-0.6)
+            recording = Rendered(replace(narrow, duration=30.0, reference_width=200), 0)
+        cut = behind = 0
+        for k in range(0, len(recording), 20):
+            frame, whole = recording.frame(k), recording.true_pixels(k)
+            place = to_world(recording.gallery, recording.scene.pose[k], frame.xyz.astype(float))
+            for number, corners in enumerate(recording.scene.corners):
+                right, down = corners[1] - corners[0], corners[3] - corners[0]
+                h, w = recording.references[number].shape[:2]
+                a, b = ((place - corners[0]) @ side / (side @ side) for side in (right, down))
+                off = (place - corners[0]) @ np.cross(right, down) / np.linalg.norm(np.cross(right, down))
+                inside = (np.abs(off) < 1e-3) & (np.abs(a - 0.5) < 0.49) & (np.abs(b - 0.5) < 0.49)
+                if number in recording.visible(k) or inside.sum() < 500:
+                    continue
+                wanted = cv2.remap(
+                    soft(recording.references[number]), (w * a - 0.5).astype(np.float32),
+                    (h * b - 0.5).astype(np.float32), cv2.INTER_LINEAR,
+                )  # fmt: skip
+                grey = cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2GRAY)
+                assert np.corrcoef(grey[inside], wanted[inside])[0, 1] > 0.8
+                cut += 1
+                behind += number not in whole
+        assert cut >= 5
+        assert (behind > 0) == near
+
+    def test_walls_beside_the_pictures_stay_plain(self, clean):
+        k = next(k for k in range(len(clean)) if not clean.visible(k))
+        grey = cv2.cvtColor(clean.frame(k).rgb, cv2.COLOR_RGB2GRAY)
+        outside = np.ones_like(grey)
+        for s in clean.sights(k):
+            if np.isfinite(s.pixels).all():
+                cv2.fillConvexPoly(outside, np.rint(s.pixels).astype(np.int32), 0)
+        gradient = np.abs(np.diff(grey.astype(float), axis=1))[outside[:, 1:] > 0]
+        assert 0.1 < gradient.mean() < 3.0
+
+
+class TestStereoIsTrueToTheGeometry:
+    def test_every_depth_is_where_the_ray_meets_the_nearest_surface(self, clean):
+        rng = np.random.default_rng(0)
+        g, low, high = CLEAN, np.array([-3.5, -2.6, 0.0]), np.array([3.5, 2.6, 2.6])
+        for k in range(0, len(clean), 24):
+            xyz = clean.frame(k).xyz
+            assert np.isfinite(xyz).all()
+            x, y, t = clean.scene.pose[k]
+            eye = np.array([x + math.cos(t) * g.camera_x - math.sin(t) * g.camera_y,
+                            y + math.sin(t) * g.camera_x + math.cos(t) * g.camera_y, g.camera_height])  # fmt: skip
+            a = t + g.camera_yaw
+            axes = np.array([[math.sin(a), -math.cos(a), 0], [0, 0, -1], [math.cos(a), math.sin(a), 0]])
+            for u, v in rng.integers([0, 0], [640, 480], (100, 2)):
+                ray = np.array([(u - 319.5) / g.focal, (v - 239.5) / g.focal, 1.0]) @ axes
+                z = min((high[i] if ray[i] > 0 else low[i]) - eye[i] for i in [0]) / ray[0] if ray[0] else math.inf
+                for i in (1, 2):
+                    z = min(z, ((high[i] if ray[i] > 0 else low[i]) - eye[i]) / ray[i])
+                expected = z * np.array([(u - 319.5) / g.focal, (v - 239.5) / g.focal, 1.0])
+                assert np.allclose(xyz[v, u], expected, atol=2e-5)
+
+    def test_the_point_at_a_corner_lands_on_the_map(self, clean):
+        checked = 0
+        rotation, T = clean.setup.rotation, np.array(clean.setup.translation)
+        R = np.array([[math.cos(rotation), -math.sin(rotation)], [math.sin(rotation), math.cos(rotation)]])
+        for k, number in views(clean):
+            xyz, (x, y, t) = clean.frame(k).xyz, clean.scene.pose[k]
+            for corner, pixel in enumerate(clean.true_pixels(k)[number]):
+                p = bilinear(xyz, pixel)
+                body = R.T @ (p[[0, 2]] - T)
+                world = np.array([x, y]) + [[math.cos(t), -math.sin(t)], [math.sin(t), math.cos(t)]] @ body
+                assert np.allclose(world, clean.setup.corners[number, corner], atol=1e-4)
+                height = clean.scene.corners[number, corner, 2]
+                assert CLEAN.camera_height - p[1] == pytest.approx(height, abs=1e-4)
+                checked += 1
+        assert checked == 96
+
+    def test_with_noise_the_corner_errs_by_the_noise_of_stereo(self):
+        g = replace(CLEAN, disparity_noise=0.25, reference_width=120)
+        noisy, score = Rendered(g, 0), []
+        for k, number in views(noisy, 4):
+            xyz = noisy.frame(k).xyz
+            for sight in noisy.in_view(k):
+                if sight.picture == number:
+                    for pixel, point in zip(np.rint(sight.pixels).astype(int), sight.points):
+                        z = xyz[pixel[1], pixel[0], 2]
+                        score.append((z - point[2]) * g.focal * g.baseline / (point[2] ** 2 * g.disparity_noise))
+        # half a pixel along an oblique wall adds some millimetres
+        assert abs(np.mean(score)) < 4.5 / math.sqrt(len(score))
+        assert np.std(score) == pytest.approx(1.0, abs=4.5 / math.sqrt(2 * len(score)))
+
+
+class TestStereoNoise:
+    def points(self, g: Gallery, depth: float, seed: int = 0) -> np.ndarray:
+        rng = np.random.default_rng(seed)
+        flat = np.full((g.image_height, g.image_width), depth, np.float32)
+        rgb = np.zeros((*flat.shape, 3), np.uint8)
+        return stereo_points(g, flat, rgb, [], rng, rng).astype(float)
+
+    @pytest.mark.parametrize("depth", [1.0, 2.0, 3.0])
+    def test_depth_noise_grows_with_the_square_of_the_depth(self, depth):
+        z = self.points(replace(CLEAN, disparity_noise=0.25), depth)[:, :, 2]
+        assert z.std() == pytest.approx(depth**2 * 0.25 / (CLEAN.focal * CLEAN.baseline), rel=0.03)
+        assert z.mean() == pytest.approx(depth, rel=2e-3)
+
+    def test_points_err_along_their_rays(self):
+        p = self.points(replace(CLEAN, disparity_noise=0.25), 2.0)
+        u, v = np.meshgrid(np.arange(640), np.arange(480))
+        assert np.allclose(p[:, :, 0] / p[:, :, 2], (u - 319.5) / CLEAN.focal, atol=1e-6)
+        assert np.allclose(p[:, :, 1] / p[:, :, 2], (v - 239.5) / CLEAN.focal, atol=1e-6)
+
+    def test_disparities_are_whole_steps(self):
+        p = self.points(replace(CLEAN, disparity_noise=0.3, disparity_step=0.125), 2.5)
+        steps = CLEAN.focal * CLEAN.baseline / p[:, :, 2] / 0.125
+        assert np.abs(steps - np.rint(steps)).max() < 1e-3
+        assert len(np.unique(np.rint(steps))) > 5
+
+    @pytest.mark.parametrize("smear", [0.0, 0.4, 1.5, 4.0])
+    def test_the_noise_has_variance_one_everywhere_and_is_shared_by_neighbours(self, smear):
+        noise = np.array([smeared_noise((60, 80), smear, np.random.default_rng(i)) for i in range(300)])
+        assert noise.std() == pytest.approx(1.0, abs=0.03)
+        assert noise[:, 0, :].std() == pytest.approx(1.0, abs=0.06)
+        assert noise[:, :, -1].std() == pytest.approx(1.0, abs=0.06)
+        shared = np.mean(noise[:, :, 1:] * noise[:, :, :-1]) / noise.var()
+        # correlation of white noise seen through a Gaussian, one pixel apart
+        assert shared == pytest.approx(math.exp(-0.25 / smear**2) if smear > 1 else shared, abs=0.01)
+        assert (shared > 0.05) == (smear > 0)
+
+    def test_a_disparity_below_zero_is_no_point(self):
+        z = self.points(replace(CLEAN, disparity_noise=5.0), 20.0)[:, :, 2]
+        assert np.isnan(z).any()
+        assert np.nanmin(z) > 0
+
+
+class TestHoles:
+    def share(self, **options: float) -> float:
+        return float(np.isnan(Rendered(replace(SMALL_CLEAN, **options), 1).frame(5).xyz[:, :, 2]).mean())
+
+    def test_each_kind_of_hole_can_be_turned_on_by_itself(self):
+        assert self.share() == 0.0
+        assert 0.002 < self.share(patches=6) < 0.25
+        assert 0.001 < self.share(edge_hole=1) < 0.05
+        assert self.share(edge_hole=3) > 1.5 * self.share(edge_hole=1)
+        assert 0.05 < self.share(least_texture=0.6) < 0.95
+        assert self.share(least_texture=200.0) > 0.98
+
+    def test_a_point_is_there_as_a_whole_or_not_at_all(self, default):
+        xyz = default.frame(3).xyz
+        assert xyz.dtype == np.float32
+        invalid = np.isnan(xyz)
+        assert invalid.any()
+        assert (invalid.any(axis=2) == invalid.all(axis=2)).all()
+
+    def test_the_outline_of_a_picture_has_no_depth_and_its_inside_has(self, default):
+        filled = []
+        for k, number in views(default):
+            z = default.frame(k).xyz[:, :, 2]
+            corners = default.true_pixels(k)[number]
+            for pixel in np.rint(corners).astype(int):
+                assert np.isnan(z[pixel[1], pixel[0]])
+            inside = np.zeros(z.shape, np.uint8)
+            middle = corners.mean(axis=0)
+            cv2.fillConvexPoly(inside, np.rint(middle + 0.9 * (corners - middle)).astype(np.int32), 1)
+            filled.append(np.isfinite(z[inside > 0]).mean())
+        assert np.mean(filled) > 0.9
+
+
+class TestLightAndLens:
+    def light(self, **options: float) -> np.ndarray:
+        """Gain, and grey level added to a middle grey, of six frames: (6, 2)."""
+        lit, plain = Rendered(replace(SMALL_CLEAN, **options), 0), Rendered(SMALL_CLEAN, 0)
+        found = []
+        for k in range(6):
+            a, b = plain.frame(k).rgb.astype(float).ravel(), lit.frame(k).rgb.astype(float).ravel()
+            middle = (b > 0) & (b < 255)
+            gain, offset = np.polyfit(a[middle], b[middle], 1)
+            assert np.abs(gain * a + offset - b)[middle].max() < 1.5
+            found.append([gain, offset + 127.5 * (gain - 1.0)])
+        return np.array(found)
+
+    def test_brightness_and_contrast_change_from_frame_to_frame_each_by_itself(self):
+        gain, offset = self.light(brightness=20.0).T
+        assert np.allclose(gain, 1.0, atol=0.01)
+        assert 5.0 < offset.std() < 50.0
+        gain, offset = self.light(contrast=0.2).T
+        assert 0.05 < np.log(gain).std() < 0.5
+        assert np.abs(offset).max() < 1.0
+
+    def test_image_noise_has_the_stated_size(self):
+        noisy, plain = Rendered(replace(SMALL_CLEAN, image_noise=3.0), 0), Rendered(SMALL_CLEAN, 0)
+        a, b = (r.frame(0).rgb.astype(float) for r in (noisy, plain))
+        middle = (b > 20) & (b < 235)
+        assert (a - b)[middle].std() == pytest.approx(math.sqrt(9.0 + 1.0 / 12.0), rel=0.02)
+        assert abs((a - b)[middle].mean()) < 0.05
+        assert abs(np.corrcoef((a - b)[:, 1:].ravel(), (a - b)[:, :-1].ravel())[0, 1]) < 0.02
+        later = noisy.frame(1).rgb.astype(float) - plain.frame(1).rgb
+        assert abs(np.corrcoef((a - b).ravel(), later.ravel())[0, 1]) < 0.02
+
+    def test_blur_follows_the_robots_turn_and_stays_where_it_is(self):
+        plain, blurred = Rendered(CLEAN, 0), Rendered(replace(CLEAN, exposure=0.03), 0)
+        moving = np.abs(plain.scene.command[:, 1]) > 0.1
+        kept = {True: [], False: []}
+        for k in range(2, 100, 9):
+            if moving[k] != moving[k - 1]:
+                continue
+            for s in plain.in_view(k):
+                (left, top), (right, bottom) = s.pixels.min(axis=0).astype(int), s.pixels.max(axis=0).astype(int)
+                a, b = (
+                    cv2.cvtColor(r.frame(k).rgb, cv2.COLOR_RGB2GRAY)[top:bottom, left:right].astype(np.float32)
+                    for r in (plain, blurred)
+                )
+                kept[bool(moving[k])].append(np.abs(np.diff(b, axis=1)).mean() / np.abs(np.diff(a, axis=1)).mean())
+                # to the left and to the right it fits equally ill
+                left, middle, right = (
+                    np.corrcoef(a[:, 8:-8].ravel(), b[:, 8 + d : b.shape[1] - 8 + d].ravel())[0, 1] for d in (-3, 0, 3)
+                )
+                assert max(left, right) < middle
+                assert abs(left - right) < 0.02
+        assert max(kept[True]) < 0.6 < min(kept[False])
+
+    @pytest.mark.parametrize(("v", "omega"), [(0.3, 0.0), (0.0, 0.5), (0.2, -0.7)])
+    def test_the_motion_that_blurs_is_that_of_a_point_ahead_of_the_camera(self, v, omega):
+        g, depth, dt = CLEAN, 2.3, 1e-5
+        eye, a = np.array([g.camera_x, g.camera_y]), g.camera_yaw
+        point = np.append(eye + depth * np.array([math.cos(a), math.sin(a)]), g.camera_height)
+        before, after = (
+            to_pixels(g, in_camera(g, np.array([v * t, 0.0, omega * t]), point[None]))[0, 0] for t in (-dt, dt)
+        )
+        assert sideways_motion(g, v, omega, depth) == pytest.approx((after - before) / (2 * dt), rel=1e-5)
+
+
+class TestTheRecording:
+    def test_the_same_seed_gives_the_same_bytes_in_any_order(self):
+        a, b, c = Rendered(SMALL, 3), Rendered(SMALL, 3, frames=20), Rendered(SMALL, 4)
+        frames = list(b.frames())
+        assert len(frames) == len(b) == 20
+        for k in (7, 2, 7):
+            f = a.frame(k)
+            assert f.rgb.tobytes() == frames[k].rgb.tobytes()
+            assert f.xyz.tobytes() == frames[k].xyz.tobytes()
+            assert (f.time, f.v, f.omega) == (frames[k].time, frames[k].v, frames[k].omega)
+        assert all(np.array_equal(x, y) for x, y in zip(a.references, b.references))
+        assert not np.array_equal(a.references[0], c.references[0])
+        assert a.frame(0).rgb.tobytes() != c.frame(0).rgb.tobytes()
+
+    def test_frames_carry_time_and_recorded_commands_and_come_again(self, default):
+        scene = default.scene
+        short = Rendered(SMALL, 5, frames=4)
+        for _ in range(2):
+            for k, f in enumerate(short.frames()):
+                assert f.time == short.scene.time[k]
+                assert [f.v, f.omega] == short.scene.recorded[k].tolist()
+                assert f.rgb.shape == f.xyz.shape == (240, 320, 3)
+        assert len(default) == len(scene.time) == 360
+
+    def test_noise_of_one_kind_leaves_the_others_as_they_were(self):
+        a, b = Rendered(SMALL, 0), Rendered(replace(SMALL, disparity_noise=0.0, patches=0, edge_hole=0), 0)
+        assert a.frame(1).rgb.tobytes() == b.frame(1).rgb.tobytes()
+        c = Rendered(replace(SMALL, image_noise=0.0, brightness=0.0), 0)
+        assert a.frame(1).xyz.tobytes() == c.frame(1).xyz.tobytes()
+
+    def test_visible_pictures_have_true_pixels_within_the_image(self, default):
+        for k in range(0, 360, 7):
+            pixels = default.true_pixels(k)
+            for number in default.visible(k):
+                assert (pixels[number] >= 0).all()
+                assert (pixels[number] <= [639, 479]).all()
+
+    @pytest.mark.parametrize("frames", [0, -1, 49])
+    def test_more_frames_than_there_are_are_refused(self, frames):
+        with pytest.raises(UsageError, match=rf"frames = {frames}; from 1 to 48"):
+            Rendered(SMALL, 0, frames=frames)
+
+    def test_images_of_odd_size_and_a_camera_that_looks_along_an_axis_are_fine(self):
+        g = replace(SMALL_CLEAN, image_width=321, image_height=241, camera_yaw=0.0)
+        frame = Rendered(g, 0).frame(0)
+        assert frame.rgb.shape == (241, 321, 3)
+        assert np.isfinite(frame.xyz).all()
+        assert (frame.xyz[:, :, 2] > 0).all()

@@ -1,0 +1,344 @@
+"""The circle world: truth, map and view are the published ones, noise is as stated, keys do what they say."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.io import loadmat
+
+from data.convert.__main__ import main
+from data.errors import UsageError
+from data.log import Log
+from data.open_log.reader import load_folder
+from data.worlds.circle import Circle, simulate
+
+LIMIT = 4.5
+"""Standard errors by which a mean or a standard deviation may miss."""
+SENSORS_JOURNAL = Circle(
+    frames=400, turn_rate=0.075, sigma_speed=0.03 / math.sqrt(2), sigma_turn=0.03 * math.sqrt(8),
+    landmarks=15, ring=1.0, centre_x=0.1251, centre_y=3.3318, min_range=0.5,
+)  # fmt: skip
+"""Brossard, Barrau, Bonnabel, IEEE Sensors Journal 19(4), 2019, with the noise of the stored run."""
+
+
+def seen(log: Log) -> set[tuple[int, int]]:
+    """(frame, id) of every reading."""
+    return set(zip(log.recorded.observations.frame.tolist(), log.truth.landmark_of.tolist()))
+
+
+def exact_readings(log: Log) -> np.ndarray:
+    """Noise-free readings (M, 2), by complex numbers."""
+    pose = log.truth.pose[log.recorded.observations.frame]
+    point = log.truth.landmarks.xy[log.truth.landmark_of]
+    z = ((point - pose[:, :2]) @ [1, 1j]) * np.exp(-1j * pose[:, 2])
+    return np.column_stack([z.real, z.imag])
+
+
+def agrees(values: np.ndarray, sigma: float) -> bool:
+    """Whether normal samples have mean zero and that standard deviation, each within `LIMIT` standard errors."""
+    n = values.size
+    off = abs(values.mean()) / (sigma / math.sqrt(n))
+    wide = abs(values.std(ddof=1) / sigma - 1.0) * math.sqrt(2 * n)
+    return bool(off < LIMIT and wide < LIMIT)
+
+
+@pytest.fixture(scope="module")
+def stored(shared_data: Path) -> dict[str, Any]:
+    """The stored run of that study."""
+    file = shared_data / "esde" / "results.mat"
+    if not file.is_file():
+        pytest.skip("no stored run")
+    return loadmat(file)
+
+
+class TestAgainstTheStoredRun:
+    def test_the_true_path_is_the_stored_one(self, stored):
+        ours = simulate(SENSORS_JOURNAL, 0).truth.pose
+        theirs = stored["xR_true"][:, :, 1].T
+        assert np.abs(ours[:, :2] - theirs[:, :2]).max() < 1e-9
+        assert np.abs(np.exp(1j * ours[:, 2]) - np.exp(1j * theirs[:, 2])).max() < 1e-9
+
+    def test_the_landmarks_are_the_stored_ones_which_count_the_angles_from_one(self, stored):
+        ours = simulate(SENSORS_JOURNAL, 0).truth.landmarks
+        assert ours.id.tolist() == list(range(15))
+        assert np.abs(np.roll(ours.xy, -1, axis=0) - stored["xL_true_fixed"].T).max() < 1e-9
+
+    def test_the_visible_sets_are_the_stored_ones(self, stored):
+        number = stored["z"][2].astype(int)
+        slots, frames = np.nonzero(number)
+        theirs = {(f, n % 15) for f, n in zip(frames.tolist(), number[slots, frames].tolist()) if f > 0}
+        assert seen(simulate(SENSORS_JOURNAL, 0)) == theirs
+
+    def test_the_noise_is_the_stored_one(self, stored):
+        assert SENSORS_JOURNAL.sigma_speed == pytest.approx(stored["sigma_v"].item())
+        assert SENSORS_JOURNAL.sigma_turn == pytest.approx(stored["sigma_w"].item())
+
+
+class TestWorld:
+    @pytest.mark.parametrize("circle", [Circle(), Circle(period=0.5, speed=0.7, turn_rate=0.3, frames=100)])
+    def test_the_truth_takes_straight_steps_and_then_turns(self, circle):
+        place, heading, path = 0j, 0.0, []
+        for _ in range(circle.frames):
+            path.append((place.real, place.imag, math.remainder(heading, 2 * math.pi)))
+            place += circle.speed * circle.period * np.exp(1j * heading)
+            heading += circle.turn_rate * circle.period
+        pose = simulate(circle, 0).truth.pose
+        assert np.abs(pose[:, :2] - np.array(path)[:, :2]).max() < 1e-9
+        assert np.abs(np.exp(1j * pose[:, 2]) - np.exp(1j * np.array(path)[:, 2])).max() < 1e-9
+        assert np.abs(pose[:, 2]).max() <= math.pi + 1e-9
+
+    def test_the_defaults_see_as_many_landmarks_as_the_published_benchmark(self):
+        """notes of its replication: 2.35 landmarks in view on average, and 6.7 in the other scenario."""
+        assert len(seen(simulate(Circle(), 0))) / 2499 == pytest.approx(2.35, abs=0.01)
+        assert len(seen(simulate(SENSORS_JOURNAL, 0))) / 399 == pytest.approx(6.7, abs=0.05)
+
+    def test_a_ring_lies_around_the_path_at_its_distance_unless_told_where(self):
+        xy = simulate(Circle(landmarks=4), 0).truth.landmarks.xy
+        r = 0.25 / math.radians(1.5)
+        wanted = [[r + 3, r], [0, 2 * r + 3], [-r - 3, r], [0, -3]]
+        assert np.allclose(xy, wanted, rtol=0, atol=1e-12)
+        moved = simulate(Circle(landmarks=4, centre_x=1.0, centre_y=2.0), 0).truth.landmarks.xy
+        assert np.allclose(moved, xy - [0, r] + [1, 2], rtol=0, atol=1e-12)
+        assert simulate(Circle(landmarks=4, centre_y=0.0), 0).truth.landmarks.xy[0, 1] == 0.0
+
+    def test_a_scattered_map_keeps_to_both_sides_of_the_path_and_to_its_seed(self):
+        circle = Circle(layout="scatter", map_seed=3, landmarks=2000, min_range=0.5, frames=2)
+        maps = [simulate(circle, seed).truth.landmarks.xy for seed in (0, 1)]
+        assert np.array_equal(*maps)
+        other = simulate(replace(circle, map_seed=4), 0).truth.landmarks.xy
+        assert not np.isin(other, maps[0]).any()
+        place = (maps[0] - [0, circle.radius]) @ [1, 1j]
+        away = np.abs(place) - circle.radius
+        assert (np.abs(away) > 0.5).all()
+        assert (np.abs(away) < 5.0).all()
+        assert abs((away > 0).mean() - 0.5) < LIMIT * 0.5 / math.sqrt(2000)
+        for side in (away[away > 0] - 2.75, away[away < 0] + 2.75):
+            assert abs(side.mean()) < LIMIT * 4.5 / math.sqrt(12 * len(side))
+        assert abs((place / np.abs(place)).mean()) < LIMIT / math.sqrt(2000)
+        fewer = simulate(replace(circle, landmarks=10), 0).truth.landmarks.xy
+        assert np.array_equal(fewer, maps[0][:10])
+
+    def test_landmarks_are_seen_strictly_between_the_ranges_and_never_at_the_start(self):
+        circle = Circle(landmarks=40, ring=0.5, min_range=0.6, max_range=3.0, frames=300)
+        log = simulate(circle, 0)
+        distance = np.linalg.norm(log.truth.pose[:, None, :2] - log.truth.landmarks.xy, axis=2)
+        wanted = {(f, i) for f, i in np.argwhere((distance > 0.6) & (distance < 3.0)).tolist() if f > 0}
+        assert seen(log) == wanted
+        assert (distance[0] < 3.0).any()
+
+    @pytest.mark.parametrize(("low", "high", "visible"), [(1.0, 3.0, False), (3.0, 9.0, False), (2.9, 3.1, True)])
+    def test_a_landmark_at_the_very_edge_of_the_view_is_not_seen(self, low: float, high: float, visible: bool):
+        """At the second frame the robot stands at (1, 0), its only landmark at (4, 0)."""
+        world = Circle(frames=2, speed=1.0, turn_rate=1.0, landmarks=1, ring=1.0, centre_x=2.0, centre_y=0.0)
+        assert len(seen(simulate(replace(world, min_range=low, max_range=high), 0))) == visible
+
+    def test_labels_are_the_true_ids_ascending_in_a_frame(self):
+        log = simulate(Circle(frames=300), 0)
+        o = log.inputs(labels=True).observations
+        assert np.array_equal(o.label, log.truth.landmark_of)
+        within = np.diff(o.frame) == 0
+        assert (np.diff(o.frame) >= 0).all()
+        assert (np.diff(o.label)[within] > 0).all()
+        assert within.any()
+
+    def test_time_name_and_source(self):
+        circle = Circle(frames=5, period=0.5)
+        log = simulate(circle, 7)
+        assert log.recorded.time.tolist() == [0.0, 0.5, 1.0, 1.5, 2.0]
+        assert log.name == "circle:7"
+        assert log.source == {"kind": "circle", "seed": 7, "circle": asdict(circle)}
+        assert simulate(circle, 7, "mine").name == "mine"
+        one = simulate(Circle(frames=1), 0).recorded
+        assert (len(one), len(one.observations.z), one.increments.mean.shape) == (1, 0, (1, 3))
+
+
+class TestNoise:
+    def test_odometry_and_readings_have_their_sigmas(self):
+        circle = Circle(period=0.5, sigma_speed=0.02, sigma_turn=0.01, sigma_point=0.2, frames=5000)
+        log = simulate(circle, 1)
+        mean = log.recorded.increments.mean
+        speed, turn = mean[1:, 0] / 0.5 - 0.25, mean[1:, 2] / 0.5 - math.radians(1.5)
+        assert agrees(speed, 0.02)
+        assert agrees(turn, 0.01)
+        assert abs(np.corrcoef(speed, turn)[0, 1]) * math.sqrt(5000) < LIMIT
+        assert np.array_equal(mean[:, 1], np.zeros(5000))
+        assert np.array_equal(mean[0], np.zeros(3))
+        error = log.recorded.observations.z - exact_readings(log)
+        assert len(error) > 5000
+        assert agrees(error[:, 0], 0.2)
+        assert agrees(error[:, 1], 0.2)
+        assert np.allclose(log.recorded.observations.R, 0.04 * np.eye(2), rtol=1e-12, atol=0)
+
+    def test_the_prior_mean_is_drawn_and_exact_only_if_asked(self):
+        exact = simulate(Circle(frames=1), 0).recorded.prior
+        assert np.array_equal(exact.mean, np.zeros(3))
+        assert np.array_equal(exact.covariance, np.zeros((3, 3)))
+        priors = [simulate(Circle(frames=1, prior_sigma=0.3), seed).recorded.prior for seed in range(400)]
+        assert np.allclose(priors[0].covariance, 0.09 * np.eye(3))
+        assert agrees(np.array([p.mean for p in priors]), 0.3)
+
+    @pytest.mark.parametrize("substeps", [1, 3])
+    @pytest.mark.parametrize("heading_noise", ["after", "before"])
+    @pytest.mark.parametrize("speed_noise", ["start", "end"])
+    def test_the_stated_covariance_is_that_of_the_described_motion(self, substeps, heading_noise, speed_noise):
+        """Oracle: central differences of the motion in which every substep has its own noise."""
+        circle = Circle(
+            frames=4, period=0.8, speed=1.5, turn_rate=0.4, sigma_speed=0.1, sigma_turn=0.2, substeps=substeps,
+            heading_noise=heading_noise, speed_noise=speed_noise, covariance_floor=0.0,
+        )  # fmt: skip
+        increments = simulate(circle, 2).recorded.increments
+        h = 0.8 / substeps
+
+        def move(v: float, omega: float, noise: np.ndarray) -> np.ndarray:
+            place, a = 0j, 0.0
+            for n_v, n_omega in noise.reshape(substeps, 2):
+                turned = a + h * n_omega if heading_noise == "before" else a
+                place += h * v * np.exp(1j * turned)
+                place += h * n_v * np.exp(1j * (a + h * omega if speed_noise == "end" else a))
+                a += h * (omega + n_omega)
+            return np.array([place.real, place.imag, a])
+
+        for mean, covariance in zip(increments.mean[1:], increments.covariance[1:]):
+            v, omega = mean[0] / 0.8, mean[2] / 0.8
+            steps = 1e-6 * np.eye(2 * substeps)
+            J = np.stack([(move(v, omega, d) - move(v, omega, -d)) / 2e-6 for d in steps], axis=1)
+            variance = np.tile([0.01, 0.04], substeps) * substeps
+            assert np.allclose(covariance, J @ np.diag(variance) @ J.T, rtol=0, atol=1e-9)
+            assert np.array_equal(covariance, covariance.T)
+        assert np.array_equal(increments.covariance[0], np.zeros((3, 3)))
+
+    def test_what_is_stated_changes_nothing_that_was_measured(self):
+        plain = simulate(Circle(frames=300), 5)
+        for change in ({"heading_noise": "before"}, {"speed_noise": "end"}, {"substeps": 3}, {"covariance_floor": 0.0}):
+            log = simulate(Circle(frames=300, **change), 5)
+            assert np.array_equal(log.recorded.increments.mean, plain.recorded.increments.mean)
+            assert np.array_equal(log.recorded.observations.z, plain.recorded.observations.z)
+            assert not np.array_equal(log.recorded.increments.covariance, plain.recorded.increments.covariance)
+
+    def test_a_singular_increment_gets_the_floor_that_is_asked_for(self):
+        for floor in (1e-10, 1e-7):
+            inputs = simulate(Circle(frames=50, covariance_floor=floor), 0).recorded
+            assert inputs.floored == 49
+            assert inputs.covariance_floor == floor
+            assert np.linalg.eigvalsh(inputs.increments.covariance[1:]).min() == pytest.approx(floor, rel=1e-3)
+        bare = simulate(Circle(frames=50, covariance_floor=0.0), 0).recorded
+        assert bare.floored == 0
+        assert np.array_equal(bare.increments.covariance[1], np.diag([Circle.sigma_speed**2, 0, Circle.sigma_turn**2]))
+
+
+class TestStreams:
+    def test_the_same_seed_gives_the_same_bytes_and_another_seed_another_log(self):
+        circle = Circle(frames=100, prior_sigma=0.1)
+        one, two, other = (simulate(circle, s).recorded for s in (4, 4, 5))
+        assert one.observations.z.tobytes() == two.observations.z.tobytes()
+        assert one.increments.mean.tobytes() == two.increments.mean.tobytes()
+        assert one.prior.mean.tobytes() == two.prior.mean.tobytes()
+        assert not np.isin(one.increments.mean[1:, 0], other.increments.mean[:, 0]).any()
+        assert not np.isin(one.observations.z, other.observations.z).any()
+        assert not np.isin(one.prior.mean, other.prior.mean).any()
+
+    def test_view_and_length_keep_the_readings_they_share(self):
+        def readings(**change: float) -> dict[tuple[int, int], tuple[float, ...]]:
+            log = simulate(Circle(**{"frames": 200, **change}), 6)  # type: ignore[arg-type]
+            o = log.recorded.observations
+            return {k: tuple(z) for k, z in zip(zip(o.frame.tolist(), log.truth.landmark_of.tolist()), o.z.tolist())}
+
+        plain = readings()
+        wide = readings(max_range=20.0, min_range=0.0)
+        assert len(wide) > len(plain)
+        assert {k: wide[k] for k in plain} == plain
+        longer = readings(frames=300)
+        assert {k: z for k, z in longer.items() if k[0] < 200} == plain
+        assert readings(sigma_turn=0.3, prior_sigma=1.0) == plain
+
+    def test_no_two_streams_share_their_draws(self):
+        circle = Circle(frames=20, sigma_speed=1.0, sigma_turn=1.0, sigma_point=1.0, prior_sigma=1.0, max_range=99.0)
+        log = simulate(circle, 6)
+        odometry = (log.recorded.increments.mean[1:, [0, 2]] - [0.25, math.radians(1.5)]).ravel()
+        sensor = (log.recorded.observations.z - exact_readings(log)).ravel()
+        for a, b in ((odometry, sensor), (log.recorded.prior.mean, odometry), (log.recorded.prior.mean, sensor)):
+            assert not np.isclose(a[:, None], b, rtol=0, atol=1e-9).any()
+
+
+class TestParameters:
+    @pytest.mark.parametrize(
+        ("change", "why"),
+        [
+            ({"sigma_speed": -0.1}, "sigma_speed = -0.1; must not be negative"),
+            ({"sigma_turn": -1}, "sigma_turn = -1; must not be negative"),
+            ({"sigma_point": 0.0}, "sigma_point = 0.0; a positive number"),
+            ({"prior_sigma": -0.1}, "prior_sigma = -0.1; must not"),
+            ({"covariance_floor": -1e-9}, "covariance_floor = -1e-09; must not"),
+            ({"frames": 0}, "frames = 0; at least 1"),
+            ({"landmarks": 0}, "landmarks = 0; at least 1"),
+            ({"substeps": 0}, "substeps = 0; at least 1"),
+            ({"frames": 2.5}, "frames = 2.5; a whole number"),
+            ({"frames": True}, "frames = True; a whole number"),
+            ({"speed": "fast"}, "speed = 'fast'; a number"),
+            ({"speed": math.nan}, "speed = nan; a finite number"),
+            ({"centre_y": math.inf}, "centre_y = inf; a finite number"),
+            ({"period": 0.0}, "period = 0.0; a positive"),
+            ({"turn_rate": 0.0}, "turn_rate = 0.0; a positive"),
+            ({"max_range": -1.0}, "max_range = -1.0; a positive"),
+            ({"min_range": -1.0}, "min_range = -1.0; must not"),
+            ({"min_range": 5.0}, "min_range = 5.0, max_range = 5.0; min_range < max_range"),
+            ({"heading_noise": "during"}, "heading_noise = 'during'; known: after, before"),
+            ({"speed_noise": "middle"}, "speed_noise = 'middle'; known: start, end"),
+            ({"layout": "square"}, "layout = 'square'; known: ring, scatter"),
+            ({"map_seed": 2}, "map_seed = 2 has no effect with layout ring"),
+            ({"layout": "scatter", "map_seed": -2}, "map_seed = -2; must not"),
+            ({"layout": "scatter", "ring": 1.0}, "ring = 1.0 has no effect with layout scatter"),
+            ({"ring": -20.0}, "ring = -20.0; more than -9.54"),
+        ],
+    )
+    def test_a_senseless_value_is_named_with_its_key(self, change: dict[str, Any], why: str):
+        with pytest.raises(UsageError) as error:
+            Circle(**change)
+        assert why in str(error.value)
+        assert str(error.value).startswith("circle: ")
+        assert "\n" not in str(error.value)
+
+    def test_a_whole_number_will_do_for_any_number(self):
+        assert simulate(Circle(frames=3, speed=1, period=2), 0).truth.pose[1, 0] == 2.0
+
+
+class TestCommand:
+    def test_every_parameter_has_a_flag_that_reaches_the_log(self, tmp_path: Path):
+        circle = Circle(
+            frames=30, period=0.5, speed=0.5, turn_rate=0.1, sigma_speed=0.01, sigma_turn=0.02, sigma_point=0.2,
+            landmarks=9, layout="scatter", map_seed=2, centre_x=0.5, centre_y=4.0, min_range=0.25, max_range=7.0,
+            prior_sigma=0.1, heading_noise="before", speed_noise="end", substeps=3, covariance_floor=1e-9,
+        )  # fmt: skip
+        changed = [f.name for f in fields(Circle) if getattr(circle, f.name) != f.default]
+        assert set(changed) == {f.name for f in fields(Circle)} - {"ring"}
+        flags = [w for n in changed for w in (f"--{n.replace('_', '-')}", str(getattr(circle, n)))]
+        assert main(["circle", str(tmp_path / "round"), "--seed", "7", *flags]) == 0
+        log, wanted = load_folder(tmp_path / "round"), simulate(circle, 7)
+        assert np.array_equal(log.recorded.observations.z, wanted.recorded.observations.z)
+        assert np.array_equal(log.recorded.increments.covariance, wanted.recorded.increments.covariance)
+        assert np.array_equal(log.recorded.prior.mean, wanted.recorded.prior.mean)
+        assert np.array_equal(log.truth.landmarks.xy, wanted.truth.landmarks.xy)
+        assert log.recorded.covariance_floor == 1e-9
+        assert log.source == {"kind": "circle", "seed": 7, "circle": asdict(circle)}
+
+    def test_every_flag_is_described(self, capsys: pytest.CaptureFixture[str]):
+        with pytest.raises(SystemExit) as end:
+            main(["circle", "--help"])
+        assert end.value.code == 0
+        text = capsys.readouterr().out
+        for f in fields(Circle):
+            flag = text.index(f"  --{f.name.replace('_', '-')} ")
+            assert len(text[flag : text.index("(default", flag)].split()) > 2
+        assert "None" not in text
+
+    def test_a_senseless_value_is_one_line_and_status_2(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+        assert main(["circle", str(tmp_path / "round"), "--sigma-turn", "-1"]) == 2
+        said = capsys.readouterr()
+        assert "sigma_turn = -1" in said.err
+        assert said.err.count("\n") == 1
+        assert not (tmp_path / "round").exists()

@@ -1,0 +1,123 @@
+"""Colours, labels and lines that tell estimators apart, and figures saved to the same bytes every time."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from itertools import combinations
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+
+from eval.figures import map_figure
+from eval.figures.style import STYLES, TRUTH_COLOUR, save, series, style_of
+from tests.eval.handmade import circle_log, run_with_error
+
+NAMES = [
+    "dead-reckoning", "ekf", "ekf-iterated", "ekf-fej", "ekf-invariant", "batch", "batch-huber", "batch-cauchy", "gnc",
+    "isam2", "fixed-lag",
+]  # fmt: skip
+
+# Machado, Oliveira, Fernandes 2009, severity 1.0, on linear RGB
+SEEN_BY = {
+    "all cones": np.eye(3),
+    "no red cones": np.array(
+        [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]]
+    ),
+    "no green cones": np.array(
+        [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]
+    ),
+    "no blue cones": np.array(
+        [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]]
+    ),
+}
+
+
+def lab(colour, seen):
+    rgb = np.array(to_rgb(colour))
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    linear = np.clip(seen @ linear, 0.0, 1.0)
+    to_xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+    t = to_xyz @ linear / np.array([0.9505, 1.0, 1.089])
+    f = np.where(t > (6 / 29) ** 3, np.cbrt(t), t / (3 * (6 / 29) ** 2) + 4 / 29)
+    return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
+
+
+@pytest.mark.parametrize("seen", SEEN_BY.values(), ids=SEEN_BY.keys())
+def test_colours_of_the_default_report_stay_apart_for_colour_blind_readers(seen):
+    colours = [TRUTH_COLOUR, *(STYLES[n].colour for n in ("dead-reckoning", "ekf", "isam2", "batch"))]
+    for a, b in combinations(colours, 2):
+        assert np.linalg.norm(lab(a, seen) - lab(b, seen)) > 15.0, (a, b)  # a just noticeable difference is about 2.3
+
+
+def test_every_planned_estimator_has_a_look_of_its_own():
+    assert set(STYLES) == set(NAMES)
+    assert len({s.colour for s in STYLES.values()}) == len(NAMES)
+    assert len({s.label for s in STYLES.values()}) == len(NAMES)
+
+
+def test_an_unplanned_name_gets_the_same_look_each_time_and_no_planned_colour():
+    assert style_of("tutorial-step1") == style_of("tutorial-step1")
+    assert style_of("tutorial-step1").colour not in {s.colour for s in STYLES.values()}
+    assert style_of("tutorial-step1").label == "tutorial-step1"
+
+
+def test_phases_and_associations_of_one_estimator_differ_in_label_and_line():
+    runs = [
+        run_with_error(np.zeros(3), estimator="isam2", phases=("online", "final")),
+        run_with_error(np.zeros(3), association="known"),
+        run_with_error(np.zeros(3), association="jcbb"),
+        run_with_error(np.zeros(3), estimator="dead-reckoning", association="none"),
+    ]
+    drawn = series(runs)
+    assert [s.label for s in drawn] == [
+        "iSAM2, known (online)", "iSAM2, known (final)", "EKF, known (online)", "EKF, jcbb (online)", "dead reckoning",
+    ]  # fmt: skip
+    assert drawn[0].line != drawn[1].line
+    assert drawn[2].line != drawn[3].line
+    assert drawn[2].colour == drawn[3].colour
+    assert drawn[1].line == drawn[2].line, "one line for one association, whoever uses it"
+
+
+def pictures(folder: Path) -> dict[str, bytes]:
+    runs = [run_with_error(np.array([0.1, 0.0, 0.02])), run_with_error(np.zeros(3), estimator="batch")]
+    written = save(map_figure(circle_log(), runs), folder, "map")
+    return {p.name: p.read_bytes() for p in written}
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory):
+    before = dict(matplotlib.rcParams)
+    files = pictures(tmp_path_factory.mktemp("here"))
+    return files, before, dict(matplotlib.rcParams)
+
+
+def test_same_data_gives_same_bytes_in_another_process_too(drawn, tmp_path):
+    assert sorted(drawn[0]) == ["map.pdf", "map.png"]
+    call = f"pictures(Path({str(tmp_path)!r}))"
+    code = f"from pathlib import Path; from tests.eval.figures.test_style import pictures; {call}"
+    root = Path(__file__).resolve().parents[3]
+    environment = {**os.environ, "PYTHONHASHSEED": "7", "PYTHONPATH": str(root)}
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=root, env=environment, timeout=120)
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == drawn[0]
+
+
+def test_saved_figures_carry_no_date_and_no_version(drawn):
+    for name, data in drawn[0].items():
+        words = [b"CreationDate", b"Creator", b"Producer"] if name.endswith("pdf") else [b"Software", b"tIME"]
+        assert not [w for w in words if w in data]
+
+
+def test_drawing_leaves_the_callers_settings_alone(drawn):
+    assert drawn[1] == drawn[2]
+
+
+def test_a_format_that_may_carry_a_date_is_refused_before_anything_is_written(tmp_path):
+    with pytest.raises(ValueError, match="figure format 'svg'; known: pdf, png"):
+        save(Figure(), tmp_path, "map", formats=("png", "svg"))
+    assert list(tmp_path.iterdir()) == []

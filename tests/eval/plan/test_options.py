@@ -1,0 +1,129 @@
+"""The command line takes what it says it takes, config files hold the same keys, and nonsense is refused by name."""
+
+from __future__ import annotations
+
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from data.errors import UsageError
+from eval.plan.flags import parser, shipped
+from eval.plan.options import read_options
+
+ROOT = Path(__file__).parents[3]
+
+
+def test_flags_and_config_keys_mean_the_same_and_flags_win(tmp_path):
+    config = tmp_path / "run.toml"
+    config.write_text(
+        'log = ["arena:1", "arena:2"]\ntask = "slam"\nestimator = ["ekf", "batch"]\ngate = 0.95\ngate-known = 0.9999\n'
+        'runs = 60\nseed = 7\njobs = 1\nquick = true\nformats = "csv,tex"\nno-plots = true\nout = "elsewhere"\n'
+    )
+    o = read_options(["--config", str(config)])
+    assert (o.log, o.task, o.estimator) == (("arena:1", "arena:2"), ("slam",), ("ekf", "batch"))
+    assert (o.gate, o.gate_known, o.runs, o.seed, o.jobs) == (0.95, 0.9999, 60, 7, 1)
+    assert (o.quick, o.formats, o.no_plots, str(o.out)) == (True, ("csv", "tex"), True, "elsewhere")
+    same = read_options([
+        "--log", "arena:1", "--log", "arena:2", "--task", "slam", "--estimator", "ekf,batch", "--gate", "0.95",
+        "--gate-known", "0.9999", "--runs", "60", "--seed", "7", "--jobs", "1", "--quick", "--formats", "csv,tex",
+        "--no-plots", "--out", "elsewhere",
+    ])  # fmt: skip
+    assert same == o
+    assert read_options(["--config", str(config), "--gate", "none", "--seed", "1"]).gate is None
+    assert read_options(["--config", str(config), "--seed", "1"]).seed == 1
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    (["--gate", "1"], "between 0 and 1"),
+    (["--gate", "0"], "between 0 and 1"),
+    (["--gate-known", "-0.5"], "between 0 and 1"),
+    (["--gate", "nan"], "between 0 and 1"),
+    (["--gate", "wide"], "a number is needed"),
+    (["--estimator", "ukf"], "known: dead-reckoning, ekf"),
+    (["--association", "guess"], "known: known, nn, ml"),
+    (["--task", "mapping"], "known: localization, slam"),
+    (["--formats", "docx"], "known: csv, md, tex"),
+    (["--estimator", "ekf,ekf"], "named twice"),
+    (["--runs", "-1"], "negative"),
+    (["--runs", "2.5"], "whole number"),
+    (["--jobs", "0"], "at least one"),
+    (["-q", "-v"], "exclude each other"),
+    (["--animate", "--no-plots"], "forbids"),
+    (["--config", "nowhere.toml"], "no such file"),
+    (["--new-gate", "1"], "between 0 and 1"),
+    (["--new-gate", "-0.1"], "between 0 and 1"),
+    (["--association", "jcbb,jcbb"], "named twice"),
+    (["--forget-after", "0"], "positive"),
+    (["--deactivate-after", "inf"], "positive"),
+    (["--deactivate-after", "60", "--forget-after", "30"], "less than --forget-after"),
+    (["--full", "--quick"], "exclude each other"),
+    (["--deactivate-after", "60", "--estimator", "ekf-invariant"], "moves all landmarks together"),
+    (["--full", "--log", "arena:0"], "takes no --log"),
+])  # fmt: skip
+def test_nonsense_is_refused_by_name(arguments, words):
+    with pytest.raises(UsageError, match=words):
+        read_options(arguments)
+
+
+@pytest.mark.parametrize(("text", "words"), [
+    ("lgo = 'x'", "unknown key 'lgo'"), ("quick = 1", "true or false"), ("runs = true", "whole number"),
+    ("log = 3", "a list of names"),
+    ("corridor = 3", "is a table"),
+    ("task = [", "run.toml"), ("[variant]\nname = 'x'", "variant"), ("[variant]\ncolour = 1", "takes the keys"),
+])  # fmt: skip
+def test_a_config_file_with_faults_is_refused(tmp_path, text, words):
+    config = tmp_path / "run.toml"
+    config.write_text(text)
+    with pytest.raises(UsageError, match=words):
+        read_options(["--config", str(config)])
+
+
+def test_a_table_of_constants_in_a_config_file_is_a_corridor(tmp_path):
+    config = tmp_path / "run.toml"
+    config.write_text('log = "arena:0"\n[corridor]\nseed = 4\npeople = true\nodometry = false\nrange = 8\n')
+    assert read_options(["--config", str(config)]).log == ("arena:0", "corridor:4:people=on+odometry=off+range=8")
+
+
+def test_shipped_tutorials_hold_the_classic_numbers():
+    assert shipped() == ["tutorial-step1", "tutorial-step2", "tutorial-step3", "tutorial-step4"]
+    o = read_options([part for name in shipped() for part in ("--config", name)])
+    one, two, three, four = o.variants
+    assert o.task == ("localization", "slam")
+    assert (one.alphas, one.sigma, one.prior_variance, one.each) == ((0.2, 0.03, 0.09, 0.08), (2.0, 3.0), 0.01, True)
+    assert (three.alphas, three.prior_variance, three.new_variance) == ((0.1, 0.01, 0.18, 0.08), 0.001, 10.0)
+    assert [round(s**2, 12) for s in three.sigma] == [11.8, 0.18]
+    assert (two.association, two.gate, two.alphas, two.sigma) == ("ml", None, one.alphas, (0.43, 0.6))
+    assert (two.prior_variance, two.each) == (0.01, True)
+    assert (four.association, four.gate, four.alphas) == ("ml-ratio", None, (0.11, 0.01, 0.18, 0.08))
+    assert [round(s**2, 12) for s in four.sigma] == [11.7, 0.18]
+    assert four.new_variance_per_square == pytest.approx(1 / 130)
+    assert one.grid == two.grid == three.grid == four.grid == 0.02
+
+
+def children_cpu() -> float:
+    """s of processor time that finished subprocesses used, on a busy machine as on an idle one."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def test_help_shows_an_example_of_every_flag_and_answers_at_once():
+    begin = children_cpu()
+    done = subprocess.run(
+        [sys.executable, "-m", "eval.run_all", "--help"], capture_output=True, text=True, cwd=ROOT, check=True
+    )
+    assert children_cpu() - begin < 0.5  # a tenth, unless the numerical libraries are imported
+    examples = done.stdout.split("examples:")[1]
+    for action in parser()._actions:
+        if action.dest not in ("help",):
+            assert any(s in examples.split() for s in action.option_strings), action.option_strings
+
+
+def test_help_imports_nothing_heavy():
+    heavy = ("numpy", "gtsam", "numba", "pandas", "matplotlib")
+    code = "import sys; from eval.plan.flags import parser; parser().format_help(); "
+    code += f"print([m for m in {heavy} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True)
+    assert done.stdout.strip() == "[]"

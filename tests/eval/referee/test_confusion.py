@@ -1,0 +1,127 @@
+"""TP, TN, FP, FN as the referee defines them, on cases small enough to settle by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from association.known import known_decisions
+from data.inputs import LandmarkMap
+from data.worlds.arena import Arena, simulate
+from eval.referee.confusion import confuse, ground_truth, share_within
+from eval.referee.score import association_row
+from eval.replay.run import filter_known
+
+NEW, DISCARD = -1, -2
+
+
+def test_a_map_without_the_landmark_makes_none_the_right_answer():
+    # frame 0 founds 7 and 9; frame 1: right, taken for the neighbour, taken for new, clutter paired, clutter left out
+    frame = np.array([0, 0, 1, 1, 1, 1, 1])
+    true_id = np.array([7, 9, 7, 9, 7, -1, -1])
+    decisions = np.array([NEW, NEW, 0, 0, NEW, 1, DISCARD])
+    created = np.array([0, 1, -1, -1, 2, -1, -1])
+    c = confuse(frame, true_id, decisions, created, None)
+    assert c.ground_truth.tolist() == [-1, -1, 0, 1, 0, -1, -1]
+    assert (c.tp, c.tn, c.fp, c.fn) == (1, 3, 2, 1)
+    assert (c.wrong, c.spurious, c.duplicate, c.missed) == (1, 1, 1, 0)
+    assert (c.precision, c.recall) == (1 / 3, 1 / 2)
+
+
+def test_pairing_with_a_duplicate_of_the_right_landmark_is_a_false_positive():
+    frame, true_id = np.array([0, 1, 2]), np.array([5, 5, 5])
+    c = confuse(frame, true_id, np.array([NEW, NEW, 1]), np.array([0, 1, -1]), None)
+    assert c.outcome.tolist() == [1, 3, 2]
+    assert c.wrong == 1
+
+
+def test_a_landmark_is_in_the_map_from_the_frame_after_its_creation():
+    gt = ground_truth(np.array([0, 0, 1]), np.array([5, 5, 5]), np.array([0, -1, -1]), None)
+    assert gt.tolist() == [-1, -1, 0]
+
+
+def test_in_localization_the_map_itself_says_what_is_right():
+    known = LandmarkMap(np.array([5, 6]), np.zeros((2, 2)))
+    c = confuse(np.zeros(4, int), np.array([5, 6, 7, -1]), np.array([5, DISCARD, 6, DISCARD]), np.full(4, -1), known)
+    assert c.ground_truth.tolist() == [5, 6, -1, -1]
+    assert (c.tp, c.tn, c.fp, c.fn) == (1, 1, 1, 1)
+    assert c.missed == 1
+
+
+def test_unknown_true_ids_make_the_counts_unknown():
+    assert confuse(np.array([0]), np.array([-2]), np.array([NEW]), np.array([0]), None) is None
+
+
+def test_known_association_makes_no_mistake():
+    log = simulate(Arena(frames=40, clutter=0.5), 0)
+    for inputs in (log.inputs(labels=True), log.inputs(labels=True).without_map()):
+        decisions, created = known_decisions(inputs)
+        c = confuse(inputs.observations.frame, log.truth.landmark_of, decisions, created, inputs.map)
+        assert (c.fp, c.fn) == (0, 0)
+        assert c.tp > 100
+
+
+def test_a_label_seen_twice_in_its_first_frame_creates_one_landmark():
+    log = simulate(Arena(frames=2, landmarks=5), 0)
+    o = log.inputs(labels=True).without_map()
+    object.__setattr__(o.observations, "label", np.zeros(len(o.observations.label), np.int64))
+    decisions, created = known_decisions(o)
+    first = o.observations.frame == o.observations.frame[0]
+    assert decisions[first].tolist() == [NEW] + [DISCARD] * (int(first.sum()) - 1)
+    assert (decisions[~first] == 0).all()
+    assert created.max() == 0
+
+
+@given(st.lists(st.tuples(st.integers(-1, 4), st.integers(-2, 4)), max_size=30))
+def test_outcomes_always_sum_to_the_observations(rows):
+    true_id = np.array([r[0] for r in rows], dtype=np.int64)
+    decisions = np.array([r[1] for r in rows], dtype=np.int64)
+    created = np.where(decisions == NEW, np.cumsum(decisions == NEW) - 1, -1)
+    c = confuse(np.arange(len(rows)), true_id, decisions, created, None)
+    assert c.tp + c.tn + c.fp + c.fn == len(rows)
+    assert c.wrong + c.spurious == c.fp
+    assert c.duplicate + c.missed + c.deferred == c.fn
+
+
+def test_what_was_discarded_and_paired_in_the_end_was_put_off():
+    known = LandmarkMap(np.array([3, 5]), np.zeros((2, 2)))
+    frame, true_id = np.arange(5), np.array([3, 3, 3, 5, 3])
+    decisions, final = np.array([3, DISCARD, DISCARD, DISCARD, 5]), np.array([3, 3, DISCARD, 3, 3])
+    nothing = np.full(5, -1)
+    online = confuse(frame, true_id, decisions, nothing, known, None, final)
+    assert (online.tp, online.fp, online.fn) == (1, 1, 3)
+    assert (online.missed, online.deferred) == (1, 2)
+    settled = confuse(frame, true_id, final, nothing, known)
+    assert (settled.missed, settled.deferred) == (1, 0)
+
+
+def test_a_pairing_is_near_enough_if_the_landmark_taken_stands_by_the_right_one():
+    places = LandmarkMap(np.array([3, 5, 9]), np.array([[0.0, 0.0], [0.0, 0.25], [4.0, 0.0]]))
+    own = np.array([3, 3, 3, 9, -1, 3, 9])
+    taken = np.array([3, 5, 9, 7, 3, -1, -2])
+    # right, neighbour, far, without a position, person paired, founded on a person; the last one is not paired
+    decisions = np.array([0, 1, 2, 3, 0, 4, NEW])
+    assert share_within(decisions, own, taken, places) == pytest.approx(2 / 6)
+    assert share_within(decisions, own, taken, places, 0.2) == pytest.approx(1 / 6)
+    assert np.isnan(share_within(decisions[-1:], own[-1:], taken[-1:], places))
+    assert share_within(decisions[:2], own[:2], taken[:2], LandmarkMap(np.empty(0, int), np.empty((0, 2)))) == 0.0
+
+
+def test_the_referee_states_the_share_and_its_distance_beside_the_counts():
+    log = simulate(Arena(frames=40), 1)
+    inputs = log.inputs(labels=True)
+    runs = [filter_known(inputs, "localization"), filter_known(inputs.without_map(), "slam")]
+    for run in runs:
+        row = association_row(run, "online", log)
+        assert (row["fp"], row["share_within"], row["within_m"]) == (0, 1.0, 0.3)
+    # every pairing handed to the next landmark of the map, most of them metres away
+    ids, paired = log.truth.landmarks.id, runs[0].decisions >= 0
+    moved = runs[0].decisions.copy()
+    moved[paired] = np.roll(ids, 1)[np.searchsorted(ids, moved[paired])]
+    assert association_row(replace(runs[0], final_decisions=moved), "final", log)["share_within"] < 0.2
+    nowhere = replace(log, truth=replace(log.truth, landmarks=None))
+    assert association_row(runs[1], "online", nowhere)["share_within"] is None

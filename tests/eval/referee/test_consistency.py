@@ -1,0 +1,279 @@
+"""Verdicts accept what is right and reject what is broken; every bound here has been given a chance to fail."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from association.known import known_decisions
+from data.worlds.arena import Arena, simulate
+from ekf.whole_run import run_filter
+from eval.referee import consistency
+from eval.referee.consistency import (
+    COVERAGE_LEVELS,
+    anees_band,
+    chi2_bounds,
+    coverage,
+    holm_rejected,
+    lag1,
+    nees,
+    squared_distance,
+    verdict,
+    whiteness,
+)
+
+_spec = importlib.util.spec_from_file_location("faulty", Path(__file__).parents[2] / "oracle" / "faulty_localizer.py")
+faulty = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(faulty)
+
+RUNS = 60
+WORLD = Arena(frames=80, field_of_view=2 * math.pi, landmarks=15)
+
+
+@pytest.fixture(scope="module")
+def arenas():
+    return [simulate(WORLD, seed) for seed in range(RUNS)]
+
+
+def run_means(arenas, estimate, quantity="pose"):
+    means = []
+    for log in arenas:
+        pose, covariance = estimate(log.inputs(labels=True))
+        means.append(consistency.mean_or_nan(nees(pose, covariance, log.truth.pose, quantity)))
+    return np.array(means)
+
+
+def the_filter(inputs):
+    run = run_filter(inputs, known_decisions(inputs)[0])
+    return run.pose, run.covariance
+
+
+@pytest.mark.parametrize(("quantity", "dof"), [("pose", 3), ("position", 2), ("heading", 1)])
+def test_the_localizer_is_consistent(arenas, quantity, dof):
+    v = verdict(run_means(arenas, the_filter, quantity), dof)
+    assert v.word == "consistent", v
+    assert v.power > 0.9, "a verdict without power says nothing"
+
+
+def test_the_oracle_without_a_fault_is_the_filter(arenas):
+    for log in arenas[:3]:
+        inputs = log.inputs(labels=True)
+        pose, covariance = faulty.run(inputs)
+        ours, P = the_filter(inputs)
+        assert np.abs(pose[:, :2] - ours[:, :2]).max() < 1e-9
+        assert np.abs(covariance - P).max() < 1e-9
+
+
+@pytest.mark.parametrize("fault", [f for f in faulty.FAULTS if f != "none"])
+def test_each_broken_twin_is_called_overconfident(arenas, fault):
+    v = verdict(run_means(arenas, lambda inputs: faulty.run(inputs, fault)), 3)
+    assert v.word == "overconfident", (fault, v)
+
+
+def test_one_diverged_run_among_many_is_overconfident_although_its_spread_widens_the_interval():
+    sample = np.random.default_rng(9).chisquare(3 * 20, 60) / 20
+    sample[7] = 500.0
+    v = verdict(sample, 3)
+    assert v.lower < 3 < v.upper
+    assert v.word == "overconfident"
+    assert v.p_value < 1e-6
+
+
+def test_a_generous_covariance_is_called_conservative(arenas):
+    v = verdict(run_means(arenas, lambda i: (the_filter(i)[0], 1.5 * the_filter(i)[1])), 3)
+    assert v.word == "conservative"
+
+
+def test_fewer_than_fifty_runs_are_never_called_consistent():
+    rng = np.random.default_rng(0)
+    assert verdict(rng.chisquare(3, 49), 3).word == "not enough runs"
+    assert verdict(rng.chisquare(3, 1), 3).word == "not enough runs"
+    assert verdict(3.0 + 0.01 * rng.standard_normal(50), 3).word == "consistent"
+
+
+def test_the_interval_is_students_t():
+    rng = np.random.default_rng(1)
+    sample = rng.chisquare(3, 80)
+    v = verdict(sample, 3)
+    low, high = stats.t.interval(0.95, 79, loc=sample.mean(), scale=stats.sem(sample))
+    assert (v.lower, v.upper) == (pytest.approx(low), pytest.approx(high))
+    assert v.p_value == pytest.approx(stats.ttest_1samp(sample, 3).pvalue)
+
+
+def test_stated_power_is_the_rejection_rate_of_a_shrunken_covariance():
+    rng = np.random.default_rng(2)
+    draws = rng.chisquare(3 * 20, (400, 50)) / 20
+    rejected = np.mean([verdict(d / 0.8, 3).word == "overconfident" for d in draws])
+    stated = np.mean([verdict(d, 3).power for d in draws])
+    assert stated == pytest.approx(rejected, abs=0.06)
+
+
+def test_perfect_samples_are_accepted_95_percent_of_the_time():
+    rng = np.random.default_rng(3)
+    words = [verdict(d, 3).word for d in rng.chisquare(3 * 20, (2000, 50)) / 20]
+    assert np.mean([w == "consistent" for w in words]) == pytest.approx(0.95, abs=0.015)
+
+
+def test_squared_distance_does_not_depend_on_units_and_skips_singular_covariances():
+    rng = np.random.default_rng(4)
+    A = rng.normal(size=(5, 3, 3))
+    P, e = A @ A.transpose(0, 2, 1), rng.normal(size=(5, 3))
+    expected = [x @ np.linalg.solve(C, x) for x, C in zip(e, P, strict=True)]
+    assert np.allclose(squared_distance(e, P), expected)
+    D = np.diag([1e6, 1e-6, 1.0])
+    assert np.allclose(squared_distance(e @ D, D @ P @ D), expected)
+    P[0] = 0.0
+    P[1] = np.outer([1, 2, 3], [1, 2, 3])
+    P[2, 0, 0] = np.nan
+    assert np.isnan(squared_distance(e, P)).tolist() == [True, True, True, False, False]
+
+
+def test_heading_nees_wraps():
+    pose, truth = np.array([[0, 0, math.pi - 0.01]]), np.array([[0, 0, -math.pi + 0.01]])
+    assert nees(pose, np.eye(3)[None], truth, "heading")[0] == pytest.approx(0.02**2)
+
+
+def test_three_sigma_ellipse_holds_98_89_percent():
+    rng = np.random.default_rng(5)
+    assert consistency.inside_3sigma((rng.standard_normal((200_000, 2)) ** 2).sum(1)) == pytest.approx(
+        consistency.INSIDE_3SIGMA, abs=1e-3
+    )
+    assert pytest.approx(0.98889, abs=1e-5) == consistency.INSIDE_3SIGMA
+
+
+def test_chi2_bounds_hold_their_level():
+    low, high = chi2_bounds(200)
+    draws = np.random.default_rng(6).chisquare(200, 20_000) / 200
+    assert np.mean((low < draws) & (draws < high)) == pytest.approx(0.95, abs=0.01)
+    assert anees_band(3, 50) == (pytest.approx(3 * chi2_bounds(150)[0]), pytest.approx(3 * chi2_bounds(150)[1]))
+    assert all(math.isnan(b) for b in chi2_bounds(0))
+
+
+def test_holm_rejects_in_order_and_stops_at_the_first_that_survives():
+    assert holm_rejected([0.0001, 0.04, 0.03, 0.005], 0.05) == [True, False, False, True]
+    assert holm_rejected([0.5, 0.5]) == [False, False]
+    assert holm_rejected([]) == []
+
+
+@pytest.mark.parametrize("level", COVERAGE_LEVELS)
+@pytest.mark.parametrize("inside", [0, 3, 40, 57, 60])
+def test_coverage_bounds_and_p_value_are_the_exact_binomial_ones(level, inside):
+    radius = stats.chi2.ppf(level, 3)
+    v = coverage(np.r_[np.full(inside, 0.99 * radius), np.full(60 - inside, 1.01 * radius)], 3, level)
+    bounds = stats.binomtest(inside, 60).proportion_ci(0.95, method="exact")
+    assert (v.mean, v.lower, v.upper) == pytest.approx((inside / 60, bounds.low, bounds.high))
+    assert (v.dof, v.expected, v.runs) == (3, level, 60)
+    below, above = stats.binom.cdf(inside, 60, level), stats.binom.sf(inside - 1, 60, level)
+    assert v.p_value == pytest.approx(min(1.0, 2 * min(below, above)))
+    assert (v.word == "consistent") == (v.p_value >= 0.05)
+
+
+def test_coverage_calls_errors_outside_their_ellipses_overconfident_and_errors_well_inside_conservative():
+    drawn = stats.chi2.ppf((np.arange(100) + 0.5) / 100, 3)
+    assert [coverage(drawn, 3, level).word for level in COVERAGE_LEVELS] == ["consistent"] * 4
+    assert [coverage(2.5 * drawn, 3, level).word for level in COVERAGE_LEVELS] == ["overconfident"] * 4
+    assert [coverage(0.2 * drawn, 3, level).word for level in (0.5, 0.9)] == ["conservative"] * 2
+
+
+def test_coverage_power_is_the_rejection_rate_of_a_shrunken_covariance():
+    drawn = np.random.default_rng(11).chisquare(3, (3000, 100)) / 0.8
+    for level in COVERAGE_LEVELS:
+        verdicts = [coverage(d, 3, level) for d in drawn]
+        rejected = np.mean([v.word != "consistent" for v in verdicts])
+        assert verdicts[0].power == pytest.approx(rejected, abs=0.03), level
+
+
+def test_coverage_of_too_few_runs_or_of_an_undefined_nees_decides_nothing():
+    assert coverage(np.zeros(49), 3, 0.5).word == "not enough runs"
+    assert coverage(np.zeros(49), 3, 0.5).mean == 1.0
+    assert coverage(np.zeros(50), 3, 0.5).word == "conservative"
+    undefined = coverage(np.r_[np.zeros(59), np.nan], 3, 0.5)
+    assert undefined.word == "not enough runs"
+    assert math.isnan(undefined.mean)
+    assert coverage(np.empty(0), 3, 0.5).word == "not enough runs"
+
+
+def test_innovations_that_follow_each_other_are_overconfident_and_those_that_alternate_conservative():
+    r = 0.1 * np.random.default_rng(12).standard_normal(60)
+    v = whiteness(r)
+    assert (v.word, v.expected, v.dof, v.runs) == ("consistent", 0.0, 0, 60)
+    assert (v.lower, v.upper) == pytest.approx(stats.t.interval(0.95, 59, loc=r.mean(), scale=stats.sem(r)))
+    assert v.p_value == pytest.approx(stats.ttest_1samp(r, 0.0).pvalue)
+    assert math.isnan(v.power), "blind to a claimed covariance: nothing to state"
+    assert whiteness(r + 0.1).word == "overconfident"
+    assert whiteness(r - 0.1).word == "conservative"
+    assert whiteness(r[:49]).word == "not enough runs"
+    assert whiteness(np.r_[r, np.nan]).word == "not enough runs"
+
+
+def test_one_run_of_impossible_innovations_is_overconfident_although_its_spread_widens_the_interval():
+    r = 0.1 * np.random.default_rng(13).standard_normal(60)
+    for diverged in (40.0, -40.0):
+        v = whiteness(np.r_[r, diverged])
+        assert v.lower < 0.0 < v.upper
+        assert v.word == "overconfident"
+        assert v.p_value < 1e-6
+    # a run of a single pair may well be this large: one in 400 is, exp(-6)
+    assert whiteness(np.r_[r, 3.0]).word == "consistent"
+
+
+def lag1_by_hand(white, frame, number):
+    """By loops and look-ups, for at most one observation of a landmark in a frame."""
+    at = {(k, n): w for k, n, w in zip(frame, number, white, strict=True) if np.isfinite(w).all() and n >= 0}
+    terms = {}
+    for (k, n), w in at.items():
+        if (k + 1, n) in at:
+            terms.setdefault(k + 1, []).append(float(w @ at[k + 1, n]))
+    pairs = sum(len(t) for t in terms.values())
+    return sum(map(sum, terms.values())) / (2 * pairs), math.sqrt(sum(sum(t) ** 2 for t in terms.values())) / (
+        2 * pairs
+    )
+
+
+def test_lag_one_pairs_a_landmark_with_itself_in_the_next_frame_only():
+    white = np.array([[1.0, 0.0], [0.0, 2.0], [3.0, 1.0], [5.0, 5.0], [1.0, 1.0], [7.0, 7.0], [np.nan, 1.0]])
+    frame, number = np.array([0, 0, 1, 1, 2, 4, 2]), np.array([4, 9, 4, 8, 4, 4, 9])
+    # landmark 4: (1,0).(3,1) = 3 into frame 1, (3,1).(1,1) = 4 into frame 2; frame 4 has no neighbour
+    assert lag1(white, frame, number) == pytest.approx((7 / 4, math.sqrt(3**2 + 4**2) / 4))
+    assert all(math.isnan(x) for x in lag1(white[:2], frame[:2], number[:2]))
+    assert all(math.isnan(x) for x in lag1(np.empty((0, 2)), np.empty(0, int), np.empty(0, int)))
+    shuffled = np.random.default_rng(14).permutation(len(white))
+    assert lag1(white[shuffled], frame[shuffled], number[shuffled]) == pytest.approx(lag1(white, frame, number))
+
+
+def test_observations_that_were_not_used_enter_no_pair():
+    rng = np.random.default_rng(15)
+    frame, number = np.divmod(np.arange(300), 6)
+    white = rng.standard_normal((300, 2))
+    white[rng.random((300, 2)) < 0.2] = np.nan
+    number = np.where(rng.random(300) < 0.1, -1, number)
+    assert lag1(white, frame, number) == pytest.approx(lag1_by_hand(white, frame, number))
+
+
+def test_error_of_the_correlation_holds_although_innovations_of_one_frame_are_correlated():
+    rng = np.random.default_rng(16)
+    frame, number = np.divmod(np.arange(100 * 5), 5)
+    ratios = []
+    for _ in range(1500):
+        common = rng.standard_normal((100, 1, 2))
+        white = math.sqrt(0.7) * common + math.sqrt(0.3) * rng.standard_normal((100, 5, 2))
+        r, error = lag1(white.reshape(-1, 2), frame, number)
+        ratios.append(r / error)
+    assert np.std(ratios) == pytest.approx(1.0, abs=0.06)
+    assert np.mean(np.abs(ratios) < 1.96) == pytest.approx(0.95, abs=0.02)
+
+
+def test_a_correlated_sequence_gives_its_correlation():
+    rng = np.random.default_rng(17)
+    w = np.empty((20_000, 2))
+    w[0] = rng.standard_normal(2)
+    for k in range(1, len(w)):
+        w[k] = 0.3 * w[k - 1] + math.sqrt(1 - 0.3**2) * rng.standard_normal(2)
+    r, error = lag1(w, np.arange(len(w)), np.zeros(len(w), int))
+    assert r == pytest.approx(0.3, abs=0.02)
+    assert error == pytest.approx(1 / math.sqrt(2 * len(w)), rel=0.2)

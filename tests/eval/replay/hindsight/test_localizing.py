@@ -1,0 +1,121 @@
+"""SLAM whose decisions are revised: people in the corridor, retracted in the end."""
+
+import numpy as np
+import pytest
+
+from data.errors import UsageError
+from data.result import DISCARD, NEW, Event, founders, revised
+from data.worlds.corridor import parse_name, simulate
+from ekf.filter import FilterOptions
+from eval.referee.score import confusion_of
+from eval.replay.run import compare, step_by_step
+from eval.replay.settings import Setup
+
+METHOD = "jcbb-hindsight"
+
+
+@pytest.fixture(scope="module")
+def people():
+    return [simulate(*parse_name(f"corridor:{seed}:people")) for seed in (4, 7, 11)]
+
+
+@pytest.fixture(scope="module")
+def runs(people):
+    return {name: [compare(log.inputs(), "slam", [name], METHOD)[0] for log in people] for name in ("ekf", "isam2")}
+
+
+@pytest.mark.parametrize("name", ["ekf", "isam2"])
+def test_people_are_retracted_and_points_are_kept(people, runs, name):
+    for log, run in zip(people, runs[name]):
+        online, final = confusion_of(run, log, "online"), confusion_of(run, log, "final")
+        known = int((log.truth.landmark_of >= 0).sum()) - 88  # the first sighting of each point founds it
+        assert online.fp > final.fp
+        assert final.fp <= 7
+        assert final.tp >= 0.96 * known
+        assert 86 <= len(run.map) <= 90
+
+
+def test_fewer_pairings_are_wrong_than_without_hindsight(people, runs):
+    plain = [confusion_of(compare(log.inputs(), "slam", ["ekf"], "jcbb-first")[0], log, "online") for log in people]
+    ours = [confusion_of(run, log, "online") for run, log in zip(runs["ekf"], people)]
+    assert sum(c.fp for c in ours) < 0.6 * sum(c.fp for c in plain)
+    assert sum(c.tp for c in ours) > 1.05 * sum(c.tp for c in plain)
+
+
+@pytest.mark.parametrize("name", ["ekf", "isam2"])
+def test_final_decisions_are_the_online_ones_and_the_events(runs, name):
+    for run in runs[name]:
+        decided, now = run.decisions, run.decisions.copy()
+        for e in run.events:
+            assert now[e.observation] == e.old
+            now[e.observation] = e.new
+        assert run.events
+        assert np.array_equal(now, run.final_decisions)
+        assert not np.array_equal(decided, run.final_decisions)
+        assert np.array_equal(revised(decided, run.events), now)
+
+
+def test_a_retracted_landmark_is_out_of_the_map_with_every_decision_for_it(runs):
+    for run in runs["ekf"] + runs["isam2"]:
+        gone = np.flatnonzero(run.removed >= 0)
+        assert len(gone)
+        assert not np.isin(run.map.number, gone).any()
+        assert not np.isin(run.final_decisions, gone).any()
+        left = founders(run.final_decisions, run.created)
+        assert not np.isin(left, gone).any()
+        # who is in the map was founded once, and is seen as often as it says
+        assert sorted(left[left >= 0]) == run.map.number.tolist()
+        times = [(run.final_decisions == n).sum() + 1 for n in run.map.number]
+        assert run.map.times_seen.tolist() == times
+
+
+def test_events_come_in_the_order_of_frames_and_name_their_reason(runs):
+    for run in runs["ekf"]:
+        frames = [e.frame for e in run.events]
+        assert frames == sorted(frames)
+        assert {e.why for e in run.events} <= {"moved", "missed", "uncertain"}
+        assert {e.why for e in run.events if e.frame < frames[-1]} >= {"missed"}
+        assert {e.new for e in run.events} == {DISCARD}
+
+
+def test_without_people_nothing_is_taken_back():
+    log = simulate(*parse_name("corridor:1"))
+    run = compare(log.inputs(), "slam", ["ekf"], METHOD)[0]
+    assert run.events == ()
+    assert len(run.map) == 88
+    assert confusion_of(run, log, "final").fp == 0
+
+
+def test_a_batch_smoother_gets_the_decisions_as_revised(people):
+    log = people[0]
+    front, batch = compare(log.inputs(), "slam", ["isam2", "batch"], METHOD)
+    assert np.array_equal(batch.final_decisions, front.final_decisions)
+    assert batch.map.number.tolist() == front.map.number.tolist()
+    np.testing.assert_allclose(batch.final.pose, front.final.pose, atol=1e-3)
+
+
+@pytest.mark.parametrize("setup", [Setup(maintain=True), Setup(forget_after=8.0), Setup(deactivate_after=8.0)])
+def test_hindsight_goes_with_the_other_ways_out_of_the_map(people, setup):
+    log = people[1]
+    run = compare(log.inputs(), "slam", ["ekf"], METHOD, setup)[0]
+    assert run.failure is None
+    assert confusion_of(run, log, "final").fp <= 12
+
+
+def test_localization_in_a_known_map_has_nothing_to_retract(people):
+    run = step_by_step("ekf", people[0].inputs(), "localization", METHOD)
+    assert run.events == ()
+    assert not np.any(run.decisions == NEW)
+
+
+def test_observations_one_by_one_are_refused(people):
+    inputs = people[0].inputs().without_map()
+    with pytest.raises(UsageError, match="together"):
+        step_by_step("ekf", inputs, "slam", METHOD, options=FilterOptions(each=True))
+
+
+def test_later_revisions_of_an_observation_win():
+    decisions = np.array([NEW, 0, 0])
+    events = (Event(3, 1, 0, DISCARD, "moved"), Event(5, 1, DISCARD, 2, "merged"))
+    assert revised(decisions, events).tolist() == [NEW, 2, 0]
+    assert decisions.tolist() == [NEW, 0, 0]

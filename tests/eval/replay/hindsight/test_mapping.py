@@ -1,0 +1,157 @@
+"""SLAM over a window: after a round with wrong odometry, what was founded again is recognized and joined."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from data.inputs import Increments, Inputs, Observations, Prior
+from data.result import NEW, founders, revised
+from data.sensors import RelativePoint
+from eval.replay.hindsight.ledger import JOINED
+from eval.replay.hindsight.mapping_frontend import MappingFrontEnd
+from eval.replay.run import batch, step_by_step
+from eval.replay.settings import Setup
+from tests.eval.replay.hindsight.park import park
+
+METHOD = "jcbb-hindsight"
+
+
+@pytest.fixture(scope="module")
+def world():
+    return park(2)
+
+
+@pytest.fixture(scope="module")
+def runs(world):
+    return {name: step_by_step(name, world[0], "slam", METHOD) for name in ("ekf", "isam2")}
+
+
+def who_is_who(run, who):
+    """Sightings of each landmark by true id, final decisions."""
+    number = np.where(run.final_decisions == NEW, run.created, run.final_decisions)
+    return {n: Counter(who[number == n].tolist()) for n in np.unique(number[number >= 0]).tolist()}
+
+
+def rmse(pose, truth):
+    return np.sqrt(np.mean(np.sum((pose - truth)[:, :2] ** 2, axis=1)))
+
+
+def test_a_round_later_every_tree_is_one_landmark_again(world, runs):
+    inputs, _, who = world
+    plain = step_by_step("ekf", inputs, "slam", "jcbb")
+    assert len(plain.map) > 150
+    for run in runs.values():
+        found = who_is_who(run, who)
+        assert run.failure is None
+        assert len(found) == len(run.map) <= 92
+        assert len({c.most_common(1)[0][0] for c in found.values()}) >= 86
+        assert sum(c.most_common(1)[0][1] for c in found.values()) >= 0.99 * sum(c.total() for c in found.values())
+
+
+def test_the_smoothers_path_is_mended_by_what_it_took_back(world, runs):
+    inputs, truth, _ = world
+    run = runs["isam2"]
+    assert rmse(run.online.pose, truth) > 5.0
+    assert rmse(run.final.pose, truth) < 1.5
+    again = batch("batch", inputs, run)
+    assert rmse(again.final.pose, truth) < 1.5
+    np.testing.assert_allclose(again.final.pose, run.final.pose, atol=0.02)
+
+
+def test_all_estimators_get_the_same_decisions(runs):
+    assert np.array_equal(runs["ekf"].decisions, runs["isam2"].decisions)
+    assert np.array_equal(runs["ekf"].final_decisions, runs["isam2"].final_decisions)
+    assert runs["ekf"].events == runs["isam2"].events
+
+
+def test_joined_landmarks_give_all_their_sightings_to_the_older_one(runs):
+    run = runs["ekf"]
+    joined = [e for e in run.events if e.why == JOINED]
+    assert len(joined) > 20
+    assert all(0 <= e.new < (e.old if e.old >= 0 else run.created[e.observation]) for e in joined)
+    gone = {int(run.created[e.observation]) for e in joined if e.old == NEW}
+    assert len(gone) >= 8
+    assert not gone & set(run.map.number.tolist())
+    assert all(run.removed[n] >= 0 for n in gone)
+    assert np.array_equal(revised(run.decisions, run.events), run.final_decisions)
+    left = founders(run.final_decisions, run.created)
+    assert sorted(left[left >= 0]) == run.map.number.tolist()
+    assert any("turned out to be ones founded before" in note for note in run.notes)
+
+
+def test_what_was_seen_in_one_frame_is_never_joined(world, runs):
+    inputs, run = world[0], runs["ekf"]
+    number = np.where(run.created >= 0, run.created, run.decisions)
+    at = {}
+    for e in run.events:
+        if e.why == JOINED and e.old == NEW:
+            at[int(run.created[e.observation])] = e.new
+    frames = {n: set(inputs.observations.frame[number == n].tolist()) for n in np.unique(number[number >= 0]).tolist()}
+    assert at
+    assert all(not frames[a] & frames[b] for a, b in at.items())
+
+
+@pytest.mark.parametrize("lag", [30.0, 1e4])
+def test_a_fixed_lag_smoother_joins_what_has_left_its_window(world, runs, lag):
+    run = step_by_step("fixed-lag", world[0], "slam", METHOD, Setup(lag=lag))
+    assert run.failure is None
+    assert run.map.number.tolist() == runs["ekf"].map.number.tolist()
+    if lag > 1000.0:
+        np.testing.assert_allclose(run.map.xy, runs["isam2"].map.xy, atol=0.05)
+
+
+@pytest.mark.parametrize("setup", [Setup(deactivate_after=40.0), Setup(forget_after=200.0), Setup(maintain=True)])
+def test_joining_goes_with_the_other_ways_out_of_the_map(world, setup):
+    run = step_by_step("ekf", world[0], "slam", METHOD, setup)
+    assert run.failure is None
+    assert any(e.why == JOINED for e in run.events) != (setup.forget_after is not None)
+
+
+def test_the_odometrys_errors_are_found_on_the_way(world):
+    inputs, _, _ = world
+    front = MappingFrontEnd("ekf", METHOD, inputs, Setup())
+    for k in range(len(inputs)):
+        front.move()
+        if inputs.start[k] < inputs.start[k + 1]:
+            front.associate(slice(int(inputs.start[k]), int(inputs.start[k + 1])))
+        front.tidy()
+    mean, P = front.mapper.filter.errors
+    assert mean[0] + mean[1] == pytest.approx(0.0015, abs=4.0 * np.sqrt(P[:2, :2].sum()))
+    assert np.sqrt(P[:2, :2].sum()) < 0.001
+
+
+def test_the_same_log_gives_the_same_decisions(world, runs):
+    again = step_by_step("ekf", world[0], "slam", METHOD)
+    assert np.array_equal(again.final_decisions, runs["ekf"].final_decisions)
+    assert np.array_equal(again.online.pose, runs["ekf"].online.pose)
+
+
+def standing(frames, step, seen):
+    """Inputs of a robot that moves by `step` [m] sideways to its view; `seen(k)` (n, 2): points it sees in frame k."""
+    sensor = RelativePoint(max_range=40.0)
+    mean = np.tile([0.0, step, 0.0], (frames, 1))
+    mean[0] = 0.0
+    M = np.tile(np.diag([1e-4, 1e-4, 1e-6]), (frames, 1, 1))
+    points = [(k, p - [0.0, k * step]) for k in range(frames) for p in seen(k)]
+    frame, z = np.array([k for k, _ in points]), np.array([p for _, p in points])
+    observations = Observations(frame, z, np.tile(0.3**2 * np.eye(2), (len(z), 1, 1)))
+    prior = Prior(np.zeros(3), np.zeros((3, 3)))
+    return Inputs(prior, np.arange(frames, dtype=float), Increments(mean, M), observations, sensor, None)
+
+
+def test_two_points_seen_in_one_frame_stay_two_however_near():
+    both = np.array([[5.0, 0.0], [5.3, 0.2]])
+    run = step_by_step("ekf", standing(12, 0.05, lambda k: both), "slam", METHOD)
+    assert run.map.number.tolist() == [0, 1]
+    assert not run.events
+
+
+@pytest.mark.parametrize(("step", "stays"), [(0.0, True), (0.6, False)])
+def test_what_is_hidden_from_one_place_is_missed_once(step, stays):
+    """Five frames with all points, then twenty without the last: from one place it is hidden, from others gone."""
+    points = np.stack([np.full(9, 5.0), np.linspace(-12.0, 12.0, 9)], 1)
+    points = np.vstack([points[:4], points[5:], points[4:5]])
+    run = step_by_step("ekf", standing(25, step, lambda k: points if k < 5 else points[:8]), "slam", METHOD)
+    assert set(range(8)) <= set(run.map.number.tolist())
+    assert (8 in run.map.number) is stays

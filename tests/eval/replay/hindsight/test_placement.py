@@ -1,0 +1,183 @@
+"""SLAM without odometry or labels: frames placed by geometry, where a motion prior is all that is stated."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import L, X
+
+from data.inputs import Sightings
+from data.result import NEW
+from data.se2 import pose_error, wrap_angle
+from data.worlds.corridor import parse_name, simulate
+from ekf.slam import EkfSlam
+from eval.referee.score import confusion_of
+from eval.replay.frontend import FrontEnd
+from eval.replay.run import compare
+from eval.replay.settings import Setup
+from graph.incremental import Isam2Smoother
+
+METHOD = "jcbb-hindsight"
+SEEDS = (0, 8, 9)
+
+
+@pytest.fixture(scope="module")
+def primed():
+    return [simulate(*parse_name(f"corridor:{seed}:no-odometry+forward")) for seed in SEEDS]
+
+
+def rmse(run, log, phase="online"):
+    error = pose_error(run.trajectory(phase).pose, log.truth.pose)[:, :2]
+    return float(np.sqrt((error**2).sum(axis=1).mean()))
+
+
+# seed 8 has a joint marginal that gtsam takes for singular
+@pytest.mark.parametrize(("name", "seeds"), [("ekf", [9]), ("ekf-iterated", [0, 9]), ("isam2", [8])])
+def test_the_corridor_is_mapped_without_odometry_and_without_labels(primed, name, seeds):
+    for log in (primed[SEEDS.index(seed)] for seed in seeds):
+        (run,) = compare(log.inputs(), "slam", [name], METHOD)
+        assert run.failure is None
+        assert rmse(run, log) < 0.15
+        assert confusion_of(run, log, "final").fp == 0
+        assert 87 <= len(run.map) <= 89
+        assert any("placed by geometry" in note for note in run.notes)
+
+
+def test_moving_people_do_not_lose_it():
+    log = simulate(*parse_name("corridor:1:people+no-odometry+forward"))
+    (run,) = compare(log.inputs(), "slam", ["ekf-iterated"], METHOD)
+    online, final = confusion_of(run, log, "online"), confusion_of(run, log, "final")
+    assert rmse(run, log) < 0.15
+    assert final.fp <= 5 < online.fp
+    assert final.tp >= 440
+
+
+@pytest.mark.parametrize("name", ["corridor:4", "corridor:4:people"])
+def test_no_frame_is_placed_where_odometry_is_good_enough(name):
+    log = simulate(*parse_name(name))
+    (run,) = compare(log.inputs(), "slam", ["ekf"], METHOD)
+    assert not any("placed by geometry" in note for note in run.notes)
+
+
+def test_a_filter_that_linearizes_nowhere_else_gets_the_same_decisions(primed):
+    fej, plain = compare(primed[0].inputs(), "slam", ["ekf-fej", "ekf-iterated"], METHOD)
+    assert fej.failure is None
+    assert np.array_equal(fej.decisions, plain.decisions)
+
+
+@pytest.fixture
+def begun(primed):
+    """A filter and a smoother that saw the first frame and moved once, and the sightings of the second."""
+    inputs = primed[0].inputs().without_map()
+    o = inputs.observations
+    first, second = (Sightings(o.z[o.frame == k], o.R[o.frame == k]) for k in (0, 1))
+    both = EkfSlam(inputs.prior, inputs.sensor), Isam2Smoother(inputs.prior, inputs.sensor)
+    for estimator in both:
+        estimator.update(first, np.full(len(first.z), NEW))
+        estimator.predict(inputs.increment(1))
+    return *both, second
+
+
+def test_an_expectation_elsewhere_is_the_tangent_there_taken_to_the_mean(begun):
+    pose = np.array([1.1, -0.1, 1.2])
+    ekf, _, sightings = begun
+    e = ekf.expect(sightings).elsewhere(pose)
+    state, P = ekf.mean, ekf.covariance
+
+    def h(x):
+        return ekf.sensor.predict(x[:3], x[3:].reshape(-1, 2)).ravel()
+
+    there = np.concatenate([pose, state[3:]])
+    step = 1e-6 * np.eye(len(there))
+    H = np.stack([(h(there + s) - h(there - s)) / 2e-6 for s in step], axis=1)
+    np.testing.assert_allclose(e.z_hat.ravel(), h(there) + H @ (state - there), atol=1e-7)
+    np.testing.assert_allclose(e.joint(np.arange(len(e.number))), H @ P @ H.T, atol=1e-7)
+    for i in range(len(e.number)):
+        np.testing.assert_allclose(e.HPHt[i], (H @ P @ H.T)[2 * i : 2 * i + 2, 2 * i : 2 * i + 2], atol=1e-7)
+
+
+def test_filter_and_smoother_expect_the_same_elsewhere(begun):
+    pose = np.array([0.9, 0.1, -0.8])
+    ekf, isam2, sightings = begun
+    e = ekf.expect(sightings), isam2.expect(sightings)
+    some = e[1].number[2:9]
+    a, b = (each.only(np.searchsorted(each.number, some)).elsewhere(pose) for each in e)
+    every = np.arange(7)
+    assert np.array_equal(a.number, some)
+    np.testing.assert_allclose(a.z_hat, b.z_hat, atol=1e-6)
+    np.testing.assert_allclose(a.joint(every), b.joint(every), atol=1e-5)
+
+
+def test_a_smoother_begins_where_it_is_told_to(begun):
+    _, isam2, sightings = begun
+    labels = np.full(len(sightings.z), -2)
+    turn = 3.0  # what is seen of five landmarks, from a pose that Gauss-Newton does not find from the prediction
+    pose = np.array([0.6, 0.1, turn])
+    labels[:5] = [1, 3, 5, 7, 9]
+    xy = isam2.landmarks().xy[[1, 3, 5, 7, 9]]
+    z = sightings.z.copy()
+    z[:5] = isam2.sensor.predict(pose, xy)
+    isam2.update(Sightings(z, sightings.R), labels, at=pose)
+    assert np.abs(pose_error(isam2.estimate().mean, pose)).max() < 0.05
+
+
+def test_a_landmark_that_is_there_no_longer_is_missed_in_placed_frames(primed):
+    log = primed[0]
+    inputs, own = log.inputs(), log.truth.landmark_of
+    o = inputs.observations
+    times = np.flatnonzero(own == 3)  # seen in frames 0 to 4, and again in the end
+    gone = times[2:]
+    keep = ~np.isin(np.arange(len(own)), gone)
+    rest = replace(inputs, observations=replace(o, frame=o.frame[keep], z=o.z[keep], R=o.R[keep]))
+    (run,) = compare(rest, "slam", ["ekf-iterated"], METHOD)
+    missed = {e.observation for e in run.events if e.why == "missed"}
+    assert missed >= set((np.cumsum(keep) - 1)[times[:2]].tolist())
+
+
+def test_an_update_at_a_pose_is_one_gauss_newton_step_from_there(begun):
+    ekf, _, sightings = begun
+    decisions = np.full(len(sightings.z), -2)
+    decisions[[0, 3, 5]] = [2, 4, 6]
+    pose = np.array([1.0, 0.0, 2.0 * np.pi + 0.9])  # however the angle is written
+    e = ekf.expect(sightings).elsewhere(pose)
+    chosen = np.array([2, 4, 6])
+    mean, S = ekf.mean, e.joint(chosen)
+    nu = (sightings.z[[0, 3, 5]] - e.z_hat[chosen]).ravel()
+    for i, R in enumerate(sightings.R[[0, 3, 5]]):
+        S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += R
+    _, Hx, Hl = ekf.sensor.linearize(pose, mean[3:].reshape(-1, 2)[chosen])
+    H = np.zeros((6, len(mean)))
+    for i, c in enumerate(chosen):
+        H[2 * i : 2 * i + 2, :3], H[2 * i : 2 * i + 2, 3 + 2 * c : 5 + 2 * c] = Hx[i], Hl[i]
+    gain = ekf.covariance @ H.T @ np.linalg.inv(S)
+    expected, P = mean + gain @ nu, ekf.covariance - gain @ H @ ekf.covariance
+    done = ekf.update(sightings, decisions, at=pose)
+    assert done.nis == pytest.approx(nu @ np.linalg.solve(S, nu))
+    assert wrap_angle(float(ekf.mean[2] - expected[2])) == pytest.approx(0.0, abs=1e-8)
+    np.testing.assert_allclose(np.delete(ekf.mean, 2), np.delete(expected, 2), atol=1e-8)
+    np.testing.assert_allclose(ekf.covariance, P, atol=1e-8)
+
+
+def test_first_estimates_cannot_be_taken_elsewhere(primed):
+    inputs = primed[0].inputs().without_map()
+    front = FrontEnd("ekf-fej", METHOD, inputs, Setup())
+    front.move()
+    front.associate(slice(int(inputs.start[0]), int(inputs.start[1])))
+    front.move()
+    o = inputs.observations
+    sightings = Sightings(o.z[o.frame == 1], o.R[o.frame == 1])
+    assert front.estimator.expect(sightings).elsewhere is None
+    decisions = np.zeros(len(sightings.z), np.int64) - 2
+    decisions[0] = 0
+    with pytest.raises(ValueError, match="linearizes nowhere else"):
+        front.estimator.update(sightings, decisions, at=np.zeros(3))
+
+
+def test_a_large_joint_covariance_is_the_same_in_parts(primed):
+    inputs = primed[0].inputs().without_map()
+    isam2, o = Isam2Smoother(inputs.prior, inputs.sensor), inputs.observations
+    first = Sightings(o.z[o.frame == 0], o.R[o.frame == 0])
+    isam2.update(first, np.full(len(first.z), NEW))
+    for keys in ([L(3), X(0), L(1)], [X(0), *(L(n) for n in range(len(first.z)))]):
+        whole = isam2._engine.isam.jointMarginalCovariance(keys).fullMatrix()
+        np.testing.assert_allclose(isam2._engine._in_parts(keys), whole, atol=1e-12)

@@ -1,0 +1,113 @@
+"""The consistency study: what is declared holds in the arena, failures are counted, the exit status is Holm's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from eval.studies.montecarlo import QUANTITIES, Sample, consistency_table, failed_declarations, judge, one_run, study_of
+from eval.studies.scenario_file import load_scenario
+
+KEY = ("localization", "ekf", "known", "online")
+ARENA = load_scenario("arena")
+
+
+def only(*estimators, task="localization"):
+    return replace(ARENA.only(estimators), task=(task,))
+
+
+def made_study(draw, runs=60, key=KEY, failed=0):
+    results = []
+    for k in range(runs):
+        if k < failed:
+            results.append({key: Sample(failure="frame 3: lost")})
+        else:
+            means = {q: draw((k + 0.5) / runs, len(c)) for q, c in QUANTITIES.items()}
+            results.append({key: Sample(means, nees_pose=np.ones(4))})
+    return study_of(ARENA, range(runs), results)
+
+
+def honest(quantile, dof):
+    """Run means of a consistent estimator, spread as chance spreads them but without its luck."""
+    return float(stats.chi2.ppf(quantile, 20 * dof) / 20)
+
+
+def boastful(quantile, dof):
+    return honest(quantile, dof) / 0.5
+
+
+def test_a_consistent_study_passes():
+    judged = judge(made_study(honest))
+    assert {j.quantity: j.verdict.word for j in judged} == dict.fromkeys(QUANTITIES, "consistent")
+    assert failed_declarations(judged) == []
+
+
+def test_an_overconfident_declared_estimator_fails_the_command():
+    judged = judge(made_study(boastful))
+    assert len(failed_declarations(judged)) == 3
+
+
+def test_what_is_not_declared_is_reported_and_never_fails_the_command():
+    judged = judge(made_study(boastful, key=("slam", "ekf", "known", "online")))
+    assert {j.verdict.word for j in judged} == {"overconfident"}
+    assert failed_declarations(judged) == []
+
+
+def test_too_few_runs_never_fail_the_command():
+    judged = judge(made_study(boastful, runs=49))
+    assert {j.verdict.word for j in judged} == {"not enough runs"}
+    assert failed_declarations(judged) == []
+
+
+def test_diverged_runs_are_counted_not_averaged_and_fail_what_is_declared():
+    study = made_study(honest, failed=2)
+    judged = judge(study)
+    assert all(j.diverged == 2 and j.verdict.runs == 58 for j in judged)
+    assert len(failed_declarations(judged)) == 3
+    table = consistency_table(judged)
+    assert table["diverged"].tolist() == [2, 2, 2]
+    assert len(study.good(KEY)) == 58
+    assert study.failures() == [(KEY, 0, "frame 3: lost"), (KEY, 1, "frame 3: lost")]
+
+
+def test_a_study_in_which_every_run_failed_still_says_so():
+    judged = judge(made_study(honest, failed=60))
+    assert len(judged) == 3
+    assert all(j.diverged == 60 and j.verdict.word == "not enough runs" for j in judged)
+    assert len(failed_declarations(judged)) == 3
+
+
+def test_a_seed_gives_the_same_numbers_every_time():
+    a, b = (one_run(only("ekf", "batch"), 11) for _ in range(2))
+    for key, s in a.items():
+        assert s.means == b[key].means
+        assert np.array_equal(s.nees_pose, b[key].nees_pose)
+    assert set(a) == {KEY, ("localization", "batch", "known", "final")}
+
+
+@pytest.mark.parametrize("estimators", [("ekf",), pytest.param(("ekf", "batch"), marks=pytest.mark.slow)])
+def test_filter_and_smoother_are_consistent_in_the_arena(estimators):
+    seeds = range(1000, 1050)
+    scenario = only(*estimators)
+    study = study_of(scenario, seeds, [one_run(scenario, s) for s in seeds])
+    judged = [j for j in judge(study) if j.quantity in QUANTITIES]
+    assert len(judged) == 3 * len(estimators)
+    assert failed_declarations(judged) == []
+    for j in judged:  # of six verdicts at 95 % one fails by chance one time in four: wider bounds, and still tight
+        assert j.verdict.mean == pytest.approx(j.verdict.dof, rel=0.08), j
+        assert j.verdict.power > 0.9, j
+
+
+@pytest.mark.slow
+def test_all_declared_estimators_are_consistent_over_100_arenas():
+    seeds = range(100)
+    scenario = only("ekf", "isam2", "batch")
+    study = study_of(scenario, seeds, [one_run(scenario, s) for s in seeds])
+    judged = judge(study)
+    assert failed_declarations(judged) == []
+    for j in judged:
+        if j.quantity in QUANTITIES:
+            assert j.verdict.word == "consistent", j

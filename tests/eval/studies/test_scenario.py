@@ -1,0 +1,139 @@
+"""Scenario files: what they say reaches the simulator and the estimators, and every fault in them is named."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from data.errors import UsageError
+from data.worlds.arena import Arena, simulate
+from eval.plan.flags import scenarios
+from eval.studies.scenario import with_wrong_labels
+from eval.studies.scenario_file import load_scenario
+
+SOUND = """
+about = "a small arena"
+runs = 3
+task = ["localization", "slam"]
+
+[world]
+kind = "arena"
+frames = 40
+landmarks = 12
+
+[estimators]
+ekf = { must_be = "consistent", task = ["localization"] }
+batch = {}
+"""
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(text, name="small.toml"):
+        path = tmp_path / name
+        path.write_text(text)
+        return str(path)
+
+    return write
+
+
+@pytest.mark.parametrize("name", scenarios())
+def test_every_shipped_scenario_is_sound_and_tells_its_source(name):
+    s = load_scenario(name)
+    assert s.name == name
+    assert s.about
+    assert s.runs >= 1
+    if s.published is not None and (s.published.rows or s.published.orderings or s.published.tolerance):
+        assert s.cite
+    if not s.recorded:
+        log = s.parts()[0].simulate(0)
+        assert len(log.recorded) > 1
+        assert log.has_labels
+
+
+def test_what_must_be_consistent_is_declared():
+    for name, task, estimators in (
+        ("arena", "localization", ("ekf", "batch", "isam2")),
+        ("circle", "slam", ("ekf-invariant", "ekf-fej", "batch")),
+        ("linear", "slam", load_scenario("linear").estimators),
+        ("linear", "localization", load_scenario("linear").estimators),
+    ):
+        s = load_scenario(name)
+        assert all(s.declared(task, e) for e in estimators)
+    assert not load_scenario("arena").declared("slam", "ekf")
+    assert not load_scenario("circle").declared("slam", "ekf")
+
+
+def test_the_world_of_the_file_is_the_one_that_is_simulated(written):
+    s = load_scenario(written(SOUND))
+    assert (s.name, s.runs, s.task, s.estimators) == ("small", 3, ("localization", "slam"), ("ekf", "batch"))
+    log, same = s.simulate(7), simulate(Arena(frames=40, landmarks=12), 7)
+    assert log.name == "small:7"
+    np.testing.assert_array_equal(log.recorded.observations.z, same.recorded.observations.z)
+
+
+def test_angles_that_a_corridor_keeps_in_degrees_are_given_in_degrees(written):
+    text = SOUND.replace('kind = "arena"\nframes = 40\nlandmarks = 12', 'kind = "corridor"\nmin_angle = -60')
+    assert load_scenario(written(text)).world().min_angle == pytest.approx(-math.pi / 3)
+
+
+def test_an_estimator_may_be_told_other_noise_but_the_measurements_stay():
+    s = load_scenario("esde")
+    changed = next(m.world for m in s.members if m.name == "ekf-invariant")
+    plain, told = s.simulate(3), s.simulate(3, changed)
+    np.testing.assert_array_equal(plain.recorded.increments.mean, told.recorded.increments.mean)
+    np.testing.assert_array_equal(plain.recorded.observations.z, told.recorded.observations.z)
+    assert np.abs(plain.recorded.increments.covariance - told.recorded.increments.covariance).max() > 1e-7
+
+
+@pytest.mark.parametrize(("old", "new", "words"), [
+    ('about = "a small arena"\n', "", "about is missing"),
+    ("runs = 3", "runs = 0", "runs = 0: at least 1"),
+    ("runs = 3", "rnus = 3", "unknown key 'rnus'"),
+    ("runs = 3", "runs = 2.5", "runs = 2.5: a whole number"),
+    ("frames = 40", "frmaes = 40", "world: unknown key 'frmaes'"),
+    ("frames = 40", 'frames = "many"', "world: frames = 'many': a whole number"),
+    ("frames = 40", "sigma_range = -0.1", "sigma_range = -0.1"),
+    ("frames = 40", "sigma_range = nan", "a finite number"),
+    ('kind = "arena"', 'kind = "moon"', "kind = 'moon' is unknown"),
+    ("batch = {}", "ukf = {}", "'ukf' is unknown"),
+    ("batch = {}", 'batch = { must_be = "good" }', "must_be = 'good'"),
+    ("batch = {}", 'batch = { task = ["mapping"] }', "'mapping' is unknown"),
+    ("batch = {}", "batch = { world = { speed = true } }", "speed = True: a number"),
+    ('"localization", "slam"]', '"slam", "slam"]', "none twice"),
+    ('[estimators]', '[setup]\ngte = 0.9\n[estimators]', "setup: unknown key 'gte'"),
+    ('runs = 3', 'wrong = [0.5, 0.1]', "ascending"),
+    ('runs = 3', 'wrong = [1.0]', "shares from 0"),
+    ('runs = 3', 'from_frame = -1', "must not be negative"),
+    ("batch = {}", 'batch = {}\n[[published.row]]\nestimator = "isam2"\nquantity = "nees_pose"\nvalue = 3', "isam2"),
+    ("batch = {}", 'batch = {}\n[[published.row]]\nestimator = "ekf"\nquantity = "speed"\nvalue = 3', "'speed' is un"),
+    ("batch = {}", 'batch = {}\n[[published.row]]\nestimator = "ekf"\nvalue = 3', "quantity is missing"),
+    ("[world]", "[world", "small.toml"),
+])  # fmt: skip
+def test_a_fault_in_a_file_is_one_line_that_names_file_and_key(written, old, new, words):
+    assert old in SOUND
+    with pytest.raises(UsageError, match=r"small\.toml") as fault:
+        load_scenario(written(SOUND.replace(old, new, 1)))
+    assert words in str(fault.value)
+    assert "\n" not in str(fault.value)
+
+
+def test_an_unknown_name_is_refused_with_those_there_are():
+    with pytest.raises(UsageError, match="arena, circle"):
+        load_scenario("crcle")
+
+
+def test_wrong_labels_are_as_many_as_asked_never_right_and_nested():
+    log = simulate(Arena(), 4)
+    true_id = log.truth.landmark_of
+    few, many = (with_wrong_labels(log, rate, 4).label for rate in (0.05, 0.2))
+    assert 0.17 < np.mean(many != true_id) < 0.23
+    assert set(np.unique(many)) <= set(log.truth.landmarks.id.tolist())
+    wrong = few != true_id
+    np.testing.assert_array_equal(few[wrong], many[wrong])
+    np.testing.assert_array_equal(with_wrong_labels(log, 0.0, 4).label, true_id)
+    clutter = replace(log, truth=replace(log.truth, landmark_of=np.full_like(true_id, -1)))
+    assert set(with_wrong_labels(clutter, 0.5, 4).label) == {-1}

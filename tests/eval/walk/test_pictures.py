@@ -1,0 +1,205 @@
+"""The figures of a step show what was decided, in the robot frame, for every kind of sensor."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from association.decide import decide
+from association.expectation import Expectation
+from data.logs import open_log
+from data.result import MapState, PoseEstimate
+from data.sensors import RangeBearing, RelativePoint
+from data.truth import Truth
+from data.worlds.arena import Arena, simulate
+from eval.figures.style import drawing
+from eval.referee.confusion import OUTCOMES
+from eval.walk.matching import Matching, evidence, paint_compatibility, paint_matching
+from eval.walk.painting import robot_frame
+from eval.walk.pictures import field_of_view, paint_ground_truth, paint_map, paint_observations
+from eval.walk.text import TruthRow
+
+PLAIN = RelativePoint(max_range=5.0)
+
+
+def judged(h: int, g: int) -> int:
+    return OUTCOMES.index(("tp" if h == g else "fp") if h >= 0 else ("fn" if g >= 0 else "tn"))
+
+
+def problem(gate: float | None = 0.99, **changed) -> Matching:
+    """Landmarks 3, 4, 5 at x = 1, 2, 4; observations beside 3, between 3 and 4 but nearer to 4, and far away."""
+    z_hat = np.array([[1.0, 0.0], [2.0, 0.0], [4.0, 0.0]])
+    z = np.array([[1.05, 0.0], [1.85, 0.0], [0.0, 3.0]])
+    e = Expectation.from_arrays(
+        z, z_hat, 0.06 * np.eye(6), np.tile(0.01 * np.eye(2), (3, 1, 1)), number=np.array([3, 4, 5])
+    )
+    decisions = {name: decide(name, e, gate, gate).decisions for name in ("nn", "singles", "ml", "jcbb")}
+    right = np.array([3, 5, -1])
+    truth = {name: TruthRow(right, np.array([judged(h, g) for h, g in zip(d, right)])) for name, d in decisions.items()}
+    m = Matching("by hand", e, PLAIN, gate, {"truth": right, **decisions}, "jcbb", truth, right)
+    return dataclasses.replace(m, **changed)
+
+
+def painted(paint, *arguments) -> Figure:
+    with drawing():
+        fig = Figure(layout="none")
+        paint(fig, *arguments)
+        fig.draw_without_rendering()
+    return fig
+
+
+def titles(fig: Figure) -> list[str]:
+    return [ax.get_title() or ax.get_title(loc="left") for ax in fig.axes]
+
+
+@pytest.mark.parametrize("rotation", [0.0, 0.7])
+def test_measurements_of_either_sensor_stand_at_the_same_points_of_the_robot_frame(rotation):
+    place = {"rotation": rotation, "translation": (0.3, -0.1)}
+    points = np.array([[2.0, 1.0], [0.5, -3.0]])
+    found = {}
+    for sensor in (RangeBearing(**place), RelativePoint(**place)):
+        z = sensor.predict(np.zeros(3), points)
+        found[sensor.name], P = robot_frame(sensor, z, np.tile(np.diag([0.04, 0.04]), (2, 1, 1)))
+        assert np.allclose(found[sensor.name], points)
+        if sensor.kind == RelativePoint.kind:
+            assert np.allclose(P, 0.04 * np.eye(2))
+        else:  # the error of a bearing grows with the range
+            r = np.hypot(*(z[:, 0] * [np.cos(z[:, 1]), np.sin(z[:, 1])]))
+            assert np.allclose(np.linalg.det(P), (0.04 * r) ** 2)
+
+
+def test_the_field_of_view_is_what_the_sensor_says_is_in_view():
+    assert field_of_view(RelativePoint()) is None
+    sensor = RangeBearing(max_range=5.0, min_angle=-0.5, max_angle=1.0, rotation=0.4, translation=(0.2, 0.1))
+    outline = field_of_view(sensor)
+    z = sensor.predict(np.zeros(3), outline)
+    assert np.all(sensor.in_view(z[1:-1], margin_range=1e-9, margin_angle=1e-9))
+    assert z[1:-1, 0] == pytest.approx(5.0)
+    assert (z[1, 1], z[-2, 1]) == pytest.approx((-0.5, 1.0))
+    assert z[[0, -1], 0] == pytest.approx(0.0)
+
+
+def test_each_method_builds_on_its_own_pairs():
+    m = problem()
+    assert evidence("truth", m) == [(0, 0), (1, 2)]
+    assert evidence("nn", m) == [(0, 0), (1, 1)]
+    assert evidence("ml", m) == [(0, 0), (1, 1)]
+    assert evidence("singles", m) == [(0, 0), (1, 1)]
+    assert evidence("jcbb", m) == [(0, 0), (1, 1)]
+    wide = problem(gate=0.999999)  # now observation 1 is compatible with landmark 3, too
+    assert evidence("jcbb", wide) == [(0, 0), (0, 1), (1, 0), (1, 1)]
+    assert evidence("singles", wide) == []
+    assert evidence("nn", wide) == [(0, 0), (1, 1)]
+    assert evidence("known", problem(decisions={"known": np.array([5, -2, 8])})) == [(0, 2)]
+    # without a gate all is compatible, and the nearest is taken however far it is
+    assert evidence("nn", problem(gate=None)) == [(0, 0), (1, 1), (2, 0)]
+    assert evidence("singles", problem(gate=None)) == []
+
+
+def test_the_nearest_by_distance_need_not_be_the_likeliest():
+    z_hat, P = np.array([[0.0, 0.0], [1.0, 0.0]]), np.diag([4.0, 4.0, 0.05, 0.05])
+    e = Expectation.from_arrays(np.array([[0.5, 0.0]]), z_hat, P, 0.01 * np.eye(2)[None])
+    m = problem(expectation=e)
+    assert evidence("nn", m) == [(0, 0)]
+    assert evidence("ml", m) == [(0, 1)]
+    assert (decide("nn", e, 0.99, 0.99).decisions, decide("ml", e, 0.99, 0.99).decisions) == ([0], [1])
+
+
+def test_matching_shows_all_methods_side_by_side_with_their_counts_and_marks_the_one_that_updates():
+    fig = painted(paint_matching, problem())
+    assert titles(fig) == [
+        "ground truth: 2 paired, 1 new, 0 left out",
+        "NN: TP 1  TN 1  FP 1  FN 0",
+        "SINGLES: TP 1  TN 1  FP 1  FN 0",
+        "ML: TP 1  TN 1  FP 1  FN 0",
+        "JCBB (updates): TP 1  TN 1  FP 1  FN 0",
+    ]
+    assert [ax.spines["left"].get_linewidth() > 1.5 for ax in fig.axes] == [False] * 4 + [True]
+    # the wrong one is numbered in every method's panel, all of them in the first
+    assert [[t.get_text() for t in ax.texts] for ax in fig.axes] == [["0", "1", "2"], *[["1"]] * 4]
+
+
+def test_another_method_gets_a_panel_of_its_own_and_one_without_decisions_says_why():
+    m = problem()
+    more = {**m.decisions, "ml": "singular innovation covariance", "gnn": m.decisions["nn"]}
+    truth = {**m.truth, "gnn": m.truth["nn"]}
+    fig = painted(paint_matching, dataclasses.replace(m, decisions=more, truth=truth, chosen="gnn"))
+    assert len(fig.axes) == 6
+    assert titles(fig)[3] == "ML: singular innovation covariance"
+    assert titles(fig)[5].startswith("GNN (updates): TP 1")
+    painted(paint_compatibility, dataclasses.replace(m, decisions=more, truth=truth, chosen="gnn"))
+
+
+def test_without_truth_decisions_are_counted_instead_of_judged():
+    m = problem()
+    decisions = {name: d for name, d in m.decisions.items() if name != "truth"}
+    fig = painted(paint_matching, dataclasses.replace(m, decisions=decisions, truth={}, right=None))
+    assert titles(fig)[0] == "NN: 2 paired, 1 new, 0 left out"
+    assert len(fig.axes) == 4
+
+
+def test_compatibility_tells_of_true_pairs_that_do_not_fit():
+    fig = painted(paint_compatibility, problem())
+    assert titles(fig)[0] == "ground truth: right pairs (2, 1 incompatible)"
+    assert titles(fig)[4] == "JCBB: all compatible pairs (2)"
+
+
+def test_a_landmark_far_away_does_not_make_the_scene_small():
+    m = problem()
+    z_hat = m.expectation.z_hat.copy()
+    z_hat[2] = [400.0, 0.0]
+    fig = painted(paint_matching, dataclasses.replace(m, expectation=dataclasses.replace(m.expectation, z_hat=z_hat)))
+    assert np.ptp(fig.axes[0].get_xlim()) < 20.0
+
+
+def test_pictures_are_seen_in_equal_aspect_and_fill_their_place():
+    for fig in (painted(paint_matching, problem()), painted(paint_observations, PLAIN, *problem_sightings(), "x")):
+        for ax in fig.axes:
+            (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
+            width, height = ax.get_window_extent().size
+            assert (right - left) / (high - low) == pytest.approx(width / height)
+            place = ax.get_position(original=True)
+            assert ax.get_position().size == pytest.approx(place.size)
+            assert ax.get_xlabel() in ("", "x forward [m]")
+            assert ax.get_ylabel() in ("", "y left [m]")
+
+
+def problem_sightings():
+    e = problem().expectation
+    return e.z, e.R
+
+
+def test_observations_are_numbered_and_none_is_no_mistake():
+    fig = painted(paint_observations, PLAIN, *problem_sightings(), "title")
+    assert [t.get_text() for t in fig.axes[0].texts] == ["0", "1", "2"]
+    painted(paint_observations, PLAIN, np.empty((0, 2)), np.empty((0, 2, 2)), "nothing")
+
+
+def test_ground_truth_marks_what_is_seen_and_who_is_no_landmark():
+    log = open_log("corridor:0:people")
+    fig = painted(paint_ground_truth, log, 14, "step 14")
+    labels = fig.axes[0].get_legend_handles_labels()[1]
+    who = log.truth.landmark_of[slice(*log.recorded.start[14:16].tolist())]
+    assert f"{len(set(who[who >= 0].tolist()))} observed" in labels
+    assert f"{(who == -1).sum()} of no landmark" in labels
+    (robot,) = [line for line in fig.axes[0].lines if line.get_label() == "true pose"]
+    assert np.allclose(robot.get_xydata()[0], log.truth.pose[14, :2])
+    dark = dataclasses.replace(log, truth=Truth(landmarks=log.truth.landmarks))
+    assert "no true pose here" in titles(painted(paint_ground_truth, dark, 14, "step 14"))[0]
+
+
+def test_the_map_shows_landmarks_robot_and_path_of_the_estimate():
+    log = simulate(Arena(frames=6), 0)
+    now = PoseEstimate(np.array([1.0, 2.0, 0.5]), np.diag([0.01, 0.04, 0.001]))
+    landmarks = MapState(np.array([0, 4]), np.array([[3.0, 3.0], [5.0, 1.0]]), np.tile(0.09 * np.eye(2), (2, 1, 1)))
+    fig = painted(paint_map, log, 3, "ekf", np.array([[0.0, 0.0], [1.0, 2.0]]), now, landmarks, "here")
+    labels = fig.axes[0].get_legend_handles_labels()[1]
+    assert "2 landmarks" in labels
+    ellipses = [p.get_extents() for c in fig.axes[0].collections for p in c.get_paths()]
+    assert any(box.width == pytest.approx(2 * 3 * 0.1, rel=0.01) for box in ellipses)  # the robot's, 3 sigma
+    assert any(box.width == pytest.approx(2 * 3 * 0.3, rel=0.01) for box in ellipses)
+    empty = MapState(np.empty(0, int), np.empty((0, 2)), np.empty((0, 2, 2)))
+    painted(paint_map, log, 0, "isam2", np.zeros((1, 2)), now, empty, "nothing yet")

@@ -1,0 +1,186 @@
+"""The text of a step says what the referee says: golden blocks, and sums over whole runs."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+
+from data.logs import open_log
+from data.truth import UNKNOWN_ID, Truth
+from data.worlds.arena import Arena, simulate
+from eval.referee.confusion import confuse
+from eval.referee.score import confusion_of
+from eval.replay.run import step_by_step
+from eval.replay.settings import Setup
+from eval.walk.text import (
+    WIDTH,
+    TruthRow,
+    closing,
+    compatibility_text,
+    judge_frame,
+    row_of,
+    run_text,
+    statistics,
+    step_block,
+)
+
+NEW, DISCARD = -1, -2
+
+GOLDEN = """\
+step 1: 7 observations
+observation    0   1   2   3   4   5   6
+ground truth   0   1   2   3   -   4   6
+hypothesis     0   1   2   3 NEW   5 NEW
+correct        1   1   1   1   1   0   0
+NEW                            7       8
+ground truth and hypothesis disagree in 2 of 7 observations: 5 (FP), 6 (FN)
+TP 4   TN 1   FP 1   FN 1"""
+
+
+def seven() -> tuple[np.ndarray, ...]:
+    """Frame 0 founds landmarks 0 to 6 of the true ids 10 to 16; frame 1 is the one that is told."""
+    frame = np.repeat([0, 1], 7)
+    true_id = np.array([10, 11, 12, 13, 14, 15, 16, 10, 11, 12, 13, 20, 14, 16])
+    decisions = np.array([NEW] * 7 + [0, 1, 2, 3, NEW, 5, NEW])
+    created = np.array([*range(7), -1, -1, -1, -1, 7, -1, 8])
+    return frame, true_id, decisions, created
+
+
+def test_four_right_one_new_one_neighbour_and_one_known_taken_for_new_are_told_as_in_the_lab():
+    frame, true_id, decisions, created = seven()
+    scored = confuse(frame, true_id, decisions, created, None)
+    rows = slice(7, 14)
+    assert step_block(1, row_of(scored, rows), decisions[rows], created[rows]) == GOLDEN
+
+
+def test_a_frame_without_mistakes_agrees_and_discarded_observations_are_dashes():
+    frame, true_id, decisions, created = seven()
+    true_id[11], decisions[11:], created[11:] = -1, [DISCARD, 4, 6], -1
+    scored = confuse(frame, true_id, decisions, created, None)
+    assert step_block(1, row_of(scored, slice(7, 14)), decisions[7:], created[7:]) == (
+        "step 1: 7 observations\n"
+        "observation    0   1   2   3   4   5   6\n"
+        "ground truth   0   1   2   3   -   4   6\n"
+        "hypothesis     0   1   2   3   -   4   6\n"
+        "correct        1   1   1   1   1   1   1\n"
+        "ground truth and hypothesis agree\n"
+        "TP 6   TN 1   FP 0   FN 0"
+    )
+
+
+def test_without_truth_what_needs_it_is_left_out_and_the_text_says_so():
+    assert step_block(3, None, np.array([4, NEW, DISCARD]), np.array([-1, 9, -1])) == (
+        "step 3: 3 observations\n"
+        "observation   0   1   2\n"
+        "hypothesis    4 NEW   -\n"
+        "NEW               9\n"
+        "(true ids are not known: ground truth, correct and counts are left out)"
+    )
+
+
+@pytest.mark.parametrize(("m", "first"), [(1, 5), (22, 1), (22, 100), (22, 99990), (200, 1)])
+def test_columns_stand_below_each_other_and_no_line_is_too_long(m, first):
+    decisions = np.arange(first, first + m)
+    decisions[::3] = NEW
+    created = np.where(decisions == NEW, first + m + np.arange(m), -1)
+    wrong = TruthRow(np.where(decisions == NEW, first, 0), np.where(decisions == NEW, 3, 2))
+    text = step_block(10, wrong, decisions, created)
+    assert max(map(len, text.split("\n"))) <= WIDTH
+    shown: dict[str, list[str]] = {"observation": [], "hypothesis": [], "NEW": []}
+    for part in text[text.index("\n") + 1 : text.index("ground truth and")].split("\n\n"):
+        lines = part.strip().split("\n")
+        label = len("ground truth")
+        ends = [word.end() for word in re.finditer(r"\S+", lines[0][label:])]
+        for line in lines:
+            cells = list(re.finditer(r"\S+", line[label:]))
+            assert {cell.end() for cell in cells} <= set(ends)
+            shown.get(line[:label].strip(), []).extend(cell.group() for cell in cells)
+    assert shown["observation"] == [str(i) for i in range(m)]
+    assert shown["hypothesis"] == ["NEW" if d == NEW else str(d) for d in decisions]
+    assert shown["NEW"] == [str(n) for n in created if n >= 0]
+
+
+def counts_told(text: str) -> np.ndarray:
+    found = re.findall(r"^TP (\d+)   TN (\d+)   FP (\d+)   FN (\d+)$", text, re.MULTILINE)
+    return np.array(found, int).sum(axis=0)
+
+
+@pytest.mark.parametrize("phase", ["online", "final"])
+def test_the_steps_of_a_run_sum_to_the_counts_of_the_referee(phase):
+    log = open_log("corridor:0:people")
+    setup = Setup(new_gate=0.99, maintain=True)
+    run = step_by_step("ekf", log.recorded.without_map(), "slam", "nn", setup)
+    text, c = run_text(log, run, phase), confusion_of(run, log, phase)
+    assert min(c.tp, c.tn, c.fp, c.fn) > 0
+    assert counts_told(text).tolist() == [c.tp, c.tn, c.fp, c.fn]
+    # in the end what was retracted has never been new
+    lasting = run.created >= 0 if phase == "online" else (run.created >= 0) & (run.final_decisions != DISCARD)
+    told = [number for line in text.split("\n") if line.startswith("NEW") for number in line.split()[1:]]
+    assert told == [str(n) for n in run.created[lasting]]
+    m = c.tp + c.tn + c.fp + c.fn
+    assert f"whole run: {m} observations in 44 steps" in text
+    for name in ("tp", "tn", "fp", "fn"):
+        n = getattr(c, name)
+        assert re.search(rf"^{name.upper()} +{n} +{100 * n / m:.1f} %$", text, re.MULTILINE)
+    assert max(map(len, text.split("\n"))) <= WIDTH
+
+
+@pytest.mark.parametrize("task", ["slam", "localization"])
+def test_a_frame_is_judged_at_once_as_it_is_judged_in_the_end(task):
+    log = open_log("corridor:0:people")
+    inputs = log.recorded.without_map() if task == "slam" else log.recorded
+    setup = Setup(new_gate=0.99, maintain=True)
+    run = step_by_step("ekf", inputs, task, "nn", setup)
+    whole = confusion_of(run, log, "online")
+    for k in range(44):
+        rows = slice(*log.recorded.start[k : k + 2].tolist())
+        so_far = run.decisions.copy()
+        so_far[rows.stop :] = DISCARD
+        created = run.created.copy()
+        created[rows.start :] = -1
+        removed = None if run.removed is None else np.where(run.removed >= k, -1, run.removed)
+        row = judge_frame(log, task, rows, so_far, created, removed)
+        assert row.outcome.tolist() == whole.outcome[rows].tolist()
+        assert row.ground_truth.tolist() == whole.ground_truth[rows].tolist()
+
+
+def test_one_unknown_true_id_leaves_the_counts_of_every_step_out():
+    log = simulate(Arena(frames=6), 0)
+    ids = log.truth.landmark_of.copy()
+    ids[-1] = UNKNOWN_ID
+    log = dataclasses.replace(log, truth=dataclasses.replace(log.truth, landmark_of=ids))
+    run = step_by_step("ekf", log.recorded, "localization", "nn")
+    assert "correct   " not in run_text(log, run)
+    assert closing(log, run).startswith("whole run: true ids are not known")
+    assert judge_frame(log, "localization", slice(0, 3), run.decisions, run.created, None) is None
+    blind = dataclasses.replace(log, truth=Truth())
+    assert "NIS per degree" in statistics(blind, run)
+    assert "RMSE" not in statistics(blind, run)
+
+
+def test_a_run_that_stopped_says_where_and_tells_no_step_after_it():
+    log = simulate(Arena(frames=6), 0)
+    run = step_by_step("ekf", log.recorded, "localization", "nn")
+    from data.result import Failure
+
+    stopped = dataclasses.replace(run, failure=Failure("diverged", 3, "no reason"))
+    text = run_text(log, stopped)
+    assert "step 2:" in text
+    assert "step 3:" not in text
+    assert "diverged at frame 3: no reason" in text
+
+
+def test_compatible_pairs_are_counted_by_observation():
+    log = simulate(Arena(frames=2), 0)
+    from eval.replay.frontend import FrontEnd
+
+    front = FrontEnd("ekf", "nn", log.recorded, Setup())
+    front.move()
+    e = front.expect(log.recorded.sightings(0))
+    m = len(e.z)
+    text = compatibility_text(e, None)
+    assert text.startswith(f"{m * len(e.number)} compatible pairs with {len(e.number)} landmarks")
+    assert text.endswith(f"with none 0, with one 0, with several {m}")
