@@ -91,6 +91,33 @@ class LabelledObservations(Observations):
     label: IntArray
 
 
+class Frame(NamedTuple):
+    """One instant, all that is known of it when it comes: what a front end is handed, from a log or from a live robot.
+
+    Attributes:
+        number: of the frame, from 0.
+        time: s (the number of the frame where there are no stamps).
+        increment: motion from the frame before; None in the first frame.
+        sightings: z (m, 2), R (m, 2, 2).
+        label: (m,) as in `LabelledObservations`, or None where labels were not granted.
+        first: how many observations came before, so that observation i of this frame is number first + i of the log.
+    """
+
+    number: int
+    time: float
+    increment: Increment | None
+    sightings: Sightings
+    label: IntArray | None
+    first: int
+
+    def part(self, rows: slice) -> Frame:
+        """The same instant with some of its observations."""
+        begin, stop, _ = rows.indices(len(self.sightings.z))
+        label = None if self.label is None else self.label[begin:stop]
+        seen = Sightings(self.sightings.z[begin:stop], self.sightings.R[begin:stop])
+        return self._replace(sightings=seen, label=label, first=self.first + begin)
+
+
 @dataclass(frozen=True, eq=False)
 class LandmarkMap:
     """Known landmarks: id (L,) ascending and >= 0, xy (L, 2) in the world frame. Estimators take them as exact."""
@@ -146,6 +173,13 @@ class Inputs:
         """Observations of a frame."""
         rows = slice(self.start[frame], self.start[frame + 1])
         return Sightings(self.observations.z[rows], self.observations.R[rows])
+
+    def frame(self, number: int) -> Frame:
+        """Everything about one frame."""
+        o, first = self.observations, int(self.start[number])
+        label = o.label[first : self.start[number + 1]] if isinstance(o, LabelledObservations) else None
+        increment = self.increment(number) if number else None
+        return Frame(number, float(self.time[number]), increment, self.sightings(number), label, first)
 
     def without_map(self) -> Inputs:
         """The same inputs for SLAM: the known map withheld."""

@@ -53,3 +53,33 @@ class Log:
             raise ValueError(f"log {self.name!r} has no labels to grant")
         o: Observations = self.recorded.observations
         return replace(self.recorded, observations=LabelledObservations(o.frame, o.z, o.R, label))
+
+
+def shortened(log: Log, n: int) -> Log:
+    """The first n frames of a log, for a quick look; a shorter log as it is."""
+    r = log.recorded
+    if len(r) <= n:
+        return log
+    o = r.observations
+    m = int(r.start[n])
+    recorded = replace(
+        r,
+        time=r.time[:n],
+        increments=replace(r.increments, mean=r.increments.mean[:n], covariance=r.increments.covariance[:n]),
+        observations=replace(o, frame=o.frame[:m], z=o.z[:m], R=o.R[:m]),
+    )
+    t = log.truth
+    truth = replace(
+        t,
+        pose=None if t.pose is None else t.pose[:n],
+        landmark_of=None if t.landmark_of is None else t.landmark_of[:m],
+    )
+    label = None if log.label is None else log.label[:m]
+    return replace(
+        log, recorded=recorded, truth=truth, label=label, notes=(*log.notes, f"Only the first {n} frames (quick).")
+    )
+
+
+def folder_name(log_name: str) -> str:
+    """A log's name as a folder: `:` and `+` become `_`."""
+    return log_name.replace(":", "_").replace("+", "_").replace("/", "_")

@@ -146,9 +146,9 @@ def localization_lines(frames: int) -> list[Timed]:
 def victoria_park_lines(frames: int) -> list[Timed]:
     """EKF-SLAM and iSAM2 over Victoria Park, iSAM2 beside a bare gtsam loop with the same factors."""
     from association.known import known_decisions
+    from data.log import shortened
     from data.recordings.victoria_park import load_victoria_park
     from ekf.whole_run import run_filter
-    from eval.plan.experiments import shortened
     from eval.replay.run import step_by_step
     from graph.bare_loop import bare_isam2
 

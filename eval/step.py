@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data.errors import SlamrefError, UsageError
-from eval.plan.flags import ASSOCIATIONS, STEPPING
 from eval.plan.options import Options, read_options
+from eval.replay.names import ASSOCIATIONS, STEPPING
 
 if TYPE_CHECKING:
     from data.log import Log
@@ -132,8 +132,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _step(wish: Wish) -> None:
+    from data.log import shortened
     from data.logs import open_log
-    from eval.plan.experiments import shortened
 
     o = wish.options
     log = open_log(o.log[0])

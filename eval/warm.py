@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
+from association.decide import METHODS
 from association.geometry.local_map import Scan
 from association.geometry.pair_poses import candidates
 from association.geometry.relocalize import relocalize
 from data.open_log.reader import load_folder
 from data.open_log.writer import write_folder
 from data.worlds.arena import Arena, simulate
-from eval.plan.flags import ESTIMATORS
-from eval.replay.run import METHODS, compare, make_estimator, step_by_step
+from eval.replay.estimators import make_estimator
+from eval.replay.names import ESTIMATORS
+from eval.replay.run import compare, step_by_step
 from eval.replay.settings import Setup
 
 

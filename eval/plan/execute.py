@@ -15,8 +15,9 @@ from data.log import Log
 from data.result import Run
 from eval.plan.cluster import Call, on_cluster
 from eval.plan.experiments import Experiment, Plan, Work
-from eval.plan.options import Options, Variant
+from eval.plan.options import Options
 from eval.plan.tutorial import ABOUT, tutorial_run, variant_log
+from eval.plan.variant import Variant
 from eval.referee.score import Trial
 from eval.replay.run import compare
 from eval.studies import store as study_store

@@ -9,15 +9,16 @@ from pathlib import Path
 
 from association.decide import HINDSIGHT, METHODS
 from data.errors import UsageError
-from data.log import Log
+from data.log import Log, folder_name
 from data.logs import Reading, find_logs, open_log
 from data.recordings.esde import NAME, find_esde
-from eval.plan.flags import DEFAULT_ESTIMATORS, FILTERS, QUICK_RUNS, scenarios
+from eval.plan.flags import DEFAULT_ESTIMATORS, QUICK_RUNS
 from eval.plan.options import Options
+from eval.replay.names import FILTERS
 from eval.replay.settings import Setup
-from eval.report.run_files import folder_name
 from eval.studies.scenario import Scenario
 from eval.studies.scenario_file import load_scenario
+from eval.studies.shipped import scenarios
 
 DEFAULT_RUNS = 50
 QUICK_FRAMES = 1000
@@ -243,28 +244,3 @@ def _with_depth_noise(experiments: Sequence[Experiment]) -> list[Experiment]:
         )
         for e in experiments
     ]  # fmt: skip
-
-
-def shortened(log: Log, n: int) -> Log:
-    """The first n frames of a log, for a quick look; a shorter log as it is."""
-    r = log.recorded
-    if len(r) <= n:
-        return log
-    o = r.observations
-    m = int(r.start[n])
-    recorded = replace(
-        r,
-        time=r.time[:n],
-        increments=replace(r.increments, mean=r.increments.mean[:n], covariance=r.increments.covariance[:n]),
-        observations=replace(o, frame=o.frame[:m], z=o.z[:m], R=o.R[:m]),
-    )
-    t = log.truth
-    truth = replace(
-        t,
-        pose=None if t.pose is None else t.pose[:n],
-        landmark_of=None if t.landmark_of is None else t.landmark_of[:m],
-    )
-    label = None if log.label is None else log.label[:m]
-    return replace(
-        log, recorded=recorded, truth=truth, label=label, notes=(*log.notes, f"Only the first {n} frames (quick).")
-    )

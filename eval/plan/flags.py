@@ -8,11 +8,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-TASKS = ("localization", "slam")
-FILTERS = ("ekf", "ekf-iterated", "ekf-fej", "ekf-invariant")
-STEPPING = (*FILTERS, "isam2", "fixed-lag")
-ESTIMATORS = ("dead-reckoning", *STEPPING, "batch", "batch-huber", "batch-cauchy", "gnc")
-ASSOCIATIONS = ("known", "nn", "ml", "ml-ratio", "singles", "jcbb", "jcbb-first", "gnn", "jcbb-hindsight")
+from eval.replay.names import ASSOCIATIONS, ESTIMATORS
+from eval.studies.shipped import scenarios
+
 FORMATS = ("csv", "md", "tex")
 CHOICES = {
     "camera_translation": ("cm", "mm", "m"),
@@ -23,7 +21,6 @@ CHOICES = {
 DEFAULT_ESTIMATORS = ("dead-reckoning", "ekf", "isam2", "batch")
 QUICK_RUNS = 2
 CONFIGS = Path(__file__).parents[1] / "configs"
-SCENARIOS = Path(__file__).parents[1] / "scenarios"
 
 EPILOG = """\
 examples:
@@ -173,8 +170,3 @@ def parser() -> argparse.ArgumentParser:
 def shipped() -> list[str]:
     """Names of the configurations that come with the package."""
     return sorted(f.stem for f in CONFIGS.glob("*.toml"))
-
-
-def scenarios() -> list[str]:
-    """Names of the scenarios that come with the package."""
-    return sorted(f.stem for f in SCENARIOS.glob("*.toml"))

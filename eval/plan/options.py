@@ -14,52 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from data.errors import UsageError
-from eval.plan.flags import (
-    ASSOCIATIONS,
-    CHOICES,
-    CONFIGS,
-    DEFAULT_ESTIMATORS,
-    ESTIMATORS,
-    FORMATS,
-    TASKS,
-    parser,
-    shipped,
-)
+from eval.plan.flags import CHOICES, CONFIGS, DEFAULT_ESTIMATORS, FORMATS, parser, shipped
+from eval.plan.variant import Variant
+from eval.replay.names import ASSOCIATIONS, ESTIMATORS, TASKS
 from eval.replay.settings import Setup
-
-
-@dataclass(frozen=True)
-class Variant:
-    """The same recording through other numbers, as one more row: how a published tutorial treats it.
-
-    Attributes:
-        name: appended to the log's name.
-        task: the one task it is about.
-        grid: s, instants to which odometry and readings are brought.
-        model: motion model; alphas: displacement noise (see `data.motion.VelocityNoise`).
-        sigma: of range [m] and bearing [rad].
-        prior_variance: of x, y [m^2] and heading [rad^2].
-        each: one update per observation instead of one per frame.
-        new_variance: m^2, variance of a new landmark, uncorrelated; None: exact augmentation.
-        new_variance_per_square: the same as a share of the squared range.
-        association: how it pairs; gate, new_gate: probabilities, None for no gate.
-        notes: what is not reproduced of the original, one sentence each.
-    """
-
-    name: str
-    task: str
-    grid: float
-    model: str
-    alphas: tuple[float, float, float, float]
-    sigma: tuple[float, float]
-    prior_variance: float
-    each: bool = False
-    new_variance: float | None = None
-    new_variance_per_square: float | None = None
-    association: str = "known"
-    gate: float | None = None
-    new_gate: float | None = None
-    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

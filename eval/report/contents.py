@@ -10,7 +10,9 @@ import numpy as np
 import pandas as pd
 from joblib import Parallel, delayed
 
+from data.log import folder_name
 from eval.page.document import Block, Picture, ReportContent, Section, Table, write_report
+from eval.page.numbers import number
 from eval.page.tables import write_table
 from eval.plan.execute import Outcome
 from eval.plan.options import Options
@@ -23,7 +25,6 @@ from eval.report import statements as words
 from eval.report.corridor.questions import lab_sections
 from eval.report.pictures import draw, kinds, publish_runs, stem
 from eval.report.revisions import revision_section
-from eval.report.run_files import folder_name
 from eval.report.studies import study_sections
 from eval.report.tutorial_table import CAPTION, knowledge_table, logs_with_tutorials
 from eval.report.visual.sections import visual_sections
@@ -173,7 +174,7 @@ def _beside_note(trial: Trial, rows: pd.DataFrame) -> str:
     for row in rows.to_dict("records"):
         for column, what in (("sse_position_m2", "positions"), ("sse_landmark_m2", "landmarks")):
             if row[column] is not None:
-                told.append(f"Sum of squared errors of {what}: {words.number(float(row[column]))} m².")
+                told.append(f"Sum of squared errors of {what}: {number(float(row[column]))} m².")
     return " ".join([*told, *trial.runs[0].notes])
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from data.log import Log
+from data.log import Log, folder_name
 from data.result import Run
 from eval import figures
 from eval.figures.association import bars
@@ -17,11 +17,11 @@ from eval.figures.growth import closing_frame, state_is_informative
 from eval.figures.map import SIGMAS, longest_axis
 from eval.figures.style import save
 from eval.page.document import Picture
+from eval.page.numbers import number
 from eval.plan.options import Options
 from eval.referee.score import Trial, confusion_of
-from eval.report.run_files import folder_name, write_run
+from eval.report.run_files import write_run
 from eval.report.shown_runs import finished, for_growth, for_map, for_panels, left_out, same, worst
-from eval.report.statements import number
 
 
 def stem(trial: Trial, what: str) -> str:

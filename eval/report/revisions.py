@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from data.log import folder_name
 from data.result import DISCARD, NEW, Event, Run
 from eval.figures.revision import Example, revision_figure
 from eval.figures.style import save
@@ -17,7 +18,6 @@ from eval.page.tables import write_table
 from eval.plan.options import Options
 from eval.referee.score import Trial
 from eval.replay.hindsight.ledger import JOINED
-from eval.report.run_files import folder_name
 
 LATE = ("uncertain", "put off until the end")
 """Reasons that only say that the log was over."""

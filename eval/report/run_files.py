@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from data.log import folder_name
 from data.result import Run, Trajectory
 from data.se2 import Array
 from eval.referee.confusion import OUTCOMES
@@ -14,11 +15,6 @@ from eval.referee.errors import landmark_true_ids
 from eval.referee.score import Trial, confusion_of
 
 POSE = ["t", "x", "y", "theta", "c_xx", "c_xy", "c_xt", "c_yy", "c_yt", "c_tt"]
-
-
-def folder_name(log_name: str) -> str:
-    """A log's name as a folder: `:` and `+` become `_`."""
-    return log_name.replace(":", "_").replace("+", "_").replace("/", "_")
 
 
 def _blank(values: Array) -> pd.Series:

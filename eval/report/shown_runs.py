@@ -9,7 +9,7 @@ from data.result import Run
 from eval.figures.error import MOST_PANELS
 from eval.referee.errors import position_distance, rms
 from eval.referee.score import Trial
-from eval.report.statements import FILTERS
+from eval.replay.names import FILTERS
 
 FIRST = ("known", "jcbb", "jcbb-first")
 """Ways of association that are shown before all others."""

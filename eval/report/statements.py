@@ -11,24 +11,16 @@ from collections.abc import Sequence
 
 import pandas as pd
 
+from eval.page.numbers import number
 from eval.page.tables import is_blank
 from eval.referee.consistency import CONSERVATIVE, CONSISTENT, INSIDE_3SIGMA, OVERCONFIDENT, TOO_FEW
+from eval.replay.names import FILTERS
 
 SAME = 0.02
 """Relative difference of two RMSE values below which they are called equal."""
-FILTERS = ("ekf", "ekf-iterated", "ekf-fej", "ekf-invariant")
 SMOOTHERS = ("batch", "batch-huber", "batch-cauchy", "gnc", "isam2", "fixed-lag")
 
 Row = dict[str, object]
-
-
-def number(value: float, digits: int = 3) -> str:
-    """A number with so many significant digits, without exponent between 1e-4 and 1e6."""
-    if value == 0.0 or not math.isfinite(value):
-        return f"{value:g}"
-    if not 1e-4 <= abs(value) < 1e6:
-        return f"{value:.{digits - 1}e}"
-    return f"{value:.{max(digits - 1 - math.floor(math.log10(abs(value))), 0)}f}"
 
 
 def nis_verdict(nis: float, lower: float, upper: float) -> str:

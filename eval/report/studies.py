@@ -11,6 +11,7 @@ import pandas as pd
 from joblib import Parallel, delayed
 from scipy import special
 
+from data.log import folder_name
 from eval import figures
 from eval.figures.style import save
 from eval.page.document import Block, Picture, Section, Table
@@ -19,7 +20,6 @@ from eval.plan.execute import Outcome
 from eval.plan.options import Options
 from eval.referee.consistency import MIN_RUNS
 from eval.report import comparison
-from eval.report.run_files import folder_name
 from eval.studies.montecarlo import DOF, Judged, Study, consistency_table
 from eval.studies.published import Estimate, mean_of, rms_of
 from eval.studies.reproduced import orderings, published_frame

@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from data.errors import UsageError
-from eval.plan.flags import ASSOCIATIONS, ESTIMATORS, SCENARIOS, TASKS, scenarios
+from eval.replay.names import ASSOCIATIONS, ESTIMATORS, TASKS
 from eval.replay.settings import Setup
 from eval.studies.published import PUBLISHABLE, Ordering, Published, Row
 from eval.studies.scenario import RECORDED, WORLDS, Member, Scenario
+from eval.studies.shipped import SCENARIOS, scenarios
 
 CONSISTENT = "consistent"
 

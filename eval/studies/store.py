@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from eval.report.run_files import folder_name
+from data.log import folder_name
 from eval.studies.montecarlo import Key, Result, Sample
 from eval.studies.scenario import Scenario
 

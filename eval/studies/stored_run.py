@@ -11,9 +11,9 @@ import numpy as np
 from data.errors import DataError
 from data.recordings.esde import StoredRun, load_esde, log_of
 from data.result import Run
-from eval.plan.flags import FILTERS
 from eval.referee import consistency
 from eval.referee.score import Trial
+from eval.replay.names import FILTERS
 from eval.replay.run import compare
 from eval.studies.published import COLUMNS
 from eval.studies.scenario import Scenario

@@ -11,7 +11,8 @@ from association.expectation import gate_threshold
 from data.convert.__main__ import main as convert
 from data.mrclam.load import load_mrclam
 from eval.referee.score import metrics_row
-from eval.replay.run import batch, filter_known
+from eval.replay.batch import batch
+from eval.replay.run import filter_known
 from eval.run_all import main
 
 BAD = [(755.0, 836.0), (945.0, 1050.0)]

@@ -112,7 +112,7 @@ def test_looking_on_changes_no_number(tmp_path):
 
 
 def step_inputs(log, association):
-    from eval.plan.experiments import shortened
+    from data.log import shortened
 
     return shortened(log, 10).inputs(labels=association == "known").without_map()
 

@@ -20,10 +20,10 @@ from data.result import DISCARD, Event, Finished, PoseEstimate, Trajectory, Upda
 from data.se2 import Array
 from ekf.filter import Filter, FilterOptions
 from ekf.localizer import EkfLocalizer
-from eval.replay.frontend import Estimator, FrontEnd, make_estimator
+from eval.replay.estimators import Estimator, make_estimator
+from eval.replay.frontend import FrontEnd, Watch
 from eval.replay.hindsight.localizer import MAYBE, HindsightLocalizer
 from eval.replay.settings import Setup
-from eval.watch import Watch
 from graph.incremental import Isam2Smoother
 
 

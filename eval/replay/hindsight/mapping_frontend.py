@@ -13,11 +13,10 @@ from data.errors import UsageError
 from data.inputs import Inputs, IntArray, Sightings
 from data.result import Event, Updated
 from ekf.filter import Filter, FilterOptions
-from eval.replay.frontend import FrontEnd
+from eval.replay.frontend import FrontEnd, Watch
 from eval.replay.hindsight.mapper import HindsightMapper
 from eval.replay.map_management import Upkeep
 from eval.replay.settings import Setup
-from eval.watch import Watch
 
 EVERYTHING = float(np.finfo(float).max)
 """A gate that lets all pass, but for which a smoother forms its innovations."""

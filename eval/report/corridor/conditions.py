@@ -9,11 +9,11 @@ import numpy as np
 from data.result import Run
 from data.se2 import Array
 from data.truth import CLUTTER
+from eval.page.numbers import number
 from eval.referee.errors import landmark_true_ids, position_distance
 from eval.referee.score import Scores, Trial
 from eval.report.corridor.facts import Lab, furthest_from_start, look, run_of, switched_on, true_against_stated
 from eval.report.corridor.phrases import BLIND, NAMES, PEOPLE, WORSE, count_move, missing, move, plural, rmse
-from eval.report.statements import number
 
 
 def without_odometry(lab: Lab, scores: Scores) -> tuple[str, bool]:

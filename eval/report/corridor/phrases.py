@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 from data.result import Run
+from eval.page.numbers import number
 from eval.referee.score import Scores, Trial
 from eval.report.corridor.facts import Lab
-from eval.report.statements import number
 
 WORSE = 1.5
 """An error this many times another one is called worse, below it comparable."""

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 
 from eval.page.document import Section
+from eval.page.numbers import number
 from eval.referee.score import Scores, Trial
 from eval.report.corridor.ambiguity import ambiguity_sections, prior_sections
 from eval.report.corridor.conditions import what_maintenance_changes, without_odometry
@@ -26,7 +27,6 @@ from eval.report.corridor.phrases import (
     rmse,
     share,
 )
-from eval.report.statements import number
 
 
 def lab_sections(trials: Sequence[Trial], scores: Scores) -> list[Section]:

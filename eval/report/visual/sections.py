@@ -13,19 +13,18 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from data.inputs import IntArray
-from data.log import Log
+from data.log import Log, folder_name
 from data.pictures import Detection, Evidence, Found, InView
 from data.visual.observations import COMMAND_SIGMA, true_pictures
 from eval.figures.style import save
 from eval.page.document import Block, Formula, Picture, Section, Table
 from eval.page.equations import formula_figure, latex
+from eval.page.numbers import number
 from eval.page.tables import drop_blank_columns, write_table
 from eval.plan.options import Options
 from eval.referee.score import Trial
 from eval.report.pictures import stem
-from eval.report.run_files import folder_name
 from eval.report.shown_runs import for_map, left_out
-from eval.report.statements import number
 from eval.report.visual.figures import Tile, contact_sheet, plan_figure
 from eval.report.visual.models import MODELS, models_latex
 

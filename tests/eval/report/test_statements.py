@@ -7,6 +7,7 @@ import math
 import pandas as pd
 import pytest
 
+from eval.page.numbers import number
 from eval.referee.score import ASSOCIATION, METRICS, frame_of
 from eval.report import statements as words
 
@@ -35,7 +36,7 @@ def answer(*rows) -> str:
     ],
 )
 def test_numbers_have_three_significant_digits(value, text):
-    assert words.number(value) == text
+    assert number(value) == text
 
 
 @pytest.mark.parametrize(

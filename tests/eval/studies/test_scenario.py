@@ -10,9 +10,9 @@ import pytest
 
 from data.errors import UsageError
 from data.worlds.arena import Arena, simulate
-from eval.plan.flags import scenarios
 from eval.studies.scenario import with_wrong_labels
 from eval.studies.scenario_file import load_scenario
+from eval.studies.shipped import scenarios
 
 SOUND = """
 about = "a small arena"

@@ -8,9 +8,10 @@ import pytest
 from data.inputs import Increments, Inputs, Observations, Prior
 from data.result import NEW, founders, revised
 from data.sensors import RelativePoint
+from eval.replay.batch import batch
 from eval.replay.hindsight.ledger import JOINED
 from eval.replay.hindsight.mapping_frontend import MappingFrontEnd
-from eval.replay.run import batch, step_by_step
+from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
 from tests.eval.replay.hindsight.park import park
 

@@ -1,0 +1,79 @@
+"""Batch smoothers over the decisions that a front end made, started at its path."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from data.inputs import Inputs, IntArray
+from data.result import DISCARD, Failure, Run, Trajectory, founders, map_estimate
+from data.se2 import Array, BoolArray
+from graph.batch import Start, smooth
+from graph.factors import UnderConstrained
+from graph.robust import gnc
+
+LOSSES = {"batch": "gaussian", "batch-huber": "huber", "batch-cauchy": "cauchy"}
+BATCH = (*LOSSES, "gnc")
+
+
+def batch(name: str, inputs: Inputs, front: Run) -> Run:
+    """A batch smoother over the final decisions of `front`, started at its path.
+
+    `gnc` chooses among them itself: a pairing that it leaves out is discarded in the end, and so is a landmark of which
+    no sighting is left.
+    """
+    if front.failure is not None or front.online is None:
+        why = f"the {front.estimator} it starts from stopped at frame {front.failure.frame if front.failure else 0}"
+        return _failed(name, front, Failure("incomplete", 0, why), len(inputs), 0.0)
+    begin = time.perf_counter()
+    # what was retracted has no landmark; what a filter merely forgot is smoothed like all others
+    founded = founders(front.final_decisions, front.created)
+    start = Start(front.online.pose, _places(inputs, front, founded))
+    final, told = front.final_decisions, [f"decisions made by {front.estimator}"]
+    try:
+        if name == "gnc":
+            result, accepted = gnc(inputs, final, founded, start)
+            left_out = _left_out(final, founded, accepted)
+            told.append(f"{(~accepted & (np.where(founded >= 0, founded, final) >= 0)).sum()} sightings were rejected")
+            final, founded = np.where(left_out, DISCARD, final), np.where(left_out, -1, founded)
+        else:
+            result = smooth(inputs, final, founded, start, loss=LOSSES[name])
+    except UnderConstrained as stop:
+        return _failed(name, front, Failure("diverged", 0, str(stop)), len(inputs), time.perf_counter() - begin)
+    seconds = time.perf_counter() - begin
+    state = None
+    if result.map is not None:
+        state = map_estimate(result.map, inputs.observations.frame, final, founded)
+    return Run(
+        name, front.association, front.task, None, result.trajectory, state, front.decisions, final,
+        front.created, None, result.total_nis, None, seconds, None, tuple(told), front.removed,
+    )  # fmt: skip
+
+
+def _left_out(decisions: IntArray, founded: IntArray, accepted: BoolArray) -> BoolArray:
+    """Which observations (M,) are discarded in the end: rejected pairings, and landmarks without a sighting left."""
+    number = np.where(founded >= 0, founded, decisions)
+    alive = np.unique(number[accepted])
+    return (number >= 0) & np.where(founded >= 0, ~np.isin(number, alive), ~accepted)
+
+
+def _places(inputs: Inputs, front: Run, founded: IntArray) -> Array:
+    """Where each landmark is by the front end (L, 2); one that it dropped stands where it was founded."""
+    places = np.full((int(founded.max(initial=-1)) + 1, 2), np.nan)
+    if front.map is not None and front.online is not None:
+        o = inputs.observations
+        for i in np.flatnonzero(founded >= 0):
+            pose = front.online.pose[o.frame[i]]
+            places[founded[i]] = inputs.sensor.inverse(pose, o.z[i : i + 1])[0][0]
+        held = front.map.number < len(places)
+        places[front.map.number[held]] = front.map.xy[held]
+    return places
+
+
+def _failed(name: str, front: Run, failure: Failure, frames: int, seconds: float) -> Run:
+    nothing = Trajectory(np.full((frames, 3), np.nan), np.full((frames, 3, 3), np.nan))
+    return Run(
+        name, front.association, front.task, None, nothing, None, front.decisions, front.final_decisions, front.created,
+        None, None, None, seconds, failure, (), front.removed,
+    )  # fmt: skip
