@@ -9,7 +9,7 @@ from pathlib import Path
 
 from association.decide import HINDSIGHT, METHODS
 from data.errors import UsageError
-from data.log import Log, folder_name
+from data.log import Log, folder_name, shortened
 from data.logs import Reading, find_logs, open_log
 from data.recordings.esde import NAME, find_esde
 from eval.plan.flags import DEFAULT_ESTIMATORS, QUICK_RUNS
