@@ -1,0 +1,140 @@
+"""What NIS to expect of a right filter whose pairings were accepted because their innovations lay inside a gate.
+
+An innovation that had to pass a gate is not chi-square any more: its square is smaller in the mean, and scatters less.
+For one pairing there is a formula; for several, whose innovations are correlated and pass a joint test, too, the
+moments are those of Gaussian innovations with the frame's own joint covariance, those outside the gates left out.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from scipy.special import ndtri
+from scipy.stats import chi2, qmc
+
+from association.expectation import gate_threshold
+from association.likelihood import ALPHA, RATIO
+from data.se2 import Array
+
+DRAWS = 64
+"""Innovations drawn per frame. Over a run their scatter adds 1/64 to the variance of its NIS."""
+POINTS = 4096
+"""Quasi-random points that frames take in turn, so that the errors of the draws do not add up."""
+
+
+class Acceptance(NamedTuple):
+    """What a pairing had to pass, thresholds of squared distances (inf: nothing).
+
+    individual: each pairing, 2 dof; joint: probability of the joint gate of all pairings of a frame, or None;
+    conditional: each pairing given the others of its frame, 2 dof.
+    """
+
+    individual: float = math.inf
+    joint: float | None = None
+    conditional: float = math.inf
+
+    @property
+    def everything(self) -> bool:
+        """Whether nothing can be left out."""
+        return math.isinf(self.individual) and self.joint is None and math.isinf(self.conditional)
+
+
+def acceptance(method: str, gate: float | None, gate_known: float | None = None) -> Acceptance:
+    """What the pairings of a way of association had to pass: `gate` is its chi-square probability, None for no gate.
+
+    `known` is gated by `gate_known` alone. `ml-ratio` pairs only what beats "new" by its ratio, which is the narrower
+    test. Hindsight tests each pairing given the others; its outer gate leaves out next to nothing.
+    """
+    if method == "known":
+        return Acceptance(gate_threshold(gate_known))
+    if method in ("jcbb", "jcbb-first"):
+        return Acceptance(gate_threshold(gate), gate)
+    if method == "jcbb-hindsight":
+        return Acceptance(conditional=gate_threshold(gate))
+    if method == "ml-ratio":
+        return Acceptance(min(gate_threshold(gate), ALPHA / RATIO))
+    return Acceptance(gate_threshold(gate))
+
+
+def truncated_square(threshold: float, dof: int = 2) -> tuple[float, float]:
+    """Mean and variance of a chi-square variable of `dof` below a threshold.
+
+    E[x] = k F_{k+2}(c) / F_k(c), E[x^2] = k (k + 2) F_{k+4}(c) / F_k(c), with F the distribution function.
+    """
+    if math.isinf(threshold):
+        return float(dof), 2.0 * dof
+    inside = chi2.cdf(threshold, dof)
+    mean = dof * chi2.cdf(threshold, dof + 2) / inside
+    square = dof * (dof + 2) * chi2.cdf(threshold, dof + 4) / inside
+    return float(mean), float(square - mean**2)
+
+
+def accepted_moments(S: Array, passed: Acceptance, turn: int) -> tuple[float, float]:
+    """Mean and variance of the joint NIS of accepted pairings, whose innovations have the covariance S (2k, 2k).
+
+    `turn` counts the frames: each takes its own draws. Without a gate these are 2k and 4k.
+    """
+    dof = len(S)
+    if dof == 0 or passed.everything:
+        return float(dof), 2.0 * dof
+    if dof == 2:
+        return truncated_square(min(passed.individual, passed.conditional))  # the joint gate is the individual one
+    points = _points(1 << (dof - 1).bit_length())
+    begin = turn * DRAWS % POINTS
+    joint = math.inf if passed.joint is None else gate_threshold(passed.joint, dof)
+    n, total, squares = _sums(
+        np.ascontiguousarray(S),
+        points[begin : begin + DRAWS, :dof].copy(),
+        passed.individual,
+        joint,
+        passed.conditional,
+    )
+    if n < 2:  # gates that hardly anything passes: as if its pairings were independent
+        mean, variance = truncated_square(min(passed.individual, passed.conditional))
+        return mean * dof / 2, variance * dof / 2
+    return total / n, max(squares / n - (total / n) ** 2, 0.0)
+
+
+@cache
+def _points(dimension: int) -> Array:
+    """Standard normal quasi-random points (POINTS, dimension)."""
+    sobol = qmc.Sobol(dimension, rng=np.random.default_rng(0))
+    return np.ascontiguousarray(ndtri(sobol.random(POINTS)))
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _sums(
+    S: Array, white: Array, individual: float, joint: float, conditional: float
+) -> tuple[int, float, float]:  # pragma: no cover - compiled
+    """Count, sum and sum of squares of |w|^2 over the draws w (n, 2k) whose innovations L w pass all gates."""
+    n, d = white.shape
+    L = np.linalg.cholesky(S)
+    x = white @ L.T
+    W = np.linalg.inv(S)
+    y = x @ W
+    count, total, squares = 0, 0.0, 0.0
+    for i in range(n):
+        q = 0.0
+        for j in range(d):
+            q += white[i, j] * white[i, j]
+        inside = q < joint
+        for j in range(0, d, 2):
+            if not inside:
+                break
+            # nu_j' S_jj^-1 nu_j, and given the others: y_j' (W_jj)^-1 y_j with y = S^-1 nu
+            a, b, c = S[j, j], S[j, j + 1], S[j + 1, j + 1]
+            u, v = x[i, j], x[i, j + 1]
+            inside = (c * u * u - 2.0 * b * u * v + a * v * v) < individual * (a * c - b * b)
+            if inside and conditional < np.inf:
+                a, b, c = W[j, j], W[j, j + 1], W[j + 1, j + 1]
+                u, v = y[i, j], y[i, j + 1]
+                inside = (c * u * u - 2.0 * b * u * v + a * v * v) < conditional * (a * c - b * b)
+        if inside:
+            count += 1
+            total += q
+            squares += q * q
+    return count, total, squares
