@@ -86,13 +86,8 @@ def accepted_moments(S: Array, passed: Acceptance, turn: int) -> tuple[float, fl
     points = _points(1 << (dof - 1).bit_length())
     begin = turn * DRAWS % POINTS
     joint = math.inf if passed.joint is None else gate_threshold(passed.joint, dof)
-    n, total, squares = _sums(
-        np.ascontiguousarray(S),
-        points[begin : begin + DRAWS, :dof].copy(),
-        passed.individual,
-        joint,
-        passed.conditional,
-    )
+    white = points[begin : begin + DRAWS, :dof].copy()
+    n, total, squares = _sums(np.ascontiguousarray(S), white, passed.individual, joint, passed.conditional)
     if n < 2:  # gates that hardly anything passes: as if its pairings were independent
         mean, variance = truncated_square(min(passed.individual, passed.conditional))
         return mean * dof / 2, variance * dof / 2
@@ -106,7 +101,7 @@ def _points(dimension: int) -> Array:
     return np.ascontiguousarray(ndtri(sobol.random(POINTS)))
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _sums(
     S: Array, white: Array, individual: float, joint: float, conditional: float
 ) -> tuple[int, float, float]:  # pragma: no cover - compiled
