@@ -66,4 +66,5 @@ def test_what_a_method_accepts_has_the_expected_mean_and_spread(method, common):
         mean, variance = mean + m, variance + v
         total, dof = total + e.innovation_statistics(rows, decisions[rows])[0], dof + len(both)
     assert (total - mean) / math.sqrt(variance) == pytest.approx(0.0, abs=3.0)
-    assert (total - dof) / math.sqrt(2.0 * dof) < -1.0  # chi-square it is not
+    if common < 1.0:  # gates on what all share leave out little
+        assert (total - dof) / math.sqrt(2.0 * dof) < -2.0
