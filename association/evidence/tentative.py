@@ -12,13 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from association.evidence import constants
 from association.expectation import gate_threshold
 from data.se2 import Array
-
-AGREE = 3
-"""Sightings that must agree with each other, and with no landmark."""
-GATE = 0.99
-"""Chi-square probability, 2 dof, inside which two sightings agree, by the stated noise of the sensor."""
 
 
 class Sighting(NamedTuple):
@@ -60,11 +56,11 @@ class Tentative:
         self._places = [p for p in self._places if sighting.way - p.last.way <= reach]
         self._doubts = [d for d in self._doubts if sighting.way - d.way <= reach]
         near = min(self._places, key=lambda p: p.last.distance(sighting), default=None)
-        if near is None or near.last.distance(sighting) >= gate_threshold(GATE):
+        if near is None or near.last.distance(sighting) >= gate_threshold(constants.AGREE_GATE):
             self._places.append(_Place(sighting, 1, pairings))
             return False
         near.last, near.times = sighting, near.times + 1
-        if near.times < AGREE or pairings <= near.pairings:
+        if near.times < constants.AGREE or pairings <= near.pairings:
             return False
         self._places.remove(near)
         return True
@@ -75,6 +71,6 @@ class Tentative:
 
     def settle(self, sighting: Sighting) -> int:
         """A landmark was founded there: how many were counted that are its own; they are forgotten."""
-        own = [d for d in self._doubts if d.distance(sighting) < gate_threshold(GATE)]
+        own = [d for d in self._doubts if d.distance(sighting) < gate_threshold(constants.AGREE_GATE)]
         self._doubts = [d for d in self._doubts if not any(d is o for o in own)]
         return len(own)

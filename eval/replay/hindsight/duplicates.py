@@ -11,15 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from association.evidence import constants
 from association.expectation import gate_threshold
 from association.geometry.constellation import Landmarks, recognize, squared_distances
 from data.se2 import Array, BoolArray
 from ekf.slam import EkfSlam
-
-LONELY = 0.1
-"""Landmarks that one expects by chance where two stand: with fewer, a single pair may be recognized."""
-MOST = 16
-"""Landmarks of a constellation, those seen last."""
 
 Beside = Mapping[int, set[int]]
 
@@ -60,10 +56,10 @@ def constellation(
     """
     if not young or not old:
         return []
-    young = young[-MOST:]
+    young = young[-constants.WINDOW_MOST :]
     c = compare(slam, beside, young, old)
-    turn = 3.0 * math.sqrt(slam.estimate().covariance[2, 2]) + 0.1
-    allowed = (c.d2 < gate_threshold(0.999)) & ~c.beside
+    turn = constants.TURN_SIGMAS * math.sqrt(slam.estimate().covariance[2, 2]) + constants.TURN_MARGIN
+    allowed = (c.d2 < gate_threshold(constants.WINDOW_GATE)) & ~c.beside
     return [(young[i], old[j]) for i, j in recognize(c.new, c.old, c.cross, allowed, crowd, turn, scale)]
 
 
@@ -74,7 +70,7 @@ def single(
 
     `area` [m^2]: the gate of their difference is smaller; `scale`: share of the stated variance that there is.
     """
-    young, old, gate = sorted(window), sorted(others), gate_threshold(0.99)
+    young, old, gate = sorted(window), sorted(others), gate_threshold(constants.SINGLE_GATE)
     if not young or not old:
         return []
     c = compare(slam, beside, young, old)

@@ -1,6 +1,6 @@
 """Gates learned in a run of SLAM: what they left out, and what waits because only the stated noise explains it.
 
-See `association.evidence.gates` for the scales and `association.evidence.tentative` for what waits.
+See `association.evidence.scales` for the scales and `association.evidence.tentative` for what waits.
 """
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
-from association.evidence.gates import Scales, counted, relearned
-from association.evidence.landmarks import PLACE
+from association.evidence import constants
+from association.evidence.scales import Scales, counted, relearned
 from association.evidence.tentative import Sighting, Tentative
 from association.expectation import Expectation
 from data.inputs import Increment, IntArray
@@ -73,7 +73,7 @@ class LearnedGates:
 
     def _elsewhere(self, number: int, inside: bool, reach: float) -> bool:
         """Whether a landmark's gate was not judged so from here before: from one place it is one case."""
-        if self._way - self._asked.get((number, inside), -math.inf) < PLACE * reach:
+        if self._way - self._asked.get((number, inside), -math.inf) < constants.SAME_PLACE * reach:
             return False
         self._asked[number, inside] = self._way
         return True

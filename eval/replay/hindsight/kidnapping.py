@@ -10,18 +10,12 @@ import math
 
 import numpy as np
 
+from association.evidence import constants
 from association.geometry.local_map import EMPTY, extended, moved
 from association.geometry.relocalize import Place, relocalize
 from data.inputs import Increment, IntArray, LandmarkMap, Sightings
 from data.se2 import Array
 from data.sensors import Sensor
-
-ALARM = 14.0
-"""Score of an alarm, as in `association.evidence.monitor`."""
-TRUST = 2.0
-"""What a pairing with a certain landmark takes off: it may be wrong, one in e^2."""
-SEVERAL = 3
-"""Observations of one frame. A single one, where more were expected, is of a sensor whose view is covered."""
 
 
 class Whereabouts:
@@ -55,8 +49,13 @@ class Whereabouts:
         """
         if self._score == 0.0 and not self.lost:
             self._before = created
-        self._score = max(0.0, self._score + (surprise if seen >= SEVERAL else 0.0) - TRUST * paired)
-        if self.lost or self._score < ALARM:
+        self._score = max(
+            0.0,
+            self._score
+            + (surprise if seen >= constants.ALARM_OBSERVATIONS else 0.0)
+            - constants.PAIRING_TRUST * paired,
+        )
+        if self.lost or self._score < constants.ALARM:
             return False
         self.lost, self._score, self._scan = True, 0.0, EMPTY
         self.alarms.append(frame)

@@ -11,10 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from association.evidence import constants
 from association.evidence.landmarks import (
     FOUNDED,
-    OTHERS,
-    PLACE,
     Evidence,
     Judgement,
     Visibility,
@@ -33,12 +32,6 @@ from data.se2 import Array
 from data.sensors import Sensor
 
 JOINED = "the same landmark as one founded before"
-
-LOST_SHARE = 0.2
-"""A robot that is elsewhere takes something for a landmark so much less often than one that sees it."""
-
-LOOKS = 100
-"""At certain landmarks in view, before it is known how often these are missed."""
 
 
 class Judged(NamedTuple):
@@ -100,7 +93,7 @@ class Hindsight:
         _, _, Gz = self.sensor.inverse(pose, z)
         for q, (i, n) in enumerate(zip(judged.rows.tolist(), judged.number.tolist(), strict=True)):
             told = None
-            if len(judged.rows) > OTHERS:
+            if len(judged.rows) > constants.JUDGED_BY:
                 told = Judgement(judged.alone.innovation[q], judged.alone.information[q], Gz[i])
             self._evidence[n] = sighted(self._evidence[n], told, self._look(n, pose, seen=True))
             self._sightings[n].append((first_row + i, n))
@@ -116,7 +109,7 @@ class Hindsight:
         Together, certain ones tell how often a landmark in view is seen.
         """
         x, y = self._place[number]
-        if math.hypot(pose[0] - x, pose[1] - y) < PLACE * min(self.sensor.max_range, self._reach):
+        if math.hypot(pose[0] - x, pose[1] - y) < constants.SAME_PLACE * min(self.sensor.max_range, self._reach):
             return False
         self._place[number] = float(pose[0]), float(pose[1])
         e = self._evidence[number]
@@ -151,14 +144,14 @@ class Hindsight:
     def surprise(self) -> float:
         """Log-likelihood ratio of being elsewhere against being here, of certain landmarks the judged frame missed."""
         v, total = self._visibility, 0.0
-        if sum(v) < LOOKS:
+        if sum(v) < constants.ENOUGH_LOOKS:
             return 0.0
         for n in self._judged.missing.tolist():
             e = self._evidence[n]
             if certain(e, v):
                 rate = min(v.rate, detection_rate(e.looks, e.missed - e.row))
                 here = v.row(e.row + 1, rate) / v.row(e.row, rate)
-                total += max(0.0, math.log((1.0 - LOST_SHARE * rate) / here))
+                total += max(0.0, math.log((1.0 - constants.ELSEWHERE_SHARE * rate) / here))
         return total
 
     def certain(self) -> IntArray:

@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from association.evidence import constants
 from association.evidence.monitor import Monitor, healthy, recovered, watch
 from association.expectation import gate_threshold
 from association.geometry.local_map import EMPTY, Scan, extended, moved
@@ -20,13 +21,6 @@ from data.result import DISCARD, Event, PoseEstimate
 from data.se2 import pose_error
 from ekf.filter import FilterOptions
 from ekf.hypotheses import Choice, Hypotheses
-
-BANK = FilterOptions(iterations=10)
-"""Updates of the hypotheses: after a long way without sightings the first one is far from linear."""
-MAYBE = 0.5
-"""A decision that fewer of the hypotheses share, by weight, is put off."""
-ELSEWHERE = 0.9999
-"""An estimator is somewhere else if its pose is outside this chi-square probability of the bank's (3 dof)."""
 
 
 class HindsightLocalizer:
@@ -44,7 +38,9 @@ class HindsightLocalizer:
         if inputs.map is None:
             raise UsageError("hypotheses of the pose alone need a known map")
         self.inputs, self.map = inputs, inputs.map
-        self.bank = Hypotheses(inputs.prior, inputs.sensor, inputs.map, BANK)
+        self.bank = Hypotheses(
+            inputs.prior, inputs.sensor, inputs.map, FilterOptions(iterations=constants.HYPOTHESIS_ITERATIONS)
+        )
         self.monitor = monitor or Monitor()
         self.health = healthy(self.monitor)
         self._scans = (EMPTY, EMPTY)
@@ -73,7 +69,7 @@ class HindsightLocalizer:
         self._revise(past, self.bank.members[0].past)
         before, paired = self.health, int((standing.decisions >= 0).sum())
         self.health = watch(self.monitor, before, len(standing.decisions), paired, standing.nis, standing.dof)
-        decisions = np.where(standing.sure >= MAYBE, standing.decisions, DISCARD)
+        decisions = np.where(standing.sure >= constants.MAYBE, standing.decisions, DISCARD)
         sums = self.health.unpaired, self.health.misfit
         self._scans = (self._since(sums[0], self._scans[0], rows), self._since(sums[1], self._scans[1], rows))
         if self.health.lost:
@@ -150,8 +146,8 @@ class HindsightLocalizer:
         mean, P = self.bank.estimate()
         error = pose_error(estimate.mean, mean)
         # an exact prior has no inverse; a micrometre away is nowhere else
-        both = P + estimate.covariance + 1e-12 * np.eye(3)
-        return float(error @ np.linalg.solve(both, error)) > gate_threshold(ELSEWHERE, 3)
+        both = P + estimate.covariance + constants.EXACT_VARIANCE * np.eye(3)
+        return float(error @ np.linalg.solve(both, error)) > gate_threshold(constants.OTHER_PLACE, 3)
 
     def notes(self) -> list[str]:
         """What a reader of the results should know."""

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from association.decide import Decided
+from association.evidence import constants
 from association.expectation import Expectation
 from data.inputs import Increment, Inputs, IntArray, Prior, Sightings
 from data.result import DISCARD, Event, Finished, PoseEstimate, Trajectory, Updated
@@ -22,7 +23,7 @@ from ekf.filter import Filter, FilterOptions
 from ekf.localizer import EkfLocalizer
 from eval.replay.estimators import Estimator, make_estimator
 from eval.replay.frontend import FrontEnd, Watch
-from eval.replay.hindsight.localizer import MAYBE, HindsightLocalizer
+from eval.replay.hindsight.localizer import HindsightLocalizer
 from eval.replay.settings import Setup
 from graph.incremental import Isam2Smoother
 
@@ -147,7 +148,7 @@ class LocalizingFrontEnd(FrontEnd):
             done = Updated(self._decided >= 0, nothing, math.nan, 0, math.nan)
             self._was_single = True
             return self._decided, done
-        self._hand_over(rows.start, rows.stop, MAYBE)
+        self._hand_over(rows.start, rows.stop, constants.MAYBE)
         decisions, done = super().associate(rows, watch)
         self._given_as[rows] = np.where(done.used, decisions, DISCARD)
         several = not (localizer.single and self._was_single)

@@ -14,35 +14,21 @@ import numpy as np
 
 from association.candidates import in_view
 from association.decide import Decided
-from association.evidence.gates import scaled, widest
+from association.evidence import constants
 from association.evidence.pairings import jcbb_hindsight, settled
+from association.evidence.scales import scaled, widest
 from association.expectation import Expectation, gate_threshold
 from data.inputs import Increment, Inputs, IntArray, LandmarkMap, Sightings
 from data.result import DISCARD, Event
 from data.se2 import Array, BoolArray
 from data.sensors import RANGE_BEARING
 from ekf.calibrating import CalibratingSlam
-from eval.replay.hindsight.duplicates import LONELY, constellation, single
+from eval.replay.hindsight.duplicates import constellation, single
 from eval.replay.hindsight.gates import LearnedGates
 from eval.replay.hindsight.kidnapping import Whereabouts, unknown
 from eval.replay.hindsight.ledger import Hindsight
 from eval.replay.hindsight.placement import Placing
 from eval.replay.settings import Setup
-
-SPAN = 2.0
-"""In ranges of the sensor: what was seen on a way as short as this is the window."""
-AGE = 6.0
-"""In ranges: what was first seen longer ago than this is old."""
-CROWDED = 0.5
-"""Landmarks that one expects inside a gate by chance: with more, a frame alone cannot tell which is which."""
-TOGETHER = 4
-"""Pairings of one frame that tell each other which is which."""
-SEEN = 2
-"""Sightings that a landmark needs to be recognized."""
-KNOWN = 0.1
-"""In ranges: with a smaller standard deviation the robot is not lost any more."""
-EVERY = 5
-"""Frames with sightings between two looks at the window, where nothing new is founded."""
 
 
 class Mapped(NamedTuple):
@@ -150,8 +136,8 @@ class HindsightMapper:
         if not len(e.number) or not len(e.z):
             return found
         crowded = self._crowded(e)
-        if (found.decisions >= 0).sum() < TOGETHER and crowded.any():
-            if self._way - self._parted > SPAN * self._range:
+        if (found.decisions >= 0).sum() < constants.TOGETHER and crowded.any():
+            if self._way - self._parted > constants.WINDOW_SPAN * self._range:
                 self._parted, self._epoch = self._way, self.filter.created
             # of what was founded since, nothing is founded again
             few = np.flatnonzero(~crowded | (e.number >= self._epoch))
@@ -173,7 +159,7 @@ class HindsightMapper:
             astray = unknown(self.filter.mean[3:].reshape(-1, 2), self._range)
             self.filter.lose(astray)
             self._parted, self._epoch = self._way, self.filter.created
-        if w.lost and np.trace(self.filter.estimate().covariance[:2, :2]) < (KNOWN * self._range) ** 2:
+        if w.lost and np.trace(self.filter.estimate().covariance[:2, :2]) < (constants.FOUND_AGAIN * self._range) ** 2:
             w.recover(self._k)  # a constellation told
         if not w.lost:
             return None, astray, decisions
@@ -193,7 +179,9 @@ class HindsightMapper:
         """Candidates (n,) into whose gate so many landmarks fall by chance that a single observation tells nothing."""
         sensor = self.inputs.sensor
         area = np.sqrt(np.linalg.det(e.HPHt)) * (sensor.polar(e.z_hat)[:, 0] if sensor.kind == RANGE_BEARING else 1.0)
-        crowded: BoolArray = self._crowd() * math.pi * gate_threshold(self.setup.gate or 0.99) * area > CROWDED
+        crowded: BoolArray = (
+            self._crowd() * math.pi * gate_threshold(self.setup.gate or constants.DENSE_GATE) * area > constants.DENSE
+        )
         return crowded
 
     def _crowd(self) -> float:
@@ -218,7 +206,7 @@ class HindsightMapper:
         self._drop(gone)
         again, self._again = dict(self._again), []
         pairs = [(a, b) for a, b in again.items() if a in self._first and b in self._first and b < a]
-        if not pairs and (self._founded or self._waited >= EVERY):
+        if not pairs and (self._founded or self._waited >= constants.WINDOW_EVERY):
             self._founded, self._waited = False, 0
             pairs = self._recognize()
         away, kept = np.array(pairs, np.int64).reshape(-1, 2).T
@@ -231,8 +219,8 @@ class HindsightMapper:
 
     def _recognize(self) -> list[tuple[int, int]]:
         """Landmarks of the window that were founded before: (away, kept)."""
-        span, age = SPAN * self._range, AGE * self._range
-        known = [n for n in self._first if self._times[n] >= SEEN]
+        span, age = constants.WINDOW_SPAN * self._range, constants.WINDOW_AGE * self._range
+        known = [n for n in self._first if self._times[n] >= constants.WINDOW_SIGHTINGS]
         window = [n for n in known if self._way - self._last[n] <= span]
         young = [n for n in window if self._way - self._first[n] <= age]
         aged = [n for n in known if self._way - self._first[n] > age]
@@ -246,8 +234,8 @@ class HindsightMapper:
         if pairs:
             self._parted = -math.inf
             return pairs
-        return single(f, self._beside, window, aged, LONELY / crowd, scale) or single(
-            f, self._beside, window, known, 0.2 * LONELY / crowd, scale
+        return single(f, self._beside, window, aged, constants.SINGLE_CHANCE / crowd, scale) or single(
+            f, self._beside, window, known, constants.SINGLE_CHANCE_YOUNG * constants.SINGLE_CHANCE / crowd, scale
         )
 
     def _join(self, away: int, kept: int) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from association.evidence import constants
 from association.evidence.landmarks import detection_rate
 from association.expectation import Expectation
 from association.geometry.placement import Memory, Placed, drifted, place, too_uncertain
@@ -14,9 +15,6 @@ from data.inputs import Increment, IntArray
 from data.se2 import Array
 from data.sensors import Sensor
 from eval.replay.settings import Setup
-
-REMEMBERED = 100
-"""Frames that tell what was in view before."""
 
 
 class Placing:
@@ -33,7 +31,7 @@ class Placing:
         self._motion = np.zeros((3, 3))
         self._explained = (0, 0)
         """Observations where the map had been seen before: paired, and strays."""
-        self._seen_from: deque[Array] = deque(maxlen=REMEMBERED)
+        self._seen_from: deque[Array] = deque(maxlen=constants.REMEMBERED_FRAMES)
 
     def move(self, increment: Increment) -> None:
         """The robot moved."""

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from association.evidence import landmarks as evidence
+from association.evidence import constants
 from association.evidence.landmarks import (
-    ENOUGH,
     FOUNDED,
     Judgement,
     Visibility,
@@ -165,7 +164,7 @@ def test_a_walk_of_less_than_a_sigma_a_step_is_found_however_the_robot_turns(tur
     rng = np.random.default_rng(2)
     lives = [life(rng, 9, velocity=(0.02, 0.015), turning=turning) for _ in range(200)]
     assert np.mean([verdict(e, usual(0.9)) == "moved" for e in lives]) > 0.9
-    assert np.mean([e.squares > gate_threshold(evidence.RESTLESS, 16) for e in lives]) < 0.75
+    assert np.mean([e.squares > gate_threshold(constants.RESTLESS, 16) for e in lives]) < 0.75
 
 
 def test_what_jumps_to_and_fro_is_restless_though_its_mean_stays():
@@ -193,7 +192,7 @@ def test_a_sighting_ends_a_row_of_misses():
 
 def test_a_certain_landmark_that_is_often_overlooked_is_given_more_time():
     known = FOUNDED
-    for _ in range(ENOUGH):
+    for _ in range(constants.CERTAIN):
         for _ in range(3):
             known = overlooked(known)
         known = sighted(known, None, True)
@@ -255,7 +254,7 @@ def test_where_landmarks_are_rarely_seen_two_sightings_make_one_certain():
     assert certain(twice, usual(0.3))
     assert not certain(twice, usual(0.95))
     assert not certain(FOUNDED, usual(0.05))
-    assert certain(twice._replace(seen=ENOUGH), usual(0.95))
+    assert certain(twice._replace(seen=constants.CERTAIN), usual(0.95))
 
 
 def test_against_a_certain_landmark_there_must_be_more():
