@@ -39,7 +39,7 @@ class Evidence(NamedTuple):
     information: Array
 
 
-FOUNDED = Evidence(1, 1, 0, 0, 0, 0.0, np.zeros(2), np.zeros((2, 2)))
+INITIALIZED = Evidence(1, 1, 0, 0, 0, 0.0, np.zeros(2), np.zeros((2, 2)))
 """Of a landmark that was founded just now."""
 
 

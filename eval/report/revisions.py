@@ -17,7 +17,7 @@ from eval.page.document import Picture, Section, Table
 from eval.page.tables import write_table
 from eval.plan.options import Options
 from eval.referee.score import Trial
-from eval.replay.hindsight.ledger import JOINED
+from eval.replay.hindsight.ledger import MERGED
 
 LATE = ("uncertain", "put off until the end")
 """Reasons that only say that the log was over."""
@@ -45,7 +45,7 @@ def example(run: Run) -> Example | None:
 
     def weight(key: tuple[int, str]) -> tuple[bool, int, int]:
         events = shown[key]
-        return key[1] == JOINED, sum(e.old >= 0 and e.new >= 0 for e in events), len(events)
+        return key[1] == MERGED, sum(e.old >= 0 and e.new >= 0 for e in events), len(events)
 
     frame, why = max(shown, key=lambda key: (*weight(key), -key[0]))
     events = shown[frame, why]

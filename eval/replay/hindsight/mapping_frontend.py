@@ -53,9 +53,9 @@ class MappingFrontEnd(FrontEnd):
     def associate(self, frame: Frame, watch: Watch | None = None) -> tuple[IntArray, Updated]:
         """Decide about this frame's observations and use them; returns decisions (m,) and what was done."""
         expectation = self.expect(frame.sightings) if watch is not None else None
-        decisions, complete, at, astray = self.mapper.decide(frame)
-        if astray is not None:
-            self.estimator.lose(astray)
+        decisions, complete, at, kidnapped = self.mapper.decide(frame)
+        if kidnapped is not None:
+            self.estimator.lose(kidnapped)
         self.incomplete += not complete
         if watch is not None:
             watch.decided(self, frame, expectation, decisions)
@@ -65,11 +65,11 @@ class MappingFrontEnd(FrontEnd):
         """The end of a frame: landmarks leave the map in hindsight, and by the rules of the setup."""
         found = self.mapper.revise()
         self._retract(found.retracted)
-        if len(found.joined):
+        if len(found.merged):
             if (slam := self._filter) is not None:
-                self.wake(np.intersect1d(slam.parked, np.concatenate([found.joined, found.kept])))
-            self.estimator.join(found.joined, found.kept)
-            self._gone(found.joined)
+                self.wake(np.intersect1d(slam.parked, np.concatenate([found.merged, found.kept])))
+            self.estimator.join(found.merged, found.kept)
+            self._gone(found.merged)
         super().tidy()
 
     def leave(self, numbers: IntArray) -> None:

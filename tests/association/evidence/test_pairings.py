@@ -5,7 +5,7 @@ import pytest
 
 from association.evidence import constants
 from association.evidence.landmarks import (
-    FOUNDED,
+    INITIALIZED,
     Judgement,
     Visibility,
     certain,
@@ -134,7 +134,7 @@ def life(rng, steps, velocity=(0.0, 0.0), sigma=0.03, turning=0.0):
     """Evidence for a point that is seen `steps` times by a robot that turns, and filtered as one that stands still."""
     R = sigma**2 * EYE
     place, P = rng.normal(0.0, sigma, 2), R
-    known = FOUNDED
+    known = INITIALIZED
     for k in range(1, steps):
         c, s = np.cos(k * turning), np.sin(k * turning)
         G = np.array([[c, -s], [s, c]])
@@ -168,7 +168,7 @@ def test_a_walk_of_less_than_a_sigma_a_step_is_found_however_the_robot_turns(tur
 
 
 def test_what_jumps_to_and_fro_is_restless_though_its_mean_stays():
-    known = FOUNDED
+    known = INITIALIZED
     for k in range(20):
         known = sighted(known, Judgement(np.array([0.1 * (-1) ** k, 0.0]), EYE / 0.03**2, EYE), True)
     assert abs(known.pull @ np.linalg.solve(known.information, known.pull)) < 1e-9
@@ -177,7 +177,7 @@ def test_what_jumps_to_and_fro_is_restless_though_its_mean_stays():
 
 @pytest.mark.parametrize(("rate", "misses"), [(0.99, 2), (0.85, 4), (0.5, 10), (0.1, 66)])
 def test_the_rarer_landmarks_are_seen_the_more_misses_are_needed(rate, misses):
-    known = FOUNDED
+    known = INITIALIZED
     for _ in range(misses - 1):
         known = overlooked(known)
     assert verdict(known, usual(rate)) == ""
@@ -185,13 +185,13 @@ def test_the_rarer_landmarks_are_seen_the_more_misses_are_needed(rate, misses):
 
 
 def test_a_sighting_ends_a_row_of_misses():
-    known = sighted(overlooked(overlooked(FOUNDED)), None, True)
+    known = sighted(overlooked(overlooked(INITIALIZED)), None, True)
     assert (known.seen, known.missed, known.row) == (2, 2, 0)
     assert verdict(overlooked(known), usual(0.9)) == ""
 
 
 def test_a_certain_landmark_that_is_often_overlooked_is_given_more_time():
-    known = FOUNDED
+    known = INITIALIZED
     for _ in range(constants.CERTAIN):
         for _ in range(3):
             known = overlooked(known)
@@ -229,7 +229,7 @@ def test_misses_come_in_rows_where_landmarks_are_hidden_for_a_while():
     assert hidden.rate == pytest.approx(0.5, abs=0.01)
     assert independent.row(6, 0.5) == pytest.approx(0.5**6, rel=0.02)
     assert hidden.row(6, 0.5) == pytest.approx(0.5 * 0.9**5, rel=0.02)
-    known = FOUNDED
+    known = INITIALIZED
     for _ in range(10):
         known = overlooked(known)
     assert verdict(known, independent) == "missed"
@@ -250,16 +250,16 @@ def test_looks_are_counted_by_what_came_before():
 
 
 def test_where_landmarks_are_rarely_seen_two_sightings_make_one_certain():
-    twice = sighted(FOUNDED, None, True)
+    twice = sighted(INITIALIZED, None, True)
     assert certain(twice, usual(0.3))
     assert not certain(twice, usual(0.95))
-    assert not certain(FOUNDED, usual(0.05))
+    assert not certain(INITIALIZED, usual(0.05))
     assert certain(twice._replace(seen=constants.CERTAIN), usual(0.95))
 
 
 def test_against_a_certain_landmark_there_must_be_more():
-    v, few = usual(0.8), FOUNDED
-    sure = FOUNDED._replace(seen=20, looks=20)
+    v, few = usual(0.8), INITIALIZED
+    sure = INITIALIZED._replace(seen=20, looks=20)
     for _ in range(5):
         few, sure = overlooked(few), overlooked(sure)
     assert verdict(few, v) == "missed"
@@ -270,7 +270,7 @@ def test_against_a_certain_landmark_there_must_be_more():
 
 
 def test_a_sighting_that_no_other_pairing_judges_says_nothing_about_moving():
-    known = FOUNDED
+    known = INITIALIZED
     for _ in range(30):
         known = sighted(known, None, True)
     assert (known.seen, known.judged, known.squares) == (31, 0, 0.0)
@@ -278,5 +278,5 @@ def test_a_sighting_that_no_other_pairing_judges_says_nothing_about_moving():
 
 
 def test_sightings_from_one_place_are_one_look():
-    assert sighted(FOUNDED, None, False).looks == 1
-    assert sighted(FOUNDED, None, True).looks == 2
+    assert sighted(INITIALIZED, None, False).looks == 1
+    assert sighted(INITIALIZED, None, True).looks == 2

@@ -11,7 +11,7 @@ from data.worlds.corridor import parse_name, simulate
 from eval.figures.revision import revision_figure
 from eval.figures.style import save
 from eval.referee.score import Trial
-from eval.replay.hindsight.ledger import JOINED
+from eval.replay.hindsight.ledger import MERGED
 from eval.replay.run import compare
 from eval.report.revisions import example, revising, tally
 from tests.eval.handmade import run_with_error
@@ -59,10 +59,10 @@ def test_joined_landmarks_are_shown_before_others():
     run = revising_run(
         Event(3, 0, 5, 4, "another hypothesis leads"), Event(3, 1, 5, 4, "another hypothesis leads"),
         Event(3, 2, 5, 4, "another hypothesis leads"),
-        Event(5, 3, NEW, 2, JOINED), Event(5, 4, 7, 2, JOINED), Event(9, 5, 1, DISCARD, "uncertain"),
+        Event(5, 3, NEW, 2, MERGED), Event(5, 4, 7, 2, MERGED), Event(9, 5, 1, DISCARD, "uncertain"),
     )  # fmt: skip
     one = example(run)
-    assert (one.frame, one.why) == (5, JOINED)
+    assert (one.frame, one.why) == (5, MERGED)
     assert one.old.tolist() == [7, 7]
     assert one.new.tolist() == [2, 2]
     row = tally(run)
