@@ -174,7 +174,7 @@ SINGLE_CHANCE = 0.1
 SINGLE_CHANCE_YOUNG = 0.2
 """... where the other one is not old, this share of it."""
 
-# --- Pairing where landmarks are dense (eval/replay/hindsight/pairing.py) ---------------------------------------------
+# --- Pairing where landmarks are dense (eval/replay/hindsight/density.py) ---------------------------------------------
 
 DENSE = 0.5
 """Landmarks that one expects inside a gate by chance: with more, a frame alone cannot tell which is which."""

@@ -25,7 +25,7 @@ class Evidence(NamedTuple):
 
     seen: sightings, `looks` of them from different places; missed: places where it should have been seen and was not,
     `row` of them since the last sighting;
-    judged: sightings whose innovation others of the frame told; squares: the sum of these squared; pull (2,),
+    judged: sightings judged by others of their frame; squares: the sum of these squared; pull (2,),
     information (2, 2): these in the world, weighted, summed.
     """
 
@@ -40,7 +40,7 @@ class Evidence(NamedTuple):
 
 
 INITIALIZED = Evidence(1, 1, 0, 0, 0, 0.0, np.zeros(2), np.zeros((2, 2)))
-"""Of a landmark that was founded just now."""
+"""Of a landmark that was initialized just now."""
 
 
 class Judgement(NamedTuple):

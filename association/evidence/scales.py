@@ -2,7 +2,7 @@
 
 Stated noise is often several times too wide, and then a new landmark is inside the gate of its neighbour. What is
 believed tells how much of the stated covariances there is (`association.evidence.noise`). Sensor and motion are learned
-apart, because a landmark seen in every frame tells of the sensor only: what the map and a long way add to its
+apart, because a landmark seen in every frame tells of the sensor only: what the map and a long drive add to its
 expectation may still be as stated.
 """
 
@@ -28,13 +28,13 @@ FIRST = NoiseScale(1.0, constants.SCALES_PRIOR)
 class Scales(NamedTuple):
     """What is learned of the sensor's noise, and of that of map and motion; of the tails beyond Student's.
 
-    `log_tails` is the logarithm of a factor on variances, `told` the sightings that it was learned from.
+    `log_tails` is the logarithm of a factor on variances, `sightings` those that it was learned from.
     """
 
     sensor: NoiseScale = FIRST
     motion: NoiseScale = FIRST
     log_tails: float = 0.0
-    told: float = 0.0
+    sightings: float = 0.0
 
 
 def scaled(e: Expectation, scales: Scales) -> Expectation:
@@ -65,10 +65,10 @@ def counted(scales: Scales, inside: int, outside: int) -> Scales:
 
     (Robbins and Monro, Annals of Mathematical Statistics 22, 1951.)
     """
-    told = max(scales.told + inside + outside, 1.0)
-    step = max(min(constants.TAILS_STEP, constants.TAILS_HORIZON / told), constants.TAILS_SLOWEST)
+    sightings = max(scales.sightings + inside + outside, 1.0)
+    step = max(min(constants.TAILS_STEP, constants.TAILS_HORIZON / sightings), constants.TAILS_SLOWEST)
     log = max(0.0, scales.log_tails + step * (outside * (1.0 - constants.LEFT_OUT) - inside * constants.LEFT_OUT))
-    return scales._replace(log_tails=min(log, -math.log(_core(scales))), told=told)
+    return scales._replace(log_tails=min(log, -math.log(_core(scales))), sightings=sightings)
 
 
 def relearned(scales: Scales, e: Expectation, decisions: IntArray) -> Scales:
@@ -92,8 +92,7 @@ def relearned(scales: Scales, e: Expectation, decisions: IntArray) -> Scales:
 def _toward(before: NoiseScale, part: Array, S: Array, v: Array, weight: Array) -> NoiseScale:
     """One scale after innovations nu (k, 2), v = S^-1 nu; its part (k, 2, 2) of the covariance S (k, 2, 2)."""
     share = 0.5 * np.trace(np.linalg.solve(S, part), axis1=1, axis2=2)
-    told = np.maximum(share, constants.LEAST_SHARE)
-    ratio = 0.5 * weight * np.einsum("ki,kij,kj->k", v, part, v) / told
+    ratio = 0.5 * weight * np.einsum("ki,kij,kj->k", v, part, v) / np.maximum(share, constants.LEAST_SHARE)
     total = float((share**2).sum())
     memory = min(before.weight + total, max(constants.NOISE_MEMORY, total))
     scale = before.scale * (1.0 + float(share**2 @ (ratio - 1.0)) / memory)

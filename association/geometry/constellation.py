@@ -1,9 +1,9 @@
-"""Constellations: the same landmarks founded twice, recognized by how they stand to each other.
+"""Constellations: the same landmarks initialized twice, recognized by how they stand to each other.
 
-With one or two observations a frame a single one says little after a long way: the pose is uncertain, and several old
-landmarks are inside its gate. What was founded since the robot came back is a window over the last few dozen frames,
-and together it fits the old map in one way or in none: every pair of new landmarks laid onto a pair of old ones gives a
-place, the others vote for it (geometric consensus), and the places that most agree with are compared.
+With one or two observations a frame a single one says little after a long drive: the pose is uncertain, and several old
+landmarks are inside its gate. What was initialized since the robot came back is a window over the last few dozen
+frames, and together it fits the old map in one way or in none: every pair of new landmarks laid onto a pair of old ones
+gives a place, the others vote for it (geometric consensus), and the places that most agree with are compared.
 """
 
 from __future__ import annotations
@@ -56,7 +56,13 @@ def spread(landmarks: Landmarks) -> Array:
 
 
 def recognize(
-    new: Landmarks, old: Landmarks, cross: Array, allowed: BoolArray, crowd: float, max_turn: float, scale: float = 1.0
+    new: Landmarks,
+    old: Landmarks,
+    cross: Array,
+    allowed: BoolArray,
+    density: float,
+    max_turn: float,
+    scale: float = 1.0,
 ) -> list[tuple[int, int]]:
     """New landmarks (indices) that are old ones, [(new, old), ...]; none where no place stands out.
 
@@ -65,7 +71,7 @@ def recognize(
         old: n landmarks.
         cross: (2m, 2n) covariance between both.
         allowed: (m, n) pairs that may be the same by themselves.
-        crowd: landmarks per square metre in the old map.
+        density: landmarks per square metre in the old map.
         max_turn: rad, by which the new ones may be turned.
         scale: share of the stated variance that there is in the distances between landmarks.
     """
@@ -90,7 +96,7 @@ def recognize(
         if np.sum((choices[other] == best) & paired) <= constants.CONSTELLATION_SHARED:
             second = max(second, int(counts[other]))
             break
-    chance = min(constants.CHANCE_MOST, crowd * math.pi * float(np.max(tolerance[paired, best[paired]])) ** 2)
+    chance = min(constants.CHANCE_MOST, density * math.pi * float(np.max(tolerance[paired, best[paired]])) ** 2)
     log_odds = (paired.sum() - second) * -math.log(max(chance, constants.CHANCE_LEAST))
     if paired.sum() < constants.CONSTELLATION_FEWEST or log_odds < math.log(constants.CONSTELLATION_ODDS):
         return []

@@ -109,7 +109,7 @@ def place(
         motion: (3, 3) its covariance relative to what is mapped, in the predicted body frame.
         memory: of the frames before.
         gate: chi-square probability of a pairing given the others of its frame.
-        new_gate: the one outside which an unpaired observation founds a landmark.
+        new_gate: the one outside which an unpaired observation is a new landmark.
     """
     near = _near(e, sensor, motion)
     if min(len(near), len(e.z)) < constants.PLACE_PAIRINGS:

@@ -141,9 +141,9 @@ def _verify(xy: Array, P: Array, landmarks: Array, choice: IntArray, gate: float
 def _search(xy, tolerance, landmarks, fewest, slack, kept, budget):  # type: ignore[no-untyped-def]
     """Interpretation tree over points (m, 2) in order, every landmark or none for each; depth first.
 
-    A pairing joins if its distances to all points paired before agree within `tolerance` (m, m), and if it lies on the
-    right side of the line through the first two: distances alone do not tell a scan from its mirror image. A branch is
-    cut if it cannot reach `fewest` pairings, nor the most found so far less `slack`.
+    A pairing is added if its distances to all points paired before agree within `tolerance` (m, m), and if it lies on
+    the right side of the line through the first two: distances alone do not tell a scan from its mirror image. A branch
+    is cut if it cannot reach `fewest` pairings, nor the most found so far less `slack`.
 
     Returns the hypotheses (h, m), landmark index or -1, and whether the search is complete.
     """

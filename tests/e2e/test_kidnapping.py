@@ -199,7 +199,7 @@ def test_a_robot_moved_while_it_maps_finds_its_place_in_its_own_map(seed, estima
     assert any("moved unseen" in note for note in front.notes())
 
 
-def test_what_was_founded_before_the_place_was_found_is_joined_to_what_it_is():
+def test_what_was_initialized_before_the_place_was_found_is_merged_with_what_it_is():
     front, off = mapped(13, frames=70)
     told = front.mapper.kidnapping
     assert told.alarms == [AT]

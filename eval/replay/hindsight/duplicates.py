@@ -16,8 +16,8 @@ from association.expectation import gate_threshold
 from association.geometry.constellation import Landmarks, recognize, squared_distances
 from data.se2 import Array, BoolArray
 from ekf.slam import EkfSlam
+from eval.replay.hindsight.density import density
 from eval.replay.hindsight.ledger import Ledger
-from eval.replay.hindsight.pairing import density
 
 Pairs = list[tuple[int, int]]
 """Landmarks that are to go, each with the one that it is."""

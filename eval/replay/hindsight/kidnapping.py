@@ -19,12 +19,12 @@ from data.inputs import Frame, Increment, IntArray, LandmarkMap
 from data.result import DISCARD
 from data.se2 import Array
 from ekf.slam import EkfSlam
+from eval.replay.hindsight.density import clear, dense
 from eval.replay.hindsight.ledger import Ledger
-from eval.replay.hindsight.pairing import clear, dense
 from eval.replay.settings import Setup
 
 
-class Whence(NamedTuple):
+class Relocated(NamedTuple):
     """Decisions (m,) of a frame; where (3,) its surroundings place it, if they do; None, or see `Mapped.kidnapped`."""
 
     decisions: IntArray
@@ -58,8 +58,8 @@ class Kidnapping:
         if self.lost:
             self._scan = moved(self._scan, increment)
 
-    def decide(self, slam: EkfSlam, frame: Frame, decisions: IntArray) -> Whence:
-        """Decisions (m,) about a frame in view of what the ledger judged of them; a filter that is lost is told so."""
+    def decide(self, slam: EkfSlam, frame: Frame, decisions: IntArray) -> Relocated:
+        """Decisions (m,) about a frame after what the ledger judged of them; the filter gets to know if it is lost."""
         ledger, kidnapped = self.ledger, None
         sure = ledger.certain()
         if self._alarm(len(decisions), int(np.isin(decisions, sure).sum())):
@@ -69,13 +69,13 @@ class Kidnapping:
         if self.lost and np.trace(slam.estimate().covariance[:2, :2]) < (constants.FOUND_AGAIN * ledger.range) ** 2:
             self._recover()  # by a constellation
         if not self.lost:
-            return Whence(decisions, None, kidnapped)
+            return Relocated(decisions, None, kidnapped)
         found = self._search(frame, LandmarkMap(sure, slam.position(sure)[0].reshape(-1, 2)))
         if found is not None:
-            return Whence(*found, kidnapped)
+            return Relocated(*found, kidnapped)
         e = slam.expect(frame.sightings)
         known = e.only(clear(e, dense(e, slam, ledger, self.setup), ledger))
-        return Whence(jcbb_hindsight(known, self.setup.gate, self.setup.new_gate)[0], None, kidnapped)
+        return Relocated(jcbb_hindsight(known, self.setup.gate, self.setup.new_gate)[0], None, kidnapped)
 
     def _alarm(self, seen: int, paired: int) -> bool:
         """Whether this frame raises the alarm; `seen`: observations, `paired`: with certain landmarks.

@@ -1,4 +1,4 @@
-"""Localization without labels, decisions in hindsight: hypotheses, a monitor, and a way back for the lost.
+"""Localization without labels, decisions in hindsight: hypotheses, a monitor, and relocalization of the lost.
 
 A bank of pose hypotheses decides about the observations of a log with a known map; see
 `eval.replay.hindsight.localizing_frontend` for how an estimator lives with what it decides.
@@ -152,10 +152,10 @@ class HindsightLocalizer:
 
     def notes(self) -> list[str]:
         """What a reader of the results should know."""
-        told = [f"{len({e.observation for e in self.events})} decisions were made anew in hindsight"]
+        notes = [f"{len({e.observation for e in self.events})} decisions were made anew in hindsight"]
         if self.alarms:
-            told.append(
+            notes.append(
                 f"the monitor found the robot lost {len(self.alarms)} times (first in frame {self.alarms[0]}), "
                 f"and {len(self.found)} times its place was found again without a prior"
             )
-        return told
+        return notes

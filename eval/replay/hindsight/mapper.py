@@ -19,11 +19,11 @@ from data.result import Event
 from data.se2 import Array
 from ekf.calibrating import CalibratingSlam
 from eval.replay.given import Given
+from eval.replay.hindsight.density import pair
 from eval.replay.hindsight.duplicates import Duplicates
 from eval.replay.hindsight.gates import LearnedGates
 from eval.replay.hindsight.kidnapping import Kidnapping
 from eval.replay.hindsight.ledger import Ledger
-from eval.replay.hindsight.pairing import pair
 from eval.replay.hindsight.uncertain_motion import UncertainMotion
 from eval.replay.settings import Setup
 

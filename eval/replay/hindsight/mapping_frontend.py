@@ -1,7 +1,7 @@
 """A front end for SLAM in hindsight: how an estimator lives with landmarks that are taken back or turn out to be one.
 
-`HindsightMapper` decides; a filter drops or joins landmarks in its state, a smoother takes their factors out of the
-graph and puts those of joined ones in again.
+`HindsightMapper` decides; a filter drops or merges landmarks in its state, a smoother takes their factors out of the
+graph and puts those of merged ones in again.
 """
 
 from __future__ import annotations
