@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+from eval.replay.flag import flag, positive, positive_or_none, probability, switch
 
 
 @dataclass(frozen=True)
@@ -21,15 +23,44 @@ class Setup:
         lag: a fixed-lag smoother keeps poses for so long.
     """
 
-    gate: float | None = 0.99
-    new_gate: float | None = 0.99999
-    gate_known: float | None = None
-    gate_smoothers: bool = True
-    in_view: bool = False
-    maintain: bool = False
-    forget_after: float | None = None
-    deactivate_after: float | None = None
-    lag: float = 30.0
+    gate: float | None = field(
+        default=0.99,
+        metadata=flag(
+            probability, "P", "chi-square probability of the association gate, or none (default: 0.99; known is not "
+            "gated)",
+        ),
+    )  # fmt: skip
+    new_gate: float | None = field(
+        default=0.99999,
+        metadata=flag(
+            probability, "P", "an observation starts a landmark only outside this gate of every other, which is not "
+            "inside --gate (default: 0.99999; the lab: 0.99; ml-ratio decides by itself)",
+        ),
+    )  # fmt: skip
+    gate_known: float | None = field(
+        default=None, metadata=flag(probability, "P", "gate for readings paired by label, too (default: none)")
+    )
+    gate_smoothers: bool = field(
+        default=True, metadata=flag(switch, "", "with --gate-known: only the filters leave those readings out")
+    )
+    in_view: bool = field(default=False, metadata=flag(switch, "", "the EKF offers only landmarks in range and view"))
+    maintain: bool = field(
+        default=False, metadata=flag(switch, "", "SLAM: remove landmarks seen once and more than two frames ago")
+    )
+    forget_after: float | None = field(
+        default=None,
+        metadata=flag(
+            positive_or_none, "S", "EKF-SLAM drops landmarks unseen for S seconds (frames without stamps)"
+        ),
+    )  # fmt: skip
+    deactivate_after: float | None = field(
+        default=None,
+        metadata=flag(positive_or_none, "S", "EKF-SLAM parks such landmarks, and takes them back when seen again"),
+    )
+    lag: float = field(
+        default=30.0,
+        metadata=flag(positive, "S", "fixed-lag keeps poses for S seconds (frames without stamps; default: 30)"),
+    )
 
     @property
     def upkeep(self) -> bool:
