@@ -15,7 +15,7 @@ from data.errors import UsageError
 from eval.plan.flags import CONFIGS, PROG, Options, parser, shipped
 from eval.plan.variant import Variant
 from eval.replay.flag import Flag, read_values, rows
-from eval.replay.settings import Setup
+from eval.replay.settings import Setup, check_gates
 
 __all__ = ["Options", "options_of", "read_options"]
 
@@ -94,11 +94,13 @@ def _variant(name: str, table: object) -> Variant:
         if row.default is MISSING and row.name not in table:
             raise UsageError(f"--config {name}: [variant] {row.name} is missing")
     variant = Variant(**read_values(Variant, table, lambda row: f"--config {name}: [variant] {row.name} ="))
+    check_gates(variant.gate, variant.new_gate, ("gate =", f"--config {name}: [variant] new_gate ="))
     return variant
 
 
 def _check(o: Options) -> None:
     """What makes no sense together; each value alone was checked when it was read."""
+    check_gates(o.gate, o.new_gate)
     if o.forget_after is not None and o.deactivate_after is not None and o.deactivate_after >= o.forget_after:
         raise UsageError(
             f"--deactivate-after {o.deactivate_after:g}: must be less than --forget-after {o.forget_after:g}, "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from data.errors import UsageError
 from eval.replay.flag import flag, positive, positive_or_none, probability, switch
 
 
@@ -66,3 +67,18 @@ class Setup:
     def upkeep(self) -> bool:
         """Whether landmarks may leave the state."""
         return self.maintain or self.forget_after is not None or self.deactivate_after is not None
+
+
+def check_gates(gate: float | None, new_gate: float | None, labels: tuple[str, str] = ("--gate", "--new-gate")) -> None:
+    """The two-gate rule: the gate of new landmarks is not inside the one of pairings; equal gates are the lab's.
+
+    None is no gate: the second one is then outside of any, and without a first one there is nothing to be inside of.
+
+    Raises:
+        UsageError: an observation could be compatible with a landmark and start a new one at the same place.
+    """
+    if gate is not None and new_gate is not None and new_gate < gate:
+        raise UsageError(
+            f"{labels[1]} {new_gate}: must not be less than {labels[0]} {gate}, or an observation compatible with a "
+            "landmark could start another one"
+        )

@@ -11,7 +11,7 @@ from typing import Any
 from data.errors import UsageError
 from eval.replay.flag import read_values, rows
 from eval.replay.names import ASSOCIATIONS, ESTIMATORS, TASKS
-from eval.replay.settings import Setup
+from eval.replay.settings import Setup, check_gates
 from eval.studies.published import PUBLISHABLE, Ordering, Published, Row
 from eval.studies.scenario import RECORDED, WORLDS, Member, Scenario
 from eval.studies.shipped import SCENARIOS, scenarios
@@ -149,6 +149,7 @@ def _member(name: str, table: object, task: tuple[str, ...], kind: str) -> Membe
 def _setup(table: object) -> Setup:
     given = _known(table, "setup", tuple(rows(Setup)))
     setup = Setup(**read_values(Setup, given, lambda row: f"setup: {row.name} ="))
+    check_gates(setup.gate, setup.new_gate, ("gate =", "setup: new_gate ="))
     return setup
 
 

@@ -122,6 +122,7 @@ def test_files_take_every_row_of_the_table_and_no_other(tmp_path):
 @pytest.mark.parametrize(("line", "words"), [
     ('model = "cubic"', "model = 'cubic': unknown"), ("sigma = [1]", "a list of 2 numbers"),
     ("grid = 0", "grid = 0: a positive number"), ("each = 1", "each = 1: true or false"),
+    ("gate = 0.99\nnew_gate = 0.9", "new_gate = 0.9: must not be less than gate = 0.99"),
 ])  # fmt: skip
 def test_a_fault_in_a_variant_is_named(tmp_path, line, words):
     keys = {"name": "'x'", "task": "'slam'", "grid": "0.02", "model": "'unicycle'", "alphas": "[1, 1, 1, 1]",
