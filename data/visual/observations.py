@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
 import zipfile
 from collections import Counter
 from collections.abc import Callable
@@ -30,6 +29,7 @@ from data.sensors import RelativePoint
 from data.truth import CLUTTER, Truth
 from data.visual import detector as detection
 from data.visual.detector import Detector
+from data.whole import whole_file
 
 SIGMA = (0.02, 0.05)
 """m, of a corner to the right and ahead of the camera: the lab's constants."""
@@ -246,9 +246,8 @@ def _save(path: Path, found: Found) -> None:
         found.depth_noise,
     ]
     arrays["told"] = np.frombuffer(json.dumps(told).encode(), np.uint8)
-    partial = path.with_name(f"{path.stem}.partial-{os.getpid()}.npz")
-    np.savez(partial, **arrays)
-    partial.replace(path)
+    with whole_file(path) as partial:
+        np.savez(partial, **arrays)
 
 
 def _load(path: Path) -> Found | None:

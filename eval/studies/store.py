@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import shutil
 import zipfile
 from functools import cache
@@ -19,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from data.log import folder_name
+from data.whole import whole_file
 from eval.studies.montecarlo import Key, Result, Sample
 from eval.studies.scenario import Scenario
 
@@ -69,9 +69,8 @@ def save(folder: Path, seed: int, result: Result) -> None:
     ]
     kept: dict[str, Any] = {f"nees_{i}": s.nees_pose for i, s in enumerate(result.values())}
     kept["told"] = np.frombuffer(json.dumps(told).encode(), np.uint8)
-    partial = folder / f".{seed}.partial-{os.getpid()}.npz"
-    np.savez(partial, **kept)
-    partial.replace(folder / f"{seed}.npz")
+    with whole_file(folder / f"{seed}.npz") as partial:
+        np.savez(partial, **kept)
 
 
 def load(folder: Path, seed: int) -> Result | None:
