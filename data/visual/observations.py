@@ -1,7 +1,7 @@
 """From images to a log: pictures found frame by frame, their corners as observations, commands as odometry.
 
-Detections are kept beside the recording, keyed by its content and by the detector's code, so that the images are looked
-at once.
+Detections are kept beside the recording, keyed by its content and by the code that renders, reads and detects, so that
+the images are looked at once.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from data.digest import program_digest
 from data.errors import UsageError
 from data.inputs import Increments, Inputs, LandmarkMap, Observations, floor_covariances
 from data.log import Log
@@ -27,7 +28,6 @@ from data.pictures import CORNERS, Evidence, Found, InView, VisualRecording, Vis
 from data.se2 import Array
 from data.sensors import RelativePoint
 from data.truth import CLUTTER, Truth
-from data.visual import detector as detection
 from data.visual.detector import Detector
 from data.whole import whole_file
 
@@ -40,6 +40,9 @@ ENOUGH = 20
 NOISES = ("lab", "depth")
 TILES = 12
 """Frames kept to look at."""
+PACKAGES = ("data",)
+"""Code that decides what is found: the world, its images or their format, the detector, and all that these stand on."""
+LIBRARIES = ("numba", "numpy", "opencv-python-headless", "scipy")
 SAME_PLACE = 0.25
 """Of a picture's width in the image: a detection whose corners lie nearer than this to its true ones shows it."""
 
@@ -217,7 +220,7 @@ def true_pictures(found: Found, in_view: InView) -> Any:
 
 def cached(folder: Path, key: str, find: Callable[[], Found]) -> tuple[Found, str | None]:
     """Detections from `folder`, or found now and kept there; and a note where they could not be kept."""
-    digest = hashlib.sha256((key + Path(detection.__file__).read_text() + Path(__file__).read_text()).encode())
+    digest = hashlib.sha256((key + program_digest(PACKAGES, LIBRARIES)).encode())
     path = folder / f".detections-{digest.hexdigest()[:16]}.npz"
     kept = _load(path)
     if kept is not None:
