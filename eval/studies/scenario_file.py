@@ -10,8 +10,9 @@ from typing import Any
 
 from data.errors import UsageError
 from data.worlds.registry import SIMULATORS, parameters_of
+from eval.replay.flag import read_values, rows
 from eval.replay.names import ASSOCIATIONS, ESTIMATORS, TASKS
-from eval.replay.settings import Setup
+from eval.replay.settings import Setup, check_gates
 from eval.studies.published import PUBLISHABLE, Ordering, Published, Row
 from eval.studies.scenario import RECORDED, Member, Scenario
 from eval.studies.shipped import SCENARIOS, scenarios
@@ -147,16 +148,10 @@ def _member(name: str, table: object, task: tuple[str, ...], kind: str) -> Membe
 
 
 def _setup(table: object) -> Setup:
-    known = {f.name: f for f in fields(Setup)}
-    given = _known(table, "setup", tuple(known))
-    values: dict[str, Any] = {}
-    for key, value in given.items():
-        like = type(known[key].default)
-        if value == "none":
-            values[key] = None
-        else:
-            values[key] = _of(value, bool if like is bool else (int, float), f"setup: {key}")
-    return Setup(**values)
+    given = _known(table, "setup", tuple(rows(Setup)))
+    setup = Setup(**read_values(Setup, given, lambda row: f"setup: {row.name} ="))
+    check_gates(setup.gate, setup.new_gate, ("gate =", "setup: new_gate ="))
+    return setup
 
 
 def _published(table: object, members: tuple[Member, ...]) -> Published:
