@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from data.errors import UsageError
+from data.worlds.registry import SIMULATORS, parameters_of
 from eval.replay.flag import read_values, rows
 from eval.replay.names import ASSOCIATIONS, ESTIMATORS, TASKS
 from eval.replay.settings import Setup, check_gates
 from eval.studies.published import PUBLISHABLE, Ordering, Published, Row
-from eval.studies.scenario import RECORDED, WORLDS, Member, Scenario
+from eval.studies.scenario import RECORDED, Member, Scenario
 from eval.studies.shipped import SCENARIOS, scenarios
 
 CONSISTENT = "consistent"
@@ -78,8 +79,8 @@ def _scenario(content: dict[str, Any], source: str, stem: str) -> Scenario:
     task = _names(content.get("task", ["slam"]), "task", TASKS)
     world = dict(_of(content["world"], dict, "world"))
     kind = world.pop("kind", None)
-    if kind not in (*WORLDS, RECORDED):
-        raise UsageError(f"world: kind = {kind!r} is unknown; known: {', '.join((*WORLDS, RECORDED))}")
+    if kind not in (*SIMULATORS, RECORDED):
+        raise UsageError(f"world: kind = {kind!r} is unknown; known: {', '.join((*SIMULATORS, RECORDED))}")
     members = tuple(
         _member(n, table, task, kind) for n, table in _of(content["estimators"], dict, "estimators").items()
     )
@@ -117,7 +118,7 @@ def _parameters(table: dict[str, Any], kind: str, where: str) -> tuple[tuple[str
     """Parameters of a world, checked against the types of its fields; angles that are kept in degrees are converted."""
     if kind == RECORDED:
         return tuple(_known(table, where, ("sha256", "speed_noise")).items())
-    known = {f.name: f for f in fields(WORLDS[kind][0])}
+    known = {f.name: f for f in fields(parameters_of(kind))}
     _known(table, where, tuple(known))
     result = []
     for key, value in table.items():
