@@ -32,6 +32,6 @@ class Setup:
     lag: float = 30.0
 
     @property
-    def upkeep(self) -> bool:
-        """Whether landmarks may leave the state."""
+    def manages_map(self) -> bool:
+        """Whether landmarks may leave the map or the state."""
         return self.maintain or self.forget_after is not None or self.deactivate_after is not None
