@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from data.convert.visual import LAB, VISUAL, add_kinds, read_lab, write_visual
 from data.errors import SlamrefError, UsageError
-from data.worlds.flags import SIMULATED, SIMULATORS, add_flags, number, simulated
+from data.worlds.flags import add_flags, number, simulated
+from data.worlds.registry import SIMULATORS
 
 if TYPE_CHECKING:
     from data.log import Log
     from data.motion import VelocityModel
 
+PROG = "python -m data.convert"
 EXAMPLES = """\
 examples:
   python -m data.convert mrclam MRCLAM_Dataset9.zip logs/nine --robot 3 --exclude-truth 755:836 --exclude-truth 945:1050
@@ -61,6 +63,9 @@ CALIBRATION = {
 """Fields of `data.mrclam.calibration.Calibration` that have a flag: metavar (none for a switch) and help."""
 
 
+SIMULATED = tuple(kind for kind in SIMULATORS if kind != VISUAL)
+
+
 class _Parser(argparse.ArgumentParser):
     """Says what is wrong in one line; flags are written out."""
 
@@ -71,12 +76,12 @@ class _Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: {message} (see --help)\n")
 
 
-def parser(*, simulators: bool = True) -> argparse.ArgumentParser:
+def parser(*, simulators: bool = True, prog: str = PROG) -> argparse.ArgumentParser:
     """The command line; `simulators`: with their flags, which take the simulators to be loaded."""
     top = _Parser(
-        prog="python -m data.convert",
+        prog=prog,
         description="Write a recording or a simulation as an open log folder; OUT's last component becomes its name.",
-        epilog=EXAMPLES,
+        epilog=EXAMPLES.replace(PROG, prog),
     )
     kinds = top.add_subparsers(dest="kind", metavar="KIND", required=True)
     _add_mrclam(
@@ -91,8 +96,9 @@ def parser(*, simulators: bool = True) -> argparse.ArgumentParser:
         epilog="example:\n  python -m data.convert victoria-park logs/victoria",
     )
     park.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
-    for kind, (text, description, example) in SIMULATED.items():
-        sub = kinds.add_parser(kind, help=text, description=description, epilog=example)
+    for kind in SIMULATED:
+        w = SIMULATORS[kind]
+        sub = kinds.add_parser(kind, help=w.help, description=w.description, epilog=w.examples)
         if simulators:
             add_flags(sub, kind)
     add_kinds(kinds.add_parser, parameters=simulators)
@@ -248,10 +254,10 @@ def summary(log: Log) -> list[str]:
     return lines
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """Convert and say what was done; 0, or 2 with one line on stderr."""
     given = list(sys.argv[1:] if argv is None else argv)
-    args = parser(simulators=any(kind in given for kind in SIMULATORS)).parse_args(given)
+    args = parser(simulators=any(kind in given for kind in SIMULATORS), prog=prog).parse_args(given)
     from data.open_log.writer import write_folder
 
     try:

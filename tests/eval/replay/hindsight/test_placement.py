@@ -9,7 +9,7 @@ from gtsam.symbol_shorthand import L, X
 from data.inputs import Sightings
 from data.result import NEW
 from data.se2 import pose_error, wrap_angle
-from data.worlds.corridor import parse_name, simulate
+from data.worlds.registry import named_log
 from ekf.slam import EkfSlam
 from eval.referee.score import confusion_of
 from eval.replay.frontend import FrontEnd
@@ -23,7 +23,7 @@ SEEDS = (0, 8, 9)
 
 @pytest.fixture(scope="module")
 def primed():
-    return [simulate(*parse_name(f"corridor:{seed}:no-odometry+forward")) for seed in SEEDS]
+    return [named_log(f"corridor:{seed}:no-odometry+forward") for seed in SEEDS]
 
 
 def rmse(run, log, phase="online"):
@@ -44,7 +44,7 @@ def test_the_corridor_is_mapped_without_odometry_and_without_labels(primed, name
 
 
 def test_moving_people_do_not_lose_it():
-    log = simulate(*parse_name("corridor:1:people+no-odometry+forward"))
+    log = named_log("corridor:1:people+no-odometry+forward")
     (run,) = compare(log.inputs(), "slam", ["ekf-iterated"], METHOD)
     online, final = confusion_of(run, log, "online"), confusion_of(run, log, "final")
     assert rmse(run, log) < 0.15
@@ -54,7 +54,7 @@ def test_moving_people_do_not_lose_it():
 
 @pytest.mark.parametrize("name", ["corridor:4", "corridor:4:people"])
 def test_no_frame_is_placed_where_odometry_is_good_enough(name):
-    log = simulate(*parse_name(name))
+    log = named_log(name)
     (run,) = compare(log.inputs(), "slam", ["ekf"], METHOD)
     assert not any("placed by geometry" in note for note in run.notes)
 
