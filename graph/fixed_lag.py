@@ -56,7 +56,7 @@ class FixedLagSmoother(Isam2Smoother):
             raise ValueError(f"lag {lag} and slack {slack} must not be negative")
         super().__init__(prior, sensor, known, threshold=threshold, skip=skip)
         self.time, self.lag, self.slack = [0.0], lag, slack
-        self._window = Window(threshold, skip, qr=self._engine.qr, name=self._name)
+        self._window = Window(threshold, skip, qr=self._engine.qr, name=self._observed.name)
         self._engine = self._window
         # first frame, and first copy of a known landmark, that are still in the window
         self._oldest, self._first_copy = 0, 0
@@ -85,11 +85,11 @@ class FixedLagSmoother(Isam2Smoother):
         frames = range(self._oldest, oldest)
         self._left += self._poses(frames)
         keys = [X(k) for k in frames]
-        while self.map is not None and self._sighted[self._first_copy].frame < oldest:
-            key = self._sighted[self._first_copy].key
+        while self.map is not None and self._observed.sighted[self._first_copy].frame < oldest:
+            key = self._observed.sighted[self._first_copy].key
             keys += [] if key is None else [key]
             self._first_copy += 1
-        self._window.marginalize(keys, X(self._anchor))
+        self._window.marginalize(keys, self._anchor_key)
         self._oldest = oldest
         self._motion.clear()
         self._read()
@@ -113,22 +113,18 @@ class FixedLagSmoother(Isam2Smoother):
         super().remove(numbers)
         held = [L(n) for n in gone if self._window.holds(L(n))]
         if held:
-            self._window.marginalize(held, X(self._anchor))
+            self._window.marginalize(held, self._anchor_key)
             self._read()
 
     def join(self, away: IntArray, kept: IntArray) -> None:
         """Landmarks `away` (k,) are the same as `kept` (k,): an observation of no difference, as in a filter."""
-        pairs = list(zip(away.tolist(), kept.tolist(), strict=True))
-        gone = {a for a, _ in pairs}
-        if not gone | {b for _, b in pairs} <= set(self._handles) or any(b in gone for _, b in pairs):
-            raise ValueError(f"cannot join {pairs}: not all are in the map, or one is to go and to stay")
+        pairs = self._pairs_to_join(away, kept)
         same = gtsam.noiseModel.Isotropic.Sigma(2, JOINED)
         none = np.zeros(2)
-        self._window.add([gtsam.BetweenFactorPoint2(L(a), L(b), none, same) for a, b in pairs], gtsam.Values())
+        self._window.add([gtsam.BetweenFactorPoint2(L(a), L(b), none, same) for a, b in pairs.items()], gtsam.Values())
         self.refine()
-        for n in gone:
-            del self._handles[n]
-        self._window.marginalize([L(n) for n in sorted(gone)], X(self._anchor))
+        self._observed.take_back(list(pairs))
+        self._window.marginalize([L(n) for n in sorted(pairs)], self._anchor_key)
         self._read()
 
     def finish(self) -> Finished:

@@ -108,7 +108,7 @@ def frame_seconds(estimator: str, inputs: Inputs, setup: Setup) -> tuple[float, 
     last = len(inputs) - 1
     for k in range(last):
         front.move(inputs.frame(k))
-        front.associate(inputs.frame(k))
+        front.update(inputs.frame(k), front.associate(inputs.frame(k)))
     front.move(inputs.frame(last))
     sightings = inputs.sightings(last)
     seconds = median_seconds(lambda: decide("jcbb", front.expect(sightings), GATE, 0.99999), 20)
@@ -125,7 +125,7 @@ def each_frame(estimator: str, association: str, inputs: Inputs) -> Array:
             frame = inputs.frame(k)
             front.move(frame)
             if len(frame.sightings.z):
-                front.associate(frame)
+                front.update(frame, front.associate(frame))
             front.tidy()
             front.estimator.estimate()
             seconds[k] = time.perf_counter() - begin

@@ -64,8 +64,8 @@ class Setup:
     )
 
     @property
-    def upkeep(self) -> bool:
-        """Whether landmarks may leave the state."""
+    def manages_map(self) -> bool:
+        """Whether landmarks may leave the map or the state."""
         return self.maintain or self.forget_after is not None or self.deactivate_after is not None
 
 

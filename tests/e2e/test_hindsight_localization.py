@@ -23,8 +23,9 @@ def localize(log):
         frame = inputs.frame(k)
         front.move(frame)
         if len(frame.sightings.z):
-            decided, _ = front.associate(frame)
-            decisions[frame.first : frame.first + len(decided)] = decided
+            pairing = front.associate(frame)
+            front.update(frame, pairing)
+            decisions[frame.first : frame.first + len(pairing.decisions)] = pairing.decisions
         front.tidy()
         pose[k] = front.estimator.estimate().mean
     front.close()

@@ -52,8 +52,9 @@ def replay(inputs, estimator="ekf"):
         frame = inputs.frame(k)
         front.move(frame)
         if len(frame.sightings.z):
-            decided, done = front.associate(frame)
-            decisions[frame.first : frame.first + len(decided)] = np.where(done.used, decided, -2)
+            pairing = front.associate(frame)
+            used = front.update(frame, pairing).used
+            decisions[frame.first : frame.first + len(used)] = np.where(used, pairing.decisions, -2)
         front.tidy()
         pose[k], covariance[k] = front.estimator.estimate()
     front.close()
@@ -181,7 +182,7 @@ def mapped(seed, estimator="ekf", frames=60):
         frame = inputs.frame(k)
         front.move(frame)
         if len(frame.sightings.z):
-            front.associate(frame)
+            front.update(frame, front.associate(frame))
         front.tidy()
         off.append(np.hypot(*(front.estimator.estimate().mean - truth[k])[:2]))
     front.close()
@@ -216,6 +217,6 @@ def test_mapping_undisturbed_raises_no_alarm():
             frame = log.recorded.frame(k)
             front.move(frame)
             if len(frame.sightings.z):
-                front.associate(frame)
+                front.update(frame, front.associate(frame))
             front.tidy()
         assert front.mapper.kidnapping.alarms == []

@@ -126,12 +126,12 @@ def newness_that_peeks(monkeypatch):
     monkeypatch.setattr(Inputs, "without_labels", lambda self: self)
     real = replay.FrontEnd.associate
 
-    def associate(self, frame, watch=None):
+    def associate(self, frame):
         if frame.first == 0:
             frames["seen"] = set()
         frames["label"], frames["known"] = frame.label, set(frames["seen"])
         frames["seen"] |= set(frame.label.tolist())
-        return real(self, frame, watch)
+        return real(self, frame)
 
     def newness(expectation, decisions, new_gate):
         known = np.array([label in frames["known"] for label in frames["label"].tolist()])

@@ -18,10 +18,9 @@ from association.expectation import Expectation
 from data.inputs import Frame, IntArray, Prior, Sightings
 from data.result import DISCARD, Event, Updated
 from data.se2 import Array, BoolArray
-from ekf.filter import Filter, FilterOptions
-from ekf.localizer import EkfLocalizer
+from ekf.filter import FilterOptions
 from eval.replay.estimators import Estimator, make_estimator
-from eval.replay.frontend import FrontEnd, Watch
+from eval.replay.frontend import FrontEnd, Pairing
 from eval.replay.given import Beginning, Given
 from eval.replay.hindsight.localizer import HindsightLocalizer
 from eval.replay.hindsight.stretches import Stretches
@@ -63,13 +62,12 @@ class LocalizingFrontEnd(FrontEnd):
         self.localizer = HindsightLocalizer(given)
         super().__init__(estimator, association, given, setup, options)
         self._decided = np.empty(0, np.int64)
-        self._was_single = True
+        self._was_single, self._found_again = True, False
         self._handed, self._held_until = NOTHING, 0
         """Of a smoother: all of the frames from that on in which not all hypotheses agree, up to this observation."""
         self._open, self._seen = 0, 0
         """The first observation that they do not agree about, and how many there were."""
-        self._filtering = isinstance(self.estimator, Filter)
-        if not self._filtering:
+        if self.estimator.smooths:
 
             def begin(prior: Prior) -> Estimator:
                 return make_estimator(estimator, Beginning(prior, given.sensor, given.map), options, lag=setup.lag)
@@ -87,32 +85,36 @@ class LocalizingFrontEnd(FrontEnd):
             return super().decide(expectation, method)
         return Decided(np.where(np.isin(self._decided, expectation.number), self._decided, DISCARD), True)
 
-    def associate(self, frame: Frame, watch: Watch | None = None) -> tuple[IntArray, Updated]:
-        """Decide about (a part of) this frame's observations, use them; returns decisions (m,) and what was done."""
-        localizer, times = self.localizer, len(self.localizer.found)
-        self._decided = localizer.decide(frame)
+    def associate(self, frame: Frame) -> Pairing:
+        """Decide about (a part of) this frame's observations."""
+        times = len(self.localizer.found)
+        self._decided = self.localizer.decide(frame)
         self._seen = frame.first + len(self._decided)
-        if len(localizer.found) > times:
-            if watch is not None:
-                watch.decided(self, frame, None, self._decided)
-            self._reset()
-            nothing = np.full(len(self._decided), -1, np.int64)
-            done = Updated(self._decided >= 0, nothing, math.nan, 0, math.nan)
-            self._was_single = True
-            self._hold(frame, np.full(len(self._decided), DISCARD, np.int64))
-            return self._decided, done
+        self._found_again = len(self.localizer.found) > times
+        if self._found_again:
+            return Pairing(self._decided)
         self._hand_over(frame.first, constants.MAYBE)
-        decisions, done = super().associate(frame, watch)
-        self._hold(frame, np.where(done.used, decisions, DISCARD))
-        several = not (localizer.single and self._was_single)
-        self._was_single = localizer.single
-        if (several and self._filtering) or localizer.elsewhere(self.estimator.estimate()):
+        return super().associate(frame)
+
+    def update(self, frame: Frame, pairing: Pairing) -> Updated:
+        """Use what was decided; where the robot was found again, its pose is what the frame has to tell."""
+        if self._found_again:
+            self._was_single = True
             self._reset()
-        return decisions, done
+            nothing = np.full(len(pairing.decisions), -1, np.int64)
+            self._hold(frame, np.full(len(pairing.decisions), DISCARD, np.int64))
+            return Updated(pairing.decisions >= 0, nothing, math.nan, 0, math.nan)
+        done = super().update(frame, pairing)
+        self._hold(frame, np.where(done.used, pairing.decisions, DISCARD))
+        several = not (self.localizer.single and self._was_single)
+        self._was_single = self.localizer.single
+        if (several and not self.estimator.smooths) or self.localizer.elsewhere(self.estimator.estimate()):
+            self._reset()
+        return done
 
     def _hand_over(self, stop: int, share: float) -> None:
         """Decisions about observations before `stop` that `share` of the hypotheses agree on by now."""
-        if self._filtering or stop <= self._open:
+        if not self.estimator.smooths or stop <= self._open:
             return
         count, held = stop - self._open, self._handed
         number, sure = (a[:count] for a in self.localizer.bank.opinion(self._seen - self._open))
@@ -122,7 +124,6 @@ class LocalizingFrontEnd(FrontEnd):
         if changed.any():
             held.number[rows[changed]] = number[changed]
             whole = held.of(np.isin(held.frame, held.frame[rows[changed]]))
-            assert isinstance(self.estimator, Stretches)
             self.estimator.amend(whole.frame, Sightings(whole.z, whole.R), whole.number)
         undecided = np.flatnonzero(sure < 1.0)
         self._open = self._open + int(undecided[0]) if len(undecided) else stop
@@ -131,13 +132,12 @@ class LocalizingFrontEnd(FrontEnd):
 
     def _hold(self, frame: Frame, number: IntArray) -> None:
         """Remember what a smoother takes a frame's observations for."""
-        if not self._filtering:
+        if self.estimator.smooths:
             self._handed = self._handed.and_then(frame, number)
             self._held_until = self._seen
 
     def _reset(self) -> None:
         """The estimator is where the hypotheses are."""
-        assert isinstance(self.estimator, EkfLocalizer | Stretches)
         self.estimator.reset(*self.localizer.pose())
 
     def close(self) -> None:

@@ -11,16 +11,12 @@ import numpy as np
 from association.decide import HINDSIGHT
 from data.errors import UsageError
 from data.inputs import Frame, IntArray
-from data.result import Event, Updated
-from ekf.filter import Filter, FilterOptions
-from eval.replay.frontend import FrontEnd, Watch
+from data.result import Event
+from ekf.filter import FilterOptions
+from eval.replay.frontend import FrontEnd, Pairing
 from eval.replay.given import Given
 from eval.replay.hindsight.mapper import HindsightMapper
-from eval.replay.map_management import Upkeep
 from eval.replay.settings import Setup
-
-EVERYTHING = float(np.finfo(float).max)
-"""A gate that lets all pass, but for which a smoother forms its innovations."""
 
 
 class MappingFrontEnd(FrontEnd):
@@ -30,6 +26,9 @@ class MappingFrontEnd(FrontEnd):
         mapper: what decides; its `events` are the revisions.
     """
 
+    revises_map = True
+    asks_for_innovations = True
+
     def __init__(
         self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
     ) -> None:
@@ -38,36 +37,27 @@ class MappingFrontEnd(FrontEnd):
             raise UsageError(f"{HINDSIGHT} judges the observations of a frame together; they cannot be used one by one")
         super().__init__(estimator, association, given, setup, options)
         self.mapper = HindsightMapper(given, setup)
-        if self.upkeep is None:
-            self.upkeep = Upkeep(setup)
-        if not isinstance(self.estimator, Filter):
-            self._threshold = EVERYTHING
-        self._stays = isinstance(self.estimator, Filter) and self.estimator.options.first_estimates
-        """It linearizes nowhere else."""
 
     def move(self, frame: Frame) -> None:
         """The next frame comes."""
         super().move(frame)
         self.mapper.move(frame)
 
-    def associate(self, frame: Frame, watch: Watch | None = None) -> tuple[IntArray, Updated]:
-        """Decide about this frame's observations and use them; returns decisions (m,) and what was done."""
-        expectation = self.expect(frame.sightings) if watch is not None else None
+    def associate(self, frame: Frame) -> Pairing:
+        """Decide about this frame's observations; the mapper has an expectation of its own."""
         decisions, complete, at, kidnapped = self.mapper.decide(frame)
+        self.incomplete += not complete
         if kidnapped is not None:
             self.estimator.lose(kidnapped)
-        self.incomplete += not complete
-        if watch is not None:
-            watch.decided(self, frame, expectation, decisions)
-        return decisions, self.update(frame, decisions, None if self._stays else at)
+        return Pairing(decisions, at=None if self.estimator.fixed_linearization else at)
 
     def tidy(self) -> None:
         """The end of a frame: landmarks leave the map in hindsight, and by the rules of the setup."""
         found = self.mapper.revise()
         self._retract(found.retracted)
         if len(found.merged):
-            if (slam := self._filter) is not None:
-                self.wake(np.intersect1d(slam.parked, np.concatenate([found.merged, found.kept])))
+            if self.parking is not None:
+                self.parking.restore(np.concatenate([found.merged, found.kept]))
             self.estimator.join(found.merged, found.kept)
             self._gone(found.merged)
         super().tidy()
@@ -87,8 +77,8 @@ class MappingFrontEnd(FrontEnd):
             self._gone(numbers)
 
     def _gone(self, numbers: IntArray) -> None:
-        assert self.upkeep is not None  # hindsight always has one
-        self.upkeep.retract(numbers)
+        assert self.map_management is not None  # the map is revised
+        self.map_management.remove(numbers)
 
     def events(self) -> tuple[Event, ...]:
         """Decisions that were revised."""

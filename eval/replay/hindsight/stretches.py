@@ -9,14 +9,17 @@ import numpy as np
 
 from association.expectation import Expectation
 from data.inputs import Increment, IntArray, Prior, Sightings
-from data.result import Finished, PoseEstimate, Trajectory, Updated
+from data.result import Finished, MapState, PoseEstimate, Trajectory, Updated
 from data.se2 import Array
 from eval.replay.estimators import Estimator
-from graph.incremental import Isam2Smoother
 
 
 class Stretches:
     """A smoother that can be begun anew: the verbs of an estimator, its final path put together from the stretches."""
+
+    smooths = True
+    fixed_linearization = False
+    size = 0
 
     def __init__(self, begin: Callable[[Prior], Estimator], prior: Prior) -> None:
         """`begin(prior)` makes the smoother of the log from the present frame on."""
@@ -41,14 +44,19 @@ class Stretches:
         return self._now.expect(sightings)
 
     def update(
-        self, sightings: Sightings, decisions: IntArray, *, threshold: float = math.inf, at: Array | None = None
+        self,
+        sightings: Sightings,
+        decisions: IntArray,
+        *,
+        threshold: float = math.inf,
+        at: Array | None = None,
+        innovations: bool = False,
     ) -> Updated:
         """Use the pairings."""
-        return self._now.update(sightings, decisions, threshold=threshold, at=at)
+        return self._now.update(sightings, decisions, threshold=threshold, at=at, innovations=innovations)
 
     def amend(self, frames: IntArray, sightings: Sightings, decisions: IntArray) -> None:
         """Take what frames (m,) saw for other landmarks than before; what stretches before this one saw stays."""
-        assert isinstance(self._now, Isam2Smoother)
         keep = np.flatnonzero(frames >= self._given)
         if len(keep):
             seen = Sightings(sightings.z[keep], sightings.R[keep])
@@ -62,6 +70,23 @@ class Stretches:
         """No two landmarks of a known map are one: asking for it is an error."""
         self._now.join(away, kept)
 
+    @property
+    def parked(self) -> IntArray:
+        """No landmark is parked: (0,)."""
+        return self._now.parked
+
+    def parked_xy(self) -> Array:
+        """No landmark is parked: (0, 2)."""
+        return self._now.parked_xy()
+
+    def park(self, numbers: IntArray) -> None:
+        """A known map does not change: asking for it is an error."""
+        self._now.park(numbers)
+
+    def restore(self, numbers: IntArray) -> None:
+        """No landmark is parked: asking for it is an error."""
+        self._now.restore(numbers)
+
     def lose(self, covariance: Array) -> None:
         """Believe the last motion so much less."""
         self._now.lose(covariance)
@@ -69,6 +94,10 @@ class Stretches:
     def estimate(self) -> PoseEstimate:
         """The newest pose."""
         return self._now.estimate()
+
+    def landmarks(self) -> MapState:
+        """The given map."""
+        return self._now.landmarks()
 
     def reset(self, mean: Array, covariance: Array) -> None:
         """From this frame on a new smoother, whose prior is the pose (3,) and covariance (3, 3)."""

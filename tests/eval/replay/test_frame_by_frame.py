@@ -31,8 +31,9 @@ def alone(name, association, inputs, setup):
         frame = frames.pop(0)
         front.move(frame)
         if len(frame.sightings.z):
-            decided, done = front.associate(frame)
-            decisions += np.where((decided >= 0) & ~done.used, -2, decided).tolist()
+            pairing = front.associate(frame)
+            done = front.update(frame, pairing)
+            decisions += np.where((pairing.decisions >= 0) & ~done.used, -2, pairing.decisions).tolist()
         front.tidy()
         poses.append(front.estimator.estimate().mean)
     front.close()
@@ -62,8 +63,9 @@ def test_a_log_cut_short_is_decided_as_the_whole_was(inputs, association):
     for k in range(short):
         front.move(given.frame(k))
         if len(given.frame(k).sightings.z):
-            decided, done = front.associate(given.frame(k))
-            decisions += np.where((decided >= 0) & ~done.used, -2, decided).tolist()
+            pairing = front.associate(given.frame(k))
+            done = front.update(given.frame(k), pairing)
+            decisions += np.where((pairing.decisions >= 0) & ~done.used, -2, pairing.decisions).tolist()
         front.tidy()
         poses.append(front.estimator.estimate().mean)
     assert decisions == whole.decisions[:stop].tolist()

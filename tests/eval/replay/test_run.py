@@ -20,7 +20,7 @@ from ekf.filter import FilterOptions
 from eval.referee.score import association_row, confusion_of
 from eval.replay import run as replay
 from eval.replay.frontend import FrontEnd
-from eval.replay.map_management import Upkeep
+from eval.replay.map_management import MapManagement
 from eval.replay.run import compare, filter_known, step_by_step
 from eval.replay.settings import Setup
 
@@ -127,7 +127,7 @@ def test_the_cut_to_what_is_in_view_asks_for_fewer_candidates_and_is_the_same_wh
         for k in range(len(inputs)):
             front.move(inputs.frame(k))
             sizes.append(len(front.expect(inputs.sightings(k)).number))
-            front.associate(inputs.frame(k))
+            front.update(inputs.frame(k), front.associate(inputs.frame(k)))
         asked[in_view] = sizes
     assert max(asked[False]) == 88
     assert max(asked[True]) < 40
@@ -207,16 +207,16 @@ def test_forgetting_is_the_filters_alone_and_leaves_the_graph_whole(lab):
 
 
 def test_a_parked_landmark_that_was_taken_back_unseen_is_still_forgotten_in_time():
-    upkeep = Upkeep(Setup(deactivate_after=2.0, forget_after=6.0))
+    management = MapManagement(Setup(deactivate_after=2.0, forget_after=6.0))
 
     def leaving_after(k):
-        upkeep.begin(k, float(k))
-        return upkeep.leaving()
+        management.begin(k, float(k))
+        return management.leaving()
 
-    upkeep.see(np.array([0]))
+    management.see(np.array([0]))
     assert [leaving_after(k).parked.tolist() for k in range(4)] == [[], [], [], [0]]
-    upkeep.begin(4, 4.0)
-    upkeep.wake(np.array([0]))
+    management.begin(4, 4.0)
+    management.restored(np.array([0]))
     assert leaving_after(6).parked.tolist() == []
     leaving = leaving_after(7)
     assert (leaving.parked.tolist(), leaving.forgotten.tolist()) == ([], [0])

@@ -116,7 +116,7 @@ def test_the_odometrys_errors_are_found_on_the_way(world):
         frame = inputs.frame(k)
         front.move(frame)
         if len(frame.sightings.z):
-            front.associate(frame)
+            front.update(frame, front.associate(frame))
         front.tidy()
     mean, P = front.mapper.filter.errors
     assert mean[0] + mean[1] == pytest.approx(0.0015, abs=4.0 * np.sqrt(P[:2, :2].sum()))

@@ -162,7 +162,7 @@ def test_first_estimates_cannot_be_taken_elsewhere(primed):
     inputs = primed[0].inputs().without_map()
     front = FrontEnd("ekf-fej", METHOD, inputs, Setup())
     front.move(inputs.frame(0))
-    front.associate(inputs.frame(0))
+    front.update(inputs.frame(0), front.associate(inputs.frame(0)))
     front.move(inputs.frame(1))
     o = inputs.observations
     sightings = Sightings(o.z[o.frame == 1], o.R[o.frame == 1])
