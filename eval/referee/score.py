@@ -171,7 +171,9 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None) -> dict[s
         row["rms_from_batch_m"] = errors.rms(errors.position_distance(pose, reference.final.pose))
     if phase == "online" and run.innovations is not None:
         o = log.recorded.observations
-        row["innovation_lag1"], row["innovation_lag1_se"] = consistency.lag1(run.innovations.white, o.frame, decisions)
+        row["innovation_lag1"], row["innovation_lag1_se"] = consistency.lag1_correlation(
+            run.innovations.white, o.frame, decisions
+        )
     total = _nis(run, phase)
     if total is not None and total[1] > 0:
         row["nis"] = total[0] / total[1]
