@@ -11,14 +11,9 @@ from data.log import Log
 from data.result import Run
 from eval.figures.error import longest_sigma, ticks, time_label
 from eval.figures.map import SIGMAS, longest_axis
-from eval.figures.style import DASHED, DOTTED, DOUBLE, SOLID, Line, drawing, style_of
+from eval.figures.style import DASHED, DOTTED, DOUBLE, SOLID, Line, colour_of_method, drawing, style_of
 from eval.referee.score import Trial
 
-METHOD_COLOURS = {
-    "known": "#000000", "nn": "#D55E00", "ml": "#E69F00", "ml-ratio": "#7B3F00", "singles": "#CC79A7", "gnn": "#999933",
-    "jcbb": "#0072B2", "jcbb-first": "#56B4E9",
-}  # fmt: skip
-OTHER_COLOUR = "#707070"
 LOOP = 0.3
 """A landmark seen again after this share of the run means that a loop was closed."""
 
@@ -57,7 +52,7 @@ def _state_figure(trial: Trial, beside: Sequence[Trial]) -> Figure:
             name = run.association if run.estimator == "ekf" else f"{run.association}, {style_of(run.estimator).label}"
             label = f"{name}{f', {extra}' if extra and t is not trial else ''}: {end}"
             line: Line = SOLID if t is trial else DASHED
-            colour = METHOD_COLOURS.get(run.association, OTHER_COLOUR)
+            colour = colour_of_method(run.association)
             (drawn,) = ax.step(time, size, where="post", color=colour, linestyle=line, linewidth=1.1, label=label)
             lines.append((end, drawn))
     ax.set(xlabel=time_label(trial.log.recorded), ylabel="length of the state [–]", ylim=(0.0, None))
