@@ -8,19 +8,16 @@ import pandas as pd
 
 from eval.page.tables import drop_blank_columns
 from eval.plan.tutorial import is_tutorial
+from eval.referee.confusion import OUTCOMES
+from eval.referee.metrics import heads
 from eval.referee.score import Scores, Trial
 
 CAPTION = (
     "Knowledge taken away, on the same recording: {log}. Given are the map, the labels, or neither; errors in the world"
     " frame without alignment. TP, TN, FP and FN count decisions about the observations, as they were online."
 )
-HEADS = {
-    "rmse_position_m": "position RMSE [m]",
-    "rmse_heading_deg": "heading RMSE [deg]",
-    "rmse_landmark_m": "landmark RMSE [m]",
-    "landmarks": "landmarks",
-}
-COUNTS = {"tp": "TP", "tn": "TN", "fp": "FP", "fn": "FN"}
+HEADS = heads(("rmse_position_m", "rmse_heading_deg", "rmse_landmark_m", "landmarks"))
+COUNTS = heads(OUTCOMES)
 
 
 def given(task: str, association: str) -> str:

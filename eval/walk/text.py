@@ -20,6 +20,7 @@ from data.result import DISCARD, NEW, Run
 from data.se2 import Array
 from data.truth import UNKNOWN_ID
 from eval.referee.confusion import OUTCOMES, Confusion, confuse
+from eval.referee.metrics import metric
 from eval.referee.score import confusion_of, metrics_row
 
 WIDTH = 100
@@ -28,18 +29,10 @@ NONE = "-"
 UNKNOWN = "true ids are not known: ground truth, correct and counts are left out"
 RIGHT = ("tp", "tn")
 STATISTICS = (
-    ("frames", "frames"),
-    ("observations", "observations"),
-    ("landmarks", "landmarks in the map"),
-    ("rmse_position_m", "position RMSE [m]"),
-    ("max_position_m", "largest position error [m]"),
-    ("rmse_heading_deg", "heading RMSE [deg]"),
-    ("rmse_landmark_m", "landmark RMSE [m]"),
-    ("nees_pose", "mean pose NEES (3 expected)"),
-    ("inside_3sigma", "share of frames inside 3σ (0.989 expected)"),
-    ("nis", "NIS per degree of freedom (1 expected)"),
-)
-"""Columns of metrics.csv told at the end, and what they are called there."""
+    "frames", "observations", "landmarks", "rmse_position_m", "max_position_m", "rmse_heading_deg", "rmse_landmark_m",
+    "nees_pose", "inside_3sigma", "nis",
+)  # fmt: skip
+"""Columns of metrics.csv that are shown at the end."""
 
 
 class TruthRow(NamedTuple):
@@ -193,18 +186,16 @@ def statistics(log: Log, run: Run) -> str:
     """The numbers of a run, a column per phase; what cannot be known is left out."""
     rows = {phase: metrics_row(run, phase, log, None) for phase in run.phases}
     lines = []
-    for key, name in STATISTICS:
-        values = [row.get(key) for row in rows.values()]
+    for m in map(metric, STATISTICS):
+        values = [row.get(m.column) for row in rows.values()]
         if any(isinstance(v, (int, float)) and math.isfinite(v) for v in values):
-            lines.append(f"{name:<40}" + "".join(f"{_number(v):>12}" for v in values))
+            lines.append(f"{m.line:<40}" + "".join(f"{_number(v, m.form):>12}" for v in values))
     head = f"{f'{log.name}: {run.task}, {run.estimator}, {run.association}':<40}" + "".join(f"{p:>12}" for p in rows)
     return "\n".join([head, *lines, *(fill(note, WIDTH, subsequent_indent="  ") for note in run.notes)])
 
 
-def _number(value: object) -> str:
-    if isinstance(value, int):
-        return str(value)
-    return f"{value:.4g}" if isinstance(value, float) and math.isfinite(value) else NONE
+def _number(value: object, form: str) -> str:
+    return f"{value:{form}}" if isinstance(value, (int, float)) and math.isfinite(value) else NONE
 
 
 def pose_text(pose: Array, covariance: Array) -> str:
