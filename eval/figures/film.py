@@ -178,7 +178,7 @@ def _draw_frame(image: Image, scene: _Scene, k: int) -> None:
 
 
 def _draw_rays(image: Image, scene: _Scene, k: int, pose: Array) -> None:
-    """From the robot to where each observation places its landmark: coloured if used or founding, grey if discarded."""
+    """From the robot to where each observation places its landmark: coloured if used or new, grey if discarded."""
     inputs, run, canvas = scene.log.recorded, scene.shown.run, scene.canvas
     rows = slice(inputs.start[k], inputs.start[k + 1])
     z = inputs.observations.z[rows]

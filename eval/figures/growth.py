@@ -81,7 +81,7 @@ def closing_frame(log: Log, run: Run) -> int | None:
 def growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
     """Standard deviation, along its least certain direction, of the robot online and of each landmark in the last map.
 
-    Landmarks stand in the order in which they were founded. A vertical line marks the frame that closed a loop.
+    Landmarks stand in the order in which they were initialized. A vertical line marks the frame that closed a loop.
     """
     with drawing():
         return _growth_figure(log, runs)
@@ -117,7 +117,7 @@ def _growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
         ax.xaxis.set_major_locator(ticks(6))
         ax.yaxis.set_major_locator(ticks(6))
     robot.set_title("robot, online", loc="left")
-    landmarks.set_title("landmarks in the last map, in order of founding", loc="left")
+    landmarks.set_title("landmarks in the last map, in order of initialization", loc="left")
     fig.suptitle(f"{log.name}: claimed σ along the least certain direction", x=0.01, ha="left")
     handles, _ = robot.get_legend_handles_labels()
     fig.legend(handles=handles, loc="outside lower center", ncols=1 if len(handles) > 3 else 2)

@@ -75,8 +75,8 @@ COMPARISON_CAPTION = (
 ASSOCIATION_CAPTION = (
     "Outcomes of every observation's decision H against the truth GT. TP: H is a landmark and right; TN: both none;"
     " FP: H is a wrong landmark (GT another: wrong; GT none: spurious); FN: H none though GT is in the map (a second"
-    " landmark founded: duplicate; discarded: missed or deferred). Estimators with the same outcomes share a row; a row"
-    " for the final phase stands only where revised decisions turned out differently."
+    " landmark initialized: duplicate; discarded: missed or deferred). Estimators with the same outcomes share a row; a"
+    " row for the final phase stands only where revised decisions turned out differently."
 )
 CONSISTENCY_CAPTION = (
     "Mean over independent simulated runs of each run's mean NEES (NIS per dof for the quantity nis), with Student's t"
@@ -147,12 +147,12 @@ def comparison_table(metrics: pd.DataFrame) -> pd.DataFrame:
         bounds=_interval(metrics["nis_lower"], metrics["nis_upper"]),
         innovation_lag1=_spread(metrics["innovation_lag1"], metrics["innovation_lag1_se"]),
     )
-    told = [c for c in COMPARISON if c in made.columns]
+    shown = [c for c in COMPARISON if c in made.columns]
     if (made["status"] == "ok").all():
-        told.remove("status")
+        shown.remove("status")
     if _same(made["rmse_time_m"], made["rmse_position_m"]):
-        told.remove("rmse_time_m")
-    return _selected(made[told], COMPARISON)
+        shown.remove("rmse_time_m")
+    return _selected(made[shown], COMPARISON)
 
 
 def _same(values: pd.Series, others: pd.Series) -> bool:
@@ -172,7 +172,7 @@ def association_table(association: pd.DataFrame) -> pd.DataFrame:
     rows = [{str(k): v for k, v in r.items()} for r in association.astype(object).to_dict("records")]
     outcomes = [c for c in association.columns if c not in ("log", "task", "estimator", "association", "phase")]
 
-    def told(row: Row) -> tuple[object, ...]:
+    def counted(row: Row) -> tuple[object, ...]:
         return tuple(None if is_blank(row[c]) else row[c] for c in outcomes)
 
     runs: dict[tuple[object, ...], list[Row]] = {}
@@ -180,12 +180,12 @@ def association_table(association: pd.DataFrame) -> pd.DataFrame:
         runs.setdefault((row["log"], row["task"], row["association"], row["estimator"]), []).append(row)
     shared: dict[tuple[object, ...], list[list[Row]]] = {}
     for key, phases in runs.items():
-        shared.setdefault((*key[:3], *(told(r) for r in phases)), []).append(phases)
+        shared.setdefault((*key[:3], *(counted(r) for r in phases)), []).append(phases)
     kept: list[Row] = []
     for group in shared.values():
         estimators = ", ".join(str(phases[0]["estimator"]) for phases in group)
         online, *later = group[0]
-        for row in [online, *(r for r in later if told(r) != told(online))]:
+        for row in [online, *(r for r in later if counted(r) != counted(online))]:
             kept.append(row | {"estimator": estimators})
     made = pd.DataFrame(kept, columns=list(association.columns), dtype=object)
     if made["phase"].nunique() <= 1:

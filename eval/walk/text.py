@@ -66,17 +66,17 @@ def judge_frame(
     """What the referee says of observations `rows` as soon as they are decided about; None without true ids.
 
     `decisions` and `created` (M,) are those of the whole log so far; `removed` as in `Run`. What is right now depends
-    on the observations that founded the landmarks, and on no other, so only those go to the referee beside the rows.
+    on the observations that initialized the landmarks, and on no other, so only those and the rows go to the referee.
     """
     true_id = log.truth.landmark_of
     if true_id is None or np.any(true_id == UNKNOWN_ID):
         return None
-    founding = np.flatnonzero(created[: rows.start] >= 0)
-    those = np.concatenate([founding, np.arange(rows.start, rows.stop)])
+    first = np.flatnonzero(created[: rows.start] >= 0)
+    those = np.concatenate([first, np.arange(rows.start, rows.stop)])
     known = log.recorded.map if task == "localization" else None
     frame = log.recorded.observations.frame
     scored = confuse(frame[those], true_id[those], decisions[those], created[those], known, removed)
-    return row_of(scored, slice(len(founding), None))
+    return row_of(scored, slice(len(first), None))
 
 
 def step_block(frame: int, truth_row: TruthRow | None, decisions: IntArray, created: IntArray) -> str:
@@ -86,7 +86,7 @@ def step_block(frame: int, truth_row: TruthRow | None, decisions: IntArray, crea
         frame: number of the step.
         truth_row: what the referee says; None leaves ground truth, correct and counts out.
         decisions: (m,) landmark number, `NEW` or `DISCARD`, shown as number, NEW or `-`.
-        created: (m,) number of the landmark an observation founded, -1 for none.
+        created: (m,) number of the landmark an observation initialized, -1 for none.
     """
     m = len(decisions)
     rows: list[tuple[str, list[str]]] = [("observation", [str(i) for i in range(m)])]
@@ -134,8 +134,8 @@ def _agreement(truth_row: TruthRow) -> list[str]:
         return ["ground truth and hypothesis agree"]
     which = ", ".join(f"{i} ({OUTCOMES[truth_row.outcome[i]].upper()})" for i in wrong)
     m = len(truth_row.outcome)
-    told = f"ground truth and hypothesis disagree in {len(wrong)} of {m} observation{'s' * (m != 1)}: {which}"
-    return fill(told, WIDTH, subsequent_indent="  ").split("\n")
+    text = f"ground truth and hypothesis disagree in {len(wrong)} of {m} observation{'s' * (m != 1)}: {which}"
+    return fill(text, WIDTH, subsequent_indent="  ").split("\n")
 
 
 def totals(confusion: Confusion, steps: int) -> str:
@@ -175,8 +175,8 @@ def closing(log: Log, run: Run, phase: str = "online") -> str:
     lines = []
     if run.failure is not None:
         f = run.failure
-        told = f"{f.status} at frame {f.frame}: {f.why}; all observations from there on count as discarded"
-        lines.append(fill(told, WIDTH, subsequent_indent="  "))
+        text = f"{f.status} at frame {f.frame}: {f.why}; all observations from there on count as discarded"
+        lines.append(fill(text, WIDTH, subsequent_indent="  "))
     steps = int(np.count_nonzero(np.diff(log.recorded.start)))
     lines.append(f"whole run: {UNKNOWN}" if confusion is None else totals(confusion, steps))
     return "\n".join(lines)

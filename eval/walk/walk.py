@@ -41,7 +41,7 @@ class Walk:
         self.path: list[Any] = []
         self.digits = max(3, len(str(len(log.recorded) - 1)))
         self.kind = f"{STYLES[estimator].label} {'SLAM' if task == 'slam' else task}"
-        self.told = False
+        self.printed = False
 
     def pause(self, stage: str) -> None:
         """Wait for Enter, if anybody is there."""
@@ -73,7 +73,7 @@ class Walk:
 
     def moved(self, front: FrontEnd) -> None:
         """Move and observe."""
-        self.k, self.told = front.k, False
+        self.k, self.printed = front.k, False
         r = self.log.recorded
         self.rows = slice(int(r.start[self.k]), int(r.start[self.k + 1]))
         if self.log.truth.known_poses:
@@ -104,7 +104,7 @@ class Walk:
             self.pause("compatibility")
             if problem is not None:
                 self.show("matching", lambda fig: paint_matching(fig, problem))
-            self._tell(front)
+            self._print_step(front)
             self.pause("matching")
 
     def _problem(self, front: FrontEnd, e: Expectation, decisions: IntArray) -> Matching:
@@ -135,11 +135,11 @@ class Walk:
         """Frames after which landmarks left the map, so far."""
         return None if front.upkeep is None else front.upkeep.removal_frames(int(self.created.max(initial=-1)) + 1)
 
-    def _tell(self, front: FrontEnd) -> None:
+    def _print_step(self, front: FrontEnd) -> None:
         """The text of the step; new landmarks get the next numbers."""
-        if self.told:
+        if self.printed:
             return
-        self.told = True
+        self.printed = True
         decisions = self.decisions[self.rows]
         new = decisions == NEW
         created = np.where(new, self.created.max(initial=-1) + np.cumsum(new), -1)
@@ -149,7 +149,7 @@ class Walk:
     def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
         """Update, and the end of the step."""
         if self.rows.stop > self.rows.start:
-            self._tell(front)
+            self._print_step(front)
         self.decisions[self.rows], self.created[self.rows] = decisions[self.rows], created[self.rows]
         self.path.append(front.estimator.estimate().mean[:2])
         self._map(front, "estimate", keep=True)
@@ -158,8 +158,8 @@ class Walk:
             used, new = int((d >= 0).sum()), int((created[self.rows] >= 0).sum())
             gone = [] if front.upkeep is None else sorted(n for n, k in front.upkeep.removed.items() if k == self.k)
             lost = f"; removed from the map: {', '.join(map(str, gone))}" if gone else ""
-            told = f"{used} used, {new} new, {len(d) - used - new} left out"
-            self.say("update", f"{told}; {pose_text(*front.estimator.estimate())}{lost}")
+            counts = f"{used} used, {new} new, {len(d) - used - new} left out"
+            self.say("update", f"{counts}; {pose_text(*front.estimator.estimate())}{lost}")
             self.pause("update")
 
     def _map(self, front: FrontEnd, what: str, *, keep: bool) -> None:

@@ -41,7 +41,7 @@ TP 4   TN 1   FP 1   FN 1"""
 
 
 def seven() -> tuple[np.ndarray, ...]:
-    """Frame 0 founds landmarks 0 to 6 of the true ids 10 to 16; frame 1 is the one that is told."""
+    """Frame 0 initializes landmarks 0 to 6 of the true ids 10 to 16; frame 1 is the one that is shown."""
     frame = np.repeat([0, 1], 7)
     true_id = np.array([10, 11, 12, 13, 14, 15, 16, 10, 11, 12, 13, 20, 14, 16])
     decisions = np.array([NEW] * 7 + [0, 1, 2, 3, NEW, 5, NEW])

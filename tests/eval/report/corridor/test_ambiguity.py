@@ -79,7 +79,7 @@ def test_a_log_with_a_prior_is_one_without_odometry_and_joins_the_lab_of_its_see
 
 
 def told(*trials):
-    return {s.heading: s.content for s in lab_sections(trials, score(trials))}
+    return {s.heading: s.blocks for s in lab_sections(trials, score(trials))}
 
 
 def test_the_report_shows_both_peaks_and_what_the_prior_makes_of_them():

@@ -1,4 +1,4 @@
-"""What the figures of a step have in common: ellipses, the robot, numbers, the robot frame."""
+"""Marks that the figures of a step share: ellipses, the robot, numbers; and measurements as points in its frame."""
 
 from __future__ import annotations
 
