@@ -14,8 +14,9 @@ from data.inputs import IntArray
 from data.log import Log
 from data.result import NEW, Run
 from data.se2 import Array, transform_points
-from eval.figures.map import SIGMAS, View, along_path, ellipses, enlargement, longest_axis, true_landmarks, view_of
+from eval.figures.ellipses import SIGMAS, along_path, ellipses, longest_axis
 from eval.figures.style import Series, series, style_of
+from eval.figures.view import View, enlargement, true_landmarks, view_of
 
 LONGER_SIDE = 960
 """px of the picture's longer side; the scene decides the shorter one."""

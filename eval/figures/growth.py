@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 
 from data.log import Log
 from data.result import Run
+from eval.figures.ellipses import SIGMAS, longest_axis
 from eval.figures.error import longest_sigma, ticks, time_label
-from eval.figures.map import SIGMAS, longest_axis
 from eval.figures.style import DASHED, DOTTED, DOUBLE, SOLID, Line, colour_of_method, drawing, style_of
 from eval.referee.score import Trial
 

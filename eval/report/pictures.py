@@ -12,9 +12,9 @@ from data.log import Log, folder_name
 from data.result import Run
 from eval import figures
 from eval.figures.association import bars
+from eval.figures.ellipses import SIGMAS, longest_axis
 from eval.figures.error import longest_sigma
 from eval.figures.growth import closing_frame, state_is_informative
-from eval.figures.map import SIGMAS, longest_axis
 from eval.figures.style import save
 from eval.page.document import Picture
 from eval.page.numbers import number
