@@ -87,6 +87,9 @@ class Filter:
         self._version += 1
         kernels.predict(self._mean, self._P, self._used, increment.mean, increment.covariance, self._first)
 
+    def stamp(self, time: float) -> None:
+        """The present frame's time, which a filter need not know."""
+
     def lose(self, covariance: Array) -> None:
         """The last motion is not to be believed: so much covariance (3, 3), world frame, is added to the pose's."""
         self._version += 1

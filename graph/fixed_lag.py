@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterable
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
-from data.inputs import IntArray, LandmarkMap, Prior, Sightings
+from data.inputs import Increment, IntArray, LandmarkMap, Prior, Sightings
 from data.result import Finished, Trajectory
 from data.se2 import Array
 from data.sensors import Sensor
@@ -30,7 +31,8 @@ class FixedLagSmoother(Isam2Smoother):
     their numbers keep their meaning, and loops are closed over any time. The price is that of a filter: this factor
     ties all landmarks together, and those it touches are never linearized anew.
 
-    The frames' times come with the inputs (a log without stamps counts frames), `lag` is in the same unit.
+    Every frame is stamped with its time (`stamp`; a frame that is not comes 1 after the one before), `lag` is in the
+    same unit.
     """
 
     def __init__(
@@ -39,7 +41,6 @@ class FixedLagSmoother(Isam2Smoother):
         sensor: Sensor,
         known: LandmarkMap | None = None,
         *,
-        time: Array,
         lag: float,
         slack: float = SLACK,
         threshold: float = THRESHOLD,
@@ -47,26 +48,37 @@ class FixedLagSmoother(Isam2Smoother):
     ) -> None:
         """Start at the prior; with a map localize in it, without do SLAM.
 
-        `time` (N,), increasing, of all frames to come. A pose stays for at least `lag` >= 0 after its own time, and at
-        most for (1 + `slack`) times that, at the next sighting: a slack of 0 marginalizes frame by frame, which takes
-        half as long again on Victoria Park with a lag of 30 frames, three times as long with 100.
+        A pose stays for at least `lag` >= 0 after its own time, and at most for (1 + `slack`) times that, at the next
+        sighting: a slack of 0 marginalizes frame by frame, which takes half as long again on Victoria Park with a lag
+        of 30 frames, three times as long with 100.
         """
         if not lag >= 0.0 or not slack >= 0.0:
             raise ValueError(f"lag {lag} and slack {slack} must not be negative")
         super().__init__(prior, sensor, known, threshold=threshold, skip=skip)
-        self.time, self.lag, self.slack = time, lag, slack
+        self.time, self.lag, self.slack = [0.0], lag, slack
         self._window = Window(threshold, skip, qr=self._engine.qr, name=self._name)
         self._engine = self._window
         # first frame, and first copy of a known landmark, that are still in the window
         self._oldest, self._first_copy = 0, 0
         self._left: list[tuple[Array, Array]] = []
 
+    def predict(self, increment: Increment) -> None:
+        """Move by an increment; the graph grows only when something is seen."""
+        super().predict(increment)
+        self.time.append(self.time[-1] + 1.0)
+
+    def stamp(self, time: float) -> None:
+        """The present frame's time. Raises ValueError for one that is not after the frame before."""
+        if len(self.time) > 1 and not time > self.time[-2]:
+            raise ValueError(f"frame {self.frame} at {time} is not after the one before, at {self.time[-2]}")
+        self.time[-1] = time
+
     def _extend(self, sightings: Sightings, number: IntArray) -> None:
         """Add the motion since the anchor and these sightings, then let go of what is too old."""
         super()._extend(sightings, number)
         now = self.time[self.frame]
         if now - self.time[self._oldest] > (1.0 + self.slack) * self.lag:
-            self._forget(int(np.searchsorted(self.time, now - self.lag)))
+            self._forget(bisect_left(self.time, now - self.lag))
 
     def _forget(self, oldest: int) -> None:
         """Marginalize the poses of all frames before `oldest`, with the copies of landmarks seen from them."""

@@ -85,6 +85,9 @@ class Isam2Smoother:
         self._drift.move(increment)
         self._advance(increment)
 
+    def stamp(self, time: float) -> None:
+        """The present frame's time, which makes no difference to a smoother that keeps all poses."""
+
     def _advance(self, increment: Increment) -> None:
         """The newest pose and its covariance by one increment (the same arithmetic as a filter's prediction)."""
         self._mean, self._P, self._Q = advance(self._mean, self._P, self._Q, increment.mean, increment.covariance)

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from data.convert.visual import LAB, VISUAL, add_kinds, read_lab, write_visual
 from data.errors import SlamrefError, UsageError
-from data.worlds.flags import SIMULATED, SIMULATORS, add_flags, number, simulated
+from data.worlds.flags import add_flags, number, simulated
+from data.worlds.registry import SIMULATORS
 
 if TYPE_CHECKING:
     from data.log import Log
@@ -61,6 +62,9 @@ CALIBRATION = {
 """Fields of `data.mrclam.calibration.Calibration` that have a flag: metavar (none for a switch) and help."""
 
 
+SIMULATED = tuple(kind for kind in SIMULATORS if kind != VISUAL)
+
+
 class _Parser(argparse.ArgumentParser):
     """Says what is wrong in one line; flags are written out."""
 
@@ -91,8 +95,9 @@ def parser(*, simulators: bool = True) -> argparse.ArgumentParser:
         epilog="example:\n  python -m data.convert victoria-park logs/victoria",
     )
     park.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
-    for kind, (text, description, example) in SIMULATED.items():
-        sub = kinds.add_parser(kind, help=text, description=description, epilog=example)
+    for kind in SIMULATED:
+        w = SIMULATORS[kind]
+        sub = kinds.add_parser(kind, help=w.help, description=w.description, epilog=w.examples)
         if simulators:
             add_flags(sub, kind)
     add_kinds(kinds.add_parser, parameters=simulators)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
@@ -30,6 +29,7 @@ from data.open_log.reader import (
     load_folder,
 )
 from data.truth import UNKNOWN_ID
+from data.whole import whole_folder
 
 
 def write_folder(log: Log, path: str | PathLike[str]) -> None:
@@ -44,18 +44,11 @@ def write_folder(log: Log, path: str | PathLike[str]) -> None:
     """
     target = Path(os.path.abspath(path))
     _require_replaceable(target)
-    staging = target.with_name(f".{target.name}.{os.getpid()}.partial")
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.rmtree(staging, ignore_errors=True)
-        staging.mkdir()
-        try:
+        with whole_folder(target) as partial:
             for name, text in _files(log, target.name).items():
-                (staging / name).write_text(text, encoding="utf-8", newline="")
-            load_folder(staging)
-            _move(staging, target)
-        finally:
-            shutil.rmtree(staging, ignore_errors=True)
+                (partial / name).write_text(text, encoding="utf-8", newline="")
+            load_folder(partial)
     except OSError as error:
         raise DataError.at(target, f"cannot be written: {error.strerror}") from error
 
@@ -72,22 +65,6 @@ def _require_replaceable(target: Path) -> None:
     other = [name for name in inside if name not in FILES]
     if other:
         raise DataError.at(target, f"holds {other[0]!r}, which is not part of a log; choose another name or move it")
-
-
-def _move(staging: Path, target: Path) -> None:
-    """Put the finished folder in place; the old one comes back if that fails."""
-    if not target.exists():
-        staging.rename(target)
-        return
-    old = target.with_name(f".{target.name}.{os.getpid()}.old")
-    shutil.rmtree(old, ignore_errors=True)
-    target.rename(old)
-    try:
-        staging.rename(target)
-    except BaseException:
-        old.rename(target)
-        raise
-    shutil.rmtree(old, ignore_errors=True)
 
 
 def _files(log: Log, name: str) -> dict[str, str]:

@@ -8,12 +8,13 @@ import numpy as np
 
 from association.expectation import Expectation
 from data.errors import UsageError
-from data.inputs import Increment, Inputs, IntArray, Sightings
+from data.inputs import Increment, IntArray, Sightings
 from data.result import Finished, PoseEstimate, Updated
 from data.se2 import Array
 from ekf.filter import DEFAULT, FilterOptions
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
+from eval.replay.given import Given
 from eval.replay.settings import Setup
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
@@ -32,6 +33,10 @@ class Estimator(Protocol):
 
     def predict(self, increment: Increment) -> None:
         """Move by an increment."""
+        ...
+
+    def stamp(self, time: float) -> None:
+        """The present frame's time [s]: only what keeps poses for a span of time needs to know."""
         ...
 
     def expect(self, sightings: Sightings) -> Expectation:
@@ -66,19 +71,20 @@ class Estimator(Protocol):
 
 
 def make_estimator(
-    name: str, inputs: Inputs, options: FilterOptions | None = None, *, lag: float = Setup.lag
+    name: str, given: Given, options: FilterOptions | None = None, *, lag: float = Setup.lag
 ) -> Estimator:
-    """A fresh step-by-step estimator for these inputs: with a map it localizes, without it does SLAM.
+    """A fresh step-by-step estimator: with a map it localizes, without it does SLAM. `given` may be whole `Inputs`.
 
-    `options` stand in for those that go with the name of a filter; `lag` is that of `fixed-lag`.
+    `options` stand in for those that go with the name of a filter; `lag` [s] is that of `fixed-lag`, which counts
+    frames as long as no frame is stamped with its time.
     """
     if name in FILTERS:
         options = options or FILTERS[name]
-        if inputs.map is not None:
-            return EkfLocalizer(inputs.prior, inputs.sensor, inputs.map, options)
-        return EkfSlam(inputs.prior, inputs.sensor, options)
+        if given.map is not None:
+            return EkfLocalizer(given.prior, given.sensor, given.map, options)
+        return EkfSlam(given.prior, given.sensor, options)
     if name == "isam2":
-        return Isam2Smoother(inputs.prior, inputs.sensor, inputs.map)
+        return Isam2Smoother(given.prior, given.sensor, given.map)
     if name == "fixed-lag":
-        return FixedLagSmoother(inputs.prior, inputs.sensor, inputs.map, time=inputs.time, lag=lag)
+        return FixedLagSmoother(given.prior, given.sensor, given.map, lag=lag)
     raise UsageError(f"{name!r} does not work step by step; {', '.join(FILTERS)}, isam2 and fixed-lag do")

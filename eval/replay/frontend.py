@@ -12,13 +12,14 @@ from association.candidates import Drift, in_view, may_be_in_view
 from association.decide import Decided, decide
 from association.expectation import Expectation, gate_threshold
 from association.jcbb import BUDGET
-from association.known import known_decisions, pair_by_label
-from data.inputs import Inputs, IntArray, LabelledObservations, Sightings
-from data.result import Event, MapState, Updated
+from association.known import pair_by_label
+from data.inputs import Frame, IntArray, Sightings
+from data.result import DISCARD, Event, MapState, Updated
 from data.se2 import Array
 from ekf.filter import Filter, FilterOptions
 from ekf.slam import EkfSlam
 from eval.replay.estimators import FILTERS, make_estimator
+from eval.replay.given import Beginning, Given
 from eval.replay.map_management import Upkeep
 from eval.replay.settings import Setup
 from graph.incremental import Isam2Smoother
@@ -31,8 +32,8 @@ class Watch(Protocol):
         """A frame begins; its observations were not looked at yet."""
         ...
 
-    def decided(self, front: FrontEnd, rows: slice, expectation: Expectation | None, decisions: IntArray) -> None:
-        """Observations `rows` of the log were decided about, and not used yet; `known` needs no expectation."""
+    def decided(self, front: FrontEnd, frame: Frame, expectation: Expectation | None, decisions: IntArray) -> None:
+        """The observations of (a part of) the frame were decided about, not used yet; `known` needs no expectation."""
         ...
 
     def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
@@ -43,51 +44,44 @@ class Watch(Protocol):
 class FrontEnd:
     """The verbs of a frame, in this order: move, (look at the expectation, decide,) update.
 
-    `k` is the frame; `association` is `known` (labels granted by the inputs decide) or a method's name.
+    `k` is the frame; `association` is `known` (labels that come with the frames decide) or a method's name.
     """
 
     def __init__(
-        self, estimator: str, association: str, inputs: Inputs, setup: Setup, options: FilterOptions | None = None
+        self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
     ) -> None:
         """Before the first frame."""
-        self.inputs, self.setup, self.association = inputs, setup, association
-        self.estimator = make_estimator(estimator, inputs, options, lag=setup.lag)
-        self.slam = inputs.map is None
+        self.given, self.setup, self.association = Beginning(given.prior, given.sensor, given.map), setup, association
+        self.estimator = make_estimator(estimator, given, options, lag=setup.lag)
+        self.slam = given.map is None
         kept = setup if self._filter is not None else replace(setup, forget_after=None, deactivate_after=None)
-        self.upkeep = Upkeep(kept, inputs.time) if self.slam and kept.upkeep else None
+        self.upkeep = Upkeep(kept) if self.slam and kept.upkeep else None
         self.k = -1
         self.incomplete, self.reactivated = 0, 0
         self._drift = Drift()
         self.largest = 0
         gated = association == "known" and (setup.gate_smoothers or estimator in FILTERS)
         self._threshold = gate_threshold(setup.gate_known) if gated else math.inf
-        self._label: IntArray | None = None
-        self._planned: IntArray | None = None
         self._held: dict[int, int] = {}
         self._label_of: dict[int, int] = {}
-        if association == "known":
-            o = inputs.observations
-            if not isinstance(o, LabelledObservations):
-                raise ValueError("known association was not granted to these inputs")
-            self._label = o.label
-            if not self.slam:
-                self._planned = known_decisions(inputs)[0]
 
     @property
     def _filter(self) -> EkfSlam | None:
         return self.estimator if isinstance(self.estimator, EkfSlam) else None
 
-    def move(self) -> None:
-        """The next frame; the first one has no motion."""
-        self.k += 1
-        if self.k > 0:
-            increment = self.inputs.increment(self.k)
-            self.estimator.predict(increment)
-            self._drift.move(increment)
+    def move(self, frame: Frame) -> None:
+        """The next frame comes; the first one has no motion."""
+        self.k = frame.number
+        if frame.increment is not None:
+            self.estimator.predict(frame.increment)
+            self._drift.move(frame.increment)
+        self.estimator.stamp(frame.time)
+        if self.upkeep is not None:
+            self.upkeep.begin(frame.number, frame.time)
 
     def expect(self, sightings: Sightings) -> Expectation:
         """What the estimator expects of its candidates: parked landmarks that may be in view are taken back first."""
-        slam, sensor = self._filter, self.inputs.sensor
+        slam, sensor = self._filter, self.given.sensor
         pose, covariance = self.estimator.estimate()
         if slam is not None and self.upkeep is not None and len(slam.parked):
             bounds = self._drift.sigmas(slam.parked, covariance)
@@ -102,7 +96,7 @@ class FrontEnd:
         slam = self._filter
         if slam is not None and self.upkeep is not None and len(numbers):
             slam.restore(numbers)
-            self.upkeep.wake(self.k, numbers)
+            self.upkeep.wake(numbers)
             self.reactivated += len(numbers)
 
     def decide(self, expectation: Expectation, method: str | None = None) -> Decided:
@@ -110,54 +104,53 @@ class FrontEnd:
         s = self.setup
         return decide(method or self.association, expectation, s.gate, s.new_gate, known_map=not self.slam)
 
-    def pair_known(self, rows: slice) -> IntArray:
-        """Decisions by label for some observations of this frame."""
-        if self._planned is not None:
-            return self._planned[rows]
-        assert self._label is not None
-        return pair_by_label(self._label[rows], self._held)
+    def pair_known(self, frame: Frame) -> IntArray:
+        """Decisions by label for observations of this frame. Raises ValueError where labels were not granted."""
+        if frame.label is None:
+            raise ValueError("known association was not granted to these inputs")
+        if self.given.map is not None:
+            return np.where(np.isin(frame.label, self.given.map.id), frame.label, DISCARD)
+        return pair_by_label(frame.label, self._held)
 
-    def associate(self, rows: slice, watch: Watch | None = None) -> tuple[IntArray, Updated]:
-        """Decide about observations of this frame and use them; returns decisions (m,) and what was done."""
-        o = self.inputs.observations
-        sightings = Sightings(o.z[rows], o.R[rows])
+    def associate(self, frame: Frame, watch: Watch | None = None) -> tuple[IntArray, Updated]:
+        """Decide about (a part of) this frame's observations, use them; returns decisions (m,) and what was done."""
         expectation = None
         if self.association == "known":
-            decisions = self.pair_known(rows)
+            decisions = self.pair_known(frame)
         else:
-            expectation = self.expect(sightings)
+            expectation = self.expect(frame.sightings)
             decisions, complete = self.decide(expectation)
             self.incomplete += not complete
         if watch is not None:
-            watch.decided(self, rows, expectation, decisions)
+            watch.decided(self, frame, expectation, decisions)
         # an estimator that forms no innovations of its own: before the update, as an expectation ends with it
         own = None
         if expectation is not None and not isinstance(self.estimator, Filter):
             own = _statistics(expectation, decisions)
-        done = self.update(sightings, decisions, rows)
+        done = self.update(frame, decisions)
         if own is not None:
             done = done._replace(nis=own[0], dof=own[1], log_likelihood=own[2])
         return decisions, done
 
-    def update(self, sightings: Sightings, decisions: IntArray, rows: slice, at: Array | None = None) -> Updated:
-        """Use the decisions about the observations `rows` of the log; `at`: where the frame was placed, if it was."""
-        slam = self._filter
+    def update(self, frame: Frame, decisions: IntArray, at: Array | None = None) -> Updated:
+        """Use the decisions (m,) about the frame's observations; `at` (3,): where the frame was placed, if it was."""
+        slam, sightings = self._filter, frame.sightings
         if slam is not None and len(slam.parked):
             self.wake(np.intersect1d(decisions, slam.parked))
         done = self.estimator.update(sightings, decisions, threshold=self._threshold, at=at)
         if self.slam:
             founded = np.flatnonzero(done.created >= 0)
-            if self._label is not None:
+            if self.association == "known" and frame.label is not None:
                 for i in founded:
-                    label, number = int(self._label[rows][i]), int(done.created[i])
+                    label, number = int(frame.label[i]), int(done.created[i])
                     self._held[label], self._label_of[number] = number, label
             if self.upkeep is not None:
                 numbers = np.where(done.used, decisions, done.created)
                 seen = np.flatnonzero(numbers >= 0)
-                self.upkeep.see(self.k, numbers[seen])
+                self.upkeep.see(numbers[seen])
                 if slam is not None and self.setup.deactivate_after is not None:
                     taken = Sightings(sightings.z[seen], sightings.R[seen])
-                    self._drift.see(self.inputs.sensor, taken, numbers[seen], slam.estimate().covariance)
+                    self._drift.see(self.given.sensor, taken, numbers[seen], slam.estimate().covariance)
         return done
 
     def tidy(self) -> None:
@@ -167,7 +160,7 @@ class FrontEnd:
             self.largest = max(self.largest, slam.size)
         if self.upkeep is None:
             return
-        leaving = self.upkeep.leaving(self.k)
+        leaving = self.upkeep.leaving()
         gone = np.concatenate([leaving.retracted, leaving.forgotten])
         if len(gone):
             self.leave(gone)
@@ -189,8 +182,8 @@ class FrontEnd:
 
     def landmarks(self) -> MapState:
         """The map as it is now, parked landmarks included; a given one has no covariance."""
-        if self.inputs.map is not None:
-            known = self.inputs.map
+        if self.given.map is not None:
+            known = self.given.map
             return MapState(known.id, known.xy, np.zeros((len(known.id), 2, 2)))
         if isinstance(self.estimator, Isam2Smoother):
             return self.estimator.landmarks()

@@ -12,13 +12,14 @@ from threadpoolctl import threadpool_limits
 from association.decide import HINDSIGHT
 from association.expectation import SingularInnovationError, gate_threshold
 from association.known import known_decisions
-from data.inputs import Inputs
+from data.inputs import Frame, Inputs
 from data.result import DISCARD, Failure, Finished, Innovations, Run, Trajectory, founders, map_estimate, revised
 from ekf.filter import FilterDivergedError, FilterOptions
 from ekf.whole_run import FilterRun, run_filter
 from eval.replay.batch import BATCH, batch
 from eval.replay.estimators import FILTERS
 from eval.replay.frontend import FrontEnd, Watch
+from eval.replay.given import Given
 from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.hindsight.mapping_frontend import MappingFrontEnd
 from eval.replay.settings import Setup
@@ -96,11 +97,13 @@ def step_by_step(
     front = front_end(name, association, inputs, setup, options)
     try:
         for k in range(n):
-            front.move()
+            frame = inputs.frame(k)
+            front.move(frame)
             if watch is not None:
                 watch.moved(front)
-            for rows in _portions(inputs, k, options is not None and options.each):
-                decided, done = front.associate(rows, watch)
+            for part in _portions(frame, options is not None and options.each):
+                rows = slice(part.first, part.first + len(part.sightings.z))
+                decided, done = front.associate(part, watch)
                 created[rows] = done.created
                 decisions[rows] = np.where((decided >= 0) & ~done.used, DISCARD, decided)
                 if done.white is not None:
@@ -146,21 +149,21 @@ def step_by_step(
 
 
 def front_end(
-    name: str, association: str, inputs: Inputs, setup: Setup, options: FilterOptions | None = None
+    name: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
 ) -> FrontEnd:
     """What decides and updates frame by frame, before the first frame."""
     kind = FrontEnd
     if association == HINDSIGHT:
-        kind = MappingFrontEnd if inputs.map is None else LocalizingFrontEnd
-    return kind(name, association, inputs, setup, options)
+        kind = MappingFrontEnd if given.map is None else LocalizingFrontEnd
+    return kind(name, association, given, setup, options)
 
 
-def _portions(inputs: Inputs, frame: int, each: bool) -> list[slice]:
-    """The rows of a frame's observations: together, or one by one."""
-    begin, end = int(inputs.start[frame]), int(inputs.start[frame + 1])
+def _portions(frame: Frame, each: bool) -> list[Frame]:
+    """A frame's observations: together, or one by one."""
+    count = len(frame.sightings.z)
     if each:
-        return [slice(i, i + 1) for i in range(begin, end)]
-    return [slice(begin, end)] if end > begin else []
+        return [frame.part(slice(i, i + 1)) for i in range(count)]
+    return [frame] if count else []
 
 
 def compare(

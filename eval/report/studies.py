@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -98,7 +99,9 @@ def _diverged(study: Study) -> str:
         return "Every run of every estimator got to its end."
     notes = []
     for (task, estimator, association, _), seed, why in lost:
-        asked = f"--scenario {study.scenario.source} --estimator {estimator} --seed {seed} --runs 1"
+        asked = shlex.join(
+            ["--scenario", study.scenario.source, "--estimator", estimator, "--seed", str(seed), "--runs", "1"]
+        )
         notes.append(f"* seed {seed}: `{estimator}` ({task}, {association}), {why}: `python -m eval.run_all {asked}`")
     return f"{len(lost)} runs diverged; they are in no average:\n\n" + "\n".join(dict.fromkeys(notes))
 

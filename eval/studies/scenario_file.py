@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from data.errors import UsageError
+from data.worlds.registry import SIMULATORS, parameters_of
+from eval.replay.flag import read_values, rows
 from eval.replay.names import ASSOCIATIONS, ESTIMATORS, TASKS
-from eval.replay.settings import Setup
+from eval.replay.settings import Setup, check_gates
 from eval.studies.published import PUBLISHABLE, Ordering, Published, Row
-from eval.studies.scenario import RECORDED, WORLDS, Member, Scenario
+from eval.studies.scenario import RECORDED, Member, Scenario
 from eval.studies.shipped import SCENARIOS, scenarios
 
 CONSISTENT = "consistent"
@@ -77,8 +79,8 @@ def _scenario(content: dict[str, Any], source: str, stem: str) -> Scenario:
     task = _names(content.get("task", ["slam"]), "task", TASKS)
     world = dict(_of(content["world"], dict, "world"))
     kind = world.pop("kind", None)
-    if kind not in (*WORLDS, RECORDED):
-        raise UsageError(f"world: kind = {kind!r} is unknown; known: {', '.join((*WORLDS, RECORDED))}")
+    if kind not in (*SIMULATORS, RECORDED):
+        raise UsageError(f"world: kind = {kind!r} is unknown; known: {', '.join((*SIMULATORS, RECORDED))}")
     members = tuple(
         _member(n, table, task, kind) for n, table in _of(content["estimators"], dict, "estimators").items()
     )
@@ -116,7 +118,7 @@ def _parameters(table: dict[str, Any], kind: str, where: str) -> tuple[tuple[str
     """Parameters of a world, checked against the types of its fields; angles that are kept in degrees are converted."""
     if kind == RECORDED:
         return tuple(_known(table, where, ("sha256", "speed_noise")).items())
-    known = {f.name: f for f in fields(WORLDS[kind][0])}
+    known = {f.name: f for f in fields(parameters_of(kind))}
     _known(table, where, tuple(known))
     result = []
     for key, value in table.items():
@@ -146,16 +148,10 @@ def _member(name: str, table: object, task: tuple[str, ...], kind: str) -> Membe
 
 
 def _setup(table: object) -> Setup:
-    known = {f.name: f for f in fields(Setup)}
-    given = _known(table, "setup", tuple(known))
-    values: dict[str, Any] = {}
-    for key, value in given.items():
-        like = type(known[key].default)
-        if value == "none":
-            values[key] = None
-        else:
-            values[key] = _of(value, bool if like is bool else (int, float), f"setup: {key}")
-    return Setup(**values)
+    given = _known(table, "setup", tuple(rows(Setup)))
+    setup = Setup(**read_values(Setup, given, lambda row: f"setup: {row.name} ="))
+    check_gates(setup.gate, setup.new_gate, ("gate =", "setup: new_gate ="))
+    return setup
 
 
 def _published(table: object, members: tuple[Member, ...]) -> Published:

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from data.errors import UsageError
+from data.whole import whole_file
 from eval.figures.style import drawing
 
 DPI = 110
@@ -79,14 +80,11 @@ class Album:
         """A whole file, or none."""
         if self.folder is None:
             return
-        partial = self.folder / f".{name}.partial-{os.getpid()}"
         try:
-            partial.write_bytes(data)
-            partial.replace(self.folder / name)
+            with whole_file(self.folder / name) as partial:
+                partial.write_bytes(data)
         except OSError as fault:
             raise UsageError(f"--save {self.folder}: {name} cannot be written: {fault.strerror}") from fault
-        finally:
-            partial.unlink(missing_ok=True)
 
 
 def _png(figure: Figure) -> bytes:

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from association.expectation import Expectation, SingularInnovationError
-from data.inputs import IntArray
+from data.inputs import Frame, IntArray
 from data.log import Log
 from data.result import DISCARD, NEW, Run
 from data.truth import CLUTTER
@@ -90,12 +90,12 @@ class Walk:
             self.show("observations", lambda fig: paint_observations(fig, r.sensor, *seen, self.title))
             self.pause("observe")
 
-    def decided(self, front: FrontEnd, rows: slice, expectation: Expectation | None, decisions: IntArray) -> None:
+    def decided(self, front: FrontEnd, frame: Frame, expectation: Expectation | None, decisions: IntArray) -> None:
         """Compatibility and matching, once there is a map."""
-        self.decisions[rows] = decisions
+        self.decisions[frame.first : frame.first + len(decisions)] = decisions
         wanted = self.album.wanted or self.pausing
         if expectation is None and wanted:
-            expectation = front.expect(self.log.recorded.sightings(self.k))
+            expectation = front.expect(frame.sightings)
         if expectation is not None and len(expectation.number) and wanted:
             self.say("compatibility", compatibility_text(expectation, front.setup.gate))
             problem = self._problem(front, expectation, decisions) if self.album.wanted else None

@@ -20,10 +20,11 @@ def localize(log):
     front = LocalizingFrontEnd("ekf", "jcbb-hindsight", inputs, Setup())
     pose, decisions = np.empty((len(inputs), 3)), np.full(len(labels), -2)
     for k in range(len(inputs)):
-        front.move()
-        rows = slice(int(inputs.start[k]), int(inputs.start[k + 1]))
-        if rows.stop > rows.start:
-            decisions[rows] = front.associate(rows)[0]
+        frame = inputs.frame(k)
+        front.move(frame)
+        if len(frame.sightings.z):
+            decided, _ = front.associate(frame)
+            decisions[frame.first : frame.first + len(decided)] = decided
         front.tidy()
         pose[k] = front.estimator.estimate().mean
     front.close()

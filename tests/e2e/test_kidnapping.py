@@ -49,11 +49,11 @@ def replay(inputs, estimator="ekf"):
     pose, covariance = np.empty((len(inputs), 3)), np.empty((len(inputs), 3, 3))
     decisions = np.full(len(inputs.observations.frame), -2)
     for k in range(len(inputs)):
-        front.move()
-        rows = slice(int(inputs.start[k]), int(inputs.start[k + 1]))
-        if rows.stop > rows.start:
-            decided, done = front.associate(rows)
-            decisions[rows] = np.where(done.used, decided, -2)
+        frame = inputs.frame(k)
+        front.move(frame)
+        if len(frame.sightings.z):
+            decided, done = front.associate(frame)
+            decisions[frame.first : frame.first + len(decided)] = np.where(done.used, decided, -2)
         front.tidy()
         pose[k], covariance[k] = front.estimator.estimate()
     front.close()
@@ -178,10 +178,10 @@ def mapped(seed, estimator="ekf", frames=60):
     inputs = inputs.without_map()
     front, off = MappingFrontEnd(estimator, "jcbb-hindsight", inputs, Setup()), []
     for k in range(len(inputs)):
-        front.move()
-        rows = slice(int(inputs.start[k]), int(inputs.start[k + 1]))
-        if rows.stop > rows.start:
-            front.associate(rows)
+        frame = inputs.frame(k)
+        front.move(frame)
+        if len(frame.sightings.z):
+            front.associate(frame)
         front.tidy()
         off.append(np.hypot(*(front.estimator.estimate().mean - truth[k])[:2]))
     front.close()
@@ -213,9 +213,9 @@ def test_mapping_undisturbed_raises_no_alarm():
         log = simulate(Arena(frames=60), seed)
         front = MappingFrontEnd("ekf", "jcbb-hindsight", log.inputs().without_map(), Setup())
         for k in range(60):
-            front.move()
-            rows = slice(int(front.inputs.start[k]), int(front.inputs.start[k + 1]))
-            if rows.stop > rows.start:
-                front.associate(rows)
+            frame = log.recorded.frame(k)
+            front.move(frame)
+            if len(frame.sightings.z):
+                front.associate(frame)
             front.tidy()
         assert front.mapper.whereabouts.alarms == []

@@ -15,11 +15,12 @@ from association.expectation import gate_threshold
 from association.geometry.local_map import EMPTY, Scan, extended, moved
 from association.geometry.relocalize import Place, relocalize
 from data.errors import UsageError
-from data.inputs import Increment, Inputs, IntArray, Sightings
+from data.inputs import Frame, IntArray
 from data.result import DISCARD, Event, PoseEstimate
 from data.se2 import pose_error
 from ekf.filter import FilterOptions
 from ekf.hypotheses import Choice, Hypotheses
+from eval.replay.given import Given
 
 BANK = FilterOptions(iterations=10)
 """Updates of the hypotheses: after a long way without sightings the first one is far from linear."""
@@ -35,67 +36,68 @@ class HindsightLocalizer:
     Attributes:
         alarms: frames in which the monitor first said that the robot is lost.
         found: frames in which it was found again by its surroundings alone.
-        online: (M,) decisions as they were made.
+        online: decisions as they were made, one for each observation so far.
         events: what was decided anew, in order.
     """
 
-    def __init__(self, inputs: Inputs, monitor: Monitor | None = None) -> None:
+    def __init__(self, given: Given, monitor: Monitor | None = None) -> None:
         """Before the first frame. Raises UsageError without a map."""
-        if inputs.map is None:
+        if given.map is None:
             raise UsageError("hypotheses of the pose alone need a known map")
-        self.inputs, self.map = inputs, inputs.map
-        self.bank = Hypotheses(inputs.prior, inputs.sensor, inputs.map, BANK)
+        self.sensor, self.map = given.sensor, given.map
+        self.bank = Hypotheses(given.prior, given.sensor, given.map, BANK)
         self.monitor = monitor or Monitor()
         self.health = healthy(self.monitor)
         self._scans = (EMPTY, EMPTY)
         """What was seen since each of the monitor's sums left zero: before that it may have been somewhere else."""
         self.alarms: list[int] = []
         self.found: list[int] = []
-        self.online = np.full(len(inputs.observations.frame), DISCARD, np.int64)
+        self.online: list[int] = []
         self.events: list[Event] = []
-        self._now = self.online.copy()
+        self._now: list[int] = []
         """Decisions as they look now."""
         self._anew = 0
         """Rows before this one are settled: a scan's place began a new past."""
-        self._k = -1
+        self._k, self._first = -1, 0
+        """The frame, and its first row."""
 
-    def move(self, increment: Increment | None) -> None:
-        """The next frame; the first one has no motion."""
-        self._k += 1
+    def move(self, frame: Frame) -> None:
+        """The next frame comes; the first one has no motion."""
+        self._k, self._first, increment = frame.number, frame.first, frame.increment
         if increment is not None:
             self.bank.predict(increment)
             self._scans = (moved(self._scans[0], increment), moved(self._scans[1], increment))
 
-    def decide(self, rows: slice) -> IntArray:
+    def decide(self, frame: Frame) -> IntArray:
         """Decisions (m,) about observations of this frame: landmark id, or `DISCARD` where they are to wait."""
-        o, past = self.inputs.observations, self.bank.members[0].past
-        standing = self.bank.observe(Sightings(o.z[rows], o.R[rows]), rows.start)
+        past = self.bank.members[0].past
+        standing = self.bank.observe(frame.sightings, frame.first)
         self._revise(past, self.bank.members[0].past)
         before, paired = self.health, int((standing.decisions >= 0).sum())
         self.health = watch(self.monitor, before, len(standing.decisions), paired, standing.nis, standing.dof)
         decisions = np.where(standing.sure >= MAYBE, standing.decisions, DISCARD)
         sums = self.health.unpaired, self.health.misfit
-        self._scans = (self._since(sums[0], self._scans[0], rows), self._since(sums[1], self._scans[1], rows))
+        self._scans = (self._since(sums[0], self._scans[0], frame), self._since(sums[1], self._scans[1], frame))
         if self.health.lost:
             if not before.lost:
                 self.alarms.append(self._k)
-            alone = self._since(math.inf, EMPTY, rows)
+            alone = self._since(math.inf, EMPTY, frame)
             tried = [scan for s, scan in zip(sums, self._scans, strict=True) if s >= self.monitor.threshold]
             for scan in [*tried, alone]:
                 place = relocalize(scan, self.map)
                 if place is not None:
-                    decisions = self._go_to(place, scan)[rows.start - rows.stop :]
+                    decisions = self._go_to(place, scan)[-len(decisions) :]
                     break
-        self.online[rows], self._now[rows] = decisions, decisions
+        self.online += decisions.tolist()
+        self._now += decisions.tolist()
         return decisions
 
-    def _since(self, score: float, scan: Scan, rows: slice) -> Scan:
+    def _since(self, score: float, scan: Scan, frame: Frame) -> Scan:
         """The scan with this frame's observations, or none while the score is zero."""
         if score <= 0.0:
             return EMPTY
-        o = self.inputs.observations
-        seen = Sightings(o.z[rows], o.R[rows])
-        return extended(scan, self.inputs.sensor, seen, np.arange(rows.start, rows.stop))
+        seen = frame.sightings
+        return extended(scan, self.sensor, seen, np.arange(frame.first, frame.first + len(seen.z)))
 
     def _go_to(self, place: Place, scan: Scan) -> IntArray:
         """Go on from where the scan was taken; decisions about its sightings, oldest first."""
@@ -122,15 +124,14 @@ class HindsightLocalizer:
             new, old = new.before, old.before
 
     def _change(self, row: int, number: int, why: str) -> None:
-        before = int(self._now[row])
-        if number != before and self.inputs.observations.frame[row] < self._k:
+        if row < self._first and number != (before := self._now[row]):
             self.events.append(Event(self._k, row, before, number, why))
             self._now[row] = number
 
     def close(self) -> None:
         """The end of the log: decisions that were put off become those of the leading hypothesis."""
         last = self.bank.decisions(len(self.online))
-        for row in np.flatnonzero(last != self._now).tolist():
+        for row in np.flatnonzero(last != np.array(self._now, np.int64)).tolist():
             if row >= self._anew or self._now[row] == DISCARD != last[row]:
                 self._change(row, int(last[row]), "put off until the end")
 

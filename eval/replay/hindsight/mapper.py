@@ -17,11 +17,12 @@ from association.decide import Decided
 from association.evidence.gates import scaled, widest
 from association.evidence.pairings import jcbb_hindsight, settled
 from association.expectation import Expectation, gate_threshold
-from data.inputs import Increment, Inputs, IntArray, LandmarkMap, Sightings
+from data.inputs import Frame, IntArray, LandmarkMap
 from data.result import DISCARD, Event
 from data.se2 import Array, BoolArray
 from data.sensors import RANGE_BEARING
 from ekf.calibrating import CalibratingSlam
+from eval.replay.given import Given
 from eval.replay.hindsight.duplicates import LONELY, constellation, single
 from eval.replay.hindsight.gates import LearnedGates
 from eval.replay.hindsight.kidnapping import Whereabouts, unknown
@@ -78,15 +79,15 @@ class HindsightMapper:
         joined: (frame, away, kept) of every landmark that turned out to be another one.
     """
 
-    def __init__(self, inputs: Inputs, setup: Setup) -> None:
+    def __init__(self, given: Given, setup: Setup) -> None:
         """Before the first frame."""
-        self.inputs, self.setup = inputs, setup
-        self.filter = CalibratingSlam(inputs.prior, inputs.sensor)
-        self.hindsight = Hindsight(inputs.sensor)
-        self.placing = Placing(inputs.sensor, setup, self.hindsight.rates)
-        self.whereabouts = Whereabouts(inputs.sensor)
+        self.sensor, self.setup = given.sensor, setup
+        self.filter = CalibratingSlam(given.prior, given.sensor)
+        self.hindsight = Hindsight(given.sensor)
+        self.placing = Placing(given.sensor, setup, self.hindsight.rates)
+        self.whereabouts = Whereabouts(given.sensor)
         self.joined: list[tuple[int, int, int]] = []
-        self.gates = LearnedGates(inputs.sensor)
+        self.gates = LearnedGates(given.sensor)
         self._parted, self._epoch = -math.inf, 0
         """Way and next landmark where the robot last could not tell which is which."""
         self._again: list[tuple[int, int]] = []
@@ -100,9 +101,9 @@ class HindsightMapper:
         """Landmarks that were seen in one frame with each: they cannot be the same."""
         self._waited, self._founded = 0, False
 
-    def move(self, increment: Increment | None) -> None:
-        """The next frame; the first one has no motion."""
-        self._k += 1
+    def move(self, frame: Frame) -> None:
+        """The next frame comes; the first one has no motion."""
+        self._k, increment = frame.number, frame.increment
         if increment is not None:
             self.filter.predict(increment)
             self.placing.move(increment)
@@ -113,12 +114,11 @@ class HindsightMapper:
     @property
     def _range(self) -> float:
         """The sensor's range, or the farthest that was seen."""
-        return min(self.inputs.sensor.max_range, self._reach)
+        return min(self.sensor.max_range, self._reach)
 
-    def decide(self, rows: slice) -> Mapped:
+    def decide(self, frame: Frame) -> Mapped:
         """Decisions about observations of this frame, used by the filter, too."""
-        o, sensor = self.inputs.observations, self.inputs.sensor
-        seen = Sightings(o.z[rows], o.R[rows])
+        seen, sensor = frame.sightings, self.sensor
         e = self.filter.expect(seen)
         e = e.only(np.flatnonzero(in_view(sensor, e.z_hat, e.HPHt)))
         placed = self.placing.find(e, self.filter.estimate().mean)
@@ -132,13 +132,13 @@ class HindsightMapper:
         at: Array | None = None if placed is None else placed.pose
         astray: Array | None = None
         if placed is None:
-            at, astray, decisions = self._astray(e, decisions, rows)
+            at, astray, decisions = self._astray(e, decisions, frame)
         done = self.filter.update(seen, decisions, at=at)
         pose = self.filter.estimate().mean
-        self.hindsight.see(rows.start, seen.z, done, pose)
+        self.hindsight.see(frame.first, seen.z, done, pose)
         self.placing.see(pose, bool(done.used.any()))
         self._note(np.where(done.created >= 0, done.created, decisions), bool((done.created >= 0).any()))
-        self._founder.update({rows.start + int(i): int(done.created[i]) for i in np.flatnonzero(done.created >= 0)})
+        self._founder.update({frame.first + int(i): int(done.created[i]) for i in np.flatnonzero(done.created >= 0)})
         self._reach = max(self._reach, float(sensor.polar(seen.z)[:, 0].max(initial=0.0)))
         return Mapped(decisions, complete, at, astray)
 
@@ -164,7 +164,7 @@ class HindsightMapper:
         stated = settled(e, decisions, self.setup.new_gate)
         return self.gates.judge(e, decisions, stated, self.filter.estimate().mean, self._range)
 
-    def _astray(self, e: Expectation, decisions: IntArray, rows: slice) -> tuple[Array | None, Array | None, IntArray]:
+    def _astray(self, e: Expectation, decisions: IntArray, frame: Frame) -> tuple[Array | None, Array | None, IntArray]:
         """Where the frame is after all, by its surroundings; what was unknown about its motion; its decisions."""
         w, astray = self.whereabouts, None
         sure = self.hindsight.certain()
@@ -178,20 +178,19 @@ class HindsightMapper:
         if not w.lost:
             return None, astray, decisions
         xy = self.filter.position(sure)[0].reshape(-1, 2)
-        o = self.inputs.observations
-        seen = Sightings(o.z[rows], o.R[rows])
-        found = w.search(self._k, seen, np.arange(rows.start, rows.stop), LandmarkMap(sure, xy))
+        seen, rows = frame.sightings, np.arange(frame.first, frame.first + len(decisions))
+        found = w.search(self._k, seen, rows, LandmarkMap(sure, xy))
         if found is None:
             e = self.filter.expect(seen)
             known = np.flatnonzero(~self._crowded(e) | (e.number >= self._epoch))
             return None, astray, jcbb_hindsight(e.only(known), self.setup.gate, self.setup.new_gate)[0]
         place, of = found
         self._again = [(self._founder[row], n) for row, n in of.items() if row in self._founder]
-        return place.pose, astray, np.array([of.get(row, DISCARD) for row in range(rows.start, rows.stop)], np.int64)
+        return place.pose, astray, np.array([of.get(row, DISCARD) for row in rows.tolist()], np.int64)
 
     def _crowded(self, e: Expectation) -> BoolArray:
         """Candidates (n,) into whose gate so many landmarks fall by chance that a single observation tells nothing."""
-        sensor = self.inputs.sensor
+        sensor = self.sensor
         area = np.sqrt(np.linalg.det(e.HPHt)) * (sensor.polar(e.z_hat)[:, 0] if sensor.kind == RANGE_BEARING else 1.0)
         crowded: BoolArray = self._crowd() * math.pi * gate_threshold(self.setup.gate or 0.99) * area > CROWDED
         return crowded

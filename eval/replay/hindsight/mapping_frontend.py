@@ -10,10 +10,11 @@ import numpy as np
 
 from association.decide import HINDSIGHT
 from data.errors import UsageError
-from data.inputs import Inputs, IntArray, Sightings
+from data.inputs import Frame, IntArray
 from data.result import Event, Updated
 from ekf.filter import Filter, FilterOptions
 from eval.replay.frontend import FrontEnd, Watch
+from eval.replay.given import Given
 from eval.replay.hindsight.mapper import HindsightMapper
 from eval.replay.map_management import Upkeep
 from eval.replay.settings import Setup
@@ -30,37 +31,35 @@ class MappingFrontEnd(FrontEnd):
     """
 
     def __init__(
-        self, estimator: str, association: str, inputs: Inputs, setup: Setup, options: FilterOptions | None = None
+        self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
     ) -> None:
         """Before the first frame. Raises UsageError with one update per observation."""
         if options is not None and options.each:
             raise UsageError(f"{HINDSIGHT} judges the observations of a frame together; they cannot be used one by one")
-        super().__init__(estimator, association, inputs, setup, options)
-        self.mapper = HindsightMapper(inputs, setup)
+        super().__init__(estimator, association, given, setup, options)
+        self.mapper = HindsightMapper(given, setup)
         if self.upkeep is None:
-            self.upkeep = Upkeep(setup, inputs.time)
+            self.upkeep = Upkeep(setup)
         if not isinstance(self.estimator, Filter):
             self._threshold = EVERYTHING
         self._stays = isinstance(self.estimator, Filter) and self.estimator.options.first_estimates
         """It linearizes nowhere else."""
 
-    def move(self) -> None:
-        """The next frame."""
-        super().move()
-        self.mapper.move(self.inputs.increment(self.k) if self.k > 0 else None)
+    def move(self, frame: Frame) -> None:
+        """The next frame comes."""
+        super().move(frame)
+        self.mapper.move(frame)
 
-    def associate(self, rows: slice, watch: Watch | None = None) -> tuple[IntArray, Updated]:
-        """Decide about observations of this frame and use them; returns decisions (m,) and what was done."""
-        o = self.inputs.observations
-        sightings = Sightings(o.z[rows], o.R[rows])
-        expectation = self.expect(sightings) if watch is not None else None
-        decisions, complete, at, astray = self.mapper.decide(rows)
+    def associate(self, frame: Frame, watch: Watch | None = None) -> tuple[IntArray, Updated]:
+        """Decide about this frame's observations and use them; returns decisions (m,) and what was done."""
+        expectation = self.expect(frame.sightings) if watch is not None else None
+        decisions, complete, at, astray = self.mapper.decide(frame)
         if astray is not None:
             self.estimator.lose(astray)
         self.incomplete += not complete
         if watch is not None:
-            watch.decided(self, rows, expectation, decisions)
-        return decisions, self.update(sightings, decisions, rows, None if self._stays else at)
+            watch.decided(self, frame, expectation, decisions)
+        return decisions, self.update(frame, decisions, None if self._stays else at)
 
     def tidy(self) -> None:
         """The end of a frame: landmarks leave the map in hindsight, and by the rules of the setup."""
@@ -89,7 +88,7 @@ class MappingFrontEnd(FrontEnd):
 
     def _gone(self, numbers: IntArray) -> None:
         assert self.upkeep is not None  # hindsight always has one
-        self.upkeep.retract(self.k, numbers)
+        self.upkeep.retract(numbers)
 
     def events(self) -> tuple[Event, ...]:
         """Decisions that were revised."""

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from data.result import DISCARD, NEW, Event
-from data.worlds.corridor import parse_name, simulate
+from data.worlds.registry import named_log
 from eval.figures.revision import revision_figure
 from eval.figures.style import save
 from eval.referee.score import Trial
@@ -28,7 +28,7 @@ def revising_run(*events):
 
 @pytest.fixture(scope="module")
 def people():
-    log = simulate(*parse_name("corridor:4:people"))
+    log = named_log("corridor:4:people")
     return log, compare(log.inputs(), "slam", ["ekf", "isam2"], "jcbb-hindsight")
 
 

@@ -178,7 +178,7 @@ def test_compatible_pairs_are_counted_by_observation():
     from eval.replay.frontend import FrontEnd
 
     front = FrontEnd("ekf", "nn", log.recorded, Setup())
-    front.move()
+    front.move(log.recorded.frame(0))
     e = front.expect(log.recorded.sightings(0))
     m = len(e.z)
     text = compatibility_text(e, None)

@@ -5,7 +5,7 @@ import pytest
 
 from data.errors import UsageError
 from data.result import DISCARD, NEW, Event, founders, revised
-from data.worlds.corridor import parse_name, simulate
+from data.worlds.registry import named_log
 from ekf.filter import FilterOptions
 from eval.referee.score import confusion_of
 from eval.replay.run import compare, step_by_step
@@ -16,7 +16,7 @@ METHOD = "jcbb-hindsight"
 
 @pytest.fixture(scope="module")
 def people():
-    return [simulate(*parse_name(f"corridor:{seed}:people")) for seed in (4, 7, 11)]
+    return [named_log(f"corridor:{seed}:people") for seed in (4, 7, 11)]
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,7 @@ def test_events_come_in_the_order_of_frames_and_name_their_reason(runs):
 
 
 def test_without_people_nothing_is_taken_back():
-    log = simulate(*parse_name("corridor:1"))
+    log = named_log("corridor:1")
     run = compare(log.inputs(), "slam", ["ekf"], METHOD)[0]
     assert run.events == ()
     assert len(run.map) == 88

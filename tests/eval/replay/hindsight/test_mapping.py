@@ -113,9 +113,10 @@ def test_the_odometrys_errors_are_found_on_the_way(world):
     inputs, _, _ = world
     front = MappingFrontEnd("ekf", METHOD, inputs, Setup())
     for k in range(len(inputs)):
-        front.move()
-        if inputs.start[k] < inputs.start[k + 1]:
-            front.associate(slice(int(inputs.start[k]), int(inputs.start[k + 1])))
+        frame = inputs.frame(k)
+        front.move(frame)
+        if len(frame.sightings.z):
+            front.associate(frame)
         front.tidy()
     mean, P = front.mapper.filter.errors
     assert mean[0] + mean[1] == pytest.approx(0.0015, abs=4.0 * np.sqrt(P[:2, :2].sum()))
