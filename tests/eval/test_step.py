@@ -87,8 +87,8 @@ def test_what_is_printed_on_the_way_is_what_the_referee_says_in_the_end(argument
         run = step_by_step("ekf", inputs, task, association, setup)
         assert out.startswith(run_text(log, run))
     sums = np.array([line.split()[1::2] for line in out.split("\n") if line.startswith("TP") and "FN" in line], int)
-    told = {line[:2]: int(line.split()[1]) for line in out.split("\n") if line.endswith("%")}
-    assert dict(zip(("TP", "TN", "FP", "FN"), sums.sum(axis=0).tolist())) == told
+    counts = {line[:2]: int(line.split()[1]) for line in out.split("\n") if line.endswith("%")}
+    assert dict(zip(("TP", "TN", "FP", "FN"), sums.sum(axis=0).tolist())) == counts
 
 
 class Unpainted(Album):

@@ -20,8 +20,8 @@ def small():
 
 
 def same(a: Sample, b: Sample) -> bool:
-    told = [(dict(s.means), dict(s.ends), dict(s.squares), dict(s.published), s.failure) for s in (a, b)]
-    return repr(told[0]) == repr(told[1]) and np.array_equal(a.nees_pose, b.nees_pose, equal_nan=True)
+    rows = [(dict(s.means), dict(s.ends), dict(s.squares), dict(s.published), s.failure) for s in (a, b)]
+    return repr(rows[0]) == repr(rows[1]) and np.array_equal(a.nees_pose, b.nees_pose, equal_nan=True)
 
 
 def test_a_kept_run_comes_back_to_the_last_bit(small, tmp_path):

@@ -118,8 +118,8 @@ def test_the_steps_of_a_run_sum_to_the_counts_of_the_referee(phase):
     assert counts_told(text).tolist() == [c.tp, c.tn, c.fp, c.fn]
     # in the end what was retracted has never been new
     lasting = run.created >= 0 if phase == "online" else (run.created >= 0) & (run.final_decisions != DISCARD)
-    told = [number for line in text.split("\n") if line.startswith("NEW") for number in line.split()[1:]]
-    assert told == [str(n) for n in run.created[lasting]]
+    numbers = [number for line in text.split("\n") if line.startswith("NEW") for number in line.split()[1:]]
+    assert numbers == [str(n) for n in run.created[lasting]]
     m = c.tp + c.tn + c.fp + c.fn
     assert f"whole run: {m} observations in 44 steps" in text
     for name in ("tp", "tn", "fp", "fn"):

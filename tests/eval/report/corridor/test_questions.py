@@ -174,14 +174,14 @@ def test_map_maintenance_is_told_by_size_entries_and_counts():
 
 
 def test_a_question_without_its_runs_says_what_is_missing_and_the_others_are_answered():
-    told = answers(trial(QUIET, lab_run(QUIET, "known"), lab_run(QUIET, "nn")))
-    assert not told[NN].startswith(MISSING)
-    assert told[UPKEEP] == (
+    texts = answers(trial(QUIET, lab_run(QUIET, "known"), lab_run(QUIET, "nn")))
+    assert not texts[NN].startswith(MISSING)
+    assert texts[UPKEEP] == (
         "Not answered: this needs a corridor with people, with odometry, run with JCBB and once more with map"
         " maintenance; no such log was run."
     )
-    assert told[NO_ODOMETRY].startswith("Not answered: this needs a corridor without people, without odometry")
-    assert told["The lab's questions"].startswith("Answered from the runs on `corridor:0`")
+    assert texts[NO_ODOMETRY].startswith("Not answered: this needs a corridor without people, without odometry")
+    assert texts["The lab's questions"].startswith("Answered from the runs on `corridor:0`")
 
 
 def test_there_is_no_section_where_nothing_can_be_answered():
@@ -190,7 +190,7 @@ def test_there_is_no_section_where_nothing_can_be_answered():
 
 
 def test_seconds_change_nothing_in_the_text():
-    def told(seconds):
+    def answered(seconds):
         runs = [lab_run(QUIET, m, seconds=seconds) for m in ("known", "nn", "jcbb", "singles")]
         busy = [lab_run(BUSY, m, seconds=seconds) for m in ("known", "nn", "jcbb", "singles")]
         blind = [lab_run(BLIND, m, seconds=seconds) for m in ("known", "jcbb")]
@@ -199,8 +199,8 @@ def test_seconds_change_nothing_in_the_text():
         beside = trial(kept, tidy, beside=BUSY.name)
         return answers(trial(QUIET, *runs), trial(BUSY, *busy), trial(BLIND, *blind), beside)
 
-    assert not any(text.startswith(MISSING) for text in told(1.0).values())
-    assert told(1.0) == told(3.7)
+    assert not any(text.startswith(MISSING) for text in answered(1.0).values())
+    assert answered(1.0) == answered(3.7)
 
 
 def test_the_distance_from_the_start_is_the_largest_on_the_way():
