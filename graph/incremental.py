@@ -13,6 +13,7 @@ from gtsam.symbol_shorthand import L, X
 from association.candidates import Drift, in_view, may_be_in_view
 from association.expectation import Expectation
 from data import se2
+from data.blocks import diagonal_blocks
 from data.inputs import Increment, IntArray, LandmarkMap, Prior, Sightings
 from data.result import NEW, Finished, MapState, PoseEstimate, Updated
 from data.se2 import Array, BoolArray
@@ -178,10 +179,7 @@ class Isam2Smoother:
         """Take pairings with d^2 not below the threshold out of `used`; NIS, dof and log-likelihood of the others."""
         rows = np.flatnonzero(used)
         number, which = np.unique(decisions[rows], return_inverse=True)
-        if self.map is None:
-            xy = self._engine.points(number.tolist())
-        else:
-            xy = self.map.xy[np.searchsorted(self.map.id, number)]
+        xy = self._engine.points(number.tolist()) if self.map is None else self.map.positions(number)
         e = expected.form(self.sensor, self._mean, self._joint(number), number, xy, sightings, at)
         nu, R = self.sensor.residual(sightings.z[rows], e.z_hat[which]), sightings.R[rows]
         distance = np.einsum("mi,mi->m", nu, np.linalg.solve(e.HPHt[which] + R, nu[..., None])[..., 0])
@@ -211,7 +209,7 @@ class Isam2Smoother:
     def _sight_known(self, sightings: Sightings, frames: IntArray, number: IntArray) -> list[Sighted]:
         """Observations of known landmarks from frames (m,)."""
         assert self.map is not None
-        xy = self.map.xy[np.searchsorted(self.map.id, number)]
+        xy = self.map.positions(number)
         self._copies += len(number)
         return sight_known(self.sensor, *sightings, frames, number, xy, self._copies - len(number), self.loss)
 
@@ -310,9 +308,8 @@ class Isam2Smoother:
     def landmarks(self) -> MapState:
         """The map of SLAM as it is now; `finish` gives the final one."""
         number = self.numbers
-        n = len(number)
-        P = self._joint(number)[3:, 3:].reshape(n, 2, n, 2)
-        return MapState(number, self._engine.points(number.tolist()), P[np.arange(n), :, np.arange(n), :])
+        own = diagonal_blocks(self._joint(number)[3:, 3:])
+        return MapState(number, self._engine.points(number.tolist()), own)
 
     def finish(self) -> Finished:
         """Final path and map with exact marginals: the optimum of all data, reached from the present estimate."""

@@ -13,6 +13,7 @@ import numpy as np
 
 from association.expectation import Expectation, gate_threshold
 from association.geometry.relocalize import distance_sigmas
+from data.blocks import block_diagonal
 from data.inputs import IntArray
 from data.se2 import Array
 from data.sensors import Sensor
@@ -29,25 +30,19 @@ KEPT = 20_000
 """Poses that a frame may give."""
 
 
-def body_points(sensor: Sensor, z: Array, P: Array) -> tuple[Array, Array]:
-    """Measurements (n, 2) with covariances (n, 2, 2) as points of the body frame."""
-    xy, _, G = sensor.inverse(np.zeros(3), z)
-    return xy, G @ P @ G.transpose(0, 2, 1)
-
-
 def candidates(e: Expectation, sensor: Sensor, motion: Array) -> list[tuple[float, IntArray]]:
     """Different pairings (m,), candidate of each observation or -1, that poses allowed by the motion make.
 
     Each with its squared distance from the predicted motion; those with most pairs first, `LIMIT` at most.
     """
-    seen, R = body_points(sensor, e.z, e.R)
+    seen, R = sensor.body_points(e.z, e.R)
     there, _, G = sensor.inverse(np.zeros(3), e.z_hat)
     every = np.arange(len(there))
     variance = np.trace(R, axis1=1, axis2=2)
     surest = np.sort(np.argsort(variance, kind="stable")[:POINTS])
     pairings, d2, count = _poses(
-        seen, np.sqrt(variance), distance_sigmas(seen, _diagonal(R)), surest,
-        there, distance_sigmas(there, _diagonal(G) @ e.joint(every) @ _diagonal(G).T),
+        seen, np.sqrt(variance), distance_sigmas(seen, block_diagonal(R)), surest,
+        there, distance_sigmas(there, block_diagonal(G) @ e.joint(every) @ block_diagonal(G).T),
         np.linalg.inv(motion), gate_threshold(ALLOWED, 3), FEWEST, KEPT,
     )  # fmt: skip
     kept: list[tuple[float, IntArray]] = []
@@ -59,14 +54,6 @@ def candidates(e: Expectation, sensor: Sensor, motion: Array) -> list[tuple[floa
         if len(kept) == LIMIT:
             break
     return kept
-
-
-def _diagonal(blocks: Array) -> Array:
-    """Matrix (2n, 2n) with these blocks (n, 2, 2) on its diagonal."""
-    n = len(blocks)
-    whole = np.zeros((n, 2, n, 2))
-    whole[np.arange(n), :, np.arange(n), :] = blocks
-    return whole.reshape(2 * n, 2 * n)
 
 
 @numba.njit(cache=True)

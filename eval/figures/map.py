@@ -15,10 +15,10 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
-from data.inputs import Inputs, IntArray, LandmarkMap
+from data.inputs import IntArray, LandmarkMap
 from data.log import Log
 from data.result import Run
-from data.se2 import Array
+from data.se2 import Array, dead_reckoned
 from eval.figures.style import DOTTED, DOUBLE, STYLES, TRUTH_COLOUR, Series, drawing, series, settle
 
 SIGMAS = 3.0
@@ -47,17 +47,6 @@ def ellipses(mean: Array, covariance: Array, sigmas: float = SIGMAS, count: int 
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     outline: Array = mean[:, None, :] + sigmas * circle @ np.swapaxes(axes, -1, -2)
     return outline
-
-
-def dead_reckoned(inputs: Inputs) -> Array:
-    """Path (N, 3) composed from the prior mean and the increments alone; headings not wrapped."""
-    heading = inputs.prior.mean[2] + np.cumsum(inputs.increments.mean[:, 2])
-    before = np.concatenate([inputs.prior.mean[2:], heading[:-1]])
-    c, s = np.cos(before), np.sin(before)
-    dx, dy = inputs.increments.mean[:, 0], inputs.increments.mean[:, 1]
-    x = inputs.prior.mean[0] + np.cumsum(c * dx - s * dy)
-    y = inputs.prior.mean[1] + np.cumsum(s * dx + c * dy)
-    return np.stack([x, y, heading], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -209,7 +198,8 @@ def _map_figure(log: Log, runs: Sequence[Run], width: float, surveyed: Surveyed 
     shown = series(runs)
     paths = {s.label: s.trajectory.pose[:, :2] for s in shown}
     if not any(r.estimator == "dead-reckoning" for r in runs):
-        paths = {STYLES["dead-reckoning"].label: dead_reckoned(log.recorded)[:, :2], **paths}
+        reckoned = dead_reckoned(log.recorded.prior.mean, log.recorded.increments.mean)
+        paths = {STYLES["dead-reckoning"].label: reckoned[:, :2], **paths}
     estimates = _with_ellipses(shown)
     maps = [(s, s.run.map) for s in estimates if s.run.map is not None and len(s.run.map)]
     outlines = {f"map of {s.label}": ellipses(m.xy, m.covariance) for s, m in maps}
