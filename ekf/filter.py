@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from association.expectation import Expectation
+from data.blocks import coordinates_from
 from data.inputs import Increment, IntArray, Prior, Sightings
 from data.result import PoseEstimate
 from data.se2 import Array, BoolArray, wrap_angle
@@ -178,7 +179,7 @@ class Filter:
             # only pose and chosen landmarks enter: gathered, the cost does not grow with the map
             here = at[chosen]
             held = here >= 0
-            index = np.concatenate([np.arange(3), (here[held][:, None] + np.arange(2)).ravel()])
+            index = np.concatenate([np.arange(3), coordinates_from(here[held])])
             d = len(index)
             moved = np.full(k, -1, np.int64)
             moved[held] = np.arange(3, d, 2)

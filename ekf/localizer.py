@@ -22,10 +22,10 @@ class EkfLocalizer(Filter):
 
     def rows_of(self, decisions: IntArray) -> IntArray:
         """Row of the map for each decision; raises ValueError for an id the map does not have."""
-        rows = np.searchsorted(self.map.id, decisions)
-        if np.any(rows >= len(self.map.id)) or np.any(self.map.id[np.minimum(rows, len(self.map.id) - 1)] != decisions):
+        rows = self.map.rows(decisions)
+        if np.any(rows < 0):
             raise ValueError(f"decisions {decisions.tolist()} name a landmark the map does not have")
-        return rows.astype(np.int64)
+        return rows
 
     def expect(self, sightings: Sightings) -> Expectation:
         """What the filter expects of every landmark of the map. Valid until the next `predict` or `update`."""

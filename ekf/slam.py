@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from association.expectation import Expectation
+from data.blocks import coordinates, coordinates_from, diagonal_blocks
 from data.inputs import IntArray, Prior, Sightings
 from data.result import NEW, Finished, MapState, Updated
 from data.se2 import Array, wrap_angle
 from data.sensors import Sensor
 from ekf import kernels
 from ekf.filter import DEFAULT, Filter, FilterOptions
-from ekf.parking import LONGEST, NOTHING, Carried, begin_epoch, pairs, symmetric
+from ekf.parking import LONGEST, NOTHING, Carried, begin_epoch, symmetric
 
 JOINED = 1e-4
 """m; standard deviation of the difference of two landmarks that are one."""
@@ -135,9 +136,7 @@ class EkfSlam(Filter):
 
     def _at(self, numbers: IntArray) -> IntArray:
         """Where the coordinates of active landmarks (n,) stand in the state (2n,)."""
-        first = np.array([self._offset[n] for n in numbers.tolist()], np.int64)
-        at: IntArray = (first[:, None] + np.arange(2)).ravel()
-        return at
+        return coordinates_from(np.array([self._offset[n] for n in numbers.tolist()], np.int64))
 
     def join(self, away: IntArray, kept: IntArray) -> None:
         """Landmarks `away` (k,) are the same as `kept` (k,), all of them active: both estimates become one, `away` go.
@@ -189,7 +188,7 @@ class EkfSlam(Filter):
             return
         self._version += 1
         out = np.isin(self._number, away)
-        moved = 3 + pairs(np.flatnonzero(out))
+        moved = 3 + coordinates(np.flatnonzero(out))
         self._select(np.concatenate([np.delete(np.arange(self._used), moved), moved]))
         self.size -= len(moved)
         self._carried += len(moved)
@@ -244,7 +243,7 @@ class EkfSlam(Filter):
         """The map as it is now, active and parked landmarks."""
         n, d, e = len(self._number), self.size, self._used
         xy = self._mean[3:d].reshape(n, 2)
-        blocks = self._P[3:d, 3:d].reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
+        blocks = diagonal_blocks(self._P[3:d, 3:d])
         number = np.concatenate([self._number, self.parked])
         order = np.argsort(number)
         xy = np.concatenate([xy, self.parked_xy()])[order]

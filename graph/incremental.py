@@ -13,6 +13,7 @@ from gtsam.symbol_shorthand import L, X
 from association.candidates import Drift, in_view, may_be_in_view
 from association.expectation import Expectation
 from data import se2
+from data.blocks import diagonal_blocks
 from data.inputs import Increment, IntArray, LandmarkMap, Prior, Sightings
 from data.result import NEW, Finished, MapState, PoseEstimate, Updated
 from data.se2 import Array, BoolArray
@@ -165,10 +166,7 @@ class Isam2Smoother(Smoother):
         """Take pairings with d^2 not below the threshold out of `used`; NIS, dof and log-likelihood of the others."""
         rows = np.flatnonzero(used)
         number, which = np.unique(decisions[rows], return_inverse=True)
-        if self.map is None:
-            xy = self._engine.points(number.tolist())
-        else:
-            xy = self.map.xy[np.searchsorted(self.map.id, number)]
+        xy = self._engine.points(number.tolist()) if self.map is None else self.map.positions(number)
         e = expected.form(self.sensor, self._end.mean, self._joint(number), number, xy, sightings, at)
         nu, R = self.sensor.residual(sightings.z[rows], e.z_hat[which]), sightings.R[rows]
         distance = np.einsum("mi,mi->m", nu, np.linalg.solve(e.HPHt[which] + R, nu[..., None])[..., 0])
@@ -277,9 +275,8 @@ class Isam2Smoother(Smoother):
         if self.map is not None:
             return MapState(self.map.id, self.map.xy, np.zeros((len(self.map.id), 2, 2)))
         number = self.numbers
-        n = len(number)
-        P = self._joint(number)[3:, 3:].reshape(n, 2, n, 2)
-        return MapState(number, self._engine.points(number.tolist()), P[np.arange(n), :, np.arange(n), :])
+        own = diagonal_blocks(self._joint(number)[3:, 3:])
+        return MapState(number, self._engine.points(number.tolist()), own)
 
     def finish(self) -> Finished:
         """Final path and map with exact marginals: the optimum of all data, reached from the present estimate."""

@@ -41,7 +41,7 @@ class Observed:
         """Observations (m) of landmarks (m,) from frames (m,), not taken in yet."""
         if self.map is None:
             return sight_landmarks(self.sensor, *sightings, frames, number, self.loss)
-        xy = self.map.xy[np.searchsorted(self.map.id, number)]
+        xy = self.map.positions(number)
         self._copies += len(number)
         return sight_known(self.sensor, *sightings, frames, number, xy, self._copies - len(number), self.loss)
 

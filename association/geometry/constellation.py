@@ -18,8 +18,8 @@ from association.evidence import constants
 from association.expectation import gate_threshold
 from association.geometry.relocalize import distance_sigmas
 from data import se2
+from data.blocks import blocks_of, coordinates, diagonal_blocks, of_points
 from data.inputs import IntArray
-from data.mrclam.first_fix import rigid_fit
 from data.se2 import Array, BoolArray
 
 
@@ -35,10 +35,7 @@ def squared_distances(new: Landmarks, old: Landmarks, cross: Array) -> tuple[Arr
 
     `cross` (2m, 2n) is the covariance between both.
     """
-    m, n = len(new.xy), len(old.xy)
-    here = new.covariance.reshape(m, 2, m, 2)[np.arange(m), :, np.arange(m), :]
-    there = old.covariance.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
-    both = cross.reshape(m, 2, n, 2).transpose(0, 2, 1, 3)
+    here, there, both = diagonal_blocks(new.covariance), diagonal_blocks(old.covariance), blocks_of(cross)
     # a landmark compared with itself has no uncertainty
     D = here[:, None] + there[None] - both - both.transpose(0, 1, 3, 2) + constants.POINT_VARIANCE * np.eye(2)
     nu = new.xy[:, None] - old.xy[None]
@@ -102,7 +99,7 @@ def recognize(
         return []
     i, j = np.flatnonzero(paired), sides[best[paired]]
     # a neighbour just as near leaves open which of both it is
-    xy = se2.transform_points(rigid_fit(new.xy[i], old.xy[j]), new.xy)
+    xy = se2.transform_points(se2.rigid_fit(new.xy[i], old.xy[j]), new.xy)
     near = np.hypot(*(xy[:, None] - old.xy[sides][None]).transpose(2, 0, 1)) < tolerance
     sure = (near[i].sum(axis=1) == 1) & (near[:, best[paired]].sum(axis=0) == 1)
     kept = _agreeing(new, old, cross, i[sure], j[sure])
@@ -120,14 +117,12 @@ def _agreeing(new: Landmarks, old: Landmarks, cross: Array, i: IntArray, j: IntA
     test (`CONSTELLATION_GATE`).
     """
     while len(i) >= constants.CONSTELLATION_FEWEST:
-        a, b = ((2 * at[:, None] + np.arange(2)).ravel() for at in (i, j))
-        both = cross[np.ix_(a, b)]
-        W = np.linalg.inv(new.covariance[np.ix_(a, a)] + old.covariance[np.ix_(b, b)] - both - both.T)
+        both = cross[np.ix_(coordinates(i), coordinates(j))]
+        W = np.linalg.inv(of_points(new.covariance, i) + of_points(old.covariance, j) - both - both.T)
         nu = (new.xy[i] - old.xy[j]).ravel()
         # each difference given the others: blocks of the inverse, see `association.evidence.pairings.alone`
-        weighed, k = (W @ nu).reshape(-1, 2), np.arange(len(i))
-        blocks = W.reshape(len(i), 2, len(i), 2)[k, :, k, :]
-        alone = np.einsum("ka,ka->k", weighed, np.linalg.solve(blocks, weighed[..., None])[..., 0])
+        weighed = (W @ nu).reshape(-1, 2)
+        alone = np.einsum("ka,ka->k", weighed, np.linalg.solve(diagonal_blocks(W), weighed[..., None])[..., 0])
         if alone.max() < gate_threshold(constants.CONSTELLATION_ALONE):
             if float(nu @ W @ nu) < gate_threshold(constants.CONSTELLATION_GATE, len(nu)):
                 return i, j

@@ -14,15 +14,10 @@ import numpy as np
 from association.evidence import constants
 from association.expectation import Expectation, gate_threshold
 from association.geometry.relocalize import distance_sigmas
+from data.blocks import block_diagonal
 from data.inputs import IntArray
 from data.se2 import Array
 from data.sensors import Sensor
-
-
-def body_points(sensor: Sensor, z: Array, P: Array) -> tuple[Array, Array]:
-    """Measurements (n, 2) with covariances (n, 2, 2) as points of the body frame."""
-    xy, _, G = sensor.inverse(np.zeros(3), z)
-    return xy, G @ P @ G.transpose(0, 2, 1)
 
 
 def candidates(e: Expectation, sensor: Sensor, motion: Array) -> list[tuple[float, IntArray]]:
@@ -30,14 +25,14 @@ def candidates(e: Expectation, sensor: Sensor, motion: Array) -> list[tuple[floa
 
     Each with its squared distance from the predicted motion; those with most pairs first, `FRAME_PAIRINGS` at most.
     """
-    seen, R = body_points(sensor, e.z, e.R)
+    seen, R = sensor.body_points(e.z, e.R)
     there, _, G = sensor.inverse(np.zeros(3), e.z_hat)
     every = np.arange(len(there))
     variance = np.trace(R, axis1=1, axis2=2)
     surest = np.sort(np.argsort(variance, kind="stable")[: constants.FRAME_POINTS])
     pairings, d2, count = _poses(
-        seen, np.sqrt(variance), distance_sigmas(seen, _diagonal(R)), surest,
-        there, distance_sigmas(there, _diagonal(G) @ e.joint(every) @ _diagonal(G).T),
+        seen, np.sqrt(variance), distance_sigmas(seen, block_diagonal(R)), surest,
+        there, distance_sigmas(there, block_diagonal(G) @ e.joint(every) @ block_diagonal(G).T),
         np.linalg.inv(motion), gate_threshold(constants.MOTION_GATE, 3),
         constants.DISTANCE_SIGMAS, constants.LONG_PAIR, constants.PLACE_PAIRINGS, constants.FRAME_POSES,
     )  # fmt: skip
@@ -50,14 +45,6 @@ def candidates(e: Expectation, sensor: Sensor, motion: Array) -> list[tuple[floa
         if len(kept) == constants.FRAME_PAIRINGS:
             break
     return kept
-
-
-def _diagonal(blocks: Array) -> Array:
-    """Matrix (2n, 2n) with these blocks (n, 2, 2) on its diagonal."""
-    n = len(blocks)
-    whole = np.zeros((n, 2, n, 2))
-    whole[np.arange(n), :, np.arange(n), :] = blocks
-    return whole.reshape(2 * n, 2 * n)
 
 
 @numba.njit(cache=True)

@@ -23,11 +23,10 @@ from association.evidence import constants
 from association.evidence.landmarks import missing
 from association.evidence.pairings import given, pairs_of, prune, settled
 from association.expectation import Expectation, gate_threshold
-from association.geometry.pair_poses import body_points, candidates
+from association.geometry.pair_poses import candidates
 from association.jcbb import search
 from data import se2
 from data.inputs import Increment, IntArray
-from data.mrclam.first_fix import rigid_fit
 from data.result import NEW
 from data.se2 import Array
 from data.sensors import Sensor
@@ -80,7 +79,7 @@ def too_uncertain(e: Expectation, sensor: Sensor, motion: Array) -> bool:
     """
     if not len(e.z):
         return False
-    xy, R = body_points(sensor, e.z, e.R)
+    xy, R = sensor.body_points(e.z, e.R)
     turn, shift = motion[2, 2], math.sqrt(motion[0, 0] + motion[1, 1])
     left_out = 0.5 * math.sqrt(3.0) * turn * np.hypot(*xy.T) + shift * math.sqrt(turn)
     return bool(np.median(left_out - np.linalg.det(R) ** 0.25) > 0.0)
@@ -149,14 +148,14 @@ def _verified(
 ) -> Placed | None:
     """The place that a pairing (m,) leads to, its decisions those of all pairings; None if they do not hold."""
     assert e.elsewhere is not None  # the caller's promise
-    xy, R = body_points(sensor, e.z, e.R)
+    xy, R = sensor.body_points(e.z, e.R)
     landmarks, every = sensor.inverse(predicted, e.z_hat)[0], np.arange(len(e.number))
     decisions = np.where(choice >= 0, e.number[choice], NEW)
     for _ in range(constants.VERIFY_ROUNDS):
         rows, chosen = pairs_of(e, decisions)
         if len(rows) < constants.PLACE_PAIRINGS:
             return None
-        pose = rigid_fit(xy[rows], landmarks[chosen])
+        pose = se2.rigid_fit(xy[rows], landmarks[chosen])
         here = e.elsewhere(pose)
         decisions = _clear(given(here, prune(here, decisions, gate), every), decisions, gate)
         decisions = prune(here, _more(given(here, decisions, every), decisions, gate), gate)

@@ -17,8 +17,8 @@ from association.evidence import constants
 from association.expectation import gate_threshold
 from association.geometry.local_map import Scan, surest
 from data import se2
+from data.blocks import blocks_of, of_points
 from data.inputs import IntArray, LandmarkMap
-from data.mrclam.first_fix import rigid_fit
 from data.se2 import Array
 
 
@@ -58,8 +58,7 @@ def relocalize(scan: Scan, known: LandmarkMap, gate: float = constants.RELOCALIZ
     if m < constants.PLACE_PAIRINGS or len(known.id) < constants.PLACE_PAIRINGS:
         return None
     xy = np.ascontiguousarray(scan.xy[used])
-    at = (2 * used[:, None] + np.arange(2)).ravel()
-    P = scan.covariance[np.ix_(at, at)]
+    P = of_points(scan.covariance, used)
     choices, complete = _search(
         xy, constants.DISTANCE_SIGMAS * distance_sigmas(xy, P), np.array(known.xy), fewest,
         constants.SEARCH_SLACK, constants.SEARCH_KEPT, constants.SEARCH_BUDGET,
@@ -96,7 +95,7 @@ def distance_sigmas(xy: Array, P: Array) -> Array:
     d = xy[:, None] - xy[None]
     r = np.hypot(d[..., 0], d[..., 1])
     u = d / np.where(r > 0.0, r, 1.0)[..., None]
-    blocks = P.reshape(m, 2, m, 2).transpose(0, 2, 1, 3)
+    blocks = blocks_of(P)
     own = blocks[np.arange(m), np.arange(m)]
     difference = own[:, None] + own[None] - blocks - blocks.transpose(1, 0, 2, 3)
     sigma: Array = np.sqrt(np.maximum(np.einsum("mna,mnab,mnb->mn", u, difference, u), constants.POINT_VARIANCE))
@@ -111,9 +110,8 @@ def _verify(xy: Array, P: Array, landmarks: Array, choice: IntArray, gate: float
     """
     paired = np.flatnonzero(choice >= 0)
     points, places = xy[paired], landmarks[choice[paired]]
-    pose = rigid_fit(points, places)
-    at = (2 * paired[:, None] + np.arange(2)).ravel()
-    L = np.linalg.cholesky(P[np.ix_(at, at)])
+    pose = se2.rigid_fit(points, places)
+    L = np.linalg.cholesky(of_points(P, paired))
     for _ in range(constants.FIT_STEPS):
         there = (places - pose[:2]) @ se2.rotation(pose[2])
         J = np.zeros((2 * len(paired), 3))

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from data.errors import DataError
-from data.open_log.csv_table import LARGEST
+from data.errors import LARGEST, DataError
 from data.open_log.motion_prior import PRIORS
 from data.se2 import Array
 

@@ -13,10 +13,10 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
-from data.inputs import Inputs, IntArray
+from data.inputs import IntArray
 from data.log import Log
 from data.result import Run
-from data.se2 import Array
+from data.se2 import Array, dead_reckoned
 from eval.figures.ellipses import along_path, draw_ellipses, ellipses, longest_axis
 from eval.figures.style import DOTTED, DOUBLE, STYLES, TRUTH_COLOUR, Series, drawing, series, settle
 from eval.figures.view import View, enlargement, true_landmarks, view_of
@@ -25,17 +25,6 @@ MOST_IDS = 30
 LONG_LABEL = 24
 Surveyed = Callable[[Axes], Sequence[Line2D]]
 """Draws what was surveyed on a map, and returns what the legend shows of it."""
-
-
-def dead_reckoned(inputs: Inputs) -> Array:
-    """Path (N, 3) composed from the prior mean and the increments alone; headings not wrapped."""
-    heading = inputs.prior.mean[2] + np.cumsum(inputs.increments.mean[:, 2])
-    before = np.concatenate([inputs.prior.mean[2:], heading[:-1]])
-    c, s = np.cos(before), np.sin(before)
-    dx, dy = inputs.increments.mean[:, 0], inputs.increments.mean[:, 1]
-    x = inputs.prior.mean[0] + np.cumsum(c * dx - s * dy)
-    y = inputs.prior.mean[1] + np.cumsum(s * dx + c * dy)
-    return np.stack([x, y, heading], axis=-1)
 
 
 def _with_ellipses(shown: Sequence[Series]) -> list[Series]:
@@ -67,7 +56,8 @@ def _map_figure(log: Log, runs: Sequence[Run], width: float, surveyed: Surveyed 
     shown = series(runs)
     paths = {s.label: s.trajectory.pose[:, :2] for s in shown}
     if not any(r.estimator == "dead-reckoning" for r in runs):
-        paths = {STYLES["dead-reckoning"].label: dead_reckoned(log.recorded)[:, :2], **paths}
+        reckoned = dead_reckoned(log.recorded.prior.mean, log.recorded.increments.mean)
+        paths = {STYLES["dead-reckoning"].label: reckoned[:, :2], **paths}
     estimates = _with_ellipses(shown)
     maps = [(s, s.run.map) for s in estimates if s.run.map is not None and len(s.run.map)]
     outlines = {f"map of {s.label}": ellipses(m.xy, m.covariance) for s, m in maps}

@@ -13,7 +13,6 @@ import numpy as np
 
 from data.inputs import IntArray, LandmarkMap
 from data.result import DISCARD, NEW
-from data.se2 import Array
 from data.truth import UNKNOWN_ID
 
 OUTCOMES = ("tp", "tn", "fp", "fn")
@@ -147,16 +146,6 @@ def share_within(
     paired = np.flatnonzero(decisions >= 0)
     if not len(paired):
         return float("nan")
-    own, taken = (_positions(places, ids[paired]) for ids in (true_id, taken_id))
+    own, taken = (places.positions(ids[paired]) for ids in (true_id, taken_id))
     apart = np.hypot(*(own - taken).T)
     return float(np.mean(apart <= distance))  # a comparison with NaN is false
-
-
-def _positions(places: LandmarkMap, ids: IntArray) -> Array:
-    """True positions (m, 2) by id, NaN where there is none."""
-    xy = np.full((len(ids), 2), np.nan)
-    if len(places.id):
-        row = np.minimum(np.searchsorted(places.id, ids), len(places.id) - 1)
-        known = places.id[row] == ids
-        xy[known] = places.xy[row[known]]
-    return xy

@@ -82,9 +82,6 @@ def landmark_true_ids(created: IntArray, truth: Truth, numbers: IntArray) -> Int
 
 def landmark_errors(xy: Array, true_id: IntArray, truth: Truth) -> Array:
     """Position error (L, 2) of each mapped landmark, NaN where its true position is not known."""
-    error = np.full((len(xy), 2), np.nan)
-    if truth.landmarks is not None and len(truth.landmarks.id):
-        row = np.minimum(np.searchsorted(truth.landmarks.id, true_id), len(truth.landmarks.id) - 1)
-        known = truth.landmarks.id[row] == true_id
-        error[known] = xy[known] - truth.landmarks.xy[row[known]]
-    return error
+    if truth.landmarks is None:
+        return np.full((len(xy), 2), np.nan)
+    return xy - truth.landmarks.positions(true_id)

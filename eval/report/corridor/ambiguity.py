@@ -61,10 +61,7 @@ def fit(log: Log, frame: int, steps: Array) -> tuple[Array, IntArray]:
     """
     sensor, o, start = log.recorded.sensor, log.recorded.observations, log.recorded.start
     before, now = (slice(start[k], start[k + 1]) for k in (frame - 1, frame))
-    still = np.zeros(3)
-    known, _, Gk = sensor.inverse(still, o.z[before])
-    seen, _, Gs = sensor.inverse(still, o.z[now])
-    P, Q = (G @ o.R[rows] @ np.swapaxes(G, 1, 2) for G, rows in ((Gk, before), (Gs, now)))
+    (known, P), (seen, Q) = (sensor.body_points(o.z[rows], o.R[rows]) for rows in (before, now))
     S = P[None] + Q[:, None]
     weights = np.linalg.inv(S)
     constant = -0.5 * np.linalg.slogdet(2.0 * math.pi * S)[1] - math.log(len(known))

@@ -51,7 +51,7 @@ def test_every_stepping_estimator_has_every_verb(name, task):
     verbs = [verb for verb in vars(Estimator) if not verb.startswith("_")]
     assert [verb for verb in verbs if not hasattr(estimator, verb)] == []
     assert [verb for verb in verbs if not hasattr(Stretches, verb)] == []
-    assert estimator.smooths == (name in names.SMOOTHERS)
+    assert estimator.smooths == (name in names.INCREMENTAL)
     assert (estimator.size > 0) == (name in names.FILTERS)
     assert not len(estimator.parked)
     assert estimator.fixed_linearization == (name == "ekf-fej")
@@ -65,7 +65,7 @@ def test_what_an_estimator_cannot_do_it_refuses(name, task):
     estimator = make_estimator(name, inputs if task == "localization" else inputs.without_map())
     slam_filter = task == "slam" and name in names.FILTERS
     pose, covariance = estimator.estimate()
-    if slam_filter or name in names.SMOOTHERS:
+    if slam_filter or name in names.INCREMENTAL:
         with pytest.raises(ValueError, match="pose"):
             estimator.reset(pose, covariance)
     for verb in (estimator.park, estimator.restore):
