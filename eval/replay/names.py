@@ -7,8 +7,8 @@ from __future__ import annotations
 
 TASKS = ("localization", "slam")
 FILTERS = ("ekf", "ekf-iterated", "ekf-fej", "ekf-invariant")
-SMOOTHERS = ("isam2", "fixed-lag")
-STEPPING = (*FILTERS, *SMOOTHERS)
+INCREMENTAL = ("isam2", "fixed-lag")
+STEPPING = (*FILTERS, *INCREMENTAL)
 BATCH = ("batch", "batch-huber", "batch-cauchy", "gnc")
 ESTIMATORS = ("dead-reckoning", *STEPPING, *BATCH)
 ASSOCIATIONS = ("known", "nn", "ml", "ml-ratio", "singles", "jcbb", "jcbb-first", "gnn", "jcbb-hindsight")

@@ -105,7 +105,7 @@ class Walk:
             self.pause("compatibility")
             if problem is not None:
                 self.show("matching", lambda fig: paint_matching(fig, problem))
-            self._print(front)
+            self._print_step(front)
             self.pause("matching")
 
     def _problem(self, front: FrontEnd, e: Expectation, decisions: IntArray) -> Matching:
@@ -137,7 +137,7 @@ class Walk:
         managed = front.map_management
         return None if managed is None else managed.removal_frames(int(self.created.max(initial=-1)) + 1)
 
-    def _print(self, front: FrontEnd) -> None:
+    def _print_step(self, front: FrontEnd) -> None:
         """The text of the step; new landmarks get the next numbers."""
         if self.printed:
             return
@@ -151,7 +151,7 @@ class Walk:
     def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
         """Update, and the end of the step."""
         if self.rows.stop > self.rows.start:
-            self._print(front)
+            self._print_step(front)
         self.decisions[self.rows], self.created[self.rows] = decisions[self.rows], created[self.rows]
         self.path.append(front.estimator.estimate().mean[:2])
         self._map(front, "estimate", keep=True)

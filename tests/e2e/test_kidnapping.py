@@ -192,7 +192,7 @@ def mapped(seed, estimator="ekf", frames=60):
 @pytest.mark.parametrize(("seed", "estimator"), [(0, "ekf"), (5, "ekf"), (12, "ekf"), (0, "isam2"), (3, "isam2")])
 def test_a_robot_moved_while_it_maps_finds_its_place_in_its_own_map(seed, estimator):
     front, off = mapped(seed, estimator)
-    told = front.mapper.whereabouts
+    told = front.mapper.kidnapping
     assert [AT <= k < AT + 3 for k in told.alarms] == [True]
     assert told.found == told.alarms
     assert off[told.found[0]] < off[AT - 1] + 0.5
@@ -200,12 +200,12 @@ def test_a_robot_moved_while_it_maps_finds_its_place_in_its_own_map(seed, estima
     assert any("moved unseen" in note for note in front.notes())
 
 
-def test_what_was_founded_before_the_place_was_found_is_joined_to_what_it_is():
+def test_what_was_initialized_before_the_place_was_found_is_merged_with_what_it_is():
     front, off = mapped(13, frames=70)
-    told = front.mapper.whereabouts
+    told = front.mapper.kidnapping
     assert told.alarms == [AT]
     assert told.found[0] > AT
-    assert len(front.mapper.joined) >= 3
+    assert len(front.mapper.ledger.merged) >= 3
     assert off[-1] < 0.5
 
 
@@ -219,4 +219,4 @@ def test_mapping_undisturbed_raises_no_alarm():
             if len(frame.sightings.z):
                 front.update(frame, front.associate(frame))
             front.tidy()
-        assert front.mapper.whereabouts.alarms == []
+        assert front.mapper.kidnapping.alarms == []

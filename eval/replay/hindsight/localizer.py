@@ -1,4 +1,4 @@
-"""Localization without labels, decisions in hindsight: hypotheses, a monitor, and a way back for the lost.
+"""Localization without labels, decisions in hindsight: hypotheses, a monitor, and relocalization of the lost.
 
 A bank of pose hypotheses decides about the observations of a log with a known map; see
 `eval.replay.hindsight.localizing_frontend` for how an estimator lives with what it decides.
@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from association.evidence import constants
 from association.evidence.monitor import Monitor, healthy, recovered, watch
 from association.expectation import gate_threshold
 from association.geometry.local_map import EMPTY, Scan, extended, moved
@@ -21,13 +22,6 @@ from data.se2 import pose_error
 from ekf.filter import FilterOptions
 from ekf.hypotheses import Choice, Hypotheses
 from eval.replay.given import Given
-
-BANK = FilterOptions(iterations=10)
-"""Updates of the hypotheses: after a long way without sightings the first one is far from linear."""
-MAYBE = 0.5
-"""A decision that fewer of the hypotheses share, by weight, is put off."""
-ELSEWHERE = 0.9999
-"""An estimator is somewhere else if its pose is outside this chi-square probability of the bank's (3 dof)."""
 
 
 class HindsightLocalizer:
@@ -45,7 +39,9 @@ class HindsightLocalizer:
         if given.map is None:
             raise UsageError("hypotheses of the pose alone need a known map")
         self.sensor, self.map = given.sensor, given.map
-        self.bank = Hypotheses(given.prior, given.sensor, given.map, BANK)
+        self.bank = Hypotheses(
+            given.prior, given.sensor, given.map, FilterOptions(iterations=constants.HYPOTHESIS_ITERATIONS)
+        )
         self.monitor = monitor or Monitor()
         self.health = healthy(self.monitor)
         self._scans = (EMPTY, EMPTY)
@@ -75,7 +71,7 @@ class HindsightLocalizer:
         self._revise(past, self.bank.members[0].past)
         before, paired = self.health, int((standing.decisions >= 0).sum())
         self.health = watch(self.monitor, before, len(standing.decisions), paired, standing.nis, standing.dof)
-        decisions = np.where(standing.sure >= MAYBE, standing.decisions, DISCARD)
+        decisions = np.where(standing.sure >= constants.MAYBE, standing.decisions, DISCARD)
         sums = self.health.unpaired, self.health.misfit
         self._scans = (self._since(sums[0], self._scans[0], frame), self._since(sums[1], self._scans[1], frame))
         if self.health.lost:
@@ -151,15 +147,15 @@ class HindsightLocalizer:
         mean, P = self.bank.estimate()
         error = pose_error(estimate.mean, mean)
         # an exact prior has no inverse; a micrometre away is nowhere else
-        both = P + estimate.covariance + 1e-12 * np.eye(3)
-        return float(error @ np.linalg.solve(both, error)) > gate_threshold(ELSEWHERE, 3)
+        both = P + estimate.covariance + constants.EXACT_VARIANCE * np.eye(3)
+        return float(error @ np.linalg.solve(both, error)) > gate_threshold(constants.OTHER_PLACE, 3)
 
     def notes(self) -> list[str]:
         """What a reader of the results should know."""
-        told = [f"{len({e.observation for e in self.events})} decisions were made anew in hindsight"]
+        notes = [f"{len({e.observation for e in self.events})} decisions were made anew in hindsight"]
         if self.alarms:
-            told.append(
+            notes.append(
                 f"the monitor found the robot lost {len(self.alarms)} times (first in frame {self.alarms[0]}), "
                 f"and {len(self.found)} times its place was found again without a prior"
             )
-        return told
+        return notes

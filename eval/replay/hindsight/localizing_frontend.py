@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from association.decide import Decided
+from association.evidence import constants
 from association.expectation import Expectation
 from data.inputs import Frame, IntArray, Prior, Sightings
 from data.result import DISCARD, Event, Updated
@@ -21,7 +22,7 @@ from ekf.filter import FilterOptions
 from eval.replay.estimators import Estimator, make_estimator
 from eval.replay.frontend import FrontEnd, Pairing
 from eval.replay.given import Given
-from eval.replay.hindsight.localizer import MAYBE, HindsightLocalizer
+from eval.replay.hindsight.localizer import HindsightLocalizer
 from eval.replay.hindsight.stretches import Stretches
 from eval.replay.settings import Setup
 
@@ -92,7 +93,7 @@ class LocalizingFrontEnd(FrontEnd):
         self._found_again = len(self.localizer.found) > times
         if self._found_again:
             return Pairing(self._decided)
-        self._hand_over(frame.first, MAYBE)
+        self._hand_over(frame.first, constants.MAYBE)
         return super().associate(frame)
 
     def update(self, frame: Frame, pairing: Pairing) -> Updated:

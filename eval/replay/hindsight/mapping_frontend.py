@@ -1,7 +1,7 @@
 """A front end for SLAM in hindsight: how an estimator lives with landmarks that are taken back or turn out to be one.
 
-`HindsightMapper` decides; a filter drops or joins landmarks in its state, a smoother takes their factors out of the
-graph and puts those of joined ones in again.
+`HindsightMapper` decides; a filter drops or merges landmarks in its state, a smoother takes their factors out of the
+graph and puts those of merged ones in again.
 """
 
 from __future__ import annotations
@@ -45,21 +45,21 @@ class MappingFrontEnd(FrontEnd):
 
     def associate(self, frame: Frame) -> Pairing:
         """Decide about this frame's observations; the mapper has an expectation of its own."""
-        decisions, complete, at, astray = self.mapper.decide(frame)
+        decisions, complete, at, kidnapped = self.mapper.decide(frame)
         self.incomplete += not complete
-        if astray is not None:
-            self.estimator.lose(astray)
+        if kidnapped is not None:
+            self.estimator.lose(kidnapped)
         return Pairing(decisions, at=None if self.estimator.fixed_linearization else at)
 
     def tidy(self) -> None:
         """The end of a frame: landmarks leave the map in hindsight, and by the rules of the setup."""
         found = self.mapper.revise()
         self._retract(found.retracted)
-        if len(found.joined):
+        if len(found.merged):
             if self.parking is not None:
-                self.parking.restore(np.concatenate([found.joined, found.kept]))
-            self.estimator.join(found.joined, found.kept)
-            self._gone(found.joined)
+                self.parking.restore(np.concatenate([found.merged, found.kept]))
+            self.estimator.join(found.merged, found.kept)
+            self._gone(found.merged)
         super().tidy()
 
     def leave(self, numbers: IntArray) -> None:

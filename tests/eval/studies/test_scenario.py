@@ -83,10 +83,10 @@ def test_angles_that_a_corridor_keeps_in_degrees_are_given_in_degrees(written):
 def test_an_estimator_may_be_told_other_noise_but_the_measurements_stay():
     s = load_scenario("esde")
     changed = next(m.world for m in s.members if m.name == "ekf-invariant")
-    plain, told = s.simulate(3), s.simulate(3, changed)
-    np.testing.assert_array_equal(plain.recorded.increments.mean, told.recorded.increments.mean)
-    np.testing.assert_array_equal(plain.recorded.observations.z, told.recorded.observations.z)
-    assert np.abs(plain.recorded.increments.covariance - told.recorded.increments.covariance).max() > 1e-7
+    plain, stated = s.simulate(3), s.simulate(3, changed)
+    np.testing.assert_array_equal(plain.recorded.increments.mean, stated.recorded.increments.mean)
+    np.testing.assert_array_equal(plain.recorded.observations.z, stated.recorded.observations.z)
+    assert np.abs(plain.recorded.increments.covariance - stated.recorded.increments.covariance).max() > 1e-7
 
 
 @pytest.mark.parametrize(("old", "new", "words"), [

@@ -17,8 +17,8 @@ from data.truth import Truth
 from data.worlds.arena import Arena, simulate
 from eval.figures.style import drawing
 from eval.referee.confusion import OUTCOMES
+from eval.walk.marks import robot_frame
 from eval.walk.matching import Matching, evidence, paint_compatibility, paint_matching
-from eval.walk.painting import robot_frame
 from eval.walk.pictures import field_of_view, paint_ground_truth, paint_map, paint_observations
 from eval.walk.text import TruthRow
 
