@@ -27,7 +27,7 @@ class FilterOptions:
         each: one update per observation (linearized one after the other) instead of one stacked update per frame.
         invariant: the correction moves pose and landmarks together (right-invariant EKF); Jacobians stay as they are.
         iterations: how often an update is linearized at most, each time where the last one led (1: the plain EKF).
-        first_estimates: Jacobians at the first estimates, predicted poses and landmarks as founded (FEJ-EKF).
+        first_estimates: Jacobians at the first estimates, predicted poses and landmarks as initialized (FEJ-EKF).
         new_variance: m^2; a new landmark gets this variance and no correlation (None: the exact augmentation).
         new_variance_per_square: the same as a share of its squared distance from the sensor; step by step only.
     """

@@ -54,7 +54,7 @@ def smooth(inputs: Inputs, decisions: IntArray, created: IntArray, start: Start,
     """Maximum a posteriori path (and map), by Levenberg-Marquardt from `start`.
 
     Inputs with a map: localization, decisions (M,) are map ids or `DISCARD`. Without: SLAM, decisions are landmark
-    numbers, `NEW` or `DISCARD`, and `created` (M,) is the number of the landmark an observation founded (-1: none).
+    numbers, `NEW` or `DISCARD`, and `created` (M,) is the number of the landmark an observation initialized (-1: none).
     `loss`: gaussian, huber or cauchy, on measurements only. Raises `UnderConstrained`, and DataError for a singular
     increment or measurement covariance.
     """

@@ -41,7 +41,7 @@ class Parking:
             self._restore(parked[may_be_in_view(self.sensor, pose, self.estimator.parked_xy(), *bounds)])
 
     def restore(self, numbers: IntArray) -> None:
-        """Restore those of some landmarks (n,) that are parked; decisions are not in the way."""
+        """Restore those of some landmarks (n,) that are parked; decisions that are no landmark are left alone."""
         if len(parked := self.estimator.parked):
             self._restore(np.intersect1d(numbers, parked))
 

@@ -21,7 +21,7 @@ from data.se2 import Array, BoolArray
 from ekf.filter import FilterOptions
 from eval.replay.estimators import Estimator, make_estimator
 from eval.replay.frontend import FrontEnd, Pairing
-from eval.replay.given import Beginning, Given
+from eval.replay.given import Given
 from eval.replay.hindsight.localizer import HindsightLocalizer
 from eval.replay.hindsight.stretches import Stretches
 from eval.replay.settings import Setup
@@ -70,7 +70,7 @@ class LocalizingFrontEnd(FrontEnd):
         if self.estimator.smooths:
 
             def begin(prior: Prior) -> Estimator:
-                return make_estimator(estimator, Beginning(prior, given.sensor, given.map), options, lag=setup.lag)
+                return make_estimator(estimator, self.given._replace(prior=prior), options, lag=setup.lag)
 
             self.estimator = Stretches(begin, given.prior)
 
