@@ -64,11 +64,18 @@ class EkfSlam(Filter):
         return self._expect(sightings, self._number, at, np.zeros((len(self._number), 2)))
 
     def update(
-        self, sightings: Sightings, decisions: IntArray, *, threshold: float = np.inf, at: Array | None = None
+        self,
+        sightings: Sightings,
+        decisions: IntArray,
+        *,
+        threshold: float = np.inf,
+        at: Array | None = None,
+        innovations: bool = True,
     ) -> Updated:
         """One update with all pairings below `threshold`, then new landmarks in order, from the updated pose.
 
-        It is first linearized at the prediction, or at the pose `at` (3,) if that is known to be better.
+        It is first linearized at the prediction, or at the pose `at` (3,) if that is known to be better. A filter
+        forms its innovations whether they are asked for or not.
         Raises ValueError for a decision that names a landmark which is not in the map, or parked.
         """
         paired = np.flatnonzero(decisions >= 0)
@@ -228,8 +235,12 @@ class EkfSlam(Filter):
         self._mean[d:e], self._P[d:e, d:e] = y.mean, y.P
         self._P[d:e, :d], self._P[:d, d:e] = y.cross, y.cross.T
 
-    def finish(self) -> Finished:
-        """The last map, active and parked landmarks; a filter does not revise its path."""
+    def reset(self, mean: Array, covariance: Array) -> None:
+        """The map goes with the pose: asking for another one is an error."""
+        raise ValueError("the map was made from the poses before; only a localizer can be set to another pose")
+
+    def landmarks(self) -> MapState:
+        """The map as it is now, active and parked landmarks."""
         n, d, e = len(self._number), self.size, self._used
         xy = self._mean[3:d].reshape(n, 2)
         blocks = diagonal_blocks(self._P[3:d, 3:d])
@@ -237,4 +248,8 @@ class EkfSlam(Filter):
         order = np.argsort(number)
         xy = np.concatenate([xy, self.parked_xy()])[order]
         blocks = np.concatenate([blocks, self._parked.blocks(self._P[d:e, d:e])])[order]
-        return Finished(None, MapState(number[order], xy, blocks))
+        return MapState(number[order], xy, blocks)
+
+    def finish(self) -> Finished:
+        """The last map; a filter does not revise its path."""
+        return Finished(None, self.landmarks())

@@ -13,7 +13,8 @@ from pathlib import Path
 
 from data.errors import SlamrefError, UsageError
 from data.whole import whole_folder
-from eval.plan.options import Options, read_options
+from eval.plan.flags import PROG, Options
+from eval.plan.options import read_options
 
 FINE, REJECTED, WRONG = 0, 1, 2
 INTERRUPTED = 130
@@ -41,11 +42,11 @@ class Console:
             print(text, flush=True)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """The whole command; returns the exit status."""
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+    """The whole command, called `prog`; returns the exit status."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     try:
-        options = read_options(arguments)
+        options = read_options(arguments, prog)
         console = Console(options)
         with staged(options.out) as folder:
             return _run(options, console, folder, arguments)

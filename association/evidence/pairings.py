@@ -109,7 +109,7 @@ def jcbb_hindsight(
     """Decisions (m,) of a frame, and whether the search came to its end.
 
     JCBB inside the outer gate, where a common error does not hide the landmarks; then every pairing must pass `gate`
-    given the others; and an unpaired observation founds a landmark only if it is outside `new_gate` of every other,
+    given the others; and an unpaired observation is a new landmark only if it is outside `new_gate` of every other,
     given the pairings (`NEW`; else `DISCARD`). Without one of the gates the search has the inner one.
     """
     outer = gate if gate is None or new_gate is None else max(gate, new_gate)

@@ -11,17 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from association.evidence import constants
 from association.expectation import gate_threshold
 from data import se2
 from data.blocks import add_to_diagonal, coordinates, diagonal_blocks, of_points
 from data.inputs import Increment, IntArray, Sightings
 from data.se2 import Array
 from data.sensors import Sensor
-
-FADED = 1.0
-"""m; a point known worse than this is left behind."""
-SAME = 0.99
-"""Chi-square probability inside which a sighting is of a point that the scan has already."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +37,7 @@ EMPTY = Scan(np.empty((0, 2)), np.empty((0, 0)), ())
 
 
 def moved(scan: Scan, increment: Increment) -> Scan:
-    """The scan in the body frame after an increment, without the points that are too uncertain by now (see `FADED`)."""
+    """The scan in the body frame after an increment, without the points that are too uncertain by now (`FADED`)."""
     if not len(scan):
         return scan
     n, (mean, M) = len(scan), increment
@@ -51,7 +47,7 @@ def moved(scan: Scan, increment: Increment) -> Scan:
     B[:, :2] = np.tile(-turn, (n, 1))
     B[0::2, 2], B[1::2, 2] = xy[:, 1], -xy[:, 0]
     whole = Scan(xy, A @ scan.covariance @ A.T + B @ M @ B.T, scan.rows)
-    clear = np.flatnonzero(_variance(whole) < FADED**2)
+    clear = np.flatnonzero(_variance(whole) < constants.FADED**2)
     if len(clear) == n:
         return whole
     return Scan(xy[clear], of_points(whole.covariance, clear), tuple(whole.rows[i] for i in clear))
@@ -60,8 +56,8 @@ def moved(scan: Scan, increment: Increment) -> Scan:
 def extended(scan: Scan, sensor: Sensor, sightings: Sightings, rows: IntArray) -> Scan:
     """The scan with a frame's sightings (m), whose rows of the log are `rows` (m,).
 
-    A sighting of a point that is there already (nearest first, one to one, d^2 inside `SAME`) corrects the scan; any
-    other is a new point.
+    A sighting of a point that is there already (nearest first, one to one, d^2 inside `SAME_POINT`) corrects the scan;
+    any other is a new point.
     """
     xy, R = sensor.body_points(*sightings)
     n, old = len(scan), _pairs(scan, xy, R)
@@ -96,7 +92,7 @@ def _pairs(scan: Scan, xy: Array, R: Array) -> list[tuple[int, int]]:
     nu = xy[:, None] - scan.xy[None]
     S = blocks[None] + R[:, None]
     d2 = np.einsum("mna,mna->mn", nu, np.linalg.solve(S, nu[..., None])[..., 0])
-    pairs, threshold = [], gate_threshold(SAME)
+    pairs, threshold = [], gate_threshold(constants.SAME_POINT)
     while d2.size and d2.min() < threshold:
         i, j = divmod(int(np.argmin(d2)), n)
         pairs.append((i, j))

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from data.log import Log
     from data.motion import VelocityModel
 
+PROG = "python -m data.convert"
 EXAMPLES = """\
 examples:
   python -m data.convert mrclam MRCLAM_Dataset9.zip logs/nine --robot 3 --exclude-truth 755:836 --exclude-truth 945:1050
@@ -75,12 +76,12 @@ class _Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: {message} (see --help)\n")
 
 
-def parser(*, simulators: bool = True) -> argparse.ArgumentParser:
+def parser(*, simulators: bool = True, prog: str = PROG) -> argparse.ArgumentParser:
     """The command line; `simulators`: with their flags, which take the simulators to be loaded."""
     top = _Parser(
-        prog="python -m data.convert",
+        prog=prog,
         description="Write a recording or a simulation as an open log folder; OUT's last component becomes its name.",
-        epilog=EXAMPLES,
+        epilog=EXAMPLES.replace(PROG, prog),
     )
     kinds = top.add_subparsers(dest="kind", metavar="KIND", required=True)
     _add_mrclam(
@@ -253,10 +254,10 @@ def summary(log: Log) -> list[str]:
     return lines
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """Convert and say what was done; 0, or 2 with one line on stderr."""
     given = list(sys.argv[1:] if argv is None else argv)
-    args = parser(simulators=any(kind in given for kind in SIMULATORS)).parse_args(given)
+    args = parser(simulators=any(kind in given for kind in SIMULATORS), prog=prog).parse_args(given)
     from data.open_log.writer import write_folder
 
     try:

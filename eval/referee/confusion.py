@@ -141,7 +141,7 @@ def share_within(
 
     true_id: (M,) of each observation; taken_id: (M,) of the landmark it was paired with; both by their true positions,
     so that neither the error of the map nor a second landmark of the same point counts. A person paired, a landmark
-    founded on a person and one without a true position are never near. NaN where nothing was paired.
+    initialized on a person and one without a true position are never near. NaN where nothing was paired.
     """
     paired = np.flatnonzero(decisions >= 0)
     if not len(paired):

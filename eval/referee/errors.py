@@ -72,11 +72,11 @@ def aligned_rmse(pose: Array, truth: Array) -> float:
 
 
 def landmark_true_ids(created: IntArray, truth: Truth, numbers: IntArray) -> IntArray:
-    """True id (L,) of each landmark: that of the observation which founded it (`UNKNOWN_ID` = -2 where not known)."""
+    """True id (L,) of each landmark, that of the observation that initialized it (-2 where not known)."""
     ids = np.full(int(max(created.max(initial=-1), np.max(numbers, initial=-1))) + 1, -2, np.int64)
     if truth.landmark_of is not None:
-        founding = np.flatnonzero(created >= 0)
-        ids[created[founding]] = truth.landmark_of[founding]
+        first = np.flatnonzero(created >= 0)
+        ids[created[first]] = truth.landmark_of[first]
     return ids[numbers]
 
 

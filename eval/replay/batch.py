@@ -14,7 +14,7 @@ from graph.factors import UnderConstrained
 from graph.robust import gnc
 
 LOSSES = {"batch": "gaussian", "batch-huber": "huber", "batch-cauchy": "cauchy"}
-BATCH = (*LOSSES, "gnc")
+"""Of the batch smoothers by name, `gnc` aside."""
 
 
 def batch(name: str, inputs: Inputs, front: Run) -> Run:

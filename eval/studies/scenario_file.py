@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
 
 from data.errors import UsageError
-from data.toml_table import TomlTable, finite, load_toml, not_negative
+from data.toml_table import Fault, TomlTable, finite, load_toml, not_negative
 from data.worlds.registry import SIMULATORS, parameters_of
+from eval.replay.flag import read_values, rows
 from eval.replay.names import ASSOCIATIONS, ESTIMATORS, TASKS
-from eval.replay.settings import Setup
+from eval.replay.settings import Setup, check_gates
 from eval.studies.published import PUBLISHABLE, Ordering, Published, Row
 from eval.studies.scenario import RECORDED, Member, Scenario
 from eval.studies.shipped import SCENARIOS, scenarios
@@ -25,7 +27,7 @@ KNOWN = {
         *("wrong", "published"),
     ),
     "estimators": ESTIMATORS,
-    "setup": tuple(f.name for f in fields(Setup)),
+    "setup": tuple(rows(Setup)),
     "published": ("skipped_are_zero", "per_dof", "tolerance", "row", "ordering", "note"),
     "published.row": ("estimator", "quantity", "value", "se", "note"),
     "published.ordering": ("quantity", "smaller", "larger"),
@@ -44,17 +46,28 @@ def load_scenario(name: str) -> Scenario:
     def fault(what: str) -> UsageError:
         return UsageError(f"--scenario {name}: {what}")
 
-    made = _scenario(TomlTable(fault, load_toml(path, fault), KNOWN), name, path.stem)
-    if not made.recorded:  # the simulator's own checks, before anything runs
-        try:
+    top = TomlTable(fault, load_toml(path, fault), KNOWN)
+    stated = top.optional_table("setup")
+    with _named(fault):
+        setup = Setup() if stated is None else _setup(stated)
+    made = _scenario(top, setup, name, path.stem)
+    if not made.recorded:
+        with _named(fault):  # the simulator's own checks, before anything runs
             for m in made.members:
                 made.world(m.world)
-        except UsageError as wrong:
-            raise fault(str(wrong)) from None
     return made
 
 
-def _scenario(top: TomlTable, source: str, stem: str) -> Scenario:
+@contextmanager
+def _named(fault: Fault) -> Iterator[None]:
+    """What is wrong is said with the name of the file."""
+    try:
+        yield
+    except UsageError as wrong:
+        raise fault(str(wrong)) from None
+
+
+def _scenario(top: TomlTable, setup: Setup, source: str, stem: str) -> Scenario:
     task = top.names("task", TASKS, ("slam",))
     world = top.table_of("world", _world_keys(top))
     kind = world.one_of("kind", (*SIMULATORS, RECORDED))
@@ -73,7 +86,7 @@ def _scenario(top: TomlTable, source: str, stem: str) -> Scenario:
         members=members,
         kind=kind,
         values=_parameters(world, kind),
-        setup=_setup(top.optional_table("setup")),
+        setup=setup,
         from_frame=top.whole("from_frame", 0, least=0),
         rates=_rates(top),
         published=_published(top.table_of("published"), members) if "published" in top else None,
@@ -137,18 +150,10 @@ def _member(estimators: TomlTable, name: str, task: tuple[str, ...], kind: str) 
     return Member(name, tasks if "must_be" in table else (), () if world is None else _parameters(world, kind))
 
 
-def _setup(table: TomlTable | None) -> Setup:
-    values: dict[str, Any] = {}
-    for f in fields(Setup):
-        if table is None or f.name not in table:
-            continue
-        if table.table[f.name] == "none":
-            values[f.name] = None
-        else:
-            values[f.name] = (
-                table.flag(f.name) if isinstance(f.default, bool) else table.number(f.name, None, "a number")
-            )
-    return Setup(**values)
+def _setup(table: TomlTable) -> Setup:
+    setup = Setup(**read_values(Setup, table.table, lambda row: f"[setup] {row.name} ="))
+    check_gates(setup.gate, setup.new_gate, ("gate =", "[setup] new_gate ="))
+    return setup
 
 
 def _published(table: TomlTable, members: tuple[Member, ...]) -> Published:

@@ -57,12 +57,12 @@ def folder_of(root: Path, scenario: Scenario) -> Path:
 
 def save(folder: Path, seed: int, result: Result) -> None:
     """Keep a run; a file appears whole or not at all."""
-    told = [
+    rows = [
         [list(key), dict(s.means), dict(s.ends), dict(s.squares), dict(s.published), s.failure]
         for key, s in result.items()
     ]
     kept: dict[str, Any] = {f"nees_{i}": s.nees_pose for i, s in enumerate(result.values())}
-    kept["told"] = np.frombuffer(json.dumps(told).encode(), np.uint8)
+    kept["samples"] = np.frombuffer(json.dumps(rows).encode(), np.uint8)
     with whole_file(folder / f"{seed}.npz") as partial:
         np.savez(partial, **kept)
 
@@ -71,9 +71,9 @@ def load(folder: Path, seed: int) -> Result | None:
     """A kept run, or None; a file that is damaged counts as none."""
     try:
         with (folder / f"{seed}.npz").open("rb") as file, np.load(file) as kept:
-            told = json.loads(kept["told"].tobytes())
+            rows = json.loads(kept["samples"].tobytes())
             result: Result = {}
-            for i, (key, means, ends, squares, published, failure) in enumerate(told):
+            for i, (key, means, ends, squares, published, failure) in enumerate(rows):
                 named: Key = tuple(key)
                 result[named] = Sample(means, ends, squares, published, kept[f"nees_{i}"], failure)
             return result

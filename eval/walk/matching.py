@@ -21,7 +21,7 @@ from data.inputs import IntArray
 from data.result import NEW
 from data.se2 import Array, BoolArray
 from data.sensors import Sensor
-from eval.walk.painting import (
+from eval.walk.marks import (
     BAD,
     DASHES,
     DULL,

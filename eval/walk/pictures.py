@@ -17,9 +17,10 @@ from data.log import Log
 from data.result import MapState, PoseEstimate
 from data.se2 import Array, transform_points
 from data.sensors import RangeBearing, Sensor
-from eval.figures.map import ellipses, true_landmarks
+from eval.figures.ellipses import ellipses
 from eval.figures.style import TRUTH_COLOUR, style_of
-from eval.walk.painting import BAD, FAINT, GOOD, ONE, fit, mark_robot, outlines, robot_axes, write_numbers
+from eval.figures.view import true_landmarks
+from eval.walk.marks import BAD, FAINT, GOOD, ONE, fit, mark_robot, outlines, robot_axes, write_numbers
 
 
 def field_of_view(sensor: Sensor) -> Array | None:

@@ -41,8 +41,9 @@ class Pairings:
         counts: the referee's.
         neighbour: pairings with the landmark of another point, though the right one was in the map.
         copy: pairings with a second landmark of the right point.
-        ghost: points paired with a landmark that was founded on a person.
-        clutter: observations of people; of them paired, founding a landmark, and paired with one founded on a person.
+        ghost: points paired with a landmark that was initialized on a person.
+        clutter: observations of people; of them paired, initializing a landmark, and paired with a landmark that was
+            initialized on a person.
         first_wrong: frame of the first FP, None if there is none.
         before, after: RMS position error in the frames before it, and from it on.
         apart: median distance of the points confused.
@@ -55,7 +56,7 @@ class Pairings:
     ghost: int
     clutter: int
     clutter_paired: int
-    clutter_founding: int
+    clutter_initializing: int
     clutter_again: int
     first_wrong: int | None
     before: float
@@ -150,7 +151,7 @@ def look(run: Run, log: Log) -> Pairings:
         ghost=int((wrong & ~clutter & (taken == CLUTTER)).sum()),
         clutter=int(clutter.sum()),
         clutter_paired=int((clutter & paired).sum()),
-        clutter_founding=int((clutter & (run.decisions == NEW)).sum()),
+        clutter_initializing=int((clutter & (run.decisions == NEW)).sum()),
         clutter_again=int((clutter & paired & (taken == CLUTTER)).sum()),
         first_wrong=first,
         before=rms(error[:split]) if split else float("nan"),

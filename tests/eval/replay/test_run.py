@@ -20,7 +20,7 @@ from ekf.filter import FilterOptions
 from eval.referee.score import association_row, confusion_of
 from eval.replay import run as replay
 from eval.replay.frontend import FrontEnd
-from eval.replay.map_management import Upkeep
+from eval.replay.map_management import MapManagement
 from eval.replay.run import compare, filter_known, step_by_step
 from eval.replay.settings import Setup
 
@@ -79,8 +79,7 @@ def test_on_a_linear_world_filter_and_smoother_decide_alike_over_the_whole_run(m
 
 
 def test_labels_are_withheld_from_every_method_but_known(lab):
-    front = FrontEnd("ekf", "jcbb", slam(lab, labels=True).without_labels(), Setup())
-    assert not isinstance(front.inputs.observations, LabelledObservations)
+    assert slam(lab, labels=True).without_labels().frame(0).label is None
     shuffled = replace(lab, truth=replace(lab.truth, landmark_of=lab.truth.landmark_of[::-1].copy()))
     a, b = (compare(x.inputs(labels=True), "slam", ["ekf"], "nn")[0] for x in (lab, shuffled))
     np.testing.assert_array_equal(a.decisions, b.decisions)
@@ -126,10 +125,9 @@ def test_the_cut_to_what_is_in_view_asks_for_fewer_candidates_and_is_the_same_wh
     for in_view in (False, True):
         front, sizes = FrontEnd("ekf", "jcbb", inputs, Setup(in_view=in_view)), []
         for k in range(len(inputs)):
-            front.move()
-            rows = slice(int(inputs.start[k]), int(inputs.start[k + 1]))
+            front.move(inputs.frame(k))
             sizes.append(len(front.expect(inputs.sightings(k)).number))
-            front.associate(rows)
+            front.update(inputs.frame(k), front.associate(inputs.frame(k)))
         asked[in_view] = sizes
     assert max(asked[False]) == 88
     assert max(asked[True]) < 40
@@ -209,12 +207,18 @@ def test_forgetting_is_the_filters_alone_and_leaves_the_graph_whole(lab):
 
 
 def test_a_parked_landmark_that_was_taken_back_unseen_is_still_forgotten_in_time():
-    upkeep = Upkeep(Setup(deactivate_after=2.0, forget_after=6.0), np.arange(12.0))
-    upkeep.see(0, np.array([0]))
-    assert [upkeep.leaving(k).parked.tolist() for k in range(4)] == [[], [], [], [0]]
-    upkeep.wake(4, np.array([0]))
-    assert upkeep.leaving(6).parked.tolist() == []
-    leaving = upkeep.leaving(7)
+    management = MapManagement(Setup(deactivate_after=2.0, forget_after=6.0))
+
+    def leaving_after(k):
+        management.begin(k, float(k))
+        return management.leaving()
+
+    management.see(np.array([0]))
+    assert [leaving_after(k).parked.tolist() for k in range(4)] == [[], [], [], [0]]
+    management.begin(4, 4.0)
+    management.restored(np.array([0]))
+    assert leaving_after(6).parked.tolist() == []
+    leaving = leaving_after(7)
     assert (leaving.parked.tolist(), leaving.forgotten.tolist()) == ([], [0])
 
 

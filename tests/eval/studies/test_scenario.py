@@ -83,10 +83,10 @@ def test_angles_that_a_corridor_keeps_in_degrees_are_given_in_degrees(written):
 def test_an_estimator_may_be_told_other_noise_but_the_measurements_stay():
     s = load_scenario("esde")
     changed = next(m.world for m in s.members if m.name == "ekf-invariant")
-    plain, told = s.simulate(3), s.simulate(3, changed)
-    np.testing.assert_array_equal(plain.recorded.increments.mean, told.recorded.increments.mean)
-    np.testing.assert_array_equal(plain.recorded.observations.z, told.recorded.observations.z)
-    assert np.abs(plain.recorded.increments.covariance - told.recorded.increments.covariance).max() > 1e-7
+    plain, stated = s.simulate(3), s.simulate(3, changed)
+    np.testing.assert_array_equal(plain.recorded.increments.mean, stated.recorded.increments.mean)
+    np.testing.assert_array_equal(plain.recorded.observations.z, stated.recorded.observations.z)
+    assert np.abs(plain.recorded.increments.covariance - stated.recorded.increments.covariance).max() > 1e-7
 
 
 @pytest.mark.parametrize(("old", "new", "words"), [
@@ -113,7 +113,8 @@ def test_an_estimator_may_be_told_other_noise_but_the_measurements_stay():
     ("batch = {}", 'batch = {}\n[[published.row]]\nestimator = "ekf"\nvalue = 3', "[published.row] quantity: missing"),
     ("[world]", "[world", "not valid TOML"),
     ("[world]", "[[world]]", "this must be a table"),
-    ('[world]\nkind = "arena"', "[setup]", "no [world] table"),
+    ('[world]\nkind = "arena"\nframes = 40\nlandmarks = 12\n', "", "no [world] table"),
+    ("[estimators]", "[setup]\ngate = 2\n[estimators]", "small.toml: [setup] gate = 2: a probability"),
     ('kind = "arena"\n', "", "[world] kind: missing"),
 ])  # fmt: skip
 def test_a_fault_in_a_file_is_one_line_that_names_file_and_key(written, old, new, words):

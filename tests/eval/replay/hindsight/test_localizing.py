@@ -28,7 +28,7 @@ def runs(people):
 def test_people_are_retracted_and_points_are_kept(people, runs, name):
     for log, run in zip(people, runs[name]):
         online, final = confusion_of(run, log, "online"), confusion_of(run, log, "final")
-        known = int((log.truth.landmark_of >= 0).sum()) - 88  # the first sighting of each point founds it
+        known = int((log.truth.landmark_of >= 0).sum()) - 88  # the first sighting of each point initializes it
         assert online.fp > final.fp
         assert final.fp <= 7
         assert final.tp >= 0.96 * known
@@ -63,7 +63,7 @@ def test_a_retracted_landmark_is_out_of_the_map_with_every_decision_for_it(runs)
         assert not np.isin(run.final_decisions, gone).any()
         left = founders(run.final_decisions, run.created)
         assert not np.isin(left, gone).any()
-        # who is in the map was founded once, and is seen as often as it says
+        # who is in the map was initialized once, and is seen as often as it says
         assert sorted(left[left >= 0]) == run.map.number.tolist()
         times = [(run.final_decisions == n).sum() + 1 for n in run.map.number]
         assert run.map.times_seen.tolist() == times

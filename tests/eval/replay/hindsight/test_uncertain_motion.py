@@ -161,9 +161,9 @@ def test_an_update_at_a_pose_is_one_gauss_newton_step_from_there(begun):
 def test_first_estimates_cannot_be_taken_elsewhere(primed):
     inputs = primed[0].inputs().without_map()
     front = FrontEnd("ekf-fej", METHOD, inputs, Setup())
-    front.move()
-    front.associate(slice(int(inputs.start[0]), int(inputs.start[1])))
-    front.move()
+    front.move(inputs.frame(0))
+    front.update(inputs.frame(0), front.associate(inputs.frame(0)))
+    front.move(inputs.frame(1))
     o = inputs.observations
     sightings = Sightings(o.z[o.frame == 1], o.R[o.frame == 1])
     assert front.estimator.expect(sightings).elsewhere is None

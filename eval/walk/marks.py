@@ -1,4 +1,4 @@
-"""What the figures of a step have in common: ellipses, the robot, numbers, the robot frame."""
+"""Marks that the figures of a step share: ellipses, the robot, numbers; and measurements as points in its frame."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.patheffects import withStroke
 
 from data.se2 import Array
-from eval.figures.map import ellipses
+from eval.figures.ellipses import ellipses
 
 ONE, MANY = (7.0, 5.6), (10.5, 6.8)
 """in. Size of a figure with one picture, and with one per method."""
