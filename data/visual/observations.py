@@ -241,14 +241,14 @@ ARRAYS = ("time", "v", "omega", "frame", "picture", "inliers", "pixels", "points
 def _save(path: Path, found: Found) -> None:
     arrays: dict[str, Any] = {name: getattr(found, name) for name in ARRAYS}
     arrays |= {f"tile_{k}": np.frombuffer(image, np.uint8) for k, image in found.tiles}
-    told = [
+    others = [
         [dict(each) for each in found.refused],
         [k for k, _ in found.tiles],
         found.focal,
         found.pixel_noise,
         found.depth_noise,
     ]
-    arrays["told"] = np.frombuffer(json.dumps(told).encode(), np.uint8)
+    arrays["others"] = np.frombuffer(json.dumps(others).encode(), np.uint8)
     with whole_file(path) as partial:
         np.savez(partial, **arrays)
 
@@ -256,7 +256,7 @@ def _save(path: Path, found: Found) -> None:
 def _load(path: Path) -> Found | None:
     try:
         with path.open("rb") as file, np.load(file) as kept:
-            refused, numbers, *noise = json.loads(kept["told"].tobytes())
+            refused, numbers, *noise = json.loads(kept["others"].tobytes())
             tiles = tuple((k, kept[f"tile_{k}"].tobytes()) for k in numbers)
             arrays = {name: kept[name] for name in ARRAYS}
             return Found(**arrays, refused=tuple(refused), tiles=tiles, **dict(zip(NOISE, noise, strict=True)))

@@ -168,7 +168,7 @@ def simulate(corridor: Corridor, seed: int, name: str | None = None) -> Log:
     for k, pose in enumerate(truth):
         people = crowd[k], np.full(crowd.shape[1], CLUTTER), people_rng
         for points, ids, rng in ((known.xy, known.id, sensor_rng), people):
-            seen, readings, covariances = _look(corridor, sensor, pose, points, rng)
+            seen, readings, covariances = _observe(corridor, sensor, pose, points, rng)
             frame.append(np.full(len(seen), k))
             true_id.append(ids[seen])
             z.append(readings)
@@ -209,7 +209,7 @@ def _odometry(corridor: Corridor, turned: IntArray, rng: np.random.Generator) ->
     return Increments(mean, covariance), floored
 
 
-def _look(
+def _observe(
     corridor: Corridor, sensor: RelativePoint, pose: Array, points: Array, rng: np.random.Generator
 ) -> tuple[IntArray, Array, Array]:
     """Indices (m,) of the points in view; z (m, 2) and R (m, 2, 2), both from the noisy range and bearing."""

@@ -1,4 +1,4 @@
-"""Command-line flags of the simulated worlds, one for every field of their parameters, and the logs they make."""
+"""Command-line flags of the simulated worlds, one for every field of their parameters."""
 
 from __future__ import annotations
 
@@ -6,14 +6,11 @@ import argparse
 import math
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, fields, replace
+from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from data.worlds.registry import parameters_of, simulate
-
-if TYPE_CHECKING:
-    from data.log import Log
+from data.worlds.registry import parameters_of
 
 
 def number(text: str) -> float:
@@ -70,11 +67,3 @@ def _attributes(docstring: str, names: Sequence[str]) -> dict[str, str]:
     ends = [m.start() for m in found[1:]] + [len(docstring)]
     texts = {m[1]: " ".join(docstring[m.end() : end].split()) for m, end in zip(found, ends, strict=True)}
     return {n: text.replace("`", "").rstrip(" .,;") for group, text in texts.items() for n in group.split(", ")}
-
-
-def simulated(args: argparse.Namespace) -> Log:
-    """The log that the flags describe; its source holds every parameter."""
-    kind = parameters_of(args.kind)
-    values = kind(**{f.name: getattr(args, f.name) for f in fields(kind)})
-    log = simulate(args.kind, values, args.seed)
-    return replace(log, source={**log.source, args.kind: asdict(values)})

@@ -46,6 +46,6 @@ def test_so_it_is_in_a_config_file(tmp_path):
 def test_so_it_is_in_the_setup_of_a_scenario_as_every_other_fault(tmp_path, setup, words):
     path = tmp_path / "small.toml"
     path.write_text(f'about = "x"\n[world]\nkind = "arena"\nframes = 40\n[estimators]\nekf = {{}}\n[setup]\n{setup}\n')
-    with pytest.raises(UsageError, match=r"small\.toml: setup: ") as fault:
+    with pytest.raises(UsageError, match=r"small\.toml: \[setup\] ") as fault:
         load_scenario(str(path))
     assert words in str(fault.value)
