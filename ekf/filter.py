@@ -124,7 +124,7 @@ class Filter:
     def amend(self, frames: IntArray, sightings: Sightings, decisions: IntArray) -> None:
         """What frames (m,) up to now saw was for other landmarks: too late, a filter does not revise its past."""
 
-    def lose(self, covariance: Array) -> None:
+    def inflate(self, covariance: Array) -> None:
         """The last motion is not to be believed: so much covariance (3, 3), world frame, is added to the pose's."""
         self._version += 1
         self._P[:3, :3] += covariance

@@ -66,7 +66,7 @@ class EkfLocalizer(Filter):
         """A known map does not change: asking for it is an error."""
         raise ValueError("a localizer's map is given; landmarks cannot be removed from it")
 
-    def join(self, away: IntArray, kept: IntArray) -> None:
+    def merge(self, merged: IntArray, kept: IntArray) -> None:
         """No two landmarks of a known map are one: asking for it is an error."""
         raise ValueError("a localizer's map is given; its landmarks cannot be joined")
 

@@ -138,13 +138,13 @@ class EkfSlam(Filter):
         """Where the coordinates of active landmarks (n,) stand in the state (2n,)."""
         return coordinates_from(np.array([self._offset[n] for n in numbers.tolist()], np.int64))
 
-    def join(self, away: IntArray, kept: IntArray) -> None:
-        """Landmarks `away` (k,) are the same as `kept` (k,), all of them active: both estimates become one, `away` go.
+    def merge(self, merged: IntArray, kept: IntArray) -> None:
+        """Landmarks `merged` (k,) are the same as `kept` (k,), all of them active: both estimates become one.
 
         An update with the measurement that their difference is zero.
         """
         self._version += 1
-        e, a, b = self._used, self._at(away), self._at(kept)
+        e, a, b = self._used, self._at(merged), self._at(kept)
         P, mean = self._P[:e, :e], self._mean[:e]
         PHt = P[:, a] - P[:, b]
         S = PHt[a] - PHt[b] + JOINED**2 * np.eye(len(a))
@@ -157,7 +157,7 @@ class EkfSlam(Filter):
         P -= PHt @ gain.T
         P += JOINED**2 * gain @ gain.T
         P[:] = symmetric(P)
-        self.remove(away)
+        self.remove(merged)
 
     @property
     def parked(self) -> IntArray:

@@ -116,9 +116,9 @@ class FixedLagSmoother(Isam2Smoother):
             self._window.marginalize(held, self._anchor_key)
             self._read()
 
-    def join(self, away: IntArray, kept: IntArray) -> None:
-        """Landmarks `away` (k,) are the same as `kept` (k,): an observation of no difference, as in a filter."""
-        pairs = self._pairs_to_join(away, kept)
+    def merge(self, merged: IntArray, kept: IntArray) -> None:
+        """Landmarks `merged` (k,) are the same as `kept` (k,): an observation of no difference, as in a filter."""
+        pairs = self._pairs_to_merge(merged, kept)
         same = gtsam.noiseModel.Isotropic.Sigma(2, JOINED)
         none = np.zeros(2)
         self._window.add([gtsam.BetweenFactorPoint2(L(a), L(b), none, same) for a, b in pairs.items()], gtsam.Values())

@@ -82,9 +82,9 @@ class Isam2Smoother(Smoother):
         self._end.move(increment)
         self._drift.move(increment)
 
-    def lose(self, covariance: Array) -> None:
+    def inflate(self, covariance: Array) -> None:
         """The last motion is not to be believed: so much covariance (3, 3), alike in all directions, is added to it."""
-        self._end.lose(covariance)
+        self._end.inflate(covariance)
         self._drift.move(Increment(np.zeros(3), covariance))
 
     def estimate(self) -> PoseEstimate:
@@ -243,23 +243,23 @@ class Isam2Smoother(Smoother):
         self._engine.drop(self._observed.take_back(gone.tolist()))
         self.refine()
 
-    def join(self, away: IntArray, kept: IntArray) -> None:
-        """Landmarks `away` (k,) are the same as `kept` (k,): what was seen of the first was seen of the second.
+    def merge(self, merged: IntArray, kept: IntArray) -> None:
+        """Landmarks `merged` (k,) are the same as `kept` (k,): what was seen of the first was seen of the second.
 
         Their factors are removed, and put in again with the other landmark.
         """
-        other = self._pairs_to_join(away, kept)
+        other = self._pairs_to_merge(merged, kept)
         moved = [s.renumbered(other[s.number]) for s in self._observed.sighted if s.number in other]
         self._engine.drop(self._observed.take_back(list(other)))
         self._add([], moved, gtsam.Values(), late=True)
         self.refine()
 
-    def _pairs_to_join(self, away: IntArray, kept: IntArray) -> dict[int, int]:
+    def _pairs_to_merge(self, merged: IntArray, kept: IntArray) -> dict[int, int]:
         """Which landmark becomes which. Raises ValueError for a request that makes no sense."""
         if self.map is not None:
             raise ValueError("a known map is given; its landmarks cannot be joined")
-        other = dict(zip(away.tolist(), kept.tolist(), strict=True))
-        if self._observed.missing(np.concatenate([away, kept])) or other.keys() & other.values():
+        other = dict(zip(merged.tolist(), kept.tolist(), strict=True))
+        if self._observed.missing(np.concatenate([merged, kept])) or other.keys() & other.values():
             raise ValueError(f"cannot join {other}: not all are in the map, or one is to go and to stay")
         return other
 

@@ -51,7 +51,7 @@ class OpenEnd:
         self.mean, self.P, self._Q = advance(self.mean, self.P, self._Q, increment.mean, increment.covariance)
         self._path.append(self.mean)
 
-    def lose(self, covariance: Array) -> None:
+    def inflate(self, covariance: Array) -> None:
         """So much covariance (3, 3), alike in all directions, is added to the last increment's."""
         if not self._increments:
             raise ValueError("there was no motion since the last sighting")

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from data.log import Log
-from data.result import DISCARD, Run, founders
+from data.result import DISCARD, Run, surviving
 from eval.referee import consistency, errors
 from eval.referee.confusion import WITHIN, Confusion, confuse, share_within
 from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES, RUN
@@ -69,7 +69,7 @@ def confusion_of(run: Run, log: Log, phase: str) -> Confusion | None:
     known = log.recorded.map if run.task == "localization" else None
     decisions = run.decisions if phase == "online" else run.final_decisions
     # in the end a landmark that was retracted has never been
-    created = run.created if phase == "online" else founders(decisions, run.created)
+    created = run.created if phase == "online" else surviving(decisions, run.created)
     final = run.final_decisions if phase == "online" else None
     frame = log.recorded.observations.frame
     return confuse(frame, log.truth.landmark_of, decisions, created, known, run.removed, final)

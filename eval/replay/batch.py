@@ -7,7 +7,7 @@ import time
 import numpy as np
 
 from data.inputs import Inputs, IntArray
-from data.result import DISCARD, Failure, Run, Trajectory, founders, map_estimate
+from data.result import DISCARD, Failure, Run, Trajectory, map_estimate, surviving
 from data.se2 import Array, BoolArray
 from graph.batch import Start, smooth
 from graph.factors import UnderConstrained
@@ -28,7 +28,7 @@ def batch(name: str, inputs: Inputs, front: Run) -> Run:
         return _failed(name, front, Failure("incomplete", 0, why), len(inputs), 0.0)
     begin = time.perf_counter()
     # what was retracted has no landmark; what a filter merely forgot is smoothed like all others
-    initialized = founders(front.final_decisions, front.created)
+    initialized = surviving(front.final_decisions, front.created)
     start = Start(front.online.pose, _places(inputs, front, initialized))
     final, notes = front.final_decisions, [f"decisions made by {front.estimator}"]
     try:

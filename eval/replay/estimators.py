@@ -87,8 +87,8 @@ class Estimator(Protocol):
         """Drop landmarks."""
         ...
 
-    def join(self, away: IntArray, kept: IntArray) -> None:
-        """Landmarks `away` are the same as `kept`, and go."""
+    def merge(self, merged: IntArray, kept: IntArray) -> None:
+        """Landmarks `merged` are the same as `kept`, and go."""
         ...
 
     def park(self, numbers: IntArray) -> None:
@@ -103,7 +103,7 @@ class Estimator(Protocol):
         """Positions (b, 2) of the parked landmarks, ordered as `parked`."""
         ...
 
-    def lose(self, covariance: Array) -> None:
+    def inflate(self, covariance: Array) -> None:
         """Believe the last motion so much less, by a covariance (3, 3) that is the same in all directions."""
         ...
 

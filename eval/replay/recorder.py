@@ -13,9 +13,9 @@ from data.result import (
     Run,
     Trajectory,
     Updated,
-    founders,
     map_estimate,
     revised,
+    surviving,
 )
 from eval.replay.frontend import FrontEnd
 
@@ -68,7 +68,7 @@ class Recorder:
         final = revised(final, events)
         state = None
         if finished.map is not None:
-            state = map_estimate(finished.map, self._frame, final, founders(final, self.created))
+            state = map_estimate(finished.map, self._frame, final, surviving(final, self.created))
         innovations = None
         if np.isfinite(self._nis).any():
             innovations = Innovations(self._nis, self._dof, self._likelihood, self._white)

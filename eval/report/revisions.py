@@ -60,14 +60,14 @@ def example(run: Run) -> Example | None:
 def tally(run: Run) -> dict[str, str]:
     """A row of the table: counts, and the reasons why landmarks left the map."""
     undone = [e for e in run.events if e.old >= 0]
-    founders = [e for e in run.events if e.old == NEW]
-    why = Counter(e.why for e in founders if e.new == DISCARD)
+    initializing = [e for e in run.events if e.old == NEW]
+    why = Counter(e.why for e in initializing if e.new == DISCARD)
     reasons = f" ({', '.join(f'{n} {w}' for w, n in sorted(why.items()))})" if why else ""
     counts = (
         len(undone),
         sum(e.new >= 0 for e in undone),
         sum(e.old == DISCARD and e.new >= 0 for e in run.events),
-        sum(e.new >= 0 for e in founders),
+        sum(e.new >= 0 for e in initializing),
     )
     cells = [str(c) for c in counts] + [f"{why.total()}{reasons}"]
     return dict(zip(COLUMNS[1:], cells, strict=True))

@@ -44,7 +44,7 @@ def drive(inputs, decisions, *, gate=np.inf, until=None, smoother=None, **option
 
 
 def parted(inputs, decisions, created, landmark, later):
-    """Decisions under which a landmark is founded again at its first sighting after frame `later`, with that number."""
+    """Decisions that initialize a landmark again at its first sighting after frame `later`, with that number."""
     o, number = inputs.observations, np.where(created >= 0, created, decisions)
     again = np.flatnonzero((number == landmark) & (o.frame > later))
     apart = decisions.copy()

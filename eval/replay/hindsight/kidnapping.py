@@ -64,7 +64,7 @@ class Kidnapping:
         sure = ledger.certain()
         if self._alarm(len(decisions), int(np.isin(decisions, sure).sum())):
             kidnapped = anywhere(slam.mean[3:].reshape(-1, 2), ledger.range)
-            slam.lose(kidnapped)
+            slam.inflate(kidnapped)
             ledger.begin_epoch()
         if self.lost and np.trace(slam.estimate().covariance[:2, :2]) < (constants.FOUND_AGAIN * ledger.range) ** 2:
             self._recover()  # by a constellation

@@ -121,7 +121,7 @@ class HindsightMapper:
         pairs = self.kidnapping.duplicates() or self.duplicates.find(self.filter, widest(self.gates.scales))  # 9
         merged, kept = np.array(pairs, np.int64).reshape(-1, 2).T
         if len(merged):
-            self.filter.join(merged, kept)
+            self.filter.merge(merged, kept)
             self.ledger.merge(pairs)
         return Revision(retracted, merged, kept)
 

@@ -48,7 +48,7 @@ class MappingFrontEnd(FrontEnd):
         decisions, complete, at, kidnapped = self.mapper.decide(frame)
         self.incomplete += not complete
         if kidnapped is not None:
-            self.estimator.lose(kidnapped)
+            self.estimator.inflate(kidnapped)
         return Pairing(decisions, at=None if self.estimator.fixed_linearization else at)
 
     def tidy(self) -> None:
@@ -58,7 +58,7 @@ class MappingFrontEnd(FrontEnd):
         if len(found.merged):
             if self.parking is not None:
                 self.parking.restore(np.concatenate([found.merged, found.kept]))
-            self.estimator.join(found.merged, found.kept)
+            self.estimator.merge(found.merged, found.kept)
             self._gone(found.merged)
         super().tidy()
 

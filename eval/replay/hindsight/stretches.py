@@ -66,9 +66,9 @@ class Stretches:
         """A known map does not change: asking for it is an error."""
         self._now.remove(numbers)
 
-    def join(self, away: IntArray, kept: IntArray) -> None:
+    def merge(self, merged: IntArray, kept: IntArray) -> None:
         """No two landmarks of a known map are one: asking for it is an error."""
-        self._now.join(away, kept)
+        self._now.merge(merged, kept)
 
     @property
     def parked(self) -> IntArray:
@@ -87,9 +87,9 @@ class Stretches:
         """No landmark is parked: asking for it is an error."""
         self._now.restore(numbers)
 
-    def lose(self, covariance: Array) -> None:
+    def inflate(self, covariance: Array) -> None:
         """Believe the last motion so much less."""
-        self._now.lose(covariance)
+        self._now.inflate(covariance)
 
     def estimate(self) -> PoseEstimate:
         """The newest pose."""

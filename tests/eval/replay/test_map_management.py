@@ -19,18 +19,18 @@ def test_map_maintenance_removes_what_was_seen_once_from_filter_and_graph(crowde
     setup = Setup(maintain=True)
     for name in ("ekf", "isam2"):
         run = step_by_step(name, slam(crowded), "slam", "jcbb", setup)
-        founded = np.flatnonzero(run.created >= 0)
+        initialized = np.flatnonzero(run.created >= 0)
         times = np.bincount(np.where(run.created >= 0, run.created, run.decisions)[run.decisions != DISCARD])
         frame = crowded.recorded.observations.frame
         last = len(crowded.recorded) - 1
-        for i in founded:
+        for i in initialized:
             n = run.created[i]
             gone = run.removed[n]
             assert (gone == frame[i] + 3) == (times[n] == 1 and frame[i] + 3 <= last)
             assert (run.final_decisions[i] == DISCARD) == (gone >= 0)
             assert (n in run.map.number) == (gone < 0)
         assert (run.removed >= 0).sum() > 5
-        np.testing.assert_array_equal(run.decisions[founded], NEW)
+        np.testing.assert_array_equal(run.decisions[initialized], NEW)
 
 
 def test_a_batch_after_map_maintenance_knows_nothing_of_what_was_removed(crowded):

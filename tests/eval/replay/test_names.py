@@ -72,7 +72,7 @@ def test_what_an_estimator_cannot_do_it_refuses(name, task):
         with pytest.raises(ValueError, match=r"park|invariant"):
             verb(inputs.map.id[:1])
     if task == "localization":
-        for ask in (lambda: estimator.remove(inputs.map.id[:1]), lambda: estimator.join(*inputs.map.id[:2, None])):
+        for ask in (lambda: estimator.remove(inputs.map.id[:1]), lambda: estimator.merge(*inputs.map.id[:2, None])):
             with pytest.raises(ValueError, match="map is given"):
                 ask()
 

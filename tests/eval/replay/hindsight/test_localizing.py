@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from data.errors import UsageError
-from data.result import DISCARD, NEW, Event, founders, revised
+from data.result import DISCARD, NEW, Event, revised, surviving
 from data.worlds.registry import named_log
 from ekf.filter import FilterOptions
 from eval.referee.score import confusion_of
@@ -61,7 +61,7 @@ def test_a_retracted_landmark_is_out_of_the_map_with_every_decision_for_it(runs)
         assert len(gone)
         assert not np.isin(run.map.number, gone).any()
         assert not np.isin(run.final_decisions, gone).any()
-        left = founders(run.final_decisions, run.created)
+        left = surviving(run.final_decisions, run.created)
         assert not np.isin(left, gone).any()
         # who is in the map was initialized once, and is seen as often as it says
         assert sorted(left[left >= 0]) == run.map.number.tolist()

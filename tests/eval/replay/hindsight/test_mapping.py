@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from data.inputs import Increments, Inputs, Observations, Prior
-from data.result import NEW, founders, revised
+from data.result import NEW, revised, surviving
 from data.sensors import RelativePoint
 from eval.replay.batch import batch
 from eval.replay.hindsight.ledger import MERGED
@@ -76,7 +76,7 @@ def test_merged_landmarks_give_all_their_sightings_to_the_older_one(runs):
     assert not gone & set(run.map.number.tolist())
     assert all(run.removed[n] >= 0 for n in gone)
     assert np.array_equal(revised(run.decisions, run.events), run.final_decisions)
-    left = founders(run.final_decisions, run.created)
+    left = surviving(run.final_decisions, run.created)
     assert sorted(left[left >= 0]) == run.map.number.tolist()
     assert any("turned out to be ones initialized before" in note for note in run.notes)
 
