@@ -13,6 +13,7 @@ from data.result import Failure, MapEstimate
 from eval.figures import anees_figure, difference_figure, error_figure, map_figure, nees_figure
 from eval.figures.error import MOST_BINS, longest_sigma, sigmas, thinned
 from eval.figures.map import View, dead_reckoned, ellipses, enlargement
+from tests.eval.figures.looks import within
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error, true_path
 
 ZERO = np.zeros(3)
@@ -66,11 +67,6 @@ SHOWN = {
     "nees": ("no truth", "truth with holes", "a run stopped", "six phases", "nothing ran"),
     "difference": ("truth with holes", "a run stopped", "a run never started", "six phases", "nothing ran"),
 }
-
-
-def within(box, paper) -> bool:
-    """Whether a box lies on the paper, to a pixel."""
-    return bool(np.all(box.min >= paper.min - 1.0) and np.all(box.max <= paper.max + 1.0))
 
 
 @pytest.mark.parametrize(
