@@ -12,6 +12,8 @@ from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.run import compare, filter_known
 from eval.replay.settings import Setup
 
+pytestmark = pytest.mark.usefixtures("tables_parsed_once")
+
 
 def localize(log):
     """Ratio of position RMSE to that with labels, share of pairings that are right, and share of those with labels."""

@@ -14,6 +14,7 @@ from data.mrclam.calibration import FROZEN, Calibration
 from data.mrclam.load import corrected_landmarks, load_mrclam, robots
 from tests.data.mrclam.loading import PLAIN, noted
 
+pytestmark = pytest.mark.usefixtures("tables_parsed_once")
 BAD_NINE = [(755.0, 836.0), (945.0, 1050.0), (376.0, 380.0)]
 
 

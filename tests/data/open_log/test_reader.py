@@ -13,7 +13,7 @@ from data.motion import VelocityModel, VelocityNoise, preintegrate
 from data.open_log.writer import write_folder
 from data.sensors import RangeBearing, RelativePoint
 from data.truth import CLUTTER, UNKNOWN_ID
-from tests.data.open_log.same import assert_same_log, load
+from tests.data.open_log.same_log import assert_same_log, load
 
 
 def test_frames_folder_is_read_as_written(small_log_files, save, tmp_path):

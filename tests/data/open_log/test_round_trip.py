@@ -17,7 +17,7 @@ from data.log import Log
 from data.open_log.writer import write_folder
 from data.sensors import RangeBearing, RelativePoint
 from data.truth import Truth
-from tests.data.open_log.same import assert_same_log, load
+from tests.data.open_log.same_log import assert_same_log, load
 
 numbers = st.floats(-1e6, 1e6)
 scales = st.sampled_from([0.0, 1e-12, 1e-7, 1e-3, 1.0, 1e3])

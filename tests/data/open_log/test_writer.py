@@ -15,7 +15,7 @@ from data.inputs import LandmarkMap, Observations
 from data.log import Log
 from data.open_log.writer import write_folder
 from data.truth import Truth
-from tests.data.open_log.same import load
+from tests.data.open_log.same_log import load
 
 
 @pytest.fixture

@@ -10,14 +10,10 @@ from data.visual.rendering.render import Rendered
 from data.worlds.gallery import Gallery
 
 DEFAULT = Gallery()
-
-
 CLEAN = replace(
     DEFAULT, brightness=0.0, contrast=0.0, exposure=0.0, image_noise=0.0,
     disparity_noise=0.0, disparity_step=0.0, patches=0, edge_hole=0, least_texture=0.0,
 )  # fmt: skip
-
-
 SMALL = replace(DEFAULT, image_width=320, image_height=240, reference_width=120, duration=8.0)
 SMALL_CLEAN = replace(CLEAN, image_width=320, image_height=240, reference_width=120)
 
