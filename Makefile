@@ -12,7 +12,8 @@ PACKAGES := association data ekf eval graph
 KERNELS := $(shell grep -lsr --include=*.py numba $(wildcard $(PACKAGES))) $(wildcard eval/warm.py)
 
 export MPLBACKEND := Agg
-unexport PYTHONHOME PYTHONPATH VIRTUAL_ENV
+# Without bytecode, every process and test worker would compile everything again.
+unexport PYTHONHOME PYTHONPATH VIRTUAL_ENV PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:

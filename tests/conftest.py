@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -14,3 +16,21 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("no recorded data beside the project (../shared/data)")
     return folder
+
+
+@pytest.fixture(scope="module")
+def tables_parsed_once() -> Iterator[None]:
+    """The text of a recorded MRCLAM file is parsed once, however often its log is loaded; nobody may write into it."""
+    from data.mrclam import tables
+
+    plain = tables.parse
+
+    @cache
+    def parse(path: str, content: bytes, columns: tuple[str, ...]) -> tables.Table:
+        table = plain(path, content, columns)
+        table.rows.setflags(write=False)
+        return table
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tables, "parse", parse)
+        yield

@@ -15,6 +15,7 @@ from eval.replay.batch import batch
 from eval.replay.run import filter_known
 from eval.run_all import main
 
+pytestmark = pytest.mark.usefixtures("tables_parsed_once")
 BAD = [(755.0, 836.0), (945.0, 1050.0)]
 
 

@@ -30,24 +30,27 @@ def my_log(tmp_path_factory):
     return folder
 
 
+def asked(log, estimators, out, *more):
+    return [
+        "--log", str(log), "--task", "localization,slam", "--estimator", estimators, "--runs", "3",
+        "--out", str(out), "-q", "--jobs", "1", *more,
+    ]  # fmt: skip
+
+
 @pytest.fixture(scope="module")
 def report(tmp_path_factory, my_log):
+    """Result folder with everything, of a few estimators."""
     out = tmp_path_factory.mktemp("results") / "report"
-    arguments = [
-        "--log",
-        str(my_log),
-        "--task",
-        "localization,slam",
-        "--estimator",
-        "dead-reckoning,ekf,isam2,batch,batch-huber",
-        "--runs",
-        "3",
-        "--out",
-        str(out),
-        "-q",
-    ]
-    assert main([*arguments, "--jobs", "1"]) == 0
-    return out, arguments
+    assert main(asked(my_log, "dead-reckoning,ekf,batch", out)) == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def numbers(tmp_path_factory, my_log):
+    """Result folder without pictures, of estimators of every kind."""
+    out = tmp_path_factory.mktemp("results") / "numbers"
+    assert main(asked(my_log, "dead-reckoning,ekf,isam2,batch,batch-huber", out, "--no-plots")) == 0
+    return out
 
 
 def rows(path):
@@ -55,8 +58,9 @@ def rows(path):
         return list(csv.DictReader(f))
 
 
-def test_the_result_folder_keeps_its_contract(report):
-    out, _ = report
+@pytest.mark.parametrize("made", ["report", "numbers"])
+def test_the_result_folder_keeps_its_contract(made, request):
+    out = request.getfixturevalue(made)
     if not CHECKER.exists():
         pytest.skip("the contract checker is not beside this checkout")
     spec = importlib.util.spec_from_file_location("check_results", CHECKER)
@@ -66,9 +70,8 @@ def test_the_result_folder_keeps_its_contract(report):
     assert [b for b in checker.check(out) if not b.endswith("association is 'none'; unknown is blank")] == []
 
 
-def test_every_estimator_and_phase_has_its_row_with_numbers(report):
-    out, _ = report
-    metrics = rows(out / "metrics.csv")
+def test_every_estimator_and_phase_has_its_row_with_numbers(numbers):
+    metrics = rows(numbers / "metrics.csv")
     phases = {
         "dead-reckoning": ["online"],
         "ekf": ["online"],
@@ -96,26 +99,25 @@ def test_every_estimator_and_phase_has_its_row_with_numbers(report):
 
 
 def test_the_report_shows_pictures_and_needs_no_network(report):
-    out, _ = report
-    html = (out / "report.html").read_text()
+    html = (report / "report.html").read_text()
     assert html.count("data:image/png;base64,") >= 8
     assert "http://" not in html
     assert "https://" not in html
-    text = (out / "report.md").read_text()
+    text = (report / "report.md").read_text()
     assert "not enough runs" in text
     for name in ("my_log-slam-map.png", "my_log-localization-error.pdf"):
-        assert (out / "figures" / name).stat().st_size > 5000
-    assert r"\toprule" in (out / "tables" / "my_log-slam-comparison.tex").read_text()
-    provenance = json.loads((out / "provenance.json").read_text())
+        assert (report / "figures" / name).stat().st_size > 5000
+    assert r"\toprule" in (report / "tables" / "my_log-slam-comparison.tex").read_text()
+    provenance = json.loads((report / "provenance.json").read_text())
     assert provenance["versions"]["gtsam"]
     assert len(provenance["inputs"]["my_log"]["sha256"]) == 64
 
 
 def test_same_inputs_and_seed_give_the_same_bytes_with_any_number_of_processes(my_log, tmp_path):
-    asked = ["--log", str(my_log), "--estimator", "ekf,batch", "--runs", "2", "--quick", "-q"]
+    same = ["--log", str(my_log), "--estimator", "ekf,batch", "--runs", "2", "--quick", "-q"]
     one, two = tmp_path / "one" / "r", tmp_path / "two" / "r"
-    assert main([*asked, "--out", str(one), "--jobs", "1"]) == 0
-    assert main([*asked, "--out", str(two), "--jobs", "2"]) == 0
+    assert main([*same, "--out", str(one), "--jobs", "1"]) == 0
+    assert main([*same, "--out", str(two), "--jobs", "2"]) == 0
     files = sorted(p.relative_to(one) for p in one.rglob("*") if p.is_file())
     assert {".png", ".csv", ".md", ".html"} <= {name.suffix for name in files}
     assert files == sorted(p.relative_to(two) for p in two.rglob("*") if p.is_file())
@@ -161,7 +163,7 @@ def test_a_folder_that_is_no_report_is_not_overwritten(tmp_path):
     assert (precious / "chapter.tex").read_text() == "years of work"
 
 
-def test_a_killed_run_leaves_the_previous_report_whole(report, tmp_path):
+def test_a_killed_run_leaves_the_previous_report_whole(tmp_path):
     out = tmp_path / "report"
     assert main(["--log", "arena:0", "--estimator", "ekf", "--no-plots", "--runs", "0", "--out", str(out), "-q"]) == 0
     before = {p.relative_to(out): p.read_bytes() for p in out.rglob("*") if p.is_file()}

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -21,12 +18,7 @@ from ekf.filter import FilterDivergedError, FilterOptions
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from ekf.whole_run import run_filter
-
-_spec = importlib.util.spec_from_file_location(
-    "reference_ekf", Path(__file__).parents[1] / "oracle" / "reference_ekf.py"
-)
-reference = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(reference)
+from tests.oracle import reference_ekf as reference
 
 SMALL = Arena(landmarks=8, side=14.0, frames=25)
 

@@ -18,10 +18,8 @@ from data.sensors import RangeBearing
 from ekf.whole_run import run_filter
 from graph.batch import Start, smooth
 from graph.factors import UnderConstrained
-from tests.graph.test_marginals import solved
+from tests.graph.driving import every_sensor, solved
 from tests.graph.worlds import SENSORS, circle, order_of_creation
-
-every_sensor = pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS)
 
 
 @every_sensor

@@ -21,12 +21,11 @@ from graph.factors import (
     sight_known,
     sight_landmarks,
 )
-from tests.graph.worlds import SENSORS
+from tests.graph.driving import every_sensor
 
 POSE, LANDMARK = np.array([1.5, -2.0, 2.6]), np.array([3.0, 1.0])
 R = np.array([[0.04, 0.006], [0.006, 0.0025]])
 ONE = np.array([0])
-every_sensor = pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS)
 
 
 def values(pose=POSE, landmark=LANDMARK):

@@ -9,20 +9,13 @@ import numpy as np
 import pytest
 from gtsam.symbol_shorthand import L, X
 
-from association.known import known_decisions
 from data.inputs import Increments, floor_covariances
 from data.sensors import RelativePoint
 from ekf.whole_run import run_filter
 from graph.batch import Start, build, smooth
 from graph.optimum import in_world
+from tests.graph.driving import solved
 from tests.graph.worlds import SENSORS, circle
-
-
-def solved(inputs, loss="gaussian"):
-    decisions, created = known_decisions(inputs)
-    run = run_filter(inputs, decisions)
-    landmark = np.empty((0, 2)) if run.map is None else run.map.xy
-    return smooth(inputs, decisions, created, Start(run.pose, landmark), loss=loss), (decisions, created)
 
 
 @pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS)

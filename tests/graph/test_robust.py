@@ -18,11 +18,8 @@ from data.worlds.arena import Arena, simulate
 from ekf.whole_run import run_filter
 from graph.batch import Start, build, smooth, start_values
 from graph.robust import gnc
-from tests.graph.test_incremental import for_task
+from tests.graph.driving import both_tasks, every_sensor, for_task
 from tests.graph.worlds import SENSORS, circle
-
-every_sensor = pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS)
-both_tasks = pytest.mark.parametrize("task", ["localization", "slam"])
 
 
 def filtered(inputs, decisions):

@@ -1,11 +1,7 @@
-"""Pictures are found in rendered and photographed scenes, with the right identity and corners, or refused by name.
-
-The oracle is the pinhole projection of corners that the tests place themselves.
-"""
+"""Pictures are found in rendered and photographed scenes, with the right identity and corners."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -13,109 +9,14 @@ import numpy as np
 import pytest
 
 import data.visual.checks as checks
-import data.visual.features as features
 from data.errors import DataError
-from data.visual.detector import FEW_INLIERS, NOT_SEEN, SAME_PLACE, UNCERTAIN, Detected, Detector, tally
+from data.visual.detector import NOT_SEEN, Detector, tally
+from tests.data.visual.wall import CENTRE, FOCAL, HEIGHT, PICTURE, PICTURES, WIDTH, found, hang, hung, projected, wall
 
-HEIGHT, WIDTH, FOCAL = 480, 640, 525.0
-CENTRE = np.array([319.5, 239.5])
-PICTURE = 0.6  # m, width; height is 3/4 of it
-PICTURES = 4
 WALL_CAMERA = checks.Pinhole(1 / FOCAL, -CENTRE[0] / FOCAL, 1 / FOCAL, -CENTRE[1] / FOCAL)
 
 
-def texture(seed: int) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    image = np.full((360, 480, 3), rng.uniform(60, 200, 3), np.float32)
-    for cell in (4, 12, 40):
-        noise = rng.normal(0, 18, (360 // cell + 2, 480 // cell + 2, 3)).astype(np.float32)
-        image += cv2.resize(noise, (480, 360), interpolation=cv2.INTER_CUBIC)
-    for _ in range(50):
-        x, y = rng.integers(0, (480, 360))
-        a, b = rng.integers(5, 50, 2)
-        colour = [float(c) for c in rng.uniform(0, 255, 3)]
-        if rng.random() < 0.5:
-            cv2.ellipse(image, (int(x), int(y)), (int(a), int(b)), float(rng.uniform(0, 180)), 0, 360, colour, -1)
-        else:
-            cv2.rectangle(image, (int(x), int(y)), (int(x + a), int(y + b)), colour, -1)
-    return np.clip(image, 0, 255).astype(np.uint8)
-
-
-def hung(distance: float, yaw_deg: float = 0.0, x: float = 0.0, width: float = PICTURE) -> np.ndarray:
-    """Corners (4, 3) m of a picture of which the middle is `distance` ahead and `x` to the right."""
-    w, h, c, s = width / 2, 0.375 * width, np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))
-    flat = np.array([[-w, -h, 0], [w, -h, 0], [w, h, 0], [-w, h, 0]])
-    return flat @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]).T + np.array([x, 0.0, distance])
-
-
-def projected(points: np.ndarray) -> np.ndarray:
-    return FOCAL * points[:, :2] / points[:, 2:] + CENTRE
-
-
-@dataclass
-class Scene:
-    rgb: np.ndarray
-    xyz: np.ndarray
-
-
-def wall(seed: int = 0, depth: float = 6.0) -> Scene:
-    rng = np.random.default_rng(seed)
-    smooth = cv2.resize(rng.normal(120, 15, (24, 32, 3)).astype(np.float32), (WIDTH, HEIGHT))
-    v, u = np.mgrid[:HEIGHT, :WIDTH]
-    rays = np.stack([(u - CENTRE[0]) / FOCAL, (v - CENTRE[1]) / FOCAL, np.ones(u.shape)], axis=2)
-    return Scene(np.clip(smooth, 0, 255).astype(np.uint8), (depth * rays).astype(np.float32))
-
-
-def hang(scene: Scene, picture: np.ndarray, corners: np.ndarray, seed: int = 0) -> Scene:
-    """The scene with a picture painted into it, antialiased, with pixel noise; depth noise of 0.2 px in disparity."""
-    rng = np.random.default_rng([seed, 1])
-    fine, pixels = 3, projected(corners)
-    shrink = min(1.0, fine * max(np.ptp(pixels, axis=0)) / picture.shape[1])
-    small = cv2.resize(picture, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
-    h, w = small.shape[:2]
-    edge = np.array([[0, 0], [w, 0], [w, h], [0, h]], np.float32) - np.float32(0.5)
-    target = (fine * (pixels + 0.5) - 0.5).astype(np.float32)
-    H = cv2.getPerspectiveTransform(edge, target)
-    size = (fine * WIDTH, fine * HEIGHT)
-    painted = cv2.warpPerspective(small, H, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    mask = np.zeros(size[::-1], np.uint8)
-    cv2.fillConvexPoly(mask, np.rint(16 * target).astype(np.int32), 255, shift=4)
-    share = cv2.resize(mask, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)[..., None] / 255.0
-    painted = cv2.resize(painted, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
-    rgb = share * painted + (1 - share) * scene.rgb + rng.normal(0, 2, painted.shape)
-    normal = np.cross(corners[1] - corners[0], corners[3] - corners[0])
-    rays = scene.xyz.astype(float) / scene.xyz[..., 2:]
-    disparity = 60.0 * (rays @ normal) / (normal @ corners[0])  # px, at a baseline of 60 / FOCAL m
-    disparity += rng.normal(0, 0.2, disparity.shape)
-    plane = rays * (60.0 / disparity)[..., None]
-    xyz = np.where(share > 0.5, plane, scene.xyz).astype(np.float32)
-    return Scene(np.clip(np.rint(rgb), 0, 255).astype(np.uint8), xyz)
-
-
-def found(result: Detected) -> list[int]:
-    return [d.picture for d in result.detections]
-
-
-def reason(result: Detected, picture: int) -> str:
-    return dict(result.refused)[picture]
-
-
-@pytest.fixture(scope="module")
-def textures() -> list[np.ndarray]:
-    return [texture(seed) for seed in range(PICTURES)]
-
-
-@pytest.fixture(scope="module")
-def detector(textures: list[np.ndarray]) -> Detector:
-    return Detector(textures, np.full(PICTURES, PICTURE))
-
-
-@pytest.fixture(scope="module")
-def sizeless(textures: list[np.ndarray]) -> Detector:
-    return Detector(textures, None)
-
-
-# ---- what is found -------------------------------------------------------------------------------------------------
+# --- what is found ----------------------------------------------------------------------------------------------------
 
 
 def test_every_picture_is_found_with_its_own_name_and_corners_within_a_pixel(textures, detector):
@@ -221,243 +122,7 @@ def test_the_same_frame_gives_the_same_bits_with_any_number_of_threads(textures,
             assert one.inliers == other.inliers
 
 
-# ---- what is refused -----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("x", [-0.95, -0.75, 0.75])
-def test_a_picture_that_is_partly_outside_the_image_is_refused(textures, detector, x):
-    truth = hung(1.5, 0, x=x)
-    assert np.any(projected(truth) < 0) or np.any(projected(truth) > WIDTH - 1)
-    scene = hang(wall(), textures[1], truth)
-    result = detector.detect(scene.rgb, scene.xyz)
-    assert found(result) == []
-    assert reason(result, 1) in (checks.OUTSIDE, NOT_SEEN)
-
-
-def test_a_mirrored_picture_is_not_found(textures, detector):
-    scene = hang(wall(), np.ascontiguousarray(textures[1][:, ::-1]), hung(1.5))
-    assert found(detector.detect(scene.rgb, scene.xyz)) == []
-
-
-@pytest.mark.parametrize("kind", ["black", "wall", "noise"])
-def test_nothing_is_found_where_nothing_hangs(detector, kind):
-    rng = np.random.default_rng(5)
-    image = {
-        "black": np.zeros((HEIGHT, WIDTH, 3), np.uint8),
-        "wall": wall().rgb,
-        "noise": rng.integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8),
-    }[kind]
-    result = detector.detect(image, wall().xyz)
-    assert found(result) == []
-    assert result.rejected == {NOT_SEEN: PICTURES}
-
-
-def test_an_unknown_picture_is_not_taken_for_a_known_one(detector):
-    scene = hang(wall(), texture(99), hung(1.2))
-    assert found(detector.detect(scene.rgb, scene.xyz)) == []
-
-
-def test_of_two_pictures_at_one_place_the_better_supported_stays(textures, detector):
-    pasted = textures[0].copy()
-    pasted[120:240, 160:320] = cv2.resize(textures[1], (160, 120), interpolation=cv2.INTER_AREA)
-    scene = hang(wall(), pasted, hung(0.9))
-    result = detector.detect(scene.rgb)
-    assert found(result) == [0]
-    assert reason(result, 1) == SAME_PLACE
-    without = Detector(textures[1:2], None).detect(scene.rgb)
-    assert found(without) == [0], "the inner picture is there, and found where nothing competes"
-
-
-def test_a_picture_of_which_only_a_part_can_be_seen_has_no_certain_corners(textures, sizeless):
-    truth = hung(0.8)
-    scene = hang(wall(), textures[0], truth)
-    u, v = np.rint(projected(truth)[0]).astype(int)
-    shown = np.zeros((HEIGHT, WIDTH, 1), bool)
-    shown[v : v + 125, u : u + 110] = True
-    result = sizeless.detect(np.where(shown, scene.rgb, wall().rgb))
-    assert reason(result, 0) == UNCERTAIN
-
-
-def test_a_picture_whose_pieces_are_shuffled_is_refused(textures, sizeless):
-    pieces = [tile for row in np.split(textures[0], 6) for tile in np.split(row, 6, axis=1)]
-    order = np.random.default_rng(0).permutation(36)
-    shuffled = np.vstack([np.hstack([pieces[i] for i in row]) for row in order.reshape(6, 6)])
-    result = sizeless.detect(hang(wall(), shuffled, hung(0.8)).rgb)
-    assert found(result) == []
-
-
-def test_a_first_homography_that_tears_the_picture_apart_guides_nothing(textures, sizeless, monkeypatch):
-    torn = np.array([[1.0, 0, 0], [0, 1.0, 0], [-0.01, 0, 1.0]])
-    monkeypatch.setattr("data.visual.detector.first_homography", lambda *_: torn)
-    assert reason(sizeless.detect(hang(wall(), textures[0], hung(1.5)).rgb), 0) == checks.NOT_CONVEX
-
-
-def test_a_glimpse_of_a_picture_is_not_a_sight_of_it(textures, sizeless):
-    truth = hung(0.8)
-    scene = hang(wall(), textures[0], truth)
-    u, v = np.rint(projected(truth).mean(axis=0)).astype(int)
-    for size, expected in ((30, NOT_SEEN), (60, NOT_SEEN), (80, FEW_INLIERS)):
-        glimpse = wall().rgb
-        glimpse[v : v + size, u : u + size] = scene.rgb[v : v + size, u : u + size]
-        assert reason(sizeless.detect(glimpse), 0) == expected
-
-
-def test_scattered_holes_of_the_stereo_points_do_no_harm(textures, detector):
-    truth = hung(1.5, 20)
-    scene = hang(wall(), textures[0], truth)
-    scene.xyz[np.random.default_rng(3).random((HEIGHT, WIDTH)) < 0.6] = np.nan
-    (detection,) = detector.detect(scene.rgb, scene.xyz).detections
-    assert np.abs(detection.points - truth).max() < 0.03
-
-
-def test_a_hole_at_a_corner_is_bridged_if_small_and_refused_if_large(textures, detector):
-    truth = hung(1.5, 0)
-    scene = hang(wall(), textures[0], truth)
-    u, v = np.rint(projected(truth)[2]).astype(int)
-    scene.xyz[v - 7 : v + 8, u - 7 : u + 8] = np.nan
-    assert found(detector.detect(scene.rgb, scene.xyz)) == [0]
-    scene.xyz[v - 30 : v + 30, u - 30 : u + 30] = np.nan
-    assert reason(detector.detect(scene.rgb, scene.xyz), 0) == checks.NO_DEPTH
-
-
-@pytest.mark.parametrize("void", [np.nan, 0.0])
-def test_without_any_valid_stereo_point_the_picture_is_refused(textures, detector, void):
-    scene = hang(wall(), textures[0], hung(1.5))
-    result = detector.detect(scene.rgb, np.full_like(scene.xyz, void))
-    assert reason(result, 0) == checks.NO_DEPTH
-
-
-def test_something_in_front_of_a_corner_is_noticed(textures, detector):
-    truth = hung(1.5)
-    scene = hang(wall(), textures[0], truth)
-    u, v = np.rint(projected(truth)[0]).astype(int)
-    scene.xyz[v - 5 : v + 40, u - 5 : u + 40] *= 0.7
-    assert reason(detector.detect(scene.rgb, scene.xyz), 0) == checks.NOT_PLANAR
-
-
-@pytest.mark.parametrize("factor", [0.75, 1.3])
-def test_a_copy_of_the_wrong_size_is_refused_where_the_size_is_known(textures, detector, sizeless, factor):
-    scene = hang(wall(), textures[0], hung(1.5, width=factor * PICTURE))
-    assert reason(detector.detect(scene.rgb, scene.xyz), 0) == checks.WRONG_SIZE
-    assert found(sizeless.detect(scene.rgb, scene.xyz)) == [0]
-
-
-def test_a_picture_of_the_right_width_and_the_wrong_height_is_refused():
-    points = hung(1.5)
-    assert checks.size_fault(points, PICTURE, 0.75) is None
-    assert checks.size_fault(points, PICTURE, 0.5) == checks.WRONG_SIZE
-    assert checks.size_fault(points, 1.1 * PICTURE, 0.75) is None
-    sheared = points + np.array([[0.1, 0, 0], [0.1, 0, 0], [-0.1, 0, 0], [-0.1, 0, 0]])
-    assert checks.size_fault(sheared, PICTURE, 0.75) == checks.WRONG_SIZE
-
-
-# ---- shape ---------------------------------------------------------------------------------------------------------
-
-CARD = np.array([[0.0, 0.0], [100, 0], [100, 80], [0, 80]])
-SIZE = (400, 500)
-SHAPES = {
-    "as it hangs": ([[100, 100], [300, 110], [290, 250], [105, 240]], None),
-    "upside down": ([[300, 250], [100, 250], [100, 100], [300, 100]], None),
-    "mirrored": ([[300, 100], [100, 100], [100, 250], [300, 250]], checks.MIRRORED),
-    "crossed": ([[100, 100], [300, 100], [100, 250], [300, 250]], checks.NOT_CONVEX),
-    "one corner inside": ([[100, 100], [300, 100], [150, 140], [100, 250]], checks.NOT_CONVEX),
-    "tiny": ([[100, 100], [115, 100], [115, 112], [100, 112]], checks.IMPLAUSIBLE_SHAPE),
-    "a sliver": ([[100, 100], [130, 100], [130, 300], [100, 300]], checks.IMPLAUSIBLE_SHAPE),
-    "a triangle": ([[190, 100], [210, 100], [300, 250], [100, 250]], checks.IMPLAUSIBLE_SHAPE),
-    "a kite": ([[100, 200], [260, 150], [420, 200], [260, 210]], checks.IMPLAUSIBLE_SHAPE),
-    "cut off": ([[-20, 100], [180, 100], [180, 250], [-20, 250]], checks.OUTSIDE),
-    "below the frame": ([[100, 300], [300, 300], [300, 420], [100, 420]], checks.OUTSIDE),
-}
-
-
-@pytest.mark.parametrize("name", SHAPES)
-def test_a_quadrilateral_is_judged_by_its_shape(name):
-    pixels, expected = SHAPES[name]
-    assert checks.shape_fault(np.array(pixels, float), SIZE, 0.8) == expected
-
-
-def test_a_homography_that_tears_the_picture_apart_is_refused():
-    H = np.array([[1.0, 0, 0], [0, 1.0, 0], [-0.02, 0, 1.0]])  # the line x = 50 goes to infinity
-    assert checks.shape_fault(features.project(H, CARD), SIZE, 0.8) == checks.NOT_CONVEX
-
-
-def test_overlap_is_the_share_of_the_smaller_one():
-    square = np.array([[0.0, 0], [10, 0], [10, 10], [0, 10]])
-    assert checks.overlap(square, square + [5.0, 0.0]) == pytest.approx(0.5)
-    assert checks.overlap(square, 0.5 * square + 1.0) == pytest.approx(1.0)
-    assert checks.overlap(square, square + [20.0, 0.0]) == 0.0
-
-
-# ---- geometry ------------------------------------------------------------------------------------------------------
-
-
-def test_the_camera_is_read_off_its_stereo_points():
-    camera = checks.pinhole(wall().xyz)
-    pixels = np.array([[0.0, 0], [639, 479], [12.5, 300]])
-    np.testing.assert_allclose(camera.rays(pixels)[:, :2], (pixels - CENTRE) / FOCAL, atol=1e-6)
-    assert checks.pinhole(np.full((HEIGHT, WIDTH, 3), np.nan, np.float32)) is None
-
-
-def test_a_third_of_wrong_depths_does_not_move_the_plane():
-    rng = np.random.default_rng(8)
-    pixels = rng.uniform(100, 300, (600, 2))
-    plane = np.array([4e-4, -2e-4, 0.4])
-    depth = 1 / (pixels @ plane[:2] + plane[2])
-    depth[:200] *= rng.uniform(1.3, 2.0, 200)
-    np.testing.assert_allclose(checks.fit_plane(pixels, depth), plane, rtol=1e-6)
-
-
-def test_refinement_finds_the_exact_homography_despite_wrong_pairs():
-    rng = np.random.default_rng(2)
-    truth = np.array([[0.5, 0.05, 120.0], [-0.03, 0.45, 90.0], [2e-4, -1e-4, 1.0]])
-    place = rng.uniform(0, 480, (60, 2))
-    source = features.Features(place, np.full(60, 3.0), np.zeros((60, 128), np.float32))
-    seen = features.project(truth, place)
-    seen[:10] += 8.0
-    target = features.Features(seen, np.full(60, 1.5), source.descriptor)
-    start = truth + np.array([[0, 0, 0.5], [0, 0, -0.5], [0, 0, 0]])
-    fit = features.refine(start, source, target)
-    np.testing.assert_allclose(fit.H, truth, rtol=1e-9, atol=1e-12)
-    np.testing.assert_array_equal(fit.inlier, np.arange(60) >= 10)
-
-
-def test_the_stated_uncertainty_of_corners_is_their_scatter():
-    rng = np.random.default_rng(4)
-    truth = np.array([[0.5, 0.05, 120.0], [-0.03, 0.45, 90.0], [2e-4, -1e-4, 1.0]])
-    place, scale = rng.uniform(150, 480, (40, 2)), np.full(40, 4.0)
-    corners = np.array([[0.0, 0.0], [480, 360]])
-    source = features.Features(place, scale, np.zeros((40, 128), np.float32))
-    sigma = 0.1 * np.hypot(2.0, features.magnification(truth, place) * 4.0)
-    errors, stated = [], []
-    for _ in range(300):
-        seen = features.project(truth, place) + rng.normal(size=(40, 2)) * np.maximum(sigma, 0.25)[:, None]
-        fit = features.refine(truth, source, features.Features(seen, np.full(40, 2.0), source.descriptor))
-        pixels = features.project(fit.H, corners)
-        errors.append(pixels - features.project(truth, corners))
-        stated.append(features.corner_sigma(fit, corners, pixels))
-    scatter = [np.sqrt(np.linalg.eigvalsh(np.cov(np.array(errors)[:, i].T))[-1]) for i in range(2)]
-    np.testing.assert_allclose(np.mean(stated, axis=0), scatter, rtol=0.2)
-    assert scatter[0] > 2 * scatter[1], "the corner beyond the features is the uncertain one"
-
-
-def test_magnification_is_the_root_of_the_jacobian():
-    H = np.array([[0.5, 0.05, 120.0], [-0.03, 0.45, 90.0], [2e-4, -1e-4, 1.0]])
-    point, step = np.array([200.0, 100.0]), 1e-4
-    moved = np.array([point + [step, 0], point - [step, 0], point + [0, step], point - [0, step]])
-    image = features.project(H, moved)
-    J = np.column_stack([image[0] - image[1], image[2] - image[3]]) / (2 * step)
-    assert features.magnification(H, point[None])[0] == pytest.approx(np.sqrt(np.linalg.det(J)), rel=1e-6)
-
-
-def test_descriptors_are_whole_numbers_whose_products_float32_holds(detector):
-    for reference in detector.features:
-        assert np.array_equal(reference.descriptor, np.rint(reference.descriptor))
-        length = np.linalg.norm(reference.descriptor, axis=1)
-        np.testing.assert_allclose(length, features.UNIT, rtol=0.01)
-        assert length.max() ** 2 < 2**24
-
-
-# ---- bad input and counting ----------------------------------------------------------------------------------------
+# --- bad input and counting -------------------------------------------------------------------------------------------
 
 
 def test_a_blank_reference_is_an_error_that_names_it(textures):
@@ -488,7 +153,7 @@ def test_the_tally_accounts_for_every_picture_of_every_frame(textures, detector)
     assert all(c.total() == 3 for c in counts)
 
 
-# ---- photographs ---------------------------------------------------------------------------------------------------
+# --- photographs ------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

@@ -1,9 +1,9 @@
-"""The circle world: truth, map and view are the published ones, noise is as stated, keys do what they say."""
+"""The circle world: truth, map and view are the published ones, noise is as stated."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +11,10 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from data.convert.__main__ import main
-from data.errors import UsageError
 from data.log import Log
-from data.open_log.reader import load_folder
 from data.worlds.circle import Circle, simulate
+from tests.data.worlds.samples import LIMIT, agrees
 
-LIMIT = 4.5
-"""Standard errors by which a mean or a standard deviation may miss."""
 SENSORS_JOURNAL = Circle(
     frames=400, turn_rate=0.075, sigma_speed=0.03 / math.sqrt(2), sigma_turn=0.03 * math.sqrt(8),
     landmarks=15, ring=1.0, centre_x=0.1251, centre_y=3.3318, min_range=0.5,
@@ -37,14 +33,6 @@ def exact_readings(log: Log) -> np.ndarray:
     point = log.truth.landmarks.xy[log.truth.landmark_of]
     z = ((point - pose[:, :2]) @ [1, 1j]) * np.exp(-1j * pose[:, 2])
     return np.column_stack([z.real, z.imag])
-
-
-def agrees(values: np.ndarray, sigma: float) -> bool:
-    """Whether normal samples have mean zero and that standard deviation, each within `LIMIT` standard errors."""
-    n = values.size
-    off = abs(values.mean()) / (sigma / math.sqrt(n))
-    wide = abs(values.std(ddof=1) / sigma - 1.0) * math.sqrt(2 * n)
-    return bool(off < LIMIT and wide < LIMIT)
 
 
 @pytest.fixture(scope="module")
@@ -263,82 +251,3 @@ class TestStreams:
         sensor = (log.recorded.observations.z - exact_readings(log)).ravel()
         for a, b in ((odometry, sensor), (log.recorded.prior.mean, odometry), (log.recorded.prior.mean, sensor)):
             assert not np.isclose(a[:, None], b, rtol=0, atol=1e-9).any()
-
-
-class TestParameters:
-    @pytest.mark.parametrize(
-        ("change", "why"),
-        [
-            ({"sigma_speed": -0.1}, "sigma_speed = -0.1; must not be negative"),
-            ({"sigma_turn": -1}, "sigma_turn = -1; must not be negative"),
-            ({"sigma_point": 0.0}, "sigma_point = 0.0; a positive number"),
-            ({"prior_sigma": -0.1}, "prior_sigma = -0.1; must not"),
-            ({"covariance_floor": -1e-9}, "covariance_floor = -1e-09; must not"),
-            ({"frames": 0}, "frames = 0; at least 1"),
-            ({"landmarks": 0}, "landmarks = 0; at least 1"),
-            ({"substeps": 0}, "substeps = 0; at least 1"),
-            ({"frames": 2.5}, "frames = 2.5; a whole number"),
-            ({"frames": True}, "frames = True; a whole number"),
-            ({"speed": "fast"}, "speed = 'fast'; a number"),
-            ({"speed": math.nan}, "speed = nan; a finite number"),
-            ({"centre_y": math.inf}, "centre_y = inf; a finite number"),
-            ({"period": 0.0}, "period = 0.0; a positive"),
-            ({"turn_rate": 0.0}, "turn_rate = 0.0; a positive"),
-            ({"max_range": -1.0}, "max_range = -1.0; a positive"),
-            ({"min_range": -1.0}, "min_range = -1.0; must not"),
-            ({"min_range": 5.0}, "min_range = 5.0, max_range = 5.0; min_range < max_range"),
-            ({"heading_noise": "during"}, "heading_noise = 'during'; known: after, before"),
-            ({"speed_noise": "middle"}, "speed_noise = 'middle'; known: start, end"),
-            ({"layout": "square"}, "layout = 'square'; known: ring, scatter"),
-            ({"map_seed": 2}, "map_seed = 2 has no effect with layout ring"),
-            ({"layout": "scatter", "map_seed": -2}, "map_seed = -2; must not"),
-            ({"layout": "scatter", "ring": 1.0}, "ring = 1.0 has no effect with layout scatter"),
-            ({"ring": -20.0}, "ring = -20.0; more than -9.54"),
-        ],
-    )
-    def test_a_senseless_value_is_named_with_its_key(self, change: dict[str, Any], why: str):
-        with pytest.raises(UsageError) as error:
-            Circle(**change)
-        assert why in str(error.value)
-        assert str(error.value).startswith("circle: ")
-        assert "\n" not in str(error.value)
-
-    def test_a_whole_number_will_do_for_any_number(self):
-        assert simulate(Circle(frames=3, speed=1, period=2), 0).truth.pose[1, 0] == 2.0
-
-
-class TestCommand:
-    def test_every_parameter_has_a_flag_that_reaches_the_log(self, tmp_path: Path):
-        circle = Circle(
-            frames=30, period=0.5, speed=0.5, turn_rate=0.1, sigma_speed=0.01, sigma_turn=0.02, sigma_point=0.2,
-            landmarks=9, layout="scatter", map_seed=2, centre_x=0.5, centre_y=4.0, min_range=0.25, max_range=7.0,
-            prior_sigma=0.1, heading_noise="before", speed_noise="end", substeps=3, covariance_floor=1e-9,
-        )  # fmt: skip
-        changed = [f.name for f in fields(Circle) if getattr(circle, f.name) != f.default]
-        assert set(changed) == {f.name for f in fields(Circle)} - {"ring"}
-        flags = [w for n in changed for w in (f"--{n.replace('_', '-')}", str(getattr(circle, n)))]
-        assert main(["circle", str(tmp_path / "round"), "--seed", "7", *flags]) == 0
-        log, wanted = load_folder(tmp_path / "round"), simulate(circle, 7)
-        assert np.array_equal(log.recorded.observations.z, wanted.recorded.observations.z)
-        assert np.array_equal(log.recorded.increments.covariance, wanted.recorded.increments.covariance)
-        assert np.array_equal(log.recorded.prior.mean, wanted.recorded.prior.mean)
-        assert np.array_equal(log.truth.landmarks.xy, wanted.truth.landmarks.xy)
-        assert log.recorded.covariance_floor == 1e-9
-        assert log.source == {"kind": "circle", "seed": 7, "circle": asdict(circle)}
-
-    def test_every_flag_is_described(self, capsys: pytest.CaptureFixture[str]):
-        with pytest.raises(SystemExit) as end:
-            main(["circle", "--help"])
-        assert end.value.code == 0
-        text = capsys.readouterr().out
-        for f in fields(Circle):
-            flag = text.index(f"  --{f.name.replace('_', '-')} ")
-            assert len(text[flag : text.index("(default", flag)].split()) > 2
-        assert "None" not in text
-
-    def test_a_senseless_value_is_one_line_and_status_2(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-        assert main(["circle", str(tmp_path / "round"), "--sigma-turn", "-1"]) == 2
-        said = capsys.readouterr()
-        assert "sigma_turn = -1" in said.err
-        assert said.err.count("\n") == 1
-        assert not (tmp_path / "round").exists()

@@ -18,17 +18,7 @@ from data.open_log.reader import load_folder
 from data.worlds.linear import LinearWorld, simulate
 from eval.referee.consistency import CONSISTENT, nees, verdict
 from eval.replay.run import compare
-
-LIMIT = 4.5
-"""Standard errors by which a mean or a standard deviation may miss."""
-
-
-def agrees(values: np.ndarray, sigma: float) -> bool:
-    """Whether normal samples have mean zero and that standard deviation, each within `LIMIT` standard errors."""
-    n = values.size
-    off = abs(values.mean()) / (sigma / math.sqrt(n))
-    wide = abs(values.std(ddof=1) / sigma - 1.0) * math.sqrt(2 * n)
-    return bool(off < LIMIT and wide < LIMIT)
+from tests.data.worlds.samples import agrees
 
 
 def linear_solution(log: Log, slam: bool) -> tuple[np.ndarray, np.ndarray]:

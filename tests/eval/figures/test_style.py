@@ -11,41 +11,16 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pytest
-from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from eval.figures import map_figure
 from eval.figures.style import STYLES, TRUTH_COLOUR, save, series, style_of
-from tests.eval.handmade import circle_log, run_with_error
+from tests.eval.figures.looks import SEEN_BY, lab, pictures
+from tests.eval.handmade import run_with_error
 
 NAMES = [
     "dead-reckoning", "ekf", "ekf-iterated", "ekf-fej", "ekf-invariant", "batch", "batch-huber", "batch-cauchy", "gnc",
     "isam2", "fixed-lag",
 ]  # fmt: skip
-
-# Machado, Oliveira, Fernandes 2009, severity 1.0, on linear RGB
-SEEN_BY = {
-    "all cones": np.eye(3),
-    "no red cones": np.array(
-        [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]]
-    ),
-    "no green cones": np.array(
-        [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]
-    ),
-    "no blue cones": np.array(
-        [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]]
-    ),
-}
-
-
-def lab(colour, seen):
-    rgb = np.array(to_rgb(colour))
-    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
-    linear = np.clip(seen @ linear, 0.0, 1.0)
-    to_xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
-    t = to_xyz @ linear / np.array([0.9505, 1.0, 1.089])
-    f = np.where(t > (6 / 29) ** 3, np.cbrt(t), t / (3 * (6 / 29) ** 2) + 4 / 29)
-    return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
 
 
 @pytest.mark.parametrize("seen", SEEN_BY.values(), ids=SEEN_BY.keys())
@@ -84,12 +59,6 @@ def test_phases_and_associations_of_one_estimator_differ_in_label_and_line():
     assert drawn[1].line == drawn[2].line, "one line for one association, whoever uses it"
 
 
-def pictures(folder: Path) -> dict[str, bytes]:
-    runs = [run_with_error(np.array([0.1, 0.0, 0.02])), run_with_error(np.zeros(3), estimator="batch")]
-    written = save(map_figure(circle_log(), runs), folder, "map")
-    return {p.name: p.read_bytes() for p in written}
-
-
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory):
     before = dict(matplotlib.rcParams)
@@ -100,7 +69,7 @@ def drawn(tmp_path_factory):
 def test_same_data_gives_same_bytes_in_another_process_too(drawn, tmp_path):
     assert sorted(drawn[0]) == ["map.pdf", "map.png"]
     call = f"pictures(Path({str(tmp_path)!r}))"
-    code = f"from pathlib import Path; from tests.eval.figures.test_style import pictures; {call}"
+    code = f"from pathlib import Path; from tests.eval.figures.looks import pictures; {call}"
     root = Path(__file__).resolve().parents[3]
     environment = {**os.environ, "PYTHONHASHSEED": "7", "PYTHONPATH": str(root)}
     subprocess.run([sys.executable, "-c", code], check=True, cwd=root, env=environment, timeout=120)

@@ -12,7 +12,7 @@ from scipy import stats
 
 from eval.figures import anees_figure, coverage_figure, outlier_figure, run_end_figure
 from eval.figures.style import STYLES, save
-from tests.eval.figures.test_figures import within
+from tests.eval.figures.looks import within
 
 EIGHT = ["ekf", "ekf-iterated", "ekf-fej", "ekf-invariant", "batch", "isam2", "fixed-lag", "gnc"]
 RATES = [0.0, 0.01, 0.05, 0.1, 0.2]

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,10 +24,7 @@ from eval.referee.consistency import (
     verdict,
     whiteness,
 )
-
-_spec = importlib.util.spec_from_file_location("faulty", Path(__file__).parents[2] / "oracle" / "faulty_localizer.py")
-faulty = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(faulty)
+from tests.oracle import faulty_localizer as faulty
 
 RUNS = 60
 WORLD = Arena(frames=80, field_of_view=2 * math.pi, landmarks=15)

@@ -1,4 +1,4 @@
-"""The replay with unknown labels: both estimators decide for themselves, the map is kept up, failures are told."""
+"""The replay with unknown labels: both estimators decide for themselves, failures are told."""
 
 from __future__ import annotations
 
@@ -10,57 +10,19 @@ import pytest
 
 from association.decide import METHODS
 from data.errors import UsageError
-from data.inputs import Increments, Inputs, LabelledObservations, LandmarkMap, Observations, Prior
+from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
 from data.result import DISCARD, NEW
-from data.sensors import RangeBearing, RelativePoint
+from data.sensors import RangeBearing
 from data.worlds.arena import Arena, simulate
-from data.worlds.corridor import Corridor
-from data.worlds.corridor import simulate as corridor
 from ekf.filter import FilterOptions
 from eval.referee.score import association_row, confusion_of
 from eval.replay import run as replay
 from eval.replay.frontend import FrontEnd
-from eval.replay.map_management import Upkeep
 from eval.replay.run import compare, filter_known, step_by_step
 from eval.replay.settings import Setup
+from tests.eval.replay.worlds import linear_world, slam
 
 LAB = Setup(gate=0.99, new_gate=0.99)
-
-
-@pytest.fixture(scope="module")
-def lab():
-    return corridor(Corridor(), 0)
-
-
-@pytest.fixture(scope="module")
-def crowded():
-    return corridor(Corridor(people=True), 0)
-
-
-def slam(log, *, labels=False):
-    return log.inputs(labels=labels).without_map()
-
-
-def linear_world(seed, frames=25):
-    """SLAM with the heading known exactly and a Cartesian sensor: linear and Gaussian, landmarks 0.8 m apart."""
-    rng = np.random.default_rng(seed)
-    landmarks = np.array([(0.8 * i, 0.8 * j) for i in range(5) for j in range(4)])
-    at, mean, frame, z = np.array([1.0, 1.0]), np.zeros((frames, 3)), [], []
-    for k in range(frames):
-        if k:
-            step = rng.uniform(-0.5, 0.5, 2)
-            at, mean[k, :2] = at + step, step + rng.normal(0.0, 0.05, 2)
-        seen = np.flatnonzero(np.hypot(*(landmarks - at).T) < 2.0)
-        frame += [k] * len(seen)
-        z += list(landmarks[seen] - at + rng.normal(0.0, 0.08, (len(seen), 2)))
-    covariance = np.tile(np.diag([0.05**2, 0.05**2, 1e-11]), (frames, 1, 1))
-    covariance[0] = 0.0
-    R = np.tile(0.08**2 * np.eye(2), (len(z), 1, 1))
-    prior = Prior(np.array([1.0, 1.0, 0.0]), np.diag([0.01, 0.01, 1e-11]))
-    return Inputs(
-        prior, np.arange(frames, dtype=float), Increments(mean, covariance),
-        Observations(np.array(frame, np.int64), np.array(z), R), RelativePoint(),
-    )  # fmt: skip
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -79,8 +41,7 @@ def test_on_a_linear_world_filter_and_smoother_decide_alike_over_the_whole_run(m
 
 
 def test_labels_are_withheld_from_every_method_but_known(lab):
-    front = FrontEnd("ekf", "jcbb", slam(lab, labels=True).without_labels(), Setup())
-    assert not isinstance(front.inputs.observations, LabelledObservations)
+    assert slam(lab, labels=True).without_labels().frame(0).label is None
     shuffled = replace(lab, truth=replace(lab.truth, landmark_of=lab.truth.landmark_of[::-1].copy()))
     a, b = (compare(x.inputs(labels=True), "slam", ["ekf"], "nn")[0] for x in (lab, shuffled))
     np.testing.assert_array_equal(a.decisions, b.decisions)
@@ -126,96 +87,12 @@ def test_the_cut_to_what_is_in_view_asks_for_fewer_candidates_and_is_the_same_wh
     for in_view in (False, True):
         front, sizes = FrontEnd("ekf", "jcbb", inputs, Setup(in_view=in_view)), []
         for k in range(len(inputs)):
-            front.move()
-            rows = slice(int(inputs.start[k]), int(inputs.start[k + 1]))
+            front.move(inputs.frame(k))
             sizes.append(len(front.expect(inputs.sightings(k)).number))
-            front.associate(rows)
+            front.update(inputs.frame(k), front.associate(inputs.frame(k)))
         asked[in_view] = sizes
     assert max(asked[False]) == 88
     assert max(asked[True]) < 40
-
-
-def test_map_maintenance_removes_what_was_seen_once_from_filter_and_graph(crowded):
-    setup = Setup(maintain=True)
-    for name in ("ekf", "isam2"):
-        run = step_by_step(name, slam(crowded), "slam", "jcbb", setup)
-        founded = np.flatnonzero(run.created >= 0)
-        times = np.bincount(np.where(run.created >= 0, run.created, run.decisions)[run.decisions != DISCARD])
-        frame = crowded.recorded.observations.frame
-        last = len(crowded.recorded) - 1
-        for i in founded:
-            n = run.created[i]
-            gone = run.removed[n]
-            assert (gone == frame[i] + 3) == (times[n] == 1 and frame[i] + 3 <= last)
-            assert (run.final_decisions[i] == DISCARD) == (gone >= 0)
-            assert (n in run.map.number) == (gone < 0)
-        assert (run.removed >= 0).sum() > 5
-        np.testing.assert_array_equal(run.decisions[founded], NEW)
-
-
-def test_a_batch_after_map_maintenance_knows_nothing_of_what_was_removed(crowded):
-    isam2, batch = compare(slam(crowded), "slam", ["isam2", "batch"], "jcbb", Setup(maintain=True))
-    np.testing.assert_array_equal(batch.map.number, isam2.map.number)
-    np.testing.assert_allclose(batch.final.pose, isam2.final.pose, atol=1e-5)
-    np.testing.assert_array_equal(batch.final_decisions, isam2.final_decisions)
-    assert batch.total_nis[1] == isam2.total_nis[1]
-
-
-def test_a_removed_landmark_is_founded_again_under_a_new_number_with_labels_too():
-    """One landmark seen in frames 0 and 9 only, another in all: the first is removed in between."""
-    n = 12
-    landmarks = LandmarkMap(np.array([4, 9]), np.array([[3.0, 1.0], [2.0, -1.0]]))
-    frame, label = [], []
-    for k in range(n):
-        frame.append(k)
-        label.append(9)
-        if k in (0, 9):
-            frame.append(k)
-            label.append(4)
-    sensor = RangeBearing()
-    z = np.array([sensor.predict(np.zeros(3), landmarks.xy[np.searchsorted(landmarks.id, [i])])[0] for i in label])
-    covariance = np.tile(1e-4 * np.eye(3), (n, 1, 1))
-    covariance[0] = 0.0
-    time = np.arange(n, dtype=float)
-    o = LabelledObservations(np.array(frame), z, np.tile(1e-3 * np.eye(2), (len(z), 1, 1)), np.array(label))
-    inputs = Inputs(Prior(np.zeros(3), 1e-4 * np.eye(3)), time, Increments(np.zeros((n, 3)), covariance), o, sensor)
-    for name in ("ekf", "isam2"):
-        run = step_by_step(name, inputs, "slam", setup=Setup(maintain=True))
-        assert run.created[run.created >= 0].tolist() == [0, 1, 2]
-        assert run.removed.tolist() == [-1, 3, -1]
-        assert run.map.number.tolist() == [0, 2]
-
-
-def test_a_forgotten_landmark_is_gone_from_the_state_but_its_pairings_stay(lab):
-    inputs = slam(lab, labels=True)
-    run = step_by_step("ekf", inputs, "slam", setup=Setup(forget_after=5))
-    whole = filter_known(inputs, "slam")
-    assert run.state_size.max() < 3 + 2 * 60 < whole.state_size.max()
-    assert (run.removed >= 0).sum() > 30
-    np.testing.assert_array_equal(run.decisions, run.final_decisions)
-    counts = confusion_of(run, lab, "final")
-    assert counts.fp == counts.fn == 0
-    batch = replay.batch("batch", inputs, run)
-    assert batch.failure is None
-    assert len(batch.map) == (run.created >= 0).sum()
-
-
-def test_forgetting_is_the_filters_alone_and_leaves_the_graph_whole(lab):
-    inputs = slam(lab, labels=True)
-    (whole,) = compare(inputs, "slam", ["isam2"])
-    (run,) = compare(inputs, "slam", ["isam2"], setup=Setup(forget_after=5))
-    np.testing.assert_array_equal(run.online.pose, whole.online.pose)
-    assert len(run.map) == len(whole.map)
-
-
-def test_a_parked_landmark_that_was_taken_back_unseen_is_still_forgotten_in_time():
-    upkeep = Upkeep(Setup(deactivate_after=2.0, forget_after=6.0), np.arange(12.0))
-    upkeep.see(0, np.array([0]))
-    assert [upkeep.leaving(k).parked.tolist() for k in range(4)] == [[], [], [], [0]]
-    upkeep.wake(4, np.array([0]))
-    assert upkeep.leaving(6).parked.tolist() == []
-    leaving = upkeep.leaving(7)
-    assert (leaving.parked.tolist(), leaving.forgotten.tolist()) == ([], [0])
 
 
 def test_a_filter_that_failed_decided_nothing_after_and_is_counted_nowhere(lab):
@@ -229,26 +106,6 @@ def test_a_filter_that_failed_decided_nothing_after_and_is_counted_nowhere(lab):
     assert set(run.decisions[after]) == {DISCARD}
     assert (run.created[after] == -1).all()
     assert association_row(run, "final", lab) is None
-
-
-def test_parked_landmarks_come_back_and_nothing_is_lost(lab):
-    inputs = slam(lab, labels=True)
-    whole = filter_known(inputs, "slam")
-    run = step_by_step("ekf", inputs, "slam", setup=Setup(deactivate_after=5))
-    assert run.state_size.max() < whole.state_size.max()
-    np.testing.assert_array_equal(run.decisions, whole.decisions)
-    np.testing.assert_allclose(run.online.pose, whole.online.pose, atol=1e-9)
-    np.testing.assert_allclose(run.online.covariance, whole.online.covariance, atol=1e-11)
-    np.testing.assert_allclose(run.map.xy, whole.map.xy, atol=1e-9)
-    assert "taken back" in run.notes[0]
-
-
-def test_parked_landmarks_are_candidates_again_when_they_may_be_seen(lab):
-    inputs = slam(lab)
-    whole = step_by_step("ekf", inputs, "slam", "jcbb", Setup(in_view=True))
-    run = step_by_step("ekf", inputs, "slam", "jcbb", Setup(in_view=True, deactivate_after=5))
-    np.testing.assert_array_equal(run.decisions, whole.decisions)
-    np.testing.assert_allclose(run.online.pose, whole.online.pose, atol=1e-9)
 
 
 def test_a_search_out_of_budget_is_told(lab, monkeypatch):

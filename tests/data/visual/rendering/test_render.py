@@ -1,4 +1,4 @@
-"""Rendered frames: image, stereo points and truth tell the same story; noise and holes are as stated."""
+"""Rendered frames: the image tells the story of the truth; light, lens and bytes are as stated."""
 
 from __future__ import annotations
 
@@ -11,37 +11,9 @@ import pytest
 
 from data.errors import UsageError
 from data.visual.rendering.render import Rendered, sideways_motion
-from data.visual.rendering.stereo import smeared_noise, stereo_points
 from data.worlds.gallery import Gallery
 from data.worlds.gallery_camera import in_camera, to_pixels
-
-DEFAULT = Gallery()
-CLEAN = replace(
-    DEFAULT, brightness=0.0, contrast=0.0, exposure=0.0, image_noise=0.0,
-    disparity_noise=0.0, disparity_step=0.0, patches=0, edge_hole=0, least_texture=0.0,
-)  # fmt: skip
-SMALL = replace(DEFAULT, image_width=320, image_height=240, reference_width=120, duration=8.0)
-SMALL_CLEAN = replace(CLEAN, image_width=320, image_height=240, reference_width=120)
-
-
-@pytest.fixture(scope="module")
-def clean() -> Rendered:
-    return Rendered(CLEAN, 0)
-
-
-@pytest.fixture(scope="module")
-def default() -> Rendered:
-    return Rendered(DEFAULT, 0)
-
-
-def views(recording: Rendered, each: int = 3) -> list[tuple[int, int]]:
-    """Frames and pictures in view: of every picture the first and the last frame that show it and some between."""
-    shown: dict[int, list[int]] = {}
-    for k in range(len(recording)):
-        for number in recording.visible(k):
-            shown.setdefault(number, []).append(k)
-    assert len(shown) == 8
-    return [(f[i], n) for n, f in shown.items() for i in np.linspace(0, len(f) - 1, each).astype(int)]
+from tests.data.visual.rendering.galleries import CLEAN, SMALL, SMALL_CLEAN, views
 
 
 def rectified(recording: Rendered, frame: int, number: int) -> np.ndarray:
@@ -72,14 +44,6 @@ def to_world(g: Gallery, pose: np.ndarray, points: np.ndarray) -> np.ndarray:
     c, s, a = math.cos(t), math.sin(t), t + g.camera_yaw
     eye = [x + c * g.camera_x - s * g.camera_y, y + s * g.camera_x + c * g.camera_y, g.camera_height]
     return points @ np.array([[math.sin(a), -math.cos(a), 0], [0, 0, -1], [math.cos(a), math.sin(a), 0]]) + eye
-
-
-def bilinear(values: np.ndarray, pixel: np.ndarray) -> np.ndarray:
-    """Values (3,) between the four pixels around (u, v)."""
-    u, v = np.floor(pixel).astype(int)
-    a, b = pixel - [u, v]
-    rows = (1 - b) * values[v, u : u + 2] + b * values[v + 1, u : u + 2]
-    return (1 - a) * rows[0] + a * rows[1]
 
 
 class TestReferences:
@@ -152,137 +116,11 @@ class TestImagesAreTrueToTheGeometry:
         k = next(k for k in range(len(clean)) if not clean.visible(k))
         grey = cv2.cvtColor(clean.frame(k).rgb, cv2.COLOR_RGB2GRAY)
         outside = np.ones_like(grey)
-        for s in clean.sights(k):
+        for s in clean.projections(k):
             if np.isfinite(s.pixels).all():
                 cv2.fillConvexPoly(outside, np.rint(s.pixels).astype(np.int32), 0)
         gradient = np.abs(np.diff(grey.astype(float), axis=1))[outside[:, 1:] > 0]
         assert 0.1 < gradient.mean() < 3.0
-
-
-class TestStereoIsTrueToTheGeometry:
-    def test_every_depth_is_where_the_ray_meets_the_nearest_surface(self, clean):
-        rng = np.random.default_rng(0)
-        g, low, high = CLEAN, np.array([-3.5, -2.6, 0.0]), np.array([3.5, 2.6, 2.6])
-        for k in range(0, len(clean), 24):
-            xyz = clean.frame(k).xyz
-            assert np.isfinite(xyz).all()
-            x, y, t = clean.scene.pose[k]
-            eye = np.array([x + math.cos(t) * g.camera_x - math.sin(t) * g.camera_y,
-                            y + math.sin(t) * g.camera_x + math.cos(t) * g.camera_y, g.camera_height])  # fmt: skip
-            a = t + g.camera_yaw
-            axes = np.array([[math.sin(a), -math.cos(a), 0], [0, 0, -1], [math.cos(a), math.sin(a), 0]])
-            for u, v in rng.integers([0, 0], [640, 480], (100, 2)):
-                ray = np.array([(u - 319.5) / g.focal, (v - 239.5) / g.focal, 1.0]) @ axes
-                z = min((high[i] if ray[i] > 0 else low[i]) - eye[i] for i in [0]) / ray[0] if ray[0] else math.inf
-                for i in (1, 2):
-                    z = min(z, ((high[i] if ray[i] > 0 else low[i]) - eye[i]) / ray[i])
-                expected = z * np.array([(u - 319.5) / g.focal, (v - 239.5) / g.focal, 1.0])
-                assert np.allclose(xyz[v, u], expected, atol=2e-5)
-
-    def test_the_point_at_a_corner_lands_on_the_map(self, clean):
-        checked = 0
-        rotation, T = clean.setup.rotation, np.array(clean.setup.translation)
-        R = np.array([[math.cos(rotation), -math.sin(rotation)], [math.sin(rotation), math.cos(rotation)]])
-        for k, number in views(clean):
-            xyz, (x, y, t) = clean.frame(k).xyz, clean.scene.pose[k]
-            for corner, pixel in enumerate(clean.true_pixels(k)[number]):
-                p = bilinear(xyz, pixel)
-                body = R.T @ (p[[0, 2]] - T)
-                world = np.array([x, y]) + [[math.cos(t), -math.sin(t)], [math.sin(t), math.cos(t)]] @ body
-                assert np.allclose(world, clean.setup.corners[number, corner], atol=1e-4)
-                height = clean.scene.corners[number, corner, 2]
-                assert CLEAN.camera_height - p[1] == pytest.approx(height, abs=1e-4)
-                checked += 1
-        assert checked == 96
-
-    def test_with_noise_the_corner_errs_by_the_noise_of_stereo(self):
-        g = replace(CLEAN, disparity_noise=0.25, reference_width=120)
-        noisy, score = Rendered(g, 0), []
-        for k, number in views(noisy, 4):
-            xyz = noisy.frame(k).xyz
-            for sight in noisy.in_view(k):
-                if sight.picture == number:
-                    for pixel, point in zip(np.rint(sight.pixels).astype(int), sight.points):
-                        z = xyz[pixel[1], pixel[0], 2]
-                        score.append((z - point[2]) * g.focal * g.baseline / (point[2] ** 2 * g.disparity_noise))
-        # half a pixel along an oblique wall adds some millimetres
-        assert abs(np.mean(score)) < 4.5 / math.sqrt(len(score))
-        assert np.std(score) == pytest.approx(1.0, abs=4.5 / math.sqrt(2 * len(score)))
-
-
-class TestStereoNoise:
-    def points(self, g: Gallery, depth: float, seed: int = 0) -> np.ndarray:
-        rng = np.random.default_rng(seed)
-        flat = np.full((g.image_height, g.image_width), depth, np.float32)
-        rgb = np.zeros((*flat.shape, 3), np.uint8)
-        return stereo_points(g, flat, rgb, [], rng, rng).astype(float)
-
-    @pytest.mark.parametrize("depth", [1.0, 2.0, 3.0])
-    def test_depth_noise_grows_with_the_square_of_the_depth(self, depth):
-        z = self.points(replace(CLEAN, disparity_noise=0.25), depth)[:, :, 2]
-        assert z.std() == pytest.approx(depth**2 * 0.25 / (CLEAN.focal * CLEAN.baseline), rel=0.03)
-        assert z.mean() == pytest.approx(depth, rel=2e-3)
-
-    def test_points_err_along_their_rays(self):
-        p = self.points(replace(CLEAN, disparity_noise=0.25), 2.0)
-        u, v = np.meshgrid(np.arange(640), np.arange(480))
-        assert np.allclose(p[:, :, 0] / p[:, :, 2], (u - 319.5) / CLEAN.focal, atol=1e-6)
-        assert np.allclose(p[:, :, 1] / p[:, :, 2], (v - 239.5) / CLEAN.focal, atol=1e-6)
-
-    def test_disparities_are_whole_steps(self):
-        p = self.points(replace(CLEAN, disparity_noise=0.3, disparity_step=0.125), 2.5)
-        steps = CLEAN.focal * CLEAN.baseline / p[:, :, 2] / 0.125
-        assert np.abs(steps - np.rint(steps)).max() < 1e-3
-        assert len(np.unique(np.rint(steps))) > 5
-
-    @pytest.mark.parametrize("smear", [0.0, 0.4, 1.5, 4.0])
-    def test_the_noise_has_variance_one_everywhere_and_is_shared_by_neighbours(self, smear):
-        noise = np.array([smeared_noise((60, 80), smear, np.random.default_rng(i)) for i in range(300)])
-        assert noise.std() == pytest.approx(1.0, abs=0.03)
-        assert noise[:, 0, :].std() == pytest.approx(1.0, abs=0.06)
-        assert noise[:, :, -1].std() == pytest.approx(1.0, abs=0.06)
-        shared = np.mean(noise[:, :, 1:] * noise[:, :, :-1]) / noise.var()
-        # correlation of white noise seen through a Gaussian, one pixel apart
-        assert shared == pytest.approx(math.exp(-0.25 / smear**2) if smear > 1 else shared, abs=0.01)
-        assert (shared > 0.05) == (smear > 0)
-
-    def test_a_disparity_below_zero_is_no_point(self):
-        z = self.points(replace(CLEAN, disparity_noise=5.0), 20.0)[:, :, 2]
-        assert np.isnan(z).any()
-        assert np.nanmin(z) > 0
-
-
-class TestHoles:
-    def share(self, **options: float) -> float:
-        return float(np.isnan(Rendered(replace(SMALL_CLEAN, **options), 1).frame(5).xyz[:, :, 2]).mean())
-
-    def test_each_kind_of_hole_can_be_turned_on_by_itself(self):
-        assert self.share() == 0.0
-        assert 0.002 < self.share(patches=6) < 0.25
-        assert 0.001 < self.share(edge_hole=1) < 0.05
-        assert self.share(edge_hole=3) > 1.5 * self.share(edge_hole=1)
-        assert 0.05 < self.share(least_texture=0.6) < 0.95
-        assert self.share(least_texture=200.0) > 0.98
-
-    def test_a_point_is_there_as_a_whole_or_not_at_all(self, default):
-        xyz = default.frame(3).xyz
-        assert xyz.dtype == np.float32
-        invalid = np.isnan(xyz)
-        assert invalid.any()
-        assert (invalid.any(axis=2) == invalid.all(axis=2)).all()
-
-    def test_the_outline_of_a_picture_has_no_depth_and_its_inside_has(self, default):
-        filled = []
-        for k, number in views(default):
-            z = default.frame(k).xyz[:, :, 2]
-            corners = default.true_pixels(k)[number]
-            for pixel in np.rint(corners).astype(int):
-                assert np.isnan(z[pixel[1], pixel[0]])
-            inside = np.zeros(z.shape, np.uint8)
-            middle = corners.mean(axis=0)
-            cv2.fillConvexPoly(inside, np.rint(middle + 0.9 * (corners - middle)).astype(np.int32), 1)
-            filled.append(np.isfinite(z[inside > 0]).mean())
-        assert np.mean(filled) > 0.9
 
 
 class TestLightAndLens:

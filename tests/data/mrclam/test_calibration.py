@@ -1,0 +1,164 @@
+"""UTIAS MRCLAM: corrections of odometry and camera, the survey of landmarks, and the fit to the first sightings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data import se2
+from data.errors import UsageError
+from data.log import Log
+from data.motion import VelocityModel, VelocityNoise
+from data.mrclam.calibration import FROZEN, Calibration
+from data.mrclam.load import corrected_landmarks
+from tests.data.mrclam import world
+from tests.data.mrclam.loading import MEASURED, TRUTH, noted, starts_at
+from tests.data.mrclam.world import Texts, save_zip
+
+
+def exchange(survey: str, one: int, other: int) -> str:
+    """A landmark file with the numbers of two rows exchanged."""
+    return (
+        survey.replace(f" {one:2d} \t", " AA \t")
+        .replace(f" {other:2d} \t", f" {one:2d} \t")
+        .replace(" AA \t", f" {other:2d} \t")
+    )
+
+
+class TestWithoutGroundTruth:
+    def test_the_prior_is_fitted_to_the_first_sightings_and_those_are_spent(
+        self, files: Texts, load: Callable[..., Log]
+    ) -> None:
+        del files[TRUTH]
+        log = load(files)
+        assert log.truth.pose is None
+        assert log.recorded.map is not None
+        # seconds count from the first odometry row here, 1 s after the first ground-truth row that is gone
+        true = np.array(world.pose_at(starts_at(log)))
+        error = se2.pose_error(log.recorded.prior.mean, true)
+        assert np.hypot(*error[:2]) < 0.02
+        assert abs(error[2]) < 0.01
+        spent = [r for r in world.measurement_rows() if r[1] >= 6 and r[0] < starts_at(log) + 1e-4]
+        total = sum(r[1] >= 6 for r in world.measurement_rows())
+        assert len(log.recorded.observations.z) == total - len(spent)
+        assert log.recorded.observations.frame.min() > 0
+        np.testing.assert_array_equal(log.recorded.increments.mean[0], 0.0)
+        assert noted(log, "No ground truth", "the prior is a fit to ")
+
+    def test_readings_that_do_not_fix_the_pose_leave_the_robot_in_its_own_frame(
+        self, files: Texts, load: Callable[..., Log]
+    ) -> None:
+        del files[TRUTH]
+        lines = files[MEASURED].splitlines()
+        log = load({**files, MEASURED: "\n".join(lines[:5]) + "\n"})
+        np.testing.assert_array_equal(log.recorded.prior.mean, 0.0)
+        assert log.recorded.map is None
+        assert log.truth.landmarks is None
+        assert noted(log, "No ground truth", "map is withheld")
+
+    def test_the_rigid_fit_finds_the_pose_that_made_the_points(self) -> None:
+        pose = np.array([1.0, -2.0, 3.0])
+        body = np.array([[1.0, 0.5], [2.0, -1.0], [4.0, 0.0]])
+        found = se2.rigid_fit(body, se2.transform_points(pose, body))
+        np.testing.assert_allclose(se2.pose_error(found, pose), 0.0, atol=1e-12)
+
+
+class TestCalibration:
+    def test_a_late_camera_is_undone(self, files: Texts, load: Callable[..., Log]) -> None:
+        late = files[MEASURED].splitlines()
+        for i, line in enumerate(late[4:], start=4):
+            stamp, rest = line.split(None, 1)
+            late[i] = f"{float(stamp) + 0.1:.3f} {rest}"
+        log = load({**files, MEASURED: "\n".join(late) + "\n"}, calibration=Calibration(latency=0.1))
+        exact = load(files)
+        np.testing.assert_allclose(log.recorded.time, exact.recorded.time, atol=2e-6)
+        np.testing.assert_array_equal(log.recorded.observations.frame, exact.recorded.observations.frame)
+        np.testing.assert_allclose(log.truth.pose, exact.truth.pose, atol=1e-6)  # type: ignore[arg-type]
+
+    def test_scales_and_biases_are_undone(self, files: Texts, load: Callable[..., Log]) -> None:
+        calibration = Calibration(scale_v=1.1, scale_omega=0.5, range_scale=0.9, range_bias=0.3, bearing_bias=0.2)
+        log, exact = load(files, calibration=calibration), load(files)
+        r, b = exact.recorded.observations.z.T
+        np.testing.assert_allclose(log.recorded.observations.z, np.stack([(r - 0.3) / 0.9, b - 0.2], axis=-1))
+        turned = exact.recorded.increments.mean[:, 2]
+        np.testing.assert_allclose(log.recorded.increments.mean[:, 2], 0.5 * turned, atol=1e-12)
+
+    def test_a_turn_limit_holds_only_commands_beyond_it(self) -> None:
+        v, omega = Calibration(turn_limit=0.5).velocities(np.ones(4), np.array([0.4, -0.5, 0.9, -2.0]))
+        assert omega.tolist() == [0.4, -0.5, 0.5, -0.5]
+        assert v.tolist() == [1.0, 1.0, 1.0, 1.0]
+
+    def test_a_turning_robot_is_slower_in_either_direction_and_never_reverses(self) -> None:
+        drag = Calibration(turn_drag=0.5, turn_limit=1.0)
+        v, _ = drag.velocities(np.array([1.0, 1.0, -1.0, 0.1, 0.0]), np.array([0.4, -9.0, 0.4, 1.0, 1.0]))
+        assert v.tolist() == [0.8, 0.5, -0.8, 0.0, 0.0]
+
+    def test_depth_along_the_axis_becomes_range(self, files: Texts, load: Callable[..., Log]) -> None:
+        log, exact = load(files, calibration=Calibration(range_is_depth=True)), load(files)
+        r, b = exact.recorded.observations.z.T
+        np.testing.assert_allclose(log.recorded.observations.z, np.stack([r / np.cos(b), b], axis=-1))
+        assert np.abs(b).max() > 0.1
+
+    def test_a_command_acts_from_halfway_to_the_stamp_before(self) -> None:
+        stamps = np.array([1.0, 1.0, 1.2, 4.2])
+        assert Calibration(midpoint_hold=True, odometry_delay=0.1).instants(stamps) == pytest.approx(
+            [1.1, 1.1, 1.2, 3.8]
+        )
+        assert Calibration(odometry_delay=0.1).instants(stamps) == pytest.approx(stamps + 0.1)
+
+    def test_delayed_odometry_starts_later(self, files: Texts, load: Callable[..., Log]) -> None:
+        assert starts_at(load(files, calibration=Calibration(odometry_delay=0.1))) == pytest.approx(1.1, abs=1e-5)
+
+    def test_noise_grows_with_the_measured_range(self, files: Texts, load: Callable[..., Log]) -> None:
+        log = load(files, calibration=Calibration(sigma_range=0.1, sigma_range_growth=0.2, sigma_bearing=0.3))
+        o = log.recorded.observations
+        np.testing.assert_allclose(o.R[:, 0, 0], (0.1 + 0.2 * o.z[:, 0]) ** 2)
+        np.testing.assert_allclose(o.R[:, 1, 1], 0.09)
+        np.testing.assert_array_equal(o.R[:, 0, 1], 0.0)
+
+    def test_sigma_and_motion_replace_the_calibrations(self, files: Texts, load: Callable[..., Log]) -> None:
+        motion = VelocityModel(VelocityNoise("density", (0.5, 0.25)))
+        log = load(files, calibration=FROZEN, sigma=(2.0, 3.0), motion=motion)
+        np.testing.assert_allclose(
+            log.recorded.observations.R, np.tile(np.diag([4.0, 9.0]), (len(log.recorded.observations.z), 1, 1))
+        )
+        span = np.diff(log.recorded.time)
+        np.testing.assert_allclose(log.recorded.increments.covariance[1:, 2, 2], 0.25**2 * span, atol=1e-9)
+
+    @pytest.mark.parametrize(
+        "wrong", [{"range_scale": 0.0}, {"sigma_range": -1.0}, {"latency": math.inf}, {"turn_limit": 0.0}]
+    )
+    def test_senseless_numbers_are_refused(self, wrong: dict[str, float]) -> None:
+        with pytest.raises(UsageError, match=next(iter(wrong))):
+            Calibration(**wrong)  # type: ignore[arg-type]
+
+
+class TestLandmarks:
+    def test_another_file_replaces_the_datasets(self, files: Texts, load: Callable[..., Log], tmp_path: Path) -> None:
+        other = tmp_path / "moved.dat"
+        other.write_text("6 1.0 2.0 0 0\n7 3.0 4.0 0 0\n")
+        log = load(files, landmarks=other)
+        assert log.recorded.map is not None
+        assert log.recorded.map.id.tolist() == [6, 7]
+        assert log.recorded.map.xy.tolist() == [[1.0, 2.0], [3.0, 4.0]]
+        assert log.source["landmarks"] == str(other)
+
+    def test_exchanged_rows_are_noticed_and_named(self, files: Texts, load: Callable[..., Log]) -> None:
+        assert not noted(load(files), "contradict")
+        # two of the landmarks that are seen most often
+        log = load({**files, "Landmark_Groundtruth.dat": exchange(files["Landmark_Groundtruth.dat"], 20, 7)})
+        assert noted(log, "contradict", "20 (", "seen where 7 should be", "7 (", "seen where 20 should be")
+
+    def test_a_corrected_file_beside_the_dataset_is_found_if_it_is_about_it(self, files: Texts, tmp_path: Path) -> None:
+        source = save_zip(tmp_path / "set.zip", files)
+        assert corrected_landmarks(source) is None
+        beside = tmp_path / "Landmark_Groundtruth.corrected.dat"
+        survey = files["Landmark_Groundtruth.dat"]
+        beside.write_text(exchange(survey, 11, 17))
+        assert corrected_landmarks(source) == beside
+        beside.write_text(survey.replace("4.5", "4.6", 1).replace("0.9", "0.8", 1))
+        assert corrected_landmarks(source) is None

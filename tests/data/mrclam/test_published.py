@@ -1,0 +1,130 @@
+"""UTIAS MRCLAM: the published recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data import se2
+from data.log import Log
+from data.mrclam.calibration import FROZEN, Calibration
+from data.mrclam.load import corrected_landmarks, load_mrclam, robots
+from tests.data.mrclam.loading import PLAIN, noted
+
+pytestmark = pytest.mark.usefixtures("tables_parsed_once")
+BAD_NINE = [(755.0, 836.0), (945.0, 1050.0), (376.0, 380.0)]
+
+
+@pytest.fixture(scope="module")
+def mrclam(shared_data: Path) -> Path:
+    folder = shared_data / "mrclam"
+    if not folder.is_dir():
+        pytest.skip("no MRCLAM recordings beside the project (../shared/data/mrclam)")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def published(mrclam: Path) -> Callable[..., Log]:
+    """`published(dataset, robot, **arguments)`: a log of a published zip, uncorrected unless said otherwise."""
+
+    def load(dataset: int, robot: int, **arguments: object) -> Log:
+        source = mrclam / f"MRCLAM_Dataset{dataset}.zip"
+        return load_mrclam(source, robot, **{"calibration": PLAIN, **arguments})  # type: ignore[arg-type]
+
+    return load
+
+
+def misses(log: Log) -> dict[int, float]:
+    """Median distance [m] between each landmark and its readings projected from the true poses."""
+    o, known, pose = log.recorded.observations, log.recorded.map, log.truth.pose
+    assert known is not None and pose is not None and log.truth.landmark_of is not None  # noqa: PT018
+    x, y, heading = pose[o.frame].T
+    r, b = o.z.T
+    points = np.stack([x + r * np.cos(heading + b), y + r * np.sin(heading + b)], axis=-1)
+    away = np.hypot(*(points - known.xy[np.searchsorted(known.id, log.truth.landmark_of)]).T)
+    return {n: float(np.nanmedian(away[log.truth.landmark_of == n])) for n in known.id.tolist()}
+
+
+class TestThePublishedRecordings:
+    @pytest.mark.parametrize(
+        ("dataset", "robot", "rows", "unknown", "median", "worst", "worst_miss"),
+        [
+            (1, 3, 8742, 2, 0.101, 6, 0.195),
+            (6, 4, 2399, 3, 0.125, 9, 0.176),
+            (9, 3, 6167, 0, 0.114, 18, 0.193),
+        ],
+    )
+    def test_counts_and_median_residuals_are_those_measured_elsewhere(
+        self, mrclam: Path, published: Callable[..., Log], dataset: int, robot: int, rows: int, unknown: int,
+        median: float, worst: int, worst_miss: float,
+    ) -> None:  # fmt: skip
+        corrected = corrected_landmarks(mrclam / f"MRCLAM_Dataset{dataset}.zip")
+        log = published(dataset, robot, landmarks=corrected, keep_robots=True)
+        early = sum(int(n.split()[0]) for n in log.notes if "before the first odometry" in n)
+        late = sum(int(n.split()[0]) for n in log.notes if "after the last odometry" in n)
+        assert len(log.recorded.observations.z) + unknown + early + late == rows
+        assert noted(log, "that no subject has") == (unknown > 0)
+        alone = published(dataset, robot, landmarks=corrected)
+        share = 1.0 - len(alone.recorded.observations.z) / len(log.recorded.observations.z)
+        assert 0.15 <= share <= 0.24
+        miss = misses(alone)
+        assert np.median(list(miss.values())) == pytest.approx(median, abs=0.003)
+        assert max(miss, key=lambda n: miss[n]) == worst
+        assert miss[worst] == pytest.approx(worst_miss, abs=0.003)
+
+    def test_every_robot_with_odometry_is_listed(self, mrclam: Path) -> None:
+        assert robots(mrclam / "MRCLAM_Dataset1.zip") == [1, 2, 3, 4, 5]
+        assert robots(mrclam / "MRCLAM_Dataset9.zip") == [3]
+
+    def test_dataset_1_as_published_has_landmarks_11_and_17_exchanged(
+        self, mrclam: Path, published: Callable[..., Log]
+    ) -> None:
+        assert noted(published(1, 4), "11 (6.1 m, seen where 17 should be), 17 (6.1 m, seen where 11 should be).")
+        corrected = mrclam / "Landmark_Groundtruth.corrected.dat"
+        assert corrected_landmarks(mrclam / "MRCLAM_Dataset1.zip") == corrected
+        assert not noted(published(1, 4, landmarks=corrected), "contradict")
+        for other in (6, 9):
+            assert corrected_landmarks(mrclam / f"MRCLAM_Dataset{other}.zip") is None
+
+    def test_the_camera_is_late_not_early(self, published: Callable[..., Log]) -> None:
+        spread = {}
+        for latency in (-0.06, 0.04, 0.14):
+            log = published(9, 3, calibration=Calibration(latency=latency), exclude_truth=BAD_NINE)
+            o, known, pose = log.recorded.observations, log.recorded.map, log.truth.pose
+            assert known is not None and pose is not None and log.truth.landmark_of is not None  # noqa: PT018
+            places = known.xy[np.searchsorted(known.id, log.truth.landmark_of)]
+            residual = log.recorded.sensor.residual(o.z, log.recorded.sensor.predict(pose[o.frame], places))[:, 1]
+            known_ones = residual[np.abs(residual) < 0.3]
+            spread[latency] = known_ones.std()
+        assert spread[0.04] < 0.9 * min(spread[-0.06], spread[0.14])
+
+    def test_the_frozen_corrections_make_dead_reckoning_follow_the_truth(self, published: Callable[..., Log]) -> None:
+        drift = {}
+        for name, calibration in (("frozen", FROZEN), ("plain", PLAIN)):
+            log = published(9, 3, calibration=calibration, start=165.0, stop=345.0)
+            pose = log.recorded.prior.mean
+            for step in log.recorded.increments.mean:
+                pose = se2.compose(pose, step)
+            assert log.truth.pose is not None
+            drift[name] = abs(se2.pose_error(pose, log.truth.pose[-1])[2])
+        assert drift["frozen"] < 0.5 < drift["plain"]
+
+    def test_a_fit_to_the_first_sightings_agrees_with_the_truth(self, mrclam: Path, tmp_path: Path) -> None:
+        import zipfile
+
+        with zipfile.ZipFile(mrclam / "MRCLAM_Dataset6.zip") as archive:
+            for robot in (5,):
+                for name in ("Barcodes", "Landmark_Groundtruth", f"Robot{robot}_Odometry", f"Robot{robot}_Measurement"):
+                    (tmp_path / f"{name}.dat").write_bytes(archive.read(f"MRCLAM_Dataset6/{name}.dat"))
+                blind = load_mrclam(tmp_path, robot)
+                seen = load_mrclam(mrclam / "MRCLAM_Dataset6.zip", robot)
+                assert seen.truth.pose is not None
+                stamp = float(blind.source["first_stamp"]) - float(seen.source["first_stamp"])  # type: ignore[arg-type]
+                true = seen.truth.pose[int(np.argmin(np.abs(seen.recorded.time - stamp)))]
+                error = se2.pose_error(blind.recorded.prior.mean, true)
+                assert np.hypot(*error[:2]) < 0.5
+                # within the fit's own covariance: chi-square with 3 degrees of freedom, 99.9 %
+                assert error @ np.linalg.solve(blind.recorded.prior.covariance, error) < 16.3

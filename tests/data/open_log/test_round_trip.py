@@ -1,0 +1,119 @@
+"""Any log comes back bit for bit after writing."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior, floor_covariances
+from data.log import Log
+from data.open_log.writer import write_folder
+from data.sensors import RangeBearing, RelativePoint
+from data.truth import Truth
+from tests.data.open_log.same_log import assert_same_log, load
+
+numbers = st.floats(-1e6, 1e6)
+scales = st.sampled_from([0.0, 1e-12, 1e-7, 1e-3, 1.0, 1e3])
+texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=8)
+plain_values = st.one_of(texts, st.booleans(), st.integers(-(2**62), 2**62), st.floats(allow_nan=False))
+sources = st.dictionaries(texts, st.one_of(plain_values, st.lists(plain_values, max_size=3)), max_size=4)
+
+
+@st.composite
+def matrices(draw, count: int, d: int, *, definite: bool):
+    """(count, d, d) exactly symmetric, positive semidefinite, of any rank unless `definite`."""
+    root = draw(hnp.arrays(float, (count, d, d), elements=st.floats(-1.0, 1.0), fill=st.just(0.5)))
+    scale = draw(hnp.arrays(float, (count, 1, 1), elements=scales, fill=st.just(1e-3)))
+    full = scale * (root @ root.transpose(0, 2, 1))
+    full += 1e-15 * np.trace(full, axis1=1, axis2=2)[:, None, None] * np.eye(d)
+    if definite:
+        full += (1e-6 + scale) * np.eye(d)
+    return 0.5 * (full + full.transpose(0, 2, 1))
+
+
+@st.composite
+def logs(draw) -> Log:
+    n, m, k = draw(st.integers(1, 6)), draw(st.integers(0, 8)), draw(st.integers(0, 4))
+
+    def array(shape, elements=numbers):
+        return draw(hnp.arrays(float, shape, elements=elements))
+
+    mean, covariance = array((n, 3)), draw(matrices(n, 3, definite=False))
+    mean[0], covariance[0] = 0.0, 0.0
+    floor = draw(st.sampled_from([0.0, 1e-10, 1e-4]))
+    covariance, floored = floor_covariances(covariance, floor)
+    z = array((m, 2))
+    sensor_class = draw(st.sampled_from([RangeBearing, RelativePoint]))
+    if sensor_class is RangeBearing:
+        z[:, 0] = np.abs(z[:, 0])
+    low = draw(st.floats(-math.pi, 3.0))
+    sensor = sensor_class(
+        draw(st.one_of(st.just(math.inf), st.floats(1e-3, 1e6))),
+        low,
+        draw(st.floats(low, math.pi, exclude_min=True)),
+        draw(numbers),
+        (draw(numbers), draw(numbers)),
+    )
+    ids = np.array(sorted(draw(st.sets(st.integers(0, 2**40), min_size=k, max_size=k))), np.int64)
+    landmarks = LandmarkMap(ids, array((k, 2))) if draw(st.booleans()) else None
+    claimed = hnp.arrays(np.int64, m, elements=st.integers(-2, 2**40))
+    recorded = Inputs(
+        prior=Prior(array(3), draw(matrices(1, 3, definite=False))[0]),
+        time=np.cumsum(array(n, st.floats(1e-3, 1e3))) + draw(st.sampled_from([0.0, -5.0, 1.3e9])),
+        increments=Increments(mean, covariance),
+        observations=Observations(
+            np.sort(draw(hnp.arrays(np.int64, m, elements=st.integers(0, n - 1)))),
+            z,
+            draw(matrices(m, 2, definite=True)),
+        ),
+        sensor=sensor,
+        map=landmarks,
+        time_is_index=draw(st.booleans()),
+        covariance_floor=floor,
+        floored=floored,
+    )
+    pose = array((n, 3), st.one_of(numbers, st.just(math.nan))) if draw(st.booleans()) else None
+    return Log(
+        "log",
+        recorded,
+        Truth(pose, landmarks, draw(claimed) if draw(st.booleans()) else None),
+        label=draw(claimed) if draw(st.booleans()) else None,
+        labels_are_sensed=draw(st.booleans()),
+        source=draw(sources),
+        notes=tuple(draw(st.lists(texts, max_size=2))),
+    )
+
+
+@given(logs())
+@settings(max_examples=60, deadline=None)
+def test_any_log_comes_back_bit_for_bit(log):
+    with tempfile.TemporaryDirectory() as folder:
+        write_folder(log, Path(folder) / "log")
+        assert_same_log(load(Path(folder) / "log"), log)
+
+
+@given(st.data())
+@settings(max_examples=60, deadline=None)
+def test_flooring_again_changes_no_bit(data):
+    covariance = data.draw(matrices(4, 3, definite=False))
+    floor = data.draw(st.sampled_from([1e-10, 1e-6, 1e-2]))
+    once, _ = floor_covariances(covariance, floor)
+    twice, count = floor_covariances(once, floor)
+    assert count == 0
+    assert np.array_equal(once, twice)
+    assert np.linalg.eigvalsh(once[1:]).min() >= floor * (1 - 1e-5) - 1e-11 * np.abs(once).max()
+
+
+def test_the_floor_is_reached_from_a_rounding_below_zero():
+    covariance = np.array([np.zeros((3, 3)), np.diag([1000.0, 1.0, -5e-10])])
+    once, count = floor_covariances(covariance, 1e-10)
+    assert count == 1
+    assert once[1, 2, 2] == pytest.approx(1e-10)
+    assert floor_covariances(once, 1e-10)[1] == 0

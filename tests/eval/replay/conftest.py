@@ -1,0 +1,18 @@
+"""Corridor logs that are replayed, made once."""
+
+from __future__ import annotations
+
+import pytest
+
+from data.worlds.corridor import Corridor
+from data.worlds.corridor import simulate as corridor
+
+
+@pytest.fixture(scope="module")
+def lab():
+    return corridor(Corridor(), 0)
+
+
+@pytest.fixture(scope="module")
+def crowded():
+    return corridor(Corridor(people=True), 0)

@@ -1,0 +1,135 @@
+"""A fit finds the noise, biases and scales that were put into simulated logs, with honest standard errors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from data.inputs import Increments
+from data.motion import VelocityModel, VelocityNoise, preintegrate
+from data.worlds.arena import simulate
+from eval.tuning.fit import AT_BOUND, FITTED, HELD, fit, middle, pairings, score
+from eval.tuning.model import GROUPS, apply, make_model, vector
+from tests.eval.tuning.stated import SMALL, by_name, changed
+
+NOISE = ("motion", "sensor")
+TRUE_AT_ZERO = ("motion_lateral", "bias_range", "bias_bearing", "odometry_v", "odometry_omega")
+
+
+def fitted(log, groups=NOISE, slam=False):
+    inputs = log.inputs(labels=True)
+    if slam:
+        inputs = inputs.without_map()
+    model, decisions = make_model(inputs, None, groups), pairings(inputs)
+    return model, decisions, fit(model, decisions)
+
+
+@pytest.mark.parametrize(("seed", "wrong", "slam"), [(0, 2.0, False), (1, 2.0, True), (2, 0.5, False), (3, 0.5, True)])
+def test_sigmas_stated_wrong_by_a_factor_of_two_are_recovered_within_three_standard_errors(seed, wrong, slam):
+    model, decisions, found = fitted(changed(simulate(SMALL, seed), noise=wrong), slam=slam)
+    for name, theta, error in zip(by_name(model, found.theta), found.theta, found.error):
+        true = 0.0 if name in TRUE_AT_ZERO else -np.log(wrong)
+        if np.isfinite(error):
+            assert abs(theta - true) < 3.0 * error, name
+    error = by_name(model, found.error)
+    assert error["sigma_range"] < 0.05
+    assert error["sigma_bearing"] < 0.05
+    assert error["motion_along"] < 0.3
+    before = score(model.inputs, decisions)
+    after = score(apply(model, found.theta), decisions)
+    assert not 0.4 < before.nis < 2.5
+    assert after.lower < after.nis < after.upper
+    assert after.log_likelihood - before.log_likelihood == pytest.approx(found.gain, abs=1e-6)
+
+
+def test_a_bearing_bias_and_an_odometry_scale_are_found():
+    log = changed(simulate(SMALL, 0), bias=(0.15, 0.03), scale=(1.05, 0.96))
+    model, _, found = fitted(log, ("bias", "odometry"))
+    value = by_name(model, [p.value(t) for p, t in zip(model.parameters, found.theta)])
+    error = by_name(model, found.error)
+    assert value["bias_range"] == pytest.approx(0.15, abs=3.0 * error["bias_range"])
+    assert value["bias_bearing"] == pytest.approx(0.03, abs=3.0 * error["bias_bearing"])
+    assert value["odometry_v"] == pytest.approx(1.0 / 1.05, abs=3.0 * error["odometry_v"])
+    assert value["odometry_omega"] == pytest.approx(1.0 / 0.96, abs=3.0 * error["odometry_omega"])
+    assert error["bias_range"] < 0.02
+    assert error["bias_bearing"] < 0.005
+    assert max(error["odometry_v"], error["odometry_omega"]) < 0.015
+
+
+@pytest.mark.slow
+def test_standard_errors_are_as_large_as_the_errors_are():
+    squares = []
+    for seed in range(30):
+        model, _, found = fitted(changed(simulate(SMALL, seed), noise=2.0), (*NOISE, "bias", "odometry"))
+        true = np.array([0.0 if p.name in TRUE_AT_ZERO else -np.log(2.0) for p in model.parameters])
+        squares.append(((found.theta - true) / found.error) ** 2)
+    mean = np.nanmean(squares, axis=0)  # of about 30 chi-square values: 1 with a standard error of 0.26
+    assert (mean < 1.8).all()
+    assert (mean > 0.4).all()
+
+
+def test_parameters_of_zero_leave_the_inputs_as_they_are():
+    inputs = simulate(SMALL, 0).inputs(labels=True)
+    model = make_model(inputs, None, GROUPS)
+    same = apply(model, np.zeros(len(model)))
+    assert np.array_equal(same.increments.mean, inputs.increments.mean)
+    assert np.array_equal(same.increments.covariance, inputs.increments.covariance)
+    assert np.array_equal(same.observations.z, inputs.observations.z)
+    assert np.array_equal(same.observations.R, inputs.observations.R)
+
+
+def test_factors_multiply_standard_deviations_and_biases_are_taken_off():
+    inputs = simulate(SMALL, 0).inputs(labels=True)
+    model = make_model(inputs, None, GROUPS)
+    values = {"sigma_range": 3.0, "bias_bearing": 0.1, "motion_along": 2.0, "motion_heading": 5.0, "range_growth": 0.5}
+    new = apply(model, vector(model, values))
+    o, z = new.observations, inputs.observations.z
+    assert o.R[:, 0, 0] == pytest.approx(9.0 * 0.1**2 * z[:, 0])
+    assert o.R[:, 1, 1] == pytest.approx(0.02**2)
+    assert np.cos(o.z[:, 1] - z[:, 1] + 0.1) == pytest.approx(1.0)
+    ratio = new.increments.covariance[1:] / inputs.increments.covariance[1:]
+    assert ratio == pytest.approx(np.tile(np.outer([2.0, 5.0, 5.0], [2.0, 5.0, 5.0]), (len(ratio), 1, 1)), rel=1e-6)
+
+
+def test_scaled_increments_are_those_of_scaled_velocities():
+    t = np.arange(0.0, 5.0, 0.5)
+    v, omega = np.full(len(t), 1.3), np.full(len(t), 0.2)
+    model = VelocityModel(VelocityNoise("density", (0.1, 0.1)))
+    inputs = simulate(replace(SMALL, frames=len(t)), 0).inputs(labels=True)
+    inputs = replace(inputs, increments=preintegrate(model, t, v, omega, t)[0])
+    fit_model = make_model(inputs, None, ("odometry",))
+    new = apply(fit_model, vector(fit_model, {"odometry_v": 1.1, "odometry_omega": 0.9}))
+    expected = preintegrate(model, t, 1.1 * v, 0.9 * omega, t)[0].mean
+    assert new.increments.mean == pytest.approx(expected, abs=2e-4)
+
+
+def test_what_a_log_does_not_determine_stays_as_stated():
+    log = simulate(replace(SMALL, frames=30), 0)
+    r = log.recorded
+    D = np.diag([1.0, 0.0, 0.0])
+    log = replace(log, recorded=replace(r, increments=Increments(r.increments.mean, D @ r.increments.covariance @ D)))
+    model, _, found = fitted(log, ("motion",))
+    status, theta = by_name(model, found.status), by_name(model, found.theta)
+    assert status["motion_heading"] == status["motion_lateral"] == HELD
+    assert theta["motion_heading"] == theta["motion_lateral"] == 0.0
+    assert status["motion_along"] in (FITTED, AT_BOUND)
+
+
+def test_what_a_short_log_cannot_tell_goes_back_to_what_it_states():
+    _, _, found = fitted(simulate(replace(SMALL, frames=6), 2), ("motion",))
+    assert HELD in found.status
+    for theta, error, word in zip(found.theta, found.error, found.status):
+        assert np.isfinite(error) == (word == FITTED)
+        assert (theta == 0.0) == (word == HELD)
+
+
+def test_innovations_of_the_halves_sum_to_those_of_the_whole():
+    inputs = simulate(SMALL, 0).inputs(labels=True)
+    decisions = pairings(inputs)
+    half = middle(inputs, decisions)
+    whole, first, second = score(inputs, decisions), score(inputs, decisions, 0, half), score(inputs, decisions, half)
+    assert first.dof + second.dof == whole.dof == 2 * len(inputs.observations.z)
+    assert first.log_likelihood + second.log_likelihood == pytest.approx(whole.log_likelihood)
+    assert abs(first.dof - second.dof) < 0.1 * whole.dof

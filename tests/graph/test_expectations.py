@@ -1,0 +1,167 @@
+"""What iSAM2 expects to see, which landmarks may be in view, and its gate: those of the filter."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from association.candidates import Drift, in_view, may_be_in_view
+from association.known import known_decisions
+from data.inputs import LabelledObservations, Prior
+from data.sensors import RangeBearing, RelativePoint
+from ekf.localizer import EkfLocalizer
+from ekf.slam import EkfSlam
+from graph import expected
+from graph.incremental import Isam2Smoother
+from tests.graph.driving import TIGHT, both_tasks, drive, every_sensor, for_task
+from tests.graph.worlds import circle
+
+
+@every_sensor
+@both_tasks
+def test_it_expects_what_the_filter_expects(sensor, task):
+    """Noise-free, so that both linearize at the truth; two frames after the last update."""
+    inputs, _, _ = circle(sensor, noise=0.0)
+    inputs = for_task(inputs, task)
+    decisions, _ = known_decisions(inputs)
+    twin = (
+        EkfLocalizer(inputs.prior, inputs.sensor, inputs.map)
+        if task == "localization"
+        else EkfSlam(inputs.prior, inputs.sensor)
+    )
+    s, *_ = drive(inputs, decisions, until=20, **TIGHT)
+    drive(inputs, decisions, until=20, smoother=twin)
+    for k in (20, 21):
+        s.predict(inputs.increment(k))
+        twin.predict(inputs.increment(k))
+    ours, filters = s.expect(inputs.sightings(21)), twin.expect(inputs.sightings(21))
+    assert 0 < len(ours.number) < len(filters.number)
+    rows = np.searchsorted(filters.number, ours.number)
+    np.testing.assert_array_equal(filters.number[rows], ours.number)
+    np.testing.assert_allclose(ours.z_hat, filters.z_hat[rows], atol=1e-6)
+    np.testing.assert_allclose(ours.HPHt, filters.HPHt[rows], atol=1e-8)
+    pick = np.array([2, 0, 1])
+    np.testing.assert_allclose(ours.joint(pick), filters.joint(rows[pick]), atol=1e-8)
+    np.testing.assert_array_equal(ours.frame, 0)
+    assert (ours.z == inputs.sightings(21).z).all()
+
+
+def test_candidates_are_cut_by_the_field_of_view_and_three_sigma_and_five_degrees():
+    sensor = RangeBearing(max_range=5.0, min_angle=-0.5, max_angle=0.5)
+    z_hat = np.array([[5.2, 0.0], [5.4, 0.0], [3.0, 0.7], [3.0, 0.9], [3.0, -0.58], [3.0, 3.1]])
+    loose = np.tile(np.diag([0.1**2, 0.1**2]), (6, 1, 1))
+    assert in_view(sensor, z_hat, loose).tolist() == [True, False, True, False, True, False]
+    assert in_view(sensor, z_hat, 0.0 * loose).tolist() == [False, False, False, False, True, False]
+    cartesian = RelativePoint(max_range=5.0, min_angle=-0.5, max_angle=0.5)
+    at = np.stack([z_hat[:, 0] * np.cos(z_hat[:, 1]), z_hat[:, 0] * np.sin(z_hat[:, 1])], 1)
+    turn = np.stack([[np.cos(a), -np.sin(a), np.sin(a), np.cos(a)] for a in z_hat[:, 1]]).reshape(-1, 2, 2)
+    polar = turn @ np.stack([np.diag([0.1**2, (0.1 * r) ** 2]) for r in z_hat[:, 0]]) @ turn.transpose(0, 2, 1)
+    assert in_view(cartesian, at, polar).tolist() == [True, False, True, False, True, False]
+
+
+@every_sensor
+def test_the_quick_cut_keeps_everything_the_exact_one_keeps(sensor):
+    """Against the filter's covariance over all landmarks, with a narrow view and a lot of uncertainty."""
+    narrow = replace(sensor, max_range=4.0, min_angle=-0.6, max_angle=0.9)
+    inputs, _, _ = circle(sensor, noise=0.0, landmarks=25)
+    inputs = inputs.without_map()
+    decisions, created = known_decisions(inputs)
+    drift, kept = Drift(), 0
+    for k in range(20):
+        drive(inputs, decisions, until=k, smoother=(twin := EkfSlam(inputs.prior, inputs.sensor)))
+        n = (twin.size - 3) // 2
+        xy, P = twin.mean[3:].reshape(n, 2), twin.covariance
+        if k:
+            drift.move(inputs.increment(k))
+        everything = expected.form(narrow, twin.mean[:3], P, np.arange(n), xy, inputs.sightings(k))
+        exact = in_view(narrow, everything.z_hat, everything.HPHt)
+        rows = slice(inputs.start[k], inputs.start[k + 1])
+        number = np.where(created[rows] >= 0, created[rows], decisions[rows])
+        drift.see(sensor, inputs.sightings(k), number, P[:3, :3])
+        quick = may_be_in_view(narrow, twin.mean[:3], xy, *drift.sigmas(np.arange(n), P[:3, :3]))
+        assert not (exact & ~quick).any()
+        kept += quick.sum() < n
+    assert kept > 10  # and it does cut
+
+
+@every_sensor
+def test_the_bounds_on_relative_uncertainty_are_bounds_and_stay_small_far_from_the_start(sensor):
+    """Against the filter's joint covariance: position of each landmark in the robot's frame."""
+    inputs, _, _ = circle(sensor, noise=0.0, landmarks=25)
+    inputs = inputs.without_map()
+    decisions, created = known_decisions(inputs)
+    drift, twin = Drift(), EkfSlam(inputs.prior, inputs.sensor)
+    for k in range(len(inputs)):
+        if k:
+            drift.move(inputs.increment(k))
+            twin.predict(inputs.increment(k))
+        rows = slice(inputs.start[k], inputs.start[k + 1])
+        twin.update(inputs.sightings(k), decisions[rows])
+        number = np.where(created[rows] >= 0, created[rows], decisions[rows])
+        drift.see(sensor, inputs.sightings(k), number, twin.estimate().covariance)
+        n = (twin.size - 3) // 2
+        c, s = np.cos(twin.mean[2]), np.sin(twin.mean[2])
+        C = np.array([[c, s], [-s, c]])
+        bound, _ = drift.sigmas(np.arange(n), twin.estimate().covariance)
+        for i, at in enumerate(twin.mean[3:].reshape(n, 2)):
+            d = at - twin.mean[:2]
+            H = np.zeros((2, twin.size))
+            H[:, :2], H[:, 2], H[:, 3 + 2 * i : 5 + 2 * i] = -C, C @ (d[1], -d[0]), C
+            assert np.sqrt(np.trace(H @ twin.covariance @ H.T)) <= bound[i] * (1.0 + 1e-9)
+
+
+@every_sensor
+@both_tasks
+def test_the_gate_and_its_statistics_are_the_filters(sensor, task):
+    inputs, _, _ = circle(sensor, noise=0.0)
+    inputs = for_task(inputs, task)
+    o = inputs.observations
+    decisions, created = known_decisions(inputs)
+    z = o.z.copy()
+    # in the last frame only, so that all that went before is noise-free: one outlier, two small errors
+    last = np.flatnonzero((o.frame == o.frame[-1]) & (created < 0))
+    z[last[:3]] += [[1.5, 0.4], [0.05, -0.03], [-0.02, 0.04]]
+    inputs = replace(inputs, observations=LabelledObservations(o.frame, z, o.R, o.label))
+    twin = (
+        EkfLocalizer(inputs.prior, inputs.sensor, inputs.map)
+        if task == "localization"
+        else EkfSlam(inputs.prior, inputs.sensor)
+    )
+    ours = drive(inputs, decisions, gate=11.0, until=int(o.frame[-1]) + 1, **TIGHT)[3]
+    filters = drive(inputs, decisions, gate=11.0, until=int(o.frame[-1]) + 1, smoother=twin)[3]
+    for a, b in zip(ours, filters, strict=True):
+        np.testing.assert_array_equal(a.used, b.used)
+        np.testing.assert_array_equal(a.created, b.created)
+        assert a.dof == b.dof
+        if b.dof:
+            assert a.nis == pytest.approx(b.nis, abs=1e-5)
+            assert a.log_likelihood == pytest.approx(b.log_likelihood, abs=1e-5)
+    assert not ours[-1].used[0]
+    assert ours[-1].nis > 1e-3
+    ungated = drive(inputs, decisions)[3][-1]
+    assert ungated.dof == 0
+    assert np.isnan(ungated.nis)
+    assert np.isnan(ungated.log_likelihood)
+
+
+@pytest.mark.parametrize("variance", [(0.0, 0.0, 0.0), (1e-4, 1e-4, 0.0), (0.0, 0.0, 1e-4), (0.01, 0.02, 0.001)])
+@every_sensor
+def test_the_first_expectations_are_the_filters_whatever_the_prior(sensor, variance):
+    """While the first pose is the only one in the graph: an exact prior is a hard constraint there."""
+    inputs, _, _ = circle(sensor, noise=0.0, landmarks=25)
+    inputs = replace(inputs.without_map(), prior=Prior(inputs.prior.mean, np.diag(variance)))
+    decisions, _ = known_decisions(inputs)
+    ours, twin = Isam2Smoother(inputs.prior, inputs.sensor), EkfSlam(inputs.prior, inputs.sensor)
+    for k in range(3):
+        rows = slice(inputs.start[k], inputs.start[k + 1])
+        sightings = inputs.sightings(k)
+        if k:
+            a, b = (e.predict(inputs.increment(k)) or e.expect(sightings).by_age() for e in (ours, twin))
+            both = np.intersect1d(a.number, b.number)
+            assert len(both) > 2
+            A, B = (e.joint(np.searchsorted(e.number, both)) for e in (a, b))
+            np.testing.assert_allclose(A, B, atol=1e-4 * np.abs(B).max())
+        for e in (ours, twin):
+            e.update(sightings, decisions[rows])
