@@ -118,7 +118,7 @@ class FrontEnd:
             innovations=self.asks_for_innovations,
         )
         if self.known is not None:
-            self.known.surviving(frame, done.created)
+            self.known.initialized(frame, done.created)
         if self.map_management is not None:
             numbers = np.where(done.used, pairing.decisions, done.created)
             seen = np.flatnonzero(numbers >= 0)

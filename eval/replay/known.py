@@ -26,7 +26,7 @@ class KnownAssociation:
             return np.where(np.isin(frame.label, self.map.id), frame.label, DISCARD)
         return pair_by_label(frame.label, self._number_of)
 
-    def surviving(self, frame: Frame, created: IntArray) -> None:
+    def initialized(self, frame: Frame, created: IntArray) -> None:
         """Landmarks (m,) that the frame's observations initialized, -1 for none."""
         assert frame.label is not None  # or `decide` would have said so
         for i in np.flatnonzero(created >= 0):
