@@ -196,6 +196,18 @@ class Expectation:
         logs: Array = np.log(self._formed[1])
         return logs
 
+    def paired(self, decisions: IntArray) -> tuple[IntArray, IntArray]:
+        """Rows (k,) of the observations that are paired, and the candidates (k,) they are paired with."""
+        rows = np.flatnonzero(decisions >= 0)
+        order = np.argsort(self.number, kind="stable")
+        return rows, order[np.searchsorted(self.number, decisions[rows], sorter=order)]
+
+    def joint_innovation(self, rows: IntArray, chosen: IntArray) -> tuple[Array, Array]:
+        """Innovation (2k,) of pairing observations `rows` with candidates `chosen`, and its covariance (2k, 2k)."""
+        S = self.joint(chosen)
+        add_to_diagonal(S, self.R[rows])
+        return self.residual(self.z[rows], self.z_hat[chosen]).ravel(), S
+
     def innovation_statistics(self, rows: IntArray, chosen: IntArray) -> tuple[float, int, float]:
         """NIS, degrees of freedom and log-likelihood of pairing observations `rows` with candidates `chosen`, jointly.
 
@@ -203,14 +215,13 @@ class Expectation:
         """
         if not len(rows):
             return 0.0, 0, 0.0
-        S = self.joint(chosen)
-        add_to_diagonal(S, self.R[rows])
+        nu, S = self.joint_innovation(rows, chosen)
         try:
             root = np.linalg.cholesky(S)
         except np.linalg.LinAlgError:
             raise SingularInnovationError(
                 f"the joint innovation covariance of landmarks {self.number[chosen].tolist()} is singular"
             ) from None
-        white = np.linalg.solve(root, self.residual(self.z[rows], self.z_hat[chosen]).ravel())
+        white = np.linalg.solve(root, nu)
         nis, dof = float(white @ white), len(white)
         return nis, dof, -0.5 * (nis + 2.0 * float(np.log(np.diag(root)).sum()) + dof * math.log(2.0 * math.pi))

@@ -43,14 +43,12 @@ class Acceptance(NamedTuple):
         return math.isinf(self.individual) and self.joint is None and math.isinf(self.conditional)
 
 
-def acceptance(method: str, gate: float | None, gate_known: float | None = None) -> Acceptance:
+def acceptance(method: str, gate: float | None) -> Acceptance:
     """What the pairings of a way of association had to pass: `gate` is its chi-square probability, None for no gate.
 
-    `known` is gated by `gate_known` alone. `ml-ratio` pairs only what beats "new" by its ratio, which is the narrower
-    test. Hindsight tests each pairing given the others; its outer gate leaves out next to nothing.
+    `ml-ratio` pairs only what beats "new" by its ratio, which is the narrower test. In SLAM, hindsight tests each
+    pairing given the others; its outer gate leaves out next to nothing.
     """
-    if method == "known":
-        return Acceptance(gate_threshold(gate_known))
     if method in ("jcbb", "jcbb-first"):
         return Acceptance(gate_threshold(gate), gate)
     if method == "jcbb-hindsight":
@@ -76,7 +74,7 @@ def truncated_square(threshold: float, dof: int = 2) -> tuple[float, float]:
 def accepted_moments(S: Array, passed: Acceptance, turn: int) -> tuple[float, float]:
     """Mean and variance of the joint NIS of accepted pairings, whose innovations have the covariance S (2k, 2k).
 
-    `turn` counts the frames: each takes its own draws. Without a gate these are 2k and 4k.
+    `turn` is the number of the frame: each takes its own draws. Without a gate these are 2k and 4k.
     """
     dof = len(S)
     if dof == 0 or passed.everything:
@@ -87,7 +85,10 @@ def accepted_moments(S: Array, passed: Acceptance, turn: int) -> tuple[float, fl
     begin = turn * DRAWS % POINTS
     joint = math.inf if passed.joint is None else gate_threshold(passed.joint, dof)
     white = points[begin : begin + DRAWS, :dof].copy()
-    n, total, squares = _sums(np.ascontiguousarray(S), white, passed.individual, joint, passed.conditional)
+    try:
+        n, total, squares = _sums(np.ascontiguousarray(S), white, passed.individual, joint, passed.conditional)
+    except np.linalg.LinAlgError:  # singular: the update that follows says so
+        n, total, squares = 0, 0.0, 0.0
     if n < 2:  # gates that hardly anything passes: as if its pairings were independent
         mean, variance = truncated_square(min(passed.individual, passed.conditional))
         return mean * dof / 2, variance * dof / 2

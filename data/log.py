@@ -42,13 +42,18 @@ class Log:
         """Whether known association can be granted."""
         return self.label is not None or self.truth.landmark_of is not None
 
+    @property
+    def granted(self) -> IntArray | None:
+        """The labels (M,) that known association is granted: the sensor's, else the true ids; None: there are none."""
+        if self.label is None and self.truth.landmark_of is not None:
+            return np.where(self.truth.landmark_of == UNKNOWN_ID, UNLABELLED, self.truth.landmark_of)
+        return self.label
+
     def inputs(self, *, labels: bool = False) -> Inputs:
         """The estimator's view. Labels are part of it only if the experiment grants known association."""
         if not labels:
             return self.recorded
-        label = self.label
-        if label is None and self.truth.landmark_of is not None:
-            label = np.where(self.truth.landmark_of == UNKNOWN_ID, UNLABELLED, self.truth.landmark_of)
+        label = self.granted
         if label is None:
             raise ValueError(f"log {self.name!r} has no labels to grant")
         o: Observations = self.recorded.observations

@@ -38,7 +38,8 @@ class Updated(NamedTuple):
 
     used: (m,) bool, entered the update; created: (m,) number of the landmark initialized, -1 for none;
     nis, dof, log_likelihood: of the innovations used (NaN where the estimator forms none);
-    white: (m, 2) each of them in units of its own standard deviation, NaN where not used (None: not formed).
+    white: (m, 2) each of them in units of its own standard deviation, NaN where not used (None: not formed);
+    moments: mean and variance that the gates let expect of `nis` (None: nothing was gated, dof and 2 dof).
     """
 
     used: NDArray[np.bool_]
@@ -47,6 +48,7 @@ class Updated(NamedTuple):
     dof: int
     log_likelihood: float
     white: Array | None = None
+    moments: tuple[float, float] | None = None
 
 
 class Finished(NamedTuple):
@@ -150,6 +152,10 @@ class Failure(NamedTuple):
     why: str
 
 
+CHI_SQUARE = (1.0, 2.0)
+"""Mean and variance per degree of freedom of innovations that nothing was left out of."""
+
+
 @dataclass(frozen=True, eq=False)
 class Run:
     """One estimator over one log.
@@ -165,6 +171,8 @@ class Run:
         innovations: per-frame innovation statistics (None: not formed).
         total_nis: (sum of NIS, degrees of freedom) over the run, or None; for a smoother the minimum of its
             cost, which for linear models is the same number (the innovations are the whitened residuals).
+        gated: mean and variance, per degree of freedom, of the squared innovations that the gates of the association
+            let a right filter use; (1, 2) where nothing was gated.
         state_size: (N,) length of the state vector after each frame (None for a batch smoother).
         seconds: wall time of the estimation alone.
         failure: None when it got to the end; its arrays are then complete.
@@ -191,6 +199,7 @@ class Run:
     notes: tuple[str, ...] = field(default=())
     removed: IntArray | None = None
     events: tuple[Event, ...] = ()
+    gated: tuple[float, float] = CHI_SQUARE
 
     def __post_init__(self) -> None:
         read_only(self)

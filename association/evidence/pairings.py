@@ -15,7 +15,7 @@ import numpy as np
 
 from association.expectation import Expectation, SingularInnovationError, gate_threshold
 from association.jcbb import BUDGET, search
-from data.blocks import add_to_diagonal, diagonal_blocks, of_points
+from data.blocks import diagonal_blocks, of_points
 from data.inputs import IntArray
 from data.result import DISCARD, NEW
 from data.se2 import Array
@@ -34,20 +34,6 @@ class Alone(NamedTuple):
         return d2
 
 
-def pairs_of(e: Expectation, decisions: IntArray) -> tuple[IntArray, IntArray]:
-    """Rows (k,) of the observations that are paired, and the candidates (k,) they are paired with."""
-    rows = np.flatnonzero(decisions >= 0)
-    order = np.argsort(e.number, kind="stable")
-    return rows, order[np.searchsorted(e.number, decisions[rows], sorter=order)]
-
-
-def _joint_innovation(e: Expectation, rows: IntArray, chosen: IntArray) -> tuple[Array, Array]:
-    """Innovation (2k,) of pairings and its covariance (2k, 2k)."""
-    S = e.joint(chosen)
-    add_to_diagonal(S, e.R[rows])
-    return e.residual(e.z[rows], e.z_hat[chosen]).ravel(), S
-
-
 def alone(e: Expectation, rows: IntArray, chosen: IntArray) -> Alone:
     """Each pairing's innovation given all others: blocks of S^-1 are the information, (S^-1 nu)_j weighs its residual.
 
@@ -57,7 +43,7 @@ def alone(e: Expectation, rows: IntArray, chosen: IntArray) -> Alone:
     k = len(rows)
     if not k:
         return Alone(np.empty((0, 2)), np.empty((0, 2, 2)))
-    nu, S = _joint_innovation(e, rows, chosen)
+    nu, S = e.joint_innovation(rows, chosen)
     try:
         L = np.linalg.inv(np.linalg.cholesky(S))
     except np.linalg.LinAlgError:
@@ -76,7 +62,7 @@ def prune(e: Expectation, decisions: IntArray, gate: float | None) -> IntArray:
     """
     threshold, kept = gate_threshold(gate), decisions.copy()
     while True:
-        rows, chosen = pairs_of(e, kept)
+        rows, chosen = e.paired(kept)
         d2 = alone(e, rows, chosen).distance
         if not len(d2) or d2.max() < threshold:
             return kept
@@ -85,11 +71,11 @@ def prune(e: Expectation, decisions: IntArray, gate: float | None) -> IntArray:
 
 def given(e: Expectation, decisions: IntArray, candidates: IntArray) -> Expectation:
     """What is expected of some candidates (n,) once the pairings are believed, to first order."""
-    rows, chosen = pairs_of(e, decisions)
+    rows, chosen = e.paired(decisions)
     few, n = e.only(candidates), len(candidates)
     if not len(rows) or not n:
         return few
-    nu, S = _joint_innovation(e, rows, chosen)
+    nu, S = e.joint_innovation(rows, chosen)
     every = e.joint(np.concatenate([candidates, chosen]))
     cross = every[: 2 * n, 2 * n :]
     gain = np.linalg.solve(S, cross.T).T

@@ -16,7 +16,6 @@ import numpy as np
 
 from association.evidence import constants
 from association.evidence.noise import NoiseScale
-from association.evidence.pairings import pairs_of
 from association.expectation import Expectation
 from data.inputs import IntArray
 from data.se2 import Array
@@ -77,7 +76,7 @@ def relearned(scales: Scales, e: Expectation, decisions: IntArray) -> Scales:
     Variance components: each innovation tells of either scale by the square of its share in the covariance, as much as
     the Fisher information of a scale; Student's weights as in `association.evidence.noise`.
     """
-    rows, chosen = pairs_of(e, decisions)
+    rows, chosen = e.paired(decisions)
     if not len(rows):
         return scales
     parts = scales.sensor.scale * e.R[rows], scales.motion.scale * e.HPHt[chosen]

@@ -21,7 +21,7 @@ import numpy as np
 
 from association.evidence import constants
 from association.evidence.landmarks import missing
-from association.evidence.pairings import given, pairs_of, prune, settled
+from association.evidence.pairings import given, prune, settled
 from association.expectation import Expectation, gate_threshold
 from association.geometry.pair_poses import candidates
 from association.jcbb import search
@@ -152,14 +152,14 @@ def _verified(
     landmarks, every = sensor.inverse(predicted, e.z_hat)[0], np.arange(len(e.number))
     decisions = np.where(choice >= 0, e.number[choice], NEW)
     for _ in range(constants.VERIFY_ROUNDS):
-        rows, chosen = pairs_of(e, decisions)
+        rows, chosen = e.paired(decisions)
         if len(rows) < constants.PLACE_PAIRINGS:
             return None
         pose = se2.rigid_fit(xy[rows], landmarks[chosen])
         here = e.elsewhere(pose)
         decisions = _clear(given(here, prune(here, decisions, gate), every), decisions, gate)
         decisions = prune(here, _more(given(here, decisions, every), decisions, gate), gate)
-    rows, chosen = pairs_of(e, decisions)
+    rows, chosen = e.paired(decisions)
     if len(rows) < constants.PLACE_PAIRINGS:
         return None
     nis, dof, _ = here.innovation_statistics(rows, chosen)
@@ -178,7 +178,7 @@ def _verified(
 def _clear(believed: Expectation, decisions: IntArray, gate: float | None) -> IntArray:
     """Those pairings of which neither side has another one in the gate, given all; all of them if these are few."""
     near = believed.individual_distances() < gate_threshold(gate)
-    rows, chosen = pairs_of(believed, decisions)
+    rows, chosen = believed.paired(decisions)
     clear = (near[rows].sum(axis=1) == 1) & (near[:, chosen].sum(axis=0) == 1) & near[rows, chosen]
     if clear.sum() < constants.PLACE_PAIRINGS:
         return decisions

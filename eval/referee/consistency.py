@@ -17,7 +17,7 @@ from scipy import special
 
 from data import se2
 from data.inputs import IntArray
-from data.se2 import Array
+from data.se2 import Array, BoolArray
 
 QUANTITIES = {"pose": (0, 1, 2), "position": (0, 1), "heading": (2,)}
 MIN_RUNS = 50
@@ -32,6 +32,12 @@ CLAIMED = 0.8
 COVERAGE_LEVELS = (0.5, 0.9, 0.95, 0.99)
 INSIDE_3SIGMA = float(special.chdtr(2, 9.0))
 """Share of positions that a consistent estimator has inside its 3 sigma ellipse (98.89 %)."""
+
+CHI2_3_MEDIAN = float(special.chdtri(3, 0.5))
+"""Median of a chi-square variable with 3 dof (2.366): of the pose NEES of a consistent estimator."""
+THIN = 100.0
+"""Times the floor of the increments' covariance: a pose covariance with a smaller eigenvalue is nearly singular. What
+it claims in that direction is the floor, not the noise. After an exact prior that lasts a frame or two."""
 
 CONSISTENT, OVERCONFIDENT, CONSERVATIVE, TOO_FEW = "consistent", "overconfident", "conservative", "not enough runs"
 
@@ -61,10 +67,25 @@ def nees(pose: Array, covariance: Array, truth: Array, quantity: str) -> Array:
     return squared_distance(error, covariance[:, columns][:, :, columns])
 
 
+def nearly_singular(covariance: Array, floor: float) -> BoolArray:
+    """Frames (N,) whose pose covariance (N, 3, 3) has an eigenvalue below `THIN` times the increments' floor."""
+    known = np.isfinite(covariance).all(axis=(1, 2))
+    eigenvalues: Array = np.linalg.eigvalsh(np.where(known[:, None, None], covariance, np.eye(3)))
+    smallest = eigenvalues[:, 0]
+    thin: BoolArray = known & (smallest < THIN * floor)
+    return thin
+
+
 def mean_or_nan(values: Array) -> float:
     """Mean of the finite values; NaN if there are none."""
     finite = values[np.isfinite(values)]
     return float(finite.mean()) if len(finite) else math.nan
+
+
+def median_or_nan(values: Array) -> float:
+    """Median of the finite values; NaN if there are none."""
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if len(finite) else math.nan
 
 
 def inside_3sigma(position_nees: Array) -> float:
@@ -79,6 +100,19 @@ def chi2_bounds(dof: int, level: float = LEVEL) -> tuple[float, float]:
         return math.nan, math.nan
     tail = 0.5 * (1.0 - level)
     return float(special.chdtri(dof, 1.0 - tail) / dof), float(special.chdtri(dof, tail) / dof)
+
+
+def nis_bounds(dof: int, gated: tuple[float, float] = (1.0, 2.0), level: float = LEVEL) -> tuple[float, float]:
+    """Two-sided interval of NIS per degree of freedom, `gated` its mean and variance per degree of freedom.
+
+    The gamma distribution with these moments: without a gate that is chi-square, exactly.
+    """
+    mean, variance = gated
+    if dof <= 0 or mean <= 0.0 or variance <= 0.0:
+        return math.nan, math.nan
+    shape, scale = mean**2 * dof / variance, variance / mean / dof
+    tail = 0.5 * (1.0 - level)
+    return float(special.gammaincinv(shape, tail) * scale), float(special.gammaincinv(shape, 1.0 - tail) * scale)
 
 
 def anees_band(dof: int, runs: int, level: float = LEVEL) -> tuple[float, float]:

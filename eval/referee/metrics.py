@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from eval.referee.consistency import INSIDE_3SIGMA
+from eval.referee.consistency import CHI2_3_MEDIAN, INSIDE_3SIGMA
 
 Better = Literal["smaller", "larger", "nearer", "neither"]
 """Which of two values is the better one; `nearer`: to the expected value; `neither`: a count that is no merit."""
@@ -97,6 +97,11 @@ OF_ESTIMATES = (
     _error("sse_landmark_m2", "sum of squared errors of landmarks", "m²"),
     Metric("innovation_lag1", "lag-1 correlation of innovations ± SE", "", "nearer", 0.0, ".3f"),
     Metric("innovation_lag1_se", "standard error of the lag-1 correlation", form=".3f"),
+    Metric("nis_expected", "NIS per dof that the gates let expect"),
+    _consistent("nees_pose_median", "median pose NEES", CHI2_3_MEDIAN, "median pose NEES"),
+    _count("nees_left_out", "frames left out", spelled="frames whose covariance is nearly singular, in no NEES"),
+    _count("lost_frame", "lost from frame"),
+    Metric("lost_why", "why lost"),
 )
 """Columns of metrics.csv after `status`."""
 OF_DECISIONS = (

@@ -13,6 +13,7 @@ from data.log import Log
 from data.result import DISCARD, Run, surviving
 from eval.referee import consistency, errors
 from eval.referee.confusion import WITHIN, Confusion, confuse, share_within
+from eval.referee.lost import lost
 from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES, RUN
 
 METRICS = (*RUN, "status", *(m.column for m in OF_ESTIMATES))
@@ -109,7 +110,11 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None) -> dict[s
         row["rmse_aligned_m"] = errors.aligned_rmse(pose, truth)
         row["rmse_time_m"] = errors.time_weighted_rmse(pose, truth, log.recorded.time)
         row["sse_position_m2"] = float(np.nansum(distance**2))
-        each = {q: consistency.nees(pose, covariance, truth, q) for q in consistency.QUANTITIES}
+        thin = consistency.nearly_singular(covariance, log.recorded.covariance_floor)
+        sound = np.where(thin[:, None], np.nan, pose)
+        each = {q: consistency.nees(sound, covariance, truth, q) for q in consistency.QUANTITIES}
+        row["nees_left_out"] = int((thin & np.isfinite(truth).all(axis=1)).sum())
+        row["nees_pose_median"] = consistency.median_or_nan(each["pose"])
         for quantity, values in each.items():
             row[f"nees_{quantity}"] = consistency.mean_or_nan(values)
         row["inside_3sigma"] = consistency.inside_3sigma(each["position"])
@@ -126,10 +131,14 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None) -> dict[s
         row["innovation_lag1"], row["innovation_lag1_se"] = consistency.lag1_correlation(
             run.innovations.white, o.frame, decisions
         )
+    found = lost(run, log.recorded, log.granted if run.association == "known" else None)
+    if found is not None:
+        row["lost_frame"], row["lost_why"] = found
     total = _nis(run, phase)
     if total is not None and total[1] > 0:
         row["nis"] = total[0] / total[1]
-        row["nis_lower"], row["nis_upper"] = consistency.chi2_bounds(total[1])
+        row["nis_expected"] = run.gated[0]
+        row["nis_lower"], row["nis_upper"] = consistency.nis_bounds(total[1], run.gated)
     return row
 
 

@@ -49,7 +49,7 @@ def batch(name: str, inputs: Inputs, front: Run) -> Run:
         state = map_estimate(result.map, inputs.observations.frame, final, initialized)
     return Run(
         name, front.association, front.task, None, result.trajectory, state, front.decisions, final,
-        front.created, None, result.total_nis, None, seconds, None, tuple(notes), front.removed,
+        front.created, None, result.total_nis, None, seconds, None, tuple(notes), front.removed, gated=front.gated,
     )  # fmt: skip
 
 

@@ -12,6 +12,7 @@ from association.candidates import in_view
 from association.decide import Decided, decide
 from association.expectation import Expectation, gate_threshold
 from association.jcbb import BUDGET
+from association.truncated import Acceptance, acceptance, accepted_moments, truncated_square
 from data.inputs import Frame, IntArray, Sightings
 from data.result import Event, MapState, Updated
 from data.se2 import Array
@@ -28,11 +29,13 @@ class Pairing(NamedTuple):
     """What was decided about (a part of) a frame: decisions (m,), and the expectation they were made from, if any.
 
     at: where the frame was placed (3,), if it was: the estimator may linearize there first.
+    S: (2k, 2k) joint covariance of the innovations of its k pairings, which passed the gates; None: not formed.
     """
 
     decisions: IntArray
     expectation: Expectation | None = None
     at: Array | None = None
+    S: Array | None = None
 
 
 class FrontEnd:
@@ -88,7 +91,12 @@ class FrontEnd:
         expectation = self.expect(frame.sightings)
         decisions, complete = self.decide(expectation)
         self.incomplete += not complete
-        return Pairing(decisions, expectation)
+        return Pairing(decisions, expectation, S=expectation.joint_innovation(*expectation.paired(decisions))[1])
+
+    @property
+    def passed(self) -> Acceptance:
+        """The gates that a pairing has passed when it is used."""
+        return Acceptance(self._threshold) if self.known is not None else acceptance(self.association, self.setup.gate)
 
     def expect(self, sightings: Sightings) -> Expectation:
         """What the estimator expects of its candidates: parked landmarks that may be in view are taken back first."""
@@ -109,7 +117,7 @@ class FrontEnd:
         # a smoother forms no innovations of its own unless asked to; the expectation has them, until the update
         formed = None
         if pairing.expectation is not None and self.estimator.smooths:
-            formed = _statistics(pairing.expectation, pairing.decisions)
+            formed = pairing.expectation.innovation_statistics(*pairing.expectation.paired(pairing.decisions))
         done = self.estimator.update(
             frame.sightings,
             pairing.decisions,
@@ -125,7 +133,18 @@ class FrontEnd:
             self.map_management.see(numbers[seen])
             if self.parking is not None:
                 self.parking.see(Sightings(frame.sightings.z[seen], frame.sightings.R[seen]), numbers[seen])
-        return done if formed is None else done._replace(nis=formed[0], dof=formed[1], log_likelihood=formed[2])
+        if formed is not None:
+            done = done._replace(nis=formed[0], dof=formed[1], log_likelihood=formed[2])
+        return done._replace(moments=self._moments(pairing.S, done.dof))
+
+    def _moments(self, S: Array | None, dof: int) -> tuple[float, float] | None:
+        """Mean and variance to expect of a frame's NIS; None where innovations are chi-square, or it is not known."""
+        if self.passed.everything:
+            return None
+        if self.known is not None:  # each pairing by itself
+            mean, variance = truncated_square(self._threshold)
+            return mean * dof / 2, variance * dof / 2
+        return None if S is None or len(S) != dof else accepted_moments(S, self.passed, self.k)
 
     def tidy(self) -> None:
         """The end of a frame: landmarks leave the map by the rules of the setup."""
@@ -175,10 +194,3 @@ class FrontEnd:
         if self.map_management is not None and self.map_management.removed:
             notes.append(f"{len(self.map_management.removed)} landmarks were removed from the map")
         return notes
-
-
-def _statistics(e: Expectation, decisions: IntArray) -> tuple[float, int, float]:
-    """NIS, degrees of freedom and log-likelihood of a frame's pairings."""
-    rows = np.flatnonzero(decisions >= 0)
-    order = np.argsort(e.number)
-    return e.innovation_statistics(rows, order[np.searchsorted(e.number, decisions[rows], sorter=order)])

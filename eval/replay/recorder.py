@@ -6,6 +6,7 @@ import numpy as np
 
 from data.inputs import Frame, IntArray
 from data.result import (
+    CHI_SQUARE,
     DISCARD,
     Failure,
     Finished,
@@ -33,6 +34,7 @@ class Recorder:
         n, m = frames, observations
         self._pose, self._covariance = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
         self._nis, self._dof, self._likelihood = np.full(n, np.nan), np.zeros(n, np.int64), np.full(n, np.nan)
+        self._moments = np.zeros(2)
         self._size, self._white = np.zeros(n, np.int64), np.full((m, 2), np.nan)
         self._frame = np.full(m, -1, np.int64)
         self.decisions, self.created = np.full(m, DISCARD, np.int64), np.full(m, -1, np.int64)
@@ -49,6 +51,7 @@ class Recorder:
             self._nis[k] = self._nis[k] + done.nis if formed else done.nis
             self._likelihood[k] = self._likelihood[k] + done.log_likelihood if formed else done.log_likelihood
             self._dof[k] += done.dof
+            self._moments += (done.dof, 2.0 * done.dof) if done.moments is None else done.moments
 
     def estimate(self, front: FrontEnd) -> None:
         """A frame is over."""
@@ -80,5 +83,10 @@ class Recorder:
         return Run(
             name, front.association, task, Trajectory(self._pose, self._covariance), finished.final, state,
             self.decisions, final, self.created, innovations, total, size, seconds, failure, tuple(front.notes()),
-            removed, events,
+            removed, events, self._gated(),
         )  # fmt: skip
+
+    def _gated(self) -> tuple[float, float]:
+        """Mean and variance per degree of freedom to expect of the NIS."""
+        dof = int(self._dof.sum())
+        return (float(self._moments[0]) / dof, float(self._moments[1]) / dof) if dof else CHI_SQUARE

@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 from association.decide import HINDSIGHT
 from association.expectation import SingularInnovationError, gate_threshold
 from association.known import known_decisions
+from association.truncated import truncated_square
 from data.inputs import Frame, Inputs
 from data.result import DISCARD, Failure, Finished, Innovations, Run, Trajectory, map_estimate
 from ekf.filter import FilterDivergedError, FilterOptions
@@ -67,10 +68,11 @@ def filter_known(
         kept[created >= len(result.map.number)] = -1  # not reached before a failure
         state = map_estimate(result.map, inputs.observations.frame, result.decisions, kept)
     total = (float(np.nansum(result.nis)), int(result.dof.sum())) if failure is None else None
+    mean, variance = truncated_square(threshold)
     return Run(
         name, "known", task, Trajectory(result.pose, result.covariance), None, state, decided,
         decided, created, Innovations(result.nis, result.dof, result.log_likelihood, result.white), total,
-        result.state_size, seconds, failure,
+        result.state_size, seconds, failure, gated=(mean / 2, variance / 2),
     )  # fmt: skip
 
 

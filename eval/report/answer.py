@@ -16,6 +16,12 @@ from eval.report.statements import nis_statement, nis_verdict
 SAME = 0.02
 """Relative difference of two RMSE values below which they are called equal."""
 SMOOTHERS = (*BATCH, *INCREMENTAL)
+LINEARIZATION = 2.0
+"""So many times the RMSE of a smoother with the same data at the same instants: the filter's linearization, not luck."""
+LOST_ADVICE = (
+    "Neither path is to be trusted from there on: look at the frame of map and prior, at units and signs of the"
+    " readings, and for a jump of the robot."
+)
 
 Row = dict[str, object]
 
@@ -75,12 +81,29 @@ def _compared(rows: Sequence[Row]) -> str:
             return "Neither a filter nor a smoother ran, so there is nothing to compare."
         missing = "smoother" if smoothed is None else "filter"
         return f"Only {only['estimator']} ran: without a {missing} there is nothing to compare it with."
-    has_truth = math.isfinite(_value(filtered, "rmse_position_m")) and math.isfinite(
-        _value(smoothed, "rmse_position_m")
-    )
+    gone = [r for r in (filtered, smoothed) if not is_blank(r.get("lost_why"))]
+    if gone:
+        return " ".join([*(_lost(r) for r in gone), *_errors_of(filtered, smoothed), LOST_ADVICE])
     newest = _pick(rows, INCREMENTAL, "online")
-    notes = _with_truth(filtered, smoothed, newest) if has_truth else _without_truth(filtered, smoothed)
-    return " ".join(notes)
+    known = _errors_of(filtered, smoothed)
+    return " ".join(_with_truth(filtered, smoothed, newest) if known else _without_truth(filtered, smoothed))
+
+
+def _lost(row: Row) -> str:
+    kind = "filter" if row["estimator"] in FILTERS else "smoother"
+    frame = int(_value(row, "lost_frame"))
+    return f"Lost: the {kind} ({row['estimator']}) does not know where it is from frame {frame} on ({row['lost_why']})."
+
+
+def _errors_of(filtered: Row, smoothed: Row) -> list[str]:
+    """The errors of both in a sentence, if the truth is known."""
+    a, b = _value(filtered, "rmse_position_m"), _value(smoothed, "rmse_position_m")
+    if not (math.isfinite(a) and math.isfinite(b)):
+        return []
+    return [
+        f"Position RMSE is {number(a)} m for the filter ({filtered['estimator']}) and {number(b)} m for the smoother"
+        f" ({smoothed['estimator']})."
+    ]
 
 
 def f1(row: Row) -> float:
@@ -119,8 +142,39 @@ def _decided(rows: Sequence[Row], outcomes: Sequence[Row], labelled: int | None)
         return f"Deciding itself, {_outcome(best)}."
     if f1(best) == 0.0:
         return "Of the ways of deciding without labels none made a single right pairing."
-    text = f"Without labels, {_outcome(best)} decides best and {_outcome(worst)} worst, by F1"
+    usable = [r for r in own if _usable(r, rows)]
+    if not usable:
+        least = f"{_outcome(best)} is least bad by F1{_path(best, rows)}"
+        return f"Without labels no way of deciding gives a usable path; {least}."
+    best = max(usable, key=quality)
+    text = f"Without labels, {_outcome(best)} decides best{_path(best, rows)} and {_outcome(worst)} worst"
+    nearest = min(usable, key=lambda r: _rmse(r, rows))
+    if _rmse(nearest, rows) < (1.0 - SAME) * _rmse(best, rows):
+        text += f"; the path is best with {_outcome(nearest)}{_path(nearest, rows)}"
     return f"{text}; even the best is mostly wrong." if f1(best) < 0.5 else f"{text}."
+
+
+def _rmse(row: Row, rows: Sequence[Row]) -> float:
+    """Position RMSE of the run and phase that a row of decisions is about."""
+    same = [r for r in rows if all(r[c] == row[c] for c in ("estimator", "association"))]
+    return min((_value(r, "rmse_position_m") for r in same if r["phase"] == row["phase"]), default=math.nan)
+
+
+def _path(row: Row, rows: Sequence[Row]) -> str:
+    """Its error, beside that of dead reckoning where that ran."""
+    own = _rmse(row, rows)
+    reckoned = [_value(r, "rmse_position_m") for r in rows if r["estimator"] == "dead-reckoning"]
+    beside = f" where dead reckoning has {number(reckoned[0])} m" if reckoned and math.isfinite(reckoned[0]) else ""
+    return f" (path {number(own)} m{beside})" if math.isfinite(own) else ""
+
+
+def _usable(row: Row, rows: Sequence[Row]) -> bool:
+    """Whether deciding so is better than not looking: not lost, and nearer to the truth than dead reckoning."""
+    same = [r for r in rows if all(r[c] == row[c] for c in ("estimator", "association", "phase"))]
+    if any(not is_blank(r.get("lost_why")) for r in same):
+        return False
+    reckoned = [_value(r, "rmse_position_m") for r in rows if r["estimator"] == "dead-reckoning"]
+    return not (reckoned and _rmse(row, rows) >= reckoned[0])
 
 
 def _outcome(row: Row) -> str:
@@ -153,11 +207,12 @@ def _with_truth(filtered: Row, smoothed: Row, newest: Row | None) -> list[str]:
     if b > 0.0 and a > 0.0:
         first += f": the filter's is {number(a / b)} times the smoother's"
     notes = [first + _same_instant(a, b, newest) + "."]
-    described = [_value(r, "nees_pose") for r in (filtered, smoothed)]
-    if all(math.isfinite(v) for v in described):
+    described = [_nees(r) for r in (filtered, smoothed)]
+    if all(described):
         notes.append(
-            f"Mean pose NEES is {number(described[0])} (filter) and {number(described[1])} (smoother) where 3 is"
-            " expected: a description of one run without verdict, because errors along a run are strongly correlated."
+            f"Mean pose NEES is {described[0]} for the filter and {described[1]} for the smoother where 3 is expected"
+            " (median 2.37): a description of one run without verdict, because errors along a run are strongly"
+            " correlated."
         )
     notes.extend(_innovations(filtered))
     if b < a * (1.0 - SAME):
@@ -174,6 +229,15 @@ def _with_truth(filtered: Row, smoothed: Row, newest: Row | None) -> list[str]:
     return notes
 
 
+def _nees(row: Row) -> str:
+    """Mean and median pose NEES of one run, and how many frames are in neither; empty if not known."""
+    mean, median, out = (_value(row, c) for c in ("nees_pose", "nees_pose_median", "nees_left_out"))
+    if not math.isfinite(mean):
+        return ""
+    left = f", {int(out)} frames of nearly singular covariance left out" if out > 0 else ""
+    return f"{number(mean)} (median {number(median)}{left})"
+
+
 def _same_instant(filter_rmse: float, smoother_rmse: float, newest: Row | None) -> str:
     """The fair comparison: an online smoother, which has seen exactly what the filter has."""
     online = math.nan if newest is None else _value(newest, "rmse_position_m")
@@ -182,6 +246,11 @@ def _same_instant(filter_rmse: float, smoother_rmse: float, newest: Row | None) 
     text = f"; at the same instants, with the same data, {newest['estimator']} has {number(online)} m"
     if abs(online - filter_rmse) <= SAME * filter_rmse and smoother_rmse < filter_rmse * (1.0 - SAME):
         text += ", so the difference comes from later data, not from the kind of estimator"
+    elif filter_rmse > LINEARIZATION * online:
+        text += (
+            ", so the difference is the filter's linearization: it keeps what it linearized once, the smoother does it"
+            " again; ekf-iterated relinearizes each update"
+        )
     return text
 
 
@@ -203,7 +272,7 @@ def _innovations(filtered: Row) -> list[str]:
     rejected = _value(filtered, "rejected")
     statement = nis_statement(
         _value(filtered, "nis"), _value(filtered, "nis_lower"), _value(filtered, "nis_upper"),
-        rejected=int(rejected) if math.isfinite(rejected) else 0, known=filtered["association"] == "known",
+        expected=_value(filtered, "nis_expected"), rejected=int(rejected) if math.isfinite(rejected) else 0, known=filtered["association"] == "known",
     )  # fmt: skip
     if not statement:
         return []

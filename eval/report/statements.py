@@ -13,18 +13,22 @@ from eval.referee.consistency import CONSERVATIVE, CONSISTENT, INSIDE_3SIGMA, OV
 
 
 def nis_verdict(nis: float, lower: float, upper: float) -> str:
-    """`overconfident`, `conservative` or `consistent` of a NIS per dof against its chi-square bounds."""
+    """`overconfident`, `conservative` or `consistent` of a NIS per dof against its bounds."""
     return OVERCONFIDENT if nis > upper else CONSERVATIVE if nis < lower else CONSISTENT
 
 
-def nis_statement(nis: float, lower: float, upper: float, *, rejected: int = 0, known: bool = True) -> str:
+def nis_statement(
+    nis: float, lower: float, upper: float, *, expected: float = 1.0, rejected: int = 0, known: bool = True
+) -> str:
     """What NIS per dof says about a filter, with everything that weakens the test; empty if no innovations were formed.
 
-    `rejected` observations were gated out or discarded; `known`: the association was given, not decided.
+    `expected` behind the gates; `rejected` observations were gated out or discarded; `known`: the association was
+    given, not decided.
     """
     if not all(math.isfinite(v) for v in (nis, lower, upper)):
         return ""
-    numbers = f"(NIS per dof {number(nis)}, expected 1, 95 % bounds {lower:.2f}–{upper:.2f})"
+    behind = f"{expected:.3g} behind the gates" if expected < 0.9995 else "1"
+    numbers = f"(NIS per dof {number(nis)}, expected {behind}, 95 % bounds {lower:.2f}–{upper:.2f})"
     verdict = nis_verdict(nis, lower, upper)
     text = {
         OVERCONFIDENT: f"innovations larger than claimed {numbers}: {OVERCONFIDENT}",
@@ -32,7 +36,7 @@ def nis_statement(nis: float, lower: float, upper: float, *, rejected: int = 0, 
         CONSISTENT: f"innovations as large as claimed {numbers}: nothing against the filter in this test",
     }[verdict]
     if rejected > 0:
-        text += f"; {rejected} observations were left out, so the bounds are only a guide"
+        text += f"; {rejected} observations were left out"
     if not known:
         text += "; conditional on the association decisions"
     return text

@@ -30,7 +30,8 @@ class Sample:
     """What one run contributes, by quantity; what does not apply is not in it, what has no value is NaN.
 
     Attributes:
-        means: mean over the run of the NEES (pose, position, heading, landmarks), `nis` per dof, and `whiteness`, the
+        means: mean over the run of the NEES (pose, position, heading, landmarks), `nis` per dof as a
+            share of what the gates let expect (1 where nothing was gated), and `whiteness`, the
             lag-1 correlation of the innovations.
         ends: NEES at the last frame.
         squares: mean squared error of `position` [m^2] and `heading` [rad^2].
@@ -89,12 +90,12 @@ def sample(run: Run, phase: str, log: Log, scenario: Scenario) -> Sample:
         i = run.innovations
         formed = np.isfinite(i.nis)
         dof = int(i.dof[formed].sum())
-        means["nis"] = float(i.nis[formed].sum()) / dof if dof else math.nan
+        means["nis"] = float(i.nis[formed].sum()) / dof / run.gated[0] if dof else math.nan
         correlation, _ = consistency.lag1(i.white, log.recorded.observations.frame, run.decisions)
         if math.isfinite(correlation):
             means["whiteness"] = correlation
     elif phase == "final" and run.total_nis is not None and run.total_nis[1] > 0:
-        means["nis"] = run.total_nis[0] / run.total_nis[1]
+        means["nis"] = run.total_nis[0] / run.total_nis[1] / run.gated[0]
     p = scenario.published
     return Sample(
         means,

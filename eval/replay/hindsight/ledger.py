@@ -26,7 +26,7 @@ from association.evidence.landmarks import (
     sighted,
     verdict,
 )
-from association.evidence.pairings import Alone, alone, pairs_of
+from association.evidence.pairings import Alone, alone
 from association.expectation import Expectation
 from data.inputs import Frame, IntArray
 from data.result import DISCARD, NEW, Event, Updated
@@ -124,7 +124,7 @@ class Ledger:
 
         `believed`: what is expected once the pairings are believed, where the prediction alone tells too little.
         """
-        rows, chosen = pairs_of(e, decisions)
+        rows, chosen = e.paired(decisions)
         absent = missing(believed or e, decisions, self.sensor)
         self._judged = Judged(rows, e.number[chosen], alone(e, rows, chosen), (believed or e).number[absent])
 

@@ -14,10 +14,12 @@ import numpy as np
 
 from association.decide import Decided
 from association.evidence import constants
-from association.expectation import Expectation
+from association.expectation import Expectation, gate_threshold
+from association.truncated import Acceptance
 from data.inputs import Frame, IntArray, Prior, Sightings
 from data.result import DISCARD, Event, Updated
 from data.se2 import Array, BoolArray
+from ekf import hypotheses
 from ekf.filter import FilterOptions
 from eval.replay.estimators import Estimator, make_estimator
 from eval.replay.frontend import FrontEnd, Pairing
@@ -84,6 +86,11 @@ class LocalizingFrontEnd(FrontEnd):
         if method is not None:
             return super().decide(expectation, method)
         return Decided(np.where(np.isin(self._decided, expectation.number), self._decided, DISCARD), True)
+
+    @property
+    def passed(self) -> Acceptance:
+        """A hypothesis weighs every pairing inside its own, wide gate."""
+        return Acceptance(gate_threshold(hypotheses.GATE))
 
     def associate(self, frame: Frame) -> Pairing:
         """Decide about (a part of) this frame's observations."""

@@ -32,13 +32,14 @@ class Mapped(NamedTuple):
     """Decisions (m,), whether the search for them was complete, and where (3,) the frame was placed, if it was.
 
     kidnapped: where the robot turned out to have been moved unseen, what is to be added (3, 3) to the covariance of the
-    motion into this frame.
+    motion into this frame; S: (2k, 2k) joint covariance of the innovations of its k pairings, None: not formed.
     """
 
     decisions: IntArray
     complete: bool
     at: Array | None
     kidnapped: Array | None
+    S: Array | None = None
 
 
 class Revision(NamedTuple):
@@ -93,6 +94,9 @@ class HindsightMapper:
         else:
             self.ledger.judge(placed.expectation, placed.decisions, placed.believed)  # 5
             decided = Mapped(placed.decisions, True, placed.pose, None)
+            e = placed.expectation
+        if np.isin(decided.decisions[decided.decisions >= 0], e.number).all():  # not where the search found the place
+            decided = decided._replace(S=e.joint_innovation(*e.paired(decided.decisions))[1])
         self._update(frame, decided)  # 7
         return decided
 

@@ -45,11 +45,11 @@ class MappingFrontEnd(FrontEnd):
 
     def associate(self, frame: Frame) -> Pairing:
         """Decide about this frame's observations; the mapper has an expectation of its own."""
-        decisions, complete, at, kidnapped = self.mapper.decide(frame)
+        decisions, complete, at, kidnapped, S = self.mapper.decide(frame)
         self.incomplete += not complete
         if kidnapped is not None:
             self.estimator.inflate(kidnapped)
-        return Pairing(decisions, at=None if self.estimator.fixed_linearization else at)
+        return Pairing(decisions, at=None if self.estimator.fixed_linearization else at, S=S)
 
     def tidy(self) -> None:
         """The end of a frame: landmarks leave the map in hindsight, and by the rules of the setup."""

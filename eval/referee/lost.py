@@ -1,0 +1,137 @@
+"""Is an estimator lost? Said without truth: observations that go unused, landmarks unseen, absurd innovations.
+
+An estimator that is lost goes on being certain, and one that has stopped pairing has innovations as right as can be. So
+it is asked whether it uses what it sees where it thinks it is, and whether what it thinks is in view is there.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from data.inputs import Inputs, IntArray
+from data.result import Run
+from data.se2 import Array, BoolArray
+
+FRAMES = 10
+"""A stretch is judged that has so many frames with observations, ..."""
+OBSERVATIONS = 30
+"""... and in which so many could be paired, or so many sightings are expected: one in ten of them is no accident."""
+SHARE = 0.1
+"""Below this share of them the estimator is lost; clutter alone leaves more."""
+ESTABLISHED = 3
+"""Sightings that a landmark of SLAM needs before it is missed."""
+EDGE = 0.9
+"""Share of range and field of view in which a landmark is expected: at the edge the estimate's own error decides."""
+ABSURD = 100.0
+"""NIS per degree of freedom, or squared innovation in its own sigmas (10 sigma): no noise model is that wrong."""
+TOGETHER = 3
+"""So many innovations in a row that are all absurd: fewer may be wrong labels."""
+
+
+class Lost(NamedTuple):
+    """From which frame on, and why."""
+
+    frame: int
+    why: str
+
+
+def lost(run: Run, inputs: Inputs, label: IntArray | None = None) -> Lost | None:
+    """Where a run is lost first, or None.
+
+    Args:
+        run: that got to the end; dead reckoning uses nothing and cannot be lost.
+        inputs: that it had.
+        label: (M,) under known association what the sensor claims; what is no landmark is not asked for.
+    """
+    if run.association == "none" or run.failure is not None:
+        return None
+    view = inputs if run.task == "localization" else inputs.without_map()
+    found = (_unused(run, view, label), _unseen(run, view), _absurd(run, view))
+    return min((f for f in found if f is not None), key=lambda f: f.frame, default=None)
+
+
+def _unused(run: Run, inputs: Inputs, label: IntArray | None) -> Lost | None:
+    """A stretch in a known map whose observations are hardly ever paired."""
+    if inputs.map is None:
+        return None
+    known = np.ones(len(run.decisions), bool) if label is None else np.isin(label, inputs.map.id)
+    n, frame = len(inputs), inputs.observations.frame
+    could = np.bincount(frame[known], minlength=n)
+    did = np.bincount(frame[known & (_decisions(run) >= 0)], minlength=n)
+    return _stretch(could, did, could > 0, "{did} of {could:.0f} observations were used in frames {first} to {last}")
+
+
+def _unseen(run: Run, inputs: Inputs) -> Lost | None:
+    """A stretch of SLAM in which the landmarks that should be in view are hardly ever seen."""
+    if inputs.map is not None or run.map is None or run.online is None:
+        return None
+    old = run.map.times_seen >= ESTABLISHED
+    number, xy, first = run.map.number[old], run.map.xy[old], run.map.first_frame[old]
+    n, o = len(inputs), inputs.observations
+    decisions = run.decisions
+    did = np.bincount(o.frame[np.isin(decisions, number)], minlength=n)
+    looked = np.bincount(o.frame, minlength=n) > 0
+    could = np.zeros(n)
+    for k in np.flatnonzero(looked):
+        there = xy[first < k]
+        if len(there):
+            could[k] = _well_inside(inputs, run.online.pose[k], there).sum()
+    if not could.sum():
+        return None
+    rate = min(1.0, did.sum() / could.sum())
+    why = "{did} of {could:.0f} expected sightings of landmarks in view were made in frames {first} to {last}"
+    return _stretch(rate * could, did, looked, why)
+
+
+def _well_inside(inputs: Inputs, pose: Array, xy: Array) -> BoolArray:
+    """Which landmarks (n, 2) a robot at `pose` must have well inside its field of view."""
+    s = inputs.sensor
+    r, angle = s.polar(s.predict(pose, xy)).T
+    middle, half = 0.5 * (s.min_angle + s.max_angle), 0.5 * (s.max_angle - s.min_angle)
+    inside: BoolArray = (r < EDGE * s.max_range) & (np.abs(angle - middle) < EDGE * half)
+    return inside
+
+
+def _absurd(run: Run, inputs: Inputs) -> Lost | None:
+    """Innovations, or a smoother's whole cost, that no noise explains."""
+    frame = inputs.observations.frame
+    if run.innovations is not None:
+        squared = np.sum(run.innovations.white**2, axis=1)
+        used = np.flatnonzero(np.isfinite(squared))
+        wild = squared[used] > ABSURD
+        if len(wild) >= TOGETHER:
+            row = np.flatnonzero(np.lib.stride_tricks.sliding_window_view(wild, TOGETHER).all(axis=1))
+            if len(row):
+                k = int(frame[used[row[0]]])
+                return Lost(k, f"{TOGETHER} innovations in a row are more than 10 sigma large at frame {k}")
+    total = run.total_nis
+    if total is not None and total[1] > 0 and total[0] / total[1] > ABSURD:
+        return Lost(0, f"NIS per degree of freedom is {total[0] / total[1]:.3g} where 1 is expected")
+    return None
+
+
+def _stretch(could: Array | IntArray, did: IntArray, looked: BoolArray, why: str) -> Lost | None:
+    """The first stretch of frames (N,) that were looked at in which far less was done than could be."""
+    at = np.flatnonzero(looked)
+    sums = np.concatenate([[0.0], np.cumsum(could[at])])
+    done = np.concatenate([[0], np.cumsum(did[at])])
+    # a log too short for a stretch is one itself
+    need = min(OBSERVATIONS, sums[-1])
+    if len(at) == 0 or need < 1.0:
+        return None
+    begin = np.arange(len(at))
+    end = np.maximum(np.searchsorted(sums, sums[:-1] + need - 1e-9), np.minimum(begin + FRAMES, len(at)))
+    whole = (end <= len(at)) & (end - begin >= min(FRAMES, len(at)))
+    end = np.minimum(end, len(at))
+    bad = np.flatnonzero(whole & (done[end] - done[begin] < SHARE * (sums[end] - sums[begin])))
+    if not len(bad):
+        return None
+    i, j = int(bad[0]), int(end[bad[0]])
+    first, last = int(at[i]), int(at[j - 1])
+    return Lost(first, why.format(did=int(done[j] - done[i]), could=sums[j] - sums[i], first=first, last=last))
+
+
+def _decisions(run: Run) -> IntArray:
+    return run.decisions if run.online is not None else run.final_decisions
