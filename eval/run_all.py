@@ -110,8 +110,13 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
             f"rejected: {estimator} ({j.scenario}, {task}, {phase}) is declared consistent, but its {j.quantity} NEES "
             f"is {j.verdict.mean:.3g}, not {j.verdict.expected:g} ({j.verdict.word}; {j.diverged} runs diverged)"
         )
-    if not failed and any(j.declared and j.verdict.runs >= consistency.MIN_RUNS for j in judged):
-        console.say("every estimator that is declared consistent passed")
+    declared = [j for j in judged if j.declared and j.verdict.runs >= consistency.MIN_RUNS]
+    if declared and not failed:
+        agreed = sum(j.verdict.word == consistency.CONSISTENT for j in declared)
+        console.say(
+            f"{agreed} of {len(declared)} declared verdicts are consistent at 95 %; none is rejected over all of them"
+            f" at {100 * consistency.FAMILY_LEVEL:g} %, so exit status {FINE}"
+        )
     console.say(f"report: {options.out / 'report.html'}")
     (folder / "run.log").write_text("\n".join(console.lines) + "\n", encoding="utf-8")
     return REJECTED if failed else FINE

@@ -17,7 +17,7 @@ SAME = 0.02
 """Relative difference of two RMSE values below which they are called equal."""
 SMOOTHERS = (*BATCH, *INCREMENTAL)
 LINEARIZATION = 2.0
-"""So many times the RMSE of a smoother with the same data at the same instants: the filter's linearization, not luck."""
+"""So many times the RMSE of a smoother with the same data at the same instants: linearization, not luck."""
 LOST_ADVICE = (
     "Neither path is to be trusted from there on: look at the frame of map and prior, at units and signs of the"
     " readings, and for a jump of the robot."
@@ -272,7 +272,8 @@ def _innovations(filtered: Row) -> list[str]:
     rejected = _value(filtered, "rejected")
     statement = nis_statement(
         _value(filtered, "nis"), _value(filtered, "nis_lower"), _value(filtered, "nis_upper"),
-        expected=_value(filtered, "nis_expected"), rejected=int(rejected) if math.isfinite(rejected) else 0, known=filtered["association"] == "known",
+        expected=_value(filtered, "nis_expected"), rejected=int(rejected) if math.isfinite(rejected) else 0,
+        known=filtered["association"] == "known",
     )  # fmt: skip
     if not statement:
         return []
