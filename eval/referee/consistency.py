@@ -69,7 +69,7 @@ def nees(pose: Array, covariance: Array, truth: Array, quantity: str) -> Array:
 
 def nearly_singular(covariance: Array, floor: float) -> BoolArray:
     """Frames (N,) whose pose covariance (N, 3, 3) has an eigenvalue below `THIN` times the increments' floor."""
-    known: BoolArray = np.isfinite(covariance).all(axis=(1, 2))
+    known = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))
     smallest = np.linalg.eigvalsh(np.where(known[:, None, None], covariance, np.eye(3)))[:, 0]
     thin: BoolArray = known & (smallest < THIN * floor)
     return thin
