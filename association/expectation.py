@@ -14,6 +14,7 @@ import numba
 import numpy as np
 from scipy.special import gammaincinv
 
+from data.blocks import add_to_diagonal, diagonal_blocks, of_points
 from data.inputs import IntArray
 from data.se2 import Array
 
@@ -122,15 +123,12 @@ class Expectation:
             raise ValueError(f"joint covariance has shape {full.shape}; {n} candidates need {(2 * n, 2 * n)}")
 
         def joint(indices: IntArray) -> Array:
-            rows = (2 * np.asarray(indices, np.int64)[:, None] + np.arange(2)).ravel()
-            block: Array = full[np.ix_(rows, rows)]
-            return block
+            return of_points(full, indices)
 
-        blocks = full.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
         return cls(
             np.arange(n) if number is None else np.asarray(number, np.int64),
             z_hat,
-            blocks,
+            diagonal_blocks(full),
             np.zeros(n, np.int64) if frame is None else np.asarray(frame, np.int64),
             z,
             np.asarray(R, float).reshape(m, 2, 2),
@@ -206,8 +204,7 @@ class Expectation:
         if not len(rows):
             return 0.0, 0, 0.0
         S = self.joint(chosen)
-        for i, Ri in enumerate(self.R[rows]):
-            S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += Ri
+        add_to_diagonal(S, self.R[rows])
         try:
             root = np.linalg.cholesky(S)
         except np.linalg.LinAlgError:

@@ -11,7 +11,7 @@ from data.result import DISCARD, NEW
 
 
 def known_decisions(inputs: Inputs) -> tuple[IntArray, IntArray]:
-    """Pairing by label: decisions (M,) and the number (M,) of the landmark each observation founds (-1: none).
+    """Pairing by label: decisions (M,) and the number (M,) of the landmark each observation initializes (-1: none).
 
     Localization: the label, if the map has it. SLAM: the first sighting of a label is `NEW`, later ones its number;
     a label seen twice in the frame that creates its landmark: the first creates, the others are discarded. Clutter and
@@ -31,10 +31,10 @@ def known_decisions(inputs: Inputs) -> tuple[IntArray, IntArray]:
     number = np.empty(len(first), np.int64)
     number[np.argsort(first)] = np.arange(len(first))
     decisions[named] = number[which]
-    founding = named[first]
-    decisions[named[o.frame[named] == o.frame[founding][which]]] = DISCARD
-    decisions[founding] = NEW
-    created[founding] = number
+    initializing = named[first]
+    decisions[named[o.frame[named] == o.frame[initializing][which]]] = DISCARD
+    decisions[initializing] = NEW
+    created[initializing] = number
     return decisions, created
 
 
@@ -45,11 +45,11 @@ def pair_by_label(label: IntArray, held: Mapping[int, int]) -> IntArray:
     `known_decisions`.
     """
     decisions = np.full(len(label), DISCARD, np.int64)
-    founded: set[int] = set()
+    initialized: set[int] = set()
     for i, name in enumerate(label.tolist()):
         if name in held:
             decisions[i] = held[name]
-        elif name >= 0 and name not in founded:
-            founded.add(name)
+        elif name >= 0 and name not in initialized:
+            initialized.add(name)
             decisions[i] = NEW
     return decisions

@@ -10,12 +10,12 @@ from data.result import DISCARD, NEW
 
 
 def newness(expectation: Expectation, decisions: IntArray, new_gate: float | None) -> IntArray:
-    """Turn `NEW` into `DISCARD` where some landmark is inside the second gate : the two-gate rule.
+    """Turn `NEW` into `DISCARD` where some landmark is inside the second gate: the two-gate rule.
 
-    An inner gate to associate and an outer one to augment, as in Bailey's EKF-SLAM simulator. An observation founds a
-    landmark only if every candidate is outside the gate: d^2 >= chi-square at `new_gate`, 2 dof. With `new_gate` equal
-    to the method's gate this is the lab's rule, under which one true pair in a hundred falls out of its own landmark's
-    gate and founds a duplicate; a wider gate discards it instead.
+    An inner gate to associate and an outer one to augment, as in Bailey's EKF-SLAM simulator. An observation
+    initializes a landmark only if every candidate is outside the gate: d^2 >= chi-square at `new_gate`, 2 dof. With
+    `new_gate` equal to the method's gate this is the lab's rule, under which one true pair in a hundred falls out of
+    its own landmark's gate and initializes a duplicate; a wider gate discards it instead.
 
     Args:
         expectation: candidates (n) and observations (m).

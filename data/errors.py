@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from os import PathLike
 
+LARGEST = 1e15
+"""No quantity in SI units is larger; beyond, squares and products overflow and whole numbers are not exact."""
+
 
 class SlamrefError(Exception):
     """Base of every error that ends a command with one clear line and exit status 2."""

@@ -128,6 +128,21 @@ class LandmarkMap:
     def __post_init__(self) -> None:
         read_only(self)
 
+    def rows(self, ids: IntArray) -> IntArray:
+        """Row (m,) of each landmark of ids (m,), -1 for one that the map does not have."""
+        ids = np.asarray(ids, np.int64)
+        rows = np.searchsorted(self.id, ids).astype(np.int64)
+        there = rows < len(self.id)
+        there[there] = self.id[rows[there]] == ids[there]
+        return np.where(there, rows, -1)
+
+    def positions(self, ids: IntArray) -> Array:
+        """Positions (m, 2) of the landmarks of ids (m,), NaN for one that the map does not have."""
+        rows = self.rows(ids)
+        xy = np.full((len(rows), 2), np.nan)
+        xy[rows >= 0] = self.xy[rows[rows >= 0]]
+        return xy
+
 
 @dataclass(frozen=True, eq=False)
 class Inputs:

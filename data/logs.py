@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,13 +9,13 @@ from typing import TYPE_CHECKING
 
 from data.errors import UsageError
 from data.log import Log
+from data.worlds import registry
 
 if TYPE_CHECKING:
     from data.visual.opening import Camera
 
-NAMES = (
-    "victoria-park, arena:SEED, circle:SEED, linear:SEED, corridor:SEED, corridor:SEED:people+no-odometry+KEY=VALUE, "
-    "visual:SEED"
+NAMES = ", ".join(["victoria-park", *(f"{world}:SEED[:KEYS]" for world in registry.SIMULATORS)]) + (
+    ", KEYS as in people+no-odometry+range=8"
 )
 
 
@@ -34,7 +33,7 @@ class Reading:
 
 
 def open_log(name: str, reading: Reading = Reading(), say: Callable[[str], None] = lambda text: None) -> Log:
-    """A log by name (`victoria-park`, `arena:SEED`, `circle:SEED`, `corridor:SEED:KEYS`, ...) or by its folder.
+    """A log by name (`victoria-park`, `arena:SEED`, `corridor:SEED:KEYS`, see `data.worlds.names`) or by its folder.
 
     Raises UsageError for a name that is neither, DataError for a folder that is not valid.
     """
@@ -42,19 +41,12 @@ def open_log(name: str, reading: Reading = Reading(), say: Callable[[str], None]
         from data.recordings.victoria_park import load_victoria_park
 
         return load_victoria_park()
-    simulated = re.fullmatch(r"(arena|circle|linear):(.*)", name)
-    if simulated:
-        if not re.fullmatch(r"\d+", simulated[2]):
-            raise UsageError(f"--log {name}: the seed is a whole number, as in {simulated[1]}:0")
-        return _simulated(simulated[1], int(simulated[2]))
-    if name.startswith("corridor:"):
-        from data.worlds import corridor
-
-        return corridor.simulate(*corridor.parse_name(name), name)
     if name.startswith("visual:"):
         from data.visual.opening import open_rendered
 
         return open_rendered(name, _camera(reading), say, reading.cache)
+    if registry.is_simulated(name):
+        return registry.named_log(name)
     path = Path(name)
     if path.is_dir():
         return _open_folder(path, reading, say)
@@ -81,23 +73,6 @@ def _open_folder(path: Path, reading: Reading, say: Callable[[str], None]) -> Lo
     from data.open_log.reader import load_folder
 
     return load_folder(path)
-
-
-def _simulated(kind: str, seed: int) -> Log:
-    if kind == "arena":
-        from data.worlds.arena import Arena
-        from data.worlds.arena import simulate as arena
-
-        return arena(Arena(), seed)
-    if kind == "circle":
-        from data.worlds.circle import Circle
-        from data.worlds.circle import simulate as circle
-
-        return circle(Circle(), seed)
-    from data.worlds.linear import LinearWorld
-    from data.worlds.linear import simulate as linear
-
-    return linear(LinearWorld(), seed)
 
 
 def find_logs(folder: Path, say: Callable[[str], None]) -> Iterator[Callable[[], Log]]:

@@ -61,17 +61,25 @@ def step(model, displacement, rotation, mean, G):  # type: ignore[no-untyped-def
 
 
 @numba.njit(cache=True)
+def carried(heading, motion):  # type: ignore[no-untyped-def]
+    """A pose of this heading one increment `motion` (3,) later: how far it went in x and y, and Jacobians (3, 3).
+
+    F to the pose and B to the increment: its covariance becomes F P F' + B M B'.
+    """
+    c, s = math.cos(heading), math.sin(heading)
+    wx, wy = c * motion[0] - s * motion[1], s * motion[0] + c * motion[1]
+    F = np.array([[1.0, 0.0, -wy], [0.0, 1.0, wx], [0.0, 0.0, 1.0]])
+    B = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return wx, wy, F, B
+
+
+@numba.njit(cache=True)
 def _append(mean, cov, step_mean, step_cov):  # type: ignore[no-untyped-def]
     """mean, cov <- (mean, cov) followed by a step, both in the first body frame: F cov F' + G step_cov G'."""
-    c, s = math.cos(mean[2]), math.sin(mean[2])
-    F = np.eye(3)
-    F[0, 2] = -s * step_mean[0] - c * step_mean[1]
-    F[1, 2] = c * step_mean[0] - s * step_mean[1]
-    B = np.eye(3)
-    B[0, 0], B[0, 1], B[1, 0], B[1, 1] = c, -s, s, c
+    wx, wy, F, B = carried(mean[2], step_mean)
     cov[:, :] = F @ cov @ F.T + B @ step_cov @ B.T
-    mean[0] += c * step_mean[0] - s * step_mean[1]
-    mean[1] += s * step_mean[0] + c * step_mean[1]
+    mean[0] += wx
+    mean[1] += wy
     mean[2] += step_mean[2]
 
 

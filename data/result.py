@@ -13,7 +13,7 @@ from data.inputs import IntArray, read_only
 from data.se2 import Array
 
 NEW = -1
-"""Decision: the observation founds a new landmark (SLAM)."""
+"""Decision: the observation initializes a new landmark (SLAM)."""
 DISCARD = -2
 """Decision: the observation is not used."""
 
@@ -36,7 +36,7 @@ class MapState(NamedTuple):
 class Updated(NamedTuple):
     """What an update did with the observations of a frame.
 
-    used: (m,) bool, entered the update; created: (m,) number of the landmark founded, -1 for none;
+    used: (m,) bool, entered the update; created: (m,) number of the landmark initialized, -1 for none;
     nis, dof, log_likelihood: of the innovations used (NaN where the estimator forms none);
     white: (m, 2) each of them in units of its own standard deviation, NaN where not used (None: not formed).
     """
@@ -137,8 +137,8 @@ def revised(decisions: IntArray, events: Sequence[Event]) -> IntArray:
     return final
 
 
-def founders(final: IntArray, created: IntArray) -> IntArray:
-    """Which landmark (M,) each observation founded by the final decisions, -1 where it founded none that is left."""
+def surviving(final: IntArray, created: IntArray) -> IntArray:
+    """Which landmark (M,) each observation initialized by the final decisions, -1 where none of it is left."""
     return np.where(final == NEW, created, -1)
 
 
@@ -161,7 +161,7 @@ class Run:
         map: the last map (None in localization).
         decisions: (M,) landmark number, `NEW` or `DISCARD`, as made online.
         final_decisions: (M,) after all revisions.
-        created: (M,) number of the landmark an observation founded, -1 where it founded none.
+        created: (M,) number of the landmark an observation initialized, -1 where it initialized none.
         innovations: per-frame innovation statistics (None: not formed).
         total_nis: (sum of NIS, degrees of freedom) over the run, or None; for a smoother the minimum of its
             cost, which for linear models is the same number (the innovations are the whitened residuals).

@@ -83,6 +83,29 @@ def transform_points(T_wb: Array, points_b: Array) -> Array:
     )
 
 
+def rigid_fit(body: Array, world: Array) -> Array:
+    """Pose (3,) of the frame in which points `body` (M, 2) were measured, given them in the world (M, 2).
+
+    Least squares over both coordinates (Umeyama 1991, without scale).
+    """
+    body_mean, world_mean = body.mean(axis=0), world.mean(axis=0)
+    b, w = body - body_mean, world - world_mean
+    theta = math.atan2(float(np.sum(b[:, 0] * w[:, 1] - b[:, 1] * w[:, 0])), float(np.sum(b * w)))
+    xy = world_mean - rotation(theta) @ body_mean
+    return np.array([xy[0], xy[1], theta])
+
+
+def dead_reckoned(start: Array, increments: Array) -> Array:
+    """Poses (N, 3) along increments (N, 3) from the pose `start` (3,), the first row included; headings not wrapped."""
+    heading = start[2] + np.cumsum(increments[:, 2])
+    before = np.concatenate([start[2:], heading[:-1]])
+    c, s = np.cos(before), np.sin(before)
+    dx, dy = increments[:, 0], increments[:, 1]
+    x = start[0] + np.cumsum(c * dx - s * dy)
+    y = start[1] + np.cumsum(s * dx + c * dy)
+    return np.stack([x, y, heading], axis=-1)
+
+
 def interpolate(times: Array, poses: Array, at: Array) -> Array:
     """Poses (K, 3) at stamps `at` [s] by linear interpolation, headings along the shorter way.
 

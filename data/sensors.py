@@ -167,6 +167,11 @@ class Sensor:
         _invert_all(self.kind, self.extrinsic, poses, rows, landmark, Gx, Gz)
         return landmark, Gx, Gz
 
+    def body_points(self, z: Array, covariance: Array) -> tuple[Array, Array]:
+        """Measurements (m, 2) with covariances (m, 2, 2) as points of the body frame with theirs, to first order."""
+        points, _, Gz = self.inverse(np.zeros(3), z)
+        return points, Gz @ covariance @ Gz.transpose(0, 2, 1)
+
     def residual(self, z: Array, z_hat: Array) -> Array:
         """Innovation z - z_hat, angles wrapped to (-pi, pi]; broadcasts over leading axes."""
         difference: Array = np.asarray(z, float) - np.asarray(z_hat, float)

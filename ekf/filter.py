@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from association.expectation import Expectation
+from data.blocks import coordinates_from
 from data.inputs import Increment, IntArray, Prior, Sightings
 from data.result import PoseEstimate
 from data.se2 import Array, BoolArray, wrap_angle
@@ -26,7 +27,7 @@ class FilterOptions:
         each: one update per observation (linearized one after the other) instead of one stacked update per frame.
         invariant: the correction moves pose and landmarks together (right-invariant EKF); Jacobians stay as they are.
         iterations: how often an update is linearized at most, each time where the last one led (1: the plain EKF).
-        first_estimates: Jacobians at the first estimates, predicted poses and landmarks as founded (FEJ-EKF).
+        first_estimates: Jacobians at the first estimates, predicted poses and landmarks as initialized (FEJ-EKF).
         new_variance: m^2; a new landmark gets this variance and no correlation (None: the exact augmentation).
         new_variance_per_square: the same as a share of its squared distance from the sensor; step by step only.
     """
@@ -58,6 +59,8 @@ class FilterOptions:
 
 DEFAULT = FilterOptions()
 """One stacked update per frame, exact augmentation."""
+NO_LANDMARK = np.empty(0, np.int64)
+NO_LANDMARK.setflags(write=False)
 
 
 class Filter:
@@ -65,7 +68,13 @@ class Filter:
 
     The state is the leading `size` entries. The `_carried` entries behind it go through every step with it but are no
     part of it (see `ekf.parking`; only a SLAM filter with parked landmarks has any).
+
+    Attributes:
+        smooths: False: a filter does not revise its past.
+        size: length of the state, parked landmarks aside.
     """
+
+    smooths = False
 
     def __init__(self, prior: Prior, sensor: Sensor, options: FilterOptions, capacity: int = 3) -> None:
         """Start at the prior. `capacity` is the number of states to have room for."""
@@ -87,7 +96,35 @@ class Filter:
         self._version += 1
         kernels.predict(self._mean, self._P, self._used, increment.mean, increment.covariance, self._first)
 
-    def lose(self, covariance: Array) -> None:
+    def stamp(self, time: float) -> None:
+        """The present frame's time, which a filter need not know."""
+
+    @property
+    def fixed_linearization(self) -> bool:
+        """Whether it linearizes at its first estimates and nowhere else: then `update` takes no `at`."""
+        return self.options.first_estimates
+
+    @property
+    def parked(self) -> IntArray:
+        """Numbers (b,) of the parked landmarks, ascending: none in a known map."""
+        return NO_LANDMARK
+
+    def parked_xy(self) -> Array:
+        """Present means (b, 2) of the parked landmarks, ordered as `parked`."""
+        return np.empty((0, 2))
+
+    def park(self, numbers: IntArray) -> None:
+        """A known map is no part of the state: asking for it is an error."""
+        raise ValueError("a localizer's map is given; none of its landmarks can be parked")
+
+    def restore(self, numbers: IntArray) -> None:
+        """None is parked: asking for it is an error."""
+        raise ValueError(f"cannot restore {np.asarray(numbers).tolist()}: a localizer's landmarks are never parked")
+
+    def amend(self, frames: IntArray, sightings: Sightings, decisions: IntArray) -> None:
+        """What frames (m,) up to now saw was for other landmarks: too late, a filter does not revise its past."""
+
+    def inflate(self, covariance: Array) -> None:
         """The last motion is not to be believed: so much covariance (3, 3), world frame, is added to the pose's."""
         self._version += 1
         self._P[:3, :3] += covariance
@@ -142,7 +179,7 @@ class Filter:
             # only pose and chosen landmarks enter: gathered, the cost does not grow with the map
             here = at[chosen]
             held = here >= 0
-            index = np.concatenate([np.arange(3), (here[held][:, None] + np.arange(2)).ravel()])
+            index = np.concatenate([np.arange(3), coordinates_from(here[held])])
             d = len(index)
             moved = np.full(k, -1, np.int64)
             moved[held] = np.arange(3, d, 2)

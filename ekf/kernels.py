@@ -4,8 +4,9 @@ State vector [x, y, theta, l1x, l1y, ...]; `mean` (C,) and `P` (C, C) are buffer
 in use. P is the covariance of the additive world-frame error. One set of these functions serves the step-by-step
 filters and the whole-run loop (`run`): same arithmetic, same bytes.
 
-`first` (C,) holds the first estimates (the last predicted pose, each landmark where it was founded) of a filter that
-takes its Jacobians there (Huang, Mourikis and Roumeliotis, IJRR 29(5), 2010, section 5.2); empty: at the newest ones.
+`first` (C,) holds the first estimates (the last predicted pose, each landmark where it was initialized) of a filter
+that takes its Jacobians there (Huang, Mourikis and Roumeliotis, IJRR 29(5), 2010, section 5.2); empty: at the newest
+ones.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ import numpy as np
 
 from association.expectation import Expectation
 from data.inputs import IntArray, LandmarkMap, Prior, Sightings
-from data.result import Finished, Updated
+from data.result import Finished, MapState, Updated
 from data.se2 import Array
 from data.sensors import Sensor
 from ekf.filter import DEFAULT, Filter, FilterOptions
@@ -22,10 +22,10 @@ class EkfLocalizer(Filter):
 
     def rows_of(self, decisions: IntArray) -> IntArray:
         """Row of the map for each decision; raises ValueError for an id the map does not have."""
-        rows = np.searchsorted(self.map.id, decisions)
-        if np.any(rows >= len(self.map.id)) or np.any(self.map.id[np.minimum(rows, len(self.map.id) - 1)] != decisions):
+        rows = self.map.rows(decisions)
+        if np.any(rows < 0):
             raise ValueError(f"decisions {decisions.tolist()} name a landmark the map does not have")
-        return rows.astype(np.int64)
+        return rows
 
     def expect(self, sightings: Sightings) -> Expectation:
         """What the filter expects of every landmark of the map. Valid until the next `predict` or `update`."""
@@ -33,11 +33,18 @@ class EkfLocalizer(Filter):
         return self._expect(sightings, self.map.id, at, self.map.xy)
 
     def update(
-        self, sightings: Sightings, decisions: IntArray, *, threshold: float = np.inf, at: Array | None = None
+        self,
+        sightings: Sightings,
+        decisions: IntArray,
+        *,
+        threshold: float = np.inf,
+        at: Array | None = None,
+        innovations: bool = True,
     ) -> Updated:
         """One update with every observation whose decision is a landmark id and whose d^2 is below `threshold`.
 
-        It is first linearized at the prediction, or at the pose `at` (3,) if that is known to be better.
+        It is first linearized at the prediction, or at the pose `at` (3,) if that is known to be better. A filter
+        forms its innovations whether they are asked for or not.
         """
         paired = np.flatnonzero(decisions >= 0)
         known = self.map.xy[self.rows_of(decisions[paired])]
@@ -59,9 +66,13 @@ class EkfLocalizer(Filter):
         """A known map does not change: asking for it is an error."""
         raise ValueError("a localizer's map is given; landmarks cannot be removed from it")
 
-    def join(self, away: IntArray, kept: IntArray) -> None:
+    def merge(self, merged: IntArray, kept: IntArray) -> None:
         """No two landmarks of a known map are one: asking for it is an error."""
         raise ValueError("a localizer's map is given; its landmarks cannot be joined")
+
+    def landmarks(self) -> MapState:
+        """The given map, which has no covariance."""
+        return MapState(self.map.id, self.map.xy, np.zeros((len(self.map.id), 2, 2)))
 
     def finish(self) -> Finished:
         """Nothing to smooth, no map of its own."""

@@ -34,6 +34,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from data.blocks import coordinates
 from data.inputs import IntArray
 from data.se2 import Array
 
@@ -47,12 +48,6 @@ class Carried(NamedTuple):
     mean: Array
     cross: Array
     P: Array
-
-
-def pairs(slots: IntArray) -> IntArray:
-    """Indices (2n,) of the coordinates of slots (n,) where every slot has two."""
-    index: IntArray = (2 * slots[:, None] + np.arange(2)).ravel()
-    return index
 
 
 def symmetric(P: Array) -> Array:
@@ -87,7 +82,7 @@ class Parked:
     def index(self, numbers: IntArray | None = None) -> IntArray:
         """Rows (2n,) of landmarks; None: of all, by ascending number."""
         chosen = self.rows.values() if numbers is None else [self.rows[n] for n in numbers.tolist()]
-        return pairs(np.fromiter(chosen, np.int64))
+        return coordinates(np.fromiter(chosen, np.int64))
 
     def now(self, y: Carried, rows: IntArray) -> Carried:
         """Present mean (r,), cross-covariance (r, d) with A, and covariance (r, r) of some rows."""

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from association.expectation import Expectation
+from data.blocks import coordinates, coordinates_from, diagonal_blocks
 from data.inputs import IntArray, Prior, Sightings
 from data.result import NEW, Finished, MapState, Updated
 from data.se2 import Array, wrap_angle
 from data.sensors import Sensor
 from ekf import kernels
 from ekf.filter import DEFAULT, Filter, FilterOptions
-from ekf.parking import LONGEST, NOTHING, Carried, begin_epoch, pairs, symmetric
+from ekf.parking import LONGEST, NOTHING, Carried, begin_epoch, symmetric
 
 JOINED = 1e-4
 """m; standard deviation of the difference of two landmarks that are one."""
@@ -63,11 +64,18 @@ class EkfSlam(Filter):
         return self._expect(sightings, self._number, at, np.zeros((len(self._number), 2)))
 
     def update(
-        self, sightings: Sightings, decisions: IntArray, *, threshold: float = np.inf, at: Array | None = None
+        self,
+        sightings: Sightings,
+        decisions: IntArray,
+        *,
+        threshold: float = np.inf,
+        at: Array | None = None,
+        innovations: bool = True,
     ) -> Updated:
         """One update with all pairings below `threshold`, then new landmarks in order, from the updated pose.
 
-        It is first linearized at the prediction, or at the pose `at` (3,) if that is known to be better.
+        It is first linearized at the prediction, or at the pose `at` (3,) if that is known to be better. A filter
+        forms its innovations whether they are asked for or not.
         Raises ValueError for a decision that names a landmark which is not in the map, or parked.
         """
         paired = np.flatnonzero(decisions >= 0)
@@ -128,17 +136,15 @@ class EkfSlam(Filter):
 
     def _at(self, numbers: IntArray) -> IntArray:
         """Where the coordinates of active landmarks (n,) stand in the state (2n,)."""
-        first = np.array([self._offset[n] for n in numbers.tolist()], np.int64)
-        at: IntArray = (first[:, None] + np.arange(2)).ravel()
-        return at
+        return coordinates_from(np.array([self._offset[n] for n in numbers.tolist()], np.int64))
 
-    def join(self, away: IntArray, kept: IntArray) -> None:
-        """Landmarks `away` (k,) are the same as `kept` (k,), all of them active: both estimates become one, `away` go.
+    def merge(self, merged: IntArray, kept: IntArray) -> None:
+        """Landmarks `merged` (k,) are the same as `kept` (k,), all of them active: both estimates become one.
 
         An update with the measurement that their difference is zero.
         """
         self._version += 1
-        e, a, b = self._used, self._at(away), self._at(kept)
+        e, a, b = self._used, self._at(merged), self._at(kept)
         P, mean = self._P[:e, :e], self._mean[:e]
         PHt = P[:, a] - P[:, b]
         S = PHt[a] - PHt[b] + JOINED**2 * np.eye(len(a))
@@ -151,7 +157,7 @@ class EkfSlam(Filter):
         P -= PHt @ gain.T
         P += JOINED**2 * gain @ gain.T
         P[:] = symmetric(P)
-        self.remove(away)
+        self.remove(merged)
 
     @property
     def parked(self) -> IntArray:
@@ -182,7 +188,7 @@ class EkfSlam(Filter):
             return
         self._version += 1
         out = np.isin(self._number, away)
-        moved = 3 + pairs(np.flatnonzero(out))
+        moved = 3 + coordinates(np.flatnonzero(out))
         self._select(np.concatenate([np.delete(np.arange(self._used), moved), moved]))
         self.size -= len(moved)
         self._carried += len(moved)
@@ -229,13 +235,21 @@ class EkfSlam(Filter):
         self._mean[d:e], self._P[d:e, d:e] = y.mean, y.P
         self._P[d:e, :d], self._P[:d, d:e] = y.cross, y.cross.T
 
-    def finish(self) -> Finished:
-        """The last map, active and parked landmarks; a filter does not revise its path."""
+    def reset(self, mean: Array, covariance: Array) -> None:
+        """The map goes with the pose: asking for another one is an error."""
+        raise ValueError("the map was made from the poses before; only a localizer can be set to another pose")
+
+    def landmarks(self) -> MapState:
+        """The map as it is now, active and parked landmarks."""
         n, d, e = len(self._number), self.size, self._used
         xy = self._mean[3:d].reshape(n, 2)
-        blocks = self._P[3:d, 3:d].reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
+        blocks = diagonal_blocks(self._P[3:d, 3:d])
         number = np.concatenate([self._number, self.parked])
         order = np.argsort(number)
         xy = np.concatenate([xy, self.parked_xy()])[order]
         blocks = np.concatenate([blocks, self._parked.blocks(self._P[d:e, d:e])])[order]
-        return Finished(None, MapState(number[order], xy, blocks))
+        return MapState(number[order], xy, blocks)
+
+    def finish(self) -> Finished:
+        """The last map; a filter does not revise its path."""
+        return Finished(None, self.landmarks())

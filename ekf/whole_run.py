@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
+from data.blocks import diagonal_blocks
 from data.inputs import Inputs, IntArray
 from data.result import DISCARD, NEW, MapState
 from data.se2 import Array
@@ -58,7 +59,9 @@ def run_filter(
     else:
         known = inputs.map.xy
         paired = decided >= 0
-        decided[paired] = np.searchsorted(inputs.map.id, decided[paired])
+        decided[paired] = inputs.map.rows(decided[paired])
+        if np.any(decided[paired] < 0):
+            raise ValueError("decisions name a landmark the map does not have")
         decided[~paired] = DISCARD
     capacity = 3 + 2 * int((decided == NEW).sum())
     mean, P = np.zeros(capacity), np.zeros((capacity, capacity))
@@ -83,7 +86,7 @@ def run_filter(
     state = None
     if slam:
         count = (d - 3) // 2
-        blocks = P[3:d, 3:d].reshape(count, 2, count, 2)[np.arange(count), :, np.arange(count), :]
+        blocks = diagonal_blocks(P[3:d, 3:d])
         state = MapState(np.arange(count, dtype=np.int64), mean[3:d].reshape(count, 2).copy(), blocks)
     return FilterRun(
         pose, covariance, stats[:, 0], stats[:, 2].astype(np.int64), stats[:, 1], size, white, decided, state, failure

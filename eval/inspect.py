@@ -12,6 +12,7 @@ from pathlib import Path
 
 from data.errors import SlamrefError, UsageError
 
+PROG = "python -m eval.inspect"
 FINE, WRONG = 0, 2
 PICTURES = (".png", ".pdf")
 EXAMPLES = """\
@@ -24,12 +25,12 @@ examples:
 exit status: 0 fine, 2 wrong usage or bad data"""
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """The whole command; returns the exit status."""
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+    """The whole command, called `prog`; returns the exit status."""
     parser = argparse.ArgumentParser(
-        prog="python -m eval.inspect",
+        prog=prog,
         description="Print what a log holds and what is odd about it.",
-        epilog=EXAMPLES,
+        epilog=EXAMPLES.replace(PROG, prog),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(

@@ -6,15 +6,15 @@ beside its final name and moved into place at the end, so an interrupted run lea
 
 from __future__ import annotations
 
-import os
-import shutil
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from data.errors import SlamrefError, UsageError
-from eval.plan.options import Options, read_options
+from data.whole import whole_folder
+from eval.plan.flags import PROG, Options
+from eval.plan.options import read_options
 
 FINE, REJECTED, WRONG = 0, 1, 2
 INTERRUPTED = 130
@@ -42,11 +42,11 @@ class Console:
             print(text, flush=True)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """The whole command; returns the exit status."""
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+    """The whole command, called `prog`; returns the exit status."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     try:
-        options = read_options(arguments)
+        options = read_options(arguments, prog)
         console = Console(options)
         with staged(options.out) as folder:
             return _run(options, console, folder, arguments)
@@ -64,21 +64,12 @@ def staged(out: Path) -> Iterator[Path]:
     out = out.absolute()
     if out.exists() and any(out.iterdir()) and not (out / MARK).exists():
         raise UsageError(f"--out {out.name}: the folder holds something else than a report; name another one")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        partial = out.parent / f".{out.name}.partial-{os.getpid()}"
-        partial.mkdir()
-    except OSError as fault:
-        raise UsageError(f"--out {out}: {fault.strerror}") from fault
-    try:
+    with ExitStack() as stack:
+        try:
+            partial = stack.enter_context(whole_folder(out))
+        except OSError as fault:
+            raise UsageError(f"--out {out}: {fault.strerror}") from fault
         yield partial
-        old = out.parent / f".{out.name}.old-{os.getpid()}"
-        if out.exists():
-            out.rename(old)
-        partial.rename(out)
-        shutil.rmtree(old, ignore_errors=True)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
 
 
 def _run(options: Options, console: Console, folder: Path, arguments: Sequence[str]) -> int:

@@ -10,20 +10,34 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data.errors import SlamrefError, UsageError
-from eval.plan.options import Options, read_options
+from eval.plan.flags import Options, add_flags
+from eval.plan.options import options_of
+from eval.replay.flag import rows
 from eval.replay.names import ASSOCIATIONS, STEPPING
 
 if TYPE_CHECKING:
     from data.log import Log
 
 FINE, WRONG, INTERRUPTED = 0, 2, 130
-SHARED = ("log", "association", "estimator", "task", "gate", "new_gate")
+PROG = "python -m eval.step"
+TABLE = rows(Options)
+SHARED = (
+    replace(TABLE["log"], help="open log folder, victoria-park, arena:SEED or corridor:SEED[:KEYS]"),
+    replace(TABLE["association"], metavar="NAME", help=f"of {', '.join(ASSOCIATIONS)} (default: jcbb)"),
+    replace(TABLE["estimator"], metavar="NAME", help=f"of {', '.join(STEPPING)} (default: ekf)"),
+    replace(
+        TABLE["task"], metavar="NAME",
+        help="localization or slam (default: localization where there is a map, but slam in a corridor)",
+    ),
+    *(TABLE[name] for name in ("gate", "new_gate", "in_view", "maintain")),
+)  # fmt: skip
 """Flags that mean what they mean in `eval.run_all`."""
+DEFAULTS = {"association": "jcbb", "estimator": "ekf"}
 EXAMPLES = """\
 examples:
   python -m eval.step --log corridor:0 --association jcbb               the lab, one Enter at a time
@@ -50,60 +64,38 @@ class Wish:
     frames: int | None
 
 
-def parser() -> argparse.ArgumentParser:
+def parser(prog: str = PROG) -> argparse.ArgumentParser:
     """The flags."""
     p = argparse.ArgumentParser(
-        prog="python -m eval.step",
+        prog=prog,
         description="Walk through a log: move, observe, compatibility, matching, update.",
-        epilog=EXAMPLES,
+        epilog=EXAMPLES.replace(PROG, prog),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    add_flags(p, SHARED)
     add = p.add_argument
-    add(
-        "--log",
-        action="append",
-        metavar="PATH|NAME",
-        help="open log folder, victoria-park, arena:SEED or corridor:SEED[:KEYS]",
-    )
-    add("--association", metavar="NAME", default="jcbb", help=f"of {', '.join(ASSOCIATIONS)} (default: jcbb)")
-    add("--estimator", metavar="NAME", default="ekf", help=f"of {', '.join(STEPPING)} (default: ekf)")
-    add(
-        "--task",
-        metavar="NAME",
-        help="localization or slam (default: localization where there is a map, but slam in a corridor)",
-    )
-    add("--gate", metavar="P", help="chi-square probability of the association gate, or none (default: 0.99)")
-    add("--new-gate", metavar="P", help="gate outside which an observation may be new (default: 0.99999)")
-    add("--in-view", action="store_true", help="the EKF offers only landmarks in range and view")
-    add("--maintain", action="store_true", help="SLAM: remove landmarks seen once and more than two frames ago")
     add("--save", metavar="DIR", type=Path, help="write the pictures and the text of all steps there")
     add("--run-through", action="store_true", help="do not pause (nor does it without a terminal)")
     add("--frames", metavar="N", help="only the first N frames")
     return p
 
 
-def read(argv: Sequence[str] | None) -> Wish:
+def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
     """Flags, checked as those of `eval.run_all` are; raises UsageError for what makes no sense."""
-    given = parser().parse_args(argv)
-    if not given.log:
+    given = vars(parser(prog).parse_args(argv))
+    logs = given.get("log", [])
+    if not logs:
         raise UsageError("--log: a log is needed, as in --log corridor:0")
-    if len(given.log) > 1:
-        raise UsageError(f"--log {' --log '.join(given.log)}: one log is needed")
-    given.log = given.log[0]
-    asked = {key: value for key, value in vars(given).items() if key in SHARED and value is not None}
-    same = [f"--{key.replace('_', '-')}={value}" for key, value in asked.items()]
-    same += [f"--{key.replace('_', '-')}" for key in ("in_view", "maintain") if getattr(given, key)]
-    options = read_options(same)
-    for flag, names in (
-        ("--association", options.association),
-        ("--estimator", options.estimator),
-        ("--task", options.task),
-    ):
-        if len(names) > 1 or not (names or flag == "--task"):
-            raise UsageError(f"{flag} {','.join(names)}: one name is needed")
+    if len(logs) > 1:
+        raise UsageError(f"--log {' --log '.join(logs)}: one log is needed")
+    options = options_of(DEFAULTS | {row.name: given[row.name] for row in SHARED if row.name in given})
+    for name in ("association", "estimator", "task"):
+        names = getattr(options, name)
+        if len(names) > 1 or not (names or name == "task"):
+            raise UsageError(f"--{name} {','.join(names)}: one name is needed")
     if options.estimator[0] not in STEPPING:
         raise UsageError(f"--estimator {options.estimator[0]}: does not work step by step; {', '.join(STEPPING)} do")
-    return Wish(options, given.save, given.run_through, _frames(given.frames))
+    return Wish(options, given["save"], given["run_through"], _frames(given["frames"]))
 
 
 def _frames(text: str | None) -> int | None:
@@ -114,10 +106,10 @@ def _frames(text: str | None) -> int | None:
     return int(text)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """The whole command; returns the exit status."""
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+    """The whole command, called `prog`; returns the exit status."""
     try:
-        _step(read(argv))
+        _step(read(argv, prog))
     except SlamrefError as fault:
         print(f"error: {fault}", file=sys.stderr)
         return WRONG

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from eval.tuning.fit import Fit, Score
     from eval.tuning.model import Model
 
+PROG = "python -m eval.tune"
 FINE, WRONG = 0, 2
 MARK = "tuned"
 """Key of [source] in a tuned log's log.toml: what was changed, and by which log."""
@@ -65,12 +66,12 @@ class Tuning:
     errors: Mapping[str, tuple[float, float]]
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """The whole command; returns the exit status."""
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+    """The whole command, called `prog`; returns the exit status."""
     parser = argparse.ArgumentParser(
-        prog="python -m eval.tune",
+        prog=prog,
         description=HELP,
-        epilog=EXAMPLES,
+        epilog=EXAMPLES.replace(PROG, prog),
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
@@ -87,11 +88,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--use", metavar="TUNED", type=Path, help="fit nothing: apply the numbers of this tuned log")
     options = parser.parse_args(argv)
     try:
-        text = _run(options)
+        sys.stdout.write(_run(options))
     except SlamrefError as fault:
         sys.stderr.write(f"error: {fault}\n")
         return WRONG
-    sys.stdout.write(text)
     return FINE
 
 

@@ -2,25 +2,40 @@
 
 from __future__ import annotations
 
-import numpy as np
+import argparse
+import sys
+from collections.abc import Sequence
 
-from association.decide import METHODS
-from association.geometry.local_map import Scan
-from association.geometry.pair_poses import candidates
-from association.geometry.relocalize import relocalize
-from data.open_log.reader import load_folder
-from data.open_log.writer import write_folder
-from data.worlds.arena import Arena, simulate
-from eval.replay.estimators import make_estimator
-from eval.replay.names import ESTIMATORS
-from eval.replay.run import compare, step_by_step
-from eval.replay.settings import Setup
+PROG = "python -m eval.warm"
 
 
-def main() -> None:
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+    """Compile everything; returns the exit status."""
+    argparse.ArgumentParser(
+        prog=prog, description="Compile every kernel once, into the cache, so that no first run has to wait for it."
+    ).parse_args(argv)
+    warm()
+    return 0
+
+
+def warm() -> None:
     """Every estimator on a small arena; one pass in each task, with each sensor, from memory and from a folder."""
     import tempfile
     from pathlib import Path
+
+    import numpy as np
+
+    from association.decide import METHODS
+    from association.geometry.local_map import Scan
+    from association.geometry.pair_poses import candidates
+    from association.geometry.relocalize import relocalize
+    from data.open_log.reader import load_folder
+    from data.open_log.writer import write_folder
+    from data.worlds.arena import Arena, simulate
+    from eval.replay.estimators import make_estimator
+    from eval.replay.names import ESTIMATORS
+    from eval.replay.run import compare, step_by_step
+    from eval.replay.settings import Setup
 
     for sensor in ("range_bearing", "relative_point"):
         log = simulate(Arena(frames=12, landmarks=6, sensor=sensor), 0, name="warm")
@@ -46,4 +61,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

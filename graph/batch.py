@@ -54,7 +54,7 @@ def smooth(inputs: Inputs, decisions: IntArray, created: IntArray, start: Start,
     """Maximum a posteriori path (and map), by Levenberg-Marquardt from `start`.
 
     Inputs with a map: localization, decisions (M,) are map ids or `DISCARD`. Without: SLAM, decisions are landmark
-    numbers, `NEW` or `DISCARD`, and `created` (M,) is the number of the landmark an observation founded (-1: none).
+    numbers, `NEW` or `DISCARD`, and `created` (M,) is the number of the landmark an observation initialized (-1: none).
     `loss`: gaussian, huber or cauchy, on measurements only. Raises `UnderConstrained`, and DataError for a singular
     increment or measurement covariance.
     """
@@ -92,10 +92,8 @@ def build(inputs: Inputs, decisions: IntArray, created: IntArray, loss: str = "g
 def _rows_of(inputs: Inputs, ids: IntArray) -> IntArray:
     """Row of the map for each id; raises UsageError for one the map does not have."""
     assert inputs.map is not None
-    rows = np.searchsorted(inputs.map.id, ids)
-    bad = np.flatnonzero(rows >= len(inputs.map.id))
-    if not len(bad):
-        bad = np.flatnonzero(inputs.map.id[rows] != ids)
+    rows = inputs.map.rows(ids)
+    bad = np.flatnonzero(rows < 0)
     if len(bad):
         raise UsageError(f"decision {ids[bad[0]]}: the map has no landmark of this id")
-    return rows.astype(np.int64)
+    return rows

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from association.expectation import Expectation
+from data.blocks import coordinates, diagonal_blocks
 from data.inputs import IntArray, Sightings
 from data.se2 import Array, pose_error
 from data.sensors import Sensor
@@ -32,7 +33,7 @@ def form(
     blocks = Hx @ Pxx @ Hx.transpose(0, 2, 1)
     if not known:
         Pxl = covariance[:3, 3:].reshape(3, n, 2).transpose(1, 0, 2)
-        Pll = covariance[3:, 3:].reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
+        Pll = diagonal_blocks(covariance[3:, 3:])
         cross = Hx @ Pxl @ Hl.transpose(0, 2, 1)
         blocks = blocks + cross + cross.transpose(0, 2, 1) + Hl @ Pll @ Hl.transpose(0, 2, 1)
     zeros = np.zeros(n + m, np.int64)
@@ -46,7 +47,7 @@ def form(
         if not known:
             for q in range(2):
                 H[np.arange(k), :, 3 + 2 * np.arange(k) + q] = Hl[chosen, :, q]
-            of = np.concatenate([of, (3 + 2 * chosen[:, None] + np.arange(2)).ravel()])
+            of = np.concatenate([of, 3 + coordinates(chosen)])
         rows = H.reshape(2 * k, H.shape[2])
         S: Array = rows @ covariance[np.ix_(of, of)] @ rows.T
         return 0.5 * (S + S.T)

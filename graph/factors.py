@@ -169,12 +169,6 @@ def with_loss(model: gtsam.noiseModel.Base, loss: str) -> gtsam.noiseModel.Base:
     return model if loss == "gaussian" else noise.Robust.Create(KERNELS[loss], model)
 
 
-def in_body_frame(sensor: Sensor, z: Array) -> tuple[Array, Array]:
-    """Points (m, 2) in the body frame and their Jacobians (m, 2, 2) to z: for a relative point, the rotation."""
-    points, _, Gz = sensor.inverse(np.zeros(3), z)
-    return points, Gz
-
-
 def bearing_range(sensor: Sensor, z: Array, R: Array) -> tuple[Array, Array]:
     """[bearing, range] (m, 2) in the body frame, gtsam's order, with covariances (m, 2, 2).
 
@@ -183,7 +177,7 @@ def bearing_range(sensor: Sensor, z: Array, R: Array) -> tuple[Array, Array]:
     """
     if sensor.translation == (0.0, 0.0):
         return np.stack([z[:, 1] - sensor.rotation, z[:, 0]], 1), R[:, ::-1, ::-1]
-    p, G = in_body_frame(sensor, z)
+    p, _, G = sensor.inverse(np.zeros(3), z)
     r = np.hypot(p[:, 0], p[:, 1])
     A = np.stack([np.stack([-p[:, 1], p[:, 0]], 1) / r[:, None] ** 2, p / r[:, None]], 1) @ G
     return np.stack([np.arctan2(p[:, 1], p[:, 0]), r], 1), A @ R @ A.transpose(0, 2, 1)
@@ -191,8 +185,7 @@ def bearing_range(sensor: Sensor, z: Array, R: Array) -> tuple[Array, Array]:
 
 def relative_point(sensor: Sensor, z: Array, R: Array) -> tuple[Array, Array]:
     """Point (m, 2) in the body frame with covariances (m, 2, 2), exact."""
-    p, G = in_body_frame(sensor, z)
-    return p, G @ R @ G.transpose(0, 2, 1)
+    return sensor.body_points(z, R)
 
 
 def measured(sensor: Sensor, z: Array, R: Array, frame: IntArray) -> tuple[Array, Array]:

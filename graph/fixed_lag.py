@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterable
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
-from data.inputs import IntArray, LandmarkMap, Prior, Sightings
+from data.inputs import Increment, IntArray, LandmarkMap, Prior, Sightings
 from data.result import Finished, Trajectory
 from data.se2 import Array
 from data.sensors import Sensor
@@ -30,7 +31,8 @@ class FixedLagSmoother(Isam2Smoother):
     their numbers keep their meaning, and loops are closed over any time. The price is that of a filter: this factor
     ties all landmarks together, and those it touches are never linearized anew.
 
-    The frames' times come with the inputs (a log without stamps counts frames), `lag` is in the same unit.
+    Every frame is stamped with its time (`stamp`; a frame that is not comes 1 after the one before), `lag` is in the
+    same unit.
     """
 
     def __init__(
@@ -39,7 +41,6 @@ class FixedLagSmoother(Isam2Smoother):
         sensor: Sensor,
         known: LandmarkMap | None = None,
         *,
-        time: Array,
         lag: float,
         slack: float = SLACK,
         threshold: float = THRESHOLD,
@@ -47,37 +48,48 @@ class FixedLagSmoother(Isam2Smoother):
     ) -> None:
         """Start at the prior; with a map localize in it, without do SLAM.
 
-        `time` (N,), increasing, of all frames to come. A pose stays for at least `lag` >= 0 after its own time, and at
-        most for (1 + `slack`) times that, at the next sighting: a slack of 0 marginalizes frame by frame, which takes
-        half as long again on Victoria Park with a lag of 30 frames, three times as long with 100.
+        A pose stays for at least `lag` >= 0 after its own time, and at most for (1 + `slack`) times that, at the next
+        sighting: a slack of 0 marginalizes frame by frame, which takes half as long again on Victoria Park with a lag
+        of 30 frames, three times as long with 100.
         """
         if not lag >= 0.0 or not slack >= 0.0:
             raise ValueError(f"lag {lag} and slack {slack} must not be negative")
         super().__init__(prior, sensor, known, threshold=threshold, skip=skip)
-        self.time, self.lag, self.slack = time, lag, slack
-        self._window = Window(threshold, skip, qr=self._engine.qr, name=self._name)
+        self.time, self.lag, self.slack = [0.0], lag, slack
+        self._window = Window(threshold, skip, qr=self._engine.qr, name=self._observed.name)
         self._engine = self._window
         # first frame, and first copy of a known landmark, that are still in the window
         self._oldest, self._first_copy = 0, 0
         self._left: list[tuple[Array, Array]] = []
+
+    def predict(self, increment: Increment) -> None:
+        """Move by an increment; the graph grows only when something is seen."""
+        super().predict(increment)
+        self.time.append(self.time[-1] + 1.0)
+
+    def stamp(self, time: float) -> None:
+        """The present frame's time. Raises ValueError for one that is not after the frame before."""
+        if len(self.time) > 1 and not time > self.time[-2]:
+            raise ValueError(f"frame {self.frame} at {time} is not after the one before, at {self.time[-2]}")
+        self.time[-1] = time
 
     def _extend(self, sightings: Sightings, number: IntArray) -> None:
         """Add the motion since the anchor and these sightings, then let go of what is too old."""
         super()._extend(sightings, number)
         now = self.time[self.frame]
         if now - self.time[self._oldest] > (1.0 + self.slack) * self.lag:
-            self._forget(int(np.searchsorted(self.time, now - self.lag)))
+            self._forget(bisect_left(self.time, now - self.lag))
 
     def _forget(self, oldest: int) -> None:
         """Marginalize the poses of all frames before `oldest`, with the copies of landmarks seen from them."""
         frames = range(self._oldest, oldest)
         self._left += self._poses(frames)
         keys = [X(k) for k in frames]
-        while self.map is not None and self._sighted[self._first_copy].frame < oldest:
-            key = self._sighted[self._first_copy].key
+        while self.map is not None and self._observed.sighted[self._first_copy].frame < oldest:
+            key = self._observed.sighted[self._first_copy].key
             keys += [] if key is None else [key]
             self._first_copy += 1
-        self._window.marginalize(keys, X(self._anchor))
+        self._window.marginalize(keys, self._anchor_key)
         self._oldest = oldest
         self._motion.clear()
         self._read()
@@ -101,22 +113,18 @@ class FixedLagSmoother(Isam2Smoother):
         super().remove(numbers)
         held = [L(n) for n in gone if self._window.holds(L(n))]
         if held:
-            self._window.marginalize(held, X(self._anchor))
+            self._window.marginalize(held, self._anchor_key)
             self._read()
 
-    def join(self, away: IntArray, kept: IntArray) -> None:
-        """Landmarks `away` (k,) are the same as `kept` (k,): an observation of no difference, as in a filter."""
-        pairs = list(zip(away.tolist(), kept.tolist(), strict=True))
-        gone = {a for a, _ in pairs}
-        if not gone | {b for _, b in pairs} <= set(self._handles) or any(b in gone for _, b in pairs):
-            raise ValueError(f"cannot join {pairs}: not all are in the map, or one is to go and to stay")
+    def merge(self, merged: IntArray, kept: IntArray) -> None:
+        """Landmarks `merged` (k,) are the same as `kept` (k,): an observation of no difference, as in a filter."""
+        pairs = self._pairs_to_merge(merged, kept)
         same = gtsam.noiseModel.Isotropic.Sigma(2, JOINED)
         none = np.zeros(2)
-        self._window.add([gtsam.BetweenFactorPoint2(L(a), L(b), none, same) for a, b in pairs], gtsam.Values())
+        self._window.add([gtsam.BetweenFactorPoint2(L(a), L(b), none, same) for a, b in pairs.items()], gtsam.Values())
         self.refine()
-        for n in gone:
-            del self._handles[n]
-        self._window.marginalize([L(n) for n in sorted(gone)], X(self._anchor))
+        self._observed.take_back(list(pairs))
+        self._window.marginalize([L(n) for n in sorted(pairs)], self._anchor_key)
         self._read()
 
     def finish(self) -> Finished:

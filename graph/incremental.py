@@ -13,6 +13,7 @@ from gtsam.symbol_shorthand import L, X
 from association.candidates import Drift, in_view, may_be_in_view
 from association.expectation import Expectation
 from data import se2
+from data.blocks import diagonal_blocks
 from data.inputs import Increment, IntArray, LandmarkMap, Prior, Sightings
 from data.result import NEW, Finished, MapState, PoseEstimate, Updated
 from data.se2 import Array, BoolArray
@@ -23,16 +24,14 @@ from graph.factors import (
     Factor,
     Sighted,
     UnderConstrained,
-    between_factors,
     is_exact,
-    name_of,
     pose2,
     prior_factor,
-    sight_known,
-    sight_landmarks,
 )
+from graph.observed import Observed
+from graph.open_end import OpenEnd
 from graph.optimum import Problem, optimize
-from graph.transport import advance, transport
+from graph.smoother import Smoother
 
 THRESHOLD = 0.05
 """m, rad. Relinearize what moved further than this, ..."""
@@ -44,7 +43,7 @@ DELICATE = 1e-8
 """m^2, rad^2. Below this eigenvalue of an increment or the prior the elimination is done by QR, a fifth slower."""
 
 
-class Isam2Smoother:
+class Isam2Smoother(Smoother):
     """Incremental smoothing and mapping (Kaess et al., IJRR 2012) over the same inputs as the filters.
 
     The parameters were chosen on Victoria Park, newest pose against the batch solution of the same data at 25 frames:
@@ -64,53 +63,38 @@ class Isam2Smoother:
         """Start at the prior; with a map localize in it, without do SLAM. `loss` as in `graph.batch.smooth`."""
         self.prior, self.sensor, self.map, self.loss = prior, sensor, known, loss
         self.threshold, self.skip = threshold, skip
-        self.frame, self.created, self._copies = 0, 0, 0
-        self._mean, self._P = prior.mean.copy(), prior.covariance.copy()
-        # the newest pose in the graph, and the motion since then
-        self._anchor, self._anchor_pose = -1, self._mean
-        self._pending, self._path = list[Increment](), list[Array]()
-        self._Q = np.zeros((3, 3))
+        self.frame, self.created = 0, 0
+        self._end = OpenEnd(prior)
         self._motion: list[Factor] = []
-        self._sighted: list[Sighted] = []
-        # by landmark, or by frame where the landmarks are known
-        self._handles: dict[int, list[int]] = {}
+        self._observed = Observed(sensor, known, loss)
         self._drift = Drift()
         low = np.linalg.eigvalsh(prior.covariance)
-        self._engine = Engine(threshold, skip, qr=bool(low[0] < DELICATE < low[-1]), name=self._name)
+        self._engine = Engine(threshold, skip, qr=bool(low[0] < DELICATE < low[-1]), name=self._observed.name)
+
+    @property
+    def _anchor_key(self) -> int:
+        """Variable of the newest pose in the graph."""
+        return int(X(self._end.anchor))
 
     def predict(self, increment: Increment) -> None:
         """Move by an increment; the graph grows only when something is seen."""
         self.frame += 1
-        self._pending.append(increment)
+        self._end.move(increment)
         self._drift.move(increment)
-        self._advance(increment)
 
-    def _advance(self, increment: Increment) -> None:
-        """The newest pose and its covariance by one increment (the same arithmetic as a filter's prediction)."""
-        self._mean, self._P, self._Q = advance(self._mean, self._P, self._Q, increment.mean, increment.covariance)
-        self._path.append(self._mean)
-
-    def lose(self, covariance: Array) -> None:
+    def inflate(self, covariance: Array) -> None:
         """The last motion is not to be believed: so much covariance (3, 3), alike in all directions, is added to it."""
-        if not self._pending:
-            raise ValueError("there was no motion since the last sighting")
-        mean, stated = self._pending[-1]
-        self._pending[-1] = Increment(mean, stated + covariance)
-        self._P, self._Q = self._P + covariance, self._Q + covariance
+        self._end.inflate(covariance)
         self._drift.move(Increment(np.zeros(3), covariance))
 
     def estimate(self) -> PoseEstimate:
         """The newest pose with its world-frame covariance (copies)."""
-        return PoseEstimate(self._mean.copy(), self._P.copy())
-
-    def _name(self, key: int) -> str:
-        """A variable in words; the copies of known landmarks are numbered by observation."""
-        return next((f"landmark {s.number}" for s in self._sighted if self.map and s.key == key), name_of(key))
+        return PoseEstimate(self._end.mean.copy(), self._end.P.copy())
 
     @property
     def numbers(self) -> IntArray:
         """Landmark numbers in the map, ascending."""
-        return np.array(sorted(self._handles) if self.map is None else [], np.int64)
+        return self._observed.numbers
 
     def expect(self, sightings: Sightings) -> Expectation:
         """What it expects of the landmarks in view: sensor range and angles, widened by 3 sigma and 5 degrees."""
@@ -119,46 +103,50 @@ class Isam2Smoother:
         else:
             number = self.numbers
             xy = self._engine.points(number.tolist())
-            near = may_be_in_view(self.sensor, self._mean, xy, *self._drift.sigmas(number, self._P))
+            near = may_be_in_view(self.sensor, self._end.mean, xy, *self._drift.sigmas(number, self._end.P))
             candidates = number[near], xy[near]
         joint = self._joint(candidates[0])
-        every = expected.form(self.sensor, self._mean, joint, *candidates, sightings)
+        pose = self._end.mean
+        every = expected.form(self.sensor, pose, joint, *candidates, sightings)
         keep = in_view(self.sensor, every.z_hat, every.HPHt)
         if self.map is None:
             joint = joint[np.ix_(*[np.concatenate([np.ones(3, np.bool_), np.repeat(keep, 2)])] * 2)]
-        return expected.form(self.sensor, self._mean, joint, candidates[0][keep], candidates[1][keep], sightings)
+        return expected.form(self.sensor, pose, joint, candidates[0][keep], candidates[1][keep], sightings)
 
     def _joint(self, number: IntArray) -> Array:
         """World-frame covariance of the newest pose and landmarks; in localization of the pose alone."""
         if self.map is not None or not len(number):
-            return self._P
-        keys = [X(self._anchor), *(L(n) for n in number.tolist())]
+            return self._end.P
+        keys = [self._anchor_key, *(L(n) for n in number.tolist())]
         J = self._engine.covariance(keys)
-        if self._anchor == 0 and is_exact(self.prior):
+        if self._end.anchor == 0 and is_exact(self.prior):
             J[:3], J[:, :3] = 0.0, 0.0  # gtsam's joint marginal takes a hard constraint for a variance of about 1
         self._drift.know(number, np.sqrt(np.diag(J)[3:].reshape(-1, 2).sum(1)))
-        F = transport(self._mean - self._anchor_pose) @ se2.world_from_body(self._anchor_pose[2])
+        F, Q = self._end.since_anchor
         J[:3] = F @ J[:3]
         J[:, :3] = J[:, :3] @ F.T
-        J[:3, :3] += self._Q
+        J[:3, :3] += Q
         return J
 
     def update(
-        self, sightings: Sightings, decisions: IntArray, *, threshold: float = np.inf, at: Array | None = None
+        self,
+        sightings: Sightings,
+        decisions: IntArray,
+        *,
+        threshold: float = np.inf,
+        at: Array | None = None,
+        innovations: bool = False,
     ) -> Updated:
         """Add all pairings below `threshold` and the new landmarks; in localization decisions are ids of the map.
 
-        The newest pose starts at the prediction, or `at` (3,). NIS and likelihood are NaN, dof 0 without a threshold.
+        The newest pose starts at the prediction, or `at` (3,). Where there is no threshold and no `innovations` are
+        asked for, none are formed: NIS and likelihood are NaN, dof 0.
         """
         used = decisions >= 0
-        if self.map is None:
-            unknown = [n for n in decisions[used].tolist() if n not in self._handles]
-        else:
-            unknown = np.setdiff1d(decisions[used], self.map.id).tolist()
-        if unknown:
+        if unknown := self._observed.missing(decisions[used]):
             raise ValueError(f"no landmark has number {unknown[0]}")
         nis, dof, likelihood = np.nan, 0, np.nan
-        if threshold < np.inf and used.any():
+        if (innovations or threshold < np.inf) and used.any():
             nis, dof, likelihood = self._gate(sightings, decisions, used, threshold, at)
         created = np.full(len(decisions), -1, np.int64)
         if self.map is None:
@@ -167,8 +155,8 @@ class Isam2Smoother:
             self.created += len(fresh)
         take = np.flatnonzero(used | (created >= 0))
         if len(take):
-            if at is not None and self._pending:
-                self._mean = self._path[-1] = at.copy()
+            if at is not None:
+                self._end.place(at)
             self._extend(Sightings(sightings.z[take], sightings.R[take]), np.where(used, decisions, created)[take])
         return Updated(used, created, nis, dof, likelihood)
 
@@ -178,11 +166,8 @@ class Isam2Smoother:
         """Take pairings with d^2 not below the threshold out of `used`; NIS, dof and log-likelihood of the others."""
         rows = np.flatnonzero(used)
         number, which = np.unique(decisions[rows], return_inverse=True)
-        if self.map is None:
-            xy = self._engine.points(number.tolist())
-        else:
-            xy = self.map.xy[np.searchsorted(self.map.id, number)]
-        e = expected.form(self.sensor, self._mean, self._joint(number), number, xy, sightings, at)
+        xy = self._engine.points(number.tolist()) if self.map is None else self.map.positions(number)
+        e = expected.form(self.sensor, self._end.mean, self._joint(number), number, xy, sightings, at)
         nu, R = self.sensor.residual(sightings.z[rows], e.z_hat[which]), sightings.R[rows]
         distance = np.einsum("mi,mi->m", nu, np.linalg.solve(e.HPHt[which] + R, nu[..., None])[..., 0])
         keep = distance < threshold
@@ -191,128 +176,107 @@ class Isam2Smoother:
 
     def _extend(self, sightings: Sightings, number: IntArray) -> None:
         """Add the motion since the anchor and these sightings to the graph, and read the newest pose."""
-        factors, values = self._flush()
-        frames = np.full(len(number), self.frame)
+        motion, values = self._flush()
+        seen = self._observed.factors(sightings, np.full(len(number), self.frame), number)
         if self.map is None:
-            seen = sight_landmarks(self.sensor, *sightings, frames, number, self.loss)
-            for i, n in enumerate(number.tolist()):
-                if n not in self._handles:
-                    if self.sensor.kind == RANGE_BEARING and sightings.z[i, 0] < MIN_RANGE:
-                        raise UnderConstrained(f"landmark {n} is not determined: founded at range 0, without a bearing")
-                    values.insert(L(n), self.sensor.inverse(self._mean, sightings.z[i : i + 1])[0][0])
-                    self._handles[n] = []
-            self._drift.see(self.sensor, sightings, number, self._P)
-        else:
-            seen = self._sight_known(sightings, frames, number)
-        self._sighted += seen
-        self._add(factors, seen, values)
+            self._initialize(sightings, number, values)
+            self._drift.see(self.sensor, sightings, number, self._end.P)
+        self._add(motion, seen, values)
         self._read()
 
-    def _sight_known(self, sightings: Sightings, frames: IntArray, number: IntArray) -> list[Sighted]:
-        """Observations of known landmarks from frames (m,)."""
-        assert self.map is not None
-        xy = self.map.xy[np.searchsorted(self.map.id, number)]
-        self._copies += len(number)
-        return sight_known(self.sensor, *sightings, frames, number, xy, self._copies - len(number), self.loss)
+    def _initialize(self, sightings: Sightings, number: IntArray, values: gtsam.Values) -> None:
+        """Start values of the landmarks that are new, seen from the newest pose."""
+        new = dict.fromkeys(self._observed.missing(number))
+        for n in new:
+            i = int(np.flatnonzero(number == n)[0])
+            if self.sensor.kind == RANGE_BEARING and sightings.z[i, 0] < MIN_RANGE:
+                raise UnderConstrained(f"landmark {n} is not determined: initialized at range 0, without a bearing")
+            values.insert(L(n), self.sensor.inverse(self._end.mean, sightings.z[i : i + 1])[0][0])
 
-    def _add(self, motion: list[Factor], seen: list[Sighted], values: gtsam.Values) -> None:
+    def _add(self, motion: list[Factor], seen: list[Sighted], values: gtsam.Values, *, late: bool = False) -> None:
         """Give factors to the engine; those of a landmark, or of a frame in a known map, can be taken back."""
-        for s in seen:
-            if s.key is not None and s.xy is not None:
-                values.insert(s.key, s.xy)
-        handles = self._engine.add(motion + [f for s in seen for f in s.factors], values)[len(motion) :]
-        for s in seen:
-            held = self._handles.setdefault(s.number if self.map is None else s.frame, [])
-            held += handles[: len(s.factors)]
-            handles = handles[len(s.factors) :]
+        factors = motion + self._observed.add(seen, values, late=late)
+        self._observed.hold(seen, self._engine.add(factors, values)[len(motion) :])
 
     def amend(self, frames: IntArray, sightings: Sightings, decisions: IntArray) -> None:
         """In a known map: take what frames (m,) up to now saw (m) for other landmarks than before.
 
         These frames' former pairings are forgotten. Decisions (m,) are ids of the map; others leave a sighting unused.
         """
-        again, take = set(frames.tolist()), np.flatnonzero(decisions >= 0)
-        old = [h for f in sorted(again) for h in self._handles.pop(f, [])]
-        if old:
-            self._engine.drop(old)
+        again, take = np.unique(frames).tolist(), np.flatnonzero(decisions >= 0)
+        former = self._observed.take_back(again)
+        if former:
+            self._engine.drop(former)
         motion, values = self._flush()
-        seen = self._sight_known(Sightings(sightings.z[take], sightings.R[take]), frames[take], decisions[take])
-        self._sighted = sorted([s for s in self._sighted if s.frame not in again] + seen, key=lambda s: s.frame)
-        self._add(motion, seen, values)
+        seen = self._observed.factors(Sightings(sightings.z[take], sightings.R[take]), frames[take], decisions[take])
+        self._add(motion, seen, values, late=True)
         self.refine()
 
     def _flush(self) -> tuple[list[Factor], gtsam.Values]:
         """Factors and start values of the motion since the anchor (and the prior), which becomes part of the graph."""
         factors: list[Factor] = []
         values = gtsam.Values()
-        if self._anchor < 0:
-            self._anchor = 0
+        if self._end.anchor < 0:
+            self._end.anchor = 0
             factors.append(prior_factor(self.prior))
             values.insert(X(0), pose2(self.prior.mean))
-        if self._pending:
-            mean, covariance = (np.array(rows) for rows in zip(*self._pending, strict=True))
-            motion, pivot = between_factors(self._anchor + 1, mean, covariance)
-            if pivot < DELICATE:
-                self._engine.use_qr()
-            for k, pose in enumerate(self._path, self._anchor + 1):
-                values.insert(X(k), pose2(pose))
-            self._motion += motion
-            factors += motion
-            self._anchor += len(motion)
-            self._pending, self._path = [], []
-        return factors, values
+        motion, pivot = self._end.join_graph(values)
+        if pivot < DELICATE:
+            self._engine.use_qr()
+        self._motion += motion
+        return factors + motion, values
 
     def _read(self) -> None:
-        """Anchor pose and covariance from the engine, then the newest pose by the motion since."""
-        pose = self._engine.settle(X(self._anchor), pose2(self._mean))
-        self._anchor_pose = np.array([pose.x(), pose.y(), pose.theta()])
+        """The anchor's pose and covariance from the engine; the newest pose follows by the motion since."""
+        pose = self._engine.settle(self._anchor_key, pose2(self._end.mean))
         B = se2.world_from_body(pose.theta())
-        P = B @ self._engine.covariance([X(self._anchor)]) @ B.T
-        self._mean, self._P, self._Q = self._anchor_pose, 0.5 * (P + P.T), np.zeros((3, 3))
-        self._path = []
-        for increment in self._pending:
-            self._advance(increment)
+        P = B @ self._engine.covariance([self._anchor_key]) @ B.T
+        self._end.renew(np.array([pose.x(), pose.y(), pose.theta()]), 0.5 * (P + P.T))
 
     def remove(self, numbers: IntArray) -> None:
         """Drop landmarks with all their sightings, as if they had never been seen."""
         if self.map is not None:
             raise ValueError("a known map is given; landmarks cannot be removed from it")
-        gone = set(np.asarray(numbers).tolist())
-        if not gone <= set(self._handles):
-            raise ValueError(f"cannot remove {sorted(gone)}: not all are in the map")
-        self._engine.drop([h for n in sorted(gone) for h in self._handles.pop(n)])
-        self._sighted = [s for s in self._sighted if s.number not in gone]
+        gone = np.unique(numbers)
+        if self._observed.missing(gone):
+            raise ValueError(f"cannot remove {gone.tolist()}: not all are in the map")
+        self._engine.drop(self._observed.take_back(gone.tolist()))
         self.refine()
 
-    def join(self, away: IntArray, kept: IntArray) -> None:
-        """Landmarks `away` (k,) are the same as `kept` (k,): what was seen of the first was seen of the second.
+    def merge(self, merged: IntArray, kept: IntArray) -> None:
+        """Landmarks `merged` (k,) are the same as `kept` (k,): what was seen of the first was seen of the second.
 
         Their factors are removed, and put in again with the other landmark.
         """
+        other = self._pairs_to_merge(merged, kept)
+        moved = [s.renumbered(other[s.number]) for s in self._observed.sighted if s.number in other]
+        self._engine.drop(self._observed.take_back(list(other)))
+        self._add([], moved, gtsam.Values(), late=True)
+        self.refine()
+
+    def _pairs_to_merge(self, merged: IntArray, kept: IntArray) -> dict[int, int]:
+        """Which landmark becomes which. Raises ValueError for a request that makes no sense."""
         if self.map is not None:
             raise ValueError("a known map is given; its landmarks cannot be joined")
-        other = dict(zip(away.tolist(), kept.tolist(), strict=True))
-        if not other.keys() | other.values() <= set(self._handles) or other.keys() & other.values():
+        other = dict(zip(merged.tolist(), kept.tolist(), strict=True))
+        if self._observed.missing(np.concatenate([merged, kept])) or other.keys() & other.values():
             raise ValueError(f"cannot join {other}: not all are in the map, or one is to go and to stay")
-        moved = [s.renumbered(other[s.number]) for s in self._sighted if s.number in other]
-        self._engine.drop([h for n in other for h in self._handles.pop(n)])
-        self._sighted = sorted([s for s in self._sighted if s.number not in other] + moved, key=lambda s: s.frame)
-        self._add([], moved, gtsam.Values())
-        self.refine()
+        return other
 
     def refine(self, updates: int = SETTLE) -> None:
         """More steps towards the optimum of the data so far: a single update makes only one."""
         for _ in range(updates):
             self._engine.update()
-        if self._anchor >= 0:
+        if self._end.anchor >= 0:
             self._read()
 
     def landmarks(self) -> MapState:
-        """The map of SLAM as it is now; `finish` gives the final one."""
+        """The map as it is now, in SLAM; `finish` gives the final one. A given map has no covariance."""
+        if self.map is not None:
+            return MapState(self.map.id, self.map.xy, np.zeros((len(self.map.id), 2, 2)))
         number = self.numbers
-        n = len(number)
-        P = self._joint(number)[3:, 3:].reshape(n, 2, n, 2)
-        return MapState(number, self._engine.points(number.tolist()), P[np.arange(n), :, np.arange(n), :])
+        own = diagonal_blocks(self._joint(number)[3:, 3:])
+        return MapState(number, self._engine.points(number.tolist()), own)
 
     def finish(self) -> Finished:
         """Final path and map with exact marginals: the optimum of all data, reached from the present estimate."""
@@ -320,7 +284,7 @@ class Isam2Smoother:
         if factors:
             self._engine.add(factors, values)
             self._read()
-        problem = Problem(self.prior, self._motion, self._sighted, self.map is not None)
+        problem = Problem(self.prior, self._motion, self._observed.sighted, self.map is not None)
         found = optimize(problem, self._engine.values())
         total = (2.0 * found.error, problem.dof) if self.loss == "gaussian" else None
         return Finished(found.trajectory, found.map, total)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 import numba
 import numpy as np
 
+from data.motion import carried
 from data.se2 import Array
 from data.sensors import wrap_angle
 
@@ -14,11 +13,8 @@ from data.sensors import wrap_angle
 @numba.njit(cache=True)
 def advance(mean, P, Q, motion, M):  # type: ignore[no-untyped-def]
     """Pose (3,), its covariance P and the covariance Q gathered since the anchor, one increment later."""
-    c, s = math.cos(mean[2]), math.sin(mean[2])
-    wx, wy = c * motion[0] - s * motion[1], s * motion[0] + c * motion[1]
+    wx, wy, F, B = carried(mean[2], motion)
     moved = np.array([mean[0] + wx, mean[1] + wy, wrap_angle(mean[2] + motion[2])])
-    B = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    F = np.array([[1.0, 0.0, -wy], [0.0, 1.0, wx], [0.0, 0.0, 1.0]])
     G = B @ M @ B.T
     return moved, F @ P @ F.T + G, F @ Q @ F.T + G
 

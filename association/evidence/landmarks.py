@@ -8,34 +8,16 @@ goes.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from association.candidates import SIGMAS, polar_sigma
+from association.evidence import constants
 from association.expectation import Expectation, gate_threshold
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray, wrap_angle
 from data.sensors import Sensor
-
-ENOUGH = 4
-"""Sightings that make a landmark certain; people are mostly seen two or three times as the same one."""
-MOVED = 0.9999
-"""A landmark has moved if its mean innovation is outside this chi-square probability, 2 dof, ..."""
-RESTLESS = 0.99999
-"""... or the sum of its squared innovations outside this one, 2 dof for each."""
-UNLIKELY = 1e-3
-"""A landmark is not there if it was missed so often in a row that this had so small a probability; a certain one if it
-had the square of it."""
-WEIGHT = 2.0
-"""Misses that independent ones count for, in what is known of rows of them."""
-PLACE = 0.05
-"""In ranges of the sensor: from nearer places the view is the same, and what hides a landmark hides it still."""
-OTHERS = 2
-"""Pairings that it takes to judge another one: three coordinates of the pose are common to all of them."""
-SHADOW = math.radians(0.5)
-"""rad. What is nearer and within this angle may hide a landmark."""
 
 
 class Evidence(NamedTuple):
@@ -43,7 +25,7 @@ class Evidence(NamedTuple):
 
     seen: sightings, `looks` of them from different places; missed: places where it should have been seen and was not,
     `row` of them since the last sighting;
-    judged: sightings whose innovation others of the frame told; squares: the sum of these squared; pull (2,),
+    judged: sightings judged by others of their frame; squares: the sum of these squared; pull (2,),
     information (2, 2): these in the world, weighted, summed.
     """
 
@@ -57,8 +39,8 @@ class Evidence(NamedTuple):
     information: Array
 
 
-FOUNDED = Evidence(1, 1, 0, 0, 0, 0.0, np.zeros(2), np.zeros((2, 2)))
-"""Of a landmark that was founded just now."""
+INITIALIZED = Evidence(1, 1, 0, 0, 0, 0.0, np.zeros(2), np.zeros((2, 2)))
+"""Of a landmark that was initialized just now."""
 
 
 class Judgement(NamedTuple):
@@ -126,7 +108,8 @@ class Visibility(NamedTuple):
         """
         if not length:
             return 1.0
-        again = (self.missed_missed + WEIGHT * (1.0 - rate)) / (self.missed_missed + self.missed_seen + WEIGHT)
+        prior, missed = constants.INDEPENDENT_MISSES, self.missed_missed
+        again = (missed + prior * (1.0 - rate)) / (missed + self.missed_seen + prior)
         return (1.0 - rate) * max(again, 1.0 - rate) ** (length - 1)
 
 
@@ -136,8 +119,8 @@ def detection_rate(seen: int, missed: int) -> float:
 
 
 def certain(e: Evidence, v: Visibility) -> bool:
-    """Whether a landmark was seen as often as `ENOUGH` times in view would give, and at least twice."""
-    return e.seen >= max(2.0, ENOUGH * v.rate)
+    """Whether a landmark was seen as often as `CERTAIN` times in view would give, and at least twice."""
+    return e.seen >= max(constants.CERTAIN_AT_LEAST, constants.CERTAIN * v.rate)
 
 
 def verdict(e: Evidence, v: Visibility) -> str:
@@ -147,13 +130,13 @@ def verdict(e: Evidence, v: Visibility) -> str:
     """
     if e.judged:
         drift = float(e.pull @ np.linalg.solve(e.information, e.pull))
-        if drift > gate_threshold(MOVED) or e.squares > gate_threshold(RESTLESS, 2 * e.judged):
+        if drift > gate_threshold(constants.MOVED) or e.squares > gate_threshold(constants.RESTLESS, 2 * e.judged):
             return "moved"
     if certain(e, v):
         v = v.without(e.row)
         own = min(v.rate, detection_rate(e.looks, e.missed - e.row))
-        return "missed" if v.row(e.row, own) < UNLIKELY**2 else ""
-    return "missed" if v.row(e.row, v.rate) < UNLIKELY else ""
+        return "missed" if v.row(e.row, own) < constants.UNLIKELY**constants.UNLIKELY_POWER else ""
+    return "missed" if v.row(e.row, v.rate) < constants.UNLIKELY else ""
 
 
 def missing(e: Expectation, decisions: IntArray, sensor: Sensor) -> BoolArray:
@@ -164,7 +147,7 @@ def missing(e: Expectation, decisions: IntArray, sensor: Sensor) -> BoolArray:
     expected, seen = sensor.polar(e.z_hat), sensor.polar(e.z)
     sigma = SIGMAS * polar_sigma(sensor, e.z_hat, e.HPHt)
     inside = sensor.in_view(e.z_hat, margin_range=-sigma[:, 0], margin_angle=-sigma[:, 1])
-    before = np.abs(wrap_angle(seen[None, :, 1] - expected[:, None, 1])) < SHADOW
+    before = np.abs(wrap_angle(seen[None, :, 1] - expected[:, None, 1])) < constants.SHADOW
     hidden = (before & (seen[None, :, 0] < expected[:, None, 0])).any(axis=1)
     absent: BoolArray = inside & ~hidden & ~np.isin(e.number, decisions)
     return absent

@@ -10,6 +10,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from association.evidence import constants
+
 
 @dataclass(frozen=True)
 class Monitor:
@@ -25,12 +27,12 @@ class Monitor:
             `weight` observations.
     """
 
-    threshold: float = 14.0
-    lost_share: float = 0.4
-    lost_scale: float = 4.0
-    memory: float = 1000.0
-    start: tuple[float, float] = (0.9, 1.0)
-    weight: float = 50.0
+    threshold: float = constants.ALARM
+    lost_share: float = constants.LOST_SHARE
+    lost_scale: float = constants.LOST_SCALE
+    memory: float = constants.HEALTH_MEMORY
+    start: tuple[float, float] = constants.HEALTH_START
+    weight: float = constants.HEALTH_WEIGHT
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ def watch(monitor: Monitor, before: Health, offered: int, paired: int, nis: floa
     # one instant full of misfits is one piece of evidence: its errors are not independent
     r = monitor.lost_scale
     fit = 0.5 * (nis / max(before.scale, 1.0) * (1.0 - 1.0 / r) - dof * math.log(r))
-    misfit = before.misfit + min(fit, 0.5 * monitor.threshold)
+    misfit = before.misfit + min(fit, constants.MISFIT_MOST * monitor.threshold)
     unpaired, misfit = max(0.0, unpaired), max(0.0, misfit)
     after = replace(before, unpaired=unpaired, misfit=misfit)
     if max(unpaired, misfit) >= monitor.threshold:
@@ -91,10 +93,10 @@ def _against_strays(monitor: Monitor, before: Health, offered: int, left: int) -
     The lesser of two: the unpaired as a share of what is seen (binomial), and as a number that does not depend on how
     much is seen (Poisson: clutter). Which of them is right differs from log to log.
     """
-    share = min(max(before.share, 0.05), 0.99)
+    share = min(max(before.share, constants.HEALTH_SHARE_LEAST), constants.HEALTH_SHARE_MOST)
     binomial = (offered - left) * math.log(monitor.lost_share)
     binomial += left * math.log((1.0 - monitor.lost_share * share) / (1.0 - share))
-    usual = max(before.strays, 0.01 * offered)
+    usual = max(before.strays, constants.HEALTH_STRAYS_LEAST * offered)
     more = max(usual, (1.0 - monitor.lost_share * share) * offered)
     return min(binomial, left * math.log(more / usual) - (more - usual))
 

@@ -11,14 +11,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from association.evidence import constants
 from data.se2 import Array
-
-FREEDOM = 4.0
-"""Degrees of freedom of Student's t: its tails fall with d^-6; anything between 3 and 10 does as well."""
-MEMORY = 1000.0
-"""Innovations over which the scale is learned."""
-FINEST = 0.01
-"""The noise is not taken for less than this share (of variance) of what was stated."""
 
 
 class NoiseScale(NamedTuple):
@@ -28,7 +22,7 @@ class NoiseScale(NamedTuple):
     """
 
     scale: float = 1.0
-    weight: float = 10.0
+    weight: float = constants.NOISE_PRIOR
 
 
 STATED = NoiseScale()
@@ -40,7 +34,7 @@ def log_density(noise: NoiseScale, d2: float, log_det: float) -> float:
 
     Student's t in two dimensions with the scale matrix `noise.scale` times the stated covariance.
     """
-    tails = 0.5 * (FREEDOM + 2.0) * math.log1p(d2 / (FREEDOM * noise.scale))
+    tails = 0.5 * (constants.FREEDOM + 2.0) * math.log1p(d2 / (constants.FREEDOM * noise.scale))
     return -math.log(2.0 * math.pi * noise.scale) - 0.5 * log_det - tails
 
 
@@ -52,7 +46,7 @@ def learned(before: NoiseScale, d2: Array, share: Array) -> NoiseScale:
     total = float(share.sum())
     if total <= 0.0:
         return before
-    counts = (FREEDOM + 2.0) / (FREEDOM + d2 / before.scale)
-    weight = min(before.weight + total, max(MEMORY, total))
+    counts = (constants.FREEDOM + 2.0) / (constants.FREEDOM + d2 / before.scale)
+    weight = min(before.weight + total, max(constants.NOISE_MEMORY, total))
     scale = before.scale + (0.5 * float(share @ (counts * d2)) - total * before.scale) / weight
-    return NoiseScale(max(scale, FINEST), weight)
+    return NoiseScale(max(scale, constants.FINEST), weight)

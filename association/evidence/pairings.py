@@ -15,6 +15,7 @@ import numpy as np
 
 from association.expectation import Expectation, SingularInnovationError, gate_threshold
 from association.jcbb import BUDGET, search
+from data.blocks import add_to_diagonal, diagonal_blocks, of_points
 from data.inputs import IntArray
 from data.result import DISCARD, NEW
 from data.se2 import Array
@@ -43,8 +44,7 @@ def pairs_of(e: Expectation, decisions: IntArray) -> tuple[IntArray, IntArray]:
 def _joint_innovation(e: Expectation, rows: IntArray, chosen: IntArray) -> tuple[Array, Array]:
     """Innovation (2k,) of pairings and its covariance (2k, 2k)."""
     S = e.joint(chosen)
-    for i, R in enumerate(e.R[rows]):
-        S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += R
+    add_to_diagonal(S, e.R[rows])
     return e.residual(e.z[rows], e.z_hat[chosen]).ravel(), S
 
 
@@ -65,7 +65,7 @@ def alone(e: Expectation, rows: IntArray, chosen: IntArray) -> Alone:
             f"the joint innovation covariance of landmarks {e.number[chosen].tolist()} is singular"
         ) from None
     W = L.T @ L
-    information = W.reshape(k, 2, k, 2)[np.arange(k), :, np.arange(k), :]
+    information = diagonal_blocks(W)
     return Alone(np.linalg.solve(information, (W @ nu).reshape(k, 2, 1))[..., 0], information)
 
 
@@ -97,12 +97,10 @@ def given(e: Expectation, decisions: IntArray, candidates: IntArray) -> Expectat
     P = 0.5 * (P + P.T)
 
     def joint(indices: IntArray) -> Array:
-        index = (2 * np.asarray(indices, np.int64)[:, None] + np.arange(2)).ravel()
-        block: Array = P[np.ix_(index, index)]
-        return block
+        return of_points(P, indices)
 
-    blocks = P.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
-    return replace(few, z_hat=few.z_hat + (gain @ nu).reshape(n, 2), HPHt=blocks, joint=joint, elsewhere=None)
+    z_hat = few.z_hat + (gain @ nu).reshape(n, 2)
+    return replace(few, z_hat=z_hat, HPHt=diagonal_blocks(P), joint=joint, elsewhere=None)
 
 
 def jcbb_hindsight(
@@ -111,7 +109,7 @@ def jcbb_hindsight(
     """Decisions (m,) of a frame, and whether the search came to its end.
 
     JCBB inside the outer gate, where a common error does not hide the landmarks; then every pairing must pass `gate`
-    given the others; and an unpaired observation founds a landmark only if it is outside `new_gate` of every other,
+    given the others; and an unpaired observation is a new landmark only if it is outside `new_gate` of every other,
     given the pairings (`NEW`; else `DISCARD`). Without one of the gates the search has the inner one.
     """
     outer = gate if gate is None or new_gate is None else max(gate, new_gate)

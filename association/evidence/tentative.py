@@ -1,8 +1,8 @@
 """Sightings that may be of a new landmark, put off until several agree.
 
-What lies outside a landmark's usual spread but inside what the stated noise allows is a new landmark beside it, or the
-landmark itself after the robot slipped. The next sightings tell: after a slip, no landmark is where it is expected
-until the pose is right again; beside a new landmark, the others stay where they are.
+What lies outside a landmark's usual spread but inside what the stated noise allows is a new landmark next to it, or
+the landmark itself after the robot slipped. The next sightings tell: after a slip, no landmark is where it is expected
+until the pose is right again; next to a new landmark, the others stay where they are.
 """
 
 from __future__ import annotations
@@ -12,21 +12,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from association.evidence import constants
 from association.expectation import gate_threshold
 from data.se2 import Array
 
-AGREE = 3
-"""Sightings that must agree with each other, and with no landmark."""
-GATE = 0.99
-"""Chi-square probability, 2 dof, inside which two sightings agree, by the stated noise of the sensor."""
-
 
 class Sighting(NamedTuple):
-    """Place (2,) [m] in the world, its covariance (2, 2) by the sensor alone, the way [m] travelled until then."""
+    """Place (2,) [m] in the world, its covariance (2, 2) by the sensor alone, the distance travelled [m] until then."""
 
     xy: Array
     covariance: Array
-    way: float
+    travelled: float
 
     def distance(self, other: Sighting) -> float:
         """Squared Mahalanobis distance to another one."""
@@ -55,16 +51,16 @@ class Tentative:
         """Another such sighting; whether it is a new landmark by now.
 
         `pairings` so far in the run: one between the first sighting and this one says that the pose is right. A place
-        is forgotten `reach` [m] of way after its last sighting.
+        is forgotten after `reach` [m] travelled since its last sighting.
         """
-        self._places = [p for p in self._places if sighting.way - p.last.way <= reach]
-        self._doubts = [d for d in self._doubts if sighting.way - d.way <= reach]
+        self._places = [p for p in self._places if sighting.travelled - p.last.travelled <= reach]
+        self._doubts = [d for d in self._doubts if sighting.travelled - d.travelled <= reach]
         near = min(self._places, key=lambda p: p.last.distance(sighting), default=None)
-        if near is None or near.last.distance(sighting) >= gate_threshold(GATE):
+        if near is None or near.last.distance(sighting) >= gate_threshold(constants.AGREE_GATE):
             self._places.append(_Place(sighting, 1, pairings))
             return False
         near.last, near.times = sighting, near.times + 1
-        if near.times < AGREE or pairings <= near.pairings:
+        if near.times < constants.AGREE or pairings <= near.pairings:
             return False
         self._places.remove(near)
         return True
@@ -74,7 +70,7 @@ class Tentative:
         self._doubts.append(sighting)
 
     def settle(self, sighting: Sighting) -> int:
-        """A landmark was founded there: how many were counted that are its own; they are forgotten."""
-        own = [d for d in self._doubts if d.distance(sighting) < gate_threshold(GATE)]
+        """A landmark was initialized there: how many were counted that are its own; they are forgotten."""
+        own = [d for d in self._doubts if d.distance(sighting) < gate_threshold(constants.AGREE_GATE)]
         self._doubts = [d for d in self._doubts if not any(d is o for o in own)]
         return len(own)

@@ -1,9 +1,9 @@
-"""Constellations: the same landmarks founded twice, recognized by how they stand to each other.
+"""Constellations: the same landmarks initialized twice, recognized by how they stand to each other.
 
-With one or two observations a frame a single one says little after a long way: the pose is uncertain, and several old
-landmarks are inside its gate. What was founded since the robot came back is a window over the last few dozen frames,
-and together it fits the old map in one way or in none: every pair of new landmarks laid onto a pair of old ones gives a
-place, the others vote for it (geometric consensus), and the places that most agree with are compared.
+With one or two observations a frame a single one says little after a long drive: the pose is uncertain, and several old
+landmarks are inside its gate. What was initialized since the robot came back is a window over the last few dozen
+frames, and together it fits the old map in one way or in none: every pair of new landmarks laid onto a pair of old ones
+gives a place, the others vote for it (geometric consensus), and the places that most agree with are compared.
 """
 
 from __future__ import annotations
@@ -14,25 +14,13 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
+from association.evidence import constants
 from association.expectation import gate_threshold
 from association.geometry.relocalize import distance_sigmas
 from data import se2
+from data.blocks import blocks_of, coordinates, diagonal_blocks, of_points
 from data.inputs import IntArray
-from data.mrclam.first_fix import rigid_fit
 from data.se2 import Array, BoolArray
-
-SIGMAS = 3.0
-"""Distances agree within so many standard deviations."""
-KEPT = 200
-"""Places that are compared."""
-ODDS = 100.0
-"""The best place must be so many times as likely as the second, by the number of landmarks that agree with each."""
-GATE = 0.9999
-"""Chi-square probability of the joint test of all that are taken for the same."""
-ALONE = 0.999
-"""Chi-square probability of each of them, given the others."""
-FEWEST = 4
-"""Landmarks that a place needs; two are laid on each other, so two more must agree."""
 
 
 class Landmarks(NamedTuple):
@@ -47,12 +35,9 @@ def squared_distances(new: Landmarks, old: Landmarks, cross: Array) -> tuple[Arr
 
     `cross` (2m, 2n) is the covariance between both.
     """
-    m, n = len(new.xy), len(old.xy)
-    here = new.covariance.reshape(m, 2, m, 2)[np.arange(m), :, np.arange(m), :]
-    there = old.covariance.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
-    both = cross.reshape(m, 2, n, 2).transpose(0, 2, 1, 3)
+    here, there, both = diagonal_blocks(new.covariance), diagonal_blocks(old.covariance), blocks_of(cross)
     # a landmark compared with itself has no uncertainty
-    D = here[:, None] + there[None] - both - both.transpose(0, 1, 3, 2) + 1e-12 * np.eye(2)
+    D = here[:, None] + there[None] - both - both.transpose(0, 1, 3, 2) + constants.POINT_VARIANCE * np.eye(2)
     nu = new.xy[:, None] - old.xy[None]
     d2: Array = np.einsum("mni,mni->mn", nu, np.linalg.solve(D, nu[..., None])[..., 0])
     det: Array = np.linalg.det(D)
@@ -68,7 +53,13 @@ def spread(landmarks: Landmarks) -> Array:
 
 
 def recognize(
-    new: Landmarks, old: Landmarks, cross: Array, allowed: BoolArray, crowd: float, max_turn: float, scale: float = 1.0
+    new: Landmarks,
+    old: Landmarks,
+    cross: Array,
+    allowed: BoolArray,
+    density: float,
+    max_turn: float,
+    scale: float = 1.0,
 ) -> list[tuple[int, int]]:
     """New landmarks (indices) that are old ones, [(new, old), ...]; none where no place stands out.
 
@@ -77,58 +68,63 @@ def recognize(
         old: n landmarks.
         cross: (2m, 2n) covariance between both.
         allowed: (m, n) pairs that may be the same by themselves.
-        crowd: landmarks per square metre in the old map.
+        density: landmarks per square metre in the old map.
         max_turn: rad, by which the new ones may be turned.
         scale: share of the stated variance that there is in the distances between landmarks.
     """
-    if len(new.xy) < FEWEST:
+    if len(new.xy) < constants.CONSTELLATION_FEWEST:
         return []
     sides = np.flatnonzero(allowed.any(axis=0))
-    if len(sides) < FEWEST:
+    if len(sides) < constants.CONSTELLATION_FEWEST:
         return []
-    tolerance = SIGMAS * math.sqrt(scale) * np.hypot(spread(new)[:, None], spread(old)[sides][None])
+    tolerance = constants.DISTANCE_SIGMAS * math.sqrt(scale) * np.hypot(spread(new)[:, None], spread(old)[sides][None])
     choices, counts, misfit = _vote(
         np.ascontiguousarray(new.xy), np.ascontiguousarray(old.xy[sides]), np.ascontiguousarray(allowed[:, sides]),
-        tolerance, max_turn, KEPT,
+        tolerance, max_turn,
+        constants.CONSTELLATION_LONG, constants.CONSTELLATION_VOTES, constants.CONSTELLATION_KEPT,
     )  # fmt: skip
     if not len(choices):
         return []
     order = np.lexsort((misfit, -counts))
     best = choices[order[0]]
     paired = best >= 0
-    second = 2
+    second = constants.CONSTELLATION_SECOND
     for other in order[1:]:
-        if np.sum((choices[other] == best) & paired) <= 1:
+        if np.sum((choices[other] == best) & paired) <= constants.CONSTELLATION_SHARED:
             second = max(second, int(counts[other]))
             break
-    chance = min(0.5, crowd * math.pi * float(np.max(tolerance[paired, best[paired]])) ** 2)
-    if paired.sum() < FEWEST or (paired.sum() - second) * -math.log(max(chance, 1e-9)) < math.log(ODDS):
+    chance = min(constants.CHANCE_MOST, density * math.pi * float(np.max(tolerance[paired, best[paired]])) ** 2)
+    log_odds = (paired.sum() - second) * -math.log(max(chance, constants.CHANCE_LEAST))
+    if paired.sum() < constants.CONSTELLATION_FEWEST or log_odds < math.log(constants.CONSTELLATION_ODDS):
         return []
     i, j = np.flatnonzero(paired), sides[best[paired]]
     # a neighbour just as near leaves open which of both it is
-    xy = se2.transform_points(rigid_fit(new.xy[i], old.xy[j]), new.xy)
+    xy = se2.transform_points(se2.rigid_fit(new.xy[i], old.xy[j]), new.xy)
     near = np.hypot(*(xy[:, None] - old.xy[sides][None]).transpose(2, 0, 1)) < tolerance
     sure = (near[i].sum(axis=1) == 1) & (near[:, best[paired]].sum(axis=0) == 1)
     kept = _agreeing(new, old, cross, i[sure], j[sure])
-    return [] if len(kept[0]) < FEWEST else list(zip(kept[0].tolist(), kept[1].tolist(), strict=True))
+    return (
+        []
+        if len(kept[0]) < constants.CONSTELLATION_FEWEST
+        else list(zip(kept[0].tolist(), kept[1].tolist(), strict=True))
+    )
 
 
 def _agreeing(new: Landmarks, old: Landmarks, cross: Array, i: IntArray, j: IntArray) -> tuple[IntArray, IntArray]:
     """Those of new landmarks i (k,) and old ones j (k,) that can be the same, with all their correlations.
 
-    Worst first, a pair that the others contradict is left out (`ALONE`); the rest must pass the joint test (`GATE`).
+    Worst first, a pair that the others contradict is left out (`CONSTELLATION_ALONE`); the rest must pass the joint
+    test (`CONSTELLATION_GATE`).
     """
-    while len(i) >= FEWEST:
-        a, b = ((2 * at[:, None] + np.arange(2)).ravel() for at in (i, j))
-        both = cross[np.ix_(a, b)]
-        W = np.linalg.inv(new.covariance[np.ix_(a, a)] + old.covariance[np.ix_(b, b)] - both - both.T)
+    while len(i) >= constants.CONSTELLATION_FEWEST:
+        both = cross[np.ix_(coordinates(i), coordinates(j))]
+        W = np.linalg.inv(of_points(new.covariance, i) + of_points(old.covariance, j) - both - both.T)
         nu = (new.xy[i] - old.xy[j]).ravel()
         # each difference given the others: blocks of the inverse, see `association.evidence.pairings.alone`
-        weighed, k = (W @ nu).reshape(-1, 2), np.arange(len(i))
-        blocks = W.reshape(len(i), 2, len(i), 2)[k, :, k, :]
-        alone = np.einsum("ka,ka->k", weighed, np.linalg.solve(blocks, weighed[..., None])[..., 0])
-        if alone.max() < gate_threshold(ALONE):
-            if float(nu @ W @ nu) < gate_threshold(GATE, len(nu)):
+        weighed = (W @ nu).reshape(-1, 2)
+        alone = np.einsum("ka,ka->k", weighed, np.linalg.solve(diagonal_blocks(W), weighed[..., None])[..., 0])
+        if alone.max() < gate_threshold(constants.CONSTELLATION_ALONE):
+            if float(nu @ W @ nu) < gate_threshold(constants.CONSTELLATION_GATE, len(nu)):
                 return i, j
             break
         i, j = np.delete(i, alone.argmax()), np.delete(j, alone.argmax())
@@ -136,7 +132,7 @@ def _agreeing(new: Landmarks, old: Landmarks, cross: Array, i: IntArray, j: IntA
 
 
 @numba.njit(cache=True)
-def _vote(x, y, allowed, tolerance, max_turn, kept):  # type: ignore[no-untyped-def]
+def _vote(x, y, allowed, tolerance, max_turn, long, fewest, kept):  # type: ignore[no-untyped-def]
     """Lay every pair of points x (m, 2) onto every allowed pair of y (n, 2); the other points vote, nearest first.
 
     Returns the best `kept` assignments (h, m), -1 for none, with their number of pairings and sum of squared misfits.
@@ -151,14 +147,14 @@ def _vote(x, y, allowed, tolerance, max_turn, kept):  # type: ignore[no-untyped-
                 continue
             for k in range(i + 1, m):
                 dx, dy = x[k, 0] - x[i, 0], x[k, 1] - x[i, 1]
-                long = math.hypot(dx, dy)
+                apart = math.hypot(dx, dy)
                 for b in range(n):
                     if b == a or not allowed[k, b]:
                         continue
                     reach = math.hypot(tolerance[i, a], tolerance[k, b])
                     ex, ey = y[b, 0] - y[a, 0], y[b, 1] - y[a, 1]
                     # a short pair says nothing about the turn
-                    if long < 1.5 * reach or abs(math.hypot(ex, ey) - long) > reach:
+                    if apart < long * reach or abs(math.hypot(ex, ey) - apart) > reach:
                         continue
                     turn = math.atan2(dx * ey - dy * ex, dx * ex + dy * ey)
                     if abs(turn) > max_turn:
@@ -183,7 +179,7 @@ def _vote(x, y, allowed, tolerance, max_turn, kept):  # type: ignore[no-untyped-
                             taken[choice[t]] = True
                             votes += 1
                             total += least
-                    if votes < 3:
+                    if votes < fewest:
                         continue
                     same = -1
                     for z in range(h):

@@ -11,16 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from association.evidence import constants
 from association.expectation import gate_threshold
 from data import se2
+from data.blocks import add_to_diagonal, coordinates, diagonal_blocks, of_points
 from data.inputs import Increment, IntArray, Sightings
 from data.se2 import Array
 from data.sensors import Sensor
-
-FADED = 1.0
-"""m; a point known worse than this is left behind."""
-SAME = 0.99
-"""Chi-square probability inside which a sighting is of a point that the scan has already."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +37,7 @@ EMPTY = Scan(np.empty((0, 2)), np.empty((0, 0)), ())
 
 
 def moved(scan: Scan, increment: Increment) -> Scan:
-    """The scan in the body frame after an increment, without the points that are too uncertain by now (see `FADED`)."""
+    """The scan in the body frame after an increment, without the points that are too uncertain by now (`FADED`)."""
     if not len(scan):
         return scan
     n, (mean, M) = len(scan), increment
@@ -50,34 +47,25 @@ def moved(scan: Scan, increment: Increment) -> Scan:
     B[:, :2] = np.tile(-turn, (n, 1))
     B[0::2, 2], B[1::2, 2] = xy[:, 1], -xy[:, 0]
     whole = Scan(xy, A @ scan.covariance @ A.T + B @ M @ B.T, scan.rows)
-    clear = np.flatnonzero(_variance(whole) < FADED**2)
+    clear = np.flatnonzero(_variance(whole) < constants.FADED**2)
     if len(clear) == n:
         return whole
-    at = (2 * clear[:, None] + np.arange(2)).ravel()
-    return Scan(xy[clear], whole.covariance[np.ix_(at, at)], tuple(whole.rows[i] for i in clear))
-
-
-def body_points(sensor: Sensor, sightings: Sightings) -> tuple[Array, Array]:
-    """Sightings as points (m, 2) of the body frame with covariances (m, 2, 2)."""
-    xy, _, Gz = sensor.inverse(np.zeros(3), sightings.z)
-    covariance: Array = Gz @ sightings.R @ Gz.transpose(0, 2, 1)
-    return xy, covariance
+    return Scan(xy[clear], of_points(whole.covariance, clear), tuple(whole.rows[i] for i in clear))
 
 
 def extended(scan: Scan, sensor: Sensor, sightings: Sightings, rows: IntArray) -> Scan:
     """The scan with a frame's sightings (m), whose rows of the log are `rows` (m,).
 
-    A sighting of a point that is there already (nearest first, one to one, d^2 inside `SAME`) corrects the scan; any
-    other is a new point.
+    A sighting of a point that is there already (nearest first, one to one, d^2 inside `SAME_POINT`) corrects the scan;
+    any other is a new point.
     """
-    xy, R = body_points(sensor, sightings)
+    xy, R = sensor.body_points(*sightings)
     n, old = len(scan), _pairs(scan, xy, R)
     mean, P, seen = scan.xy.ravel().copy(), scan.covariance, [list(r) for r in scan.rows]
     if old:
-        at = np.array([2 * j + a for _, j in old for a in (0, 1)])
+        at = coordinates(np.array([j for _, j in old]))
         S = P[np.ix_(at, at)].copy()
-        for q, (i, _) in enumerate(old):
-            S[2 * q : 2 * q + 2, 2 * q : 2 * q + 2] += R[i]
+        add_to_diagonal(S, R[[i for i, _ in old]])
         nu = np.concatenate([xy[i] - scan.xy[j] for i, j in old])
         K = np.linalg.solve(S, P[at]).T
         mean = mean + K @ nu
@@ -100,11 +88,11 @@ def _pairs(scan: Scan, xy: Array, R: Array) -> list[tuple[int, int]]:
     if not len(scan):
         return []
     n = len(scan)
-    blocks = scan.covariance.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
+    blocks = diagonal_blocks(scan.covariance)
     nu = xy[:, None] - scan.xy[None]
     S = blocks[None] + R[:, None]
     d2 = np.einsum("mna,mna->mn", nu, np.linalg.solve(S, nu[..., None])[..., 0])
-    pairs, threshold = [], gate_threshold(SAME)
+    pairs, threshold = [], gate_threshold(constants.SAME_POINT)
     while d2.size and d2.min() < threshold:
         i, j = divmod(int(np.argmin(d2)), n)
         pairs.append((i, j))

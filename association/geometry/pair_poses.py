@@ -11,72 +11,52 @@ import math
 import numba
 import numpy as np
 
+from association.evidence import constants
 from association.expectation import Expectation, gate_threshold
 from association.geometry.relocalize import distance_sigmas
+from data.blocks import block_diagonal
 from data.inputs import IntArray
 from data.se2 import Array
 from data.sensors import Sensor
-
-FEWEST = 3
-"""Pairings that a place needs."""
-POINTS = 12
-"""Observations that poses are made from, the surest."""
-ALLOWED = 0.9999
-"""Chi-square probability (3 dof) of the motion inside which poses are looked for."""
-LIMIT = 12
-"""Different pairings that are handed over."""
-KEPT = 20_000
-"""Poses that a frame may give."""
-
-
-def body_points(sensor: Sensor, z: Array, P: Array) -> tuple[Array, Array]:
-    """Measurements (n, 2) with covariances (n, 2, 2) as points of the body frame."""
-    xy, _, G = sensor.inverse(np.zeros(3), z)
-    return xy, G @ P @ G.transpose(0, 2, 1)
 
 
 def candidates(e: Expectation, sensor: Sensor, motion: Array) -> list[tuple[float, IntArray]]:
     """Different pairings (m,), candidate of each observation or -1, that poses allowed by the motion make.
 
-    Each with its squared distance from the predicted motion; those with most pairs first, `LIMIT` at most.
+    Each with its squared distance from the predicted motion; those with most pairs first, `FRAME_PAIRINGS` at most.
     """
-    seen, R = body_points(sensor, e.z, e.R)
+    seen, R = sensor.body_points(e.z, e.R)
     there, _, G = sensor.inverse(np.zeros(3), e.z_hat)
     every = np.arange(len(there))
     variance = np.trace(R, axis1=1, axis2=2)
-    surest = np.sort(np.argsort(variance, kind="stable")[:POINTS])
+    surest = np.sort(np.argsort(variance, kind="stable")[: constants.FRAME_POINTS])
     pairings, d2, count = _poses(
-        seen, np.sqrt(variance), distance_sigmas(seen, _diagonal(R)), surest,
-        there, distance_sigmas(there, _diagonal(G) @ e.joint(every) @ _diagonal(G).T),
-        np.linalg.inv(motion), gate_threshold(ALLOWED, 3), FEWEST, KEPT,
+        seen, np.sqrt(variance), distance_sigmas(seen, block_diagonal(R)), surest,
+        there, distance_sigmas(there, block_diagonal(G) @ e.joint(every) @ block_diagonal(G).T),
+        np.linalg.inv(motion), gate_threshold(constants.MOTION_GATE, 3),
+        constants.DISTANCE_SIGMAS, constants.LONG_PAIR, constants.PLACE_PAIRINGS, constants.FRAME_POSES,
     )  # fmt: skip
     kept: list[tuple[float, IntArray]] = []
     for c in np.lexsort((d2[:count], -(pairings[:count] >= 0).sum(axis=1))).tolist():
         choice = pairings[c]
         paired = choice >= 0
-        if all(2 * (k[paired] == choice[paired]).sum() <= paired.sum() for _, k in kept):
+        if all((k[paired] == choice[paired]).sum() <= constants.FRAME_ALIKE * paired.sum() for _, k in kept):
             kept.append((float(d2[c]), choice))
-        if len(kept) == LIMIT:
+        if len(kept) == constants.FRAME_PAIRINGS:
             break
     return kept
 
 
-def _diagonal(blocks: Array) -> Array:
-    """Matrix (2n, 2n) with these blocks (n, 2, 2) on its diagonal."""
-    n = len(blocks)
-    whole = np.zeros((n, 2, n, 2))
-    whole[np.arange(n), :, np.arange(n), :] = blocks
-    return whole.reshape(2 * n, 2 * n)
-
-
 @numba.njit(cache=True)
-def _poses(seen, sigma, seen_sigma, surest, there, there_sigma, information, threshold, fewest, kept):  # type: ignore[no-untyped-def]
+def _poses(  # type: ignore[no-untyped-def]
+    seen, sigma, seen_sigma, surest, there, there_sigma, information, threshold, sigmas, long, fewest, kept
+):  # fmt: skip
     """Poses (x, y, a) with there = R(a) seen + (x, y) that two pairs of points give, and what they pair.
 
     seen (m, 2) of standard deviations (m,), seen_sigma (m, m) those of their distances; there (n, 2), there_sigma
-    (n, n). Of the observations `surest` pairs at least half as far apart as the farthest. Returns the pairings (kept,
-    m), nearest within 3 sigma or -1, the squared distance (kept,) of each pose by `information` (3, 3), which is below
-    `threshold`, and how many there are, of at least `fewest` pairs each.
+    (n, n). Of the observations `surest` pairs at least `long` times as far apart as the farthest. Returns the pairings
+    (kept, m), nearest within `sigmas` or -1, the squared distance (kept,) of each pose by `information`
+    (3, 3), which is below `threshold`, and how many there are, of at least `fewest` pairs each.
     """
     m, n = len(seen), len(there)
     pairings, distance, count = np.full((kept, m), -1, np.int64), np.empty(kept), 0
@@ -88,12 +68,12 @@ def _poses(seen, sigma, seen_sigma, surest, there, there_sigma, information, thr
         for j in surest:
             dx, dy = seen[j, 0] - seen[i, 0], seen[j, 1] - seen[i, 1]
             d = math.hypot(dx, dy)
-            if j <= i or 2.0 * d < longest or d == 0.0:
+            if j <= i or d < long * longest or d == 0.0:
                 continue
             for a in range(n):
                 for b in range(n):
                     ex, ey = there[b, 0] - there[a, 0], there[b, 1] - there[a, 1]
-                    tolerance = 3.0 * math.sqrt(seen_sigma[i, j] ** 2 + there_sigma[a, b] ** 2)
+                    tolerance = sigmas * math.sqrt(seen_sigma[i, j] ** 2 + there_sigma[a, b] ** 2)
                     if a == b or abs(math.hypot(ex, ey) - d) > tolerance:
                         continue
                     angle = math.atan2(dx * ey - dy * ex, dx * ex + dy * ey)
@@ -112,7 +92,7 @@ def _poses(seen, sigma, seen_sigma, surest, there, there_sigma, information, thr
                         # the heading is as uncertain as the two points are, across, at their distance
                         lever = math.hypot(seen[k, 0] - mx, seen[k, 1] - my) / d
                         own = there_sigma[a, b] ** 2 + sigma[i] ** 2 + sigma[j] ** 2
-                        nearest = 9.0 * (sigma[k] ** 2 + own * (0.5 + lever * lever))
+                        nearest = sigmas**2 * (sigma[k] ** 2 + own * (0.5 + lever * lever))
                         pairings[count, k] = -1
                         for o in range(n):
                             ox, oy = there[o, 0] - px, there[o, 1] - py

@@ -19,22 +19,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from association.evidence import constants
 from association.evidence.landmarks import missing
 from association.evidence.pairings import given, pairs_of, prune, settled
 from association.expectation import Expectation, gate_threshold
-from association.geometry.pair_poses import FEWEST, body_points, candidates
+from association.geometry.pair_poses import candidates
 from association.jcbb import search
 from data import se2
 from data.inputs import Increment, IntArray
-from data.mrclam.first_fix import rigid_fit
 from data.result import NEW
 from data.se2 import Array
 from data.sensors import Sensor
-
-SIGMAS = 3.0
-"""What is in reach, by so many standard deviations."""
-SLACK = 0.5
-"""Pairings are verified as long as their motion, which a fit to all of them changes so much, may beat the best one."""
 
 
 class Memory(NamedTuple):
@@ -84,7 +79,7 @@ def too_uncertain(e: Expectation, sensor: Sensor, motion: Array) -> bool:
     """
     if not len(e.z):
         return False
-    xy, R = body_points(sensor, e.z, e.R)
+    xy, R = sensor.body_points(e.z, e.R)
     turn, shift = motion[2, 2], math.sqrt(motion[0, 0] + motion[1, 1])
     left_out = 0.5 * math.sqrt(3.0) * turn * np.hypot(*xy.T) + shift * math.sqrt(turn)
     return bool(np.median(left_out - np.linalg.det(R) ** 0.25) > 0.0)
@@ -113,16 +108,16 @@ def place(
         motion: (3, 3) its covariance relative to what is mapped, in the predicted body frame.
         memory: of the frames before.
         gate: chi-square probability of a pairing given the others of its frame.
-        new_gate: the one outside which an unpaired observation founds a landmark.
+        new_gate: the one outside which an unpaired observation is a new landmark.
     """
     near = _near(e, sensor, motion)
-    if min(len(near), len(e.z)) < FEWEST:
+    if min(len(near), len(e.z)) < constants.PLACE_PAIRINGS:
         return None
     e, memory = e.only(near), memory._replace(rate=memory.rate[near])
     outer = gate if gate is None or new_gate is None else max(gate, new_gate)
     best: Placed | None = None
     for d2, choice in sorted(candidates(e, sensor, motion), key=lambda c: c[0]):
-        if best is not None and best.score > SLACK - 0.5 * d2:
+        if best is not None and best.score > constants.FIT_SLACK - 0.5 * d2:
             break
         found = _verified(e, sensor, predicted, motion, choice, memory, outer)
         if found is not None and (best is None or found.score > best.score):
@@ -137,7 +132,7 @@ def _near(e: Expectation, sensor: Sensor, motion: Array) -> IntArray:
     """Candidates (k,) no farther away than what is seen farthest, however the robot moved."""
     seen, there = sensor.polar(e.z)[:, 0], sensor.inverse(np.zeros(3), e.z_hat)[0]
     lever = math.hypot(*sensor.translation)
-    reach = float(seen.max(initial=0.0)) + lever + SIGMAS * math.sqrt(motion[0, 0] + motion[1, 1])
+    reach = float(seen.max(initial=0.0)) + lever + constants.REACH_SIGMAS * math.sqrt(motion[0, 0] + motion[1, 1])
     near: IntArray = np.flatnonzero(np.hypot(*there.T) < reach)
     return near
 
@@ -153,19 +148,19 @@ def _verified(
 ) -> Placed | None:
     """The place that a pairing (m,) leads to, its decisions those of all pairings; None if they do not hold."""
     assert e.elsewhere is not None  # the caller's promise
-    xy, R = body_points(sensor, e.z, e.R)
+    xy, R = sensor.body_points(e.z, e.R)
     landmarks, every = sensor.inverse(predicted, e.z_hat)[0], np.arange(len(e.number))
     decisions = np.where(choice >= 0, e.number[choice], NEW)
-    for _ in range(2):
+    for _ in range(constants.VERIFY_ROUNDS):
         rows, chosen = pairs_of(e, decisions)
-        if len(rows) < FEWEST:
+        if len(rows) < constants.PLACE_PAIRINGS:
             return None
-        pose = rigid_fit(xy[rows], landmarks[chosen])
+        pose = se2.rigid_fit(xy[rows], landmarks[chosen])
         here = e.elsewhere(pose)
         decisions = _clear(given(here, prune(here, decisions, gate), every), decisions, gate)
         decisions = prune(here, _more(given(here, decisions, every), decisions, gate), gate)
     rows, chosen = pairs_of(e, decisions)
-    if len(rows) < FEWEST:
+    if len(rows) < constants.PLACE_PAIRINGS:
         return None
     nis, dof, _ = here.innovation_statistics(rows, chosen)
     if nis >= gate_threshold(gate, dof):
@@ -185,7 +180,7 @@ def _clear(believed: Expectation, decisions: IntArray, gate: float | None) -> In
     near = believed.individual_distances() < gate_threshold(gate)
     rows, chosen = pairs_of(believed, decisions)
     clear = (near[rows].sum(axis=1) == 1) & (near[:, chosen].sum(axis=0) == 1) & near[rows, chosen]
-    if clear.sum() < FEWEST:
+    if clear.sum() < constants.PLACE_PAIRINGS:
         return decisions
     left = np.full(len(decisions), NEW, np.int64)
     left[rows[clear]] = decisions[rows[clear]]
@@ -209,7 +204,7 @@ def _more(believed: Expectation, decisions: IntArray, gate: float | None) -> Int
 def _in_view_before(sensor: Sensor, pose: Array, xy: Array, R: Array, seen_from: Sequence[Array]) -> int:
     """How many points (k, 2) seen from a pose (3,) had been well in view before, by 3 sigma."""
     world = se2.transform_points(pose, xy)
-    sigma = SIGMAS * np.sqrt(np.trace(R, axis1=1, axis2=2))
+    sigma = constants.REACH_SIGMAS * np.sqrt(np.trace(R, axis1=1, axis2=2))
     before = np.zeros(len(xy), np.bool_)
     for past in seen_from:
         z = sensor.predict(past, world)

@@ -13,31 +13,13 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
+from association.evidence import constants
 from association.expectation import gate_threshold
 from association.geometry.local_map import Scan, surest
 from data import se2
+from data.blocks import blocks_of, of_points
 from data.inputs import IntArray, LandmarkMap
-from data.mrclam.first_fix import rigid_fit
 from data.se2 import Array
-
-POINTS = 12
-"""Points of a scan that are used, the surest: a complete search over more takes too long."""
-FEWEST = 3
-"""Pairings that a place needs."""
-SHARE = 0.7
-"""Of the points must be paired."""
-ODDS = 1000.0
-"""The place must be this many times as likely as any other."""
-STRAY = 0.01
-"""Prior probability that a point is no landmark of the map."""
-SLACK = 1
-"""Hypotheses with so many pairings less than the best are verified, too."""
-KEPT = 2000
-"""Hypotheses that a search may hand over; a scan that fits in more ways is ambiguous."""
-BUDGET = 3_000_000
-"""Nodes that a search may visit: about half a second."""
-SIGMAS = 3.0
-"""Distances agree within so many standard deviations."""
 
 
 class Place(NamedTuple):
@@ -58,7 +40,7 @@ class _Fit(NamedTuple):
     score: float
 
 
-def relocalize(scan: Scan, known: LandmarkMap, gate: float = 0.99) -> Place | None:
+def relocalize(scan: Scan, known: LandmarkMap, gate: float = constants.RELOCALIZE_GATE) -> Place | None:
     """The place in a known map at which the scan was taken, or None if there is none, or more than one.
 
     It presumes that the map holds what is seen there: in a place that is not mapped, few points may fit elsewhere.
@@ -71,15 +53,15 @@ def relocalize(scan: Scan, known: LandmarkMap, gate: float = 0.99) -> Place | No
     Returns:
         The place, all pairings inside the gate jointly; None also where the search could not be completed.
     """
-    used = surest(scan, POINTS)
-    m, fewest = len(used), max(FEWEST, math.ceil(SHARE * len(used)))
-    if m < FEWEST or len(known.id) < FEWEST:
+    used = surest(scan, constants.SCAN_POINTS)
+    m, fewest = len(used), max(constants.PLACE_PAIRINGS, math.ceil(constants.SCAN_SHARE * len(used)))
+    if m < constants.PLACE_PAIRINGS or len(known.id) < constants.PLACE_PAIRINGS:
         return None
     xy = np.ascontiguousarray(scan.xy[used])
-    at = (2 * used[:, None] + np.arange(2)).ravel()
-    P = scan.covariance[np.ix_(at, at)]
+    P = of_points(scan.covariance, used)
     choices, complete = _search(
-        xy, SIGMAS * distance_sigmas(xy, P), np.array(known.xy), fewest, SLACK, KEPT, BUDGET
+        xy, constants.DISTANCE_SIGMAS * distance_sigmas(xy, P), np.array(known.xy), fewest,
+        constants.SEARCH_SLACK, constants.SEARCH_KEPT, constants.SEARCH_BUDGET,
     )  # fmt: skip
     if not complete or not len(choices):
         return None
@@ -94,7 +76,7 @@ def relocalize(scan: Scan, known: LandmarkMap, gate: float = 0.99) -> Place | No
     best, choice = max(fits, key=lambda f: f[0].score)
     others = [f.score for f, _ in fits if not _same(best, f)]
     log_odds = best.score - max(others, default=-math.inf)
-    if log_odds < math.log(ODDS):
+    if log_odds < math.log(constants.SCAN_ODDS):
         return None
     pairings = np.full(len(scan), -1, np.int64)
     pairings[used[choice >= 0]] = known.id[choice[choice >= 0]]
@@ -104,7 +86,7 @@ def relocalize(scan: Scan, known: LandmarkMap, gate: float = 0.99) -> Place | No
 def _same(best: _Fit, other: _Fit) -> bool:
     """Whether two fits are one place: closer than 5 sigma."""
     error = se2.pose_error(best.pose, other.pose)
-    return float(error @ np.linalg.solve(best.covariance + other.covariance, error)) < 25.0
+    return float(error @ np.linalg.solve(best.covariance + other.covariance, error)) < constants.ONE_PLACE_SIGMAS**2
 
 
 def distance_sigmas(xy: Array, P: Array) -> Array:
@@ -113,10 +95,10 @@ def distance_sigmas(xy: Array, P: Array) -> Array:
     d = xy[:, None] - xy[None]
     r = np.hypot(d[..., 0], d[..., 1])
     u = d / np.where(r > 0.0, r, 1.0)[..., None]
-    blocks = P.reshape(m, 2, m, 2).transpose(0, 2, 1, 3)
+    blocks = blocks_of(P)
     own = blocks[np.arange(m), np.arange(m)]
     difference = own[:, None] + own[None] - blocks - blocks.transpose(1, 0, 2, 3)
-    sigma: Array = np.sqrt(np.maximum(np.einsum("mna,mnab,mnb->mn", u, difference, u), 1e-12))
+    sigma: Array = np.sqrt(np.maximum(np.einsum("mna,mnab,mnb->mn", u, difference, u), constants.POINT_VARIANCE))
     return sigma
 
 
@@ -128,22 +110,21 @@ def _verify(xy: Array, P: Array, landmarks: Array, choice: IntArray, gate: float
     """
     paired = np.flatnonzero(choice >= 0)
     points, places = xy[paired], landmarks[choice[paired]]
-    pose = rigid_fit(points, places)
-    at = (2 * paired[:, None] + np.arange(2)).ravel()
-    L = np.linalg.cholesky(P[np.ix_(at, at)])
-    for _ in range(5):
+    pose = se2.rigid_fit(points, places)
+    L = np.linalg.cholesky(of_points(P, paired))
+    for _ in range(constants.FIT_STEPS):
         there = (places - pose[:2]) @ se2.rotation(pose[2])
         J = np.zeros((2 * len(paired), 3))
         J[0::2, :2], J[1::2, :2] = -se2.rotation(pose[2])[:, 0], -se2.rotation(pose[2])[:, 1]
         J[0::2, 2], J[1::2, 2] = there[:, 1], -there[:, 0]
         white, r = np.linalg.solve(L, J), np.linalg.solve(L, (points - there).ravel())
         information = white.T @ white
-        if np.linalg.eigvalsh(information)[0] < 1e-9:
+        if np.linalg.eigvalsh(information)[0] < constants.FIT_SINGULAR:
             return None
         step = np.linalg.solve(information, white.T @ r)
         pose = pose + step
         pose[2] = se2.wrap_angle(float(pose[2]))
-        if float(step @ information @ step) < 1e-8:
+        if float(step @ information @ step) < constants.FIT_CONVERGED:
             break
     d2 = float(r @ r - r @ white @ np.linalg.solve(information, white.T @ r))
     if d2 >= gate_threshold(gate, 2 * len(paired) - 3):
@@ -151,16 +132,16 @@ def _verify(xy: Array, P: Array, landmarks: Array, choice: IntArray, gate: float
     covariance = np.linalg.inv(information)
     score = -0.5 * d2 - float(np.log(np.diag(L)).sum()) - len(paired) * math.log(2.0 * math.pi)
     score += 0.5 * float(np.linalg.slogdet(2.0 * math.pi * covariance)[1])
-    return _Fit(pose, covariance, score + (len(xy) - len(paired)) * math.log(STRAY / area))
+    return _Fit(pose, covariance, score + (len(xy) - len(paired)) * math.log(constants.SCAN_STRAY / area))
 
 
 @numba.njit(cache=True)
 def _search(xy, tolerance, landmarks, fewest, slack, kept, budget):  # type: ignore[no-untyped-def]
     """Interpretation tree over points (m, 2) in order, every landmark or none for each; depth first.
 
-    A pairing joins if its distances to all points paired before agree within `tolerance` (m, m), and if it lies on the
-    right side of the line through the first two: distances alone do not tell a scan from its mirror image. A branch is
-    cut if it cannot reach `fewest` pairings, nor the most found so far less `slack`.
+    A pairing is added if its distances to all points paired before agree within `tolerance` (m, m), and if it lies on
+    the right side of the line through the first two: distances alone do not tell a scan from its mirror image. A branch
+    is cut if it cannot reach `fewest` pairings, nor the most found so far less `slack`.
 
     Returns the hypotheses (h, m), landmark index or -1, and whether the search is complete.
     """

@@ -34,18 +34,6 @@ class Fix(NamedTuple):
     rms: float
 
 
-def rigid_fit(body: Array, world: Array) -> Array:
-    """Pose (3,) of the frame in which points `body` (M, 2) were measured, given them in the world (M, 2).
-
-    Least squares over both coordinates (Umeyama 1991, without scale).
-    """
-    body_mean, world_mean = body.mean(axis=0), world.mean(axis=0)
-    b, w = body - body_mean, world - world_mean
-    theta = math.atan2(float(np.sum(b[:, 0] * w[:, 1] - b[:, 1] * w[:, 0])), float(np.sum(b * w)))
-    xy = world_mean - se2.rotation(theta) @ body_mean
-    return np.array([xy[0], xy[1], theta])
-
-
 def first_fix(
     time: Array, increments: Array, frame: IntArray, points: Array, landmark: Array, sigma: tuple[float, float, float]
 ) -> Fix | None:
@@ -59,7 +47,8 @@ def first_fix(
         landmark: (M, 2) m, where the map has the landmark of each.
         sigma: added to the fit's own standard deviations of x, y [m] and theta [rad], for what the fit does not know.
     """
-    path = _path(increments)
+    path = se2.dead_reckoned(np.zeros(3), increments)
+    path[:, 2] = se2.wrap_angle(path[:, 2])
     for end in np.flatnonzero(np.diff(frame, append=-1)) + 1:
         now = frame[end - 1]
         begin = int(np.searchsorted(time[frame[:end]], time[now] - SPAN))
@@ -68,24 +57,13 @@ def first_fix(
         if end - begin < READINGS or different < 2:
             continue
         body = se2.transform_points(se2.between(path[now], path[frame[used]]), points[used])
-        pose = rigid_fit(body, landmark[used])
+        pose = se2.rigid_fit(body, landmark[used])
         rms = float(np.sqrt(np.mean(np.sum((se2.transform_points(pose, body) - landmark[used]) ** 2, axis=1))))
         P = _covariance(pose, body, max(rms, USUAL) / math.sqrt(different))
         if P is None or max(P[0, 0], P[1, 1]) > SURE[0] ** 2 or P[2, 2] > SURE[1] ** 2:
             continue
         return Fix(int(now), Prior(pose, P + np.diag(np.square(sigma))), int(end - begin), rms)
     return None
-
-
-def _path(increments: Array) -> Array:
-    """Poses (N, 3) along increments (N, 3), from the zero pose."""
-    path = np.zeros_like(increments)
-    heading = np.cumsum(increments[:, 2])
-    path[:, 2] = se2.wrap_angle(heading)
-    c, s = np.cos(heading[:-1]), np.sin(heading[:-1])
-    path[1:, 0] = np.cumsum(c * increments[1:, 0] - s * increments[1:, 1])
-    path[1:, 1] = np.cumsum(s * increments[1:, 0] + c * increments[1:, 1])
-    return path
 
 
 def _covariance(pose: Array, body: Array, sigma: float) -> Array | None:

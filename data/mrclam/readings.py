@@ -38,10 +38,7 @@ class Readings:
 
     def surveyed(self, survey: LandmarkMap) -> Array:
         """Where the survey has the landmark of each (M, 2), NaN for clutter."""
-        places = np.full((len(self.time), 2), np.nan)
-        seen = self.true_id != CLUTTER
-        places[seen] = survey.xy[np.searchsorted(survey.id, self.true_id[seen])]
-        return places
+        return survey.positions(self.true_id)
 
 
 def identify(

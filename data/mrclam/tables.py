@@ -20,10 +20,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from data.errors import DataError
+from data.errors import LARGEST, DataError
 from data.inputs import IntArray, LandmarkMap
 from data.mrclam.files import BARCODES, LANDMARKS, Files, robot_file
-from data.open_log.csv_table import LARGEST
 from data.se2 import Array
 
 ROBOTS = range(1, 6)

@@ -13,12 +13,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from data.errors import DataError
+from data.errors import LARGEST, DataError
 from data.inputs import IntArray
 from data.se2 import Array
 
-LARGEST = 1e15
-"""No quantity in SI units is larger; beyond, squares and products overflow and whole numbers are not exact."""
 FIRST_ROW = 2
 """Line of row 0: lines count from 1 and the header is one."""
 

@@ -28,7 +28,6 @@ Format 1. Keys, with their defaults where they may be left out:
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -39,11 +38,28 @@ from data.errors import DataError
 from data.inputs import Prior
 from data.motion import MODELS, NOISES, VelocityModel, VelocityNoise
 from data.open_log.motion_prior import PRIORS, MotionPrior
-from data.open_log.toml_table import Reader, finite, not_negative, positive
 from data.se2 import Array
 from data.sensors import RangeBearing, RelativePoint, Sensor
+from data.toml_table import TomlTable, finite, load_toml, not_negative, positive
 
 FORMAT = 1
+KNOWN = {
+    "": (
+        *("format", "name", "time_is_index", "covariance_floor", "floored", "labels_are_sensed", "notes"),
+        *("prior", "sensor", "motion", "source"),
+    ),
+    "prior": ("mean", "sigma", "covariance"),
+    "sensor": (
+        *("kind", "sigma", "max_range", "min_angle", "max_angle", "field_of_view"),
+        *("rotation", "translation", "extrinsic"),
+    ),
+    "sensor.extrinsic": ("rotation", "translation"),
+    "motion": (
+        *("model", "noise", "sigma", "alphas"),
+        *("prior", *dict.fromkeys(f.name for kind in PRIORS.values() for f in fields(kind))),
+    ),
+}
+"""Keys of each table."""
 SENSORS: dict[str, Callable[..., Sensor]] = {s.name: s for s in (RangeBearing, RelativePoint)}
 
 
@@ -68,7 +84,7 @@ class Header:
     motion_prior: MotionPrior | None = None
 
 
-def _name(top: Reader) -> str:
+def _name(top: TomlTable) -> str:
     value = top.table.get("name")
     if not isinstance(value, str) or not value.strip():
         raise top.error("name", "a name (text) is needed")
@@ -77,7 +93,7 @@ def _name(top: Reader) -> str:
     return value
 
 
-def _prior(table: Reader) -> Prior:
+def _prior(table: TomlTable) -> Prior:
     mean = table.numbers("mean", 3, "three numbers x [m], y [m], theta [rad] are", finite)
     if ("sigma" in table) == ("covariance" in table):
         raise table.error(
@@ -93,7 +109,8 @@ def _prior(table: Reader) -> Prior:
     if not isinstance(rows, list) or len(rows) != 3:
         raise table.error("covariance", "three rows of three numbers are needed")
     what = "three rows of three numbers are"
-    P = np.stack([Reader(table.path, {"covariance": r}, "prior").numbers("covariance", 3, what, finite) for r in rows])
+    each = (TomlTable(table.fault, {"covariance": r}, KNOWN, "prior") for r in rows)
+    P = np.stack([row.numbers("covariance", 3, what, finite) for row in each])
     if np.abs(P - P.T).max() > 1e-12 * np.trace(P):
         raise table.error("covariance", "not symmetric")
     P = 0.5 * (P + P.T)
@@ -104,7 +121,7 @@ def _prior(table: Reader) -> Prior:
     return Prior(mean, P)
 
 
-def _view(table: Reader) -> tuple[float, float]:
+def _view(table: TomlTable) -> tuple[float, float]:
     """Smallest and largest angle [rad] of the field of view."""
     if "field_of_view" in table:
         if "min_angle" in table or "max_angle" in table:
@@ -122,7 +139,7 @@ def _view(table: Reader) -> tuple[float, float]:
     return low, high
 
 
-def _sensor(table: Reader) -> tuple[Sensor, Array | None]:
+def _sensor(table: TomlTable) -> tuple[Sensor, Array | None]:
     kind = table.one_of("kind", SENSORS)
     sigma = None
     if "sigma" in table:
@@ -141,7 +158,7 @@ def _sensor(table: Reader) -> tuple[Sensor, Array | None]:
     return SENSORS[kind](max_range, low, high, rotation, translation), sigma
 
 
-def _motion(table: Reader) -> VelocityModel:
+def _motion(table: TomlTable) -> VelocityModel:
     model = table.one_of("model", MODELS, "unicycle")
     kind = table.one_of("noise", NOISES)
     wanted, other = ("alphas", "sigma") if kind == "displacement" else ("sigma", "alphas")
@@ -154,7 +171,7 @@ def _motion(table: Reader) -> VelocityModel:
     return VelocityModel(VelocityNoise(kind, sigma=(s1, s2)), model)
 
 
-def _motion_prior(table: Reader) -> MotionPrior:
+def _motion_prior(table: TomlTable) -> MotionPrior:
     kind = PRIORS[table.one_of("prior", PRIORS)]
     wanted = [f.name for f in fields(kind)]
     for key in table.table:
@@ -162,23 +179,9 @@ def _motion_prior(table: Reader) -> MotionPrior:
             raise table.error(key, f"prior = {table.table['prior']!r} takes {', '.join(wanted)}")
     values = {}
     for key in wanted:
-        if key not in table:
-            raise table.error(key, "missing; a number is needed")
         fine, what = (not_negative, "a number >= 0") if "sigma" in key else (finite, "a finite number")
-        values[key] = table.number(key, 0.0, what, fine)
+        values[key] = table.number(key, None, what, fine)
     return kind(**values)
-
-
-def _parse(path: Path) -> dict[str, object]:
-    try:
-        with path.open("rb") as file:
-            return tomllib.load(file)
-    except FileNotFoundError:
-        raise DataError.at(path, "no such file; a log folder needs it") from None
-    except OSError as error:
-        raise DataError.at(path, f"cannot be read: {error.strerror}") from None
-    except (ValueError, RecursionError) as error:  # bad UTF-8 and absurd numbers are ValueErrors too
-        raise DataError.at(path, f"not valid TOML: {' '.join(str(error).split())}") from None
 
 
 def read_header(path: Path) -> Header:
@@ -187,12 +190,16 @@ def read_header(path: Path) -> Header:
     Raises:
         DataError: missing file, not TOML, unknown format number or key, or a value that makes no sense.
     """
-    table = _parse(path)
+
+    def fault(what: str) -> DataError:
+        return DataError.at(path, what)
+
+    table = load_toml(path, fault, "no such file; a log folder needs it")
     number = table.get("format")
     if isinstance(number, bool) or number != FORMAT:
         what = "no format number" if number is None else f"format = {number!r}: unknown format number"
-        raise DataError.at(path, f"{what}; format = {FORMAT} is needed")
-    top = Reader(path, table)
+        raise fault(f"{what}; format = {FORMAT} is needed")
+    top = TomlTable(fault, table, KNOWN)
     sensor, sigma = _sensor(top.table_of("sensor"))
     motion = top.optional_table("motion")
     notes = table.get("notes", [])

@@ -56,7 +56,7 @@ class ForwardPrior(_Stated):
         mean[1:, 0], covariance[1:] = self.step_mean, np.diag(sigma**2)
         return Increments(mean, covariance)
 
-    def words(self) -> str:
+    def description(self) -> str:
         """The prior in words."""
         return (
             f"a step of {self.step_mean:g} ± {self.step_sigma:g} m, 0 ± {self.lateral_sigma:g} m sideways and a turn of"
@@ -97,7 +97,7 @@ class ConstantVelocityPrior(_Stated):
             covariance[k] = dt**2 * (G @ variance @ G.T) + self.lateral_sigma**2 * np.outer(across, across)
         return Increments(mean, covariance)
 
-    def words(self) -> str:
+    def description(self) -> str:
         """The prior in words."""
         return (
             f"a velocity of {self.velocity:g} ± {self.velocity_sigma:g} m/s, 0 ± {self.lateral_sigma:g} m/s sideways"
@@ -113,7 +113,7 @@ PRIORS: Mapping[str, type[MotionPrior]] = {"forward": ForwardPrior, "constant_ve
 def note_of(prior: MotionPrior) -> str:
     """What a reader of the log should know."""
     name = next(n for n, kind in PRIORS.items() if isinstance(prior, kind))
-    return f"No odometry: every increment is the motion prior `{name}`, {prior.words()}."
+    return f"No odometry: every increment is the motion prior `{name}`, {prior.description()}."
 
 
 def _rows(frames: int) -> tuple[Array, Array]:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
-import math
 import os
-import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import tomli_w
 
 from data.errors import DataError
 from data.inputs import UNLABELLED, IntArray, LandmarkMap
@@ -30,6 +29,7 @@ from data.open_log.reader import (
     load_folder,
 )
 from data.truth import UNKNOWN_ID
+from data.whole import whole_folder
 
 
 def write_folder(log: Log, path: str | PathLike[str]) -> None:
@@ -44,18 +44,11 @@ def write_folder(log: Log, path: str | PathLike[str]) -> None:
     """
     target = Path(os.path.abspath(path))
     _require_replaceable(target)
-    staging = target.with_name(f".{target.name}.{os.getpid()}.partial")
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.rmtree(staging, ignore_errors=True)
-        staging.mkdir()
-        try:
+        with whole_folder(target) as partial:
             for name, text in _files(log, target.name).items():
-                (staging / name).write_text(text, encoding="utf-8", newline="")
-            load_folder(staging)
-            _move(staging, target)
-        finally:
-            shutil.rmtree(staging, ignore_errors=True)
+                (partial / name).write_text(text, encoding="utf-8", newline="")
+            load_folder(partial)
     except OSError as error:
         raise DataError.at(target, f"cannot be written: {error.strerror}") from error
 
@@ -74,27 +67,11 @@ def _require_replaceable(target: Path) -> None:
         raise DataError.at(target, f"holds {other[0]!r}, which is not part of a log; choose another name or move it")
 
 
-def _move(staging: Path, target: Path) -> None:
-    """Put the finished folder in place; the old one comes back if that fails."""
-    if not target.exists():
-        staging.rename(target)
-        return
-    old = target.with_name(f".{target.name}.{os.getpid()}.old")
-    shutil.rmtree(old, ignore_errors=True)
-    target.rename(old)
-    try:
-        staging.rename(target)
-    except BaseException:
-        old.rename(target)
-        raise
-    shutil.rmtree(old, ignore_errors=True)
-
-
 def _files(log: Log, name: str) -> dict[str, str]:
     """Contents by file name."""
     inputs, truth = log.recorded, log.truth
     increments, observations = inputs.increments, inputs.observations
-    files = {HEADER: _toml(_header(log, name))}
+    files = {HEADER: tomli_w.dumps(_header(log, name))}
     upper = np.triu_indices(3)
     files[FRAMES] = _csv(
         ("t", *MEAN, *COVARIANCE),
@@ -135,10 +112,11 @@ def _landmarks(log: Log) -> LandmarkMap | None:
     return known if known is not None else true
 
 
-def _header(log: Log, name: str) -> dict[str, object]:
+def _header(log: Log, name: str) -> dict[str, Any]:
+    """Contents of log.toml."""
     inputs = log.recorded
     sensor = inputs.sensor
-    return {
+    plain = {
         "format": FORMAT,
         "name": name,
         "time_is_index": inputs.time_is_index,
@@ -157,6 +135,7 @@ def _header(log: Log, name: str) -> dict[str, object]:
         },
         "source": log.source,
     }
+    return {key: _plain(value) for key, value in plain.items()}
 
 
 def _or_blank(ids: IntArray, blank: int) -> list[object]:
@@ -170,38 +149,14 @@ def _csv(names: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _toml(table: Mapping[str, object]) -> str:
-    """Plain keys first, then one [table] for each mapping."""
-    lines = [f"{_key(k)} = {_value(v)}" for k, v in table.items() if not isinstance(v, Mapping)]
-    for key, value in table.items():
-        if isinstance(value, Mapping) and value:
-            lines += ["", f"[{_key(key)}]"]
-            lines += [f"{_key(k)} = {_value(v)}" for k, v in value.items() if v is not None]
-    return "\n".join(lines) + "\n"
-
-
-def _key(key: str) -> str:
-    bare = key.replace("_", "a").replace("-", "a")
-    return key if bare.isascii() and bare.isalnum() else _text(key)
-
-
-def _text(value: str) -> str:
-    """TOML's basic strings are JSON's, but for the one control character that JSON lets through."""
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def _value(value: object) -> str:
-    """A value as TOML; text for whatever TOML has no form for (paths)."""
+def _plain(value: object) -> object:
+    """A value in the types that TOML has: what is None in a table is left out, text for whatever else (paths)."""
     if isinstance(value, np.generic | np.ndarray):
-        return _value(value.tolist())
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, int):
-        return str(value)
-    if isinstance(value, float):
-        return repr(value) if math.isfinite(value) else str(value)
+        return _plain(value.tolist())
+    if isinstance(value, bool | int | float | str):
+        return value
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_key(str(k))} = {_value(v)}" for k, v in value.items() if v is not None) + "}"
+        return {str(k): _plain(v) for k, v in value.items() if v is not None}
     if isinstance(value, list | tuple):
-        return "[" + ", ".join(_value(v) for v in value) + "]"
-    return _text(str(value))
+        return [_plain(v) for v in value]
+    return str(value)

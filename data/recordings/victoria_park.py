@@ -18,10 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
-from data.errors import DataError
+from data.errors import LARGEST, DataError
 from data.inputs import Increments, Inputs, Observations, Prior, floor_covariances
 from data.log import Log
-from data.open_log.csv_table import LARGEST
 from data.se2 import Array
 from data.sensors import RelativePoint
 from data.truth import Truth

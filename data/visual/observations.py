@@ -1,7 +1,7 @@
 """From images to a log: pictures found frame by frame, their corners as observations, commands as odometry.
 
-Detections are kept beside the recording, keyed by its content and by the detector's code, so that the images are looked
-at once.
+Detections are kept beside the recording, keyed by its content and by the code that renders, reads and detects, so that
+the images are looked at once.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
 import zipfile
 from collections import Counter
 from collections.abc import Callable
@@ -20,6 +19,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from data.digest import program_digest
 from data.errors import UsageError
 from data.inputs import Increments, Inputs, LandmarkMap, Observations, floor_covariances
 from data.log import Log
@@ -28,8 +28,8 @@ from data.pictures import CORNERS, Evidence, Found, InView, VisualRecording, Vis
 from data.se2 import Array
 from data.sensors import RelativePoint
 from data.truth import CLUTTER, Truth
-from data.visual import detector as detection
 from data.visual.detector import Detector
+from data.whole import whole_file
 
 SIGMA = (0.02, 0.05)
 """m, of a corner to the right and ahead of the camera: the lab's constants."""
@@ -40,6 +40,9 @@ ENOUGH = 20
 NOISES = ("lab", "depth")
 TILES = 12
 """Frames kept to look at."""
+PACKAGES = ("data",)
+"""Code that decides what is found: the world, its images or their format, the detector, and all that these stand on."""
+LIBRARIES = ("numba", "numpy", "opencv-python-headless", "scipy")
 SAME_PLACE = 0.25
 """Of a picture's width in the image: a detection whose corners lie nearer than this to its true ones shows it."""
 
@@ -217,7 +220,7 @@ def true_pictures(found: Found, in_view: InView) -> Any:
 
 def cached(folder: Path, key: str, find: Callable[[], Found]) -> tuple[Found, str | None]:
     """Detections from `folder`, or found now and kept there; and a note where they could not be kept."""
-    digest = hashlib.sha256((key + Path(detection.__file__).read_text() + Path(__file__).read_text()).encode())
+    digest = hashlib.sha256((key + program_digest(PACKAGES, LIBRARIES)).encode())
     path = folder / f".detections-{digest.hexdigest()[:16]}.npz"
     kept = _load(path)
     if kept is not None:
@@ -238,23 +241,22 @@ ARRAYS = ("time", "v", "omega", "frame", "picture", "inliers", "pixels", "points
 def _save(path: Path, found: Found) -> None:
     arrays: dict[str, Any] = {name: getattr(found, name) for name in ARRAYS}
     arrays |= {f"tile_{k}": np.frombuffer(image, np.uint8) for k, image in found.tiles}
-    told = [
+    others = [
         [dict(each) for each in found.refused],
         [k for k, _ in found.tiles],
         found.focal,
         found.pixel_noise,
         found.depth_noise,
     ]
-    arrays["told"] = np.frombuffer(json.dumps(told).encode(), np.uint8)
-    partial = path.with_name(f"{path.stem}.partial-{os.getpid()}.npz")
-    np.savez(partial, **arrays)
-    partial.replace(path)
+    arrays["others"] = np.frombuffer(json.dumps(others).encode(), np.uint8)
+    with whole_file(path) as partial:
+        np.savez(partial, **arrays)
 
 
 def _load(path: Path) -> Found | None:
     try:
         with path.open("rb") as file, np.load(file) as kept:
-            refused, numbers, *noise = json.loads(kept["told"].tobytes())
+            refused, numbers, *noise = json.loads(kept["others"].tobytes())
             tiles = tuple((k, kept[f"tile_{k}"].tobytes()) for k in numbers)
             arrays = {name: kept[name] for name in ARRAYS}
             return Found(**arrays, refused=tuple(refused), tiles=tiles, **dict(zip(NOISE, noise, strict=True)))

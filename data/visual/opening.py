@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from data.errors import UsageError
 from data.log import Log
 from data.pictures import Found, InView
 from data.visual.lab.folder import open_lab
 from data.visual.lab.units import unit_suspicion
 from data.visual.observations import cached, find_pictures, log_of
 from data.visual.rendering.render import Rendered
+from data.worlds import registry
 from data.worlds.gallery import Gallery
 
 Say = Callable[[str], None]
@@ -39,31 +39,8 @@ class Camera:
 
 def parse_name(name: str) -> tuple[Gallery, int, int | None]:
     """Parameters, seed and number of frames of `visual:SEED[:KEY=VALUE+...]`; `frames=N` looks at the first N only."""
-    _, _, rest = name.partition(":")
-    seed, _, keys = rest.partition(":")
-    if not seed.isdecimal():
-        raise UsageError(f"{name}: the seed is a whole number, as in visual:0")
-    known = {f.name: f for f in fields(Gallery)}
-    values: dict[str, object] = {}
-    frames: int | None = None
-    for part in filter(None, keys.split("+")):
-        key, _, text = part.partition("=")
-        key = key.strip().replace("-", "_")
-        if key not in known and key != "frames":
-            raise UsageError(f"{name}: {part!r} is not known; known: frames=, {', '.join(f'{k}=' for k in known)}")
-        like = int if key == "frames" else type(known[key].default)
-        try:
-            value = float(text) if like is float else int(text) if like is int else text
-        except ValueError:
-            what = "a number" if like is float else "a whole number"
-            raise UsageError(f"{name}: {part}: {what} is needed") from None
-        if key == "frames":
-            frames = int(value)
-            if frames < 1:
-                raise UsageError(f"{name}: {part}: at least 1 is needed")
-        else:
-            values[key] = value
-    return Gallery(**values), int(seed), frames  # type: ignore[arg-type]
+    _, gallery, seed, counts = registry.parse(name)
+    return gallery, seed, counts.get("frames")
 
 
 def open_rendered(name: str, camera: Camera, say: Say, cache: Path | None) -> Log:

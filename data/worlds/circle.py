@@ -119,7 +119,7 @@ def simulate(circle: Circle, seed: int, name: str | None = None) -> Log:
     truth = _path(circle)
     known = _landmarks(circle)
     increments, floored = _odometry(circle, odometry_rng)
-    frame, ids, z = _look(circle, truth, known.xy, sensor_rng)
+    frame, ids, z = _observe(circle, truth, known.xy, sensor_rng)
     R = np.tile(circle.sigma_point**2 * np.eye(2), (len(z), 1, 1))
     mean = truth[0] + circle.prior_sigma * prior_rng.standard_normal(3)
     mean[2] = wrap_angle(mean[2])
@@ -197,7 +197,7 @@ def _stated(circle: Circle, measured: Array, variance: Array) -> Array:
     return 0.5 * (P + np.swapaxes(P, 1, 2))
 
 
-def _look(circle: Circle, truth: Array, xy: Array, rng: np.random.Generator) -> tuple[IntArray, IntArray, Array]:
+def _observe(circle: Circle, truth: Array, xy: Array, rng: np.random.Generator) -> tuple[IntArray, IntArray, Array]:
     """Frame (M,), landmark id (M,) and reading (M, 2) of what is seen, by frame and id."""
     c, s = np.cos(truth[:, None, 2]), np.sin(truth[:, None, 2])
     dx, dy = np.moveaxis(xy - truth[:, None, :2], 2, 0)

@@ -12,9 +12,7 @@ was.
 from __future__ import annotations
 
 import math
-import re
-from dataclasses import Field, asdict, dataclass, field, fields
-from typing import Any
+from dataclasses import asdict, dataclass, field, fields
 
 import numpy as np
 
@@ -26,12 +24,11 @@ from data.se2 import Array
 from data.sensors import RelativePoint
 from data.truth import Truth
 from data.worlds import corridor_plan as world
+from data.worlds.names import name_of, written
 
 SLACK = 1e-9
 """m and rad. Points abreast of the robot stand at the very edge of the view; they are seen, whatever rounding says.
 (In the lab's program rounding did decide: its runs see them on three sides of the square, and not on the fourth.)"""
-SWITCHES = ("people", "no-odometry", "forward", "constant-velocity")
-"""Switches as a log's name says them; they are the first fields of `Corridor`."""
 NEAREST = 1e-3
 """m. No range is measured below it: at zero range R is singular."""
 
@@ -75,7 +72,7 @@ class Corridor:
         UsageError: a number out of range, or one given a value of its own where it has no effect.
     """
 
-    people: bool = False
+    people: bool = field(default=False, metadata={"hint": "their number is crowd=N"})
     odometry: bool = True
     forward: bool = False
     constant_velocity: bool = False
@@ -110,15 +107,15 @@ class Corridor:
             if f.name in ("frames", "crowd") and value < 1:
                 raise UsageError(f"corridor: {f.name} = {value}; at least 1 is needed")
             if f.name in ("range", "srho", "sphi") and not 0.0 < value < math.inf:
-                raise UsageError(f"corridor: {f.name} = {_written(f, value)}; a positive number is needed")
+                raise UsageError(f"corridor: {f.name} = {written(f, value)}; a positive number is needed")
             spread = f.name.endswith("_sigma") or f.name.startswith(("sx", "sy", "stheta", "sv", "sa"))
             if spread and not 0.0 <= value < math.inf:
-                raise UsageError(f"corridor: {f.name} = {_written(f, value)}; a number from 0 up is needed")
+                raise UsageError(f"corridor: {f.name} = {written(f, value)}; a number from 0 up is needed")
             idle = self._idle(f.name)
             if idle and value != f.default:
-                raise UsageError(f"corridor: {f.name} = {_written(f, value)} has no effect {idle}")
+                raise UsageError(f"corridor: {f.name} = {written(f, value)} has no effect {idle}")
         if not -math.pi <= self.min_angle < self.max_angle <= math.pi:
-            low, high = (_written(f, getattr(self, f.name)) for f in fields(self) if f.name.endswith("_angle"))
+            low, high = (written(f, getattr(self, f.name)) for f in fields(self) if f.name.endswith("_angle"))
             raise UsageError(
                 f"corridor: min_angle = {low}, max_angle = {high}; -180 <= min_angle < max_angle <= 180 is needed"
             )
@@ -154,76 +151,6 @@ class Corridor:
         return RelativePoint(max_range=self.range, min_angle=self.min_angle, max_angle=self.max_angle)
 
 
-def _written(f: Field[Any], value: Any) -> str:
-    """A constant as it stands in a log's name."""
-    if isinstance(value, float) and f.metadata.get("unit") == "deg":
-        short = f"{math.degrees(value):.12g}"
-        return short if math.radians(float(short)) == value else repr(math.degrees(value))
-    return f"{value:.12g}" if isinstance(value, float) and float(f"{value:.12g}") == value else str(value)
-
-
-def name_of(corridor: Corridor, seed: int) -> str:
-    """The log's name, `corridor:SEED` and what differs from the defaults, in the order of the fields."""
-    parts = []
-    for f in fields(Corridor):
-        value = getattr(corridor, f.name)
-        if value != f.default:
-            switch = ("" if value else "no-") + f.name.replace("_", "-")
-            parts.append(switch if f.type == "bool" else f"{f.name}={_written(f, value)}")
-    return f"corridor:{seed}" + (":" + "+".join(parts) if parts else "")
-
-
-def parse_name(name: str) -> tuple[Corridor, int]:
-    """Parameters and seed from `corridor:SEED` or `corridor:SEED:KEY+KEY=VALUE+...`, angles in degrees.
-
-    Keys are the fields of `Corridor`, whatever their order; switches are also `people`, `no-odometry`, `forward` and
-    `constant-velocity`.
-
-    Raises:
-        UsageError: anything not understood, with what would be.
-    """
-    head, seed, text = (*name.split(":", 2), "", "")[:3]
-    if head != "corridor" or not re.fullmatch(r"[0-9]{1,18}", seed):
-        raise UsageError(f"{name}: the seed is a whole number, as in corridor:0 or corridor:0:people+range=8")
-    values: dict[str, object] = {}
-    for part in text.split("+") if len(name.split(":", 2)) == 3 else ():
-        key, value = _constant(name, part)
-        if key in values:
-            raise UsageError(f"{name}: {key} is given twice")
-        values[key] = value
-    return Corridor(**values), int(seed)  # type: ignore[arg-type]
-
-
-def _constant(name: str, part: str) -> tuple[str, object]:
-    """Field and value from `key=value`, `key` or `no-key`."""
-    key, equals, text = part.partition("=")
-    key = key.strip().replace("-", "_")
-    known = {f.name: f for f in fields(Corridor)}
-    if not equals:
-        key, text = (key[3:], "off") if key.startswith("no_") else (key, "on")
-    if key not in known or (not equals and known[key].type != "bool"):
-        what = f"{key} needs a value, as in {key}=1" if key in known else f"{part!r} is not known"
-        raise UsageError(f"{name}: {what}; known: {', '.join([*SWITCHES, *(f'{k}=' for k in list(known)[4:])])}")
-    f, text = known[key], text.strip()
-    if f.type == "bool":
-        switch = {"on": True, "true": True, "1": True, "off": False, "false": False, "0": False}
-        if text not in switch:
-            hint = "; their number is crowd=N" if key == "people" else ""
-            raise UsageError(f"{name}: {part}: on or off is needed{hint}")
-        return key, switch[text]
-    if f.type == "int":
-        if not re.fullmatch(r"[0-9]{1,9}", text):
-            raise UsageError(f"{name}: {part}: a whole number is needed")
-        return key, int(text)
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise UsageError(f"{name}: {part}: a number is needed")
-    return key, math.radians(number) if f.metadata.get("unit") == "deg" else number
-
-
 def simulate(corridor: Corridor, seed: int, name: str | None = None) -> Log:
     """One log of the corridor. Same parameters and seed: same bytes. The true path and the 88 points never change.
 
@@ -241,7 +168,7 @@ def simulate(corridor: Corridor, seed: int, name: str | None = None) -> Log:
     for k, pose in enumerate(truth):
         people = crowd[k], np.full(crowd.shape[1], CLUTTER), people_rng
         for points, ids, rng in ((known.xy, known.id, sensor_rng), people):
-            seen, readings, covariances = _look(corridor, sensor, pose, points, rng)
+            seen, readings, covariances = _observe(corridor, sensor, pose, points, rng)
             frame.append(np.full(len(seen), k))
             true_id.append(ids[seen])
             z.append(readings)
@@ -257,7 +184,7 @@ def simulate(corridor: Corridor, seed: int, name: str | None = None) -> Log:
         floored=floored,
     )
     return Log(
-        name or name_of(corridor, seed),
+        name or name_of("corridor", corridor, seed),
         inputs,
         Truth(truth, known, np.concatenate(true_id)),
         source={"kind": "corridor", "seed": seed, "corridor": asdict(corridor)},
@@ -282,7 +209,7 @@ def _odometry(corridor: Corridor, turned: IntArray, rng: np.random.Generator) ->
     return Increments(mean, covariance), floored
 
 
-def _look(
+def _observe(
     corridor: Corridor, sensor: RelativePoint, pose: Array, points: Array, rng: np.random.Generator
 ) -> tuple[IntArray, Array, Array]:
     """Indices (m,) of the points in view; z (m, 2) and R (m, 2, 2), both from the noisy range and bearing."""

@@ -1,64 +1,16 @@
-"""Command-line flags of the simulators, one for every field of their parameters, and the logs they make.
-
-The simulators are imported when asked for, so that `--help` and a mistyped flag do not wait for them.
-"""
+"""Command-line flags of the simulated worlds, one for every field of their parameters."""
 
 from __future__ import annotations
 
 import argparse
-import importlib
 import math
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, fields, replace
+from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from data.log import Log
-
-SIMULATORS = {
-    "arena": ("data.worlds.arena", "Arena"),
-    "corridor": ("data.worlds.corridor", "Corridor"),
-    "circle": ("data.worlds.circle", "Circle"),
-    "linear": ("data.worlds.linear", "LinearWorld"),
-    "visual": ("data.worlds.gallery", "Gallery"),
-}
-"""Module of each simulator and, in it, the dataclass of its parameters; beside that stands `simulate`."""
-SIMULATED = {
-    "arena": (
-        "a simulated world whose noise is known",
-        "A simulated robot among point landmarks, every noise known; the same seed gives the same log.",
-        "example:\n  python -m data.convert arena logs/arena-0 --seed 0 --frames 500 --sensor relative_point",
-    ),
-    "corridor": (
-        "the corridor lab on data association, simulated",
-        "A simulated robot once round a square of corridors, with people or without; the same seed gives the same log.",
-        """\
-examples:
-  python -m data.convert corridor logs/corridor-0 --seed 0 --people
-  python -m data.convert corridor logs/blind --seed 3 --no-odometry
-  python -m data.convert corridor logs/narrow --people --crowd 20 --range 8 --min-angle -60 --max-angle 60 --srho .02
-""",
-    ),
-    "circle": (
-        "the circle world of the literature on consistent SLAM, simulated",
-        "A simulated robot round and round among landmarks; the defaults are a published benchmark, the same seed gives"
-        " the same log.",
-        """\
-examples:
-  python -m data.convert circle logs/circle-0 --seed 0
-  python -m data.convert circle logs/short --frames 400 --turn-rate .075 --landmarks 15 --ring 1 --min-range .5
-  python -m data.convert circle logs/scattered --layout scatter --map-seed 1 --substeps 3
-""",
-    ),
-    "linear": (
-        "a simulated world in which every right estimator is consistent",
-        "A simulated robot among a grid of landmarks, its heading all but known; the same seed gives the same log.",
-        "example:\n  python -m data.convert linear logs/linear-0 --seed 0 --frames 200",
-    ),
-}
-"""Help, description and examples of each simulator."""
+from data.worlds.registry import parameters_of
 
 
 def number(text: str) -> float:
@@ -84,18 +36,11 @@ def seed(text: str) -> int:
     return int(text)
 
 
-def _parameters(kind: str) -> type[Any]:
-    """The dataclass of a simulator's parameters."""
-    module, parameters = SIMULATORS[kind]
-    found: type[Any] = getattr(importlib.import_module(module), parameters)
-    return found
-
-
 def add_flags(sub: argparse.ArgumentParser, simulator: str) -> None:
     """OUT, `--seed`, and a flag for every parameter, with what its docstring says; angles kept in degrees stay so."""
     sub.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
     sub.add_argument("--seed", type=seed, default=0, metavar="N", help="seed of every random number (default: 0)")
-    parameters = _parameters(simulator)
+    parameters = parameters_of(simulator)
     described = _attributes(parameters.__doc__ or "", [f.name for f in fields(parameters)])
     for f in fields(parameters):
         flag, text = f"--{f.name.replace('_', '-')}", described.get(f.name, "")
@@ -122,11 +67,3 @@ def _attributes(docstring: str, names: Sequence[str]) -> dict[str, str]:
     ends = [m.start() for m in found[1:]] + [len(docstring)]
     texts = {m[1]: " ".join(docstring[m.end() : end].split()) for m, end in zip(found, ends, strict=True)}
     return {n: text.replace("`", "").rstrip(" .,;") for group, text in texts.items() for n in group.split(", ")}
-
-
-def simulated(args: argparse.Namespace) -> Log:
-    """The log that the flags describe; its source holds every parameter."""
-    parameters = _parameters(args.kind)
-    values = parameters(**{f.name: getattr(args, f.name) for f in fields(parameters)})
-    log: Log = importlib.import_module(SIMULATORS[args.kind][0]).simulate(values, args.seed)
-    return replace(log, source={**log.source, args.kind: asdict(values)})

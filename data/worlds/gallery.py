@@ -81,10 +81,10 @@ def simulate(g: Gallery, seed: int, name: str | None = None) -> Log:
     noise = np.array([g.sigma_x, g.sigma_z]) * rng.standard_normal((g.frames, g.pictures, CORNERS, 2))
     frame, ids, z = [], [], []
     for k, pose in enumerate(scene.pose):
-        for sight in in_view(g, scene.corners, pose):
+        for seen in in_view(g, scene.corners, pose):
             frame += [k] * CORNERS
-            ids += [CORNERS * sight.picture + c for c in range(CORNERS)]
-            z.append(sight.points[:, [0, 2]] + noise[k, sight.picture])
+            ids += [CORNERS * seen.picture + c for c in range(CORNERS)]
+            z.append(seen.points[:, [0, 2]] + noise[k, seen.picture])
     R = np.tile(np.diag([g.sigma_x**2, g.sigma_z**2]), (len(frame), 1, 1))
     model = VelocityModel(VelocityNoise("velocity", (g.sigma_v, g.sigma_omega)))
     increments, _ = preintegrate(model, scene.time, scene.recorded[:, 0], scene.recorded[:, 1], scene.time)

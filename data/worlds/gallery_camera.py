@@ -11,7 +11,7 @@ from data.worlds.gallery_parameters import Gallery
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class Projection:
     """A picture as a camera sees it: number, distance of its middle [m], obliquity [rad], pixels (4, 2), points (4, 3).
 
     The obliquity is the angle between the picture's normal and the line of sight to its middle; above 90 degrees the
@@ -40,7 +40,7 @@ def to_pixels(g: Gallery, points: Array) -> Array:
     return pixels
 
 
-def sights(g: Gallery, corners: Array, pose: Array) -> list[Sight]:
+def projections(g: Gallery, corners: Array, pose: Array) -> list[Projection]:
     """Every picture as seen from a pose, in view or not."""
     points = in_camera(g, pose, corners)
     pixels = to_pixels(g, points)
@@ -50,15 +50,15 @@ def sights(g: Gallery, corners: Array, pose: Array) -> list[Sight]:
     normal = np.cross(points[:, 3] - points[:, 0], points[:, 1] - points[:, 0])
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     obliquity = np.arccos(np.clip(-np.einsum("li,li->l", normal, middle) / distance, -1.0, 1.0))
-    return [Sight(i, float(distance[i]), float(obliquity[i]), pixels[i], points[i]) for i in range(len(corners))]
+    return [Projection(i, float(distance[i]), float(obliquity[i]), pixels[i], points[i]) for i in range(len(corners))]
 
 
-def in_view(g: Gallery, corners: Array, pose: Array) -> list[Sight]:
+def in_view(g: Gallery, corners: Array, pose: Array) -> list[Projection]:
     """The pictures wholly inside the image, near enough and not too oblique."""
     size = np.array([g.image_width - 1, g.image_height - 1])
     return [
         s
-        for s in sights(g, corners, pose)
+        for s in projections(g, corners, pose)
         if s.distance <= g.max_distance
         and s.obliquity <= g.max_obliquity
         and bool(((s.pixels >= 0) & (s.pixels <= size)).all())

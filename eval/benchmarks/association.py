@@ -107,9 +107,9 @@ def frame_seconds(estimator: str, inputs: Inputs, setup: Setup) -> tuple[float, 
     front = FrontEnd(estimator, "known", inputs, setup)
     last = len(inputs) - 1
     for k in range(last):
-        front.move()
-        front.associate(slice(int(inputs.start[k]), int(inputs.start[k + 1])))
-    front.move()
+        front.move(inputs.frame(k))
+        front.update(inputs.frame(k), front.associate(inputs.frame(k)))
+    front.move(inputs.frame(last))
     sightings = inputs.sightings(last)
     seconds = median_seconds(lambda: decide("jcbb", front.expect(sightings), GATE, 0.99999), 20)
     return seconds, len(sightings.z), len(front.expect(sightings).number)
@@ -122,10 +122,10 @@ def each_frame(estimator: str, association: str, inputs: Inputs) -> Array:
     with threadpool_limits(1):
         for k in range(len(inputs)):
             begin = time.perf_counter()
-            front.move()
-            rows = slice(int(inputs.start[k]), int(inputs.start[k + 1]))
-            if rows.stop > rows.start:
-                front.associate(rows)
+            frame = inputs.frame(k)
+            front.move(frame)
+            if len(frame.sightings.z):
+                front.update(frame, front.associate(frame))
             front.tidy()
             front.estimator.estimate()
             seconds[k] = time.perf_counter() - begin

@@ -34,7 +34,7 @@ PARTS = (
     Part("tn", "tn", "TN: rightly none"),
     Part("wrong", "fp", "FP: another landmark (wrong)"),
     Part("spurious", "fp", "FP: though none is right (spurious)", "/////"),
-    Part("duplicate", "fn", "FN: founded a second one (duplicate)"),
+    Part("duplicate", "fn", "FN: initialized a second one (duplicate)"),
     Part("missed", "fn", "FN: discarded (missed)", "....."),
 )
 

@@ -14,8 +14,9 @@ from data.inputs import IntArray
 from data.log import Log
 from data.result import NEW, Run
 from data.se2 import Array, transform_points
-from eval.figures.map import SIGMAS, View, along_path, ellipses, enlargement, longest_axis, true_landmarks, view_of
+from eval.figures.ellipses import SIGMAS, along_path, ellipses, longest_axis
 from eval.figures.style import Series, series, style_of
+from eval.figures.view import View, enlargement, true_landmarks, view_of
 
 LONGER_SIDE = 960
 """px of the picture's longer side; the scene decides the shorter one."""
@@ -178,7 +179,7 @@ def _draw_frame(image: Image, scene: _Scene, k: int) -> None:
 
 
 def _draw_rays(image: Image, scene: _Scene, k: int, pose: Array) -> None:
-    """From the robot to where each observation places its landmark: coloured if used or founding, grey if discarded."""
+    """From the robot to where each observation places its landmark: coloured if used or new, grey if discarded."""
     inputs, run, canvas = scene.log.recorded, scene.shown.run, scene.canvas
     rows = slice(inputs.start[k], inputs.start[k + 1])
     z = inputs.observations.z[rows]

@@ -9,16 +9,11 @@ from matplotlib.figure import Figure
 
 from data.log import Log
 from data.result import Run
+from eval.figures.ellipses import SIGMAS, longest_axis
 from eval.figures.error import longest_sigma, ticks, time_label
-from eval.figures.map import SIGMAS, longest_axis
-from eval.figures.style import DASHED, DOTTED, DOUBLE, SOLID, Line, drawing, style_of
+from eval.figures.style import DASHED, DOTTED, DOUBLE, SOLID, Line, colour_of_method, drawing, style_of
 from eval.referee.score import Trial
 
-METHOD_COLOURS = {
-    "known": "#000000", "nn": "#D55E00", "ml": "#E69F00", "ml-ratio": "#7B3F00", "singles": "#CC79A7", "gnn": "#999933",
-    "jcbb": "#0072B2", "jcbb-first": "#56B4E9",
-}  # fmt: skip
-OTHER_COLOUR = "#707070"
 LOOP = 0.3
 """A landmark seen again after this share of the run means that a loop was closed."""
 
@@ -57,7 +52,7 @@ def _state_figure(trial: Trial, beside: Sequence[Trial]) -> Figure:
             name = run.association if run.estimator == "ekf" else f"{run.association}, {style_of(run.estimator).label}"
             label = f"{name}{f', {extra}' if extra and t is not trial else ''}: {end}"
             line: Line = SOLID if t is trial else DASHED
-            colour = METHOD_COLOURS.get(run.association, OTHER_COLOUR)
+            colour = colour_of_method(run.association)
             (drawn,) = ax.step(time, size, where="post", color=colour, linestyle=line, linewidth=1.1, label=label)
             lines.append((end, drawn))
     ax.set(xlabel=time_label(trial.log.recorded), ylabel="length of the state [–]", ylim=(0.0, None))
@@ -86,7 +81,7 @@ def closing_frame(log: Log, run: Run) -> int | None:
 def growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
     """Standard deviation, along its least certain direction, of the robot online and of each landmark in the last map.
 
-    Landmarks stand in the order in which they were founded. A vertical line marks the frame that closed a loop.
+    Landmarks stand in the order in which they were initialized. A vertical line marks the frame that closed a loop.
     """
     with drawing():
         return _growth_figure(log, runs)
@@ -122,7 +117,7 @@ def _growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
         ax.xaxis.set_major_locator(ticks(6))
         ax.yaxis.set_major_locator(ticks(6))
     robot.set_title("robot, online", loc="left")
-    landmarks.set_title("landmarks in the last map, in order of founding", loc="left")
+    landmarks.set_title("landmarks in the last map, in order of initialization", loc="left")
     fig.suptitle(f"{log.name}: claimed σ along the least certain direction", x=0.01, ha="left")
     handles, _ = robot.get_legend_handles_labels()
     fig.legend(handles=handles, loc="outside lower center", ncols=1 if len(handles) > 3 else 2)

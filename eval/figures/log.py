@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 
 from data.inputs import CLUTTER, IntArray
 from data.log import Log
+from data.se2 import dead_reckoned
 from data.summary import granted_labels
-from eval.figures.map import dead_reckoned
 from eval.figures.style import DOTTED, DOUBLE, STYLES, TRUTH_COLOUR, drawing
 
 SEEN_COLOUR = "#56B4E9"
@@ -31,7 +31,7 @@ def _log_figure(log: Log) -> Figure:
     inputs, truth = log.recorded, log.truth
     fig = Figure()
     ax = fig.add_subplot()
-    reckoned = dead_reckoned(inputs)
+    reckoned = dead_reckoned(inputs.prior.mean, inputs.increments.mean)
     pose, origin = reckoned, "dead reckoning"
     if truth.pose is not None and truth.known_poses:
         pose, origin = truth.pose, "the true path"

@@ -1,4 +1,4 @@
-"""How everything drawn looks: a colour, label and line per estimator, page sizes, and saving the same bytes each time.
+"""How everything drawn looks: estimators and methods by name, page sizes, and saving the same bytes each time.
 
 Filters are warm, smoothers cool; colours are Okabe and Ito's and Tol's, chosen to stay apart for colour-blind readers.
 Nothing here touches pyplot: figures are plain `Figure` objects made inside `matplotlib.rc_context(RC)`.
@@ -89,6 +89,12 @@ STYLES: dict[str, Style] = {
     "isam2": Style("#009E73", "iSAM2", SOLID, "D"),
     "fixed-lag": Style("#999933", "fixed lag", LONG, "X"),
 }
+METHOD_COLOURS = {
+    "known": "#000000", "nn": "#D55E00", "ml": "#E69F00", "ml-ratio": "#7B3F00", "singles": "#CC79A7", "gnn": "#999933",
+    "jcbb": "#0072B2", "jcbb-first": "#56B4E9", "jcbb-hindsight": "#332288",
+}  # fmt: skip
+"""Ways of association, where lines tell these apart and not the estimators; independent tests warm, joint ones blue."""
+OTHER_METHOD = "#707070"
 _OTHERS = ("#7B3F00", "#5D3A9B", "#B8860B", "#4B4B4B")
 
 
@@ -98,6 +104,11 @@ def style_of(estimator: str) -> Style:
     if known is not None:
         return known
     return Style(_OTHERS[zlib.crc32(estimator.encode()) % len(_OTHERS)], estimator, DASHDOT)
+
+
+def colour_of_method(association: str) -> str:
+    """The colour of a way of association; grey for a name nobody planned for."""
+    return METHOD_COLOURS.get(association, OTHER_METHOD)
 
 
 @dataclass(frozen=True)

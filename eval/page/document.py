@@ -1,4 +1,4 @@
-"""The report as Markdown and as one HTML file that needs nothing else: images inside, no script, no network."""
+"""A report as Markdown and as one HTML file that needs nothing else: images inside, no script, no network."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import base64
 import html
 import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
 from markdown_it import MarkdownIt
 
-from eval.page.tables import markdown
+from eval.page.tables import FORMATS, markdown, write_table
 
 STYLE = """
 :root { color-scheme: light dark; --ink: #1b1b1b; --paper: #ffffff; --faint: #5c5c5c; --rule: #d0d0d0;
@@ -89,6 +89,14 @@ class Formula:
     latex: str
 
 
+def written_table(
+    frame: pd.DataFrame, folder: Path, stem: str, caption: str, formats: Sequence[str] = FORMATS
+) -> Table:
+    """Write a table as `folder/tables/stem.<format>`; the report links to its CSV if there is one."""
+    write_table(frame, folder / "tables", stem, caption, formats)
+    return Table(frame, caption, stem if "csv" in formats else None)
+
+
 Block = str | Table | Picture | Formula
 """A paragraph or list in Markdown, a table, a figure, or equations."""
 
@@ -98,12 +106,12 @@ class Section:
     """A heading of level 2 to 4 and what stands below it, in order."""
 
     heading: str
-    content: tuple[Block, ...]
+    blocks: tuple[Block, ...]
     level: int = 2
 
 
 @dataclass(frozen=True)
-class ReportContent:
+class Report:
     """A whole report: title, the command that makes it again, first page, sections."""
 
     title: str
@@ -120,7 +128,7 @@ class _Numbered:
     number: int
 
 
-def _numbered(content: ReportContent) -> Iterator[Section | _Numbered]:
+def _numbered(report: Report) -> Iterator[Section | _Numbered]:
     """Headings and blocks in reading order, tables and figures counted from 1."""
     tables = figures = 0
 
@@ -134,17 +142,17 @@ def _numbered(content: ReportContent) -> Iterator[Section | _Numbered]:
             return _Numbered(block, figures)
         return _Numbered(block, 0)
 
-    yield from map(count, content.introduction)
-    for section in content.sections:
+    yield from map(count, report.introduction)
+    for section in report.sections:
         yield section
-        yield from map(count, section.content)
+        yield from map(count, section.blocks)
 
 
-def report_markdown(content: ReportContent) -> str:
+def report_markdown(report: Report) -> str:
     """The report as Markdown, figures by their place in `figures/`."""
-    made_by = f"Made by\n\n```sh\n{content.command}\n```"
-    parts, first = [f"# {content.title}"], len(content.introduction)
-    for i, item in enumerate(_numbered(content)):
+    made_by = f"Made by\n\n```sh\n{report.command}\n```"
+    parts, first = [f"# {report.title}"], len(report.introduction)
+    for i, item in enumerate(_numbered(report)):
         if i == first:
             parts.append(made_by)
         if isinstance(item, Section):
@@ -161,7 +169,7 @@ def report_markdown(content: ReportContent) -> str:
             parts.append(f"```math\n{item.block.latex}\n```")
         else:
             parts.append(item.block)
-    if not content.sections:
+    if not report.sections:
         parts.append(made_by)
     return "\n\n".join(parts) + "\n"
 
@@ -200,13 +208,13 @@ def _table_html(table: Table, number: int, md: MarkdownIt) -> str:
     return f'<figure>{caption}\n<div class="scroll">{md.render(markdown(table.frame))}</div></figure>'
 
 
-def report_html(folder: Path, content: ReportContent) -> str:
+def report_html(folder: Path, report: Report) -> str:
     """The report as one HTML page; figures are read from `folder/figures` (FileNotFoundError names a missing one)."""
     md = _renderer()
-    title = html.escape(content.title)
+    title = html.escape(report.title)
     used: dict[str, int] = {}
-    body, contents = [], []
-    for item in _numbered(content):
+    body, links = [], []
+    for item in _numbered(report):
         if isinstance(item, Section):
             name = anchor(item.heading)
             used[name] = used.get(name, 0) + 1
@@ -215,7 +223,7 @@ def report_html(folder: Path, content: ReportContent) -> str:
             heading = md.renderInline(item.heading)
             body.append(f'<h{item.level} id="{name}">{heading}</h{item.level}>')
             if item.level == 2:
-                contents.append(f'<li><a href="#{name}">{heading}</a></li>')
+                links.append(f'<li><a href="#{name}">{heading}</a></li>')
         elif isinstance(item.block, Table):
             body.append(_table_html(item.block, item.number, md))
         elif isinstance(item.block, Picture):
@@ -225,7 +233,7 @@ def report_html(folder: Path, content: ReportContent) -> str:
         else:
             body.append(md.render(item.block).rstrip("\n"))
     first = next((i for i, part in enumerate(body) if part.startswith("<h2")), len(body))
-    navigation = "\n".join(["<nav><ul>", *contents, "</ul></nav>"]) if len(contents) > 2 else ""
+    navigation = "\n".join(["<nav><ul>", *links, "</ul></nav>"]) if len(links) > 2 else ""
     policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
     page = [
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">',
@@ -234,14 +242,14 @@ def report_html(folder: Path, content: ReportContent) -> str:
         f"<title>{title}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>",
         *body[:first],
         navigation,
-        f"<p>Made by</p>\n<pre><code>{html.escape(content.command)}</code></pre>",
+        f"<p>Made by</p>\n<pre><code>{html.escape(report.command)}</code></pre>",
         *body[first:],
         "</body>\n</html>",
     ]
     return "\n".join(part for part in page if part) + "\n"
 
 
-def write_report(folder: Path, content: ReportContent) -> None:
+def write_report(folder: Path, report: Report) -> None:
     """Write `report.md` and `report.html` into the result folder; its figures must be there already, as PNG."""
-    (folder / "report.md").write_text(report_markdown(content), encoding="utf-8", newline="\n")
-    (folder / "report.html").write_text(report_html(folder, content), encoding="utf-8", newline="\n")
+    (folder / "report.md").write_text(report_markdown(report), encoding="utf-8", newline="\n")
+    (folder / "report.html").write_text(report_html(folder, report), encoding="utf-8", newline="\n")

@@ -86,7 +86,7 @@ class _Box:
     strokes: tuple[tuple[tuple[float, float], ...], ...] = ()
 
     def moved(self, dx: float, dy: float) -> _Box:
-        """The same, its contents elsewhere."""
+        """The same, shifted by (dx, dy) pt."""
         texts = tuple((x + dx, y + dy, s) for x, y, s in self.texts)
         strokes = tuple(tuple((x + dx, y + dy) for x, y in stroke) for stroke in self.strokes)
         return _Box(self.width, self.height, self.depth, texts, strokes)

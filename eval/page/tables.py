@@ -163,7 +163,7 @@ def write_table(
         raise ValueError(f"table format {unknown[0]!r}; known: {', '.join(FORMATS)}")
     folder.mkdir(parents=True, exist_ok=True)
     plain = frame.astype(object).map(lambda v: "" if is_blank(v) else v)
-    content = {
+    text = {
         "csv": lambda: plain.to_csv(index=False, lineterminator="\n"),
         "md": lambda: f"{caption}\n\n{markdown(frame)}",
         "tex": lambda: latex(frame, stem, caption),
@@ -171,6 +171,6 @@ def write_table(
     written = []
     for suffix in formats:
         path = folder / f"{stem}.{suffix}"
-        path.write_text(content[suffix](), encoding="utf-8", newline="\n")
+        path.write_text(text[suffix](), encoding="utf-8", newline="\n")
         written.append(path)
     return written

@@ -20,7 +20,7 @@ from eval.plan.tutorial import ABOUT, tutorial_run, variant_log
 from eval.plan.variant import Variant
 from eval.referee.score import Trial
 from eval.replay.run import compare
-from eval.studies import store as study_store
+from eval.studies import store
 from eval.studies.montecarlo import Result, Study, one_run, study_of
 from eval.studies.reproduced import published_rows
 from eval.studies.stored_run import replay_stored
@@ -63,10 +63,10 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
     jobs.sort(key=lambda job: not (job[0][0] == "trial" and "isam2" in job[1][1][1].estimators))
     studies = [range(options.seed, options.seed + runs) for _, runs in plan.studies]
     kept: dict[tuple[int, int], Result] = {}
-    folders = [study_store.folder_of(options.out.absolute().parent, scenario) for scenario, _ in plan.studies]
+    folders = [store.folder_of(options.out.absolute().parent, scenario) for scenario, _ in plan.studies]
     for i, (scenario, _) in enumerate(plan.studies):
         for seed in studies[i]:
-            found = study_store.load(folders[i], seed)
+            found = store.load(folders[i], seed)
             if found is None:
                 jobs.append((("study", i, seed), (one_run, (scenario, seed))))
             else:
@@ -74,7 +74,7 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
     results: dict[tuple[str, int], list[Any]] = {}
     for done, ((kind, i, seed), result) in enumerate(_work(jobs, options), start=1):
         if kind == "study":
-            study_store.save(folders[i], seed, result)
+            store.save(folders[i], seed, result)
             kept[i, seed] = result
         else:
             results.setdefault((kind, i), []).append(result)

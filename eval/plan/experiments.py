@@ -98,7 +98,7 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
                 f"two logs are named {' and '.join(map(repr, dict.fromkeys(same)))} (in file names : and + become _); "
                 "rename one (the name stands in its log.toml)"
             )
-    if options.setup.upkeep and not any(e.task == "slam" for e in experiments):
+    if options.setup.manages_map and not any(e.task == "slam" for e in experiments):
         raise UsageError("--maintain, --forget-after, --deactivate-after: for slam; a known map is kept as it is")
     runs = options.runs
     if runs is None:
@@ -207,7 +207,7 @@ def _default(options: Options, say: Callable[[str], None]) -> list[Experiment]:
     for name, task, work in rows:
         log = logs[name]
         experiments.append(Experiment(log, task, _work(log, options) if asked else work, options.setup))
-        if not asked and ":people" in name and not options.quick and not options.setup.upkeep:
+        if not asked and ":people" in name and not options.quick and not options.setup.manages_map:
             kept = lab if options.full else (Work("jcbb", ("ekf",)),)
             experiments.append(_maintained(experiments[-1], kept))
     return experiments

@@ -1,26 +1,176 @@
-"""The flags of `python -m eval.run_all` and the names they take, with an example of each in `--help`.
+"""The table of flags of `python -m eval.run_all`, one field a row, with an example of each in `--help`.
 
-Imports nothing heavy, so that `--help` and a mistyped flag answer at once.
+Parser, config files, checks, the command in the report and step mode read this table; its middle part, `Setup`, serves
+scenario files, too. Imports nothing heavy, so that `--help` and a mistyped flag answer at once.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
-from eval.replay.names import ASSOCIATIONS, ESTIMATORS
+from eval.plan.variant import Variant
+from eval.replay.flag import Flag, flag, folder, names, one_of, rows, switch, text, texts, whole
+from eval.replay.names import ASSOCIATIONS, ESTIMATORS, TASKS
+from eval.replay.settings import Setup
 from eval.studies.shipped import scenarios
 
+PROG = "python -m eval.run_all"
 FORMATS = ("csv", "md", "tex")
-CHOICES = {
-    "camera_translation": ("cm", "mm", "m"),
-    "camera_reading": ("to-camera", "to-body"),
-    "corner_noise": ("lab", "depth"),
-}
-"""Options that take one word of a few."""
 DEFAULT_ESTIMATORS = ("dead-reckoning", "ekf", "isam2", "batch")
 QUICK_RUNS = 2
 CONFIGS = Path(__file__).parents[1] / "configs"
+
+
+def shipped() -> list[str]:
+    """Names of the configurations that come with the package."""
+    return sorted(f.stem for f in CONFIGS.glob("*.toml"))
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What is run: these rows come before those of `Setup`."""
+
+    log: tuple[str, ...] = field(
+        default=(),
+        metadata=flag(
+            texts, "PATH|NAME", "open log folder, victoria-park, arena:SEED, circle:SEED, linear:SEED, or "
+            "corridor:SEED:people+no-odometry+KEY=VALUE (repeatable; default: victoria-park, arena:0, corridor:0 in "
+            "five variants, a short visual:0)", repeatable=True,
+        ),
+    )  # fmt: skip
+    data: tuple[str, ...] = field(
+        default=(),
+        metadata=flag(
+            texts, "DIR", "add every dataset found in DIR: open logs, UTIAS MRCLAM folders or zips; with --scenario "
+            "only where the recording of esde-replay is looked for", repeatable=True,
+        ),
+    )  # fmt: skip
+    scenario: tuple[str, ...] = field(
+        default=(),
+        metadata=flag(
+            texts, "NAME|FILE|all", f"Monte Carlo study of a world: {', '.join(scenarios())}, a TOML file, or all of "
+            "those (repeatable)", repeatable=True,
+        ),
+    )  # fmt: skip
+    task: tuple[str, ...] = field(
+        default=(),
+        metadata=flag(
+            names(TASKS), "LIST", "localization,slam (default: localization where there is a map, else slam)"
+        ),
+    )  # fmt: skip
+    estimator: tuple[str, ...] = field(
+        default=DEFAULT_ESTIMATORS,
+        metadata=flag(
+            names(ESTIMATORS, least=1), "LIST",
+            f"of {', '.join(ESTIMATORS)} (default: {','.join(DEFAULT_ESTIMATORS)})",
+        ),
+    )  # fmt: skip
+    association: tuple[str, ...] = field(
+        default=(),
+        metadata=flag(
+            names(ASSOCIATIONS), "LIST",
+            f"of {', '.join(ASSOCIATIONS)} (default: known where the log has labels, else jcbb)",
+        ),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Options(Setup, Selection):
+    """What was asked for, the setup included; field names are the config file's keys (with `-` for `_`).
+
+    Attributes:
+        config: the files that must be read again for the same numbers: all, if one of them holds a variant.
+        stated: the other keys that those files state.
+        variants: what they hold in their tables [variant].
+    """
+
+    camera_translation: str = field(
+        default="cm",
+        metadata=flag(
+            one_of(("cm", "mm", "m")), "UNIT", "of T in a lab folder's configuration: cm (default), mm, m"
+        ),
+    )  # fmt: skip
+    camera_reading: str = field(
+        default="to-camera",
+        metadata=flag(
+            one_of(("to-camera", "to-body")), "WAY",
+            "R, T of a lab folder: to-camera, p_c = R p_b + T (default), or to-body, the other way round",
+        ),
+    )  # fmt: skip
+    corner_noise: str = field(
+        default="lab",
+        metadata=flag(
+            one_of(("lab", "depth")), "KIND", "of picture corners: lab, 2 cm and 5 cm (default), or depth, along the "
+            "ray and growing with its square",
+        ),
+    )  # fmt: skip
+    trust_pickle: bool = field(
+        default=False, metadata=flag(switch, "", "read object arrays of a lab folder: they can run code")
+    )
+    runs: int | None = field(
+        default=None,
+        metadata=flag(
+            whole(0, "must not be negative"), "N",
+            f"runs of the consistency study (default: 50, or what a scenario says; {QUICK_RUNS} with --quick; "
+            "0: none, the default with --log)",
+        ),
+    )  # fmt: skip
+    seed: int = field(
+        default=0,
+        metadata=flag(whole(0, "must not be negative"), "N", "first seed of the consistency study (default: 0)"),
+    )
+    jobs: int = field(
+        default=1,
+        metadata=flag(
+            whole(1, "at least one process is needed"), "N", "processes (default: one per core)", numbers=False
+        ),
+    )  # fmt: skip
+    scheduler: str | None = field(
+        default=None,
+        metadata=flag(
+            text("an address, as in tcp://host:8786,"), "ADDRESS",
+            "do the study's runs on a Dask cluster, as in tcp://host:8786", numbers=False,
+        ),
+    )  # fmt: skip
+    quick: bool = field(
+        default=False,
+        metadata=flag(
+            switch, "", "a short report in seconds: fewer frames and pictures, PNG only, too few runs for verdicts"
+        ),
+    )  # fmt: skip
+    full: bool = field(default=False, metadata=flag(switch, "", "the default suite with every method; takes minutes"))
+    out: Path = field(
+        default=Path("results/report"),
+        metadata=flag(
+            folder, "DIR", "result folder, replaced as a whole when done (default: results/report)", numbers=False
+        ),
+    )  # fmt: skip
+    formats: tuple[str, ...] = field(
+        default=FORMATS,
+        metadata=flag(names(FORMATS), "LIST", "table formats of csv,md,tex (default: all)", numbers=False),
+    )
+    no_plots: bool = field(default=False, metadata=flag(switch, "", "tables only", numbers=False))
+    animate: bool = field(default=False, metadata=flag(switch, "", "an MP4 per log, task and estimator", numbers=False))
+    config: tuple[str, ...] = field(
+        default=(),
+        metadata=flag(
+            texts, "FILE|NAME", "TOML file with the same keys, or a shipped one: " + ", ".join(shipped()),
+            repeatable=True,
+        ),
+    )  # fmt: skip
+    quiet: bool = field(default=False, metadata=flag(switch, "", "print only errors", numbers=False, short="-q"))
+    verbose: bool = field(default=False, metadata=flag(switch, "", "print more", numbers=False, short="-v"))
+    stated: tuple[str, ...] = ()
+    variants: tuple[Variant, ...] = ()
+
+    @property
+    def setup(self) -> Setup:
+        """How observations are paired and how much of the map is kept."""
+        return Setup(**{f.name: getattr(self, f.name) for f in fields(Setup)})
+
 
 EPILOG = """\
 examples:
@@ -36,6 +186,7 @@ examples:
   python -m eval.run_all --log my_log --estimator ekf,batch-cauchy --association known
   python -m eval.run_all --log arena:0 --task slam --estimator ekf,ekf-invariant,isam2,batch
   python -m eval.run_all --log my_log --gate-known 0.9999   leave labelled readings out that fit badly
+  python -m eval.run_all --log my_log --gate-known 0.9999 --no-gate-smoothers    the smoothers keep them
   python -m eval.run_all --log my_log --task slam --association known,nn,jcbb    unknown labels beside known ones
   python -m eval.run_all --log corridor:0 --association jcbb --gate 0.95 --new-gate 0.999
   python -m eval.run_all --log my_log --association ml --gate none   no gate: every reading is paired
@@ -60,113 +211,29 @@ examples:
 exit status: 0 fine, 1 an estimator that is declared consistent was rejected, 2 wrong usage or bad data"""
 
 
-def parser() -> argparse.ArgumentParser:
-    """The flags. Defaults are left out here (None), so that a config file can tell what was given."""
+def parser(prog: str = PROG) -> argparse.ArgumentParser:
+    """The flags. Only what was given is in the result, so that a config file can fill in the rest."""
     p = argparse.ArgumentParser(
-        prog="python -m eval.run_all",
+        prog=prog,
         description="Run filters and smoothers on identical inputs, score them with one referee, and write the report.",
-        epilog=EPILOG,
+        epilog=EPILOG.replace(PROG, prog),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    add = p.add_argument
-    add(
-        "--log",
-        action="append",
-        metavar="PATH|NAME",
-        help="open log folder, victoria-park, arena:SEED, circle:SEED, linear:SEED, or "
-        "corridor:SEED:people+no-odometry+KEY=VALUE (repeatable; default: victoria-park, arena:0, corridor:0 in "
-        "five variants, a short visual:0)",
-    )
-    add(
-        "--data",
-        action="append",
-        metavar="DIR",
-        help="add every dataset found in DIR: open logs, UTIAS MRCLAM folders or zips; with --scenario only where the "
-        "recording of esde-replay is looked for",
-    )
-    add(
-        "--scenario",
-        action="append",
-        metavar="NAME|FILE|all",
-        help=f"Monte Carlo study of a world: {', '.join(scenarios())}, a TOML file, or all of those (repeatable)",
-    )
-    add("--task", metavar="LIST", help="localization,slam (default: localization where there is a map, else slam)")
-    add("--estimator", metavar="LIST", help=f"of {', '.join(ESTIMATORS)} (default: {','.join(DEFAULT_ESTIMATORS)})")
-    add(
-        "--association",
-        metavar="LIST",
-        help=f"of {', '.join(ASSOCIATIONS)} (default: known where the log has labels, else jcbb)",
-    )
-    add(
-        "--gate",
-        metavar="P",
-        help="chi-square probability of the association gate, or none (default: 0.99; known is not gated)",
-    )
-    add(
-        "--new-gate",
-        metavar="P",
-        help="an observation starts a landmark only outside this gate of every other (default: 0.99999; the lab: 0.99; "
-        "ml-ratio decides by itself)",
-    )
-    add("--gate-known", metavar="P", help="gate for readings paired by label, too (default: none)")
-    add("--in-view", action="store_true", default=None, help="the EKF offers only landmarks in range and view")
-    add(
-        "--maintain",
-        action="store_true",
-        default=None,
-        help="SLAM: remove landmarks seen once and more than two frames ago",
-    )
-    add("--forget-after", metavar="S", help="EKF-SLAM drops landmarks unseen for S seconds (frames without stamps)")
-    add("--deactivate-after", metavar="S", help="EKF-SLAM parks such landmarks, and takes them back when seen again")
-    add("--camera-translation", metavar="UNIT", help="of T in a lab folder's configuration: cm (default), mm, m")
-    add(
-        "--camera-reading",
-        metavar="WAY",
-        help="R, T of a lab folder: to-camera, p_c = R p_b + T (default), or to-body, the other way round",
-    )
-    add(
-        "--corner-noise",
-        metavar="KIND",
-        help="of picture corners: lab, 2 cm and 5 cm (default), or depth, along the ray and growing with its square",
-    )
-    add(
-        "--trust-pickle",
-        action="store_true",
-        default=None,
-        help="read object arrays of a lab folder: they can run code",
-    )
-    add("--lag", metavar="S", help="fixed-lag keeps poses for S seconds (frames without stamps; default: 30)")
-    add(
-        "--runs",
-        metavar="N",
-        help=f"runs of the consistency study (default: 50, or what a scenario says; {QUICK_RUNS} with --quick; "
-        "0: none, the default with --log)",
-    )
-    add("--seed", metavar="N", help="first seed of the consistency study (default: 0)")
-    add("--jobs", metavar="N", help="processes (default: one per core)")
-    add("--scheduler", metavar="ADDRESS", help="do the study's runs on a Dask cluster, as in tcp://host:8786")
-    add(
-        "--quick",
-        action="store_true",
-        default=None,
-        help="a short report in seconds: fewer frames and pictures, PNG only, too few runs for verdicts",
-    )
-    add("--full", action="store_true", default=None, help="the default suite with every method; takes minutes")
-    add("--out", metavar="DIR", help="result folder, replaced as a whole when done (default: results/report)")
-    add("--formats", metavar="LIST", help="table formats of csv,md,tex (default: all)")
-    add("--no-plots", action="store_true", default=None, help="tables only")
-    add("--animate", action="store_true", default=None, help="an MP4 per log, task and estimator")
-    add(
-        "--config",
-        action="append",
-        metavar="FILE|NAME",
-        help="TOML file with the same keys, or a shipped one: " + ", ".join(shipped()),
-    )
-    add("-q", "--quiet", action="store_true", default=None, help="print only errors")
-    add("-v", "--verbose", action="store_true", default=None, help="print more")
+    add_flags(p, rows(Options).values())
     return p
 
 
-def shipped() -> list[str]:
-    """Names of the configurations that come with the package."""
-    return sorted(f.stem for f in CONFIGS.glob("*.toml"))
+def add_flags(p: argparse.ArgumentParser, wanted: Iterable[Flag]) -> None:
+    """Rows of a table as flags of a parser."""
+    for row in wanted:
+        options = [row.short, row.option] if row.short else [row.option]
+        if not row.metavar:
+            p.add_argument(
+                *options, dest=row.name, action="store_const", const=not row.default, default=argparse.SUPPRESS,
+                help=row.help,
+            )  # fmt: skip
+        else:
+            p.add_argument(
+                *options, action="append" if row.repeatable else "store", metavar=row.metavar,
+                default=argparse.SUPPRESS, help=row.help,
+            )  # fmt: skip

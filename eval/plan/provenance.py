@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
+import shlex
 import sys
 from collections.abc import Iterable, Sequence
 from importlib.metadata import version
@@ -12,38 +13,29 @@ from importlib.metadata import version
 import numpy as np
 
 from data.log import Log
-from eval.plan.options import Options
+from eval.plan.flags import PROG, Options
+from eval.replay.flag import rows
 
 PACKAGES = ("gtsam", "numpy", "scipy", "numba", "pandas", "matplotlib", "opencv-python-headless")
 
 
 def command_of(options: Options) -> str:
-    """The command that makes the same numbers again (output folder and number of processes do not matter to them)."""
-    parts = ["python -m eval.run_all"]
-    default = Options()
-    for name in ("log", "scenario", "data"):
-        parts += [f"--{name} {v}" for v in getattr(options, name)]
-    for name in ("task", "estimator", "association"):
-        if getattr(options, name) != getattr(default, name) and getattr(options, name):
-            parts.append(f"--{name} {','.join(getattr(options, name))}")
-    parts += [f"--config {v.name}" for v in options.variants]
-    for name in ("gate", "new_gate", "gate_known", "forget_after", "deactivate_after", "lag"):
-        if getattr(options, name) != getattr(default, name):
-            value = getattr(options, name)
-            parts.append(f"--{name.replace('_', '-')} {'none' if value is None else format(value, 'g')}")
-    parts += [f"--{name.replace('_', '-')}" for name in ("in_view", "maintain", "full") if getattr(options, name)]
-    if options.runs is not None:
-        parts.append(f"--runs {options.runs}")
-    if options.seed:
-        parts.append(f"--seed {options.seed}")
-    parts += ["--quick"] * options.quick
-    return " ".join(parts)
+    """The command that makes the same numbers again (output folder and number of processes do not matter to them).
+
+    Beside a config file that has to be read again stands whatever it states, so that flags which won still win.
+    """
+    words = PROG.split()
+    for row in rows(Options).values():
+        value = getattr(options, row.name)
+        if row.numbers and (value != row.default or row.name in options.stated):
+            words += row.words(value)
+    return shlex.join(words)
 
 
 def provenance(options: Options, logs: Iterable[Log], arguments: Sequence[str]) -> str:
     """The text of provenance.json."""
     content = {
-        "command": ["python", "-m", "eval.run_all", *arguments],
+        "command": [*PROG.split(), *arguments],
         "versions": {
             "slamref": version("slamref"), "python": platform.python_version(), **{p: version(p) for p in PACKAGES},
         },

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+from eval.replay.flag import flag, numbers, one_of, positive, positive_or_none, probability, switch, text, texts
+from eval.replay.names import ASSOCIATIONS, TASKS
 
 
 @dataclass(frozen=True)
@@ -23,17 +26,17 @@ class Variant:
         notes: what is not reproduced of the original, one sentence each.
     """
 
-    name: str
-    task: str
-    grid: float
-    model: str
-    alphas: tuple[float, float, float, float]
-    sigma: tuple[float, float]
-    prior_variance: float
-    each: bool = False
-    new_variance: float | None = None
-    new_variance_per_square: float | None = None
-    association: str = "known"
-    gate: float | None = None
-    new_gate: float | None = None
-    notes: tuple[str, ...] = ()
+    name: str = field(metadata=flag(text("a name")))
+    task: str = field(metadata=flag(one_of(TASKS)))
+    grid: float = field(metadata=flag(positive))
+    model: str = field(metadata=flag(one_of(("unicycle", "half_angle"))))
+    alphas: tuple[float, float, float, float] = field(metadata=flag(numbers(4)))
+    sigma: tuple[float, float] = field(metadata=flag(numbers(2)))
+    prior_variance: float = field(metadata=flag(positive))
+    each: bool = field(default=False, metadata=flag(switch))
+    new_variance: float | None = field(default=None, metadata=flag(positive_or_none))
+    new_variance_per_square: float | None = field(default=None, metadata=flag(positive_or_none))
+    association: str = field(default="known", metadata=flag(one_of(ASSOCIATIONS)))
+    gate: float | None = field(default=None, metadata=flag(probability))
+    new_gate: float | None = field(default=None, metadata=flag(probability))
+    notes: tuple[str, ...] = field(default=(), metadata=flag(texts))

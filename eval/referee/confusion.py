@@ -13,7 +13,6 @@ import numpy as np
 
 from data.inputs import IntArray, LandmarkMap
 from data.result import DISCARD, NEW
-from data.se2 import Array
 from data.truth import UNKNOWN_ID
 
 OUTCOMES = ("tp", "tn", "fp", "fn")
@@ -142,21 +141,11 @@ def share_within(
 
     true_id: (M,) of each observation; taken_id: (M,) of the landmark it was paired with; both by their true positions,
     so that neither the error of the map nor a second landmark of the same point counts. A person paired, a landmark
-    founded on a person and one without a true position are never near. NaN where nothing was paired.
+    initialized on a person and one without a true position are never near. NaN where nothing was paired.
     """
     paired = np.flatnonzero(decisions >= 0)
     if not len(paired):
         return float("nan")
-    own, taken = (_positions(places, ids[paired]) for ids in (true_id, taken_id))
+    own, taken = (places.positions(ids[paired]) for ids in (true_id, taken_id))
     apart = np.hypot(*(own - taken).T)
     return float(np.mean(apart <= distance))  # a comparison with NaN is false
-
-
-def _positions(places: LandmarkMap, ids: IntArray) -> Array:
-    """True positions (m, 2) by id, NaN where there is none."""
-    xy = np.full((len(ids), 2), np.nan)
-    if len(places.id):
-        row = np.minimum(np.searchsorted(places.id, ids), len(places.id) - 1)
-        known = places.id[row] == ids
-        xy[known] = places.xy[row[known]]
-    return xy

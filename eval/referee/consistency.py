@@ -212,7 +212,7 @@ def coverage(values: Array, dof: int, level: float) -> Verdict:
 
 
 def lag1(white: Array, frame: IntArray, number: IntArray) -> tuple[float, float]:
-    """Correlation of a landmark's standardized innovations in consecutive frames, and its standard error if white.
+    """Mean product of a landmark's standardized innovations in consecutive frames, and its standard error if white.
 
     Args:
         white: (M, 2) innovations times the inverse root of their own 2x2 covariance, at the prediction; NaN: not used.
@@ -223,18 +223,42 @@ def lag1(white: Array, frame: IntArray, number: IntArray) -> tuple[float, float]
     Kirubarajan 5.4.2), so T = sum of w_k' w_k+1 over the landmarks of both frames is a martingale difference. Hence
     r = sum T / (2 pairs) has mean 0 and, although innovations within one frame are correlated, sum T^2 estimates the
     variance of sum T; their ratio r / error is about standard normal in a long run. As w has unit covariance by the
-    filter's claim, r is the correlation; no variance is estimated. Returns (nan, nan) without pairs. Of a landmark seen
-    twice in a frame, the last observation meets the first of the next frame.
+    filter's claim, r is the correlation if the claim is right, and no variance is estimated; where it is not, r is in
+    units of the claimed variance and may have any size (see `lag1_correlation`). Returns (nan, nan) without pairs.
+    Of a landmark seen twice in a frame, the last observation meets the first of the next frame.
     """
-    rows = np.flatnonzero(np.isfinite(white).all(axis=1) & (number >= 0))
-    rows = rows[np.lexsort((frame[rows], number[rows]))]
-    before, after = rows[:-1], rows[1:]
-    joined = (number[before] == number[after]) & (frame[before] + 1 == frame[after])
-    before, after = before[joined], after[joined]
+    before, after = _successive(white, frame, number)
     if not len(after):
         return math.nan, math.nan
     T = np.bincount(frame[after], np.einsum("pi,pi->p", white[before], white[after]))
     return float(T.sum()) / (2 * len(after)), math.sqrt(float(T @ T)) / (2 * len(after))
+
+
+def lag1_correlation(white: Array, frame: IntArray, number: IntArray) -> tuple[float, float]:
+    """Correlation of a landmark's innovations in consecutive frames, within [-1, 1], and its standard error if white.
+
+    Arguments as of `lag1`, but each component of the innovations is divided by its own spread over the pairs, in
+    place of the spread that the filter claims: a noise that is stated wrongly makes NIS large and not this. The spread
+    is about zero, the mean of a consistent filter's innovations, so a bias counts as correlation. Mean of both
+    components; one without any spread is left out. Returns (nan, nan) where nothing is left.
+    """
+    before, after = _successive(white, frame, number)
+    spread = np.linalg.norm(white[before], axis=0) * np.linalg.norm(white[after], axis=0)
+    varies = spread > 0.0
+    if not varies.any():
+        return math.nan, math.nan
+    products = white[before][:, varies] * white[after][:, varies] / spread[varies]
+    T = np.bincount(frame[after], products.mean(axis=1))
+    return float(np.clip(T.sum(), -1.0, 1.0)), math.sqrt(float(T @ T))
+
+
+def _successive(white: Array, frame: IntArray, number: IntArray) -> tuple[IntArray, IntArray]:
+    """Rows of a landmark's innovations in consecutive frames: those before (p,), those after (p,)."""
+    rows = np.flatnonzero(np.isfinite(white).all(axis=1) & (number >= 0))
+    rows = rows[np.lexsort((frame[rows], number[rows]))]
+    before, after = rows[:-1], rows[1:]
+    follows = (number[before] == number[after]) & (frame[before] + 1 == frame[after])
+    return before[follows], after[follows]
 
 
 def holm_rejected(p_values: Sequence[float], level: float = FAMILY_LEVEL) -> list[bool]:

@@ -72,19 +72,16 @@ def aligned_rmse(pose: Array, truth: Array) -> float:
 
 
 def landmark_true_ids(created: IntArray, truth: Truth, numbers: IntArray) -> IntArray:
-    """True id (L,) of each landmark: that of the observation which founded it (`UNKNOWN_ID` = -2 where not known)."""
+    """True id (L,) of each landmark, that of the observation that initialized it (-2 where not known)."""
     ids = np.full(int(max(created.max(initial=-1), np.max(numbers, initial=-1))) + 1, -2, np.int64)
     if truth.landmark_of is not None:
-        founding = np.flatnonzero(created >= 0)
-        ids[created[founding]] = truth.landmark_of[founding]
+        first = np.flatnonzero(created >= 0)
+        ids[created[first]] = truth.landmark_of[first]
     return ids[numbers]
 
 
 def landmark_errors(xy: Array, true_id: IntArray, truth: Truth) -> Array:
     """Position error (L, 2) of each mapped landmark, NaN where its true position is not known."""
-    error = np.full((len(xy), 2), np.nan)
-    if truth.landmarks is not None and len(truth.landmarks.id):
-        row = np.minimum(np.searchsorted(truth.landmarks.id, true_id), len(truth.landmarks.id) - 1)
-        known = truth.landmarks.id[row] == true_id
-        error[known] = xy[known] - truth.landmarks.xy[row[known]]
-    return error
+    if truth.landmarks is None:
+        return np.full((len(xy), 2), np.nan)
+    return xy - truth.landmarks.positions(true_id)

@@ -10,63 +10,15 @@ import numpy as np
 import pandas as pd
 
 from data.log import Log
-from data.result import DISCARD, Run, founders
+from data.result import DISCARD, Run, surviving
 from eval.referee import consistency, errors
 from eval.referee.confusion import WITHIN, Confusion, confuse, share_within
+from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES, RUN
 
-METRICS = (
-    "log",
-    "task",
-    "estimator",
-    "association",
-    "phase",
-    "status",
-    "frames",
-    "observations",
-    "accepted",
-    "rejected",
-    "landmarks",
-    "rmse_position_m",
-    "rmse_heading_deg",
-    "max_position_m",
-    "rmse_aligned_m",
-    "rmse_landmark_m",
-    "rms_from_batch_m",
-    "nees_pose",
-    "nees_position",
-    "nees_heading",
-    "nis",
-    "nis_lower",
-    "nis_upper",
-    "inside_3sigma",
-    "rmse_time_m",
-    "sse_position_m2",
-    "sse_landmark_m2",
-    "innovation_lag1",
-    "innovation_lag1_se",
-)
-ASSOCIATION = (
-    "log",
-    "task",
-    "estimator",
-    "association",
-    "phase",
-    "tp",
-    "tn",
-    "fp",
-    "fn",
-    "precision",
-    "recall",
-    "wrong",
-    "spurious",
-    "duplicate",
-    "missed",
-    "deferred",
-    "share_within",
-    "within_m",
-)
-COUNTED = ASSOCIATION[5:-2]
-"""Columns that are fields of `Confusion`."""
+METRICS = (*RUN, "status", *(m.column for m in OF_ESTIMATES))
+ASSOCIATION = (*RUN, *(m.column for m in OF_DECISIONS))
+COUNTED = tuple(c for c in ASSOCIATION if c not in (*RUN, "share_within", "within_m"))
+"""Columns that `Confusion` has."""
 CONSISTENCY = (
     "scenario",
     "estimator",
@@ -117,7 +69,7 @@ def confusion_of(run: Run, log: Log, phase: str) -> Confusion | None:
     known = log.recorded.map if run.task == "localization" else None
     decisions = run.decisions if phase == "online" else run.final_decisions
     # in the end a landmark that was retracted has never been
-    created = run.created if phase == "online" else founders(decisions, run.created)
+    created = run.created if phase == "online" else surviving(decisions, run.created)
     final = run.final_decisions if phase == "online" else None
     frame = log.recorded.observations.frame
     return confuse(frame, log.truth.landmark_of, decisions, created, known, run.removed, final)
@@ -171,7 +123,9 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None) -> dict[s
         row["rms_from_batch_m"] = errors.rms(errors.position_distance(pose, reference.final.pose))
     if phase == "online" and run.innovations is not None:
         o = log.recorded.observations
-        row["innovation_lag1"], row["innovation_lag1_se"] = consistency.lag1(run.innovations.white, o.frame, decisions)
+        row["innovation_lag1"], row["innovation_lag1_se"] = consistency.lag1_correlation(
+            run.innovations.white, o.frame, decisions
+        )
     total = _nis(run, phase)
     if total is not None and total[1] > 0:
         row["nis"] = total[0] / total[1]
@@ -206,6 +160,9 @@ def _near(run: Run, phase: str, log: Log) -> float | None:
 def frame_of(rows: Sequence[Mapping[str, object]], columns: Sequence[str]) -> pd.DataFrame:
     """Rows as a table with exactly these columns; unknown is None, integers stay integers."""
     plain = [{k: _blank(v) for k, v in row.items()} for row in rows]
+    unknown = {k for row in plain for k in row} - set(columns)
+    if unknown:
+        raise AssertionError(f"columns {sorted(unknown)} are none of {', '.join(columns)}")
     return pd.DataFrame([[row.get(c) for c in columns] for row in plain], columns=list(columns), dtype=object)
 
 

@@ -8,17 +8,19 @@ import numpy as np
 
 from association.expectation import Expectation
 from data.errors import UsageError
-from data.inputs import Increment, Inputs, IntArray, Sightings
-from data.result import Finished, PoseEstimate, Updated
+from data.inputs import Increment, IntArray, Sightings
+from data.result import Finished, MapState, PoseEstimate, Updated
 from data.se2 import Array
 from ekf.filter import DEFAULT, FilterOptions
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
+from eval.replay.given import Given
+from eval.replay.names import STEPPING
 from eval.replay.settings import Setup
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
 
-FILTERS = {
+OPTIONS = {
     "ekf": DEFAULT,
     "ekf-iterated": FilterOptions(iterations=10),
     "ekf-fej": FilterOptions(first_estimates=True),
@@ -28,10 +30,38 @@ FILTERS = {
 
 
 class Estimator(Protocol):
-    """The verbs every step-by-step estimator has; any association method works with any of them."""
+    """The verbs every step-by-step estimator has; any association method works with any of them.
+
+    What one of them cannot do is either of no consequence to it (`stamp`, `amend`), or asking for it is a ValueError
+    (`park`, `reset`).
+    """
+
+    @property
+    def smooths(self) -> bool:
+        """Whether it revises its past: a smoother does, a filter does not."""
+        ...
+
+    @property
+    def fixed_linearization(self) -> bool:
+        """Whether it linearizes where it does and nowhere else: then `update` takes no `at`."""
+        ...
+
+    @property
+    def size(self) -> int:
+        """Length of the state that every frame updates, 0 if there is none."""
+        ...
+
+    @property
+    def parked(self) -> IntArray:
+        """Numbers (b,) of landmarks that are in the map but not in the state, ascending."""
+        ...
 
     def predict(self, increment: Increment) -> None:
         """Move by an increment."""
+        ...
+
+    def stamp(self, time: float) -> None:
+        """The present frame's time [s]: only what keeps poses for a span of time needs to know."""
         ...
 
     def expect(self, sightings: Sightings) -> Expectation:
@@ -39,25 +69,58 @@ class Estimator(Protocol):
         ...
 
     def update(
-        self, sightings: Sightings, decisions: IntArray, *, threshold: float = np.inf, at: Array | None = None
+        self,
+        sightings: Sightings,
+        decisions: IntArray,
+        *,
+        threshold: float = np.inf,
+        at: Array | None = None,
+        innovations: bool = False,
     ) -> Updated:
-        """Use the pairings, found new landmarks; `at` (3,): where to linearize first, if not at the prediction."""
+        """Use the pairings below `threshold`, initialize new landmarks.
+
+        `at` (3,): where to linearize first, if not at the prediction; `innovations`: form them even if they cost extra.
+        """
         ...
 
     def remove(self, numbers: IntArray) -> None:
         """Drop landmarks."""
         ...
 
-    def join(self, away: IntArray, kept: IntArray) -> None:
-        """Landmarks `away` are the same as `kept`, and go."""
+    def merge(self, merged: IntArray, kept: IntArray) -> None:
+        """Landmarks `merged` are the same as `kept`, and go."""
         ...
 
-    def lose(self, covariance: Array) -> None:
+    def park(self, numbers: IntArray) -> None:
+        """Landmarks leave the state, and stay in the map."""
+        ...
+
+    def restore(self, numbers: IntArray) -> None:
+        """Parked landmarks come back into the state."""
+        ...
+
+    def parked_xy(self) -> Array:
+        """Positions (b, 2) of the parked landmarks, ordered as `parked`."""
+        ...
+
+    def inflate(self, covariance: Array) -> None:
         """Believe the last motion so much less, by a covariance (3, 3) that is the same in all directions."""
+        ...
+
+    def reset(self, mean: Array, covariance: Array) -> None:
+        """Localization: be at another pose (3,) with covariance (3, 3), whatever was believed before."""
+        ...
+
+    def amend(self, frames: IntArray, sightings: Sightings, decisions: IntArray) -> None:
+        """Localization: what frames (m,) up to now saw (m) was for other landmarks than decided before."""
         ...
 
     def estimate(self) -> PoseEstimate:
         """The newest pose."""
+        ...
+
+    def landmarks(self) -> MapState:
+        """The map as it is now; a given one without covariance."""
         ...
 
     def finish(self) -> Finished:
@@ -66,19 +129,20 @@ class Estimator(Protocol):
 
 
 def make_estimator(
-    name: str, inputs: Inputs, options: FilterOptions | None = None, *, lag: float = Setup.lag
+    name: str, given: Given, options: FilterOptions | None = None, *, lag: float = Setup.lag
 ) -> Estimator:
-    """A fresh step-by-step estimator for these inputs: with a map it localizes, without it does SLAM.
+    """A fresh step-by-step estimator: with a map it localizes, without it does SLAM. `given` may be whole `Inputs`.
 
-    `options` stand in for those that go with the name of a filter; `lag` is that of `fixed-lag`.
+    `options` stand in for those that go with the name of a filter; `lag` [s] is that of `fixed-lag`, which counts
+    frames as long as no frame is stamped with its time.
     """
-    if name in FILTERS:
-        options = options or FILTERS[name]
-        if inputs.map is not None:
-            return EkfLocalizer(inputs.prior, inputs.sensor, inputs.map, options)
-        return EkfSlam(inputs.prior, inputs.sensor, options)
+    if name in OPTIONS:
+        options = options or OPTIONS[name]
+        if given.map is not None:
+            return EkfLocalizer(given.prior, given.sensor, given.map, options)
+        return EkfSlam(given.prior, given.sensor, options)
     if name == "isam2":
-        return Isam2Smoother(inputs.prior, inputs.sensor, inputs.map)
+        return Isam2Smoother(given.prior, given.sensor, given.map)
     if name == "fixed-lag":
-        return FixedLagSmoother(inputs.prior, inputs.sensor, inputs.map, time=inputs.time, lag=lag)
-    raise UsageError(f"{name!r} does not work step by step; {', '.join(FILTERS)}, isam2 and fixed-lag do")
+        return FixedLagSmoother(given.prior, given.sensor, given.map, lag=lag)
+    raise UsageError(f"{name!r} does not work step by step; {', '.join(STEPPING[:-1])} and {STEPPING[-1]} do")

@@ -4,177 +4,143 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Protocol
+from typing import NamedTuple
 
 import numpy as np
 
-from association.candidates import Drift, in_view, may_be_in_view
+from association.candidates import in_view
 from association.decide import Decided, decide
 from association.expectation import Expectation, gate_threshold
 from association.jcbb import BUDGET
-from association.known import known_decisions, pair_by_label
-from data.inputs import Inputs, IntArray, LabelledObservations, Sightings
+from data.inputs import Frame, IntArray, Sightings
 from data.result import Event, MapState, Updated
 from data.se2 import Array
-from ekf.filter import Filter, FilterOptions
-from ekf.slam import EkfSlam
-from eval.replay.estimators import FILTERS, make_estimator
-from eval.replay.map_management import Upkeep
+from ekf.filter import FilterOptions
+from eval.replay.estimators import make_estimator
+from eval.replay.given import Beginning, Given
+from eval.replay.known import KnownAssociation
+from eval.replay.map_management import MapManagement
+from eval.replay.parking import Parking
 from eval.replay.settings import Setup
-from graph.incremental import Isam2Smoother
 
 
-class Watch(Protocol):
-    """Somebody who looks on while a log is replayed, frame by frame, and changes nothing."""
+class Pairing(NamedTuple):
+    """What was decided about (a part of) a frame: decisions (m,), and the expectation they were made from, if any.
 
-    def moved(self, front: FrontEnd) -> None:
-        """A frame begins; its observations were not looked at yet."""
-        ...
+    at: where the frame was placed (3,), if it was: the estimator may linearize there first.
+    """
 
-    def decided(self, front: FrontEnd, rows: slice, expectation: Expectation | None, decisions: IntArray) -> None:
-        """Observations `rows` of the log were decided about, and not used yet; `known` needs no expectation."""
-        ...
-
-    def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
-        """A frame is over; decisions and founded landmarks (M,) are those of the whole log so far."""
-        ...
+    decisions: IntArray
+    expectation: Expectation | None = None
+    at: Array | None = None
 
 
 class FrontEnd:
-    """The verbs of a frame, in this order: move, (look at the expectation, decide,) update.
+    """The verbs of a frame, in this order: move, associate, update, tidy; after the last one close.
 
-    `k` is the frame; `association` is `known` (labels granted by the inputs decide) or a method's name.
+    Attributes:
+        k: number of the frame.
+        association: `known` (labels that come with the frames decide) or a method's name.
+        estimator: what gets the decisions.
+        map_management: which landmarks leave the map; None where all stay.
+        incomplete: frames in which the search for a pairing ran out of its budget.
     """
 
+    revises_map = False
+    """Whether landmarks leave the map for other reasons than map management's."""
+    asks_for_innovations = False
+    """Whether an estimator is to form its innovations where it would do without."""
+
     def __init__(
-        self, estimator: str, association: str, inputs: Inputs, setup: Setup, options: FilterOptions | None = None
+        self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
     ) -> None:
         """Before the first frame."""
-        self.inputs, self.setup, self.association = inputs, setup, association
-        self.estimator = make_estimator(estimator, inputs, options, lag=setup.lag)
-        self.slam = inputs.map is None
-        kept = setup if self._filter is not None else replace(setup, forget_after=None, deactivate_after=None)
-        self.upkeep = Upkeep(kept, inputs.time) if self.slam and kept.upkeep else None
-        self.k = -1
-        self.incomplete, self.reactivated = 0, 0
-        self._drift = Drift()
-        self.largest = 0
-        gated = association == "known" and (setup.gate_smoothers or estimator in FILTERS)
+        self.given, self.setup, self.association = Beginning(given.prior, given.sensor, given.map), setup, association
+        self.estimator = make_estimator(estimator, given, options, lag=setup.lag)
+        self.slam = given.map is None
+        self.k, self.incomplete = -1, 0
+        # a graph need not park, and what leaves it is as if never seen: that is not forgetting
+        kept = replace(setup, forget_after=None, deactivate_after=None) if self.estimator.smooths else setup
+        self.map_management, self.parking = None, None
+        if self.slam and (kept.manages_map or self.revises_map):
+            self.map_management = MapManagement(kept)
+            if kept.deactivate_after is not None:
+                self.parking = Parking(self.estimator, self.map_management, given.sensor)
+        self.known = KnownAssociation(given.map) if association == "known" else None
+        gated = self.known is not None and (setup.gate_smoothers or not self.estimator.smooths)
         self._threshold = gate_threshold(setup.gate_known) if gated else math.inf
-        self._label: IntArray | None = None
-        self._planned: IntArray | None = None
-        self._held: dict[int, int] = {}
-        self._label_of: dict[int, int] = {}
-        if association == "known":
-            o = inputs.observations
-            if not isinstance(o, LabelledObservations):
-                raise ValueError("known association was not granted to these inputs")
-            self._label = o.label
-            if not self.slam:
-                self._planned = known_decisions(inputs)[0]
 
-    @property
-    def _filter(self) -> EkfSlam | None:
-        return self.estimator if isinstance(self.estimator, EkfSlam) else None
+    def move(self, frame: Frame) -> None:
+        """The next frame comes: predict; the first one has no motion."""
+        self.k = frame.number
+        if frame.increment is not None:
+            self.estimator.predict(frame.increment)
+            if self.parking is not None:
+                self.parking.move(frame.increment)
+        self.estimator.stamp(frame.time)
+        if self.map_management is not None:
+            self.map_management.begin(frame.number, frame.time)
 
-    def move(self) -> None:
-        """The next frame; the first one has no motion."""
-        self.k += 1
-        if self.k > 0:
-            increment = self.inputs.increment(self.k)
-            self.estimator.predict(increment)
-            self._drift.move(increment)
+    def associate(self, frame: Frame) -> Pairing:
+        """Expect and decide, about (a part of) this frame's observations; `known` needs no expectation."""
+        if self.known is not None:
+            return Pairing(self.known.decide(frame))
+        expectation = self.expect(frame.sightings)
+        decisions, complete = self.decide(expectation)
+        self.incomplete += not complete
+        return Pairing(decisions, expectation)
 
     def expect(self, sightings: Sightings) -> Expectation:
         """What the estimator expects of its candidates: parked landmarks that may be in view are taken back first."""
-        slam, sensor = self._filter, self.inputs.sensor
-        pose, covariance = self.estimator.estimate()
-        if slam is not None and self.upkeep is not None and len(slam.parked):
-            bounds = self._drift.sigmas(slam.parked, covariance)
-            self.wake(slam.parked[may_be_in_view(sensor, pose, slam.parked_xy(), *bounds)])
+        if self.parking is not None:
+            self.parking.restore_in_view()
         e = self.estimator.expect(sightings)
-        if self.setup.in_view and isinstance(self.estimator, Filter):
-            e = e.only(np.flatnonzero(in_view(sensor, e.z_hat, e.HPHt)))
-        return e
-
-    def wake(self, numbers: IntArray) -> None:
-        """Parked landmarks come back into the filter's state."""
-        slam = self._filter
-        if slam is not None and self.upkeep is not None and len(numbers):
-            slam.restore(numbers)
-            self.upkeep.wake(self.k, numbers)
-            self.reactivated += len(numbers)
+        return e.only(np.flatnonzero(in_view(self.given.sensor, e.z_hat, e.HPHt))) if self.setup.in_view else e
 
     def decide(self, expectation: Expectation, method: str | None = None) -> Decided:
         """Decisions by the method of this run, or for comparison by another one."""
         s = self.setup
         return decide(method or self.association, expectation, s.gate, s.new_gate, known_map=not self.slam)
 
-    def pair_known(self, rows: slice) -> IntArray:
-        """Decisions by label for some observations of this frame."""
-        if self._planned is not None:
-            return self._planned[rows]
-        assert self._label is not None
-        return pair_by_label(self._label[rows], self._held)
-
-    def associate(self, rows: slice, watch: Watch | None = None) -> tuple[IntArray, Updated]:
-        """Decide about observations of this frame and use them; returns decisions (m,) and what was done."""
-        o = self.inputs.observations
-        sightings = Sightings(o.z[rows], o.R[rows])
-        expectation = None
-        if self.association == "known":
-            decisions = self.pair_known(rows)
-        else:
-            expectation = self.expect(sightings)
-            decisions, complete = self.decide(expectation)
-            self.incomplete += not complete
-        if watch is not None:
-            watch.decided(self, rows, expectation, decisions)
-        # an estimator that forms no innovations of its own: before the update, as an expectation ends with it
-        own = None
-        if expectation is not None and not isinstance(self.estimator, Filter):
-            own = _statistics(expectation, decisions)
-        done = self.update(sightings, decisions, rows)
-        if own is not None:
-            done = done._replace(nis=own[0], dof=own[1], log_likelihood=own[2])
-        return decisions, done
-
-    def update(self, sightings: Sightings, decisions: IntArray, rows: slice, at: Array | None = None) -> Updated:
-        """Use the decisions about the observations `rows` of the log; `at`: where the frame was placed, if it was."""
-        slam = self._filter
-        if slam is not None and len(slam.parked):
-            self.wake(np.intersect1d(decisions, slam.parked))
-        done = self.estimator.update(sightings, decisions, threshold=self._threshold, at=at)
-        if self.slam:
-            founded = np.flatnonzero(done.created >= 0)
-            if self._label is not None:
-                for i in founded:
-                    label, number = int(self._label[rows][i]), int(done.created[i])
-                    self._held[label], self._label_of[number] = number, label
-            if self.upkeep is not None:
-                numbers = np.where(done.used, decisions, done.created)
-                seen = np.flatnonzero(numbers >= 0)
-                self.upkeep.see(self.k, numbers[seen])
-                if slam is not None and self.setup.deactivate_after is not None:
-                    taken = Sightings(sightings.z[seen], sightings.R[seen])
-                    self._drift.see(self.inputs.sensor, taken, numbers[seen], slam.estimate().covariance)
-        return done
+    def update(self, frame: Frame, pairing: Pairing) -> Updated:
+        """Use what was decided: one update with all pairings, then new landmarks from the updated pose."""
+        if self.parking is not None:
+            self.parking.restore(pairing.decisions)
+        # a smoother forms no innovations of its own unless asked to; the expectation has them, until the update
+        formed = None
+        if pairing.expectation is not None and self.estimator.smooths:
+            formed = _statistics(pairing.expectation, pairing.decisions)
+        done = self.estimator.update(
+            frame.sightings,
+            pairing.decisions,
+            threshold=self._threshold,
+            at=pairing.at,
+            innovations=self.asks_for_innovations,
+        )
+        if self.known is not None:
+            self.known.initialized(frame, done.created)
+        if self.map_management is not None:
+            numbers = np.where(done.used, pairing.decisions, done.created)
+            seen = np.flatnonzero(numbers >= 0)
+            self.map_management.see(numbers[seen])
+            if self.parking is not None:
+                self.parking.see(Sightings(frame.sightings.z[seen], frame.sightings.R[seen]), numbers[seen])
+        return done if formed is None else done._replace(nis=formed[0], dof=formed[1], log_likelihood=formed[2])
 
     def tidy(self) -> None:
         """The end of a frame: landmarks leave the map by the rules of the setup."""
-        slam = self._filter
-        if slam is not None:
-            self.largest = max(self.largest, slam.size)
-        if self.upkeep is None:
+        if self.parking is not None:
+            self.parking.measure()
+        if self.map_management is None:
             return
-        leaving = self.upkeep.leaving(self.k)
+        leaving = self.map_management.leaving()
         gone = np.concatenate([leaving.retracted, leaving.forgotten])
         if len(gone):
             self.leave(gone)
-            for n in gone.tolist():
-                self._held.pop(self._label_of.pop(n, -1), None)
-        if slam is not None and len(leaving.parked):
-            slam.park(leaving.parked)
+            if self.known is not None:
+                self.known.removed(gone)
+        if self.parking is not None:
+            self.parking.park(leaving.parked)
 
     def leave(self, numbers: IntArray) -> None:
         """Landmarks (r,) leave the map by the rules of the setup."""
@@ -189,38 +155,26 @@ class FrontEnd:
 
     def landmarks(self) -> MapState:
         """The map as it is now, parked landmarks included; a given one has no covariance."""
-        if self.inputs.map is not None:
-            known = self.inputs.map
-            return MapState(known.id, known.xy, np.zeros((len(known.id), 2, 2)))
-        if isinstance(self.estimator, Isam2Smoother):
-            return self.estimator.landmarks()
-        state = self.estimator.finish().map
-        assert state is not None  # a SLAM filter always has a map
-        return state
-
-    @property
-    def size(self) -> int:
-        """Length of a filter's (active) state; 0 for a smoother."""
-        return self.estimator.size if isinstance(self.estimator, Filter) else 0
+        return self.estimator.landmarks()
 
     def notes(self) -> list[str]:
         """What a reader of the results should know."""
-        told, s = [], self.setup
+        notes, s = [], self.setup
         if self.incomplete:
-            told.append(
+            notes.append(
                 f"{self.association} ran out of its {BUDGET} nodes in {self.incomplete} frames; "
                 "the best pairings found until then were used"
             )
-        if self.slam and self._filter is None and (s.forget_after is not None or s.deactivate_after is not None):
-            told.append("landmarks are forgotten or parked in the filter's state only, not in the graph")
-        if s.deactivate_after is not None and self._filter is not None:
-            told.append(
-                f"landmarks unseen for {s.deactivate_after:g} were parked: at most {self.largest} states were active, "
-                f"and landmarks were taken back {self.reactivated} times"
+        if self.slam and self.estimator.smooths and (s.forget_after is not None or s.deactivate_after is not None):
+            notes.append("landmarks are forgotten or parked in the filter's state only, not in the graph")
+        if self.parking is not None:
+            notes.append(
+                f"landmarks unseen for {s.deactivate_after:g} were parked: at most {self.parking.largest} states were "
+                f"active, and landmarks were taken back {self.parking.restored} times"
             )
-        if self.upkeep is not None and self.upkeep.removed:
-            told.append(f"{len(self.upkeep.removed)} landmarks were removed from the map")
-        return told
+        if self.map_management is not None and self.map_management.removed:
+            notes.append(f"{len(self.map_management.removed)} landmarks were removed from the map")
+        return notes
 
 
 def _statistics(e: Expectation, decisions: IntArray) -> tuple[float, int, float]:

@@ -12,19 +12,24 @@ from threadpoolctl import threadpool_limits
 from association.decide import HINDSIGHT
 from association.expectation import SingularInnovationError, gate_threshold
 from association.known import known_decisions
-from data.inputs import Inputs
-from data.result import DISCARD, Failure, Finished, Innovations, Run, Trajectory, founders, map_estimate, revised
+from data.inputs import Frame, Inputs
+from data.result import DISCARD, Failure, Finished, Innovations, Run, Trajectory, map_estimate
 from ekf.filter import FilterDivergedError, FilterOptions
 from ekf.whole_run import FilterRun, run_filter
-from eval.replay.batch import BATCH, batch
-from eval.replay.estimators import FILTERS
-from eval.replay.frontend import FrontEnd, Watch
+from eval.replay.batch import batch
+from eval.replay.estimators import OPTIONS
+from eval.replay.frontend import FrontEnd
+from eval.replay.given import Given
 from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.hindsight.mapping_frontend import MappingFrontEnd
+from eval.replay.names import BATCH, FILTERS
+from eval.replay.recorder import Recorder
 from eval.replay.settings import Setup
+from eval.replay.watch import Nobody, Watch
 from graph.factors import UnderConstrained
 
 PLAIN = Setup()
+NOBODY = Nobody()
 
 
 def dead_reckoning(inputs: Inputs, task: str) -> Run:
@@ -49,7 +54,7 @@ def filter_known(
     """A filter with labels, in one compiled loop."""
     begin = time.perf_counter()
     decisions, created = known_decisions(inputs)
-    result: FilterRun = run_filter(inputs, decisions, threshold=threshold, options=options or FILTERS[name])
+    result: FilterRun = run_filter(inputs, decisions, threshold=threshold, options=options or OPTIONS[name])
     seconds = time.perf_counter() - begin
     failure, decided = None, result.decisions
     if result.failure is not None:
@@ -78,89 +83,54 @@ def step_by_step(
     *,
     options: FilterOptions | None = None,
     finish: bool = True,
-    watch: Watch | None = None,
+    watch: Watch = NOBODY,
 ) -> Run:
     """Any step-by-step estimator with any way of association; `finish=False` stops without the final phase.
 
-    With `options.each` association, too, goes observation by observation, each with its own update. `watch` is told of
+    With `options.each` association, too, goes observation by observation, each with its own update. `watch` sees
     every stage and changes nothing but the time taken.
     """
-    n, o = len(inputs), inputs.observations
-    m = len(o.frame)
-    pose, covariance = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
-    nis, dof, likelihood = np.full(n, np.nan), np.zeros(n, np.int64), np.full(n, np.nan)
-    size, white = np.zeros(n, np.int64), np.full((m, 2), np.nan)
-    decisions, created = np.full(m, DISCARD, np.int64), np.full(m, -1, np.int64)
-    failure: Failure | None = None
     begin = time.perf_counter()
     front = front_end(name, association, inputs, setup, options)
+    record = Recorder(len(inputs), len(inputs.observations.frame))
+    failure, finished = None, Finished(None, None)
     try:
-        for k in range(n):
-            front.move()
-            if watch is not None:
-                watch.moved(front)
-            for rows in _portions(inputs, k, options is not None and options.each):
-                decided, done = front.associate(rows, watch)
-                created[rows] = done.created
-                decisions[rows] = np.where((decided >= 0) & ~done.used, DISCARD, decided)
-                if done.white is not None:
-                    white[rows] = done.white
-                if np.isfinite(done.nis):
-                    first = not np.isfinite(nis[k])
-                    nis[k], likelihood[k] = (
-                        (done.nis, done.log_likelihood)
-                        if first
-                        else (nis[k] + done.nis, likelihood[k] + done.log_likelihood)
-                    )
-                    dof[k] += done.dof
-            front.tidy()
-            if watch is not None:
-                watch.updated(front, decisions, created)
-            pose[k], covariance[k] = front.estimator.estimate()
-            size[k] = front.size
+        for k in range(len(inputs)):
+            frame = inputs.frame(k)
+            front.move(frame)  # predict
+            watch.moved(front)
+            for part in _parts(frame, options is not None and options.each):
+                pairing = front.associate(part)  # expect and decide
+                watch.decided(front, part, pairing)
+                done = front.update(part, pairing)  # with all pairings, then new landmarks
+                record.update(part, pairing.decisions, done)
+            front.tidy()  # landmarks leave the map
+            watch.updated(front, record.decisions, record.created)
+            record.estimate(front)
         if finish:
             front.close()
-        finished = front.estimator.finish() if finish else Finished(None, None)
+            finished = front.estimator.finish()
     except (FilterDivergedError, UnderConstrained, SingularInnovationError) as stop:
-        failure, finished = Failure("diverged", k, str(stop)), Finished(None, None)
-    seconds = time.perf_counter() - begin
-    final = decisions
-    removed = None
-    if front.upkeep is not None:
-        removed = front.upkeep.removal_frames(int(created.max(initial=-1)) + 1)
-        retracted = np.isin(np.where(created >= 0, created, decisions), sorted(front.upkeep.retracted))
-        final = np.where(retracted, DISCARD, decisions)
-    events = front.events()
-    final = revised(final, events)
-    state = None if finished.map is None else map_estimate(finished.map, o.frame, final, founders(final, created))
-    formed = np.isfinite(nis)
-    innovations = Innovations(nis, dof, likelihood, white) if formed.any() else None
-    total = finished.total_nis
-    if name in FILTERS and innovations is not None and failure is None:
-        total = float(np.nansum(nis)), int(dof.sum())
-    return Run(
-        name, association, task, Trajectory(pose, covariance), finished.final, state, decisions, final, created,
-        innovations, total, size if name in FILTERS else None, seconds, failure, tuple(front.notes()), removed,
-        events,
-    )  # fmt: skip
+        failure = Failure("diverged", front.k, str(stop))
+    return record.run(name, task, front, finished, failure, time.perf_counter() - begin)
 
 
 def front_end(
-    name: str, association: str, inputs: Inputs, setup: Setup, options: FilterOptions | None = None
+    name: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
 ) -> FrontEnd:
     """What decides and updates frame by frame, before the first frame."""
     kind = FrontEnd
     if association == HINDSIGHT:
-        kind = MappingFrontEnd if inputs.map is None else LocalizingFrontEnd
-    return kind(name, association, inputs, setup, options)
+        kind = MappingFrontEnd if given.map is None else LocalizingFrontEnd
+    return kind(name, association, given, setup, options)
 
 
-def _portions(inputs: Inputs, frame: int, each: bool) -> list[slice]:
-    """The rows of a frame's observations: together, or one by one."""
-    begin, end = int(inputs.start[frame]), int(inputs.start[frame + 1])
+def _parts(frame: Frame, each: bool) -> list[Frame]:
+    """A frame's observations: together, or one by one."""
+    count = len(frame.sightings.z)
     if each:
-        return [slice(i, i + 1) for i in range(begin, end)]
-    return [slice(begin, end)] if end > begin else []
+        return [frame.part(slice(i, i + 1)) for i in range(count)]
+    return [frame] if count else []
 
 
 def compare(
@@ -192,7 +162,7 @@ def _compare(inputs: Inputs, task: str, estimators: Sequence[str], association: 
 
     def ahead(name: str) -> Run:
         if name not in done:
-            quick = name in FILTERS and association == "known" and not (setup.upkeep and task == "slam")
+            quick = name in FILTERS and association == "known" and not (setup.manages_map and task == "slam")
             done[name] = (
                 filter_known(inputs, task, name=name, threshold=gate_threshold(setup.gate_known))
                 if quick
@@ -200,22 +170,18 @@ def _compare(inputs: Inputs, task: str, estimators: Sequence[str], association: 
             )
         return done[name]
 
-    runs = []
-    for name in estimators:
-        if name == "dead-reckoning":
-            runs.append(dead_reckoning(inputs, task))
-        elif name in BATCH:
-            if (
-                association == "known"
-            ):  # the pairings are the same, the start is better where the plain filter gets lost
-                first = "ekf-iterated" if "ekf-iterated" in estimators else "ekf"
-            else:
-                first = "isam2" if "isam2" in estimators else "ekf"
-            front = ahead(first)
-            if association == "known" and not setup.gate_smoothers:
+    def batch_of(name: str) -> Run:
+        if association == "known":
+            # the pairings are the same, the start is better where the plain filter gets lost
+            front = ahead("ekf-iterated" if "ekf-iterated" in estimators else "ekf")
+            if not setup.gate_smoothers:
                 decisions, created = known_decisions(inputs)
                 front = replace(front, decisions=decisions, final_decisions=decisions, created=created)
-            runs.append(batch(name, inputs, front))
         else:
-            runs.append(ahead(name))
-    return runs
+            front = ahead("isam2" if "isam2" in estimators else "ekf")
+        return batch(name, inputs, front)
+
+    return [
+        dead_reckoning(inputs, task) if name == "dead-reckoning" else batch_of(name) if name in BATCH else ahead(name)
+        for name in estimators
+    ]

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+from data.errors import UsageError
+from eval.replay.flag import flag, positive, positive_or_none, probability, switch
 
 
 @dataclass(frozen=True)
@@ -21,17 +24,61 @@ class Setup:
         lag: a fixed-lag smoother keeps poses for so long.
     """
 
-    gate: float | None = 0.99
-    new_gate: float | None = 0.99999
-    gate_known: float | None = None
-    gate_smoothers: bool = True
-    in_view: bool = False
-    maintain: bool = False
-    forget_after: float | None = None
-    deactivate_after: float | None = None
-    lag: float = 30.0
+    gate: float | None = field(
+        default=0.99,
+        metadata=flag(
+            probability, "P", "chi-square probability of the association gate, or none (default: 0.99; known is not "
+            "gated)",
+        ),
+    )  # fmt: skip
+    new_gate: float | None = field(
+        default=0.99999,
+        metadata=flag(
+            probability, "P", "an observation starts a landmark only outside this gate of every other, which is not "
+            "inside --gate (default: 0.99999; the lab: 0.99; ml-ratio decides by itself)",
+        ),
+    )  # fmt: skip
+    gate_known: float | None = field(
+        default=None, metadata=flag(probability, "P", "gate for readings paired by label, too (default: none)")
+    )
+    gate_smoothers: bool = field(
+        default=True, metadata=flag(switch, "", "with --gate-known: only the filters leave those readings out")
+    )
+    in_view: bool = field(default=False, metadata=flag(switch, "", "the EKF offers only landmarks in range and view"))
+    maintain: bool = field(
+        default=False, metadata=flag(switch, "", "SLAM: remove landmarks seen once and more than two frames ago")
+    )
+    forget_after: float | None = field(
+        default=None,
+        metadata=flag(
+            positive_or_none, "S", "EKF-SLAM drops landmarks unseen for S seconds (frames without stamps)"
+        ),
+    )  # fmt: skip
+    deactivate_after: float | None = field(
+        default=None,
+        metadata=flag(positive_or_none, "S", "EKF-SLAM parks such landmarks, and takes them back when seen again"),
+    )
+    lag: float = field(
+        default=30.0,
+        metadata=flag(positive, "S", "fixed-lag keeps poses for S seconds (frames without stamps; default: 30)"),
+    )
 
     @property
-    def upkeep(self) -> bool:
-        """Whether landmarks may leave the state."""
+    def manages_map(self) -> bool:
+        """Whether landmarks may leave the map or the state."""
         return self.maintain or self.forget_after is not None or self.deactivate_after is not None
+
+
+def check_gates(gate: float | None, new_gate: float | None, labels: tuple[str, str] = ("--gate", "--new-gate")) -> None:
+    """The two-gate rule: the gate of new landmarks is not inside the one of pairings; equal gates are the lab's.
+
+    None is no gate: the second one is then outside of any, and without a first one there is nothing to be inside of.
+
+    Raises:
+        UsageError: an observation could be compatible with a landmark and start a new one at the same place.
+    """
+    if gate is not None and new_gate is not None and new_gate < gate:
+        raise UsageError(
+            f"{labels[1]} {new_gate}: must not be less than {labels[0]} {gate}, or an observation compatible with a "
+            "landmark could start another one"
+        )

@@ -8,47 +8,22 @@ from collections.abc import Mapping
 import pandas as pd
 
 from eval.page.tables import drop_blank_columns, is_blank
+from eval.referee.metrics import OF_DECISIONS, RUN, heads, is_share, metric
 
 COMPARISON: Mapping[str, str] = {
-    "log": "log",
-    "task": "task",
-    "estimator": "estimator",
-    "association": "association",
-    "phase": "phase",
-    "status": "status",
-    "rmse_position_m": "position RMSE [m]",
-    "rmse_time_m": "time-weighted RMSE [m]",
-    "rmse_heading_deg": "heading RMSE [deg]",
-    "max_position_m": "largest position error [m]",
-    "rmse_landmark_m": "landmark RMSE [m]",
-    "rms_from_batch_m": "RMS from batch [m]",
-    "nees_pose": "pose NEES (expected 3)",
-    "nis": "NIS per dof (expected 1)",
+    **heads((*RUN, "status")),
+    **heads((
+        "rmse_position_m", "rmse_time_m", "rmse_heading_deg", "max_position_m", "rmse_landmark_m", "rms_from_batch_m",
+        "nees_pose", "nis",
+    )),
     "bounds": "95 % bounds of NIS",
-    "whiteness": "lag-1 correlation of innovations ± SE (expected 0)",
-    "inside": "inside 3σ (expected 98.9) [%]",
-    "accepted": "accepted",
-    "rejected": "rejected",
-}
+    **heads(("innovation_lag1", "inside_3sigma", "accepted", "rejected")),
+}  # fmt: skip
 """Column of metrics.csv (or made here) and its head in the comparison table, in order."""
 
 ASSOCIATION: Mapping[str, str] = {
-    "log": "log",
-    "task": "task",
-    "association": "association",
-    "estimator": "estimator",
-    "phase": "phase",
-    "tp": "TP",
-    "tn": "TN",
-    "fp": "FP",
-    "fn": "FN",
-    "precision_percent": "precision [%]",
-    "recall_percent": "recall [%]",
-    "wrong": "wrong (FP)",
-    "spurious": "spurious (FP)",
-    "duplicate": "duplicate (FN)",
-    "missed": "missed (FN)",
-    "deferred": "deferred (FN)",
+    **heads(("log", "task", "association", "estimator", "phase")),
+    **heads([m.column for m in OF_DECISIONS if m.column not in ("share_within", "within_m")]),
 }
 
 CONSISTENCY: Mapping[str, str] = {
@@ -82,9 +57,9 @@ OUTLIERS: Mapping[str, str] = {
     "task": "task",
     "percent": "wrong labels [%]",
     "estimator": "estimator",
-    "rmse_position_m": "position RMSE [m]",
+    **heads(("rmse_position_m",)),
     "rmse": "95 % interval of the RMSE",
-    "nees_pose": "pose NEES (expected 3)",
+    **heads(("nees_pose",)),
     "nees": "95 % interval of the NEES",
     "diverged": "diverged",
 }
@@ -100,8 +75,8 @@ COMPARISON_CAPTION = (
 ASSOCIATION_CAPTION = (
     "Outcomes of every observation's decision H against the truth GT. TP: H is a landmark and right; TN: both none;"
     " FP: H is a wrong landmark (GT another: wrong; GT none: spurious); FN: H none though GT is in the map (a second"
-    " landmark founded: duplicate; discarded: missed or deferred). Estimators with the same outcomes share a row; a row"
-    " for the final phase stands only where revised decisions turned out differently."
+    " landmark initialized: duplicate; discarded: missed or deferred). Estimators with the same outcomes share a row; a"
+    " row for the final phase stands only where revised decisions turned out differently."
 )
 CONSISTENCY_CAPTION = (
     "Mean over independent simulated runs of each run's mean NEES (NIS per dof for the quantity nis), with Student's t"
@@ -129,7 +104,8 @@ SAME = 0.05
 
 
 def _selected(frame: pd.DataFrame, heads: Mapping[str, str]) -> pd.DataFrame:
-    """Columns by their human heads; `log` and `task` only where they differ, blank ones dropped."""
+    """Columns by their human heads, shares in percent; `log` and `task` only where they differ, blank ones dropped."""
+    frame = frame.assign(**{c: _percent(frame[c]) for c in frame.columns if is_share(c)})
     keep = [c for c in heads if c in frame.columns]
     for same in ("log", "task", "scenario"):
         if same in keep and frame[same].nunique(dropna=False) <= 1:
@@ -154,8 +130,9 @@ def _interval(lower: pd.Series, upper: pd.Series) -> pd.Series:
 
 
 def _spread(values: pd.Series, errors: pd.Series) -> pd.Series:
+    form = metric(str(values.name)).form
     texts = [
-        None if is_blank(v) or is_blank(e) else f"{float(v):.3f} ± {float(e):.3f}"
+        None if is_blank(v) or is_blank(e) else f"{float(v):{form}} ± {float(e):{form}}"
         for v, e in zip(values.tolist(), errors.tolist(), strict=True)
     ]
     return pd.Series(texts, index=values.index, dtype=object)
@@ -168,15 +145,14 @@ def comparison_table(metrics: pd.DataFrame) -> pd.DataFrame:
     """
     made = metrics.astype(object).assign(
         bounds=_interval(metrics["nis_lower"], metrics["nis_upper"]),
-        whiteness=_spread(metrics["innovation_lag1"], metrics["innovation_lag1_se"]),
-        inside=_percent(metrics["inside_3sigma"]),
+        innovation_lag1=_spread(metrics["innovation_lag1"], metrics["innovation_lag1_se"]),
     )
-    told = [c for c in COMPARISON if c in made.columns]
+    shown = [c for c in COMPARISON if c in made.columns]
     if (made["status"] == "ok").all():
-        told.remove("status")
+        shown.remove("status")
     if _same(made["rmse_time_m"], made["rmse_position_m"]):
-        told.remove("rmse_time_m")
-    return _selected(made[told], COMPARISON)
+        shown.remove("rmse_time_m")
+    return _selected(made[shown], COMPARISON)
 
 
 def _same(values: pd.Series, others: pd.Series) -> bool:
@@ -196,7 +172,7 @@ def association_table(association: pd.DataFrame) -> pd.DataFrame:
     rows = [{str(k): v for k, v in r.items()} for r in association.astype(object).to_dict("records")]
     outcomes = [c for c in association.columns if c not in ("log", "task", "estimator", "association", "phase")]
 
-    def told(row: Row) -> tuple[object, ...]:
+    def counted(row: Row) -> tuple[object, ...]:
         return tuple(None if is_blank(row[c]) else row[c] for c in outcomes)
 
     runs: dict[tuple[object, ...], list[Row]] = {}
@@ -204,15 +180,14 @@ def association_table(association: pd.DataFrame) -> pd.DataFrame:
         runs.setdefault((row["log"], row["task"], row["association"], row["estimator"]), []).append(row)
     shared: dict[tuple[object, ...], list[list[Row]]] = {}
     for key, phases in runs.items():
-        shared.setdefault((*key[:3], *(told(r) for r in phases)), []).append(phases)
+        shared.setdefault((*key[:3], *(counted(r) for r in phases)), []).append(phases)
     kept: list[Row] = []
     for group in shared.values():
         estimators = ", ".join(str(phases[0]["estimator"]) for phases in group)
         online, *later = group[0]
-        for row in [online, *(r for r in later if told(r) != told(online))]:
+        for row in [online, *(r for r in later if counted(r) != counted(online))]:
             kept.append(row | {"estimator": estimators})
     made = pd.DataFrame(kept, columns=list(association.columns), dtype=object)
-    made = made.assign(precision_percent=_percent(made["precision"]), recall_percent=_percent(made["recall"]))
     if made["phase"].nunique() <= 1:
         made = made.drop(columns="phase")
     if all(is_blank(v) or v == 0 for v in made["deferred"].tolist()):

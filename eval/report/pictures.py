@@ -12,9 +12,9 @@ from data.log import Log, folder_name
 from data.result import Run
 from eval import figures
 from eval.figures.association import bars
+from eval.figures.ellipses import SIGMAS, longest_axis
 from eval.figures.error import longest_sigma
 from eval.figures.growth import closing_frame, state_is_informative
-from eval.figures.map import SIGMAS, longest_axis
 from eval.figures.style import save
 from eval.page.document import Picture
 from eval.page.numbers import number
@@ -91,7 +91,7 @@ def _picture(trial: Trial, kind: str, beside: Sequence[Trial]) -> tuple[Figure, 
     if kind == "state":
         return (
             figures.state_figure(trial, beside),
-            f"{where}: length of the filters' state after each frame. A method that founds landmarks twice, or on"
+            f"{where}: length of the filters' state after each frame. A method that initializes landmarks twice, or on"
             " clutter, pays for them in every later update.",
             f"Length of the state over time on {log.name}",
         )
@@ -148,19 +148,19 @@ def _contrast(trial: Trial, drawn: Sequence[Run]) -> str:
 
 def _closure(log: Log, runs: Sequence[Run]) -> str:
     """The uncertainty of robot and landmarks round the loop, in numbers."""
-    told, line = "", False
+    text, line = "", False
     for run in runs:
         closed, sigma = closing_frame(log, run), longest_sigma(run.trajectory("online"))
-        told += f" {run.estimator}: robot at most {number(float(np.nanmax(sigma)))} m"
+        text += f" {run.estimator}: robot at most {number(float(np.nanmax(sigma)))} m"
         if closed is not None and closed > 0:
             line = True
-            told += f", {number(float(sigma[closed - 1]))} m just before the loop is closed"
-        told += f", {number(float(sigma[-1]))} m at the end"
+            text += f", {number(float(sigma[closed - 1]))} m just before the loop is closed"
+        text += f", {number(float(sigma[-1]))} m at the end"
         if run.map is not None and len(run.map):
             each, who = longest_axis(run.map.covariance) / SIGMAS, run.map.number
-            told += (
+            text += (
                 f"; first landmark {number(float(each[0]))} m, last {number(float(each[-1]))} m, least certain"
                 f" {number(float(each.max()))} m (number {who[each.argmax()]})"
             )
-        told += "."
-    return (" The dotted line: landmarks are seen again after going round." if line else "") + told
+        text += "."
+    return (" The dotted line: landmarks are seen again after going round." if line else "") + text

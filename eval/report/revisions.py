@@ -13,18 +13,17 @@ from data.log import folder_name
 from data.result import DISCARD, NEW, Event, Run
 from eval.figures.revision import Example, revision_figure
 from eval.figures.style import save
-from eval.page.document import Picture, Section, Table
-from eval.page.tables import write_table
+from eval.page.document import Picture, Section, written_table
 from eval.plan.options import Options
 from eval.referee.score import Trial
-from eval.replay.hindsight.ledger import JOINED
+from eval.replay.hindsight.ledger import MERGED
 
 LATE = ("uncertain", "put off until the end")
 """Reasons that only say that the log was over."""
-COLUMNS = ("deciding for", "pairings undone", "made instead", "put off, then made", "landmarks joined", "retracted")
+COLUMNS = ("deciding for", "pairings undone", "made instead", "put off, then made", "landmarks merged", "retracted")
 CAPTION = (
     "Decisions revised in hindsight. Undone: a pairing given up, made instead: another one put in its place; put off,"
-    " then made: an observation used only later; joined: a landmark that turned out to be another one; retracted: one"
+    " then made: an observation used only later; merged: a landmark that turned out to be another one; retracted: one"
     " that was never there."
 )
 
@@ -38,19 +37,19 @@ def groups(run: Run) -> dict[tuple[int, str], list[Event]]:
 
 
 def example(run: Run) -> Example | None:
-    """The revision that shows most: landmarks joined or pairings made anew before others, then the longest."""
+    """The revision that shows most: landmarks merged or pairings made anew before others, then the longest."""
     shown = {key: events for key, events in groups(run).items() if key[1] not in LATE}
     if not shown:
         return None
 
     def weight(key: tuple[int, str]) -> tuple[bool, int, int]:
         events = shown[key]
-        return key[1] == JOINED, sum(e.old >= 0 and e.new >= 0 for e in events), len(events)
+        return key[1] == MERGED, sum(e.old >= 0 and e.new >= 0 for e in events), len(events)
 
     frame, why = max(shown, key=lambda key: (*weight(key), -key[0]))
     events = shown[frame, why]
     rows, old, new = (np.array(x, np.int64) for x in zip(*[(e.observation, e.old, e.new) for e in events], strict=True))
-    # the observation that founded a landmark is told by its number
+    # the observation that initialized a landmark is known by its number
     old = np.where(old == NEW, run.created[rows], old)
     if np.all(new == DISCARD):
         most = old == np.argmax(np.bincount(old[old >= 0]))
@@ -61,14 +60,14 @@ def example(run: Run) -> Example | None:
 def tally(run: Run) -> dict[str, str]:
     """A row of the table: counts, and the reasons why landmarks left the map."""
     undone = [e for e in run.events if e.old >= 0]
-    founders = [e for e in run.events if e.old == NEW]
-    why = Counter(e.why for e in founders if e.new == DISCARD)
+    initializing = [e for e in run.events if e.old == NEW]
+    why = Counter(e.why for e in initializing if e.new == DISCARD)
     reasons = f" ({', '.join(f'{n} {w}' for w, n in sorted(why.items()))})" if why else ""
     counts = (
         len(undone),
         sum(e.new >= 0 for e in undone),
         sum(e.old == DISCARD and e.new >= 0 for e in run.events),
-        sum(e.new >= 0 for e in founders),
+        sum(e.new >= 0 for e in initializing),
     )
     cells = [str(c) for c in counts] + [f"{why.total()}{reasons}"]
     return dict(zip(COLUMNS[1:], cells, strict=True))
@@ -98,10 +97,8 @@ def revision_section(folder: Path, options: Options, trials: Sequence[Trial]) ->
         pictures += [] if picture is None else [picture]
     if not rows:
         return []
-    table = pd.DataFrame(rows)
-    write_table(table, folder / "tables", "revisions", CAPTION, options.formats)
-    shown = Table(table, CAPTION, "revisions" if "csv" in options.formats else None)
-    return [Section("Decisions taken back", (shown, *pictures), 3)]
+    table = written_table(pd.DataFrame(rows), folder, "revisions", CAPTION, options.formats)
+    return [Section("Decisions taken back", (table, *pictures), 3)]
 
 
 def _picture(folder: Path, options: Options, trial: Trial) -> Picture | None:

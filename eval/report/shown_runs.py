@@ -9,13 +9,12 @@ from data.result import Run
 from eval.figures.error import MOST_PANELS
 from eval.referee.errors import position_distance, rms
 from eval.referee.score import Trial
-from eval.replay.names import FILTERS
+from eval.replay.names import BATCH, FILTERS
 
 FIRST = ("known", "jcbb", "jcbb-first")
 """Ways of association that are shown before all others."""
 MOST_PATHS = 6
 """Paths in one map, the dead-reckoned one included."""
-BATCH = ("batch", "batch-huber", "batch-cauchy", "gnc")
 
 
 def finished(trial: Trial) -> list[Run]:

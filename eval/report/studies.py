@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,7 @@ from scipy import special
 from data.log import folder_name
 from eval import figures
 from eval.figures.style import save
-from eval.page.document import Block, Picture, Section, Table
-from eval.page.tables import write_table
+from eval.page.document import Block, Picture, Section, Table, written_table
 from eval.plan.execute import Outcome
 from eval.plan.options import Options
 from eval.referee.consistency import MIN_RUNS
@@ -35,8 +35,7 @@ def study_sections(folder: Path, options: Options, outcome: Outcome, judged: Seq
     """All that is said about the studies of a report; nothing where there is none."""
 
     def table(frame: pd.DataFrame, name: str, caption: str) -> Table:
-        write_table(frame, folder / "tables", name, caption, options.formats)
-        return Table(frame, caption, name if "csv" in options.formats else None)
+        return written_table(frame, folder, name, caption, options.formats)
 
     sections = _published(outcome, table)
     if outcome.studies:
@@ -73,24 +72,24 @@ def _reading(studies: Sequence[Study]) -> Iterator[Block]:
 def _study(study: Study, judged: Sequence[Judged], pictures: Sequence[Picture], table: Writer) -> Section:
     s = study.scenario
     declared = [f"`{m.name}` ({', '.join(m.must_be_consistent)})" for m in s.members if m.must_be_consistent]
-    content: list[Block] = [
+    blocks: list[Block] = [
         f"{s.about} {len(study.seeds)} runs (seeds {study.seeds[0]} to {study.seeds[-1]}).",
         f"Declared to be consistent: {', '.join(declared)}." if declared else "Nothing is declared to be consistent.",
     ]
     if s.cite:
-        content.append(f"Source: {s.cite}.")
+        blocks.append(f"Source: {s.cite}.")
     name = folder_name(s.name)
     tests = [j for j in judged if not j.quantity.startswith("coverage")]
     shares = [j for j in judged if j.quantity.startswith("coverage")]
     if tests:
         made = comparison.consistency_table(consistency_table(tests))
-        content.append(table(made, f"{name}-consistency", f"Scenario {s.name}: verdicts."))
+        blocks.append(table(made, f"{name}-consistency", f"Scenario {s.name}: verdicts."))
     if shares:
         made = comparison.coverage_table(consistency_table(shares))
-        content.append(table(made, f"{name}-coverage", f"Scenario {s.name}: coverage of the last position's ellipses."))
-    content += pictures
-    content.append(_diverged(study))
-    return Section(f"Scenario {s.name}", tuple(content), level=3)
+        blocks.append(table(made, f"{name}-coverage", f"Scenario {s.name}: coverage of the last position's ellipses."))
+    blocks += pictures
+    blocks.append(_diverged(study))
+    return Section(f"Scenario {s.name}", tuple(blocks), level=3)
 
 
 def _diverged(study: Study) -> str:
@@ -98,11 +97,13 @@ def _diverged(study: Study) -> str:
     lost = study.failures()
     if not lost:
         return "Every run of every estimator got to its end."
-    told = []
+    notes = []
     for (task, estimator, association, _), seed, why in lost:
-        asked = f"--scenario {study.scenario.source} --estimator {estimator} --seed {seed} --runs 1"
-        told.append(f"* seed {seed}: `{estimator}` ({task}, {association}), {why}: `python -m eval.run_all {asked}`")
-    return f"{len(lost)} runs diverged; they are in no average:\n\n" + "\n".join(dict.fromkeys(told))
+        asked = shlex.join(
+            ["--scenario", study.scenario.source, "--estimator", estimator, "--seed", str(seed), "--runs", "1"]
+        )
+        notes.append(f"* seed {seed}: `{estimator}` ({task}, {association}), {why}: `python -m eval.run_all {asked}`")
+    return f"{len(lost)} runs diverged; they are in no average:\n\n" + "\n".join(dict.fromkeys(notes))
 
 
 def _draw(folder: Path, options: Options, studies: Sequence[Study]) -> list[list[Picture]]:
@@ -140,35 +141,35 @@ def _picture(folder: Path, study: Study, task: str, association: str, kind: str)
         fig = figures.anees_figure(
             study.time, average, DOF["pose"], runs, title=what, time_is_index=study.time_is_index
         )
-        told = "pose NEES averaged over the runs at each instant (of a consistent estimator 5 % lie outside)."
+        caption = "pose NEES averaged over the runs at each instant (of a consistent estimator 5 % lie outside)."
     elif kind == "ends":
         ends = {n: np.array([x.ends["pose"] for x in study.good(k)]) for n, k in keys.items()}
         fig = figures.run_end_figure(ends, DOF["pose"], what)
-        told = "pose NEES at the end of each run against the χ² density of a consistent estimator."
+        caption = "pose NEES at the end of each run against the χ² density of a consistent estimator."
     else:
         ends = {n: np.array([x.ends["position"] for x in study.good(k)]) for n, k in keys.items()}
         fig = figures.coverage_figure(ends, DOF["position"], what)
-        told = "share of the runs whose last position lies inside the ellipse of each level, with 95 % bounds."
+        caption = "share of the runs whose last position lies inside the ellipse of each level, with 95 % bounds."
     save(fig, folder / "figures", stem)
-    return Picture(stem, f"{what}, {runs} runs: {told}", f"{kind} of {what}")
+    return Picture(stem, f"{what}, {runs} runs: {caption}", f"{kind} of {what}")
 
 
 def _published(outcome: Outcome, table: Writer) -> list[Section]:
     """One table of all published numbers with ours, and what is to be known of each scenario's."""
-    told = []
+    notes = []
     for study in outcome.studies:
         p = study.scenario.published
         if p is not None:
-            told += [f"* `{study.scenario.name}`: {p.note} Source: {study.scenario.cite}."] if p.note else []
-            told += [f"* `{study.scenario.name}`: {text}" for text in orderings(study)]
-    told += [f"* {text}." for text in outcome.skipped]
-    content: list[Block] = []
+            notes += [f"* `{study.scenario.name}`: {p.note} Source: {study.scenario.cite}."] if p.note else []
+            notes += [f"* `{study.scenario.name}`: {text}" for text in orderings(study)]
+    notes += [f"* {text}." for text in outcome.skipped]
+    blocks: list[Block] = []
     if outcome.published:
         made = comparison.published_table(published_frame(outcome.published))
-        content.append(table(made, "published", comparison.PUBLISHED_CAPTION))
-    if told:
-        content.append("\n".join(told))
-    return [Section("Published numbers reproduced", tuple(content))] if content else []
+        blocks.append(table(made, "published", comparison.PUBLISHED_CAPTION))
+    if notes:
+        blocks.append("\n".join(notes))
+    return [Section("Published numbers reproduced", tuple(blocks))] if blocks else []
 
 
 def outlier_table(studies: Sequence[Study]) -> pd.DataFrame:
@@ -200,10 +201,10 @@ def _outliers(folder: Path, options: Options, studies: Sequence[Study], table: W
         f"{name}: position RMSE and mean pose NEES (expected {DOF['pose']}) with 95 % intervals over"
         f" {len(studies[0].seeds)} runs, against the share of wrong labels."
     )
-    content: list[Block] = [f"{s.about} {len(studies[0].seeds)} runs at each rate.", table(
+    blocks: list[Block] = [f"{s.about} {len(studies[0].seeds)} runs at each rate.", table(
         comparison.outliers_table(data), name, caption)]  # fmt: skip
     if not (options.no_plots or options.quick):
         save(figures.outlier_figure(data, name), folder / "figures", name)
-        content.append(Picture(name, caption, "RMSE and NEES against the share of wrong associations"))
-    content += [f"At {100 * study.scenario.wrong:g} %: {_diverged(study)}" for study in studies if study.failures()]
-    return Section(f"Wrong associations: {name}", tuple(content), level=3)
+        blocks.append(Picture(name, caption, "RMSE and NEES against the share of wrong associations"))
+    blocks += [f"At {100 * study.scenario.wrong:g} %: {_diverged(study)}" for study in studies if study.failures()]
+    return Section(f"Wrong associations: {name}", tuple(blocks), level=3)

@@ -1,4 +1,4 @@
-"""One table in which knowledge is taken away: the tutorials' steps from labels and map to nothing, ours beside them."""
+"""One table of the tutorials' steps, from labels and map given to nothing, with our runs on the same log."""
 
 from __future__ import annotations
 
@@ -8,25 +8,22 @@ import pandas as pd
 
 from eval.page.tables import drop_blank_columns
 from eval.plan.tutorial import is_tutorial
+from eval.referee.confusion import OUTCOMES
+from eval.referee.metrics import heads
 from eval.referee.score import Scores, Trial
 
 CAPTION = (
     "Knowledge taken away, on the same recording: {log}. Given are the map, the labels, or neither; errors in the world"
     " frame without alignment. TP, TN, FP and FN count decisions about the observations, as they were online."
 )
-HEADS = {
-    "rmse_position_m": "position RMSE [m]",
-    "rmse_heading_deg": "heading RMSE [deg]",
-    "rmse_landmark_m": "landmark RMSE [m]",
-    "landmarks": "landmarks",
-}
-COUNTS = {"tp": "TP", "tn": "TN", "fp": "FP", "fn": "FN"}
+HEADS = heads(("rmse_position_m", "rmse_heading_deg", "rmse_landmark_m", "landmarks"))
+COUNTS = heads(OUTCOMES)
 
 
 def given(task: str, association: str) -> str:
-    """What the estimator is told."""
-    told = [name for name, yes in (("map", task == "localization"), ("labels", association == "known")) if yes]
-    return " and ".join(told) or "nothing"
+    """What the estimator is given."""
+    names = [name for name, yes in (("map", task == "localization"), ("labels", association == "known")) if yes]
+    return " and ".join(names) or "nothing"
 
 
 def logs_with_tutorials(trials: Sequence[Trial]) -> list[str]:
@@ -35,8 +32,8 @@ def logs_with_tutorials(trials: Sequence[Trial]) -> list[str]:
     return [name for name in dict.fromkeys(beside) if beside.count(name) > 1]
 
 
-def knowledge_table(log: str, trials: Sequence[Trial], scores: Scores) -> pd.DataFrame:
-    """Rows of the tutorials beside a log in the order of their names, and after each those of ours that know as much.
+def tutorial_table(log: str, trials: Sequence[Trial], scores: Scores) -> pd.DataFrame:
+    """Rows of the tutorials beside a log in the order of their names, after each those of ours that are given as much.
 
     An estimator with two phases stands with its final one; dead reckoning uses no observations and is left out.
     """

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -10,26 +9,10 @@ import numpy as np
 
 from data.errors import UsageError
 from data.log import Log
-from data.worlds.arena import Arena
-from data.worlds.arena import simulate as simulate_arena
-from data.worlds.circle import Circle
-from data.worlds.circle import simulate as simulate_circle
-from data.worlds.corridor import Corridor
-from data.worlds.corridor import simulate as simulate_corridor
-from data.worlds.gallery import Gallery
-from data.worlds.gallery import simulate as simulate_gallery
-from data.worlds.linear import LinearWorld
-from data.worlds.linear import simulate as simulate_linear
+from data.worlds import registry
 from eval.replay.settings import Setup
 from eval.studies.published import Published
 
-WORLDS: Mapping[str, tuple[type[Any], Any]] = {
-    "arena": (Arena, simulate_arena),
-    "circle": (Circle, simulate_circle),
-    "corridor": (Corridor, simulate_corridor),
-    "linear": (LinearWorld, simulate_linear),
-    "visual": (Gallery, simulate_gallery),
-}
 RECORDED = "esde"
 """The world that is a recording: one stored run of others, found through `--data`."""
 
@@ -99,12 +82,12 @@ class Scenario:
 
     def world(self, changed: tuple[tuple[str, object], ...] = ()) -> Any:
         """Parameters of the simulator, some of them changed."""
-        return WORLDS[self.kind][0](**{**dict(self.values), **dict(changed)})
+        return registry.parameters_of(self.kind)(**{**dict(self.values), **dict(changed)})
 
     def simulate(self, seed: int, changed: tuple[tuple[str, object], ...] = ()) -> Log:
         """The log of a seed, under the scenario's name; wrong labels, if any, are the same for every estimator."""
         world = self.world(changed)
-        log: Log = WORLDS[self.kind][1](world, seed, f"{self.name}:{seed}")
+        log = registry.simulate(self.kind, world, seed, f"{self.name}:{seed}")
         log = replace(log, source={**log.source, "kind": f"scenario {self.name}", self.kind: asdict(world)})
         return with_wrong_labels(log, self.wrong, seed) if self.wrong else log
 

@@ -8,37 +8,31 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import shutil
 import zipfile
-from functools import cache
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from data.digest import program_digest
 from data.log import folder_name
+from data.whole import whole_file
 from eval.studies.montecarlo import Key, Result, Sample
 from eval.studies.scenario import Scenario
 
-ROOT = Path(__file__).parents[2]
-SOURCES = ("data", "association", "ekf", "graph")
-OWN = ("replay", "referee", "studies")
-LIBRARIES = ("gtsam", "numba", "numpy", "scipy")
+PACKAGES = (
+    *("data", "association", "ekf", "graph"),
+    *("eval/__init__.py", "eval/replay", "eval/referee", "eval/studies"),
+)
+"""All that a run may execute."""
+LIBRARIES = ("gtsam", "numba", "numpy", "pandas", "scipy")
 DIGITS = 10
 
 
-@cache
 def code_digest() -> str:
     """Digest of the program and the libraries that the numbers come from."""
-    digest = hashlib.sha256()
-    files = sorted(f for folder in SOURCES for f in (ROOT / folder).rglob("*.py"))
-    for f in [*files, *(f for room in OWN for f in sorted((ROOT / "eval" / room).rglob("*.py")))]:
-        digest.update(f.relative_to(ROOT).as_posix().encode() + f.read_bytes())
-    for library in LIBRARIES:
-        digest.update(f"{library} {version(library)}".encode())
-    return digest.hexdigest()[:DIGITS]
+    return program_digest(PACKAGES, LIBRARIES)[:DIGITS]
 
 
 def content_digest(s: Scenario) -> str:
@@ -63,24 +57,23 @@ def folder_of(root: Path, scenario: Scenario) -> Path:
 
 def save(folder: Path, seed: int, result: Result) -> None:
     """Keep a run; a file appears whole or not at all."""
-    told = [
+    rows = [
         [list(key), dict(s.means), dict(s.ends), dict(s.squares), dict(s.published), s.failure]
         for key, s in result.items()
     ]
     kept: dict[str, Any] = {f"nees_{i}": s.nees_pose for i, s in enumerate(result.values())}
-    kept["told"] = np.frombuffer(json.dumps(told).encode(), np.uint8)
-    partial = folder / f".{seed}.partial-{os.getpid()}.npz"
-    np.savez(partial, **kept)
-    partial.replace(folder / f"{seed}.npz")
+    kept["samples"] = np.frombuffer(json.dumps(rows).encode(), np.uint8)
+    with whole_file(folder / f"{seed}.npz") as partial:
+        np.savez(partial, **kept)
 
 
 def load(folder: Path, seed: int) -> Result | None:
     """A kept run, or None; a file that is damaged counts as none."""
     try:
         with (folder / f"{seed}.npz").open("rb") as file, np.load(file) as kept:
-            told = json.loads(kept["told"].tobytes())
+            rows = json.loads(kept["samples"].tobytes())
             result: Result = {}
-            for i, (key, means, ends, squares, published, failure) in enumerate(told):
+            for i, (key, means, ends, squares, published, failure) in enumerate(rows):
                 named: Key = tuple(key)
                 result[named] = Sample(means, ends, squares, published, kept[f"nees_{i}"], failure)
             return result

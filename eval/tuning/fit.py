@@ -19,7 +19,7 @@ from data.inputs import Increments, Inputs, IntArray, LabelledObservations
 from data.result import DISCARD
 from data.se2 import Array
 from ekf.whole_run import run_filter
-from eval.referee.consistency import chi2_bounds, lag1
+from eval.referee.consistency import chi2_bounds, lag1_correlation
 from eval.tuning.model import Model, apply
 
 FITTED, HELD, AT_BOUND = "fitted", "not determined", "at its bound"
@@ -94,7 +94,7 @@ def score(inputs: Inputs, decisions: IntArray, begin: int = 0, end: int | None =
     frame = inputs.observations.frame
     inside = (frame >= begin) & (frame < (len(inputs) if end is None else end))
     dof = int(run.dof[span].sum())
-    r, error = lag1(run.white, frame, np.where(inside, decisions, DISCARD))
+    r, error = lag1_correlation(run.white, frame, np.where(inside, decisions, DISCARD))
     lower, upper = chi2_bounds(dof)
     nis = float(run.nis[span].sum()) / dof if dof else math.nan
     return Score(float(run.log_likelihood[span].sum()), dof, nis, lower, upper, r, error)

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from data.errors import UsageError
+from data.whole import whole_file
 from eval.figures.style import drawing
 
 DPI = 110
@@ -70,26 +71,23 @@ class Album:
     def show_made(self, name: str, figure: Figure) -> None:
         """The same for a figure that exists already, as the file `name`; a window gets an image of it."""
         with drawing():
-            content = _png(figure)
-        self.write(f"{name}.png", content)
-        image = imread(io.BytesIO(content))
+            png = _png(figure)
+        self.write(f"{name}.png", png)
+        image = imread(io.BytesIO(png))
         self.show(name, lambda fig: fig.add_axes((0, 0, 1, 1), frameon=False).imshow(image), None)
 
-    def write(self, name: str, content: bytes) -> None:
+    def write(self, name: str, data: bytes) -> None:
         """A whole file, or none."""
         if self.folder is None:
             return
-        partial = self.folder / f".{name}.partial-{os.getpid()}"
         try:
-            partial.write_bytes(content)
-            partial.replace(self.folder / name)
+            with whole_file(self.folder / name) as partial:
+                partial.write_bytes(data)
         except OSError as fault:
             raise UsageError(f"--save {self.folder}: {name} cannot be written: {fault.strerror}") from fault
-        finally:
-            partial.unlink(missing_ok=True)
 
 
 def _png(figure: Figure) -> bytes:
-    content = io.BytesIO()
-    figure.savefig(content, format="png", dpi=DPI, metadata={"Software": None})
-    return content.getvalue()
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
+    return buffer.getvalue()

@@ -21,7 +21,7 @@ from data.inputs import IntArray
 from data.result import NEW
 from data.se2 import Array, BoolArray
 from data.sensors import Sensor
-from eval.walk.painting import (
+from eval.walk.marks import (
     BAD,
     DASHES,
     DULL,
@@ -34,7 +34,6 @@ from eval.walk.painting import (
     mark_robot,
     outlines,
     robot_axes,
-    robot_frame,
     write_numbers,
 )
 from eval.walk.text import TruthRow
@@ -80,8 +79,8 @@ class _Plane:
 
 def _plane(m: Matching) -> _Plane:
     e = m.expectation
-    xy, P = robot_frame(m.sensor, e.z, e.R)
-    landmarks, Pl = robot_frame(m.sensor, e.z_hat, e.HPHt)
+    xy, P = m.sensor.body_points(e.z, e.R)
+    landmarks, Pl = m.sensor.body_points(e.z_hat, e.HPHt)
     d2 = e.individual_distances()
     compatible: BoolArray = d2 < gate_threshold(m.gate)
     near: BoolArray = d2 < gate_threshold(SHOWN_WITHOUT_GATE if m.gate is None else m.gate)

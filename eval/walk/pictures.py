@@ -17,9 +17,10 @@ from data.log import Log
 from data.result import MapState, PoseEstimate
 from data.se2 import Array, transform_points
 from data.sensors import RangeBearing, Sensor
-from eval.figures.map import ellipses, true_landmarks
+from eval.figures.ellipses import ellipses
 from eval.figures.style import TRUTH_COLOUR, style_of
-from eval.walk.painting import BAD, FAINT, GOOD, ONE, fit, mark_robot, outlines, robot_axes, robot_frame, write_numbers
+from eval.figures.view import true_landmarks
+from eval.walk.marks import BAD, FAINT, GOOD, ONE, fit, mark_robot, outlines, robot_axes, write_numbers
 
 
 def field_of_view(sensor: Sensor) -> Array | None:
@@ -125,7 +126,7 @@ def paint_map(
 def paint_observations(fig: Figure, sensor: Sensor, z: Array, R: Array, title: str) -> None:
     """Observations z (m, 2) with their 3 sigma ellipses in the robot frame, numbered."""
     ax = _picture(fig)
-    xy, P = robot_frame(sensor, z, R)
+    xy, P = sensor.body_points(z, R)
     outline = field_of_view(sensor)
     shown = [xy, np.zeros((1, 2))]
     if outline is not None:

@@ -20,6 +20,7 @@ from data.result import DISCARD, NEW, Run
 from data.se2 import Array
 from data.truth import UNKNOWN_ID
 from eval.referee.confusion import OUTCOMES, Confusion, confuse
+from eval.referee.metrics import metric
 from eval.referee.score import confusion_of, metrics_row
 
 WIDTH = 100
@@ -28,18 +29,10 @@ NONE = "-"
 UNKNOWN = "true ids are not known: ground truth, correct and counts are left out"
 RIGHT = ("tp", "tn")
 STATISTICS = (
-    ("frames", "frames"),
-    ("observations", "observations"),
-    ("landmarks", "landmarks in the map"),
-    ("rmse_position_m", "position RMSE [m]"),
-    ("max_position_m", "largest position error [m]"),
-    ("rmse_heading_deg", "heading RMSE [deg]"),
-    ("rmse_landmark_m", "landmark RMSE [m]"),
-    ("nees_pose", "mean pose NEES (3 expected)"),
-    ("inside_3sigma", "share of frames inside 3σ (0.989 expected)"),
-    ("nis", "NIS per degree of freedom (1 expected)"),
-)
-"""Columns of metrics.csv told at the end, and what they are called there."""
+    "frames", "observations", "landmarks", "rmse_position_m", "max_position_m", "rmse_heading_deg", "rmse_landmark_m",
+    "nees_pose", "inside_3sigma", "nis",
+)  # fmt: skip
+"""Columns of metrics.csv that are shown at the end."""
 
 
 class TruthRow(NamedTuple):
@@ -73,17 +66,17 @@ def judge_frame(
     """What the referee says of observations `rows` as soon as they are decided about; None without true ids.
 
     `decisions` and `created` (M,) are those of the whole log so far; `removed` as in `Run`. What is right now depends
-    on the observations that founded the landmarks, and on no other, so only those go to the referee beside the rows.
+    on the observations that initialized the landmarks, and on no other, so only those and the rows go to the referee.
     """
     true_id = log.truth.landmark_of
     if true_id is None or np.any(true_id == UNKNOWN_ID):
         return None
-    founding = np.flatnonzero(created[: rows.start] >= 0)
-    those = np.concatenate([founding, np.arange(rows.start, rows.stop)])
+    first = np.flatnonzero(created[: rows.start] >= 0)
+    those = np.concatenate([first, np.arange(rows.start, rows.stop)])
     known = log.recorded.map if task == "localization" else None
     frame = log.recorded.observations.frame
     scored = confuse(frame[those], true_id[those], decisions[those], created[those], known, removed)
-    return row_of(scored, slice(len(founding), None))
+    return row_of(scored, slice(len(first), None))
 
 
 def step_block(frame: int, truth_row: TruthRow | None, decisions: IntArray, created: IntArray) -> str:
@@ -93,7 +86,7 @@ def step_block(frame: int, truth_row: TruthRow | None, decisions: IntArray, crea
         frame: number of the step.
         truth_row: what the referee says; None leaves ground truth, correct and counts out.
         decisions: (m,) landmark number, `NEW` or `DISCARD`, shown as number, NEW or `-`.
-        created: (m,) number of the landmark an observation founded, -1 for none.
+        created: (m,) number of the landmark an observation initialized, -1 for none.
     """
     m = len(decisions)
     rows: list[tuple[str, list[str]]] = [("observation", [str(i) for i in range(m)])]
@@ -141,8 +134,8 @@ def _agreement(truth_row: TruthRow) -> list[str]:
         return ["ground truth and hypothesis agree"]
     which = ", ".join(f"{i} ({OUTCOMES[truth_row.outcome[i]].upper()})" for i in wrong)
     m = len(truth_row.outcome)
-    told = f"ground truth and hypothesis disagree in {len(wrong)} of {m} observation{'s' * (m != 1)}: {which}"
-    return fill(told, WIDTH, subsequent_indent="  ").split("\n")
+    text = f"ground truth and hypothesis disagree in {len(wrong)} of {m} observation{'s' * (m != 1)}: {which}"
+    return fill(text, WIDTH, subsequent_indent="  ").split("\n")
 
 
 def totals(confusion: Confusion, steps: int) -> str:
@@ -182,8 +175,8 @@ def closing(log: Log, run: Run, phase: str = "online") -> str:
     lines = []
     if run.failure is not None:
         f = run.failure
-        told = f"{f.status} at frame {f.frame}: {f.why}; all observations from there on count as discarded"
-        lines.append(fill(told, WIDTH, subsequent_indent="  "))
+        text = f"{f.status} at frame {f.frame}: {f.why}; all observations from there on count as discarded"
+        lines.append(fill(text, WIDTH, subsequent_indent="  "))
     steps = int(np.count_nonzero(np.diff(log.recorded.start)))
     lines.append(f"whole run: {UNKNOWN}" if confusion is None else totals(confusion, steps))
     return "\n".join(lines)
@@ -193,18 +186,16 @@ def statistics(log: Log, run: Run) -> str:
     """The numbers of a run, a column per phase; what cannot be known is left out."""
     rows = {phase: metrics_row(run, phase, log, None) for phase in run.phases}
     lines = []
-    for key, name in STATISTICS:
-        values = [row.get(key) for row in rows.values()]
+    for m in map(metric, STATISTICS):
+        values = [row.get(m.column) for row in rows.values()]
         if any(isinstance(v, (int, float)) and math.isfinite(v) for v in values):
-            lines.append(f"{name:<40}" + "".join(f"{_number(v):>12}" for v in values))
+            lines.append(f"{m.line:<40}" + "".join(f"{_number(v, m.form):>12}" for v in values))
     head = f"{f'{log.name}: {run.task}, {run.estimator}, {run.association}':<40}" + "".join(f"{p:>12}" for p in rows)
     return "\n".join([head, *lines, *(fill(note, WIDTH, subsequent_indent="  ") for note in run.notes)])
 
 
-def _number(value: object) -> str:
-    if isinstance(value, int):
-        return str(value)
-    return f"{value:.4g}" if isinstance(value, float) and math.isfinite(value) else NONE
+def _number(value: object, form: str) -> str:
+    return f"{value:{form}}" if isinstance(value, (int, float)) and math.isfinite(value) else NONE
 
 
 def pose_text(pose: Array, covariance: Array) -> str:

@@ -10,13 +10,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from association.expectation import Expectation, SingularInnovationError
-from data.inputs import IntArray
+from data.inputs import Frame, IntArray
 from data.log import Log
 from data.result import DISCARD, NEW, Run
 from data.truth import CLUTTER
 from eval.figures import error_figure
 from eval.figures.style import STYLES
-from eval.replay.frontend import FrontEnd
+from eval.replay.frontend import FrontEnd, Pairing
 from eval.walk.album import Album
 from eval.walk.matching import Matching, paint_compatibility, paint_matching
 from eval.walk.pictures import paint_ground_truth, paint_map, paint_observations
@@ -31,7 +31,7 @@ class StoppedError(Exception):
 
 
 class Walk:
-    """Looks on while a log is replayed: prints, paints and waits for Enter (see `eval.replay.frontend.Watch`)."""
+    """Looks on while a log is replayed: prints, paints and waits for Enter (see `eval.replay.watch.Watch`)."""
 
     def __init__(self, log: Log, task: str, estimator: str, album: Album, *, pausing: bool) -> None:
         """Before the first frame."""
@@ -41,7 +41,7 @@ class Walk:
         self.path: list[Any] = []
         self.digits = max(3, len(str(len(log.recorded) - 1)))
         self.kind = f"{STYLES[estimator].label} {'SLAM' if task == 'slam' else task}"
-        self.told = False
+        self.printed = False
 
     def pause(self, stage: str) -> None:
         """Wait for Enter, if anybody is there."""
@@ -73,7 +73,7 @@ class Walk:
 
     def moved(self, front: FrontEnd) -> None:
         """Move and observe."""
-        self.k, self.told = front.k, False
+        self.k, self.printed = front.k, False
         r = self.log.recorded
         self.rows = slice(int(r.start[self.k]), int(r.start[self.k + 1]))
         if self.log.truth.known_poses:
@@ -90,12 +90,13 @@ class Walk:
             self.show("observations", lambda fig: paint_observations(fig, r.sensor, *seen, self.title))
             self.pause("observe")
 
-    def decided(self, front: FrontEnd, rows: slice, expectation: Expectation | None, decisions: IntArray) -> None:
+    def decided(self, front: FrontEnd, frame: Frame, pairing: Pairing) -> None:
         """Compatibility and matching, once there is a map."""
-        self.decisions[rows] = decisions
+        decisions, expectation = pairing.decisions, pairing.expectation
+        self.decisions[frame.first : frame.first + len(decisions)] = decisions
         wanted = self.album.wanted or self.pausing
         if expectation is None and wanted:
-            expectation = front.expect(self.log.recorded.sightings(self.k))
+            expectation = front.expect(frame.sightings)
         if expectation is not None and len(expectation.number) and wanted:
             self.say("compatibility", compatibility_text(expectation, front.setup.gate))
             problem = self._problem(front, expectation, decisions) if self.album.wanted else None
@@ -104,7 +105,7 @@ class Walk:
             self.pause("compatibility")
             if problem is not None:
                 self.show("matching", lambda fig: paint_matching(fig, problem))
-            self._tell(front)
+            self._print_step(front)
             self.pause("matching")
 
     def _problem(self, front: FrontEnd, e: Expectation, decisions: IntArray) -> Matching:
@@ -133,13 +134,14 @@ class Walk:
 
     def _removed(self, front: FrontEnd) -> IntArray | None:
         """Frames after which landmarks left the map, so far."""
-        return None if front.upkeep is None else front.upkeep.removal_frames(int(self.created.max(initial=-1)) + 1)
+        managed = front.map_management
+        return None if managed is None else managed.removal_frames(int(self.created.max(initial=-1)) + 1)
 
-    def _tell(self, front: FrontEnd) -> None:
+    def _print_step(self, front: FrontEnd) -> None:
         """The text of the step; new landmarks get the next numbers."""
-        if self.told:
+        if self.printed:
             return
-        self.told = True
+        self.printed = True
         decisions = self.decisions[self.rows]
         new = decisions == NEW
         created = np.where(new, self.created.max(initial=-1) + np.cumsum(new), -1)
@@ -149,17 +151,18 @@ class Walk:
     def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
         """Update, and the end of the step."""
         if self.rows.stop > self.rows.start:
-            self._tell(front)
+            self._print_step(front)
         self.decisions[self.rows], self.created[self.rows] = decisions[self.rows], created[self.rows]
         self.path.append(front.estimator.estimate().mean[:2])
         self._map(front, "estimate", keep=True)
         if self.rows.stop > self.rows.start:
             d = decisions[self.rows]
             used, new = int((d >= 0).sum()), int((created[self.rows] >= 0).sum())
-            gone = [] if front.upkeep is None else sorted(n for n, k in front.upkeep.removed.items() if k == self.k)
+            removed = {} if front.map_management is None else front.map_management.removed
+            gone = sorted(n for n, k in removed.items() if k == self.k)
             lost = f"; removed from the map: {', '.join(map(str, gone))}" if gone else ""
-            told = f"{used} used, {new} new, {len(d) - used - new} left out"
-            self.say("update", f"{told}; {pose_text(*front.estimator.estimate())}{lost}")
+            counts = f"{used} used, {new} new, {len(d) - used - new} left out"
+            self.say("update", f"{counts}; {pose_text(*front.estimator.estimate())}{lost}")
             self.pause("update")
 
     def _map(self, front: FrontEnd, what: str, *, keep: bool) -> None:

@@ -69,11 +69,11 @@ def test_every_recorded_decision_is_made_again(shared_data, name, method):
     reference = folder / "reference" / RECORDED[method]
     np.testing.assert_array_equal(np.maximum(decisions + 1, 0), table(reference / "hypotheses.csv")["h"])
     features = table(reference / "features.csv")
-    founding = np.flatnonzero(created >= 0)
-    frame = inputs.observations.frame[founding]
-    np.testing.assert_array_equal(created[founding] + 1, features["feature"])
+    initializing = np.flatnonzero(created >= 0)
+    frame = inputs.observations.frame[initializing]
+    np.testing.assert_array_equal(created[initializing] + 1, features["feature"])
     np.testing.assert_array_equal(frame, features["frame"])
-    np.testing.assert_array_equal(founding - inputs.start[frame], features["observation"])
+    np.testing.assert_array_equal(initializing - inputs.start[frame], features["observation"])
 
     recorded = table(reference / "poses.csv")
     error = pose - np.stack([recorded[c] for c in ("x", "y", "theta")], 1)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from data.errors import UsageError
-from data.inputs import CLUTTER, LabelledObservations, floor_covariances
+from data.inputs import CLUTTER, LabelledObservations, LandmarkMap, floor_covariances
 from data.worlds.arena import Arena, simulate
 
 WORLD = Arena(landmarks=6, frames=10, clutter=1.0)
@@ -101,3 +101,16 @@ def test_senseless_arenas_are_refused():
     ):
         with pytest.raises(UsageError, match="arena: " + next(iter(bad))):
             Arena(**bad)
+
+
+def test_landmarks_are_looked_up_by_id():
+    known = LandmarkMap(np.array([2, 5, 9]), np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]]))
+    ids = np.array([9, CLUTTER, 5, 3, 2, 10])
+    assert known.rows(ids).tolist() == [2, -1, 1, -1, 0, -1]
+    nowhere = [np.nan, np.nan]
+    wanted = np.array([known.xy[2], nowhere, known.xy[1], nowhere, known.xy[0], nowhere])
+    assert np.array_equal(known.positions(ids), wanted, equal_nan=True)
+    nothing = LandmarkMap(np.empty(0, np.int64), np.empty((0, 2)))
+    assert nothing.rows(ids).tolist() == [-1] * 6
+    assert np.isnan(nothing.positions(ids)).all()
+    assert known.rows(np.empty(0, np.int64)).tolist() == []

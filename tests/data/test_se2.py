@@ -44,3 +44,11 @@ def test_headings_are_interpolated_along_the_shorter_way():
 def test_errors_of_headings_close_across_the_seam_are_small():
     e = se2.pose_error(np.array([0, 0, math.radians(359.9)]), np.array([0, 0, math.radians(0.1)]))
     assert math.degrees(e[2]) == pytest.approx(-0.2)
+
+
+@given(poses, arrays(float, (5, 3), elements=st.floats(-3, 3)))
+def test_dead_reckoning_composes_the_increments_one_by_one(start, increments):
+    path, pose = se2.dead_reckoned(start, increments), start
+    for reckoned, increment in zip(path, increments, strict=True):
+        pose = se2.compose(pose, increment)
+        assert np.abs(se2.pose_error(reckoned, pose)).max() < 1e-9

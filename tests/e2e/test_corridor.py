@@ -123,7 +123,7 @@ def test_sigmas_grow_round_the_loop_and_drop_at_its_closure(study, estimator):
         assert sigma[5] < sigma[15] < sigma[25]
         assert after < 0.35 * before
         landmark = np.sqrt(np.linalg.eigvalsh(run.map.covariance)[:, 1])
-        side = (log.truth.landmark_of[run.created >= 0] - 1) // 22  # founded in order, 22 on each side
+        side = (log.truth.landmark_of[run.created >= 0] - 1) // 22  # initialized in order, 22 on each side
         means = [landmark[side == s].mean() for s in range(4)]
         assert means[0] < means[1] < means[2]  # farther along the path: less certain,
         assert means[3] < means[2]  # and the loop comes back to where it is certain

@@ -22,10 +22,12 @@ def localize(log):
     front = LocalizingFrontEnd("ekf", "jcbb-hindsight", inputs, Setup())
     pose, decisions = np.empty((len(inputs), 3)), np.full(len(labels), -2)
     for k in range(len(inputs)):
-        front.move()
-        rows = slice(int(inputs.start[k]), int(inputs.start[k + 1]))
-        if rows.stop > rows.start:
-            decisions[rows] = front.associate(rows)[0]
+        frame = inputs.frame(k)
+        front.move(frame)
+        if len(frame.sightings.z):
+            pairing = front.associate(frame)
+            front.update(frame, pairing)
+            decisions[frame.first : frame.first + len(pairing.decisions)] = pairing.decisions
         front.tidy()
         pose[k] = front.estimator.estimate().mean
     front.close()

@@ -49,11 +49,12 @@ def replay(inputs, estimator="ekf"):
     pose, covariance = np.empty((len(inputs), 3)), np.empty((len(inputs), 3, 3))
     decisions = np.full(len(inputs.observations.frame), -2)
     for k in range(len(inputs)):
-        front.move()
-        rows = slice(int(inputs.start[k]), int(inputs.start[k + 1]))
-        if rows.stop > rows.start:
-            decided, done = front.associate(rows)
-            decisions[rows] = np.where(done.used, decided, -2)
+        frame = inputs.frame(k)
+        front.move(frame)
+        if len(frame.sightings.z):
+            pairing = front.associate(frame)
+            used = front.update(frame, pairing).used
+            decisions[frame.first : frame.first + len(used)] = np.where(used, pairing.decisions, -2)
         front.tidy()
         pose[k], covariance[k] = front.estimator.estimate()
     front.close()
@@ -178,10 +179,10 @@ def mapped(seed, estimator="ekf", frames=60):
     inputs = inputs.without_map()
     front, off = MappingFrontEnd(estimator, "jcbb-hindsight", inputs, Setup()), []
     for k in range(len(inputs)):
-        front.move()
-        rows = slice(int(inputs.start[k]), int(inputs.start[k + 1]))
-        if rows.stop > rows.start:
-            front.associate(rows)
+        frame = inputs.frame(k)
+        front.move(frame)
+        if len(frame.sightings.z):
+            front.update(frame, front.associate(frame))
         front.tidy()
         off.append(np.hypot(*(front.estimator.estimate().mean - truth[k])[:2]))
     front.close()
@@ -191,7 +192,7 @@ def mapped(seed, estimator="ekf", frames=60):
 @pytest.mark.parametrize(("seed", "estimator"), [(0, "ekf"), (5, "ekf"), (12, "ekf"), (0, "isam2"), (3, "isam2")])
 def test_a_robot_moved_while_it_maps_finds_its_place_in_its_own_map(seed, estimator):
     front, off = mapped(seed, estimator)
-    told = front.mapper.whereabouts
+    told = front.mapper.kidnapping
     assert [AT <= k < AT + 3 for k in told.alarms] == [True]
     assert told.found == told.alarms
     assert off[told.found[0]] < off[AT - 1] + 0.5
@@ -199,12 +200,12 @@ def test_a_robot_moved_while_it_maps_finds_its_place_in_its_own_map(seed, estima
     assert any("moved unseen" in note for note in front.notes())
 
 
-def test_what_was_founded_before_the_place_was_found_is_joined_to_what_it_is():
+def test_what_was_initialized_before_the_place_was_found_is_merged_with_what_it_is():
     front, off = mapped(13, frames=70)
-    told = front.mapper.whereabouts
+    told = front.mapper.kidnapping
     assert told.alarms == [AT]
     assert told.found[0] > AT
-    assert len(front.mapper.joined) >= 3
+    assert len(front.mapper.ledger.merged) >= 3
     assert off[-1] < 0.5
 
 
@@ -213,9 +214,9 @@ def test_mapping_undisturbed_raises_no_alarm():
         log = simulate(Arena(frames=60), seed)
         front = MappingFrontEnd("ekf", "jcbb-hindsight", log.inputs().without_map(), Setup())
         for k in range(60):
-            front.move()
-            rows = slice(int(front.inputs.start[k]), int(front.inputs.start[k + 1]))
-            if rows.stop > rows.start:
-                front.associate(rows)
+            frame = log.recorded.frame(k)
+            front.move(frame)
+            if len(frame.sightings.z):
+                front.update(frame, front.associate(frame))
             front.tidy()
-        assert front.mapper.whereabouts.alarms == []
+        assert front.mapper.kidnapping.alarms == []

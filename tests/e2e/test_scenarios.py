@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 
 from eval.run_all import main
-from eval.studies import store as study_store
+from eval.studies import store
 
 ROOT = Path(__file__).parents[2]
 SCENARIO = """
@@ -80,9 +80,9 @@ def test_numbers_do_not_depend_on_the_number_of_processes(small, tmp_path):
 def test_a_finished_run_is_never_done_again_and_more_runs_add_to_it(small, tmp_path, monkeypatch):
     assert study(small, tmp_path / "r", "--jobs", "1", runs=4) == 0
     done = []
-    real = study_store.save
+    real = store.save
     monkeypatch.setattr(
-        "eval.plan.execute.study_store.save", lambda folder, seed, r: (done.append(seed), real(folder, seed, r))
+        "eval.plan.execute.store.save", lambda folder, seed, r: (done.append(seed), real(folder, seed, r))
     )
     assert study(small, tmp_path / "r", "--jobs", "1", runs=6) == 0
     assert sorted(done) == [4, 5]

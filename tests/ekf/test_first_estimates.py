@@ -25,7 +25,7 @@ class Dense:
 
     def __init__(self, prior):
         self.x, self.P = prior.mean.copy(), prior.covariance.copy()
-        self.predicted, self.founded, self.slot = prior.mean.copy(), [], {}
+        self.predicted, self.initialized, self.slot = prior.mean.copy(), [], {}
 
     def predict(self, motion, M):
         d = len(self.x)
@@ -49,7 +49,7 @@ class Dense:
             C = rotation(self.predicted[2])
             H = np.zeros((2, d))
             H[:, :2] = -C.T
-            H[:, 2] = -C.T @ J @ (self.founded[s] - self.predicted[:2])
+            H[:, 2] = -C.T @ J @ (self.initialized[s] - self.predicted[:2])
             H[:, 3 + 2 * s : 5 + 2 * s] = C.T
             rows.append(H)
             nu.append(zi - rotation(self.x[2]).T @ (self.x[3 + 2 * s : 5 + 2 * s] - self.x[:2]))
@@ -74,8 +74,8 @@ class Dense:
             full[:d, :d], full[d:, :d], full[:d, d:] = self.P, G @ self.P, (G @ self.P).T
             full[d:, d:] = G @ self.P @ G.T + C @ Ri @ C.T
             self.x, self.P = np.concatenate([self.x, xy]), full
-            self.slot[n] = len(self.founded)
-            self.founded.append(xy)
+            self.slot[n] = len(self.initialized)
+            self.initialized.append(xy)
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +100,7 @@ def test_every_step_is_that_of_a_dense_filter(log):
             s = dense.slot.pop(gone)
             stay = np.delete(np.arange(len(dense.x)), [3 + 2 * s, 4 + 2 * s])
             dense.x, dense.P = dense.x[stay], dense.P[np.ix_(stay, stay)]
-            del dense.founded[s]
+            del dense.initialized[s]
             dense.slot = {n: i - (i > s) for n, i in dense.slot.items()}
         done = f.update(inputs.sightings(k), np.array([number.get(i, -1) for i in ids], np.int64))
         number.update((i, int(n)) for i, n in zip(ids, done.created, strict=True) if n >= 0)

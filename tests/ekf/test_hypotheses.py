@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_t
 
-from association.evidence.noise import FREEDOM
+from association.evidence.constants import FREEDOM
 from data import se2
 from data.inputs import Increment, LandmarkMap, Prior, Sightings
 from data.result import DISCARD

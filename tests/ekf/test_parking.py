@@ -113,7 +113,7 @@ def test_a_filter_that_parks_equals_one_that_never_does(seed, sensor, threshold,
     assert np.linalg.eigvalsh(f.covariance)[0] > 0
 
 
-def founded(n=4):
+def initialized(n=4):
     f = EkfSlam(PRIOR, RelativePoint())
     z = np.stack([np.arange(1.0, n + 1), np.ones(n)], 1)
     f.update(Sightings(z, np.tile(0.01 * np.eye(2), (n, 1, 1))), np.full(n, NEW))
@@ -121,7 +121,7 @@ def founded(n=4):
 
 
 def test_what_cannot_be_parked_restored_or_paired_is_named_and_changes_nothing():
-    f = founded()
+    f = initialized()
     f.park(np.array([2]))
     before = f.covariance
     one = Sightings(np.array([[2.0, 1.0]]), 0.01 * np.eye(2)[None])
@@ -145,7 +145,7 @@ def test_what_cannot_be_parked_restored_or_paired_is_named_and_changes_nothing()
 
 
 def test_parking_makes_expectations_stale_and_parking_nobody_does_not():
-    f = founded()
+    f = initialized()
     e = f.expect(NOTHING_SEEN)
     f.park(NOBODY)
     f.restore(NOBODY)
@@ -161,7 +161,7 @@ def test_parking_makes_expectations_stale_and_parking_nobody_does_not():
 
 
 def test_numbers_of_parked_and_removed_landmarks_are_not_given_again():
-    f = founded()
+    f = initialized()
     f.park(np.array([3, 1]))
     f.remove(np.array([3]))
     done = f.update(Sightings(np.array([[2.0, 0.0]]), 0.01 * np.eye(2)[None]), np.array([NEW]))
@@ -171,7 +171,7 @@ def test_numbers_of_parked_and_removed_landmarks_are_not_given_again():
 
 
 def test_joint_expectation_works_on_the_chosen_landmarks_alone(monkeypatch):
-    f = founded(60)
+    f = initialized(60)
     f.predict(Increment(np.array([0.5, 0.0, 0.4]), 0.01 * np.eye(3)))
     chosen = np.array([40, 7])
     rows = (3 + 2 * chosen[:, None] + np.arange(2)).ravel()

@@ -86,6 +86,6 @@ def lab_run(
     return replace(run, online=None, final=path, state_size=None) if estimator == "batch" else run
 
 
-# what NN makes of the log with people: rows 6 (point 2, neighbour), 8 (point 1 founded twice), 9 (on a person), 11
-# (point 1 with its second landmark); people: row 4 founds, 7 is paired with that, 10 with a point
+# what NN makes of the log with people: rows 6 (point 2, neighbour), 8 (point 1 initialized twice), 9 (on a person), 11
+# (point 1 with its second landmark); people: row 4 initializes, 7 is paired with that, 10 with a point
 FOOLED = {4: NEW, 6: 0, 7: 2, 8: NEW, 9: 2, 10: 0, 11: 3}

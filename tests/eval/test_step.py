@@ -16,7 +16,7 @@ from data.logs import open_log
 from eval import step
 from eval.replay.run import step_by_step
 from eval.step import main
-from eval.walk import album as step_album
+from eval.walk import album
 from eval.walk.album import Album
 from eval.walk.text import run_text
 from eval.walk.walk import Walk
@@ -44,7 +44,7 @@ def sitting(monkeypatch):
 
 @pytest.fixture(autouse=True)
 def no_windows(monkeypatch):
-    for name in step_album.SCREENS:
+    for name in album.SCREENS:
         monkeypatch.delenv(name, raising=False)
 
 
@@ -87,8 +87,8 @@ def test_what_is_printed_on_the_way_is_what_the_referee_says_in_the_end(argument
         run = step_by_step("ekf", inputs, task, association, setup)
         assert out.startswith(run_text(log, run))
     sums = np.array([line.split()[1::2] for line in out.split("\n") if line.startswith("TP") and "FN" in line], int)
-    told = {line[:2]: int(line.split()[1]) for line in out.split("\n") if line.endswith("%")}
-    assert dict(zip(("TP", "TN", "FP", "FN"), sums.sum(axis=0).tolist())) == told
+    counts = {line[:2]: int(line.split()[1]) for line in out.split("\n") if line.endswith("%")}
+    assert dict(zip(("TP", "TN", "FP", "FN"), sums.sum(axis=0).tolist())) == counts
 
 
 class Unpainted(Album):
@@ -135,7 +135,7 @@ class Blind:
 def test_the_order_is_move_observe_compatibility_matching_update(sitting, monkeypatch, capsys):
     asked = sitting(lambda n: "")
     windows = Blind()
-    monkeypatch.setattr(step_album, "open_windows", lambda: windows)
+    monkeypatch.setattr(album, "open_windows", lambda: windows)
     assert main(["--log", "corridor:0", "--frames", "2"]) == 0
     stages = [prompt.strip(" []").split(";")[0] for prompt in asked]
     cycle = ["move", "observe", "compatibility", "matching", "update"]
@@ -184,13 +184,13 @@ def test_an_interrupt_while_a_file_is_written_leaves_no_part_of_it(tmp_path, mon
     def interrupted(self: Path, target: Path) -> Path:
         raise KeyboardInterrupt
 
-    album = Album(tmp_path, None)
-    album.write("one.png", b"whole")
+    saved = Album(tmp_path, None)
+    saved.write("one.png", b"whole")
     monkeypatch.setattr(Path, "replace", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        album.write("one.png", b"other")
+        saved.write("one.png", b"other")
     with pytest.raises(KeyboardInterrupt):
-        album.write("two.png", b"other")
+        saved.write("two.png", b"other")
     assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("one.png", b"whole")]
 
 

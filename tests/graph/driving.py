@@ -33,6 +33,7 @@ def drive(inputs, decisions, *, gate=np.inf, until=None, smoother=None, **option
     for k in range(len(inputs) if until is None else until):
         if k:
             s.predict(inputs.increment(k))
+        s.stamp(inputs.time[k])
         rows = slice(inputs.start[k], inputs.start[k + 1])
         if rows.stop > rows.start:
             done.append(s.update(inputs.sightings(k), decisions[rows], threshold=gate))
@@ -43,7 +44,7 @@ def drive(inputs, decisions, *, gate=np.inf, until=None, smoother=None, **option
 
 
 def parted(inputs, decisions, created, landmark, later):
-    """Decisions under which a landmark is founded again at its first sighting after frame `later`, with that number."""
+    """Decisions that initialize a landmark again at its first sighting after frame `later`, with that number."""
     o, number = inputs.observations, np.where(created >= 0, created, decisions)
     again = np.flatnonzero((number == landmark) & (o.frame > later))
     apart = decisions.copy()
@@ -70,5 +71,4 @@ def solved(inputs, loss="gaussian"):
 
 
 def lagged(inputs, lag, **options):
-    time = np.arange(len(inputs) + 10.0)
-    return FixedLagSmoother(inputs.prior, inputs.sensor, inputs.map, time=time, lag=lag, **options)
+    return FixedLagSmoother(inputs.prior, inputs.sensor, inputs.map, lag=lag, **options)

@@ -212,7 +212,7 @@ def test_on_the_arena_it_stays_close_to_isam2(kind, task):
     log = simulate(Arena(sensor=kind, frames=90), 0)
     inputs = for_task(log.inputs(labels=True), task)
     decisions, _ = known_decisions(inputs)
-    s = FixedLagSmoother(inputs.prior, inputs.sensor, inputs.map, time=inputs.time, lag=5.0)
+    s = FixedLagSmoother(inputs.prior, inputs.sensor, inputs.map, lag=5.0)
     _, poses, _, _ = drive(inputs, decisions, smoother=s)
     _, isam, theirs, _ = drive(inputs, decisions)
     sigma = np.sqrt(np.diagonal(theirs, axis1=1, axis2=2))

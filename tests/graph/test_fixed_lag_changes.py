@@ -132,14 +132,14 @@ def test_joined_landmarks_are_one_in_the_window_and_before_it(sensor, lag):
     s = drive(inputs, apart, smoother=lagged(inputs, lag, **TIGHT))[0]
     whole = drive(inputs, decisions, smoother=lagged(inputs, lag, **TIGHT))[0]
     assert np.abs(s.estimate().covariance - whole.estimate().covariance).max() > 1e-5
-    s.join(np.array([number]), np.array([2]))
+    s.merge(np.array([number]), np.array([2]))
     assert s.numbers.tolist() == whole.numbers.tolist()
     np.testing.assert_allclose(s.estimate().mean, whole.estimate().mean, atol=1e-5)
     np.testing.assert_allclose(s.estimate().covariance, whole.estimate().covariance, atol=1e-6)
     np.testing.assert_allclose(s.landmarks().xy, whole.landmarks().xy, atol=1e-4)
     np.testing.assert_allclose(s.landmarks().covariance, whole.landmarks().covariance, atol=1e-6)
     with pytest.raises(ValueError, match="cannot join"):
-        s.join(np.array([number]), np.array([2]))
+        s.merge(np.array([number]), np.array([2]))
 
 
 @pytest.mark.parametrize("warned", [True, False], ids=["beforehand", "by the breakdown"])

@@ -62,7 +62,7 @@ def test_a_motion_that_is_not_believed_is_as_uncertain_as_said(sensor):
     rows = slice(int(inputs.start[20]), int(inputs.start[21]))
     for f in (s, twin):
         f.predict(inputs.increment(20))
-        f.lose(more)
+        f.inflate(more)
     np.testing.assert_allclose(s.estimate().covariance, twin.estimate().covariance, atol=1e-6)
     assert s.estimate().covariance[0, 0] > 25.0
     for f in (s, twin):
@@ -70,7 +70,7 @@ def test_a_motion_that_is_not_believed_is_as_uncertain_as_said(sensor):
     np.testing.assert_allclose(s.estimate().covariance, twin.estimate().covariance, atol=1e-4)
     assert s.estimate().covariance[0, 0] < 1.0
     with pytest.raises(ValueError, match="no motion"):
-        s.lose(more)
+        s.inflate(more)
 
 
 @every_sensor
@@ -84,7 +84,7 @@ def test_joining_landmarks_is_having_known_that_they_are_one(sensor):
     assert number in s.numbers
     other, *_ = drive(inputs, decisions, **TIGHT)
     assert np.abs(s.estimate().mean - other.estimate().mean).max() > 1e-4
-    s.join(np.array([number]), np.array([2]))
+    s.merge(np.array([number]), np.array([2]))
     assert s.numbers.tolist() == other.numbers.tolist()
     np.testing.assert_allclose(s.estimate().mean, other.estimate().mean, atol=5e-6)
     np.testing.assert_allclose(s.estimate().covariance, other.estimate().covariance, atol=1e-6)
@@ -94,10 +94,10 @@ def test_joining_landmarks_is_having_known_that_they_are_one(sensor):
     assert one.total_nis[1] == two.total_nis[1]
     for senseless in ((number, 2), (2, 2), (2, 99)):
         with pytest.raises(ValueError, match="cannot join"):
-            s.join(np.array(senseless[:1]), np.array(senseless[1:]))
+            s.merge(np.array(senseless[:1]), np.array(senseless[1:]))
     localizer = Isam2Smoother(inputs.prior, inputs.sensor, circle(sensor)[0].map)
     with pytest.raises(ValueError, match="known map"):
-        localizer.join(np.array([1]), np.array([0]))
+        localizer.merge(np.array([1]), np.array([0]))
 
 
 @every_sensor

@@ -74,7 +74,7 @@ def truncated(inputs, frames):
 
 def order_of_creation(inputs, decisions, created):
     """True landmark id of each landmark number."""
-    founding = created >= 0
-    ids = np.empty(founding.sum(), int)
-    ids[created[founding]] = inputs.observations.label[founding]
+    initializing = created >= 0
+    ids = np.empty(initializing.sum(), int)
+    ids[created[initializing]] = inputs.observations.label[initializing]
     return ids

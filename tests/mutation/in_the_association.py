@@ -14,7 +14,7 @@ from association.decide import decide
 from association.expectation import SingularInnovationError, plain_residual
 from association.jcbb_kernels import search_best
 from association.likelihood import ml
-from data.inputs import Inputs, LabelledObservations
+from data.inputs import Inputs
 from data.result import DISCARD, NEW
 from data.sensors import measure
 from ekf import kernels
@@ -122,15 +122,16 @@ def exponentiated(monkeypatch):
 
 def newness_that_peeks(monkeypatch):
     """The firewall taken down (labels stay in the inputs), and newness that asks whether the label is new."""
-    frames = {}
+    frames = {"seen": set()}
     monkeypatch.setattr(Inputs, "without_labels", lambda self: self)
     real = replay.FrontEnd.associate
 
-    def associate(self, rows, watch=None):
-        o = self.inputs.observations
-        assert isinstance(o, LabelledObservations)
-        frames["label"], frames["known"] = o.label[rows], set(o.label[: rows.start].tolist())
-        return real(self, rows, watch)
+    def associate(self, frame):
+        if frame.first == 0:
+            frames["seen"] = set()
+        frames["label"], frames["known"] = frame.label, set(frames["seen"])
+        frames["seen"] |= set(frame.label.tolist())
+        return real(self, frame)
 
     def newness(expectation, decisions, new_gate):
         known = np.array([label in frames["known"] for label in frames["label"].tolist()])

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data.errors import DataError, UsageError
+from data.errors import LARGEST, DataError, UsageError
 from data.inputs import Prior
-from data.open_log.csv_table import LARGEST
 from data.pictures import CORNERS, VisualSetup
 from data.se2 import Array, rotation, wrap_angle
 from data.visual.lab.mat_stream import Struct, Value, Variable, read

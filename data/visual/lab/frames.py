@@ -9,8 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from data.errors import DataError
-from data.open_log.csv_table import LARGEST
+from data.errors import LARGEST, DataError
 from data.pictures import VisualFrame
 from data.visual.lab.mat_stream import Struct, Unread, Variable, elements
 

@@ -21,6 +21,7 @@ from data.pictures import VisualFrame, VisualRecording
 from data.visual.lab.configuration import REFERENCES, configuration
 from data.visual.lab.frames import FIELDS, MM
 from data.visual.lab.mat_writer import write_struct_array
+from data.whole import whole_folder
 
 
 def write_lab(folder: Path, recording: VisualRecording, *, form: str = "mat") -> None:
@@ -41,21 +42,16 @@ def write_lab(folder: Path, recording: VisualRecording, *, form: str = "mat") ->
     if form not in WRITERS:
         raise UsageError(f"form {form!r}; known: {', '.join(WRITERS)}")
     folder = Path(os.path.abspath(folder))
-    staging = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
     try:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise DataError.at(folder, "exists and is not an empty folder; choose another name")
-        shutil.rmtree(staging, ignore_errors=True)
-        (staging / REFERENCES).mkdir(parents=True)
-        try:
-            scipy.io.savemat(staging / "config.mat", configuration(recording.setup))
-            _write_references(staging / REFERENCES, recording.references)
-            WRITERS[form](staging / f"log.{form}", recording)
+        with whole_folder(folder) as partial:
+            (partial / REFERENCES).mkdir()
+            scipy.io.savemat(partial / "config.mat", configuration(recording.setup))
+            _write_references(partial / REFERENCES, recording.references)
+            WRITERS[form](partial / f"log.{form}", recording)
             if folder.exists():
-                folder.rmdir()
-            staging.rename(folder)
-        finally:
-            shutil.rmtree(staging, ignore_errors=True)
+                folder.rmdir()  # fails, as it should, where somebody has put something into it meanwhile
     except OSError as error:
         raise DataError.at(folder, f"cannot be written: {error.strerror}") from error
 

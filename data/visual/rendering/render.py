@@ -21,7 +21,7 @@ from data.visual.rendering.room import Room, View
 from data.visual.rendering.stereo import stereo_points
 from data.visual.rendering.textures import Image, picture
 from data.worlds.gallery import Gallery, Scene, gallery
-from data.worlds.gallery_camera import Sight, in_view, sights
+from data.worlds.gallery_camera import Projection, in_view, projections
 
 FINER = 2
 """A picture is drawn so many times finer than the image and averaged (anti-aliasing)."""
@@ -71,9 +71,9 @@ class Rendered:
         g = self.gallery
         light, sensor, disparity, holes = _rng(self.seed, _FRAMES, k).spawn(4)
         view = self._room.look(self.scene.pose[k])
-        seen = self.sights(k)
-        for sight in seen:
-            self._hang(view, sight)
+        seen = self.projections(k)
+        for projection in seen:
+            self._hang(view, projection)
         # the exposure lies about the stamp: half of it under the command before, half under the one that begins
         motion = self.scene.command[max(k - 1, 0) : k + 1].mean(axis=0)
         depth = float(np.median(view.depth[g.image_height // 2]))
@@ -83,11 +83,11 @@ class Rendered:
         v, omega = self.scene.recorded[k]
         return VisualFrame(float(self.scene.time[k]), float(v), float(omega), _exposed(g, sharp, light, sensor), xyz)
 
-    def sights(self, k: int) -> list[Sight]:
+    def projections(self, k: int) -> list[Projection]:
         """Every picture as seen in frame k, in view or not."""
-        return sights(self.gallery, self.scene.corners, self.scene.pose[k])
+        return projections(self.gallery, self.scene.corners, self.scene.pose[k])
 
-    def in_view(self, k: int) -> list[Sight]:
+    def in_view(self, k: int) -> list[Projection]:
         """The pictures wholly in view in frame k within the gallery's limits of distance and obliquity."""
         return in_view(self.gallery, self.scene.corners, self.scene.pose[k])
 
@@ -97,30 +97,30 @@ class Rendered:
 
     def true_pixels(self, k: int) -> dict[int, Array]:
         """Corners (4, 2) px in frame k of every picture wholly in front of the camera, be they in the image or not."""
-        return {s.picture: s.pixels for s in self.sights(k) if np.isfinite(s.pixels).all()}
+        return {s.picture: s.pixels for s in self.projections(k) if np.isfinite(s.pixels).all()}
 
-    def _hang(self, view: View, sight: Sight) -> None:
+    def _hang(self, view: View, projection: Projection) -> None:
         """Draw a picture into the view, in the columns that show its wall."""
         g = self.gallery
-        columns = np.flatnonzero(view.wall == self._room.owner[sight.picture])
+        columns = np.flatnonzero(view.wall == self._room.owner[projection.picture])
         if not len(columns):
             return
         left, right, top, bottom = columns[0], columns[-1] + 1, 0, g.image_height
         # level of the pyramid: as many pixels as will be drawn, or up to 1.4 times that, if all of it is before us
         level = 0
-        pyramid = self._pyramids[sight.picture]
-        if np.isfinite(sight.pixels).all():
-            low, high = np.floor(sight.pixels.min(axis=0)) - 1, np.ceil(sight.pixels.max(axis=0)) + 2
+        pyramid = self._pyramids[projection.picture]
+        if np.isfinite(projection.pixels).all():
+            low, high = np.floor(projection.pixels.min(axis=0)) - 1, np.ceil(projection.pixels.max(axis=0)) + 2
             left, right = int(max(left, low[0])), int(min(right, high[0]))
             top, bottom = int(max(top, low[1])), int(min(bottom, high[1]))
-            sides = np.linalg.norm(np.roll(sight.pixels, -1, axis=0) - sight.pixels, axis=1)
+            sides = np.linalg.norm(np.roll(projection.pixels, -1, axis=0) - projection.pixels, axis=1)
             h, w = pyramid[0].shape[:2]
             ratio = min(w / max(sides[0], sides[2]), h / max(sides[1], sides[3])) / FINER
             level = int(np.clip(np.rint(np.log2(ratio)), 0, len(pyramid) - 1))
         if right <= left or bottom <= top:
             return
         image = pyramid[level]
-        H = _finer(left, top) @ image_homography(g, sight.points, image.shape[1], image.shape[0])
+        H = _finer(left, top) @ image_homography(g, projection.points, image.shape[1], image.shape[0])
         size = (FINER * (right - left), FINER * (bottom - top))
         fine = cv2.warpPerspective(image, H, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
         drawn = cv2.resize(fine, (right - left, bottom - top), interpolation=cv2.INTER_AREA).astype(np.float32)

@@ -1,89 +1,124 @@
-"""Recognizing landmarks of a SLAM filter that were founded twice: by their constellation, or alone where one stands.
+"""Step 9, landmarks of SLAM that were initialized twice: found by their constellation, or alone where one stands.
 
-`beside` names the landmarks that were seen in one frame with each: they cannot be the same.
+What was initialized since the robot came back is compared with the old map as a whole (`association.geometry
+.constellation`). Landmarks that were seen in one frame cannot be the same.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
+from association.evidence import constants
 from association.expectation import gate_threshold
 from association.geometry.constellation import Landmarks, recognize, squared_distances
 from data.se2 import Array, BoolArray
 from ekf.slam import EkfSlam
+from eval.replay.hindsight.density import density
+from eval.replay.hindsight.ledger import Ledger
 
-LONELY = 0.1
-"""Landmarks that one expects by chance where two stand: with fewer, a single pair may be recognized."""
-MOST = 16
-"""Landmarks of a constellation, those seen last."""
+Pairs = list[tuple[int, int]]
+"""Landmarks that are to go, each with the one that it is."""
 
-Beside = Mapping[int, set[int]]
+
+class Duplicates:
+    """Looks for them whenever something was initialized, and every few frames."""
+
+    def __init__(self, ledger: Ledger) -> None:
+        """Before the first frame."""
+        self.ledger = ledger
+        self._looked = (0, 0)
+        """Landmarks initialized, and frames with sightings, when the window was looked at last."""
+
+    def find(self, slam: EkfSlam, scale: float) -> Pairs:
+        """Landmarks of the window that were initialized before; `scale`: share of the stated variance that there is."""
+        ledger, records = self.ledger, self.ledger.records
+        created, frames = self._looked
+        if ledger.created == created and ledger.frames - frames < constants.WINDOW_EVERY:
+            return []
+        self._looked = ledger.created, ledger.frames
+        span, age = constants.WINDOW_SPAN * ledger.range, constants.WINDOW_AGE * ledger.range
+        known = [n for n, r in records.items() if r.times >= constants.WINDOW_SIGHTINGS]
+        window = [n for n in known if ledger.travelled - records[n].last <= span]
+        young = [n for n in window if ledger.travelled - records[n].first <= age]
+        old = [n for n in known if ledger.travelled - records[n].first > age]
+        if not young:
+            return []
+        young.sort(key=lambda n: records[n].last)
+        around, first = density(slam, ledger.range), ledger.epoch.first
+        # a window that holds old landmarks has found its place; what this epoch initialized may not have
+        pairs = [] if set(old) & set(window) else constellation(slam, ledger, young, old, around, scale)
+        new, before = [n for n in young if n >= first], [n for n in known if n < first]
+        pairs = pairs or constellation(slam, ledger, new, before, around, scale)
+        if pairs:
+            ledger.end_epoch()
+            return pairs
+        chance = constants.SINGLE_CHANCE, constants.SINGLE_CHANCE_YOUNG * constants.SINGLE_CHANCE
+        return single(slam, ledger, window, old, chance[0] / around, scale) or single(
+            slam, ledger, window, known, chance[1] / around, scale
+        )
 
 
 class Compared(NamedTuple):
-    """New and old landmarks with what is between them; `beside` (m, n): they cannot be the same."""
+    """New and old landmarks with what is between them; `covisible` (m, n): they cannot be the same."""
 
     new: Landmarks
     old: Landmarks
     cross: Array
     d2: Array
     det: Array
-    beside: BoolArray
+    covisible: BoolArray
 
 
-def compare(slam: EkfSlam, beside: Beside, young: list[int], old: list[int]) -> Compared:
+def compare(slam: EkfSlam, ledger: Ledger, young: list[int], old: list[int]) -> Compared:
     """How m landmarks and n others stand to each other, by the filter's joint covariance."""
     mean, P = slam.position(np.array(young + old))
     m = 2 * len(young)
     new, there = Landmarks(mean[:m].reshape(-1, 2), P[:m, :m]), Landmarks(mean[m:].reshape(-1, 2), P[m:, m:])
     d2, det = squared_distances(new, there, P[:m, m:])
-    never = np.array([np.isin(old, [*beside[a], a]) for a in young])
+    never = np.array([np.isin(old, [*ledger.records[a].covisible, a]) for a in young])
     return Compared(new, there, P[:m, m:], d2, det, never)
 
 
 def constellation(
-    slam: EkfSlam, beside: Beside, young: list[int], old: list[int], crowd: float, scale: float
-) -> list[tuple[int, int]]:
-    """Young landmarks that are old ones by how they stand to each other: (away, kept), together.
+    slam: EkfSlam, ledger: Ledger, young: list[int], old: list[int], density: float, scale: float
+) -> Pairs:
+    """Young landmarks that are old ones by how they stand to each other, together.
 
     Args:
         slam: the filter.
-        beside: see above.
+        ledger: its landmarks.
         young: in the order in which they were last seen.
         old: with which they are compared.
-        crowd: landmarks per square metre.
+        density: landmarks per square metre.
         scale: share of the stated variance that there is.
     """
     if not young or not old:
         return []
-    young = young[-MOST:]
-    c = compare(slam, beside, young, old)
-    turn = 3.0 * math.sqrt(slam.estimate().covariance[2, 2]) + 0.1
-    allowed = (c.d2 < gate_threshold(0.999)) & ~c.beside
-    return [(young[i], old[j]) for i, j in recognize(c.new, c.old, c.cross, allowed, crowd, turn, scale)]
+    young = young[-constants.WINDOW_MOST :]
+    c = compare(slam, ledger, young, old)
+    turn = constants.TURN_SIGMAS * math.sqrt(slam.estimate().covariance[2, 2]) + constants.TURN_MARGIN
+    allowed = (c.d2 < gate_threshold(constants.WINDOW_GATE)) & ~c.covisible
+    return [(young[i], old[j]) for i, j in recognize(c.new, c.old, c.cross, allowed, density, turn, scale)]
 
 
-def single(
-    slam: EkfSlam, beside: Beside, window: list[int], others: list[int], area: float, scale: float
-) -> list[tuple[int, int]]:
-    """At most one pair (away, kept), of the window and others, that stands where one landmark does, and no other near.
+def single(slam: EkfSlam, ledger: Ledger, window: list[int], others: list[int], area: float, scale: float) -> Pairs:
+    """At most one pair, of the window and others, that stands where one landmark does, and no other near.
 
     `area` [m^2]: the gate of their difference is smaller; `scale`: share of the stated variance that there is.
     """
-    young, old, gate = sorted(window), sorted(others), gate_threshold(0.99)
+    young, old, gate = sorted(window), sorted(others), gate_threshold(constants.SINGLE_GATE)
     if not young or not old:
         return []
-    c = compare(slam, beside, young, old)
-    may = (c.d2 < gate) & ~c.beside
+    c = compare(slam, ledger, young, old)
+    may = (c.d2 < gate) & ~c.covisible
     every = np.union1d(np.array(young)[may.any(axis=1)], np.array(old)[may.any(axis=0)])
     if not len(every):
         return []
-    c = compare(slam, beside, every.tolist(), every.tolist())
-    d2 = np.where(c.beside, np.inf, c.d2)
+    c = compare(slam, ledger, every.tolist(), every.tolist())
+    d2 = np.where(c.covisible, np.inf, c.d2)
     near = d2 < gate
     alone = near & (d2 < scale * gate) & (scale * math.pi * gate * np.sqrt(np.maximum(c.det, 0.0)) < area)
     # a third one nearby leaves open which of both it is, unless all three may be one

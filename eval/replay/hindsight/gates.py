@@ -1,22 +1,20 @@
-"""Gates learned in a run of SLAM: what they left out, and what waits because only the stated noise explains it.
+"""Step 4, gates learned in a run of SLAM: what only the stated noise explains is put off until several sightings agree.
 
-See `association.evidence.gates` for the scales and `association.evidence.tentative` for what waits.
+See `association.evidence.scales` for how wide gates really are and `association.evidence.tentative` for what waits.
 """
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from association.evidence.gates import Scales, counted, relearned
-from association.evidence.landmarks import PLACE
+from association.evidence.pairings import settled
+from association.evidence.scales import Scales, counted, relearned
 from association.evidence.tentative import Sighting, Tentative
 from association.expectation import Expectation
-from data.inputs import Increment, IntArray
+from data.inputs import IntArray
 from data.result import NEW
 from data.se2 import Array
-from data.sensors import Sensor
+from eval.replay.hindsight.ledger import Ledger
 
 
 class LearnedGates:
@@ -26,54 +24,41 @@ class LearnedGates:
         scales: what was learned.
     """
 
-    def __init__(self, sensor: Sensor) -> None:
+    def __init__(self, ledger: Ledger) -> None:
         """Before the first frame."""
-        self.sensor = sensor
+        self.ledger = ledger
         self.scales = Scales()
         self._tentative = Tentative()
-        self._way, self._pairings = 0.0, 0
-        self._asked: dict[tuple[int, bool], float] = {}
-        """Where (way) a landmark's gate was judged last, by whether the sighting was inside."""
-
-    def move(self, increment: Increment) -> None:
-        """The robot moved."""
-        self._way += math.hypot(*increment.mean[:2])
+        self._pairings = 0
 
     def learn(self, e: Expectation, decisions: IntArray) -> None:
         """Take in how well the pairings of a frame fit what was expected, as stated."""
         self.scales = relearned(self.scales, e, decisions)
 
-    def judge(self, e: Expectation, decisions: IntArray, stated: IntArray, pose: Array, reach: float) -> IntArray:
-        """Decisions (m,): those by the stated noise, but `NEW` where enough sightings agree on a new landmark.
+    def put_off(self, e: Expectation, decisions: IntArray, pose: Array, new_gate: float | None) -> IntArray:
+        """Decisions (m,) with `DISCARD` for what the stated noise allows to be a landmark, until several agree.
 
         Args:
             e: what is expected, by the stated noise.
             decisions: (m,) by the noise that there is.
-            stated: the same, with `DISCARD` for what is new by these and inside the stated gate of a landmark.
             pose: (3,) of the robot.
-            reach: m, the sensor's range.
+            new_gate: outside which, by the stated noise, an observation is new at once.
         """
-        stated, nearest = stated.copy(), e.individual_distances()
+        ledger, sensor, reach = self.ledger, self.ledger.sensor, self.ledger.range
+        stated, nearest = settled(e, decisions, new_gate), e.individual_distances()
         paired = stated[stated >= 0].tolist()
         self._pairings += len(paired)
-        inside, outside = sum(self._elsewhere(n, True, reach) for n in paired), 0
+        inside, outside = sum(ledger.gated_elsewhere(n, True) for n in paired), 0
         for i in np.flatnonzero(stated < 0).tolist():
-            xy, _, Gz = self.sensor.inverse(pose, e.z[i : i + 1])
-            sighting = Sighting(xy[0], Gz[0] @ e.R[i] @ Gz[0].T, self._way)
+            xy, _, Gz = sensor.inverse(pose, e.z[i : i + 1])
+            sighting = Sighting(xy[0], Gz[0] @ e.R[i] @ Gz[0].T, ledger.travelled)
             if decisions[i] == NEW != stated[i] and self._tentative.see(sighting, self._pairings, reach):
                 stated[i] = NEW
             if stated[i] == NEW:
-                # what was in doubt there was not of the landmark beside it
+                # what was in doubt there was not of the landmark next to it
                 outside -= self._tentative.settle(sighting)
-            elif self._elsewhere(int(e.number[np.argmin(nearest[i])]), False, reach):
+            elif ledger.gated_elsewhere(int(e.number[np.argmin(nearest[i])]), False):
                 self._tentative.doubt(sighting)
                 outside += 1
         self.scales = counted(self.scales, inside, outside)
         return stated
-
-    def _elsewhere(self, number: int, inside: bool, reach: float) -> bool:
-        """Whether a landmark's gate was not judged so from here before: from one place it is one case."""
-        if self._way - self._asked.get((number, inside), -math.inf) < PLACE * reach:
-            return False
-        self._asked[number, inside] = self._way
-        return True

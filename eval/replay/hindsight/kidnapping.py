@@ -1,4 +1,4 @@
-"""SLAM's monitor: has the robot been moved unseen, and where in its own map is it then?
+"""Step 6, SLAM's monitor: has the robot been moved unseen, and where in its own map is it then?
 
 A robot that pairs nothing where certain landmarks should be in view is not where it thinks; one that explores misses
 nothing. From then on its motion is taken for unknown, and the scan since is looked for in the map without a prior.
@@ -7,24 +7,32 @@ nothing. From then on its motion is taken for unknown, and the scan since is loo
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from association.evidence import constants
+from association.evidence.pairings import jcbb_hindsight
 from association.geometry.local_map import EMPTY, extended, moved
-from association.geometry.relocalize import Place, relocalize
-from data.inputs import Increment, IntArray, LandmarkMap, Sightings
+from association.geometry.relocalize import relocalize
+from data.inputs import Frame, Increment, IntArray, LandmarkMap
+from data.result import DISCARD
 from data.se2 import Array
-from data.sensors import Sensor
-
-ALARM = 14.0
-"""Score of an alarm, as in `association.evidence.monitor`."""
-TRUST = 2.0
-"""What a pairing with a certain landmark takes off: it may be wrong, one in e^2."""
-SEVERAL = 3
-"""Observations of one frame. A single one, where more were expected, is of a sensor whose view is covered."""
+from ekf.slam import EkfSlam
+from eval.replay.hindsight.density import clear, dense
+from eval.replay.hindsight.ledger import Ledger
+from eval.replay.settings import Setup
 
 
-class Whereabouts:
+class Relocated(NamedTuple):
+    """Decisions (m,) of a frame; where (3,) its surroundings place it, if they do; None, or see `Mapped.kidnapped`."""
+
+    decisions: IntArray
+    at: Array | None
+    kidnapped: Array | None
+
+
+class Kidnapping:
     """The sum of what speaks for having been moved, and the scan since the alarm.
 
     Attributes:
@@ -33,59 +41,98 @@ class Whereabouts:
         found: frames in which the place was found again.
     """
 
-    def __init__(self, sensor: Sensor) -> None:
+    def __init__(self, ledger: Ledger, setup: Setup) -> None:
         """At the start all is well."""
-        self.sensor = sensor
+        self.ledger, self.setup = ledger, setup
         self.lost = False
         self.alarms: list[int] = []
         self.found: list[int] = []
         self._score, self._scan = 0.0, EMPTY
         self._before = 0
+        """Number of the first landmark that was initialized since the trouble began."""
+        self._same: list[tuple[int, int]] = []
+        """Landmarks that were initialized since, and those of the map that they are."""
 
     def move(self, increment: Increment) -> None:
         """The robot moved."""
         if self.lost:
             self._scan = moved(self._scan, increment)
 
-    def watch(self, frame: int, seen: int, created: int, paired: int, surprise: float) -> bool:
-        """Whether this frame raises the alarm.
+    def decide(self, slam: EkfSlam, frame: Frame, decisions: IntArray) -> Relocated:
+        """Decisions (m,) about a frame after what the ledger judged of them; the filter gets to know if it is lost."""
+        ledger, kidnapped = self.ledger, None
+        sure = ledger.certain()
+        if self._alarm(len(decisions), int(np.isin(decisions, sure).sum())):
+            kidnapped = anywhere(slam.mean[3:].reshape(-1, 2), ledger.range)
+            slam.inflate(kidnapped)
+            ledger.begin_epoch()
+        if self.lost and np.trace(slam.estimate().covariance[:2, :2]) < (constants.FOUND_AGAIN * ledger.range) ** 2:
+            self._recover()  # by a constellation
+        if not self.lost:
+            return Relocated(decisions, None, kidnapped)
+        found = self._search(frame, LandmarkMap(sure, slam.position(sure)[0].reshape(-1, 2)))
+        if found is not None:
+            return Relocated(*found, kidnapped)
+        e = slam.expect(frame.sightings)
+        known = e.only(clear(e, dense(e, slam, ledger, self.setup), ledger))
+        return Relocated(jcbb_hindsight(known, self.setup.gate, self.setup.new_gate)[0], None, kidnapped)
 
-        `seen`: observations; `created`: landmarks so far; `paired`: with certain ones; `surprise`: log-likelihood ratio
-        of lost against healthy of all that it missed. It counts where several observations say that the sensor sees.
+    def _alarm(self, seen: int, paired: int) -> bool:
+        """Whether this frame raises the alarm; `seen`: observations, `paired`: with certain landmarks.
+
+        What it missed counts by its log-likelihood ratio of lost against healthy, where several observations say that
+        the sensor sees.
         """
         if self._score == 0.0 and not self.lost:
-            self._before = created
-        self._score = max(0.0, self._score + (surprise if seen >= SEVERAL else 0.0) - TRUST * paired)
-        if self.lost or self._score < ALARM:
+            self._before = self.ledger.created
+        missed = self.ledger.surprise() if seen >= constants.ALARM_OBSERVATIONS else 0.0
+        self._score = max(0.0, self._score + missed - constants.PAIRING_TRUST * paired)
+        if self.lost or self._score < constants.ALARM:
             return False
         self.lost, self._score, self._scan = True, 0.0, EMPTY
-        self.alarms.append(frame)
+        self.alarms.append(self.ledger.frame)
         return True
 
-    def search(
-        self, frame: int, seen: Sightings, rows: IntArray, known: LandmarkMap
-    ) -> tuple[Place, dict[int, int]] | None:
-        """The place of the scan with this frame's observations, and the landmark of each of its rows that has one.
+    def _search(self, frame: Frame, known: LandmarkMap) -> tuple[IntArray, Array] | None:
+        """Decisions (m,) and pose (3,) of the frame where the scan with its observations has one place in the map.
 
-        Landmarks founded since the trouble began are no part of the map: the scan would find itself.
+        Landmarks initialized since the trouble began are no part of the map: the scan would find itself.
         """
         old = known.id < self._before
-        known = LandmarkMap(known.id[old], known.xy[old])
-        self._scan = extended(self._scan, self.sensor, seen, rows)
-        place = relocalize(self._scan, known)
+        rows = np.arange(frame.first, frame.first + len(frame.sightings.z))
+        self._scan = extended(self._scan, self.ledger.sensor, frame.sightings, rows)
+        place = relocalize(self._scan, LandmarkMap(known.id[old], known.xy[old]))
         if place is None:
             return None
-        self.recover(frame)
+        self._recover()
         pairs = zip(place.pairings.tolist(), self._scan.rows, strict=True)
-        return place, {row: number for number, of in pairs if number >= 0 for row in of}
+        number_of = {row: number for number, points in pairs if number >= 0 for row in points}
+        initialized = {r.sightings[0][0]: n for n, r in self.ledger.records.items()}
+        self._same = [(initialized[row], n) for row, n in number_of.items() if row in initialized]
+        return np.array([number_of.get(row, DISCARD) for row in rows.tolist()], np.int64), place.pose
 
-    def recover(self, frame: int) -> None:
+    def _recover(self) -> None:
         """It is known again where the robot is."""
         self.lost, self._score = False, 0.0
-        self.found.append(frame)
+        self.found.append(self.ledger.frame)
+
+    def duplicates(self) -> list[tuple[int, int]]:
+        """Landmarks that were initialized while lost and are others of the map, as it turned out: (away, kept)."""
+        records, same = self.ledger.records, dict(self._same)
+        self._same = []
+        return [(away, kept) for away, kept in same.items() if away in records and kept in records and kept < away]
+
+    def notes(self) -> list[str]:
+        """What a reader of the results should know."""
+        if not self.alarms:
+            return []
+        return [
+            f"the robot was moved unseen {len(self.alarms)} times (first in frame {self.alarms[0]}), and"
+            f" {len(self.found)} times its place in the map was found again"
+        ]
 
 
-def unknown(xy: Array, reach: float) -> Array:
+def anywhere(xy: Array, reach: float) -> Array:
     """Covariance (3, 3) of a motion to anywhere in a map (n, 2), or as far from it as the sensor reaches."""
     size = float(np.hypot(*np.ptp(xy, axis=0))) if len(xy) else 0.0
     return np.diag([(size + reach) ** 2, (size + reach) ** 2, math.pi**2])

@@ -1,20 +1,21 @@
-"""SLAM in hindsight: evidence for every landmark, and what is taken back when later frames contradict it.
+"""The ledger of SLAM in hindsight: a record for each landmark, and what is taken back when later frames contradict it.
 
 The poor man's multi-hypothesis tracking: one hypothesis is kept, and what it decided is decided again where the
-evidence turns against it. The work of a frame is bounded by the landmarks in view.
+evidence turns against it. The work of a frame is bounded by the landmarks in view. Here, and nowhere else, landmarks
+are initialized, seen, merged and dropped.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
+from association.evidence import constants
 from association.evidence.landmarks import (
-    FOUNDED,
-    OTHERS,
-    PLACE,
+    INITIALIZED,
     Evidence,
     Judgement,
     Visibility,
@@ -27,18 +28,36 @@ from association.evidence.landmarks import (
 )
 from association.evidence.pairings import Alone, alone, pairs_of
 from association.expectation import Expectation
-from data.inputs import IntArray
+from data.inputs import Frame, IntArray
 from data.result import DISCARD, NEW, Event, Updated
 from data.se2 import Array
 from data.sensors import Sensor
 
-JOINED = "the same landmark as one founded before"
+MERGED = "the same landmark as one initialized before"
 
-LOST_SHARE = 0.2
-"""A robot that is elsewhere takes something for a landmark so much less often than one that sees it."""
 
-LOOKS = 100
-"""At certain landmarks in view, before it is known how often these are missed."""
+@dataclass
+class Record:
+    """What is known of one landmark of the map, but for where it stands.
+
+    Attributes:
+        sightings: (observation, decision) of all that are taken for it; the first one initialized it.
+        looked_from: (x, y) [m] of the robot where it was last seen, or should have been.
+        first, last: distances travelled [m] at its first and its last sighting.
+        times: sightings, by the decisions that were used.
+        evidence: what speaks for it and against it.
+        covisible: landmarks that were seen in one frame with it: they cannot be the same.
+        gated: distance travelled [m] where its gate was judged last, by whether the sighting was inside.
+    """
+
+    sightings: list[tuple[int, int]]
+    looked_from: tuple[float, float]
+    first: float
+    last: float
+    times: int = 0
+    evidence: Evidence = INITIALIZED
+    covisible: set[int] = field(default_factory=set)
+    gated: dict[bool, float] = field(default_factory=dict)
 
 
 class Judged(NamedTuple):
@@ -54,28 +73,51 @@ class Judged(NamedTuple):
     missing: IntArray
 
 
-class Hindsight:
-    """Evidence for the landmarks of one run, and the decisions that were taken back.
+class Epoch(NamedTuple):
+    """Since when the robot cannot tell which landmark is which: distance travelled [m], number of the next landmark."""
+
+    begun: float = -math.inf
+    first: int = 0
+
+
+class Ledger:
+    """The landmarks of one run, and the decisions about them that were taken back.
 
     Attributes:
+        records: of the landmarks in the map, by their numbers, in the order in which they were initialized.
+        created: how many were initialized so far; the number of the next one.
+        frame: the newest one.
+        frames: how many had sightings.
+        travelled: m, until the newest frame.
+        epoch: see there.
         events: the revisions, in order.
+        merged: (frame, away, kept) of every landmark that turned out to be another one.
     """
 
     def __init__(self, sensor: Sensor) -> None:
         """Before the first frame."""
         self.sensor = sensor
+        self.records: dict[int, Record] = {}
+        self.created, self.frame, self.frames, self.travelled = 0, -1, 0, 0.0
+        self.epoch = Epoch()
         self.events: list[Event] = []
-        self._evidence: dict[int, Evidence] = {}
-        self._sightings: dict[int, list[tuple[int, int]]] = {}
-        """Of each landmark in the map: the observations that are taken for it, and the decision about each."""
-        self._place: dict[int, tuple[float, float]] = {}
-        """Where each landmark in the map was looked for last."""
-        self._reach = 0.0
-        """m; the farthest that was seen."""
+        self.merged: list[tuple[int, int, int]] = []
+        self._farthest = 0.0
         self._touched: set[int] = set()
         nobody = np.empty(0, np.int64)
         self._judged = Judged(nobody, nobody, Alone(np.empty((0, 2)), np.empty((0, 2, 2))), nobody)
         self._visibility = Visibility()
+
+    def move(self, frame: Frame) -> None:
+        """The next frame comes."""
+        self.frame = frame.number
+        if frame.increment is not None:
+            self.travelled += math.hypot(*frame.increment.mean[:2])
+
+    @property
+    def range(self) -> float:
+        """The sensor's range [m], or the farthest that was seen."""
+        return min(self.sensor.max_range, self._farthest)
 
     def judge(self, e: Expectation, decisions: IntArray, believed: Expectation | None = None) -> None:
         """Note what the expectation of a frame says about the decisions (m,) made from it; `see` takes it in.
@@ -86,100 +128,132 @@ class Hindsight:
         absent = missing(believed or e, decisions, self.sensor)
         self._judged = Judged(rows, e.number[chosen], alone(e, rows, chosen), (believed or e).number[absent])
 
-    def see(self, first_row: int, z: Array, done: Updated, pose: Array) -> None:
-        """Take in what was judged, and done with the observations z (m, 2), rows `first_row`... of the log.
-
-        `pose` (3,) is where they were made, after the update.
-        """
-        judged = self._judged
-        self._reach = max(self._reach, float(self.sensor.polar(z)[:, 0].max(initial=0.0)))
+    def see(self, frame: Frame, decisions: IntArray, done: Updated, pose: Array) -> None:
+        """Take in what was judged, and done with the decisions (m,); `pose` (3,) is where the frame was seen from."""
+        judged, z = self._judged, frame.sightings.z
+        self.frames += 1
+        self._farthest = max(self._farthest, float(self.sensor.polar(z)[:, 0].max(initial=0.0)))
         for n in judged.missing.tolist():
             if self._look(n, pose, seen=False):
-                self._evidence[n] = overlooked(self._evidence[n])
+                self.records[n].evidence = overlooked(self.records[n].evidence)
                 self._touched.add(n)
         _, _, Gz = self.sensor.inverse(pose, z)
         for q, (i, n) in enumerate(zip(judged.rows.tolist(), judged.number.tolist(), strict=True)):
-            told = None
-            if len(judged.rows) > OTHERS:
-                told = Judgement(judged.alone.innovation[q], judged.alone.information[q], Gz[i])
-            self._evidence[n] = sighted(self._evidence[n], told, self._look(n, pose, seen=True))
-            self._sightings[n].append((first_row + i, n))
+            judgement = None
+            if len(judged.rows) > constants.JUDGED_BY:
+                judgement = Judgement(judged.alone.innovation[q], judged.alone.information[q], Gz[i])
+            record, elsewhere = self.records[n], self._look(n, pose, seen=True)
+            record.evidence = sighted(record.evidence, judgement, elsewhere)
+            record.sightings.append((frame.first + i, n))
             self._touched.add(n)
         for i in np.flatnonzero(done.created >= 0).tolist():
-            n = int(done.created[i])
-            self._evidence[n], self._sightings[n] = FOUNDED, [(first_row + i, NEW)]
-            self._place[n] = float(pose[0]), float(pose[1])
+            self._initialize(int(done.created[i]), frame.first + i, pose)
+        together = [n for n in np.where(done.created >= 0, done.created, decisions).tolist() if n >= 0]
+        for n in together:
+            record = self.records[n]
+            record.last, record.times = self.travelled, record.times + 1
+            record.covisible.update(set(together) - {n})
+
+    def _initialize(self, number: int, row: int, pose: Array) -> None:
+        place = float(pose[0]), float(pose[1])
+        self.records[number] = Record([(row, NEW)], place, self.travelled, self.travelled)
+        self.created = number + 1
 
     def _look(self, number: int, pose: Array, *, seen: bool) -> bool:
         """Whether a landmark in view is looked at from another place than last time.
 
         Together, certain ones tell how often a landmark in view is seen.
         """
-        x, y = self._place[number]
-        if math.hypot(pose[0] - x, pose[1] - y) < PLACE * min(self.sensor.max_range, self._reach):
+        record = self.records[number]
+        x, y = record.looked_from
+        if math.hypot(pose[0] - x, pose[1] - y) < constants.SAME_PLACE * self.range:
             return False
-        self._place[number] = float(pose[0]), float(pose[1])
-        e = self._evidence[number]
-        if certain(e, self._visibility):
-            self._visibility = self._visibility.counting(e.row > 0, seen)
+        record.looked_from = float(pose[0]), float(pose[1])
+        if certain(record.evidence, self._visibility):
+            self._visibility = self._visibility.counting(record.evidence.row > 0, seen)
         return True
 
-    def contradicted(self, frame: int) -> IntArray:
+    def gated_elsewhere(self, number: int, inside: bool) -> bool:
+        """Whether a landmark's gate was not judged so from here before: from one place it is one case."""
+        gated = self.records[number].gated
+        if self.travelled - gated.get(inside, -math.inf) < constants.SAME_PLACE * self.range:
+            return False
+        gated[inside] = self.travelled
+        return True
+
+    def begin_epoch(self) -> None:
+        """From here on the robot cannot tell which landmark is which."""
+        self.epoch = Epoch(self.travelled, self.created)
+
+    def end_epoch(self) -> None:
+        """It can tell again; the next doubt begins a new epoch."""
+        self.epoch = self.epoch._replace(begun=-math.inf)
+
+    def contradicted(self) -> IntArray:
         """Landmarks (r,) that the evidence of this frame speaks against; all decisions for them are taken back."""
-        found = {n: verdict(self._evidence[n], self._visibility) for n in sorted(self._touched)}
+        found = {n: verdict(self.records[n].evidence, self._visibility) for n in sorted(self._touched)}
         self._touched.clear()
-        return self._retract(frame, {n: why for n, why in found.items() if why})
+        return self._retract({n: why for n, why in found.items() if why})
 
-    def uncertain(self, frame: int) -> IntArray:
+    def uncertain(self) -> IntArray:
         """Landmarks (r,) that were never seen often enough to be certain; at the end of a run they are taken back."""
-        few = [n for n, e in sorted(self._evidence.items()) if not certain(e, self._visibility)]
-        return self._retract(frame, dict.fromkeys(few, "uncertain"))
+        few = [n for n, r in self.records.items() if not certain(r.evidence, self._visibility)]
+        return self._retract(dict.fromkeys(few, "uncertain"))
 
-    def join(self, frame: int, pairs: list[tuple[int, int]]) -> None:
+    def _retract(self, gone: dict[int, str]) -> IntArray:
+        for n, why in gone.items():
+            self.events += [Event(self.frame, row, old, DISCARD, why) for row, old in self.records[n].sightings]
+        numbers = np.array(list(gone), np.int64)
+        self.drop(numbers)
+        return numbers
+
+    def drop(self, numbers: IntArray) -> None:
+        """Landmarks leave the map: nothing more is decided about them."""
+        for n in numbers.tolist():
+            for other in self.records.pop(n).covisible:
+                self.records[other].covisible.discard(n)
+
+    def merge(self, pairs: list[tuple[int, int]]) -> None:
         """Landmarks are one with others, (away, kept): what was decided for the first is decided for the second."""
         for away, kept in pairs:
-            rows = self._sightings.pop(away)
-            self.events += [Event(frame, row, old, kept, JOINED) for row, old in rows]
-            self._sightings[kept] += [(row, kept) for row, _ in rows]
-            gone, stays = self._evidence.pop(away), self._evidence[kept]
-            self._place[kept] = self._place.pop(away)
+            gone, stays = self.records.pop(away), self.records[kept]
+            self.events += [Event(self.frame, row, old, kept, MERGED) for row, old in gone.sightings]
+            self.merged.append((self.frame, away, kept))
+            stays.sightings += [(row, kept) for row, _ in gone.sightings]
+            stays.looked_from = gone.looked_from
+            stays.last, stays.times = max(stays.last, gone.last), stays.times + gone.times
+            e, more = stays.evidence, gone.evidence
             # where it stood was judged against another estimate: its shifts say nothing about this one
-            self._evidence[kept] = stays._replace(
-                seen=stays.seen + gone.seen, looks=stays.looks + gone.looks, missed=stays.missed + gone.missed, row=0
+            stays.evidence = e._replace(
+                seen=e.seen + more.seen, looks=e.looks + more.looks, missed=e.missed + more.missed, row=0
             )
+            for n in gone.covisible:
+                self.records[n].covisible.discard(away)
+                if n != kept:
+                    self.records[n].covisible.add(kept)
+                    stays.covisible.add(n)
 
     def surprise(self) -> float:
         """Log-likelihood ratio of being elsewhere against being here, of certain landmarks the judged frame missed."""
         v, total = self._visibility, 0.0
-        if sum(v) < LOOKS:
+        if sum(v) < constants.ENOUGH_LOOKS:
             return 0.0
         for n in self._judged.missing.tolist():
-            e = self._evidence[n]
+            e = self.records[n].evidence
             if certain(e, v):
                 rate = min(v.rate, detection_rate(e.looks, e.missed - e.row))
                 here = v.row(e.row + 1, rate) / v.row(e.row, rate)
-                total += max(0.0, math.log((1.0 - LOST_SHARE * rate) / here))
+                total += max(0.0, math.log((1.0 - constants.ELSEWHERE_SHARE * rate) / here))
         return total
 
     def certain(self) -> IntArray:
         """Numbers (n,) of the landmarks that are certain, ascending."""
-        return np.array([n for n, e in sorted(self._evidence.items()) if certain(e, self._visibility)], np.int64)
+        return np.array([n for n, r in self.records.items() if certain(r.evidence, self._visibility)], np.int64)
 
     def rates(self, numbers: IntArray) -> Array:
         """With which rate (n,) landmarks of the map are seen where they are in view: the common one once certain."""
-        v, every = self._visibility, [self._evidence[n] for n in numbers.tolist()]
+        v, every = self._visibility, [self.records[n].evidence for n in numbers.tolist()]
         return np.array([v.rate if certain(e, v) else detection_rate(e.looks, e.missed) for e in every])
-
-    def leave(self, numbers: IntArray) -> None:
-        """Landmarks left the map for another reason: nothing more is decided about them."""
-        for n in numbers.tolist():
-            del self._evidence[n], self._sightings[n], self._place[n]
-
-    def _retract(self, frame: int, gone: dict[int, str]) -> IntArray:
-        for n, why in gone.items():
-            self.events += [Event(frame, row, old, DISCARD, why) for row, old in self._sightings.pop(n)]
-            del self._evidence[n], self._place[n]
-        return np.array(list(gone), np.int64)
 
     def notes(self) -> list[str]:
         """What a reader of the results should know."""
@@ -187,3 +261,10 @@ class Hindsight:
             return []
         undone = sum(e.old >= 0 for e in self.events)
         return [f"{undone} pairings were undone in hindsight, {sum(e.new >= 0 for e in self.events)} made instead"]
+
+    def merge_notes(self) -> list[str]:
+        """The same of landmarks that were merged."""
+        if not self.merged:
+            return []
+        first = self.merged[0][0]
+        return [f"{len(self.merged)} landmarks turned out to be ones initialized before (first in frame {first})"]

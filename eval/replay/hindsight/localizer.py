@@ -1,4 +1,4 @@
-"""Localization without labels, decisions in hindsight: hypotheses, a monitor, and a way back for the lost.
+"""Localization without labels, decisions in hindsight: hypotheses, a monitor, and relocalization of the lost.
 
 A bank of pose hypotheses decides about the observations of a log with a known map; see
 `eval.replay.hindsight.localizing_frontend` for how an estimator lives with what it decides.
@@ -10,23 +10,18 @@ import math
 
 import numpy as np
 
+from association.evidence import constants
 from association.evidence.monitor import Monitor, healthy, recovered, watch
 from association.expectation import gate_threshold
 from association.geometry.local_map import EMPTY, Scan, extended, moved
 from association.geometry.relocalize import Place, relocalize
 from data.errors import UsageError
-from data.inputs import Increment, Inputs, IntArray, Sightings
+from data.inputs import Frame, IntArray
 from data.result import DISCARD, Event, PoseEstimate
 from data.se2 import pose_error
 from ekf.filter import FilterOptions
 from ekf.hypotheses import Choice, Hypotheses
-
-BANK = FilterOptions(iterations=10)
-"""Updates of the hypotheses: after a long way without sightings the first one is far from linear."""
-MAYBE = 0.5
-"""A decision that fewer of the hypotheses share, by weight, is put off."""
-ELSEWHERE = 0.9999
-"""An estimator is somewhere else if its pose is outside this chi-square probability of the bank's (3 dof)."""
+from eval.replay.given import Given
 
 
 class HindsightLocalizer:
@@ -35,67 +30,70 @@ class HindsightLocalizer:
     Attributes:
         alarms: frames in which the monitor first said that the robot is lost.
         found: frames in which it was found again by its surroundings alone.
-        online: (M,) decisions as they were made.
+        online: decisions as they were made, one for each observation so far.
         events: what was decided anew, in order.
     """
 
-    def __init__(self, inputs: Inputs, monitor: Monitor | None = None) -> None:
+    def __init__(self, given: Given, monitor: Monitor | None = None) -> None:
         """Before the first frame. Raises UsageError without a map."""
-        if inputs.map is None:
+        if given.map is None:
             raise UsageError("hypotheses of the pose alone need a known map")
-        self.inputs, self.map = inputs, inputs.map
-        self.bank = Hypotheses(inputs.prior, inputs.sensor, inputs.map, BANK)
+        self.sensor, self.map = given.sensor, given.map
+        self.bank = Hypotheses(
+            given.prior, given.sensor, given.map, FilterOptions(iterations=constants.HYPOTHESIS_ITERATIONS)
+        )
         self.monitor = monitor or Monitor()
         self.health = healthy(self.monitor)
         self._scans = (EMPTY, EMPTY)
         """What was seen since each of the monitor's sums left zero: before that it may have been somewhere else."""
         self.alarms: list[int] = []
         self.found: list[int] = []
-        self.online = np.full(len(inputs.observations.frame), DISCARD, np.int64)
+        self.online: list[int] = []
         self.events: list[Event] = []
-        self._now = self.online.copy()
+        self._now: list[int] = []
         """Decisions as they look now."""
         self._anew = 0
         """Rows before this one are settled: a scan's place began a new past."""
-        self._k = -1
+        self._k, self._first = -1, 0
+        """The frame, and its first row."""
 
-    def move(self, increment: Increment | None) -> None:
-        """The next frame; the first one has no motion."""
-        self._k += 1
+    def move(self, frame: Frame) -> None:
+        """The next frame comes; the first one has no motion."""
+        self._k, self._first, increment = frame.number, frame.first, frame.increment
         if increment is not None:
             self.bank.predict(increment)
             self._scans = (moved(self._scans[0], increment), moved(self._scans[1], increment))
 
-    def decide(self, rows: slice) -> IntArray:
+    def decide(self, frame: Frame) -> IntArray:
         """Decisions (m,) about observations of this frame: landmark id, or `DISCARD` where they are to wait."""
-        o, past = self.inputs.observations, self.bank.members[0].past
-        standing = self.bank.observe(Sightings(o.z[rows], o.R[rows]), rows.start)
+        past = self.bank.members[0].past
+        standing = self.bank.observe(frame.sightings, frame.first)
         self._revise(past, self.bank.members[0].past)
         before, paired = self.health, int((standing.decisions >= 0).sum())
         self.health = watch(self.monitor, before, len(standing.decisions), paired, standing.nis, standing.dof)
-        decisions = np.where(standing.sure >= MAYBE, standing.decisions, DISCARD)
+        decisions = np.where(standing.sure >= constants.MAYBE, standing.decisions, DISCARD)
         sums = self.health.unpaired, self.health.misfit
-        self._scans = (self._since(sums[0], self._scans[0], rows), self._since(sums[1], self._scans[1], rows))
+        self._scans = (self._since(sums[0], self._scans[0], frame), self._since(sums[1], self._scans[1], frame))
         if self.health.lost:
             if not before.lost:
                 self.alarms.append(self._k)
-            alone = self._since(math.inf, EMPTY, rows)
+            alone = self._since(math.inf, EMPTY, frame)
             tried = [scan for s, scan in zip(sums, self._scans, strict=True) if s >= self.monitor.threshold]
             for scan in [*tried, alone]:
                 place = relocalize(scan, self.map)
                 if place is not None:
-                    decisions = self._go_to(place, scan)[rows.start - rows.stop :]
+                    decisions = self._go_to(place, scan)[-len(decisions) :]
                     break
-        self.online[rows], self._now[rows] = decisions, decisions
+        self.online += decisions.tolist()
+        self._now += decisions.tolist()
         return decisions
 
-    def _since(self, score: float, scan: Scan, rows: slice) -> Scan:
+    def _since(self, score: float, scan: Scan, frame: Frame) -> Scan:
         """The scan with this frame's observations, or none while the score is zero."""
         if score <= 0.0:
             return EMPTY
-        o = self.inputs.observations
-        seen = Sightings(o.z[rows], o.R[rows])
-        return extended(scan, self.inputs.sensor, seen, np.arange(rows.start, rows.stop))
+        seen = frame.sightings
+        return extended(scan, self.sensor, seen, np.arange(frame.first, frame.first + len(seen.z)))
 
     def _go_to(self, place: Place, scan: Scan) -> IntArray:
         """Go on from where the scan was taken; decisions about its sightings, oldest first."""
@@ -122,15 +120,14 @@ class HindsightLocalizer:
             new, old = new.before, old.before
 
     def _change(self, row: int, number: int, why: str) -> None:
-        before = int(self._now[row])
-        if number != before and self.inputs.observations.frame[row] < self._k:
+        if row < self._first and number != (before := self._now[row]):
             self.events.append(Event(self._k, row, before, number, why))
             self._now[row] = number
 
     def close(self) -> None:
         """The end of the log: decisions that were put off become those of the leading hypothesis."""
         last = self.bank.decisions(len(self.online))
-        for row in np.flatnonzero(last != self._now).tolist():
+        for row in np.flatnonzero(last != np.array(self._now, np.int64)).tolist():
             if row >= self._anew or self._now[row] == DISCARD != last[row]:
                 self._change(row, int(last[row]), "put off until the end")
 
@@ -150,15 +147,15 @@ class HindsightLocalizer:
         mean, P = self.bank.estimate()
         error = pose_error(estimate.mean, mean)
         # an exact prior has no inverse; a micrometre away is nowhere else
-        both = P + estimate.covariance + 1e-12 * np.eye(3)
-        return float(error @ np.linalg.solve(both, error)) > gate_threshold(ELSEWHERE, 3)
+        both = P + estimate.covariance + constants.EXACT_VARIANCE * np.eye(3)
+        return float(error @ np.linalg.solve(both, error)) > gate_threshold(constants.OTHER_PLACE, 3)
 
     def notes(self) -> list[str]:
         """What a reader of the results should know."""
-        told = [f"{len({e.observation for e in self.events})} decisions were made anew in hindsight"]
+        notes = [f"{len({e.observation for e in self.events})} decisions were made anew in hindsight"]
         if self.alarms:
-            told.append(
+            notes.append(
                 f"the monitor found the robot lost {len(self.alarms)} times (first in frame {self.alarms[0]}), "
                 f"and {len(self.found)} times its place was found again without a prior"
             )
-        return told
+        return notes

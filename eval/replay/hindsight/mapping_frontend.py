@@ -1,7 +1,7 @@
 """A front end for SLAM in hindsight: how an estimator lives with landmarks that are taken back or turn out to be one.
 
-`HindsightMapper` decides; a filter drops or joins landmarks in its state, a smoother takes their factors out of the
-graph and puts those of joined ones in again.
+`HindsightMapper` decides; a filter drops or merges landmarks in its state, a smoother takes their factors out of the
+graph and puts those of merged ones in again.
 """
 
 from __future__ import annotations
@@ -10,16 +10,13 @@ import numpy as np
 
 from association.decide import HINDSIGHT
 from data.errors import UsageError
-from data.inputs import Inputs, IntArray, Sightings
-from data.result import Event, Updated
-from ekf.filter import Filter, FilterOptions
-from eval.replay.frontend import FrontEnd, Watch
+from data.inputs import Frame, IntArray
+from data.result import Event
+from ekf.filter import FilterOptions
+from eval.replay.frontend import FrontEnd, Pairing
+from eval.replay.given import Given
 from eval.replay.hindsight.mapper import HindsightMapper
-from eval.replay.map_management import Upkeep
 from eval.replay.settings import Setup
-
-EVERYTHING = float(np.finfo(float).max)
-"""A gate that lets all pass, but for which a smoother forms its innovations."""
 
 
 class MappingFrontEnd(FrontEnd):
@@ -29,48 +26,40 @@ class MappingFrontEnd(FrontEnd):
         mapper: what decides; its `events` are the revisions.
     """
 
+    revises_map = True
+    asks_for_innovations = True
+
     def __init__(
-        self, estimator: str, association: str, inputs: Inputs, setup: Setup, options: FilterOptions | None = None
+        self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
     ) -> None:
         """Before the first frame. Raises UsageError with one update per observation."""
         if options is not None and options.each:
             raise UsageError(f"{HINDSIGHT} judges the observations of a frame together; they cannot be used one by one")
-        super().__init__(estimator, association, inputs, setup, options)
-        self.mapper = HindsightMapper(inputs, setup)
-        if self.upkeep is None:
-            self.upkeep = Upkeep(setup, inputs.time)
-        if not isinstance(self.estimator, Filter):
-            self._threshold = EVERYTHING
-        self._stays = isinstance(self.estimator, Filter) and self.estimator.options.first_estimates
-        """It linearizes nowhere else."""
+        super().__init__(estimator, association, given, setup, options)
+        self.mapper = HindsightMapper(given, setup)
 
-    def move(self) -> None:
-        """The next frame."""
-        super().move()
-        self.mapper.move(self.inputs.increment(self.k) if self.k > 0 else None)
+    def move(self, frame: Frame) -> None:
+        """The next frame comes."""
+        super().move(frame)
+        self.mapper.move(frame)
 
-    def associate(self, rows: slice, watch: Watch | None = None) -> tuple[IntArray, Updated]:
-        """Decide about observations of this frame and use them; returns decisions (m,) and what was done."""
-        o = self.inputs.observations
-        sightings = Sightings(o.z[rows], o.R[rows])
-        expectation = self.expect(sightings) if watch is not None else None
-        decisions, complete, at, astray = self.mapper.decide(rows)
-        if astray is not None:
-            self.estimator.lose(astray)
+    def associate(self, frame: Frame) -> Pairing:
+        """Decide about this frame's observations; the mapper has an expectation of its own."""
+        decisions, complete, at, kidnapped = self.mapper.decide(frame)
         self.incomplete += not complete
-        if watch is not None:
-            watch.decided(self, rows, expectation, decisions)
-        return decisions, self.update(sightings, decisions, rows, None if self._stays else at)
+        if kidnapped is not None:
+            self.estimator.inflate(kidnapped)
+        return Pairing(decisions, at=None if self.estimator.fixed_linearization else at)
 
     def tidy(self) -> None:
         """The end of a frame: landmarks leave the map in hindsight, and by the rules of the setup."""
         found = self.mapper.revise()
         self._retract(found.retracted)
-        if len(found.joined):
-            if (slam := self._filter) is not None:
-                self.wake(np.intersect1d(slam.parked, np.concatenate([found.joined, found.kept])))
-            self.estimator.join(found.joined, found.kept)
-            self._gone(found.joined)
+        if len(found.merged):
+            if self.parking is not None:
+                self.parking.restore(np.concatenate([found.merged, found.kept]))
+            self.estimator.merge(found.merged, found.kept)
+            self._gone(found.merged)
         super().tidy()
 
     def leave(self, numbers: IntArray) -> None:
@@ -88,8 +77,8 @@ class MappingFrontEnd(FrontEnd):
             self._gone(numbers)
 
     def _gone(self, numbers: IntArray) -> None:
-        assert self.upkeep is not None  # hindsight always has one
-        self.upkeep.retract(self.k, numbers)
+        assert self.map_management is not None  # the map is revised
+        self.map_management.remove(numbers)
 
     def events(self) -> tuple[Event, ...]:
         """Decisions that were revised."""

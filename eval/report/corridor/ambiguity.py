@@ -61,10 +61,7 @@ def fit(log: Log, frame: int, steps: Array) -> tuple[Array, IntArray]:
     """
     sensor, o, start = log.recorded.sensor, log.recorded.observations, log.recorded.start
     before, now = (slice(start[k], start[k + 1]) for k in (frame - 1, frame))
-    still = np.zeros(3)
-    known, _, Gk = sensor.inverse(still, o.z[before])
-    seen, _, Gs = sensor.inverse(still, o.z[now])
-    P, Q = (G @ o.R[rows] @ np.swapaxes(G, 1, 2) for G, rows in ((Gk, before), (Gs, now)))
+    (known, P), (seen, Q) = (sensor.body_points(o.z[rows], o.R[rows]) for rows in (before, now))
     S = P[None] + Q[:, None]
     weights = np.linalg.inv(S)
     constant = -0.5 * np.linalg.slogdet(2.0 * math.pi * S)[1] - math.log(len(known))
@@ -130,15 +127,15 @@ def _two_peaks(log: Log, primed: Log | None) -> tuple[Block, ...]:
     if not pairs:
         return ()
     both = [p for p in pairs if p.at(-1).fitting >= p.at(1).fitting > 0]
-    told = [
+    notes = [
         f"Two scans in a row of `{log.name}` without names of points: how well does the second one fit the first one if"
         f" the robot moved straight by so much? Of {len(pairs)} straight moves"
     ]
     if not both:
-        told.append("none could as well have been a move of the same length backwards: the readings alone decide.")
-        return (" ".join(told),)
+        notes.append("none could as well have been a move of the same length backwards: the readings alone decide.")
+        return (" ".join(notes),)
     better = sum(p.at(-1).likelihood >= p.at(1).likelihood for p in both)
-    told.append(
+    notes.append(
         f"{len(both)} could as well have been one backwards: just as many readings fit, and in {better} of them"
         " backwards is even the likelier one. The points repeat every two steps, and a map that grew behind the"
         " robot repeats, too."
@@ -147,7 +144,7 @@ def _two_peaks(log: Log, primed: Log | None) -> tuple[Block, ...]:
     stated = log.recorded.increment(pair.frame)
     ahead, back = (prior_likelihood(stated, pair.at(m).step) for m in (1, -1))
     if primed is None or primed is not log:
-        told.append(
+        notes.append(
             "The motion stated with the log does not decide either: it is as dense at the one as at the other."
             if abs(ahead - back) < 1.0
             else f"The motion stated with the log makes the true one {number(math.exp(ahead - back), 2)} times as"
@@ -162,7 +159,7 @@ def _two_peaks(log: Log, primed: Log | None) -> tuple[Block, ...]:
     if primed is not None:
         given = primed.recorded.increment(pair.frame)
         ahead, back = (prior_likelihood(given, pair.at(m).step) for m in (1, -1))
-        told.append(
+        notes.append(
             f"The prior of `{primed.name}` does: there the true one is {number(math.exp(ahead - back), 2)} times as"
             " likely before anything is seen."
         )
@@ -172,7 +169,7 @@ def _two_peaks(log: Log, primed: Log | None) -> tuple[Block, ...]:
         f"Moves that explain the scan of frame {pair.frame}, given the one before; the true move is"
         f" {pair.true:.2f} m. Each row is the best step length within {NEAR:g} m of a multiple of it."
     )
-    return " ".join(told), Table(pd.DataFrame(columns), caption)
+    return " ".join(notes), Table(pd.DataFrame(columns), caption)
 
 
 def _what_a_prior_changes(primed: Trial, bare: Trial | None, scores: Scores) -> str:
@@ -183,13 +180,13 @@ def _what_a_prior_changes(primed: Trial, bare: Trial | None, scores: Scores) -> 
         if run.failure is not None or run.association == "none":
             continue
         without = None if bare is None else bare.find(run.estimator, run.association)
-        words = f"{run.estimator} with {NAMES.get(run.association, run.association)} {_errors(scores, primed, run)} m"
+        line = f"{run.estimator} with {NAMES.get(run.association, run.association)} {_errors(scores, primed, run)} m"
         if bare is not None and without is not None and without.failure is None:
-            words += f" ({_errors(scores, bare, without)} m without)"
-        rows.append(words)
+            line += f" ({_errors(scores, bare, without)} m without)"
+        rows.append(line)
     if not rows:
         return ""
-    told = [
+    notes = [
         f"`{primed.log.name}`. {note}".strip(),
         f"Position RMSE (online / final where there are both): {'; '.join(rows)}.",
     ]
@@ -197,11 +194,11 @@ def _what_a_prior_changes(primed: Trial, bare: Trial | None, scores: Scores) -> 
     if plain is not None and again is not None and plain.failure is None and again.failure is None:
         a, b = rmse(scores, primed, plain), rmse(scores, primed, again)
         if b < a:
-            told.append(
+            notes.append(
                 f"With the same pairings one linearization at the prediction costs a factor of {number(a / b, 2)}: a"
                 " prior as wide as a turn is used well only by estimators that linearize again where the readings lead."
             )
-    return " ".join(told)
+    return " ".join(notes)
 
 
 def _errors(scores: Scores, trial: Trial, run: Run) -> str:

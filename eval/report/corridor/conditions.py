@@ -24,7 +24,7 @@ def without_odometry(lab: Lab, scores: Scores) -> tuple[str, bool]:
         return missing(lab, BLIND, "known", "jcbb"), False
     m, truth = true_against_stated(trial.log), trial.log.truth.pose
     assert truth is not None
-    told = [
+    notes = [
         f"On `{trial.log.name}` no motion is stated, with standard deviations meant to cover it. The true motions are"
         f" on average {number(m.moves, 2)} σ from that (moves)"
         + (f" and {number(m.turns, 2)} σ (turns)" if math.isfinite(m.turns) else "")
@@ -39,31 +39,31 @@ def without_odometry(lab: Lab, scores: Scores) -> tuple[str, bool]:
     for run in (known, jcbb):
         if run is None:
             continue
-        told.append(_how_it_ends(trial, run, scores, truth))
+        notes.append(_how_it_ends(trial, run, scores, truth))
     if known is not None and jcbb is None:
-        told.append("JCBB was not run on this log.")
+        notes.append("JCBB was not run on this log.")
     smoother = trial.find("batch", "known")
     if known is not None and smoother is not None and smoother.failure is None:
         a, b = rmse(scores, trial, known), rmse(scores, trial, smoother, "final")
         if b < a / WORSE:
-            told.append(
+            notes.append(
                 f"With the same pairings the batch smoother has {number(b)} m: the readings would suffice, but"
                 f" {known.estimator} linearizes each frame at a prediction that is a whole motion off, once and for"
                 " all."
             )
         else:
-            told.append(f"The batch smoother with the same pairings is no better ({number(b)} m).")
+            notes.append(f"The batch smoother with the same pairings is no better ({number(b)} m).")
     if jcbb is not None:
         c = look(jcbb, trial.log).counts
         if c.fp > c.tp:
-            told.append(
+            notes.append(
                 f"JCBB makes {c.fp} wrong pairings and {c.tp} right ones: the points look alike and repeat, so that a"
                 " robot which stands still is a consistent explanation, too, and the joint test asks for consistency"
                 " only."
             )
         else:
-            told.append(f"JCBB still gets {c.tp} pairings right and {c.fp} wrong.")
-    return " ".join(told), True
+            notes.append(f"JCBB still gets {c.tp} pairings right and {c.fp} wrong.")
+    return " ".join(notes), True
 
 
 def _how_it_ends(trial: Trial, run: Run, scores: Scores, truth: Array) -> str:
@@ -97,39 +97,41 @@ def _maintained(plain: Trial, kept: Trial, a: Run, b: Run, scores: Scores) -> st
     before, after = look(a, plain.log).counts, look(b, kept.log).counts
     sizes = [0 if r.map is None else len(r.map) for r in (a, b)]
     people, _ = switched_on(plain.log)
-    told = [
+    notes = [
         f"On `{plain.log.name}` with {NAMES[a.association]} ({a.estimator}) the map ends with {sizes[1]} landmarks with"
         f" maintenance and {sizes[0]} without."
     ]
     if b.removed is not None and np.any(b.removed >= 0):
         ids = landmark_true_ids(b.created, kept.log.truth, np.flatnonzero(b.removed >= 0))
         ghosts = int((ids == CLUTTER).sum())
-        told.append(
-            f"It removed {plural(len(ids), 'landmark')} that had been seen only once, {ghosts} of them founded on"
+        notes.append(
+            f"It removed {plural(len(ids), 'landmark')} that had been seen only once, {ghosts} of them initialized on"
             f" people and {len(ids) - ghosts} on points."
         )
     else:
-        told.append("It removed nothing.")
+        notes.append("It removed nothing.")
     if a.state_size is not None and b.state_size is not None:
         mean = [float(np.mean(r.state_size)) for r in (a, b) if r.state_size is not None]
         entries = [float(np.sum(np.asarray(r.state_size, float) ** 2)) for r in (a, b) if r.state_size is not None]
-        told.append(
+        notes.append(
             f"The state is {number(mean[1])} long on average ({number(mean[0])} without), so an update that touches"
             f" the whole covariance handles {100.0 * entries[1] / entries[0]:.0f} % of the entries over the run; the"
             " seconds are in `timing.csv`."
         )
-    told.append(
+    notes.append(
         f"FP are {count_move(before.fp, after.fp)} (spurious: {count_move(before.spurious, after.spurious)}), FN"
         f" {count_move(before.fn, after.fn)}, and the position RMSE"
         f" {move(rmse(scores, plain, a), rmse(scores, kept, b))} m."
     )
     if sizes[1] >= sizes[0]:
-        told.append("Here it made the map no smaller.")
+        notes.append("Here it made the map no smaller.")
     elif after.fp >= before.fp:
-        told.append(
+        notes.append(
             "It makes the map smaller and not the pairings better: who is seen twice in a row"
             + (", as people who walk slowly are, stays." if people else " stays.")
         )
     else:
-        told.append("The map is smaller and fewer pairings are wrong: what is gone cannot be taken for something else.")
-    return " ".join(told)
+        notes.append(
+            "The map is smaller and fewer pairings are wrong: what is gone cannot be taken for something else."
+        )
+    return " ".join(notes)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.stats import chi2
 
-from data.inputs import CLUTTER, IntArray
+from data.inputs import CLUTTER
 from data.log import Log
 from data.result import NEW, Run
 from data.se2 import Array, between, compose, wrap_angle
@@ -41,8 +41,9 @@ class Pairings:
         counts: the referee's.
         neighbour: pairings with the landmark of another point, though the right one was in the map.
         copy: pairings with a second landmark of the right point.
-        ghost: points paired with a landmark that was founded on a person.
-        clutter: observations of people; of them paired, founding a landmark, and paired with one founded on a person.
+        ghost: points paired with a landmark that was initialized on a person.
+        clutter: observations of people; of them paired, initializing a landmark, and paired with a landmark that was
+            initialized on a person.
         first_wrong: frame of the first FP, None if there is none.
         before, after: RMS position error in the frames before it, and from it on.
         apart: median distance of the points confused.
@@ -55,7 +56,7 @@ class Pairings:
     ghost: int
     clutter: int
     clutter_paired: int
-    clutter_founding: int
+    clutter_initializing: int
     clutter_again: int
     first_wrong: int | None
     before: float
@@ -140,7 +141,7 @@ def look(run: Run, log: Log) -> Pairings:
     split = len(error) if first is None else first
     apart, off = np.full(len(confused), np.nan), np.full(len(confused), np.nan)
     if truth.landmarks is not None and len(confused):
-        own_xy, taken_xy = (_places(log, ids[confused]) for ids in (own, taken))
+        own_xy, taken_xy = (truth.landmarks.positions(ids[confused]) for ids in (own, taken))
         placed = log.recorded.sensor.inverse(predicted(log, path)[o.frame[confused]], o.z[confused])[0]
         apart, off = np.hypot(*(own_xy - taken_xy).T), np.hypot(*(placed - own_xy).T)
     return Pairings(
@@ -150,7 +151,7 @@ def look(run: Run, log: Log) -> Pairings:
         ghost=int((wrong & ~clutter & (taken == CLUTTER)).sum()),
         clutter=int(clutter.sum()),
         clutter_paired=int((clutter & paired).sum()),
-        clutter_founding=int((clutter & (run.decisions == NEW)).sum()),
+        clutter_initializing=int((clutter & (run.decisions == NEW)).sum()),
         clutter_again=int((clutter & paired & (taken == CLUTTER)).sum()),
         first_wrong=first,
         before=rms(error[:split]) if split else float("nan"),
@@ -163,14 +164,6 @@ def look(run: Run, log: Log) -> Pairings:
 def _median(values: Array) -> float:
     known = values[np.isfinite(values)]
     return float(np.median(known)) if len(known) else float("nan")
-
-
-def _places(log: Log, ids: IntArray) -> Array:
-    """True positions (m, 2) by id, NaN where unknown."""
-    known = log.truth.landmarks
-    assert known is not None
-    where = dict(zip(known.id.tolist(), known.xy, strict=True))
-    return np.array([where.get(int(i), (np.nan, np.nan)) for i in ids], float).reshape(-1, 2)
 
 
 def predicted(log: Log, path: Array) -> Array:

@@ -70,13 +70,13 @@ def why_nn_fails(lab: Lab, scores: Scores) -> tuple[str, bool]:
             f" ({number(best)} m with known association).",
             True,
         )
-    told = [
+    notes = [
         f"{where} pairs {c.fp} of {len(c.outcome)} observations wrongly: {p.neighbour} with the landmark of another"
         f" point though their own was in the map, {p.copy} with a second landmark of their own point, {c.spurious}"
         " though their point was not in the map yet."
     ]
     if math.isfinite(p.apart):
-        told.append(
+        notes.append(
             f"The points confused are {number(p.apart, 2)} m apart (median), and these observations, placed in the"
             f" world from the predicted pose, are {number(p.off, 2)} m off their own point:"
             + (
@@ -87,19 +87,19 @@ def why_nn_fails(lab: Lab, scores: Scores) -> tuple[str, bool]:
             )
         )
     if math.isfinite(p.before):
-        told.append(
+        notes.append(
             f"The first wrong pairing is in frame {p.first_wrong}; the position error is {number(p.before)} m RMS"
             f" before and {number(p.after)} m from then on."
         )
     else:
-        told.append(f"The first wrong pairing is in frame {p.first_wrong} already.")
+        notes.append(f"The first wrong pairing is in frame {p.first_wrong} already.")
     size = 0 if nn.map is None else len(nn.map)
     points = len(known.map) if known.map is not None else 0
-    told.append(
-        f"It founds {plural(c.duplicate, 'landmark')} on points that were in the map already, and its map ends with"
-        f" {size} landmarks where known association has {points}."
+    notes.append(
+        f"It initializes {plural(c.duplicate, 'landmark')} on points that were in the map already, and its map ends"
+        f" with {size} landmarks where known association has {points}."
     )
-    told.append(
+    notes.append(
         f"The position RMSE is {number(mine)} m against {number(best)} m with known association"
         + (
             f", {number(mine / best, 2)} times as large."
@@ -107,7 +107,7 @@ def why_nn_fails(lab: Lab, scores: Scores) -> tuple[str, bool]:
             else ": on this log the wrong pairings cost little."
         )
     )
-    return " ".join(told), True
+    return " ".join(notes), True
 
 
 def why_people_break_it(lab: Lab, scores: Scores) -> tuple[str, bool]:
@@ -118,43 +118,43 @@ def why_people_break_it(lab: Lab, scores: Scores) -> tuple[str, bool]:
     if quiet is None or busy is None or not pairs:
         switches = PEOPLE if quiet is not None else ODOMETRY
         return missing(lab, switches, "nn", "singles"), False
-    told: list[str] = []
+    notes: list[str] = []
     broken: list[str] = []
     ghosts = points = 0
     for method, without, with_people in pairs:
         a, b = look(without, quiet.log), look(with_people, busy.log)
-        if not told:
-            told.append(f"On `{busy.log.name}` {b.clutter} of {len(b.counts.outcome)} observations show people.")
+        if not notes:
+            notes.append(f"On `{busy.log.name}` {b.clutter} of {len(b.counts.outcome)} observations show people.")
         ghosts, points = ghosts + b.clutter_again, points + b.clutter_paired - b.clutter_again
         before, after = rmse(scores, quiet, without), rmse(scores, busy, with_people)
         if after > WORSE * before:
             broken.append(NAMES[method])
-        told.append(
-            f"**{NAMES[method]}** pairs {b.clutter_paired} of them, {b.clutter_again} with a landmark founded on a"
-            f" person and {b.clutter_paired - b.clutter_again} with one of a point, and founds"
-            f" {plural(b.clutter_founding, 'landmark')} on others."
+        notes.append(
+            f"**{NAMES[method]}** pairs {b.clutter_paired} of them, {b.clutter_again} with a landmark initialized on a"
+            f" person and {b.clutter_paired - b.clutter_again} with one of a point, and initializes"
+            f" {plural(b.clutter_initializing, 'landmark')} on others."
             + (f" {plural(b.ghost, 'observation')} of points are paired with people's landmarks." if b.ghost else "")
             + f" FP {count_change(a.counts.fp, b.counts.fp)}, recall is {share(a.counts.recall)} without people and"
             f" {share(b.counts.recall)} with them, the position RMSE {move(before, after)} m."
         )
         if method == "singles":
-            told.append(_unpaired(a, b))
+            notes.append(_unpaired(a, b))
     if broken:
-        told.append(f"People break {' and '.join(broken)} here. {_pulled(ghosts, points)}")
+        notes.append(f"People break {' and '.join(broken)} here. {_pulled(ghosts, points)}")
     else:
-        told.append("So people do not break them on this log: the errors are hardly larger than without.")
+        notes.append("So people do not break them on this log: the errors are hardly larger than without.")
     for method, without_people, with_them in found:
         if without_people is None or with_them is None:
-            told.append(f"{NAMES[method]} was not run on both logs.")
-    return " ".join(told), True
+            notes.append(f"{NAMES[method]} was not run on both logs.")
+    return " ".join(notes), True
 
 
 def _pulled(ghosts: int, points: int) -> str:
     """How pairings of people do harm, by what they are mostly paired with."""
     if not ghosts + points:
-        return "None of them is paired, so what does harm are the landmarks founded on them."
+        return "None of them is paired, so what does harm are the landmarks initialized on them."
     what = (
-        "a landmark founded on a person has moved on when it is paired again"
+        "a landmark initialized on a person has moved on when it is paired again"
         if ghosts >= points
         else "a person in the gate of a point passes as that point"
     )
@@ -181,24 +181,24 @@ def why_jcbb_copes(lab: Lab, scores: Scores) -> tuple[str, bool]:
     jcbb, nn = run_of(trial, "jcbb"), run_of(trial, "nn")
     if trial is None or jcbb is None or nn is None:
         return missing(lab, switches, "jcbb", "nn"), False
-    told, seen, errors = [], {}, {}
+    notes, seen, errors = [], {}, {}
     for method in ("jcbb", "nn", "singles", "known"):
         run = run_of(trial, method)
         if run is not None:
             seen[method], errors[method] = look(run, trial.log), rmse(scores, trial, run)
     rows = [f"{NAMES[m]} {p.counts.fp} / {p.counts.fn} / {number(errors[m])} m" for m, p in seen.items()]
-    told.append(f"FP / FN / position RMSE on `{trial.log.name}` ({jcbb.estimator}): {'; '.join(rows)}.")
+    notes.append(f"FP / FN / position RMSE on `{trial.log.name}` ({jcbb.estimator}): {'; '.join(rows)}.")
     mine, other = seen["jcbb"], seen["nn"]
     wrong = (mine.counts.fp + mine.counts.fn, other.counts.fp + other.counts.fn)
-    told.append(
+    notes.append(
         f"Pairings with the landmark of another point: JCBB {mine.neighbour}, NN {other.neighbour}; people paired:"
         f" {mine.clutter_paired} and {other.clutter_paired} of {mine.clutter}."
         if mine.clutter
         else f"Pairings with the landmark of another point: JCBB {mine.neighbour}, NN {other.neighbour}."
     )
     if mine.clutter_paired:
-        told.append(
-            f"Of the people that JCBB pairs, {mine.clutter_again} go to a landmark founded on a person:"
+        notes.append(
+            f"Of the people that JCBB pairs, {mine.clutter_again} go to a landmark initialized on a person:"
             + (
                 " somebody who walks slowly agrees with the map nearly as well as a point does."
                 if 2 * mine.clutter_again >= mine.clutter_paired
@@ -206,21 +206,21 @@ def why_jcbb_copes(lab: Lab, scores: Scores) -> tuple[str, bool]:
             )
         )
     if wrong[0] < wrong[1] and errors["jcbb"] < errors["nn"]:
-        told.append(
+        notes.append(
             "The pairings of a frame share one error of the pose, and JCBB accepts only those that agree on it: a"
             " person or a neighbour may be in the gate of a landmark, but rarely where the other pairings say that"
             " landmark should be seen."
         )
     else:
-        told.append(
+        notes.append(
             f"JCBB does not cope better than NN here ({wrong[0]} wrong decisions against {wrong[1]}, RMSE"
             f" {number(errors['jcbb'])} m against {number(errors['nn'])} m): that pairings agree with each other does"
             " not make them right."
         )
     if "known" in errors:
         close = errors["jcbb"] <= WORSE * errors["known"]
-        told.append(
+        notes.append(
             f"Its path is {'about as good as' if close else 'still worse than'} with known association"
             f" ({number(errors['jcbb'] / errors['known'], 2)} times the RMSE)."
         )
-    return " ".join(told), True
+    return " ".join(notes), True

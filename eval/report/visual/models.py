@@ -110,6 +110,6 @@ def models_latex(models: tuple[Model, ...] = MODELS) -> str:
     greek = str.maketrans({"ω": r"$\omega$", "φ": r"$\varphi$", "ψ": r"$\psi$", "Δ": r"$\Delta$"})
     parts = ["% \\usepackage{amsmath}"]
     for model in models:
-        words = tex_escape(model.about).translate(greek)
-        parts.append(f"\\paragraph{{{model.title}.}} {words}\n\\[\n{latex(model.lines)}\n\\]")
+        about = tex_escape(model.about).translate(greek)
+        parts.append(f"\\paragraph{{{model.title}.}} {about}\n\\[\n{latex(model.lines)}\n\\]")
     return "\n".join(parts) + "\n"

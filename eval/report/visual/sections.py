@@ -17,10 +17,10 @@ from data.log import Log, folder_name
 from data.pictures import Detection, Evidence, Found, InView
 from data.visual.observations import COMMAND_SIGMA, true_pictures
 from eval.figures.style import save
-from eval.page.document import Block, Formula, Picture, Section, Table
+from eval.page.document import Block, Formula, Picture, Section, written_table
 from eval.page.equations import formula_figure, latex
 from eval.page.numbers import number
-from eval.page.tables import drop_blank_columns, write_table
+from eval.page.tables import drop_blank_columns
 from eval.plan.options import Options
 from eval.referee.score import Trial
 from eval.report.pictures import stem
@@ -146,10 +146,10 @@ def visual_sections(folder: Path, options: Options, trials: Sequence[Trial]) -> 
     logs = {t.log.name: t.log for t in trials if t.log.evidence is not None and t.beside is None}
     sections = []
     for name, log in logs.items():
-        content = list(_models(folder, options, log))
-        content += [_plan(folder, options, t) for t in trials if t.log is log and not options.no_plots]
-        content += _detections(folder, options, log)
-        sections.append(Section(f"Pictures as landmarks: {name}", tuple(content)))
+        blocks = list(_models(folder, options, log))
+        blocks += [_plan(folder, options, t) for t in trials if t.log is log and not options.no_plots]
+        blocks += _detections(folder, options, log)
+        sections.append(Section(f"Pictures as landmarks: {name}", tuple(blocks)))
     return sections
 
 
@@ -170,18 +170,18 @@ def _numbers(log: Log) -> str:
     inputs = log.recorded
     sensor, R = inputs.sensor, inputs.observations.R
     v, omega = COMMAND_SIGMA
-    told = (
+    text = (
         f"On `{log.name}`: standard deviations {100.0 * v:g} cm/s of v and {math.degrees(omega):g} °/s of ω;"
         f" φ = {math.degrees(sensor.rotation):.1f}°,"
         f" T = ({sensor.translation[0]:.3f}, {sensor.translation[1]:.3f}) m."
     )
     if len(R) == 0:
-        return told
+        return text
     side, ahead = 100.0 * np.sqrt(R[:, 0, 0]), 100.0 * np.sqrt(R[:, 1, 1])
     if np.ptp(side) < 1e-9 and np.ptp(ahead) < 1e-9:
-        return f"{told} Of a corner: {side[0]:.3g} cm to the right and {ahead[0]:.3g} cm ahead."
+        return f"{text} Of a corner: {side[0]:.3g} cm to the right and {ahead[0]:.3g} cm ahead."
     return (
-        f"{told} Of a corner, from the noise of its depth: {side.min():.2g} to {side.max():.2g} cm to the right and"
+        f"{text} Of a corner, from the noise of its depth: {side.min():.2g} to {side.max():.2g} cm to the right and"
         f" {ahead.min():.2g} to {ahead.max():.2g} cm ahead, correlated along the line of sight."
     )
 
@@ -223,21 +223,20 @@ def _detections(folder: Path, options: Options, log: Log) -> Iterator[Block]:
             " where this one is. Not judged: found where none is in view by that definition."
         )
     caption += " Not found: frames, by the reason."
-    write_table(frame, folder / "tables", name, caption, options.formats)
-    yield Table(frame, caption, name if "csv" in options.formats else None)
+    yield written_table(frame, folder, name, caption, options.formats)
 
 
 def _summary(stats: Sequence[PictureStatistics], found: Found) -> str:
     """All pictures together, in a paragraph."""
-    told = [f"**Detections.** {len(found.frame)} in {len(found.time)} frames."]
+    notes = [f"**Detections.** {len(found.frame)} in {len(found.time)} frames."]
     in_view = sum(s.in_view or 0 for s in stats)
     if in_view:
         right, wrong = sum(s.found_in_view or 0 for s in stats), sum(s.wrong or 0 for s in stats)
-        told.append(f"Of {in_view} pictures in view {right} were found ({100.0 * right / in_view:.1f} %).")
-        told.append(f"Wrong: {wrong}.")
+        notes.append(f"Of {in_view} pictures in view {right} were found ({100.0 * right / in_view:.1f} %).")
+        notes.append(f"Wrong: {wrong}.")
     if math.isfinite(found.pixel_noise) and math.isfinite(found.depth_noise):
-        told.append(
+        notes.append(
             f"Noise of a corner as this recording itself shows it: {number(found.pixel_noise)} px in the image, and in"
             f" depth z a standard deviation of {number(found.depth_noise)} z² (z in m)."
         )
-    return " ".join(told)
+    return " ".join(notes)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_t
 
-from association.evidence.noise import FINEST, FREEDOM, STATED, NoiseScale, learned, log_density
+from association.evidence.constants import FINEST, FREEDOM
+from association.evidence.noise import STATED, NoiseScale, learned, log_density
 
 
 def test_the_density_is_students():

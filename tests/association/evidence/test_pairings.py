@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from association.evidence import landmarks as evidence
+from association.evidence import constants
 from association.evidence.landmarks import (
-    ENOUGH,
-    FOUNDED,
+    INITIALIZED,
     Judgement,
     Visibility,
     certain,
@@ -135,7 +134,7 @@ def life(rng, steps, velocity=(0.0, 0.0), sigma=0.03, turning=0.0):
     """Evidence for a point that is seen `steps` times by a robot that turns, and filtered as one that stands still."""
     R = sigma**2 * EYE
     place, P = rng.normal(0.0, sigma, 2), R
-    known = FOUNDED
+    known = INITIALIZED
     for k in range(1, steps):
         c, s = np.cos(k * turning), np.sin(k * turning)
         G = np.array([[c, -s], [s, c]])
@@ -165,11 +164,11 @@ def test_a_walk_of_less_than_a_sigma_a_step_is_found_however_the_robot_turns(tur
     rng = np.random.default_rng(2)
     lives = [life(rng, 9, velocity=(0.02, 0.015), turning=turning) for _ in range(200)]
     assert np.mean([verdict(e, usual(0.9)) == "moved" for e in lives]) > 0.9
-    assert np.mean([e.squares > gate_threshold(evidence.RESTLESS, 16) for e in lives]) < 0.75
+    assert np.mean([e.squares > gate_threshold(constants.RESTLESS, 16) for e in lives]) < 0.75
 
 
 def test_what_jumps_to_and_fro_is_restless_though_its_mean_stays():
-    known = FOUNDED
+    known = INITIALIZED
     for k in range(20):
         known = sighted(known, Judgement(np.array([0.1 * (-1) ** k, 0.0]), EYE / 0.03**2, EYE), True)
     assert abs(known.pull @ np.linalg.solve(known.information, known.pull)) < 1e-9
@@ -178,7 +177,7 @@ def test_what_jumps_to_and_fro_is_restless_though_its_mean_stays():
 
 @pytest.mark.parametrize(("rate", "misses"), [(0.99, 2), (0.85, 4), (0.5, 10), (0.1, 66)])
 def test_the_rarer_landmarks_are_seen_the_more_misses_are_needed(rate, misses):
-    known = FOUNDED
+    known = INITIALIZED
     for _ in range(misses - 1):
         known = overlooked(known)
     assert verdict(known, usual(rate)) == ""
@@ -186,14 +185,14 @@ def test_the_rarer_landmarks_are_seen_the_more_misses_are_needed(rate, misses):
 
 
 def test_a_sighting_ends_a_row_of_misses():
-    known = sighted(overlooked(overlooked(FOUNDED)), None, True)
+    known = sighted(overlooked(overlooked(INITIALIZED)), None, True)
     assert (known.seen, known.missed, known.row) == (2, 2, 0)
     assert verdict(overlooked(known), usual(0.9)) == ""
 
 
 def test_a_certain_landmark_that_is_often_overlooked_is_given_more_time():
-    known = FOUNDED
-    for _ in range(ENOUGH):
+    known = INITIALIZED
+    for _ in range(constants.CERTAIN):
         for _ in range(3):
             known = overlooked(known)
         known = sighted(known, None, True)
@@ -230,7 +229,7 @@ def test_misses_come_in_rows_where_landmarks_are_hidden_for_a_while():
     assert hidden.rate == pytest.approx(0.5, abs=0.01)
     assert independent.row(6, 0.5) == pytest.approx(0.5**6, rel=0.02)
     assert hidden.row(6, 0.5) == pytest.approx(0.5 * 0.9**5, rel=0.02)
-    known = FOUNDED
+    known = INITIALIZED
     for _ in range(10):
         known = overlooked(known)
     assert verdict(known, independent) == "missed"
@@ -251,16 +250,16 @@ def test_looks_are_counted_by_what_came_before():
 
 
 def test_where_landmarks_are_rarely_seen_two_sightings_make_one_certain():
-    twice = sighted(FOUNDED, None, True)
+    twice = sighted(INITIALIZED, None, True)
     assert certain(twice, usual(0.3))
     assert not certain(twice, usual(0.95))
-    assert not certain(FOUNDED, usual(0.05))
-    assert certain(twice._replace(seen=ENOUGH), usual(0.95))
+    assert not certain(INITIALIZED, usual(0.05))
+    assert certain(twice._replace(seen=constants.CERTAIN), usual(0.95))
 
 
 def test_against_a_certain_landmark_there_must_be_more():
-    v, few = usual(0.8), FOUNDED
-    sure = FOUNDED._replace(seen=20, looks=20)
+    v, few = usual(0.8), INITIALIZED
+    sure = INITIALIZED._replace(seen=20, looks=20)
     for _ in range(5):
         few, sure = overlooked(few), overlooked(sure)
     assert verdict(few, v) == "missed"
@@ -271,7 +270,7 @@ def test_against_a_certain_landmark_there_must_be_more():
 
 
 def test_a_sighting_that_no_other_pairing_judges_says_nothing_about_moving():
-    known = FOUNDED
+    known = INITIALIZED
     for _ in range(30):
         known = sighted(known, None, True)
     assert (known.seen, known.judged, known.squares) == (31, 0, 0.0)
@@ -279,5 +278,5 @@ def test_a_sighting_that_no_other_pairing_judges_says_nothing_about_moving():
 
 
 def test_sightings_from_one_place_are_one_look():
-    assert sighted(FOUNDED, None, False).looks == 1
-    assert sighted(FOUNDED, None, True).looks == 2
+    assert sighted(INITIALIZED, None, False).looks == 1
+    assert sighted(INITIALIZED, None, True).looks == 2

@@ -7,8 +7,8 @@ from association.evidence.tentative import Sighting, Tentative
 REACH = 10.0
 
 
-def at(x, way=0.0):
-    return Sighting(np.array([x, 0.0]), 0.01 * np.eye(2), way)
+def at(x, travelled=0.0):
+    return Sighting(np.array([x, 0.0]), 0.01 * np.eye(2), travelled)
 
 
 def test_the_third_that_agrees_is_new_once_the_pose_was_confirmed():
@@ -27,9 +27,9 @@ def test_sightings_elsewhere_do_not_count():
     assert not any(seen.see(at(x), n, REACH) for n, x in enumerate((1.0, 3.0, 5.0, 1.0, 3.0, 5.0)))
 
 
-def test_a_place_is_forgotten_after_a_way():
+def test_a_place_is_forgotten_after_a_distance_travelled():
     seen = Tentative()
-    assert not any(seen.see(at(1.0, way), int(way), REACH) for way in (0.0, 1.0, 12.0, 13.0))
+    assert not any(seen.see(at(1.0, travelled), int(travelled), REACH) for travelled in (0.0, 1.0, 12.0, 13.0))
     assert seen.see(at(1.0, 14.0), 14, REACH)
 
 

@@ -1,4 +1,4 @@
-"""Landmarks founded twice are recognized by how they stand to each other, and not where that could be chance."""
+"""Landmarks initialized twice are recognized by how they stand to each other, and not where that could be chance."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from association.geometry.constellation import Landmarks, recognize, squared_dis
 from data import se2
 
 FREE = 3.0
-CROWD = 48 / 60.0**2
+DENSITY = 48 / 60.0**2
 """Landmarks per square metre."""
 
 
@@ -16,7 +16,7 @@ def block(n, sigma):
 
 
 def twice(seed, *, common=8, others=40, new=0, sigma=0.2, turn=0.1, shift=(3.0, -2.0), size=60.0, heading=0.1):
-    """An old map, and some of it founded again from a pose with that error, whose uncertainty is stated honestly."""
+    """An old map, and some of it initialized again from a pose with that error, whose uncertainty is honest."""
     rng = np.random.default_rng(seed)
     old = rng.uniform(0.0, size, (common + others, 2))
     near = np.argsort(np.hypot(*(old - old[0]).T))[:common]
@@ -35,11 +35,11 @@ def twice(seed, *, common=8, others=40, new=0, sigma=0.2, turn=0.1, shift=(3.0, 
 
 def found_in(new, old, cross):
     d2, _ = squared_distances(new, old, cross)
-    return recognize(new, old, cross, d2 < 13.8, CROWD, FREE)
+    return recognize(new, old, cross, d2 < 13.8, DENSITY, FREE)
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_what_was_founded_again_is_recognized(seed):
+def test_what_was_initialized_again_is_recognized(seed):
     new, old, cross, near = twice(seed)
     found = found_in(new, old, cross)
     assert len(found) >= 6
@@ -80,15 +80,15 @@ def test_a_place_that_the_joint_covariance_excludes_is_not_taken():
     new, old, cross, _ = twice(3)
     known = Landmarks(new.xy, block(len(new.xy), 0.2))  # the same shift, and a pose that is certain
     everything = np.ones((len(new.xy), len(old.xy)), bool)
-    assert recognize(new, old, cross, everything, CROWD, FREE)
-    assert recognize(known, old, cross, everything, CROWD, FREE) == []
+    assert recognize(new, old, cross, everything, DENSITY, FREE)
+    assert recognize(known, old, cross, everything, DENSITY, FREE) == []
 
 
 def test_pairs_that_are_each_likely_and_all_together_are_not_are_not_taken():
     rng = np.random.default_rng(4)
     old = Landmarks(rng.uniform(0.0, 60.0, (40, 2)), block(40, 0.2))
-    way = rng.uniform(0.0, 2.0 * np.pi, 8)
-    off = 0.2 * np.sqrt(2.0) * np.stack([np.cos(way), np.sin(way)], 1)
+    direction = rng.uniform(0.0, 2.0 * np.pi, 8)
+    off = 0.2 * np.sqrt(2.0) * np.stack([np.cos(direction), np.sin(direction)], 1)
     for sigmas, taken in ((1.5, True), (2.8, False)):
         new = Landmarks(old.xy[:8] + sigmas * off, block(8, 0.2))
         assert bool(found_in(new, old, np.zeros((16, 80)))) is taken
@@ -102,8 +102,8 @@ def test_three_landmarks_are_too_few():
 def test_a_turn_that_the_heading_does_not_allow_is_not_tried():
     new, old, cross, _ = twice(2, turn=0.15)
     near = squared_distances(new, old, cross)[0] < 13.8
-    assert recognize(new, old, cross, near, CROWD, 0.6)
-    assert recognize(new, old, cross, near, CROWD, 0.01) == []
+    assert recognize(new, old, cross, near, DENSITY, 0.6)
+    assert recognize(new, old, cross, near, DENSITY, 0.01) == []
 
 
 @pytest.mark.parametrize("seed", range(3))

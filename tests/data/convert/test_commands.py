@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data.convert.__main__ import CALIBRATION, main
+from data.convert.__main__ import main
+from data.convert.mrclam import CALIBRATION
 from data.log import Log
 from data.mrclam.calibration import FROZEN, Calibration
 from data.mrclam.load import load_mrclam

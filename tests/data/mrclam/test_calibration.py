@@ -14,7 +14,6 @@ from data.errors import UsageError
 from data.log import Log
 from data.motion import VelocityModel, VelocityNoise
 from data.mrclam.calibration import FROZEN, Calibration
-from data.mrclam.first_fix import rigid_fit
 from data.mrclam.load import corrected_landmarks
 from tests.data.mrclam import world
 from tests.data.mrclam.loading import MEASURED, TRUTH, noted, starts_at
@@ -64,7 +63,7 @@ class TestWithoutGroundTruth:
     def test_the_rigid_fit_finds_the_pose_that_made_the_points(self) -> None:
         pose = np.array([1.0, -2.0, 3.0])
         body = np.array([[1.0, 0.5], [2.0, -1.0], [4.0, 0.0]])
-        found = rigid_fit(body, se2.transform_points(pose, body))
+        found = se2.rigid_fit(body, se2.transform_points(pose, body))
         np.testing.assert_allclose(se2.pose_error(found, pose), 0.0, atol=1e-12)
 
 

@@ -84,7 +84,7 @@ def test_an_interrupted_write_leaves_the_old_log_and_no_debris(log, tmp_path, mo
             return real_write(self, *args, **kwargs)
 
         def rename(self, to, fail_at=fail_at):
-            if Path(to).name == fail_at and self.suffix == ".partial":
+            if Path(to).name == fail_at and ".partial-" in self.name:
                 raise Interrupted
             return real_rename(self, to)
 

@@ -16,7 +16,9 @@ from data.errors import UsageError
 from data.logs import open_log
 from data.open_log.reader import load_folder
 from data.sensors import RelativePoint
-from data.worlds.corridor import Corridor, name_of, parse_name, simulate
+from data.worlds import registry
+from data.worlds.corridor import Corridor, simulate
+from data.worlds.names import name_of
 from eval.inspect import main as inspect
 
 
@@ -52,7 +54,7 @@ class TestNames:
         ],
     )
     def test_a_name_says_the_parameters_and_angles_in_degrees(self, name, corridor, seed):
-        assert parse_name(name) == (corridor, seed)
+        assert registry.parse(name)[1:3] == (corridor, seed)
         assert open_log(name).name == name
 
     @pytest.mark.parametrize(
@@ -105,7 +107,7 @@ class TestNames:
 
     def test_an_unknown_key_is_answered_with_all_known_ones(self):
         with pytest.raises(UsageError) as fault:
-            parse_name("corridor:0:colour=red")
+            registry.parse("corridor:0:colour=red")
         known = str(fault.value).split("known: ")[1].split(", ")
         switches = ["people", "no-odometry", "forward", "constant-velocity"]
         assert known == [*switches, *(f"{f.name}=" for f in fields(Corridor)[4:])]
@@ -128,7 +130,7 @@ class TestNames:
     )
     def test_parameters_have_a_name_that_says_them_again(self, change, seed):
         corridor = Corridor(**change)
-        again, number = parse_name(name_of(corridor, seed))
+        _, again, number, _ = registry.parse(name_of("corridor", corridor, seed))
         assert number == seed
         for f in fields(Corridor):
             wanted, got = getattr(corridor, f.name), getattr(again, f.name)
@@ -171,7 +173,7 @@ class TestCommands:
         )
         assert main(["corridor", str(tmp_path / "lab"), *flags.split()]) == 0
         log = load_folder(tmp_path / "lab")
-        wanted, seed = parse_name(
+        _, wanted, seed, _ = registry.parse(
             "corridor:7:people+no-odometry+range=8+min_angle=-60+srho=.02+sphi=.5+crowd=3+sx_blind=.3"
         )
         ours = simulate(wanted, seed)

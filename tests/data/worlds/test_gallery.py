@@ -11,7 +11,7 @@ import pytest
 from data.errors import UsageError
 from data.se2 import compose
 from data.worlds.gallery import Gallery, gallery, simulate
-from data.worlds.gallery_camera import in_view, sights
+from data.worlds.gallery_camera import in_view, projections
 from tests.data.worlds.pinhole import PLAIN, pinhole
 from tests.data.worlds.samples import agrees
 
@@ -89,7 +89,7 @@ class TestTheCamera:
         scene = gallery(g, 2)
         for pose in scene.pose[::40]:
             points, pixels = pinhole(g, pose, scene.corners)
-            for s in sights(g, scene.corners, pose):
+            for s in projections(g, scene.corners, pose):
                 assert np.allclose(s.points, points[s.picture], atol=1e-12)
                 front = points[s.picture][:, 2] > 0
                 assert np.allclose(s.pixels[front], pixels[s.picture][front], atol=1e-9)
@@ -117,7 +117,7 @@ class TestTheCamera:
             pose[1] + s * PLAIN.camera_x + c * PLAIN.camera_y,
             PLAIN.camera_height,
         ]
-        for sight in sights(PLAIN, scene.corners, pose):
+        for sight in projections(PLAIN, scene.corners, pose):
             line = eye - scene.corners[sight.picture].mean(axis=0)
             wall = int(np.argmax(np.ptp(scene.corners[sight.picture][:, :2], axis=0) < 1e-9))
             assert sight.distance == pytest.approx(np.linalg.norm(line))
@@ -126,7 +126,7 @@ class TestTheCamera:
     def test_a_picture_seen_from_behind_is_more_than_90_degrees_oblique_and_out_of_view(self):
         corners = gallery(PLAIN, 0).corners[:1]
         beyond = np.array([corners[0, :, 0].mean(), -0.5 * PLAIN.room_width - 2.0, 0.5 * math.pi - PLAIN.camera_yaw])
-        (sight,) = sights(PLAIN, corners, beyond)
+        (sight,) = projections(PLAIN, corners, beyond)
         assert (sight.points[:, 2] > 0).all()
         assert sight.obliquity > 0.5 * math.pi
         assert in_view(replace(PLAIN, max_obliquity=1.5), corners, beyond) == []
@@ -139,7 +139,7 @@ class TestTheCamera:
         for pose in scene.pose:
             near = {s.picture for s in in_view(limits, scene.corners, pose)}
             points, pixels = pinhole(PLAIN, pose, scene.corners)
-            for s in sights(limits, scene.corners, pose):
+            for s in projections(limits, scene.corners, pose):
                 p, uv = points[s.picture], pixels[s.picture]
                 whole = (p[:, 2] > 0).all() and (uv >= 0).all() and (uv <= [639, 479]).all()
                 beyond = s.distance > distance or s.obliquity > math.radians(degrees)

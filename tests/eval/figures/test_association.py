@@ -124,7 +124,7 @@ def test_the_legend_of_states_gives_the_length_at_the_end_largest_first():
     fig = state_figure(trial(KNOWN, FOOL), [trial(tidy, log=KEPT, beside=LOG.name)])
     assert [t.get_text() for t in fig.legends[0].get_texts()] == ["nn: 11", "known: 7", "jcbb, maintain: 7"]
     lines = {line.get_label(): np.asarray(line.get_ydata()).tolist() for line in fig.axes[0].lines}
-    # a person becomes a landmark in frame 1; NN founds a point twice in frame 3, maintenance is rid of the person then
+    # a person becomes a landmark in frame 1; NN initializes a point twice in frame 3, the person is then removed
     assert lines["nn: 11"] == [7.0, 9.0, 9.0, 11.0, 11.0]
     assert lines["jcbb, maintain: 7"] == [7.0, 9.0, 9.0, 9.0, 7.0]
 

@@ -10,9 +10,11 @@ import pytest
 from matplotlib.path import Path as Outline
 
 from data.result import Failure, MapEstimate
+from data.se2 import dead_reckoned
 from eval.figures import anees_figure, difference_figure, error_figure, map_figure, nees_figure
+from eval.figures.ellipses import ellipses
 from eval.figures.error import MOST_BINS, longest_sigma, sigmas, thinned
-from eval.figures.map import View, dead_reckoned, ellipses, enlargement
+from eval.figures.view import View, enlargement
 from tests.eval.figures.looks import within
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error, true_path
 
@@ -120,7 +122,8 @@ def test_longest_sigma_is_the_root_of_the_largest_eigenvalue():
 
 
 def test_dead_reckoning_over_noise_free_increments_is_the_true_path():
-    path = dead_reckoned(circle_log().recorded)
+    inputs = circle_log().recorded
+    path = dead_reckoned(inputs.prior.mean, inputs.increments.mean)
     assert path[:, :2] == pytest.approx(true_path()[:, :2], abs=1e-9)
     assert np.cos(path[:, 2] - true_path()[:, 2]) == pytest.approx(1.0)
 

@@ -9,8 +9,8 @@ import pytest
 from data.errors import SlamrefError
 from data.result import Failure
 from eval.figures.film import HEADER, animate, bgr, canvas_of, frames_shown
-from eval.figures.map import View
 from eval.figures.style import style_of
+from eval.figures.view import View
 from tests.eval.handmade import FRAMES, circle_log, run_with_error
 
 

@@ -11,10 +11,10 @@ import pytest
 from matplotlib.figure import Figure
 
 from eval.figures.style import save
-from eval.page.document import Picture, ReportContent, Section, Table, anchor, write_report
+from eval.page.document import Picture, Report, Section, Table, anchor, write_report
 
 TABLE = pd.DataFrame({"estimator": ["ekf<1>", "batch"], "position RMSE [m]": [0.0991, None]}, dtype=object)
-CONTENT = ReportContent(
+REPORT = Report(
     title="Filter & smoother",
     command="python -m eval.run_all --log 'a<b'",
     introduction=("The **answer** first.",),
@@ -57,7 +57,7 @@ class Page(HTMLParser):
 @pytest.fixture
 def folder(tmp_path):
     save(Figure(figsize=(2, 1)), tmp_path / "figures", "map", formats=("png",))
-    write_report(tmp_path, CONTENT)
+    write_report(tmp_path, REPORT)
     return tmp_path
 
 
@@ -126,16 +126,16 @@ def test_both_forms_have_the_same_parts_in_the_same_order(folder):
 
 def test_same_content_gives_same_bytes(folder, tmp_path):
     before = [(folder / n).read_bytes() for n in ("report.md", "report.html")]
-    write_report(folder, CONTENT)
+    write_report(folder, REPORT)
     assert [(folder / n).read_bytes() for n in ("report.md", "report.html")] == before
 
 
 def test_a_missing_figure_is_named(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"map\.png"):
-        write_report(tmp_path, CONTENT)
+        write_report(tmp_path, REPORT)
 
 
 def test_a_report_without_sections_still_names_its_command(tmp_path):
-    write_report(tmp_path, ReportContent("Nothing", "python -m eval.run_all", ("No logs.",), ()))
+    write_report(tmp_path, Report("Nothing", "python -m eval.run_all", ("No logs.",), ()))
     assert "python -m eval.run_all" in (tmp_path / "report.md").read_text(encoding="utf-8")
     assert "python -m eval.run_all" in (tmp_path / "report.html").read_text(encoding="utf-8")

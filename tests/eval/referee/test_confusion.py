@@ -20,7 +20,7 @@ NEW, DISCARD = -1, -2
 
 
 def test_a_map_without_the_landmark_makes_none_the_right_answer():
-    # frame 0 founds 7 and 9; frame 1: right, taken for the neighbour, taken for new, clutter paired, clutter left out
+    # frame 0 initializes 7 and 9; frame 1: right, taken for the neighbour, taken for new, clutter paired and left out
     frame = np.array([0, 0, 1, 1, 1, 1, 1])
     true_id = np.array([7, 9, 7, 9, 7, -1, -1])
     decisions = np.array([NEW, NEW, 0, 0, NEW, 1, DISCARD])
@@ -103,7 +103,7 @@ def test_a_pairing_is_near_enough_if_the_landmark_taken_stands_by_the_right_one(
     places = LandmarkMap(np.array([3, 5, 9]), np.array([[0.0, 0.0], [0.0, 0.25], [4.0, 0.0]]))
     own = np.array([3, 3, 3, 9, -1, 3, 9])
     taken = np.array([3, 5, 9, 7, 3, -1, -2])
-    # right, neighbour, far, without a position, person paired, founded on a person; the last one is not paired
+    # right, neighbour, far, without a position, person paired, initialized on a person; the last one is not paired
     decisions = np.array([0, 1, 2, 3, 0, 4, NEW])
     assert share_within(decisions, own, taken, places) == pytest.approx(2 / 6)
     assert share_within(decisions, own, taken, places, 0.2) == pytest.approx(1 / 6)

@@ -9,7 +9,7 @@ from data.result import DISCARD, NEW
 from data.sensors import RangeBearing
 from eval.referee.score import confusion_of
 from eval.replay import run as replay
-from eval.replay.map_management import Upkeep
+from eval.replay.map_management import MapManagement
 from eval.replay.run import compare, filter_known, step_by_step
 from eval.replay.settings import Setup
 from tests.eval.replay.worlds import slam
@@ -19,18 +19,18 @@ def test_map_maintenance_removes_what_was_seen_once_from_filter_and_graph(crowde
     setup = Setup(maintain=True)
     for name in ("ekf", "isam2"):
         run = step_by_step(name, slam(crowded), "slam", "jcbb", setup)
-        founded = np.flatnonzero(run.created >= 0)
+        initialized = np.flatnonzero(run.created >= 0)
         times = np.bincount(np.where(run.created >= 0, run.created, run.decisions)[run.decisions != DISCARD])
         frame = crowded.recorded.observations.frame
         last = len(crowded.recorded) - 1
-        for i in founded:
+        for i in initialized:
             n = run.created[i]
             gone = run.removed[n]
             assert (gone == frame[i] + 3) == (times[n] == 1 and frame[i] + 3 <= last)
             assert (run.final_decisions[i] == DISCARD) == (gone >= 0)
             assert (n in run.map.number) == (gone < 0)
         assert (run.removed >= 0).sum() > 5
-        np.testing.assert_array_equal(run.decisions[founded], NEW)
+        np.testing.assert_array_equal(run.decisions[initialized], NEW)
 
 
 def test_a_batch_after_map_maintenance_knows_nothing_of_what_was_removed(crowded):
@@ -89,12 +89,18 @@ def test_forgetting_is_the_filters_alone_and_leaves_the_graph_whole(lab):
 
 
 def test_a_parked_landmark_that_was_taken_back_unseen_is_still_forgotten_in_time():
-    upkeep = Upkeep(Setup(deactivate_after=2.0, forget_after=6.0), np.arange(12.0))
-    upkeep.see(0, np.array([0]))
-    assert [upkeep.leaving(k).parked.tolist() for k in range(4)] == [[], [], [], [0]]
-    upkeep.wake(4, np.array([0]))
-    assert upkeep.leaving(6).parked.tolist() == []
-    leaving = upkeep.leaving(7)
+    management = MapManagement(Setup(deactivate_after=2.0, forget_after=6.0))
+
+    def leaving_after(k):
+        management.begin(k, float(k))
+        return management.leaving()
+
+    management.see(np.array([0]))
+    assert [leaving_after(k).parked.tolist() for k in range(4)] == [[], [], [], [0]]
+    management.begin(4, 4.0)
+    management.restored(np.array([0]))
+    assert leaving_after(6).parked.tolist() == []
+    leaving = leaving_after(7)
     assert (leaving.parked.tolist(), leaving.forgotten.tolist()) == ([], [0])
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from association.decide import METHODS
 from data.errors import UsageError
-from data.inputs import Increments, Inputs, LabelledObservations, LandmarkMap, Observations, Prior
+from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
 from data.result import DISCARD, NEW
 from data.sensors import RangeBearing
 from data.worlds.arena import Arena, simulate
@@ -41,8 +41,7 @@ def test_on_a_linear_world_filter_and_smoother_decide_alike_over_the_whole_run(m
 
 
 def test_labels_are_withheld_from_every_method_but_known(lab):
-    front = FrontEnd("ekf", "jcbb", slam(lab, labels=True).without_labels(), Setup())
-    assert not isinstance(front.inputs.observations, LabelledObservations)
+    assert slam(lab, labels=True).without_labels().frame(0).label is None
     shuffled = replace(lab, truth=replace(lab.truth, landmark_of=lab.truth.landmark_of[::-1].copy()))
     a, b = (compare(x.inputs(labels=True), "slam", ["ekf"], "nn")[0] for x in (lab, shuffled))
     np.testing.assert_array_equal(a.decisions, b.decisions)
@@ -88,10 +87,9 @@ def test_the_cut_to_what_is_in_view_asks_for_fewer_candidates_and_is_the_same_wh
     for in_view in (False, True):
         front, sizes = FrontEnd("ekf", "jcbb", inputs, Setup(in_view=in_view)), []
         for k in range(len(inputs)):
-            front.move()
-            rows = slice(int(inputs.start[k]), int(inputs.start[k + 1]))
+            front.move(inputs.frame(k))
             sizes.append(len(front.expect(inputs.sightings(k)).number))
-            front.associate(rows)
+            front.update(inputs.frame(k), front.associate(inputs.frame(k)))
         asked[in_view] = sizes
     assert max(asked[False]) == 88
     assert max(asked[True]) < 40

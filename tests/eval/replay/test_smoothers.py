@@ -84,10 +84,10 @@ def test_gnc_discards_what_is_wrong_and_its_path_is_as_good_as_without_it(clean,
 
 def test_a_landmark_of_which_nothing_is_left_is_discarded_with_its_founding(clean, wrong):
     (gnc,) = compare(wrong.inputs(labels=True), "slam", ["gnc"], setup=GATED)
-    founded = np.flatnonzero(gnc.created >= 0)
-    gone = [i for i in founded if gnc.created[i] not in gnc.map.number]
+    initialized = np.flatnonzero(gnc.created >= 0)
+    gone = [i for i in initialized if gnc.created[i] not in gnc.map.number]
     assert all(gnc.final_decisions[i] == DISCARD for i in gone)
-    kept = [i for i in founded if gnc.created[i] in gnc.map.number]
+    kept = [i for i in initialized if gnc.created[i] in gnc.map.number]
     assert all(gnc.final_decisions[i] == NEW for i in kept)
     scores = score([Trial(wrong, "slam", (gnc,))])
     assert scores.metrics.loc[0, "landmarks"] == len(gnc.map)

@@ -7,18 +7,18 @@ import pytest
 from PIL import Image
 
 from data.result import DISCARD, NEW, Event
-from data.worlds.corridor import parse_name, simulate
+from data.worlds.registry import named_log
 from eval.figures.revision import revision_figure
 from eval.figures.style import save
 from eval.referee.score import Trial
-from eval.replay.hindsight.ledger import JOINED
+from eval.replay.hindsight.ledger import MERGED
 from eval.replay.run import compare
 from eval.report.revisions import example, revising, tally
 from tests.eval.handmade import run_with_error
 
 
 def revising_run(*events):
-    """A run over six observations; who was taken for new had founded landmark 7."""
+    """A run over six observations; who was taken for new had initialized landmark 7."""
     rows = [e.observation for e in events]
     decisions, created = np.full(6, DISCARD), np.full(6, -1)
     decisions[rows] = [e.old for e in events]
@@ -28,7 +28,7 @@ def revising_run(*events):
 
 @pytest.fixture(scope="module")
 def people():
-    log = simulate(*parse_name("corridor:4:people"))
+    log = named_log("corridor:4:people")
     return log, compare(log.inputs(), "slam", ["ekf", "isam2"], "jcbb-hindsight")
 
 
@@ -39,7 +39,7 @@ def test_counts_are_those_of_the_events(people):
     assert row["pairings undone"] == str(len(undone))
     assert row["made instead"] == "0"
     assert row["retracted"].startswith(str(sum(e.old == NEW for e in runs[0].events)) + " (")
-    assert row["landmarks joined"] == "0"
+    assert row["landmarks merged"] == "0"
 
 
 def test_estimators_with_the_same_revisions_share_a_row(people):
@@ -55,18 +55,18 @@ def test_the_example_is_not_what_the_end_of_the_log_took_back(people):
     assert (one.new == DISCARD).all()
 
 
-def test_joined_landmarks_are_shown_before_others():
+def test_merged_landmarks_are_shown_before_others():
     run = revising_run(
         Event(3, 0, 5, 4, "another hypothesis leads"), Event(3, 1, 5, 4, "another hypothesis leads"),
         Event(3, 2, 5, 4, "another hypothesis leads"),
-        Event(5, 3, NEW, 2, JOINED), Event(5, 4, 7, 2, JOINED), Event(9, 5, 1, DISCARD, "uncertain"),
+        Event(5, 3, NEW, 2, MERGED), Event(5, 4, 7, 2, MERGED), Event(9, 5, 1, DISCARD, "uncertain"),
     )  # fmt: skip
     one = example(run)
-    assert (one.frame, one.why) == (5, JOINED)
+    assert (one.frame, one.why) == (5, MERGED)
     assert one.old.tolist() == [7, 7]
     assert one.new.tolist() == [2, 2]
     row = tally(run)
-    assert [row[k] for k in ("pairings undone", "made instead", "landmarks joined")] == ["5", "4", "1"]
+    assert [row[k] for k in ("pairings undone", "made instead", "landmarks merged")] == ["5", "4", "1"]
     assert example(revising_run(Event(9, 5, 1, DISCARD, "uncertain"))) is None
 
 

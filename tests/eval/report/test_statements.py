@@ -4,23 +4,16 @@ from __future__ import annotations
 
 import math
 
-import pandas as pd
 import pytest
 
 from eval.page.numbers import number
-from eval.referee.score import ASSOCIATION, METRICS, frame_of
-from eval.report import statements as words
-
-FILTER = {
-    "log": "arena", "task": "slam", "estimator": "ekf", "association": "known", "phase": "online", "status": "ok",
-    "rejected": 0, "rmse_position_m": 0.12, "nees_pose": 4.1, "nis": 1.0, "nis_lower": 0.97, "nis_upper": 1.03,
-    "rms_from_batch_m": 0.05,
-}  # fmt: skip
-SMOOTHER = FILTER | {"estimator": "batch", "phase": "final", "rmse_position_m": 0.1, "nees_pose": 2.9, "nis": None}
-
-
-def answer(*rows) -> str:
-    return words.answer(frame_of(rows, METRICS))
+from eval.report.statements import (
+    association_statement,
+    inside_statement,
+    nees_statement,
+    nis_statement,
+    verdict_statement,
+)
 
 
 @pytest.mark.parametrize(
@@ -56,16 +49,16 @@ def test_numbers_have_three_significant_digits(value, text):
     ],
 )
 def test_nis_is_judged_by_its_bounds(nis, says, never):
-    text = words.nis_statement(nis, 0.97, 1.03)
+    text = nis_statement(nis, 0.97, 1.03)
     assert says in text
     assert never not in text
 
 
 def test_whatever_weakens_the_nis_test_is_said():
-    text = words.nis_statement(1.0, 0.97, 1.03, rejected=28, known=False)
+    text = nis_statement(1.0, 0.97, 1.03, rejected=28, known=False)
     assert "28 observations were left out, so the bounds are only a guide" in text
     assert "conditional on the association decisions" in text
-    assert words.nis_statement(math.nan, 0.97, 1.03) == ""
+    assert nis_statement(math.nan, 0.97, 1.03) == ""
 
 
 @pytest.mark.parametrize(
@@ -73,151 +66,26 @@ def test_whatever_weakens_the_nis_test_is_said():
     [(12.0, "about 2.0 times as large"), (0.75, "about 0.50 of what"), (3.3, "(dof 3, so 3 is expected); a")],
 )
 def test_nees_of_one_run_is_described_and_never_judged(nees, says):
-    text = words.nees_statement(nees)
+    text = nees_statement(nees)
     assert says in text
     assert "without verdict" in text
     assert not any(word in text for word in ("consistent", "confident", "conservative"))
 
 
 def test_a_monte_carlo_verdict_carries_interval_runs_and_power():
-    text = words.verdict_statement(3.05, 2.93, 3.17, 3, 50, "consistent", 0.993)
+    text = verdict_statement(3.05, 2.93, 3.17, 3, 50, "consistent", 0.993)
     assert text.startswith("consistent: mean 3.05 where 3 is expected, 95 % interval 2.93–3.17, 50 runs")
     assert "noticed with probability 0.99" in text
-    few = words.verdict_statement(3.05, 2.0, 4.0, 3, 8, "not enough runs", 0.1)
+    few = verdict_statement(3.05, 2.0, 4.0, 3, 8, "not enough runs", 0.1)
     assert "too few runs to tell" in few
-    assert (
-        words.verdict_statement(math.nan, math.nan, math.nan, 3, 1, "not enough runs")
-        == "not enough runs (1 runs, dof 3)"
-    )
+    assert verdict_statement(math.nan, math.nan, math.nan, 3, 1, "not enough runs") == "not enough runs (1 runs, dof 3)"
 
 
 def test_the_three_sigma_share_is_compared_with_the_plane_not_the_line():
-    assert (
-        words.inside_statement(0.9512)
-        == "95.1 % of positions inside their 3σ ellipse (a Gaussian in the plane: 98.9 %)"
-    )
+    assert inside_statement(0.9512) == "95.1 % of positions inside their 3σ ellipse (a Gaussian in the plane: 98.9 %)"
 
 
 def test_association_counts_become_shares():
-    text = words.association_statement(880, 10, 4, 6)
+    text = association_statement(880, 10, 4, 6)
     assert text.startswith("of 900 observations 890 were decided rightly (98.9 %), 4 were paired with a wrong landmark")
-    assert words.association_statement(0, 0, 0, 0) == "no observations to decide about"
-
-
-def test_the_answer_compares_filter_and_smoother_in_at_most_four_sentences():
-    text = answer(FILTER, SMOOTHER)
-    assert "position RMSE of 0.120 m" in text
-    assert "one of 0.100 m: the filter's is 1.20 times the smoother's" in text
-    assert "4.10 (filter) and 2.90 (smoother) where 3 is expected: a description of one run without verdict" in text
-    assert "trust the smoother" in text
-    assert text.count(". ") + 1 <= 4
-
-
-def test_the_answer_credits_later_data_only_if_the_online_smoother_equals_the_filter():
-    newest = FILTER | {"estimator": "isam2", "rmse_position_m": 0.1201}
-    assert "comes from later data" in answer(FILTER, newest, SMOOTHER)
-    better = newest | {"rmse_position_m": 0.105}
-    assert "isam2 has 0.105 m" in answer(FILTER, better, SMOOTHER)
-    assert "comes from later data" not in answer(FILTER, better, SMOOTHER)
-
-
-def test_the_answer_does_not_prefer_the_smoother_where_it_is_no_better():
-    assert "equal here" in answer(FILTER, SMOOTHER | {"rmse_position_m": 0.1199})
-    worse = answer(FILTER, SMOOTHER | {"rmse_position_m": 0.2})
-    assert "although it has seen less" in worse
-    assert "trust the smoother" not in worse
-
-
-@pytest.mark.parametrize(("nis", "claim"), [(1.9, "allows for too little"), (0.1, "allows for more than needed")])
-def test_the_answer_warns_of_both_covariances_when_innovations_contradict_the_noise_model(nis, claim):
-    assert claim in answer(FILTER | {"nis": nis}, SMOOTHER)
-
-
-def test_without_truth_the_difference_is_not_called_an_error():
-    text = answer(
-        FILTER | {"rmse_position_m": None, "nees_pose": None}, SMOOTHER | {"rmse_position_m": None, "nees_pose": None}
-    )
-    assert "0.0500 m RMS from the batch solution: that is how much later data changed it, not an error" in text
-    assert "which path is right this log cannot tell" in text
-    assert "NEES" not in text
-
-
-def test_a_failure_is_named_instead_of_compared():
-    text = answer(FILTER | {"status": "diverged", "rmse_position_m": None}, SMOOTHER)
-    assert text == "There is no comparison: ekf (diverged) did not get to the end, so there are no numbers to compare."
-
-
-def test_one_kind_of_estimator_alone_is_said_to_be_alone():
-    assert answer(FILTER) == "Only ekf ran: without a smoother there is nothing to compare it with."
-    assert "without a filter" in answer(SMOOTHER)
-    assert "Neither" in words.answer(pd.DataFrame(columns=METRICS))
-
-
-def test_known_association_is_compared_first_and_other_decisions_are_called_conditional():
-    jcbb = {"association": "jcbb", "rmse_position_m": 9.0}
-    assert "0.120 m" in answer(FILTER | jcbb, SMOOTHER | jcbb, FILTER, SMOOTHER)
-    assert "conditional on the association decisions" in answer(FILTER | jcbb, SMOOTHER | jcbb)
-
-
-OUTCOMES = {"log": "arena", "task": "slam", "estimator": "ekf", "association": "nn", "phase": "online"}
-
-
-def decided(metrics, outcomes, labelled=None) -> str:
-    return words.answer(frame_of(metrics, METRICS), frame_of(outcomes, ASSOCIATION), labelled)
-
-
-def counted(association, tp, tn, fp, fn, estimator="ekf", phase="online"):
-    counts = {"tp": tp, "tn": tn, "fp": fp, "fn": fn}
-    return OUTCOMES | counts | {"association": association, "estimator": estimator, "phase": phase}
-
-
-def test_the_answer_says_under_which_association_it_compares_if_there_are_several():
-    nn = FILTER | {"association": "nn"}
-    text = answer(FILTER, SMOOTHER, nn)
-    assert text.startswith("Filter and smoother are compared under association known. On identical inputs")
-    assert not answer(FILTER, SMOOTHER).startswith("Filter and smoother are")
-
-
-def test_the_answer_names_the_best_and_the_worst_way_of_deciding():
-    rows = [FILTER | {"association": a} for a in ("known", "nn", "singles", "jcbb")]
-    # F1: 2 TP / (2 TP + FP + FN)
-    outcomes = [
-        counted("known", 90, 10, 0, 0), counted("nn", 60, 10, 20, 10), counted("singles", 30, 10, 0, 60),
-        counted("jcbb", 88, 10, 0, 2),
-    ]  # fmt: skip
-    text = decided([*rows, SMOOTHER], outcomes)
-    assert text.endswith(
-        "Without labels, jcbb (ekf: 0 FP and 2 FN in 100 decisions, F1 0.99) decides best and singles (ekf: 0 FP and 60"
-        " FN in 100 decisions, F1 0.50) worst, by F1."
-    )
-    assert decided([FILTER, SMOOTHER], outcomes[:1]) == answer(FILTER, SMOOTHER)
-
-
-def test_pairing_nothing_is_not_the_best_and_a_poor_best_is_called_poor():
-    rows = [FILTER | {"association": a} for a in ("nn", "singles")]
-    assert "none made a single right pairing" in decided(
-        rows, [counted("nn", 0, 9, 80, 2), counted("singles", 0, 90, 0, 1)]
-    )
-    text = decided(rows, [counted("nn", 5, 5, 80, 10), counted("singles", 0, 60, 1, 39)])
-    assert "nn (ekf: 80 FP and 10 FN in 100 decisions, F1 0.10) decides best" in text
-    assert text.endswith("even the best is mostly wrong.")
-
-
-def test_decisions_of_a_run_that_failed_or_was_taken_over_do_not_count():
-    rows = [FILTER | {"association": "nn"}, FILTER | {"association": "jcbb", "status": "diverged"}]
-    text = decided(rows, [counted("nn", 50, 10, 20, 20), counted("jcbb", 90, 10, 0, 0)])
-    assert "jcbb" not in text.split("Deciding itself")[1]
-    rows = [FILTER | {"association": "jcbb"}, SMOOTHER | {"association": "jcbb"}]
-    same = [counted("jcbb", 90, 10, 0, 0, "batch", "final"), counted("jcbb", 90, 10, 0, 0)]
-    assert "Deciding itself, jcbb (ekf: 0 FP" in decided(rows, same)
-
-
-def test_without_a_true_path_decisions_are_counted_against_the_labels():
-    blank = {"rmse_position_m": None, "nees_pose": None}
-    own = FILTER | blank | {"estimator": "isam2", "association": "jcbb", "phase": "final", "landmarks": 120}
-    outcomes = [counted("jcbb", 700, 50, 200, 50, "isam2", p) for p in ("online", "final")]
-    text = decided([FILTER | blank, SMOOTHER | blank, own], outcomes, 100)
-    assert text.endswith(
-        "Deciding itself with jcbb, isam2 agrees with the log's labels in 750 of 1000 decisions (75 %); its map has 120"
-        " landmarks where the labels tell 100 apart."
-    )
+    assert association_statement(0, 0, 0, 0) == "no observations to decide about"

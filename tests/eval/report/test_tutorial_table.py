@@ -10,7 +10,7 @@ from data.worlds.arena import Arena, simulate
 from eval.plan.tutorial import ABOUT
 from eval.referee.score import Trial, score
 from eval.replay.run import compare
-from eval.report.tutorial_table import given, knowledge_table, logs_with_tutorials
+from eval.report.tutorial_table import given, logs_with_tutorials, tutorial_table
 
 STEPS = (("localization", "known"), ("localization", "ml"), ("slam", "known"), ("slam", "ml-ratio"))
 
@@ -39,8 +39,8 @@ def test_what_is_given_is_named():
     assert [given(*step) for step in STEPS] == ["map and labels", "map", "labels", "nothing"]
 
 
-def test_knowledge_is_taken_away_row_by_row_and_ours_stands_beside(trials):
-    table = knowledge_table("arena:0", trials, score(trials))
+def test_map_and_labels_are_taken_away_row_by_row_and_ours_stands_beside(trials):
+    table = tutorial_table("arena:0", trials, score(trials))
     assert table["given"].tolist() == [g for g in ("map and labels", "map", "labels", "nothing") for _ in range(3)]
     ours = ["ours: ekf (online)", "ours: batch (final)"]
     assert table["run"].tolist() == [name for i in range(1, 5) for name in (f"tutorial-step{i}", *ours)]

@@ -67,6 +67,6 @@ def test_rows_hold_ours_beside_theirs_for_estimators_that_ran(study):
 
 def test_runs_that_diverged_are_in_no_average_and_orderings_are_told(study):
     assert ours_of(study, "ekf-invariant", "nees_pose").value == pytest.approx(4.5)
-    (told,) = orderings(study)
-    assert "holds." in told
-    assert "4.5" in told
+    (sentence,) = orderings(study)
+    assert "holds." in sentence
+    assert "4.5" in sentence

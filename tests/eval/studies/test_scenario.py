@@ -83,35 +83,39 @@ def test_angles_that_a_corridor_keeps_in_degrees_are_given_in_degrees(written):
 def test_an_estimator_may_be_told_other_noise_but_the_measurements_stay():
     s = load_scenario("esde")
     changed = next(m.world for m in s.members if m.name == "ekf-invariant")
-    plain, told = s.simulate(3), s.simulate(3, changed)
-    np.testing.assert_array_equal(plain.recorded.increments.mean, told.recorded.increments.mean)
-    np.testing.assert_array_equal(plain.recorded.observations.z, told.recorded.observations.z)
-    assert np.abs(plain.recorded.increments.covariance - told.recorded.increments.covariance).max() > 1e-7
+    plain, stated = s.simulate(3), s.simulate(3, changed)
+    np.testing.assert_array_equal(plain.recorded.increments.mean, stated.recorded.increments.mean)
+    np.testing.assert_array_equal(plain.recorded.observations.z, stated.recorded.observations.z)
+    assert np.abs(plain.recorded.increments.covariance - stated.recorded.increments.covariance).max() > 1e-7
 
 
 @pytest.mark.parametrize(("old", "new", "words"), [
-    ('about = "a small arena"\n', "", "about is missing"),
+    ('about = "a small arena"\n', "", "about: missing; text is needed"),
     ("runs = 3", "runs = 0", "runs = 0: at least 1"),
     ("runs = 3", "rnus = 3", "unknown key 'rnus'"),
     ("runs = 3", "runs = 2.5", "runs = 2.5: a whole number"),
-    ("frames = 40", "frmaes = 40", "world: unknown key 'frmaes'"),
-    ("frames = 40", 'frames = "many"', "world: frames = 'many': a whole number"),
+    ("frames = 40", "frmaes = 40", "unknown key 'frmaes' in [world]"),
+    ("frames = 40", 'frames = "many"', "[world] frames = 'many': a whole number"),
     ("frames = 40", "sigma_range = -0.1", "sigma_range = -0.1"),
     ("frames = 40", "sigma_range = nan", "a finite number"),
-    ('kind = "arena"', 'kind = "moon"', "kind = 'moon' is unknown"),
-    ("batch = {}", "ukf = {}", "'ukf' is unknown"),
+    ('kind = "arena"', 'kind = "moon"', "[world] kind = 'moon': unknown; known: arena"),
+    ("batch = {}", "ukf = {}", "unknown key 'ukf' in [estimators]; known: "),
     ("batch = {}", 'batch = { must_be = "good" }', "must_be = 'good'"),
     ("batch = {}", 'batch = { task = ["mapping"] }', "'mapping' is unknown"),
-    ("batch = {}", "batch = { world = { speed = true } }", "speed = True: a number"),
+    ("batch = {}", "batch = { world = { speed = true } }", "[estimators.batch.world] speed = True: a finite number"),
     ('"localization", "slam"]', '"slam", "slam"]', "none twice"),
-    ('[estimators]', '[setup]\ngte = 0.9\n[estimators]', "setup: unknown key 'gte'"),
+    ('[estimators]', '[setup]\ngte = 0.9\n[estimators]', "unknown key 'gte' in [setup]"),
     ('runs = 3', 'wrong = [0.5, 0.1]', "ascending"),
     ('runs = 3', 'wrong = [1.0]', "shares from 0"),
     ('runs = 3', 'from_frame = -1', "must not be negative"),
     ("batch = {}", 'batch = {}\n[[published.row]]\nestimator = "isam2"\nquantity = "nees_pose"\nvalue = 3', "isam2"),
-    ("batch = {}", 'batch = {}\n[[published.row]]\nestimator = "ekf"\nquantity = "speed"\nvalue = 3', "'speed' is un"),
-    ("batch = {}", 'batch = {}\n[[published.row]]\nestimator = "ekf"\nvalue = 3', "quantity is missing"),
-    ("[world]", "[world", "small.toml"),
+    ("batch = {}", 'batch = {}\n[[published.row]]\nestimator = "ekf"\nquantity = "speed"\nvalue = 3', "'speed': unkn"),
+    ("batch = {}", 'batch = {}\n[[published.row]]\nestimator = "ekf"\nvalue = 3', "[published.row] quantity: missing"),
+    ("[world]", "[world", "not valid TOML"),
+    ("[world]", "[[world]]", "this must be a table"),
+    ('[world]\nkind = "arena"\nframes = 40\nlandmarks = 12\n', "", "no [world] table"),
+    ("[estimators]", "[setup]\ngate = 2\n[estimators]", "small.toml: [setup] gate = 2: a probability"),
+    ('kind = "arena"\n', "", "[world] kind: missing"),
 ])  # fmt: skip
 def test_a_fault_in_a_file_is_one_line_that_names_file_and_key(written, old, new, words):
     assert old in SOUND

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eval.studies import store as study_store
+from eval.studies import store
 from eval.studies.montecarlo import Sample, one_run
 from eval.studies.scenario import Member
 from eval.studies.scenario_file import load_scenario
@@ -20,33 +20,33 @@ def small():
 
 
 def same(a: Sample, b: Sample) -> bool:
-    told = [(dict(s.means), dict(s.ends), dict(s.squares), dict(s.published), s.failure) for s in (a, b)]
-    return repr(told[0]) == repr(told[1]) and np.array_equal(a.nees_pose, b.nees_pose, equal_nan=True)
+    rows = [(dict(s.means), dict(s.ends), dict(s.squares), dict(s.published), s.failure) for s in (a, b)]
+    return repr(rows[0]) == repr(rows[1]) and np.array_equal(a.nees_pose, b.nees_pose, equal_nan=True)
 
 
 def test_a_kept_run_comes_back_to_the_last_bit(small, tmp_path):
-    folder = study_store.folder_of(tmp_path, small)
+    folder = store.folder_of(tmp_path, small)
     result = one_run(small, 3)
     result["slam", "ekf", "known", "online"] = Sample(failure="frame 7: the state is no longer finite")
-    study_store.save(folder, 3, result)
-    kept = study_store.load(folder, 3)
+    store.save(folder, 3, result)
+    kept = store.load(folder, 3)
     assert list(kept) == list(result)
     assert all(same(result[key], kept[key]) for key in result)
-    assert study_store.load(folder, 4) is None
+    assert store.load(folder, 4) is None
     assert [f.name for f in folder.iterdir()] == ["3.npz"]
 
 
 @pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b"", lambda b: b"PK" + b[2:40]])
 def test_a_damaged_file_counts_as_none(small, tmp_path, damage):
-    folder = study_store.folder_of(tmp_path, small)
-    study_store.save(folder, 0, one_run(small, 0))
+    folder = store.folder_of(tmp_path, small)
+    store.save(folder, 0, one_run(small, 0))
     path = folder / "0.npz"
     path.write_bytes(damage(path.read_bytes()))
-    assert study_store.load(folder, 0) is None
+    assert store.load(folder, 0) is None
 
 
 def test_what_numbers_depend_on_has_a_place_of_its_own_and_the_rest_has_not(small):
-    digest = study_store.content_digest
+    digest = store.content_digest
     assert digest(small) == digest(replace(small, about="other words", cite="", runs=7, name="other"))
     assert digest(small) == digest(replace(small, members=(Member("ekf", ("slam",)), Member("batch"))))
     for other in (
@@ -61,9 +61,9 @@ def test_what_numbers_depend_on_has_a_place_of_its_own_and_the_rest_has_not(smal
 
 
 def test_runs_of_an_older_program_are_removed(small, tmp_path, monkeypatch):
-    old = study_store.folder_of(tmp_path, small)
-    monkeypatch.setattr(study_store, "code_digest", lambda: "0123456789")
-    new = study_store.folder_of(tmp_path, small)
+    old = store.folder_of(tmp_path, small)
+    monkeypatch.setattr(store, "code_digest", lambda: "0123456789")
+    new = store.folder_of(tmp_path, small)
     assert new.is_dir()
     assert new != old
     assert not old.exists()

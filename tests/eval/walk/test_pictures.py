@@ -18,7 +18,6 @@ from data.worlds.arena import Arena, simulate
 from eval.figures.style import drawing
 from eval.referee.confusion import OUTCOMES
 from eval.walk.matching import Matching, evidence, paint_compatibility, paint_matching
-from eval.walk.painting import robot_frame
 from eval.walk.pictures import field_of_view, paint_ground_truth, paint_map, paint_observations
 from eval.walk.text import TruthRow
 
@@ -62,7 +61,7 @@ def test_measurements_of_either_sensor_stand_at_the_same_points_of_the_robot_fra
     found = {}
     for sensor in (RangeBearing(**place), RelativePoint(**place)):
         z = sensor.predict(np.zeros(3), points)
-        found[sensor.name], P = robot_frame(sensor, z, np.tile(np.diag([0.04, 0.04]), (2, 1, 1)))
+        found[sensor.name], P = sensor.body_points(z, np.tile(np.diag([0.04, 0.04]), (2, 1, 1)))
         assert np.allclose(found[sensor.name], points)
         if sensor.kind == RelativePoint.kind:
             assert np.allclose(P, 0.04 * np.eye(2))

@@ -41,7 +41,7 @@ TP 4   TN 1   FP 1   FN 1"""
 
 
 def seven() -> tuple[np.ndarray, ...]:
-    """Frame 0 founds landmarks 0 to 6 of the true ids 10 to 16; frame 1 is the one that is told."""
+    """Frame 0 initializes landmarks 0 to 6 of the true ids 10 to 16; frame 1 is the one that is shown."""
     frame = np.repeat([0, 1], 7)
     true_id = np.array([10, 11, 12, 13, 14, 15, 16, 10, 11, 12, 13, 20, 14, 16])
     decisions = np.array([NEW] * 7 + [0, 1, 2, 3, NEW, 5, NEW])
@@ -118,8 +118,8 @@ def test_the_steps_of_a_run_sum_to_the_counts_of_the_referee(phase):
     assert counts_told(text).tolist() == [c.tp, c.tn, c.fp, c.fn]
     # in the end what was retracted has never been new
     lasting = run.created >= 0 if phase == "online" else (run.created >= 0) & (run.final_decisions != DISCARD)
-    told = [number for line in text.split("\n") if line.startswith("NEW") for number in line.split()[1:]]
-    assert told == [str(n) for n in run.created[lasting]]
+    numbers = [number for line in text.split("\n") if line.startswith("NEW") for number in line.split()[1:]]
+    assert numbers == [str(n) for n in run.created[lasting]]
     m = c.tp + c.tn + c.fp + c.fn
     assert f"whole run: {m} observations in 44 steps" in text
     for name in ("tp", "tn", "fp", "fn"):
@@ -178,7 +178,7 @@ def test_compatible_pairs_are_counted_by_observation():
     from eval.replay.frontend import FrontEnd
 
     front = FrontEnd("ekf", "nn", log.recorded, Setup())
-    front.move()
+    front.move(log.recorded.frame(0))
     e = front.expect(log.recorded.sightings(0))
     m = len(e.z)
     text = compatibility_text(e, None)

@@ -116,7 +116,7 @@ class TestImagesAreTrueToTheGeometry:
         k = next(k for k in range(len(clean)) if not clean.visible(k))
         grey = cv2.cvtColor(clean.frame(k).rgb, cv2.COLOR_RGB2GRAY)
         outside = np.ones_like(grey)
-        for s in clean.sights(k):
+        for s in clean.projections(k):
             if np.isfinite(s.pixels).all():
                 cv2.fillConvexPoly(outside, np.rint(s.pixels).astype(np.int32), 0)
         gradient = np.abs(np.diff(grey.astype(float), axis=1))[outside[:, 1:] > 0]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from data.errors import UsageError
-from data.result import DISCARD, NEW, Event, founders, revised
-from data.worlds.corridor import parse_name, simulate
+from data.result import DISCARD, NEW, Event, revised, surviving
+from data.worlds.registry import named_log
 from ekf.filter import FilterOptions
 from eval.referee.score import confusion_of
 from eval.replay.run import compare, step_by_step
@@ -16,7 +16,7 @@ METHOD = "jcbb-hindsight"
 
 @pytest.fixture(scope="module")
 def people():
-    return [simulate(*parse_name(f"corridor:{seed}:people")) for seed in (4, 7, 11)]
+    return [named_log(f"corridor:{seed}:people") for seed in (4, 7, 11)]
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def runs(people):
 def test_people_are_retracted_and_points_are_kept(people, runs, name):
     for log, run in zip(people, runs[name]):
         online, final = confusion_of(run, log, "online"), confusion_of(run, log, "final")
-        known = int((log.truth.landmark_of >= 0).sum()) - 88  # the first sighting of each point founds it
+        known = int((log.truth.landmark_of >= 0).sum()) - 88  # the first sighting of each point initializes it
         assert online.fp > final.fp
         assert final.fp <= 7
         assert final.tp >= 0.96 * known
@@ -61,9 +61,9 @@ def test_a_retracted_landmark_is_out_of_the_map_with_every_decision_for_it(runs)
         assert len(gone)
         assert not np.isin(run.map.number, gone).any()
         assert not np.isin(run.final_decisions, gone).any()
-        left = founders(run.final_decisions, run.created)
+        left = surviving(run.final_decisions, run.created)
         assert not np.isin(left, gone).any()
-        # who is in the map was founded once, and is seen as often as it says
+        # who is in the map was initialized once, and is seen as often as it says
         assert sorted(left[left >= 0]) == run.map.number.tolist()
         times = [(run.final_decisions == n).sum() + 1 for n in run.map.number]
         assert run.map.times_seen.tolist() == times
@@ -79,7 +79,7 @@ def test_events_come_in_the_order_of_frames_and_name_their_reason(runs):
 
 
 def test_without_people_nothing_is_taken_back():
-    log = simulate(*parse_name("corridor:1"))
+    log = named_log("corridor:1")
     run = compare(log.inputs(), "slam", ["ekf"], METHOD)[0]
     assert run.events == ()
     assert len(run.map) == 88

@@ -1,4 +1,4 @@
-"""SLAM over a window: after a round with wrong odometry, what was founded again is recognized and joined."""
+"""SLAM over a window: after a round with wrong odometry, what was initialized again is recognized and merged."""
 
 from collections import Counter
 
@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from data.inputs import Increments, Inputs, Observations, Prior
-from data.result import NEW, founders, revised
+from data.result import NEW, revised, surviving
 from data.sensors import RelativePoint
 from eval.replay.batch import batch
-from eval.replay.hindsight.ledger import JOINED
+from eval.replay.hindsight.ledger import MERGED
 from eval.replay.hindsight.mapping_frontend import MappingFrontEnd
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
@@ -66,27 +66,27 @@ def test_all_estimators_get_the_same_decisions(runs):
     assert runs["ekf"].events == runs["isam2"].events
 
 
-def test_joined_landmarks_give_all_their_sightings_to_the_older_one(runs):
+def test_merged_landmarks_give_all_their_sightings_to_the_older_one(runs):
     run = runs["ekf"]
-    joined = [e for e in run.events if e.why == JOINED]
-    assert len(joined) > 20
-    assert all(0 <= e.new < (e.old if e.old >= 0 else run.created[e.observation]) for e in joined)
-    gone = {int(run.created[e.observation]) for e in joined if e.old == NEW}
+    merged = [e for e in run.events if e.why == MERGED]
+    assert len(merged) > 20
+    assert all(0 <= e.new < (e.old if e.old >= 0 else run.created[e.observation]) for e in merged)
+    gone = {int(run.created[e.observation]) for e in merged if e.old == NEW}
     assert len(gone) >= 8
     assert not gone & set(run.map.number.tolist())
     assert all(run.removed[n] >= 0 for n in gone)
     assert np.array_equal(revised(run.decisions, run.events), run.final_decisions)
-    left = founders(run.final_decisions, run.created)
+    left = surviving(run.final_decisions, run.created)
     assert sorted(left[left >= 0]) == run.map.number.tolist()
-    assert any("turned out to be ones founded before" in note for note in run.notes)
+    assert any("turned out to be ones initialized before" in note for note in run.notes)
 
 
-def test_what_was_seen_in_one_frame_is_never_joined(world, runs):
+def test_what_was_seen_in_one_frame_is_never_merged(world, runs):
     inputs, run = world[0], runs["ekf"]
     number = np.where(run.created >= 0, run.created, run.decisions)
     at = {}
     for e in run.events:
-        if e.why == JOINED and e.old == NEW:
+        if e.why == MERGED and e.old == NEW:
             at[int(run.created[e.observation])] = e.new
     frames = {n: set(inputs.observations.frame[number == n].tolist()) for n in np.unique(number[number >= 0]).tolist()}
     assert at
@@ -94,7 +94,7 @@ def test_what_was_seen_in_one_frame_is_never_joined(world, runs):
 
 
 @pytest.mark.parametrize("lag", [30.0, 1e4])
-def test_a_fixed_lag_smoother_joins_what_has_left_its_window(world, runs, lag):
+def test_a_fixed_lag_smoother_merges_what_has_left_its_window(world, runs, lag):
     run = step_by_step("fixed-lag", world[0], "slam", METHOD, Setup(lag=lag))
     assert run.failure is None
     assert run.map.number.tolist() == runs["ekf"].map.number.tolist()
@@ -103,19 +103,20 @@ def test_a_fixed_lag_smoother_joins_what_has_left_its_window(world, runs, lag):
 
 
 @pytest.mark.parametrize("setup", [Setup(deactivate_after=40.0), Setup(forget_after=200.0), Setup(maintain=True)])
-def test_joining_goes_with_the_other_ways_out_of_the_map(world, setup):
+def test_merging_goes_with_the_other_ways_out_of_the_map(world, setup):
     run = step_by_step("ekf", world[0], "slam", METHOD, setup)
     assert run.failure is None
-    assert any(e.why == JOINED for e in run.events) != (setup.forget_after is not None)
+    assert any(e.why == MERGED for e in run.events) != (setup.forget_after is not None)
 
 
 def test_the_odometrys_errors_are_found_on_the_way(world):
     inputs, _, _ = world
     front = MappingFrontEnd("ekf", METHOD, inputs, Setup())
     for k in range(len(inputs)):
-        front.move()
-        if inputs.start[k] < inputs.start[k + 1]:
-            front.associate(slice(int(inputs.start[k]), int(inputs.start[k + 1])))
+        frame = inputs.frame(k)
+        front.move(frame)
+        if len(frame.sightings.z):
+            front.update(frame, front.associate(frame))
         front.tidy()
     mean, P = front.mapper.filter.errors
     assert mean[0] + mean[1] == pytest.approx(0.0015, abs=4.0 * np.sqrt(P[:2, :2].sum()))

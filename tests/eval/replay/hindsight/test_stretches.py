@@ -7,7 +7,7 @@ import numpy as np
 from association.known import known_decisions
 from data.inputs import Sightings
 from data.result import DISCARD
-from eval.replay.hindsight.localizing_frontend import Stretches
+from eval.replay.hindsight.stretches import Stretches
 from graph.incremental import Isam2Smoother
 from tests.graph.worlds import SENSORS, circle
 
@@ -16,7 +16,7 @@ AT = 8
 
 def run(inputs, decisions, amended=None, late=None):
     """Final path; at frame `AT` the smoother is begun anew, at the end `amended` frames are decided about as `late`."""
-    s = Stretches(lambda prior, _: Isam2Smoother(prior, inputs.sensor, inputs.map), inputs.prior)
+    s = Stretches(lambda prior: Isam2Smoother(prior, inputs.sensor, inputs.map), inputs.prior)
     o = inputs.observations
     for k in range(len(inputs)):
         if k:

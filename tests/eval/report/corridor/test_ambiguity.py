@@ -78,12 +78,12 @@ def test_a_log_with_a_prior_is_one_without_odometry_and_joins_the_lab_of_its_see
     assert lab.primed[False].log is PRIMED
 
 
-def told(*trials):
-    return {s.heading: s.content for s in lab_sections(trials, score(trials))}
+def answers(*trials):
+    return {s.heading: s.blocks for s in lab_sections(trials, score(trials))}
 
 
 def test_the_report_shows_both_peaks_and_what_the_prior_makes_of_them():
-    said = told(Trial(BARE, "slam", ()), Trial(PRIMED, "slam", ()))
+    said = answers(Trial(BARE, "slam", ()), Trial(PRIMED, "slam", ()))
     text, table = said[AMBIGUOUS]
     assert "Of 40 straight moves 19 could as well have been one backwards" in text
     assert "does not decide either" in text
@@ -110,9 +110,9 @@ def test_errors_with_a_prior_stand_beside_those_without():
     runs = [(0.4, "ekf"), (0.1, "ekf-iterated")]
     without = Trial(bare, "slam", (lab_run(bare, "known", error=0.2),))
     given = Trial(primed, "slam", tuple(lab_run(primed, "known", error=e, estimator=n) for e, n in runs))
-    (text,) = told(without, given)[CHANGES]
+    (text,) = answers(without, given)[CHANGES]
     assert "ekf with known association 0.358 m (0.179 m without)" in text
     assert "ekf-iterated with known association 0.0894 m." in text
     assert "costs a factor of 4.0" in text
     swapped = Trial(primed, "slam", tuple(replace(r, estimator=n) for r, n in zip(given.runs, ("ekf-iterated", "ekf"))))
-    assert "costs a factor" not in told(without, swapped)[CHANGES][0]
+    assert "costs a factor" not in answers(without, swapped)[CHANGES][0]

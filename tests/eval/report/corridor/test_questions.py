@@ -16,7 +16,7 @@ from tests.eval.handmade import circle_log, run_with_error
 from tests.eval.handmade_lab import DISCARD, FOOLED, NEW, lab_log, lab_run
 
 QUIET, BUSY, BLIND = lab_log(), lab_log(people=True), lab_log(odometry=False)
-# the same mistakes in the log without people: rows 5 (point 2 taken for 1) and 6 (point 1 founded twice)
+# the same mistakes in the log without people: rows 5 (point 2 taken for 1) and 6 (point 1 initialized twice)
 CONFUSED = {5: 0, 6: NEW}
 NN, MISSING = "Why does NN fail?", "Not answered"
 PEOPLE = "Why do people break NN and SINGLES?"
@@ -30,15 +30,15 @@ def trial(log, *runs, **more) -> Trial:
 
 
 def answers(*trials) -> dict[str, str]:
-    return {s.heading: s.content[0] for s in lab_sections(trials, score(trials))}
+    return {s.heading: s.blocks[0] for s in lab_sections(trials, score(trials))}
 
 
 def test_a_run_is_looked_at_as_counted_by_hand():
     p = look(lab_run(BUSY, "nn", error=0.3, changes=FOOLED), BUSY)
     assert (p.counts.fp, p.counts.fn) == (5, 1)
     assert (p.neighbour, p.copy, p.ghost) == (1, 1, 1)
-    assert (p.clutter, p.clutter_paired, p.clutter_founding, p.clutter_again) == (3, 2, 1, 1)
-    assert look(lab_run(BUSY, "nn"), BUSY).clutter_founding == 0, "who is discarded founds nothing"
+    assert (p.clutter, p.clutter_paired, p.clutter_initializing, p.clutter_again) == (3, 2, 1, 1)
+    assert look(lab_run(BUSY, "nn"), BUSY).clutter_initializing == 0, "who is discarded initializes nothing"
     assert p.first_wrong == 2
     # frames 0 and 1 are off by 0 and 0.3 m
     assert p.before == pytest.approx(0.3 / math.sqrt(2.0))
@@ -91,7 +91,7 @@ def test_why_nn_fails_is_told_with_counts_places_and_errors():
     assert "0.50 m apart (median)" in text
     assert "0.30 m off their own point: more than half that spacing" in text
     assert "first wrong pairing is in frame 2; the position error is 0.212 m RMS before and 0.300 m" in text
-    assert "founds 1 landmark on points that were in the map already" in text
+    assert "initializes 1 landmark on points that were in the map already" in text
     assert "ends with 3 landmarks where known association has 2" in text
     assert "0.268 m against 0.00894 m with known association, 30 times as large" in text
 
@@ -109,7 +109,7 @@ def test_people_break_what_they_break():
     busy = [lab_run(BUSY, "nn", error=0.3, changes=FOOLED), lab_run(BUSY, "singles", changes={2: DISCARD})]
     text = answers(quiet, trial(BUSY, *busy))[PEOPLE]
     assert "3 of 13 observations show people" in text
-    assert "**NN** pairs 2 of them, 1 with a landmark founded on a person and 1 with one of a point" in text
+    assert "**NN** pairs 2 of them, 1 with a landmark initialized on a person and 1 with one of a point" in text
     assert "FP go from 0 to 5" in text
     assert "rises from 0.00894 to 0.268 m" in text
     assert "**SINGLES** pairs 0 of them" in text
@@ -162,7 +162,7 @@ def test_map_maintenance_is_told_by_size_entries_and_counts():
     tidy = lab_run(kept, "jcbb", changes={4: NEW}, removed={2: 3})
     text = answers(trial(BUSY, plain), trial(kept, tidy, beside=BUSY.name))[UPKEEP]
     assert "the map ends with 2 landmarks with maintenance and 3 without" in text
-    assert "removed 1 landmark that had been seen only once, 1 of them founded on people and 0 on points" in text
+    assert "removed 1 landmark that had been seen only once, 1 of them initialized on people and 0 on points" in text
     # lengths 7, 9, 9, 9, 9 and with maintenance 7, 9, 9, 9, 7
     assert f"handles {100 * (2 * 49 + 3 * 81) / (49 + 4 * 81):.0f} % of the entries" in text
     assert "FP are 0 instead of 1" in text
@@ -174,14 +174,14 @@ def test_map_maintenance_is_told_by_size_entries_and_counts():
 
 
 def test_a_question_without_its_runs_says_what_is_missing_and_the_others_are_answered():
-    told = answers(trial(QUIET, lab_run(QUIET, "known"), lab_run(QUIET, "nn")))
-    assert not told[NN].startswith(MISSING)
-    assert told[UPKEEP] == (
+    texts = answers(trial(QUIET, lab_run(QUIET, "known"), lab_run(QUIET, "nn")))
+    assert not texts[NN].startswith(MISSING)
+    assert texts[UPKEEP] == (
         "Not answered: this needs a corridor with people, with odometry, run with JCBB and once more with map"
         " maintenance; no such log was run."
     )
-    assert told[NO_ODOMETRY].startswith("Not answered: this needs a corridor without people, without odometry")
-    assert told["The lab's questions"].startswith("Answered from the runs on `corridor:0`")
+    assert texts[NO_ODOMETRY].startswith("Not answered: this needs a corridor without people, without odometry")
+    assert texts["The lab's questions"].startswith("Answered from the runs on `corridor:0`")
 
 
 def test_there_is_no_section_where_nothing_can_be_answered():
@@ -190,7 +190,7 @@ def test_there_is_no_section_where_nothing_can_be_answered():
 
 
 def test_seconds_change_nothing_in_the_text():
-    def told(seconds):
+    def answered(seconds):
         runs = [lab_run(QUIET, m, seconds=seconds) for m in ("known", "nn", "jcbb", "singles")]
         busy = [lab_run(BUSY, m, seconds=seconds) for m in ("known", "nn", "jcbb", "singles")]
         blind = [lab_run(BLIND, m, seconds=seconds) for m in ("known", "jcbb")]
@@ -199,8 +199,8 @@ def test_seconds_change_nothing_in_the_text():
         beside = trial(kept, tidy, beside=BUSY.name)
         return answers(trial(QUIET, *runs), trial(BUSY, *busy), trial(BLIND, *blind), beside)
 
-    assert not any(text.startswith(MISSING) for text in told(1.0).values())
-    assert told(1.0) == told(3.7)
+    assert not any(text.startswith(MISSING) for text in answered(1.0).values())
+    assert answered(1.0) == answered(3.7)
 
 
 def test_the_distance_from_the_start_is_the_largest_on_the_way():

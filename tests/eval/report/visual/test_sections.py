@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eval.page.document import Formula, Picture, ReportContent, Table, write_report
+from eval.page.document import Formula, Picture, Report, Table, write_report
 from eval.page.equations import latex
 from eval.page.tables import drop_blank_columns
 from eval.plan.options import Options
@@ -75,23 +75,23 @@ def trials(**what) -> list[Trial]:
 def test_the_section_of_a_log_is_written_once_with_a_plan_for_each_task(tmp_path):
     made = visual_sections(tmp_path, Options(), [*trials(), Trial(circle_log(), "slam", ())])
     assert [s.heading for s in made] == ["Pictures as landmarks: visual:1"]
-    content = made[0].content
-    assert [b.stem for b in content if isinstance(b, Formula)] == ["visual_1-motion", "visual_1-observation"]
-    assert [b.stem for b in content if isinstance(b, Picture)] == [
+    blocks = made[0].blocks
+    assert [b.stem for b in blocks if isinstance(b, Formula)] == ["visual_1-motion", "visual_1-observation"]
+    assert [b.stem for b in blocks if isinstance(b, Picture)] == [
         "visual_1-localization-plan", "visual_1-slam-plan", "visual_1-detections",
     ]  # fmt: skip
-    assert [b.stem for b in content if isinstance(b, Table)] == ["visual_1-detections"]
+    assert [b.stem for b in blocks if isinstance(b, Table)] == ["visual_1-detections"]
     assert (tmp_path / "tables" / "visual_1-models.tex").read_text() == models.models_latex()
-    words = " ".join(b for b in content if isinstance(b, str))
-    assert "Of 8 pictures in view 3 were found (37.5 %). Wrong: 2." in words
-    assert "0.700 px" in words
-    assert "0.00400 z²" in words
-    assert "φ = 90.0°" not in words  # the numbers are the log's sensor's, not the setup's
+    text = " ".join(b for b in blocks if isinstance(b, str))
+    assert "Of 8 pictures in view 3 were found (37.5 %). Wrong: 2." in text
+    assert "0.700 px" in text
+    assert "0.00400 z²" in text
+    assert "φ = 90.0°" not in text  # the numbers are the log's sensor's, not the setup's
 
 
 def test_formulas_are_in_the_html_as_images_that_say_their_latex_and_in_markdown_as_latex(tmp_path):
     made = visual_sections(tmp_path, Options(quick=True), trials())
-    write_report(tmp_path, ReportContent("Title", "command", ("First.",), tuple(made)))
+    write_report(tmp_path, Report("Title", "command", ("First.",), tuple(made)))
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert page.count('<div class="formula"><img ') == 2
     assert "\\begin{bmatrix} 1 &amp; 0 &amp; -d_x \\sin\\theta" in page
@@ -108,7 +108,7 @@ def test_formulas_are_shown_also_without_plots(tmp_path):
         "visual_1-observation.png",
     ]
     assert [p.name for p in (tmp_path / "tables").iterdir()] == ["visual_1-detections.csv"]
-    assert not any(isinstance(b, Picture) for b in made[0].content)
+    assert not any(isinstance(b, Picture) for b in made[0].blocks)
 
 
 def test_a_log_without_images_has_no_such_section(tmp_path):

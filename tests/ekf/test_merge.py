@@ -13,7 +13,7 @@ R = np.diag([0.05, 0.01]) ** 2
 
 
 def mapped():
-    """A filter that founded the first two of four landmarks again after a way with drift."""
+    """A filter that initialized the first two of four landmarks again after a way with drift."""
     rng = np.random.default_rng(1)
     f = EkfSlam(Prior(np.zeros(3), np.diag([0.01, 0.01, 0.001]) ** 2), SENSOR)
     z = np.array([[5.0, 0.2], [6.0, -0.5], [7.0, 0.8], [4.0, 1.2]])
@@ -33,7 +33,7 @@ def test_joining_is_conditioning_on_their_difference_being_zero():
     information = np.linalg.inv(P) + H.T @ H / JOINED**2
     posterior = np.linalg.inv(information)
     expected = posterior @ np.linalg.solve(P, mean)
-    f.join(np.array([4, 5]), np.array([0, 1]))
+    f.merge(np.array([4, 5]), np.array([0, 1]))
     np.testing.assert_allclose(f.mean, expected[:11], atol=1e-6)
     np.testing.assert_allclose(f.covariance, posterior[:11, :11], atol=1e-8)
     assert np.linalg.eigvalsh(f.covariance)[0] > 0.0
@@ -42,7 +42,7 @@ def test_joining_is_conditioning_on_their_difference_being_zero():
 
 def test_joined_landmarks_are_gone_and_numbers_are_not_used_again():
     f = mapped()
-    f.join(np.array([5]), np.array([1]))
+    f.merge(np.array([5]), np.array([1]))
     assert f.finish().map.number.tolist() == [0, 1, 2, 3, 4]
     again = f.update(Sightings(np.array([[9.0, 0.0]]), R[None]), np.array([NEW]))
     assert again.created.tolist() == [6]

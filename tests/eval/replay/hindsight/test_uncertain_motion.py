@@ -9,7 +9,7 @@ from gtsam.symbol_shorthand import L, X
 from data.inputs import Sightings
 from data.result import NEW
 from data.se2 import pose_error, wrap_angle
-from data.worlds.corridor import parse_name, simulate
+from data.worlds.registry import named_log
 from ekf.slam import EkfSlam
 from eval.referee.score import confusion_of
 from eval.replay.frontend import FrontEnd
@@ -23,7 +23,7 @@ SEEDS = (0, 8, 9)
 
 @pytest.fixture(scope="module")
 def primed():
-    return [simulate(*parse_name(f"corridor:{seed}:no-odometry+forward")) for seed in SEEDS]
+    return [named_log(f"corridor:{seed}:no-odometry+forward") for seed in SEEDS]
 
 
 def rmse(run, log, phase="online"):
@@ -44,7 +44,7 @@ def test_the_corridor_is_mapped_without_odometry_and_without_labels(primed, name
 
 
 def test_moving_people_do_not_lose_it():
-    log = simulate(*parse_name("corridor:1:people+no-odometry+forward"))
+    log = named_log("corridor:1:people+no-odometry+forward")
     (run,) = compare(log.inputs(), "slam", ["ekf-iterated"], METHOD)
     online, final = confusion_of(run, log, "online"), confusion_of(run, log, "final")
     assert rmse(run, log) < 0.15
@@ -54,7 +54,7 @@ def test_moving_people_do_not_lose_it():
 
 @pytest.mark.parametrize("name", ["corridor:4", "corridor:4:people"])
 def test_no_frame_is_placed_where_odometry_is_good_enough(name):
-    log = simulate(*parse_name(name))
+    log = named_log(name)
     (run,) = compare(log.inputs(), "slam", ["ekf"], METHOD)
     assert not any("placed by geometry" in note for note in run.notes)
 
@@ -161,9 +161,9 @@ def test_an_update_at_a_pose_is_one_gauss_newton_step_from_there(begun):
 def test_first_estimates_cannot_be_taken_elsewhere(primed):
     inputs = primed[0].inputs().without_map()
     front = FrontEnd("ekf-fej", METHOD, inputs, Setup())
-    front.move()
-    front.associate(slice(int(inputs.start[0]), int(inputs.start[1])))
-    front.move()
+    front.move(inputs.frame(0))
+    front.update(inputs.frame(0), front.associate(inputs.frame(0)))
+    front.move(inputs.frame(1))
     o = inputs.observations
     sightings = Sightings(o.z[o.frame == 1], o.R[o.frame == 1])
     assert front.estimator.expect(sightings).elsewhere is None

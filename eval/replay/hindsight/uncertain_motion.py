@@ -1,52 +1,52 @@
-"""Placing frames in SLAM: what `association.geometry.placement` needs to know of the frames before."""
+"""Step 2, a frame whose motion is a guess: how uncertain it is, and what placing the frame by geometry needs to know.
+
+See `association.geometry.placement` for how it is placed.
+"""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 
 import numpy as np
 
+from association.evidence import constants
 from association.evidence.landmarks import detection_rate
 from association.expectation import Expectation
 from association.geometry.placement import Memory, Placed, drifted, place, too_uncertain
-from data.inputs import Increment, IntArray
+from data.inputs import Increment
 from data.se2 import Array
-from data.sensors import Sensor
+from eval.replay.hindsight.ledger import Ledger
 from eval.replay.settings import Setup
 
-REMEMBERED = 100
-"""Frames that tell what was in view before."""
 
-
-class Placing:
+class UncertainMotion:
     """How far the robot may have moved since the map was last paired with, and from where it was seen.
 
     Attributes:
         placed: frames whose pose was found by geometry.
     """
 
-    def __init__(self, sensor: Sensor, setup: Setup, rates: Callable[[IntArray], Array]) -> None:
-        """Before the first frame; `rates(numbers)` (n,): how often landmarks are seen where they are in view."""
-        self.sensor, self.setup, self._rates = sensor, setup, rates
+    def __init__(self, ledger: Ledger, setup: Setup) -> None:
+        """Before the first frame."""
+        self.ledger, self.setup = ledger, setup
         self.placed = 0
         self._motion = np.zeros((3, 3))
         self._explained = (0, 0)
         """Observations where the map had been seen before: paired, and strays."""
-        self._seen_from: deque[Array] = deque(maxlen=REMEMBERED)
+        self._seen_from: deque[Array] = deque(maxlen=constants.REMEMBERED_FRAMES)
 
     def move(self, increment: Increment) -> None:
         """The robot moved."""
         self._motion = drifted(self._motion, increment)
 
-    def find(self, e: Expectation, predicted: Array) -> Placed | None:
+    def place(self, e: Expectation, predicted: Array) -> Placed | None:
         """The pose of a frame by geometry; None where the prediction is good enough, or the map does not give one."""
-        if e.elsewhere is None or not too_uncertain(e, self.sensor, self._motion):
+        sensor, s = self.ledger.sensor, self.setup
+        if e.elsewhere is None or not too_uncertain(e, sensor, self._motion):
             return None
-        s = self.setup
         strays = 1.0 - detection_rate(*self._explained)
-        memory = Memory(self._seen_from, self._rates(e.number), strays)
-        found = place(e, self.sensor, predicted, self._motion, memory, s.gate, s.new_gate)
+        memory = Memory(self._seen_from, self.ledger.rates(e.number), strays)
+        found = place(e, sensor, predicted, self._motion, memory, s.gate, s.new_gate)
         if found is not None:
             self.placed += 1
             paired, sudden = self._explained

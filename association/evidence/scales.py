@@ -2,7 +2,7 @@
 
 Stated noise is often several times too wide, and then a new landmark is inside the gate of its neighbour. What is
 believed tells how much of the stated covariances there is (`association.evidence.noise`). Sensor and motion are learned
-apart, because a landmark seen in every frame tells of the sensor only: what the map and a long way add to its
+apart, because a landmark seen in every frame tells of the sensor only: what the map and a long drive add to its
 expectation may still be as stated.
 """
 
@@ -14,36 +14,27 @@ from typing import NamedTuple
 
 import numpy as np
 
-from association.evidence.noise import FINEST, FREEDOM, MEMORY, NoiseScale
+from association.evidence import constants
+from association.evidence.noise import NoiseScale
 from association.evidence.pairings import pairs_of
 from association.expectation import Expectation
 from data.inputs import IntArray
 from data.se2 import Array
 
-TAILS = 2.0
-"""Variance of Student's t with four degrees of freedom, in units of its scale: the Gaussian that gates in its place."""
-FIRST = NoiseScale(1.0, 3.0)
-"""What was stated, worth as much as three innovations."""
-LEFT_OUT = 0.01
-"""Share of sightings that the gate of pairings is to leave out."""
-STEP = 0.1
-"""Of the logarithm of the gate, for one sighting left out, at most; ..."""
-HORIZON = 30.0
-"""... later this by the number of sightings, as much as one in a tail that falls with d^-4 tells; ..."""
-SLOWEST = 0.03
-"""... and at least this: the tails may change."""
+FIRST = NoiseScale(1.0, constants.SCALES_PRIOR)
+"""What was stated, worth as much as a few innovations."""
 
 
 class Scales(NamedTuple):
     """What is learned of the sensor's noise, and of that of map and motion; of the tails beyond Student's.
 
-    `log_tails` is the logarithm of a factor on variances, `told` the sightings that it was learned from.
+    `log_tails` is the logarithm of a factor on variances, `sightings` those that it was learned from.
     """
 
     sensor: NoiseScale = FIRST
     motion: NoiseScale = FIRST
     log_tails: float = 0.0
-    told: float = 0.0
+    sightings: float = 0.0
 
 
 def scaled(e: Expectation, scales: Scales) -> Expectation:
@@ -66,7 +57,7 @@ def widest(scales: Scales) -> float:
 
 def _core(scales: Scales) -> float:
     """Without the tails."""
-    return min(1.0, TAILS * max(scales.sensor.scale, scales.motion.scale))
+    return min(1.0, constants.TAILS * max(scales.sensor.scale, scales.motion.scale))
 
 
 def counted(scales: Scales, inside: int, outside: int) -> Scales:
@@ -74,10 +65,10 @@ def counted(scales: Scales, inside: int, outside: int) -> Scales:
 
     (Robbins and Monro, Annals of Mathematical Statistics 22, 1951.)
     """
-    told = max(scales.told + inside + outside, 1.0)
-    step = max(min(STEP, HORIZON / told), SLOWEST)
-    log = max(0.0, scales.log_tails + step * (outside * (1.0 - LEFT_OUT) - inside * LEFT_OUT))
-    return scales._replace(log_tails=min(log, -math.log(_core(scales))), told=told)
+    sightings = max(scales.sightings + inside + outside, 1.0)
+    step = max(min(constants.TAILS_STEP, constants.TAILS_HORIZON / sightings), constants.TAILS_SLOWEST)
+    log = max(0.0, scales.log_tails + step * (outside * (1.0 - constants.LEFT_OUT) - inside * constants.LEFT_OUT))
+    return scales._replace(log_tails=min(log, -math.log(_core(scales))), sightings=sightings)
 
 
 def relearned(scales: Scales, e: Expectation, decisions: IntArray) -> Scales:
@@ -93,7 +84,7 @@ def relearned(scales: Scales, e: Expectation, decisions: IntArray) -> Scales:
     nu = e.residual(e.z[rows], e.z_hat[chosen])
     S = parts[0] + parts[1]
     v = np.asarray(np.linalg.solve(S, nu[..., None])[..., 0], np.float64)
-    weight = (FREEDOM + 2.0) / (FREEDOM + (nu * v).sum(axis=1))
+    weight = (constants.FREEDOM + 2.0) / (constants.FREEDOM + (nu * v).sum(axis=1))
     sensor, motion = (_toward(s, part, S, v, weight) for s, part in zip(scales[:2], parts, strict=True))
     return scales._replace(sensor=sensor, motion=motion)
 
@@ -101,9 +92,8 @@ def relearned(scales: Scales, e: Expectation, decisions: IntArray) -> Scales:
 def _toward(before: NoiseScale, part: Array, S: Array, v: Array, weight: Array) -> NoiseScale:
     """One scale after innovations nu (k, 2), v = S^-1 nu; its part (k, 2, 2) of the covariance S (k, 2, 2)."""
     share = 0.5 * np.trace(np.linalg.solve(S, part), axis1=1, axis2=2)
-    told = np.maximum(share, 1e-12)
-    ratio = 0.5 * weight * np.einsum("ki,kij,kj->k", v, part, v) / told
+    ratio = 0.5 * weight * np.einsum("ki,kij,kj->k", v, part, v) / np.maximum(share, constants.LEAST_SHARE)
     total = float((share**2).sum())
-    memory = min(before.weight + total, max(MEMORY, total))
+    memory = min(before.weight + total, max(constants.NOISE_MEMORY, total))
     scale = before.scale * (1.0 + float(share**2 @ (ratio - 1.0)) / memory)
-    return NoiseScale(max(scale, FINEST), memory)
+    return NoiseScale(max(scale, constants.FINEST), memory)

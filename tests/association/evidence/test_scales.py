@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from association.evidence.gates import LEFT_OUT, TAILS, Scales, counted, relearned, scaled, widest
-from association.evidence.noise import FREEDOM, NoiseScale
+from association.evidence.constants import FREEDOM, LEFT_OUT, TAILS
+from association.evidence.noise import NoiseScale
+from association.evidence.scales import Scales, counted, relearned, scaled, widest
 from association.expectation import Expectation
 
 

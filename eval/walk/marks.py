@@ -1,4 +1,4 @@
-"""What the figures of a step have in common: ellipses, the robot, numbers, the robot frame."""
+"""Marks that the figures of a step share: ellipses, the robot, numbers; and measurements as points in its frame."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.patheffects import withStroke
 
 from data.se2 import Array
-from data.sensors import Sensor
-from eval.figures.map import ellipses
+from eval.figures.ellipses import ellipses
 
 ONE, MANY = (7.0, 5.6), (10.5, 6.8)
 """in. Size of a figure with one picture, and with one per method."""
@@ -21,12 +20,6 @@ SHOWN_WITHOUT_GATE = 0.99
 """Without a gate every pair is compatible; only those inside this one are drawn."""
 DASHES = (0, (3.0, 1.5))
 HALO = [withStroke(linewidth=1.5, foreground="white")]
-
-
-def robot_frame(sensor: Sensor, z: Array, covariance: Array) -> tuple[Array, Array]:
-    """Points (m, 2) m in the body frame and their covariances (m, 2, 2) for measurements (m, 2) with covariances."""
-    xy, _, Gz = sensor.inverse(np.zeros(3), np.reshape(z, (-1, 2)))
-    return xy, Gz @ np.reshape(covariance, (-1, 2, 2)) @ Gz.transpose(0, 2, 1)
 
 
 def outlines(ax: Axes, xy: Array, covariance: Array, colour: str, order: float = 2.0, fill: float = 0.15) -> None:

@@ -1,0 +1,226 @@
+"""All constants of `jcbb-hindsight`, in SLAM and in a known map, in one file: what each of them means.
+
+They are read as `constants.NAME` where they are used. Probabilities of gates are chi-square probabilities, 2 dof unless
+said otherwise; "ranges" are ranges of the sensor. Compiled kernels get them as arguments: a kernel in the cache would
+not notice that a constant was changed. The self-calibrating filter (`ekf.calibrating`) and the pose hypotheses
+(`ekf.hypotheses`) keep the constants of their models themselves.
+"""
+
+from __future__ import annotations
+
+import math
+
+# --- Innovations: how large the noise really is (association/evidence/noise.py) ---------------------------------------
+
+FREEDOM = 4.0
+"""Degrees of freedom of Student's t: its tails fall with d^-6; anything between 3 and 10 does as well."""
+NOISE_MEMORY = 1000.0
+"""Innovations over which a scale of the noise is learned."""
+NOISE_PRIOR = 10.0
+"""Innovations that the stated noise is worth at the beginning, in a known map."""
+FINEST = 0.01
+"""The noise is not taken for less than this share (of variance) of what was stated."""
+
+# --- Learned gates of SLAM (association/evidence/scales.py, tentative.py, eval/replay/hindsight/gates.py) -------------
+
+TAILS = 2.0
+"""Variance of Student's t with four degrees of freedom, in units of its scale: the Gaussian that gates in its place."""
+SCALES_PRIOR = 3.0
+"""Innovations that the stated noise is worth at the beginning, in SLAM."""
+LEAST_SHARE = 1e-12
+"""What an innovation tells of a scale is divided by its share in the covariance, or by this where that is none."""
+LEFT_OUT = 0.01
+"""Share of sightings that the gate of pairings is to leave out."""
+TAILS_STEP = 0.1
+"""Of the logarithm of the gate, for one sighting left out, at most; ..."""
+TAILS_HORIZON = 30.0
+"""... later this by the number of sightings, as much as one in a tail that falls with d^-4 tells; ..."""
+TAILS_SLOWEST = 0.03
+"""... and at least this: the tails may change."""
+AGREE = 3
+"""Sightings that must agree with each other, and with no landmark, to be a new one."""
+AGREE_GATE = 0.99
+"""Probability inside which two sightings agree, by the stated noise of the sensor."""
+
+# --- Evidence for a landmark (association/evidence/landmarks.py, eval/replay/hindsight/ledger.py) ---------------------
+
+CERTAIN = 4
+"""Sightings that make a landmark certain, if it is always seen; people are mostly seen two or three times as one."""
+CERTAIN_AT_LEAST = 2.0
+"""Sightings that make a landmark certain, however seldom landmarks in view are seen."""
+JUDGED_BY = 2
+"""A pairing is judged by more others than this: three coordinates of the pose are common to all of them."""
+MOVED = 0.9999
+"""A landmark has moved if its mean innovation is outside this probability, ..."""
+RESTLESS = 0.99999
+"""... or the sum of its squared innovations outside this one, 2 dof for each."""
+UNLIKELY = 1e-3
+"""A landmark is not there if it was missed so often in a row that this had so small a probability; ..."""
+UNLIKELY_POWER = 2
+"""... a certain one if it had this power of it."""
+INDEPENDENT_MISSES = 2.0
+"""Misses that independent ones count for, in what is known of rows of them."""
+SAME_PLACE = 0.05
+"""In ranges: from nearer places the view is the same, and what hides a landmark hides it still."""
+SHADOW = math.radians(0.5)
+"""rad. What is nearer and within this angle may hide a landmark."""
+
+# --- A frame without a prediction: pairs of observations on pairs of landmarks (association/geometry) -----------------
+
+DISTANCE_SIGMAS = 3.0
+"""Two distances, or a point and a landmark, agree within so many standard deviations."""
+PLACE_PAIRINGS = 3
+"""Pairings that a pose found by geometry needs, of a frame or of a local map."""
+POINT_VARIANCE = 1e-12
+"""m^2. No distance between points, and no difference between landmarks, is known better."""
+FRAME_POINTS = 12
+"""Observations of a frame that poses are made from, the surest."""
+LONG_PAIR = 0.5
+"""They are paired if they are as far apart as this share of the farthest two: a short pair tells no heading."""
+MOTION_GATE = 0.9999
+"""Probability (3 dof) of the motion inside which poses are looked for."""
+FRAME_POSES = 20_000
+"""Poses that a frame may give."""
+FRAME_PAIRINGS = 12
+"""Different pairings that are verified; ..."""
+FRAME_ALIKE = 0.5
+"""... those that share more than this part of what they pair are one."""
+REACH_SIGMAS = 3.0
+"""Landmarks are in reach, and points were in view before, by so many standard deviations."""
+VERIFY_ROUNDS = 2
+"""Fits to all pairings, each followed by a look at what else can be paired."""
+FIT_SLACK = 0.5
+"""Pairings are verified as long as their motion, which a fit to all of them changes so much, may beat the best one."""
+REMEMBERED_FRAMES = 100
+"""Frames that tell what was in view before."""
+
+# --- Local map: what was seen over a few frames (association/geometry/local_map.py) -----------------------------------
+
+FADED = 1.0
+"""m; a point known worse than this is left behind."""
+SAME_POINT = 0.99
+"""Probability inside which a sighting is of a point that the local map has already."""
+
+# --- Relocalization: a local map in the whole one, without a prior (association/geometry/relocalize.py) ---------------
+
+RELOCALIZE_GATE = 0.99
+"""Probability of the joint distance of the fit (2 q - 3 dof for q pairings)."""
+SCAN_POINTS = 12
+"""Points of a local map that are used, the surest: a complete search over more takes too long."""
+SCAN_SHARE = 0.7
+"""Of these points must be paired."""
+SCAN_ODDS = 1000.0
+"""The place must be this many times as likely as any other."""
+SCAN_STRAY = 0.01
+"""Prior probability that a point is no landmark of the map."""
+SEARCH_SLACK = 1
+"""Hypotheses with so many pairings less than the best are verified, too."""
+SEARCH_KEPT = 2000
+"""Hypotheses that a search may hand over; a scan that fits in more ways is ambiguous."""
+SEARCH_BUDGET = 3_000_000
+"""Nodes that a search may visit: about half a second."""
+ONE_PLACE_SIGMAS = 5.0
+"""Fits that are closer than so many standard deviations are one place."""
+FIT_STEPS = 5
+"""Steps of Gauss and Newton, ..."""
+FIT_CONVERGED = 1e-8
+"""... fewer once the square of a step, by its information, is smaller than this."""
+FIT_SINGULAR = 1e-9
+"""A fit whose information has a smaller eigenvalue gives no pose."""
+
+# --- Constellations: landmarks initialized twice (association/geometry/constellation.py) ------------------------------
+
+CONSTELLATION_FEWEST = 4
+"""Landmarks that a place needs; two are laid on each other, so two more must agree."""
+CONSTELLATION_VOTES = 3
+"""Landmarks that a place needs to be kept for comparison."""
+CONSTELLATION_LONG = 1.5
+"""Two landmarks are laid on two others if they are this many tolerances apart: a short pair does not tell the turn."""
+CONSTELLATION_KEPT = 200
+"""Places that are compared."""
+CONSTELLATION_ODDS = 100.0
+"""The best place must be so many times as likely as the second, by the number of landmarks that agree with each."""
+CONSTELLATION_SECOND = 2
+"""Landmarks that agree with the second place at least: two can be laid on two others nearly everywhere."""
+CONSTELLATION_SHARED = 1
+"""Places that have no more pairs than this in common with the best one are other places."""
+CHANCE_MOST, CHANCE_LEAST = 0.5, 1e-9
+"""Bounds of the probability that a landmark agrees with a place by chance."""
+CONSTELLATION_GATE = 0.9999
+"""Probability of the joint test of all that are taken for the same."""
+CONSTELLATION_ALONE = 0.999
+"""Probability of each of them, given the others."""
+
+# --- The window that is compared with the old map (eval/replay/hindsight/duplicates.py) -------------------------------
+
+WINDOW_SPAN = 2.0
+"""In ranges: what was seen over a distance travelled as short as this is the window."""
+WINDOW_AGE = 6.0
+"""In ranges: what was initialized longer ago than this is old."""
+WINDOW_EVERY = 5
+"""Frames with sightings between two looks at the window, where nothing new is initialized."""
+WINDOW_SIGHTINGS = 2
+"""Sightings that a landmark needs to be compared."""
+WINDOW_MOST = 16
+"""Landmarks of a constellation, those seen last."""
+WINDOW_GATE = 0.999
+"""Probability of the difference of two landmarks that may be one, in a constellation."""
+TURN_SIGMAS, TURN_MARGIN = 3.0, 0.1
+"""A constellation is turned by no more than so many standard deviations of the heading, and this [rad]."""
+SINGLE_GATE = 0.99
+"""Probability of the difference of two landmarks that may be one by themselves."""
+SINGLE_CHANCE = 0.1
+"""Landmarks that one expects by chance where two stand: with fewer, a single pair may be merged; ..."""
+SINGLE_CHANCE_YOUNG = 0.2
+"""... where the other one is not old, this share of it."""
+
+# --- Pairing where landmarks are dense (eval/replay/hindsight/density.py) ---------------------------------------------
+
+DENSE = 0.5
+"""Landmarks that one expects inside a gate by chance: with more, a frame alone cannot tell which is which."""
+DENSE_GATE = 0.99
+"""Probability of the gate of pairings that density is judged by where the setup has none."""
+TOGETHER = 4
+"""Pairings of one frame that tell each other which is which."""
+
+# --- A robot moved unseen: cumulative sums (association/evidence/monitor.py, eval/replay/hindsight/kidnapping.py) -----
+
+ALARM = 14.0
+"""Score of an alarm: by Wald's inequality a healthy log raises one in exp(ALARM) frames at most."""
+LOST_SHARE = 0.4
+"""A lost robot in a known map pairs this share of what a healthy one pairs."""
+LOST_SCALE = 4.0
+"""The NIS of what it pairs is this many times the expected one."""
+MISFIT_MOST = 0.5
+"""Share of `ALARM` that the misfit of one frame may add: its errors are not independent."""
+HEALTH_MEMORY = 1000.0
+"""Observations over which the healthy share of pairings and their NIS are learned, ..."""
+HEALTH_START = (0.9, 1.0)
+"""... share of observations paired and NIS per degree of freedom that are expected at first, ..."""
+HEALTH_WEIGHT = 50.0
+"""... and the number of observations that these are worth."""
+HEALTH_SHARE_LEAST, HEALTH_SHARE_MOST = 0.05, 0.99
+"""Bounds of the healthy share of pairings, as the test uses it."""
+HEALTH_STRAYS_LEAST = 0.01
+"""Share of the observations that are unpaired in a healthy frame at least, as the test uses it."""
+ELSEWHERE_SHARE = 0.2
+"""A robot that is elsewhere in SLAM takes something for a landmark so much less often than one that sees it."""
+ENOUGH_LOOKS = 100
+"""At certain landmarks in view, before it is known how often these are missed."""
+PAIRING_TRUST = 2.0
+"""What a pairing with a certain landmark takes off the score in SLAM: it may be wrong, one in e^2."""
+ALARM_OBSERVATIONS = 3
+"""Of one frame, for its misses to count. A single one, where more were expected, is of a sensor that is covered."""
+FOUND_AGAIN = 0.1
+"""In ranges: with a smaller standard deviation of its position the robot is not lost any more."""
+
+# --- Several pose hypotheses in a known map (eval/replay/hindsight/localizer.py) --------------------------------------
+
+HYPOTHESIS_ITERATIONS = 10
+"""Of an update of a hypothesis: far travelled without sightings, the first one is far from linear."""
+MAYBE = 0.5
+"""A decision that fewer of the hypotheses share, by weight, is put off."""
+OTHER_PLACE = 0.9999
+"""An estimator is somewhere else if its pose is outside this probability of the hypotheses' (3 dof)."""
+EXACT_VARIANCE = 1e-12
+"""An exact prior has no inverse; a micrometre (and microradian) away is nowhere else."""

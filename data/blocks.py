@@ -1,0 +1,55 @@
+"""Joint covariances of points, rows and columns x0, y0, x1, y1, ...: where a point stands, and blocks of 2 x 2."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data.inputs import IntArray
+from data.se2 import Array
+
+
+def coordinates(points: IntArray) -> IntArray:
+    """Rows (2n,) of points (n,): 2 i and 2 i + 1 for each point i."""
+    return coordinates_from(2 * np.asarray(points, np.int64))
+
+
+def coordinates_from(first: IntArray) -> IntArray:
+    """Rows (2n,) of points whose x stands in the rows `first` (n,), and y in the next one."""
+    rows: IntArray = (first[:, None] + np.arange(2)).ravel()
+    return rows
+
+
+def of_points(P: Array, points: IntArray) -> Array:
+    """Joint covariance (2k, 2k) of some points (k,), from that of all (2n, 2n); a copy."""
+    rows = coordinates(points)
+    chosen: Array = P[np.ix_(rows, rows)]
+    return chosen
+
+
+def blocks_of(P: Array) -> Array:
+    """Blocks (m, n, 2, 2) of a matrix (2m, 2n); a view where the matrix is contiguous."""
+    m, n = len(P) // 2, P.shape[1] // 2
+    return P.reshape(m, 2, n, 2).transpose(0, 2, 1, 3)
+
+
+def diagonal_blocks(P: NDArray[np.floating[Any]]) -> Any:
+    """Covariance (n, 2, 2) of each point by itself, from the joint one (2n, 2n); a copy."""
+    n = len(P) // 2
+    return P.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
+
+
+def block_diagonal(blocks: Array) -> Array:
+    """Joint covariance (2n, 2n) of independent points with covariances (n, 2, 2)."""
+    n = len(blocks)
+    whole = np.zeros((n, 2, n, 2))
+    whole[np.arange(n), :, np.arange(n), :] = blocks
+    return whole.reshape(2 * n, 2 * n)
+
+
+def add_to_diagonal(P: Array, blocks: Array) -> None:
+    """Add blocks (k, 2, 2) to those on the diagonal of P (2n, 2n), in place, beginning with the first; k <= n."""
+    for i, block in enumerate(blocks):
+        P[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += block

@@ -1,0 +1,175 @@
+"""One robot of a UTIAS MRCLAM dataset as an open log: its flags, with every number of calibration and noise."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from data.errors import UsageError
+from data.worlds.flags import number
+
+if TYPE_CHECKING:
+    from data.convert.parsers import Add
+    from data.log import Log
+    from data.motion import VelocityModel
+
+KINDS = ("mrclam",)
+EXAMPLES = """\
+examples:
+  python -m data.convert mrclam MRCLAM_Dataset9.zip logs/nine --robot 3 --exclude-truth 755:836 --exclude-truth 945:1050
+  python -m data.convert mrclam MRCLAM_Dataset1 logs/one --robot 1 --landmarks Landmark_Groundtruth.corrected.dat
+  python -m data.convert mrclam MRCLAM_Dataset6.zip logs/six --robot 2 --start 100 --stop 400 --keep-robots
+  python -m data.convert mrclam MRCLAM_Dataset1.zip logs/grid --robot 1 --grid 0.02 --uncalibrated \\
+      --motion-model half_angle --motion-noise displacement --motion-alphas .2 .03 .09 .08 --sigma 2 3
+"""
+TEXT = """\
+UTIAS MRCLAM (Leung et al., IJRR 2011). The log starts at the first instant with ground truth and odometry, and the
+mean of its prior is the true pose there; without ground truth the prior is a fit to the first sightings. Times are
+seconds after the robot's first ground-truth row (after its first odometry row where it has no ground truth).
+"""
+CALIBRATION = {
+    "scale_v": ("FACTOR", "factor on the forward velocity"),
+    "scale_omega": ("FACTOR", "factor on the angular velocity"),
+    "turn_limit": ("RAD/S", "the robot turns no faster than this, whatever was commanded; inf for no limit"),
+    "turn_drag": ("M/RAD", "a turning robot loses this times its turn rate of its speed"),
+    "midpoint_hold": ("", "a command acts from half-way between the stamp before it and its own"),
+    "odometry_delay": ("S", "odometry stamps are moved later by this"),
+    "latency": ("S", "camera stamps are moved earlier by this"),
+    "range_is_depth": ("", "the measured range is the distance along the camera's axis"),
+    "range_scale": ("FACTOR", "measured range = factor * true range + range bias; it is undone"),
+    "range_bias": ("M", "see --range-scale"),
+    "bearing_bias": ("RAD", "subtracted from measured bearings"),
+    "sigma_range": ("M", "standard deviation of a range, at range 0 if it grows"),
+    "sigma_range_growth": ("M/M", "growth of that standard deviation with the range"),
+    "sigma_bearing": ("RAD", "standard deviation of a bearing"),
+}
+"""Fields of `data.mrclam.calibration.Calibration` that have a flag: metavar (none for a switch) and help."""
+
+
+def add_parsers(add: Add, *, parameters: bool) -> None:
+    """The parser of `mrclam`; `parameters` is for kinds whose flags take long to load."""
+    sub = add("mrclam", help="one robot of a UTIAS MRCLAM dataset", description=TEXT, epilog=EXAMPLES)
+    sub.add_argument("source", metavar="SOURCE", type=Path, help="folder with the .dat files, or the published zip")
+    sub.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
+    sub.add_argument("--robot", type=int, metavar="N", required=True, help="robot, 1 to 5")
+    sub.add_argument("--start", type=number, metavar="S", help="the log starts no earlier")
+    sub.add_argument("--stop", type=number, metavar="S", help="the log ends no later")
+    sub.add_argument(
+        "--landmarks", type=Path, metavar="FILE", help="read instead of the dataset's Landmark_Groundtruth.dat"
+    )
+    sub.add_argument(
+        "--exclude-truth", type=_stretch, metavar="FROM:TO", action="append", default=[],
+        help="blank the ground truth there, both ends included (repeatable)",
+    )  # fmt: skip
+    sub.add_argument(
+        "--keep-robots", action="store_true", help="keep sightings of the other robots, as clutter that moves"
+    )
+    sub.add_argument(
+        "--grid", type=number, metavar="S",
+        help="resample to frames this far apart, as the classic tutorials do (0.02); default: the recorded stamps",
+    )  # fmt: skip
+    sub.add_argument(
+        "--prior-sigma", type=number, nargs=2, metavar=("M", "RAD"), default=(0.05, 0.05),
+        help="standard deviations of x and y, and of the heading, at the start (default: 0.05 0.05)",
+    )  # fmt: skip
+    group = sub.add_argument_group(
+        "calibration and noise", "defaults: the frozen numbers of data/mrclam/calibration.py"
+    )
+    group.add_argument(
+        "--uncalibrated",
+        action="store_true",
+        help="correct nothing; noise 0.15 m, 0.1 rad, odometry 0.03 m, 0.06 rad per sqrt(s); flags below still count",
+    )
+    for name, (unit, text) in CALIBRATION.items():
+        flag = f"--{name.replace('_', '-')}"
+        if unit:
+            group.add_argument(flag, type=number, metavar=unit, help=text)
+        else:
+            group.add_argument(flag, action=argparse.BooleanOptionalAction, default=None, help=text)
+    group.add_argument(
+        "--sigma", type=number, nargs=2, metavar=("M", "RAD"),
+        help="standard deviations of every reading, instead of the three flags above",
+    )  # fmt: skip
+    group.add_argument(
+        "--motion-model",
+        choices=("unicycle", "half_angle"),
+        help="exact arc, or the tutorials' chord at the middle heading",
+    )
+    group.add_argument(
+        "--motion-noise", choices=("velocity", "displacement", "density"),
+        help="convention of the odometry noise: per sample, per sample in proportion, or per square root of a second",
+    )  # fmt: skip
+    group.add_argument(
+        "--motion-sigma", type=number, nargs=2, metavar=("V", "OMEGA"),
+        help="velocity: m/s and rad/s; density: m and rad per square root of a second",
+    )  # fmt: skip
+    group.add_argument(
+        "--motion-alphas", type=number, nargs=4, metavar=("A1", "A2", "A3", "A4"),
+        help="displacement: sigma_v = A1 |v| + A2 |omega|, sigma_omega = A3 |v| + A4 |omega|",
+    )  # fmt: skip
+
+
+def _stretch(text: str) -> tuple[float, float]:
+    begin, colon, end = text.partition(":")
+    try:
+        stretch = number(begin), number(end)
+    except ValueError:
+        stretch = math.inf, -math.inf
+    if not colon or not stretch[0] < stretch[1]:
+        raise argparse.ArgumentTypeError(f"{text!r} is not FROM:TO in seconds, FROM before TO")
+    return stretch
+
+
+def convert(args: argparse.Namespace) -> Log:
+    """The log of the robot asked for."""
+    from data.mrclam.calibration import FROZEN, Calibration
+    from data.mrclam.load import load_mrclam
+
+    changes = {name: value for name in CALIBRATION if (value := getattr(args, name)) is not None}
+    both = [name for name in changes if name.startswith("sigma_")]
+    if args.sigma is not None and both:
+        raise UsageError(f"--sigma and --{both[0].replace('_', '-')} contradict each other; give one of them")
+    calibration = replace(Calibration() if args.uncalibrated else FROZEN, **changes)
+    return load_mrclam(
+        args.source,
+        args.robot,
+        start=args.start,
+        stop=args.stop,
+        landmarks=args.landmarks,
+        exclude_truth=args.exclude_truth,
+        keep_robots=args.keep_robots,
+        grid=args.grid,
+        calibration=calibration,
+        motion=_motion(args, calibration.motion),
+        sigma=None if args.sigma is None else tuple(args.sigma),
+        prior_sigma=tuple(args.prior_sigma),
+    )
+
+
+def _motion(args: argparse.Namespace, default: VelocityModel) -> VelocityModel:
+    """The motion model with what the flags change; a new convention of noise needs its own numbers."""
+    from data.motion import VelocityModel, VelocityNoise
+
+    kind = args.motion_noise or default.noise.kind
+    if args.motion_noise is None and args.motion_alphas is not None:
+        kind = "displacement"
+    wanted, other = ("motion_alphas", "motion_sigma") if kind == "displacement" else ("motion_sigma", "motion_alphas")
+    numbers = getattr(args, wanted)
+    if getattr(args, other) is not None:
+        raise UsageError(
+            f"--{other.replace('_', '-')} does not go with {kind} noise, which takes --{wanted.replace('_', '-')}"
+        )
+    noise = default.noise
+    if numbers is not None:
+        if not all(0.0 <= n < math.inf for n in numbers):
+            raise UsageError(
+                f"--{wanted.replace('_', '-')} {' '.join(f'{n:g}' for n in numbers)}: numbers from 0 up are needed"
+            )
+        key = "alphas" if kind == "displacement" else "sigma"
+        noise = VelocityNoise(kind, **{key: tuple(numbers)})
+    elif kind != noise.kind:
+        raise UsageError(f"--motion-noise {kind} needs --{wanted.replace('_', '-')}")
+    return VelocityModel(noise, args.motion_model or default.model)

@@ -1,0 +1,34 @@
+"""Simulated worlds as open logs: a flag for every parameter."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict, fields, replace
+from typing import TYPE_CHECKING
+
+from data.worlds.flags import add_flags
+from data.worlds.registry import SIMULATORS, parameters_of, simulate
+
+if TYPE_CHECKING:
+    from data.convert.parsers import Add
+    from data.log import Log
+
+KINDS = tuple(world for world, w in SIMULATORS.items() if w.help)
+"""Those whose logs are converted; the visual world is rendered, see `data.convert.visual`."""
+
+
+def add_parsers(add: Add, *, parameters: bool) -> None:
+    """A parser for each world; `parameters`: with its flags, which take the world to be loaded."""
+    for world in KINDS:
+        w = SIMULATORS[world]
+        sub = add(world, help=w.help, description=w.description, epilog=w.examples)
+        if parameters:
+            add_flags(sub, world)
+
+
+def convert(args: argparse.Namespace) -> Log:
+    """The log that the flags describe; its source holds every parameter."""
+    kind = parameters_of(args.kind)
+    values = kind(**{f.name: getattr(args, f.name) for f in fields(kind)})
+    log = simulate(args.kind, values, args.seed)
+    return replace(log, source={**log.source, args.kind: asdict(values)})

@@ -1,0 +1,31 @@
+"""A digest of whole packages of this program and of the libraries under them, for what is kept from run to run.
+
+Whatever is kept of a computation depends on all code that it executes. Lists of single files go stale; the folders
+that a computation stays in do not.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+
+
+def sources(*packages: str) -> list[Path]:
+    """Every .py file of packages, with all below them; `packages`: folders or files from the root of the program."""
+    found = (ROOT / package for package in packages)
+    return sorted(f for path in found for f in (path.rglob("*.py") if path.is_dir() else [path]))
+
+
+@cache
+def program_digest(packages: tuple[str, ...], libraries: tuple[str, ...]) -> str:
+    """SHA-256 over names and contents of `sources(*packages)` and the versions of installed libraries."""
+    digest = hashlib.sha256()
+    for f in sources(*packages):
+        digest.update(f.relative_to(ROOT).as_posix().encode() + f.read_bytes())
+    for library in libraries:
+        digest.update(f"{library} {version(library)}".encode())
+    return digest.hexdigest()

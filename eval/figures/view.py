@@ -1,0 +1,105 @@
+"""What part of the plane a map shows: truth and landmarks whole, and nothing that would squash them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from data.inputs import LandmarkMap
+from data.log import Log
+from data.se2 import Array
+from eval.figures.style import Series
+
+MARGIN = 0.05
+"""Free space around the picture, as a share of its larger side."""
+STRETCH = 0.25
+"""A path that goes further beyond truth and landmarks than this share of their larger side is cut."""
+FACTORS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+"""By which ellipses may be enlarged."""
+
+
+@dataclass(frozen=True)
+class View:
+    """The rectangle shown, m; `leaving` names what goes beyond it."""
+
+    low: Array
+    high: Array
+    leaving: tuple[str, ...] = ()
+
+    @property
+    def size(self) -> Array:
+        """(width, height) m."""
+        return self.high - self.low
+
+
+def _box(points: Array) -> tuple[Array, Array] | None:
+    finite = points[np.isfinite(points).all(axis=1)]
+    return (finite.min(axis=0), finite.max(axis=0)) if len(finite) else None
+
+
+def _credible(shown: Sequence[Series]) -> Series | None:
+    """The series that stands in for a missing truth: batch, or else the middle one by extent of those that finished."""
+    good = [s for s in shown if s.run.failure is None and s.run.estimator != "dead-reckoning"]
+    good.sort(key=lambda s: float(np.ptp(s.trajectory.pose[:, :2], axis=0).max()))
+    batch = [s for s in good if s.run.estimator == "batch"]
+    return next(iter([*batch, *good[(len(good) - 1) // 2 :], *shown]), None)
+
+
+def _anchor(log: Log, shown: Sequence[Series]) -> Array:
+    """Points that must be in the picture: true path and landmarks, or their estimate where the truth is missing."""
+    points = [np.atleast_2d(log.recorded.prior.mean[:2])]
+    known, truth, stand_in = true_landmarks(log), log.truth.pose, _credible(shown)
+    if truth is not None:
+        points.append(truth[:, :2])
+    if stand_in is not None and log.truth.known_poses < 0.5 * len(log.recorded):
+        points.append(stand_in.trajectory.pose[:, :2])
+    path = _box(np.concatenate(points))
+    if known is not None:
+        points.append(known.xy)
+    elif stand_in is not None and stand_in.run.map is not None and path is not None:
+        # landmarks further from the path than it is long are mistakes, not the scene
+        xy, reach = stand_in.run.map.xy, max(float((path[1] - path[0]).max()), 1.0)
+        points.append(xy[np.all((xy > path[0] - reach) & (xy < path[1] + reach), axis=1)])
+    return np.concatenate(points)
+
+
+def view_of(log: Log, shown: Sequence[Series], paths: Mapping[str, Array], maps: Mapping[str, Array]) -> View:
+    """What to show: truth and landmarks whole, and by label paths (n, 2) and ellipses (K, c, 2) that do not squash it.
+
+    A path that goes too far is left out of the reckoning as a whole, of a map only the landmarks that do.
+    """
+    box = _box(_anchor(log, shown))
+    low, high = box if box is not None else (np.zeros(2), np.ones(2))
+    side = max(float((high - low).max()), 1.0)
+    floor, ceiling = low - STRETCH * side, high + STRETCH * side
+    leaving = []
+    pieces = [(label, path) for label, path in paths.items()]
+    pieces += [(label, outline) for label, outlines in maps.items() for outline in outlines]
+    for label, piece in pieces:
+        reach = _box(piece)
+        if reach is None:
+            continue
+        if np.all(reach[0] >= floor) and np.all(reach[1] <= ceiling):
+            low, high = np.minimum(low, reach[0]), np.maximum(high, reach[1])
+        elif label not in leaving:
+            leaving.append(label)
+    margin = MARGIN * max(float((high - low).max()), 1.0)
+    return View(low - margin, high + margin, tuple(leaving))
+
+
+def true_landmarks(log: Log) -> LandmarkMap | None:
+    """The true landmarks, or else the map that localization is given."""
+    return log.truth.landmarks if log.truth.landmarks is not None else log.recorded.map
+
+
+def enlargement(view: View, semi_axes: Array, share: float = 0.012) -> int:
+    """Smallest factor that makes the middle one of the ellipses' semi-axes [m] this share of the picture's side."""
+    if len(semi_axes) == 0 or not np.median(semi_axes) > 0.0:
+        return 1
+    wanted = share * float(view.size.max())
+    middle = float(np.median(semi_axes))
+    if middle >= 0.5 * wanted:
+        return 1
+    return next((f for f in FACTORS if f * middle >= wanted), FACTORS[-1])

@@ -1,0 +1,133 @@
+"""What the referee measures, each once: its column, unit, what it is called, how it is written, and what is best.
+
+`metrics.csv` and `association.csv` take their columns from here in this order, the report and step mode their heads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from eval.referee.consistency import INSIDE_3SIGMA
+
+Better = Literal["smaller", "larger", "nearer", "neither"]
+"""Which of two values is the better one; `nearer`: to the expected value; `neither`: a count that is no merit."""
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A number per run and phase.
+
+    Attributes:
+        column: of the CSV.
+        heading: short, for the head of a table; `spelled`: in full, for a line of text (the heading, if not given).
+        unit: of the heading's number; `%`: the column is a share, which tables show in percent.
+        better: which values are.
+        expected: what a consistent estimator has; None if nothing is expected.
+        form: how one value is written alone.
+    """
+
+    column: str
+    heading: str
+    unit: str = ""
+    better: Better = "neither"
+    expected: float | None = None
+    form: str = ".4g"
+    spelled: str = ""
+
+    @property
+    def percent(self) -> bool:
+        """Whether the column is a share that tables show in percent."""
+        return self.unit == "%"
+
+    @property
+    def head(self) -> str:
+        """Head of a column in a table: heading, expected value, unit."""
+        scale = 100.0 if self.percent else 1.0
+        expected = "" if self.expected is None else f" (expected {scale * self.expected:.3g})"
+        return f"{self.heading}{expected}{self._unit}"
+
+    @property
+    def line(self) -> str:
+        """Name in front of a value as the column has it: spelled, unit, expected value."""
+        expected = "" if self.expected is None else f" ({self.expected:.3g} expected)"
+        return f"{self.spelled or self.heading}{'' if self.percent else self._unit}{expected}"
+
+    @property
+    def _unit(self) -> str:
+        return f" [{self.unit}]" if self.unit else ""
+
+
+def _count(column: str, heading: str, better: Better = "neither", spelled: str = "") -> Metric:
+    return Metric(column, heading, better=better, form="d", spelled=spelled)
+
+
+def _error(column: str, heading: str, unit: str) -> Metric:
+    return Metric(column, heading, unit, "smaller")
+
+
+def _consistent(column: str, heading: str, expected: float, spelled: str, unit: str = "") -> Metric:
+    return Metric(column, heading, unit, "nearer", expected, spelled=spelled)
+
+
+RUN = ("log", "task", "estimator", "association", "phase")
+"""Columns that say which run and phase a row is about."""
+OF_ESTIMATES = (
+    _count("frames", "frames"),
+    _count("observations", "observations"),
+    _count("accepted", "accepted"),
+    _count("rejected", "rejected"),
+    _count("landmarks", "landmarks", spelled="landmarks in the map"),
+    _error("rmse_position_m", "position RMSE", "m"),
+    _error("rmse_heading_deg", "heading RMSE", "deg"),
+    _error("max_position_m", "largest position error", "m"),
+    _error("rmse_aligned_m", "position RMSE after the best fit", "m"),
+    _error("rmse_landmark_m", "landmark RMSE", "m"),
+    _error("rms_from_batch_m", "RMS from batch", "m"),
+    _consistent("nees_pose", "pose NEES", 3.0, "mean pose NEES"),
+    _consistent("nees_position", "position NEES", 2.0, "mean position NEES"),
+    _consistent("nees_heading", "heading NEES", 1.0, "mean heading NEES"),
+    _consistent("nis", "NIS per dof", 1.0, "NIS per degree of freedom"),
+    Metric("nis_lower", "lower 95 % bound of NIS"),
+    Metric("nis_upper", "upper 95 % bound of NIS"),
+    _consistent("inside_3sigma", "inside 3σ", INSIDE_3SIGMA, "share of frames inside 3σ", "%"),
+    _error("rmse_time_m", "time-weighted RMSE", "m"),
+    _error("sse_position_m2", "sum of squared errors of positions", "m²"),
+    _error("sse_landmark_m2", "sum of squared errors of landmarks", "m²"),
+    Metric("innovation_lag1", "lag-1 correlation of innovations ± SE", "", "nearer", 0.0, ".3f"),
+    Metric("innovation_lag1_se", "standard error of the lag-1 correlation", form=".3f"),
+)
+"""Columns of metrics.csv after `status`."""
+OF_DECISIONS = (
+    _count("tp", "TP"),
+    _count("tn", "TN"),
+    _count("fp", "FP", "smaller"),
+    _count("fn", "FN", "smaller"),
+    Metric("precision", "precision", "%", "larger"),
+    Metric("recall", "recall", "%", "larger"),
+    _count("wrong", "wrong (FP)", "smaller"),
+    _count("spurious", "spurious (FP)", "smaller"),
+    _count("duplicate", "duplicate (FN)", "smaller"),
+    _count("missed", "missed (FN)", "smaller"),
+    _count("deferred", "deferred (FN)", "smaller"),
+    Metric("share_within", "paired near the right landmark", "%", "larger"),
+    Metric("within_m", "what counts as near", "m"),
+)
+"""Columns of association.csv after those of the run."""
+_BY_COLUMN = {m.column: m for m in (*OF_ESTIMATES, *OF_DECISIONS)}
+
+
+def metric(column: str) -> Metric:
+    """The metric of a column; KeyError for a column that is none."""
+    return _BY_COLUMN[column]
+
+
+def is_share(column: str) -> bool:
+    """Whether a column is a share, which tables show in percent."""
+    return column in _BY_COLUMN and _BY_COLUMN[column].percent
+
+
+def heads(columns: Sequence[str]) -> dict[str, str]:
+    """Head of each column in a table; a column that is no metric is called by its own name."""
+    return {c: _BY_COLUMN[c].head if c in _BY_COLUMN else c for c in columns}

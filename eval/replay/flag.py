@@ -1,0 +1,201 @@
+"""A row of a table of flags, and the kinds of values: what serves command line, config files and scenario files alike.
+
+A table is a dataclass whose fields carry a `Flag`; it stands this low because `Setup` is such a table.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+from data.errors import UsageError
+
+Read = Callable[[str, object], Any]
+"""A kind of value: (label, text of the command line or value of a TOML file) to a checked value, or UsageError."""
+
+
+@dataclass(frozen=True)
+class Flag:
+    """What is known about one field of a table.
+
+    Attributes:
+        read: the kind of its values.
+        metavar: of the value; empty for a switch.
+        help: one line for `--help`.
+        numbers: whether the estimators' numbers depend on it, so that it belongs to the command that makes them again.
+        repeatable: given once for each value.
+        short: one letter.
+        name, default: of the field.
+    """
+
+    read: Read
+    metavar: str
+    help: str
+    numbers: bool = True
+    repeatable: bool = False
+    short: str = ""
+    name: str = ""
+    default: Any = None
+
+    @property
+    def option(self) -> str:
+        """As on the command line; a switch that is on by default is turned off."""
+        name = self.name.replace("_", "-")
+        return f"--no-{name}" if self.default is True else f"--{name}"
+
+    def words(self, value: Any) -> list[str]:
+        """The words of a command line that say this value."""
+        if isinstance(value, bool):
+            return [] if value is self.default else [self.option]
+        if self.repeatable:
+            texts = list(value)
+        else:
+            texts = [",".join(value) if isinstance(value, tuple) else "none" if value is None else str(value)]
+        # a value with a dash in front would be taken for a flag
+        return [word for t in texts for word in ([f"{self.option}={t}"] if t.startswith("-") else [self.option, t])]
+
+
+def flag(read: Read, metavar: str = "", help: str = "", **more: Any) -> dict[str, Flag]:
+    """Metadata of a field that makes it a row: `gate: float | None = field(default=0.99, metadata=flag(...))`."""
+    return {"flag": Flag(read, metavar, help, **more)}
+
+
+def rows(table: type[Any]) -> dict[str, Flag]:
+    """The rows of a table by name, in its order."""
+    return {
+        f.name: replace(f.metadata["flag"], name=f.name, default=f.default)
+        for f in fields(table)
+        if "flag" in f.metadata
+    }
+
+
+def read_values(table: type[Any], given: Mapping[str, object], label: Callable[[Flag], str]) -> dict[str, Any]:
+    """Checked values of what is given for a table; `label` names a row in messages, as in `--gate` or `gate =`."""
+    known = rows(table)
+    return {name: known[name].read(label(known[name]), value) for name, value in given.items()}
+
+
+def number(label: str, value: object) -> float:
+    """Any number."""
+    try:
+        if isinstance(value, bool):
+            raise ValueError
+        return float(str(value))
+    except ValueError:
+        raise UsageError(f"{label} {value}: a number is needed") from None
+
+
+def probability(label: str, value: object) -> float | None:
+    """A gate: between 0 and 1, or `none`."""
+    if value == "none":
+        return None
+    p = number(label, value)
+    if not 0.0 < p < 1.0:
+        raise UsageError(f"{label} {p:g}: a probability between 0 and 1 (both excluded), or none")
+    return p
+
+
+def positive(label: str, value: object) -> float:
+    """A span of time and the like."""
+    span = number(label, value)
+    if not 0.0 < span < math.inf:
+        raise UsageError(f"{label} {span:g}: a positive number is needed")
+    return span
+
+
+def positive_or_none(label: str, value: object) -> float | None:
+    """The same, or `none`."""
+    return None if value == "none" else positive(label, value)
+
+
+def numbers(length: int) -> Read:
+    """A list of so many numbers."""
+
+    def read(label: str, value: object) -> tuple[float, ...]:
+        if not isinstance(value, (list, tuple)) or len(value) != length:
+            raise UsageError(f"{label} {value!r}: a list of {length} numbers is needed")
+        return tuple(number(label, v) for v in value)
+
+    return read
+
+
+def whole(least: int, otherwise: str) -> Read:
+    """A whole number from `least` up."""
+
+    def read(label: str, value: object) -> int:
+        try:
+            if isinstance(value, (bool, float)):
+                raise ValueError
+            n = int(str(value))
+        except ValueError:
+            raise UsageError(f"{label} {value}: a whole number is needed") from None
+        if n < least:
+            raise UsageError(f"{label} {n}: {otherwise}")
+        return n
+
+    return read
+
+
+def switch(label: str, value: object) -> bool:
+    """On or off."""
+    if not isinstance(value, bool):
+        raise UsageError(f"{label} {value!r}: true or false is needed")
+    return value
+
+
+def text(needed: str) -> Read:
+    """One text that is not empty."""
+
+    def read(label: str, value: object) -> str:
+        if not isinstance(value, str) or not value:
+            raise UsageError(f"{label} {value!r}: {needed} is needed")
+        return value
+
+    return read
+
+
+def texts(label: str, value: object) -> tuple[str, ...]:
+    """Texts, each given for itself."""
+    given = [value] if isinstance(value, str) else value
+    if not isinstance(given, (list, tuple)) or not all(isinstance(v, str) for v in given):
+        raise UsageError(f"{label} {value!r}: a list of names is needed")
+    return tuple(v.strip() for v in given if v.strip())
+
+
+def one_of(known: Sequence[str]) -> Read:
+    """One name of a few."""
+
+    def read(label: str, value: object) -> str:
+        if value not in known:
+            raise UsageError(f"{label} {value!r}: unknown; known: {', '.join(known)}")
+        return str(value)
+
+    return read
+
+
+def names(known: Sequence[str], *, least: int = 0) -> Read:
+    """Names of a few, none twice, separated by commas or as a list."""
+
+    def read(label: str, value: object) -> tuple[str, ...]:
+        given = tuple(name.strip() for part in texts(label, value) for name in part.split(",") if name.strip())
+        for name in given:
+            if name not in known:
+                raise UsageError(f"{label} {name}: unknown; known: {', '.join(known)}")
+        if len(set(given)) != len(given):
+            raise UsageError(f"{label} {','.join(given)}: named twice")
+        if len(given) < least:
+            raise UsageError(f"{label}: at least one is needed")
+        return given
+
+    return read
+
+
+def folder(label: str, value: object) -> Path:
+    """A folder that may have to be made."""
+    path = Path(str(value))
+    if path.exists() and not path.is_dir():
+        raise UsageError(f"{label} {path}: exists and is not a folder")
+    return path

@@ -1,0 +1,84 @@
+"""What a run leaves behind, collected frame by frame."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from data.inputs import Frame, IntArray
+from data.result import (
+    DISCARD,
+    Failure,
+    Finished,
+    Innovations,
+    Run,
+    Trajectory,
+    Updated,
+    map_estimate,
+    revised,
+    surviving,
+)
+from eval.replay.frontend import FrontEnd
+
+
+class Recorder:
+    """Decisions and innovations of every frame and the estimate after it; rows that were not reached stay blank.
+
+    Attributes:
+        decisions: (M,) as they were made; pairings that were not used are `DISCARD`.
+        created: (M,) landmark that each observation initialized, -1 for none.
+    """
+
+    def __init__(self, frames: int, observations: int) -> None:
+        """Before the first of so many frames, with so many observations in all."""
+        n, m = frames, observations
+        self._pose, self._covariance = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
+        self._nis, self._dof, self._likelihood = np.full(n, np.nan), np.zeros(n, np.int64), np.full(n, np.nan)
+        self._size, self._white = np.zeros(n, np.int64), np.full((m, 2), np.nan)
+        self._frame = np.full(m, -1, np.int64)
+        self.decisions, self.created = np.full(m, DISCARD, np.int64), np.full(m, -1, np.int64)
+
+    def update(self, frame: Frame, decisions: IntArray, done: Updated) -> None:
+        """(A part of) a frame was decided about and used."""
+        k, rows = frame.number, slice(frame.first, frame.first + len(decisions))
+        self._frame[rows], self.created[rows] = k, done.created
+        self.decisions[rows] = np.where((decisions >= 0) & ~done.used, DISCARD, decisions)
+        if done.white is not None:
+            self._white[rows] = done.white
+        if np.isfinite(done.nis):
+            formed = np.isfinite(self._nis[k])
+            self._nis[k] = self._nis[k] + done.nis if formed else done.nis
+            self._likelihood[k] = self._likelihood[k] + done.log_likelihood if formed else done.log_likelihood
+            self._dof[k] += done.dof
+
+    def estimate(self, front: FrontEnd) -> None:
+        """A frame is over."""
+        self._pose[front.k], self._covariance[front.k] = front.estimator.estimate()
+        self._size[front.k] = front.estimator.size
+
+    def run(
+        self, name: str, task: str, front: FrontEnd, finished: Finished, failure: Failure | None, seconds: float
+    ) -> Run:
+        """All of it, after the last frame or where the estimator failed."""
+        final, removed = self.decisions, None
+        if front.map_management is not None:
+            removed = front.map_management.removal_frames(int(self.created.max(initial=-1)) + 1)
+            number = np.where(self.created >= 0, self.created, self.decisions)
+            final = np.where(np.isin(number, sorted(front.map_management.retracted)), DISCARD, self.decisions)
+        events = front.events()
+        final = revised(final, events)
+        state = None
+        if finished.map is not None:
+            state = map_estimate(finished.map, self._frame, final, surviving(final, self.created))
+        innovations = None
+        if np.isfinite(self._nis).any():
+            innovations = Innovations(self._nis, self._dof, self._likelihood, self._white)
+        total, size = finished.total_nis, None
+        if not front.estimator.smooths:
+            size = self._size
+            if innovations is not None and failure is None:
+                total = float(np.nansum(self._nis)), int(self._dof.sum())
+        return Run(
+            name, front.association, task, Trajectory(self._pose, self._covariance), finished.final, state,
+            self.decisions, final, self.created, innovations, total, size, seconds, failure, tuple(front.notes()),
+            removed, events,
+        )  # fmt: skip

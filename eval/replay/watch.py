@@ -1,0 +1,37 @@
+"""Who looks on while a log is replayed, such as the step-through command."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from data.inputs import Frame, IntArray
+from eval.replay.frontend import FrontEnd, Pairing
+
+
+class Watch(Protocol):
+    """Somebody who looks on, frame by frame, and changes nothing."""
+
+    def moved(self, front: FrontEnd) -> None:
+        """A frame begins; its observations were not looked at yet."""
+        ...
+
+    def decided(self, front: FrontEnd, frame: Frame, pairing: Pairing) -> None:
+        """The observations of (a part of) the frame were decided about, and not used yet."""
+        ...
+
+    def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
+        """A frame is over; decisions and initialized landmarks (M,) are those of the whole log so far."""
+        ...
+
+
+class Nobody:
+    """Nobody looks on."""
+
+    def moved(self, front: FrontEnd) -> None:
+        """Not looked at."""
+
+    def decided(self, front: FrontEnd, frame: Frame, pairing: Pairing) -> None:
+        """Not looked at."""
+
+    def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
+        """Not looked at."""

@@ -1,0 +1,110 @@
+"""The report's sections on each log: its comparison, the decisions made on it, and the tutorials' treatment of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from data.log import folder_name
+from eval.page.document import Block, Picture, Section, written_table
+from eval.page.numbers import number
+from eval.plan.options import Options
+from eval.plan.tutorial import is_tutorial
+from eval.referee.score import Scores, Trial
+from eval.report import comparison
+from eval.report.pictures import stem
+from eval.report.tutorial_table import CAPTION, logs_with_tutorials, tutorial_table
+
+
+def beside(trial: Trial, trials: Sequence[Trial]) -> tuple[Trial, ...]:
+    """The trials that stand beside one."""
+    if trial.beside is not None:
+        return ()
+    return tuple(t for t in trials if t.beside == trial.log.name and t.task == trial.task)
+
+
+def rows_of(frame: pd.DataFrame, trial: Trial) -> pd.DataFrame:
+    """Rows of metrics.csv or association.csv that belong to a trial."""
+    return frame[(frame["log"] == trial.log.name) & (frame["task"] == trial.task)]
+
+
+def trial_sections(
+    folder: Path, options: Options, trials: Sequence[Trial], scores: Scores, published: Sequence[Sequence[Picture]]
+) -> list[Section]:
+    """A section per log and task; a tutorial's row stands in the table of the log it belongs to."""
+    sections = []
+    for trial, pictures in zip(trials, published, strict=True):
+        if trial.beside is not None:
+            continue
+        rows = rows_of(scores.metrics, trial)
+        blocks: list[Block] = []
+        others = beside(trial, trials)
+        table = comparison.comparison_table(pd.concat([rows, *(rows_of(scores.metrics, t) for t in others)]))
+        caption = f"{trial.log.name}, {trial.task}. {comparison.COMPARISON_CAPTION}"
+        blocks.append(written_table(table, folder, stem(trial, "comparison"), caption, options.formats))
+        blocks += [_beside_note(t, rows_of(scores.metrics, t)) for t in others]
+        blocks += [p for p in pictures if p.stem != stem(trial, "association")]
+        notes = [*trial.log.notes, *(f"{r.estimator}: {n}." for r in trial.runs for n in r.notes)]
+        if notes:
+            blocks.append("\n".join(f"* {n}" for n in dict.fromkeys(notes)))
+        sections.append(Section(f"{trial.log.name}, {trial.task}", tuple(blocks)))
+    return sections
+
+
+def _beside_note(trial: Trial, rows: pd.DataFrame) -> str:
+    """What the rows of a trial beside are; for a tutorial the sums of squares it prints, and what is not reproduced."""
+    notes = [f"`{trial.log.name}` is {trial.about}."]
+    if not is_tutorial(trial):
+        return notes[0]
+    for row in rows.to_dict("records"):
+        for column, what in (("sse_position_m2", "positions"), ("sse_landmark_m2", "landmarks")):
+            if row[column] is not None:
+                notes.append(f"Sum of squared errors of {what}: {number(float(row[column]))} m².")
+    return " ".join([*notes, *trial.runs[0].notes])
+
+
+def association_sections(
+    folder: Path,
+    options: Options,
+    trials: Sequence[Trial],
+    scores: Scores,
+    published: Sequence[Sequence[Picture]],
+) -> list[Section]:
+    """Decisions of every log where some were made without labels, and in one table the logs with labels alone."""
+    head = "Data association"
+    if not len(scores.association):
+        return [Section(head, ("No log states which landmark each observation shows, so decisions cannot be scored.",))]
+    blocks: list[Block] = [comparison.ASSOCIATION_CAPTION]
+    sections, granted = [], []
+    for trial, pictures in zip(trials, published, strict=True):
+        if trial.beside is not None:
+            continue
+        rows = pd.concat([rows_of(scores.association, t) for t in (trial, *beside(trial, trials))])
+        if not (rows["association"] != "known").any():
+            granted.append(rows)
+            continue
+        table = comparison.association_table(rows)
+        name, what = stem(trial, "association"), f"{trial.log.name}, {trial.task}"
+        caption = f"{what}: outcomes of the decisions, as explained above."
+        written = written_table(table, folder, name, caption, options.formats)
+        shown = (p for p in pictures if p.stem == name)
+        sections.append(Section(f"Decisions: {what}", (written, *shown), level=3))
+    if granted and any(len(rows) for rows in granted):
+        blocks.append(
+            "With known association the labels decide: a wrong pairing is a wrong label, a missed one was gated out."
+        )
+        table = comparison.association_table(pd.concat(granted))
+        caption = "Logs on which only known association was run: outcomes of the decisions."
+        blocks.append(written_table(table, folder, "association", caption, options.formats))
+    return [Section(head, tuple(blocks)), *sections]
+
+
+def tutorial_sections(folder: Path, options: Options, trials: Sequence[Trial], scores: Scores) -> list[Section]:
+    """For each log with several tutorials beside it: one table over all its tasks."""
+    blocks: list[Block] = []
+    for log in logs_with_tutorials(trials):
+        table, caption = tutorial_table(log, trials, scores), CAPTION.format(log=log)
+        blocks.append(written_table(table, folder, f"{folder_name(log)}-knowledge", caption, options.formats))
+    return [Section("From labels and map to nothing", tuple(blocks))] if blocks else []

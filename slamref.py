@@ -1,0 +1,83 @@
+"""slamref from Python, loaded when asked for, and the command `slamref`, which calls the commands of `eval` and `data`.
+
+import slamref
+
+log = slamref.open_log("arena:0")
+runs = slamref.compare(log.inputs(labels=True), "slam", ("ekf", "isam2", "batch"))
+print(slamref.score([slamref.Trial(log, "slam", tuple(runs))]).metrics)
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from association.decide import decide
+    from data.logs import open_log
+    from eval.referee.score import Trial, score
+    from eval.replay.estimators import make_estimator
+    from eval.replay.run import compare
+
+    __version__: str
+
+__all__ = ["Trial", "__version__", "compare", "decide", "make_estimator", "open_log", "score"]
+
+HOMES = {
+    "open_log": "data.logs",
+    "compare": "eval.replay.run",
+    "make_estimator": "eval.replay.estimators",
+    "decide": "association.decide",
+    "Trial": "eval.referee.score",
+    "score": "eval.referee.score",
+}
+COMMANDS = {
+    "run": ("eval.run_all", "run filters and smoothers on identical inputs, referee them, write the report"),
+    "step": ("eval.step", "walk through a log one Enter at a time"),
+    "convert": ("data.convert.__main__", "turn a recording or a simulation into an open log folder"),
+    "inspect": ("eval.inspect", "print what a log holds and what is odd about it"),
+    "tune": ("eval.tune", "fit noise, biases and odometry scales to a labelled log"),
+    "benchmark": ("eval.benchmark", "time the estimators beside their peers"),
+    "warm": ("eval.warm", "compile every kernel once, into the cache"),
+}
+"""Module of each subcommand and what it does."""
+
+
+def __getattr__(name: str) -> Any:
+    """A public name, loaded now."""
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("slamref")
+    if name in HOMES:
+        return getattr(import_module(HOMES[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The command `slamref`: hands on to a subcommand and returns its exit status; 2 if there is no such one."""
+    name, *rest = list(sys.argv[1:] if argv is None else argv) or ["--help"]
+    if name in COMMANDS:
+        status: int = import_module(COMMANDS[name][0]).main(rest, f"slamref {name}")
+        return status
+    if name in ("-h", "--help"):
+        lines = [f"  {command:<11}{about}" for command, (_, about) in COMMANDS.items()]
+        usage = ["usage: slamref COMMAND ...", "", *lines, "", "slamref COMMAND --help shows its flags, with examples."]
+        sys.stdout.write("\n".join([*usage, ""]))
+        return 0
+    if name == "--version":
+        sys.stdout.write(f"slamref {__getattr__('__version__')}\n")
+        return 0
+    sys.stderr.write(f"slamref: no command {name!r}; there are {', '.join(COMMANDS)} (see --help)\n")
+    return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,117 @@
+"""What is kept from run to run depends on all code that it came from: nothing that executes is outside the digests."""
+
+import json
+import subprocess
+import sys
+from importlib.metadata import packages_distributions
+
+import pytest
+
+from data import digest
+from data.digest import ROOT, program_digest, sources
+from data.visual import observations
+from eval.studies import store
+
+OURS = """
+import json, sys
+from pathlib import Path
+{work}
+files = [Path(m.__file__).resolve() for m in list(sys.modules.values()) if getattr(m, "__file__", None)]
+ours = [f.relative_to({root!r}).as_posix() for f in files if f.suffix == ".py" and f.is_relative_to({root!r})
+        and f.relative_to({root!r}).parts[0] in ("association", "data", "ekf", "eval", "graph")]
+print(json.dumps(sorted(ours)))
+"""
+STUDY = """
+from dataclasses import replace
+from eval.studies.montecarlo import one_run
+from eval.studies.scenario import Member
+from eval.studies.scenario_file import load_scenario
+scenario = replace(
+    load_scenario("arena"), task=("slam",), association=("known", "jcbb-hindsight"),
+    values=(("frames", 12), ("landmarks", 8)), members=tuple(map(Member, ("ekf", "isam2", "batch", "fixed-lag"))),
+)
+assert all(sample.failure is None for sample in one_run(scenario, 0).values())
+"""
+DETECTIONS = """
+import tempfile
+from data.logs import Reading, open_log
+from data.visual.lab.writer import write_lab
+from data.visual.rendering.render import Rendered
+from data.worlds.gallery import Gallery
+with tempfile.TemporaryDirectory() as folder:
+    open_log("visual:0:frames=1+image_width=320+image_height=240", Reading(cache=Path(folder) / "kept"))
+    write_lab(Path(folder) / "lab", Rendered(Gallery(image_width=320, image_height=240), 0, frames=1))
+    open_log(f"{folder}/lab")
+"""
+
+
+def executed(work: str) -> set[str]:
+    """The files of this program that a process with this work loads."""
+    code = OURS.format(work=work, root=str(ROOT))
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return set(json.loads(done.stdout.splitlines()[-1]))
+
+
+def covered(packages: tuple[str, ...]) -> set[str]:
+    return {f.relative_to(ROOT).as_posix() for f in sources(*packages)}
+
+
+def test_a_run_of_a_study_executes_nothing_that_its_digest_does_not_cover():
+    loaded = executed(STUDY)
+    assert {"eval/replay/hindsight/mapper.py", "graph/incremental.py", "data/worlds/arena.py"} <= loaded
+    assert loaded - covered(store.PACKAGES) == set()
+
+
+def test_detections_come_from_nothing_that_their_digest_does_not_cover():
+    loaded = executed(DETECTIONS)
+    deciding = {"data/visual/features.py", "data/visual/rendering/stereo.py", "data/worlds/gallery.py"}
+    assert deciding | {"data/visual/lab/units.py", "data/sensors.py"} <= loaded
+    assert loaded - covered(observations.PACKAGES) == set()
+
+
+@pytest.fixture
+def program(tmp_path, monkeypatch):
+    """A program of two packages, as the digests see it."""
+    for name in ("a/__init__.py", "a/deep/one.py", "b/two.py", "b/notes.txt"):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(name)
+    monkeypatch.setattr(digest, "ROOT", tmp_path)
+    yield tmp_path
+    program_digest.cache_clear()
+
+
+def of(*packages: str, libraries: tuple[str, ...] = ()) -> str:
+    program_digest.cache_clear()
+    return program_digest(packages, libraries)
+
+
+def test_every_file_below_a_package_counts_and_no_other(program):
+    before = of("a", "b/two.py")
+    (program / "b" / "notes.txt").write_text("other")
+    (program / "b" / "three.py").write_text("")
+    assert of("a", "b/two.py") == before
+    (program / "a" / "deep" / "one.py").write_text("other")
+    changed = of("a", "b/two.py")
+    assert changed != before
+    (program / "a" / "deep" / "new.py").write_text("")
+    assert of("a", "b/two.py") != changed
+
+
+def test_the_place_of_a_file_counts(program):
+    before = of("a")
+    (program / "a" / "deep" / "one.py").rename(program / "a" / "one.py")
+    assert of("a") != before
+
+
+def test_the_versions_of_libraries_count(program, monkeypatch):
+    before = of("a", libraries=("numpy",))
+    monkeypatch.setattr(digest, "version", lambda library: "0.0")
+    assert of("a", libraries=("numpy",)) != before
+
+
+@pytest.mark.parametrize("libraries", [store.LIBRARIES, observations.LIBRARIES])
+def test_the_libraries_are_installed_under_these_names(libraries):
+    known = {name for names in packages_distributions().values() for name in names}
+    assert set(libraries) <= known

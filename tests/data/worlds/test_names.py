@@ -1,0 +1,108 @@
+"""Names of simulated logs: one grammar for every world, and one line for what does not follow it."""
+
+import math
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from data.errors import UsageError
+from data.logs import open_log
+from data.worlds import registry
+from data.worlds.arena import Arena
+from data.worlds.circle import Circle
+from data.worlds.corridor import Corridor
+from data.worlds.gallery import Gallery
+from data.worlds.linear import LinearWorld
+from data.worlds.names import name_of
+
+WORLDS = tuple(registry.SIMULATORS)
+
+
+@pytest.mark.parametrize(("name", "said"), [
+    ("arena:0:frames=40", ("arena", Arena(frames=40), 0, {})),
+    ("arena:7:sensor=relative_point+sigma-v=.2", ("arena", Arena(sensor="relative_point", sigma_v=0.2), 7, {})),
+    ("circle:2:layout=scatter+centre_y=3", ("circle", Circle(layout="scatter", centre_y=3.0), 2, {})),
+    ("linear:1:frames=20+sigma_turn=3e-5", ("linear", LinearWorld(frames=20), 1, {})),
+    ("corridor:0:people+no-odometry+range=8", ("corridor", Corridor(people=True, odometry=False, range=8.0), 0, {})),
+    ("visual:0:frames=40", ("visual", Gallery(), 0, {"frames": 40})),
+    ("visual:3:duration=20+frames=7", ("visual", Gallery(duration=20.0), 3, {"frames": 7})),
+])  # fmt: skip
+def test_a_name_says_world_parameters_and_seed(name, said):
+    assert registry.parse(name) == said
+
+
+@pytest.mark.parametrize("name", ["arena:0:frames=40", "circle:0:frames=40", "linear:0:frames=40"])
+def test_a_world_by_name_is_the_world_by_parameters(name):
+    log = open_log(name)
+    assert (log.name, len(log.recorded)) == (name, 40)
+    world, parameters, seed, _ = registry.parse(name)
+    made = registry.simulate(world, parameters, seed)
+    assert np.array_equal(log.recorded.observations.z, made.recorded.observations.z)
+    assert np.array_equal(log.recorded.increments.mean, made.recorded.increments.mean)
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_a_bare_name_says_the_defaults(world):
+    assert registry.parse(f"{world}:3") == (world, registry.parameters_of(world)(), 3, {})
+    assert name_of(world, registry.parameters_of(world)(), 3) == f"{world}:3"
+
+
+@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.parametrize(("rest", "wrong"), [
+    ("x", "the seed is a whole number, as in {world}:0"),
+    ("", "the seed is a whole number, as in {world}:0"),
+    ("-1", "the seed is a whole number, as in {world}:0"),
+    ("1.5:frames=40", "the seed is a whole number, as in {world}:0"),
+    ("0:", "'' is not known"),
+    ("0:colour=red", "'colour=red' is not known; known: "),
+    ("0:frames=9+", "'' is not known"),
+    ("0:frames", "frames needs a value, as in frames=1; known: "),
+    ("0:no-frames", "frames needs a value, as in frames=1; known: "),
+    ("0:frames=many", "frames=many: a whole number is needed"),
+    ("0:frames=4.5", "frames=4.5: a whole number is needed"),
+    ("0:frames=0", "at least 1 is needed"),
+    ("0:frames=9+frames=8", "frames is given twice"),
+])  # fmt: skip
+def test_a_name_that_makes_no_sense_is_refused_in_one_line(world, rest, wrong):
+    with pytest.raises(UsageError) as fault:
+        open_log(f"{world}:{rest}")
+    assert wrong.format(world=world) in str(fault.value)
+    assert "\n" not in str(fault.value)
+
+
+@pytest.mark.parametrize(("name", "wrong"), [
+    ("arena:0:sigma_v=fast", "arena:0:sigma_v=fast: sigma_v=fast: a number is needed"),
+    ("arena:0:sensor=sonar", "arena: sensor 'sonar'; known: range_bearing, relative_point"),
+    ("circle:0:speed=nan", "circle:0:speed=nan: speed=nan: a number is needed"),
+    ("circle:0:layout=star", "circle: layout = 'star'; known: ring, scatter"),
+    ("corridor:0:people=20", "people=20: on or off is needed; their number is crowd=N"),
+    ("linear:0:spacing=-1", "linear: spacing = -1.0; a positive number is needed"),
+])  # fmt: skip
+def test_a_value_that_makes_no_sense_is_refused_in_one_line(name, wrong):
+    with pytest.raises(UsageError) as fault:
+        open_log(name)
+    assert wrong in str(fault.value)
+    assert "\n" not in str(fault.value)
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_an_unknown_key_is_answered_with_all_known_ones(world):
+    with pytest.raises(UsageError) as fault:
+        registry.parse(f"{world}:0:colour=red")
+    known = str(fault.value).split("known: ")[1].split(", ")
+    keys = [k.removeprefix("no-").replace("-", "_").rstrip("=") for k in known]
+    assert set(keys) == {f.name for f in fields(registry.parameters_of(world))} | set(registry.SIMULATORS[world].counts)
+
+
+def test_the_name_of_parameters_says_them_again():
+    arena = Arena(frames=40, detection=0.9, sensor="relative_point")
+    assert name_of("arena", arena, 2) == "arena:2:frames=40+sensor=relative_point+detection=0.9"
+    assert registry.parse(name_of("arena", arena, 2)).parameters == arena
+    corridor = Corridor(odometry=False, min_angle=math.radians(-60))
+    assert registry.parse(name_of("corridor", corridor, 2)).parameters == corridor
+
+
+def test_frames_of_a_recording_do_not_shorten_a_log_without_images():
+    with pytest.raises(UsageError, match="frames is for a recording with images"):
+        registry.named_log("visual:0:frames=40")

@@ -1,0 +1,144 @@
+"""One table of flags: whatever changes the numbers is in the command, and reading the command gives the same again."""
+
+from __future__ import annotations
+
+import shlex
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from data.errors import UsageError
+from eval.plan.flags import Options, parser
+from eval.plan.options import read_options
+from eval.plan.provenance import command_of
+from eval.replay.flag import rows
+from eval.replay.names import ASSOCIATIONS, ESTIMATORS, TASKS
+from eval.replay.settings import Setup
+
+PROGRAM = ["python", "-m", "eval.run_all"]
+TABLE = rows(Options)
+
+
+def some(known: tuple[str, ...]) -> st.SearchStrategy[str]:
+    return st.lists(st.sampled_from(known), min_size=1, unique=True).map(",".join)
+
+
+PATHS = st.text("ab ';$\"-=é", min_size=1).filter(lambda t: t == t.strip())
+SPANS = st.floats(1e-9, 1e9).map(str)
+GATES = st.one_of(st.just("none"), st.floats(1e-9, 1 - 1e-9).map(str))
+VALUES = {
+    **dict.fromkeys(("log", "data", "scenario"), PATHS),
+    "task": some(TASKS), "estimator": some(ESTIMATORS), "association": some(ASSOCIATIONS),
+    **dict.fromkeys(("gate", "new_gate", "gate_known"), GATES),
+    **dict.fromkeys(("forget_after", "deactivate_after", "lag"), SPANS),
+    **dict.fromkeys(("runs", "seed"), st.integers(0, 10**9).map(str)),
+    "camera_translation": st.sampled_from(("cm", "mm", "m")),
+    "camera_reading": st.sampled_from(("to-camera", "to-body")),
+    "corner_noise": st.sampled_from(("lab", "depth")),
+    "config": st.sampled_from(("tutorial-step1", "tutorial-step3")),
+}  # fmt: skip
+"""Words for every row that takes a value and changes the numbers."""
+CHANGED = {
+    "log": "a b", "data": "a b", "scenario": "a b", "task": "slam", "estimator": "ekf,batch", "association": "known,nn",
+    "gate": "0.9", "new_gate": "0.9999999", "gate_known": "0.999", "forget_after": "12.5", "deactivate_after": "12.5",
+    "lag": "1e-07", "runs": "0", "seed": "7", "camera_translation": "m", "camera_reading": "to-body",
+    "corner_noise": "depth", "config": "tutorial-step1",
+}  # fmt: skip
+"""For each of them one that is not the default."""
+NUMBERS = [row.name for row in TABLE.values() if row.numbers]
+
+
+def words(name: str, value: str) -> list[str]:
+    row = TABLE[name]
+    return [f"{row.option}={value}"] if row.metavar else [row.option]
+
+
+def again(options: Options) -> Options:
+    """What the command in the report asks for."""
+    command = shlex.split(command_of(options))
+    assert command[:3] == PROGRAM
+    return read_options(command[3:])
+
+
+def test_every_row_that_changes_the_numbers_is_tried_here():
+    assert {name for name in NUMBERS if TABLE[name].metavar} == set(VALUES) == set(CHANGED)
+    assert {"trust_pickle", "gate_smoothers", "maintain", "in_view", "quick", "full"} < set(NUMBERS)
+    assert not {"out", "jobs", "scheduler", "formats", "no_plots", "animate", "quiet", "verbose"} & set(NUMBERS)
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_what_changes_the_numbers_is_in_the_command(name):
+    options = read_options(words(name, CHANGED.get(name, "")))
+    assert getattr(options, name) != TABLE[name].default
+    assert TABLE[name].option in command_of(options).split()
+    assert again(options) == options
+
+
+@given(st.data())
+def test_reading_the_command_again_gives_the_same_options(data):
+    given_names = data.draw(st.lists(st.sampled_from(NUMBERS), unique=True, max_size=8))
+    arguments = [w for n in given_names for w in words(n, data.draw(VALUES.get(n, st.just(""))))]
+    try:
+        options = read_options(arguments)
+    except UsageError:
+        return  # they exclude each other
+    assert again(options) == options
+
+
+def test_a_value_with_spaces_or_a_dash_in_front_is_quoted():
+    options = read_options(["--log", "my log's", "--log=-odd"])
+    assert shlex.split(command_of(options))[3:5] == ["--log", "my log's"]
+    assert again(options).log == ("my log's", "-odd")
+
+
+def test_a_file_with_a_variant_is_named_and_what_flags_change_beside_it_stays(tmp_path):
+    config = tmp_path / "my run.toml"
+    config.write_text(
+        'task = "slam"\ngate = 0.95\nforget_after = 30\nmaintain = true\n[variant]\nname = "mine"\ntask = "slam"\n'
+        "grid = 0.02\nmodel = 'unicycle'\nalphas = [0.1, 0.1, 0.1, 0.1]\nsigma = [1, 1]\nprior_variance = 0.1\n"
+    )
+    options = read_options(["--config", str(config), "--gate", "0.99", "--forget-after", "none"])
+    assert (options.gate, options.forget_after, options.maintain) == (0.99, None, True)
+    assert again(options) == options
+
+
+def test_a_file_without_a_variant_is_spelled_out(tmp_path):
+    config = tmp_path / "run.toml"
+    config.write_text('log = ["arena:1"]\ngate_smoothers = false\ngate_known = 0.999\n')
+    options = read_options(["--config", str(config)])
+    config.unlink()
+    assert again(options) == options
+    assert "--no-gate-smoothers" in command_of(options)
+
+
+def test_files_take_every_row_of_the_table_and_no_other(tmp_path):
+    config = tmp_path / "run.toml"
+    config.write_text("gate = 0.5\nconfig = 'x'\n")
+    with pytest.raises(UsageError, match="unknown key 'config'"):
+        read_options(["--config", str(config)])
+
+
+@pytest.mark.parametrize(("line", "words"), [
+    ('model = "cubic"', "model = 'cubic': unknown"), ("sigma = [1]", "a list of 2 numbers"),
+    ("grid = 0", "grid = 0: a positive number"), ("each = 1", "each = 1: true or false"),
+    ("gate = 0.99\nnew_gate = 0.9", "new_gate = 0.9: must not be less than gate = 0.99"),
+])  # fmt: skip
+def test_a_fault_in_a_variant_is_named(tmp_path, line, words):
+    keys = {"name": "'x'", "task": "'slam'", "grid": "0.02", "model": "'unicycle'", "alphas": "[1, 1, 1, 1]",
+            "sigma": "[1, 1]", "prior_variance": "1"}  # fmt: skip
+    keys |= dict(part.split(" = ") for part in line.split("\n"))
+    config = tmp_path / "run.toml"
+    config.write_text("[variant]\n" + "\n".join(f"{k} = {v}" for k, v in keys.items()))
+    with pytest.raises(UsageError, match=r"run\.toml: \[variant\] ") as fault:
+        read_options(["--config", str(config)])
+    assert words in str(fault.value)
+    assert "\n" not in str(fault.value)
+
+
+def test_every_row_is_explained():
+    text = "".join(parser().format_help().split())
+    for row in rows(Options).values():
+        assert row.help, row.name
+        assert "".join(row.help.split()) in text, row.name
+    assert rows(Setup).keys() < rows(Options).keys()

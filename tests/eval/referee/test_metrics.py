@@ -1,0 +1,70 @@
+"""Metrics are listed once: the files' columns are the contract's, and every name of a column agrees with its unit."""
+
+from __future__ import annotations
+
+import pytest
+
+from eval.referee.confusion import OUTCOMES
+from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES, heads, metric
+from eval.referee.score import ASSOCIATION, COUNTED, METRICS, frame_of
+from eval.report.comparison import COMPARISON
+from eval.report.tutorial_table import COUNTS, HEADS
+from eval.walk.text import STATISTICS
+
+UNITS = {"_m": "m", "_deg": "deg", "_m2": "m²"}
+EVERY = (*OF_ESTIMATES, *OF_DECISIONS)
+
+
+def test_the_columns_of_the_files_are_the_contracts():
+    assert METRICS == (
+        "log", "task", "estimator", "association", "phase", "status", "frames", "observations", "accepted", "rejected",
+        "landmarks", "rmse_position_m", "rmse_heading_deg", "max_position_m", "rmse_aligned_m", "rmse_landmark_m",
+        "rms_from_batch_m", "nees_pose", "nees_position", "nees_heading", "nis", "nis_lower", "nis_upper",
+        "inside_3sigma", "rmse_time_m", "sse_position_m2", "sse_landmark_m2", "innovation_lag1", "innovation_lag1_se",
+    )  # fmt: skip
+    assert ASSOCIATION == (
+        "log", "task", "estimator", "association", "phase", "tp", "tn", "fp", "fn", "precision", "recall", "wrong",
+        "spurious", "duplicate", "missed", "deferred", "share_within", "within_m",
+    )  # fmt: skip
+    assert ASSOCIATION[5:-2] == COUNTED
+    assert ASSOCIATION[5:9] == OUTCOMES
+
+
+def test_no_column_and_no_heading_is_there_twice():
+    assert len({m.column for m in EVERY}) == len({m.heading for m in EVERY}) == len(EVERY)
+
+
+@pytest.mark.parametrize("m", EVERY, ids=lambda m: m.column)
+def test_a_column_that_ends_with_a_unit_has_it(m):
+    for suffix, unit in UNITS.items():
+        if m.column.endswith(suffix):
+            assert m.unit == unit
+
+
+@pytest.mark.parametrize("m", EVERY, ids=lambda m: m.column)
+def test_what_is_expected_is_best_and_an_error_is_better_the_smaller_it_is(m):
+    assert (m.better == "nearer") == (m.expected is not None)
+    if m.column.startswith(("rmse", "rms_", "max_", "sse_")):
+        assert m.better == "smaller"
+
+
+def test_a_name_says_unit_and_expected_value_in_tables_and_in_lines():
+    assert heads(("log", "rmse_position_m", "nis", "inside_3sigma")) == {
+        "log": "log", "rmse_position_m": "position RMSE [m]", "nis": "NIS per dof (expected 1)",
+        "inside_3sigma": "inside 3σ (expected 98.9) [%]",
+    }  # fmt: skip
+    assert metric("nees_pose").line == "mean pose NEES (3 expected)"
+    assert metric("inside_3sigma").line == "share of frames inside 3σ (0.989 expected)"
+    assert metric("rmse_heading_deg").line == "heading RMSE [deg]"
+
+
+def test_a_metric_is_called_the_same_wherever_it_is_shown():
+    for m in OF_ESTIMATES:
+        assert COMPARISON.get(m.column, m.head) == HEADS.get(m.column, m.head) == m.head
+    assert list(COUNTS.values()) == ["TP", "TN", "FP", "FN"]
+    assert all(metric(column).line for column in STATISTICS)
+
+
+def test_a_row_with_a_column_that_is_none_is_a_mistake():
+    with pytest.raises(AssertionError, match="rmse_postion_m"):
+        frame_of([{"rmse_postion_m": 0.1}], METRICS)

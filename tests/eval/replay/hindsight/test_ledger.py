@@ -1,0 +1,106 @@
+"""The ledger: a landmark's record from its initialization to where it is merged or dropped."""
+
+import math
+
+import numpy as np
+import pytest
+
+from association.expectation import Expectation
+from data.inputs import Frame, Increment, Sightings
+from data.result import DISCARD, NEW, Updated
+from data.sensors import RelativePoint
+from eval.replay.hindsight.ledger import MERGED, Epoch, Ledger
+
+FAR = np.array([[5.0, 0.0], [5.0, 4.0], [5.0, -4.0]])
+
+
+def frame(number, points, first):
+    points = np.asarray(points, float).reshape(-1, 2)
+    step = Increment(np.array([0.0, 1.0, 0.0]), np.zeros((3, 3)))
+    seen = Sightings(points, np.tile(0.01 * np.eye(2), (len(points), 1, 1)))
+    return Frame(number, float(number), None if number == 0 else step, seen, None, first)
+
+
+class Story:
+    """A robot that sees its frames in order; landmarks get numbers as a filter would give them."""
+
+    def __init__(self):
+        self.ledger, self.rows = Ledger(RelativePoint(max_range=20.0)), 0
+
+    def see(self, decisions, points=FAR):
+        ledger, decisions = self.ledger, np.array(decisions, np.int64)
+        here = frame(ledger.frame + 1, points[: len(decisions)], self.rows)
+        ledger.move(here)
+        paired = np.flatnonzero(decisions >= 0)
+        z_hat = here.sightings.z[paired]
+        e = Expectation.from_arrays(
+            here.sightings.z, z_hat, 0.01 * np.eye(2 * len(paired)), here.sightings.R, number=decisions[paired]
+        )
+        ledger.judge(e, decisions)
+        created = np.full(len(decisions), -1, np.int64)
+        created[decisions == NEW] = ledger.created + np.arange((decisions == NEW).sum())
+        nothing = np.full((len(decisions), 2), math.nan)
+        done = Updated(decisions >= 0, created, 0.0, 0, 0.0, nothing)
+        ledger.see(here, decisions, done, np.array([0.0, ledger.travelled, 0.0]))
+        self.rows += len(decisions)
+        return self
+
+
+def test_a_record_holds_what_a_landmark_was_seen_as():
+    ledger = Story().see([NEW, NEW]).see([0]).see([DISCARD, NEW]).ledger
+    assert list(ledger.records) == [0, 1, 2]
+    assert ledger.created == 3
+    assert [r.sightings for r in ledger.records.values()] == [[(0, NEW), (2, 0)], [(1, NEW)], [(4, NEW)]]
+    assert [(r.first, r.last, r.times) for r in ledger.records.values()] == [
+        (0.0, 1.0, 2),
+        (0.0, 0.0, 1),
+        (2.0, 2.0, 1),
+    ]
+    assert [r.covisible for r in ledger.records.values()] == [{1}, {0}, set()]
+    assert ledger.frames == 3
+    assert ledger.range == pytest.approx(math.hypot(5.0, 4.0))
+
+
+def test_what_is_merged_leaves_all_it_had_to_the_other():
+    ledger = Story().see([NEW, NEW]).see([NEW, NEW]).see([2]).ledger
+    ledger.merge([(2, 0)])
+    assert list(ledger.records) == [0, 1, 3]
+    kept = ledger.records[0]
+    assert kept.sightings == [(0, NEW), (2, 0), (4, 0)]
+    assert (kept.last, kept.times, kept.evidence.seen) == (2.0, 3, 3)
+    assert [r.covisible for r in ledger.records.values()] == [{1, 3}, {0}, {0}]
+    assert [(e.observation, e.old, e.new, e.why) for e in ledger.events] == [(2, NEW, 0, MERGED), (4, 2, 0, MERGED)]
+    assert ledger.merged == [(2, 2, 0)]
+
+
+def test_what_is_dropped_is_covisible_with_nobody():
+    ledger = Story().see([NEW, NEW, NEW]).ledger
+    ledger.drop(np.array([1]))
+    assert [r.covisible for r in ledger.records.values()] == [{2}, {0}]
+    assert ledger.events == []
+
+
+def test_what_never_became_certain_is_taken_back_in_the_end():
+    story = Story().see([NEW, NEW])
+    for _ in range(5):
+        story.see([0])
+    ledger = story.ledger
+    assert ledger.uncertain().tolist() == [1]
+    assert list(ledger.records) == [0]
+    assert [(e.frame, e.observation, e.old, e.new, e.why) for e in ledger.events] == [(5, 1, NEW, DISCARD, "uncertain")]
+
+
+def test_a_gate_is_judged_once_from_one_place():
+    story = Story().see([NEW])
+    ledger = story.ledger
+    assert [ledger.gated_elsewhere(0, inside) for inside in (True, False, True)] == [True, True, False]
+    story.see([0])
+    assert ledger.gated_elsewhere(0, True)
+
+
+def test_an_epoch_is_what_is_initialized_from_here_on():
+    story = Story().see([NEW, NEW]).see([0])
+    story.ledger.begin_epoch()
+    assert story.ledger.epoch == Epoch(1.0, 2)
+    story.ledger.end_epoch()
+    assert story.ledger.epoch == Epoch(-math.inf, 2)

@@ -1,0 +1,139 @@
+"""The answer on one log compares filter and smoother, and says which to trust, as far as the numbers go."""
+
+from __future__ import annotations
+
+import pandas as pd
+import pytest
+
+from eval.referee.score import ASSOCIATION, METRICS, frame_of
+from eval.report.answer import answer
+
+FILTER = {
+    "log": "arena", "task": "slam", "estimator": "ekf", "association": "known", "phase": "online", "status": "ok",
+    "rejected": 0, "rmse_position_m": 0.12, "nees_pose": 4.1, "nis": 1.0, "nis_lower": 0.97, "nis_upper": 1.03,
+    "rms_from_batch_m": 0.05,
+}  # fmt: skip
+SMOOTHER = FILTER | {"estimator": "batch", "phase": "final", "rmse_position_m": 0.1, "nees_pose": 2.9, "nis": None}
+
+
+def answered(*rows) -> str:
+    return answer(frame_of(rows, METRICS))
+
+
+def test_the_answer_compares_filter_and_smoother_in_at_most_four_sentences():
+    text = answered(FILTER, SMOOTHER)
+    assert "position RMSE of 0.120 m" in text
+    assert "one of 0.100 m: the filter's is 1.20 times the smoother's" in text
+    assert "4.10 (filter) and 2.90 (smoother) where 3 is expected: a description of one run without verdict" in text
+    assert "trust the smoother" in text
+    assert text.count(". ") + 1 <= 4
+
+
+def test_the_answer_credits_later_data_only_if_the_online_smoother_equals_the_filter():
+    newest = FILTER | {"estimator": "isam2", "rmse_position_m": 0.1201}
+    assert "comes from later data" in answered(FILTER, newest, SMOOTHER)
+    better = newest | {"rmse_position_m": 0.105}
+    assert "isam2 has 0.105 m" in answered(FILTER, better, SMOOTHER)
+    assert "comes from later data" not in answered(FILTER, better, SMOOTHER)
+
+
+def test_the_answer_does_not_prefer_the_smoother_where_it_is_no_better():
+    assert "equal here" in answered(FILTER, SMOOTHER | {"rmse_position_m": 0.1199})
+    worse = answered(FILTER, SMOOTHER | {"rmse_position_m": 0.2})
+    assert "although it has seen less" in worse
+    assert "trust the smoother" not in worse
+
+
+@pytest.mark.parametrize(("nis", "claim"), [(1.9, "allows for too little"), (0.1, "allows for more than needed")])
+def test_the_answer_warns_of_both_covariances_when_innovations_contradict_the_noise_model(nis, claim):
+    assert claim in answered(FILTER | {"nis": nis}, SMOOTHER)
+
+
+def test_without_truth_the_difference_is_not_called_an_error():
+    text = answered(
+        FILTER | {"rmse_position_m": None, "nees_pose": None}, SMOOTHER | {"rmse_position_m": None, "nees_pose": None}
+    )
+    assert "0.0500 m RMS from the batch solution: that is how much later data changed it, not an error" in text
+    assert "which path is right this log cannot tell" in text
+    assert "NEES" not in text
+
+
+def test_a_failure_is_named_instead_of_compared():
+    text = answered(FILTER | {"status": "diverged", "rmse_position_m": None}, SMOOTHER)
+    assert text == "There is no comparison: ekf (diverged) did not get to the end, so there are no numbers to compare."
+
+
+def test_one_kind_of_estimator_alone_is_said_to_be_alone():
+    assert answered(FILTER) == "Only ekf ran: without a smoother there is nothing to compare it with."
+    assert "without a filter" in answered(SMOOTHER)
+    assert "Neither" in answer(pd.DataFrame(columns=METRICS))
+
+
+def test_known_association_is_compared_first_and_other_decisions_are_called_conditional():
+    jcbb = {"association": "jcbb", "rmse_position_m": 9.0}
+    assert "0.120 m" in answered(FILTER | jcbb, SMOOTHER | jcbb, FILTER, SMOOTHER)
+    assert "conditional on the association decisions" in answered(FILTER | jcbb, SMOOTHER | jcbb)
+
+
+OUTCOMES = {"log": "arena", "task": "slam", "estimator": "ekf", "association": "nn", "phase": "online"}
+
+
+def decided(metrics, outcomes, labelled=None) -> str:
+    return answer(frame_of(metrics, METRICS), frame_of(outcomes, ASSOCIATION), labelled)
+
+
+def counted(association, tp, tn, fp, fn, estimator="ekf", phase="online"):
+    counts = {"tp": tp, "tn": tn, "fp": fp, "fn": fn}
+    return OUTCOMES | counts | {"association": association, "estimator": estimator, "phase": phase}
+
+
+def test_the_answer_says_under_which_association_it_compares_if_there_are_several():
+    nn = FILTER | {"association": "nn"}
+    text = answered(FILTER, SMOOTHER, nn)
+    assert text.startswith("Filter and smoother are compared under association known. On identical inputs")
+    assert not answered(FILTER, SMOOTHER).startswith("Filter and smoother are")
+
+
+def test_the_answer_names_the_best_and_the_worst_way_of_deciding():
+    rows = [FILTER | {"association": a} for a in ("known", "nn", "singles", "jcbb")]
+    # F1: 2 TP / (2 TP + FP + FN)
+    outcomes = [
+        counted("known", 90, 10, 0, 0), counted("nn", 60, 10, 20, 10), counted("singles", 30, 10, 0, 60),
+        counted("jcbb", 88, 10, 0, 2),
+    ]  # fmt: skip
+    text = decided([*rows, SMOOTHER], outcomes)
+    assert text.endswith(
+        "Without labels, jcbb (ekf: 0 FP and 2 FN in 100 decisions, F1 0.99) decides best and singles (ekf: 0 FP and 60"
+        " FN in 100 decisions, F1 0.50) worst, by F1."
+    )
+    assert decided([FILTER, SMOOTHER], outcomes[:1]) == answered(FILTER, SMOOTHER)
+
+
+def test_pairing_nothing_is_not_the_best_and_a_poor_best_is_called_poor():
+    rows = [FILTER | {"association": a} for a in ("nn", "singles")]
+    assert "none made a single right pairing" in decided(
+        rows, [counted("nn", 0, 9, 80, 2), counted("singles", 0, 90, 0, 1)]
+    )
+    text = decided(rows, [counted("nn", 5, 5, 80, 10), counted("singles", 0, 60, 1, 39)])
+    assert "nn (ekf: 80 FP and 10 FN in 100 decisions, F1 0.10) decides best" in text
+    assert text.endswith("even the best is mostly wrong.")
+
+
+def test_decisions_of_a_run_that_failed_or_was_taken_over_do_not_count():
+    rows = [FILTER | {"association": "nn"}, FILTER | {"association": "jcbb", "status": "diverged"}]
+    text = decided(rows, [counted("nn", 50, 10, 20, 20), counted("jcbb", 90, 10, 0, 0)])
+    assert "jcbb" not in text.split("Deciding itself")[1]
+    rows = [FILTER | {"association": "jcbb"}, SMOOTHER | {"association": "jcbb"}]
+    same = [counted("jcbb", 90, 10, 0, 0, "batch", "final"), counted("jcbb", 90, 10, 0, 0)]
+    assert "Deciding itself, jcbb (ekf: 0 FP" in decided(rows, same)
+
+
+def test_without_a_true_path_decisions_are_counted_against_the_labels():
+    blank = {"rmse_position_m": None, "nees_pose": None}
+    own = FILTER | blank | {"estimator": "isam2", "association": "jcbb", "phase": "final", "landmarks": 120}
+    outcomes = [counted("jcbb", 700, 50, 200, 50, "isam2", p) for p in ("online", "final")]
+    text = decided([FILTER | blank, SMOOTHER | blank, own], outcomes, 100)
+    assert text.endswith(
+        "Deciding itself with jcbb, isam2 agrees with the log's labels in 750 of 1000 decisions (75 %); its map has 120"
+        " landmarks where the labels tell 100 apart."
+    )

@@ -1,0 +1,91 @@
+"""The public face is light, complete, and in the wheel; the command lists its subcommands and refuses others."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import zipfile
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+
+import slamref
+
+ROOT = Path(__file__).parents[1]
+NAMES = ["Trial", "__version__", "compare", "decide", "make_estimator", "open_log", "score"]
+
+
+def command(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "slamref", *arguments], capture_output=True, text=True, cwd=ROOT, check=False
+    )
+
+
+def test_the_names_are_those_of_the_submodules():
+    from association.decide import decide
+    from data.logs import open_log
+    from eval.referee.score import Trial, score
+    from eval.replay.estimators import make_estimator
+    from eval.replay.run import compare
+
+    assert dir(slamref) == NAMES == slamref.__all__
+    homes = (Trial, version("slamref"), compare, decide, make_estimator, open_log, score)
+    assert tuple(getattr(slamref, name) for name in NAMES) == homes
+    with pytest.raises(AttributeError, match="'slamref' has no attribute 'ekf'"):
+        _ = slamref.ekf
+
+
+def test_importing_it_loads_no_library():
+    code = (
+        "import sys, slamref; dir(slamref); sys.exit(len({'numpy', 'eval', 'data', 'association'} & set(sys.modules)))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False).returncode == 0
+
+
+def test_a_log_is_opened_compared_and_scored_through_it():
+    log = slamref.open_log("linear:0")
+    runs = slamref.compare(log.inputs(labels=True), "slam", ("ekf", "batch"))
+    metrics = slamref.score([slamref.Trial(log, "slam", tuple(runs))]).metrics
+    assert set(metrics["estimator"]) == {"ekf", "batch"}
+
+
+@pytest.mark.parametrize("asked", [["--help"], ["-h"], []])
+def test_the_command_lists_its_subcommands_in_a_line_each(asked):
+    done = command(*asked)
+    assert done.returncode == 0
+    names = [line.split()[0] for line in done.stdout.split("\n") if line.startswith("  ")]
+    assert names == ["run", "step", "convert", "inspect", "tune", "benchmark", "warm"]
+
+
+def test_the_command_says_its_version():
+    assert command("--version").stdout == f"slamref {version('slamref')}\n"
+
+
+def test_an_unknown_subcommand_is_one_line_and_exit_2():
+    done = command("walk", "--log", "arena:0")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("slamref: no command 'walk'; there are run, step, ")
+    assert done.stderr.count("\n") == 1
+
+
+def test_the_wheel_holds_the_face_the_command_and_the_files_beside_the_code(tmp_path):
+    built = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)]
+    subprocess.run(built, cwd=ROOT, check=True, capture_output=True)
+    (wheel,) = tmp_path.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        held = set(archive.namelist())
+        archive.extractall(tmp_path / "unpacked")
+    code = {p.relative_to(ROOT).as_posix() for p in ROOT.glob("[adeg]*/**/*.py") if p.parts[-1] != "__pycache__"}
+    tables = {p.relative_to(ROOT).as_posix() for f in ("configs", "scenarios") for p in (ROOT / "eval" / f).iterdir()}
+    packages = ("association/", "data/", "ekf/", "eval/", "graph/")
+    assert {name for name in code if name.startswith(packages)} | tables | {"slamref.py"} <= held
+    (entry,) = (name for name in held if name.endswith("entry_points.txt"))
+    assert "slamref = slamref:main" in (tmp_path / "unpacked" / entry).read_text()
+    asked = "import slamref; from eval.plan.flags import shipped; print(slamref.__file__, len(shipped()))"
+    done = subprocess.run(
+        [sys.executable, "-c", asked], cwd=tmp_path, check=True, capture_output=True, text=True,
+        env={**os.environ, "PYTHONPATH": str(tmp_path / "unpacked")},
+    )  # fmt: skip
+    assert done.stdout == f"{tmp_path / 'unpacked' / 'slamref.py'} 4\n"
