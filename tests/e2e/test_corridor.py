@@ -16,7 +16,7 @@ from eval.run_all import main
 
 LOGS = [f"corridor_s0_people{people}_odo{odometry}" for people in (0, 1) for odometry in (0, 1)]
 RECORDED = {"nn": "NN", "singles": "SINGLES", "jcbb-first": "JCBB"}
-FEW, MANY = range(12), range(50)
+FEW, MANY = range(24), range(50)
 
 
 def rows(path):

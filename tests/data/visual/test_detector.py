@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 import data.visual.checks as checks
 from data.errors import DataError
@@ -110,7 +111,8 @@ def test_the_same_frame_gives_the_same_bits_with_any_number_of_threads(textures,
         for threads in (1, 3):
             cv2.setNumThreads(threads)
             cv2.setRNGSeed(threads)
-            again.append(fresh.detect(scene.rgb, scene.xyz))
+            with threadpool_limits(threads):
+                again.append(fresh.detect(scene.rgb, scene.xyz))
     finally:
         cv2.setNumThreads(before)
     assert found(expected) == [0, 3]
