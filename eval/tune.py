@@ -137,7 +137,8 @@ def tune(
     """
     from association.expectation import gate_threshold
     from eval.tuning.fit import Fit, fit, pairings
-    from eval.tuning.model import DEFAULT_GROUPS, GROUPS, make_model, read_odometry, vector
+    from eval.tuning.model import DEFAULT_GROUPS, GROUPS, make_model, vector
+    from eval.tuning.odometry import read_odometry
 
     if not log.has_labels:
         raise UsageError(f"log {log.name!r} has no labels; noise is fitted with known association only")
