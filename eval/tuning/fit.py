@@ -16,7 +16,7 @@ from association.known import known_decisions
 from data.errors import DataError
 from data.inputs import Increments, Inputs, IntArray, LabelledObservations
 from data.result import DISCARD
-from data.se2 import Array
+from data.se2 import Array, BoolArray
 from ekf.whole_run import run_filter
 from eval.referee.consistency import chi2_bounds, lag1
 from eval.tuning.model import LATENCY, Model, apply
@@ -30,6 +30,10 @@ ROUNDS = 30
 """Fits at most: each drops a parameter or improves the optimum."""
 STEPS = 10
 """Newton's steps after each."""
+APART = 2.0
+"""Standard errors either way over which the slope of the score in the latency is taken."""
+VAGUE = 2.0
+"""Standard error of a latency over that by curvature from which on the odometry's noise, not its motion, tells it."""
 DECREMENT = 1e-3
 """Gain of log-likelihood that a Newton step may still promise at an optimum: 1/20 of a standard error."""
 
@@ -136,6 +140,7 @@ def fit(model: Model, decisions: IntArray, frames: int | None = None) -> Fit:
     theta = min(starts, key=here)
     error, free, edge = np.full(n, np.nan), np.ones(n, bool), np.zeros(n, bool)
     for _ in range(ROUNDS):
+        error[:] = np.nan
         moving = np.flatnonzero(free & ~edge)
         if not len(moving):
             break
@@ -150,11 +155,16 @@ def fit(model: Model, decisions: IntArray, frames: int | None = None) -> Fit:
             vague = moving[int(np.argmax(np.abs(vectors[:, 0])))]
             theta[vague], free[vague] = 0.0, False
             continue
-        error[:] = np.nan
-        error[moving] = np.sqrt(np.diag(np.linalg.inv(H)))
         theta, done = _settle(near, theta, moving, H, bound)
-        if done:
+        if not done:
+            continue
+        error[moving] = np.sqrt(np.diag(_covariance(near, theta, moving, H, latency)))
+        claimed = np.full(n, np.inf)
+        claimed[moving] = np.sqrt(np.diag(np.linalg.inv(H)))
+        lost = np.flatnonzero(latency & (error > np.minimum(limit, VAGUE * claimed)))
+        if not len(lost):
             break
+        theta[lost], free[lost] = 0.0, False
     else:
         raise DataError("the likelihood has no clear maximum on this log; fit fewer parameters")
     status = tuple(HELD if not f else AT_BOUND if e else FITTED for f, e in zip(free, edge, strict=True))
@@ -176,6 +186,27 @@ def _settle(
         theta = theta.copy()
         theta[moving] = np.clip(theta[moving] - step, -bound[moving], bound[moving])
     return theta, False
+
+
+def _covariance(
+    near: Callable[[Array], Objective], theta: Array, moving: IntArray, H: Array, latency: BoolArray
+) -> Array:
+    """Covariance (k, k) of the parameters `moving`: J^-1 H J^-T, J the derivative of a score of variance H.
+
+    J is H but for the latency (n,): odometry that is cut anew has other noise in it, so its noise adds to the score's
+    variance and not to its slope (the sandwich of estimating equations: Huber, Proc. 5th Berkeley Symposium, 1967).
+    """
+    J = H.copy()
+    reach = 0.1 * np.sqrt(0.5 / np.diag(H))
+    for i in np.flatnonzero(latency[moving]):
+        h = APART * math.sqrt(np.linalg.inv(H)[i, i])
+        later, sooner = theta.copy(), theta.copy()
+        later[moving[i]] += h
+        sooner[moving[i]] -= h
+        J[:, i] = (slope(near(later), later, moving, reach) - slope(near(sooner), sooner, moving, reach)) / (2.0 * h)
+    # pinv: where no signal is left the error is to be large, not the program to end
+    inverse = np.linalg.pinv(J, rcond=1e-12)
+    return np.asarray(inverse @ H @ inverse.T)
 
 
 def _head(inputs: Inputs, frames: int) -> Inputs:
