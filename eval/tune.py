@@ -33,7 +33,7 @@ odometry.csv, the latency of the readings: maximum likelihood of the innovations
 (localization where the log has a map, else SLAM). OUT becomes a copy of LOG with these numbers in it.
 
 Never report results on OUT itself, whose NIS is right by construction: apply its numbers to another log with --use.
-The fit takes some 700 runs of the filter; it does not look at the ground truth. Standard errors hold for white
+The fit takes some 800 runs of the filter; it does not look at the ground truth. Standard errors hold for white
 innovations, so on a recording they are too small; the lag-1 correlation shows how far from white it is.
 
 A factor multiplies what LOG states (noise: a standard deviation; odometry: distance or rotation, shrunk as the best
@@ -137,7 +137,8 @@ def tune(
     """
     from association.expectation import gate_threshold
     from eval.tuning.fit import Fit, fit, pairings
-    from eval.tuning.model import DEFAULT_GROUPS, GROUPS, make_model, read_odometry, vector
+    from eval.tuning.model import DEFAULT_GROUPS, GROUPS, make_model, vector
+    from eval.tuning.odometry import read_odometry
 
     if not log.has_labels:
         raise UsageError(f"log {log.name!r} has no labels; noise is fitted with known association only")
@@ -148,8 +149,7 @@ def tune(
     inputs = log.inputs(labels=True)
     decisions = pairings(inputs, gate_threshold(gate))
     wanted = DEFAULT_GROUPS if groups is None else tuple(groups.split(","))
-    odometry = None if folder is None else read_odometry(folder)
-    model = make_model(inputs, odometry, wanted if use is None else GROUPS)
+    model = make_model(inputs, None if folder is None else read_odometry(folder), wanted if use is None else GROUPS)
     origin: Fit | Numbers = fit(model, decisions) if use is None else use
     found = origin if isinstance(origin, Fit) else None
     theta = origin.theta if isinstance(origin, Fit) else vector(model, origin.values)

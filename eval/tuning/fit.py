@@ -11,24 +11,31 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import Bounds, minimize
 
 from association.known import known_decisions
 from data.errors import DataError
 from data.inputs import Increments, Inputs, IntArray, LabelledObservations
 from data.result import DISCARD
-from data.se2 import Array
+from data.se2 import Array, BoolArray
 from ekf.whole_run import run_filter
 from eval.referee.consistency import chi2_bounds, lag1_correlation
-from eval.tuning.model import Model, apply
+from eval.tuning.model import LATENCY, Model, apply
+from eval.tuning.optimum import Objective, curvature, search, slope
+from eval.tuning.start import starting_points
 
 FITTED, HELD, AT_BOUND = "fitted", "not determined", "at its bound"
 HOPELESS = 1e6
 """Added to the start's objective where the filter fails: worse than any likelihood, and finite for the optimizer."""
 ROUNDS = 30
 """Fits at most: each drops a parameter or improves the optimum."""
-DECREMENT = 1e-2
-"""Gain of log-likelihood that a Newton step may still promise at an optimum."""
+STEPS = 10
+"""Newton's steps after each."""
+APART = 2.0
+"""Standard errors either way over which the slope of the score in the latency is taken."""
+VAGUE = 2.0
+"""Standard error of a latency over that by curvature from which on the odometry's noise, not its motion, tells it."""
+DECREMENT = 1e-3
+"""Gain of log-likelihood that a Newton step may still promise at an optimum: 1/20 of a standard error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,8 +110,9 @@ def score(inputs: Inputs, decisions: IntArray, begin: int = 0, end: int | None =
 def fit(model: Model, decisions: IntArray, frames: int | None = None) -> Fit:
     """Maximise the innovation likelihood of the first `frames` frames (all, if None).
 
-    Quasi-Newton in bounds, then the Hessian by central differences over about half a standard error each way. A
-    parameter whose standard error exceeds its limit goes back to 0 and the rest is fitted again, the least determined
+    Quasi-Newton in bounds from the best of several starting points, then Newton's method with the Hessian by central
+    differences over about half a standard error each way, at every step with odometry.csv cut at the latency reached.
+    A parameter whose standard error exceeds its limit goes back to 0 and the rest is fitted again, the least determined
     first; one at its bound stays there. Standard errors are those of white innovations: on a recording whose
     errors last, they are too small.
 
@@ -114,42 +122,91 @@ def fit(model: Model, decisions: IntArray, frames: int | None = None) -> Fit:
     shorter = model if frames is None else replace(model, inputs=_head(model.inputs, frames))
     if len(shorter.inputs.observations.frame) == 0:
         raise DataError("nothing to fit to: there are no observations")
-    decided = decisions[: len(shorter.inputs.observations.frame)]
-    objective = _objective(shorter, decided)
+    cost = _cost(shorter, decisions[: len(shorter.inputs.observations.frame)])
     n = len(model)
+    latency = np.array([p.name == LATENCY for p in model.parameters])
     bound, limit = np.array([p.bound for p in model.parameters]), np.array([p.limit for p in model.parameters])
-    theta, error, free = np.zeros(n), np.full(n, np.nan), np.ones(n, bool)
-    start = objective(theta)
-    edge = np.zeros(n, bool)
+
+    def near(theta: Array) -> Objective:
+        cut = float(theta[latency].sum())
+        return lambda x: cost(x, cut)
+
+    def here(theta: Array) -> float:
+        return near(theta)(theta)
+
+    starts = starting_points(here, shorter)
+    if len(starts) > 1:
+        starts = [search(near(start), start, np.arange(n), 0.1 * limit, bound) for start in starts]
+    theta = min(starts, key=here)
+    error, free, edge = np.full(n, np.nan), np.ones(n, bool), np.zeros(n, bool)
     for _ in range(ROUNDS):
+        error[:] = np.nan
         moving = np.flatnonzero(free & ~edge)
         if not len(moving):
             break
-        theta = _search(objective, theta, moving, 0.1 * limit, bound)
+        theta = search(near(theta), theta, moving, 0.1 * limit, bound)
         at = moving[np.abs(theta[moving]) > 0.999 * bound[moving]]
         if len(at):
             edge[at] = True
             continue
-        H, gradient = _curvature(objective, theta, moving, limit)
+        H = curvature(near(theta), theta, moving, limit)
         values, vectors = np.linalg.eigh(H * np.outer(limit[moving], limit[moving]))
         if values[0] < 1.0:  # along this direction a step of the limit changes the likelihood by less than 1/2
             vague = moving[int(np.argmax(np.abs(vectors[:, 0])))]
             theta[vague], free[vague] = 0.0, False
             continue
-        covariance = np.linalg.inv(H)
-        error[:] = np.nan
-        error[moving] = np.sqrt(np.diag(covariance))
-        step = covariance @ gradient
-        if 0.5 * float(gradient @ step) < DECREMENT:
+        theta, done = _settle(near, theta, moving, H, bound)
+        if not done:
+            continue
+        error[moving] = np.sqrt(np.diag(_covariance(near, theta, moving, H, latency)))
+        claimed = np.full(n, np.inf)
+        claimed[moving] = np.sqrt(np.diag(np.linalg.inv(H)))
+        lost = np.flatnonzero(latency & (error > np.minimum(limit, VAGUE * claimed)))
+        if not len(lost):
             break
-        tried = theta.copy()
-        tried[moving] = np.clip(theta[moving] - step, -bound[moving], bound[moving])
-        if objective(tried) < objective(theta):
-            theta = tried
+        theta[lost], free[lost] = 0.0, False
     else:
         raise DataError("the likelihood has no clear maximum on this log; fit fewer parameters")
     status = tuple(HELD if not f else AT_BOUND if e else FITTED for f, e in zip(free, edge, strict=True))
-    return Fit(theta, error, status, start - objective(theta))
+    return Fit(theta, error, status, here(np.zeros(n)) - here(theta))
+
+
+def _settle(
+    near: Callable[[Array], Objective], theta: Array, moving: IntArray, H: Array, bound: Array
+) -> tuple[Array, bool]:
+    """Newton's steps with a Hessian (k, k), each cutting the odometry where the last one led; whether they ended."""
+    covariance = np.linalg.inv(H)
+    # near, or the third derivative would pass for a slope
+    reach = 0.1 * np.sqrt(0.5 / np.diag(H))
+    for _ in range(STEPS):
+        gradient = slope(near(theta), theta, moving, reach)
+        step = covariance @ gradient
+        if 0.5 * float(gradient @ step) < DECREMENT:
+            return theta, True
+        theta = theta.copy()
+        theta[moving] = np.clip(theta[moving] - step, -bound[moving], bound[moving])
+    return theta, False
+
+
+def _covariance(
+    near: Callable[[Array], Objective], theta: Array, moving: IntArray, H: Array, latency: BoolArray
+) -> Array:
+    """Covariance (k, k) of the parameters `moving`: J^-1 H J^-T, J the derivative of a score of variance H.
+
+    J is H but for the latency (n,): odometry that is cut anew has other noise in it, so its noise adds to the score's
+    variance and not to its slope (the sandwich of estimating equations: Huber, Proc. 5th Berkeley Symposium, 1967).
+    """
+    J = H.copy()
+    reach = 0.1 * np.sqrt(0.5 / np.diag(H))
+    for i in np.flatnonzero(latency[moving]):
+        h = APART * math.sqrt(np.linalg.inv(H)[i, i])
+        later, sooner = theta.copy(), theta.copy()
+        later[moving[i]] += h
+        sooner[moving[i]] -= h
+        J[:, i] = (slope(near(later), later, moving, reach) - slope(near(sooner), sooner, moving, reach)) / (2.0 * h)
+    # pinv: where no signal is left the error is to be large, not the program to end
+    inverse = np.linalg.pinv(J, rcond=1e-12)
+    return np.asarray(inverse @ H @ inverse.T)
 
 
 def _head(inputs: Inputs, frames: int) -> Inputs:
@@ -165,78 +222,13 @@ def _head(inputs: Inputs, frames: int) -> Inputs:
     )
 
 
-Objective = Callable[[Array], float]
-
-
-def _objective(model: Model, decisions: IntArray) -> Objective:
-    """Minus the log-likelihood at parameters (n,)."""
+def _cost(model: Model, decisions: IntArray) -> Callable[[Array, float], float]:
+    """Minus the log-likelihood at parameters (n,), with odometry.csv cut at a latency [s]."""
     stated = -float(run_filter(apply(model, np.zeros(len(model))), decisions).log_likelihood.sum())
 
-    def objective(theta: Array) -> float:
-        run = run_filter(apply(model, theta), decisions)
+    def cost(theta: Array, cut: float) -> float:
+        run = run_filter(apply(model, theta, cut=cut), decisions)
         value = -float(run.log_likelihood.sum())
         return value if run.failure is None and math.isfinite(value) else stated + HOPELESS
 
-    return objective
-
-
-def _search(objective: Objective, theta: Array, moving: IntArray, scale: Array, bound: Array) -> Array:
-    """Minimise over the parameters `moving`, in units of `scale`."""
-    unit = scale[moving]
-
-    def full(x: Array) -> Array:
-        point = theta.copy()
-        point[moving] = x * unit
-        return point
-
-    def value(x: Array) -> float:
-        return objective(full(x))
-
-    def gradient(x: Array) -> Array:
-        slope = np.empty(len(x))
-        for i in range(len(x)):
-            h = np.zeros(len(x))
-            h[i] = 1e-3
-            slope[i] = (value(x + h) - value(x - h)) / 2e-3
-        return slope
-
-    found = minimize(
-        value,
-        theta[moving] / unit,
-        jac=gradient,
-        method="L-BFGS-B",
-        bounds=Bounds(-bound[moving] / unit, bound[moving] / unit),
-        options={"maxiter": 300, "maxcor": 20, "ftol": 1e-13, "gtol": 1e-3},
-    )
-    return full(found.x)
-
-
-def _curvature(objective: Objective, theta: Array, moving: IntArray, limit: Array) -> tuple[Array, Array]:
-    """Hessian (k, k) and gradient (k,) over the parameters `moving` by central differences.
-
-    The steps change the log-likelihood by about 1/4 each: half of the law's own width, far above rounding and kinks.
-    """
-    here = objective(theta)
-
-    def at(*moves: tuple[int, float]) -> float:
-        point = theta.copy()
-        for i, h in moves:
-            point[moving[i]] += h
-        return objective(point)
-
-    k = len(moving)
-    step = 0.01 * limit[moving]
-    for i in range(k):
-        second = (at((i, step[i])) + at((i, -step[i])) - 2.0 * here) / step[i] ** 2
-        if second > 0.0:
-            step[i] = min(max(math.sqrt(0.5 / second), 0.1 * step[i]), 30.0 * step[i])
-    H, gradient = np.empty((k, k)), np.empty(k)
-    for i in range(k):
-        up, down = at((i, step[i])), at((i, -step[i]))
-        H[i, i] = (up + down - 2.0 * here) / step[i] ** 2
-        # nearer, or the third derivative would pass for a slope
-        gradient[i] = (at((i, 0.1 * step[i])) - at((i, -0.1 * step[i]))) / (0.2 * step[i])
-        for j in range(i):
-            corners = [at((i, a * step[i]), (j, b * step[j])) * a * b for a in (1.0, -1.0) for b in (1.0, -1.0)]
-            H[i, j] = H[j, i] = sum(corners) / (4.0 * step[i] * step[j])
-    return H, gradient
+    return cost

@@ -5,7 +5,7 @@ the unit of its reading, or seconds. Nothing here knows the truth.
 
 Odometry predicts the motion, so a scale is that of the best prediction: noisy odometry is shrunk by the share of its
 noise in its mean square (regression on a noisy quantity), by 1 % where that share is 1 %. For the same reason a latency
-that averages two noisy samples is favoured by a fraction of the time between samples.
+that averages two noisy samples would be favoured; `eval.tuning.odometry` says how that is avoided.
 """
 
 from __future__ import annotations
@@ -13,23 +13,21 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
 from data import se2
-from data.errors import DataError, UsageError
+from data.errors import UsageError
 from data.inputs import Increments, Inputs, LabelledObservations, floor_covariances
-from data.motion import VelocityModel, VelocityNoise, preintegrate
-from data.open_log.csv_table import read_table
-from data.open_log.header import read_header
-from data.open_log.reader import HEADER, ODOMETRY
+from data.motion import VelocityNoise, preintegrate
 from data.se2 import Array
 from data.sensors import RangeBearing
+from eval.tuning.odometry import Odometry, moved_later, smooth_velocity
 
 GROUPS = ("motion", "sensor", "bias", "odometry", "latency", "growth")
 """What may be fitted; `growth` only where it is asked for."""
 DEFAULT_GROUPS = GROUPS[:-1]
+LATENCY = "latency"
 CLOSEST = 0.1
 """m. The noise of nearer readings no longer shrinks with the range."""
 
@@ -67,16 +65,6 @@ class Parameter:
 
 
 @dataclass(frozen=True, eq=False)
-class Odometry:
-    """odometry.csv as recorded: stamps [s], v [m/s], omega [rad/s] (K,), and how they become increments."""
-
-    time: Array
-    v: Array
-    omega: Array
-    model: VelocityModel
-
-
-@dataclass(frozen=True, eq=False)
 class Model:
     """A log's inputs as stated (labels granted), its recorded odometry where it has one, and what is to be fitted."""
 
@@ -86,17 +74,6 @@ class Model:
 
     def __len__(self) -> int:
         return len(self.parameters)
-
-
-def read_odometry(folder: Path) -> Odometry | None:
-    """The recorded odometry of a log folder that has loaded; None for one with frames.csv, or for a log by name."""
-    if not (folder / ODOMETRY).is_file():
-        return None
-    motion = read_header(folder / HEADER).motion
-    if motion is None:
-        raise DataError.at(folder / HEADER, f"no [motion] table; {ODOMETRY} needs one")
-    table = read_table(folder / ODOMETRY, ("t", "v", "omega"))
-    return Odometry(table.columns["t"], table.columns["v"], table.columns["omega"], motion)
 
 
 def make_model(inputs: Inputs, odometry: Odometry | None, groups: Collection[str] = DEFAULT_GROUPS) -> Model:
@@ -131,7 +108,7 @@ def make_model(inputs: Inputs, odometry: Odometry | None, groups: Collection[str
         found.append(Parameter("odometry_v", "", scale, 0.2, "true distance per odometry distance"))
         found.append(Parameter("odometry_omega", "", scale, 0.2, "true rotation per odometry rotation"))
     if "latency" in groups and odometry is not None:
-        found.append(Parameter("latency", "s", 1.0, 0.2, "readings were taken this long before their stamp"))
+        found.append(Parameter(LATENCY, "s", 1.0, 0.2, "readings were taken this long before their stamp"))
     return Model(inputs, odometry, tuple(found))
 
 
@@ -160,7 +137,7 @@ def vector(model: Model, values: Mapping[str, float]) -> Array:
     return np.array([p.parameter(values[p.name]) if p.name in values else 0.0 for p in model.parameters])
 
 
-def apply(model: Model, theta: Sequence[float] | Array, *, floor: bool = False) -> Inputs:
+def apply(model: Model, theta: Sequence[float] | Array, *, floor: bool = False, cut: float | None = None) -> Inputs:
     """The inputs with parameters theta (n,).
 
     With odometry.csv the velocity is scaled and preintegrated anew, between frames that stand `latency` earlier: at the
@@ -170,10 +147,12 @@ def apply(model: Model, theta: Sequence[float] | Array, *, floor: bool = False) 
         model: the log and what may change.
         theta: parameters, in the order of `model.parameters`.
         floor: add the log's covariance floor, as loading would (an EKF does not need it).
+        cut: s. Latency at which odometry.csv is cut into increments, which from there are moved with the smoothed
+            velocity to the latency of theta; None: at that latency itself. Nothing is moved where the two agree.
     """
     value = {p.name: float(t) for p, t in zip(model.parameters, theta, strict=True)}
     inputs = model.inputs
-    increments = _increments(model, value)
+    increments = _increments(model, value, cut)
     covariance, floored = increments.covariance, inputs.floored
     if floor:
         covariance, more = floor_covariances(covariance, inputs.covariance_floor)
@@ -184,21 +163,24 @@ def apply(model: Model, theta: Sequence[float] | Array, *, floor: bool = False) 
     z, R = _readings(model, value)
     return replace(
         inputs,
-        time=inputs.time - value.get("latency", 0.0),
+        time=inputs.time - value.get(LATENCY, 0.0),
         increments=Increments(increments.mean, covariance),
         observations=LabelledObservations(o.frame, z, R, o.label),
         floored=floored,
     )
 
 
-def _increments(model: Model, value: Mapping[str, float]) -> Increments:
+def _increments(model: Model, value: Mapping[str, float], cut: float | None) -> Increments:
     """Scaled motion with scaled noise."""
     forward, turn = math.exp(value.get("odometry_v", 0.0)), math.exp(value.get("odometry_omega", 0.0))
     if model.odometry is not None:
-        odometry = model.odometry
+        odometry, latency = model.odometry, value.get(LATENCY, 0.0)
         noisy = replace(odometry.model, noise=_scaled(odometry.model.noise, value))
-        at = model.inputs.time - value.get("latency", 0.0)
-        return preintegrate(noisy, odometry.time, forward * odometry.v, turn * odometry.omega, at)[0]
+        at = model.inputs.time - (latency if cut is None else cut)
+        cutting = preintegrate(noisy, odometry.time, forward * odometry.v, turn * odometry.omega, at)[0]
+        if cut is None or cut == latency:
+            return cutting
+        return moved_later(cutting, smooth_velocity(odometry, at) * np.array([forward, turn]), cut - latency)
     stated = model.inputs.increments
     # a chord stands half the arc's turn off the first heading
     half = 0.5 * (turn - 1.0) * stated.mean[:, 2]

@@ -9,69 +9,11 @@ import pytest
 
 from data.errors import DataError, UsageError
 from data.inputs import Increments, Observations
-from data.motion import VelocityModel, VelocityNoise, preintegrate
 from data.open_log.reader import load_folder
 from data.open_log.writer import write_folder
-from data.sensors import RangeBearing
 from data.worlds.arena import simulate
 from eval.tune import Numbers, main, tune
-from tests.eval.tuning.stated import SMALL, by_name, changed
-
-
-def odometry_folder(folder, *, latency=0.0, over=1.0, sigma=(0.02, 0.01), seed=0):
-    """A log folder with odometry.csv at 20 Hz whose speeds are `over` times too large, readings stamped late."""
-    rng = np.random.default_rng(seed)
-    dt, t = 0.05, 0.05 * np.arange(901)
-    v, omega = 1.0 + 0.5 * np.sin(t), 0.2 + 0.5 * np.sin(0.7 * t)
-    exact = VelocityModel(VelocityNoise("density"))
-    pose = np.zeros((len(t), 3))
-    steps = preintegrate(exact, t, v, omega, t)[0].mean
-    for k in range(1, len(t)):
-        c, s = np.cos(pose[k - 1, 2]), np.sin(pose[k - 1, 2])
-        pose[k] = pose[k - 1] + [c * steps[k, 0] - s * steps[k, 1], s * steps[k, 0] + c * steps[k, 1], steps[k, 2]]
-    landmarks = pose[:, :2].mean(axis=0) + rng.uniform(-12.0, 12.0, (20, 2))
-    lines = []
-    for k in range(40, 860, 8):  # every 0.4 s
-        z = RangeBearing().predict(pose[k], landmarks)
-        near = np.flatnonzero(z[:, 0] < 8.0)
-        z = z[near] + np.array([0.05, 0.01]) * rng.standard_normal((len(near), 2))
-        lines += [f"{float(t[k] + latency)!r},{max(a, 0.0)!r},{b!r},{i}" for (a, b), i in zip(z.tolist(), near)]
-    noisy = np.column_stack([t, v, omega])
-    noisy[:, 1:] += np.array(sigma) / np.sqrt(dt) * rng.standard_normal((len(t), 2))
-    noisy[:, 1] *= over
-    folder.mkdir()
-
-    def table(name, header, rows):
-        (folder / name).write_text("\n".join([header, *rows]) + "\n")
-
-    def text(rows):
-        return [",".join(map(repr, row)) for row in rows.tolist()]
-
-    table("odometry.csv", "t,v,omega", text(noisy))
-    table("observations.csv", "t,z1,z2,true_id", lines)
-    table("landmarks.csv", "id,x,y", [f"{i},{x!r},{y!r}" for i, (x, y) in enumerate(landmarks.tolist())])
-    table("truth.csv", "t,x,y,theta", text(np.column_stack([t, pose])))
-    (folder / "log.toml").write_text(
-        'format = 1\nname = "stamped"\n[prior]\nmean = [0, 0, 0]\nsigma = [0.01, 0.01, 0.01]\n'
-        '[sensor]\nkind = "range_bearing"\nsigma = [0.05, 0.01]\n'
-        f'[motion]\nmodel = "unicycle"\nnoise = "density"\nsigma = [{2 * sigma[0]}, {2 * sigma[1]}]\n'
-    )
-    return folder
-
-
-def test_latency_scale_and_noise_of_recorded_odometry_are_found(tmp_path):
-    folder = odometry_folder(tmp_path / "stamped", latency=0.12, over=1.04)
-    tuning = tune(load_folder(folder), folder, groups="motion,odometry,latency")
-    value = by_name(tuning.model, [p.value(t) for p, t in zip(tuning.model.parameters, tuning.theta)])
-    error = by_name(tuning.model, tuning.fit.error)
-    assert value["latency"] == pytest.approx(0.12, abs=max(3.0 * error["latency"], 0.005))
-    assert value["odometry_v"] == pytest.approx(1.0 / 1.04, abs=3.0 * error["odometry_v"])
-    assert np.log(2.0 * value["motion_v"]) == pytest.approx(0.0, abs=3.0 * error["motion_v"])
-    assert np.log(2.0 * value["motion_omega"]) == pytest.approx(0.0, abs=3.0 * error["motion_omega"])
-    # the frames stand where the readings were taken, and the truth with them
-    moved = tuning.log.recorded.time - load_folder(folder).recorded.time
-    assert moved == pytest.approx(-value["latency"])
-    assert tuning.errors["tuned"][0] < 0.5 * tuning.errors["as stated"][0]
+from tests.eval.tuning.stated import SMALL, changed
 
 
 @pytest.fixture

@@ -1,0 +1,117 @@
+"""`eval.tune` finds the latency of the readings, whatever noise a log states and wherever odometry is cut."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from data.inputs import Increments
+from data.motion import VelocityModel, VelocityNoise, preintegrate
+from data.open_log.reader import load_folder
+from eval.tune import tune
+from eval.tuning.fit import fit, pairings
+from eval.tuning.model import apply, make_model, vector
+from eval.tuning.odometry import Odometry, moved_later, read_odometry, smooth_velocity
+from tests.eval.tuning.stamped import Stamped, stamped_folder
+
+
+def fitted(folder, groups=("motion", "sensor", "bias", "odometry", "latency")):
+    """The fit by name: (value, standard error) of every parameter."""
+    inputs = load_folder(folder).inputs(labels=True)
+    model = make_model(inputs, read_odometry(folder), groups)
+    found = fit(model, pairings(inputs))
+    return {p.name: (t, e) for p, t, e in zip(model.parameters, found.theta, found.error)}
+
+
+def test_latency_scale_and_noise_of_recorded_odometry_are_found(tmp_path):
+    true = Stamped(latency=0.12, over=(1.04, 1.0), stated=(2.0, 1.0))
+    folder = stamped_folder(tmp_path / "stamped", true)
+    tuning = tune(load_folder(folder), folder, groups="motion,odometry,latency")
+    for p, theta, error in zip(tuning.model.parameters, tuning.theta, tuning.fit.error):
+        assert theta == pytest.approx(p.parameter(true.truth()[p.name]), abs=3.0 * error), p.name
+    # the frames stand where the readings were taken, and the truth with them
+    moved = tuning.log.recorded.time - load_folder(folder).recorded.time
+    assert moved == pytest.approx(-tuning.theta[-1])
+    assert tuning.errors["tuned"][0] < 0.5 * tuning.errors["as stated"][0]
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_averaging_two_odometry_samples_is_not_taken_for_a_latency(tmp_path, seed):
+    # where two samples are averaged, the likelihood has maxima: 0.060 ± 0.007 and -0.109 ± 0.008 s were found
+    true = Stamped(stated=(0.25, 0.25), noise=3.0, seed=seed)
+    latency, error = fitted(stamped_folder(tmp_path / "stamped", true))["latency"]
+    assert abs(latency) < 2.0 * error < 0.06
+
+
+def test_the_noise_that_a_log_states_does_not_change_what_is_found(tmp_path):
+    found = [
+        fitted(stamped_folder(tmp_path / str(i), Stamped(latency=0.03, stated=stated, seed=3)))
+        for i, stated in enumerate([(1.0, 1.0), (0.25, 0.25), (4.0, 0.25)])
+    ]
+    for other in found[1:]:
+        for name in ("latency", "odometry_v", "odometry_omega", "bias_range", "bias_bearing"):
+            value, error = found[0][name]
+            assert np.isfinite(error)
+            assert other[name][0] == pytest.approx(value, abs=0.1 * error), name
+            assert other[name][1] == pytest.approx(error, rel=0.05), name
+
+
+def test_the_noise_of_a_robot_of_constant_velocity_is_not_taken_for_a_latency(tmp_path):
+    folder = stamped_folder(tmp_path / "stamped", Stamped(winding=0.0, seed=4))
+    latency, error = fitted(folder, ("motion", "latency"))["latency"]
+    assert latency == 0.0
+    assert np.isnan(error)
+
+
+def test_a_latency_far_from_the_stated_one_is_found(tmp_path):
+    folder = stamped_folder(tmp_path / "stamped", Stamped(latency=0.7, stated=(0.25, 0.25)))
+    latency, error = fitted(folder, ("motion", "sensor", "latency"))["latency"]
+    assert latency == pytest.approx(0.7, abs=3.0 * error)
+
+
+def test_velocity_of_an_instant_is_the_mean_of_the_same_time_before_and_after():
+    t = 0.1 * np.arange(101)
+    odometry = Odometry(t, t, np.where(t < 4.999, 0.0, 1.0), VelocityModel(VelocityNoise("density")))
+    velocity = smooth_velocity(odometry, np.array([5.0]))[0]
+    assert velocity[0] == pytest.approx(4.95)  # a sample holds until the next: 0.05 s late on average
+    assert velocity[1] == pytest.approx(0.5)
+
+
+def test_velocity_is_zero_in_a_gap_and_without_samples():
+    model = VelocityModel(VelocityNoise("density"))
+    gap = Odometry(np.array([0.0, 0.1, 10.0, 10.1]), np.ones(4), np.ones(4), model)
+    assert np.array_equal(smooth_velocity(gap, np.array([5.0])), [[0.0, 0.0]])
+    one = Odometry(np.zeros(1), np.ones(1), np.ones(1), model)
+    assert np.array_equal(smooth_velocity(one, np.array([0.0, 1.0])), np.zeros((2, 2)))
+
+
+def test_moved_increments_are_those_cut_at_the_later_instants_of_a_steady_motion():
+    model = VelocityModel(VelocityNoise("density", (0.1, 0.1)))
+    t = np.arange(0.0, 10.0, 0.1)
+    v, omega = np.full(len(t), 1.3), np.full(len(t), 0.4)
+    at = np.array([2.0, 2.7, 3.1, 5.0])
+    now, later = preintegrate(model, t, v, omega, at)[0], preintegrate(model, t, v, omega, at + 0.05)[0]
+    moved = moved_later(now, smooth_velocity(Odometry(t, v, omega, model), at), 0.05)
+    assert moved.mean[1:] == pytest.approx(later.mean[1:], abs=1e-12)
+    assert np.array_equal(moved.covariance, now.covariance)
+
+
+def test_moved_increments_compose_to_the_whole_way():
+    rng = np.random.default_rng(0)
+    mean, velocity = rng.normal(size=(6, 3)), rng.normal(size=(6, 2))
+    there = moved_later(Increments(mean, np.zeros((6, 3, 3))), velocity, 0.2)
+    assert moved_later(there, velocity, -0.2).mean[0] == pytest.approx(mean[0])
+    still = moved_later(Increments(mean, np.zeros((6, 3, 3))), np.zeros((6, 2)), 0.2)
+    assert still.mean == pytest.approx(np.column_stack([mean[:, :2], np.angle(np.exp(1j * mean[:, 2]))]))
+
+
+def test_a_cut_at_the_latency_itself_is_the_log_cut_anew(tmp_path):
+    folder = stamped_folder(tmp_path / "stamped", Stamped())
+    inputs = load_folder(folder).inputs(labels=True)
+    model = make_model(inputs, read_odometry(folder), ("latency",))
+    theta = vector(model, {"latency": 0.03})
+    anew, same = apply(model, theta).increments.mean, apply(model, theta, cut=0.03).increments.mean
+    assert np.array_equal(anew, same)
+    near = apply(model, theta, cut=0.0).increments.mean
+    assert near == pytest.approx(anew, abs=0.03)
+    assert not np.array_equal(near, anew)
