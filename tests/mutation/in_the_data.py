@@ -189,6 +189,6 @@ FAULTS = (
     Fault(21, "MRCLAM: bad ground truth not left out", BAD_TRUTH, bad_stretches_forgotten),
     Fault(22, "covariance that does not grow over a gap", GAP, changed("data.motion._preintegrate", NO_GROWTH)),
     Fault(24, "(sigma dt)^2 for each piece of a sample", CUT, changed("data.motion._preintegrate", SQUARED_PIECES)),
-    Fault(25, "corridor: R from the true range", FROM_THE_READING, changed("data.worlds.corridor._look",
+    Fault(25, "corridor: R from the true range", FROM_THE_READING, changed("data.worlds.corridor._observe",
     FROM_THE_TRUTH)),
 )  # fmt: skip
