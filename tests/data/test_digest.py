@@ -39,8 +39,10 @@ from data.visual.lab.writer import write_lab
 from data.visual.rendering.render import Rendered
 from data.worlds.gallery import Gallery
 with tempfile.TemporaryDirectory() as folder:
-    open_log("visual:0:frames=1+image_width=320+image_height=240", Reading(cache=Path(folder) / "kept"))
-    write_lab(Path(folder) / "lab", Rendered(Gallery(image_width=320, image_height=240), 0, frames=1))
+    small = "image_width=320+image_height=240+reference_width=120"
+    open_log(f"visual:0:frames=1+{small}", Reading(cache=Path(folder) / "kept"))
+    gallery = Gallery(image_width=320, image_height=240, reference_width=120)
+    write_lab(Path(folder) / "lab", Rendered(gallery, 0, frames=1))
     open_log(f"{folder}/lab")
 """
 

@@ -10,12 +10,13 @@ from data.visual import observations as visual_log
 from eval.run_all import main
 
 FRAMES = 8
+SMALL = ["--image-width", "400", "--image-height", "300", "--reference-width", "300"]
 
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory):
     folder = tmp_path_factory.mktemp("lab") / "my_lab"
-    assert convert(["visual", str(folder), "--seed", "1", "--frames", str(FRAMES), "--form", "npy"]) == 0
+    assert convert(["visual", str(folder), "--seed", "1", "--frames", str(FRAMES), "--form", "npy", *SMALL]) == 0
     return folder
 
 

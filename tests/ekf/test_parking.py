@@ -56,7 +56,7 @@ def some_of(rng, numbers, share):
     return np.asarray(numbers, np.int64)[rng.random(len(numbers)) < share]
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(
     seed=st.integers(0, 10**6),
     sensor=st.sampled_from([RangeBearing(rotation=0.3, translation=(0.2, -0.1)), RelativePoint()]),
