@@ -54,8 +54,8 @@ def test_95_percent_intervals_cover_the_truth_in_90_to_100_percent_of_logs(tmp_p
     latency         92.0 %  +0.01  1.03
 
     200 logs, because the share of 100 has itself a standard error of 2 to 3 %: in the first 100 odometry_v is covered
-    in 87 %, in the second in 95 %. Motion noise is found a little small, as variances are by maximum likelihood; odometry
-    scales are shrunk, as `eval.tuning.model` says.
+    in 87 %, in the second in 95 %. Motion noise is found a little small, as variances are by maximum likelihood;
+    odometry scales are shrunk, as `eval.tuning.model` says.
     """
     with threadpool_limits(1):
         logs = [deviations(tmp_path / str(seed), varied(seed)) for seed in range(LOGS)]
