@@ -22,6 +22,8 @@ SHARE = 0.1
 """Below this share of them the estimator is lost; clutter alone leaves more."""
 ESTABLISHED = 3
 """Sightings that a landmark of SLAM needs before it is missed."""
+OLD = 20
+"""Frames since it was initialized after which a landmark is missed: a robot that was moved initializes others at once."""
 EDGE = 0.9
 """Share of range and field of view in which a landmark is expected: at the edge the estimate's own error decides."""
 ABSURD = 100.0
@@ -71,11 +73,14 @@ def _unseen(run: Run, inputs: Inputs) -> Lost | None:
     number, xy, first = run.map.number[old], run.map.xy[old], run.map.first_frame[old]
     n, o = len(inputs), inputs.observations
     decisions = run.decisions
-    did = np.bincount(o.frame[np.isin(decisions, number)], minlength=n)
+    slot = np.clip(np.searchsorted(number, decisions), 0, max(len(number) - 1, 0))
+    paired = np.isin(decisions, number)
+    paired[paired] = o.frame[paired] >= first[slot[paired]] + OLD
+    did = np.bincount(o.frame[paired], minlength=n)
     looked = np.bincount(o.frame, minlength=n) > 0
     could = np.zeros(n)
     for k in np.flatnonzero(looked):
-        there = xy[first < k]
+        there = xy[first <= k - OLD]
         if len(there):
             could[k] = _well_inside(inputs, run.online.pose[k], there).sum()
     if not could.sum():
