@@ -144,7 +144,7 @@ def _step(wish: Wish) -> None:
         inputs = inputs.without_map()
     walk = Walk(log, task, o.estimator[0], album, pausing=not wish.run_through and sys.stdin.isatty())
     try:
-        run = step_by_step(o.estimator[0], inputs, task, association, o.setup, watch=walk)
+        run = step_by_step(o.estimator[0], inputs, task, association, o.setup, observer=walk)
         end(log, run, album, walk)
     except StoppedError:
         print("stopped; what was written so far is whole")

@@ -38,7 +38,8 @@ def tables_parsed_once() -> Iterator[None]:
     @cache
     def parse(path: str, content: bytes, columns: tuple[str, ...]) -> tables.Table:
         table = plain(path, content, columns)
-        table.rows.setflags(write=False)
+        for column in table.columns.values():
+            column.setflags(write=False)
         return table
 
     with pytest.MonkeyPatch.context() as patch:

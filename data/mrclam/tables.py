@@ -13,46 +13,21 @@ Published by K.Y.K. Leung, Y. Halpern, T.D. Barfoot and H.H.T. Liu, IJRR 30(8), 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from data.errors import LARGEST, DataError
+from data.errors import DataError
 from data.inputs import IntArray, LandmarkMap
 from data.mrclam.files import BARCODES, LANDMARKS, Files, robot_file
+from data.open_log.table import Table
 from data.se2 import Array
 
 ROBOTS = range(1, 6)
 """Subjects that are robots, in every dataset of the collection."""
 LONGEST = 1e6
 """s. No recording is longer; a stamp further on is broken, and keyframes up to it would fill the memory."""
-
-
-@dataclass(frozen=True)
-class Table:
-    """Rows (K, columns) of one file, the line (K,) each stands in, and how errors name the file."""
-
-    path: str
-    columns: tuple[str, ...]
-    rows: Array
-    line: IntArray
-
-    def require(self, fine: NDArray[np.bool_], column: int, what: str) -> None:
-        """Raise at the first row where `fine` (K,) is false; `{}` in `what` stands for the value."""
-        if not fine.all():
-            row = int(np.argmin(fine))
-            value = float(self.rows[row, column])
-            shown = repr(int(value) if value.is_integer() else value)
-            raise DataError.at(self.path, what.format(shown), line=int(self.line[row]), column=self.columns[column])
-
-    def integers(self, column: int) -> IntArray:
-        """A column of whole numbers >= 0."""
-        values = self.rows[:, column]
-        self.require((values >= 0) & (values == np.floor(values)), column, "{} is not a whole number from 0 up")
-        return values.astype(np.int64)
 
 
 def parse(path: str, content: bytes, columns: tuple[str, ...]) -> Table:
@@ -79,9 +54,8 @@ def parse(path: str, content: bytes, columns: tuple[str, ...]) -> Table:
         values = np.array(list(map(float, chain.from_iterable(rows)))).reshape(-1, len(columns))
     except ValueError:
         raise _not_a_number(path, data, rows, columns) from None
-    table = Table(path, columns, values, line)
-    for column in range(len(columns)):
-        table.require(np.abs(values[:, column]) <= LARGEST, column, "{} is not a number between -1e15 and 1e15")
+    table = Table(path, dict(zip(columns, values.T, strict=True)), line=line)
+    table.require_finite(columns)
     if lines[-1].strip():
         _require_whole_end(table, rows)
     return table
@@ -108,19 +82,21 @@ def _require_whole_end(table: Table, rows: list[list[bytes]]) -> None:
     if len(rows) > 1 and decimals[-1] < min(decimals[:-1]):
         shown = rows[-1][-1].decode("utf-8", "replace")
         what = f"{shown} has fewer decimals than any other row and no line end: the file was cut off"
-        raise DataError.at(table.path, what, line=int(table.line[-1]), column=table.columns[-1])
+        raise table.error(len(rows) - 1, list(table.columns)[-1], what)
 
 
 def _stamped(files: Files, name: str, columns: tuple[str, ...]) -> Table:
     """A file whose first column is a stamp that never decreases."""
     table = parse(files.path(name), files.content(name), ("time", *columns))
-    stamp = table.rows[:, 0]
+    stamp = table.columns["time"]
     backwards = np.diff(stamp, prepend=stamp[0]) < 0.0
     if backwards.any():
         before = float(stamp[int(np.argmax(backwards)) - 1])
-        table.require(~backwards, 0, f"{{}} follows {before!r}; stamps must not decrease")
+        table.require(~backwards, "time", f"{{}} follows {before!r}; stamps must not decrease")
     table.require(
-        stamp - stamp[0] <= LONGEST, 0, f"{{}} is more than {LONGEST:g} s after the first row; stamps are in seconds"
+        stamp - stamp[0] <= LONGEST,
+        "time",
+        f"{{}} is more than {LONGEST:g} s after the first row; stamps are in seconds",
     )
     return table
 
@@ -128,9 +104,9 @@ def _stamped(files: Files, name: str, columns: tuple[str, ...]) -> Table:
 def read_barcodes(files: Files) -> dict[int, int]:
     """Subject by barcode."""
     table = parse(files.path(BARCODES), files.content(BARCODES), ("subject", "barcode"))
-    subject, barcode = table.integers(0), table.integers(1)
-    _require_distinct(table, 0, subject)
-    _require_distinct(table, 1, barcode)
+    subject, barcode = (table.integers(name, 0) for name in ("subject", "barcode"))
+    _require_distinct(table, "subject", subject)
+    _require_distinct(table, "barcode", barcode)
     return dict(zip(barcode.tolist(), subject.tolist(), strict=True))
 
 
@@ -146,16 +122,16 @@ def read_landmarks(files: Files, replacement: Path | None = None) -> LandmarkMap
             raise DataError.at(replacement, f"cannot be read: {error.strerror}") from None
         files.sha256[replacement.name] = hashlib.sha256(content).hexdigest()
     table = parse(path, content, ("subject", "x", "y", "x std-dev", "y std-dev"))
-    subject = table.integers(0)
-    table.require(~np.isin(subject, ROBOTS), 0, "{} is a robot's number (1 to 5), not a landmark's")
-    _require_distinct(table, 0, subject)
-    for column in (3, 4):
-        table.require(table.rows[:, column] >= 0.0, column, "{} is a negative standard deviation")
+    subject = table.integers("subject", 0)
+    table.require(~np.isin(subject, ROBOTS), "subject", "{} is a robot's number (1 to 5), not a landmark's")
+    _require_distinct(table, "subject", subject)
+    for column in ("x std-dev", "y std-dev"):
+        table.require(table.columns[column] >= 0.0, column, "{} is a negative standard deviation")
     order = np.argsort(subject)
-    return LandmarkMap(subject[order], table.rows[order, 1:3])
+    return LandmarkMap(subject[order], table.stack(("x", "y"))[order])
 
 
-def _require_distinct(table: Table, column: int, values: IntArray) -> None:
+def _require_distinct(table: Table, column: str, values: IntArray) -> None:
     first = np.zeros(len(values), bool)
     first[np.unique(values, return_index=True)[1]] = True
     table.require(first, column, "{} stands in two rows")
@@ -164,17 +140,17 @@ def _require_distinct(table: Table, column: int, values: IntArray) -> None:
 def read_truth(files: Files, robot: int) -> Array | None:
     """Stamp and true pose (K, 4) of a robot; None if the dataset has no such file."""
     name = robot_file(robot, "Groundtruth")
-    return _stamped(files, name, ("x", "y", "orientation")).rows if name in files.names else None
+    return _stamped(files, name, ("x", "y", "orientation")).all() if name in files.names else None
 
 
 def read_odometry(files: Files, robot: int) -> Array:
     """Stamp, forward velocity [m/s] and angular velocity [rad/s] (K, 3) of a robot."""
-    return _stamped(files, robot_file(robot, "Odometry"), ("forward velocity", "angular velocity")).rows
+    return _stamped(files, robot_file(robot, "Odometry"), ("forward velocity", "angular velocity")).all()
 
 
 def read_measurements(files: Files, robot: int) -> Array:
     """Stamp, barcode, range [m] and bearing [rad] (M, 4) of a robot."""
     table = _stamped(files, robot_file(robot, "Measurement"), ("barcode", "range", "bearing"))
-    table.integers(1)
-    table.require(table.rows[:, 2] >= 0.0, 2, "{} is a negative range")
-    return table.rows
+    table.integers("barcode", 0)
+    table.require(table.columns["range"] >= 0.0, "range", "{} is a negative range")
+    return table.all()

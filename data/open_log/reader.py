@@ -24,9 +24,10 @@ from data.errors import DataError
 from data.inputs import UNLABELLED, Increments, Inputs, IntArray, LandmarkMap, Observations, floor_covariances
 from data.log import Log
 from data.motion import VelocityModel, preintegrate
-from data.open_log.csv_table import Table, read_table
+from data.open_log.csv_table import read_table
 from data.open_log.header import Header, read_header
 from data.open_log.motion_prior import MotionPrior, note_of
+from data.open_log.table import Table
 from data.se2 import Array
 from data.sensors import RangeBearing
 from data.timeline import MAX_GAP, frame_times, truth_at
@@ -105,7 +106,7 @@ def load_folder(path: str | PathLike[str]) -> Log:
         floored=header.floored + floored,
     )
     notes = list(header.notes) + ([note_of(header.motion_prior)] if header.motion_prior is not None else [])
-    notes += [f"{table.path.name}: column {name!r} is not known and was left out" for name in table.unknown]
+    notes += [f"{OBSERVATIONS}: column {name!r} is not known and was left out" for name in table.unknown]
     if gaps:
         plural = "gap" if gaps == 1 else "gaps"
         notes.append(f"{ODOMETRY}: {gaps} {plural} longer than {MAX_GAP:g} s, where the robot may have moved unseen")

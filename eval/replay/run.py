@@ -24,9 +24,9 @@ from eval.replay.given import Given
 from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.hindsight.mapping_frontend import MappingFrontEnd
 from eval.replay.names import BATCH, FILTERS
+from eval.replay.observer import Nobody, Observer
 from eval.replay.recorder import Recorder
 from eval.replay.settings import Setup
-from eval.replay.watch import Nobody, Watch
 from graph.factors import UnderConstrained
 
 PLAIN = Setup()
@@ -85,11 +85,11 @@ def step_by_step(
     *,
     options: FilterOptions | None = None,
     finish: bool = True,
-    watch: Watch = NOBODY,
+    observer: Observer = NOBODY,
 ) -> Run:
     """Any step-by-step estimator with any way of association; `finish=False` stops without the final phase.
 
-    With `options.each` association, too, goes observation by observation, each with its own update. `watch` sees
+    With `options.each` association, too, goes observation by observation, each with its own update. `observer` sees
     every stage and changes nothing but the time taken.
     """
     begin = time.perf_counter()
@@ -100,14 +100,14 @@ def step_by_step(
         for k in range(len(inputs)):
             frame = inputs.frame(k)
             front.move(frame)  # predict
-            watch.moved(front)
+            observer.moved(front)
             for part in _parts(frame, options is not None and options.each):
                 pairing = front.associate(part)  # expect and decide
-                watch.decided(front, part, pairing)
+                observer.decided(front, part, pairing)
                 done = front.update(part, pairing)  # with all pairings, then new landmarks
                 record.update(part, pairing.decisions, done)
             front.tidy()  # landmarks leave the map
-            watch.updated(front, record.decisions, record.created)
+            observer.updated(front, record.decisions, record.created)
             record.estimate(front)
         if finish:
             front.close()

@@ -31,7 +31,7 @@ class StoppedError(Exception):
 
 
 class Walk:
-    """Looks on while a log is replayed: prints, paints and waits for Enter (see `eval.replay.watch.Watch`)."""
+    """Looks on while a log is replayed: prints, paints and waits for Enter (see `eval.replay.observer.Observer`)."""
 
     def __init__(self, log: Log, task: str, estimator: str, album: Album, *, pausing: bool) -> None:
         """Before the first frame."""

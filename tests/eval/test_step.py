@@ -104,7 +104,7 @@ def test_looking_on_changes_no_number(tmp_path):
         for association in ("known", "jcbb"):
             short = step_inputs(log, association)
             walk = Walk(log, "slam", estimator, Unpainted(None, Blind()), pausing=False)
-            seen = step_by_step(estimator, short, "slam", association, watch=walk, finish=False)
+            seen = step_by_step(estimator, short, "slam", association, observer=walk, finish=False)
             alone = step_by_step(estimator, short, "slam", association, finish=False)
             assert np.array_equal(seen.online.pose, alone.online.pose)
             assert np.array_equal(seen.online.covariance, alone.online.covariance)

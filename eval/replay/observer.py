@@ -8,7 +8,7 @@ from data.inputs import Frame, IntArray
 from eval.replay.frontend import FrontEnd, Pairing
 
 
-class Watch(Protocol):
+class Observer(Protocol):
     """Somebody who looks on, frame by frame, and changes nothing."""
 
     def moved(self, front: FrontEnd) -> None:
