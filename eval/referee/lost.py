@@ -23,11 +23,14 @@ SHARE = 0.1
 ESTABLISHED = 3
 """Sightings that a landmark of SLAM needs before it is missed."""
 OLD = 20
-"""Frames since it was initialized after which a landmark is missed: a robot that was moved initializes others at once."""
+"""Frames after its initialization a landmark is missed: a robot that was moved initializes others at once."""
 EDGE = 0.9
 """Share of range and field of view in which a landmark is expected: at the edge the estimate's own error decides."""
 ABSURD = 100.0
 """NIS per degree of freedom, or squared innovation in its own sigmas (10 sigma): no noise model is that wrong."""
+CHANCE, USED = 1.8, 0.7
+"""Behind a gate, so many times the expected NIS is that of pairings by chance, which fill the gate evenly; with a share
+of observations used below this, it is not the noise (sigmas stated at half give 1.9, and use nearly all)."""
 TOGETHER = 3
 """So many innovations in a row that are all absurd: fewer may be wrong labels."""
 
@@ -50,44 +53,61 @@ def lost(run: Run, inputs: Inputs, label: IntArray | None = None) -> Lost | None
     if run.association == "none" or run.failure is not None:
         return None
     view = inputs if run.task == "localization" else inputs.without_map()
-    found = (_unused(run, view, label), _unseen(run, view), _absurd(run, view))
+    found = (_unused(run, view, label), _unseen(run, view), _absurd(run, view), _by_chance(run))
     return min((f for f in found if f is not None), key=lambda f: f.frame, default=None)
 
 
 def _unused(run: Run, inputs: Inputs, label: IntArray | None) -> Lost | None:
-    """A stretch in a known map whose observations are hardly ever paired."""
-    if inputs.map is None:
-        return None
-    known = np.ones(len(run.decisions), bool) if label is None else np.isin(label, inputs.map.id)
+    """A stretch in a known map whose observations are hardly ever paired, or a whole run of SLAM."""
+    known = np.ones(len(run.decisions), bool)
+    if label is not None:
+        known = np.isin(label, inputs.map.id) if inputs.map is not None else label >= 0
     n, frame = len(inputs), inputs.observations.frame
+    if inputs.map is None:
+        later = known & (frame >= FRAMES)  # before that there is not much of a map
+        share = float((_decisions(run)[later] >= 0).mean()) if later.sum() >= OBSERVATIONS else 1.0
+        why = f"{100 * share:.0f} % of all observations after the first {FRAMES} frames were used"
+        return Lost(FRAMES, why) if share < SHARE else None
     could = np.bincount(frame[known], minlength=n)
     did = np.bincount(frame[known & (_decisions(run) >= 0)], minlength=n)
     return _stretch(could, did, could > 0, "{did} of {could:.0f} observations were used in frames {first} to {last}")
 
 
 def _unseen(run: Run, inputs: Inputs) -> Lost | None:
-    """A stretch of SLAM in which the landmarks that should be in view are hardly ever seen."""
+    """A stretch of SLAM in which the landmarks that should be in view are hardly ever seen; or a whole run of it."""
     if inputs.map is not None or run.map is None or run.online is None:
         return None
-    old = run.map.times_seen >= ESTABLISHED
-    number, xy, first = run.map.number[old], run.map.xy[old], run.map.first_frame[old]
-    n, o = len(inputs), inputs.observations
-    decisions = run.decisions
-    slot = np.clip(np.searchsorted(number, decisions), 0, max(len(number) - 1, 0))
-    paired = np.isin(decisions, number)
-    paired[paired] = o.frame[paired] >= first[slot[paired]] + OLD
-    did = np.bincount(o.frame[paired], minlength=n)
-    looked = np.bincount(o.frame, minlength=n) > 0
+    could, did, looked = old_sightings(run, inputs)
+    if not could.sum():
+        return None
+    rate = min(1.0, did.sum() / could.sum())
+    if rate <= 0.0:
+        return None
+    why = "{did} of {could:.0f} expected sightings of landmarks in view were made in frames {first} to {last}"
+    # where landmarks are often hidden, neighbours are hidden together: more must be missed
+    return _stretch(rate * could, did, looked, why, OBSERVATIONS / rate)
+
+
+def old_sightings(run: Run, inputs: Inputs) -> tuple[Array, IntArray, BoolArray]:
+    """By frame (N,): old landmarks well in view, old landmarks that were paired, and whether there was an observation.
+
+    In SLAM, a landmark is old so many frames after its initialization, and counts if it was seen several times.
+    """
+    assert run.map is not None
+    assert run.online is not None
+    settled = run.map.times_seen >= ESTABLISHED
+    number, xy, first = run.map.number[settled], run.map.xy[settled], run.map.first_frame[settled]
+    n, frame = len(inputs), inputs.observations.frame
+    slot = np.clip(np.searchsorted(number, run.decisions), 0, max(len(number) - 1, 0))
+    paired = np.isin(run.decisions, number)
+    paired[paired] = frame[paired] >= first[slot[paired]] + OLD
+    looked: BoolArray = np.bincount(frame, minlength=n) > 0
     could = np.zeros(n)
     for k in np.flatnonzero(looked):
         there = xy[first <= k - OLD]
         if len(there):
             could[k] = _well_inside(inputs, run.online.pose[k], there).sum()
-    if not could.sum():
-        return None
-    rate = min(1.0, did.sum() / could.sum())
-    why = "{did} of {could:.0f} expected sightings of landmarks in view were made in frames {first} to {last}"
-    return _stretch(rate * could, did, looked, why)
+    return could, np.bincount(frame[paired], minlength=n), looked
 
 
 def _well_inside(inputs: Inputs, pose: Array, xy: Array) -> BoolArray:
@@ -117,14 +137,28 @@ def _absurd(run: Run, inputs: Inputs) -> Lost | None:
     return None
 
 
-def _stretch(could: Array | IntArray, did: IntArray, looked: BoolArray, why: str) -> Lost | None:
+def _by_chance(run: Run) -> Lost | None:
+    """Pairings whose innovations fill the gate, of few of the observations."""
+    total, expected = run.total_nis, run.gated[0]
+    if total is None or total[1] < OBSERVATIONS or expected > 0.9995:
+        return None
+    nis, used = total[0] / total[1], float((_decisions(run) >= 0).mean())
+    if nis < CHANCE * expected or used > USED:
+        return None
+    share = f"{100 * used:.0f} % of the observations are used"
+    return Lost(0, f"{share}, and their NIS per degree of freedom, {nis:.3g}, is that of chance")
+
+
+def _stretch(
+    could: Array | IntArray, did: IntArray, looked: BoolArray, why: str, enough: float = OBSERVATIONS
+) -> Lost | None:
     """The first stretch of frames (N,) that were looked at in which far less was done than could be."""
     at = np.flatnonzero(looked)
     sums = np.concatenate([[0.0], np.cumsum(could[at])])
     done = np.concatenate([[0], np.cumsum(did[at])])
     # a log too short for a stretch is one itself
-    need = min(OBSERVATIONS, sums[-1])
-    if len(at) == 0 or need < 1.0:
+    need = enough if enough > OBSERVATIONS else min(enough, sums[-1])
+    if len(at) == 0 or not 1.0 <= need <= sums[-1]:
         return None
     begin = np.arange(len(at))
     end = np.maximum(np.searchsorted(sums, sums[:-1] + need - 1e-9), np.minimum(begin + FRAMES, len(at)))

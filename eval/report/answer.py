@@ -234,7 +234,8 @@ def _nees(row: Row) -> str:
     mean, median, out = (_value(row, c) for c in ("nees_pose", "nees_pose_median", "nees_left_out"))
     if not math.isfinite(mean):
         return ""
-    left = f", {int(out)} frames of nearly singular covariance left out" if out > 0 else ""
+    frames = "1 frame" if out == 1 else f"{out:.0f} frames"
+    left = f", {frames} of nearly singular covariance left out" if out > 0 else ""
     return f"{number(mean)} (median {number(median)}{left})"
 
 
@@ -269,12 +270,15 @@ def _without_truth(filtered: Row, smoothed: Row) -> list[str]:
 
 
 def _innovations(filtered: Row) -> list[str]:
-    rejected = _value(filtered, "rejected")
+    rejected, expected = _value(filtered, "rejected"), _value(filtered, "nis_expected")
     statement = nis_statement(
-        _value(filtered, "nis"), _value(filtered, "nis_lower"), _value(filtered, "nis_upper"),
-        expected=_value(filtered, "nis_expected"), rejected=int(rejected) if math.isfinite(rejected) else 0,
+        _value(filtered, "nis"),
+        _value(filtered, "nis_lower"),
+        _value(filtered, "nis_upper"),
+        expected=expected if math.isfinite(expected) else 1.0,
+        rejected=int(rejected) if math.isfinite(rejected) else 0,
         known=filtered["association"] == "known",
-    )  # fmt: skip
+    )
     if not statement:
         return []
     text = f"What a single run can test are the filter's innovations; they are {statement.removeprefix('innovations ')}"

@@ -21,6 +21,7 @@ def test_the_columns_of_the_files_are_the_contracts():
         "landmarks", "rmse_position_m", "rmse_heading_deg", "max_position_m", "rmse_aligned_m", "rmse_landmark_m",
         "rms_from_batch_m", "nees_pose", "nees_position", "nees_heading", "nis", "nis_lower", "nis_upper",
         "inside_3sigma", "rmse_time_m", "sse_position_m2", "sse_landmark_m2", "innovation_lag1", "innovation_lag1_se",
+            "nis_expected", "nees_pose_median", "nees_left_out", "lost_frame", "lost_why",
     )  # fmt: skip
     assert ASSOCIATION == (
         "log", "task", "estimator", "association", "phase", "tp", "tn", "fp", "fn", "precision", "recall", "wrong",

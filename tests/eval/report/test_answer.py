@@ -10,7 +10,7 @@ from eval.report.answer import answer
 
 FILTER = {
     "log": "arena", "task": "slam", "estimator": "ekf", "association": "known", "phase": "online", "status": "ok",
-    "rejected": 0, "rmse_position_m": 0.12, "nees_pose": 4.1, "nis": 1.0, "nis_lower": 0.97, "nis_upper": 1.03,
+    "rejected": 0, "rmse_position_m": 0.12, "nees_pose": 4.1, "nees_pose_median": 2.5, "nees_left_out": 0, "nis": 1.0, "nis_expected": 1.0, "nis_lower": 0.97, "nis_upper": 1.03,
     "rms_from_batch_m": 0.05,
 }  # fmt: skip
 SMOOTHER = FILTER | {"estimator": "batch", "phase": "final", "rmse_position_m": 0.1, "nees_pose": 2.9, "nis": None}
@@ -24,7 +24,8 @@ def test_the_answer_compares_filter_and_smoother_in_at_most_four_sentences():
     text = answered(FILTER, SMOOTHER)
     assert "position RMSE of 0.120 m" in text
     assert "one of 0.100 m: the filter's is 1.20 times the smoother's" in text
-    assert "4.10 (filter) and 2.90 (smoother) where 3 is expected: a description of one run without verdict" in text
+    assert "is 4.10 (median 2.50) for the filter and 2.90 (median 2.50) for the smoother where 3 is expected" in text
+    assert "a description of one run without verdict" in text
     assert "trust the smoother" in text
     assert text.count(". ") + 1 <= 4
 
@@ -103,10 +104,66 @@ def test_the_answer_names_the_best_and_the_worst_way_of_deciding():
     ]  # fmt: skip
     text = decided([*rows, SMOOTHER], outcomes)
     assert text.endswith(
-        "Without labels, jcbb (ekf: 0 FP and 2 FN in 100 decisions, F1 0.99) decides best and singles (ekf: 0 FP and 60"
-        " FN in 100 decisions, F1 0.50) worst, by F1."
+        "Without labels, jcbb (ekf: 0 FP and 2 FN in 100 decisions, F1 0.99) decides best (path 0.120 m) and"
+        " singles (ekf: 0 FP and 60 FN in 100 decisions, F1 0.50) worst."
     )
     assert decided([FILTER, SMOOTHER], outcomes[:1]) == answered(FILTER, SMOOTHER)
+
+
+def test_the_best_by_its_decisions_is_no_good_with_a_path_worse_than_dead_reckoning():
+    """Seen: best by F1 with 16.9 m where dead reckoning has 9.2 m."""
+    reckoned = FILTER | {"estimator": "dead-reckoning", "association": "none", "rmse_position_m": 9.2}
+    rows = [
+        FILTER | {"association": "jcbb", "rmse_position_m": 16.9},
+        FILTER | {"association": "nn", "rmse_position_m": 12},
+    ]
+    outcomes = [counted("jcbb", 88, 10, 0, 2), counted("nn", 60, 10, 20, 10)]
+    text = decided([reckoned, *rows], outcomes)
+    assert "no way of deciding gives a usable path" in text
+    assert "(path 16.9 m where dead reckoning has 9.20 m)" in text
+    assert "decides best" not in text
+    # one of them is usable: it is the best, whatever the other's F1
+    rows[1] |= {"rmse_position_m": 3.0}
+    text = decided([reckoned, *rows], outcomes)
+    assert "Without labels, nn (ekf: 20 FP and 10 FN in 100 decisions, F1 0.80) decides best (path 3.00 m" in text
+    # both are: the one with the better path is named, too
+    rows[0] |= {"rmse_position_m": 5.0}
+    text = decided([reckoned, *rows], outcomes)
+    assert "jcbb (ekf: 0 FP and 2 FN in 100 decisions, F1 0.99) decides best (path 5.00 m" in text
+    assert "the path is best with nn" in text
+
+
+def test_a_way_of_deciding_that_is_lost_is_not_the_best():
+    rows = [FILTER | {"association": a} for a in ("nn", "jcbb")]
+    rows[1] |= {"lost_frame": 7, "lost_why": "3 of 30 observations were used"}
+    text = decided(rows, [counted("jcbb", 88, 10, 0, 2), counted("nn", 60, 10, 20, 10)])
+    assert "nn (ekf: 20 FP and 10 FN in 100 decisions, F1 0.80) decides best" in text
+
+
+def test_who_is_lost_is_said_first_and_nobody_is_trusted():
+    gone = {"lost_frame": 12, "lost_why": "0 of 35 observations were used in frames 12 to 21"}
+    text = answered(FILTER | gone, SMOOTHER)
+    assert text.startswith(
+        "Lost: the filter (ekf) does not know where it is from frame 12 on (0 of 35 observations were"
+    )
+    assert "Neither path is to be trusted" in text
+    assert "trust the smoother" not in text
+    assert "as large as claimed" not in text
+    blank = {"rmse_position_m": None, "nees_pose": None}
+    assert answered(FILTER | gone | blank, SMOOTHER | blank).startswith("Lost: the filter")
+
+
+def test_a_filter_far_behind_a_smoother_with_the_same_data_is_told_why():
+    """Seen: 4.75 m beside 0.02 m, without a word."""
+    newest = FILTER | {"estimator": "isam2", "rmse_position_m": 0.02}
+    text = answered(FILTER | {"rmse_position_m": 4.75}, newest, SMOOTHER | {"rmse_position_m": 0.01})
+    assert "the difference is the filter's linearization" in text
+    assert "ekf-iterated" in text
+
+
+def test_frames_of_nearly_singular_covariance_are_counted_beside_the_mean():
+    text = answered(FILTER | {"nees_left_out": 1}, SMOOTHER)
+    assert "4.10 (median 2.50, 1 frame of nearly singular covariance left out) for the filter" in text
 
 
 def test_pairing_nothing_is_not_the_best_and_a_poor_best_is_called_poor():

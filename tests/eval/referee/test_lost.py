@@ -1,0 +1,76 @@
+"""An estimator that is lost is called lost, without truth; a healthy one is not, whatever its noise is stated at."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import pytest
+
+from data.inputs import Increments, Observations
+from data.log import Log
+from data.logs import open_log
+from eval.referee.lost import lost
+from eval.replay import compare
+from tests.eval.referee import wrecks
+
+
+@cache
+def world(name: str) -> Log:
+    return open_log(name)
+
+
+def found(log: Log, task: str, association: str, estimator: str = "ekf"):
+    (run,) = compare(log.inputs(labels=association == "known"), task, [estimator], association)
+    inputs = log.recorded if task == "localization" else log.recorded.without_map()
+    return lost(run, inputs, log.granted if association == "known" else None)
+
+
+def stated(log: Log, factor: float) -> Log:
+    """The log with every sigma stated at `factor` of what it is."""
+    r = log.recorded
+    o = r.observations
+    increments = Increments(r.increments.mean, r.increments.covariance * factor**2)
+    return replace(
+        log, recorded=replace(r, increments=increments, observations=Observations(o.frame, o.z, o.R * factor**2))
+    )
+
+
+@pytest.mark.parametrize("association", ["known", "jcbb"])
+@pytest.mark.parametrize("way", wrecks.LOCALIZATION, ids=lambda f: f.__name__)
+def test_who_localizes_in_a_wrong_world_is_lost(way, association):
+    assert found(way(world("arena:0")), "localization", association) is not None
+
+
+@pytest.mark.parametrize("association", ["known", "jcbb"])
+@pytest.mark.parametrize("way", wrecks.SLAM, ids=lambda f: f.__name__)
+def test_who_maps_with_wrong_readings_is_lost(way, association):
+    assert found(way(world("arena:0")), "slam", association) is not None
+
+
+@pytest.mark.parametrize("way", [wrecks.map_rotated, wrecks.bearings_mirrored], ids=lambda f: f.__name__)
+def test_a_smoother_of_pairings_that_are_not_there_is_lost_with_them(way):
+    assert found(way(world("arena:0")), "localization", "jcbb", "batch") is not None
+
+
+def test_a_kidnapped_robot_is_lost_from_there_on():
+    log = wrecks.kidnapped(world("arena:0"))
+    for task, association in (("localization", "jcbb"), ("slam", "jcbb"), ("localization", "known")):
+        assert found(log, task, association).frame == 100
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.0, 1.5])
+@pytest.mark.parametrize("association", ["known", "jcbb", "nn"])
+@pytest.mark.parametrize("task", ["localization", "slam"])
+def test_a_healthy_one_is_not_lost_whatever_its_noise_is_stated_at(task, association, factor):
+    assert found(stated(world("arena:1"), factor), task, association) is None
+
+
+@pytest.mark.parametrize("name", ["corridor:0", "corridor:1:people", "corridor:2:people"])
+@pytest.mark.parametrize("association", ["known", "jcbb", "jcbb-hindsight"])
+def test_new_places_and_people_in_the_way_are_no_reason_to_be_lost(name, association):
+    assert found(world(name), "slam", association) is None
+
+
+def test_a_park_with_hidden_trees_is_none_either():
+    assert found(world("victoria-park"), "slam", "known") is None
