@@ -75,10 +75,9 @@ def staged(out: Path) -> Iterator[Path]:
 def _run(options: Options, console: Console, folder: Path, arguments: Sequence[str]) -> int:
     from eval.plan.execute import execute
     from eval.plan.experiments import make_plan
-    from eval.referee import consistency
     from eval.report.contents import write_results
     from eval.studies import reproduced
-    from eval.studies.montecarlo import failed_declarations, judge
+    from eval.studies.montecarlo import declared_line, failed_declarations, judge
 
     plan = make_plan(options, console.say)
     for e in plan.experiments:
@@ -110,13 +109,8 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
             f"rejected: {estimator} ({j.scenario}, {task}, {phase}) is declared consistent, but its {j.quantity} NEES "
             f"is {j.verdict.mean:.3g}, not {j.verdict.expected:g} ({j.verdict.word}; {j.diverged} runs diverged)"
         )
-    declared = [j for j in judged if j.declared and j.verdict.runs >= consistency.MIN_RUNS]
-    if declared and not failed:
-        agreed = sum(j.verdict.word == consistency.CONSISTENT for j in declared)
-        console.say(
-            f"{agreed} of {len(declared)} declared verdicts are consistent at 95 %; none is rejected over all of them"
-            f" at {100 * consistency.FAMILY_LEVEL:g} %, so exit status {FINE}"
-        )
+    if not failed and (line := declared_line(judged)):
+        console.say(line)
     console.say(f"report: {options.out / 'report.html'}")
     (folder / "run.log").write_text("\n".join(console.lines) + "\n", encoding="utf-8")
     return REJECTED if failed else FINE

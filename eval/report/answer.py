@@ -19,8 +19,8 @@ SMOOTHERS = (*BATCH, *INCREMENTAL)
 LINEARIZATION = 2.0
 """So many times the RMSE of a smoother with the same data at the same instants: linearization, not luck."""
 LOST_ADVICE = (
-    "Neither path is to be trusted from there on: look at the frame of map and prior, at units and signs of the"
-    " readings, and for a jump of the robot."
+    "{} to be trusted from there on: look at the frame of map and prior, at units and signs of the readings, and for a"
+    " jump of the robot."
 )
 
 Row = dict[str, object]
@@ -83,7 +83,8 @@ def _compared(rows: Sequence[Row]) -> str:
         return f"Only {only['estimator']} ran: without a {missing} there is nothing to compare it with."
     gone = [r for r in (filtered, smoothed) if not is_blank(r.get("lost_why"))]
     if gone:
-        return " ".join([*(_lost(r) for r in gone), *_errors_of(filtered, smoothed), LOST_ADVICE])
+        which = "Neither path is" if len(gone) == 2 else "Its path is not"
+        return " ".join([*(_lost(r) for r in gone), LOST_ADVICE.format(which), *_errors_of(filtered, smoothed)])
     newest = _pick(rows, INCREMENTAL, "online")
     known = _errors_of(filtered, smoothed)
     return " ".join(_with_truth(filtered, smoothed, newest) if known else _without_truth(filtered, smoothed))

@@ -197,3 +197,15 @@ def failed_declarations(judged: Sequence[Judged]) -> list[Judged]:
     rejected = consistency.holm_rejected([j.verdict.p_value for j in tested])
     bad = [j for j, r in zip(tested, rejected, strict=True) if r]
     return bad + [j for j in declared if j.diverged and j not in bad]
+
+
+def declared_line(judged: Sequence[Judged]) -> str:
+    """How many declared verdicts hold one by one, where none is rejected over all of them; empty without any."""
+    declared = [j for j in judged if j.declared and j.verdict.runs >= consistency.MIN_RUNS]
+    if not declared:
+        return ""
+    agreed = sum(j.verdict.word == consistency.CONSISTENT for j in declared)
+    return (
+        f"{agreed} of {len(declared)} declared verdicts are consistent, each at {100 * consistency.LEVEL:g} %; none is"
+        f" rejected over all of them together at {100 * consistency.FAMILY_LEVEL:g} %, which decides the exit status"
+    )

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 
 import pytest
 
-from data.inputs import Increments, Observations
 from data.log import Log
 from data.logs import open_log
 from eval.referee.lost import lost
@@ -24,16 +22,6 @@ def found(log: Log, task: str, association: str, estimator: str = "ekf"):
     (run,) = compare(log.inputs(labels=association == "known"), task, [estimator], association)
     inputs = log.recorded if task == "localization" else log.recorded.without_map()
     return lost(run, inputs, log.granted if association == "known" else None)
-
-
-def stated(log: Log, factor: float) -> Log:
-    """The log with every sigma stated at `factor` of what it is."""
-    r = log.recorded
-    o = r.observations
-    increments = Increments(r.increments.mean, r.increments.covariance * factor**2)
-    return replace(
-        log, recorded=replace(r, increments=increments, observations=Observations(o.frame, o.z, o.R * factor**2))
-    )
 
 
 @pytest.mark.parametrize("association", ["known", "jcbb"])
@@ -63,7 +51,7 @@ def test_a_kidnapped_robot_is_lost_from_there_on():
 @pytest.mark.parametrize("association", ["known", "jcbb", "nn"])
 @pytest.mark.parametrize("task", ["localization", "slam"])
 def test_a_healthy_one_is_not_lost_whatever_its_noise_is_stated_at(task, association, factor):
-    assert found(stated(world("arena:1"), factor), task, association) is None
+    assert found(wrecks.stated(world("arena:1"), factor), task, association) is None
 
 
 @pytest.mark.parametrize("name", ["corridor:0", "corridor:1:people", "corridor:2:people"])

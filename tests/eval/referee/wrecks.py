@@ -98,6 +98,16 @@ def kidnapped(log: Log) -> Log:
     return replace(log, recorded=recorded, truth=Truth(t.pose[keep], t.landmarks, t.landmark_of[rows]), label=label)
 
 
+def stated(log: Log, factor: float) -> Log:
+    """The log with every sigma stated at `factor` of what it is."""
+    r = log.recorded
+    o = r.observations
+    increments = Increments(r.increments.mean, r.increments.covariance * factor**2)
+    return replace(
+        log, recorded=replace(r, increments=increments, observations=Observations(o.frame, o.z, o.R * factor**2))
+    )
+
+
 LOCALIZATION = (
     map_rotated, map_shifted, map_in_feet, map_with_x_and_y_exchanged, ranges_in_feet, ranges_in_millimetres,
     bearings_in_degrees, bearings_mirrored, sensor_looking_back, prior_facing_backwards, prior_elsewhere,

@@ -10,8 +10,8 @@ from eval.report.answer import answer
 
 FILTER = {
     "log": "arena", "task": "slam", "estimator": "ekf", "association": "known", "phase": "online", "status": "ok",
-    "rejected": 0, "rmse_position_m": 0.12, "nees_pose": 4.1, "nees_pose_median": 2.5, "nees_left_out": 0, "nis": 1.0, "nis_expected": 1.0, "nis_lower": 0.97, "nis_upper": 1.03,
-    "rms_from_batch_m": 0.05,
+    "rejected": 0, "rmse_position_m": 0.12, "nees_pose": 4.1, "nis": 1.0, "nis_lower": 0.97, "nis_upper": 1.03,
+    "rms_from_batch_m": 0.05, "nees_pose_median": 2.5, "nees_left_out": 0, "nis_expected": 1.0,
 }  # fmt: skip
 SMOOTHER = FILTER | {"estimator": "batch", "phase": "final", "rmse_position_m": 0.1, "nees_pose": 2.9, "nis": None}
 
@@ -146,7 +146,8 @@ def test_who_is_lost_is_said_first_and_nobody_is_trusted():
     assert text.startswith(
         "Lost: the filter (ekf) does not know where it is from frame 12 on (0 of 35 observations were"
     )
-    assert "Neither path is to be trusted" in text
+    assert "Its path is not to be trusted from there on" in text
+    assert "Neither path is to be trusted" in answered(FILTER | gone, SMOOTHER | gone)
     assert "trust the smoother" not in text
     assert "as large as claimed" not in text
     blank = {"rmse_position_m": None, "nees_pose": None}

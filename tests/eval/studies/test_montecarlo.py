@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from eval.studies.montecarlo import QUANTITIES, Sample, consistency_table, failed_declarations, judge, one_run, study_of
+from eval.studies.montecarlo import (
+    QUANTITIES,
+    Sample,
+    consistency_table,
+    declared_line,
+    failed_declarations,
+    judge,
+    one_run,
+    study_of,
+)
 from eval.studies.scenario_file import load_scenario
 
 KEY = ("localization", "ekf", "known", "online")
@@ -43,6 +52,21 @@ def test_a_consistent_study_passes():
     judged = judge(made_study(honest))
     assert {j.quantity: j.verdict.word for j in judged} == dict.fromkeys(QUANTITIES, "consistent")
     assert failed_declarations(judged) == []
+
+
+def test_the_terminal_counts_verdicts_as_the_report_does():
+    """Seen: "every estimator that is declared consistent passed" beside a report in which 1 of 3 was."""
+    assert declared_line(judge(made_study(honest))).startswith("3 of 3 declared verdicts are consistent, each at 95 %")
+
+    def a_little_boastful(quantile, dof):
+        return honest(quantile, dof) * (1.1 if dof > 1 else 1.0)
+
+    judged = judge(made_study(a_little_boastful))
+    assert failed_declarations(judged) == []
+    agreed = sum(j.verdict.word == "consistent" for j in judged)
+    assert 0 < agreed < 3
+    assert declared_line(judged).startswith(f"{agreed} of 3 declared verdicts are consistent, each at 95 %")
+    assert declared_line(judge(made_study(honest, runs=10))) == ""
 
 
 def test_an_overconfident_declared_estimator_fails_the_command():
