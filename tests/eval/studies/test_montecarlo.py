@@ -59,7 +59,7 @@ def test_the_terminal_counts_verdicts_as_the_report_does():
     assert declared_line(judge(made_study(honest))).startswith("3 of 3 declared verdicts are consistent, each at 95 %")
 
     def a_little_boastful(quantile, dof):
-        return honest(quantile, dof) * (1.1 if dof > 1 else 1.0)
+        return honest(quantile, dof) * (1.07 if dof > 1 else 1.0)
 
     judged = judge(made_study(a_little_boastful))
     assert failed_declarations(judged) == []
