@@ -67,9 +67,10 @@ OUTLIERS: Mapping[str, str] = {
 COMPARISON_CAPTION = (
     "Errors in the world frame, no alignment, all estimators with the same prior and the same inputs. Phase online:"
     " each pose given the data up to its frame; final: every pose given all data, so a final row is expected to be the"
-    " more accurate one. NEES of one run describes and proves nothing; NIS per dof against its 95 % bounds, and the"
-    " correlation of a landmark's innovations in successive frames against 0, are tests where nothing was gated and the"
-    " association is known. Blank: unknown or not applicable. A status is shown where"
+    " more accurate one. NEES of one run describes and proves nothing; NIS per dof against its 95 % bounds (behind a"
+    " gate less than 1 is expected, and the bounds are lower), and the correlation of a landmark's innovations in"
+    " successive frames against 0, are tests, conditional on the association. Blank: unknown or not applicable."
+    " A status is shown where"
     " some run did not get to the end, a time-weighted RMSE where it differs from the plain one by more than 5 %."
 )
 ASSOCIATION_CAPTION = (

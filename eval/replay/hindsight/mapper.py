@@ -95,7 +95,8 @@ class HindsightMapper:
             self.ledger.judge(placed.expectation, placed.decisions, placed.believed)  # 5
             decided = Mapped(placed.decisions, True, placed.pose, None)
             e = placed.expectation
-        if np.isin(decided.decisions[decided.decisions >= 0], e.number).all():  # not where the search found the place
+        # not where the motion turned out to be unknown, or the search found the place: those pairings passed no gate
+        if decided.kidnapped is None and np.isin(decided.decisions[decided.decisions >= 0], e.number).all():
             decided = decided._replace(S=e.joint_innovation(*e.paired(decided.decisions))[1])
         self._update(frame, decided)  # 7
         return decided
