@@ -162,6 +162,15 @@ def test_a_filter_far_behind_a_smoother_with_the_same_data_is_told_why():
     assert "ekf-iterated" in text
 
 
+def test_a_filter_that_is_lost_where_the_smoother_fits_is_lost_by_its_linearization():
+    gone = {"lost_frame": 37, "lost_why": "3 innovations in a row are more than 10 sigma large at frame 37"}
+    fits, torn = SMOOTHER | {"nis": 1.0}, SMOOTHER | {"nis": 2.8}
+    text = answered(FILTER | gone, fits)
+    assert "it is the filter's linearization" in text
+    assert "ekf-iterated" in text
+    assert "look at the frame of map and prior" in answered(FILTER | gone, torn)
+
+
 def test_frames_of_nearly_singular_covariance_are_counted_beside_the_mean():
     text = answered(FILTER | {"nees_left_out": 1}, SMOOTHER)
     assert "4.10 (median 2.50, 1 frame of nearly singular covariance left out) for the filter" in text

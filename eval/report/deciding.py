@@ -1,0 +1,107 @@
+"""How the ways of deciding without labels did, in a sentence: the best and the worst, by decisions and by path."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from eval.page.numbers import number
+from eval.page.tables import is_blank
+from eval.replay.names import FILTERS, STEPPING
+from eval.report.rows import Row, value_of
+
+SAME = 0.02
+"""Relative difference of two RMSE values below which they are called equal."""
+USABLE = 0.9
+"""A way of deciding is usable whose path has less than this share of dead reckoning's error."""
+
+
+def f1(row: Row) -> float:
+    """Harmonic mean of precision and recall, 2 TP / (2 TP + FP + FN); NaN where nothing was or should be paired."""
+    tp, wrong = value_of(row, "tp"), value_of(row, "fp") + value_of(row, "fn")
+    return 2.0 * tp / (2.0 * tp + wrong) if tp + wrong > 0 else math.nan
+
+
+def best_and_worst(rows: Sequence[Row], outcomes: Sequence[Row], labelled: int | None) -> str:
+    """How the methods that decide for themselves did: the best and the worst, or against labels in a log without path.
+
+    Only runs that got to the end count: the others' decisions end with them.
+    """
+    ended = {(r["estimator"], r["association"]) for r in rows if r["status"] == "ok"}
+    deciding = [
+        r
+        for r in outcomes
+        if r["association"] not in ("known", "none")
+        and (r["estimator"], r["association"]) in ended
+        and r["phase"] == ("online" if r["estimator"] in FILTERS else "final")
+    ]
+    # batch smoothers take the decisions of another run, which speaks for itself where it is there
+    own = [r for r in deciding if r["estimator"] in STEPPING] or deciding
+    own = [r for r in own if math.isfinite(f1(r))]
+    if not own:
+        return ""
+    path = any(math.isfinite(value_of(r, "rmse_position_m")) for r in rows)
+
+    def quality(row: Row) -> tuple[float, float]:
+        return f1(row), -value_of(row, "fp") - value_of(row, "fn")
+
+    best, worst = max(own, key=quality), min(own, key=quality)
+    if not path:
+        return " ".join(_agreement(r, rows, labelled) for r in ([best] if best is worst else [best, worst]))
+    if best is worst:
+        return f"Deciding itself, {_outcome(best)}."
+    if f1(best) == 0.0:
+        return "Of the ways of deciding without labels none made a single right pairing."
+    usable = [r for r in own if _usable(r, rows)]
+    if not usable:
+        least = f"{_outcome(best)} is least bad by F1{_path(best, rows)}"
+        return f"Without labels no way of deciding gives a usable path; {least}."
+    best = max(usable, key=quality)
+    text = f"Without labels, {_outcome(best)} decides best{_path(best, rows)} and {_outcome(worst)} worst"
+    nearest = min(usable, key=lambda r: _rmse(r, rows))
+    if _rmse(nearest, rows) < (1.0 - SAME) * _rmse(best, rows):
+        text += f"; the path is best with {_outcome(nearest)}{_path(nearest, rows)}"
+    return f"{text}; even the best is mostly wrong." if f1(best) < 0.5 else f"{text}."
+
+
+def _rmse(row: Row, rows: Sequence[Row]) -> float:
+    """Position RMSE of the run and phase that a row of decisions is about."""
+    same = [r for r in rows if all(r[c] == row[c] for c in ("estimator", "association"))]
+    return min((value_of(r, "rmse_position_m") for r in same if r["phase"] == row["phase"]), default=math.nan)
+
+
+def _path(row: Row, rows: Sequence[Row]) -> str:
+    """Its error, beside that of dead reckoning where that ran."""
+    own = _rmse(row, rows)
+    reckoned = [value_of(r, "rmse_position_m") for r in rows if r["estimator"] == "dead-reckoning"]
+    beside = f" where dead reckoning has {number(reckoned[0])} m" if reckoned and math.isfinite(reckoned[0]) else ""
+    return f" (path {number(own)} m{beside})" if math.isfinite(own) else ""
+
+
+def _usable(row: Row, rows: Sequence[Row]) -> bool:
+    """Whether deciding so is better than not looking: not lost, and nearer to the truth than dead reckoning."""
+    same = [r for r in rows if all(r[c] == row[c] for c in ("estimator", "association", "phase"))]
+    if any(not is_blank(r.get("lost_why")) for r in same):
+        return False
+    reckoned = [value_of(r, "rmse_position_m") for r in rows if r["estimator"] == "dead-reckoning"]
+    return not (reckoned and _rmse(row, rows) >= USABLE * reckoned[0])
+
+
+def _outcome(row: Row) -> str:
+    counts = {c: int(value_of(row, c)) for c in ("tp", "tn", "fp", "fn")}
+    numbers = f"{counts['fp']} FP and {counts['fn']} FN in {sum(counts.values())} decisions, F1 {f1(row):.2f}"
+    return f"{row['association']} ({row['estimator']}: {numbers})"
+
+
+def _agreement(row: Row, rows: Sequence[Row], labelled: int | None) -> str:
+    """Decisions against a log's own labels, which may be wrong themselves, and the size of the map."""
+    right, total = (int(sum(value_of(row, c) for c in columns)) for columns in (("tp", "tn"), ("tp", "tn", "fp", "fn")))
+    text = (
+        f"Deciding itself with {row['association']}, {row['estimator']} agrees with the log's labels in {right} of"
+        f" {total} decisions ({100.0 * right / total:.0f} %)"
+    )
+    same = [r for r in rows if (r["estimator"], r["association"]) == (row["estimator"], row["association"])]
+    size = value_of(same[-1], "landmarks") if same else math.nan
+    if math.isfinite(size) and labelled is not None:
+        text += f"; its map has {int(size)} landmarks where the labels tell {labelled} apart"
+    return text + "."
