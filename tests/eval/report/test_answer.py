@@ -169,6 +169,7 @@ def test_a_filter_that_is_lost_where_the_smoother_fits_is_lost_by_its_linearizat
     assert "it is the filter's linearization" in text
     assert "ekf-iterated" in text
     assert "look at the frame of map and prior" in answered(FILTER | gone, torn)
+    assert "it is the filter's linearization" in answered(FILTER | gone | {"nis": 2000.0}, torn)
 
 
 def test_frames_of_nearly_singular_covariance_are_counted_beside_the_mean():
