@@ -25,8 +25,8 @@ LOST_ADVICE = (
     " jump of the robot."
 )
 LINEARIZED = (
-    "The same readings, prior and noise fit together far better in {}, so it is the filter's linearization: it keeps what it"
-    " linearized once. ekf-iterated relinearizes each update."
+    "The same readings, prior and noise fit together far better in {}, so it is the filter's linearization: it keeps"
+    " what it linearized once. ekf-iterated relinearizes each update."
 )
 
 
