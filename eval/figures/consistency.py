@@ -16,7 +16,8 @@ from data.result import Run
 from data.se2 import Array
 from eval.figures.error import heading_of, panels, thinned, ticks, time_label
 from eval.figures.style import BAND_COLOUR, DOUBLE, LONG_HANDLE, drawing, style_of
-from eval.referee.consistency import anees_band, mean_or_nan, nees
+from eval.referee.bounds import anees_band
+from eval.referee.consistency import mean_or_nan, nees
 
 POSE_DOF = 3
 MARKERS = 8

@@ -18,11 +18,11 @@ from scipy import special
 from data import se2
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
+from eval.referee.bounds import LEVEL
 
 QUANTITIES = {"pose": (0, 1, 2), "position": (0, 1), "heading": (2,)}
 MIN_RUNS = 50
 """Fewer runs than this have no power against a wrong covariance."""
-LEVEL = 0.95
 FAMILY_LEVEL = 0.001
 """False alarm rate of the exit status over all declared verdicts together."""
 TAIL_LEVEL = 0.001
@@ -91,33 +91,6 @@ def inside_3sigma(position_nees: Array) -> float:
     """Share of frames whose position error lies inside the 3 sigma ellipse; compare with `INSIDE_3SIGMA`."""
     finite = position_nees[np.isfinite(position_nees)]
     return float(np.mean(finite <= 9.0)) if len(finite) else math.nan
-
-
-def chi2_bounds(dof: int, level: float = LEVEL) -> tuple[float, float]:
-    """Two-sided interval of a chi-square variable divided by its degrees of freedom."""
-    if dof <= 0:
-        return math.nan, math.nan
-    tail = 0.5 * (1.0 - level)
-    return float(special.chdtri(dof, 1.0 - tail) / dof), float(special.chdtri(dof, tail) / dof)
-
-
-def nis_bounds(dof: int, gated: tuple[float, float] = (1.0, 2.0), level: float = LEVEL) -> tuple[float, float]:
-    """Two-sided interval of NIS per degree of freedom, `gated` its mean and variance per degree of freedom.
-
-    The gamma distribution with these moments: without a gate that is chi-square, exactly.
-    """
-    mean, variance = gated
-    if dof <= 0 or mean <= 0.0 or variance <= 0.0:
-        return math.nan, math.nan
-    shape, scale = mean**2 * dof / variance, variance / mean / dof
-    tail = 0.5 * (1.0 - level)
-    return float(special.gammaincinv(shape, tail) * scale), float(special.gammaincinv(shape, 1.0 - tail) * scale)
-
-
-def anees_band(dof: int, runs: int, level: float = LEVEL) -> tuple[float, float]:
-    """Band of the per-step average NEES over runs: for a plot (5 % of steps lie outside by design), no verdict."""
-    lower, upper = chi2_bounds(dof * runs, level)
-    return dof * lower, dof * upper
 
 
 @dataclass(frozen=True)

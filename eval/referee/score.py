@@ -12,6 +12,7 @@ import pandas as pd
 from data.log import Log
 from data.result import DISCARD, Run, surviving
 from eval.referee import consistency, errors
+from eval.referee.bounds import nis_bounds
 from eval.referee.confusion import WITHIN, Confusion, confuse, share_within
 from eval.referee.lost import lost
 from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES, RUN
@@ -138,7 +139,7 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None) -> dict[s
     if total is not None and total[1] > 0:
         row["nis"] = total[0] / total[1]
         row["nis_expected"] = run.gated[0]
-        row["nis_lower"], row["nis_upper"] = consistency.nis_bounds(total[1], run.gated)
+        row["nis_lower"], row["nis_upper"] = nis_bounds(total[1], run.gated)
     return row
 
 

@@ -13,6 +13,7 @@ from data.log import Log
 from data.result import Run
 from data.se2 import Array
 from eval.referee import consistency, errors
+from eval.referee.bounds import LEVEL
 from eval.referee.consistency import QUANTITIES, Verdict
 from eval.referee.score import CONSISTENCY, frame_of
 from eval.replay.run import compare
@@ -206,6 +207,6 @@ def declared_line(judged: Sequence[Judged]) -> str:
         return ""
     agreed = sum(j.verdict.word == consistency.CONSISTENT for j in declared)
     return (
-        f"{agreed} of {len(declared)} declared verdicts are consistent, each at {100 * consistency.LEVEL:g} %; none is"
+        f"{agreed} of {len(declared)} declared verdicts are consistent, each at {100 * LEVEL:g} %; none is"
         f" rejected over all of them together at {100 * consistency.FAMILY_LEVEL:g} %, which decides the exit status"
     )

@@ -18,7 +18,8 @@ from data.inputs import Increments, Inputs, IntArray, LabelledObservations
 from data.result import DISCARD
 from data.se2 import Array, BoolArray
 from ekf.whole_run import run_filter
-from eval.referee.consistency import chi2_bounds, lag1_correlation
+from eval.referee.bounds import chi2_bounds
+from eval.referee.consistency import lag1_correlation
 from eval.tuning.model import LATENCY, Model, apply
 from eval.tuning.optimum import Objective, curvature, search, slope
 from eval.tuning.start import starting_points

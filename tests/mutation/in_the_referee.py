@@ -9,6 +9,7 @@ import numpy as np
 from data import se2
 from data.result import Trajectory
 from eval.referee import consistency
+from eval.referee.bounds import chi2_bounds
 from eval.referee.score import confusion_of, metrics_row
 from eval.replay.run import compare, dead_reckoning
 from tests.mutation.faults import Check, Fault, replaced
@@ -95,7 +96,7 @@ def every_frame_a_sample(real):
 
     def verdict(run_means, dof, level=0.95):
         v = real(run_means, dof, level)
-        low, high = consistency.chi2_bounds(dof * STEPS * v.runs, level)
+        low, high = chi2_bounds(dof * STEPS * v.runs, level)
         inside = low <= v.mean / dof <= high
         return replace(v, word="consistent" if inside else "overconfident" if v.mean > dof else "conservative")
 

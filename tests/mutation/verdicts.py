@@ -15,6 +15,7 @@ from data.worlds.arena import Arena, simulate
 from data.worlds.corridor import Corridor
 from data.worlds.corridor import simulate as simulate_corridor
 from eval.referee import consistency
+from eval.referee.bounds import chi2_bounds
 from eval.replay.run import compare, step_by_step
 from tests.mutation.faults import Check
 
@@ -87,7 +88,7 @@ def nis_verdict(runs):
     for run in runs:
         assert run.failure is None, f"{run.status}: {run.failure.why}"
     total, dof = np.sum([run.total_nis for run in runs], axis=0)
-    low, high = consistency.chi2_bounds(int(dof))
+    low, high = chi2_bounds(int(dof))
     assert low < total / dof < high, f"{total / dof:.3g} per degree of freedom, not {low:.2f} to {high:.2f}"
 
 
