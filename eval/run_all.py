@@ -6,10 +6,15 @@ beside its final name and moved into place at the end, so an interrupted run lea
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from types import FrameType
+from typing import NoReturn
 
 from data.errors import SlamrefError, UsageError
 from data.whole import whole_folder
@@ -48,14 +53,51 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     try:
         options = read_options(arguments, prog)
         console = Console(options)
-        with staged(options.out) as folder:
-            return _run(options, console, folder, arguments)
+        with heeding_interruption() as check, staged(options.out) as folder:
+            status = _run(options, console, folder, arguments, check)
+            check()
+        return status
     except SlamrefError as fault:
         print(f"error: {fault}", file=sys.stderr)
         return WRONG
     except KeyboardInterrupt:
         print("interrupted; nothing was changed", file=sys.stderr)
         return INTERRUPTED
+
+
+@contextmanager
+def heeding_interruption() -> Iterator[Callable[[], None]]:
+    """A function that raises KeyboardInterrupt if Ctrl-C was pressed, even where a library lost the exception.
+
+    (Libraries call back from compiled code while they are loaded; an exception raised there goes nowhere.)
+    """
+    pressed: list[int] = []
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        pressed.append(number)
+        raise KeyboardInterrupt
+
+    def check() -> None:
+        if pressed:
+            raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():  # only that one may
+        yield check
+        return
+    before = signal.signal(signal.SIGINT, handle)
+    try:
+        yield check
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def leave(status: int) -> NoReturn:
+    """End the process: an interruption by its own status, though Python would end as if killed by the signal."""
+    if status == INTERRUPTED:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
+    sys.exit(status)
 
 
 @contextmanager
@@ -72,7 +114,7 @@ def staged(out: Path) -> Iterator[Path]:
         yield partial
 
 
-def _run(options: Options, console: Console, folder: Path, arguments: Sequence[str]) -> int:
+def _run(options: Options, console: Console, folder: Path, arguments: Sequence[str], check: Callable[[], None]) -> int:
     from eval.plan.execute import execute
     from eval.plan.experiments import make_plan
     from eval.report.contents import write_results
@@ -84,7 +126,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
         console.detail(f"{e.log.name}: {e.task}, {len(e.log.recorded)} frames")
         for note in e.log.notes:
             console.detail(f"{e.log.name}: {note}")
-    with _bar("estimating", options.quiet) as progress:
+    with _bar("estimating", options.quiet, check) as progress:
         outcome = execute(plan, options, progress)
     judged = [j for study in outcome.studies for j in judge(study)]
     for trial in outcome.trials:
@@ -100,7 +142,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
             console.say(f"{study.scenario.name}, {task}: {estimator} ({association}) diverged with seed {seed}, {why}")
     for text in [*reproduced.lines(outcome.published), *outcome.skipped]:
         console.say(text)
-    with _bar("writing", options.quiet) as progress:
+    with _bar("writing", options.quiet, check) as progress:
         write_results(folder, options, outcome, judged, arguments, progress)
     failed = failed_declarations(judged)
     for j in failed:
@@ -117,13 +159,14 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
 
 
 @contextmanager
-def _bar(what: str, quiet: bool) -> Iterator[Callable[[int, int], None]]:
+def _bar(what: str, quiet: bool, check: Callable[[], None]) -> Iterator[Callable[[int, int], None]]:
     """A progress bar on the terminal; yields a function (done, total)."""
     from tqdm import tqdm
 
     with tqdm(desc=what, disable=quiet or not sys.stderr.isatty(), leave=False, unit="job") as bar:
 
         def progress(done: int, total: int) -> None:
+            check()
             bar.total = total
             bar.update(done - bar.n)
 
@@ -131,4 +174,4 @@ def _bar(what: str, quiet: bool) -> Iterator[Callable[[int, int], None]]:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())
