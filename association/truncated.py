@@ -58,6 +58,7 @@ def acceptance(method: str, gate: float | None) -> Acceptance:
     return Acceptance(gate_threshold(gate))
 
 
+@cache
 def truncated_square(threshold: float, dof: int = 2) -> tuple[float, float]:
     """Mean and variance of a chi-square variable of `dof` below a threshold.
 

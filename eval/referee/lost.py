@@ -74,7 +74,7 @@ def _unused(run: Run, inputs: Inputs, label: IntArray | None) -> Lost | None:
 
 
 def _unseen(run: Run, inputs: Inputs) -> Lost | None:
-    """A stretch of SLAM in which the landmarks that should be in view are hardly ever seen; or a whole run of it."""
+    """A stretch of SLAM in which the landmarks that should be in view are hardly ever seen."""
     if inputs.map is not None or run.map is None or run.online is None:
         return None
     could, did, looked = old_sightings(run, inputs)

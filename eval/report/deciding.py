@@ -64,27 +64,31 @@ def best_and_worst(rows: Sequence[Row], outcomes: Sequence[Row], labelled: int |
     return f"{text}; even the best is mostly wrong." if f1(best) < 0.5 else f"{text}."
 
 
+def _scored(row: Row, rows: Sequence[Row]) -> Row:
+    """The row of metrics of the run and phase that a row of decisions is about; empty if there is none."""
+    return next((r for r in rows if all(r[c] == row[c] for c in ("estimator", "association", "phase"))), {})
+
+
 def _rmse(row: Row, rows: Sequence[Row]) -> float:
-    """Position RMSE of the run and phase that a row of decisions is about."""
-    same = [r for r in rows if all(r[c] == row[c] for c in ("estimator", "association"))]
-    return min((value_of(r, "rmse_position_m") for r in same if r["phase"] == row["phase"]), default=math.nan)
+    return value_of(_scored(row, rows), "rmse_position_m")
+
+
+def _dead_reckoned(rows: Sequence[Row]) -> float:
+    """Position RMSE of dead reckoning, NaN if it did not run."""
+    return next((value_of(r, "rmse_position_m") for r in rows if r["estimator"] == "dead-reckoning"), math.nan)
 
 
 def _path(row: Row, rows: Sequence[Row]) -> str:
-    """Its error, beside that of dead reckoning where that ran."""
-    own = _rmse(row, rows)
-    reckoned = [value_of(r, "rmse_position_m") for r in rows if r["estimator"] == "dead-reckoning"]
-    beside = f" where dead reckoning has {number(reckoned[0])} m" if reckoned and math.isfinite(reckoned[0]) else ""
-    return f" (path {number(own)} m{beside})" if math.isfinite(own) else ""
+    """Its error, with that of dead reckoning where that ran."""
+    own, reckoned = _rmse(row, rows), _dead_reckoned(rows)
+    compared = f" where dead reckoning has {number(reckoned)} m" if math.isfinite(reckoned) else ""
+    return f" (path {number(own)} m{compared})" if math.isfinite(own) else ""
 
 
 def _usable(row: Row, rows: Sequence[Row]) -> bool:
     """Whether deciding so is better than not looking: not lost, and nearer to the truth than dead reckoning."""
-    same = [r for r in rows if all(r[c] == row[c] for c in ("estimator", "association", "phase"))]
-    if any(not is_blank(r.get("lost_why")) for r in same):
-        return False
-    reckoned = [value_of(r, "rmse_position_m") for r in rows if r["estimator"] == "dead-reckoning"]
-    return not (reckoned and _rmse(row, rows) >= USABLE * reckoned[0])
+    lost = not is_blank(_scored(row, rows).get("lost_why"))
+    return not lost and not _rmse(row, rows) >= USABLE * _dead_reckoned(rows)
 
 
 def _outcome(row: Row) -> str:
