@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 
 import numpy as np
@@ -26,7 +27,11 @@ WORLDS = {
 }
 ODOMETRY = ("curvature", "distance-scale", "odometry-noise")
 SENSOR = ("range-scale", "bearing-bias", "latency", "heavy-tails")
-LOGS = {name: simulate(kind, world, 0, name) for name, (kind, world) in WORLDS.items()}
+
+
+@functools.cache
+def world_log(name):
+    return simulate(*WORLDS[name], 0, name)
 
 
 def put_in(name, log, size, seed=0):
@@ -59,12 +64,11 @@ def noise(log):
     return log.recorded.sensor.residual(log.recorded.observations.z[rows], exact)
 
 
-@pytest.mark.parametrize("world", LOGS)
+@pytest.mark.parametrize("world", WORLDS)
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_changes_what_it_says_and_nothing_else(name, world):
-    log = LOGS[world]
+    log = world_log(world)
     expected = {"increments"} if name in ODOMETRY else {"z"} if name in SENSOR else {"label"}
-
     for size in FAULTS[name].sizes:
         faulty = put_in(name, log, size)
         assert changed(log, faulty) == expected
@@ -78,15 +82,15 @@ def test_a_fault_changes_what_it_says_and_nothing_else(name, world):
             assert (np.abs(z[:, 1]) <= math.pi).all()
 
 
-@pytest.mark.parametrize("world", LOGS)
+@pytest.mark.parametrize("world", WORLDS)
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_of_no_size_is_none(name, world):
-    assert changed(LOGS[world], put_in(name, LOGS[world], FAULTS[name].none)) == set()
+    assert changed(world_log(world), put_in(name, world_log(world), FAULTS[name].none)) == set()
 
 
 @pytest.mark.parametrize("name", FAULTS)
 def test_the_same_seed_gives_the_same_bytes(name):
-    log, size = LOGS["arena"], FAULTS[name].sizes[1]
+    log, size = world_log("arena"), FAULTS[name].sizes[1]
     a, b = put_in(name, log, size, 3), put_in(name, log, size, 3)
     assert all(x.tobytes() == y.tobytes() for x, y in zip(arrays(a).values(), arrays(b).values(), strict=True))
     drawn = name in ("wrong-labels", "heavy-tails")
@@ -100,9 +104,9 @@ def test_the_table_names_three_sizes_apart_from_none_and_one_cause():
     assert [name for name, f in FAULTS.items() if f.cause == ASSOCIATIONS] == ["wrong-labels"]
 
 
-@pytest.mark.parametrize("world", LOGS)
+@pytest.mark.parametrize("world", WORLDS)
 def test_odometry_says_what_it_should(world):
-    log = LOGS[world]
+    log = world_log(world)
     before, truth = log.recorded.increments.mean, between(log.truth.pose[:-1], log.truth.pose[1:])
     said = {name: put_in(name, log, 0.1).recorded.increments.mean for name in ODOMETRY}
     np.testing.assert_allclose(said["distance-scale"][:, :2], 1.1 * before[:, :2])
@@ -114,9 +118,9 @@ def test_odometry_says_what_it_should(world):
     np.testing.assert_allclose(pose_error(said["odometry-noise"][1:], truth), 0.1 * error, atol=1e-12)
 
 
-@pytest.mark.parametrize("world", LOGS)
+@pytest.mark.parametrize("world", WORLDS)
 def test_the_sensor_says_what_it_should(world):
-    log = LOGS[world]
+    log = world_log(world)
     z = log.recorded.observations.z
     longer, turned = (put_in(name, log, 0.1).recorded.observations.z for name in ("range-scale", "bearing-bias"))
     before = log.recorded.sensor.polar(z)
@@ -130,7 +134,7 @@ def test_the_sensor_says_what_it_should(world):
 
 def test_a_late_reading_is_of_the_place_left_behind_with_the_noise_it_had():
     """Circle: straight steps of 0.25 m in 1 s. In half a second the robot goes half of a chord and turns half of it."""
-    log = LOGS["circle"]
+    log = world_log("circle")
     late = put_in("latency", log, 0.5)
     rows, _ = noiseless(log)
     frame, pose = log.recorded.observations.frame[rows], log.truth.pose
@@ -142,7 +146,7 @@ def test_a_late_reading_is_of_the_place_left_behind_with_the_noise_it_had():
 
 
 def test_before_the_first_frame_the_robot_moved_as_after_it():
-    log = LOGS["arena"]
+    log = world_log("arena")
     first = np.flatnonzero((log.recorded.observations.frame == 0) & (log.truth.landmark_of >= 0))
     pose = log.truth.pose[0] - 0.4 * pose_error(log.truth.pose[1], log.truth.pose[0])
     expected = log.recorded.sensor.predict(pose, log.truth.landmarks.positions(log.truth.landmark_of[first]))
@@ -154,7 +158,7 @@ def test_before_the_first_frame_the_robot_moved_as_after_it():
 
 @pytest.mark.parametrize("name", ["latency", "heavy-tails"])
 def test_clutter_comes_from_no_landmark_and_stays(name):
-    log = LOGS["arena"]
+    log = world_log("arena")
     clutter = log.truth.landmark_of < 0
     assert clutter.any()
     z = put_in(name, log, FAULTS[name].sizes[0]).recorded.observations.z
@@ -188,10 +192,16 @@ def test_no_range_becomes_negative():
 
 
 def test_what_cannot_be_done_is_said():
-    log = LOGS["arena"]
+    log = world_log("arena")
     with pytest.raises(ValueError, match="more than 2"):
         put_in("heavy-tails", log, 2.0)
     blind = dataclasses.replace(log, truth=Truth())
     for name in ("odometry-noise", "latency", "heavy-tails", "wrong-labels"):
         with pytest.raises(UsageError, match="arena: "):
             put_in(name, blind, FAULTS[name].sizes[0])
+
+
+@pytest.mark.parametrize(("name", "size"), [("curvature", 20.0), ("odometry-noise", 500.0)])
+def test_however_large_a_fault_increments_turn_by_no_more_than_half_a_turn(name, size):
+    turn = put_in(name, world_log("circle"), size).recorded.increments.mean[:, 2]
+    assert (np.abs(turn) <= math.pi).all()
