@@ -81,5 +81,7 @@ def critical(twins: Array) -> float:
     """What the largest standardized statistic of a log must exceed to be objected to at `LEVEL`; twins (N, S)."""
     if not len(twins):
         return math.nan
-    largest = np.abs(standardized(np.nanmedian(twins, axis=0), twins)[1]).max(axis=1, initial=0.0)
+    known = np.isfinite(twins).any(axis=0)
+    middle = np.nanmedian(twins[:, known], axis=0)
+    largest = np.abs(standardized(middle, twins[:, known])[1]).max(axis=1, initial=0.0)
     return float(np.quantile(largest, 1.0 - LEVEL, method="higher"))
