@@ -14,9 +14,10 @@ from eval.referee.intervals import SEED, run_differences
 DIFFERENCES = (
     "log", "task", "association", "a", "b", "phase_a", "phase_b",
     "rmse_position_m", "rmse_position_lower", "rmse_position_upper", "rmse_position_p",
-    "nees_pose", "nees_pose_lower", "nees_pose_upper", "nees_pose_p", "block_frames", "why",
+    "nees_pose", "nees_pose_lower", "nees_pose_upper", "nees_pose_p", "block_frames",
+    "rmse_position_why", "nees_pose_why",
 )  # fmt: skip
-"""Columns of a row; differences are a minus b; `why` says why an interval is missing."""
+"""Columns of a row; differences are a minus b, `…_why` says why an interval is missing."""
 
 
 def difference_rows(
@@ -41,11 +42,12 @@ def difference_rows(
         )
         row: dict[str, object] = {
             "log": log.name, "task": task, "association": a.association, "a": a.estimator, "b": b.estimator,
-            "phase_a": "online", "phase_b": "final", "block_frames": rmse.block, "why": rmse.why or nees.why,
+            "phase_a": "online", "phase_b": "final", "rmse_position_m": rmse.value, "nees_pose": nees.value,
+            "block_frames": rmse.block if not rmse.why else nees.block,
         }  # fmt: skip
-        for name, difference in (("rmse_position", rmse), ("nees_pose", nees)):
-            row["rmse_position_m" if name == "rmse_position" else name] = difference.value
-            row |= {f"{name}_lower": difference.lower, f"{name}_upper": difference.upper, f"{name}_p": difference.p}
+        for name, found in (("rmse_position", rmse), ("nees_pose", nees)):
+            row |= {f"{name}_lower": found.lower, f"{name}_upper": found.upper, f"{name}_p": found.p}
+            row[f"{name}_why"] = found.why or None
         rows.append(row)
     return rows
 

@@ -115,11 +115,13 @@ def _length(series: Array) -> tuple[float, str]:
     if np.ptp(series) <= 1e-12 * np.abs(series).max():
         return math.nan, "what is compared does not vary along the log"
     length, worth = block_length(series), independent_frames(series)
-    if length > LONGEST * n or worth < MIN_INDEPENDENT:
+    if worth < MIN_INDEPENDENT:
         return length, (
-            f"so correlated are the errors that {n} frames with truth are worth about {worth:.0f} independent ones in"
-            f" blocks of about {length:.0f}"
+            f"errors are so correlated that {n} frames with truth are worth about {worth:.0f} independent ones,"
+            f" {MIN_INDEPENDENT:.0f} are needed"
         )
+    if length > LONGEST * n:
+        return length, f"errors are correlated over about {length:.0f} frames, more than a tenth of the {n} with truth"
     return length, ""
 
 
