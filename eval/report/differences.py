@@ -16,8 +16,8 @@ CHANCE = 0.05
 CAPTION = (
     "Which is better on this log: filter (online) minus smoother (final), on the same frames; RMSE positive: the"
     " smoother is closer to the truth. Intervals and p of no difference: stationary bootstrap with blocks of the mean"
-    " length given. They are about stretches of this log, not about other logs, and the fewer blocks there are, the more"
-    " they are too narrow (docs/verdicts.md has the coverage). Blank where the log is worth too few independent frames."
+    " length given. They are about stretches of this log, not about other logs, and the fewer blocks there are, the"
+    " more they are too narrow (docs/verdicts.md has the coverage). Blank: the log is worth too few independent frames."
 )
 
 
@@ -25,6 +25,7 @@ def differences_table(rows: pd.DataFrame) -> pd.DataFrame:
     """Rows of `Scores.differences` for one log and task as a table to read; association only where several are."""
     made = []
     for row in rows_of(rows):
+        none = is_blank(row["rmse_position_p"]) and is_blank(row["nees_pose_p"])
         made.append({
             "association": row["association"],
             "filter": row["a"],
@@ -35,7 +36,7 @@ def differences_table(rows: pd.DataFrame) -> pd.DataFrame:
             "NEES difference": row["nees_pose"],
             "95 % interval of NEES": _interval(row, "nees_pose"),
             "p of NEES": _p(row, "nees_pose"),
-            "mean block [frames]": None if is_blank(row["rmse_position_p"]) and is_blank(row["nees_pose_p"]) else row["block_frames"],
+            "mean block [frames]": None if none else row["block_frames"],
         })  # fmt: skip
     table = pd.DataFrame(made, dtype=object)
     if table["association"].nunique() <= 1:
