@@ -60,10 +60,10 @@ def test_resampled_means_are_distributed_as_those_of_arch():
     from arch.bootstrap import StationaryBootstrap
 
     x = squares(0.9, 300, 1, 4)[0]
-    theirs = StationaryBootstrap(12, x, seed=rng(5)).apply(np.mean, 2000)[:, 0]
-    ours = resampled_means(x[:, None], 12.0, rng(6), 2000)[:, 0]
+    theirs = StationaryBootstrap(12, x, seed=rng(5)).apply(np.mean, 1000)[:, 0]
+    ours = resampled_means(x[:, None], 12.0, rng(6), 1000)[:, 0]
     levels = [0.025, 0.25, 0.5, 0.75, 0.975]
-    assert np.quantile(ours, levels) == pytest.approx(np.quantile(theirs, levels), abs=0.2 * theirs.std())
+    assert np.quantile(ours, levels) == pytest.approx(np.quantile(theirs, levels), abs=0.35 * theirs.std())
 
 
 def test_without_correlation_the_interval_is_the_classical_one():
