@@ -20,8 +20,9 @@ from eval.page.document import Picture
 from eval.page.numbers import number
 from eval.plan.options import Options
 from eval.referee.score import Trial, confusion_of
+from eval.referee.trust import SHARE
 from eval.report.run_files import write_run
-from eval.report.shown_runs import finished, for_growth, for_map, for_panels, left_out, same, worst
+from eval.report.shown_runs import finished, for_filter_smoother, for_growth, for_map, for_panels, left_out, same, worst
 
 
 def stem(trial: Trial, what: str) -> str:
@@ -39,6 +40,7 @@ def publish_runs(folder: Path, options: Options, trial: Trial) -> None:
             animate(trial.log, run, folder / "figures" / f"{stem(trial, run.estimator)}.mp4")
 
 
+FILTER_SMOOTHER = "filter-smoother"
 QUICK = ("map", "error", "difference", "association")
 """All that a quick report shows."""
 
@@ -51,6 +53,8 @@ def kinds(trial: Trial, beside: Sequence[Trial] = (), *, quick: bool = False) ->
         found += ["error", "nees"]
     elif reference is not None and reference.failure is None and len(shown) > 1:
         found.append("difference")
+    if trial.beside is None and for_filter_smoother(trial) is not None:
+        found.append(FILTER_SMOOTHER)
     if trial.task == "slam" and trial.log.truth.known_poses and for_growth(trial):
         found.append("growth")
     if state_is_informative(trial, beside):
@@ -103,6 +107,8 @@ def _picture(trial: Trial, kind: str, beside: Sequence[Trial]) -> tuple[Figure, 
             f" robot at each frame and of the landmarks after the last one.{_closure(log, runs)}",
             f"Uncertainty of robot and landmarks on {log.name}",
         )
+    if kind == FILTER_SMOOTHER:
+        return _filter_smoother(trial, where)
     if kind == "map":
         drawn = for_map(trial)
         return (
@@ -135,6 +141,23 @@ def _picture(trial: Trial, kind: str, beside: Sequence[Trial]) -> tuple[Figure, 
         f"{where}: distance from the batch solution, with each run's own 3σ. No error: the log has no true path."
         f"{left_out(trial, [*rows, reference])}",
         f"Distance from the batch solution over time on {log.name}",
+    )
+
+
+def _filter_smoother(trial: Trial, where: str) -> tuple[Figure, str, str]:
+    alike = for_filter_smoother(trial)
+    assert alike is not None  # `kinds` asks for it only where there are some
+    runs, smoother = alike
+    others = [r for r in finished(trial) if r.online is not None and r.association == smoother.association]
+    names = ", ".join(r.estimator for r in others if not any(r is shown for shown in runs))
+    return (
+        figures.filter_smoother_figure(trial.log, runs, smoother),
+        f"{where}, association {smoother.association}: each online estimate less `{smoother.estimator}`'s under the"
+        " same decisions, in world coordinates. If all is as stated it is rarely outside ±3σ of the difference (the"
+        f" root of the diagonal of P_f − P_s; blank where later data took less than {100 * SHARE:g} % of the variance"
+        " away); along a run it is strongly correlated. Marked: largest excursion in sigmas."
+        + (f" Not shown, as other decisions were made: {names}." if names else ""),
+        f"Online less smoothed estimates on {trial.log.name} in x, y and heading",
     )
 
 

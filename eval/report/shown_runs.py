@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from data.result import Run
 from eval.figures.error import MOST_PANELS
 from eval.referee.errors import position_distance, rms
@@ -118,6 +120,21 @@ def for_growth(trial: Trial) -> list[Run]:
     alike = [r for r in estimates if r.association == order[0]] if order else []
     found = (next((r for r in alike if r.estimator == name), None) for name in ("ekf", "isam2"))
     return [r for r in found if r is not None]
+
+
+def for_filter_smoother(trial: Trial) -> tuple[list[Run], Run] | None:
+    """Online estimates and the batch smoother under the very same decisions, of the first association that has both."""
+    estimates = finished(trial)
+    for name in associations(estimates):
+        alike = [r for r in estimates if r.association == name]
+        smoother = next((r for r in alike if r.estimator == "batch" and r.final is not None), None)
+        if smoother is None:
+            continue
+        same_made = [np.array_equal(r.final_decisions, smoother.final_decisions) for r in alike]
+        found = [r for r, made in zip(alike, same_made, strict=True) if made and r.online is not None]
+        if found:
+            return found, smoother
+    return None
 
 
 def left_out(trial: Trial, shown: Sequence[Run]) -> str:
