@@ -80,7 +80,7 @@ def _excursion(axes: Sequence[Axes], time: Array, d: Difference, style: Style) -
     in_sigmas = np.abs(d.d / d.sigma)
     marker = ""
     if np.isfinite(in_sigmas).any():
-        frame, i = np.unravel_index(np.nanargmax(in_sigmas), in_sigmas.shape)
+        frame, i = divmod(int(np.nanargmax(in_sigmas)), 3)
         name, _, factor = COORDINATES[i]
         axes[i].plot(
             time[frame], factor * d.d[frame, i], color="black", marker=style.marker, markerfacecolor=style.colour,

@@ -51,19 +51,21 @@ def answer(
     association: pd.DataFrame | None = None,
     labelled: int | None = None,
     differences: pd.DataFrame | None = None,
+    trust: str = "",
 ) -> str:
     """A few sentences on one log and task: filter and smoother on identical inputs, and which to trust when.
 
     `metrics` and `association` are the rows of metrics.csv and association.csv for one log and task; `labelled` is the
-    number of landmarks that the log's ids tell apart; `differences` the rows of `Scores.differences`. Filter and
-    smoother are compared under known association if there is one; how well the others decided is said in a sentence of
-    its own.
+    number of landmarks that the log's ids tell apart; `differences` the rows of `Scores.differences`. `trust` is
+    what the log says of itself, which comes first where there is no truth. Filter and smoother are compared under known
+    association if there is one; how well the others decided is said in a sentence of its own.
     """
     rows = rows_of(metrics)
     chosen = chosen_association(rows)
     several = len({r["association"] for r in rows if r["association"] != "none"}) > 1
     apart = [] if differences is None else rows_of(differences)
-    notes = [_compared([r for r in rows if r["association"] == chosen], apart)]
+    compared, untrue = _compared([r for r in rows if r["association"] == chosen], apart, bool(trust))
+    notes = [trust, compared] if untrue else [compared, trust]
     if several:
         notes.insert(0, f"Filter and smoother are compared under association {chosen}.")
     if association is not None:
@@ -71,30 +73,35 @@ def answer(
     return " ".join(n for n in notes if n)
 
 
-def _compared(rows: Sequence[Row], differences: Sequence[Row]) -> str:
-    """Filter and smoother under one association."""
+def _compared(rows: Sequence[Row], differences: Sequence[Row], trusted: bool) -> tuple[str, bool]:
+    """Filter and smoother under one association; and whether both got there, but nobody knows the true path.
+
+    `trusted`: what the log says of itself stands beside it, distance from the smoother and innovations included.
+    """
     filtered, smoothed = _pick(rows, FILTERS, "online"), _pick(rows, SMOOTHERS, "final")
     failed = [r for r in (filtered, smoothed) if r is not None and r["status"] != "ok"]
     if failed:
         names = " and ".join(f"{r['estimator']} ({r['status']})" for r in failed)
-        return f"There is no comparison: {names} did not get to the end, so there are no numbers to compare."
+        return f"There is no comparison: {names} did not get to the end, so there are no numbers to compare.", False
     if filtered is None or smoothed is None:
         only = filtered or smoothed
         if only is None:
-            return "Neither a filter nor a smoother ran, so there is nothing to compare."
+            return "Neither a filter nor a smoother ran, so there is nothing to compare.", False
         missing = "smoother" if smoothed is None else "filter"
-        return f"Only {only['estimator']} ran: without a {missing} there is nothing to compare it with."
+        return f"Only {only['estimator']} ran: without a {missing} there is nothing to compare it with.", False
     gone = [r for r in (filtered, smoothed) if not is_blank(r.get("lost_why"))]
     if gone:
         which = "Neither path is" if len(gone) == 2 else "Its path is not"
         advice = LOST_ADVICE.format(which)
         if gone == [filtered] and _fits(smoothed, filtered):
             advice = LINEARIZED.format(f"the smoother ({smoothed['estimator']})")
-        return " ".join([*(_lost(r) for r in gone), advice, *_errors_of(filtered, smoothed)])
+        return " ".join([*(_lost(r) for r in gone), advice, *_errors_of(filtered, smoothed)]), False
     newest = _pick(rows, INCREMENTAL, "online")
     if not _errors_of(filtered, smoothed):
-        return " ".join(_without_truth(filtered, smoothed))
-    return " ".join(_with_truth(filtered, smoothed, newest, difference_sentence(differences, filtered, smoothed)))
+        return " ".join(_without_truth(filtered, smoothed, trusted)), True
+    return " ".join(
+        _with_truth(filtered, smoothed, newest, difference_sentence(differences, filtered, smoothed))
+    ), False
 
 
 def _lost(row: Row) -> str:
@@ -178,17 +185,18 @@ def _same_instant(filter_rmse: float, smoother_rmse: float, newest: Row | None) 
     return text
 
 
-def _without_truth(filtered: Row, smoothed: Row) -> list[str]:
+def _without_truth(filtered: Row, smoothed: Row, trusted: bool) -> list[str]:
     names = f"the filter ({filtered['estimator']}) and the smoother ({smoothed['estimator']})"
     difference = value_of(filtered, "rms_from_batch_m")
     notes = [f"The log has no true path, so the errors of {names} are not known."]
+    if trusted:
+        return notes
     if math.isfinite(difference):
         notes[0] += (
             f" The filter's path is {number(difference)} m RMS from the batch solution: that is how much later data"
             " changed it, not an error."
         )
     notes.extend(_innovations(filtered))
-    notes.append("Without truth the innovations are all that can be tested; which path is right this log cannot tell.")
     return notes
 
 
@@ -204,7 +212,7 @@ def _innovations(filtered: Row) -> list[str]:
     )
     if not statement:
         return []
-    text = f"What a single run can test are the filter's innovations; they are {statement.removeprefix('innovations ')}"
+    text = f"The filter's innovations are {statement.removeprefix('innovations ')}"
     verdict = nis_verdict(*(value_of(filtered, c) for c in ("nis", "nis_lower", "nis_upper")))
     if verdict != CONSISTENT:
         claim = "too little" if verdict == OVERCONFIDENT else "more than needed"

@@ -22,6 +22,7 @@ from eval.report.pictures import draw, kinds, publish_runs
 from eval.report.revisions import revision_section
 from eval.report.statements import failure_statement
 from eval.report.studies import study_sections
+from eval.report.trust.sections import first_said
 from eval.report.visual.sections import visual_sections
 from eval.studies.montecarlo import Judged, consistency_table
 from eval.studies.reproduced import published_frame
@@ -57,7 +58,7 @@ def write_results(
         published_frame(outcome.published).to_csv(folder / "published.csv", index=False, lineterminator="\n")
     (folder / "runs").mkdir()
     published = _publish_trials(folder, options, outcome.trials, progress)
-    sections = [*trial_sections(folder, options, outcome.trials, scores, published)]
+    sections = [*trial_sections(folder, options, outcome.trials, scores, published, outcome.trust)]
     sections += visual_sections(folder, options, outcome.trials)
     sections += tutorial_sections(folder, options, outcome.trials, scores)
     sections += study_sections(folder, options, outcome, judged)
@@ -66,7 +67,7 @@ def write_results(
         sections += revision_section(folder, options, outcome.trials)
         sections += [*lab_sections(outcome.trials, scores), _failure_section(outcome.trials)]
     sections += [Section("How to read the numbers", (READING,)), _source_section(outcome.trials, options)]
-    introduction = _introduction(outcome.trials, scores, judged)
+    introduction = _introduction(outcome, scores, judged)
     write_report(
         folder,
         Report(
@@ -125,14 +126,14 @@ def _failure_section(trials: Sequence[Trial]) -> Section:
     return Section("Failures", (text,))
 
 
-def _introduction(trials: Sequence[Trial], scores: Scores, judged: Sequence[Judged]) -> tuple[Block, ...]:
+def _introduction(outcome: Outcome, scores: Scores, judged: Sequence[Judged]) -> tuple[Block, ...]:
     notes = ["The same logs, the same inputs, one referee."]
-    for trial in trials:
+    for trial in outcome.trials:
         if trial.beside is None:
             metrics, decided, differences = (
                 rows_of(table, trial) for table in (scores.metrics, scores.association, scores.differences)
             )
-            said = answer(metrics, decided, _labelled(trial), differences)
+            said = answer(metrics, decided, _labelled(trial), differences, first_said(trial, outcome.trust))
             notes.append(f"* **{trial.log.name}, {trial.task}.** {said}")
     declared = [j for j in judged if j.declared and j.verdict.runs >= MIN_RUNS]
     if declared:

@@ -16,8 +16,10 @@ from eval.referee.score import Scores, Trial
 from eval.report import comparison
 from eval.report.differences import CAPTION as DIFFERENCES_CAPTION
 from eval.report.differences import differences_table, missing_intervals
-from eval.report.pictures import stem
+from eval.report.pictures import FILTER_SMOOTHER, stem
+from eval.report.trust.sections import trust_section
 from eval.report.tutorial_table import CAPTION, logs_with_tutorials, tutorial_table
+from eval.studies.trusted import Trust
 
 
 def beside(trial: Trial, trials: Sequence[Trial]) -> tuple[Trial, ...]:
@@ -33,9 +35,14 @@ def rows_of(frame: pd.DataFrame, trial: Trial) -> pd.DataFrame:
 
 
 def trial_sections(
-    folder: Path, options: Options, trials: Sequence[Trial], scores: Scores, published: Sequence[Sequence[Picture]]
+    folder: Path,
+    options: Options,
+    trials: Sequence[Trial],
+    scores: Scores,
+    published: Sequence[Sequence[Picture]],
+    trust: Sequence[Trust] = (),
 ) -> list[Section]:
-    """A section per log and task; a tutorial's row stands in the table of the log it belongs to."""
+    """A section per log and task, with what it says about itself; a tutorial's row stands in the table of its log."""
     sections = []
     for trial, pictures in zip(trials, published, strict=True):
         if trial.beside is not None:
@@ -48,11 +55,12 @@ def trial_sections(
         blocks.append(written_table(table, folder, stem(trial, "comparison"), caption, options.formats))
         blocks += [_beside_note(t, rows_of(scores.metrics, t)) for t in others]
         blocks += _differences(folder, options, trial, rows_of(scores.differences, trial))
-        blocks += [p for p in pictures if p.stem != stem(trial, "association")]
+        blocks += [p for p in pictures if p.stem not in (stem(trial, "association"), stem(trial, FILTER_SMOOTHER))]
         notes = [*trial.log.notes, *(f"{r.estimator}: {n}." for r in trial.runs for n in r.notes)]
         if notes:
             blocks.append("\n".join(f"* {n}" for n in dict.fromkeys(notes)))
         sections.append(Section(f"{trial.log.name}, {trial.task}", tuple(blocks)))
+        sections += trust_section(folder, options, trial, pictures, trust)
     return sections
 
 

@@ -55,8 +55,20 @@ def test_without_truth_the_difference_is_not_called_an_error():
         FILTER | {"rmse_position_m": None, "nees_pose": None}, SMOOTHER | {"rmse_position_m": None, "nees_pose": None}
     )
     assert "0.0500 m RMS from the batch solution: that is how much later data changed it, not an error" in text
-    assert "which path is right this log cannot tell" in text
     assert "NEES" not in text
+
+
+def test_what_a_log_without_truth_says_of_itself_comes_first_and_replaces_what_innovations_say():
+    blank = {"rmse_position_m": None, "nees_pose": None}
+    own = "By its own data **the noise model** is not to be trusted."
+    text = answer(frame_of([FILTER | blank, SMOOTHER | blank], METRICS), trust=own)
+    assert (
+        text
+        == f"{own} The log has no true path, so the errors of the filter (ekf) and the smoother (batch) are not known."
+    )
+    assert answer(frame_of([FILTER, SMOOTHER], METRICS), trust=own).endswith(f"exists. {own}")
+    gone = {"lost_frame": 12, "lost_why": "0 of 35 observations were used"}
+    assert answer(frame_of([FILTER | blank | gone, SMOOTHER | blank], METRICS), trust=own).startswith("Lost: ")
 
 
 def test_a_failure_is_named_instead_of_compared():

@@ -1,0 +1,1 @@
+"""What a log says about itself, in words, tables and a figure."""

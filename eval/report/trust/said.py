@@ -1,0 +1,147 @@
+"""What of a `Trust` stands in sentences: numbers of filter and smoother, of the twins, and of what stands out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from eval.page.numbers import number
+from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, POWER
+from eval.replay.names import ESTIMATORS, FILTERS
+from eval.report.trust.phrases import component, phrase, with_unit
+from eval.studies.trusted import Blame, Trust
+
+STANDS_OUT = 3.0
+"""Standard errors from which a slope is named where there are no twins to judge it by."""
+SYSTEMATIC = ("odometry_theta_turn", "odometry_x_distance", "odometry_theta_distance")
+"""Systematic errors of the odometry whose power is told."""
+HINT = "`--twins 100` says which of this is more than chance, and whose fault it is."
+
+
+def online(trust: Trust) -> list[str]:
+    """Estimators that have a distance from the smoothed path, filters first."""
+    found = [name for name in ESTIMATORS if math.isfinite(trust.real.apart.get(name, math.nan))]
+    return sorted(found, key=lambda name: name not in FILTERS)
+
+
+def who(name: str) -> str:
+    """An estimator by its kind and name."""
+    return f"the filter ({name})" if name in FILTERS else f"the online path of {name}"
+
+
+def length(value: float) -> str:
+    """A distance, below a centimetre in millimetres."""
+    return f"{number(1000.0 * value, 2)} mm" if 0.0 < value < 0.01 else f"{number(value)} m"
+
+
+def apart(trust: Trust, name: str) -> str:
+    """How far an estimator is from the smoothed path, beside the same of the twins."""
+    text = f"{who(name)} and the smoother are {length(trust.real.apart[name])} RMS apart"
+    twins = [s.apart[name] for s in trust.twins if math.isfinite(s.apart.get(name, math.nan))]
+    if twins:
+        text += f", on the twins {length(min(twins))} to {length(max(twins))}"
+    elif trust.twins:
+        text += f"; {name} was not run on the twins"
+    return text
+
+
+def quadratic(trust: Trust, name: str) -> str:
+    """Median of the quadratic form of the difference, and how often P_f - P_s is semidefinite; empty if unknown."""
+    parts = []
+    median = trust.real.measured.get((name, "filter_smoother_median"))
+    if median is not None and math.isfinite(median.value) and math.isfinite(median.expected):
+        parts.append(
+            f"their difference d has a median dᵀ(P_f − P_s)⁻¹d of {number(median.value)} where"
+            f" {number(median.expected)} is expected"
+        )
+    share = trust.real.measured.get((name, "filter_smoother_semidefinite"))
+    if share is not None and math.isfinite(share.value):
+        parts.append(f"P_f − P_s is positive semidefinite in {100.0 * share.value:.0f} % of the frames")
+    return ", and ".join(parts)
+
+
+def standing_out(trust: Trust, polar: bool, most: int) -> list[str]:
+    """Systematic errors that residuals ask for beyond `STANDS_OUT` standard errors, each alone, largest first."""
+    found = []
+    for (_, name), m in trust.real.measured.items():
+        if name.startswith("slope_") and math.isfinite(m.value) and math.isfinite(m.se) and m.se > 0.0:
+            found.append((abs(m.value) / m.se, name.removeprefix("slope_"), m))
+    found = sorted((f for f in found if f[0] > STANDS_OUT), key=lambda f: -f[0])
+    return [f"{phrase(name, polar).sentence(m.value, m.se)} ({z:.0f} standard errors)" for z, name, m in found[:most]]
+
+
+def outside(blame: Blame, twins: int) -> str:
+    """How many statistics are outside what the twins show, and the smallest family-wise p."""
+    count = f"{len(blame.objected)} of {blame.tested}" if blame.objected else f"none of {blame.tested}"
+    verb = "lies" if len(blame.objected) <= 1 else "lie"
+    p = f" ({'smallest ' if not blame.objected else ''}family-wise p {number(blame.p, 2)})"
+    return f"{count} statistics {verb} outside what {twins} twins show{p if math.isfinite(blame.p) else ''}"
+
+
+def culprit(cause: str) -> str:
+    """What a cause is called."""
+    return {NOISE: "the noise model", ASSOCIATIONS: "the associations", ESTIMATOR: "the estimator"}.get(
+        cause, "nothing to object to"
+    )
+
+
+def power(blame: Blame, polar: bool, *, brief: bool = False) -> str:
+    """Sizes of faults that the log would have shown, one at a time (`brief`: three of them); empty if none is known."""
+    turned = "z2_constant" if polar else "z2_range"
+    names = ("odometry_theta_turn", turned, "z1_range") if brief else (*SYSTEMATIC, turned, "z1_range")
+    parts = []
+    for name in names:
+        size = blame.detectable.get(name, math.nan)
+        if math.isfinite(size):
+            said = phrase(name, polar)
+            parts.append(f"{said.noun} of {with_unit(size, said.unit)}")
+    for name in () if brief else ("z1", "z2", "odometry_theta"):
+        factor = blame.detectable.get(f"residual_{name}_spread", math.nan)
+        if math.isfinite(factor):
+            least = "at least " if name.startswith("odometry") else ""
+            parts.append(f"a noise of the {component(name, polar)} {least}{factor:.2f} times as large as stated")
+    if not parts:
+        return ""
+    listed = f"{', '.join(parts[:-1])} or {parts[-1]}" if len(parts) > 1 else parts[0]
+    return f"With {100.0 * POWER:.0f} % probability it would have shown {listed}"
+
+
+def nees_on_twins(trust: Trust) -> str:
+    """Mean pose NEES of the estimators over the twins, which have a truth; empty where unknown."""
+    parts = []
+    for name, phase in dict.fromkeys(k for s in trust.twins for k in s.nees):
+        values = [s.nees[name, phase] for s in trust.twins if (name, phase) in s.nees]
+        known = np.array([v for v in values if math.isfinite(v)])
+        if len(known):
+            parts.append(f"{number(float(known.mean()))} for {name} ({phase})")
+    if not parts:
+        return ""
+    return f"The twins have a truth: mean pose NEES over them is {_listed(parts)}, where 3 is expected"
+
+
+def deciding_on_twins(trust: Trust) -> str:
+    """Mean confusion counts over the twins of a way of deciding; empty with labels and where there are none."""
+    if trust.association == "known":
+        return ""
+    said: dict[str, list[str]] = {}
+    for name in dict.fromkeys(n for s in trust.twins for n in s.counts):
+        counts = np.array([s.counts[name] for s in trust.twins if name in s.counts], float)
+        if not counts.sum() > 0.0:
+            continue
+        tp, tn, fp, fn = counts.mean(axis=0).tolist()
+        right = 100.0 * (tp + tn) / (tp + tn + fp + fn)
+        text = (
+            f"{number(fp, 2)} wrong pairings (FP) and {number(fn, 2)} missed (FN) in {tp + tn + fp + fn:.0f} decisions,"
+            f" {right:.1f} % as batch paired them"
+        )
+        said.setdefault(text, []).append(name)
+    parts = [f"{text} ({', '.join(names)})" for text, names in said.items()]
+    if not parts:
+        return ""
+    return f"Expected of `{trust.association}` on this geometry (mean over the twins): {'; '.join(parts)}"
+
+
+def _listed(parts: Sequence[str]) -> str:
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"

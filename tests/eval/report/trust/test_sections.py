@@ -1,0 +1,109 @@
+"""Section and table on a log without truth: what was objected to first, only numbers that are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from data.result import Trajectory
+from eval.page.document import Table
+from eval.plan.options import Options
+from eval.referee.attribution import NOISE
+from eval.referee.score import Trial
+from eval.report.pictures import FILTER_SMOOTHER, draw, kinds
+from eval.report.trust.sections import first_said, of_trial, trust_section
+from eval.report.trust.tables import MOST, statistic_words, trust_frame
+from tests.eval.handmade import SIGMA, circle_log, run_with_error
+from tests.eval.report.trust.said_by_hand import MEASURED, TURN, blamed, said
+
+ZERO = np.zeros(3)
+LOG = circle_log(truth=False, landmarks=False, name="home")
+
+
+def smoother(**more):
+    made = run_with_error(ZERO, estimator="batch", phases=("final",), **more)
+    return replace(made, final=Trajectory(made.final.pose, 0.25 * made.final.covariance))
+
+
+FILTER = run_with_error(np.array([0.1, 0.0, 0.02]))
+TRIAL = Trial(LOG, "slam", (FILTER, smoother()))
+
+
+def test_what_is_objected_to_stands_first_with_what_the_twins_show():
+    frame = trust_frame(blamed(TURN, cause=NOISE, objected=2), polar=True)
+    assert len(frame) <= MOST
+    assert set(frame["statistic"][:2]) == {"NIS per degree of freedom", "median of dᵀ(P_f − P_s)⁻¹d"}
+    first = frame[frame["statistic"].str.startswith("median")].iloc[0]
+    assert (first["value"], first["expected"]) == ("30.3", "1.46")
+    # 30.3, 30.31, ... 30.49
+    assert first["twins' median"] == "30.4"
+    assert first["twins, 5 to 95 %"] == "30.3 to 30.5"
+    assert first["family-wise p"] == "0.048"
+
+
+def test_without_twins_there_is_no_column_of_them():
+    frame = trust_frame(said(), polar=True)
+    assert list(frame.columns) == ["estimator", "statistic", "value", "expected"]
+    turn = frame[frame["statistic"] == "a wrong scale of the odometry's turns [%]"].iloc[0]
+    assert turn["value"] == "−5.00 ± 0.10"
+    assert not frame["statistic"].str.contains("ranges \\[%\\]").any()
+
+
+def test_every_statistic_has_a_name_that_is_none_of_the_codes():
+    for _, name in MEASURED:
+        for polar in (True, False):
+            text, factor = statistic_words(name, polar)
+            assert "_s" not in text.replace("P_s", "")
+            assert factor > 0.0
+    assert statistic_words("own_smoother_rms_x", True)[0] == "RMS of d in x [σ], own final path"
+    assert statistic_words("residual_odometry_theta_lag1", True)[0] == (
+        "residual of the odometry's heading, correlation at lag 1"
+    )
+
+
+def test_a_section_has_words_table_and_figure(tmp_path):
+    trust = blamed(TURN, cause=NOISE, objected=2)
+    picture = draw(tmp_path, TRIAL, FILTER_SMOOTHER, quick=True)
+    (section,) = trust_section(tmp_path, Options(), TRIAL, [picture], [trust])
+    words, table, shown = section.blocks
+    assert section.heading == "Trust without ground truth: home, slam"
+    assert words.startswith("* **Cause: the noise model.**")
+    assert isinstance(table, Table)
+    assert (tmp_path / "tables" / "home-slam-trust-known.csv").exists()
+    assert shown is picture
+    assert "association known" in picture.caption
+
+
+def test_ways_of_association_are_told_apart_where_they_have_twins():
+    jcbb = run_with_error(ZERO, association="jcbb")
+    trial = replace(TRIAL, runs=(*TRIAL.runs, jcbb))
+    both = [blamed(association="jcbb"), blamed()]
+    assert [t.association for t in of_trial(trial, both)] == ["known", "jcbb"]
+    assert [t.association for t in of_trial(trial, [said(association="jcbb"), said()])] == ["known"]
+    assert of_trial(replace(TRIAL, beside="other"), both) == []
+
+
+def test_a_log_with_truth_is_told_on_the_first_page_only_what_twins_say():
+    measured = replace(TRIAL, log=circle_log(name="home"))
+    assert first_said(measured, [said()]) == ""
+    assert "nothing to object to" in first_said(measured, [blamed()])
+    assert "`--twins 100`" in first_said(TRIAL, [said()])
+
+
+def test_the_figure_is_drawn_where_the_smoother_made_the_same_decisions():
+    assert FILTER_SMOOTHER in kinds(TRIAL)
+    assert FILTER_SMOOTHER not in kinds(TRIAL, quick=True)
+    other = smoother()
+    other = replace(other, final_decisions=other.final_decisions + 1)
+    assert FILTER_SMOOTHER not in kinds(replace(TRIAL, runs=(FILTER, other)))
+    assert FILTER_SMOOTHER not in kinds(replace(TRIAL, runs=(FILTER,)))
+
+
+@pytest.mark.parametrize("also", [(), ("isam2", "ekf-iterated")])
+def test_who_decided_otherwise_is_named_in_the_caption(tmp_path, also):
+    runs = [run_with_error(SIGMA, estimator=name) for name in also]
+    runs = [replace(r, final_decisions=r.final_decisions + 1) for r in runs]
+    caption = draw(tmp_path, replace(TRIAL, runs=(*TRIAL.runs, *runs)), FILTER_SMOOTHER, quick=True).caption
+    assert ("other decisions were made: isam2, ekf-iterated" in caption) == bool(also)
