@@ -35,6 +35,8 @@ def test_a_worse_smoother_is_higher_with_the_interval_turned_round():
     assert "is higher by 0.0200 m, 95 % interval −0.0031 to 0.0412 m, p = 0.200;" in text
     assert text.endswith("frames, so it may be chance.")
     assert "chance" not in sentence()
+    assert "may be chance" in sentence(rmse_position_p=0.06)
+    assert "may be chance" in sentence(rmse_position_lower=-0.001)
 
 
 def test_without_an_interval_it_says_why_and_no_number():
