@@ -16,9 +16,9 @@ CHANCE = 0.05
 CAPTION = (
     "Which is better on this log: filter (online) minus smoother (final), on the same frames; RMSE positive: the"
     " smoother is closer to the truth. Intervals and p of no difference: stationary bootstrap with blocks of the mean"
-    " length given. They are about stretches of this log and not about other logs: in SLAM what the whole map errs is not"
-    " in them. The fewer blocks, the more they are too narrow (coverage: docs/verdicts.md). Blank: the log is worth too"
-    " few independent frames."
+    " length given. They are about stretches of this log and not about other logs: in SLAM what the whole map errs is"
+    " not in them. The fewer blocks, the more they are too narrow (coverage: docs/verdicts.md). Blank: the log is worth"
+    " too few independent frames."
 )
 
 
