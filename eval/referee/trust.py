@@ -145,8 +145,7 @@ class Smoothed:
 
     Attributes:
         statistics: its cost, its residuals, and the slopes of the systematic errors that these ask for.
-        typical: by component, median absolute residual about the median as a Gaussian's standard deviation: the
-            noise in stated sigmas whatever a few outliers do.
+        typical: by component, spread of the residuals without the readings that do not fit, in stated sigmas.
         outlying, elsewhere: readings that do not fit their landmark, and how many of those fit another one.
         excess: half the squares of the outlying readings beyond what fits, the log-likelihood that they cost.
         scored: the systematic errors together.
