@@ -65,7 +65,7 @@ class UndeterminedError(ValueError):
 
 
 @numba.njit(cache=True)
-def _gains(F, Q, first, Hx, P_minus, K, W):  # type: ignore[no-untyped-def]
+def gains(F, Q, first, Hx, P_minus, K, W):  # type: ignore[no-untyped-def]
     """Kalman filter, covariances only: predicted P_minus (N, 3, 3), gains K (M, 3, 2), whitening W (M, 2, 2) = L^-1.
 
     S = L L' is the innovation covariance.
@@ -103,11 +103,11 @@ def _variances(F, first, Hx, P_minus, K, W, V):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _forward(F, step, first, Hx, K, W, B, a_minus, E, keep):  # type: ignore[no-untyped-def]
+def forward(F, step, first, Hx, K, W, B, a_minus, E, keep):  # type: ignore[no-untyped-def]
     """Run the filter on the columns of data B (M, 2, c).
 
-    Whitened innovations go to E (M, 2, c) and, where `keep`, predictions to a_minus (N, 3, c). `step` (N, 3) moves the
-    first column only.
+    Whitened innovations go to E (M, 2, c) and, where `keep`, predictions to a_minus (N, 3, c). `step` (N, 3, s) moves
+    the first s columns only.
     """
     c = B.shape[2]
     a, e = np.zeros((3, c)), np.zeros((2, c))
@@ -118,7 +118,8 @@ def _forward(F, step, first, Hx, K, W, B, a_minus, E, keep):  # type: ignore[no-
                 for r in range(3):
                     a[r, q] = F[k, r, 0] * x + F[k, r, 1] * y + F[k, r, 2] * t
         for r in range(3):
-            a[r, 0] += step[k, r]
+            for q in range(step.shape[2]):
+                a[r, q] += step[k, r, q]
         if keep:
             a_minus[k] = a
         for i in range(first[k], first[k + 1]):
@@ -159,12 +160,12 @@ def solve(p: Linearized) -> Solution:
     n, m, size = len(p.F), len(p.Hx), 2 * p.landmarks
     P_minus, V = np.empty((n, 3, 3)), np.empty((n, 3, 3))
     K, W = np.empty((m, 3, 2)), np.empty((m, 2, 2))
-    _gains(p.F, p.Q, p.first, p.Hx, P_minus, K, W)
+    gains(p.F, p.Q, p.first, p.Hx, P_minus, K, W)
     _variances(p.F, p.first, p.Hx, P_minus, K, W, V)
 
     def filtered(step: Array, data: Array, keep: bool) -> tuple[Array, Array]:
         a_minus, E = np.empty((n if keep else 0, 3, data.shape[2])), np.empty_like(data)
-        _forward(p.F, step, p.first, p.Hx, K, W, data, a_minus, E, keep)
+        forward(p.F, step[:, :, None], p.first, p.Hx, K, W, data, a_minus, E, keep)
         return a_minus, E
 
     def smoothed(step: Array, data: Array) -> Array:
@@ -181,7 +182,7 @@ def solve(p: Linearized) -> Solution:
     for q in range(2):
         data[np.arange(m), :, 1 + 2 * p.slot + q] = -p.Hl[:, :, q]
     E = filtered(p.step, data, False)[1].reshape(2 * m, 1 + size)
-    T = _root_of_inverse(E[:, 1:].T @ E[:, 1:])
+    T = root_of_inverse(E[:, 1:].T @ E[:, 1:])
     landmark = -(T @ (T.T @ (E[:, 1:].T @ E[:, 0]))).reshape(-1, 2)
     del data, E
     pose = smoothed(p.step, (p.y - np.einsum("mij,mj->mi", p.Hl, landmark[p.slot]))[:, :, None])[:, :, 0]
@@ -193,7 +194,7 @@ def solve(p: Linearized) -> Solution:
     return Solution(pose, 0.5 * (V + V.transpose(0, 2, 1)), landmark, blocks @ blocks.transpose(0, 2, 1))
 
 
-def _root_of_inverse(information: Array) -> Array:
+def root_of_inverse(information: Array) -> Array:
     """T (d, d) with T T' = information^-1; raises `UndeterminedError` with the landmark where it has no inverse."""
     root = np.zeros_like(information)
     fault = _invert_root(np.ascontiguousarray(information), np.zeros_like(information), root)

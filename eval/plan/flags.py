@@ -120,8 +120,18 @@ class Options(Setup, Selection):
     )  # fmt: skip
     seed: int = field(
         default=0,
-        metadata=flag(whole(0, "must not be negative"), "N", "first seed of the consistency study (default: 0)"),
+        metadata=flag(
+            whole(0, "must not be negative"), "N", "first seed of the consistency study and of twins (default: 0)"
+        ),
     )
+    twins: int | None = field(
+        default=None,
+        metadata=flag(
+            whole(0, "must not be negative"), "N",
+            "draw every log N times again as it says of itself, for p values of what it says (default: 0; 100 with "
+            "--full, for ekf and batch)",
+        ),
+    )  # fmt: skip
     jobs: int = field(
         default=1,
         metadata=flag(
@@ -185,6 +195,7 @@ examples:
   python -m eval.run_all --data ~/datasets                  every dataset found in a folder, two levels deep
   python -m eval.run_all --log my_log --estimator ekf,batch-cauchy --association known
   python -m eval.run_all --log arena:0 --task slam --estimator ekf,ekf-invariant,isam2,batch
+  python -m eval.run_all --log my_log --twins 100           trust without ground truth: p values, and whose fault it is
   python -m eval.run_all --log my_log --gate-known 0.9999   leave labelled readings out that fit badly
   python -m eval.run_all --log my_log --gate-known 0.9999 --no-gate-smoothers    the smoothers keep them
   python -m eval.run_all --log my_log --task slam --association known,nn,jcbb    unknown labels beside known ones

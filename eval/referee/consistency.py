@@ -233,7 +233,7 @@ def lag1(white: Array, frame: IntArray, number: IntArray) -> tuple[float, float]
     units of the claimed variance and may have any size (see `lag1_correlation`). Returns (nan, nan) without pairs.
     Of a landmark seen twice in a frame, the last observation meets the first of the next frame.
     """
-    before, after = _successive(white, frame, number)
+    before, after = successive(white, frame, number)
     if not len(after):
         return math.nan, math.nan
     T = np.bincount(frame[after], np.einsum("pi,pi->p", white[before], white[after]))
@@ -248,7 +248,7 @@ def lag1_correlation(white: Array, frame: IntArray, number: IntArray) -> tuple[f
     is about zero, the mean of a consistent filter's innovations, so a bias counts as correlation. Mean of both
     components; one without any spread is left out. Returns (nan, nan) where nothing is left.
     """
-    before, after = _successive(white, frame, number)
+    before, after = successive(white, frame, number)
     spread = np.linalg.norm(white[before], axis=0) * np.linalg.norm(white[after], axis=0)
     varies = spread > 0.0
     if not varies.any():
@@ -258,8 +258,8 @@ def lag1_correlation(white: Array, frame: IntArray, number: IntArray) -> tuple[f
     return float(np.clip(T.sum(), -1.0, 1.0)), math.sqrt(float(T @ T))
 
 
-def _successive(white: Array, frame: IntArray, number: IntArray) -> tuple[IntArray, IntArray]:
-    """Rows of a landmark's innovations in consecutive frames: those before (p,), those after (p,)."""
+def successive(white: Array, frame: IntArray, number: IntArray) -> tuple[IntArray, IntArray]:
+    """Rows of a landmark's values `white` (M, 2) in consecutive frames: those before (p,), those after (p,)."""
     rows = np.flatnonzero(np.isfinite(white).all(axis=1) & (number >= 0))
     rows = rows[np.lexsort((frame[rows], number[rows]))]
     before, after = rows[:-1], rows[1:]

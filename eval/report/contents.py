@@ -25,6 +25,7 @@ from eval.report.studies import study_sections
 from eval.report.visual.sections import visual_sections
 from eval.studies.montecarlo import Judged, consistency_table
 from eval.studies.reproduced import published_frame
+from eval.studies.trusted import trust_table
 
 READING = """\
 * **Identical inputs.** Filter and smoother get the same preintegrated increments, readings, covariances, prior and
@@ -50,7 +51,7 @@ def write_results(
     scores = score(outcome.trials)
     consistency = consistency_table(judged)
     tables = {"metrics": scores.metrics, "association": scores.association, "timing": scores.timing}
-    for name, table in {**tables, "consistency": consistency}.items():
+    for name, table in {**tables, "consistency": consistency, "trust": trust_table(outcome.trust)}.items():
         table.to_csv(folder / f"{name}.csv", index=False, lineterminator="\n")
     if outcome.published:
         published_frame(outcome.published).to_csv(folder / "published.csv", index=False, lineterminator="\n")

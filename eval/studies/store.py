@@ -45,9 +45,17 @@ def content_digest(s: Scenario) -> str:
 
 
 def folder_of(root: Path, scenario: Scenario) -> Path:
-    """Where the runs of a scenario are kept; made if need be. Runs of the same by an older program are removed."""
-    name = folder_name(scenario.name)
-    folder = root / ".studies" / f"{name}-{code_digest()}-{content_digest(scenario)}"
+    """Where the runs of a scenario are kept; made if need be."""
+    return kept_folder(root, scenario.name, content_digest(scenario))
+
+
+def kept_folder(root: Path, called: str, content: str) -> Path:
+    """Where runs of something called so, with this digest of its content, are kept; made if need be.
+
+    What an older program kept of it is removed.
+    """
+    name = folder_name(called)
+    folder = root / ".studies" / f"{name}-{code_digest()}-{content[:DIGITS]}"
     folder.mkdir(parents=True, exist_ok=True)
     for old in folder.parent.glob(f"{name}-{'?' * DIGITS}-{'?' * DIGITS}"):
         if old.name.split("-")[-2] != code_digest():

@@ -1,0 +1,152 @@
+"""What every log says about itself, with each way of association: statistics, twins, a calibration tried at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from data.errors import UsageError
+from data.log import Log
+from data.result import Run
+from eval.plan.experiments import Experiment
+from eval.plan.options import Options
+from eval.plan.work import work
+from eval.referee.attribution import NOISE
+from eval.referee.score import Trial
+from eval.replay.names import FILTERS, STEPPING
+from eval.replay.run import compare
+from eval.replay.settings import Setup
+from eval.studies import sampled, store
+from eval.studies.calibration import calibrated
+from eval.studies.sampled import Sample, one_twin, sample_of, smoother_of
+from eval.studies.trusted import FEWEST, Trust, judged
+from eval.studies.twins import Source, digest_of, inputs_of, source_of
+
+FULL_TWINS = 100
+"""Twins of a log in the suite of `--full`."""
+AFTERWARDS = 39
+"""Twins at most of a log that was calibrated at once: the family-wise p value then reaches 2.5 %."""
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """All runs of a log and task with one way of association; `twins` of how many estimators (none: no twins)."""
+
+    log: Log
+    task: str
+    association: str
+    setup: Setup
+    runs: tuple[Run, ...]
+    twins: tuple[str, ...]
+
+
+def trusted(
+    experiments: Sequence[Experiment], trials: Sequence[Trial], options: Options, progress: Progress
+) -> tuple[Trust, ...]:
+    """What each log says about itself, in the order of `experiments` and of their ways of association."""
+    groups = [g for e, t in zip(experiments, trials, strict=True) for g in _groups(e, t, options)]
+    said = dict(work([(i, (said_by, (g,))) for i, g in enumerate(groups)], options))
+    done = _with_twins([(g, *said[i]) for i, g in enumerate(groups)], _count(options), options, progress)
+    if not _count(options):
+        return done
+    wrong = [
+        i for i, t in enumerate(done)
+        if t.blame is not None and t.blame.cause == NOISE and any(f.cause == NOISE for f in t.blame.findings)
+    ]  # fmt: skip
+    jobs = [(i, (calibrated_group, (groups[i], said[i][1], _named(done[i])))) for i in wrong]
+    better = {i: result for i, result in work(jobs, options) if result is not None}
+    again = [better[i][0] for i in sorted(better)]
+    after = _with_twins(list(again), min(AFTERWARDS, _count(options)), options, progress)
+    found = {i: replace(done[i], after=t, done=better[i][1]) for i, t in zip(sorted(better), after, strict=True)}
+    return tuple(found.get(i, t) for i, t in enumerate(done))
+
+
+def _count(options: Options) -> int:
+    """Twins of each log."""
+    return (FULL_TWINS if options.full else 0) if options.twins is None else options.twins
+
+
+def _groups(e: Experiment, trial: Trial, options: Options) -> list[Group]:
+    groups = []
+    for association in dict.fromkeys(w.association for w in e.work):
+        runs = tuple(r for r in trial.runs if r.association == association)
+        filters = tuple(r.estimator for r in runs if r.estimator in FILTERS)
+        twins = filters or tuple(r.estimator for r in runs if r.estimator in STEPPING)
+        if options.full and options.twins is None:
+            twins = ("ekf",) if association == "known" and "ekf" in filters else ()
+        if not _count(options) or e.beside is not None:
+            twins = ()
+        groups.append(Group(e.log, e.task, association, e.setup, runs, twins))
+    return [g for g in groups if any(r.estimator in STEPPING for r in g.runs)]
+
+
+def said_by(group: Group) -> tuple[Sample, Run | None]:
+    """What a log says about itself, and the smoother; without one where no batch was asked for and no twins are."""
+    inputs = inputs_of(group.log, group.task, group.association)
+    smoother = None
+    if group.twins or any(r.estimator == "batch" for r in group.runs):
+        smoother = smoother_of(group.runs, inputs)
+    return sample_of(group.log, group.task, group.association, group.runs, smoother), smoother
+
+
+def _with_twins(
+    said: Sequence[tuple[Group, Sample, Run | None]], count: int, options: Options, progress: Progress
+) -> tuple[Trust, ...]:
+    """Every log beside its twins, which are kept on disk as soon as done, and taken from there if they were."""
+    root = options.out.absolute().parent
+    sources: dict[int, tuple[Source, Path]] = {}
+    notes: dict[int, str] = {}
+    for i, (group, _, smoother) in enumerate(said):
+        if group.twins and smoother is not None:
+            try:
+                source = source_of(group.log, smoother, group.twins, group.setup)
+            except UsageError as fault:
+                notes[i] = str(fault)
+                continue
+            sources[i] = source, store.kept_folder(root, f"{group.log.name}-twins", digest_of(source))
+    kept: dict[tuple[int, int], Sample] = {}
+    jobs: list[tuple[tuple[int, int], Any]] = []
+    for i, (source, folder) in sources.items():
+        for seed in range(options.seed, options.seed + count):
+            found = sampled.load(folder / f"{seed}.json")
+            if found is None:
+                jobs.append(((i, seed), (one_twin, (source, seed))))
+            else:
+                kept[i, seed] = found
+    for done, ((i, seed), sample) in enumerate(work(jobs, options, far=True), start=1):
+        sampled.save(sources[i][1] / f"{seed}.json", sample)
+        kept[i, seed] = sample
+        progress(done, len(jobs))
+    asked = []
+    for i, (group, real, smoother) in enumerate(said):
+        own = [kept[i, seed] for seed in range(options.seed, options.seed + count)] if i in sources else []
+        asked.append((i, (judged, (group.log, group.task, group.association, real, own, smoother))))
+    result = dict(work(asked, options))
+    return tuple(_noted(result[i], notes.get(i), g, count) for i, (g, _, _) in enumerate(said))
+
+
+def _noted(trust: Trust, note: str | None, group: Group, count: int) -> Trust:
+    few = f"{count} twins are too few for a verdict: at least {FEWEST} are needed" if 0 < count < FEWEST else None
+    more: Iterable[str] = (n for n in (note, few if group.twins and note is None else None) if n is not None)
+    return replace(trust, notes=(*trust.notes, *more))
+
+
+def _named(trust: Trust) -> tuple[str, ...]:
+    """The systematic errors that were found."""
+    return tuple(f.name for f in trust.blame.findings if f.kind == "systematic") if trust.blame is not None else ()
+
+
+def calibrated_group(
+    group: Group, smoother: Run, names: Sequence[str]
+) -> tuple[tuple[Group, Sample, Run | None], dict[str, float]] | None:
+    """The group on the log as calibrated at once, with what was done; None where nothing could be."""
+    log, done = calibrated(group.log, group.task, group.association, smoother, group.setup, names)
+    if not done:
+        return None
+    inputs = inputs_of(log, group.task, group.association)
+    runs = compare(inputs, group.task, tuple(dict.fromkeys([*group.twins, "batch"])), group.association, group.setup)
+    again = replace(group, log=log, runs=tuple(runs))
+    return (again, *said_by(again)), done

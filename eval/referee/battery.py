@@ -1,0 +1,87 @@
+"""P values of a log's statistics by rank among its twins, each alone and all together.
+
+Twins are drawn as the log says of itself, so under that hypothesis the real log is one more of them: the rank of a
+statistic among theirs is uniform whatever its distribution (Davison and Hinkley, "Bootstrap methods and their
+application", section 4.2).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from data.se2 import Array
+
+LOWEST, HIGHEST = 0.1587, 0.8413
+"""Quantiles one standard deviation from the median of a Gaussian: the spread on either side."""
+LEVEL = 0.05
+"""Family-wise level at which something is objected to."""
+
+
+def rank_p(value: float, twins: Array) -> float:
+    """Two-sided p value of a statistic by its rank among its twins (N,); NaN without any.
+
+    p = min(1, 2 min(1 + #{T* >= T}, 1 + #{T* <= T}) / (N + 1)), which is at least 2 / (N + 1).
+    """
+    known = twins[np.isfinite(twins)]
+    if not len(known) or not math.isfinite(value):
+        return math.nan
+    smaller = min(1 + int(np.sum(known >= value)), 1 + int(np.sum(known <= value)))
+    return min(1.0, 2.0 * smaller / (len(known) + 1))
+
+
+def standardized(real: Array, twins: Array) -> tuple[Array, Array]:
+    """Statistics (S,) and their twins (N, S) about their median, in units of their spread on either side.
+
+    Both are of real and twins together, so none is preferred. The spread on a side is the distance to the quantile that
+    is one sigma away in a Gaussian, or where that is zero (a share that is nearly always 1) the root mean square.
+    What is unknown (NaN) or never varies comes out as 0: it speaks neither for nor against.
+    """
+    pooled = np.vstack([real, twins])
+    result = np.zeros_like(pooled)
+    for i, column in enumerate(pooled.T):
+        known = column[np.isfinite(column)]
+        if not np.isfinite(column[0]) or not len(known) or np.ptp(known) == 0.0:
+            continue
+        lowest, middle, highest = np.quantile(known, [LOWEST, 0.5, HIGHEST])
+        above, below = highest - middle, middle - lowest
+        off = column - middle
+        if not above > 0.0:
+            above = math.sqrt(float(np.mean(np.square(known - middle))))
+        if not below > 0.0:
+            below = math.sqrt(float(np.mean(np.square(known - middle))))
+        result[:, i] = np.where(np.isfinite(off), np.where(off > 0.0, off / above, off / below), 0.0)
+    return result[0], result[1:]
+
+
+def family_p(real: Array, twins: Array) -> Array:
+    """P value (S,) of each statistic over the whole battery: step-down max-T (Westfall and Young 1993, algorithm 2.8).
+
+    The statistics (S,) of the log and (N, S) of its twins are standardized; the largest is ranked against the twins'
+    largest, the next against the twins' largest of what is left, and so on; none is less than the one before. However
+    many statistics, p reaches 1 / (N + 1), where Holm's correction of rank p values ends at 2 S / (N + 1).
+    A statistic that is unknown has NaN.
+    """
+    n = len(twins)
+    result = np.full(len(real), np.nan)
+    known = np.flatnonzero(np.isfinite(real))
+    if not n or not len(known):
+        return result
+    own, others = (np.abs(t) for t in standardized(real[known], twins[:, known]))
+    order = np.argsort(-own, kind="stable")
+    # largest of this statistic and of all after it
+    rest = np.maximum.accumulate(others[:, order[::-1]], axis=1)[:, ::-1]
+    p = (1 + np.sum(rest >= own[order], axis=0)) / (n + 1)
+    result[known[order]] = np.maximum.accumulate(p)
+    return result
+
+
+def critical(twins: Array) -> float:
+    """What the largest standardized statistic of a log must exceed to be objected to at `LEVEL`; twins (N, S)."""
+    if not len(twins):
+        return math.nan
+    known = np.isfinite(twins).any(axis=0)
+    middle = np.nanmedian(twins[:, known], axis=0)
+    largest = np.abs(standardized(middle, twins[:, known])[1]).max(axis=1, initial=0.0)
+    return float(np.quantile(largest, 1.0 - LEVEL, method="higher"))

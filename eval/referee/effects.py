@@ -1,0 +1,161 @@
+"""Systematic errors a log may have: what each would do to odometry and readings, and how much of it the data ask for.
+
+Each is the slope of one component of what a log states against a regressor: distance and turn of an increment, time,
+range of a reading, the robot's speed and turn rate. The slope is estimated beside path and map (`graph.systematic`), so
+that what the smoother absorbs of it is counted, and its standard error is that of the stated noise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from data import se2
+from data.inputs import Inputs, IntArray
+from data.se2 import Array
+from data.sensors import RangeBearing
+from eval.referee.residuals import Used
+from graph.systematic import Score, systematic
+
+SLIGHT = 0.01
+"""Of the other component's rate: a component that the motion moves less (the range, when turning) shows no lateness."""
+
+
+class Effect(NamedTuple):
+    """What a unit of a systematic error adds: to the increments (N, 3), or to the readings (M, 2)."""
+
+    name: str
+    motion: Array | None = None
+    readings: Array | None = None
+
+
+def effects(inputs: Inputs, path: Array, used: Used) -> list[Effect]:
+    """The systematic errors that the log has room for, by name `<component>_<regressor>`.
+
+    `odometry_x_distance` is a share of the distance, `odometry_y_distance` an angle between motion and heading,
+    `odometry_theta_distance` a curvature [rad/m], `odometry_theta_turn` a share of the turn, `odometry_theta_time` a
+    drift [rad/s]; `odometry_{x,y}_turn` m/rad. Of a reading, `constant` is a bias in its unit and `range` grows with
+    the range: for points, z1 is then along the ray (a share) and z2 across it (an angle). `speed` and `turn_rate` of a
+    reading are seconds by which it is older than its stamp, as the robot's motion and its turning show it.
+    """
+    motion = _motion(inputs, path)
+    found = [Effect(f"odometry_{name}", motion=column) for name, column in motion.items()]
+    found += [Effect(name, readings=column) for name, column in _readings(inputs, path, used).items()]
+    return [e for e in found if _told(e.motion) or _told(e.readings)]
+
+
+def _told(column: Array | None) -> bool:
+    return column is not None and bool(np.any(column != 0.0))
+
+
+def _motion(inputs: Inputs, path: Array) -> dict[str, Array]:
+    """Derivatives (N, 3) of the increments; distance and turn are those of the smoothed path, not the noisy ones."""
+    step = np.zeros((len(inputs), 3))
+    step[1:] = se2.between(path[:-1], path[1:])
+    dx, dy, turn = step.T
+    distance, zero = np.copysign(np.hypot(dx, dy), dx), np.zeros(len(step))
+    time = np.concatenate([[0.0], np.diff(inputs.time)])
+    columns = {
+        "x_distance": (dx, dy, zero), "x_turn": (turn, zero, zero),
+        "y_distance": (-dy, dx, zero), "y_turn": (zero, turn, zero),
+        "theta_distance": (zero, zero, distance), "theta_turn": (zero, zero, turn), "theta_time": (zero, zero, time),
+    }  # fmt: skip
+    return {name: np.stack(parts, axis=1) for name, parts in columns.items()}
+
+
+def _readings(inputs: Inputs, path: Array, used: Used) -> dict[str, Array]:
+    """Derivatives (M, 2) of the readings; zero for one that was not used."""
+    o, sensor = inputs.observations, inputs.sensor
+    rows = np.flatnonzero(used.number >= 0)
+    if not len(rows):
+        return {}
+    pose, landmark = path[o.frame[rows]], used.landmarks[used.number[rows]]
+    z, Hx, _ = sensor.linearize(pose, landmark)
+    polar = sensor.polar(z)
+    reach, one, zero = polar[:, 0], np.ones(len(rows)), np.zeros(len(rows))
+    columns = {"z1_constant": np.stack([one, zero], 1), "z2_constant": np.stack([zero, one], 1)}
+    if isinstance(sensor, RangeBearing):
+        columns |= {"z1_range": np.stack([reach, zero], 1), "z2_range": np.stack([zero, reach], 1)}
+    else:
+        columns |= {"z1_range": z.copy(), "z2_range": np.stack([-z[:, 1], z[:, 0]], 1)}
+    velocity = _velocity(inputs, path)[o.frame[rows]]
+    forward = -np.einsum("mij,mj->mi", Hx[:, :, :2], velocity[:, :2])
+    turning = -Hx[:, :, 2] * velocity[:, 2:]
+    for regressor, rate in (("speed", forward), ("turn_rate", turning)):
+        size = np.linalg.norm(rate, axis=0)
+        for i, name in enumerate(("z1", "z2")):
+            if size[i] > SLIGHT * size.max():
+                columns[f"{name}_{regressor}"] = rate * np.eye(2)[i]
+    result = {}
+    for name, column in columns.items():
+        result[name] = np.zeros((len(o.frame), 2))
+        result[name][rows] = column
+    return result
+
+
+def _velocity(inputs: Inputs, path: Array) -> Array:
+    """World-frame velocity (N, 3) at each frame by central differences; a single frame stands still."""
+    if len(path) < 2:
+        return np.zeros_like(path)
+    smooth = path.copy()
+    smooth[:, 2] = np.unwrap(path[:, 2])
+    return np.asarray(np.gradient(smooth, inputs.time, axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """What a log's data say about systematic errors: their names (p) and the score of each at size zero."""
+
+    names: tuple[str, ...]
+    score: Score
+
+    def slopes(self) -> Mapping[str, tuple[float, float]]:
+        """Efficient estimate and standard error of each, if it is the only one; none where data say nothing."""
+        score, information = self.score.score, np.diag(self.score.information)
+        return {
+            name: (float(score[i] / information[i]), 1.0 / math.sqrt(information[i]))
+            for i, name in enumerate(self.names)
+            if information[i] > 0.0
+        }
+
+    def together(self, chosen: IntArray) -> tuple[Array, Array]:
+        """Estimates (q,) and standard errors (q,) of the errors `chosen` (q,) as they are beside each other."""
+        covariance = np.linalg.pinv(self.score.information[np.ix_(chosen, chosen)], rcond=1e-12, hermitian=True)
+        return covariance @ self.score.score[chosen], np.sqrt(np.diag(covariance))
+
+
+def scored(inputs: Inputs, path: Array, used: Used) -> Scored:
+    """What the data say about each systematic error, at a smoothed path (N, 3)."""
+    found = effects(inputs, path, used)
+    motion, readings = _columns(inputs, found)
+    score = systematic(inputs, used.number, path, used.landmarks, motion, readings)
+    return Scored(tuple(e.name for e in found), score)
+
+
+def without(inputs: Inputs, path: Array, used: Used, sizes: Mapping[str, float]) -> Inputs:
+    """The inputs less systematic errors of these sizes, as seen from a smoothed path (N, 3)."""
+    found = [e for e in effects(inputs, path, used) if e.name in sizes]
+    motion, readings = _columns(inputs, found)
+    size = np.array([sizes[e.name] for e in found])
+    increments, o = inputs.increments, inputs.observations
+    mean = increments.mean - motion @ size
+    mean[:, 2] = se2.wrap_angle(mean[:, 2])
+    z = o.z - readings @ size
+    if isinstance(inputs.sensor, RangeBearing):
+        z = np.column_stack([np.abs(z[:, 0]), se2.wrap_angle(z[:, 1])])
+    return replace(inputs, increments=replace(increments, mean=mean), observations=replace(o, z=z))
+
+
+def _columns(inputs: Inputs, found: Sequence[Effect]) -> tuple[Array, Array]:
+    """Derivatives of all increments (N, 3, p) and readings (M, 2, p)."""
+    motion, readings = np.zeros((len(inputs), 3, len(found))), np.zeros((len(inputs.observations.frame), 2, len(found)))
+    for i, e in enumerate(found):
+        if e.motion is not None:
+            motion[:, :, i] = e.motion
+        if e.readings is not None:
+            readings[:, :, i] = e.readings
+    return motion, readings

@@ -1,0 +1,184 @@
+"""Which estimate may be trusted, from what one log says about itself: statistics that need no truth.
+
+Filter and smoother work on the same data. If all is as stated, the filter's error is that of the smoother plus
+something that is not correlated with it, so their difference d = x_f - x_s has covariance P_f - P_s (McReynolds'
+filter-smoother consistency test; Wright, Woodburn, Truong and Chuba, Adv. Astronautical Sciences 130, 2008).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy import optimize, special
+
+from data import se2
+from data.inputs import Inputs
+from data.result import Run, Trajectory
+from data.se2 import Array, BoolArray
+from eval.referee import effects, residuals
+from eval.referee.consistency import lag1_correlation
+
+SHARE = 0.01
+"""A direction is compared if later data took at least this share of the filter's variance away: below it, d and
+P_f - P_s are both small differences of large numbers."""
+TOLERANCE = 1e-6
+"""P_f - P_s counts as semidefinite down to minus this share of P_f: rounding of the covariances, not more."""
+SINGULAR = 1e-11
+"""Smallest eigenvalue of a filter's covariance, of its size after scaling to a unit diagonal, that can be compared."""
+COORDINATES = ("x", "y", "theta")
+Key = tuple[str, str]
+"""Estimator and name of the statistic."""
+
+
+class Measured(NamedTuple):
+    """A statistic: its value, what theory expects (NaN: nothing), its standard error (NaN), the frame it is of (-1)."""
+
+    value: float
+    expected: float = math.nan
+    se: float = math.nan
+    frame: int = -1
+
+
+@dataclass(frozen=True, eq=False)
+class Difference:
+    """An online trajectory against a smoothed one, by frame.
+
+    Attributes:
+        d: (N, 3) online less smoothed, world frame, heading wrapped.
+        sigma: (N, 3) square root of the diagonal of P_f - P_s; NaN where later data took too little away.
+        square: (N,) quadratic form over the directions compared; NaN where there is none.
+        dof: (N,) how many directions that are.
+        semidefinite: (N,) whether P_f - P_s is; `comparable` (N,): whether P_f is regular, so that one can tell.
+    """
+
+    d: Array
+    sigma: Array
+    square: Array
+    dof: Array
+    semidefinite: BoolArray
+    comparable: BoolArray
+
+
+def difference(online: Trajectory, smoothed: Trajectory) -> Difference:
+    """Frame by frame, in the directions in which P_f - P_s exceeds `SHARE` of P_f."""
+    d = se2.pose_error(online.pose, smoothed.pose)
+    P, D = online.covariance, online.covariance - smoothed.covariance
+    variance = np.einsum("nii->ni", P)
+    scale = np.sqrt(np.where(variance > 0.0, variance, 1.0))
+    finite = np.isfinite(d).all(axis=1) & np.isfinite(D).all(axis=(1, 2)) & (variance > 0.0).all(axis=1)
+    n = len(d)
+    lam, square, dof = np.full((n, 3), np.nan), np.full(n, np.nan), np.zeros(n)
+    rows = np.flatnonzero(finite)
+    correlation = P[rows] / (scale[rows, :, None] * scale[rows, None, :])
+    size, axes = np.linalg.eigh(correlation)
+    sound = size[:, 0] > SINGULAR
+    rows, root = rows[sound], axes[sound] / np.sqrt(size[sound])[:, None, :]
+    # in coordinates in which P_f is the identity, P_f - P_s has eigenvalues up to 1: shares of P_f
+    white = root / scale[rows, :, None]
+    shares, turned = np.linalg.eigh(white.transpose(0, 2, 1) @ D[rows] @ white)
+    w = np.einsum("nji,njk,nk->ni", turned, white.transpose(0, 2, 1), d[rows])
+    compared = shares > SHARE
+    lam[rows], dof[rows] = shares, compared.sum(axis=1)
+    square[rows] = np.sum(np.where(compared, w**2 / np.where(compared, shares, 1.0), 0.0), axis=1)
+    square[dof == 0] = np.nan
+    left = np.einsum("nii->ni", D)
+    sigma = np.sqrt(np.where(finite[:, None] & (left > SHARE * variance), left, np.nan))
+    comparable = np.isfinite(lam[:, 0])
+    return Difference(d, sigma, square, dof, comparable & (lam[:, 0] >= -TOLERANCE), comparable)
+
+
+def regular(covariance: Array) -> BoolArray:
+    """Which covariances (n, 3, 3) are in doubt about every direction."""
+    variance = np.einsum("nii->ni", covariance)
+    scale = np.sqrt(np.where(variance > 0.0, variance, 1.0))
+    smallest = np.linalg.eigvalsh(covariance / (scale[:, :, None] * scale[:, None, :]))[:, 0]
+    return np.asarray(smallest > SINGULAR)
+
+
+def filter_smoother(found: Difference, prefix: str = "filter_smoother") -> dict[str, Measured]:
+    """Mean and median of the quadratic form, share semidefinite, size of d per coordinate in claimed sigmas."""
+    result: dict[str, Measured] = {}
+    here = np.isfinite(found.square)
+    if here.any():
+        dof = found.dof[here]
+        result["mean"] = Measured(float(found.square[here].mean()), float(dof.mean()))
+        result["median"] = Measured(float(np.median(found.square[here])), _median(dof))
+    if found.comparable.any():
+        share = float(found.semidefinite[found.comparable].mean())
+        result["semidefinite"] = Measured(share, 1.0)
+    in_sigmas = found.d / found.sigma
+    for i, name in enumerate(COORDINATES):
+        u = in_sigmas[np.isfinite(in_sigmas[:, i]), i]
+        if len(u):
+            result[f"rms_{name}"] = Measured(math.sqrt(float(np.mean(u**2))), 1.0)
+            result[f"inside_{name}"] = Measured(float(np.mean(np.abs(u) <= 3.0)), float(1.0 - 2.0 * special.ndtr(-3.0)))
+    if np.isfinite(in_sigmas).any():
+        frame, axis = np.unravel_index(np.nanargmax(np.abs(in_sigmas)), in_sigmas.shape)
+        result["largest"] = Measured(float(abs(in_sigmas[frame, axis])), frame=int(frame))
+    return {f"{prefix}_{name}": m for name, m in result.items()}
+
+
+def _median(dof: Array) -> float:
+    """Median of chi-square variables whose degrees of freedom are those of the frames, mixed."""
+    kinds, counts = np.unique(dof, return_counts=True)
+    share = counts / counts.sum()
+    return float(optimize.brentq(lambda x: float(share @ special.chdtr(kinds, x)) - 0.5, 1e-9, 10.0))
+
+
+def of_online(run: Run, smoother: Run | None, inputs: Inputs) -> dict[str, Measured]:
+    """Statistics of an estimator that works frame by frame; `smoother`: batch under the same decisions, if it ran."""
+    result: dict[str, Measured] = {}
+    i = run.innovations
+    if i is not None:
+        formed = np.isfinite(i.nis)
+        dof = int(i.dof[formed].sum())
+        if dof:
+            result["nis"] = Measured(float(i.nis[formed].sum()) / dof, run.gated[0])
+        r, error = lag1_correlation(i.white, inputs.observations.frame, run.decisions)
+        if math.isfinite(r):
+            result["innovation_lag1"] = Measured(r, 0.0, error)
+    if run.online is not None and smoother is not None and smoother.final is not None:
+        result |= filter_smoother(difference(run.online, smoother.final))
+    if run.online is not None and run.final is not None:
+        result |= filter_smoother(difference(run.online, run.final), "own_smoother")
+    return result
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """What a batch smoother's run says about a log.
+
+    Attributes:
+        statistics: its cost, its residuals, and the slopes of the systematic errors that these ask for.
+        typical: by component, spread of the residuals without the readings that do not fit, in stated sigmas.
+        outlying, elsewhere: readings that do not fit their landmark, and how many of those fit another one.
+        excess: half the squares of the outlying readings beyond what fits, the log-likelihood that they cost.
+        scored: the systematic errors together.
+    """
+
+    statistics: dict[str, Measured]
+    typical: dict[str, float]
+    outlying: int
+    elsewhere: int
+    excess: float
+    scored: effects.Scored
+
+
+def of_smoother(run: Run, inputs: Inputs) -> Smoothed:
+    """All that a batch smoother's run says."""
+    assert run.final is not None
+    path = run.final.pose
+    result: dict[str, Measured] = {}
+    if run.total_nis is not None and run.total_nis[1] > 0:
+        result["nis"] = Measured(run.total_nis[0] / run.total_nis[1], run.gated[0])
+    used = residuals.used_by(run, inputs)
+    found = residuals.smoothed_residuals(inputs, path, used)
+    for name, value in residuals.summaries(found, inputs, used).items():
+        result[name] = Measured(value, 0.0 if name.endswith("_mean") else math.nan)
+    scored = effects.scored(inputs, path, used)
+    for name, (value, error) in scored.slopes().items():
+        result[f"slope_{name}"] = Measured(value, 0.0, error)
+    return Smoothed(result, residuals.typical(found), *residuals.misfits(inputs, path, used, found), scored)

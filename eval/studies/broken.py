@@ -1,0 +1,183 @@
+"""Deliberately broken filters, for the question which of them a log's own data convict: EKFs, each wrong in one way.
+
+The log is right, and labels are granted. At the size that is no fault each is the sound filter, bit for bit. What is
+only misstated runs in the compiled loop; a wrong step is put in by overriding it in the step-by-step filter.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from data.errors import UsageError
+from data.inputs import Increment, Increments, Inputs, IntArray, Sightings
+from data.motion import carried
+from data.result import Failure, Finished, Run, Trajectory, Updated
+from data.se2 import Array
+from ekf.filter import Filter, FilterDivergedError
+from ekf.localizer import EkfLocalizer
+from ekf.slam import EkfSlam
+from eval.replay.frontend import FrontEnd
+from eval.replay.recorder import Recorder
+from eval.replay.run import PLAIN, filter_known
+
+
+@dataclass(frozen=True)
+class Broken:
+    """A broken filter and how it is spoken of.
+
+    Attributes:
+        run: (inputs with labels, task, size) -> what it makes of them; in SLAM a map that the inputs have is withheld.
+        sizes: three, from small to large.
+        none: the size that is no fault.
+        called: what is wrong with it.
+        tasks: in which it exists.
+    """
+
+    run: Callable[[Inputs, str, float], Run]
+    sizes: tuple[float, float, float]
+    none: float
+    called: str
+    tasks: tuple[str, ...] = ("localization", "slam")
+
+
+def motion_noise(inputs: Inputs, task: str, size: float) -> Run:
+    """It is told `size` times the covariance of each increment."""
+    given, u = for_task(inputs, task), inputs.increments
+    return filter_known(replace(given, increments=Increments(u.mean, size * u.covariance)), task)
+
+
+def reading_noise(inputs: Inputs, task: str, size: float) -> Run:
+    """It is told `size` times the covariance of each observation."""
+    given, o = for_task(inputs, task), inputs.observations
+    return filter_known(replace(given, observations=replace(o, R=size * o.R)), task)
+
+
+def reported(inputs: Inputs, task: str, size: float) -> Run:
+    """It reports `size` times its covariance, of poses and map; inside it is sound, innovations included."""
+    run = filter_known(for_task(inputs, task), task)
+    assert run.online is not None  # a filter's path is online
+    online = Trajectory(run.online.pose, size * run.online.covariance)
+    state = None if run.map is None else replace(run.map, covariance=size * run.map.covariance)
+    return replace(run, online=online, map=state)
+
+
+def cross_covariance(inputs: Inputs, task: str, size: float) -> Run:
+    """SLAM: a new landmark's cross-covariance with all that was there before loses the share `size`."""
+    if task != "slam":
+        raise UsageError("cross-covariances of new landmarks are lost in slam only")
+    given = for_task(inputs, task)
+    return stepped(given, task, Forgetful(size, given))
+
+
+def heading_jacobian(inputs: Inputs, task: str, size: float) -> Run:
+    """The prediction's Jacobian lacks the share `size` of what a turned heading does to the way."""
+    given = for_task(inputs, task)
+    if given.map is None:
+        return stepped(given, task, TurnlessSlam(size, given))
+    return stepped(given, task, TurnlessLocalizer(size, given))
+
+
+BROKEN: Mapping[str, Broken] = {
+    "motion-noise": Broken(motion_noise, (0.5, 0.25, 0.1), 1.0, "believes the odometry more than it is told to"),
+    "reading-noise": Broken(reading_noise, (0.5, 0.25, 0.1), 1.0, "believes readings more than it is told to"),
+    "reported": Broken(reported, (0.8, 0.5, 0.25), 1.0, "reports less than its covariance"),
+    "cross-covariance": Broken(
+        cross_covariance, (0.3, 0.6, 1.0), 0.0, "forgets that a new landmark depends on the pose", ("slam",)
+    ),
+    "heading-jacobian": Broken(
+        heading_jacobian, (0.3, 0.6, 1.0), 0.0, "predicts as if the heading did not turn the way"
+    ),
+}
+"""Broken filters by name. Sizes of the first three are factors of a covariance, of the others shares that are lost."""
+
+
+class Forgetful(EkfSlam):
+    """Loses a share of the cross-covariance of new landmarks."""
+
+    def __init__(self, share: float, given: Inputs) -> None:
+        super().__init__(given.prior, given.sensor)
+        self._share = share
+
+    def update(
+        self,
+        sightings: Sightings,
+        decisions: IntArray,
+        *,
+        threshold: float = np.inf,
+        at: Array | None = None,
+        innovations: bool = True,
+    ) -> Updated:
+        """As usual, then the blocks beside those of the new landmarks shrink: (1 - s) P + s diag(P) is a covariance."""
+        begin = self.size
+        done = super().update(sightings, decisions, threshold=threshold, at=at, innovations=innovations)
+        for new in range(begin, self.size, 2):
+            self._P[new : new + 2, :new] *= 1.0 - self._share
+            self._P[:new, new : new + 2] *= 1.0 - self._share
+        return done
+
+
+class _Turnless(Filter):
+    """Predicts with F whose heading column lacks a share.
+
+    F = I + f e' with e the unit vector of the heading, and e'f = 0. So I + (1 - s) f e' = F (I - s f e'): first the
+    covariance is sheared back by s, then it is predicted as usual.
+    """
+
+    share = 0.0
+
+    def predict(self, increment: Increment) -> None:
+        """Shear back, then as usual."""
+        _, _, F, _ = carried(self._mean[2], increment.mean)
+        P = self._P[: self._used, : self._used]
+        for r in range(2):
+            P[r] -= self.share * F[r, 2] * P[2]
+        for r in range(2):
+            P[:, r] -= self.share * F[r, 2] * P[:, 2]
+        super().predict(increment)
+
+
+class TurnlessLocalizer(_Turnless, EkfLocalizer):
+    """Localization without a share of the heading's column."""
+
+    def __init__(self, share: float, given: Inputs) -> None:
+        assert given.map is not None  # or it would be SLAM
+        EkfLocalizer.__init__(self, given.prior, given.sensor, given.map)
+        self.share = share
+
+
+class TurnlessSlam(_Turnless, EkfSlam):
+    """SLAM without a share of the heading's column."""
+
+    def __init__(self, share: float, given: Inputs) -> None:
+        EkfSlam.__init__(self, given.prior, given.sensor)
+        self.share = share
+
+
+def for_task(inputs: Inputs, task: str) -> Inputs:
+    """In SLAM the map is withheld."""
+    return inputs.without_map() if task == "slam" else inputs
+
+
+def stepped(inputs: Inputs, task: str, estimator: EkfLocalizer | EkfSlam) -> Run:
+    """A filter of one's own through a whole log, step by step, by labels: `eval.replay.run.step_by_step` for it."""
+    begin = time.perf_counter()
+    front = FrontEnd("ekf", "known", inputs, PLAIN)
+    front.estimator = estimator
+    record = Recorder(len(inputs), len(inputs.observations.frame))
+    failure, finished = None, Finished(None, None)
+    try:
+        for k in range(len(inputs)):
+            frame = inputs.frame(k)
+            front.move(frame)
+            if len(frame.sightings.z):
+                pairing = front.associate(frame)
+                record.update(frame, pairing.decisions, front.update(frame, pairing))
+            record.estimate(front)
+        finished = estimator.finish()
+    except FilterDivergedError as stop:
+        failure = Failure("diverged", front.k, str(stop))
+    return record.run("ekf", task, front, finished, failure, time.perf_counter() - begin)

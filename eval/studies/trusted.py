@@ -1,0 +1,209 @@
+"""A log beside its twins: every statistic with its p value, the cause of what is objected to, and the power."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pandas as pd
+
+from data.inputs import Inputs
+from data.log import Log
+from data.result import Run
+from data.se2 import Array
+from eval.referee import attribution, battery, effects, residuals, trust
+from eval.referee.attribution import ESTIMATOR, NOISE, NOTHING, Finding
+from eval.referee.score import frame_of
+from eval.referee.trust import Key, Measured
+from eval.replay.batch import batch
+from eval.studies.sampled import Sample
+from eval.studies.twins import inputs_of
+
+COLUMNS = (
+    *("log", "task", "estimator", "association", "statistic", "value", "expected", "twins", "p", "p_family"),
+    *("se", "frame"),
+)
+"""Columns of trust.csv."""
+FEWEST = 19
+"""Twins without which nothing can reach a family-wise level of 5 %."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of trust.csv, but for log, task and association."""
+
+    estimator: str
+    statistic: str
+    measured: Measured
+    expected: float
+    twins: int
+    p: float
+    p_family: float
+
+
+@dataclass(frozen=True)
+class Blame:
+    """What is wrong, if anything.
+
+    Attributes:
+        cause: `NOISE`, `ASSOCIATIONS`, `ESTIMATOR` or `NOTHING`.
+        findings: what speaks for it and for other causes, the weightiest first.
+        objected: statistics that are outside what the twins show, family-wise; `tested`: of so many.
+        p: the smallest family-wise p value.
+        detectable: what would have been seen with a probability of 90 %, by name.
+    """
+
+    cause: str
+    findings: tuple[Finding, ...]
+    objected: tuple[Key, ...]
+    tested: int
+    p: float
+    detectable: dict[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Trust:
+    """One log with one way of association: what it says, what its twins say, and what follows.
+
+    Attributes:
+        log, task, association: which.
+        real, twins: the samples.
+        rows: of trust.csv.
+        blame: None without enough twins.
+        notes: why something is missing, a sentence each.
+        after: the same log after what `done` names was put right, if that was tried (`eval.studies.calibration`).
+        done: sizes of systematic errors taken out and factors of sigmas, by name.
+    """
+
+    log: str
+    task: str
+    association: str
+    real: Sample
+    twins: tuple[Sample, ...]
+    rows: tuple[Row, ...]
+    blame: Blame | None = None
+    notes: tuple[str, ...] = ()
+    after: Trust | None = None
+    done: Mapping[str, float] = field(default_factory=dict)
+
+
+def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[Sample], smoother: Run | None) -> Trust:
+    """P values of everything measured, and the cause; `smoother` as in `sample_of`."""
+    keys = list(real.measured)
+    values = np.array([real.measured[k].value for k in keys])
+    drawn = np.array([[_value(s, k) for k in keys] for s in twins]).reshape(len(twins), len(keys))
+    family = battery.family_p(values, drawn)
+    rows = []
+    for i, (estimator, name) in enumerate(keys):
+        m, own = real.measured[estimator, name], drawn[:, i]
+        known = own[np.isfinite(own)]
+        expected = m.expected if math.isfinite(m.expected) or not len(known) else float(np.median(known))
+        p_family = float(family[i]) if len(known) else math.nan
+        rows.append(Row(estimator, name, m, expected, len(known), battery.rank_p(m.value, own), p_family))
+    made = Trust(log.name, task, association, real, tuple(twins), tuple(rows), notes=_failures(log, real, twins))
+    if len(twins) < FEWEST or smoother is None or smoother.failure is not None:
+        return made
+    return replace(made, blame=_blame(made, inputs_of(log, task, association), smoother, drawn))
+
+
+def is_exact(covariance: Array) -> bool:
+    """Whether a covariance (3, 3) leaves some direction without doubt."""
+    return not trust.regular(covariance[None])[0]
+
+
+def _value(sample: Sample, key: Key) -> float:
+    return sample.measured[key].value if key in sample.measured else math.nan
+
+
+def _failures(log: Log, real: Sample, twins: Sequence[Sample]) -> tuple[str, ...]:
+    notes = []
+    if is_exact(log.recorded.prior.covariance):
+        notes.append("the prior is exact in some direction, so the first frame has no covariance to compare")
+    notes += [f"{name} failed ({why}), so nothing is measured of it" for name, why in real.failures.items()]
+    for name in dict.fromkeys(name for s in twins for name in s.failures):
+        count = sum(name in s.failures for s in twins)
+        notes.append(f"{name} failed in {count} of {len(twins)} twins, which do not count for it")
+    return tuple(notes)
+
+
+def _blame(made: Trust, inputs: Inputs, smoother: Run, drawn: Array) -> Blame:
+    tested = [r for r in made.rows if math.isfinite(r.p_family)]
+    objected = tuple((r.estimator, r.statistic) for r in tested if r.p_family <= battery.LEVEL)
+    p = min((r.p_family for r in tested), default=math.nan)
+    threshold = max(attribution.THRESHOLD, _largest_score(made.twins))
+    findings: list[Finding] = []
+    if objected:
+        findings = _noise(made, inputs, smoother, threshold)
+        findings.sort(key=lambda f: -f.gain)
+    findings += attribution.estimator_errors(
+        {
+            key: [s.nees[key] for s in made.twins if key in s.nees]
+            for key in dict.fromkeys(k for s in made.twins for k in s.nees)
+        }
+    )
+    cause = NOTHING
+    if findings:
+        cause = findings[0].cause
+    elif objected:
+        # nothing that has a name: what the smoother's residuals object to lies in the log, the rest in the estimator
+        cause = NOISE if any(e == smoother.estimator for e, _ in objected) else ESTIMATOR
+    return Blame(cause, tuple(findings), objected, len(tested), p, _detectable(made, drawn))
+
+
+def _largest_score(twins: Sequence[Sample]) -> float:
+    """What the largest slope of a twin exceeds in 5 % of them, in standard errors."""
+    largest = [
+        max((abs(m.value / m.se) for (_, n), m in s.measured.items() if n.startswith("slope_")), default=0.0)
+        for s in twins
+    ]
+    return float(np.quantile(largest, 1.0 - battery.LEVEL))
+
+
+def _noise(made: Trust, inputs: Inputs, smoother: Run, threshold: float) -> list[Finding]:
+    """What the log's noise and pairings are to blame for: systematic errors first, then the noise without them."""
+    assert smoother.final is not None
+    path = smoother.final.pose
+    used = residuals.used_by(smoother, inputs)
+    typical = [s.typical for s in made.twins]
+    factors = attribution.factors_of(made.real.typical, typical)
+    scored = effects.scored(inputs, path, used)
+    found = attribution.systematic_errors(scored, factors, threshold)
+    now = trust.of_smoother(smoother, inputs)
+    if found:
+        corrected = effects.without(inputs, path, used, {f.name: f.size for f in found})
+        again = batch("batch", corrected, _as_front(smoother))
+        if again.failure is None:
+            now = trust.of_smoother(again, corrected)
+    found += attribution.noise_errors(attribution.factors_of(now.typical, typical), typical, threshold)
+    excess = now.excess
+    found += attribution.outlier_errors(now.outlying, now.elsewhere, [s.outlying for s in made.twins], excess)
+    return found
+
+
+def _as_front(smoother: Run) -> Run:
+    """A batch run as what another one takes decisions and start from."""
+    return replace(smoother, online=smoother.final)
+
+
+def _detectable(made: Trust, drawn: Array) -> dict[str, float]:
+    names = [n for _, n in made.real.measured]
+    of = {n: drawn[:, i] for i, n in enumerate(names)}
+    slopes = {n.removeprefix("slope_"): v.tolist() for n, v in of.items() if n.startswith("slope_")}
+    spreads = {n: v.tolist() for n, v in of.items() if n.endswith("_spread")}
+    return attribution.detectable(slopes, spreads, battery.critical(drawn))
+
+
+def trust_table(all_trust: Sequence[Trust]) -> pd.DataFrame:
+    """Rows of trust.csv."""
+    rows = [
+        {
+            "log": t.log, "task": t.task, "estimator": r.estimator, "association": t.association,
+            "statistic": r.statistic, "value": r.measured.value, "expected": r.expected, "twins": r.twins, "p": r.p,
+            "p_family": r.p_family, "se": r.measured.se, "frame": r.measured.frame if r.measured.frame >= 0 else None,
+        }
+        for t in all_trust
+        for r in t.rows
+    ]  # fmt: skip
+    return frame_of(rows, COLUMNS)

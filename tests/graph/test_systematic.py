@@ -1,0 +1,248 @@
+"""Scores of systematic errors: against dense least squares and the cost of the batch optimum; size and power."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from association.known import known_decisions
+from data.inputs import Increments, LandmarkMap, Prior
+from data.se2 import between, compose, pose_error, world_from_body
+from data.worlds.linear import LinearWorld, simulate
+from graph.batch import Start, smooth
+from graph.systematic import Score, systematic
+from tests.graph.worlds import SENSORS, circle
+
+EXACT = np.zeros((3, 3))
+
+
+def dense(inputs, number, path, landmarks, motion, readings):
+    """(score, information) by generalized least squares on all residuals, pose by pose in plain loops.
+
+    Every pose's deviation is written as a matrix times all noises (of the prior and of each increment) plus a matrix
+    times the errors; then r = J (errors, landmarks) + noise of covariance S, and the landmarks are profiled out.
+    """
+    n, p, size = len(path), motion.shape[2], 2 * len(landmarks)
+    of_noise, of_errors, mean = np.zeros((n, 3, 3 * n)), np.zeros((n, 3, p)), np.zeros((n, 3))
+    noise = np.zeros((3 * n, 3 * n))
+    noise[:3, :3] = inputs.prior.covariance
+    of_noise[0, :, :3] = np.eye(3)
+    mean[0] = pose_error(inputs.prior.mean, path[0])
+    for k in range(1, n):
+        x, y = path[k, :2] - path[k - 1, :2]
+        F, B = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]]), world_from_body(path[k - 1, 2])
+        at = slice(3 * k, 3 * k + 3)
+        noise[at, at] = inputs.increments.covariance[k]
+        of_noise[k] = F @ of_noise[k - 1]
+        of_noise[k][:, at] = -B
+        of_errors[k] = F @ of_errors[k - 1] - B @ motion[k]
+        stated = compose(path[k - 1], inputs.increments.mean[k])
+        mean[k] = F @ mean[k - 1] + pose_error(stated, path[k])
+    rows = np.flatnonzero(number >= 0)
+    H, J, r = np.zeros((2 * len(rows), 3 * n)), np.zeros((2 * len(rows), p + size)), np.zeros(2 * len(rows))
+    R = np.zeros((2 * len(rows), 2 * len(rows)))
+    o = inputs.observations
+    for j, i in enumerate(rows):
+        k, of = o.frame[i], number[i]
+        z_hat, Hx, Hl = (a[0] for a in inputs.sensor.linearize(path[k], landmarks[of : of + 1]))
+        at = slice(2 * j, 2 * j + 2)
+        H[at] = Hx @ of_noise[k]
+        J[at, :p] = Hx @ of_errors[k] + readings[i]
+        J[at, p + 2 * of : p + 2 * of + 2] = Hl
+        r[at] = inputs.sensor.residual(o.z[i], z_hat) - Hx @ mean[k]
+        R[at, at] = o.R[i]
+    white = np.linalg.inv(np.linalg.cholesky(H @ noise @ H.T + R))
+    r, errors, map_ = white @ r, white @ J[:, :p], white @ J[:, p:]
+    if inputs.map is None:
+        left = np.eye(len(r)) - map_ @ np.linalg.pinv(map_)
+        r, errors = left @ r, left @ errors
+    return errors.T @ r, errors.T @ errors
+
+
+def columns(inputs, number, path, landmarks):
+    """motion (N, 3, 4) and readings (M, 2, 4) of: curvature, distance, first coordinate's scale, second's offset."""
+    o = inputs.observations
+    way = between(path[:-1], path[1:])
+    motion, readings = np.zeros((len(path), 3, 4)), np.zeros((len(o.z), 2, 4))
+    motion[1:, 2, 0] = np.hypot(way[:, 0], way[:, 1])
+    motion[1:, :2, 1] = way[:, :2]
+    used = number >= 0
+    readings[used, 0, 2] = inputs.sensor.predict(path[o.frame[used]], landmarks[number[used]])[:, 0]
+    readings[:, 1, 3] = 1.0
+    return motion, readings
+
+
+def problem(sensor, task, P0=None, **world):
+    """A small world near its solution, a third of the observations unused: the arguments of `systematic`."""
+    inputs, truth, xy = circle(sensor, P0=P0, **{"frames": 25, **world})
+    rng = np.random.default_rng(1)
+    path = truth + rng.normal(0.0, 0.02, truth.shape)
+    number = np.where(rng.random(len(inputs.observations.z)) < 0.3, -1, inputs.observations.label)
+    motion, readings = columns(inputs, number, path, xy)
+    motion = np.concatenate([motion, rng.normal(size=(len(path), 3, 2))], axis=2)
+    readings = np.concatenate([readings, rng.normal(size=(len(number), 2, 2))], axis=2)
+    return inputs if task == "localization" else inputs.without_map(), number, path, xy, motion, readings
+
+
+@pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS)
+@pytest.mark.parametrize("task", ["localization", "slam"])
+@pytest.mark.parametrize("P0", [None, EXACT, np.diag([0.01, 0.0, 0.02])], ids=["prior", "exact", "y exact"])
+def test_score_and_information_are_those_of_dense_generalized_least_squares(sensor, task, P0):
+    given = problem(sensor, task, P0)
+    score, information = dense(*given)
+    found = systematic(*given)
+    np.testing.assert_allclose(found.information, information, rtol=1e-8, atol=1e-9 * np.diag(information).max())
+    np.testing.assert_allclose(found.score, score, rtol=1e-8, atol=1e-9 * np.sqrt(np.diag(information).max()))
+
+
+@pytest.mark.parametrize("sensor", [*SENSORS.values()][:2], ids=[*SENSORS][:2])
+@pytest.mark.parametrize("task", ["localization", "slam"])
+def test_at_the_optimum_the_score_is_the_slope_of_the_batch_smoothers_cost(sensor, task):
+    """The cost is minimized again with a little of each error taken out of the data: nothing linearized here.
+
+    The 2 % of a sigma are for gtsam, which takes an increment's noise in the logarithm of its error.
+    """
+    inputs, truth, _ = circle(sensor, frames=25)
+    inputs = inputs if task == "localization" else inputs.without_map()
+    decisions, created = known_decisions(inputs)
+    number = np.where(created >= 0, created, decisions)
+    landmarks = np.zeros((number.max() + 1, 2))
+    landmarks[number] = circle(sensor, frames=25)[2][inputs.observations.label]
+    best = smooth(inputs, decisions, created, Start(truth, landmarks))
+    path = best.trajectory.pose
+    if best.map is not None:
+        landmarks = best.map.xy
+    motion, readings = columns(inputs, number, path, landmarks)
+
+    def cost(j, size):
+        o, u = inputs.observations, inputs.increments
+        o = replace(o, z=o.z - size * readings[:, :, j])
+        u = Increments(u.mean - size * motion[:, :, j], u.covariance)
+        without = replace(inputs, observations=o, increments=u)
+        return 0.5 * smooth(without, decisions, created, Start(path, landmarks)).chi_square
+
+    found = systematic(inputs, number, path, landmarks, motion, readings)
+    h = 1e-3
+    for j in range(4):
+        slope = (cost(j, h) - cost(j, -h)) / (2.0 * h)
+        assert found.score[j] == pytest.approx(-slope, abs=2e-2 * np.sqrt(found.information[j, j]))
+
+
+@pytest.mark.parametrize("task", ["localization", "slam"])
+def test_what_the_data_cannot_tell_has_no_information(task):
+    """An increment after the last sighting, an unused reading; in SLAM with an exact start the map may be anywhere."""
+    inputs, number, path, xy, motion, readings = problem(SENSORS["relative point"], task)
+    motion, readings = np.zeros((len(path), 3, 4)), np.zeros((len(number), 2, 4))
+    number = np.where(inputs.observations.frame == len(path) - 1, -1, number)
+    motion[-1, :, 0] = 1.0
+    readings[number < 0, :, 1] = 1.0
+    c, s = np.cos(path[inputs.observations.frame, 2]), np.sin(path[inputs.observations.frame, 2])
+    readings[:, 0, 2], readings[:, 1, 2] = c, -s  # every landmark further east
+    motion[1:, 2, 3] = 1.0
+    found = systematic(inputs, number, path, xy, motion, readings)
+    unknown = [0, 1] if task == "localization" else [0, 1, 2]
+    assert (found.sigmas[unknown] == 0.0).all()
+    assert (found.information[unknown] == 0.0).all()
+    assert (np.diag(found.information)[[j for j in range(4) if j not in unknown]] > 0.0).all()
+
+
+def test_without_any_observation_there_is_nothing_to_tell():
+    inputs, number, path, xy, motion, readings = problem(SENSORS["range-bearing"], "slam")
+    found = systematic(inputs, np.full_like(number, -1), path, xy, motion, readings)
+    assert (found.score == 0.0).all()
+    assert (found.information == 0.0).all()
+
+
+def test_a_slam_robot_tells_the_scales_of_odometry_and_of_points_only_from_each_other():
+    inputs, number, path, xy, _, _ = problem(SENSORS["relative point"], "slam", noise=0.0)
+    motion, readings = np.zeros((len(path), 3, 3)), np.zeros((len(number), 2, 3))
+    motion[1:, :2, 0] = between(path[:-1], path[1:])[:, :2]
+    readings[:, :, 1] = inputs.sensor.predict(path[inputs.observations.frame], xy[np.maximum(number, 0)])
+    motion[1:, 2, 2] = 1.0
+    found = systematic(inputs, number, path, xy, motion, readings)
+    np.testing.assert_allclose(found.sigmas[0], -found.sigmas[1], rtol=1e-6)
+    beside = found.beside(np.array([0]))
+    assert (beside.information[:2] == 0.0).all()
+    assert beside.information[2, 2] > 0.0
+    both = found.beside(np.array([0, 1]))
+    np.testing.assert_allclose(both.information[2, 2], beside.information[2, 2], rtol=1e-6)
+
+
+def test_beside_others_the_estimate_is_that_of_all_together():
+    """Partitioned inverse: variance and estimate alone, the others profiled out, are those of the joint solution."""
+    rng = np.random.default_rng(3)
+    A = rng.normal(size=(9, 4)) * [1.0, 1e3, 1e-3, 1.0]
+    s = Score(A.T @ rng.normal(size=9), A.T @ A)
+    jointly, covariance = np.linalg.solve(s.information, s.score), np.linalg.inv(s.information)
+    alone = s.beside(np.array([0, 1, 3]))
+    assert alone.score[2] / alone.information[2, 2] == pytest.approx(jointly[2])
+    assert 1.0 / alone.information[2, 2] == pytest.approx(covariance[2, 2])
+    assert (alone.sigmas[[0, 1, 3]] == 0.0).all()
+
+
+WORLD = LinearWorld(frames=20, laps=0.4, sigma_turn=1e-4)
+
+
+def linear(seed, task, errors=(0.0, 0.0, 0.0, 0.0)):
+    """Scores of one short drive at the true path and map (any point is as good in a linear world), errors put in."""
+    log = simulate(WORLD, seed)
+    inputs, path, known = log.inputs(labels=True), log.truth.pose, log.truth.landmarks
+    assert isinstance(known, LandmarkMap)
+    number = known.rows(log.truth.landmark_of)
+    motion, readings = columns(inputs, number, path, known.xy)
+    o, u = inputs.observations, inputs.increments
+    inputs = replace(
+        inputs,
+        observations=replace(o, z=o.z + readings @ errors),
+        increments=Increments(u.mean + motion @ errors, u.covariance),
+    )
+    inputs = inputs if task == "localization" else inputs.without_map()
+    return systematic(inputs, number, path, known.xy, motion, readings)
+
+
+def size_of_the_test(task, runs):
+    """Share (4,) of runs in which each error is found at the 5 % level, and the p-values of (mean, spread) (4,)."""
+    sigmas = np.array([linear(seed, task).sigmas for seed in range(runs)])
+    total = np.sum(sigmas**2, axis=0)
+    return (
+        np.mean(np.abs(sigmas) > stats.norm.ppf(0.975), axis=0),
+        stats.chi2.sf(total, runs),
+        stats.chi2.cdf(total, runs),
+    )
+
+
+@pytest.mark.parametrize("task", ["localization", "slam"])
+def test_with_the_noise_as_stated_scores_are_standard_normal(task):
+    _, above, below = size_of_the_test(task, 60)
+    assert (above > 1e-3).all()
+    assert (below > 1e-3).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task", ["localization", "slam"])
+def test_the_five_percent_test_rejects_five_percent(task):
+    found, above, below = size_of_the_test(task, 2000)
+    np.testing.assert_allclose(found, 0.05, atol=0.01)
+    assert (np.minimum(above, below) > 1e-3).all()
+
+
+@pytest.mark.parametrize("task", ["localization", "slam"])
+@pytest.mark.parametrize("which", range(4))
+def test_an_error_put_in_is_found_with_its_size(task, which):
+    null = linear(5, task).information
+    errors = np.zeros(4)
+    errors[which] = 20.0 / np.sqrt(null[which, which])
+    found = linear(5, task, errors)
+    estimate = found.score[which] / found.information[which, which]
+    assert abs(estimate - errors[which]) < 3.0 / np.sqrt(null[which, which])
+    assert found.sigmas[which] > 17.0
+
+
+def test_a_prior_of_no_use_does_no_harm():
+    """Ten metres, ten radians: in SLAM the map floats with the start, and what is told does not change."""
+    inputs, *rest = problem(SENSORS["range-bearing"], "slam")
+    vague = replace(inputs, prior=Prior(inputs.prior.mean, 1e2 * np.eye(3)))
+    np.testing.assert_allclose(systematic(vague, *rest).information, systematic(inputs, *rest).information, rtol=1e-5)
