@@ -106,3 +106,16 @@ def test_an_exact_prior_is_said(tmp_path):
     write_folder(exact, tmp_path / "exact")
     (trust,) = run(tmp_path / "exact", tmp_path, "--task", "localization").trust
     assert any("prior is exact" in note for note in trust.notes)
+
+
+def test_with_a_scheduler_twins_are_drawn_on_the_cluster(outcome, unmeasured, tmp_path, monkeypatch):
+    asked = []
+
+    def on_cluster(address, calls):
+        asked.append((address, {function.__name__ for function, _ in calls}))
+        return ((i, function(*arguments)) for i, (function, arguments) in enumerate(calls))
+
+    monkeypatch.setattr("eval.plan.work.on_cluster", on_cluster)
+    far = run(unmeasured, tmp_path, "--estimator", "ekf,isam2,batch", "--twins", "19", "--scheduler", "tcp://there:1")
+    assert asked[0] == ("tcp://there:1", {"one_twin"})
+    assert trust_table(far.trust).to_csv() == trust_table(outcome[1].trust).to_csv()
