@@ -12,12 +12,13 @@ from eval.page.tables import drop_blank_columns, is_blank
 from eval.report.rows import Row, rows_of, value_of
 
 CHANCE = 0.05
-"""A p value above this is called chance."""
+"""A larger p is called chance, and so is a difference whose interval holds zero: near the edge the two may differ."""
 CAPTION = (
     "Which is better on this log: filter (online) minus smoother (final), on the same frames; RMSE positive: the"
     " smoother is closer to the truth. Intervals and p of no difference: stationary bootstrap with blocks of the mean"
-    " length given. They are about stretches of this log, not about other logs, and the fewer blocks there are, the"
-    " more they are too narrow (docs/verdicts.md has the coverage). Blank: the log is worth too few independent frames."
+    " length given. They are about stretches of this log and not about other logs: in SLAM what the whole map errs is"
+    " not in them. The fewer blocks, the more they are too narrow (coverage: docs/verdicts.md). Blank: the log is worth"
+    " too few independent frames."
 )
 
 
@@ -75,10 +76,11 @@ def _sentence(row: Row) -> str:
     word = "lower" if difference >= 0.0 else "higher"
     if difference < 0.0:
         difference, lower, upper = -difference, -upper, -lower
-    chance = ", so it may be chance" if p > CHANCE else ""
+    chance = ", so it may be chance" if p > CHANCE or lower <= 0.0 <= upper else ""
+    whole = ", and another log's map would err otherwise" if row["task"] == "slam" else ""
     return (
         f"The smoother's RMSE is {word} by {number(difference)} m, 95 % interval {_range(lower, upper)} m, p = {p:.3f};"
-        f" one log, errors correlated over about {value_of(row, 'block_frames'):.0f} frames{chance}."
+        f" one log, errors correlated over about {value_of(row, 'block_frames'):.0f} frames{whole}{chance}."
     )
 
 

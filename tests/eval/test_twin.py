@@ -46,10 +46,10 @@ def test_the_same_seed_writes_the_same_files(unmeasured, tmp_path):
 def test_in_localization_the_path_of_the_localizing_smoother_is_the_truth(tmp_path):
     assert main(["arena:3", str(tmp_path / "l")]) == 0
     assert main(["arena:3", str(tmp_path / "s"), "--task", "slam"]) == 0
-    l, s = (open_log(str(tmp_path / n)) for n in "ls")
-    assert l.recorded.map is not None
+    local, slam = (open_log(str(tmp_path / n)) for n in "ls")
+    assert local.recorded.map is not None
     true = open_log("arena:3").truth.pose
-    assert np.hypot(*(l.truth.pose - true)[:, :2].T).max() < np.hypot(*(s.truth.pose - true)[:, :2].T).max()
+    assert np.hypot(*(local.truth.pose - true)[:, :2].T).max() < np.hypot(*(slam.truth.pose - true)[:, :2].T).max()
 
 
 def test_what_makes_no_sense_is_one_line(unmeasured, tmp_path, capsys):

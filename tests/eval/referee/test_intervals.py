@@ -133,6 +133,15 @@ def test_a_run_without_nees_still_has_an_interval_of_its_rmse():
     assert math.isnan(nees.value)
 
 
+def test_both_intervals_have_the_longer_of_the_blocks_that_can_be_had():
+    smooth, white, drift = squares(0.9, 1000, 1, 1)[0], squares(0.0, 1000, 1, 2)[0], np.linspace(0.0, 1.0, 1000)
+    for pair in ((smooth, white), (white, smooth)):
+        assert [i.block for i in run_intervals(*pair, rng())] == [block_length(smooth)] * 2
+    refused, given = run_intervals(drift, white, rng())
+    assert refused.why
+    assert given.block == block_length(white) < refused.block
+
+
 def test_what_two_runs_share_cancels_in_their_difference():
     common = squares(0.9, 1000, 1, 9)[0]
     own = 0.05 * rng(10).standard_normal(1000)

@@ -26,15 +26,18 @@ def sentence(**changed) -> str:
 def test_the_sentence_says_by_how_much_with_interval_p_and_what_it_rests_on():
     assert sentence() == (
         "The smoother's RMSE is lower by 0.0200 m, 95 % interval 0.0031 to 0.0412 m, p = 0.013; one log, errors"
-        " correlated over about 14 frames."
+        " correlated over about 14 frames, and another log's map would err otherwise."
     )
+    assert sentence(task="localization").endswith("correlated over about 14 frames.")
 
 
 def test_a_worse_smoother_is_higher_with_the_interval_turned_round():
     text = sentence(rmse_position_m=-0.02, rmse_position_lower=-0.0412, rmse_position_upper=0.0031, rmse_position_p=0.2)
     assert "is higher by 0.0200 m, 95 % interval −0.0031 to 0.0412 m, p = 0.200;" in text
-    assert text.endswith("frames, so it may be chance.")
+    assert text.endswith("would err otherwise, so it may be chance.")
     assert "chance" not in sentence()
+    assert "may be chance" in sentence(rmse_position_p=0.06)
+    assert "may be chance" in sentence(rmse_position_lower=-0.001)
 
 
 def test_without_an_interval_it_says_why_and_no_number():
