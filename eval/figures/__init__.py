@@ -13,5 +13,6 @@ from eval.figures.verdicts import coverage_figure, run_end_figure
 
 __all__ = [
     "anees_figure", "confusion_figure", "coverage_figure", "difference_figure", "error_figure",
-    "filter_smoother_figure", "growth_figure", "map_figure", "nees_figure", "outlier_figure", "run_end_figure", "state_figure",
+    "filter_smoother_figure", "growth_figure", "map_figure", "nees_figure", "outlier_figure", "run_end_figure",
+    "state_figure",
 ]  # fmt: skip
