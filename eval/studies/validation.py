@@ -1,7 +1,7 @@
 """The battery put to the test: how often it objects to logs that are right, and which faults it finds and names.
 
 A log is simulated, a fault put into it (or a broken filter run on it), twins are drawn, and the log is judged as any
-other; of its truth nothing is used. With twins of their own random numbers logs are independent, so shares are binomial.
+other; of its truth nothing is used. Every log's twins have random numbers of their own, so logs are independent.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -48,10 +49,13 @@ class World:
     task: str
     values: tuple[tuple[str, object], ...] = ()
 
+    def parameters(self) -> Any:
+        """Of the simulator; raises UsageError for what it refuses."""
+        return registry.parameters_of(self.kind)(**dict(self.values))
+
     def simulate(self, seed: int) -> Log:
         """The log of a seed."""
-        made = registry.parameters_of(self.kind)(**dict(self.values))
-        return registry.simulate(self.kind, made, seed, f"{self.name}:{seed}")
+        return registry.simulate(self.kind, self.parameters(), seed, f"{self.name}:{seed}")
 
 
 @dataclass(frozen=True)
@@ -175,7 +179,7 @@ def _with_fault(study: Validation, case: Case) -> Examined:
 
 
 def _with_broken(study: Validation, case: Case) -> tuple[Examined, ...]:
-    """Each broken filter in place of the filter, on the log and on its twins; twins and smoother are the same for all."""
+    """Each broken filter in place of `ekf`, on the log and on its twins; twins and smoother are the same for all."""
     log, task = case.world.simulate(case.seed), case.world.task
     source, smoother, real = _broken_on(None, log, case, study)
     abouts = [(case.world.name, case.seed, name, size) for name, size in case.broken]
