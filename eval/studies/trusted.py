@@ -133,12 +133,7 @@ def _blame(made: Trust, inputs: Inputs, smoother: Run, drawn: Array) -> Blame:
     if objected:
         findings = _noise(made, inputs, smoother, threshold)
         findings.sort(key=lambda f: -f.gain)
-    findings += attribution.estimator_errors(
-        {
-            key: [s.nees[key] for s in made.twins if key in s.nees]
-            for key in dict.fromkeys(k for s in made.twins for k in s.nees)
-        }
-    )
+    findings += _estimators(made.twins)
     cause = NOTHING
     if findings:
         cause = findings[0].cause
@@ -146,6 +141,19 @@ def _blame(made: Trust, inputs: Inputs, smoother: Run, drawn: Array) -> Blame:
         # nothing that has a name: what the smoother's residuals object to lies in the log, the rest in the estimator
         cause = NOISE if any(e == smoother.estimator for e, _ in objected) else ESTIMATOR
     return Blame(cause, tuple(findings), objected, len(tested), p, _detectable(made, drawn))
+
+
+def _estimators(twins: Sequence[Sample]) -> list[Finding]:
+    """Estimators that are off on the twins, where all is as stated: in NEES, or else in NIS."""
+    nees = {
+        key: [s.nees[key] for s in twins if key in s.nees] for key in dict.fromkeys(k for s in twins for k in s.nees)
+    }
+    found = attribution.estimator_errors(nees)
+    nis: dict[str, list[float]] = {}
+    for m, estimator in ((s.measured[k], k[0]) for s in twins for k in s.measured if k[1] == "nis"):
+        nis.setdefault(estimator, []).append(m.value / m.expected)
+    convicted = {f.name for f in found}
+    return found + [f for f in attribution.innovation_errors(nis) if f.name not in convicted]
 
 
 def _largest_score(twins: Sequence[Sample]) -> float:
