@@ -56,7 +56,7 @@ def trusted(
         i for i, t in enumerate(done)
         if t.blame is not None and t.blame.cause == NOISE and any(f.cause == NOISE for f in t.blame.findings)
     ]  # fmt: skip
-    jobs = [(i, (calibrated_group, (groups[i], said[i][1]))) for i in wrong]
+    jobs = [(i, (calibrated_group, (groups[i], said[i][1], _named(done[i])))) for i in wrong]
     better = {i: result for i, result in work(jobs, options) if result is not None}
     again = [better[i][0] for i in sorted(better)]
     after = _with_twins(list(again), min(AFTERWARDS, _count(options)), options, progress)
@@ -134,9 +134,16 @@ def _noted(trust: Trust, note: str | None, group: Group, count: int) -> Trust:
     return replace(trust, notes=(*trust.notes, *more))
 
 
-def calibrated_group(group: Group, smoother: Run) -> tuple[tuple[Group, Sample, Run | None], dict[str, float]] | None:
+def _named(trust: Trust) -> tuple[str, ...]:
+    """The systematic errors that were found."""
+    return tuple(f.name for f in trust.blame.findings if f.kind == "systematic") if trust.blame is not None else ()
+
+
+def calibrated_group(
+    group: Group, smoother: Run, names: Sequence[str]
+) -> tuple[tuple[Group, Sample, Run | None], dict[str, float]] | None:
     """The group on the log as calibrated at once, with what was done; None where nothing could be."""
-    log, done = calibrated(group.log, group.task, group.association, smoother, group.setup)
+    log, done = calibrated(group.log, group.task, group.association, smoother, group.setup, names)
     if not done:
         return None
     inputs = inputs_of(log, group.task, group.association)

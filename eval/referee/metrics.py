@@ -102,6 +102,16 @@ OF_ESTIMATES = (
     _count("nees_left_out", "frames left out", spelled="frames whose covariance is nearly singular, in no NEES"),
     _count("lost_frame", "lost from frame"),
     Metric("lost_why", "why lost"),
+    _error("rmse_position_lower", "lower 95 % bound of position RMSE", "m"),
+    _error("rmse_position_upper", "upper 95 % bound of position RMSE", "m"),
+    Metric("nees_pose_lower", "lower 95 % bound of mean pose NEES"),
+    Metric("nees_pose_upper", "upper 95 % bound of mean pose NEES"),
+    Metric("log_score", "log score", "nats", "smaller", spelled="mean log score of the pose"),
+    _error("crps_x_m", "CRPS of x", "m"),
+    _error("crps_y_m", "CRPS of y", "m"),
+    _error("crps_heading_rad", "CRPS of heading", "rad"),
+    _error("energy_score_m", "energy score of the position", "m"),
+    Metric("block_frames", "mean block of the intervals", "frames"),
 )
 """Columns of metrics.csv after `status`."""
 OF_DECISIONS = (

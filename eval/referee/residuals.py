@@ -22,8 +22,6 @@ from eval.referee.consistency import successive
 COMPONENTS = ("odometry_x", "odometry_y", "odometry_theta", "z1", "z2")
 OUTLYING = float(special.chdtri(2, 1e-5))
 """Squared residual (2 dof) of a reading that does not fit its landmark: 1 in 100 000, some 23."""
-MEDIAN_ABSOLUTE = float(special.ndtri(0.75))
-"""Median absolute deviation of a Gaussian, in sigmas (0.674)."""
 FITTING = float(special.chdtri(2, 0.01))
 """Squared residual inside which a reading fits another landmark: 99 %."""
 
@@ -114,15 +112,12 @@ def summaries(residuals: Residuals, inputs: Inputs, used: Used) -> dict[str, flo
     return {name: value for name, value in result.items() if math.isfinite(value)}
 
 
-def typical(residuals: Residuals) -> dict[str, float]:
-    """By component, the median absolute residual about the median, as a Gaussian's standard deviation."""
-    series = [*residuals.odometry.T, *residuals.readings.T]
+def typical(residuals: Residuals, *, outliers: bool = False) -> dict[str, float]:
+    """By component, the spread of the residuals about their mean; `outliers`: with the readings that do not fit."""
+    kept = np.isfinite(residuals.squared) if outliers else residuals.squared <= OUTLYING
+    series = [*residuals.odometry.T, *np.where(kept[:, None], residuals.readings, np.nan).T]
     known = [values[np.isfinite(values)] for values in series]
-    return {
-        name: float(np.median(np.abs(values - np.median(values)))) / MEDIAN_ABSOLUTE
-        for name, values in zip(COMPONENTS, known, strict=True)
-        if len(values)
-    }
+    return {name: float(values.std()) for name, values in zip(COMPONENTS, known, strict=True) if len(values)}
 
 
 def _correlation(before: Array, after: Array) -> float:

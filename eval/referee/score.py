@@ -12,10 +12,14 @@ import pandas as pd
 from data.log import Log
 from data.result import DISCARD, Run, surviving
 from eval.referee import consistency, errors
+from eval.referee.along import Along, along
 from eval.referee.bounds import nis_bounds
 from eval.referee.confusion import WITHIN, Confusion, confuse, share_within
+from eval.referee.differences import DIFFERENCES, difference_rows
+from eval.referee.intervals import SEED, run_intervals
 from eval.referee.lost import lost
 from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES, RUN
+from eval.referee.proper_scores import mean_scores
 
 METRICS = (*RUN, "status", *(m.column for m in OF_ESTIMATES))
 ASSOCIATION = (*RUN, *(m.column for m in OF_DECISIONS))
@@ -85,8 +89,11 @@ def _nis(run: Run, phase: str) -> tuple[float, int] | None:
     return run.total_nis if phase == "final" else None
 
 
-def metrics_row(run: Run, phase: str, log: Log, reference: Run | None) -> dict[str, object]:
-    """One row of metrics.csv. `reference` is the batch smoother with labels on the same log, or None."""
+def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Along | None = None) -> dict[str, object]:
+    """One row of metrics.csv.
+
+    `reference` is the batch smoother with labels on the same log, or None; `path` what `along` gives, if at hand.
+    """
     frames = len(log.recorded)
     decisions = run.decisions if phase == "online" else run.final_decisions
     row: dict[str, object] = {
@@ -103,22 +110,22 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None) -> dict[s
     if run.task == "slam" and run.association != "none":
         row["landmarks"] = len(run.map) if run.map is not None else 0
     truth = log.truth.pose
-    if truth is not None and np.isfinite(truth).all(axis=1).any():
-        distance = errors.position_distance(pose, truth)
+    path = path or along(run, phase, log)
+    if truth is not None and path is not None:
+        distance = path.distance
         row["rmse_position_m"] = errors.rms(distance)
         row["rmse_heading_deg"] = errors.heading_rmse_deg(pose, truth)
         row["max_position_m"] = float(np.nanmax(distance))
         row["rmse_aligned_m"] = errors.aligned_rmse(pose, truth)
         row["rmse_time_m"] = errors.time_weighted_rmse(pose, truth, log.recorded.time)
         row["sse_position_m2"] = float(np.nansum(distance**2))
-        thin = consistency.nearly_singular(covariance, log.recorded.covariance_floor)
-        sound = np.where(thin[:, None], np.nan, pose)
-        each = {q: consistency.nees(sound, covariance, truth, q) for q in consistency.QUANTITIES}
-        row["nees_left_out"] = int((thin & np.isfinite(truth).all(axis=1)).sum())
-        row["nees_pose_median"] = consistency.median_or_nan(each["pose"])
-        for quantity, values in each.items():
+        row["nees_left_out"] = int((path.thin & np.isfinite(truth).all(axis=1)).sum())
+        row["nees_pose_median"] = consistency.median_or_nan(path.nees["pose"])
+        for quantity, values in path.nees.items():
             row[f"nees_{quantity}"] = consistency.mean_or_nan(values)
-        row["inside_3sigma"] = consistency.inside_3sigma(each["position"])
+        row["inside_3sigma"] = consistency.inside_3sigma(path.nees["position"])
+        row |= mean_scores(pose, covariance, truth, np.isfinite(path.nees["pose"]))
+        row |= _intervals(path)
     if run.map is not None and len(run.map):
         ids = errors.landmark_true_ids(run.created, log.truth, run.map.number)
         off = np.hypot(*errors.landmark_errors(run.map.xy, ids, log.truth).T)
@@ -141,6 +148,16 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None) -> dict[s
         row["nis_expected"] = run.gated[0]
         row["nis_lower"], row["nis_upper"] = nis_bounds(total[1], run.gated)
     return row
+
+
+def _intervals(path: Along) -> dict[str, object]:
+    """What chance along the log leaves of RMSE and mean NEES; blank where the log is too short to tell."""
+    rmse, nees = run_intervals(path.distance**2, path.nees["pose"], np.random.default_rng(SEED))
+    used = [i.block for i in (rmse, nees) if not i.why]
+    return {
+        "rmse_position_lower": rmse.lower, "rmse_position_upper": rmse.upper,
+        "nees_pose_lower": nees.lower, "nees_pose_upper": nees.upper, "block_frames": used[0] if used else None,
+    }  # fmt: skip
 
 
 def association_row(run: Run, phase: str, log: Log) -> dict[str, object] | None:
@@ -182,21 +199,26 @@ def _blank(value: object) -> object:
 
 @dataclass(frozen=True)
 class Scores:
-    """The three tables of a set of trials."""
+    """The three tables of a set of trials, and the differences between filters and smoothers on logs with truth."""
 
     metrics: pd.DataFrame
     association: pd.DataFrame
     timing: pd.DataFrame
+    differences: pd.DataFrame
 
 
 def score(trials: Sequence[Trial]) -> Scores:
     """Referee every run of every trial."""
-    metrics, association, timing = [], [], []
+    metrics, association, timing, differences = [], [], [], []
     for trial in trials:
         reference = trial.find("batch")
-        for run in trial.runs:
+        known: dict[tuple[int, str], Along] = {}
+        for i, run in enumerate(trial.runs):
             for phase in run.phases:
-                metrics.append(metrics_row(run, phase, trial.log, reference))
+                path = along(run, phase, trial.log)
+                if path is not None:
+                    known[i, phase] = path
+                metrics.append(metrics_row(run, phase, trial.log, reference, path))
             if run.association != "none":
                 for phase in ("online", "final"):
                     row = association_row(run, phase, trial.log)
@@ -208,4 +230,10 @@ def score(trials: Sequence[Trial]) -> Scores:
                 "frames": frames, "seconds": run.seconds,
                 "frames_per_second": frames / run.seconds if run.seconds > 0 else None,
             })  # fmt: skip
-    return Scores(frame_of(metrics, METRICS), frame_of(association, ASSOCIATION), frame_of(timing, TIMING))
+        differences += difference_rows(trial.log, trial.task, trial.runs, known)
+    return Scores(
+        frame_of(metrics, METRICS),
+        frame_of(association, ASSOCIATION),
+        frame_of(timing, TIMING),
+        frame_of(differences, DIFFERENCES),
+    )

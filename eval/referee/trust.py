@@ -74,8 +74,8 @@ def difference(online: Trajectory, smoothed: Trajectory) -> Difference:
     rows = np.flatnonzero(finite)
     correlation = P[rows] / (scale[rows, :, None] * scale[rows, None, :])
     size, axes = np.linalg.eigh(correlation)
-    regular = size[:, 0] > SINGULAR
-    rows, root = rows[regular], axes[regular] / np.sqrt(size[regular])[:, None, :]
+    sound = size[:, 0] > SINGULAR
+    rows, root = rows[sound], axes[sound] / np.sqrt(size[sound])[:, None, :]
     # in coordinates in which P_f is the identity, P_f - P_s has eigenvalues up to 1: shares of P_f
     white = root / scale[rows, :, None]
     shares, turned = np.linalg.eigh(white.transpose(0, 2, 1) @ D[rows] @ white)
@@ -88,6 +88,14 @@ def difference(online: Trajectory, smoothed: Trajectory) -> Difference:
     sigma = np.sqrt(np.where(finite[:, None] & (left > SHARE * variance), left, np.nan))
     comparable = np.isfinite(lam[:, 0])
     return Difference(d, sigma, square, dof, comparable & (lam[:, 0] >= -TOLERANCE), comparable)
+
+
+def regular(covariance: Array) -> BoolArray:
+    """Which covariances (n, 3, 3) are in doubt about every direction."""
+    variance = np.einsum("nii->ni", covariance)
+    scale = np.sqrt(np.where(variance > 0.0, variance, 1.0))
+    smallest = np.linalg.eigvalsh(covariance / (scale[:, :, None] * scale[:, None, :]))[:, 0]
+    return np.asarray(smallest > SINGULAR)
 
 
 def filter_smoother(found: Difference, prefix: str = "filter_smoother") -> dict[str, Measured]:
@@ -145,8 +153,7 @@ class Smoothed:
 
     Attributes:
         statistics: its cost, its residuals, and the slopes of the systematic errors that these ask for.
-        typical: by component, median absolute residual about the median as a Gaussian's standard deviation: the
-            noise in stated sigmas whatever a few outliers do.
+        typical: by component, spread of the residuals without the readings that do not fit, in stated sigmas.
         outlying, elsewhere: readings that do not fit their landmark, and how many of those fit another one.
         excess: half the squares of the outlying readings beyond what fits, the log-likelihood that they cost.
         scored: the systematic errors together.

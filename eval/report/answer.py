@@ -12,6 +12,7 @@ from eval.page.tables import is_blank
 from eval.referee.consistency import CONSISTENT, OVERCONFIDENT
 from eval.replay.names import BATCH, FILTERS, INCREMENTAL
 from eval.report.deciding import SAME, best_and_worst
+from eval.report.differences import difference_sentence
 from eval.report.rows import Row, rows_of, value_of
 from eval.report.statements import nis_statement, nis_verdict
 
@@ -45,17 +46,24 @@ def chosen_association(rows: Sequence[Row]) -> str | None:
     return order[0] if order else None
 
 
-def answer(metrics: pd.DataFrame, association: pd.DataFrame | None = None, labelled: int | None = None) -> str:
+def answer(
+    metrics: pd.DataFrame,
+    association: pd.DataFrame | None = None,
+    labelled: int | None = None,
+    differences: pd.DataFrame | None = None,
+) -> str:
     """A few sentences on one log and task: filter and smoother on identical inputs, and which to trust when.
 
     `metrics` and `association` are the rows of metrics.csv and association.csv for one log and task; `labelled` is the
-    number of landmarks that the log's ids tell apart. Filter and smoother are compared under known association if there
-    is one; how well the others decided is said in a sentence of its own.
+    number of landmarks that the log's ids tell apart; `differences` the rows of `Scores.differences`. Filter and
+    smoother are compared under known association if there is one; how well the others decided is said in a sentence of
+    its own.
     """
     rows = rows_of(metrics)
     chosen = chosen_association(rows)
     several = len({r["association"] for r in rows if r["association"] != "none"}) > 1
-    notes = [_compared([r for r in rows if r["association"] == chosen])]
+    apart = [] if differences is None else rows_of(differences)
+    notes = [_compared([r for r in rows if r["association"] == chosen], apart)]
     if several:
         notes.insert(0, f"Filter and smoother are compared under association {chosen}.")
     if association is not None:
@@ -63,7 +71,7 @@ def answer(metrics: pd.DataFrame, association: pd.DataFrame | None = None, label
     return " ".join(n for n in notes if n)
 
 
-def _compared(rows: Sequence[Row]) -> str:
+def _compared(rows: Sequence[Row], differences: Sequence[Row]) -> str:
     """Filter and smoother under one association."""
     filtered, smoothed = _pick(rows, FILTERS, "online"), _pick(rows, SMOOTHERS, "final")
     failed = [r for r in (filtered, smoothed) if r is not None and r["status"] != "ok"]
@@ -84,8 +92,9 @@ def _compared(rows: Sequence[Row]) -> str:
             advice = LINEARIZED.format(f"the smoother ({smoothed['estimator']})")
         return " ".join([*(_lost(r) for r in gone), advice, *_errors_of(filtered, smoothed)])
     newest = _pick(rows, INCREMENTAL, "online")
-    known = _errors_of(filtered, smoothed)
-    return " ".join(_with_truth(filtered, smoothed, newest) if known else _without_truth(filtered, smoothed))
+    if not _errors_of(filtered, smoothed):
+        return " ".join(_without_truth(filtered, smoothed))
+    return " ".join(_with_truth(filtered, smoothed, newest, difference_sentence(differences, filtered, smoothed)))
 
 
 def _lost(row: Row) -> str:
@@ -111,7 +120,7 @@ def _errors_of(filtered: Row, smoothed: Row) -> list[str]:
     ]
 
 
-def _with_truth(filtered: Row, smoothed: Row, newest: Row | None) -> list[str]:
+def _with_truth(filtered: Row, smoothed: Row, newest: Row | None, difference: str) -> list[str]:
     a, b = value_of(filtered, "rmse_position_m"), value_of(smoothed, "rmse_position_m")
     first = (
         f"On identical inputs the filter ({filtered['estimator']}, each pose from the data up to it) has a position"
@@ -120,7 +129,7 @@ def _with_truth(filtered: Row, smoothed: Row, newest: Row | None) -> list[str]:
     )
     if b > 0.0 and a > 0.0:
         first += f": the filter's is {number(a / b)} times the smoother's"
-    notes = [first + _same_instant(a, b, newest) + "."]
+    notes = [first + _same_instant(a, b, newest) + ".", *([difference] if difference else [])]
     described = [_nees(r) for r in (filtered, smoothed)]
     if all(described):
         notes.append(

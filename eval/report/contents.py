@@ -129,8 +129,11 @@ def _introduction(trials: Sequence[Trial], scores: Scores, judged: Sequence[Judg
     notes = ["The same logs, the same inputs, one referee."]
     for trial in trials:
         if trial.beside is None:
-            rows = (rows_of(scores.metrics, trial), rows_of(scores.association, trial))
-            notes.append(f"* **{trial.log.name}, {trial.task}.** {answer(*rows, _labelled(trial))}")
+            metrics, decided, differences = (
+                rows_of(table, trial) for table in (scores.metrics, scores.association, scores.differences)
+            )
+            said = answer(metrics, decided, _labelled(trial), differences)
+            notes.append(f"* **{trial.log.name}, {trial.task}.** {said}")
     declared = [j for j in judged if j.declared and j.verdict.runs >= MIN_RUNS]
     if declared:
         off = [j for j in declared if j.verdict.word != "consistent" or j.diverged]

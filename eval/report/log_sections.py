@@ -14,6 +14,8 @@ from eval.plan.options import Options
 from eval.plan.tutorial import is_tutorial
 from eval.referee.score import Scores, Trial
 from eval.report import comparison
+from eval.report.differences import CAPTION as DIFFERENCES_CAPTION
+from eval.report.differences import differences_table, missing_intervals
 from eval.report.pictures import stem
 from eval.report.tutorial_table import CAPTION, logs_with_tutorials, tutorial_table
 
@@ -26,7 +28,7 @@ def beside(trial: Trial, trials: Sequence[Trial]) -> tuple[Trial, ...]:
 
 
 def rows_of(frame: pd.DataFrame, trial: Trial) -> pd.DataFrame:
-    """Rows of metrics.csv or association.csv that belong to a trial."""
+    """Rows of one of the tables of `Scores` that belong to a trial."""
     return frame[(frame["log"] == trial.log.name) & (frame["task"] == trial.task)]
 
 
@@ -45,12 +47,23 @@ def trial_sections(
         caption = f"{trial.log.name}, {trial.task}. {comparison.COMPARISON_CAPTION}"
         blocks.append(written_table(table, folder, stem(trial, "comparison"), caption, options.formats))
         blocks += [_beside_note(t, rows_of(scores.metrics, t)) for t in others]
+        blocks += _differences(folder, options, trial, rows_of(scores.differences, trial))
         blocks += [p for p in pictures if p.stem != stem(trial, "association")]
         notes = [*trial.log.notes, *(f"{r.estimator}: {n}." for r in trial.runs for n in r.notes)]
         if notes:
             blocks.append("\n".join(f"* {n}" for n in dict.fromkeys(notes)))
         sections.append(Section(f"{trial.log.name}, {trial.task}", tuple(blocks)))
     return sections
+
+
+def _differences(folder: Path, options: Options, trial: Trial, rows: pd.DataFrame) -> list[Block]:
+    """Filters against smoothers on a log with truth, and why intervals are missing."""
+    if not len(rows):
+        return []
+    name, caption = stem(trial, "differences"), f"{trial.log.name}, {trial.task}. {DIFFERENCES_CAPTION}"
+    table = written_table(differences_table(rows), folder, name, caption, options.formats)
+    missing = missing_intervals(rows)
+    return [table, missing] if missing else [table]
 
 
 def _beside_note(trial: Trial, rows: pd.DataFrame) -> str:

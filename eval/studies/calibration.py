@@ -6,7 +6,7 @@ fits the same parameters by maximum likelihood, which takes minutes on a long lo
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -14,16 +14,16 @@ import numpy as np
 from data.inputs import Increments, Inputs, Observations
 from data.log import Log
 from data.result import Run
-from eval.referee import attribution, effects, residuals, trust
+from eval.referee import attribution, effects, residuals
 from eval.replay.batch import batch
+from eval.replay.run import compare
 from eval.replay.settings import Setup
-from eval.studies.sampled import one_twin
-from eval.studies.twins import inputs_of, source_of
+from eval.studies.twins import Source, inputs_of, source_of, twin
 
-ROUNDS = 4
+ROUNDS = 3
 """Corrections one after the other: a noise that the odometry hides comes out in halves."""
-TWINS = 6
-"""Twins a round: their median residual is the reference of the noise, known to some 2 % on a log of 200 frames."""
+TWINS = 4
+"""Twins a round: their residuals are the reference of the noise, known to some 2 % on a log of 200 frames."""
 
 
 def with_noise(inputs: Inputs, factors: Mapping[str, float]) -> Inputs:
@@ -38,34 +38,49 @@ def with_noise(inputs: Inputs, factors: Mapping[str, float]) -> Inputs:
     )
 
 
-def calibrated(log: Log, task: str, association: str, smoother: Run, setup: Setup) -> tuple[Log, dict[str, float]]:
+def calibrated(
+    log: Log, task: str, association: str, smoother: Run, setup: Setup, names: Collection[str]
+) -> tuple[Log, dict[str, float]]:
     """The log corrected, and what was done: sizes of systematic errors taken out, factors of sigmas (`sigma_...`).
 
-    Under the decisions of `smoother` throughout. The log comes back as it is where nothing is found.
+    Under the decisions of `smoother` throughout; of systematic errors only `names` are corrected. The log comes back as
+    it is where nothing is found.
     """
     inputs = inputs_of(log, task, association)
     done: dict[str, float] = {}
     for number in range(ROUNDS):
         if smoother.failure is not None or smoother.final is None:
             break
-        now = replace(log, recorded=_recorded(log, inputs))
-        source = source_of(now, smoother, ("ekf", "batch"), setup)
-        typical = [one_twin(source, seed).typical for seed in range(number * TWINS, (number + 1) * TWINS)]
         used = residuals.used_by(smoother, inputs)
-        said = trust.of_smoother(smoother, inputs)
-        factors = attribution.factors_of(said.typical, typical)
-        found = attribution.systematic_errors(said.scored, factors, attribution.THRESHOLD)
-        sizes = {f.name: f.size for f in found}
-        wrong = {f.name: f.size for f in attribution.noise_errors(factors, typical, attribution.THRESHOLD)}
-        if not sizes and not wrong:
+        source = source_of(replace(log, recorded=_recorded(log, inputs)), smoother, (), setup)
+        usual = [_typical(source, seed) for seed in range(number * TWINS, (number + 1) * TWINS)]
+        found = residuals.smoothed_residuals(inputs, smoother.final.pose, used)
+        factors = attribution.factors_of(residuals.typical(found, outliers=True), usual)
+        wrong = {f.name: f.size for f in attribution.noise_errors(factors, usual, attribution.THRESHOLD)}
+        scored = effects.scored(inputs, smoother.final.pose, used)
+        chosen = np.array([i for i, name in enumerate(scored.names) if name in names], np.int64)
+        sizes, errors = scored.together(chosen)
+        taken = {scored.names[i]: float(s) for i, s, e in zip(chosen, sizes, errors, strict=True) if abs(s) > e}
+        if not taken and not wrong:
             break
-        inputs = with_noise(effects.without(inputs, smoother.final.pose, used, sizes), wrong)
-        for name, size in sizes.items():
+        inputs = with_noise(effects.without(inputs, smoother.final.pose, used, taken), wrong)
+        for name, size in taken.items():
             done[name] = done.get(name, 0.0) + size
         for name, factor in wrong.items():
             done[f"sigma_{name}"] = done.get(f"sigma_{name}", 1.0) * factor
         smoother = batch("batch", inputs, replace(smoother, online=smoother.final))
     return replace(log, recorded=_recorded(log, inputs)), done
+
+
+def _typical(source: Source, seed: int) -> dict[str, float]:
+    """Spread of a twin's residuals under the smoother's decisions."""
+    made = twin(source, seed)
+    inputs = inputs_of(made, source.task, "known")
+    (smoother,) = compare(inputs, source.task, ("batch",), "known", source.setup)
+    if smoother.failure is not None or smoother.final is None:
+        return {}
+    used = residuals.used_by(smoother, inputs)
+    return residuals.typical(residuals.smoothed_residuals(inputs, smoother.final.pose, used), outliers=True)
 
 
 def _recorded(log: Log, inputs: Inputs) -> Inputs:

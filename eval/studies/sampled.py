@@ -59,8 +59,7 @@ def same_decisions(front: Run, runs: Sequence[Run], inputs: Inputs) -> Run:
     for run in runs:
         if run.estimator == "batch" and np.array_equal(run.final_decisions, front.final_decisions):
             return run
-    with threadpool_limits(1):
-        return batch("batch", inputs, front)
+    return batch("batch", inputs, front)
 
 
 def sample_of(
@@ -103,7 +102,7 @@ def sample_of(
 
 def one_twin(source: Source, seed: int) -> Sample:
     """All estimators on a twin, what it says about itself, and how far they are from its truth."""
-    with threadpool_limits(1):  # small matrices: more threads only wait for each other
+    with threadpool_limits(1):  # the same bytes for any number of cores, and no waiting for threads
         log = twin(source, seed)
         inputs = inputs_of(log, source.task, source.association)
         runs = compare(inputs, source.task, source.estimators, source.association, source.setup)

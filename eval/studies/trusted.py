@@ -13,7 +13,7 @@ from data.inputs import Inputs
 from data.log import Log
 from data.result import Run
 from data.se2 import Array, BoolArray
-from eval.referee import attribution, battery, effects, residuals
+from eval.referee import attribution, battery, effects, residuals, trust
 from eval.referee.attribution import ESTIMATOR, NOISE, NOTHING, Finding
 from eval.referee.residuals import Used
 from eval.referee.score import frame_of
@@ -106,18 +106,26 @@ def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[
         expected = m.expected if math.isfinite(m.expected) or not len(known) else float(np.median(known))
         p_family = float(family[i]) if len(known) else math.nan
         rows.append(Row(estimator, name, m, expected, len(known), battery.rank_p(m.value, own), p_family))
-    made = Trust(log.name, task, association, real, tuple(twins), tuple(rows), notes=_failures(real, twins))
+    made = Trust(log.name, task, association, real, tuple(twins), tuple(rows), notes=_failures(log, real, twins))
     if len(twins) < FEWEST or smoother is None or smoother.failure is not None:
         return made
     return replace(made, blame=_blame(made, inputs_of(log, task, association), smoother, drawn))
+
+
+def is_exact(covariance: Array) -> bool:
+    """Whether a covariance (3, 3) leaves some direction without doubt."""
+    return not trust.regular(covariance[None])[0]
 
 
 def _value(sample: Sample, key: Key) -> float:
     return sample.measured[key].value if key in sample.measured else math.nan
 
 
-def _failures(real: Sample, twins: Sequence[Sample]) -> tuple[str, ...]:
-    notes = [f"{name} failed ({why}), so nothing is measured of it" for name, why in real.failures.items()]
+def _failures(log: Log, real: Sample, twins: Sequence[Sample]) -> tuple[str, ...]:
+    notes = []
+    if is_exact(log.recorded.prior.covariance):
+        notes.append("the prior is exact in some direction, so the first frame has no covariance to compare")
+    notes += [f"{name} failed ({why}), so nothing is measured of it" for name, why in real.failures.items()]
     for name in dict.fromkeys(name for s in twins for name in s.failures):
         count = sum(name in s.failures for s in twins)
         notes.append(f"{name} failed in {count} of {len(twins)} twins, which do not count for it")

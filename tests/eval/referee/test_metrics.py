@@ -11,7 +11,7 @@ from eval.report.comparison import COMPARISON
 from eval.report.tutorial_table import COUNTS, HEADS
 from eval.walk.text import STATISTICS
 
-UNITS = {"_m": "m", "_deg": "deg", "_m2": "m²"}
+UNITS = {"_m": "m", "_deg": "deg", "_m2": "m²", "_rad": "rad"}
 EVERY = (*OF_ESTIMATES, *OF_DECISIONS)
 
 
@@ -21,7 +21,9 @@ def test_the_columns_of_the_files_are_the_contracts():
         "landmarks", "rmse_position_m", "rmse_heading_deg", "max_position_m", "rmse_aligned_m", "rmse_landmark_m",
         "rms_from_batch_m", "nees_pose", "nees_position", "nees_heading", "nis", "nis_lower", "nis_upper",
         "inside_3sigma", "rmse_time_m", "sse_position_m2", "sse_landmark_m2", "innovation_lag1", "innovation_lag1_se",
-            "nis_expected", "nees_pose_median", "nees_left_out", "lost_frame", "lost_why",
+        "nis_expected", "nees_pose_median", "nees_left_out", "lost_frame", "lost_why", "rmse_position_lower",
+        "rmse_position_upper", "nees_pose_lower", "nees_pose_upper", "log_score", "crps_x_m", "crps_y_m",
+        "crps_heading_rad", "energy_score_m", "block_frames",
     )  # fmt: skip
     assert ASSOCIATION == (
         "log", "task", "estimator", "association", "phase", "tp", "tn", "fp", "fn", "precision", "recall", "wrong",
@@ -45,7 +47,7 @@ def test_a_column_that_ends_with_a_unit_has_it(m):
 @pytest.mark.parametrize("m", EVERY, ids=lambda m: m.column)
 def test_what_is_expected_is_best_and_an_error_is_better_the_smaller_it_is(m):
     assert (m.better == "nearer") == (m.expected is not None)
-    if m.column.startswith(("rmse", "rms_", "max_", "sse_")):
+    if m.column.startswith(("rmse", "rms_", "max_", "sse_", "crps_")):
         assert m.better == "smaller"
 
 

@@ -1,0 +1,121 @@
+"""A run with twins: who gets them, what is kept, and that numbers do not depend on how the work was divided."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from data.inputs import Prior
+from data.log import shortened
+from data.logs import open_log
+from data.open_log.writer import write_folder
+from data.truth import Truth
+from eval.plan.execute import execute
+from eval.plan.experiments import make_plan
+from eval.plan.options import read_options
+from eval.referee.attribution import NOISE
+from eval.studies.faults import FAULTS
+from eval.studies.trusted import trust_table
+
+
+def run(folder, out, *arguments):
+    options = read_options(["--log", str(folder), "--out", str(out / "report"), "--jobs", "1", *arguments])
+    return execute(make_plan(options, lambda text: None), options, lambda done, total: None)
+
+
+@pytest.fixture(scope="module")
+def unmeasured(tmp_path_factory):
+    """A short log that nobody measured, whose odometry turns too much."""
+    log = shortened(open_log("arena:3"), 60)
+    bent = FAULTS["curvature"].put_in(log, 0.05, np.random.default_rng(0))
+    folder = tmp_path_factory.mktemp("logs") / "mine"
+    given = replace(bent, recorded=bent.recorded.without_map(), truth=Truth(), label=log.granted)
+    write_folder(given, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def outcome(unmeasured, tmp_path_factory):
+    out = tmp_path_factory.mktemp("out")
+    return out, run(unmeasured, out, "--estimator", "ekf,isam2,batch", "--twins", "19")
+
+
+def test_twins_are_of_filters_and_the_smoother(outcome):
+    _, done = outcome
+    (trust,) = done.trust
+    assert len(trust.twins) == 19
+    with_p = {r.estimator for r in trust.rows if r.twins}
+    assert with_p == {"ekf", "batch"}
+    assert {r.estimator for r in trust.rows} == {"ekf", "isam2", "batch"}
+
+
+def test_a_log_that_nobody_measured_names_its_fault_and_what_putting_it_right_brings(outcome):
+    (trust,) = outcome[1].trust
+    assert trust.blame.cause == NOISE
+    first = trust.blame.findings[0]
+    # at a constant speed a turn that grows with distance is one that grows with time
+    assert {"odometry_theta_distance", "odometry_theta_time"} <= {first.name, *first.other}
+    assert trust.done[first.name] == pytest.approx(0.05, rel=0.2)
+    assert len(trust.after.blame.objected) < 0.2 * len(trust.blame.objected)
+
+
+def test_what_is_kept_is_not_done_again_and_the_numbers_are_the_same(outcome, unmeasured, monkeypatch):
+    out, done = outcome
+    monkeypatch.setattr("eval.plan.trust.one_twin", None)
+    again = run(unmeasured, out, "--estimator", "ekf,isam2,batch", "--twins", "19")
+    assert trust_table(again.trust).to_csv() == trust_table(done.trust).to_csv()
+
+
+def test_without_twins_the_statistics_are_there_and_p_is_blank(outcome, unmeasured, tmp_path):
+    table = trust_table(run(unmeasured, tmp_path).trust)
+    assert set(table.estimator) == {"ekf", "isam2", "batch"}
+    assert table.p.isna().all()
+    assert table.p_family.isna().all()
+    assert (table.twins == 0).all()
+    known = trust_table(outcome[1].trust)
+    both = pd.merge(table, known, on=["estimator", "statistic"], suffixes=("", "_twins"))
+    assert both.value.tolist() == both.value_twins.tolist()
+
+
+def test_without_a_smoother_only_the_filters_own_innovations_are_judged(unmeasured, tmp_path):
+    table = trust_table(run(unmeasured, tmp_path, "--estimator", "ekf").trust)
+    assert set(table.statistic) == {"nis", "innovation_lag1"}
+
+
+def test_isam2_gets_twins_where_no_filter_runs(unmeasured, tmp_path):
+    (trust,) = run(unmeasured, tmp_path, "--estimator", "isam2,batch", "--twins", "2").trust
+    assert {r.estimator for r in trust.rows if r.twins == 2} == {"isam2", "batch"}
+    assert trust.blame is None
+    assert any("too few" in note for note in trust.notes)
+
+
+def test_a_log_too_short_for_twins_is_a_sentence_and_no_p(tmp_path):
+    write_folder(shortened(open_log("arena:3"), 6), tmp_path / "short")
+    (trust,) = run(tmp_path / "short", tmp_path, "--task", "localization", "--twins", "19").trust
+    assert not trust.twins
+    assert any("6 frames, at least 10 are needed" in note for note in trust.notes)
+    assert all(np.isnan(r.p) for r in trust.rows)
+
+
+def test_an_exact_prior_is_said(tmp_path):
+    log = shortened(open_log("arena:3"), 30)
+    exact = replace(log, recorded=replace(log.recorded, prior=Prior(log.truth.pose[0], np.zeros((3, 3)))))
+    write_folder(exact, tmp_path / "exact")
+    (trust,) = run(tmp_path / "exact", tmp_path, "--task", "localization").trust
+    assert any("prior is exact" in note for note in trust.notes)
+
+
+def test_with_a_scheduler_twins_are_drawn_on_the_cluster(outcome, unmeasured, tmp_path, monkeypatch):
+    asked = []
+
+    def on_cluster(address, calls):
+        asked.append((address, {function.__name__ for function, _ in calls}))
+        return ((i, function(*arguments)) for i, (function, arguments) in enumerate(calls))
+
+    monkeypatch.setattr("eval.plan.work.on_cluster", on_cluster)
+    far = run(unmeasured, tmp_path, "--estimator", "ekf,isam2,batch", "--twins", "19", "--scheduler", "tcp://there:1")
+    assert asked[0] == ("tcp://there:1", {"one_twin"})
+    assert trust_table(far.trust).to_csv() == trust_table(outcome[1].trust).to_csv()

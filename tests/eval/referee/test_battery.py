@@ -1,0 +1,95 @@
+"""P values by rank: exact by construction, and over a battery as small as the twins allow."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from eval.referee.battery import critical, family_p, rank_p, standardized
+
+
+def test_a_rank_p_value_counts_the_twins_on_its_smaller_side_twice():
+    twins = np.arange(1.0, 10.0)  # 1 ... 9
+    assert rank_p(10.0, twins) == pytest.approx(2 * 1 / 10)
+    assert rank_p(8.5, twins) == pytest.approx(2 * 2 / 10)
+    assert rank_p(1.5, twins) == pytest.approx(2 * 2 / 10)
+    assert rank_p(5.0, twins) == 1.0
+    assert np.isnan(rank_p(1.0, np.empty(0)))
+    assert np.isnan(rank_p(np.nan, twins))
+
+
+@given(hnp.arrays(float, 20, elements=st.floats(-1e6, 1e6)), st.integers(0, 19))
+def test_of_exchangeable_values_few_have_a_small_p(values, i):
+    p = np.array([rank_p(v, np.delete(values, j)) for j, v in enumerate(values)])
+    assert np.mean(p <= 0.1) <= 0.1
+    assert rank_p(values[i], np.delete(values, i)[::-1]) == p[i]
+
+
+def by_hand(own, others):
+    """Westfall and Young's algorithm 2.8, step by step, on absolute standardized values."""
+    order = sorted(range(len(own)), key=lambda i: -own[i])
+    p, before = [0.0] * len(own), 0.0
+    for rank, i in enumerate(order):
+        left = order[rank:]
+        exceed = sum(max(row[j] for j in left) >= own[i] for row in others)
+        before = max(before, (1 + exceed) / (len(others) + 1))
+        p[i] = before
+    return p
+
+
+def test_the_family_wise_p_value_is_that_of_the_step_down_procedure():
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        real, twins = rng.normal(size=6) * 3, rng.normal(size=(19, 6))
+        t, T = standardized(real, twins)
+        assert family_p(real, twins) == pytest.approx(by_hand(np.abs(t), np.abs(T)))
+
+
+def test_a_gross_fault_reaches_the_smallest_p_whatever_the_size_of_the_battery():
+    rng = np.random.default_rng(0)
+    twins = rng.normal(size=(99, 200))
+    real = rng.normal(size=200)
+    real[7] = 60.0
+    assert family_p(real, twins)[7] == 0.01
+
+
+def test_the_family_rejects_one_in_twenty_where_real_and_twins_are_alike():
+    rng = np.random.default_rng(1)
+    mixing = rng.normal(size=(12, 12))
+    rejected = 0
+    for _ in range(1000):
+        draws = rng.standard_t(4, size=(40, 12)) @ mixing
+        rejected += np.nanmin(family_p(draws[0], draws[1:])) <= 0.05
+    assert abs(rejected / 1000 - 0.05) < 0.02
+
+
+def test_what_never_varies_or_is_unknown_speaks_neither_for_nor_against():
+    rng = np.random.default_rng(2)
+    twins = np.column_stack([rng.normal(size=39), np.full(39, 0.25), rng.normal(size=39)])
+    p = family_p(np.array([0.1, 0.25, np.nan]), twins)
+    assert p[0] > 0.05
+    assert p[1] == 1.0
+    assert np.isnan(p[2])
+
+
+def test_a_share_that_twins_never_leave_convicts_a_log_that_does():
+    twins = np.column_stack([np.ones(39), np.random.default_rng(4).normal(size=39)])
+    assert family_p(np.array([0.3, 0.0]), twins)[0] == pytest.approx(1 / 40)
+
+
+def test_real_and_twins_are_standardized_alike():
+    draws = np.random.default_rng(5).normal(size=(30, 4))
+    t, T = standardized(draws[0], draws[1:])
+    u, U = standardized(draws[7], np.delete(draws, 7, axis=0))
+    assert u == pytest.approx(T[6])
+    assert U[0] == pytest.approx(t)
+
+
+def test_the_critical_value_is_exceeded_by_one_twin_in_twenty():
+    twins = np.random.default_rng(6).normal(size=(200, 30))
+    largest = np.abs(standardized(np.median(twins, axis=0), twins)[1]).max(axis=1)
+    assert np.mean(largest > critical(twins)) <= 0.05
+    assert np.mean(largest >= critical(twins)) >= 0.05

@@ -1,0 +1,106 @@
+"""Filters against smoothers on one log: which pairs there are, what their rows hold, and where they are silent."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from data.logs import open_log
+from data.result import Failure, Trajectory
+from eval.referee.along import along
+from eval.referee.score import Trial, score
+from eval.replay.run import compare
+from tests.eval.handmade import circle_log, run_with_error
+
+
+@pytest.fixture(scope="module")
+def scores():
+    log = open_log("arena:0")
+    runs = compare(log.inputs(labels=True), "localization", ["ekf", "ekf-iterated", "isam2", "batch"])
+    return score([Trial(log, "localization", tuple(runs))])
+
+
+def test_every_filter_meets_every_smoother_in_its_last_word(scores):
+    rows = scores.differences.to_dict("records")
+    assert [(r["a"], r["b"]) for r in rows] == [
+        (a, b) for a in ("ekf", "ekf-iterated") for b in ("isam2", "batch")
+    ]  # fmt: skip
+    assert {(r["phase_a"], r["phase_b"], r["association"]) for r in rows} == {("online", "final", "known")}
+
+
+def test_a_row_holds_the_differences_of_the_metrics_with_an_interval_about_them(scores):
+    row = scores.differences.to_dict("records")[1]
+    metrics = {(r["estimator"], r["phase"]): r for r in scores.metrics.to_dict("records")}
+    for name in ("rmse_position_m", "nees_pose"):
+        difference = metrics["ekf", "online"][name] - metrics["batch", "final"][name]
+        assert row[name] == pytest.approx(difference, rel=1e-9)
+    assert row["rmse_position_lower"] < row["rmse_position_m"] < row["rmse_position_upper"]
+    assert row["nees_pose_lower"] < row["nees_pose"] < row["nees_pose_upper"]
+    assert row["rmse_position_p"] < 0.01 < row["nees_pose_p"]
+    assert row["rmse_position_why"] is row["nees_pose_why"] is None
+    assert 1.0 <= row["block_frames"] <= 20.0
+
+
+def test_the_interval_of_a_run_is_about_its_number_and_the_same_whoever_else_ran(scores):
+    log = open_log("arena:0")
+    alone = score([Trial(log, "localization", tuple(compare(log.inputs(labels=True), "localization", ["ekf"])))])
+    columns = ["rmse_position_lower", "rmse_position_upper", "nees_pose_lower", "nees_pose_upper", "block_frames"]
+    (row,), first = alone.metrics.to_dict("records"), scores.metrics.to_dict("records")[0]
+    assert [row[c] for c in columns] == [first[c] for c in columns]
+    assert row["rmse_position_lower"] < row["rmse_position_m"] < row["rmse_position_upper"]
+    assert row["nees_pose_lower"] < row["nees_pose"] < row["nees_pose_upper"]
+    assert len(alone.differences) == 0
+
+
+def test_the_same_runs_have_the_same_rows():
+    log = open_log("arena:0")
+    trial = Trial(log, "localization", tuple(compare(log.inputs(labels=True), "localization", ["ekf", "batch"])))
+    first, again = (score([trial]).differences.to_dict("records") for _ in range(2))
+    assert first == again
+
+
+def test_a_map_that_drifts_as_a_whole_leaves_no_interval():
+    log = open_log("arena:0")
+    (row,) = score([Trial(log, "slam", tuple(compare(log.inputs(labels=True), "slam", ["ekf"])))]).metrics.to_dict(
+        "records"
+    )
+    assert row["rmse_position_m"] > 0.1
+    assert row["rmse_position_upper"] is row["nees_pose_upper"] is row["block_frames"] is None
+
+
+def test_a_frame_as_thin_as_the_floor_is_in_no_nees_and_no_score():
+    run = run_with_error(np.array([0.1, 0.0, 0.0]))
+    covariance = run.online.covariance.copy()
+    covariance[0] = 1e-9 * np.eye(3)
+    thin = replace(run, online=Trajectory(run.online.pose, covariance))
+    path = along(thin, "online", circle_log())
+    assert np.flatnonzero(np.isnan(path.nees["pose"])).tolist() == np.flatnonzero(path.thin).tolist() == [0]
+    sound, row = (score([Trial(circle_log(), "slam", (r,))]).metrics.iloc[0] for r in (run, thin))
+    assert row["log_score"] == pytest.approx(sound["log_score"])
+
+
+def test_a_short_log_has_scores_and_differences_without_intervals_and_says_why():
+    runs = (
+        run_with_error(np.array([0.1, 0.0, 0.0])),
+        run_with_error(np.zeros(3), estimator="batch", phases=("final",)),
+    )
+    scored = score([Trial(circle_log(), "slam", runs)])
+    (row,) = scored.differences.to_dict("records")
+    assert row["rmse_position_m"] == pytest.approx(0.1)
+    assert row["rmse_position_lower"] is row["rmse_position_p"] is row["nees_pose_p"] is None
+    assert "40 frames with truth are too few" in row["rmse_position_why"]
+    first = scored.metrics.to_dict("records")[0]
+    assert first["rmse_position_lower"] is first["block_frames"] is None
+    assert first["energy_score_m"] > 0.0
+
+
+def test_runs_that_failed_other_associations_and_logs_without_truth_are_not_compared():
+    error = np.zeros(3)
+    filtered, smoothed = run_with_error(error), run_with_error(error, estimator="batch", phases=("final",))
+    failed = run_with_error(error, failure=Failure("diverged", 5, "covariance not positive definite"))
+    other = run_with_error(error, association="jcbb")
+    assert len(score([Trial(circle_log(), "slam", (failed, smoothed))]).differences) == 0
+    assert len(score([Trial(circle_log(), "slam", (other, smoothed))]).differences) == 0
+    assert len(score([Trial(circle_log(truth=False), "slam", (filtered, smoothed))]).differences) == 0

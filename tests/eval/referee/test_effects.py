@@ -1,0 +1,80 @@
+"""Systematic errors: what is put into a log is found with its size, and comes out again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from data.inputs import Increments, Observations
+from data.logs import open_log
+from data.se2 import between
+from eval.referee.effects import effects, scored, without
+from eval.referee.residuals import Used
+
+
+def exactly(name):
+    """A log without noise, its path, and its landmarks."""
+    log = open_log(name)
+    r, pose, o = log.recorded, log.truth.pose, log.recorded.observations
+    motion = np.zeros_like(pose)
+    motion[1:] = between(pose[:-1], pose[1:])
+    places = log.truth.landmarks
+    z = r.sensor.predict(pose[o.frame], places.positions(log.truth.landmark_of))
+    inputs = replace(
+        r, prior=replace(r.prior, mean=pose[0]), increments=Increments(motion, r.increments.covariance),
+        observations=Observations(o.frame, z, o.R),
+    )  # fmt: skip
+    return inputs, pose, Used(places.rows(log.truth.landmark_of), places.xy, places.id)
+
+
+@pytest.fixture(scope="module", params=["arena:2", "linear:1"])
+def world(request):
+    return exactly(request.param)
+
+
+def test_every_error_is_found_with_its_size_and_comes_out_again(world):
+    inputs, path, used = world
+    for e in effects(inputs, path, used):
+        size = 1e-3
+        spoilt = without(inputs, path, used, {e.name: -size})
+        said = scored(spoilt, path, used).slopes()
+        if e.name in said:
+            assert said[e.name][0] == pytest.approx(size, rel=1e-3), e.name
+        healed = without(spoilt, path, used, {e.name: size})
+        assert healed.observations.z == pytest.approx(inputs.observations.z, abs=1e-12)
+        assert healed.increments.mean == pytest.approx(inputs.increments.mean, abs=1e-12)
+
+
+def test_errors_that_look_alike_are_told_apart_together(world):
+    inputs, path, used = world
+    spoilt = without(inputs, path, used, {"odometry_theta_distance": -1e-3, "odometry_theta_turn": -2e-3})
+    said = scored(spoilt, path, used)
+    chosen = np.array([said.names.index(n) for n in ("odometry_theta_distance", "odometry_theta_turn")])
+    sizes, errors = said.together(chosen)
+    assert sizes == pytest.approx([1e-3, 2e-3], rel=1e-2)
+    assert (errors > 0.0).all()
+
+
+def test_names_say_component_and_regressor(world):
+    names = [e.name for e in effects(*world)]
+    assert len(set(names)) == len(names)
+    assert {"odometry_x_distance", "odometry_theta_distance", "odometry_theta_turn", "z1_constant", "z1_range"} <= set(
+        names
+    )
+
+
+def test_a_late_reading_is_one_from_where_the_robot_was(world):
+    inputs, path, used = world
+    o, late = inputs.observations, 1e-5
+    speed = np.gradient(np.column_stack([path[:, :2], np.unwrap(path[:, 2])]), inputs.time, axis=0)
+    then = inputs.sensor.predict((path - late * speed)[o.frame], used.landmarks[used.number])
+    rate = inputs.sensor.residual(then, o.z) / late
+    columns = {e.name: e.readings for e in effects(inputs, path, used)}
+    shown = sum(columns[n] for n in ("z1_speed", "z2_speed", "z1_turn_rate", "z2_turn_rate") if n in columns)
+    assert shown == pytest.approx(rate, abs=0.02 * np.abs(rate).max())  # less than a hundredth is left out
+
+
+def test_what_turning_does_not_change_has_no_slope_against_it():
+    assert "z1_turn_rate" not in [e.name for e in effects(*exactly("arena:2"))]

@@ -1,0 +1,169 @@
+"""Intervals of one log: the stationary bootstrap against its law, against `arch`, and where it must not speak."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from eval.referee.intervals import (
+    MIN_FRAMES,
+    REPLICATES,
+    block_length,
+    independent_frames,
+    resampled_means,
+    run_differences,
+    run_intervals,
+)
+
+
+def rng(seed=0):
+    return np.random.default_rng(seed)
+
+
+def correlated(coefficient, frames, series, seed):
+    """Stationary AR(1) series (series, frames) of variance 1."""
+    burn = 300 if coefficient <= 0.95 else 3000
+    noise = rng(seed).standard_normal((series, burn + frames)) * math.sqrt(1.0 - coefficient**2)
+    return signal.lfilter([1.0], [1.0, -coefficient], noise, axis=1)[:, burn:]
+
+
+def squares(coefficient, frames, series, seed):
+    """Squared distances (series, frames), mean 2, of two such coordinates."""
+    x = correlated(coefficient, frames, 2 * series, seed)
+    return x[:series] ** 2 + x[series:] ** 2
+
+
+def test_blocks_as_long_as_the_log_only_turn_it_round():
+    values = rng().random((70, 2))
+    means = resampled_means(values, 1e9, rng(1), 50)
+    assert means == pytest.approx(np.tile(values.mean(axis=0), (50, 1)), rel=1e-12)
+
+
+@pytest.mark.parametrize("block", [1.0, 4.0, 25.0])
+def test_resampled_means_scatter_as_the_stationary_bootstrap_does(block):
+    """Politis & Romano 1994, lemma 1: n var = R(0) + 2 sum (1 - i/n)(1 - p)^i R(i), R the log's circular covariance."""
+    x = squares(0.8, 200, 1, 2)[0]
+    n, centred = len(x), x - x.mean()
+    i = np.arange(1, n)
+    R = np.array([centred @ np.roll(centred, k) / n for k in range(n)])
+    variance = (R[0] + 2.0 * np.sum((1.0 - i / n) * (1.0 - 1.0 / block) ** i * R[1:])) / n
+    means = resampled_means(x[:, None], block, rng(3), 20_000)[:, 0]
+    assert means.mean() == pytest.approx(x.mean(), abs=4.0 * math.sqrt(variance / 20_000))
+    assert means.var() == pytest.approx(variance, rel=0.05)  # its standard error is 1 %
+
+
+def test_resampled_means_are_distributed_as_those_of_arch():
+    from arch.bootstrap import StationaryBootstrap
+
+    x = squares(0.9, 300, 1, 4)[0]
+    theirs = StationaryBootstrap(12, x, seed=rng(5)).apply(np.mean, 1000)[:, 0]
+    ours = resampled_means(x[:, None], 12.0, rng(6), 1000)[:, 0]
+    levels = [0.025, 0.25, 0.5, 0.75, 0.975]
+    assert np.quantile(ours, levels) == pytest.approx(np.quantile(theirs, levels), abs=0.35 * theirs.std())
+
+
+def test_without_correlation_the_interval_is_the_classical_one():
+    d2, nees = rng(7).chisquare(2, 2000), rng(8).chisquare(3, 2000)
+    rmse, mean = run_intervals(d2, nees, rng(9))
+    half = 1.96 * nees.std(ddof=1) / math.sqrt(2000)
+    assert (mean.lower, mean.upper) == pytest.approx((nees.mean() - half, nees.mean() + half), abs=0.15 * half)
+    half = 1.96 * d2.std(ddof=1) / math.sqrt(2000) / (2.0 * rmse.value)  # of a root: by its slope
+    assert (rmse.lower, rmse.upper) == pytest.approx((rmse.value - half, rmse.value + half), abs=0.15 * half)
+    assert rmse.value == pytest.approx(math.sqrt(d2.mean()))
+    assert rmse.block < 5.0
+
+
+def test_correlation_widens_the_interval():
+    """The standard errors of the means are apart by the root of (1 + 0.95²)/(1 - 0.95²), 4.4."""
+    white, wide = (run_intervals(x, x, rng())[1] for x in (squares(c, 3000, 1, 1)[0] for c in (0.0, 0.95)))
+    assert wide.upper - wide.lower == pytest.approx(4.4 * (white.upper - white.lower), rel=0.4)
+    assert wide.block > 10.0 * white.block
+
+
+def test_a_log_is_worth_as_many_frames_as_theory_says():
+    """For AR(1) squares, whose correlation is the coefficient's square: n (1 - a)/(1 + a)."""
+    worth = [independent_frames(x) for x in squares(0.8, 2000, 40, 3)]
+    assert np.mean(worth) == pytest.approx(2000 * (1.0 - 0.64) / (1.0 + 0.64), rel=0.1)
+    assert independent_frames(squares(0.0, 2001, 1, 4)[0]) > 1600.0
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_one_does_not():
+    x = squares(0.5, 400, 1, 5)[0]
+    first, again, other = (run_intervals(x, 1.5 * x, rng(seed)) for seed in (1, 1, 2))
+    assert first == again != other
+
+
+def test_frames_without_truth_are_left_out():
+    x = squares(0.5, 400, 1, 6)[0]
+    gaps = np.insert(x, [0, 50, 50, 399], np.nan)
+    assert run_intervals(gaps, gaps, rng()) == run_intervals(x, x, rng())
+
+
+@pytest.mark.parametrize(
+    ("values", "why"),
+    [
+        (np.full(200, np.nan), "no frame has a true pose"),
+        (
+            rng().chisquare(2, MIN_FRAMES - 1),
+            f"{MIN_FRAMES - 1} frames with truth are too few, {MIN_FRAMES} are needed",
+        ),
+        (np.full(200, 0.3), "does not vary"),
+        (np.linspace(0.0, 1.0, 200) ** 2, "worth about . independent ones, 20 are needed"),
+        (squares(0.99, 200, 1, 7)[0], "independent ones"),
+    ],
+    ids=["no truth", "short", "constant", "drift", "correlated"],
+)
+def test_where_chance_cannot_be_told_there_is_a_reason_and_no_interval(values, why):
+    for found in run_intervals(values, values, rng()):
+        assert re.search(why, found.why)
+        assert math.isnan(found.lower)
+        assert math.isnan(found.upper)
+        assert found.value == pytest.approx(np.sqrt(values.mean()), nan_ok=True) or found.value == values.mean()
+
+
+def test_a_run_without_nees_still_has_an_interval_of_its_rmse():
+    x = squares(0.5, 400, 1, 8)[0]
+    rmse, nees = run_intervals(x, np.full(400, np.nan), rng())
+    assert rmse.lower < rmse.value < rmse.upper
+    assert nees.why
+    assert math.isnan(nees.value)
+
+
+def test_both_intervals_have_the_longer_of_the_blocks_that_can_be_had():
+    smooth, white, drift = squares(0.9, 1000, 1, 1)[0], squares(0.0, 1000, 1, 2)[0], np.linspace(0.0, 1.0, 1000)
+    for pair in ((smooth, white), (white, smooth)):
+        assert [i.block for i in run_intervals(*pair, rng())] == [block_length(smooth)] * 2
+    refused, given = run_intervals(drift, white, rng())
+    assert refused.why
+    assert given.block == block_length(white) < refused.block
+
+
+def test_what_two_runs_share_cancels_in_their_difference():
+    common = squares(0.9, 1000, 1, 9)[0]
+    own = 0.05 * rng(10).standard_normal(1000)
+    a, b = common + 0.1 + own, common
+    paired, _ = run_differences((a, b), (a, b), rng())
+    alone, _ = run_intervals(a, a, rng())
+    assert paired.value == pytest.approx(math.sqrt(a.mean()) - math.sqrt(b.mean()))
+    assert 0.0 < paired.lower < paired.value < paired.upper
+    assert paired.upper - paired.lower < 0.2 * (alone.upper - alone.lower)
+    assert paired.p == 1.0 / (1 + REPLICATES)
+
+
+def test_exchanging_the_runs_turns_the_sign_and_keeps_p():
+    a, b = squares(0.5, 500, 2, 11)
+    there, _ = run_differences((a, b), (a, b), rng())
+    back, _ = run_differences((b, a), (b, a), rng())
+    assert (back.value, back.lower, back.upper) == pytest.approx((-there.value, -there.upper, -there.lower))
+    assert back.p == there.p > 0.01
+
+
+def test_the_block_length_grows_with_correlation_as_politis_and_white_say():
+    """Of AR(1) with coefficient a: (2a/(1 - a²))^(2/3) n^(1/3), here for a = 0.5: 16.6."""
+    found = np.median([block_length(x) for x in correlated(0.5, 2500, 60, 12)])
+    assert found == pytest.approx((2 * 0.5 / (1 - 0.25)) ** (2 / 3) * 2500 ** (1 / 3), rel=0.15)
+    assert block_length(np.tile([0.0, 1.0], 100) + 0.1 * rng().random(200)) >= 1.0

@@ -1,0 +1,138 @@
+"""The filter-smoother test: its answer is known on paper, and in a linear world it is exact."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from data.result import Trajectory
+from data.worlds.linear import LinearWorld, simulate
+from eval.referee import trust
+from eval.referee.trust import difference, filter_smoother
+from eval.replay.run import compare
+
+I3 = np.eye(3)
+
+
+def path(*poses, covariance=I3):
+    return Trajectory(np.array(poses, float), np.tile(np.asarray(covariance, float), (len(poses), 1, 1)))
+
+
+def test_the_square_of_the_difference_is_taken_under_the_difference_of_the_covariances():
+    found = difference(path([3.0, 0.0, 0.0], covariance=4 * I3), path([0.0, 0.0, 0.0]))
+    assert found.square == pytest.approx([3.0])  # 3^2 / (4 - 1)
+    assert found.dof.tolist() == [3]
+    assert found.sigma[0] == pytest.approx(3 * [math.sqrt(3.0)])
+    assert found.semidefinite.tolist() == [True]
+
+
+def test_headings_are_subtracted_the_short_way_round():
+    found = difference(path([0.0, 0.0, math.pi - 0.1], covariance=2 * I3), path([0.0, 0.0, 0.1 - math.pi]))
+    assert found.d[0, 2] == pytest.approx(-0.2)
+
+
+def test_a_direction_that_later_data_told_nothing_of_is_not_compared():
+    nearly = np.diag([1.0, 1.0, 1.0 - 0.5 * trust.SHARE])
+    found = difference(path([1.0, 0.0, 5.0], covariance=np.diag([2.0, 2.0, 1.0])), path([0, 0, 0], covariance=nearly))
+    assert found.dof.tolist() == [2]
+    assert found.square == pytest.approx([1.0])
+    assert np.isnan(found.sigma[0, 2])
+
+
+def test_directions_are_those_of_the_covariances_and_not_of_the_axes():
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    P_f, P_s = turn @ np.diag([5.0, 4.0, 3.0]) @ turn.T, turn @ np.diag([1.0, 4.0, 3.0]) @ turn.T
+    found = difference(path(2.0 * turn[:, 0], covariance=P_f), path([0, 0, 0], covariance=P_s))
+    assert found.dof.tolist() == [1]
+    assert found.square == pytest.approx([1.0])
+
+
+def test_a_filter_that_claims_to_know_more_than_the_smoother_is_not_semidefinite():
+    sure = np.diag([1.0, 1.0, 1.0 - 2 * trust.TOLERANCE])
+    assert difference(path([0, 0, 0], covariance=sure), path([0, 0, 0])).semidefinite.tolist() == [False]
+    rounded = np.diag([1.0, 1.0, 1.0 - 0.5 * trust.TOLERANCE])
+    assert difference(path([0, 0, 0], covariance=rounded), path([0, 0, 0])).semidefinite.tolist() == [True]
+
+
+def test_a_frame_whose_filter_is_certain_in_some_direction_is_left_out_of_everything():
+    online = Trajectory(np.zeros((2, 3)), np.stack([np.diag([1.0, 0.0, 1.0]), 2 * I3]))
+    found = difference(online, path([0, 0, 0], [0, 0, 0]))
+    assert found.comparable.tolist() == [False, True]
+    assert np.isnan(found.square).tolist() == [True, False]
+    assert filter_smoother(found)["filter_smoother_semidefinite"].value == 1.0
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_units_do_not_matter(seed):
+    rng = np.random.default_rng(seed)
+    A, B, d = rng.normal(size=(3, 3)), rng.normal(size=(3, 3)), 0.1 * rng.normal(size=3)
+    P_s = B @ B.T + 0.1 * I3
+    P_f, D = P_s + A @ A.T, np.diag([1000.0, 1.0, 1.0])
+    one = difference(path(d, covariance=P_f), path([0, 0, 0], covariance=P_s))
+    other = difference(path(D @ d, covariance=D @ P_f @ D), path([0, 0, 0], covariance=D @ P_s @ D))
+    assert other.dof == one.dof
+    assert other.square == pytest.approx(one.square, rel=1e-6)
+
+
+def test_the_expected_median_is_that_of_the_frames_degrees_of_freedom_mixed():
+    assert trust._median(np.full(4, 3.0)) == pytest.approx(2.36597, abs=1e-4)
+    draws = np.concatenate([stats.chi2(k).rvs(200_000, random_state=k) for k in (1, 3)])
+    assert trust._median(np.array([1.0, 3.0])) == pytest.approx(np.median(draws), abs=0.01)
+
+
+def test_the_largest_excursion_comes_with_its_frame_and_the_share_inside_three_sigma():
+    online = path([0, 0, 0], [0, -8.0, 0], [0, 0, 0], [1.0, 0, 0], covariance=2 * I3)
+    said = filter_smoother(difference(online, path(*np.zeros((4, 3)))))
+    assert (said["filter_smoother_largest"].value, said["filter_smoother_largest"].frame) == (8.0, 1)
+    assert said["filter_smoother_inside_y"].value == 0.75
+    assert said["filter_smoother_inside_x"].value == 1.0
+    assert said["filter_smoother_rms_x"].value == pytest.approx(0.5)
+    assert said["filter_smoother_mean"].value == pytest.approx((64.0 + 1.0) / 4)
+
+
+def test_without_a_single_comparable_frame_there_is_no_number():
+    assert filter_smoother(difference(path([0, 0, 0], covariance=0 * I3), path([0, 0, 0], covariance=0 * I3))) == {}
+
+
+def drives(runs, frames=20):
+    for seed in range(runs):
+        inputs = simulate(LinearWorld(frames=frames), seed).inputs(labels=True)
+        yield inputs, compare(inputs, "localization", ("ekf", "batch"))
+
+
+def test_filter_and_smoother_agree_in_a_linear_world_and_an_overconfident_filter_does_not():
+    frame, sound, broken = 10, [], []
+    for _, (ekf, batch) in drives(40):
+        sound.append(difference(ekf.online, batch.final).square[frame])
+        claimed = replace(ekf.online, covariance=0.3 * ekf.online.covariance + 0.7 * batch.final.covariance)
+        broken.append(difference(claimed, batch.final).square[frame])
+    assert stats.kstest(sound, stats.chi2(3).cdf).pvalue > 0.01
+    assert stats.kstest(broken, stats.chi2(3).cdf).pvalue < 1e-4
+
+
+@pytest.mark.slow
+def test_the_size_of_the_filter_smoother_test_is_exact_in_a_linear_world():
+    squares = np.array([difference(ekf.online, batch.final).square[[5, 10, 15]] for _, (ekf, batch) in drives(2000)])
+    share = np.mean(squares > stats.chi2(3).ppf(0.95), axis=0)
+    assert np.all(np.abs(share - 0.05) < 0.01), share
+
+
+def test_statistics_of_both_kinds_of_estimator_have_the_names_that_files_use():
+    inputs, (ekf, batch) = next(drives(1))
+    online = trust.of_online(ekf, batch, inputs)
+    assert {
+        "nis",
+        "innovation_lag1",
+        *(f"filter_smoother_{n}" for n in ("mean", "median", "semidefinite", "rms_x")),
+    } <= set(online)
+    said = trust.of_smoother(batch, inputs).statistics
+    parts = ("odometry_x", "odometry_y", "odometry_theta", "z1", "z2")
+    assert {f"residual_{p}_{s}" for p in parts for s in ("mean", "spread", "lag1", "largest")} <= set(said)
+    assert {"slope_odometry_theta_distance", "slope_odometry_x_distance", "slope_z1_range"} <= set(said)
+    assert all(math.isfinite(m.value) for m in (*online.values(), *said.values()))

@@ -1,0 +1,80 @@
+"""The difference between filter and smoother in a table, in a sentence, and in the answer on a log."""
+
+from __future__ import annotations
+
+from eval.referee.differences import DIFFERENCES
+from eval.referee.score import METRICS, frame_of
+from eval.report.answer import answer
+from eval.report.differences import difference_sentence, differences_table, missing_intervals
+from tests.eval.report.test_answer import FILTER, SMOOTHER
+
+ROW = {
+    "log": "arena", "task": "slam", "association": "known", "a": "ekf", "b": "batch", "phase_a": "online",
+    "phase_b": "final", "rmse_position_m": 0.02, "rmse_position_lower": 0.0031, "rmse_position_upper": 0.0412,
+    "rmse_position_p": 0.013, "nees_pose": -0.4, "nees_pose_lower": -0.9, "nees_pose_upper": 0.12, "nees_pose_p": 0.12,
+    "block_frames": 14.2, "rmse_position_why": None, "nees_pose_why": None,
+}  # fmt: skip
+SILENT = dict.fromkeys(c for c in ROW if c.endswith(("_lower", "_upper", "_p"))) | {
+    "rmse_position_why": "40 frames are too few", "nees_pose_why": "40 frames are too few",
+}  # fmt: skip
+
+
+def sentence(**changed) -> str:
+    return difference_sentence([ROW | changed], FILTER, SMOOTHER)
+
+
+def test_the_sentence_says_by_how_much_with_interval_p_and_what_it_rests_on():
+    assert sentence() == (
+        "The smoother's RMSE is lower by 0.0200 m, 95 % interval 0.0031 to 0.0412 m, p = 0.013; one log, errors"
+        " correlated over about 14 frames, and another log's map would err otherwise."
+    )
+    assert sentence(task="localization").endswith("correlated over about 14 frames.")
+
+
+def test_a_worse_smoother_is_higher_with_the_interval_turned_round():
+    text = sentence(rmse_position_m=-0.02, rmse_position_lower=-0.0412, rmse_position_upper=0.0031, rmse_position_p=0.2)
+    assert "is higher by 0.0200 m, 95 % interval −0.0031 to 0.0412 m, p = 0.200;" in text
+    assert text.endswith("would err otherwise, so it may be chance.")
+    assert "chance" not in sentence()
+    assert "may be chance" in sentence(rmse_position_p=0.06)
+    assert "may be chance" in sentence(rmse_position_lower=-0.001)
+
+
+def test_without_an_interval_it_says_why_and_no_number():
+    text = sentence(**SILENT)
+    assert text == "Whether the difference is chance this log cannot tell: 40 frames are too few."
+
+
+def test_only_the_pair_that_is_compared_is_spoken_of():
+    assert sentence(b="isam2") == sentence(association="jcbb") == difference_sentence([], FILTER, SMOOTHER) == ""
+
+
+def test_the_answer_has_the_sentence_beside_the_errors():
+    metrics, apart = frame_of([FILTER, SMOOTHER], METRICS), frame_of([ROW], DIFFERENCES)
+    text = answer(metrics, differences=apart)
+    assert f"times the smoother's. {sentence()} Mean pose NEES" in text
+    assert answer(metrics) == text.replace(f" {sentence()}", "")
+
+
+def test_the_table_has_a_row_for_each_pair_and_names_the_association_only_where_there_are_several():
+    rows = frame_of([ROW, ROW | SILENT | {"b": "isam2"}], DIFFERENCES)
+    table = differences_table(rows)
+    assert list(table.columns) == [
+        "filter", "smoother", "RMSE difference [m]", "its 95 % interval", "p", "NEES difference",
+        "95 % interval of NEES", "p of NEES", "mean block [frames]",
+    ]  # fmt: skip
+    assert table.iloc[0].tolist() == [
+        "ekf", "batch", 0.02, "0.0031 to 0.0412", "0.013", -0.4, "−0.900 to 0.120", "0.120", 14.2
+    ]  # fmt: skip
+    assert table.loc[1, "p"] is None
+    both = differences_table(frame_of([ROW, ROW | {"association": "jcbb"}], DIFFERENCES))
+    assert both["association"].tolist() == ["known", "jcbb"]
+
+
+def test_reasons_for_missing_intervals_are_said_once_each():
+    rows = frame_of([ROW, ROW | SILENT, ROW | SILENT | {"b": "isam2"}], DIFFERENCES)
+    assert missing_intervals(rows) == (
+        "* RMSE of ekf and batch, ekf and isam2: no interval; 40 frames are too few.\n"
+        "* NEES of ekf and batch, ekf and isam2: no interval; 40 frames are too few."
+    )
+    assert missing_intervals(frame_of([ROW], DIFFERENCES)) == ""

@@ -1,0 +1,145 @@
+"""A twin is its log drawn again: same frames, same landmarks, same covariances, everything else anew."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from association.known import known_decisions
+from data import se2
+from data.errors import UsageError
+from data.inputs import CLUTTER, Prior
+from data.log import shortened
+from data.logs import open_log
+from data.result import Failure
+from eval.replay.run import compare
+from eval.replay.settings import Setup
+from eval.studies import sampled
+from eval.studies.sampled import one_twin, sample_of, smoother_of
+from eval.studies.twins import digest_of, inputs_of, source_of, twin
+
+
+def made(name="arena:1", task="slam", association="known", frames=60, estimators=("ekf",)):
+    log = shortened(open_log(name), frames)
+    inputs = inputs_of(log, task, association)
+    runs = compare(inputs, task, (*estimators, "batch"), association)
+    return log, runs, source_of(log, smoother_of(runs, inputs), estimators, Setup())
+
+
+@pytest.fixture(scope="module")
+def source():
+    return made()[2]
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_does_not(source):
+    one, same, other = twin(source, 5).recorded, twin(source, 5).recorded, twin(source, 6).recorded
+    for get in (lambda r: r.prior.mean, lambda r: r.increments.mean, lambda r: r.observations.z):
+        assert get(one).tobytes() == get(same).tobytes()
+        assert get(one).tobytes() != get(other).tobytes()
+
+
+def test_what_is_stated_stays_as_it_was(source):
+    real, drawn = source.log.recorded, twin(source, 0).recorded
+    assert drawn.time.tobytes() == real.time.tobytes()
+    assert drawn.increments.covariance.tobytes() == real.increments.covariance.tobytes()
+    assert drawn.observations.R.tobytes() == real.observations.R.tobytes()
+    assert drawn.observations.frame.tobytes() == real.observations.frame.tobytes()
+    assert drawn.prior.covariance.tobytes() == real.prior.covariance.tobytes()
+
+
+def test_errors_of_twins_have_the_stated_covariances_and_no_mean(source):
+    logs = [twin(source, seed) for seed in range(200)]
+    r = source.log.recorded
+    o, seen = r.observations, source.landmark_of >= 0
+    motion = np.array([t.recorded.increments.mean[1:] - se2.between(source.path[:-1], source.path[1:]) for t in logs])
+    exact = r.sensor.predict(source.path[o.frame[seen]], source.landmarks.positions(source.landmark_of[seen]))
+    z = np.array([r.sensor.residual(t.recorded.observations.z[seen], exact) for t in logs])
+    first = np.array([se2.pose_error(t.recorded.prior.mean, source.path[0]) for t in logs])
+    for errors, stated in (
+        (motion, r.increments.covariance[1:]),
+        (z, o.R[seen]),
+        (first[:, None], r.prior.covariance[None]),
+    ):
+        squares = np.einsum("rni,nij,rnj->rn", errors, np.linalg.inv(stated), errors)
+        d = errors.shape[-1]
+        assert squares.mean() == pytest.approx(d, abs=5.0 * np.sqrt(2.0 * d / squares.size))
+        white = np.linalg.solve(np.linalg.cholesky(stated), errors.mean(axis=0)[..., None])
+        assert np.mean(white**2) * len(logs) == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / white.size))
+
+
+def test_the_labels_of_a_twin_are_the_pairings_of_the_smoother_and_clutter_is_copied_as_read():
+    log, runs, source = made("corridor:0:people", frames=44)
+    t = twin(source, 0)
+    clutter = t.truth.landmark_of == CLUTTER
+    assert clutter.any()
+    assert t.recorded.observations.z[clutter].tobytes() == log.recorded.observations.z[clutter].tobytes()
+    same, _ = known_decisions(inputs_of(t, "slam", "known"))
+    assert same.tolist() == runs[0].decisions.tolist()
+
+
+def test_in_localization_the_map_stays_and_in_slam_it_is_not_given():
+    assert twin(made(task="localization")[2], 0).recorded.map is not None
+    assert twin(made(task="slam")[2], 0).recorded.map is None
+
+
+def test_a_twin_has_a_truth_and_who_is_right_is_right_about_it():
+    source = made("linear:0", frames=30)[2]
+    samples = [one_twin(source, seed) for seed in range(12)]
+    nees = np.array([s.nees["ekf", "online"] for s in samples])
+    assert abs(nees.mean() - 3.0) < 4.0 * nees.std() / np.sqrt(len(nees))
+    assert all(s.counts["ekf"][2:] == (0, 0) for s in samples)
+
+
+def test_methods_that_decide_themselves_are_counted_on_twins():
+    source = made("corridor:0", association="jcbb", frames=30)[2]
+    tp, tn, fp, fn = one_twin(source, 0).counts["ekf"]
+    assert tp + tn + fp + fn == len(source.log.recorded.observations.frame)
+    assert tp > 0
+
+
+def test_an_exact_prior_is_drawn_exactly():
+    log = shortened(open_log("arena:1"), 40)
+    r = replace(log.recorded, prior=Prior(log.truth.pose[0], np.zeros((3, 3))))
+    log = replace(log, recorded=r)
+    inputs = inputs_of(log, "slam", "known")
+    source = source_of(log, smoother_of(compare(inputs, "slam", ("ekf", "batch")), inputs), ("ekf",), Setup())
+    assert twin(source, 0).recorded.prior.mean == pytest.approx(log.truth.pose[0], abs=1e-9)
+
+
+def test_what_cannot_have_twins_is_a_sentence():
+    log, runs, _ = made()
+    with pytest.raises(UsageError, match="5 frames, at least 10"):
+        source_of(shortened(log, 5), runs[-1], ("ekf",), Setup())
+    failed = replace(runs[-1], failure=Failure("diverged", 0, "landmark 3 is not determined"))
+    with pytest.raises(UsageError, match=r"failed .landmark 3 is not determined"):
+        source_of(log, failed, ("ekf",), Setup())
+
+
+def test_the_digest_changes_with_whatever_a_twin_depends_on(source):
+    moved = replace(source, path=source.path + 1e-9)
+    other = replace(source, estimators=("ekf", "ekf-fej"))
+    gated = replace(source, setup=Setup(gate_known=0.99))
+    assert len({digest_of(s) for s in (source, moved, other, gated)}) == 4
+    assert digest_of(source) == digest_of(replace(source))
+
+
+def test_a_sample_that_was_kept_comes_back_and_a_damaged_one_does_not(source, tmp_path):
+    sample = one_twin(source, 3)
+    file = tmp_path / "3.json"
+    sampled.save(file, sample)
+    assert repr(sampled.load(file)) == repr(sample)
+    file.write_bytes(file.read_bytes()[:-20])
+    assert sampled.load(file) is None
+    assert sampled.load(tmp_path / "4.json") is None
+
+
+def test_every_estimator_is_measured_against_the_smoother_of_its_own_decisions():
+    log, runs, _ = made("corridor:0:people", association="nn", frames=44, estimators=("ekf", "isam2"))
+    inputs = inputs_of(log, "slam", "nn")
+    smoother = smoother_of(runs, inputs)
+    assert smoother.final_decisions.tolist() == runs[0].final_decisions.tolist()
+    sample = sample_of(log, "slam", "nn", runs, smoother)
+    assert {e for e, _ in sample.measured} == {"ekf", "isam2", "batch"}
+    assert set(sample.apart) == {"ekf", "isam2"}

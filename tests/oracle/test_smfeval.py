@@ -1,0 +1,110 @@
+"""The peer `smfeval` on the same trajectory: its NEES, CRPS, log score, energy score and bootstrap interval.
+
+It reads wide TUM (pose and the lower triangle of the 6x6 covariance in a row) and scores translations alone. So the
+heading is written as height: its translation is then our pose, its covariance ours. Rotations are all the identity:
+then the tangent space of a pose is the world frame.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from smfeval.cli.main import main as smfeval
+from smfeval.io import load_estimate
+from smfeval.scoring import energy_score as their_energy_score
+from smfeval.scoring import gaussian_log_score_components, summarize, translation_crps
+
+from data import se2
+from data.logs import open_log
+from eval.referee import proper_scores
+from eval.referee.along import along
+from eval.referee.intervals import SEED, run_intervals
+from eval.referee.score import Trial, score
+from eval.replay.run import compare
+
+ROTATION = (0.0, 0.0, 0.0, 1.0)
+
+
+@pytest.fixture(scope="module")
+def scored():
+    """Log, run, the row of metrics.csv, and errors frame by frame."""
+    log = open_log("arena:3")
+    (run,) = compare(log.inputs(labels=True), "localization", ["ekf"])
+    (row,) = score([Trial(log, "localization", (run,))]).metrics.to_dict("records")
+    return log, run, row, along(run, "online", log)
+
+
+@pytest.fixture(scope="module")
+def files(scored, tmp_path_factory):
+    """Estimate in wide TUM, truth in TUM."""
+    log, run, _, _ = scored
+    folder = tmp_path_factory.mktemp("tum")
+    truth = log.truth.pose
+    # the heading beside its truth, so that no height jumps by a turn
+    height = truth[:, 2] + se2.pose_error(run.online.pose, truth)[:, 2]
+    wide, plain = [], []
+    for k, t in enumerate(log.recorded.time):
+        C = 1e-4 * np.eye(6)
+        C[:3, :3] = run.online.covariance[k]
+        entries = [C[i, j] for i in range(6) for j in range(i + 1)]
+        wide.append([t, *run.online.pose[k, :2], height[k], *ROTATION, *entries])
+        plain.append([t, *truth[k], *ROTATION])
+    for name, rows in (("estimate.tum", wide), ("truth.tum", plain)):
+        (folder / name).write_text("".join(" ".join(repr(float(v)) for v in row) + "\n" for row in rows))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def steps(files):
+    return load_estimate(files / "estimate.tum", body_frame="robot")[1]
+
+
+def test_its_median_nees_is_ours(scored, files, capsys):
+    command = ["nees", str(files / "estimate.tum"), str(files / "truth.tum"), "--align", "none"]
+    assert smfeval([*command, "--est-body-frame", "robot", "--ref-body-frame", "robot"]) == 0
+    theirs = float(re.search(r"median NEES ([\d.e+-]+)", capsys.readouterr().out)[1])
+    assert scored[2]["nees_pose_median"] == pytest.approx(theirs, rel=5e-3)  # it prints three digits
+
+
+def test_its_log_score_and_crps_are_ours(scored, steps):
+    log, _, row, _ = scored
+    theirs = [gaussian_log_score_components(s, y, np.array(ROTATION)) for s, y in zip(steps, log.truth.pose)]
+    assert row["log_score"] == pytest.approx(np.mean([t.translation.log_score for t in theirs]), rel=1e-9)
+    assert row["nees_pose"] == pytest.approx(np.mean([t.translation.nees for t in theirs]), rel=1e-9)
+    each = np.mean([translation_crps(s, y) for s, y in zip(steps, log.truth.pose)])
+    assert row["crps_x_m"] + row["crps_y_m"] + row["crps_heading_rad"] == pytest.approx(3.0 * each, rel=1e-9)
+
+
+def test_its_sampled_energy_score_scatters_about_ours(scored, steps):
+    log, run, _, _ = scored
+    rng = np.random.default_rng(0)
+    rows = np.arange(5, len(steps), 5)
+    ours = proper_scores.energy_score(
+        se2.pose_error(run.online.pose, log.truth.pose)[rows, :2], run.online.covariance[rows, :2, :2]
+    )
+    on_the_plane = np.diag([1.0, 1.0, 0.0, 1.0, 1.0, 1.0])  # without the height that is our heading
+    flat = [
+        replace(
+            steps[k],
+            translation=on_the_plane[:3, :3] @ steps[k].translation,
+            covariance=on_the_plane @ steps[k].covariance @ on_the_plane,
+        )
+        for k in rows
+    ]
+    truth = log.truth.pose[rows] @ on_the_plane[:3, :3]
+    theirs = [their_energy_score(s, y, rng=rng) for s, y in zip(flat, truth)]
+    off = np.array(theirs) / ours - 1.0
+    assert abs(off.mean()) < 4.0 * off.std(ddof=1) / np.sqrt(len(off))
+    assert off.std() < 0.2
+
+
+def test_its_bootstrap_interval_is_ours_with_the_same_block_length(scored):
+    path = scored[3]
+    _, nees = run_intervals(path.distance**2, path.nees["pose"], np.random.default_rng(SEED))
+    theirs = summarize(path.nees["pose"], n_bootstrap=4000, block_length=nees.block, rng=np.random.default_rng(1))
+    half = 0.5 * (theirs.ci_high - theirs.ci_low)
+    assert (nees.lower, nees.upper) == pytest.approx((theirs.ci_low, theirs.ci_high), abs=0.12 * half)
+    assert scored[2]["nees_pose_lower"] == nees.lower
