@@ -42,13 +42,13 @@ def validation_section(study: Validation, found: Sequence[Examined], table: Writ
 
 SIZE_CAPTION = (
     "Logs that are right: share that the battery objects to, with its exact (Clopper-Pearson) interval; share whose"
-    " NIS, of filter or smoother, is outside its 95 % bounds; causes named. An estimator is named where its NEES on"
-    " twins is off, which is right where linearization makes it so."
+    " NIS, of filter or smoother, is outside its 95 % bounds; causes named. An estimator is named where its NEES or NIS"
+    " on twins is off, which is right where linearization makes it so."
 )
 POWER_CAPTION = (
-    "Faults: share of the logs in which the battery objects (a broken filter also where its NEES on twins is off) with"
-    " its binomial standard error, and share in which NIS alone would; of the detected, the share put down to the right"
-    " cause, and the cause most often named instead."
+    "Faults: share of the logs in which the battery objects (a broken filter also where its NEES or NIS on twins is"
+    " off) with its binomial standard error, and share in which NIS alone would; of the detected, the share put down to"
+    " the right cause, and the cause most often named instead."
 )
 
 

@@ -94,7 +94,7 @@ class Case:
     world: World
     seed: int
     fault: str = SOUND
-    size: float = math.nan
+    size: float = 0.0
     broken: tuple[tuple[str, float], ...] = ()
 
 
@@ -107,7 +107,7 @@ class Examined:
         p: smallest family-wise p value. objected: whether the battery rejects.
         cause: what it is attributed to. found: kinds and names of the findings, the weightiest first.
         nis: whether the NIS of filter or smoother is outside its 95 % bounds.
-        convicted: whether the twins' own NEES is off.
+        convicted: whether an estimator is off on the twins, in NEES or NIS.
         failure: why there is no judgement; empty otherwise.
     """
 
