@@ -19,7 +19,7 @@ from eval.studies.trusted import Trust
 HEADING = "Trust without ground truth"
 CAPTION = (
     "What the log says of itself, no truth used: P_f and P_s are the covariances of the online and of the smoothed"
-    " pose, d is their difference. All statistics: `trust.csv`; definitions: docs/verdicts.md."
+    " pose, d is their difference. All statistics: trust.csv; definitions: docs/verdicts.md."
 )
 WITH_TWINS = " First what lies outside what the twins show (family-wise p at most 0.05)."
 WITHOUT = " Standard errors are those of the noise as stated; without twins there is no p value."
@@ -37,8 +37,9 @@ def of_trial(trial: Trial, said: Sequence[Trust]) -> list[Trust]:
 def first_said(trial: Trial, said: Sequence[Trust]) -> str:
     """For the first page: the first way of association; with truth only what twins say."""
     for trust in of_trial(trial, said)[:1]:
-        if trust.blame is not None or not trial.log.truth.known_poses:
-            return first_words(trust, polar=is_polar(trial.log.recorded))
+        measured = trial.log.truth.known_poses > 0
+        if trust.blame is not None or not measured:
+            return first_words(trust, polar=is_polar(trial.log.recorded), measured=measured)
     return ""
 
 

@@ -59,13 +59,13 @@ def shown(trust: Trust) -> list[Row]:
     objected = () if trust.blame is None else trust.blame.objected
     order = {key: i for i, key in enumerate(_by_distance(trust))}
     outside = sorted((r for r in trust.rows if _key(r) in objected), key=lambda r: order[_key(r)])
-    rest = [r for r in trust.rows if _key(r) not in objected]
+    rest = [r for r in trust.rows if _key(r) not in objected and (r.twins or not trust.twins)]
     always = list(NAMES)[:HEADLINE]
     if not any(r.statistic.startswith("filter_smoother") for r in trust.rows):
         always += [name.replace("filter_smoother", OWN) for name in always]
-    room = MOST - sum(r.statistic in always for r in trust.rows)
-    more = [r for r in outside if r.statistic not in always][: max(room, 0)]
     headline = [r for r in rest if r.statistic in always]
+    room = MOST - len(headline) - sum(r.statistic in always for r in outside)
+    more = [r for r in outside if r.statistic not in always][: max(room, 0)]
     telling = [] if trust.twins else [r for r in rest if r not in headline and _stands_out(r)]
     kept = [r for r in outside if r.statistic in always or r in more]
     return [*kept, *headline, *telling][:MOST]

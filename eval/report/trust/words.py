@@ -32,21 +32,21 @@ LINEAR = (
 )
 
 
-def first_words(trust: Trust, *, polar: bool) -> str:
-    """Two to four sentences; empty where the log says nothing of itself."""
+def first_words(trust: Trust, *, polar: bool, measured: bool = False) -> str:
+    """Two to four sentences, two beside errors against the truth (`measured`); empty where the log says nothing."""
     if trust.blame is None:
         return _without_twins(trust, polar)
-    return " ".join(_said(s) for s in _verdict(trust, trust.blame, polar) if s)
+    return " ".join(_said(s) for s in _verdict(trust, trust.blame, polar, measured) if s)
 
 
-def _verdict(trust: Trust, blame: Blame, polar: bool) -> list[str]:
+def _verdict(trust: Trust, blame: Blame, polar: bool, measured: bool) -> list[str]:
     """Cause, how much is outside, filter and smoother, and the main findings or the power."""
     if blame.cause == NOTHING:
         said = [f"By its own data this log gives **nothing to object to**: {outside(blame, len(trust.twins))}"]
     else:
         where = "is not to be trusted" if blame.objected else "is off on the very geometry of this log"
         said = [f"By its own data **{culprit(blame.cause)}** {where}: {outside(blame, len(trust.twins))}"]
-    said += [apart(trust, name) for name in online(trust)[:1]]
+    said += [apart(trust, name) for name in online(trust)[:1] if not measured]
     if blame.cause == NOTHING:
         return [*said, power(blame, polar, brief=True)]
     return [*said, "; ".join(sentences(_main(blame.findings), polar))]

@@ -57,6 +57,8 @@ def test_nothing_to_object_to_comes_with_what_would_have_been_seen():
 def test_the_first_words_are_two_to_four_sentences(cause):
     for trust in (said(), blamed(), blamed(SIGMA, TURN, cause=cause, objected=3)):
         assert 2 <= sentence_count(first_words(trust, polar=True)) <= 4
+    beside_truth = first_words(blamed(SIGMA, TURN, cause=cause, objected=3), polar=True, measured=True)
+    assert sentence_count(beside_truth) == 2
 
 
 def test_without_twins_the_difference_is_told_and_how_to_get_p_values():
