@@ -38,7 +38,8 @@ def study_sections(folder: Path, options: Options, outcome: Outcome, judged: Seq
     def table(frame: pd.DataFrame, name: str, caption: str) -> Table:
         return written_table(frame, folder, name, caption, options.formats)
 
-    sections = [validation_section(study, found, table) for study, found in outcome.validations]
+    plots = None if options.no_plots or options.quick else folder / "figures"
+    sections = [validation_section(study, found, table, plots) for study, found in outcome.validations]
     sections += _published(outcome, table)
     if outcome.studies:
         sections.append(Section("Consistency over many simulated runs", tuple(_reading(outcome.studies))))

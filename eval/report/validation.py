@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import pandas as pd
 from scipy import special
 
-from eval.page.document import Block, Section, Table
+from eval.figures import Seen, power_figure
+from eval.figures.style import save
+from eval.page.document import Block, Picture, Section, Table
 from eval.referee import battery
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE
 from eval.studies.broken import BROKEN
@@ -19,13 +22,16 @@ Writer = Callable[[pd.DataFrame, str, str], Table]
 SIZE = ("world", "task", "logs", "objected [%]", "95 % interval", "NIS alone [%]", "noise [%]", "associations [%]",
         "estimator [%]", "failed")  # fmt: skip
 POWER = ("fault", "size", "logs", "detected [%]", "±", "NIS alone [%]", "right cause [%]", "taken for", "failed")
+TESTS = ("battery", "NIS alone")
 SURE = 0.9
 """Detected in at least this share of the logs, a fault should be put down to the right cause in `GOAL` of them."""
 GOAL = 0.8
 
 
-def validation_section(study: Validation, found: Sequence[Examined], table: Writer) -> Section:
-    """Both tables, with what they say in a line each."""
+def validation_section(
+    study: Validation, found: Sequence[Examined], table: Writer, figures: Path | None = None
+) -> Section:
+    """Both tables, with what they say in a line each; a figure of the power where `figures` is a folder."""
     size, power = size_table(study, found), power_table(study, found)
     sound = [e for e in found if e.fault == SOUND and not e.failure]
     objected = sum(e.objected for e in sound)
@@ -37,7 +43,23 @@ def validation_section(study: Validation, found: Sequence[Examined], table: Writ
     ]
     if len(power) > 1:
         blocks += [_goal(study, found), table(power, f"{study.name}_power", POWER_CAPTION)]
+        if figures is not None:
+            blocks.append(_picture(figures, study, power))
     return Section(f"Scenario {study.name}: what a log says about itself, tested", tuple(blocks), level=2)
+
+
+def _picture(folder: Path, study: Validation, power: pd.DataFrame) -> Picture:
+    stem = f"{study.name}_power"
+    faults = []
+    for name, own in power[power["size"] != ""].groupby("fault", sort=False):
+        shares = (tuple(own[column]) for column in ("detected [%]", "±", "NIS alone [%]"))
+        unit = FAULTS[str(name)].unit if name in FAULTS else ""
+        called = f"{name} [{unit}]" if unit else str(name)
+        faults.append(Seen(called, tuple(size.split()[0] for size in own["size"]), *shares))
+    title = f"{study.name}: {study.power_runs} logs of {study.power} for each fault and size"
+    save(power_figure(faults, TESTS, 100.0 * battery.LEVEL, title), folder, stem)
+    caption = "share of the logs in which a fault is seen, against its size; dashed: logs without a fault, by design."
+    return Picture(stem, f"{title}: {caption}", "Power of the battery and of NIS against the size of each fault")
 
 
 SIZE_CAPTION = (

@@ -177,23 +177,22 @@ def _noise(made: Trust, inputs: Inputs, smoother: Run, threshold: float) -> list
     """What the log's noise and pairings are to blame for: readings that do not fit, systematic errors, then the noise.
 
     Each is looked for without those before: a reading of another landmark bends path and map, after which many do not
-    fit, and a systematic error adds to the residuals.
+    fit, and a systematic error adds to the residuals. What does not fit is counted again without systematic errors.
     """
     typical = [s.typical for s in made.twins]
-    factors = attribution.factors_of(made.real.typical, typical)
-    found, inputs, smoother, left_out = _outliers(made, inputs, smoother)
-    used = _without(residuals.used_by(smoother, inputs), left_out)
-    path = _path(smoother)
-    if found:
-        factors = attribution.factors_of(_typical(inputs, path, used), typical)
-    systematic = attribution.systematic_errors(effects.scored(inputs, path, used), factors, threshold)
+    outliers, less, fitted, left_out = _outliers(made, inputs, smoother)
+    used = residuals.used_by(fitted, less)
+    kept, path = _without(used, left_out), _path(fitted)
+    factors = attribution.factors_of(_typical(less, path, kept), typical)
+    systematic = attribution.systematic_errors(effects.scored(less, path, kept), factors, threshold)
     if systematic:
-        corrected = effects.without(inputs, path, used, {f.name: f.size for f in systematic})
-        again = batch("batch", corrected, _as_front(smoother))
+        sizes = {f.name: f.size for f in systematic}
+        again = batch("batch", effects.without(less, path, used, sizes), _as_front(fitted))
         if again.failure is None:
-            used = _without(residuals.used_by(again, corrected), left_out)
-            factors = attribution.factors_of(_typical(corrected, _path(again), used), typical)
-    return found + systematic + attribution.noise_errors(factors, typical, threshold)
+            outliers, less, fitted, left_out = _outliers(made, effects.without(inputs, path, used, sizes), again)
+            kept = _without(residuals.used_by(fitted, less), left_out)
+            factors = attribution.factors_of(_typical(less, _path(fitted), kept), typical)
+    return outliers + systematic + attribution.noise_errors(factors, typical, threshold)
 
 
 def _outliers(made: Trust, inputs: Inputs, smoother: Run) -> tuple[list[Finding], Inputs, Run, BoolArray]:
