@@ -31,6 +31,8 @@ LEAST_FACTOR = 1.05
 """A noise stated within 5 % of what it is is stated right."""
 THRESHOLD = 3.0
 """sigma. Least size of a systematic error or of a wrong noise that is named, unless the twins themselves go further."""
+WRONG_PAIRINGS = 0.01
+"""Share of wrong pairings from which the decisions are to blame: one in a hundred ruins a path (docs/results.md)."""
 POWER = 0.9
 NOISE, ASSOCIATIONS, ESTIMATOR, NOTHING = "noise", "associations", "estimator", "nothing"
 
@@ -138,20 +140,33 @@ def outlier_errors(
     return found
 
 
+def decision_errors(counts: Mapping[str, Sequence[tuple[int, int, int, int]]]) -> list[Finding]:
+    """Ways of deciding that pair wrongly even on twins; `counts`: tp, tn, fp, fn of each twin, by estimator.
+
+    More wrong pairings than `WRONG_PAIRINGS` of the decisions are too many for least squares.
+    """
+    found = []
+    for estimator, twins in counts.items():
+        tp, tn, fp, fn = np.sum(np.array(twins).reshape(-1, 4), axis=0).tolist()
+        if fp > WRONG_PAIRINGS * (tp + tn + fp + fn):
+            found.append(Finding(ASSOCIATIONS, "decisions", estimator, fp / (tp + tn + fp + fn)))
+    return found
+
+
 def estimator_errors(nees: Mapping[tuple[str, str], Sequence[float]], dof: int = 3) -> list[Finding]:
     """Estimators whose NEES on the twins is off: linearization, or the estimator itself, as all else is as stated."""
-    return _off("linearization", {e: np.asarray(v) / dof for (e, _), v in nees.items()}, NEES_BAND)
+    return _off("linearization", [(e, np.asarray(v) / dof) for (e, _), v in nees.items()], NEES_BAND)
 
 
 def innovation_errors(nis: Mapping[str, Sequence[float]]) -> list[Finding]:
     """Estimators whose innovations on the twins are not as they claim; `nis`: per dof, as a share of the expected."""
-    return _off("innovations", {e: np.asarray(v) for e, v in nis.items()}, NIS_BAND)
+    return _off("innovations", [(e, np.asarray(v)) for e, v in nis.items()], NIS_BAND)
 
 
-def _off(kind: str, shares: Mapping[str, Array], band: tuple[float, float]) -> list[Finding]:
+def _off(kind: str, shares: Sequence[tuple[str, Array]], band: tuple[float, float]) -> list[Finding]:
     """Estimators whose share of what is expected is off by more than the band, on average over the twins (t test)."""
     found = []
-    for estimator, values in shares.items():
+    for estimator, values in shares:
         known = values[np.isfinite(values)]
         if len(known) < 2:
             continue

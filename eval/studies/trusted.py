@@ -141,6 +141,9 @@ def _blame(made: Trust, inputs: Inputs, smoother: Run, drawn: Array) -> Blame:
     if objected:
         findings = _noise(made, inputs, smoother, threshold)
         findings.sort(key=lambda f: -f.gain)
+    if made.association != "known":
+        names = dict.fromkeys(name for s in made.twins for name in s.counts)
+        findings += attribution.decision_errors({n: [s.counts[n] for s in made.twins if n in s.counts] for n in names})
     findings += _estimators(made.twins)
     cause = NOTHING
     if findings:
