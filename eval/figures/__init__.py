@@ -9,10 +9,11 @@ from eval.figures.filter_smoother import filter_smoother_figure
 from eval.figures.growth import growth_figure, state_figure
 from eval.figures.map import map_figure
 from eval.figures.outliers import outlier_figure
+from eval.figures.power import Seen, power_figure
 from eval.figures.verdicts import coverage_figure, run_end_figure
 
 __all__ = [
-    "anees_figure", "confusion_figure", "coverage_figure", "difference_figure", "error_figure",
-    "filter_smoother_figure", "growth_figure", "map_figure", "nees_figure", "outlier_figure", "run_end_figure",
-    "state_figure",
+    "Seen", "anees_figure", "confusion_figure", "coverage_figure", "difference_figure", "error_figure",
+    "filter_smoother_figure", "growth_figure", "map_figure", "nees_figure", "outlier_figure", "power_figure",
+    "run_end_figure", "state_figure",
 ]  # fmt: skip

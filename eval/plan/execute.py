@@ -17,6 +17,7 @@ from eval.plan.experiments import Experiment, Plan, Work
 from eval.plan.options import Options
 from eval.plan.trust import trusted
 from eval.plan.tutorial import ABOUT, tutorial_run, variant_log
+from eval.plan.validation import validated
 from eval.plan.variant import Variant
 from eval.plan.work import work
 from eval.referee.score import Trial
@@ -26,6 +27,7 @@ from eval.studies.montecarlo import Result, Study, one_run, study_of
 from eval.studies.reproduced import published_rows
 from eval.studies.stored_run import replay_stored
 from eval.studies.trusted import Trust
+from eval.studies.validation import Examined, Validation
 
 Owner = tuple[str, int, int]
 """What a job belongs to: its kind, which of them, and (of a study) the seed."""
@@ -40,6 +42,7 @@ class Outcome:
         published: the rows of published.csv.
         skipped: what could not be done, a sentence each.
         trust: what each log says about itself, with each way of association.
+        validations: studies of the battery, each with what came out for every log.
     """
 
     trials: tuple[Trial, ...]
@@ -47,6 +50,7 @@ class Outcome:
     published: tuple[Mapping[str, object], ...] = ()
     skipped: tuple[str, ...] = ()
     trust: tuple[Trust, ...] = ()
+    validations: tuple[tuple[Validation, tuple[Examined, ...]], ...] = ()
 
 
 def _estimate(experiment: Experiment, part: Work) -> list[Run]:
@@ -99,6 +103,7 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
         trials.append(Trial(e.log, e.task, tuple(runs[key] for key in dict.fromkeys(wanted)), e.beside, e.about))
     # before the variants, which share a log's name with its trial
     said = trusted(plan.experiments, trials, options, lambda more, of: progress(len(jobs) + more, len(jobs) + of))
+    tested = validated(plan.validations, options, lambda more, of: progress(len(jobs) + more, len(jobs) + of))
     trials += [results["variant", i][0] for i in range(len(variants))]
     replayed = [results["stored", i][0] for i in range(len(plan.stored))]
     finished = tuple(
@@ -106,4 +111,4 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
         for i, ((scenario, _), seeds) in enumerate(zip(plan.studies, studies, strict=True))
     )
     published = [row for _, rows in replayed for row in rows] + [row for s in finished for row in published_rows(s)]
-    return Outcome((*trials, *(t for t, _ in replayed)), finished, tuple(published), plan.skipped, said)
+    return Outcome((*trials, *(t for t, _ in replayed)), finished, tuple(published), plan.skipped, said, tested)

@@ -19,6 +19,9 @@ from eval.replay.settings import Setup
 from eval.studies.scenario import Scenario
 from eval.studies.scenario_file import load_scenario
 from eval.studies.shipped import scenarios
+from eval.studies.trusted import FEWEST
+from eval.studies.validation import Validation
+from eval.studies.validation_file import load_validation
 
 DEFAULT_RUNS = 50
 QUICK_FRAMES = 1000
@@ -63,12 +66,14 @@ class Plan:
         studies: scenarios to simulate, each with its number of runs.
         stored: scenarios that replay a recording, each with its file.
         skipped: what was asked for and cannot be done here, a sentence each.
+        validations: studies of the battery.
     """
 
     experiments: tuple[Experiment, ...]
     studies: tuple[tuple[Scenario, int], ...]
     stored: tuple[tuple[Scenario, Path], ...] = ()
     skipped: tuple[str, ...] = ()
+    validations: tuple[Validation, ...] = ()
 
 
 def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
@@ -115,9 +120,13 @@ def _scenarios(options: Options) -> Plan:
         if not folder.is_dir():
             raise UsageError(f"--data {folder}: no such folder")
     studies: list[tuple[Scenario, int]] = []
-    stored, skipped = [], []
+    stored, skipped, validations = [], [], []
     names = scenarios() if "all" in options.scenario else list(options.scenario)
     for name in names:
+        validation = load_validation(name)
+        if validation is not None:
+            validations.append(_asked(validation, options))
+            continue
         scenario = load_scenario(name)
         if options.estimator != ALL:
             scenario = scenario.only(options.estimator)
@@ -130,11 +139,22 @@ def _scenarios(options: Options) -> Plan:
         else:
             runs = options.runs or (QUICK_RUNS if options.quick else scenario.runs)
             studies += [(part, runs) for part in scenario.parts()]
-    every = [s.name for s, _ in [*studies, *stored]]
+    every = [*(s.name for s, _ in [*studies, *stored]), *(v.name for v in validations)]
     for name in every:
         if [folder_name(n) for n in every].count(folder_name(name)) > 1:
             raise UsageError(f"two scenarios are named {name!r}; rename one (the name stands in its file)")
-    return Plan((), tuple(studies), tuple(stored), tuple(skipped))
+    return Plan((), tuple(studies), tuple(stored), tuple(skipped), tuple(validations))
+
+
+def _asked(study: Validation, options: Options) -> Validation:
+    """A study of the battery with as many logs as asked for; `--quick`: few logs and twins, the largest faults."""
+    if options.estimator != ALL:
+        raise UsageError(f"--estimator: scenario {study.name} states its own")
+    runs = options.runs or (QUICK_RUNS if options.quick else study.runs)
+    study = replace(study, runs=runs, power_runs=min(runs, study.power_runs))
+    if options.quick:
+        study = replace(study, power_runs=min(1, study.power_runs), twins=FEWEST, largest=True)
+    return study
 
 
 def _tasks(log: Log, options: Options) -> Sequence[str]:

@@ -15,7 +15,7 @@ from eval.plan.variant import Variant
 from eval.replay.flag import Flag, flag, folder, names, one_of, rows, switch, text, texts, whole
 from eval.replay.names import ASSOCIATIONS, ESTIMATORS, TASKS
 from eval.replay.settings import Setup
-from eval.studies.shipped import scenarios
+from eval.studies.shipped import VALIDATIONS, scenarios
 
 PROG = "python -m eval.run_all"
 FORMATS = ("csv", "md", "tex")
@@ -52,7 +52,8 @@ class Selection:
         default=(),
         metadata=flag(
             texts, "NAME|FILE|all", f"Monte Carlo study of a world: {', '.join(scenarios())}, a TOML file, or all of "
-            "those (repeatable)", repeatable=True,
+            f"those; {', '.join(VALIDATIONS)}: of the tests that need no truth, which all leaves out (repeatable)",
+            repeatable=True,
         ),
     )  # fmt: skip
     task: tuple[str, ...] = field(
@@ -210,6 +211,7 @@ examples:
   python -m eval.run_all --scenario circle --runs 100       a published study: ours beside the printed numbers
   python -m eval.run_all --scenario my_world.toml --estimator ekf,ekf-fej,batch
   python -m eval.run_all --scenario all --data DIR          every shipped scenario; DIR: the recording of esde-replay
+  python -m eval.run_all --scenario trust --jobs 2           is what a log says about itself to be trusted? an hour
   python -m eval.run_all --scenario arena --runs 1000 --scheduler tcp://host:8786    on a Dask cluster
   python -m eval.run_all --log arena:0 --estimator isam2,fixed-lag --lag 20
   python -m eval.run_all --formats csv,tex --out results/paper --no-plots

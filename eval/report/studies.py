@@ -20,6 +20,7 @@ from eval.plan.execute import Outcome
 from eval.plan.options import Options
 from eval.referee.consistency import MIN_RUNS
 from eval.report import comparison
+from eval.report.validation import validation_section
 from eval.studies.montecarlo import DOF, Judged, Study, consistency_table
 from eval.studies.published import Estimate, mean_of, rms_of
 from eval.studies.reproduced import orderings, published_frame
@@ -37,7 +38,9 @@ def study_sections(folder: Path, options: Options, outcome: Outcome, judged: Seq
     def table(frame: pd.DataFrame, name: str, caption: str) -> Table:
         return written_table(frame, folder, name, caption, options.formats)
 
-    sections = _published(outcome, table)
+    plots = None if options.no_plots or options.quick else folder / "figures"
+    sections = [validation_section(study, found, table, plots) for study, found in outcome.validations]
+    sections += _published(outcome, table)
     if outcome.studies:
         sections.append(Section("Consistency over many simulated runs", tuple(_reading(outcome.studies))))
     plain = [s for s in outcome.studies if not _of_rates(s)]

@@ -62,8 +62,18 @@ def same_decisions(front: Run, runs: Sequence[Run], inputs: Inputs) -> Run:
     return batch("batch", inputs, front)
 
 
-def sample_of(log: Log, task: str, association: str, runs: Sequence[Run], smoother: Run | None) -> Sample:
-    """What a log says about itself, from its runs with one way of association; `smoother`: see `smoother_of`."""
+def sample_of(
+    log: Log,
+    task: str,
+    association: str,
+    runs: Sequence[Run],
+    smoother: Run | None,
+    said: trust.Smoothed | None = None,
+) -> Sample:
+    """What a log says about itself, from its runs with one way of association.
+
+    `smoother`: see `smoother_of`; `said`: what `trust.of_smoother` makes of it, if that is known already.
+    """
     inputs = inputs_of(log, task, association)
     measured: dict[Key, Measured] = {}
     failures: dict[str, str] = {}
@@ -84,23 +94,26 @@ def sample_of(log: Log, task: str, association: str, runs: Sequence[Run], smooth
         failures[smoother.estimator] = smoother.failure.why
     if smoother is None or smoother.failure is not None:
         return Sample(measured, failures, apart=apart)
-    said = trust.of_smoother(smoother, inputs)
+    if said is None:
+        said = trust.of_smoother(smoother, inputs)
     measured |= {(smoother.estimator, name): m for name, m in said.statistics.items()}
     return Sample(measured, failures, said.outlying, said.elsewhere, said.typical, apart)
 
 
 def one_twin(source: Source, seed: int) -> Sample:
     """All estimators on a twin, what it says about itself, and how far they are from its truth."""
-    with threadpool_limits(1):  # the same bytes for any number of cores
-        return _one_twin(source, seed)
+    with threadpool_limits(1):  # the same bytes for any number of cores, and no waiting for threads
+        log = twin(source, seed)
+        inputs = inputs_of(log, source.task, source.association)
+        runs = compare(inputs, source.task, source.estimators, source.association, source.setup)
+        return twin_sample(source, log, runs, smoother_of(runs, inputs))
 
 
-def _one_twin(source: Source, seed: int) -> Sample:
-    log = twin(source, seed)
-    inputs = inputs_of(log, source.task, source.association)
-    runs = compare(inputs, source.task, source.estimators, source.association, source.setup)
-    smoother = smoother_of(runs, inputs)
-    sample = sample_of(log, source.task, source.association, runs, smoother)
+def twin_sample(
+    source: Source, log: Log, runs: Sequence[Run], smoother: Run | None, said: trust.Smoothed | None = None
+) -> Sample:
+    """What a twin says about itself, and how far its runs are from its truth; arguments as of `sample_of`."""
+    sample = sample_of(log, source.task, source.association, runs, smoother, said)
     nees: dict[tuple[str, str], float] = {}
     counts: dict[str, tuple[int, int, int, int]] = {}
     for run in runs:

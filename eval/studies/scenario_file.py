@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields
-from pathlib import Path
 
 from data.errors import UsageError
 from data.toml_table import Fault, TomlTable, finite, load_toml, not_negative
@@ -16,7 +15,7 @@ from eval.replay.names import ASSOCIATIONS, ESTIMATORS, TASKS
 from eval.replay.settings import Setup, check_gates
 from eval.studies.published import PUBLISHABLE, Ordering, Published, Row
 from eval.studies.scenario import RECORDED, Member, Scenario
-from eval.studies.shipped import SCENARIOS, scenarios
+from eval.studies.shipped import offered, path_of
 
 CONSISTENT = "consistent"
 RECORDING = ("sha256", "speed_noise")
@@ -37,11 +36,9 @@ KNOWN = {
 
 def load_scenario(name: str) -> Scenario:
     """A shipped scenario by name or any by file; UsageError names what is wrong in it."""
-    path = Path(name)
-    if name in scenarios():
-        path = SCENARIOS / f"{name}.toml"
-    elif not path.is_file():
-        raise UsageError(f"--scenario {name}: no such file; shipped: {', '.join(scenarios())}, or all")
+    path = path_of(name)
+    if not path.is_file():
+        raise UsageError(f"--scenario {name}: no such file; shipped: {offered()}")
 
     def fault(what: str) -> UsageError:
         return UsageError(f"--scenario {name}: {what}")
@@ -78,14 +75,14 @@ def _scenario(top: TomlTable, setup: Setup, source: str, stem: str) -> Scenario:
     return Scenario(
         name=top.text("name", stem),
         source=source,
-        about=_paragraph(top.text("about")),
-        cite=_paragraph(top.text("cite", "")),
+        about=paragraph(top.text("about")),
+        cite=paragraph(top.text("cite", "")),
         runs=top.whole("runs", 100, least=1),
         task=task,
         association=top.names("association", ASSOCIATIONS, ("known",)),
         members=members,
         kind=kind,
-        values=_parameters(world, kind),
+        values=parameters(world, kind),
         setup=setup,
         from_frame=top.whole("from_frame", 0, least=0),
         rates=_rates(top),
@@ -93,7 +90,8 @@ def _scenario(top: TomlTable, setup: Setup, source: str, stem: str) -> Scenario:
     )
 
 
-def _paragraph(text: str) -> str:
+def paragraph(text: str) -> str:
+    """Text of several lines as one paragraph."""
     return " ".join(text.split())
 
 
@@ -113,14 +111,15 @@ def _world_keys(top: TomlTable) -> tuple[str, ...]:
     if not isinstance(table, dict):
         return ()
     kind = table.get("kind")
-    return ("kind", *_keys(kind)) if kind in (*SIMULATORS, RECORDED) else tuple(table)
+    return ("kind", *parameters_of_kind(kind)) if kind in (*SIMULATORS, RECORDED) else tuple(table)
 
 
-def _keys(kind: str) -> tuple[str, ...]:
+def parameters_of_kind(kind: str) -> tuple[str, ...]:
+    """What may be said of a world of a kind."""
     return RECORDING if kind == RECORDED else tuple(f.name for f in fields(parameters_of(kind)))
 
 
-def _parameters(table: TomlTable, kind: str) -> tuple[tuple[str, object], ...]:
+def parameters(table: TomlTable, kind: str) -> tuple[tuple[str, object], ...]:
     """Parameters of a world, checked against the types of its fields; angles that are kept in degrees are converted."""
     keys = [key for key in table.table if key != "kind"]
     if kind == RECORDED:
@@ -146,8 +145,8 @@ def _member(estimators: TomlTable, name: str, task: tuple[str, ...], kind: str) 
     if table.table.get("must_be", CONSISTENT) != CONSISTENT:
         raise table.error("must_be", f"only {CONSISTENT!r} can be demanded")
     tasks = table.names("task", task, task)
-    world = table.optional_table("world", _keys(kind))
-    return Member(name, tasks if "must_be" in table else (), () if world is None else _parameters(world, kind))
+    world = table.optional_table("world", parameters_of_kind(kind))
+    return Member(name, tasks if "must_be" in table else (), () if world is None else parameters(world, kind))
 
 
 def _setup(table: TomlTable) -> Setup:
@@ -180,5 +179,5 @@ def _published(table: TomlTable, members: tuple[Member, ...]) -> Published:
         tolerance=()
         if tolerance is None
         else tuple((name, tolerance.number(name, None, "a number")) for name in tolerance.table),
-        note=_paragraph(table.text("note", "")),
+        note=paragraph(table.text("note", "")),
     )

@@ -5,8 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"
+VALIDATIONS = ("trust",)
+"""Shipped studies of the battery, not of estimators: `all` leaves them out, they take long."""
 
 
 def scenarios() -> list[str]:
-    """Their names."""
-    return sorted(f.stem for f in SCENARIOS.glob("*.toml"))
+    """Names of the studies of estimators."""
+    return sorted(f.stem for f in SCENARIOS.glob("*.toml") if f.stem not in VALIDATIONS)
+
+
+def path_of(name: str) -> Path:
+    """The file of a scenario: a shipped one by name, or any."""
+    return SCENARIOS / f"{name}.toml" if name in (*scenarios(), *VALIDATIONS) else Path(name)
+
+
+def offered() -> str:
+    """All that come with the package, in words."""
+    return f"{', '.join([*scenarios(), *VALIDATIONS])}, or all (but {', '.join(VALIDATIONS)})"

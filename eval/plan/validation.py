@@ -1,0 +1,49 @@
+"""Studies of the battery done: each log with its twins is a job, kept on disk as soon as it is done."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from data.log import folder_name
+from eval.plan.options import Options
+from eval.plan.work import work
+from eval.studies import store, validation
+from eval.studies.validation import Case, Examined, Validation
+
+
+def validated(
+    studies: Sequence[Validation], options: Options, progress: Callable[[int, int], None]
+) -> tuple[tuple[Validation, tuple[Examined, ...]], ...]:
+    """What came out for every log of each study, in the order of `validation.cases`."""
+    root = options.out.absolute().parent
+    every = [validation.cases(study, options.seed) for study in studies]
+    folders = [store.kept_folder(root, study.name, content_digest(study)) for study in studies]
+    kept: dict[tuple[int, int], tuple[Examined, ...]] = {}
+    jobs: list[tuple[tuple[int, int], Any]] = []
+    for i, study in enumerate(studies):
+        for k, case in enumerate(every[i]):
+            found = validation.load(folders[i] / file_of(case))
+            if found is None:
+                jobs.append(((i, k), (validation.examined, (study, case))))
+            else:
+                kept[i, k] = found
+    for done, ((i, k), result) in enumerate(work(jobs, options, far=True), start=1):
+        validation.save(folders[i] / file_of(every[i][k]), result)
+        kept[i, k] = result
+        progress(done, len(jobs))
+    return tuple((study, tuple(e for k in range(len(every[i])) for e in kept[i, k])) for i, study in enumerate(studies))
+
+
+def content_digest(study: Validation) -> str:
+    """Digest of what the judgement of one log depends on, beside the program; which logs is in the files' names."""
+    said = (study.twins, study.estimators, study.setup)
+    return hashlib.sha256(repr(said).encode()).hexdigest()
+
+
+def file_of(case: Case) -> str:
+    """Name of the file of a case: world, fault, seed, and a digest of all else that it consists of."""
+    what = "broken" if case.broken else case.fault or "sound"
+    digest = hashlib.sha256(repr((case.world, case.size, case.broken)).encode()).hexdigest()[: store.DIGITS]
+    return f"{folder_name(case.world.name)}-{what}-{digest}-{case.seed}.json"

@@ -1,0 +1,269 @@
+"""The battery put to the test: how often it objects to logs that are right, and which faults it finds and names.
+
+A log is simulated, a fault put into it (or a broken filter run on it), twins are drawn, and the log is judged as any
+other; of its truth nothing is used. Every log's twins have random numbers of their own, so logs are independent.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import zlib
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from data.errors import UsageError
+from data.log import Log
+from data.result import Run
+from data.whole import whole_file
+from data.worlds import registry
+from eval.referee import trust
+from eval.referee.attribution import ESTIMATOR, NOTHING
+from eval.referee.bounds import nis_bounds
+from eval.replay.run import compare
+from eval.replay.settings import Setup
+from eval.studies.broken import BROKEN
+from eval.studies.faults import FAULTS
+from eval.studies.sampled import Sample, one_twin, sample_of, smoother_of, twin_sample
+from eval.studies.trusted import Blame, judged
+from eval.studies.twins import Source, inputs_of, source_of, twin
+
+STREAM = 0xFA017
+"""Sets the faults' random numbers apart from those of logs and twins of the same seed."""
+SOUND = ""
+"""The fault of a log that has none."""
+KNOWN = "known"
+
+
+@dataclass(frozen=True)
+class World:
+    """A simulated world and the task in it; `values` differ from its defaults."""
+
+    name: str
+    kind: str
+    task: str
+    values: tuple[tuple[str, object], ...] = ()
+
+    def parameters(self) -> Any:
+        """Of the simulator; raises UsageError for what it refuses."""
+        return registry.parameters_of(self.kind)(**dict(self.values))
+
+    def simulate(self, seed: int) -> Log:
+        """The log of a seed."""
+        return registry.simulate(self.kind, self.parameters(), seed, f"{self.name}:{seed}")
+
+
+@dataclass(frozen=True)
+class Validation:
+    """One study.
+
+    Attributes:
+        name: stands in the tables; `source` is what a person calls it by, `about` one paragraph.
+        worlds: in which the size is measured, on `runs` logs each.
+        twins: of each log.
+        power: name of the world in which the power is measured, on `power_runs` logs for each fault and size.
+        faults, broken: names of faults of logs and of broken filters.
+        estimators: that run on logs and twins, batch beside.
+        largest: only the largest size of each fault.
+    """
+
+    name: str
+    source: str
+    about: str
+    worlds: tuple[World, ...]
+    runs: int
+    twins: int
+    power: str
+    power_runs: int
+    faults: tuple[str, ...] = tuple(FAULTS)
+    broken: tuple[str, ...] = tuple(BROKEN)
+    estimators: tuple[str, ...] = ("ekf",)
+    setup: Setup = field(default_factory=Setup)
+    largest: bool = False
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is done to one log: `fault` of `size`, or all broken filters one after the other (`broken`)."""
+
+    world: World
+    seed: int
+    fault: str = SOUND
+    size: float = 0.0
+    broken: tuple[tuple[str, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Examined:
+    """What came out for one log.
+
+    Attributes:
+        world, seed, fault, size: which; `fault` is `SOUND`, one of a log, or a broken filter.
+        p: smallest family-wise p value. objected: whether the battery rejects.
+        cause: what it is attributed to. found: kinds and names of the findings, the weightiest first.
+        nis: whether the NIS of filter or smoother is outside its 95 % bounds.
+        convicted: whether an estimator is off on the twins, in NEES or NIS.
+        failure: why there is no judgement; empty otherwise.
+    """
+
+    world: str
+    seed: int
+    fault: str
+    size: float
+    p: float = math.nan
+    objected: bool = False
+    cause: str = NOTHING
+    found: tuple[str, ...] = ()
+    nis: bool = False
+    convicted: bool = False
+    failure: str = ""
+
+
+def cases(study: Validation, first: int) -> list[Case]:
+    """All logs of a study, seeds from `first` on."""
+    result = [Case(w, first + i) for w in study.worlds for i in range(study.runs)]
+    world = next(w for w in study.worlds if w.name == study.power)
+    for i in range(study.power_runs):
+        for name in study.faults:
+            result += [Case(world, first + i, name, size) for size in _sizes(FAULTS[name].sizes, study.largest)]
+        if study.broken:
+            each = [(n, s) for n in study.broken for s in _sizes(BROKEN[n].sizes, study.largest)]
+            result.append(Case(world, first + i, broken=tuple(each)))
+    return result
+
+
+def _sizes(sizes: Sequence[float], largest: bool) -> Sequence[float]:
+    return sizes[-1:] if largest else sizes
+
+
+def examined(study: Validation, case: Case) -> tuple[Examined, ...]:
+    """The judgement of one log, or of each broken filter on it."""
+    with threadpool_limits(1):  # logs are done in parallel
+        return _with_broken(study, case) if case.broken else (_with_fault(study, case),)
+
+
+def log_of(case: Case) -> Log:
+    """The log of a case, its fault in it."""
+    log = case.world.simulate(case.seed)
+    if case.fault == SOUND:
+        return log
+    stream = np.random.default_rng([case.seed, STREAM, zlib.crc32(case.fault.encode())])
+    return FAULTS[case.fault].put_in(log, case.size, stream)
+
+
+def twin_seeds(study: Validation, case: Case) -> range:
+    """Seeds of a log's twins; those of no other log of the world are among them."""
+    return range(case.seed * study.twins, (case.seed + 1) * study.twins)
+
+
+def _with_fault(study: Validation, case: Case) -> Examined:
+    log, task = log_of(case), case.world.task
+    inputs = inputs_of(log, task, KNOWN)
+    runs = compare(inputs, task, (*study.estimators, "batch"), KNOWN, study.setup)
+    smoother = smoother_of(runs, inputs)
+    about = (case.world.name, case.seed, case.fault, case.size)
+    if smoother is None:
+        return Examined(*about, failure="every filter failed")
+    try:
+        source = source_of(log, smoother, study.estimators, study.setup)
+    except UsageError as why:
+        return Examined(*about, failure=str(why))
+    real = sample_of(log, task, KNOWN, runs, smoother)
+    twins = [one_twin(source, seed) for seed in twin_seeds(study, case)]
+    return _concluded(about, log, task, runs, real, twins, smoother)
+
+
+def _with_broken(study: Validation, case: Case) -> tuple[Examined, ...]:
+    """Each broken filter in place of `ekf`, on the log and on its twins; twins and smoother are the same for all."""
+    log, task = case.world.simulate(case.seed), case.world.task
+    source, smoother, real = _broken_on(None, log, case, study)
+    abouts = [(case.world.name, case.seed, name, size) for name, size in case.broken]
+    if source is None:
+        return tuple(Examined(*about, failure="batch failed") for about in abouts)
+    twins = [_broken_on(source, twin(source, seed), case, study)[2] for seed in twin_seeds(study, case)]
+    result = []
+    for i, about in enumerate(abouts):
+        runs, sample = real[i]
+        result.append(_concluded(about, log, task, runs, sample, [t[i][1] for t in twins], smoother))
+    return tuple(result)
+
+
+def _broken_on(
+    source: Source | None, log: Log, case: Case, study: Validation
+) -> tuple[Source | None, Run | None, list[tuple[list[Run], Sample]]]:
+    """Broken filters on a log (`source` None) or on a twin: the source of its twins, the smoother, runs and samples."""
+    task = case.world.task
+    inputs = inputs_of(log, task, KNOWN)
+    smoother = smoother_of(runs := compare(inputs, task, ("ekf", "batch"), KNOWN, study.setup), inputs)
+    if smoother is None or smoother.failure is not None:
+        return None, None, []
+    if source is None:
+        source = source_of(log, smoother, study.estimators, study.setup)
+    said = trust.of_smoother(smoother, inputs)
+    result = []
+    for name, size in case.broken:
+        runs = [BROKEN[name].run(inputs, task, size), smoother]
+        result.append((runs, twin_sample(source, log, runs, smoother, said)))
+    return source, smoother, result
+
+
+def _concluded(
+    about: tuple[str, int, str, float],
+    log: Log,
+    task: str,
+    runs: Sequence[Run],
+    real: Sample,
+    twins: Sequence[Sample],
+    smoother: Run | None,
+) -> Examined:
+    if real.failures:
+        return Examined(*about, failure="; ".join(f"{n} failed ({why})" for n, why in real.failures.items()))
+    blame = judged(log, task, KNOWN, real, twins, smoother).blame
+    if blame is None:
+        return Examined(*about, failure="too few twins")
+    return Examined(*about, blame.p, bool(blame.objected), blame.cause, _named(blame), nis_out(runs), _convicts(blame))
+
+
+def _named(blame: Blame) -> tuple[str, ...]:
+    return tuple(f"{f.kind} {f.name}" for f in blame.findings)
+
+
+def _convicts(blame: Blame) -> bool:
+    return any(f.cause == ESTIMATOR for f in blame.findings)
+
+
+def nis_out(runs: Sequence[Run]) -> bool:
+    """Whether the NIS of a filter or smoother is outside its 95 % chi-square bounds."""
+    for run in runs:
+        total: tuple[float, int] | None = run.total_nis
+        if run.innovations is not None:
+            formed = np.isfinite(run.innovations.nis)
+            total = float(run.innovations.nis[formed].sum()), int(run.innovations.dof[formed].sum())
+        if run.failure is None and total is not None and total[1] > 0:
+            lower, upper = nis_bounds(total[1], run.gated)
+            if not lower <= total[0] / total[1] <= upper:
+                return True
+    return False
+
+
+def save(path: Path, found: Sequence[Examined]) -> None:
+    """Keep what came out of a case; the file appears whole or not at all."""
+    with whole_file(path) as partial:
+        partial.write_bytes(json.dumps([asdict(e) for e in found]).encode())
+
+
+def load(path: Path) -> tuple[Examined, ...] | None:
+    """What was kept, or None; a file that is damaged counts as none."""
+    try:
+        rows = json.loads(path.read_bytes())
+        names = {f.name for f in fields(Examined)}
+        if not all(set(row) == names for row in rows):
+            return None
+        return tuple(Examined(**{**row, "found": tuple(row["found"])}) for row in rows)
+    except (FileNotFoundError, ValueError, TypeError, AttributeError):
+        return None

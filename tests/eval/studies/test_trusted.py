@@ -1,0 +1,94 @@
+"""Whose fault: estimators that are off where all is as stated, readings that do not fit, and what is left after."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, estimator_errors, innovation_errors, outlier_errors
+from eval.replay.run import compare
+from eval.replay.settings import Setup
+from eval.studies.faults import FAULTS
+from eval.studies.sampled import one_twin, sample_of, smoother_of
+from eval.studies.trusted import judged
+from eval.studies.twins import inputs_of, source_of
+from eval.studies.validation import World
+
+
+def around(mean, spread=0.1, n=40):
+    return (mean + spread * np.linspace(-1.0, 1.0, n)).tolist()
+
+
+def test_an_estimator_is_off_if_its_nees_on_twins_is_surely_outside_the_band():
+    (found,) = estimator_errors({("ekf", "online"): around(6.0), ("batch", "final"): around(3.0)})
+    assert (found.cause, found.kind, found.name) == (ESTIMATOR, "linearization", "ekf")
+    assert found.size == pytest.approx(2.0)
+    assert not estimator_errors({("ekf", "online"): around(3.5)})  # surely off, and not by enough to speak of
+    assert not estimator_errors({("ekf", "online"): around(6.0, spread=30.0)})  # off by chance
+
+
+def test_an_estimator_is_off_if_its_innovations_on_twins_are_larger_than_it_claims():
+    (found,) = innovation_errors({"ekf": around(1.1), "isam2": around(1.02)})
+    assert (found.cause, found.kind, found.name) == (ESTIMATOR, "innovations", "ekf")
+    assert found.size == pytest.approx(1.1)
+    assert [f.name for f in innovation_errors({"ekf": around(0.9)})] == ["ekf"]
+
+
+def test_readings_that_fit_another_landmark_are_wrong_pairings_and_the_others_tails():
+    assert [f.cause for f in outlier_errors(10, 9, [0] * 39)] == [ASSOCIATIONS]
+    assert [f.cause for f in outlier_errors(10, 1, [0] * 39)] == [NOISE]
+    assert not outlier_errors(10, 9, [10] * 39)  # as many as in its twins
+
+
+@pytest.fixture(scope="module")
+def arena():
+    """A short log, and the samples of its twins."""
+    log = World("arena", "arena", "slam", (("frames", 60),)).simulate(4)
+    inputs = inputs_of(log, "slam", "known")
+    smoother = smoother_of(compare(inputs, "slam", ("ekf", "batch"), "known"), inputs)
+    source = source_of(log, smoother, ("ekf",), Setup())
+    return log, [one_twin(source, seed) for seed in range(19)]
+
+
+def blame(log, twins):
+    inputs = inputs_of(log, "slam", "known")
+    runs = compare(inputs, "slam", ("ekf", "batch"), "known")
+    smoother = smoother_of(runs, inputs)
+    return judged(log, "slam", "known", sample_of(log, "slam", "known", runs, smoother), twins, smoother).blame
+
+
+def test_wrong_labels_bend_the_map_and_still_nothing_else_is_found(arena):
+    log, twins = arena
+    bent = FAULTS["wrong-labels"].put_in(log, 0.05, np.random.default_rng(0))
+    wrong = int(np.sum(bent.label != log.truth.landmark_of))
+    found = blame(bent, twins)
+    assert found.cause == ASSOCIATIONS
+    (pairings,) = found.findings
+    assert pairings.kind == "pairings"
+    assert wrong - 3 <= pairings.size <= wrong
+
+
+def test_beside_wrong_labels_a_systematic_error_is_found_with_its_size(arena):
+    log, twins = arena
+    bent = FAULTS["curvature"].put_in(log, 0.1, np.random.default_rng(0))
+    bent = FAULTS["wrong-labels"].put_in(bent, 0.03, np.random.default_rng(0))
+    found = {f.kind: f for f in blame(bent, twins).findings}
+    assert found["pairings"].cause == ASSOCIATIONS
+    systematic = found["systematic"]
+    # at a constant speed a turn that grows with distance is one that grows with time
+    assert {"odometry_theta_distance", "odometry_theta_time"} <= {systematic.name, *systematic.other}
+    assert systematic.size == pytest.approx(0.1, rel=0.2)
+
+
+def test_innovations_of_twins_convict_where_the_poses_do_not(arena):
+    log, twins = arena
+    key = "ekf", "nis"
+    for factor, convicted in ((1.0, False), (1.2, True)):
+        drawn = [
+            replace(s, measured={**s.measured, key: s.measured[key]._replace(value=factor * s.measured[key].value)})
+            for s in twins
+        ]
+        found = [f for f in blame(log, drawn).findings if f.kind == "innovations"]
+        assert bool(found) == convicted
