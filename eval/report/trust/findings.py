@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from eval.page.numbers import number
 from eval.referee.attribution import Finding
 from eval.replay.names import FILTERS
-from eval.report.trust.phrases import noise_words, phrase
+from eval.report.trust.phrases import Terms, noise_words, phrase
 
 SIGMA = "sigma_"
 """Prefix of a factor of a stated sigma among what a calibration did."""
@@ -20,18 +20,18 @@ LATE = ("speed", "turn_rate")
 ORDER = ("motion", "sensor", "bias", "odometry")
 
 
-def sentence(found: Finding, polar: bool) -> str:
+def sentence(found: Finding, terms: Terms) -> str:
     """A finding with its size, without a full stop; empty where its size is not known."""
     if not math.isfinite(found.size):
         return ""
     if found.kind == "systematic":
-        text = phrase(found.name, polar).sentence(found.size, found.error)
+        text = phrase(found.name, terms).sentence(found.size, found.error)
         if found.other:
-            others = " or ".join(phrase(name, polar).noun for name in found.other)
+            others = " or ".join(phrase(name, terms).noun for name in found.other)
             text += f" (or, which this log cannot tell apart, {others})"
         return text
     if found.kind == "sigma":
-        return noise_words(found.name, found.size, polar)
+        return noise_words(found.name, found.size, terms)
     many = _count(found.size, "reading")
     one = round(found.size) == 1
     if found.kind == "tails":
@@ -51,7 +51,7 @@ def _count(value: float, what: str) -> str:
     return f"{value:.0f} {what}{'' if round(value) == 1 else 's'}"
 
 
-def sentences(findings: Sequence[Finding], polar: bool) -> list[str]:
+def sentences(findings: Sequence[Finding], terms: Terms) -> list[str]:
     """A sentence for each finding, in their order; an estimator's phases share the one that is furthest off."""
     shown: list[Finding] = []
     for f in findings:
@@ -60,18 +60,18 @@ def sentences(findings: Sequence[Finding], polar: bool) -> list[str]:
             shown.append(f)
         elif abs(math.log(f.size)) > abs(math.log(shown[same[0]].size)):
             shown[same[0]] = f
-    return [text for text in (sentence(f, polar) for f in shown) if text]
+    return [text for text in (sentence(f, terms) for f in shown) if text]
 
 
-def done_words(done: Mapping[str, float], polar: bool) -> list[str]:
+def done_words(done: Mapping[str, float], terms: Terms) -> list[str]:
     """What a calibration changed: systematic errors taken out, and factors of stated sigmas."""
     taken = [
-        phrase(name, polar).sentence(size, math.nan)
+        phrase(name, terms).sentence(size, math.nan)
         for name, size in done.items()
         if not name.startswith(SIGMA) and math.isfinite(size) and size != 0.0
     ]
     noises = [
-        noise_words(name.removeprefix(SIGMA), size, polar)
+        noise_words(name.removeprefix(SIGMA), size, terms)
         for name, size in done.items()
         if name.startswith(SIGMA) and math.isfinite(size) and size > 0.0
     ]
@@ -89,7 +89,7 @@ def groups_of(findings: Iterable[Finding]) -> tuple[str, ...]:
     return tuple(name for name in ORDER if name in wanted)
 
 
-def advice(findings: Sequence[Finding], polar: bool, *, labels: bool) -> list[str]:
+def advice(findings: Sequence[Finding], terms: Terms, *, labels: bool) -> list[str]:
     """What to do about findings, a sentence each; `labels`: whether known association can be granted."""
     said = []
     groups = groups_of(findings)
@@ -104,7 +104,7 @@ def advice(findings: Sequence[Finding], polar: bool, *, labels: bool) -> list[st
     late = [f for f in systematic if f.name.split("_", 1)[1] in LATE]
     if late:
         said.append("Shift the readings' stamps; a log with odometry.csv can have it fitted (`--fit latency`).")
-    by_hand = [phrase(f.name, polar).noun for f in systematic if f not in late]
+    by_hand = [phrase(f.name, terms).noun for f in systematic if f not in late]
     if by_hand:
         said.append(f"Correct in the log itself, as no parameter stands for it: {', '.join(by_hand)}.")
     kinds = {f.kind for f in findings}

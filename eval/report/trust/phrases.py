@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from data.inputs import Inputs
 from data.sensors import RangeBearing
@@ -13,6 +13,8 @@ DEGREES = 180.0 / math.pi
 SHARE, ANGLE = ("%", 100.0), ("°", DEGREES)
 METRES, SECONDS = ("m", 1.0), ("s", 1.0)
 CURVATURE, DRIFT = ("rad/m", 1.0), ("rad/s", 1.0)
+PER_FRAME = {SECONDS: ("frames", 1.0), DRIFT: ("rad/frame", 1.0)}
+"""Units of a log without stamps, whose time is the number of the frame."""
 
 
 @dataclass(frozen=True)
@@ -88,29 +90,44 @@ SHOWN_BY = {"speed": "the robot's motion", "turn_rate": "its turning"}
 """What of the motion shows that readings are late."""
 
 
-def is_polar(inputs: Inputs) -> bool:
-    """Whether the readings are ranges and bearings (else points)."""
-    return isinstance(inputs.sensor, RangeBearing)
+@dataclass(frozen=True)
+class Terms:
+    """What a log's numbers are called: readings ranges and bearings (else points), time in seconds (else frames)."""
+
+    polar: bool = True
+    stamped: bool = True
 
 
-def component(name: str, polar: bool) -> str:
+def terms_of(inputs: Inputs) -> Terms:
+    """The terms of a log."""
+    return Terms(isinstance(inputs.sensor, RangeBearing), not inputs.time_is_index)
+
+
+def component(name: str, terms: Terms) -> str:
     """A component of increments or readings, as the noun whose noise is spoken of."""
-    readings = ("ranges", "bearings") if polar else ("readings' x", "readings' y")
+    readings = ("ranges", "bearings") if terms.polar else ("readings' x", "readings' y")
     return {
         "odometry_x": "odometry's forward motion", "odometry_y": "odometry's sideways motion",
         "odometry_theta": "odometry's heading", "z1": readings[0], "z2": readings[1],
     }[name]  # fmt: skip
 
 
-def phrase(name: str, polar: bool) -> Phrase:
+def phrase(name: str, terms: Terms) -> Phrase:
     """How a systematic error `<component>_<regressor>` of `eval.referee.effects` is said."""
-    known = {**ODOMETRY, **(POLAR if polar else POINTS)}
+    said = _phrase(name, terms)
+    if not terms.stamped and said.unit in PER_FRAME:
+        return replace(said, unit=PER_FRAME[said.unit])
+    return said
+
+
+def _phrase(name: str, terms: Terms) -> Phrase:
+    known = {**ODOMETRY, **(POLAR if terms.polar else POINTS)}
     if name in known:
         return known[name]
     which, regressor = name.split("_", 1)
-    what = component(which, polar)
-    late = what if polar else f"the {what}"
-    verb = "are" if polar else "is"
+    what = component(which, terms)
+    late = what if terms.polar else f"the {what}"
+    verb = "are" if terms.polar else "is"
     text, shown = f"{late} {verb} {{}}", f"than stamped, as {SHOWN_BY[regressor]} shows"
     return _sides(f"{late} stamped at the wrong instant", text, SECONDS, f"older {shown}", f"newer {shown}")
 
@@ -139,6 +156,6 @@ def factor_words(factor: float) -> str:
     return f"{by:.2f} times too {word}" if by < 1.995 else f"{number(by, 2)} times too {word}"
 
 
-def noise_words(name: str, factor: float, polar: bool) -> str:
+def noise_words(name: str, factor: float, terms: Terms) -> str:
     """A wrong noise: of which component, and how it is stated."""
-    return f"the noise (σ) of the {component(name, polar)} is stated {factor_words(factor)}"
+    return f"the noise (σ) of the {component(name, terms)} is stated {factor_words(factor)}"

@@ -10,7 +10,7 @@ import numpy as np
 from eval.page.numbers import number
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, POWER
 from eval.replay.names import ESTIMATORS, FILTERS
-from eval.report.trust.phrases import component, phrase, with_unit
+from eval.report.trust.phrases import Terms, component, phrase, with_unit
 from eval.studies.trusted import Blame, Trust
 
 STANDS_OUT = 3.0
@@ -62,14 +62,14 @@ def quadratic(trust: Trust, name: str) -> str:
     return ", and ".join(parts)
 
 
-def standing_out(trust: Trust, polar: bool, most: int) -> list[str]:
+def standing_out(trust: Trust, terms: Terms, most: int) -> list[str]:
     """Systematic errors that residuals ask for beyond `STANDS_OUT` standard errors, each alone, largest first."""
     found = []
     for (_, name), m in trust.real.measured.items():
         if name.startswith("slope_") and math.isfinite(m.value) and math.isfinite(m.se) and m.se > 0.0:
             found.append((abs(m.value) / m.se, name.removeprefix("slope_"), m))
     found = sorted((f for f in found if f[0] > STANDS_OUT), key=lambda f: -f[0])
-    return [f"{phrase(name, polar).sentence(m.value, m.se)} ({z:.0f} standard errors)" for z, name, m in found[:most]]
+    return [f"{phrase(name, terms).sentence(m.value, m.se)} ({z:.0f} standard errors)" for z, name, m in found[:most]]
 
 
 def outside(blame: Blame, twins: int) -> str:
@@ -87,21 +87,21 @@ def culprit(cause: str) -> str:
     )
 
 
-def power(blame: Blame, polar: bool, *, brief: bool = False) -> str:
+def power(blame: Blame, terms: Terms, *, brief: bool = False) -> str:
     """Sizes of faults that the log would have shown, one at a time (`brief`: three of them); empty if none is known."""
-    turned = "z2_constant" if polar else "z2_range"
+    turned = "z2_constant" if terms.polar else "z2_range"
     names = ("odometry_theta_turn", turned, "z1_range") if brief else (*SYSTEMATIC, turned, "z1_range")
     parts = []
     for name in names:
         size = blame.detectable.get(name, math.nan)
         if math.isfinite(size):
-            said = phrase(name, polar)
+            said = phrase(name, terms)
             parts.append(f"{said.noun} of {with_unit(size, said.unit)}")
     for name in () if brief else ("z1", "z2", "odometry_theta"):
         factor = blame.detectable.get(f"residual_{name}_spread", math.nan)
         if math.isfinite(factor):
             least = "at least " if name.startswith("odometry") else ""
-            parts.append(f"a noise of the {component(name, polar)} {least}{factor:.2f} times as large as stated")
+            parts.append(f"a noise of the {component(name, terms)} {least}{factor:.2f} times as large as stated")
     if not parts:
         return ""
     listed = f"{', '.join(parts[:-1])} or {parts[-1]}" if len(parts) > 1 else parts[0]

@@ -10,7 +10,7 @@ from eval.plan.options import Options
 from eval.referee.score import Trial
 from eval.report.pictures import FILTER_SMOOTHER, stem
 from eval.report.shown_runs import associations
-from eval.report.trust.phrases import is_polar
+from eval.report.trust.phrases import terms_of
 from eval.report.trust.said import online
 from eval.report.trust.tables import shown, trust_frame
 from eval.report.trust.words import first_words, paragraphs
@@ -39,7 +39,7 @@ def first_said(trial: Trial, said: Sequence[Trust]) -> str:
     for trust in of_trial(trial, said)[:1]:
         measured = trial.log.truth.known_poses > 0
         if trust.blame is not None or not measured:
-            return first_words(trust, polar=is_polar(trial.log.recorded), measured=measured)
+            return first_words(trust, terms=terms_of(trial.log.recorded), measured=measured)
     return ""
 
 
@@ -48,17 +48,17 @@ def trust_section(
 ) -> list[Section]:
     """The words, the table and the figure of a log and task; none where nothing is known."""
     told = of_trial(trial, said)
-    polar, labels = is_polar(trial.log.recorded), trial.log.has_labels
+    terms, labels = terms_of(trial.log.recorded), trial.log.has_labels
     blocks: list[Block] = []
     for trust in told:
         if len(told) > 1 or len(associations(trial.runs)) > 1:
             blocks.append(f"With association `{trust.association}`:")
-        words = paragraphs(trust, polar=polar, labels=labels)
+        words = paragraphs(trust, terms=terms, labels=labels)
         blocks += [words] if words else []
         if shown(trust):
             caption = f"{trial.log.name}, {trial.task}, association {trust.association}. {CAPTION}"
             caption += WITH_TWINS if trust.twins else WITHOUT
             name = stem(trial, f"trust-{trust.association}")
-            blocks.append(written_table(trust_frame(trust, polar=polar), folder, name, caption, options.formats))
+            blocks.append(written_table(trust_frame(trust, terms=terms), folder, name, caption, options.formats))
     blocks += [p for p in pictures if p.stem == stem(trial, FILTER_SMOOTHER)]
     return [Section(f"{HEADING}: {trial.log.name}, {trial.task}", tuple(blocks), 3)] if blocks else []

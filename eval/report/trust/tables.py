@@ -12,7 +12,7 @@ from data.se2 import Array
 from eval.page.numbers import number
 from eval.page.tables import drop_blank_columns
 from eval.referee import battery
-from eval.report.trust.phrases import component, phrase
+from eval.report.trust.phrases import Terms, component, phrase
 from eval.report.trust.said import STANDS_OUT
 from eval.studies.trusted import Row, Trust
 
@@ -39,7 +39,7 @@ OWN = "own_smoother"
 SUMMARIES = {"mean": "mean [σ]", "spread": "spread [σ]", "lag1": "correlation at lag 1", "largest": "largest [σ]"}
 
 
-def statistic_words(name: str, polar: bool) -> tuple[str, float]:
+def statistic_words(name: str, terms: Terms) -> tuple[str, float]:
     """A statistic of trust.csv as a person reads it, with its unit, and the factor from what trust.csv has."""
     own = name.startswith(OWN)
     shared = name.replace(OWN, "filter_smoother", 1)
@@ -48,10 +48,10 @@ def statistic_words(name: str, polar: bool) -> tuple[str, float]:
         return (f"{text}, own final path" if own else text), (100.0 if "%" in text else 1.0)
     kind, _, rest = name.partition("_")
     if kind == "slope":
-        said = phrase(rest, polar)
+        said = phrase(rest, terms)
         return f"{said.noun} [{said.unit[0]}]", said.unit[1]
     which, _, summary = rest.rpartition("_")
-    return f"residual of the {component(which, polar)}, {SUMMARIES[summary]}", 1.0
+    return f"residual of the {component(which, terms)}, {SUMMARIES[summary]}", 1.0
 
 
 def shown(trust: Trust) -> list[Row]:
@@ -100,11 +100,11 @@ def _by_distance(trust: Trust) -> list[tuple[str, str]]:
     return sorted(far, key=lambda key: -far[key])
 
 
-def trust_frame(trust: Trust, *, polar: bool) -> pd.DataFrame:
+def trust_frame(trust: Trust, *, terms: Terms) -> pd.DataFrame:
     """The rows of `shown` to read; numbers to three digits each, as their units differ."""
     made = []
     for row in shown(trust):
-        text, factor = statistic_words(row.statistic, polar)
+        text, factor = statistic_words(row.statistic, terms)
         drawn = factor * _drawn(trust, row)
         low, middle, high = np.quantile(drawn, [0.05, 0.5, 0.95]).tolist() if len(drawn) else (math.nan,) * 3
         made.append({

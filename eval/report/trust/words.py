@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from eval.referee.attribution import NOTHING, Finding
 from eval.report.trust.findings import advice, done_words, sentences
+from eval.report.trust.phrases import Terms
 from eval.report.trust.said import (
     HINT,
     apart,
@@ -32,14 +33,14 @@ LINEAR = (
 )
 
 
-def first_words(trust: Trust, *, polar: bool, measured: bool = False) -> str:
+def first_words(trust: Trust, *, terms: Terms, measured: bool = False) -> str:
     """Two to four sentences, two beside errors against the truth (`measured`); empty where the log says nothing."""
     if trust.blame is None:
-        return _without_twins(trust, polar)
-    return " ".join(_said(s) for s in _verdict(trust, trust.blame, polar, measured) if s)
+        return _without_twins(trust, terms)
+    return " ".join(_said(s) for s in _verdict(trust, trust.blame, terms, measured) if s)
 
 
-def _verdict(trust: Trust, blame: Blame, polar: bool, measured: bool) -> list[str]:
+def _verdict(trust: Trust, blame: Blame, terms: Terms, measured: bool) -> list[str]:
     """Cause, how much is outside, filter and smoother, and the main findings or the power."""
     if blame.cause == NOTHING:
         said = [f"By its own data this log gives **nothing to object to**: {outside(blame, len(trust.twins))}"]
@@ -48,8 +49,8 @@ def _verdict(trust: Trust, blame: Blame, polar: bool, measured: bool) -> list[st
         said = [f"By its own data **{culprit(blame.cause)}** {where}: {outside(blame, len(trust.twins))}"]
     said += [apart(trust, name) for name in online(trust)[:1] if not measured]
     if blame.cause == NOTHING:
-        return [*said, power(blame, polar, brief=True)]
-    return [*said, "; ".join(sentences(_main(blame.findings), polar))]
+        return [*said, power(blame, terms, brief=True)]
+    return [*said, "; ".join(sentences(_main(blame.findings), terms))]
 
 
 def _main(findings: Sequence[Finding]) -> list[Finding]:
@@ -58,12 +59,12 @@ def _main(findings: Sequence[Finding]) -> list[Finding]:
     return first + [f for f in findings[1:] if f.kind == "systematic" and first[0].kind != "systematic"][:1]
 
 
-def _without_twins(trust: Trust, polar: bool) -> str:
+def _without_twins(trust: Trust, terms: Terms) -> str:
     names = online(trust)
     if not names:
         return ""
     said = ["; ".join(t for t in (apart(trust, names[0]), quadratic(trust, names[0])) if t)]
-    found = standing_out(trust, polar, 1)
+    found = standing_out(trust, terms, 1)
     said += [f"Of systematic errors the residuals ask most for this one: {text}" for text in found]
     return " ".join([*(_said(s) for s in said), HINT])
 
@@ -73,20 +74,20 @@ def _said(text: str) -> str:
     return f"{text[:1].upper()}{text[1:]}" + ("" if text.endswith(".") else ".")
 
 
-def paragraphs(trust: Trust, *, polar: bool, labels: bool) -> str:
+def paragraphs(trust: Trust, *, terms: Terms, labels: bool) -> str:
     """Everything that is said of a log with one way of association, as a list in Markdown."""
-    lines = _with_blame(trust, trust.blame, polar, labels) if trust.blame else _no_blame(trust, polar)
+    lines = _with_blame(trust, trust.blame, terms, labels) if trust.blame else _no_blame(trust, terms)
     return "\n".join(f"* {line}" for line in [*lines, *(_said(n) for n in trust.notes)])
 
 
-def _no_blame(trust: Trust, polar: bool) -> list[str]:
+def _no_blame(trust: Trust, terms: Terms) -> list[str]:
     lines = []
     for name in online(trust):
         more = quadratic(trust, name)
         lines.append(_said(apart(trust, name)) + (f" {_said(more)}" if more else ""))
     if lines:
         lines.append(LINEAR)
-    found = standing_out(trust, polar, 3)
+    found = standing_out(trust, terms, 3)
     if found:
         lines.append(_listed("Systematic errors that the residuals ask for, each as if it were the only one:", found))
     if not trust.twins:
@@ -94,26 +95,26 @@ def _no_blame(trust: Trust, polar: bool) -> list[str]:
     return lines
 
 
-def _with_blame(trust: Trust, blame: Blame, polar: bool, labels: bool) -> list[str]:
+def _with_blame(trust: Trust, blame: Blame, terms: Terms, labels: bool) -> list[str]:
     count = len(trust.twins)
     lines = [f"**Cause: {culprit(blame.cause)}.** {_said(outside(blame, count))}"]
     if blame.objected and not blame.findings:
         lines[0] += " None of the errors that have a name explains them; the table says which they are."
     lines += [_said(apart(trust, name)) for name in online(trust)]
-    found = sentences(blame.findings, polar)
+    found = sentences(blame.findings, terms)
     if found:
         lines.append(_listed("Found, the weightiest first:", found))
     if blame.cause == NOTHING:
-        lines += [f"{_said(text)} Each is taken alone." for text in [power(blame, polar)] if text]
+        lines += [f"{_said(text)} Each is taken alone." for text in [power(blame, terms)] if text]
     lines += [_said(text) for text in (nees_on_twins(trust), deciding_on_twins(trust)) if text]
-    todo = advice(blame.findings, polar, labels=labels)
+    todo = advice(blame.findings, terms, labels=labels)
     if todo:
         lines.append(f"**What to do.** {' '.join(todo)}")
-    lines += _afterwards(trust, polar)
+    lines += _afterwards(trust, terms)
     return [*lines, CAVEAT]
 
 
-def _afterwards(trust: Trust, polar: bool) -> list[str]:
+def _afterwards(trust: Trust, terms: Terms) -> list[str]:
     """A calibration tried at once: what was changed, and what is left."""
     if trust.after is None or not trust.done:
         return []
@@ -129,9 +130,9 @@ def _afterwards(trust: Trust, polar: bool) -> list[str]:
             if name in online(after)
         ]
         left.append(f"cause now: {culprit(after.blame.cause)}")
-        left[-1] += "".join(f"; weightiest: {text}" for text in sentences(after.blame.findings, polar)[:1])
+        left[-1] += "".join(f"; weightiest: {text}" for text in sentences(after.blame.findings, terms)[:1])
     changed = _listed(
-        "**Tried at once** (a quick correction of what was found, no fit). Put right:", done_words(trust.done, polar)
+        "**Tried at once** (a quick correction of what was found, no fit). Put right:", done_words(trust.done, terms)
     )
     return [changed, _listed("**Afterwards:**", left)]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,9 +13,10 @@ from hypothesis import strategies as st
 
 from eval.referee.effects import effects
 from eval.referee.residuals import Used
-from eval.report.trust.phrases import factor_words, is_polar, noise_words, phrase, with_error
+from eval.report.trust.phrases import Terms, factor_words, noise_words, phrase, terms_of, with_error
 from tests.eval.handmade import LANDMARKS, circle_log, true_path
 
+POLAR, POINTS = Terms(), Terms(polar=False)
 COMMON = (
     *(f"odometry_{name}" for name in ("x_distance", "x_turn", "y_distance", "y_turn")),
     *(f"odometry_theta_{name}" for name in ("distance", "turn", "time")),
@@ -40,14 +42,14 @@ COMMON = (
     ],
 )
 def test_a_systematic_error_has_its_side_and_its_unit(name, size, error, text):
-    assert phrase(name, True).sentence(size, error).startswith(text)
+    assert phrase(name, POLAR).sentence(size, error).startswith(text)
 
 
 def test_points_are_spoken_of_as_points():
-    assert phrase("z1_constant", False).sentence(-0.1, 0.02) == "the readings' x is 0.10 m ± 0.02 m too small"
-    assert phrase("z2_range", False).sentence(0.01, math.nan) == "readings are turned 0.573° counter-clockwise"
-    assert phrase("z1_range", False).sentence(-0.1, math.nan) == "readings grow 10.0 % too slowly"
-    assert "older than stamped" in phrase("z2_speed", False).sentence(0.1, 0.02)
+    assert phrase("z1_constant", POINTS).sentence(-0.1, 0.02) == "the readings' x is 0.10 m ± 0.02 m too small"
+    assert phrase("z2_range", POINTS).sentence(0.01, math.nan) == "readings are turned 0.573° counter-clockwise"
+    assert phrase("z1_range", POINTS).sentence(-0.1, math.nan) == "readings grow 10.0 % too slowly"
+    assert "older than stamped" in phrase("z2_speed", POINTS).sentence(0.1, 0.02)
 
 
 def test_a_point_ahead_of_the_robot_moves_to_the_left_in_a_left_turn():
@@ -68,12 +70,14 @@ def test_every_systematic_error_that_is_sought_can_be_said():
     used = Used(np.zeros(4, np.int64), LANDMARKS.xy[:1], np.array([0]))
     sought = {e.name for e in effects(log.recorded, true_path(), used)}
     assert sought <= set(COMMON)
-    assert is_polar(log.recorded)
+    assert terms_of(log.recorded) == POLAR
 
 
-@given(st.sampled_from(COMMON), st.booleans(), st.floats(-1e6, 1e6).filter(bool), st.floats(0, 1e6) | st.just(math.nan))
-def test_no_sentence_has_a_number_that_is_none(name, polar, size, error):
-    text = phrase(name, polar).sentence(size, error)
+@given(
+    st.sampled_from(COMMON), st.builds(Terms), st.floats(-1e6, 1e6).filter(bool), st.floats(0, 1e6) | st.just(math.nan)
+)
+def test_no_sentence_has_a_number_that_is_none(name, terms, size, error):
+    text = phrase(name, terms).sentence(size, error)
     assert not re.search(r"\b(nan|inf|None)\b", text, re.IGNORECASE)
     assert "{" not in text
 
@@ -87,5 +91,13 @@ def test_a_size_has_the_decimals_of_its_error():
 def test_a_noise_is_stated_too_large_if_it_is_smaller():
     assert factor_words(0.2186) == "4.6 times too large"
     assert factor_words(1.34) == "1.34 times too small"
-    assert noise_words("z2", 0.5, True) == "the noise (σ) of the bearings is stated 2.0 times too large"
-    assert noise_words("odometry_theta", 2.0, False).startswith("the noise (σ) of the odometry's heading")
+    assert noise_words("z2", 0.5, POLAR) == "the noise (σ) of the bearings is stated 2.0 times too large"
+    assert noise_words("odometry_theta", 2.0, POINTS).startswith("the noise (σ) of the odometry's heading")
+
+
+def test_a_log_without_stamps_has_frames_for_seconds():
+    unstamped = Terms(stamped=False)
+    assert phrase("z1_speed", unstamped).sentence(0.7, 0.03).startswith("ranges are 0.70 frames ± 0.03 frames older")
+    assert "0.020 rad/frame" in phrase("odometry_theta_time", unstamped).sentence(0.02, 0.002)
+    log = circle_log()
+    assert terms_of(replace(log.recorded, time_is_index=True)) == unstamped

@@ -12,12 +12,15 @@ from eval.page.document import Table
 from eval.plan.options import Options
 from eval.referee.attribution import NOISE
 from eval.referee.score import Trial
+from eval.referee.trust import Measured
 from eval.report.pictures import FILTER_SMOOTHER, draw, kinds
+from eval.report.trust.phrases import Terms
 from eval.report.trust.sections import first_said, of_trial, trust_section
 from eval.report.trust.tables import MOST, statistic_words, trust_frame
 from tests.eval.handmade import SIGMA, circle_log, run_with_error
 from tests.eval.report.trust.said_by_hand import MEASURED, TURN, blamed, said
 
+POLAR = Terms()
 ZERO = np.zeros(3)
 LOG = circle_log(truth=False, landmarks=False, name="home")
 
@@ -32,7 +35,7 @@ TRIAL = Trial(LOG, "slam", (FILTER, smoother()))
 
 
 def test_what_is_objected_to_stands_first_with_what_the_twins_show():
-    frame = trust_frame(blamed(TURN, cause=NOISE, objected=2), polar=True)
+    frame = trust_frame(blamed(TURN, cause=NOISE, objected=2), terms=POLAR)
     assert len(frame) <= MOST
     assert set(frame["statistic"][:2]) == {"NIS per degree of freedom", "median of dᵀ(P_f − P_s)⁻¹d"}
     first = frame[frame["statistic"].str.startswith("median")].iloc[0]
@@ -43,8 +46,20 @@ def test_what_is_objected_to_stands_first_with_what_the_twins_show():
     assert first["family-wise p"] == "0.048"
 
 
+def test_what_is_furthest_from_its_twins_stands_first():
+    trust = blamed(TURN, cause=NOISE, objected=2)
+    # the twins have 0.91 to 1.10 and 30.3 to 30.49, so one spread is as large as the other
+    for nis, median, first in ((0.2, 30.55, "NIS"), (1.2, 80.0, "median")):
+        measured = trust.real.measured | {
+            ("ekf", "nis"): Measured(nis), ("ekf", "filter_smoother_median"): Measured(median),
+        }  # fmt: skip
+        rows = [replace(r, measured=measured[r.estimator, r.statistic]) for r in trust.rows]
+        frame = trust_frame(replace(trust, real=replace(trust.real, measured=measured), rows=tuple(rows)), terms=POLAR)
+        assert frame["statistic"][0].startswith(first)
+
+
 def test_without_twins_there_is_no_column_of_them():
-    frame = trust_frame(said(), polar=True)
+    frame = trust_frame(said(), terms=POLAR)
     assert list(frame.columns) == ["estimator", "statistic", "value", "expected"]
     turn = frame[frame["statistic"] == "a wrong scale of the odometry's turns [%]"].iloc[0]
     assert turn["value"] == "−5.00 ± 0.10"
@@ -53,12 +68,12 @@ def test_without_twins_there_is_no_column_of_them():
 
 def test_every_statistic_has_a_name_that_is_none_of_the_codes():
     for _, name in MEASURED:
-        for polar in (True, False):
-            text, factor = statistic_words(name, polar)
+        for terms in (POLAR, Terms(polar=False)):
+            text, factor = statistic_words(name, terms)
             assert "_s" not in text.replace("P_s", "")
             assert factor > 0.0
-    assert statistic_words("own_smoother_rms_x", True)[0] == "RMS of d in x [σ], own final path"
-    assert statistic_words("residual_odometry_theta_lag1", True)[0] == (
+    assert statistic_words("own_smoother_rms_x", POLAR)[0] == "RMS of d in x [σ], own final path"
+    assert statistic_words("residual_odometry_theta_lag1", POLAR)[0] == (
         "residual of the odometry's heading, correlation at lag 1"
     )
 

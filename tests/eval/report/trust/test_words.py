@@ -10,17 +10,19 @@ import pytest
 
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, Finding
 from eval.report.trust.findings import advice, groups_of, sentences
+from eval.report.trust.phrases import Terms
 from eval.report.trust.words import first_words, paragraphs
 from tests.eval.report.trust.said_by_hand import TURN, blamed, said
 
+POLAR, POINTS = Terms(), Terms(polar=False)
 SIGMA = Finding(NOISE, "sigma", "z2", 0.2, gain=1000.0)
 TAILS = Finding(NOISE, "tails", "readings", 38, gain=50.0)
 PAIRINGS = Finding(ASSOCIATIONS, "pairings", "readings", 8, gain=300.0)
 LINEAR = Finding(ESTIMATOR, "linearization", "ekf", 1.3, 0.02)
 
 
-def told(trust, *, polar=True, labels=True) -> str:
-    return paragraphs(trust, polar=polar, labels=labels)
+def told(trust, *, terms=POLAR, labels=True) -> str:
+    return paragraphs(trust, terms=terms, labels=labels)
 
 
 def sentence_count(text: str) -> int:
@@ -28,7 +30,7 @@ def sentence_count(text: str) -> int:
 
 
 def test_a_wrong_noise_model_is_named_with_how_far_filter_and_smoother_are_apart():
-    text = first_words(blamed(SIGMA, TURN, cause=NOISE, objected=5), polar=True)
+    text = first_words(blamed(SIGMA, TURN, cause=NOISE, objected=5), terms=POLAR)
     assert text == (
         "By its own data **the noise model** is not to be trusted: 5 of 9 statistics lie outside what 20 twins show"
         " (family-wise p 0.048). The filter (ekf) and the smoother are 13.0 m RMS apart, on the twins 0.500 m to"
@@ -38,7 +40,7 @@ def test_a_wrong_noise_model_is_named_with_how_far_filter_and_smoother_are_apart
 
 
 def test_nothing_to_object_to_comes_with_what_would_have_been_seen():
-    text = first_words(blamed(), polar=True)
+    text = first_words(blamed(), terms=POLAR)
     assert (
         "**nothing to object to**: none of 9 statistics lies outside what 20 twins show (smallest family-wise p 0.60)"
         in text
@@ -56,31 +58,31 @@ def test_nothing_to_object_to_comes_with_what_would_have_been_seen():
 @pytest.mark.parametrize("cause", [NOISE, ASSOCIATIONS, ESTIMATOR])
 def test_the_first_words_are_two_to_four_sentences(cause):
     for trust in (said(), blamed(), blamed(SIGMA, TURN, cause=cause, objected=3)):
-        assert 2 <= sentence_count(first_words(trust, polar=True)) <= 4
-    beside_truth = first_words(blamed(SIGMA, TURN, cause=cause, objected=3), polar=True, measured=True)
+        assert 2 <= sentence_count(first_words(trust, terms=POLAR)) <= 4
+    beside_truth = first_words(blamed(SIGMA, TURN, cause=cause, objected=3), terms=POLAR, measured=True)
     assert sentence_count(beside_truth) == 2
 
 
 def test_without_twins_the_difference_is_told_and_how_to_get_p_values():
-    text = first_words(said(), polar=True)
+    text = first_words(said(), terms=POLAR)
     assert text.startswith("The filter (ekf) and the smoother are 13.0 m RMS apart; their difference d has a median")
     assert "of 30.3 where 1.46 is expected, and P_f − P_s is positive semidefinite in 9 % of the frames" in text
     assert "odometry turns 5.00 % ± 0.10 % less than the robot did (50 standard errors)" in text
     assert "`--twins 100`" in text
-    assert "ranges grow" not in told(said())  # one standard error is nothing
+    assert "anges grow" not in told(said())  # one standard error is nothing
 
 
 def test_each_kind_of_finding_has_its_sentence():
     twice = replace(LINEAR, size=1.6)
-    assert sentences([SIGMA, TAILS, PAIRINGS, LINEAR, twice], True)[1:] == [
+    assert sentences([SIGMA, TAILS, PAIRINGS, LINEAR, twice], POLAR)[1:] == [
         "38 readings fit no landmark where the path puts them: outliers of the sensor",
         "8 readings fit another landmark than the one paired with: wrong pairings",
         "on the twins, where all is as stated, ekf's NEES is 1.60 times what its covariance claims: it claims less"
         " error than it makes",
     ]
-    assert "it claims more error than it makes" in sentences([replace(LINEAR, size=0.5)], True)[0]
+    assert "it claims more error than it makes" in sentences([replace(LINEAR, size=0.5)], POLAR)[0]
     alike = replace(TURN, other=("odometry_theta_time",))
-    assert sentences([alike], True)[0].endswith(
+    assert sentences([alike], POLAR)[0].endswith(
         "(or, which this log cannot tell apart, a drift of the odometry's heading)"
     )
 
@@ -90,16 +92,16 @@ def test_what_to_do_names_the_parameters_that_can_be_fitted():
     bias, late = (Finding(NOISE, "systematic", n, 0.1, 0.01) for n in ("z2_constant", "z1_speed"))
     askew = Finding(NOISE, "systematic", "odometry_y_distance", 0.1, 0.01)
     assert groups_of([bias, SIGMA, motion, TURN]) == ("motion", "sensor", "bias", "odometry")
-    said_so = " ".join(advice([TURN, SIGMA, late, askew], True, labels=True))
+    said_so = " ".join(advice([TURN, SIGMA, late, askew], POLAR, labels=True))
     assert "`python -m eval.tune LOG OUT --fit sensor,odometry`" in said_so
     assert "`--fit latency`" in said_so
     assert "no parameter stands for it: odometry askew to the way driven" in said_so
-    assert "if the log had labels" in " ".join(advice([SIGMA], True, labels=False))
-    assert "--gate-known 0.9999" in " ".join(advice([PAIRINGS], True, labels=True))
-    assert "--gate-known" not in " ".join(advice([PAIRINGS, TAILS], True, labels=False))
-    assert "`batch-huber` or `gnc`" in " ".join(advice([TAILS], True, labels=True))
-    assert "`ekf-iterated`" in advice([LINEAR], True, labels=True)[0]
-    assert "covariances of batch" in advice([replace(LINEAR, name="batch")], True, labels=True)[0]
+    assert "if the log had labels" in " ".join(advice([SIGMA], POLAR, labels=False))
+    assert "--gate-known 0.9999" in " ".join(advice([PAIRINGS], POLAR, labels=True))
+    assert "--gate-known" not in " ".join(advice([PAIRINGS, TAILS], POLAR, labels=False))
+    assert "`batch-huber` or `gnc`" in " ".join(advice([TAILS], POLAR, labels=True))
+    assert "`ekf-iterated`" in advice([LINEAR], POLAR, labels=True)[0]
+    assert "covariances of batch" in advice([replace(LINEAR, name="batch")], POLAR, labels=True)[0]
 
 
 def test_a_calibration_is_told_with_what_it_left():
@@ -134,7 +136,7 @@ def test_a_way_of_deciding_is_told_what_to_expect_of_it():
 
 def test_the_blind_spot_of_twins_is_in_the_section_and_not_on_the_first_page():
     assert "What twins cannot see" in told(blamed())
-    assert "cannot see" not in first_words(blamed(), polar=True)
+    assert "cannot see" not in first_words(blamed(), terms=POLAR)
 
 
 def test_why_there_are_no_twins_is_a_sentence():
@@ -145,7 +147,7 @@ def test_what_failed_has_no_number():
     unknown = {key: m._replace(value=math.nan, se=math.nan) for key, m in said().real.measured.items()}
     trust = said()
     lost = replace(trust, real=replace(trust.real, measured=unknown, apart={"ekf": math.nan}))
-    assert first_words(lost, polar=True) == ""
+    assert first_words(lost, terms=POLAR) == ""
     broken = [replace(f, size=math.nan, error=math.nan) for f in (TURN, SIGMA, TAILS, LINEAR)]
     for t in (
         lost,
@@ -153,6 +155,6 @@ def test_what_failed_has_no_number():
         replace(blamed(TURN, cause=NOISE, objected=2), twins=(lost.real,) * 20),
         replace(blamed(TURN, cause=NOISE), after=lost, done={"sigma_z1": math.nan, "z1_range": 0.0}),
     ):
-        for text in (first_words(t, polar=True), told(t, polar=False)):
+        for text in (first_words(t, terms=POLAR), told(t, terms=POINTS)):
             assert not re.search(r"\b([Nn]an|NaN|inf|None(?! of))\b", text)
             assert "* \n" not in text
