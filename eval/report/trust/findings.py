@@ -10,6 +10,7 @@ from eval.referee.attribution import Finding
 from eval.replay.names import FILTERS
 from eval.report.trust.phrases import Terms, noise_words, phrase
 
+TWINS = "on the twins, where all is as stated"
 SIGMA = "sigma_"
 """Prefix of a factor of a stated sigma among what a calibration did."""
 FITTED = {
@@ -41,9 +42,13 @@ def sentence(found: Finding, terms: Terms) -> str:
     if found.kind == "linearization":
         claims = "less" if found.size > 1.0 else "more"
         return (
-            f"on the twins, where all is as stated, {found.name}'s NEES is {number(found.size)} times what its"
+            f"{TWINS}, {found.name}'s NEES is {number(found.size)} times what its"
             f" covariance claims: it claims {claims} error than it makes"
         )
+    if found.kind == "innovations":
+        return f"{TWINS}, {found.name}'s NIS is {number(found.size)} times what is expected"
+    if found.kind == "decisions":
+        return f"{TWINS}, {100.0 * found.size:.2g} % of the decisions of {found.name} are wrong pairings"
     return ""
 
 
@@ -114,7 +119,9 @@ def advice(findings: Sequence[Finding], terms: Terms, *, labels: bool) -> list[s
     if "tails" in kinds:
         gate = " or a gate (`--gate-known 0.9999`)" if labels else ""
         said.append(f"Use a smoother that bears outliers, `batch-huber` or `gnc`,{gate}.".replace(",.", "."))
-    off = [f.name for f in findings if f.kind == "linearization"]
+    if "decisions" in kinds:
+        said.append("Take another way of deciding: `--association jcbb-hindsight`, or labels where the log has them.")
+    off = [f.name for f in findings if f.kind in ("linearization", "innovations")]
     if any(name in FILTERS for name in off):
         said.append("Take `ekf-iterated`, which relinearizes each update, or for the path after the fact the smoother.")
     elif off:

@@ -9,6 +9,7 @@ import numpy as np
 
 from eval.page.numbers import number
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, POWER
+from eval.referee.trust import Measured
 from eval.replay.names import ESTIMATORS, FILTERS
 from eval.report.trust.phrases import Terms, component, phrase, with_unit
 from eval.studies.trusted import Blame, Trust
@@ -47,15 +48,31 @@ def apart(trust: Trust, name: str) -> str:
     return text
 
 
+def _median(trust: Trust, name: str) -> Measured | None:
+    """Median of the quadratic form of the difference; None if unknown."""
+    median = trust.real.measured.get((name, "filter_smoother_median"))
+    known = median is not None and math.isfinite(median.value) and math.isfinite(median.expected)
+    return median if known else None
+
+
+def _with_expected(median: Measured) -> str:
+    return f"median dᵀ(P_f − P_s)⁻¹d of {number(median.value)} where {number(median.expected)} is expected"
+
+
+def median_before_and_after(before: Trust, after: Trust, name: str) -> tuple[str, str]:
+    """The median of the quadratic form after a calibration, and before; empty if one is unknown."""
+    was, now = _median(before, name), _median(after, name)
+    if was is None or now is None:
+        return "", ""
+    return f"their difference d then has a {_with_expected(now)}", number(was.value)
+
+
 def quadratic(trust: Trust, name: str) -> str:
     """Median of the quadratic form of the difference, and how often P_f - P_s is semidefinite; empty if unknown."""
     parts = []
-    median = trust.real.measured.get((name, "filter_smoother_median"))
-    if median is not None and math.isfinite(median.value) and math.isfinite(median.expected):
-        parts.append(
-            f"their difference d has a median dᵀ(P_f − P_s)⁻¹d of {number(median.value)} where"
-            f" {number(median.expected)} is expected"
-        )
+    median = _median(trust, name)
+    if median is not None:
+        parts.append(f"their difference d has a {_with_expected(median)}")
     share = trust.real.measured.get((name, "filter_smoother_semidefinite"))
     if share is not None and math.isfinite(share.value):
         parts.append(f"P_f − P_s is positive semidefinite in {100.0 * share.value:.0f} % of the frames")

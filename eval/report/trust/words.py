@@ -13,13 +13,13 @@ from eval.report.trust.said import (
     culprit,
     deciding_on_twins,
     length,
+    median_before_and_after,
     nees_on_twins,
     online,
     outside,
     power,
     quadratic,
     standing_out,
-    who,
 )
 from eval.studies.trusted import Blame, Trust
 
@@ -123,12 +123,9 @@ def _afterwards(trust: Trust, terms: Terms) -> list[str]:
         left = ["what is left cannot be told", *after.notes]
     else:
         left = [f"{outside(after.blame, len(after.twins))}; before, {len(before.objected)} of {before.tested} did"]
-        left += [
-            f"{who(name)} and the smoother are then {length(after.real.apart[name])} RMS apart; before,"
-            f" {length(trust.real.apart[name])}"
-            for name in online(trust)[:1]
-            if name in online(after)
-        ]
+        for name in [n for n in online(trust)[:1] if n in online(after)]:
+            left.append(f"{apart(after, name)}; before, {length(trust.real.apart[name])}")
+            left += [f"{text}; before, {was}" for text, was in [median_before_and_after(trust, after, name)] if text]
         left.append(f"cause now: {culprit(after.blame.cause)}")
         left[-1] += "".join(f"; weightiest: {text}" for text in sentences(after.blame.findings, terms)[:1])
     changed = _listed(

@@ -73,6 +73,13 @@ def test_without_twins_the_difference_is_told_and_how_to_get_p_values():
 
 
 def test_each_kind_of_finding_has_its_sentence():
+    white = Finding(ESTIMATOR, "innovations", "ekf", 1.1)
+    assert sentences([white], POLAR) == [
+        "on the twins, where all is as stated, ekf's NIS is 1.10 times what is expected"
+    ]
+    wrong = Finding(ASSOCIATIONS, "decisions", "ekf", 0.034)
+    assert "3.4 % of the decisions of ekf are wrong pairings" in sentences([wrong], POLAR)[0]
+    assert "jcbb-hindsight" in advice([wrong], POLAR, labels=False)[0]
     twice = replace(LINEAR, size=1.6)
     assert sentences([SIGMA, TAILS, PAIRINGS, LINEAR, twice], POLAR)[1:] == [
         "38 readings fit no landmark where the path puts them: outliers of the sensor",
@@ -111,7 +118,9 @@ def test_a_calibration_is_told_with_what_it_left():
     assert "Odometry turns 5.00 % less than the robot did." in text
     assert "The noise (σ) of the ranges is stated 2.0 times too large." in text
     assert "1 of 9 statistics lies outside what 20 twins show (family-wise p 0.048); before, 5 of 9 did." in text
-    assert "are then 1.20 m RMS apart; before, 13.0 m." in text
+    assert "are 1.20 m RMS apart, on the twins" in text
+    assert "; before, 13.0 m." in text
+    assert "Their difference d then has a median" in text
     assert "Cause now: the noise model" in text
 
 
