@@ -7,7 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, estimator_errors, innovation_errors, outlier_errors
+from eval.referee.attribution import (
+    ASSOCIATIONS,
+    ESTIMATOR,
+    NOISE,
+    decision_errors,
+    estimator_errors,
+    innovation_errors,
+    outlier_errors,
+)
 from eval.replay.run import compare
 from eval.replay.settings import Setup
 from eval.studies.faults import FAULTS
@@ -92,3 +100,16 @@ def test_innovations_of_twins_convict_where_the_poses_do_not(arena):
         ]
         found = [f for f in blame(log, drawn).findings if f.kind == "innovations"]
         assert bool(found) == convicted
+
+
+def test_a_way_of_deciding_that_pairs_wrongly_on_twins_is_to_blame():
+    assert decision_errors({"ekf": [(98, 2, 0, 0), (95, 2, 1, 2)]}) == []
+    (found,) = decision_errors({"ekf": [(90, 5, 4, 1), (92, 6, 2, 0)], "isam2": [(99, 1, 0, 0)]})
+    assert (found.cause, found.kind, found.name) == (ASSOCIATIONS, "decisions", "ekf")
+    assert found.size == 0.03
+
+
+def test_an_estimator_is_judged_in_each_of_its_phases():
+    nees = {("isam2", "online"): [4.4, 4.6, 4.5, 4.5], ("isam2", "final"): [3.0, 3.1, 2.9, 3.0]}
+    (found,) = estimator_errors(nees)
+    assert found.size == pytest.approx(1.5)
