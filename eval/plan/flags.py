@@ -143,7 +143,7 @@ class Options(Setup, Selection):
         default=None,
         metadata=flag(
             text("an address, as in tcp://host:8786,"), "ADDRESS",
-            "do the study's runs on a Dask cluster, as in tcp://host:8786", numbers=False,
+            "do the runs of studies and twins on a Dask cluster, as in tcp://host:8786", numbers=False,
         ),
     )  # fmt: skip
     quick: bool = field(
