@@ -43,6 +43,7 @@ def test_averaging_two_odometry_samples_is_not_taken_for_a_latency(tmp_path, see
     assert abs(latency) < 2.0 * error < 0.06
 
 
+@pytest.mark.slow
 def test_the_noise_that_a_log_states_does_not_change_what_is_found(tmp_path):
     found = [
         fitted(stamped_folder(tmp_path / str(i), Stamped(latency=0.03, stated=stated, seed=3)))

@@ -93,7 +93,7 @@ def test_what_was_seen_in_one_frame_is_never_merged(world, runs):
     assert all(not frames[a] & frames[b] for a, b in at.items())
 
 
-@pytest.mark.parametrize("lag", [30.0, 1e4])
+@pytest.mark.parametrize("lag", [30.0, pytest.param(1e4, marks=pytest.mark.slow)])
 def test_a_fixed_lag_smoother_merges_what_has_left_its_window(world, runs, lag):
     run = step_by_step("fixed-lag", world[0], "slam", METHOD, Setup(lag=lag))
     assert run.failure is None
