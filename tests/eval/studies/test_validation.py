@@ -172,7 +172,7 @@ def test_what_is_kept_comes_back_and_what_is_damaged_is_none(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["arena", "corridor", "circle"])
 def test_the_battery_objects_to_one_log_in_twenty_that_is_right(tiny, kind):
-    values = {"arena": (("frames", 100),), "circle": (("frames", 200),)}.get(kind, ())
+    values = {"arena": (("frames", 100),), "circle": (("frames", 400),)}.get(kind, ())
     world = World(kind, kind, "slam", values)
     found = [examined(replace(tiny, worlds=(world,)), Case(world, seed))[0] for seed in range(40)]
     assert not [e.failure for e in found if e.failure]
