@@ -23,7 +23,7 @@ AS_WELL = 0.97
 NEES_BAND = (0.8, 1.25)
 """Share of its degrees of freedom that an estimator's NEES on twins may be without a word: 10 % of a sigma."""
 NIS_BAND = (0.95, 1.05)
-"""The same of its NIS, which many more degrees of freedom tell: sound filters (200 logs in all of arena, corridor and
+"""The same of its NIS, which many more degrees of freedom tell: sound filters (some 110 logs of arena, corridor and
 circle, SLAM) have 0.988 to 1.032 on the twins of a log; one that believes half the odometry's covariance 1.06."""
 SURE = 0.001
 """P value below which the mean NEES or NIS of the twins is off."""
