@@ -75,7 +75,7 @@ def quadratic(trust: Trust, name: str) -> str:
         parts.append(f"their difference d has a {_with_expected(median)}")
     share = trust.real.measured.get((name, "filter_smoother_semidefinite"))
     if share is not None and math.isfinite(share.value):
-        parts.append(f"P_f − P_s is positive semidefinite in {100.0 * share.value:.0f} % of the frames")
+        parts.append(f"P_f − P_s is positive semidefinite in {100.0 * share.value:.3g} % of the frames")
     return ", and ".join(parts)
 
 
