@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -59,7 +59,7 @@ def trusted(
     jobs = [(i, (calibrated_group, (groups[i], said[i][1], _named(done[i])))) for i in wrong]
     better = {i: result for i, result in work(jobs, options) if result is not None}
     again = [better[i][0] for i in sorted(better)]
-    after = _with_twins(list(again), min(AFTERWARDS, _count(options)), options, progress)
+    after = _with_twins(again, min(AFTERWARDS, _count(options)), options, progress)
     found = {i: replace(done[i], after=t, done=better[i][1]) for i, t in zip(sorted(better), after, strict=True)}
     return tuple(found.get(i, t) for i, t in enumerate(done))
 
@@ -129,9 +129,9 @@ def _with_twins(
 
 
 def _noted(trust: Trust, note: str | None, group: Group, count: int) -> Trust:
-    few = f"{count} twins are too few for a verdict: at least {FEWEST} are needed" if 0 < count < FEWEST else None
-    more: Iterable[str] = (n for n in (note, few if group.twins and note is None else None) if n is not None)
-    return replace(trust, notes=(*trust.notes, *more))
+    if note is None and group.twins and 0 < count < FEWEST:
+        note = f"{count} twins are too few for a verdict: at least {FEWEST} are needed"
+    return trust if note is None else replace(trust, notes=(*trust.notes, note))
 
 
 def _named(trust: Trust) -> tuple[str, ...]:

@@ -30,6 +30,14 @@ def nis_bounds(dof: int, gated: tuple[float, float] = (1.0, 2.0), level: float =
     return float(special.gammaincinv(shape, tail) * scale), float(special.gammaincinv(shape, 1.0 - tail) * scale)
 
 
+def share_interval(hits: int, n: int, level: float = LEVEL) -> tuple[float, float]:
+    """Exact interval of a share seen `hits` times in n (Clopper and Pearson, Biometrika 26, 1934)."""
+    tail = 0.5 * (1.0 - level)
+    lower = float(special.betaincinv(hits, n - hits + 1, tail)) if hits else 0.0
+    upper = float(special.betaincinv(hits + 1, n - hits, 1.0 - tail)) if hits < n else 1.0
+    return lower, upper
+
+
 def anees_band(dof: int, runs: int, level: float = LEVEL) -> tuple[float, float]:
     """Band of the per-step average NEES over runs: for a plot (5 % of steps lie outside by design), no verdict."""
     lower, upper = chi2_bounds(dof * runs, level)

@@ -18,7 +18,7 @@ from scipy import special
 from data import se2
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
-from eval.referee.bounds import LEVEL
+from eval.referee.bounds import LEVEL, share_interval
 
 QUANTITIES = {"pose": (0, 1, 2), "position": (0, 1), "heading": (2,)}
 MIN_RUNS = 50
@@ -206,8 +206,7 @@ def coverage(values: Array, dof: int, level: float) -> Verdict:
     tail = 0.5 * (1.0 - LEVEL)
     radius = float(special.chdtri(dof, 1.0 - level))
     inside = int(np.count_nonzero(nees_end <= radius))
-    lower = float(special.betaincinv(inside, n - inside + 1, tail)) if inside else 0.0
-    upper = float(special.betaincinv(inside + 1, n - inside, 1.0 - tail)) if inside < n else 1.0
+    lower, upper = share_interval(inside, n)
     word = _word(lower <= level <= upper, upper < level, n)
     counts = np.arange(n + 1)
     p_values = np.minimum(2.0 * np.minimum(special.bdtr(counts, n, level), special.bdtrc(counts - 1, n, level)), 1.0)

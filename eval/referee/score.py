@@ -81,7 +81,7 @@ def confusion_of(run: Run, log: Log, phase: str) -> Confusion | None:
     return confuse(frame, log.truth.landmark_of, decisions, created, known, run.removed, final)
 
 
-def _nis(run: Run, phase: str) -> tuple[float, int] | None:
+def nis_of(run: Run, phase: str) -> tuple[float, int] | None:
     """Sum of NIS and its degrees of freedom that belong to a phase, if the run has them."""
     if phase == "online" and run.innovations is not None:
         formed = np.isfinite(run.innovations.nis)
@@ -142,7 +142,7 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Alo
     found = lost(run, log.recorded, log.granted if run.association == "known" else None)
     if found is not None:
         row["lost_frame"], row["lost_why"] = found
-    total = _nis(run, phase)
+    total = nis_of(run, phase)
     if total is not None and total[1] > 0:
         row["nis"] = total[0] / total[1]
         row["nis_expected"] = run.gated[0]

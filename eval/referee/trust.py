@@ -20,6 +20,7 @@ from data.result import Run, Trajectory
 from data.se2 import Array, BoolArray
 from eval.referee import effects, residuals
 from eval.referee.consistency import lag1_correlation
+from eval.referee.score import nis_of
 
 SHARE = 0.01
 """A direction is compared if later data took at least this share of the filter's variance away: below it, d and
@@ -67,17 +68,16 @@ def difference(online: Trajectory, smoothed: Trajectory) -> Difference:
     d = se2.pose_error(online.pose, smoothed.pose)
     P, D = online.covariance, online.covariance - smoothed.covariance
     variance = np.einsum("nii->ni", P)
-    scale = np.sqrt(np.where(variance > 0.0, variance, 1.0))
     finite = np.isfinite(d).all(axis=1) & np.isfinite(D).all(axis=(1, 2)) & (variance > 0.0).all(axis=1)
     n = len(d)
     lam, square, dof = np.full((n, 3), np.nan), np.full(n, np.nan), np.zeros(n)
     rows = np.flatnonzero(finite)
-    correlation = P[rows] / (scale[rows, :, None] * scale[rows, None, :])
+    correlation, scale = _correlation(P[rows])
     size, axes = np.linalg.eigh(correlation)
     sound = size[:, 0] > SINGULAR
     rows, root = rows[sound], axes[sound] / np.sqrt(size[sound])[:, None, :]
     # in coordinates in which P_f is the identity, P_f - P_s has eigenvalues up to 1: shares of P_f
-    white = root / scale[rows, :, None]
+    white = root / scale[sound, :, None]
     shares, turned = np.linalg.eigh(white.transpose(0, 2, 1) @ D[rows] @ white)
     w = np.einsum("nji,njk,nk->ni", turned, white.transpose(0, 2, 1), d[rows])
     compared = shares > SHARE
@@ -92,10 +92,14 @@ def difference(online: Trajectory, smoothed: Trajectory) -> Difference:
 
 def regular(covariance: Array) -> BoolArray:
     """Which covariances (n, 3, 3) are in doubt about every direction."""
+    return np.asarray(np.linalg.eigvalsh(_correlation(covariance)[0])[:, 0] > SINGULAR)
+
+
+def _correlation(covariance: Array) -> tuple[Array, Array]:
+    """Covariances (n, 3, 3) with a unit diagonal, and the sigmas (n, 3) they were divided by (1 for variance 0)."""
     variance = np.einsum("nii->ni", covariance)
-    scale = np.sqrt(np.where(variance > 0.0, variance, 1.0))
-    smallest = np.linalg.eigvalsh(covariance / (scale[:, :, None] * scale[:, None, :]))[:, 0]
-    return np.asarray(smallest > SINGULAR)
+    sigma = np.sqrt(np.where(variance > 0.0, variance, 1.0))
+    return covariance / (sigma[:, :, None] * sigma[:, None, :]), sigma
 
 
 def filter_smoother(found: Difference, prefix: str = "filter_smoother") -> dict[str, Measured]:
@@ -128,15 +132,17 @@ def _median(dof: Array) -> float:
     return float(optimize.brentq(lambda x: float(share @ special.chdtr(kinds, x)) - 0.5, 1e-9, 10.0))
 
 
+def _nis(run: Run, phase: str) -> dict[str, Measured]:
+    total = nis_of(run, phase)
+    return {"nis": Measured(total[0] / total[1], run.gated[0])} if total is not None and total[1] > 0 else {}
+
+
 def of_online(run: Run, smoother: Run | None, inputs: Inputs) -> dict[str, Measured]:
     """Statistics of an estimator that works frame by frame; `smoother`: batch under the same decisions, if it ran."""
     result: dict[str, Measured] = {}
     i = run.innovations
     if i is not None:
-        formed = np.isfinite(i.nis)
-        dof = int(i.dof[formed].sum())
-        if dof:
-            result["nis"] = Measured(float(i.nis[formed].sum()) / dof, run.gated[0])
+        result |= _nis(run, "online")
         r, error = lag1_correlation(i.white, inputs.observations.frame, run.decisions)
         if math.isfinite(r):
             result["innovation_lag1"] = Measured(r, 0.0, error)
@@ -154,31 +160,23 @@ class Smoothed:
     Attributes:
         statistics: its cost, its residuals, and the slopes of the systematic errors that these ask for.
         typical: by component, spread of the residuals without the readings that do not fit, in stated sigmas.
-        outlying, elsewhere: readings that do not fit their landmark, and how many of those fit another one.
-        excess: half the squares of the outlying readings beyond what fits, the log-likelihood that they cost.
-        scored: the systematic errors together.
+        outlying: how many readings do not fit their landmark.
     """
 
     statistics: dict[str, Measured]
     typical: dict[str, float]
     outlying: int
-    elsewhere: int
-    excess: float
-    scored: effects.Scored
 
 
 def of_smoother(run: Run, inputs: Inputs) -> Smoothed:
     """All that a batch smoother's run says."""
     assert run.final is not None
     path = run.final.pose
-    result: dict[str, Measured] = {}
-    if run.total_nis is not None and run.total_nis[1] > 0:
-        result["nis"] = Measured(run.total_nis[0] / run.total_nis[1], run.gated[0])
+    result = _nis(run, "final")
     used = residuals.used_by(run, inputs)
     found = residuals.smoothed_residuals(inputs, path, used)
     for name, value in residuals.summaries(found, inputs, used).items():
         result[name] = Measured(value, 0.0 if name.endswith("_mean") else math.nan)
-    scored = effects.scored(inputs, path, used)
-    for name, (value, error) in scored.slopes().items():
+    for name, (value, error) in effects.scored(inputs, path, used).slopes().items():
         result[f"slope_{name}"] = Measured(value, 0.0, error)
-    return Smoothed(result, residuals.typical(found), *residuals.misfits(inputs, path, used, found), scored)
+    return Smoothed(result, residuals.typical(found), int(np.sum(found.squared > residuals.OUTLYING)))

@@ -94,6 +94,23 @@ def step_by_step(
     """
     begin = time.perf_counter()
     front = front_end(name, association, inputs, setup, options)
+    each = options is not None and options.each
+    run = driven(name, front, inputs, task, each=each, finish=finish, observer=observer)
+    return replace(run, seconds=time.perf_counter() - begin)
+
+
+def driven(
+    name: str,
+    front: FrontEnd,
+    inputs: Inputs,
+    task: str,
+    *,
+    each: bool = False,
+    finish: bool = True,
+    observer: Observer = NOBODY,
+) -> Run:
+    """A front end before its first frame, driven over a whole log; arguments as of `step_by_step`."""
+    begin = time.perf_counter()
     record = Recorder(len(inputs), len(inputs.observations.frame))
     failure, finished = None, Finished(None, None)
     try:
@@ -101,7 +118,7 @@ def step_by_step(
             frame = inputs.frame(k)
             front.move(frame)  # predict
             observer.moved(front)
-            for part in _parts(frame, options is not None and options.each):
+            for part in _parts(frame, each):
                 pairing = front.associate(part)  # expect and decide
                 observer.decided(front, part, pairing)
                 done = front.update(part, pairing)  # with all pairings, then new landmarks

@@ -7,13 +7,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pandas as pd
-from scipy import special
 
 from eval.figures import Seen, power_figure
 from eval.figures.style import save
 from eval.page.document import Block, Picture, Section, Table
 from eval.referee import battery
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE
+from eval.referee.bounds import share_interval
 from eval.studies.broken import BROKEN
 from eval.studies.faults import FAULTS
 from eval.studies.validation import SOUND, Examined, Validation
@@ -88,19 +88,11 @@ def size_table(study: Validation, found: Sequence[Examined]) -> pd.DataFrame:
 def _size(found: Sequence[Examined]) -> list[object]:
     good = [e for e in found if not e.failure]
     n, objected = len(good), sum(e.objected for e in good)
-    lower, upper = exact_interval(objected, n)
+    lower, upper = share_interval(objected, n)
     causes = [_percent(sum(e.cause == c for e in good), n) for c in (NOISE, ASSOCIATIONS, ESTIMATOR)]
     interval = f"{100 * lower:.1f}…{100 * upper:.1f}" if n else ""
     nis = _percent(sum(e.nis for e in good), n)
     return [n, _percent(objected, n), interval, nis, *causes, len(found) - n]
-
-
-def exact_interval(hits: int, n: int, level: float = 0.95) -> tuple[float, float]:
-    """Interval of a binomial share (Clopper and Pearson, Biometrika 26, 1934)."""
-    tail = 0.5 * (1.0 - level)
-    lower = float(special.betaincinv(hits, n - hits + 1, tail)) if hits else 0.0
-    upper = float(special.betaincinv(hits + 1, n - hits, 1.0 - tail)) if hits < n else 1.0
-    return lower, upper
 
 
 def power_table(study: Validation, found: Sequence[Examined]) -> pd.DataFrame:

@@ -6,7 +6,6 @@ only misstated runs in the compiled loop; a wrong step is put in by overriding i
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
@@ -15,14 +14,13 @@ import numpy as np
 from data.errors import UsageError
 from data.inputs import Increment, Increments, Inputs, IntArray, Sightings
 from data.motion import carried
-from data.result import Failure, Finished, Run, Trajectory, Updated
+from data.result import Run, Trajectory, Updated
 from data.se2 import Array
-from ekf.filter import Filter, FilterDivergedError
+from ekf.filter import Filter
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from eval.replay.frontend import FrontEnd
-from eval.replay.recorder import Recorder
-from eval.replay.run import PLAIN, filter_known
+from eval.replay.run import PLAIN, driven, filter_known
 
 
 @dataclass(frozen=True)
@@ -163,21 +161,7 @@ def for_task(inputs: Inputs, task: str) -> Inputs:
 
 
 def stepped(inputs: Inputs, task: str, estimator: EkfLocalizer | EkfSlam) -> Run:
-    """A filter of one's own through a whole log, step by step, by labels: `eval.replay.run.step_by_step` for it."""
-    begin = time.perf_counter()
+    """A filter of one's own through a whole log, step by step, by labels."""
     front = FrontEnd("ekf", "known", inputs, PLAIN)
     front.estimator = estimator
-    record = Recorder(len(inputs), len(inputs.observations.frame))
-    failure, finished = None, Finished(None, None)
-    try:
-        for k in range(len(inputs)):
-            frame = inputs.frame(k)
-            front.move(frame)
-            if len(frame.sightings.z):
-                pairing = front.associate(frame)
-                record.update(frame, pairing.decisions, front.update(frame, pairing))
-            record.estimate(front)
-        finished = estimator.finish()
-    except FilterDivergedError as stop:
-        failure = Failure("diverged", front.k, str(stop))
-    return record.run("ekf", task, front, finished, failure, time.perf_counter() - begin)
+    return driven("ekf", front, inputs, task)

@@ -31,7 +31,7 @@ class Sample:
     Attributes:
         measured: the statistics; of an estimator that failed there are none.
         failures: why, by estimator.
-        outlying, elsewhere, typical: of the smoother's residuals, see `trust.Smoothed`.
+        outlying, typical: of the smoother's residuals, see `trust.Smoothed`.
         apart: RMS [m] between an online path and the batch smoother's, by estimator.
         nees: mean pose NEES by estimator and phase (a twin's).
         counts: tp, tn, fp, fn of the final decisions by estimator (a twin's).
@@ -40,7 +40,6 @@ class Sample:
     measured: Mapping[Key, Measured]
     failures: Mapping[str, str] = field(default_factory=dict)
     outlying: int = 0
-    elsewhere: int = 0
     typical: Mapping[str, float] = field(default_factory=dict)
     apart: Mapping[str, float] = field(default_factory=dict)
     nees: Mapping[tuple[str, str], float] = field(default_factory=dict)
@@ -97,7 +96,7 @@ def sample_of(
     if said is None:
         said = trust.of_smoother(smoother, inputs)
     measured |= {(smoother.estimator, name): m for name, m in said.statistics.items()}
-    return Sample(measured, failures, said.outlying, said.elsewhere, said.typical, apart)
+    return Sample(measured, failures, said.outlying, said.typical, apart)
 
 
 def one_twin(source: Source, seed: int) -> Sample:
@@ -135,7 +134,7 @@ def save(path: Path, sample: Sample) -> None:
     kept = {
         "measured": [[*key, *m] for key, m in sample.measured.items()],
         "nees": [[*key, value] for key, value in sample.nees.items()],
-        "failures": sample.failures, "outlying": sample.outlying, "elsewhere": sample.elsewhere,
+        "failures": sample.failures, "outlying": sample.outlying,
         "typical": sample.typical, "apart": sample.apart, "counts": sample.counts,
     }  # fmt: skip
     with whole_file(path) as partial:
@@ -148,7 +147,7 @@ def load(path: Path) -> Sample | None:
         kept = json.loads(path.read_bytes())
         return Sample(
             {(e, name): Measured(*m) for e, name, *m in kept["measured"]}, kept["failures"], kept["outlying"],
-            kept["elsewhere"], kept["typical"], kept["apart"], {(e, phase): v for e, phase, v in kept["nees"]},
+            kept["typical"], kept["apart"], {(e, phase): v for e, phase, v in kept["nees"]},
             {e: (tp, tn, fp, fn) for e, (tp, tn, fp, fn) in kept["counts"].items()},
         )  # fmt: skip
     except (FileNotFoundError, ValueError, KeyError, TypeError):

@@ -25,6 +25,7 @@ from data.worlds import registry
 from eval.referee import trust
 from eval.referee.attribution import ESTIMATOR, NOTHING
 from eval.referee.bounds import nis_bounds
+from eval.referee.score import nis_of
 from eval.replay.run import compare
 from eval.replay.settings import Setup
 from eval.studies.broken import BROKEN
@@ -240,10 +241,7 @@ def _convicts(blame: Blame) -> bool:
 def nis_out(runs: Sequence[Run]) -> bool:
     """Whether the NIS of a filter or smoother is outside its 95 % chi-square bounds."""
     for run in runs:
-        total: tuple[float, int] | None = run.total_nis
-        if run.innovations is not None:
-            formed = np.isfinite(run.innovations.nis)
-            total = float(run.innovations.nis[formed].sum()), int(run.innovations.dof[formed].sum())
+        total = nis_of(run, run.phases[0])
         if run.failure is None and total is not None and total[1] > 0:
             lower, upper = nis_bounds(total[1], run.gated)
             if not lower <= total[0] / total[1] <= upper:

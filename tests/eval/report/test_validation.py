@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from eval.page.document import Table
-from eval.report.validation import detected, exact_interval, power_table, size_table, validation_section
+from eval.referee.bounds import share_interval
+from eval.report.validation import detected, power_table, size_table, validation_section
 from eval.studies.validation import Examined, Validation, World
 
 ARENA, CIRCLE = World("arena", "arena", "slam"), World("circle", "circle", "slam")
@@ -17,14 +18,14 @@ def log(fault="", size=0.0, *, objected=False, cause="nothing", world="arena", *
 
 
 def test_without_a_hit_the_exact_interval_is_the_rule_of_three():
-    lower, upper = exact_interval(0, 100)
+    lower, upper = share_interval(0, 100)
     assert lower == 0.0
     assert (1.0 - upper) ** 100 == pytest.approx(0.025)
-    assert exact_interval(100, 100) == pytest.approx((1.0 - upper, 1.0))
+    assert share_interval(100, 100) == pytest.approx((1.0 - upper, 1.0))
 
 
 def test_an_exact_interval_leaves_a_fortieth_on_each_side():
-    lower, upper = exact_interval(1, 2)
+    lower, upper = share_interval(1, 2)
     assert 1.0 - (1.0 - lower) ** 2 == pytest.approx(0.025)  # one or more of two
     assert 1.0 - upper**2 == pytest.approx(0.025)  # one or fewer of two
 
