@@ -54,12 +54,15 @@ class Updated(NamedTuple):
 class Finished(NamedTuple):
     """The end of a run: final trajectory (None for a filter), last map (None in localization), and (sum of NIS, dof).
 
-    A smoother's sum is the minimum of its cost, see `Run.total_nis`; None where it has none to offer.
+    A smoother's sum is the minimum of its cost, see `Run.total_nis`; None where it has none to offer. `iterations` and
+    `last_step_sigma` as of `Run`.
     """
 
     final: Trajectory | None
     map: MapState | None
     total_nis: tuple[float, int] | None = None
+    iterations: int | None = None
+    last_step_sigma: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,6 +183,9 @@ class Run:
         removed: (L,) by landmark number, frame after which it was no longer in the map, -1: it stayed (None: nothing
             was ever removed). If it was retracted, its observations are discarded in `final_decisions`.
         events: decisions revised in hindsight, in the order of revision.
+        iterations: of a smoother's last optimization, in all its phases (None: there was none).
+        last_step_sigma: largest component of the Newton step that it left, in standard deviations of that component;
+            next to nothing at an optimum.
     """
 
     estimator: str
@@ -200,6 +206,8 @@ class Run:
     removed: IntArray | None = None
     events: tuple[Event, ...] = ()
     gated: tuple[float, float] = CHI_SQUARE
+    iterations: int | None = None
+    last_step_sigma: float | None = None
 
     def __post_init__(self) -> None:
         read_only(self)

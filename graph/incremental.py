@@ -287,4 +287,4 @@ class Isam2Smoother(Smoother):
         problem = Problem(self.prior, self._motion, self._observed.sighted, self.map is not None)
         found = optimize(problem, self._engine.values())
         total = (2.0 * found.error, problem.dof) if self.loss == "gaussian" else None
-        return Finished(found.trajectory, found.map, total)
+        return Finished(found.trajectory, found.map, total, found.iterations, found.last_step)

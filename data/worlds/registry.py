@@ -82,6 +82,15 @@ examples:
         "A simulated robot among a grid of landmarks, its heading all but known; the same seed gives the same log.",
         "example:\n  python -m data.convert linear logs/linear-0 --seed 0 --frames 200",
     ),
+    "park": World(
+        "data.worlds.park",
+        "Park",
+        "park:0 or park:0:frames=8240",
+        "a large log: kilometres of ways among trees, simulated",
+        "A simulated robot on a grid of ways among trees, in loops of kilometres; the park grows with the drive, and"
+        " the same seed gives the same log.",
+        "example:\n  python -m data.convert park logs/park-0 --seed 0 --frames 8240 --spacing 4.5",
+    ),
     "visual": World("data.worlds.gallery", "Gallery", "visual:0", counts=("frames",)),
 }
 

@@ -50,6 +50,7 @@ def batch(name: str, inputs: Inputs, front: Run) -> Run:
     return Run(
         name, front.association, front.task, None, result.trajectory, state, front.decisions, final,
         front.created, None, result.total_nis, None, seconds, None, tuple(notes), front.removed, gated=front.gated,
+        iterations=result.iterations, last_step_sigma=result.last_step,
     )  # fmt: skip
 
 

@@ -83,7 +83,7 @@ class Recorder:
         return Run(
             name, front.association, task, Trajectory(self._pose, self._covariance), finished.final, state,
             self.decisions, final, self.created, innovations, total, size, seconds, failure, tuple(front.notes()),
-            removed, events, self._gated(),
+            removed, events, self._gated(), finished.iterations, finished.last_step_sigma,
         )  # fmt: skip
 
     def _gated(self) -> tuple[float, float]:

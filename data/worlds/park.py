@@ -1,0 +1,206 @@
+"""The park: a large log at will. A robot drives for kilometres on a grid of ways among trees that it sees with a laser.
+
+At every crossing it takes the way it has driven least often, so that it comes back to where it was again and again,
+after loops of all lengths. Odometry is one sample of speed and turn rate a frame, as a log of wheel encoders often is:
+each increment is known to a floor across the way, and known badly along it. Trees stand anywhere in a strip about the
+ways, a few of them where the robot drives.
+
+Route, map, odometry noise, sensor noise and the error of the prior mean come from independent streams of the seed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from data import se2
+from data.errors import UsageError
+from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations, Prior, floor_covariances
+from data.log import Log
+from data.motion import VelocityModel, VelocityNoise, preintegrate
+from data.se2 import Array
+from data.sensors import RangeBearing
+from data.truth import Truth
+from data.worlds.parameters import check_parameters
+
+RADIUS, TURN = 5, 8
+"""Steps: radius of a quarter turn at a crossing, and how many (a little shorter) steps it takes."""
+FLOOR = 1e-10
+"""m^2, rad^2; smallest eigenvalue of an increment's covariance."""
+HEADINGS = ((1, 0), (0, 1), (-1, 0), (0, -1))
+"""East, north, west, south."""
+
+
+@dataclass(frozen=True)
+class Park:
+    """Parameters of the world; the size of the park and its number of trees follow from the length of the drive.
+
+    Attributes:
+        frames: number of frames.
+        period: s between frames, one odometry sample each.
+        step: m, way driven in a frame.
+        block: steps between two crossings; at least 20.
+        revisits: how often a way is driven on the average.
+        spacing: m of way for each tree.
+        strip: m, half the width of the strip about the ways where trees stand.
+        sigma_v: m per sqrt(s), sigma_omega: rad per sqrt(s), odometry noise densities.
+        sigma_range: m, sigma_bearing: rad, noise of the sensor.
+        min_range, max_range: m; nothing nearer or farther is reported.
+        field_of_view: deg, full opening angle.
+        detection: probability that a tree in view is reported.
+        prior_sigma: m, prior_sigma_heading: rad; the prior mean is drawn with them.
+
+    Raises:
+        UsageError: a value of the wrong type or out of range.
+    """
+
+    frames: int = 2000
+    period: float = 1.0
+    step: float = 1.0
+    block: int = 60
+    revisits: float = 3.0
+    spacing: float = 4.0
+    strip: float = 6.0
+    sigma_v: float = 0.05
+    sigma_omega: float = 0.01
+    sigma_range: float = 0.1
+    sigma_bearing: float = 0.02
+    min_range: float = 0.0
+    max_range: float = 18.0
+    field_of_view: float = 180.0
+    detection: float = 0.9
+    prior_sigma: float = 0.1
+    prior_sigma_heading: float = 0.02
+
+    def __post_init__(self) -> None:
+        check_parameters(
+            "park",
+            self,
+            positive=("frames", "period", "step", "block", "revisits", "spacing", "strip", "sigma_v", "sigma_omega",
+                      "sigma_range", "sigma_bearing", "max_range", "field_of_view", "detection"),
+            not_negative=("min_range", "prior_sigma", "prior_sigma_heading"),
+        )  # fmt: skip
+        if self.block < 20:
+            raise UsageError(f"park: block = {self.block}; at least 20 is needed, or the turns do not fit")
+        if self.detection > 1.0:
+            raise UsageError(f"park: detection = {self.detection}; a probability is needed")
+
+    @property
+    def side(self) -> float:
+        """Between two crossings, m."""
+        return self.block * self.step
+
+    @property
+    def crossings(self) -> int:
+        """In each direction; at least 2."""
+        ways = self.frames / (self.block * self.revisits)
+        return max(2, round(0.5 + math.sqrt(0.25 + ways / 2.0)))  # n crossings a side: 2 n (n - 1) ways
+
+    def sensor(self) -> RangeBearing:
+        """With its field of view."""
+        half = min(0.5 * math.radians(self.field_of_view), math.pi)
+        return RangeBearing(max_range=self.max_range, min_angle=-half, max_angle=half)
+
+
+def simulate(park: Park, seed: int, name: str | None = None) -> Log:
+    """One log of the park. Same parameters and seed: same bytes."""
+    route_rng, map_rng, odometry_rng, sensor_rng, prior_rng = (
+        np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(5)
+    )
+    time = park.period * np.arange(park.frames, dtype=np.float64)
+    v, omega = (each / park.period for each in _route(park, route_rng))
+    exact, _ = preintegrate(VelocityModel(VelocityNoise("density")), time, v, omega, time)
+    truth = np.zeros((park.frames, 3))
+    truth[0, 0] = RADIUS * park.step
+    for k in range(1, park.frames):
+        truth[k] = se2.compose(truth[k - 1], exact.mean[k])
+    root = math.sqrt(park.period)
+    noisy_v = v + park.sigma_v / root * odometry_rng.standard_normal(park.frames)
+    noisy_omega = omega + park.sigma_omega / root * odometry_rng.standard_normal(park.frames)
+    model = VelocityModel(VelocityNoise("density", (park.sigma_v, park.sigma_omega)))
+    increments, _ = preintegrate(model, time, noisy_v, noisy_omega, time)
+    covariance, floored = floor_covariances(increments.covariance, FLOOR)
+    trees = _trees(park, map_rng)
+    sensor = park.sensor()
+    frame, z, true_id = _observe(park, sensor, truth, trees, sensor_rng)
+    sigma = np.array([park.prior_sigma, park.prior_sigma, park.prior_sigma_heading])
+    mean = truth[0] + sigma * prior_rng.standard_normal(3)
+    mean[2] = se2.wrap_angle(mean[2])
+    R = np.tile(np.diag([park.sigma_range**2, park.sigma_bearing**2]), (len(z), 1, 1))
+    known = LandmarkMap(np.arange(len(trees)), trees)
+    inputs = Inputs(
+        Prior(mean, np.diag(sigma**2)),
+        time,
+        Increments(increments.mean, covariance),
+        Observations(frame, z, R),
+        sensor,
+        known,
+        floored=floored,
+    )
+    return Log(name or f"park:{seed}", inputs, Truth(truth, known, true_id), source={"kind": "park", "seed": seed})
+
+
+def _route(park: Park, rng: np.random.Generator) -> tuple[Array, Array]:
+    """True way [m] and turn [rad] (N,) of each frame's step: ways of a grid, quarter turns at its crossings.
+
+    The start is the end of a turn at crossing (0, 0), heading east.
+    """
+    straight, across = park.block - 2 * RADIUS, 2 * RADIUS
+    arc = 0.5 * math.pi * RADIUS / TURN
+    driven: dict[tuple[int, int, int], int] = {}
+    x, y, heading, length = 0, 0, 0, 0
+    way, turn = list[Array](), list[Array]()
+    while length < park.frames:
+        here = _way(x, y, heading)
+        driven[here] = driven.get(here, 0) + 1
+        x, y = x + HEADINGS[heading][0], y + HEADINGS[heading][1]
+        there = [h for h in range(4) if h != (heading + 2) % 4 and _inside(park, x, y, h)]
+        times = [driven.get(_way(x, y, h), 0) for h in there]
+        least = [h for h, t in zip(there, times, strict=True) if t == min(times)]
+        chosen = least[int(rng.integers(len(least)))]
+        side = (chosen - heading + 1) % 4 - 1  # 1: left, -1: right
+        crossing = TURN if side else across
+        way += [np.ones(straight), np.full(crossing, arc if side else 1.0)]
+        turn += [np.zeros(straight), np.full(crossing, side * 0.5 * math.pi / TURN)]
+        heading, length = chosen, length + straight + crossing
+    return park.step * np.concatenate(way)[: park.frames], np.concatenate(turn)[: park.frames]
+
+
+def _way(x: int, y: int, heading: int) -> tuple[int, int, int]:
+    """The way that leaves crossing (x, y) by a heading: its western or southern end, and along which axis it lies."""
+    dx, dy = HEADINGS[heading]
+    return x + min(dx, 0), y + min(dy, 0), heading % 2
+
+
+def _inside(park: Park, x: int, y: int, heading: int) -> bool:
+    dx, dy = HEADINGS[heading]
+    return 0 <= x + dx < park.crossings and 0 <= y + dy < park.crossings
+
+
+def _trees(park: Park, rng: np.random.Generator) -> Array:
+    """Positions (L, 2), uniform in the strips about all ways, in random order."""
+    n = park.crossings
+    ends = [(x, y, h) for h in range(2) for x in range(n) for y in range(n) if _inside(park, x, y, h)]
+    count = max(1, round(len(ends) * park.side / park.spacing))
+    which = rng.integers(len(ends), size=count)
+    start, axis = np.array([e[:2] for e in ends], float)[which] * park.side, np.array([e[2] for e in ends])[which]
+    along, across = rng.uniform(0.0, park.side, count), rng.uniform(-park.strip, park.strip, count)
+    return start + np.where(axis[:, None] == 0, np.stack([along, across], 1), np.stack([across, along], 1))
+
+
+def _observe(
+    park: Park, sensor: RangeBearing, truth: Array, trees: Array, rng: np.random.Generator
+) -> tuple[IntArray, Array, IntArray]:
+    """Frames (M,), readings (M, 2) and true ids (M,), by frame and tree."""
+    near = cKDTree(trees).query_ball_point(truth[:, :2], park.max_range, return_sorted=True)
+    count = [len(each) for each in near]  # type: ignore[arg-type]
+    frame, tree = np.repeat(np.arange(len(truth)), count), np.concatenate(list(near)).astype(np.int64)
+    exact = sensor.predict(truth[frame], trees[tree])
+    reported = rng.random(len(tree)) < park.detection
+    noise = rng.standard_normal((len(tree), 2)) * np.array([park.sigma_range, park.sigma_bearing])
+    seen = sensor.in_view(exact) & (exact[:, 0] >= park.min_range) & reported
+    z = exact[seen] + noise[seen]
+    return frame[seen], np.stack([np.maximum(z[:, 0], 0.0), se2.wrap_angle(z[:, 1])], 1), tree[seen]
