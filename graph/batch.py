@@ -13,7 +13,8 @@ from data.inputs import Inputs, IntArray
 from data.result import MapState, Trajectory
 from data.se2 import Array
 from graph.factors import LOSSES, between_factors, sight_known, sight_landmarks
-from graph.optimum import Problem, optimize
+from graph.optimum import optimize
+from graph.problem import Problem
 
 
 class Start(NamedTuple):

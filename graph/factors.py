@@ -141,7 +141,7 @@ def prior_factor(prior: Prior) -> Factor:
     return gtsam.PriorFactorPose2(X(0), pose2(prior.mean), model)
 
 
-def between_factors(first_frame: int, mean: Array, covariance: Array) -> tuple[list[Factor], float]:
+def between_factors(first_frame: int, mean: Array, covariance: Array) -> tuple[list[gtsam.BetweenFactorPose2], float]:
     """Motions (n, 3) with covariances (n, 3, 3) into the frames from `first_frame` on, and their smallest pivot.
 
     Our increment's error is additive in the previous body frame, gtsam's sits at the end pose. Raises DataError for a
@@ -157,7 +157,7 @@ def between_factors(first_frame: int, mean: Array, covariance: Array) -> tuple[l
             f"increment into frame {first_frame + bad[0]}: its covariance is singular (variance {pivot[bad[0]]:.3g} in "
             "some direction); a smoother needs a covariance_floor of 1e-10 or so"
         )
-    factors: list[Factor] = [
+    factors = [
         gtsam.BetweenFactorPose2(X(k - 1), X(k), pose2(m), noise.Gaussian.SqrtInformation(R))
         for k, (m, R) in enumerate(zip(mean, roots, strict=True), first_frame)
     ]

@@ -30,7 +30,8 @@ from graph.factors import (
 )
 from graph.observed import Observed
 from graph.open_end import OpenEnd
-from graph.optimum import Problem, optimize
+from graph.optimum import optimize
+from graph.problem import Problem
 from graph.smoother import Smoother
 
 THRESHOLD = 0.05
@@ -65,7 +66,7 @@ class Isam2Smoother(Smoother):
         self.threshold, self.skip = threshold, skip
         self.frame, self.created = 0, 0
         self._end = OpenEnd(prior)
-        self._motion: list[Factor] = []
+        self._motion: list[gtsam.BetweenFactorPose2] = []
         self._observed = Observed(sensor, known, loss)
         self._drift = Drift()
         low = np.linalg.eigvalsh(prior.covariance)

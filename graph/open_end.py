@@ -8,7 +8,7 @@ from gtsam.symbol_shorthand import X
 
 from data.inputs import Increment, Prior
 from data.se2 import Array, world_from_body
-from graph.factors import Factor, between_factors, pose2
+from graph.factors import between_factors, pose2
 from graph.transport import advance, transport
 
 
@@ -64,7 +64,7 @@ class OpenEnd:
         if self._increments:
             self.mean = self._path[-1] = pose.copy()
 
-    def join_graph(self, values: gtsam.Values) -> tuple[list[Factor], float]:
+    def join_graph(self, values: gtsam.Values) -> tuple[list[gtsam.BetweenFactorPose2], float]:
         """Factors of the increments, start values added to `values`: the newest pose becomes the anchor.
 
         Also returned: the smallest pivot of their covariances (see `graph.factors.between_factors`).

@@ -1,78 +1,54 @@
-"""The optimum of a smoothing problem with its exact covariances: gtsam's Levenberg-Marquardt, then Newton steps.
+"""The optimum of a smoothing problem with its exact covariances: Gauss-Newton on gtsam's factors, by sparse QR.
 
-Levenberg-Marquardt stops on a small decrease of the error and never complains, not even about a variable that nothing
-determines. So its result is checked, and polished, with the exact Newton step of `graph.marginals`, which measures the
-distance to the optimum in sigmas and gives the covariances on the way.
+Every step is the exact one of the linearized problem (`graph.linear`), cut down where the cost would not fall, and its
+length in sigmas says how far the optimum is. gtsam's own optimizers stop on a small decrease of the error instead and
+never complain; by Cholesky they stall where increments are known much better in one direction than in another.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
-from data.inputs import IntArray, Prior
 from data.result import MapState, Trajectory
-from data.se2 import Array, world_from_body
-from graph.factors import Sighted, UnderConstrained, graph_of, pose2, prior_factor
-from graph.marginals import Linearized, UndeterminedError, solve
+from data.se2 import Array
+from graph.factors import UnderConstrained
+from graph.linear.elimination import Rows, Triangle, eliminate
+from graph.linear.marginals import marginals, means
+from graph.linear.rows import Linearizer
+from graph.problem import Problem
 
 STEP = 1e-6
-"""sigma. A Newton step smaller than this in every variable ends the search."""
+"""sigma. A step ends the search that is smaller, as a root sum of squares over all directions."""
 ROUNDING = 2e-5
-"""sigma. So does one below this that hardly shrank: gtsam's logarithm of a pose is good to 1e-5 sigma or so."""
-ERROR_ROUNDING = 1e-7
+"""sigma. So does one that hardly shrank and is smaller than this in every direction: gtsam's logarithm of a pose is
+good to 1e-5 sigma or so."""
+CONVERGED = 1e-3
+"""sigma. The largest component of the step that is left at what may be called an optimum."""
+MOST = 200
+"""Steps of one search. Five to fifteen are usual, a robust loss converges linearly and may take fifty."""
+SHORTEST = 1e-3
+"""Share of a step below which it is not cut down further: the search is stuck."""
+ARMIJO = 0.1
+"""Share of the decrease promised by the linearized problem that a step must keep."""
+ERROR_ROUNDING = 1e-9
 """Of the cost: what a step towards the optimum may seem to lose (the ranges to beacons are rounded to nanometres)."""
-POLISH = 6
-"""Most Newton steps; one or two are usual, robust losses converge linearly and may use all."""
+SLACK = (1.0, 0.3)
+"""Shares of the worst sigma of an increment that its best is loosened to, where the direct search ends badly: the
+valley of a stiff path bends, and is crossed more easily while it is wide."""
+SUSPECT = 2.0
+"""Cost per degree of freedom (its half the expectation) above which a minimum may be a wrong one."""
 TINY = 1e-9
 """m, rad. Stands in for a sigma of zero when a step is measured in sigmas."""
 
 
-@dataclass(frozen=True)
-class Problem:
-    """A log as factors.
-
-    Attributes:
-        prior: on the pose of frame 0.
-        motion: [k - 1] leads into frame k.
-        sighted: the observations in use, ascending by frame.
-        known_map: the landmarks are known, so that none is estimated.
-    """
-
-    prior: Prior
-    motion: Sequence[gtsam.NonlinearFactor]
-    sighted: Sequence[Sighted]
-    known_map: bool
-
-    def graph(self) -> gtsam.NonlinearFactorGraph:
-        """Everything, as gtsam takes it."""
-        return graph_of([prior_factor(self.prior), *self.motion, *(f for s in self.sighted for f in s.factors)])
-
-    @property
-    def numbers(self) -> IntArray:
-        """Landmarks that are estimated, ascending."""
-        return np.unique([s.number for s in self.sighted if not self.known_map]).astype(np.int64)
-
-    @property
-    def dof(self) -> int:
-        """Degrees of freedom of the chi-square: two for each observation, less two for each landmark."""
-        return 2 * len(self.sighted) - 2 * len(self.numbers)
-
-    def values(self, pose: Array, landmark: dict[int, Array]) -> gtsam.Values:
-        """Start values from poses (N, 3) and landmark positions (2,) by number."""
-        values = gtsam.Values()
-        for k, row in enumerate(pose):
-            values.insert(X(k), pose2(row))
-        for n in self.numbers:
-            values.insert(L(int(n)), landmark[int(n)])
-        for s in self.sighted:
-            if s.xy is not None and s.key is not None:
-                values.insert(s.key, s.xy)
-        return values
+class NotConvergedError(UnderConstrained):
+    """The search did not reach an optimum; the message says how far it came."""
 
 
 @dataclass(frozen=True)
@@ -82,8 +58,8 @@ class Optimum:
     Attributes:
         trajectory, map: with exact marginal covariances (map is None where it was known).
         error: half the cost; without a robust loss half the chi-square.
-        iterations: of both optimizers.
-        last_step: sigmas, the Newton step that was left.
+        iterations: steps in all.
+        last_step: sigmas, largest component of the step that was left.
     """
 
     trajectory: Trajectory
@@ -93,122 +69,123 @@ class Optimum:
     last_step: float
 
 
+class _Found(NamedTuple):
+    """Where a search ended: estimate, half the cost, steps made, sigmas of the step left; linearized and eliminated."""
+
+    values: gtsam.Values
+    error: float
+    iterations: int
+    left: float
+    rows: Rows
+    triangle: Triangle
+
+
 def optimize(problem: Problem, start: gtsam.Values) -> Optimum:
-    """Minimize from `start`; raises `UnderConstrained` naming a variable that the data leave free."""
+    """Minimize from `start`; if that ends badly, by way of looser increments, too, and the lowest minimum counts.
+
+    Raises:
+        UnderConstrained: naming a variable that the data leave free.
+        NotConvergedError: no optimum was reached.
+    """
     graph = problem.graph()
-    parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setRelativeErrorTol(1e-9)
-    parameters.setAbsoluteErrorTol(1e-9)
-    parameters.setMaxIterations(200)
-    optimizer = gtsam.LevenbergMarquardtOptimizer(graph, start, parameters)
-    values = optimizer.optimize()
-    error, iterations = graph.error(values), optimizer.iterations()
-    # what is left without the prior (the smoother takes it exact) and without the pins of known landmarks (not moving)
-    inner = graph_of([*problem.motion, *(f for s in problem.sighted for f in s.measured)])
-    numbers = problem.numbers
-    last_step = np.inf
-    for polished in range(POLISH + 1):
-        try:
-            solution = solve(linearize(problem, inner, values))
-        except UndeterminedError as free:
-            raise UnderConstrained(f"landmark {numbers[free.slot]} is not determined by the observations") from None
-        _check_poses(solution.pose_covariance)
-        before, last_step = (
-            last_step,
-            max(
-                _in_sigmas(solution.pose, solution.pose_covariance),
-                _in_sigmas(solution.landmark, solution.landmark_covariance),
-            ),
+    linearizer = Linearizer(problem)
+    best = _descend(linearizer, graph, start)
+    iterations = best.iterations
+    if best.left > CONVERGED * math.sqrt(3 * len(linearizer.structure.variable)) or 2.0 * best.error > SUSPECT * max(
+        problem.dof, 1
+    ):
+        for share in SLACK:
+            loose = problem.loosened(share)
+            first = _descend(Linearizer(loose), loose.graph(), start, enough=1.0)
+            second = _descend(linearizer, graph, first.values)
+            iterations += first.iterations + second.iterations
+            if second.error < best.error * (1.0 - ERROR_ROUNDING):
+                best = second
+    return _optimum(problem, linearizer, best, iterations)
+
+
+def _descend(
+    linearizer: Linearizer, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *, enough: float = STEP
+) -> _Found:
+    """Gauss-Newton steps, each cut down until the cost falls, until one is short `enough` or leads no further down."""
+    error, before, first = graph.error(values), math.inf, 1.0
+    rounding = ROUNDING * math.sqrt(3 * len(linearizer.structure.variable))
+    for step in range(MOST + 1):
+        rows = linearizer(values)
+        triangle = eliminate(rows, linearizer.structure)
+        if triangle.free >= 0:
+            raise UnderConstrained(f"{_name(linearizer, triangle.free)} is not determined by the observations")
+        left = float(np.sqrt(np.einsum("vic,vic->", triangle.d, triangle.d)))
+        if left < enough or 0.5 * before < left < rounding or step == MOST:
+            break
+        # beyond what the cost can resolve, a step that grew went too far: large residuals bend the valley
+        if left > before and left < 1.0:
+            first *= 0.5
+        elif left < 0.1 * before:
+            first = min(1.0, 2.0 * first)
+        delta = _delta(linearizer, rows, triangle, values)
+        share, moved, moved_error = first, values, math.inf
+        while share > SHORTEST:
+            moved = values.retract(_vector(linearizer, share * delta))
+            moved_error = graph.error(moved)
+            limit = error - ARMIJO * share * (1.0 - 0.5 * share) * left**2 + ERROR_ROUNDING * (1.0 + error)
+            if moved_error <= limit:
+                break
+            share *= 0.5
+        else:
+            break
+        values, error, before = moved, moved_error, left
+    return _Found(values, error, step, left, rows, triangle)
+
+
+def _delta(linearizer: Linearizer, rows: Rows, triangle: Triangle, values: gtsam.Values) -> Array:
+    """The step (V, 3) in tangent coordinates."""
+    delta = means(rows, linearizer.structure, triangle)[:, :, 0]
+    start, _, root = linearizer.first(values)
+    delta[0] = start + root @ delta[0]
+    return delta
+
+
+def _vector(linearizer: Linearizer, delta: Array) -> gtsam.VectorValues:
+    """A step as gtsam takes it."""
+    vector = gtsam.VectorValues()
+    for k, row in enumerate(delta[: linearizer.frames]):
+        vector.insert(X(k), row)
+    for number, row in zip(linearizer.numbers.tolist(), delta[linearizer.frames :, :2], strict=True):
+        vector.insert(L(number), row)
+    return vector
+
+
+def _optimum(problem: Problem, linearizer: Linearizer, found: _Found, iterations: int) -> Optimum:
+    """Where a search ended, with covariances. Raises `NotConvergedError` where that is no optimum."""
+    n = linearizer.frames
+    covariance = marginals(found.rows, linearizer.structure, found.triangle)
+    root = linearizer.first(found.values)[2]
+    covariance[0] = root @ covariance[0] @ root.T
+    delta = _delta(linearizer, found.rows, found.triangle, found.values)
+    sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), TINY**2))
+    share = np.abs(delta) / sigma
+    last_step = float(share.max())
+    if not last_step < CONVERGED:
+        variable = int(share.max(axis=1).argmax())
+        weakest = int(sigma[:, :2].max(axis=1).argmax())
+        raise NotConvergedError(
+            f"the optimization did not converge: after {iterations} steps {last_step:.2g} sigma are left at "
+            f"{_name(linearizer, variable)}, cost {2.0 * found.error:.6g} for {problem.dof} degrees of freedom; "
+            f"weakest is {_name(linearizer, weakest)}, sigma {sigma[weakest, :2].max():.3g} m"
         )
-        if last_step < STEP or 0.5 * before < last_step < ROUNDING or polished == POLISH:
-            break
-        delta = gtsam.VectorValues()
-        for k, row in enumerate(solution.pose):
-            delta.insert(X(k), row)
-        for n, row in zip(numbers, solution.landmark, strict=True):
-            delta.insert(L(int(n)), row)
-        moved = values.retract(delta)
-        moved_error = graph.error(moved)
-        if not moved_error <= error + ERROR_ROUNDING * (1.0 + error):
-            break
-        values, error, iterations = moved, moved_error, iterations + 1
-    pose = poses_of(values, len(problem.motion) + 1)
+    pose = poses_of(found.values, n)
     state = None
     if not problem.known_map:
-        xy = np.array([values.atPoint2(L(int(n))) for n in numbers]).reshape(-1, 2)
-        state = MapState(numbers, xy, solution.landmark_covariance)
-    trajectory = Trajectory(pose, in_world(pose, solution.pose_covariance))
-    return Optimum(trajectory, state, error, iterations, last_step)
+        xy = np.array([found.values.atPoint2(L(k)) for k in linearizer.numbers.tolist()]).reshape(-1, 2)
+        state = MapState(linearizer.numbers, xy, covariance[n:, :2, :2].copy())
+    return Optimum(Trajectory(pose, in_world(pose, covariance[:n])), state, found.error, iterations, last_step)
 
 
-def linearize(problem: Problem, inner: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Linearized:
-    """The problem around `values` as a chain; `inner` holds the motion factors, then the measurements."""
-    n, m = len(problem.motion) + 1, len(problem.sighted)
-    # rows: three for each motion, two for each observation; columns: landmarks by key, poses, right-hand side
-    key_of = [s.key for s in problem.sighted if s.key is not None]
-    keys = sorted(set(key_of))
-    landmarks = len(keys)
-    chain, readings = np.zeros((n, 3, 7)), np.zeros((m, 2, 6))
-    if inner.size():
-        triplets = inner.linearize(values).sparseJacobian_()
-        row, column = triplets[:2].astype(np.int64) - 1
-        value = triplets[2]
-        place = column - 2 * landmarks
-        frame, entry, right = place // 3, place % 3, place == 3 * n
-        moving = row < 3 * (n - 1)
-        k, r = row // 3 + 1, row % 3
-        end = frame == k
-        of = moving & ~right
-        chain[k[of], r[of], entry[of] + 3 * end[of]] = value[of]
-        of = moving & right
-        chain[k[of], r[of], 6] = value[of]
-        i, r = (row - 3 * (n - 1)) // 2, (row - 3 * (n - 1)) % 2
-        of = ~moving & (place >= 0) & ~right
-        readings[i[of], r[of], entry[of]] = value[of]
-        of = ~moving & (place < 0)
-        readings[i[of], r[of], 3 + column[of] % 2] = value[of]
-        of = ~moving & right
-        readings[i[of], r[of], 5] = value[of]
-    F, step, Q = np.zeros((n, 3, 3)), np.zeros((n, 3)), np.zeros((n, 3, 3))
-    end_block = chain[1:, :, 3:6]
-    lost = np.flatnonzero(np.linalg.det(end_block) == 0.0)
-    if len(lost):
-        raise UnderConstrained(f"pose of frame {lost[0] + 1} is not determined: its increment carries no information")
-    inverse = np.linalg.inv(end_block)
-    F[1:] = -inverse @ chain[1:, :, :3]
-    step[1:] = (inverse @ chain[1:, :, 6:])[:, :, 0]
-    Q[1:] = inverse @ inverse.transpose(0, 2, 1)
-    step[0], Q[0] = _prior_in_tangent(problem.prior, values)
-    first = np.searchsorted([s.frame for s in problem.sighted], np.arange(n + 1)).astype(np.int64)
-    if problem.known_map:
-        slot, count = np.zeros(m, np.int64), 0
-    else:
-        slot, count = np.searchsorted(keys, key_of).astype(np.int64), landmarks
-    Hx, Hl, y = (np.ascontiguousarray(readings[..., c]) for c in (slice(0, 3), slice(3, 5), 5))
-    return Linearized(F, step, Q, first, Hx, Hl, y, slot, count)
-
-
-def _prior_in_tangent(prior: Prior, values: gtsam.Values) -> tuple[Array, Array]:
-    """Mean (3,) and covariance (3, 3) that the prior gives the first pose's tangent coordinates; never inverts P0."""
-    unit = gtsam.PriorFactorPose2(X(0), pose2(prior.mean), gtsam.noiseModel.Unit.Create(3))
-    A, b = unit.linearize(values).jacobian()
-    inverse = np.linalg.inv(A) @ world_from_body(prior.mean[2]).T
-    mean = np.asarray(np.linalg.solve(A, b), float)
-    covariance: Array = inverse @ prior.covariance @ inverse.T
-    return mean, covariance
-
-
-def _check_poses(covariance: Array) -> None:
-    """Raise `UnderConstrained` for the first pose without a finite covariance."""
-    lost = np.flatnonzero(~np.isfinite(covariance).all((1, 2)))
-    if len(lost):
-        raise UnderConstrained(f"pose of frame {lost[0]} is not determined: its covariance is not finite")
-
-
-def _in_sigmas(step: Array, covariance: Array) -> float:
-    """Largest component of steps (n, d), each divided by its standard deviation."""
-    sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), TINY**2))
-    return float(np.max(np.abs(step) / sigma, initial=0.0))
+def _name(linearizer: Linearizer, variable: int) -> str:
+    """A variable in words."""
+    n = linearizer.frames
+    return f"pose of frame {variable}" if variable < n else f"landmark {linearizer.numbers[variable - n]}"
 
 
 def poses_of(values: gtsam.Values, n: int) -> Array:

@@ -16,7 +16,8 @@ from data.se2 import Array, BoolArray
 from graph.batch import Smoothed, Start, build, smooth, start_values
 from graph.factors import EXACT, Factor, graph_of, is_exact, noise, prior_factor
 from graph.incremental import DELICATE
-from graph.optimum import Problem, poses_of
+from graph.optimum import poses_of
+from graph.problem import Problem
 
 
 def gnc(

@@ -1,8 +1,9 @@
 """Systematic errors a log may have: what each would do to odometry and readings, and how much of it the data ask for.
 
 Each is the slope of one component of what a log states against a regressor: distance and turn of an increment, time,
-range of a reading, the robot's speed and turn rate. The slope is estimated beside path and map (`graph.systematic`), so
-that what the smoother absorbs of it is counted, and its standard error is that of the stated noise.
+range of a reading, the robot's speed and turn rate. The slope is estimated beside path and map
+(`graph.linear.systematic`), so that what the smoother absorbs of it is counted, and its standard error is that of the
+stated noise.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from data.inputs import Inputs, IntArray
 from data.se2 import Array
 from data.sensors import RangeBearing
 from eval.referee.residuals import Used
-from graph.systematic import Score, systematic
+from graph.linear.systematic import Score, systematic
 
 SLIGHT = 0.01
 """Of the other component's rate: a component that the motion moves less (the range, when turning) shows no lateness."""

@@ -13,7 +13,7 @@ from data.inputs import Increments, LandmarkMap, Prior
 from data.se2 import between, compose, pose_error, world_from_body
 from data.worlds.linear import LinearWorld, simulate
 from graph.batch import Start, smooth
-from graph.systematic import Score, systematic
+from graph.linear.systematic import Score, systematic
 from tests.graph.worlds import SENSORS, circle
 
 EXACT = np.zeros((3, 3))

@@ -1,8 +1,8 @@
 """Score test of systematic errors: how much of each hypothetical one the data ask for, beside path and map.
 
 Every hypothetical error has one unknown size, zero under the null hypothesis. Around the smoothed solution the sizes
-are regression coefficients beside the landmarks (de Jong, see `graph.marginals`), so one run of the Kalman filter over
-a column for each gives the derivative of the log-likelihood, path and map profiled out, and its covariance (Rao, "Large
+are regression coefficients beside path and map: eliminating those from a column for each leaves what they cannot
+explain, which gives the derivative of the log-likelihood, path and map profiled out, and its covariance (Rao, "Large
 sample tests of statistical hypotheses concerning several parameters", Proc. Cambridge Phil. Soc. 44, 1948).
 """
 
@@ -14,7 +14,10 @@ import numpy as np
 
 from data.inputs import Inputs, IntArray
 from data.se2 import Array, compose, pose_error
-from graph.marginals import forward, gains, root_of_inverse
+from graph.factors import UnderConstrained, root_information
+from graph.linear.elimination import Rows, eliminate, structure
+from graph.linear.ordering import ordering
+from graph.linear.rows import put_prior
 
 UNTOLD = 1e-16
 """Of the square of a column: what path and map leave of it, if it is less, is rounding (some 1e-26 was seen)."""
@@ -77,36 +80,43 @@ def systematic(
             common, and an error of scale would be found where there is none (in the arena by 7 sigma).
 
     Raises:
-        UndeterminedError: a landmark that no observation determines; its slot counts the rows in use.
+        UnderConstrained: naming a landmark, by its row, or a pose that the data leave free.
         LinAlgError: the covariance of an observation is not positive definite.
     """
     n, p = len(path), motion.shape[2]
     used = np.flatnonzero(number >= 0)
     frame, row = inputs.observations.frame[used], number[used]
     m = len(used)
+    seen, slot = np.unique(row, return_inverse=True)
+    size = n if inputs.map is not None else n + len(seen)
+    variable = np.full((n + m, 2), -1)
+    variable[:n, 0], variable[1:n, 1] = np.arange(n), np.arange(n - 1)
+    variable[n:, 0] = frame
+    A, b = np.zeros((n + m, 3, 6)), np.zeros((n + m, 3, 1 + p))
     F, B, moved = _chain(inputs, path)
-    Q = B @ inputs.increments.covariance @ B.transpose(0, 2, 1)
-    Q[0] = inputs.prior.covariance
-    step = np.concatenate([moved[:, :, None], -B @ motion], axis=2)
-    step[0, :, 1:] = 0.0
+    # whitened increments; the first pose is what the prior puts it at, plus U z with z ~ N(0, I)
+    white = root_information(inputs.increments.covariance[1:])[0] @ B[1:].transpose(0, 2, 1)
+    A[1:n, :, :3], A[1:n, :, 3:] = white, -white @ F[1:]
+    b[1:n, :, 0] = np.einsum("nij,nj->ni", white, moved[1:])
+    b[1:n, :, 1:] = -white @ B[1:] @ motion[1:]
     z_hat, Hx, Hl = inputs.sensor.linearize(path[frame], landmarks[row])
     white = np.linalg.inv(np.linalg.cholesky(inputs.observations.R[used]))
-    Hx = white @ Hx
-    seen, slot = np.unique(row, return_inverse=True)
-    size = 2 * len(seen) if inputs.map is None else 0
-    data = np.zeros((m, 2, 1 + p + size))
-    data[:, :, 0] = np.einsum("mij,mj->mi", white, inputs.sensor.residual(inputs.observations.z[used], z_hat))
-    data[:, :, 1 : 1 + p] = -white @ readings[used]
-    if size:
-        Hl = white @ Hl
-        for q in range(2):
-            data[np.arange(m), :, 1 + p + 2 * slot + q] = -Hl[:, :, q]
-    first = np.searchsorted(frame, np.arange(n + 1)).astype(np.int64)
-    P_minus, K, W, E = np.empty((n, 3, 3)), np.empty((m, 3, 2)), np.empty((m, 2, 2)), np.empty_like(data)
-    gains(F, Q, first, Hx, P_minus, K, W)
-    forward(F, step, first, Hx, K, W, data, np.empty((0, 3, 0)), E, False)
-    # white innovations as functions of errors and landmarks: E_y + E_phi phi + E_l l
-    return _profiled(E[:, :, : 1 + p].reshape(2 * m, 1 + p), E[:, :, 1 + p :].reshape(2 * m, size))
+    A[n:, :2, :3] = white @ Hx
+    b[n:, :2, 0] = np.einsum("mij,mj->mi", white, inputs.sensor.residual(inputs.observations.z[used], z_hat))
+    b[n:, :2, 1:] = -white @ readings[used]
+    if inputs.map is None:
+        variable[n:, 1] = n + slot
+        A[n:, :2, 3:5] = white @ Hl
+    variance, axes = np.linalg.eigh(inputs.prior.covariance)
+    root = axes * np.sqrt(np.maximum(variance, 0.0))
+    put_prior(variable, A, b, moved[0], np.zeros(3), root)
+    dim = np.where(np.arange(size) < n, 3, 2)
+    rows = Rows(variable, A, b, np.repeat(np.array([3, 2]), [n, m]), dim)
+    triangle = eliminate(rows, structure(variable, ordering(variable, n, size)))
+    if triangle.free >= 0:
+        name = f"pose of frame {triangle.free}" if triangle.free < n else f"landmark in row {seen[triangle.free - n]}"
+        raise UnderConstrained(f"{name} is not determined by the observations")
+    return _score(np.einsum("bij,bij->j", b, b), triangle.left)
 
 
 def _chain(inputs: Inputs, path: Array) -> tuple[Array, Array, Array]:
@@ -125,15 +135,8 @@ def _chain(inputs: Inputs, path: Array) -> tuple[Array, Array, Array]:
     return F, B, moved
 
 
-def _profiled(E: Array, landmark: Array) -> Score:
-    """Score from white columns E (2m, 1 + p), the data first, and those of the landmarks (2m, 2L)."""
-    size = np.einsum("ij,ij->j", E, E)
-    if landmark.shape[1]:
-        T = root_of_inverse(landmark.T @ landmark)
-        # the part that no map explains; twice, since the first time loses what the landmarks' condition number says
-        for _ in range(2):
-            E = E - landmark @ (T @ (T.T @ (landmark.T @ E)))
-    product = E.T @ E
-    told = np.diag(product)[1:] > UNTOLD * size[1:]
-    score = np.where(told, -product[1:, 0], 0.0)
-    return Score(score, np.where(np.outer(told, told), product[1:, 1:], 0.0))
+def _score(size: Array, left: Array) -> Score:
+    """Score from the squares (1 + p,) of the columns, data first, and what is left of their products (1 + p, 1 + p)."""
+    told = np.diag(left)[1:] > UNTOLD * size[1:]
+    score = np.where(told, -left[1:, 0], 0.0)
+    return Score(score, np.where(np.outer(told, told), left[1:, 1:], 0.0))

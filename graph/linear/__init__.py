@@ -1,0 +1,1 @@
+"""Smoothing problems linearized: sparse QR, marginal covariances, the score of systematic errors."""

@@ -1,0 +1,117 @@
+"""Sparse QR against dense linear algebra: solution, covariances, what is left over, and what is free."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from graph.linear.elimination import SLACK, Rows, eliminate, reflect, structure
+from graph.linear.marginals import marginals, means
+from graph.linear.ordering import ordering
+
+
+def drive(rng, poses, landmarks, sightings, sides=1):
+    """A chain of poses with random rows, each landmark seen at least once; whitened, of very different weight."""
+    variable = [[0, -1], *([k, k - 1] for k in range(1, poses))]
+    count = [3] * poses
+    for i in range(max(sightings, 2 * landmarks) if landmarks else sightings):
+        variable.append([int(rng.integers(poses)), poses + i % landmarks if landmarks else -1])
+        count.append(2)
+    B = len(variable)
+    A, b = rng.standard_normal((B, 3, 6)), rng.standard_normal((B, 3, sides))
+    # increments: known very differently along three axes, the pose before carried over nearly as it is
+    W = np.linalg.qr(A[1:poses, :, :3])[0] * 10.0 ** rng.uniform(0.0, 4.0, (poses - 1, 3, 1))
+    A[1:poses] = np.concatenate([W, -W @ (np.eye(3) + 0.1 * A[1:poses, :, 3:])], axis=2)
+    A[poses:, 2], b[poses:, 2], A[poses:, :, 5] = 0.0, 0.0, 0.0
+    A[np.array(variable)[:, 1] < 0, :, 3:] = 0.0
+    dim = np.repeat([3, 2], [poses, landmarks])
+    return Rows(np.array(variable), A, b, np.array(count), dim)
+
+
+def dense(rows):
+    """The same rows as a matrix (3B, columns) and right-hand sides; columns by variable."""
+    at = np.concatenate([[0], np.cumsum(rows.dim)])
+    A = np.zeros((len(rows.A), 3, at[-1]))
+    for k, (u, v) in enumerate(rows.variable):
+        A[k, :, at[u] : at[u + 1]] += rows.A[k, :, : rows.dim[u]]
+        if v >= 0:
+            A[k, :, at[v] : at[v + 1]] += rows.A[k, :, 3 : 3 + rows.dim[v]]
+    return A.reshape(-1, at[-1]), rows.b.reshape(-1, rows.b.shape[2]), at
+
+
+def solved(rows, order):
+    s = structure(rows.variable, order)
+    t = eliminate(rows, s)
+    assert t.free == -1
+    return means(rows, s, t), marginals(rows, s, t), t
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(0, 2**31), st.integers(1, 30), st.integers(0, 8), st.integers(0, 60), st.booleans(), st.integers(1, 3)
+)
+def test_any_order_gives_the_dense_solution_and_covariance(seed, poses, landmarks, sightings, shuffled, sides):
+    rng = np.random.default_rng(seed)
+    rows = drive(rng, poses, landmarks, sightings, sides)
+    size = poses + landmarks
+    order = rng.permutation(size) if shuffled else ordering(rows.variable, poses, size)
+    x, covariance, t = solved(rows, order)
+    A, b, at = dense(rows)
+    Q, R = np.linalg.qr(A)
+    inverse = np.linalg.inv(R)
+    expected, P = inverse @ (Q.T @ b), inverse @ inverse.T
+    rest = b - A @ expected
+    np.testing.assert_allclose(t.left, rest.T @ rest, rtol=1e-6, atol=1e-8)
+    for v, d in enumerate(rows.dim):
+        own = slice(at[v], at[v + 1])
+        sigma = np.sqrt(np.diag(P)[own])
+        np.testing.assert_allclose(
+            covariance[v, :d, :d] / np.outer(sigma, sigma), P[own, own] / np.outer(sigma, sigma), atol=1e-6
+        )
+        np.testing.assert_allclose(x[v, :d] / sigma[:, None], expected[own] / sigma[:, None], atol=1e-5)
+        assert not covariance[v, d:].any()
+        assert not x[v, d:].any()
+
+
+def test_a_variable_without_information_is_named():
+    rows = drive(np.random.default_rng(1), 20, 5, 40)
+    rows.A[20:][rows.variable[20:, 1] == 22, :, 3:] = 0.0
+    for order in (ordering(rows.variable, 20, 25), np.arange(25), np.arange(25)[::-1]):
+        assert eliminate(rows, structure(rows.variable, order)).free == 22
+
+
+def test_reflections_keep_all_inner_products_and_leave_a_triangle():
+    F = np.random.default_rng(2).standard_normal((9, 5))
+    F[3] = 0.0
+    product = F.T @ F
+    reflect(F, 5)
+    np.testing.assert_allclose(F.T @ F, product, atol=1e-12)
+    assert not np.tril(F, -1).any()
+
+
+def test_a_front_of_many_rows_is_made_triangular_on_the_way():
+    """One landmark seen from everywhere, eliminated last: its rows pile up unless fronts are cut."""
+    rows = drive(np.random.default_rng(3), 200, 1, 800)
+    assert SLACK > 1.0
+    _, covariance, t = solved(rows, np.arange(201))
+    A, b, at = dense(rows)
+    expected = np.linalg.inv(A.T @ A)[at[200] :, at[200] :]
+    np.testing.assert_allclose(covariance[200, :2, :2], expected, rtol=1e-5)
+    np.testing.assert_allclose(t.left, np.sum((b - A @ np.linalg.lstsq(A, b, rcond=None)[0]) ** 2), rtol=1e-6)
+
+
+@pytest.mark.parametrize("landmarks", [0, 3])
+def test_the_structure_is_a_postorder_with_separators_among_the_ancestors(landmarks):
+    rows = drive(np.random.default_rng(4), 15, landmarks, 20)
+    s = structure(rows.variable, np.random.default_rng(5).permutation(15 + landmarks))
+    assert sorted(s.variable.tolist()) == list(range(15 + landmarks))
+    for v, p in enumerate(s.parent):
+        separator = s.separator[s.start[v] : s.start[v + 1]]
+        if p < 0:
+            assert not len(separator)
+            continue
+        assert v < p == separator.min()
+        above = set(s.separator[s.start[p] : s.start[p + 1]].tolist()) | {p}
+        assert set(separator.tolist()) <= above
