@@ -13,7 +13,7 @@ from data.inputs import Inputs, IntArray
 from data.result import MapState, Trajectory
 from data.se2 import Array
 from graph.factors import LOSSES, between_factors, sight_known, sight_landmarks
-from graph.optimum import optimize
+from graph.optimum import optimize, suspect
 from graph.problem import Problem
 
 
@@ -36,6 +36,8 @@ class Smoothed:
         dof: its degrees of freedom.
         iterations: of the optimizer.
         last_step: sigmas, largest component of the Newton step that was left: near zero at an optimum.
+        cost: twice the sum of all losses; without a robust loss the chi-square.
+        suspect: the cost is so high that there may be a lower minimum elsewhere.
     """
 
     trajectory: Trajectory
@@ -44,6 +46,8 @@ class Smoothed:
     dof: int
     iterations: int
     last_step: float
+    cost: float
+    suspect: bool
 
     @property
     def total_nis(self) -> tuple[float, int] | None:
@@ -52,12 +56,12 @@ class Smoothed:
 
 
 def smooth(inputs: Inputs, decisions: IntArray, created: IntArray, start: Start, *, loss: str = "gaussian") -> Smoothed:
-    """Maximum a posteriori path (and map), by Levenberg-Marquardt from `start`.
+    """Maximum a posteriori path (and map): a minimum reached from `start`.
 
     Inputs with a map: localization, decisions (M,) are map ids or `DISCARD`. Without: SLAM, decisions are landmark
     numbers, `NEW` or `DISCARD`, and `created` (M,) is the number of the landmark an observation initialized (-1: none).
-    `loss`: gaussian, huber or cauchy, on measurements only. Raises `UnderConstrained`, and DataError for a singular
-    increment or measurement covariance.
+    `loss`: gaussian, huber or cauchy, on measurements only. Raises `UnderConstrained` (`NotConvergedError` where no
+    minimum was reached), and DataError for a singular increment or measurement covariance.
     """
     if loss not in LOSSES:
         raise ValueError(f"loss {loss!r}; known: {', '.join(LOSSES)}")
@@ -65,7 +69,10 @@ def smooth(inputs: Inputs, decisions: IntArray, created: IntArray, start: Start,
     values = start_values(problem, start)
     found = optimize(problem, values)
     chi_square = 2.0 * found.error if loss == "gaussian" else float("nan")
-    return Smoothed(found.trajectory, found.map, chi_square, problem.dof, found.iterations, found.last_step)
+    return Smoothed(
+        found.trajectory, found.map, chi_square, problem.dof, found.iterations, found.last_step, 2.0 * found.error,
+        suspect(found.error, problem),
+    )  # fmt: skip
 
 
 def start_values(problem: Problem, start: Start) -> gtsam.Values:

@@ -43,6 +43,8 @@ SLACK = (1.0, 0.3)
 valley of a stiff path bends, and is crossed more easily while it is wide."""
 SUSPECT = 2.0
 """Cost per degree of freedom (its half the expectation) above which a minimum may be a wrong one."""
+ON_THE_ROBOT = 0.01
+"""m. A landmark that is estimated nearer to a pose that saw it has no bearing to speak of."""
 TINY = 1e-9
 """m, rad. Stands in for a sigma of zero when a step is measured in sigmas."""
 
@@ -69,6 +71,11 @@ class Optimum:
     last_step: float
 
 
+def suspect(error: float, problem: Problem) -> bool:
+    """Whether a minimum of so much (half the cost) may be a wrong one."""
+    return 2.0 * error > SUSPECT * max(problem.dof, 1)
+
+
 class _Found(NamedTuple):
     """Where a search ended: estimate, half the cost, steps made, sigmas of the step left; linearized and eliminated."""
 
@@ -91,9 +98,8 @@ def optimize(problem: Problem, start: gtsam.Values) -> Optimum:
     linearizer = Linearizer(problem)
     best = _descend(linearizer, graph, start)
     iterations = best.iterations
-    if best.left > CONVERGED * math.sqrt(3 * len(linearizer.structure.variable)) or 2.0 * best.error > SUSPECT * max(
-        problem.dof, 1
-    ):
+    short = CONVERGED * math.sqrt(3 * len(linearizer.structure.variable))
+    if best.left > short or suspect(best.error, problem):
         for share in SLACK:
             loose = problem.loosened(share)
             first = _descend(Linearizer(loose), loose.graph(), start, enough=1.0)
@@ -173,6 +179,7 @@ def _optimum(problem: Problem, linearizer: Linearizer, found: _Found, iterations
             f"the optimization did not converge: after {iterations} steps {last_step:.2g} sigma are left at "
             f"{_name(linearizer, variable)}, cost {2.0 * found.error:.6g} for {problem.dof} degrees of freedom; "
             f"weakest is {_name(linearizer, weakest)}, sigma {sigma[weakest, :2].max():.3g} m"
+            f"{_on_the_robot(problem, found.values)}"
         )
     pose = poses_of(found.values, n)
     state = None
@@ -180,6 +187,16 @@ def _optimum(problem: Problem, linearizer: Linearizer, found: _Found, iterations
         xy = np.array([found.values.atPoint2(L(k)) for k in linearizer.numbers.tolist()]).reshape(-1, 2)
         state = MapState(linearizer.numbers, xy, covariance[n:, :2, :2].copy())
     return Optimum(Trajectory(pose, in_world(pose, covariance[:n])), state, found.error, iterations, last_step)
+
+
+def _on_the_robot(problem: Problem, values: gtsam.Values) -> str:
+    """A likely reason in words: a landmark that was drawn to where it was seen from, where no bearing has a slope."""
+    for s in problem.sighted:
+        if s.key is not None:
+            gap = float(np.hypot(*(values.atPoint2(s.key) - values.atPose2(X(s.frame)).translation())))
+            if gap < ON_THE_ROBOT:
+                return f"; landmark {s.number} has come to lie {gap:.1g} m from the robot at frame {s.frame}"
+    return ""
 
 
 def _name(linearizer: Linearizer, variable: int) -> str:

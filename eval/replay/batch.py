@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 
 from data.inputs import Inputs, IntArray
 from data.result import DISCARD, Failure, Run, Trajectory, map_estimate, surviving
 from data.se2 import Array, BoolArray
-from graph.batch import Start, smooth
+from graph.batch import Smoothed, Start, smooth
 from graph.factors import UnderConstrained
+from graph.optimum import NotConvergedError
 from graph.robust import gnc
 
 LOSSES = {"batch": "gaussian", "batch-huber": "huber", "batch-cauchy": "cauchy"}
 """Of the batch smoothers by name, `gnc` aside."""
+LOWER = 1e-6
+"""Share of its cost by which another minimum must be lower to be another one."""
 
 
-def batch(name: str, inputs: Inputs, front: Run) -> Run:
+def batch(name: str, inputs: Inputs, front: Run, other: Callable[[], Run] | None = None) -> Run:
     """A batch smoother over the final decisions of `front`, started at its path.
+
+    Where that leads to no minimum, or to one so high that it may be a wrong one, the path of `other` (a run with the
+    same landmark numbers) is tried as well, and the lowest minimum counts.
 
     `gnc` chooses among them itself: a pairing that it leaves out is discarded in the end, and so is a landmark of which
     no sighting is left.
@@ -40,7 +47,7 @@ def batch(name: str, inputs: Inputs, front: Run) -> Run:
             )
             final, initialized = np.where(left_out, DISCARD, final), np.where(left_out, -1, initialized)
         else:
-            result = smooth(inputs, final, initialized, start, loss=LOSSES[name])
+            result = _lowest(inputs, final, initialized, start, LOSSES[name], other)
     except UnderConstrained as stop:
         return _failed(name, front, Failure("diverged", 0, str(stop)), len(inputs), time.perf_counter() - begin)
     seconds = time.perf_counter() - begin
@@ -52,6 +59,37 @@ def batch(name: str, inputs: Inputs, front: Run) -> Run:
         front.created, None, result.total_nis, None, seconds, None, tuple(notes), front.removed, gated=front.gated,
         iterations=result.iterations, last_step_sigma=result.last_step,
     )  # fmt: skip
+
+
+def _lowest(
+    inputs: Inputs,
+    final: IntArray,
+    initialized: IntArray,
+    start: Start,
+    loss: str,
+    other: Callable[[], Run] | None,
+) -> Smoothed:
+    """The minimum from `start`, or from the path of another run if that is a lower one."""
+    result, stop = None, None
+    try:
+        result = smooth(inputs, final, initialized, start, loss=loss)
+    except NotConvergedError as fault:
+        stop = fault
+    if other is not None and (result is None or result.suspect):
+        run = other()
+        if run.failure is None and run.online is not None:
+            elsewhere = Start(run.online.pose, _places(inputs, run, initialized))
+            try:
+                found = smooth(inputs, final, initialized, elsewhere, loss=loss)
+            except NotConvergedError as fault:
+                stop = fault
+            else:
+                if result is None or found.cost < result.cost * (1.0 - LOWER):
+                    result = found
+    if result is None:
+        assert stop is not None
+        raise stop
+    return result
 
 
 def _left_out(decisions: IntArray, initialized: IntArray, accepted: BoolArray) -> BoolArray:

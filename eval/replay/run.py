@@ -161,10 +161,10 @@ def compare(
 ) -> list[Run]:
     """Estimators with one way of association on identical inputs; the runs come in the order of `estimators`.
 
-    `batch...` take the decisions of a front end and start from its path: under `known` those of the EKF (the iterated
-    one if that was asked for), otherwise those of iSAM2, or of the EKF if iSAM2 was not asked for. A front end that was
-    not asked for runs all the same. Where the setup's gate for labels is not for smoothers, they get every pairing and
-    start at the gated EKF's path.
+    `batch...` take the decisions of a front end and start from its path: under `known` those of the EKF (and, where
+    that leads to no good end, at the iterated one's), otherwise those of iSAM2, or of the EKF if iSAM2 was not asked
+    for. A front end that was not asked for runs all the same. Where the setup's gate for labels is not for smoothers,
+    they get every pairing and start at the gated EKF's path.
     Labels are withheld from every method but `known`.
     """
     # sums over two threads round otherwise than over one: the same bytes for any number of processes and cores
@@ -191,14 +191,17 @@ def _compare(inputs: Inputs, task: str, estimators: Sequence[str], association: 
 
     def batch_of(name: str) -> Run:
         if association == "known":
-            # the pairings are the same, the start is better where the plain filter gets lost
-            front = ahead("ekf-iterated" if "ekf-iterated" in estimators else "ekf")
+            # whatever else was asked for; the iterated filter's path is better where the plain one gets lost
+            front = ahead("ekf")
+            if front.failure is not None:
+                front = ahead("ekf-iterated")
             if not setup.gate_smoothers:
                 decisions, created = known_decisions(inputs)
                 front = replace(front, decisions=decisions, final_decisions=decisions, created=created)
         else:
             front = ahead("isam2" if "isam2" in estimators else "ekf")
-        return batch(name, inputs, front)
+        other = (lambda: ahead("ekf-iterated")) if association == "known" else None
+        return batch(name, inputs, front, other)
 
     return [
         dead_reckoning(inputs, task) if name == "dead-reckoning" else batch_of(name) if name in BATCH else ahead(name)

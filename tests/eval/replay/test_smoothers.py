@@ -68,7 +68,7 @@ def test_gnc_discards_what_is_wrong_and_its_path_is_as_good_as_without_it(clean,
     (reference,) = compare(clean.inputs(labels=True), task, ["batch"])
     batch, gnc = compare(wrong.inputs(labels=True), task, ["batch", "gnc"], setup=GATED)
     assert off(gnc, clean) < 1.5 * off(reference, clean)
-    assert off(batch, clean) > 3.0 * off(gnc, clean)
+    assert batch.status == "diverged" or off(batch, clean) > 3.0 * off(gnc, clean)
     paired = gnc.decisions >= 0
     lie = (wrong.label != wrong.truth.landmark_of)[paired]
     rejected = gnc.final_decisions[paired] == DISCARD
