@@ -85,10 +85,11 @@ class Observations:
 class LabelledObservations(Observations):
     """Observations with the sensor's label (M,) beside them: only where the experiment grants known association.
 
-    A label is a landmark id >= 0, `CLUTTER` or `UNLABELLED`.
+    A label is a landmark id >= 0, `CLUTTER` or `UNLABELLED`; `sensed`: a sensor read it, and can have misread it.
     """
 
     label: IntArray
+    sensed: bool = False
 
 
 class Frame(NamedTuple):
@@ -195,6 +196,11 @@ class Inputs:
         label = o.label[first : self.start[number + 1]] if isinstance(o, LabelledObservations) else None
         increment = self.increment(number) if number else None
         return Frame(number, float(self.time[number]), increment, self.sightings(number), label, first)
+
+    @property
+    def labels_are_sensed(self) -> bool:
+        """Whether labels were granted that a sensor read: some of them may be wrong."""
+        return isinstance(self.observations, LabelledObservations) and self.observations.sensed
 
     def without_map(self) -> Inputs:
         """The same inputs for SLAM: the known map withheld."""

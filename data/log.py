@@ -22,7 +22,8 @@ class Log:
         truth: what the referee compares with.
         label: (M,) what the sensor claims each observation shows, where that can differ from the truth; None: the
             true ids serve as labels.
-        labels_are_sensed: the ids come from the sensor (e.g. barcodes), so granting them grants no truth.
+        labels_are_sensed: the ids come from the sensor (e.g. barcodes), so granting them grants no truth, and some may
+            be misread: pairings by them are gated unless somebody says otherwise.
         source: how the log was made (for convert, inspect and provenance); free keys.
         notes: what a reader should know (spans skipped, readings dropped), one sentence each.
         evidence: of a log made from images, what was found in them.
@@ -57,7 +58,7 @@ class Log:
         if label is None:
             raise ValueError(f"log {self.name!r} has no labels to grant")
         o: Observations = self.recorded.observations
-        return replace(self.recorded, observations=LabelledObservations(o.frame, o.z, o.R, label))
+        return replace(self.recorded, observations=LabelledObservations(o.frame, o.z, o.R, label, self.labels_are_sensed))
 
 
 def shortened(log: Log, n: int) -> Log:

@@ -92,7 +92,8 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
         asked += found
     for log in asked:
         experiments += [
-            Experiment(_cut(log, options), task, _work(log, options), options.setup) for task in _tasks(log, options)
+            Experiment(_cut(log, options), task, _work(log, options), _setup(log, options))
+            for task in _tasks(log, options)
         ]
     experiments += _with_depth_noise([e for e in experiments if _shows_noise(e, options)])
     names = [name for _, name in dict.fromkeys((id(e.log), e.log.name) for e in experiments)]
@@ -173,6 +174,11 @@ def _work(log: Log, options: Options) -> tuple[Work, ...]:
     return tuple(Work(a, options.estimator) for a in associations)
 
 
+def _setup(log: Log, options: Options) -> Setup:
+    """The setup asked for, what it leaves to the log settled."""
+    return options.setup.settled(log.labels_are_sensed)
+
+
 def _cut(log: Log, options: Options) -> Log:
     return shortened(log, QUICK_FRAMES) if options.quick else log
 
@@ -226,7 +232,7 @@ def _default(options: Options, say: Callable[[str], None]) -> list[Experiment]:
     experiments = []
     for name, task, work in rows:
         log = logs[name]
-        experiments.append(Experiment(log, task, _work(log, options) if asked else work, options.setup))
+        experiments.append(Experiment(log, task, _work(log, options) if asked else work, _setup(log, options)))
         if not asked and ":people" in name and not options.quick and not options.setup.manages_map:
             kept = lab if options.full else (Work("jcbb", ("ekf",)),)
             experiments.append(_maintained(experiments[-1], kept))

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from data.errors import UsageError
 
@@ -96,6 +96,11 @@ def probability(label: str, value: object) -> float | None:
     if not 0.0 < p < 1.0:
         raise UsageError(f"{label} {p:g}: a probability between 0 and 1 (both excluded), or none")
     return p
+
+
+def probability_or_auto(label: str, value: object) -> float | Literal["auto"] | None:
+    """A gate, `none`, or `auto`: as the log is."""
+    return "auto" if value == "auto" else probability(label, value)
 
 
 def positive(label: str, value: object) -> float:

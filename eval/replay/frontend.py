@@ -71,7 +71,7 @@ class FrontEnd:
                 self.parking = Parking(self.estimator, self.map_management, given.sensor)
         self.known = KnownAssociation(given.map) if association == "known" else None
         gated = self.known is not None and (setup.gate_smoothers or not self.estimator.smooths)
-        self._threshold = gate_threshold(setup.gate_known) if gated else math.inf
+        self._threshold = gate_threshold(setup.label_gate) if gated else math.inf
 
     def move(self, frame: Frame) -> None:
         """The next frame comes: predict; the first one has no motion."""

@@ -93,7 +93,7 @@ def step_by_step(
     every stage and changes nothing but the time taken.
     """
     begin = time.perf_counter()
-    front = front_end(name, association, inputs, setup, options)
+    front = front_end(name, association, inputs, setup.settled(inputs.labels_are_sensed), options)
     each = options is not None and options.each
     run = driven(name, front, inputs, task, each=each, finish=finish, observer=observer)
     return replace(run, seconds=time.perf_counter() - begin)
@@ -165,7 +165,8 @@ def compare(
     that leads to no good end, at the iterated one's), otherwise those of iSAM2, or of the EKF if iSAM2 was not asked
     for. A front end that was not asked for runs all the same. Where the setup's gate for labels is not for smoothers,
     they get every pairing and start at the gated EKF's path.
-    Labels are withheld from every method but `known`.
+    Labels are withheld from every method but `known`. Labels that a sensor read are gated where the setup does not say
+    otherwise (`Setup.settled`).
     """
     # sums over two threads round otherwise than over one: the same bytes for any number of processes and cores
     with threadpool_limits(1):
@@ -177,13 +178,14 @@ def _compare(inputs: Inputs, task: str, estimators: Sequence[str], association: 
         inputs = inputs.without_map()
     if association != "known":
         inputs = inputs.without_labels()
+    setup = setup.settled(inputs.labels_are_sensed)
     done: dict[str, Run] = {}
 
     def ahead(name: str) -> Run:
         if name not in done:
             quick = name in FILTERS and association == "known" and not (setup.manages_map and task == "slam")
             done[name] = (
-                filter_known(inputs, task, name=name, threshold=gate_threshold(setup.gate_known))
+                filter_known(inputs, task, name=name, threshold=gate_threshold(setup.label_gate))
                 if quick
                 else step_by_step(name, inputs, task, association, setup)
             )

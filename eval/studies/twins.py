@@ -111,7 +111,10 @@ def twin(source: Source, seed: int) -> Log:
     name = f"{source.log.name}:twin={seed}"
     told = {"kind": "twin", "twin_of": source.log.name, "seed": seed, "task": source.task}
     note = f"Drawn from batch's path and map of {source.log.name}, with the covariances as stated; batch is its truth."
-    return Log(name, recorded, Truth(path, source.landmarks, source.landmark_of), source=told, notes=(note,))
+    truth = Truth(path, source.landmarks, source.landmark_of)
+    # none is misread, but they are to be treated as those of the log are
+    sensed = source.log.labels_are_sensed
+    return Log(name, recorded, truth, labels_are_sensed=sensed, source=told, notes=(note,))
 
 
 def _root(covariance: Array) -> Array:

@@ -219,7 +219,7 @@ def _head(inputs: Inputs, frames: int) -> Inputs:
         inputs,
         time=inputs.time[:frames],
         increments=Increments(inputs.increments.mean[:frames], inputs.increments.covariance[:frames]),
-        observations=LabelledObservations(o.frame[:rows], o.z[:rows], o.R[:rows], o.label[:rows]),
+        observations=replace(o, frame=o.frame[:rows], z=o.z[:rows], R=o.R[:rows], label=o.label[:rows]),
     )
 
 

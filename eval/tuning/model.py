@@ -165,7 +165,7 @@ def apply(model: Model, theta: Sequence[float] | Array, *, floor: bool = False, 
         inputs,
         time=inputs.time - value.get(LATENCY, 0.0),
         increments=Increments(increments.mean, covariance),
-        observations=LabelledObservations(o.frame, z, R, o.label),
+        observations=replace(o, z=z, R=R),
         floored=floored,
     )
 
