@@ -55,6 +55,11 @@ def _inspect(name: str, plot: Path | None) -> None:
 
     log = open_log(name)
     lines = summarize(log)
+    if log.has_labels:
+        from eval.replay.settings import Setup
+        from eval.report.statements import gate_sentence
+
+        lines.append(("label gate", gate_sentence(Setup(), sensed=log.labels_are_sensed)))
     width = max(len(key) for key, _ in lines)
     for key, text in lines:
         print(f"{key:<{width}}  {text}")

@@ -34,7 +34,7 @@ SHARED = (
         TABLE["task"], metavar="NAME",
         help="localization or slam (default: localization where there is a map, but slam in a corridor)",
     ),
-    *(TABLE[name] for name in ("gate", "new_gate", "in_view", "maintain")),
+    *(TABLE[name] for name in ("gate", "new_gate", "gate_known", "in_view", "maintain")),
 )  # fmt: skip
 """Flags that mean what they mean in `eval.run_all`."""
 DEFAULTS = {"association": "jcbb", "estimator": "ekf"}
@@ -135,6 +135,7 @@ def _step(wish: Wish) -> None:
     if wish.frames is not None:
         log = shortened(log, wish.frames)
     from eval.replay.run import step_by_step
+    from eval.report.statements import gate_sentence
     from eval.walk.album import Album, open_windows
     from eval.walk.walk import StoppedError, Walk, end
 
@@ -142,6 +143,8 @@ def _step(wish: Wish) -> None:
     inputs = log.inputs(labels=association == "known")
     if task == "slam":
         inputs = inputs.without_map()
+    if inputs.labels_are_sensed:
+        print(gate_sentence(o, sensed=True))
     walk = Walk(log, task, o.estimator[0], album, pausing=not wish.run_through and sys.stdin.isatty())
     try:
         run = step_by_step(o.estimator[0], inputs, task, association, o.setup, observer=walk)

@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from data.errors import DataError, SlamrefError, UsageError
+from eval.replay.flag import probability_or_auto
+from eval.replay.settings import SENSED_GATE, Setup
 
 if TYPE_CHECKING:
     from data.inputs import IntArray
@@ -82,8 +84,8 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
         "but growth (a range's sigma as a power of the range)",
     )  # fmt: skip
     parser.add_argument(
-        "--gate", type=float, metavar="P", help="leave out pairings beyond this chi-square probability under the noise "
-        "as stated (default: none)",
+        "--gate", default="auto", metavar="P", help="leave out pairings beyond this chi-square probability under the "
+        f"noise as stated, or none, or auto (default): {SENSED_GATE} where a sensor read the labels, else none",
     )  # fmt: skip
     parser.add_argument("--use", metavar="TUNED", type=Path, help="fit nothing: apply the numbers of this tuned log")
     options = parser.parse_args(argv)
@@ -109,9 +111,14 @@ def _run(options: argparse.Namespace) -> str:
     if used is not None and options.fit is not None:
         raise UsageError("--fit and --use exclude each other: --use fits nothing")
     with threadpool_limits(1):
-        tuning = tune(log, folder, groups=options.fit, gate=options.gate, use=used)
+        tuning = tune(log, folder, groups=options.fit, gate=_gate_of(log, options.gate), use=used)
     write_folder(tuning.log, options.out)
     return "\n".join([*_report(log, tuning), f"written: {options.out.absolute()}", ""])
+
+
+def _gate_of(log: Log, asked: str) -> float | None:
+    """The gate of a log's pairings, as `--gate` has it."""
+    return Setup(gate_known=probability_or_auto("--gate", asked)).settled(log.labels_are_sensed).label_gate
 
 
 def tune(

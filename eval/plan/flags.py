@@ -197,7 +197,8 @@ examples:
   python -m eval.run_all --log my_log --estimator ekf,batch-cauchy --association known
   python -m eval.run_all --log arena:0 --task slam --estimator ekf,ekf-invariant,isam2,batch
   python -m eval.run_all --log my_log --twins 100           trust without ground truth: p values, and whose fault it is
-  python -m eval.run_all --log my_log --gate-known 0.9999   leave labelled readings out that fit badly
+  python -m eval.run_all --log my_log --gate-known 0.999    leave labelled readings out that fit badly, or keep them
+  python -m eval.run_all --log my_log --gate-known none     all, which is the default where no sensor read the labels
   python -m eval.run_all --log my_log --gate-known 0.9999 --no-gate-smoothers    the smoothers keep them
   python -m eval.run_all --log my_log --task slam --association known,nn,jcbb    unknown labels beside known ones
   python -m eval.run_all --log corridor:0 --association jcbb --gate 0.95 --new-gate 0.999

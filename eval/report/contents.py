@@ -20,7 +20,7 @@ from eval.report.corridor.questions import lab_sections
 from eval.report.log_sections import association_sections, beside, rows_of, trial_sections, tutorial_sections
 from eval.report.pictures import draw, kinds, publish_runs
 from eval.report.revisions import revision_section
-from eval.report.statements import failure_statement
+from eval.report.statements import failure_statement, gate_sentence
 from eval.report.studies import study_sections
 from eval.report.trust.sections import first_said
 from eval.report.visual.sections import visual_sections
@@ -159,13 +159,12 @@ def _source_section(trials: Sequence[Trial], options: Options) -> Section:
         kind = log.source.get("kind", "open log folder")
         r = log.recorded
         labels = " Labels are sensed." if log.labels_are_sensed else ""
+        if log.has_labels:
+            labels += f" {gate_sentence(options, sensed=log.labels_are_sensed)}"
         notes.append(
             f"* `{log.name}` ({kind}): {len(r)} frames, {len(r.observations.frame)} observations, sensor"
             f" `{r.sensor.name}`, {log.truth.known_poses} frames with truth, {r.floored} increments raised to"
             f" the covariance floor.{labels}"
         )
-    gate = "none" if options.gate_known is None else f"{options.gate_known:g}"
-    notes.append(
-        f"* Gate for labelled readings: {gate}. Versions, command and checksums of the inputs: `provenance.json`."
-    )
+    notes.append("* Versions, command and checksums of the inputs: `provenance.json`.")
     return Section("Logs and settings", ("\n".join(notes),))

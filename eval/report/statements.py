@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 from eval.page.numbers import number
+from eval.replay.settings import Setup
 from eval.referee.consistency import CONSERVATIVE, CONSISTENT, INSIDE_3SIGMA, OVERCONFIDENT, TOO_FEW
 
 
@@ -85,6 +86,17 @@ def association_statement(tp: int, tn: int, fp: int, fn: int) -> str:
         return "no observations to decide about"
     right = f"of {total} observations {tp + tn} were decided rightly ({100 * (tp + tn) / total:.1f} %)"
     return f"{right}, {fp} were paired with a wrong landmark, {fn} were not paired though their landmark was in the map"
+
+
+def gate_sentence(setup: Setup, *, sensed: bool) -> str:
+    """Which gate the readings paired by label had to pass; `sensed`: a sensor read the labels of this log."""
+    gate = setup.settled(sensed).label_gate
+    whose = "a sensor read the labels" if sensed else "no sensor read the labels"
+    because = f" (the default where {whose}; `--gate-known` changes it)" if setup.gate_known == "auto" else ""
+    if gate is None:
+        return f"Readings paired by label pass no gate{because}."
+    left = "" if setup.gate_smoothers else " for the filters; the smoothers keep them"
+    return f"Readings paired by label are left out beyond the {gate:g} quantile of their innovation{left}{because}."
 
 
 def failure_statement(log: str, task: str, estimator: str, association: str, status: str, frame: int, why: str) -> str:

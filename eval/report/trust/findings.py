@@ -114,7 +114,7 @@ def advice(findings: Sequence[Finding], terms: Terms, *, labels: bool) -> list[s
         said.append(f"Correct in the log itself, as no parameter stands for it: {', '.join(by_hand)}.")
     kinds = {f.kind for f in findings}
     if "pairings" in kinds:
-        gated = "Leave readings that fit badly out with `--gate-known 0.9999`, or let"
+        gated = "Leave readings that fit badly out with `--gate-known 0.9999` or a narrower gate, or let"
         said.append(f"{gated if labels else 'Let'} later frames revise the pairings: `--association jcbb-hindsight`.")
     if "tails" in kinds:
         gate = " or a gate (`--gate-known 0.9999`)" if labels else ""
