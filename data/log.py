@@ -58,7 +58,9 @@ class Log:
         if label is None:
             raise ValueError(f"log {self.name!r} has no labels to grant")
         o: Observations = self.recorded.observations
-        return replace(self.recorded, observations=LabelledObservations(o.frame, o.z, o.R, label, self.labels_are_sensed))
+        return replace(
+            self.recorded, observations=LabelledObservations(o.frame, o.z, o.R, label, self.labels_are_sensed)
+        )
 
 
 def shortened(log: Log, n: int) -> Log:

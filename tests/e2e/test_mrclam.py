@@ -12,7 +12,8 @@ from data.convert.__main__ import main as convert
 from data.mrclam.load import load_mrclam
 from eval.referee.score import metrics_row
 from eval.replay.batch import batch
-from eval.replay.run import filter_known
+from eval.replay.run import compare, filter_known
+from eval.replay.settings import Setup
 from eval.run_all import main
 
 pytestmark = pytest.mark.usefixtures("tables_parsed_once")
@@ -43,6 +44,24 @@ def test_dataset_6_on_which_they_were_not(shared_data):
     assert ekf[1] < 0.125
     assert cauchy[0] < 0.075
     assert cauchy[1] < 0.08
+
+
+def test_misread_barcodes_do_no_harm_by_default(shared_data):
+    # four readings of a barcode that was not there, 252 to 256 s into the recording
+    log = load_mrclam(shared_data / "mrclam" / "MRCLAM_Dataset6.zip", 3, start=240.0, stop=265.0)
+    inputs, where = log.inputs(labels=True), "localization"
+    ekf, default = (score(log, r) for r in compare(inputs, where, ["ekf", "batch"]))
+    gated = score(log, compare(inputs, where, ["batch"], setup=Setup(gate_known=0.9999))[0])
+    plain, *robust = (
+        score(log, r) for r in compare(inputs, where, ["ekf", "batch-huber", "gnc"], setup=Setup(gate_known=None))
+    )
+    assert default < 1.05 * min(gated, *robust)
+    assert ekf < 0.5 * plain
+
+
+def score(log, run):
+    """Position RMSE [m] of a run's last phase."""
+    return float(metrics_row(run, run.phases[-1], log, None)["rmse_position_m"])
 
 
 def test_tutorials_join_the_table_of_the_log_they_treat(shared_data, tmp_path):

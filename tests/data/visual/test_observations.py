@@ -17,6 +17,7 @@ from data.visual.opening import parse_name
 from data.worlds.gallery import Gallery, gallery
 from eval.referee.score import Trial, confusion_of, score
 from eval.replay.run import compare
+from eval.replay.settings import Setup
 
 CORNERS = np.array(
     [[[3.0, 1.0], [3.0, 0.2], [3.0, 0.2], [3.0, 1.0]], [[3.0, -0.2], [3.0, -1.0], [3.0, -1.0], [3.0, -0.2]]]
@@ -131,9 +132,10 @@ def test_a_picture_taken_for_another_is_a_wrong_pairing():
     shown = true_pictures(swapped, in_view)
     assert shown[4] == 0
     log = log_of(SETUP, swapped, "x", pose=np.zeros((6, 3)), in_view=in_view)
-    (run,) = compare(log.inputs(labels=True), "localization", ["ekf"])
-    counts = confusion_of(run, log, "online")
-    assert (counts.fp, counts.tp) == (4, 44)
+    for setup, wrong in ((Setup(gate_known=None), 4), (Setup(), 0)):  # by itself the gate leaves its corners out
+        (run,) = compare(log.inputs(labels=True), "localization", ["ekf"], setup=setup)
+        counts = confusion_of(run, log, "online")
+        assert (counts.fp, counts.tp) == (wrong, 44)
     elsewhere = replace(found, pixels=found.pixels + np.where(np.arange(12) == 4, 300.0, 0.0)[:, None, None])
     assert true_pictures(elsewhere, in_view)[4] == -1
 
