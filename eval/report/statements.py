@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 from eval.page.numbers import number
-from eval.replay.settings import Setup
 from eval.referee.consistency import CONSERVATIVE, CONSISTENT, INSIDE_3SIGMA, OVERCONFIDENT, TOO_FEW
+from eval.replay.settings import Setup
 
 
 def nis_verdict(nis: float, lower: float, upper: float) -> str:

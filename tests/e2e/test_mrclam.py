@@ -48,7 +48,7 @@ def test_dataset_6_on_which_they_were_not(shared_data):
 
 def test_misread_barcodes_do_no_harm_by_default(shared_data):
     # four readings of a barcode that was not there, 252 to 256 s into the recording
-    log = load_mrclam(shared_data / "mrclam" / "MRCLAM_Dataset6.zip", 3, start=240.0, stop=265.0)
+    log = load_mrclam(shared_data / "mrclam" / "MRCLAM_Dataset6.zip", 3, start=225.0, stop=275.0)
     inputs, where = log.inputs(labels=True), "localization"
     ekf, default = (score(log, r) for r in compare(inputs, where, ["ekf", "batch"]))
     gated = score(log, compare(inputs, where, ["batch"], setup=Setup(gate_known=0.9999))[0])
