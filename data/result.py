@@ -154,6 +154,11 @@ class Failure(NamedTuple):
     frame: int
     why: str
 
+    @property
+    def text(self) -> str:
+        """Frame and reason, for a sentence about a failure; a run that was not stopped says so."""
+        return f"frame {self.frame}: {'' if self.status != 'implausible' else 'implausible, '}{self.why}"
+
 
 CHI_SQUARE = (1.0, 2.0)
 """Mean and variance per degree of freedom of innovations that nothing was left out of."""

@@ -40,6 +40,11 @@ class Console:
         if not self.quiet:
             print(text, flush=True)
 
+    def complain(self, text: str) -> None:
+        """An error that did not end the command at once; nobody is spared it."""
+        self.lines.append(f"error: {text}")
+        print(f"error: {text}", file=sys.stderr, flush=True)
+
     def detail(self, text: str) -> None:
         """A sentence for -v and run.log."""
         self.lines.append(text)
@@ -131,8 +136,8 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
     judged = [j for study in outcome.studies for j in judge(study)]
     for trial in outcome.trials:
         for run in trial.runs:
-            if run.failure is not None:
-                f = run.failure
+            if run.flaw is not None:
+                f = run.flaw
                 console.say(f"{trial.log.name}, {run.task}: {run.estimator} {f.status} at frame {f.frame}: {f.why}")
             for note in run.notes:
                 if "ran out" in note:
@@ -143,7 +148,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
     for text in [*reproduced.lines(outcome.published), *outcome.skipped]:
         console.say(text)
     with _bar("writing", options.quiet, check) as progress:
-        write_results(folder, options, outcome, judged, arguments, progress)
+        missing = write_results(folder, options, outcome, judged, arguments, progress)
     failed = failed_declarations(judged)
     for j in failed:
         task, estimator, _, phase = j.key
@@ -153,9 +158,11 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
         )
     if not failed and (line := declared_line(judged)):
         console.say(line)
+    for text in missing:
+        console.complain(text)
     console.say(f"report: {options.out / 'report.html'}")
     (folder / "run.log").write_text("\n".join(console.lines) + "\n", encoding="utf-8")
-    return REJECTED if failed else FINE
+    return WRONG if missing else REJECTED if failed else FINE
 
 
 @contextmanager

@@ -132,7 +132,7 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Alo
         row["rmse_landmark_m"] = errors.rms(off)
         if np.isfinite(off).any():
             row["sse_landmark_m2"] = float(np.nansum(off**2))
-    if reference is not None and reference.final is not None and reference.failure is None:
+    if reference is not None and reference.final is not None and reference.flaw is None:
         row["rms_from_batch_m"] = errors.rms(errors.position_distance(pose, reference.final.pose))
     if phase == "online" and run.innovations is not None:
         o = log.recorded.observations

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from data import se2
-from data.inputs import Inputs
+from data.inputs import Inputs, IntArray
 from data.result import DISCARD, Failure, Run, Trajectory, surviving
 from data.se2 import Array, BoolArray
 from ekf.whole_run import run_filter
@@ -106,7 +106,7 @@ def _squared(off: Array, covariance: Array) -> Array:
     return np.where(np.isfinite(off).all(axis=1), squared, np.inf)
 
 
-def _sighted(run: Run, inputs: Inputs) -> tuple[Array, Array]:
+def _sighted(run: Run, inputs: Inputs) -> tuple[IntArray, Array]:
     """Observations (m,) that show a landmark of the run's last map, by its last decisions, and where that is (m, 2)."""
     created = surviving(run.final_decisions, run.created)
     number = np.where(created >= 0, created, run.final_decisions)
@@ -117,7 +117,7 @@ def _sighted(run: Run, inputs: Inputs) -> tuple[Array, Array]:
     else:
         return np.empty(0, np.int64), np.empty((0, 2))
     order = np.argsort(identity)
-    rows = np.flatnonzero(np.isin(number, identity))
+    rows = np.flatnonzero(np.isin(number, identity)).astype(np.int64)
     return rows, places[order[np.searchsorted(identity, number[rows], sorter=order)]]
 
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from joblib import Parallel, delayed
 
 from eval.page.document import Block, Picture, Report, Section, write_report
+from eval.plan.cluster import Call
 from eval.plan.execute import Outcome
 from eval.plan.options import Options
 from eval.plan.provenance import command_of, provenance
+from eval.plan.unfinished import Unfinished
+from eval.plan.work import work
 from eval.referee.consistency import MIN_RUNS
 from eval.referee.score import Scores, Trial, score
 from eval.report.answer import answer
@@ -47,8 +49,9 @@ def write_results(
     judged: Sequence[Judged],
     arguments: Sequence[str],
     progress: Callable[[int, int], None],
-) -> None:
-    """Fill the result folder."""
+) -> tuple[str, ...]:
+    """Fill the result folder; returns what is missing from it for want of memory, a sentence each."""
+    lost = Unfinished(options, said=list(outcome.missing))
     scores = score(outcome.trials)
     consistency = consistency_table(judged)
     tables = {"metrics": scores.metrics, "association": scores.association, "timing": scores.timing}
@@ -57,7 +60,7 @@ def write_results(
     if outcome.published:
         published_frame(outcome.published).to_csv(folder / "published.csv", index=False, lineterminator="\n")
     (folder / "runs").mkdir()
-    published = _publish_trials(folder, options, outcome.trials, progress)
+    published = _publish_trials(folder, options, outcome.trials, lost, progress)
     sections = [*trial_sections(folder, options, outcome.trials, scores, published, outcome.trust)]
     sections += visual_sections(folder, options, outcome.trials)
     sections += tutorial_sections(folder, options, outcome.trials, scores)
@@ -77,30 +80,32 @@ def write_results(
     (folder / "provenance.json").write_text(
         provenance(options, {t.log.name: t.log for t in outcome.trials}.values(), arguments), encoding="utf-8"
     )
+    return tuple(lost.said)
 
 
 def _publish_trials(
-    folder: Path, options: Options, trials: Sequence[Trial], progress: Callable[[int, int], None]
+    folder: Path, options: Options, trials: Sequence[Trial], lost: Unfinished, progress: Callable[[int, int], None]
 ) -> list[list[Picture]]:
     """Write run files and pictures, each as a job of its own; returns the pictures of each trial."""
-    jobs: list[Any] = []
-    owner: list[int | None] = []
+    jobs: list[tuple[tuple[int, int], Call]] = []
     for i, trial in enumerate(trials):
         others = beside(trial, trials)
         drawn = not (options.no_plots or _shown_elsewhere(trial, trials))
-        for kind in kinds(trial, others, quick=options.quick) if drawn else ():
-            jobs.append(delayed(draw)(folder, trial, kind, others, quick=options.quick))
-            owner.append(i)
-    for trial in trials:
-        jobs.append(delayed(publish_runs)(folder, options, trial))
-        owner.append(None)
-    pictures: list[list[Picture]] = [[] for _ in trials]
-    pool: Iterable[Any] = Parallel(n_jobs=min(options.jobs, max(len(jobs), 1)), return_as="generator")(jobs)
-    for done, (whose, made) in enumerate(zip(owner, pool, strict=True), start=1):
-        if whose is not None:
-            pictures[whose].append(made)
+        for place, kind in enumerate(kinds(trial, others, quick=options.quick) if drawn else ()):
+            jobs.append(((i, place), (partial(draw, quick=options.quick), (folder, trial, kind, others))))
+    for i, trial in enumerate(trials):
+        jobs.append(((i, -1), (publish_runs, (folder, options, trial))))
+    made: dict[tuple[int, int], Picture] = {}
+
+    def missing(owner: tuple[int, int], why: str) -> None:
+        what = "files of its runs" if owner[1] < 0 else "a picture"
+        lost.say(f"{trials[owner[0]].log.name}, {trials[owner[0]].task}: {what} missing", why)
+
+    for done, (owner, picture) in enumerate(work(jobs, options, lost=missing), start=1):
+        if owner[1] >= 0:
+            made[owner] = picture
         progress(done, len(jobs))
-    return pictures
+    return [[made[owner] for owner in sorted(made) if owner[0] == i] for i in range(len(trials))]
 
 
 def _shown_elsewhere(trial: Trial, trials: Sequence[Trial]) -> bool:

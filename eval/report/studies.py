@@ -9,15 +9,16 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from joblib import Parallel, delayed
 from scipy import special
 
 from data.log import folder_name
 from eval import figures
 from eval.figures.style import save
 from eval.page.document import Block, Picture, Section, Table, written_table
+from eval.plan.cluster import Call
 from eval.plan.execute import Outcome
 from eval.plan.options import Options
+from eval.plan.work import work
 from eval.referee.consistency import MIN_RUNS
 from eval.report import comparison
 from eval.report.validation import validation_section
@@ -114,18 +115,16 @@ def _draw(folder: Path, options: Options, studies: Sequence[Study]) -> list[list
     pictures: list[list[Picture]] = [[] for _ in studies]
     if options.no_plots or options.quick:
         return pictures
-    jobs: list[Any] = []
-    owner: list[int] = []
+    jobs: list[tuple[tuple[int, int], Call]] = []
     for i, study in enumerate(studies):
         for task in study.scenario.task:
             for association in study.scenario.association:
                 for kind in ("anees", "ends", "coverage"):
-                    jobs.append(delayed(_picture)(folder, study, task, association, kind))
-                    owner.append(i)
-    made: Any = Parallel(n_jobs=min(options.jobs, max(len(jobs), 1)))(jobs)
-    for i, picture in zip(owner, made, strict=True):
-        if picture is not None:
-            pictures[i].append(picture)
+                    jobs.append(((i, len(jobs)), (_picture, (folder, study, task, association, kind))))
+    made = dict(work(jobs, options))
+    for i, place in sorted(made):
+        if made[i, place] is not None:
+            pictures[i].append(made[i, place])
     return pictures
 
 

@@ -38,7 +38,7 @@ class Sample:
         squares: mean squared error of `position` [m^2] and `heading` [rad^2].
         published: NEES averaged as the scenario's published numbers are.
         nees_pose: (N,) pose NEES of every frame that counts, NaN before.
-        failure: where and why it stopped; nothing else is then filled in.
+        failure: where and why it stopped, or is implausible; nothing else is then filled in.
     """
 
     means: Mapping[str, float] = field(default_factory=dict)
@@ -60,11 +60,11 @@ class Study:
     samples: dict[Key, list[Sample]]
 
     def good(self, key: Key) -> list[Sample]:
-        """The runs that got to the end."""
+        """The runs that got to the end and are plausible."""
         return [s for s in self.samples[key] if s.failure is None]
 
     def failures(self) -> list[tuple[Key, int, str]]:
-        """Every run that did not get to the end: which, its seed, and why."""
+        """Every run that did not get to the end, or is implausible: which, its seed, and why."""
         return [
             (key, seed, s.failure)
             for key, samples in self.samples.items()
@@ -76,8 +76,8 @@ class Study:
 def sample(run: Run, phase: str, log: Log, scenario: Scenario) -> Sample:
     """Reduce a run to what the verdicts need."""
     truth = log.truth
-    if run.failure is not None:
-        return Sample(failure=f"frame {run.failure.frame}: {run.failure.why}")
+    if run.flaw is not None:
+        return Sample(failure=run.flaw.text)
     assert truth.pose is not None  # a simulator knows
     t = run.trajectory(phase)
     each = {q: consistency.nees(t.pose, t.covariance, truth.pose, q) for q in QUANTITIES}
@@ -151,7 +151,7 @@ class Judged:
 
 
 def judge(study: Study) -> list[Judged]:
-    """Every verdict of a study. Runs that failed are counted, never averaged in."""
+    """Every verdict of a study. Runs that failed or are implausible are counted, never averaged in."""
     result = []
     for key, samples in study.samples.items():
         good = study.good(key)

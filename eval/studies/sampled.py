@@ -20,6 +20,7 @@ from eval.referee.score import confusion_of
 from eval.referee.trust import Key, Measured
 from eval.replay.batch import batch
 from eval.replay.names import BATCH, FILTERS, STEPPING
+from eval.replay.plausible import with_doubt
 from eval.replay.run import compare
 from eval.studies.twins import Source, inputs_of, twin
 
@@ -30,7 +31,7 @@ class Sample:
 
     Attributes:
         measured: the statistics; of an estimator that failed there are none.
-        failures: why, by estimator.
+        failures: why, by estimator; an implausible one has failed.
         outlying, typical: of the smoother's residuals, see `trust.Smoothed`.
         apart: RMS [m] between an online path and the batch smoother's, by estimator.
         nees: mean pose NEES by estimator and phase (a twin's).
@@ -48,7 +49,7 @@ class Sample:
 
 def smoother_of(runs: Sequence[Run], inputs: Inputs) -> Run | None:
     """Batch over the decisions of the first filter, else of the first that steps; None: none got to the end."""
-    fronts = [r for r in runs if r.estimator in STEPPING and r.failure is None]
+    fronts = [r for r in runs if r.estimator in STEPPING and r.flaw is None]
     fronts.sort(key=lambda r: r.estimator not in FILTERS)
     return same_decisions(fronts[0], runs, inputs) if fronts else None
 
@@ -58,7 +59,7 @@ def same_decisions(front: Run, runs: Sequence[Run], inputs: Inputs) -> Run:
     for run in runs:
         if run.estimator == "batch" and np.array_equal(run.final_decisions, front.final_decisions):
             return run
-    return batch("batch", inputs, front)
+    return with_doubt(batch("batch", inputs, front), inputs)
 
 
 def sample_of(
@@ -80,18 +81,18 @@ def sample_of(
     for run in runs:
         if run.estimator not in STEPPING:
             continue
-        if run.failure is not None:
-            failures[run.estimator] = f"frame {run.failure.frame}: {run.failure.why}"
+        if run.flaw is not None:
+            failures[run.estimator] = run.flaw.text
             continue
         own = None if smoother is None else same_decisions(run, [*runs, smoother], inputs)
-        own = own if own is not None and own.failure is None else None
+        own = own if own is not None and own.flaw is None else None
         found = trust.of_online(run, own, inputs)
         measured |= {(run.estimator, name): m for name, m in found.items()}
         if own is not None and own.final is not None and run.online is not None:
             apart[run.estimator] = errors.rms(errors.position_distance(run.online.pose, own.final.pose))
-    if smoother is not None and smoother.failure is not None:
-        failures[smoother.estimator] = smoother.failure.why
-    if smoother is None or smoother.failure is not None:
+    if smoother is not None and smoother.flaw is not None:
+        failures[smoother.estimator] = smoother.flaw.why if smoother.doubt is None else smoother.doubt.text
+    if smoother is None or smoother.flaw is not None:
         return Sample(measured, failures, apart=apart)
     if said is None:
         said = trust.of_smoother(smoother, inputs)
@@ -116,7 +117,7 @@ def twin_sample(
     nees: dict[tuple[str, str], float] = {}
     counts: dict[str, tuple[int, int, int, int]] = {}
     for run in runs:
-        if run.failure is not None or run.estimator not in (*STEPPING, *BATCH):
+        if run.flaw is not None or run.estimator not in (*STEPPING, *BATCH):
             continue
         for phase in run.phases:
             t = run.trajectory(phase)

@@ -201,7 +201,7 @@ def _broken_on(
     task = case.world.task
     inputs = inputs_of(log, task, KNOWN)
     smoother = smoother_of(runs := compare(inputs, task, ("ekf", "batch"), KNOWN, study.setup), inputs)
-    if smoother is None or smoother.failure is not None:
+    if smoother is None or smoother.flaw is not None:
         return None, None, []
     if source is None:
         source = source_of(log, smoother, study.estimators, study.setup)
@@ -242,7 +242,7 @@ def nis_out(runs: Sequence[Run]) -> bool:
     """Whether the NIS of a filter or smoother is outside its 95 % chi-square bounds."""
     for run in runs:
         total = nis_of(run, run.phases[0])
-        if run.failure is None and total is not None and total[1] > 0:
+        if run.flaw is None and total is not None and total[1] > 0:
             lower, upper = nis_bounds(total[1], run.gated)
             if not lower <= total[0] / total[1] <= upper:
                 return True

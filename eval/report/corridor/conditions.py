@@ -43,7 +43,7 @@ def without_odometry(lab: Lab, scores: Scores) -> tuple[str, bool]:
     if known is not None and jcbb is None:
         notes.append("JCBB was not run on this log.")
     smoother = trial.find("batch", "known")
-    if known is not None and smoother is not None and smoother.failure is None:
+    if known is not None and smoother is not None and smoother.flaw is None:
         a, b = rmse(scores, trial, known), rmse(scores, trial, smoother, "final")
         if b < a / WORSE:
             notes.append(
