@@ -138,7 +138,9 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
         for run in trial.runs:
             if run.flaw is not None:
                 f = run.flaw
-                console.say(f"{trial.log.name}, {run.task}: {run.estimator} {f.status} at frame {f.frame}: {f.why}")
+                where = f"{trial.log.name}, {run.task}: {run.estimator}"
+                where += f" ({run.association})" if run.doubt is not None else ""
+                console.say(f"{where} {f.status} {'at' if run.doubt is None else 'from'} frame {f.frame}: {f.why}")
             for note in run.notes:
                 if "ran out" in note:
                     console.say(f"{trial.log.name}, {run.task}: {run.estimator}: {note}")

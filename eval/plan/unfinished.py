@@ -34,10 +34,11 @@ def incomplete(name: str, association: str, task: str, inputs: Inputs, why: str)
     n = len(inputs)
     nowhere = Trajectory(np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan))
     nothing = np.full(len(inputs.observations.frame), DISCARD, np.int64)
+    given = "none" if name == "dead-reckoning" else association
+    online, final = name not in BATCH, name in (*BATCH, *INCREMENTAL)
     return Run(
-        name, "none" if name == "dead-reckoning" else association, task, None if name in BATCH else nowhere,
-        nowhere if name in (*BATCH, *INCREMENTAL) else None, None, nothing, nothing, np.full(len(nothing), -1, np.int64),
-        failure=Failure("incomplete", 0, why),
+        name, given, task, nowhere if online else None, nowhere if final else None, None, nothing, nothing,
+        np.full(len(nothing), -1, np.int64), failure=Failure("incomplete", 0, why),
     )  # fmt: skip
 
 

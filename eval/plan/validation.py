@@ -31,7 +31,6 @@ def validated(
             else:
                 kept[i, k] = found
 
-
     def missing(owner: tuple[int, int], why: str) -> None:
         case = every[owner[0]][owner[1]]
         lost.say(f"scenario {studies[owner[0]].name}: no judgement of {case.world.name} with seed {case.seed}", why)

@@ -20,7 +20,7 @@ from eval.plan.options import Options
 
 Owner = TypeVar("Owner")
 NEVER = 10**6
-"""s (eleven days; much more overflows) that a worker waits for the next job: stopped while idle, it would have to be started again."""
+"""s (eleven days; much more overflows) that a worker waits for the next job, or it would have to be started again."""
 
 
 class OutOfMemoryError(SlamrefError):
@@ -37,7 +37,8 @@ def work(
 ) -> Iterator[tuple[Owner, Any]]:
     """Results with their owners as they come; `far`: on the cluster, if there is one (`--scheduler`).
 
-    `apart`: one after the other, in a process of their own, which has all the memory. `lost` hears of each job that had not enough memory, with the reason; without it, that raises `OutOfMemoryError`.
+    `apart`: one after the other, in a process of their own, which has all the memory. `lost` hears of each job that had
+    not enough memory, with the reason; without it, that raises `OutOfMemoryError`.
     """
     calls = {i: call for i, (_, call) in enumerate(jobs)}
     distant = far and options.scheduler is not None

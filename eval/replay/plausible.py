@@ -1,4 +1,4 @@
-"""Is what came out possible at all? A run with a number that no honest run gives is marked, without a look at the truth.
+"""Can it be so at all? A run with a number that no honest run gives is marked, without a look at the truth.
 
 Asked are only questions that nobody needs a statistical test for: innovations ten times as large as claimed on the
 average, a path longer than the robot can have driven, landmarks where the sensor cannot have seen them, and a doubt
@@ -22,14 +22,14 @@ from ekf.whole_run import run_filter
 IMPLAUSIBLE = "implausible"
 """The status word."""
 ABSURD = 100.0
-"""NIS per degree of freedom: innovations of 10 sigma on the average. Sigmas stated at half give 4, and the worst run that
-knows where it is has 2.6 (the corridor without odometry); lost ones have 400 and more."""
+"""NIS per degree of freedom: innovations of 10 sigma on the average. Sigmas stated at half give 4, and the worst run
+that knows where it is has 2.6 (the corridor without odometry); lost ones have 400 and more."""
 SIGMAS = 3.0
 """Each increment may be so many of its sigmas longer than it says, all of them at once: the robot got no farther."""
 MARGIN = 2.0
-"""Of the way driven, of the sensor's range, and of the doubt of dead reckoning. Arena, circle, corridor with and without
-odometry, park and linear world use at most 0.44, 1.0 and 0.23 of them, with labels and without; a wheel that slips or a
-scale that is wrong by half stays within."""
+"""Of the way driven, of the sensor's range, and of the doubt of dead reckoning. Arena, circle, corridor with and
+without odometry, park and linear world use at most 0.44, 1.0 and 0.23 of them, with labels and without; a wheel that
+slips or a scale that is wrong by half stays within."""
 WILD = 10.0
 """Sigmas of a reading's own noise that a landmark may stand beyond the range, besides."""
 
@@ -40,7 +40,7 @@ def judged(runs: Sequence[Run], inputs: Inputs) -> list[Run]:
 
 
 def with_doubt(run: Run, inputs: Inputs) -> Run:
-    """The run, marked if one of its numbers is none that an honest run gives; `inputs` as it had them, or with a map."""
+    """The run, marked if an honest run gives no such number; `inputs` as it had them, in SLAM perhaps with a map."""
     found = doubt(run, inputs)
     return run if found is None else replace(run, doubt=found)
 
@@ -132,7 +132,7 @@ def _reach(inputs: Inputs) -> Array:
 
 
 def _longest(covariance: Array) -> Array:
-    """Standard deviation (n,) of positions along their least certain direction; covariances (n, d, d), x and y first."""
+    """Standard deviation (n,) along the least certain direction of the plane; covariances (n, d, d), x and y first."""
     xx, yy, xy = covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]
     return np.sqrt(np.maximum(0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy), 0.0))
 

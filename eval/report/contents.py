@@ -19,6 +19,7 @@ from eval.referee.consistency import MIN_RUNS
 from eval.referee.score import Scores, Trial, score
 from eval.report.answer import answer
 from eval.report.corridor.questions import lab_sections
+from eval.report.doubt.origin import origin_statement
 from eval.report.log_sections import association_sections, beside, rows_of, trial_sections, tutorial_sections
 from eval.report.pictures import draw, kinds, publish_runs
 from eval.report.revisions import revision_section
@@ -40,6 +41,12 @@ READING = """\
   its least cost over the same degrees of freedom: for linear models that *is* the sum of the filter's NIS.
 * **online**: each pose from the data up to its frame. **final**: every pose from all data (a filter does not revise
   its past, so it has no final row)."""
+
+IMPLAUSIBLE_RUNS = (
+    "An implausible run got to its end, but with a number that no honest run gives: innovations ten times as large as"
+    " claimed, a path longer than was driven, landmarks where the sensor cannot have seen them, or a claimed doubt"
+    " larger than the world. No truth is used. Its numbers are in the tables, and in no average and no comparison."
+)
 
 
 def write_results(
@@ -68,7 +75,9 @@ def write_results(
     if outcome.trials:
         sections += association_sections(folder, options, outcome.trials, scores, published)
         sections += revision_section(folder, options, outcome.trials)
-        sections += [*lab_sections(outcome.trials, scores), _failure_section(outcome.trials)]
+        sections += lab_sections(outcome.trials, scores)
+    if outcome.trials or lost.said:
+        sections.append(_failure_section(outcome.trials, lost.said))
     sections += [Section("How to read the numbers", (READING,)), _source_section(outcome.trials, options)]
     introduction = _introduction(outcome, scores, judged)
     write_report(
@@ -120,15 +129,18 @@ def _seen_again(trial: Trial, other: Trial) -> bool:
     return other.log.evidence is not None and other.log.evidence is trial.log.evidence
 
 
-def _failure_section(trials: Sequence[Trial]) -> Section:
-    notes = [
-        failure_statement(t.log.name, t.task, r.estimator, r.association, r.status, r.failure.frame, r.failure.why)
-        for t in trials
-        for r in t.runs
-        if r.failure is not None
-    ]
-    text = "\n".join(f"* {line}" for line in notes) if notes else "Every estimator got to the end of every log."
-    return Section("Failures", (text,))
+def _failure_section(trials: Sequence[Trial], missing: Sequence[str]) -> Section:
+    notes = []
+    for t, r in [(trial, run) for trial in trials for run in trial.runs]:
+        if r.flaw is not None:
+            said = failure_statement(t.log.name, t.task, r.estimator, r.association, r.status, r.flaw.frame, r.flaw.why)
+            notes.append("; ".join(part for part in (said, origin_statement(r, t)) if part))
+    blocks = ["\n".join(f"* {line}" for line in notes)] if notes else ["Every estimator got to the end of every log."]
+    if any(r.doubt is not None for t in trials for r in t.runs):
+        blocks.append(IMPLAUSIBLE_RUNS)
+    if missing:
+        blocks.append("Missing for want of memory:\n\n" + "\n".join(f"* {line}" for line in missing))
+    return Section("Failures", tuple(blocks))
 
 
 def _introduction(outcome: Outcome, scores: Scores, judged: Sequence[Judged]) -> tuple[Block, ...]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -107,7 +106,8 @@ def _diverged(study: Study) -> str:
             ["--scenario", study.scenario.source, "--estimator", estimator, "--seed", str(seed), "--runs", "1"]
         )
         notes.append(f"* seed {seed}: `{estimator}` ({task}, {association}), {why}: `python -m eval.run_all {asked}`")
-    return f"{len(lost)} runs diverged; they are in no average:\n\n" + "\n".join(dict.fromkeys(notes))
+    what = "diverged or are implausible" if any(": implausible, " in why for _, _, why in lost) else "diverged"
+    return f"{len(lost)} runs {what}; they are in no average:\n\n" + "\n".join(dict.fromkeys(notes))
 
 
 def _draw(folder: Path, options: Options, studies: Sequence[Study]) -> list[list[Picture]]:
