@@ -70,11 +70,11 @@ def _innovations(run: Run, inputs: Inputs) -> Iterator[Failure]:
         share = float(nis[formed].sum()) / max(int(dof[formed].sum()), 1)
         if share > ABSURD:
             first = int(np.argmax(formed & (nis > ABSURD * np.maximum(dof, 1))))
-            yield _doubt(first, f"NIS per degree of freedom is {share:.3g} over the run where 1 is expected")
+            yield _doubt(first, f"NIS per degree of freedom is {_number(share)} over the run where 1 is expected")
             return
     total = run.total_nis
     if total is not None and total[1] > 0 and total[0] / total[1] > ABSURD:
-        why = f"NIS per degree of freedom is {total[0] / total[1]:.3g} where 1 is expected"
+        why = f"NIS per degree of freedom is {_number(total[0] / total[1])} where 1 is expected"
         yield _doubt(first_misfit(run, inputs), why)
 
 
@@ -158,7 +158,8 @@ def _path(run: Run, inputs: Inputs, reach: Array) -> Iterator[Failure]:
         if beyond.any():
             k = int(np.argmax(beyond))
             yield _doubt(
-                k, f"the {phase} path is {away[k]:.3g} m from its start where at most {reach[k]:.3g} m were driven"
+                k,
+                f"the {phase} path is {_number(away[k])} m from its start, {_number(reach[k])} m were driven at most",
             )
 
 
@@ -175,7 +176,9 @@ def _landmarks(run: Run, inputs: Inputs, reach: Array) -> Iterator[Failure]:
     beyond = ~(away <= MARGIN * reach[-1] + seen)
     if beyond.any():
         k = int(first[beyond].min())
-        yield _doubt(k, _where(beyond, f"{away[beyond].max():.3g} m from the start, {reach[-1]:.3g} m were driven"))
+        yield _doubt(
+            k, _where(beyond, f"{_number(away[beyond].max())} m from the start, {_number(reach[-1])} m were driven")
+        )
     if run.final is None:
         return
     rows, xy = _sighted(run, inputs)
@@ -189,7 +192,7 @@ def _landmarks(run: Run, inputs: Inputs, reach: Array) -> Iterator[Failure]:
     unseen = np.isfinite(nearest) & (nearest > seen)
     if unseen.any():
         k = int(first[unseen].min())
-        yield _doubt(k, _where(unseen, f"{nearest[unseen].max():.3g} m from every pose that saw it"))
+        yield _doubt(k, _where(unseen, f"{_number(nearest[unseen].max())} m from every pose that saw it"))
 
 
 def _where(which: BoolArray, farthest: str) -> str:
@@ -212,7 +215,9 @@ def _covariances(run: Run, inputs: Inputs, reach: Array) -> Iterator[Failure]:
         if beyond.any():
             k = int(np.argmax(beyond))
             frame = max(int(run.map.first_frame[k]), 0) if name == "landmark" and run.map is not None else k
-            yield _doubt(frame, f"a {name} is claimed to {sigma[k]:.3g} m where {reach[-1]:.3g} m were driven at most")
+            yield _doubt(
+                frame, f"a {name} is claimed to {_number(sigma[k])} m where {_number(reach[-1])} m were driven at most"
+            )
 
 
 def _dead_reckoned(inputs: Inputs) -> float:
@@ -220,6 +225,11 @@ def _dead_reckoned(inputs: Inputs) -> float:
     nothing = np.full(len(inputs.observations.frame), DISCARD, np.int64)
     alone = run_filter(inputs, nothing)
     return float(_longest(Trajectory(alone.pose, alone.covariance).covariance).max())
+
+
+def _number(value: float) -> str:
+    """Three digits, without an exponent while it can be read."""
+    return f"{value:.3g}" if not 1e3 <= value < 1e6 else f"{value:.0f}"
 
 
 def _doubt(frame: int, why: str) -> Failure:

@@ -24,6 +24,9 @@ from eval.replay.plausible import with_doubt
 from eval.replay.run import compare
 from eval.studies.twins import Source, inputs_of, twin
 
+PLAIN, STAND_IN = "batch", "batch-cauchy"
+"""The smoother that all is compared with, and which one takes its place where it is implausible."""
+
 
 @dataclass(frozen=True)
 class Sample:
@@ -31,7 +34,7 @@ class Sample:
 
     Attributes:
         measured: the statistics; of an estimator that failed there are none.
-        failures: why, by estimator; an implausible one has failed.
+        failures: why, by estimator.
         outlying, typical: of the smoother's residuals, see `trust.Smoothed`.
         apart: RMS [m] between an online path and the batch smoother's, by estimator.
         nees: mean pose NEES by estimator and phase (a twin's).
@@ -49,17 +52,22 @@ class Sample:
 
 def smoother_of(runs: Sequence[Run], inputs: Inputs) -> Run | None:
     """Batch over the decisions of the first filter, else of the first that steps; None: none got to the end."""
-    fronts = [r for r in runs if r.estimator in STEPPING and r.flaw is None]
+    fronts = [r for r in runs if r.estimator in STEPPING and r.failure is None]
     fronts.sort(key=lambda r: r.estimator not in FILTERS)
     return same_decisions(fronts[0], runs, inputs) if fronts else None
 
 
 def same_decisions(front: Run, runs: Sequence[Run], inputs: Inputs) -> Run:
-    """The batch smoother under the final decisions of `front`: one of the runs, or a new one."""
-    for run in runs:
-        if run.estimator == "batch" and np.array_equal(run.final_decisions, front.final_decisions):
-            return run
-    return with_doubt(batch("batch", inputs, front), inputs)
+    """The batch smoother under the final decisions of `front`: one of the runs, or a new one.
+
+    Where that is implausible, the robust `STAND_IN` under the same decisions, unless that is, too.
+    """
+    alike = {r.estimator: r for r in runs if np.array_equal(r.final_decisions, front.final_decisions)}
+    plain = alike.get(PLAIN) or with_doubt(batch(PLAIN, inputs, front), inputs)
+    if plain.doubt is None:
+        return plain
+    robust = alike.get(STAND_IN) or with_doubt(batch(STAND_IN, inputs, front), inputs)
+    return robust if robust.flaw is None else plain
 
 
 def sample_of(
@@ -81,8 +89,8 @@ def sample_of(
     for run in runs:
         if run.estimator not in STEPPING:
             continue
-        if run.flaw is not None:
-            failures[run.estimator] = run.flaw.text
+        if run.failure is not None:
+            failures[run.estimator] = run.failure.text
             continue
         own = None if smoother is None else same_decisions(run, [*runs, smoother], inputs)
         own = own if own is not None and own.flaw is None else None

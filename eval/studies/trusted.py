@@ -21,7 +21,7 @@ from eval.referee.trust import Key, Measured
 from eval.replay.batch import batch
 from eval.replay.plausible import with_doubt
 from eval.studies.calibration import with_noise
-from eval.studies.sampled import Sample
+from eval.studies.sampled import PLAIN, STAND_IN, Sample
 from eval.studies.twins import inputs_of
 
 COLUMNS = (
@@ -119,6 +119,9 @@ def is_exact(covariance: Array) -> bool:
 
 
 def _value(sample: Sample, key: Key) -> float:
+    """A statistic of a twin, NaN where it has none; a robust stand-in is compared with the twins' own smoother."""
+    if key not in sample.measured and key[0] == STAND_IN:
+        key = (PLAIN, key[1])
     return sample.measured[key].value if key in sample.measured else math.nan
 
 

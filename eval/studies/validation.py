@@ -242,7 +242,7 @@ def nis_out(runs: Sequence[Run]) -> bool:
     """Whether the NIS of a filter or smoother is outside its 95 % chi-square bounds."""
     for run in runs:
         total = nis_of(run, run.phases[0])
-        if run.flaw is None and total is not None and total[1] > 0:
+        if run.failure is None and total is not None and total[1] > 0:
             lower, upper = nis_bounds(total[1], run.gated)
             if not lower <= total[0] / total[1] <= upper:
                 return True

@@ -90,10 +90,11 @@ def _pairing(run: Run, trial: Trial, used: Used, path: Array, i: int) -> str:
     landmark = int(used.identity[used.number[i]])
     put = recorded.sensor.inverse(path[frame], o.z[i : i + 1])[0][0]
     off = float(np.hypot(*(used.landmarks[used.number[i]] - put)))
-    how = "initialized" if surviving(run.final_decisions, run.created)[i] >= 0 else "was paired with"
+    paired = f"was paired{_in_truth(run, trial, landmark, i)} with"
+    how = "initialized" if surviving(run.final_decisions, run.created)[i] >= 0 else paired
     return (
         f"observation {i - int(recorded.start[frame])} {how} landmark {landmark}, which the last map has"
-        f" {number(off)} m from where the reading puts it{_in_truth(run, trial, landmark, i)}"
+        f" {number(off)} m from where the reading puts it"
     )
 
 
@@ -106,7 +107,7 @@ def _in_truth(run: Run, trial: Trial, landmark: int, i: int) -> str:
     named = landmark if run.task == "localization" else int(own[first[0]]) if len(first) else None
     if named is None:
         return ""
-    return " (rightly)" if int(own[i]) == named else " (wrongly, says the truth)"
+    return " (rightly, says the truth)" if int(own[i]) == named else " (wrongly, says the truth)"
 
 
 def _near(run: Run, trial: Trial, rows: IntArray) -> str:
