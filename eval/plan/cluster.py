@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 from data.errors import UsageError
-from eval.studies.store import code_digest
 
 CONNECT = 10
 """s, to reach the scheduler."""
@@ -29,6 +28,8 @@ def on_cluster(address: str, calls: Sequence[Call]) -> Iterator[tuple[int, Any]]
 
     Raises UsageError if the scheduler cannot be reached, has no workers, or runs another version of this program.
     """
+    from eval.studies.store import code_digest  # all estimators with it, which a worker that starts has no need of
+
     try:
         from distributed import Client, KilledWorker, as_completed
     except ImportError:

@@ -152,9 +152,10 @@ def sight(inputs: Inputs) -> float:
 
 
 def _path(run: Run, inputs: Inputs, reach: Array) -> Iterator[Failure]:
+    """Poses farther from the start than was driven until then; a wrong landmark or two may shift one by what is seen."""
     for phase in run.phases:
         away = _distance(run.trajectory(phase).pose, inputs)
-        beyond = away > MARGIN * reach
+        beyond = away > MARGIN * reach + sight(inputs)
         if beyond.any():
             k = int(np.argmax(beyond))
             yield _doubt(
