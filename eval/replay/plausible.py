@@ -152,7 +152,7 @@ def sight(inputs: Inputs) -> float:
 
 
 def _path(run: Run, inputs: Inputs, reach: Array) -> Iterator[Failure]:
-    """Poses farther from the start than was driven until then; a wrong landmark or two may shift one by what is seen."""
+    """Poses farther from the start than was driven until then, and one may be wrong by what is seen from it besides."""
     for phase in run.phases:
         away = _distance(run.trajectory(phase).pose, inputs)
         beyond = away > MARGIN * reach + sight(inputs)

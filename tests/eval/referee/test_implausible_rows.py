@@ -1,4 +1,4 @@
-"""Rows of metrics.csv: an implausible run shows its numbers and is nobody's yardstick; optimizers; names by majority."""
+"""Rows of metrics.csv: implausible runs show numbers and are no yardstick; optimizers; landmarks named by majority."""
 
 from __future__ import annotations
 

@@ -97,7 +97,7 @@ def test_a_failure_comes_first():
     assert (both.status, both.flaw) == ("diverged", failed.failure)
 
 
-@pytest.mark.parametrize("name, doubtful", [
+@pytest.mark.parametrize(("name", "doubtful"), [
     ("arena:0", set()), ("corridor:0:people", set()),
     ("corridor:0:no-odometry", {"ekf"}), ("corridor:0:no-odometry+forward", {"ekf", "batch"}),
 ])  # fmt: skip

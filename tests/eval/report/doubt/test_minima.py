@@ -24,7 +24,7 @@ def test_both_costs_the_better_one_and_the_distance_are_told():
     assert "the paths are 0.640 m RMS apart, at most 0.640 m" in text
 
 
-@pytest.mark.parametrize("apart, told", [(0.0, False), (0.0105, False), (0.0125, True), (-0.0125, True)])
+@pytest.mark.parametrize(("apart", "told"), [(0.0, False), (0.0105, False), (0.0125, True), (-0.0125, True)])
 def test_what_converged_optimizers_may_differ_by_is_one_minimum(apart, told):
     assert bool(two_minima(ended("batch", 1000.0), ended("isam2", 1000.0 + apart))) == told
 
