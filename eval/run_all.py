@@ -124,7 +124,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
     from eval.plan.experiments import make_plan
     from eval.report.contents import write_results
     from eval.studies import reproduced
-    from eval.studies.montecarlo import declared_line, failed_declarations, judge
+    from eval.studies.montecarlo import declared_line, failed_declarations, judge, study_lines
 
     plan = make_plan(options, console.say)
     for e in plan.experiments:
@@ -145,8 +145,8 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
                 if "ran out" in note:
                     console.say(f"{trial.log.name}, {run.task}: {run.estimator}: {note}")
     for study in outcome.studies:
-        for (task, estimator, association, _), seed, why in study.failures():
-            console.say(f"{study.scenario.name}, {task}: {estimator} ({association}) diverged with seed {seed}, {why}")
+        for text in study_lines(study):
+            console.say(text)
     for text in [*reproduced.lines(outcome.published), *outcome.skipped]:
         console.say(text)
     with _bar("writing", options.quiet, check) as progress:

@@ -28,6 +28,8 @@ from eval.studies.reproduced import orderings, published_frame
 OUTLIERS = ("task", "estimator", "rate", "rmse_position_m", "rmse_lower", "rmse_upper", "nees_pose", "nees_lower",
             "nees_upper", "runs", "diverged")  # fmt: skip
 
+MOST_LISTED = 20
+"""Runs of a study that are listed one by one with what replays them."""
 Writer = Callable[[pd.DataFrame, str, str], Table]
 """(frame, name, caption): writes a table in the formats asked for and hands it to the report."""
 
@@ -107,7 +109,9 @@ def _diverged(study: Study) -> str:
         )
         notes.append(f"* seed {seed}: `{estimator}` ({task}, {association}), {why}: `python -m eval.run_all {asked}`")
     what = "diverged or are implausible" if any(": implausible, " in why for _, _, why in lost) else "diverged"
-    return f"{len(lost)} runs {what}; they are in no average:\n\n" + "\n".join(dict.fromkeys(notes))
+    shown = list(dict.fromkeys(notes))
+    shown[MOST_LISTED:] = [f"* … and {len(shown) - MOST_LISTED} more"] if len(shown) > MOST_LISTED else []
+    return f"{len(lost)} runs {what}; they are in no average:\n\n" + "\n".join(shown)
 
 
 def _draw(folder: Path, options: Options, studies: Sequence[Study]) -> list[list[Picture]]:
@@ -203,6 +207,8 @@ def _outliers(folder: Path, options: Options, studies: Sequence[Study], table: W
         f"{name}: position RMSE and mean pose NEES (expected {DOF['pose']}) with 95 % intervals over"
         f" {len(studies[0].seeds)} runs, against the share of wrong labels."
     )
+    if any(study.failures() for study in studies):
+        caption += " Runs that diverged or are implausible are left out: of the others alone the mean is too small."
     blocks: list[Block] = [f"{s.about} {len(studies[0].seeds)} runs at each rate.", table(
         comparison.outliers_table(data), name, caption)]  # fmt: skip
     if not (options.no_plots or options.quick):

@@ -16,6 +16,7 @@ from eval.referee import consistency, errors
 from eval.referee.bounds import LEVEL
 from eval.referee.consistency import QUANTITIES, Verdict
 from eval.referee.score import CONSISTENCY, frame_of
+from eval.replay.plausible import IMPLAUSIBLE
 from eval.replay.run import compare
 from eval.studies.scenario import Scenario
 
@@ -71,6 +72,22 @@ class Study:
             for seed, s in zip(self.seeds, samples, strict=True)
             if s.failure is not None
         ]
+
+
+def study_lines(study: Study) -> list[str]:
+    """For the terminal: each run that diverged, and of each estimator how many are implausible, with the first."""
+    lines, doubtful = list[str](), dict[Key, list[tuple[int, str]]]()
+    for key, seed, why in study.failures():
+        task, estimator, association, _ = key
+        if IMPLAUSIBLE in why:
+            doubtful.setdefault(key, []).append((seed, why))
+        else:
+            lines.append(f"{study.scenario.name}, {task}: {estimator} ({association}) diverged with seed {seed}, {why}")
+    for (task, estimator, association, _), found in doubtful.items():
+        who = f"{study.scenario.name}, {task}: {estimator} ({association})"
+        seed, why = found[0][0], found[0][1].replace(f"{IMPLAUSIBLE}, ", "")
+        lines.append(f"{who} is {IMPLAUSIBLE} in {len(found)} of {len(study.seeds)} runs; with seed {seed}, {why}")
+    return lines
 
 
 def sample(run: Run, phase: str, log: Log, scenario: Scenario) -> Sample:

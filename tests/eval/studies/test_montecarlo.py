@@ -19,6 +19,7 @@ from eval.studies.montecarlo import (
     judge,
     one_run,
     sample,
+    study_lines,
     study_of,
 )
 from eval.studies.scenario_file import load_scenario
@@ -108,6 +109,16 @@ def test_an_implausible_run_counts_as_one_that_diverged():
     found = sample(marked, "online", log, ARENA)
     assert found.failure == "frame 7: implausible, NIS per degree of freedom is 400"
     assert not found.means
+
+
+def test_on_the_terminal_implausible_runs_of_an_estimator_share_a_line():
+    runs = [
+        {KEY: Sample(failure=why)} for why in ("frame 3: lost", "frame 7: implausible, NIS", "frame 8: implausible, x")
+    ]
+    assert study_lines(study_of(only("ekf"), (0, 1, 2), runs)) == [
+        "arena, localization: ekf (known) diverged with seed 0, frame 3: lost",
+        "arena, localization: ekf (known) is implausible in 2 of 3 runs; with seed 1, frame 7: NIS",
+    ]
 
 
 def test_a_study_in_which_every_run_failed_still_says_so():
