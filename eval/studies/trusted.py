@@ -107,7 +107,10 @@ def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[
         expected = m.expected if math.isfinite(m.expected) or not len(known) else float(np.median(known))
         p_family = float(family[i]) if len(known) else math.nan
         rows.append(Row(estimator, name, m, expected, len(known), battery.rank_p(m.value, own), p_family))
-    made = Trust(log.name, task, association, real, tuple(twins), tuple(rows), notes=_failures(log, real, twins))
+    notes = _failures(log, real, twins)
+    if smoother is not None and smoother.estimator == STAND_IN:
+        notes += (f"{PLAIN} is implausible, so {STAND_IN} under the same decisions stands in for it",)
+    made = Trust(log.name, task, association, real, tuple(twins), tuple(rows), notes=notes)
     if len(twins) < FEWEST or smoother is None or smoother.flaw is not None:
         return made
     return replace(made, blame=_blame(made, inputs_of(log, task, association), smoother, drawn))
