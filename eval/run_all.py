@@ -65,6 +65,11 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     except SlamrefError as fault:
         print(f"error: {fault}", file=sys.stderr)
         return WRONG
+    except MemoryError as fault:  # outside any job, so that nothing can be kept
+        print(
+            f"error: out of memory ({fault}); a shorter log, or a machine with more memory would help", file=sys.stderr
+        )
+        return WRONG
     except KeyboardInterrupt:
         print("interrupted; nothing was changed", file=sys.stderr)
         return INTERRUPTED
