@@ -25,6 +25,7 @@ from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.hindsight.mapping_frontend import MappingFrontEnd
 from eval.replay.names import BATCH, FILTERS
 from eval.replay.observer import Nobody, Observer
+from eval.replay.plausible import judged
 from eval.replay.recorder import Recorder
 from eval.replay.settings import Setup
 from graph.factors import UnderConstrained
@@ -169,7 +170,7 @@ def compare(
     """
     # sums over two threads round otherwise than over one: the same bytes for any number of processes and cores
     with threadpool_limits(1):
-        return _compare(inputs, task, estimators, association, setup)
+        return judged(_compare(inputs, task, estimators, association, setup), inputs)
 
 
 def _compare(inputs: Inputs, task: str, estimators: Sequence[str], association: str, setup: Setup) -> list[Run]:
