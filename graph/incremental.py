@@ -17,13 +17,12 @@ from data.blocks import diagonal_blocks
 from data.inputs import Increment, IntArray, LandmarkMap, Prior, Sightings
 from data.result import NEW, Finished, MapState, PoseEstimate, Updated
 from data.se2 import Array, BoolArray
-from data.sensors import MIN_RANGE, RANGE_BEARING, Sensor
+from data.sensors import Sensor
 from graph import expected
 from graph.engine import Engine
 from graph.factors import (
     Factor,
     Sighted,
-    UnderConstrained,
     is_exact,
     pose2,
     prior_factor,
@@ -190,8 +189,6 @@ class Isam2Smoother(Smoother):
         new = dict.fromkeys(self._observed.missing(number))
         for n in new:
             i = int(np.flatnonzero(number == n)[0])
-            if self.sensor.kind == RANGE_BEARING and sightings.z[i, 0] < MIN_RANGE:
-                raise UnderConstrained(f"landmark {n} is not determined: initialized at range 0, without a bearing")
             values.insert(L(n), self.sensor.inverse(self._end.mean, sightings.z[i : i + 1])[0][0])
 
     def _add(self, motion: list[Factor], seen: list[Sighted], values: gtsam.Values, *, late: bool = False) -> None:
