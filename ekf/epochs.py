@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from data.blocks import coordinates
 from data.inputs import Inputs, IntArray
@@ -23,7 +24,7 @@ from data.se2 import Array
 from ekf import kernels
 from ekf.filter import DEFAULT, FilterOptions
 from ekf.kernels import NEWEST
-from ekf.parking import symmetric
+from ekf.parking import root, symmetric
 from ekf.triangle import Triangle
 from ekf.whole_run import FilterRun, run
 
@@ -210,12 +211,16 @@ def begun(whole: Whole, robot: Robot, epoch: Epoch, created: int, new: int, firs
     P[:a, 3:a] = P[3:a, :a].T
     P[3:a, 3:a] = symmetric(C[at, 3:])
     C[at] = 0.0
-    P[np.arange(y), a + np.arange(y)] = P[a + np.arange(y), np.arange(y)] = 1.0
+    D = C[:, :0]
+    if y:
+        L = root(P[:a, :a])
+        P[:a, a : a + y], P[a : a + y, :a] = L, L.T
+        D = np.ascontiguousarray(solve_triangular(L, C.T, lower=True, check_finite=False, overwrite_b=True).T)
     first = NEWEST
     if first_estimates:
         first = mean.copy()
         first[:3], first[3:a] = robot[2], whole.first[at]
-    return State(mean, P, first, d, y, C[:, :y])
+    return State(mean, P, first, d, y, D)
 
 
 def ended(whole: Whole, state: State, epoch: Epoch, created: int, new: int) -> Robot:

@@ -56,6 +56,20 @@ def symmetric(P: Array) -> Array:
     return even
 
 
+def root(P: Array) -> Array:
+    """A lower triangle L with L L' = P, or where P is semidefinite a little more than P; L is regular in any case."""
+    diagonal = np.diag(P)
+    scale, share = np.where(diagonal > 0.0, diagonal, 1.0), 1e-15
+    while True:
+        try:
+            L: Array = np.linalg.cholesky(P + share * np.diag(scale))
+            return L
+        except np.linalg.LinAlgError:
+            share *= 10.0
+        if not share < 1e3:
+            return np.diag(np.sqrt(scale))
+
+
 @dataclass(frozen=True, eq=False)
 class Parked:
     """Parked landmarks, one per pair of rows, in terms of the carried y: x_B = mean + C y, P_BB = P + C P_yy C'.
