@@ -32,7 +32,7 @@ LEAST = 300
 """Landmarks. A smaller map is never parked: nothing is gained that a person would notice."""
 STEP, READING = 1.0e-9, 2.0e-10
 """s. A frame costs so much per squared length of the state, and so much more with each of its pairings."""
-PRODUCT, MOVED = 4.0e-11, 1.0e-8
+PRODUCT, MOVED = 8.0e-11, 2.0e-8
 """s. The end of an epoch costs so much per squared length of the map and column of C, and so much more per entry."""
 WORTH = 0.7
 """Parking must be expected to take less than this part of the time."""
