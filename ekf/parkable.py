@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from data.blocks import coordinates, coordinates_from, diagonal_blocks
-from data.inputs import IntArray, Prior
+from data.inputs import IntArray, Prior, Sightings
 from data.result import MapState
 from data.se2 import Array
 from data.sensors import Sensor
 from ekf.filter import DEFAULT, Filter, FilterOptions
+from ekf.nearby import MARGIN, NOBODY, may_be_read, surroundings
 from ekf.parking import LONGEST, Parked
 
 
@@ -26,7 +27,7 @@ class Parkable(Filter):
         super().__init__(prior, sensor, options, capacity=3 + 2 * 16)
         self._number = np.empty(0, np.int64)
         self._offset: dict[int, int] = {}
-        self._parked = Parked()
+        self._parked, self._around = Parked(), NOBODY
         self.created = 0
 
     def _grow(self, extra: int) -> None:
@@ -86,8 +87,25 @@ class Parkable(Filter):
         xy = np.concatenate([p.xy(self._mean[d:r]), self._mean[r : self._used][: 2 * len(p.recent)].reshape(-1, 2)])
         return xy[np.argsort(number)]
 
-    def park(self, numbers: IntArray) -> None:
+    def parked_within(self, sightings: Sightings, within: float) -> IntArray:
+        """Parked landmarks (r,) that may be within a squared Mahalanobis distance of some reading; no other one is."""
+        parked, d, r = self._parked, self.size, self._recent
+        if not len(sightings.z):
+            return np.empty(0, np.int64)
+        count = len(parked.recent)
+        e = self._expect(sightings, parked.recent, r + 2 * np.arange(count), np.zeros((count, 2)))
+        found = parked.recent[(e.individual_distances() <= within * MARGIN).any(axis=0)]
+        if not parked.based.any():
+            return found
+        used = np.concatenate([np.arange(3), np.arange(d, r)])
+        x, P = self._mean[used], self._P[np.ix_(used, used)]
+        near = may_be_read(parked, self._around, self.sensor, x, P, sightings, within)
+        return np.concatenate([found, np.flatnonzero(near)])
+
+    def park(self, numbers: IntArray, *, begin_epoch: bool = False) -> None:
         """Take active landmarks out of the state; nothing is lost, and `restore` brings them back.
+
+        A new epoch begins when what is carried has grown too long, or at once.
 
         Raises ValueError for a landmark that is parked already or not in the map, in the invariant filter, whose
         correction moves every landmark, and with first estimates, which a parked landmark would lose.
@@ -112,7 +130,7 @@ class Parkable(Filter):
         self._parked.recent = np.concatenate([self._parked.recent, away])
         self._parked.changed()
         self._renumber(self._number[~out])
-        self._tidy()
+        self._tidy(begin_epoch)
 
     def restore(self, numbers: IntArray) -> None:
         """Take parked landmarks back into the state. Raises ValueError for a landmark that is not parked."""
@@ -167,12 +185,12 @@ class Parkable(Filter):
         parked.leave(gone[~np.isin(gone, parked.recent) & np.isin(gone, np.flatnonzero(parked.based))])
         self._tidy()
 
-    def _tidy(self) -> None:
-        """Begin an epoch if what is carried has grown too long."""
-        if self._carried > min(LONGEST * self.size, 2 * self._parked.count):
-            self.begin_epoch()
+    def _tidy(self, begin_epoch: bool = False) -> None:
+        """Begin an epoch if that is asked for, or what is carried has grown too long."""
+        if begin_epoch or self._carried > min(LONGEST * self.size, 2 * self._parked.count):
+            self._begin_epoch()
 
-    def begin_epoch(self) -> None:
+    def _begin_epoch(self) -> None:
         """Bring all parked landmarks up to date, so that what is carried is as short as it can be."""
         parked, d, r, e = self._parked, self.size, self._recent, self._used
         x, P = self._mean, self._P
@@ -191,11 +209,12 @@ class Parkable(Filter):
         if short:
             all_of_them = coordinates(parked.numbers)
             x[d:e], P[d:e, d:e] = parked.empty()
+            self._around = NOBODY
             P[d:e, :d] = C[all_of_them]
             P[:d, d:e] = P[d:e, :d].T
         else:
             L = parked.begin(C, P[:d, :d])
-            self._spread = parked.spread(C, P[:3, :3])
+            self._around = surroundings(parked, C, P[:3, :3])
             x[d:e], P[d:e, d:e] = 0.0, 0.0
             P[:d, d:e], P[d:e, :d] = L, L.T
         self._shrink()

@@ -210,13 +210,3 @@ class Parked:
         at = coordinates(np.flatnonzero(self.based))
         now: Array = (self.mean[at] + self.D[at] @ y).reshape(-1, 2)
         return now
-
-    def spread(self, C: Array, P_xx: Array) -> Array:
-        """Trace (n,) [m^2] of the covariance of each landmark's position relative to the robot, at the epoch's begin.
-
-        C (2n, 3) and P_xx (3, 3) as given to `begin`.
-        """
-        own = np.trace(self.P.blocks(), axis1=1, axis2=2)
-        trace: Array = own + P_xx[0, 0] + P_xx[1, 1] - 2.0 * (C[0::2, 0] + C[1::2, 1])
-        return trace
-

@@ -21,7 +21,7 @@ from eval.replay.estimators import make_estimator
 from eval.replay.given import Beginning, Given
 from eval.replay.known import KnownAssociation
 from eval.replay.map_management import MapManagement
-from eval.replay.parking import Parking
+from eval.replay.parking import AutomaticParking, Parking, automatic_parking
 from eval.replay.settings import Setup
 
 
@@ -64,11 +64,13 @@ class FrontEnd:
         self.k, self.incomplete = -1, 0
         # a graph need not park, and what leaves it is as if never seen: that is not forgetting
         kept = replace(setup, forget_after=None, deactivate_after=None) if self.estimator.smooths else setup
-        self.map_management, self.parking = None, None
+        self.map_management: MapManagement | None = None
+        self.parking: Parking | AutomaticParking | None = None
         if self.slam and (kept.manages_map or self.revises_map):
             self.map_management = MapManagement(kept)
             if kept.deactivate_after is not None:
                 self.parking = Parking(self.estimator, self.map_management, given.sensor)
+        self.parking = self.parking or automatic_parking(self.estimator, association, setup)
         self.known = KnownAssociation(given.map) if association == "known" else None
         gated = self.known is not None and (setup.gate_smoothers or not self.estimator.smooths)
         self._threshold = gate_threshold(setup.gate_known) if gated else math.inf
@@ -101,7 +103,7 @@ class FrontEnd:
     def expect(self, sightings: Sightings) -> Expectation:
         """What the estimator expects of its candidates: parked landmarks that may be in view are taken back first."""
         if self.parking is not None:
-            self.parking.restore_in_view()
+            self.parking.offer(sightings)
         e = self.estimator.expect(sightings)
         return e.only(np.flatnonzero(in_view(self.given.sensor, e.z_hat, e.HPHt))) if self.setup.in_view else e
 
@@ -127,12 +129,12 @@ class FrontEnd:
         )
         if self.known is not None:
             self.known.initialized(frame, done.created)
+        numbers = np.where(done.used, pairing.decisions, done.created)
+        seen = np.flatnonzero(numbers >= 0)
         if self.map_management is not None:
-            numbers = np.where(done.used, pairing.decisions, done.created)
-            seen = np.flatnonzero(numbers >= 0)
             self.map_management.see(numbers[seen])
-            if self.parking is not None:
-                self.parking.see(Sightings(frame.sightings.z[seen], frame.sightings.R[seen]), numbers[seen])
+        if self.parking is not None:
+            self.parking.see(Sightings(frame.sightings.z[seen], frame.sightings.R[seen]), numbers[seen])
         if formed is not None:
             done = done._replace(nis=formed[0], dof=formed[1], log_likelihood=formed[2])
         return done._replace(moments=self._moments(pairing.S, done.dof))
@@ -168,6 +170,11 @@ class FrontEnd:
     def close(self) -> None:
         """The end of the log."""
 
+    @property
+    def state_size(self) -> int:
+        """Length of the state, 0 if there is none."""
+        return self.estimator.size if self.parking is None else self.parking.state_size
+
     def events(self) -> tuple[Event, ...]:
         """Decisions that were revised: none, where they are made frame by frame."""
         return ()
@@ -187,10 +194,7 @@ class FrontEnd:
         if self.slam and self.estimator.smooths and (s.forget_after is not None or s.deactivate_after is not None):
             notes.append("landmarks are forgotten or parked in the filter's state only, not in the graph")
         if self.parking is not None:
-            notes.append(
-                f"landmarks unseen for {s.deactivate_after:g} were parked: at most {self.parking.largest} states were "
-                f"active, and landmarks were taken back {self.parking.restored} times"
-            )
+            notes += self.parking.notes()
         if self.map_management is not None and self.map_management.removed:
             notes.append(f"{len(self.map_management.removed)} landmarks were removed from the map")
         return notes
