@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from data.blocks import coordinates
 from data.inputs import Inputs, IntArray
@@ -24,7 +23,7 @@ from data.se2 import Array
 from ekf import kernels
 from ekf.filter import DEFAULT, FilterOptions
 from ekf.kernels import NEWEST
-from ekf.parking import root, symmetric
+from ekf.parking import root, symmetric, whitened
 from ekf.triangle import Triangle
 from ekf.whole_run import FilterRun, run
 
@@ -215,7 +214,7 @@ def begun(whole: Whole, robot: Robot, epoch: Epoch, created: int, new: int, firs
     if y:
         L = root(P[:a, :a])
         P[:a, a : a + y], P[a : a + y, :a] = L, L.T
-        D = np.ascontiguousarray(solve_triangular(L, C.T, lower=True, check_finite=False, overwrite_b=True).T)
+        D = whitened(C, L)
     first = NEWEST
     if first_estimates:
         first = mean.copy()

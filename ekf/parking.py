@@ -35,8 +35,8 @@ from __future__ import annotations
 
 from functools import cached_property
 
+import numba
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from data.blocks import coordinates
 from data.inputs import IntArray
@@ -46,6 +46,10 @@ from ekf.triangle import Triangle
 LONGEST = 3
 """y and what is recent may grow to this many times the length of A: longer steps against rarer epochs. Flat around
 here: 2 and 5 take as long."""
+
+
+STRIP = 16
+"""Columns that are solved one by one; the others before them are taken off by BLAS."""
 
 
 def symmetric(P: Array) -> Array:
@@ -68,9 +72,24 @@ def root(P: Array) -> Array:
 
 
 def whitened(C: Array, L: Array) -> Array:
-    """C L'^-1 of a cross-covariance C (r, d) and a root L (d, d)."""
-    D: Array = np.ascontiguousarray(solve_triangular(L, C.T, lower=True, check_finite=False).T)
+    """C L'^-1 of a cross-covariance C (r, d) and a root L (d, d); D L' = C to a rounding, however small L is."""
+    D = np.array(C, float, order="C")
+    for begin in range(0, len(L), STRIP):
+        strip = slice(begin, begin + STRIP)
+        D[:, strip] -= D[:, :begin] @ L[strip, :begin].T
+        _forward(D, L, begin, min(begin + STRIP, len(L)))
     return D
+
+
+@numba.njit(cache=True)
+def _forward(D, L, begin, end):  # type: ignore[no-untyped-def]
+    """Solve the rows of D for their columns from `begin` before `end` by forward substitution, in place."""
+    for r in range(len(D)):
+        for j in range(begin, end):
+            total = D[r, j]
+            for q in range(begin, j):
+                total -= D[r, q] * L[j, q]
+            D[r, j] = total / L[j, j]
 
 
 class Parked:
