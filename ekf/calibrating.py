@@ -55,7 +55,7 @@ class CalibratingSlam(EkfSlam):
         tail = slice(self.size, self._used)
         return self._mean[tail].copy(), self._P[tail, tail].copy()
 
-    def park(self, numbers: IntArray) -> None:
+    def park(self, numbers: IntArray, *, begin_epoch: bool = False) -> None:
         """The errors are carried in the place of what parking carries: asking for it is an error."""
         raise ValueError("the filter carries the odometry's errors where parked landmarks are; none can be parked")
 

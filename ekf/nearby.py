@@ -21,9 +21,10 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
+from association.candidates import reading_radius
 from data.inputs import Sightings
 from data.se2 import Array, BoolArray
-from data.sensors import RANGE_BEARING, Sensor, measure, residual
+from data.sensors import Sensor, measure, residual
 from ekf.parking import Parked
 
 BLOCK = 64
@@ -83,15 +84,12 @@ def may_be_read(
     # x - x0: how uncertain, and where the robot is in terms of x0 as it was believed to be
     step = robot @ (P_yy[:3, :3] + np.eye(3)) @ robot.T - 2.0 * P[:2, 3:6] @ robot.T + P[:2, :2]
     centre = x[:2] - robot @ y[:3]
-    lever = math.hypot(*sensor.translation)
-    R = sightings.R
-    noise = R[:, 0, 0] if sensor.kind == RANGE_BEARING else np.trace(R, axis1=1, axis2=2)
-    reach = float((sensor.polar(sightings.z)[:, 0] + gate * np.sqrt(noise)).max(initial=0.0)) + 2.0 * lever
-    reach += gate * (math.sqrt(max(float(np.trace(step)), 0.0)) + lever * math.sqrt(P[2, 2]))
+    since = np.diag([step[0, 0], step[1, 1], P[2, 2]])
+    reach = reading_radius(sensor, np.maximum(since, 0.0), sightings, within * MARGIN)
     found = np.zeros(len(parked.based), np.bool_)
     _search(
         sensor.kind, sensor.extrinsic, x, P, parked.mean, parked.D, parked.based, *around, centre,
-        reach, gate + float(np.linalg.norm(y[:k])), np.array(sightings.z, float), np.array(R, float), within * MARGIN,
+        reach, gate + float(np.linalg.norm(y[:k])), np.array(sightings.z, float), np.array(sightings.R, float), within * MARGIN,
         found,
     )  # fmt: skip
     return found

@@ -64,8 +64,7 @@ def root(P: Array) -> Array:
     scale, share = np.where(diagonal > 0.0, diagonal, 1.0), 1e-15
     while share < 1.0:
         try:
-            L: Array = np.linalg.cholesky(P + share * np.diag(scale))
-            return L
+            return np.asarray(np.linalg.cholesky(P + share * np.diag(scale)), np.float64)
         except np.linalg.LinAlgError:
             share *= 10.0
     return np.diag(np.sqrt(scale))

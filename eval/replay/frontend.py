@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from association.candidates import in_view
-from association.decide import Decided, decide
+from association.decide import Decided, decide, horizon
 from association.expectation import Expectation, gate_threshold
 from association.jcbb import BUDGET
 from association.truncated import Acceptance, acceptance, accepted_moments, truncated_square
@@ -17,6 +17,7 @@ from data.inputs import Frame, IntArray, Sightings
 from data.result import Event, MapState, Updated
 from data.se2 import Array
 from ekf.filter import FilterOptions
+from ekf.localizer import EkfLocalizer
 from eval.replay.estimators import make_estimator
 from eval.replay.given import Beginning, Given
 from eval.replay.known import KnownAssociation
@@ -62,6 +63,8 @@ class FrontEnd:
         self.estimator = make_estimator(estimator, given, options, lag=setup.lag)
         self.slam = given.map is None
         self.k, self.incomplete = -1, 0
+        if isinstance(self.estimator, EkfLocalizer) and association != "known":
+            self.estimator.within = horizon(association, setup.gate, setup.new_gate, known_map=True)
         # a graph need not park, and what leaves it is as if never seen: that is not forgetting
         kept = replace(setup, forget_after=None, deactivate_after=None) if self.estimator.smooths else setup
         self.map_management: MapManagement | None = None

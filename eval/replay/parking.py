@@ -11,9 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from association.candidates import Drift, may_be_in_view
-from association.decide import HINDSIGHT, OWN_NEWNESS
-from association.expectation import gate_threshold
-from association.likelihood import ALPHA, RATIO
+from association.decide import HINDSIGHT, horizon
 from data.inputs import Increment, IntArray, Sightings
 from data.sensors import Sensor
 from ekf.epochs import LEAST, MOVED, PRODUCT, READING, STEP
@@ -172,8 +170,5 @@ def automatic_parking(estimator: Estimator, association: str, setup: Setup) -> A
         return None
     if association in ("known", HINDSIGHT):  # decided without a look at this estimator
         return AutomaticParking(estimator, np.inf)
-    gates = [setup.gate] if association in OWN_NEWNESS else [setup.gate, setup.new_gate]
-    if None in gates:
-        return None
-    # the ratio test looks at what could compete with "new", whatever the gate
-    return AutomaticParking(estimator, max(RATIO * ALPHA, *(gate_threshold(g) for g in gates)))
+    within = horizon(association, setup.gate, setup.new_gate)
+    return AutomaticParking(estimator, within) if np.isfinite(within) else None
