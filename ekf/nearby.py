@@ -87,10 +87,10 @@ def may_be_read(
     since = np.diag([step[0, 0], step[1, 1], P[2, 2]])
     reach = reading_radius(sensor, np.maximum(since, 0.0), sightings, within * MARGIN)
     found = np.zeros(len(parked.based), np.bool_)
+    z, R = np.array(sightings.z, float), np.array(sightings.R, float)
     _search(
         sensor.kind, sensor.extrinsic, x, P, parked.mean, parked.D, parked.based, *around, centre,
-        reach, gate + float(np.linalg.norm(y[:k])), np.array(sightings.z, float), np.array(sightings.R, float), within * MARGIN,
-        found,
+        reach, gate + float(np.linalg.norm(y[:k])), z, R, within * MARGIN, found,
     )  # fmt: skip
     return found
 

@@ -90,8 +90,8 @@ class Parkable(Filter):
     def parked_within(self, sightings: Sightings, within: float) -> IntArray:
         """Parked landmarks (r,) that may be within a squared Mahalanobis distance of some reading; no other one is."""
         parked, d, r = self._parked, self.size, self._recent
-        if not len(sightings.z):
-            return np.empty(0, np.int64)
+        if not len(sightings.z) or not np.isfinite(within):
+            return parked.numbers if len(sightings.z) else np.empty(0, np.int64)
         count = len(parked.recent)
         e = self._expect(sightings, parked.recent, r + 2 * np.arange(count), np.zeros((count, 2)))
         found = parked.recent[(e.individual_distances() <= within * MARGIN).any(axis=0)]

@@ -1,4 +1,4 @@
-"""A large symmetric matrix by its lower triangle, in blocks of rows: half the memory, and changed in place by BLAS-3."""
+"""A large symmetric matrix by its lower triangle, in blocks of rows: half the memory, changed in place by BLAS-3."""
 
 from __future__ import annotations
 
