@@ -182,7 +182,8 @@ def robot_first(inputs: Inputs) -> Array:
 class State(NamedTuple):
     """Buffers of an epoch: pose, active landmarks, y and (if that is odd) nothing, then room for new landmarks.
 
-    d: length without the new ones; y: length of y; C: (2b, y), its rows for active landmarks 0.
+    d: length without the new ones; y: length of y; C: (2b, y), D of `ekf.parking`; of active
+    landmarks its rows mean nothing.
     """
 
     mean: Array
@@ -209,7 +210,6 @@ def begun(whole: Whole, robot: Robot, epoch: Epoch, created: int, new: int, firs
     P[:3, :3], P[3:a, :a] = robot[1], C[at]
     P[:a, 3:a] = P[3:a, :a].T
     P[3:a, 3:a] = symmetric(C[at, 3:])
-    C[at] = 0.0
     D = C[:, :0]
     if y:
         L = root(P[:a, :a])

@@ -161,10 +161,10 @@ def automatic_parking(estimator: Estimator, association: str, setup: Setup) -> A
     """For an estimator whose large map may be parked without changing anything, None for others.
 
     These are others: smoothers and localizers; the invariant filter and the one with first estimates, which cannot
-    park; the iterated one, which ends by how far all landmarks moved; where a person asks for parking; methods of
-    association without a gate, for which every landmark is a candidate.
+    park; the iterated one, which ends by how far all landmarks moved; methods of association without a gate, for
+    which every landmark is a candidate.
     """
-    if not isinstance(estimator, EkfSlam) or setup.deactivate_after is not None:
+    if not isinstance(estimator, EkfSlam):
         return None
     options = estimator.options
     if options.invariant or options.first_estimates or options.iterations > 1:
