@@ -28,11 +28,13 @@ from ekf.triangle import Triangle
 from ekf.whole_run import FilterRun, run
 
 LEAST = 300
-"""Landmarks. A smaller map is never parked: nothing is gained that a person would notice."""
+"""Landmarks. A smaller map is never parked: some tenths of a second are gained at most, and it keeps its bytes."""
 STEP, READING = 1.0e-9, 2.0e-10
 """s. A frame costs so much per squared length of the state, and so much more with each of its pairings."""
 PRODUCT, MOVED = 8.0e-11, 2.0e-8
-"""s. The end of an epoch costs so much per squared length of the map and column of C, and so much more per entry."""
+"""s. The end of an epoch costs so much per squared length of the map and column of C, and so much more per entry.
+Measured on one core. With 600 and 2400 landmarks half and twice as much of these two change the time of a run by less
+than a tenth; a sixth of it costs a fifth more."""
 WORTH = 0.7
 """Parking must be expected to take less than this part of the time."""
 
