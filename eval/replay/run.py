@@ -15,6 +15,7 @@ from association.known import known_decisions
 from association.truncated import truncated_square
 from data.inputs import Frame, Inputs
 from data.result import DISCARD, Failure, Finished, Innovations, Run, Trajectory, map_estimate
+from ekf.epochs import run_in_epochs, worthwhile
 from ekf.filter import FilterDivergedError, FilterOptions
 from ekf.whole_run import FilterRun, run_filter
 from eval.replay.batch import batch
@@ -53,10 +54,16 @@ def filter_known(
     threshold: float = np.inf,
     options: FilterOptions | None = None,
 ) -> Run:
-    """A filter with labels, in one compiled loop."""
+    """A filter with labels, in one compiled loop; a large map is parked where that is faster."""
     begin = time.perf_counter()
     decisions, created = known_decisions(inputs)
-    result: FilterRun = run_filter(inputs, decisions, threshold=threshold, options=options or OPTIONS[name])
+    options = options or OPTIONS[name]
+    epochs = worthwhile(inputs, decisions, options)
+    result: FilterRun = (
+        run_filter(inputs, decisions, threshold=threshold, options=options)
+        if epochs is None
+        else run_in_epochs(inputs, decisions, epochs, threshold=threshold, options=options)
+    )
     seconds = time.perf_counter() - begin
     failure, decided = None, result.decisions
     if result.failure is not None:
