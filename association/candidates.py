@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from data.inputs import Increment, IntArray, Sightings
 from data.se2 import Array, BoolArray
@@ -14,6 +15,9 @@ SIGMAS = 3.0
 """The field of view is widened by so many sigmas of the expectation, ..."""
 MARGIN = math.radians(5.0)
 """rad, ... and by this."""
+
+FEW = 100
+"""Landmarks. To look for some among so few takes longer than to expect them all."""
 
 
 def polar_sigma(sensor: Sensor, z_hat: Array, HPHt: Array) -> Array:
@@ -50,6 +54,39 @@ def may_be_in_view(sensor: Sensor, pose: Array, xy: Array, sigma: Array, heading
     r = np.maximum(sensor.polar(z_hat)[:, 0], MIN_RANGE)
     angle = SIGMAS * (total / r + heading) + MARGIN
     return sensor.in_view(z_hat, margin_range=SIGMAS * total, margin_angle=np.minimum(angle, math.pi))
+
+
+def view_radius(sensor: Sensor, P: Array) -> float:
+    """Farther than this [m] from a robot of covariance P (3, 3) no known landmark is `in_view`."""
+    lever = math.hypot(*sensor.translation)
+    return sensor.max_range + lever + SIGMAS * (math.sqrt(P[0, 0] + P[1, 1]) + lever * math.sqrt(P[2, 2])) + 1e-9
+
+
+def reading_radius(sensor: Sensor, P: Array, sightings: Sightings, within: float) -> float:
+    """Farther than this [m] from a robot of covariance P (3, 3) no known landmark is within a squared distance.
+
+    A reading z and an expectation within a squared Mahalanobis distance g have |range(z) - range| <= sqrt(g S) with S
+    the variance of the expected range and of the noise (Cauchy-Schwarz).
+    """
+    gate, lever = math.sqrt(within), math.hypot(*sensor.translation)
+    R = sightings.R
+    noise = R[:, 0, 0] if sensor.kind == RANGE_BEARING else np.trace(R, axis1=1, axis2=2)
+    reach = float((sensor.polar(sightings.z)[:, 0] + gate * np.sqrt(noise)).max(initial=0.0))
+    return reach + lever + gate * (math.sqrt(P[0, 0] + P[1, 1]) + lever * math.sqrt(P[2, 2])) + 1e-9
+
+
+class Places:
+    """Landmarks that do not move, found by where they are (a k-d tree)."""
+
+    def __init__(self, xy: Array) -> None:
+        """Positions (n, 2)."""
+        self._count, self._tree = len(xy), cKDTree(xy) if len(xy) > FEW else None
+
+    def around(self, point: Array, radius: float) -> IntArray:
+        """Rows (m,), ascending, of the landmarks within a radius [m] of a point (2,); of a few landmarks all."""
+        if self._tree is None or not math.isfinite(radius):
+            return np.arange(self._count)
+        return np.array(self._tree.query_ball_point(point, radius, return_sorted=True), np.int64)
 
 
 class Drift:

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from association.evidence.pairings import jcbb_hindsight
-from association.expectation import Expectation
+from association.expectation import Expectation, gate_threshold
 from association.gnn import gnn
 from association.jcbb import BUDGET, search
-from association.likelihood import ml, ml_ratio
+from association.likelihood import ALPHA, RATIO, ml, ml_ratio
 from association.nearest import nn
 from association.newness import newness
 from association.singles import singles
@@ -43,6 +43,18 @@ class Decided(NamedTuple):
 
     decisions: IntArray
     complete: bool
+
+
+def horizon(method: str, gate: float | None, new_gate: float | None, *, known_map: bool = False) -> float:
+    """Squared distance from every reading beyond which no candidate has any influence on the decisions; may be inf.
+
+    Without a gate every candidate has some. The ratio test asks how far the second best is, of what may be anywhere
+    inside the gate or compete with "new".
+    """
+    if method == HINDSIGHT or gate is None:
+        return math.inf
+    outer = 0.0 if known_map or method in OWN_NEWNESS else gate_threshold(new_gate)
+    return max(RATIO * max(ALPHA, gate_threshold(gate)), outer)
 
 
 def decide(

@@ -148,11 +148,16 @@ def surviving(final: IntArray, created: IntArray) -> IntArray:
 
 
 class Failure(NamedTuple):
-    """Where and why an estimator stopped; `status` is `diverged` or `incomplete`."""
+    """Where and why an estimator stopped: `status` is `diverged` or `incomplete`; or is not believed: `implausible`."""
 
     status: str
     frame: int
     why: str
+
+    @property
+    def text(self) -> str:
+        """Frame and reason, for a sentence about a failure; a run that was not stopped says so."""
+        return f"frame {self.frame}: {'' if self.status != 'implausible' else 'implausible, '}{self.why}"
 
 
 CHI_SQUARE = (1.0, 2.0)
@@ -186,6 +191,7 @@ class Run:
         iterations: of a smoother's last optimization, in all its phases (None: there was none).
         last_step_sigma: largest component of the Newton step that it left, in standard deviations of that component;
             next to nothing at an optimum.
+        doubt: it got to the end, but with a number that no honest run gives (`implausible`): from which frame, and why.
     """
 
     estimator: str
@@ -208,14 +214,20 @@ class Run:
     gated: tuple[float, float] = CHI_SQUARE
     iterations: int | None = None
     last_step_sigma: float | None = None
+    doubt: Failure | None = None
 
     def __post_init__(self) -> None:
         read_only(self)
 
     @property
+    def flaw(self) -> Failure | None:
+        """Why none of its numbers may enter an average, a comparison or a headline: `failure`, or else `doubt`."""
+        return self.failure if self.failure is not None else self.doubt
+
+    @property
     def status(self) -> str:
-        """`ok`, `diverged` or `incomplete`."""
-        return "ok" if self.failure is None else self.failure.status
+        """`ok`, or that of its flaw: `diverged`, `incomplete` or `implausible`."""
+        return "ok" if self.flaw is None else self.flaw.status
 
     @property
     def phases(self) -> tuple[str, ...]:

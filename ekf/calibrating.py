@@ -8,15 +8,12 @@ whatever its variance; as five more states it is gone by then.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from data.inputs import Increment, IntArray, Prior
 from data.se2 import Array, world_from_body
 from data.sensors import Sensor
 from ekf.filter import DEFAULT, FilterOptions
-from ekf.parking import NOTHING
 from ekf.slam import EkfSlam
 
 SIGMA = np.array([1e-3, 2e-3, 0.05, 0.05, 0.02])
@@ -49,7 +46,6 @@ class CalibratingSlam(EkfSlam):
         """Start at the prior with an empty map and odometry that is right by all that is known."""
         super().__init__(prior, sensor, options)
         self._carried = len(SIGMA)
-        self._parked = replace(NOTHING, C=np.zeros((0, len(SIGMA))))
         tail = np.arange(self.size, self._used)
         self._P[tail, tail] = SIGMA**2
 
@@ -59,7 +55,7 @@ class CalibratingSlam(EkfSlam):
         tail = slice(self.size, self._used)
         return self._mean[tail].copy(), self._P[tail, tail].copy()
 
-    def park(self, numbers: IntArray) -> None:
+    def park(self, numbers: IntArray, *, begin_epoch: bool = False) -> None:
         """The errors are carried in the place of what parking carries: asking for it is an error."""
         raise ValueError("the filter carries the odometry's errors where parked landmarks are; none can be parked")
 

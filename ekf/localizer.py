@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
+from association.candidates import Places, reading_radius
 from association.expectation import Expectation
 from data.inputs import IntArray, LandmarkMap, Prior, Sightings
 from data.result import Finished, MapState, Updated
@@ -13,12 +16,18 @@ from ekf.filter import DEFAULT, Filter, FilterOptions
 
 
 class EkfLocalizer(Filter):
-    """Extended Kalman filter over the pose (Probabilistic Robotics, Table 7.2, with one stacked update per frame)."""
+    """Extended Kalman filter over the pose (Probabilistic Robotics, Table 7.2, with one stacked update per frame).
+
+    Attributes:
+        map: the known landmarks.
+        within: `expect` may leave out landmarks that are beyond this squared distance of every reading.
+    """
 
     def __init__(self, prior: Prior, sensor: Sensor, known: LandmarkMap, options: FilterOptions = DEFAULT) -> None:
         """Start at the prior with a map taken as exact."""
         super().__init__(prior, sensor, options)
-        self.map = known
+        self.map, self.within = known, math.inf
+        self._places = Places(known.xy)
 
     def rows_of(self, decisions: IntArray) -> IntArray:
         """Row of the map for each decision; raises ValueError for an id the map does not have."""
@@ -28,9 +37,9 @@ class EkfLocalizer(Filter):
         return rows
 
     def expect(self, sightings: Sightings) -> Expectation:
-        """What the filter expects of every landmark of the map. Valid until the next `predict` or `update`."""
-        at = np.full(len(self.map.id), -1, np.int64)
-        return self._expect(sightings, self.map.id, at, self.map.xy)
+        """What the filter expects of the landmarks of the map. Valid until the next `predict` or `update`."""
+        near = self._places.around(self._mean[:2], reading_radius(self.sensor, self._P[:3, :3], sightings, self.within))
+        return self._expect(sightings, self.map.id[near], np.full(len(near), -1, np.int64), self.map.xy[near])
 
     def update(
         self,

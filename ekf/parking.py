@@ -9,45 +9,47 @@ C = P_BA0, and F, H, S, K, nu of the steps since then:
     predict:  Phi <- F Phi       new landmark: Phi <- [Phi; Gx Phi]
     update:   Psi += Phi' H' S^-1 H Phi,   theta += Phi' H' S^-1 nu,   Phi <- (I - K H) Phi
 
-These are the Kalman filter's own recursions for a vector y that no measurement involves and that starts with mean 0,
-P_yA = I and P_yy = 0: ever after, P_yA = Phi', P_yy = -Psi and y = theta. So y stands behind the active state in the
-filter's buffers, the compiled steps carry it along as they carry any landmark, and
+These are the Kalman filter's own recursions for a vector that no measurement involves and that starts with mean 0,
+cross-covariance I with A0 and covariance 0. Psi is the inverse of a covariance in which many things are all but
+certain relative to each other, and C Psi C' a small difference of large terms; so what is carried is y = L' of that
+vector, with P_A0A0 = L L' and D = C L'^-1. It stands behind the active state in the filter's buffers, the compiled
+steps carry it along as they carry any landmark, and
 
-    x_B = m + C y,    P_BA = C P_yA,    P_BB = P + C P_yy C'
+    x_B = m + D y,    P_BA = D P_yA,    P_BB = P + D P_yy D'
 
-(P_yy is no covariance, but no step asks it to be.) In this form no epoch need end for a landmark to move:
+y begins with mean 0, P_yA0 = L', P_yy = 0: it is L^-1 A0, whose covariance is P_yy + I. (P_yy is no covariance, but no
+step asks it to be.) In this form no epoch need end for a landmark to move:
 
-    parked p:    its entries move from A to the end of y, its row of C is I there, its m and P are 0;
-    restored p:  x_p, P_pA, P_pp from the equations, P_py = C_p P_yy; the others keep their P_Bp = P of base by a
-                 new part e of y with mean 0, P_ep = I and otherwise 0, and the columns P_Bp in C.
+    parked p:    its entries move from A to the end of the buffers, behind y, for the time being (a recent landmark); if
+                 it comes back before the epoch ends, it moves back to A;
+    restored p:  x_p, P_pA, P_pp from the equations and P_py = D_p (P_yy + I). A0 now includes p as it was at the epoch:
+                 L grows by [D_p, l], l l' = P_pp0 - D_p D_p', y by two entries with mean 0, P_yp = l' and otherwise 0,
+                 and D by the columns (P_Bp0 - D D_p') l'^-1.
 
-Only y grows by that, by two entries each time; when it has grown too long, B is brought up to date and an epoch begins.
-Where B is shorter than A, y is then B itself with C = I. As y is never longer than B, parking never makes the steps
-cost more than keeping the landmarks would.
+So y grows by two entries with each landmark restored; when it has grown too long, B is brought up to date and an epoch
+begins. Where B is shorter than A, all of it is kept as if recent. So parking never makes the steps cost more than
+keeping the landmarks would.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
+import numba
 import numpy as np
 
 from data.blocks import coordinates
 from data.inputs import IntArray
 from data.se2 import Array
+from ekf.triangle import Triangle
 
 LONGEST = 3
-"""y may grow to this many times the length of A: longer steps against rarer epochs. Measured, and flat around here."""
+"""y and what is recent may grow to this many times the length of A: longer steps against rarer epochs. Flat around
+here: 2 and 5 take as long."""
 
 
-class Carried(NamedTuple):
-    """A vector (c,) beside others (d,): its mean, cross-covariance (c, d) with them and covariance (c, c)."""
-
-    mean: Array
-    cross: Array
-    P: Array
+STRIP = 16
+"""Columns that are solved one by one; the others before them are taken off by BLAS."""
 
 
 def symmetric(P: Array) -> Array:
@@ -56,85 +58,173 @@ def symmetric(P: Array) -> Array:
     return even
 
 
-@dataclass(frozen=True, eq=False)
+def root(P: Array) -> Array:
+    """A lower triangle L with L L' = P, or where P is semidefinite a little more than P; L is regular in any case."""
+    diagonal = np.diag(P)
+    scale, share = np.where(diagonal > 0.0, diagonal, 1.0), 1e-15
+    while share < 1.0:
+        try:
+            return np.asarray(np.linalg.cholesky(P + share * np.diag(scale)), np.float64)
+        except np.linalg.LinAlgError:
+            share *= 10.0
+    return np.diag(np.sqrt(scale))
+
+
+def whitened(C: Array, L: Array) -> Array:
+    """C L'^-1 of a cross-covariance C (r, d) and a root L (d, d); D L' = C to a rounding, however small L is."""
+    D = np.array(C, float, order="C")
+    for begin in range(0, len(L), STRIP):
+        strip = slice(begin, begin + STRIP)
+        D[:, strip] -= D[:, :begin] @ L[strip, :begin].T
+        _forward(D, L, begin, min(begin + STRIP, len(L)))
+    return D
+
+
+@numba.njit(cache=True)
+def _forward(D, L, begin, end):  # type: ignore[no-untyped-def]
+    """Solve the rows of D for their columns from `begin` before `end` by forward substitution, in place."""
+    for r in range(len(D)):
+        for j in range(begin, end):
+            total = D[r, j]
+            for q in range(begin, j):
+                total -= D[r, q] * L[j, q]
+            D[r, j] = total / L[j, j]
+
+
 class Parked:
-    """Parked landmarks, one per pair of rows, in terms of the carried y: x_B = mean + C y, P_BB = P + C P_yy C'.
+    """The parked landmarks, in terms of the carried y; landmark n has rows 2n and 2n + 1.
+
+    Rows of D for landmarks that are not parked, or recent, are zero; their mean and P mean nothing.
 
     Attributes:
-        number: (b,) landmark numbers, -1 where the landmark is no longer parked.
-        mean: (2b,) m.
-        P: (2a, 2a) m^2, a <= b; zero for the later rows.
-        C: (2b, c).
+        based: (n,) by landmark number, whether it is parked and stands in these rows.
+        recent: (r,) numbers of landmarks parked since the epoch began, in the order of the buffers.
+        k: length of y.
+        epochs: how many have begun.
+        mean: (2n,) m, means at the epoch.
+        P: (2n, 2n) m^2, covariance at the epoch.
+        robot: (3, 3) the root of the pose's covariance at the epoch.
     """
 
-    number: IntArray
-    mean: Array
-    P: Array
-    C: Array
+    def __init__(self) -> None:
+        """No landmark is parked, and there is no y."""
+        self.based = np.empty(0, np.bool_)
+        self.recent = np.empty(0, np.int64)
+        self.k, self.epochs = 0, 0
+        self.mean, self.P, self.robot = np.zeros(0), Triangle(), np.zeros((3, 3))
+        self._D = np.zeros((0, 0))
+
+    @property
+    def D(self) -> Array:
+        """(2n, k), a view."""
+        return self._D[: len(self.mean), : self.k]
+
+    @property
+    def count(self) -> int:
+        """How many landmarks are parked."""
+        return len(self.numbers)
 
     @cached_property
-    def rows(self) -> dict[int, int]:
-        """Row pair of each parked landmark, by ascending number."""
-        order = np.argsort(self.number)
-        order = order[self.number[order] >= 0]
-        return dict(zip(self.number[order].tolist(), order.tolist(), strict=True))
+    def numbers(self) -> IntArray:
+        """Landmarks (b,) that are parked, ascending; `changed` forgets it."""
+        return np.sort(np.concatenate([np.flatnonzero(self.based), self.recent]))
 
-    def index(self, numbers: IntArray | None = None) -> IntArray:
-        """Rows (2n,) of landmarks; None: of all, by ascending number."""
-        chosen = self.rows.values() if numbers is None else [self.rows[n] for n in numbers.tolist()]
-        return coordinates(np.fromiter(chosen, np.int64))
+    def changed(self) -> None:
+        """Landmarks came or went."""
+        self.__dict__.pop("numbers", None)
 
-    def now(self, y: Carried, rows: IntArray) -> Carried:
-        """Present mean (r,), cross-covariance (r, d) with A, and covariance (r, r) of some rows."""
-        C = self.C[rows]
-        P = C @ y.P @ C.T
-        based = np.flatnonzero(rows < len(self.P))
-        P[np.ix_(based, based)] += self.P[np.ix_(rows[based], rows[based])]
-        return Carried(self.mean[rows] + C @ y.mean, C @ y.cross, symmetric(P))
+    def holds(self, number: int) -> bool:
+        """Whether a landmark is parked."""
+        return bool((number < len(self.based) and self.based[number]) or (self.recent == number).any())
+
+    def restoring(self, numbers: IntArray, y: Array, P_yy: Array) -> tuple[Array, Array, Array, Array]:
+        """Landmarks (r,) of these rows come back, and y grows by 2r.
+
+        Given the present mean (k,) and covariance of y, gives their mean (2r,), D_p (2r, k), covariance (2r, 2r)
+        and l (2r, 2r).
+        """
+        at = coordinates(numbers)
+        D_p, P_pp = self.D[at], symmetric(self.P.square(at))
+        mean, own = self.mean[at] + D_p @ y, symmetric(P_pp + D_p @ P_yy @ D_p.T)
+        small = root(P_pp - D_p @ D_p.T)
+        self.leave(numbers)
+        column = whitened(self.P.columns(at) - self.D @ D_p.T, small)
+        column[~np.repeat(self.based, 2)] = 0.0
+        n = len(at)
+        self._room(len(self.mean), self.k + n)
+        self._D[: len(self.mean), self.k : self.k + n] = column
+        self.k += n
+        return mean, D_p, own, small
+
+    def leave(self, numbers: IntArray) -> None:
+        """Landmarks of these rows are parked no more."""
+        self.based[numbers] = False
+        self.D[coordinates(numbers)] = 0.0
+        self.changed()
+
+    def update(self, created: int, y: Array, P_yy: Array, recent: tuple[Array, Array, Array]) -> None:
+        """Bring everything up to date, what is recent included; y means nothing afterwards (`begin`).
+
+        Args:
+            created: number of landmarks so far.
+            y: (k,) its mean.
+            P_yy: (k, k).
+            recent: mean (2r,), cross-covariance with y (2r, k) and covariance (2r, 2r) of what is recent.
+        """
+        self._room(2 * created, self.k)
+        D, at = self.D, coordinates(self.recent)
+        self.mean += D @ y
+        self.P.add_product(D @ P_yy, D)
+        if len(at):
+            cross = D @ recent[1].T
+            cross[at] = recent[2]
+            self.mean[at] = recent[0]
+            self.P.put(at, cross)
+
+    def begin(self, C: Array, P_AA: Array) -> Array:
+        """An epoch begins with everything in its rows, given P_BA (2n, d), zero where nobody is parked; L (d, d)."""
+        self.based[self.recent] = True
+        self.recent = self.recent[:0]
+        L = root(P_AA)
+        self.k = 0
+        self._room(len(self.mean), len(L))
+        self.k = len(L)
+        self.D[:] = whitened(C, L)
+        self.robot = L[:3, :3].copy()
+        self.epochs += 1
+        return L
+
+    def empty(self) -> tuple[Array, Array]:
+        """Everything becomes recent, by ascending number: mean (2b,) and covariance (2b, 2b); there is no y."""
+        self.recent = self.numbers
+        at = coordinates(self.recent)
+        self.based[:] = False
+        self.k = 0
+        self.epochs += 1
+        return self.mean[at], symmetric(self.P.square(at))
+
+    def _room(self, rows: int, columns: int) -> None:
+        """At least so many rows, new ones of zeros, and room for so many columns of D."""
+        have, k, old = self._D.shape, self.k, len(self.mean)
+        if rows > have[0] or columns > have[1]:
+            larger = np.zeros((max(rows, 2 * have[0]) if rows > have[0] else have[0], columns + columns // 2))
+            larger[:old, :k] = self._D[:old, :k]
+            self._D = larger
+        if rows > old:
+            self.mean = np.concatenate([self.mean, np.zeros(rows - old)])
+            self.based = np.concatenate([self.based, np.zeros((rows - old) // 2, np.bool_)])
+            self.P.grow(rows)
+
+    def now(self, y: Array, P_yy: Array) -> tuple[IntArray, Array, Array]:
+        """Numbers (b,), present means (b, 2) and covariances (b, 2, 2) of the landmarks in these rows."""
+        numbers = np.flatnonzero(self.based)
+        at = coordinates(numbers)
+        D = self.D[at].reshape(len(numbers), 2, self.k)
+        blocks = self.P.blocks()[numbers] + np.matmul(D @ P_yy, D.transpose(0, 2, 1))
+        return numbers, (self.mean[at] + self.D[at] @ y).reshape(-1, 2), 0.5 * (blocks + blocks.transpose(0, 2, 1))
 
     def xy(self, y: Array) -> Array:
-        """Present means (n, 2), by ascending number, given the mean of y."""
-        rows = self.index()
-        now: Array = (self.mean[rows] + self.C[rows] @ y).reshape(-1, 2)
+        """Present means (b, 2) of the landmarks in these rows, by ascending number."""
+        at = coordinates(np.flatnonzero(self.based))
+        now: Array = (self.mean[at] + self.D[at] @ y).reshape(-1, 2)
         return now
-
-    def blocks(self, P_yy: Array) -> Array:
-        """Present covariance (n, 2, 2) of each landmark, by ascending number."""
-        rows = self.index().reshape(-1, 2)
-        C = self.C[rows]
-        blocks: Array = C @ P_yy @ C.transpose(0, 2, 1)
-        based = rows[:, 0] < len(self.P)
-        blocks[based] += self.P[rows[based][:, :, None], rows[based][:, None, :]]
-        return 0.5 * (blocks + blocks.transpose(0, 2, 1))
-
-    def parking(self, numbers: IntArray) -> Parked:
-        """Also these (n,), whose coordinates have been moved to the end of y."""
-        r, c = self.C.shape
-        n = 2 * len(numbers)
-        C = np.zeros((r + n, c + n))
-        C[:r, :c], C[r:, c:] = self.C, np.eye(n)
-        return Parked(np.concatenate([self.number, numbers]), np.concatenate([self.mean, np.zeros(n)]), self.P, C)
-
-    def restoring(self, numbers: IntArray) -> Parked:
-        """Without these (n,), which have been put into the state, y longer by the parts e of each."""
-        rows = self.index(numbers)
-        column = np.zeros((len(self.C), len(rows)))
-        based = rows < len(self.P)
-        column[: len(self.P), based] = self.P[:, rows[based]]
-        return replace(self.without(numbers), C=np.concatenate([self.C, column], axis=1))
-
-    def without(self, numbers: IntArray) -> Parked:
-        """These marginalized out; y keeps its meaning for the others."""
-        return replace(self, number=np.where(np.isin(self.number, numbers), -1, self.number))
-
-
-NOTHING = Parked(np.empty(0, np.int64), np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0)))
-"""No landmark is parked, and there is no y."""
-
-
-def begin_epoch(number: IntArray, B: Carried) -> tuple[Parked, Carried]:
-    """Landmarks (b,) with mean, P_BA (2b, d) and P_BB, and the y they begin with."""
-    n, d = B.cross.shape
-    if n <= d:
-        return Parked(number, np.zeros(n), np.zeros((0, 0)), np.eye(n)), B
-    return Parked(number, B.mean, B.P, B.cross), Carried(np.zeros(d), np.eye(d), np.zeros((d, d)))

@@ -5,58 +5,22 @@ from __future__ import annotations
 import numpy as np
 
 from association.expectation import Expectation
-from data.blocks import coordinates, coordinates_from, diagonal_blocks
-from data.inputs import IntArray, Prior, Sightings
-from data.result import NEW, Finished, MapState, Updated
+from data.inputs import IntArray, Sightings
+from data.result import NEW, Finished, Updated
 from data.se2 import Array, wrap_angle
-from data.sensors import Sensor
 from ekf import kernels
-from ekf.filter import DEFAULT, Filter, FilterOptions
-from ekf.parking import LONGEST, NOTHING, Carried, begin_epoch, symmetric
+from ekf.parkable import Parkable
+from ekf.parking import symmetric
 
 JOINED = 1e-4
 """m; standard deviation of the difference of two landmarks that are one."""
 
 
-class EkfSlam(Filter):
+class EkfSlam(Parkable):
     """Extended Kalman filter over the pose and all landmarks (Probabilistic Robotics, section 10.2).
 
-    A landmark number is the order of creation and is never reused; `self._number[i]` is the number in slot i, whose
-    coordinates stand at 3 + 2 i of the state. Numbers ascend with the slots. Parked landmarks have no slot: they stay
-    in the map but cost nothing until they are restored, see `ekf.parking`.
+    For its buffers, and for landmarks that are parked, see `ekf.parkable`.
     """
-
-    def __init__(self, prior: Prior, sensor: Sensor, options: FilterOptions = DEFAULT) -> None:
-        """Start at the prior with an empty map."""
-        super().__init__(prior, sensor, options, capacity=3 + 2 * 16)
-        self._number = np.empty(0, np.int64)
-        self._offset: dict[int, int] = {}
-        self._parked = NOTHING
-        self.created = 0
-
-    def _grow(self, extra: int) -> None:
-        """Room for `extra` more landmarks; capacity at least doubles, so growing is rare."""
-        need, old = self._used + 2 * extra, len(self._mean)
-        if need > old:
-            capacity = max(need, 2 * old)
-            mean, P = np.zeros(capacity), np.zeros((capacity, capacity))
-            mean[:old], P[:old, :old] = self._mean, self._P
-            self._mean, self._P = mean, P
-            if len(self._first):
-                self._first = np.concatenate([self._first, np.zeros(capacity - old)])
-
-    def _select(self, index: IntArray) -> None:
-        """Make the buffers hold their entries `index`, in that order."""
-        d = len(index)
-        self._mean[:d] = self._mean[index]
-        self._P[:d, :d] = self._P[np.ix_(index, index)]
-        if len(self._first):
-            self._first[:d] = self._first[index]
-
-    def _renumber(self, number: IntArray) -> None:
-        """The landmarks of the state, slot by slot."""
-        self._number = number
-        self._offset = {int(n): 3 + 2 * i for i, n in enumerate(number)}
 
     def expect(self, sightings: Sightings) -> Expectation:
         """What the filter expects of every active landmark. Valid until the next `predict` or `update`."""
@@ -82,7 +46,7 @@ class EkfSlam(Filter):
         try:
             offset = np.array([self._offset[int(n)] for n in decisions[paired]], np.int64)
         except KeyError as unknown:
-            if unknown.args[0] in self._parked.rows:
+            if self._parked.holds(unknown.args[0]):
                 raise ValueError(f"landmark {unknown} is parked: restore it first") from None
             raise ValueError(f"no landmark has number {unknown}") from None
         keep, stats, white = self._correct(sightings, paired, offset, np.zeros((len(paired), 2)), threshold, at)
@@ -126,17 +90,12 @@ class EkfSlam(Filter):
         self.size -= 2 * int(gone.sum())
         self._renumber(self._number[~gone])
         if parked.any():
-            self._parked = self._parked.without(numbers)
-            self._tidy()
+            self._leave(self.parked[parked])
 
     def position(self, numbers: IntArray) -> tuple[Array, Array]:
         """Means (2n,) and joint covariance (2n, 2n) of active landmarks."""
         at = self._at(numbers)
         return self._mean[at], self._P[np.ix_(at, at)]
-
-    def _at(self, numbers: IntArray) -> IntArray:
-        """Where the coordinates of active landmarks (n,) stand in the state (2n,)."""
-        return coordinates_from(np.array([self._offset[n] for n in numbers.tolist()], np.int64))
 
     def merge(self, merged: IntArray, kept: IntArray) -> None:
         """Landmarks `merged` (k,) are the same as `kept` (k,), all of them active: both estimates become one.
@@ -159,96 +118,9 @@ class EkfSlam(Filter):
         P[:] = symmetric(P)
         self.remove(merged)
 
-    @property
-    def parked(self) -> IntArray:
-        """Numbers (b,) of the parked landmarks, ascending."""
-        return np.fromiter(self._parked.rows, np.int64)
-
-    def parked_xy(self) -> Array:
-        """Present means (b, 2) of the parked landmarks, ordered as `parked`."""
-        return self._parked.xy(self._mean[self.size : self._used])
-
-    def park(self, numbers: IntArray) -> None:
-        """Take active landmarks out of the state; nothing is lost, and `restore` brings them back.
-
-        Raises ValueError for a landmark that is parked already or not in the map, in the invariant filter, whose
-        correction moves every landmark, and with first estimates, which a parked landmark would lose.
-        """
-        if self.options.invariant:
-            raise ValueError("the invariant filter moves all landmarks together; none can be parked")
-        if self.options.first_estimates:
-            raise ValueError("a parked landmark would lose its first estimate; none can be parked")
-        away = np.unique(np.asarray(numbers, np.int64))
-        for n in away.tolist():
-            if n in self._parked.rows:
-                raise ValueError(f"cannot park landmark {n}: it is parked already")
-            if n not in self._offset:
-                raise ValueError(f"cannot park landmark {n}: no landmark has this number")
-        if not len(away):
-            return
-        self._version += 1
-        out = np.isin(self._number, away)
-        moved = 3 + coordinates(np.flatnonzero(out))
-        self._select(np.concatenate([np.delete(np.arange(self._used), moved), moved]))
-        self.size -= len(moved)
-        self._carried += len(moved)
-        self._parked = self._parked.parking(away)
-        self._renumber(self._number[~out])
-        self._tidy()
-
-    def restore(self, numbers: IntArray) -> None:
-        """Take parked landmarks back into the state. Raises ValueError for a landmark that is not parked."""
-        back = np.unique(np.asarray(numbers, np.int64))
-        for n in back.tolist():
-            if n not in self._parked.rows:
-                raise ValueError(f"cannot restore landmark {n}: it is not parked")
-        if not len(back):
-            return
-        self._version += 1
-        self._grow(2 * len(back))
-        x, P, d, e, n = self._mean, self._P, self.size, self._used, 2 * len(back)
-        # appended: the landmarks as they are now, whose cross-covariance is needed with all of A and y, and their e
-        p = self._parked.now(Carried(x[d:e], P[d:e, :e], P[d:e, d:e]), self._parked.index(back))
-        x[e : e + n], x[e + n : e + 2 * n] = p.mean, 0.0
-        P[e : e + n, :e], P[:e, e : e + n], P[e : e + n, e : e + n] = p.cross, p.cross.T, p.P
-        P[e + n : e + 2 * n, : e + 2 * n], P[: e + 2 * n, e + n : e + 2 * n] = 0.0, 0.0
-        P[e + n : e + 2 * n, e : e + n], P[e : e + n, e + n : e + 2 * n] = np.eye(n), np.eye(n)
-        number = np.concatenate([self._number, back])
-        order = np.argsort(number)
-        slots = np.concatenate([np.arange(3, d), np.arange(e, e + n)]).reshape(-1, 2)[order].ravel()
-        self._select(np.concatenate([np.arange(3), slots, np.arange(d, e), np.arange(e + n, e + 2 * n)]))
-        self.size += n
-        self._carried += n
-        self._parked = self._parked.restoring(back)
-        self._renumber(number[order])
-        self._tidy()
-
-    def _tidy(self) -> None:
-        """Begin an epoch if what is carried has grown too long."""
-        d, e, number = self.size, self._used, self.parked
-        if self._carried <= min(LONGEST * d, 2 * len(number)):
-            return
-        B = self._parked.now(Carried(self._mean[d:e], self._P[d:e, :d], self._P[d:e, d:e]), self._parked.index())
-        self._parked, y = begin_epoch(number, B)
-        self._carried = len(y.mean)
-        e = self._used
-        self._mean[d:e], self._P[d:e, d:e] = y.mean, y.P
-        self._P[d:e, :d], self._P[:d, d:e] = y.cross, y.cross.T
-
     def reset(self, mean: Array, covariance: Array) -> None:
         """The map goes with the pose: asking for another one is an error."""
         raise ValueError("the map was made from the poses before; only a localizer can be set to another pose")
-
-    def landmarks(self) -> MapState:
-        """The map as it is now, active and parked landmarks."""
-        n, d, e = len(self._number), self.size, self._used
-        xy = self._mean[3:d].reshape(n, 2)
-        blocks = diagonal_blocks(self._P[3:d, 3:d])
-        number = np.concatenate([self._number, self.parked])
-        order = np.argsort(number)
-        xy = np.concatenate([xy, self.parked_xy()])[order]
-        blocks = np.concatenate([blocks, self._parked.blocks(self._P[d:e, d:e])])[order]
-        return MapState(number[order], xy, blocks)
 
     def finish(self) -> Finished:
         """The last map; a filter does not revise its path."""

@@ -15,6 +15,11 @@ ADDITIVE = 0
 INVARIANT = 1
 """Correction: pose and landmarks are moved together by exp(xi), the right-invariant error of SE_(1+n)(2)."""
 
+BY_ROWS = (64, 800)
+"""States; in between the update of P goes by whole rows. Fewer do not fill them, more of them do not stay in cache."""
+TILE = 16
+"""States; rows and columns of a tile stay in the nearest cache while it is mirrored."""
+
 
 @numba.njit(cache=True)
 def cholesky(S, L, n):  # type: ignore[no-untyped-def]
@@ -67,19 +72,49 @@ def correct(mean, P, d, nu, PHt, S, stats, retraction):  # type: ignore[no-untyp
             shift[r] += PHt[r, i] * white[i]
         if retraction == ADDITIVE:
             mean[r] += shift[r]
-    for r in range(d):
-        for c in range(r + 1):
-            total = 0.0
-            for i in range(n):
-                total += PHt[r, i] * PHt[c, i]
-            P[r, c] -= total
-            P[c, r] = P[r, c]
+    subtract(P, d, PHt)
     if retraction == INVARIANT:
         move(mean, P, d, shift)
     mean[2] = wrap_angle(mean[2])
     stats[0] += nis
     stats[1] -= 0.5 * (nis + log_det + n * math.log(2.0 * math.pi))
     return healthy(mean, P)
+
+
+@numba.njit(cache=True)
+def subtract(P, d, W):  # type: ignore[no-untyped-def]
+    """P -= W W' on the leading d entries, W (d, n): the lower triangle, mirrored, so that P stays symmetric to the bit.
+
+    Every entry is summed over n in the same order however many there are, so the bytes do not depend on the way. By
+    rows it takes 0.7 of the time entry by entry with n = 4, 0.6 with 10, 0.45 with 20 (100 to 400 states); a product of
+    BLAS takes 0.65, 0.5 and 0.3 of it, in another order.
+    """
+    n = W.shape[1]
+    if not BY_ROWS[0] <= d <= BY_ROWS[1]:
+        for r in range(d):
+            for c in range(r + 1):
+                entry = 0.0
+                for i in range(n):
+                    entry += W[r, i] * W[c, i]
+                P[r, c] -= entry
+                P[c, r] = P[r, c]
+        return
+    Wt = np.ascontiguousarray(W.T)
+    total = np.empty(d)
+    for r in range(d):
+        total[: r + 1] = 0.0
+        for i in range(n):
+            weight, row = W[r, i], Wt[i]
+            for c in range(r + 1):
+                total[c] += weight * row[c]
+        line = P[r]
+        for c in range(r + 1):
+            line[c] -= total[c]
+    for top in range(0, d, TILE):
+        for left in range(0, top + 1, TILE):
+            for r in range(top, min(top + TILE, d)):
+                for c in range(left, min(left + TILE, r)):
+                    P[c, r] = P[r, c]
 
 
 @numba.njit(cache=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -23,11 +24,36 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
         prog=prog, description="How fast the estimators are, beside their peers timed in the same run."
     )
     p.add_argument("--quick", action="store_true", help="a tenth of the work, to see that it runs")
-    quick = p.parse_args(argv).quick
+    p.add_argument(
+        "--large",
+        metavar="OUT",
+        type=Path,
+        help="instead: time and memory of logs of 1000 to 100 000 frames, to OUT/large.csv and OUT/large.png (hours)",
+    )
+    args = p.parse_args(argv)
+    quick = args.quick
+    if args.large is not None:
+        return _large(args.large, quick)
     from eval.benchmarks.timed import table
 
     for lines in _measured(quick):
         print(table(lines), flush=True)
+    return 0
+
+
+def _large(out: Path, quick: bool) -> int:
+    """Measure logs of all sizes, a line each as they come; with the files of what is done so far."""
+    from eval.benchmarks.large import SIZES, line_of, measure_all, write
+    from eval.benchmarks.large_figure import scaling_figure
+    from eval.figures.style import save
+
+    out.mkdir(parents=True, exist_ok=True)
+    found = []
+    for m in measure_all(SIZES[:3] if quick else SIZES):
+        print(line_of(m), flush=True)
+        found.append(m)
+        write(found, out / "large.csv")
+    save(scaling_figure(found), out, "large")
     return 0
 
 

@@ -40,6 +40,11 @@ class Console:
         if not self.quiet:
             print(text, flush=True)
 
+    def complain(self, text: str) -> None:
+        """An error that did not end the command at once; nobody is spared it."""
+        self.lines.append(f"error: {text}")
+        print(f"error: {text}", file=sys.stderr, flush=True)
+
     def detail(self, text: str) -> None:
         """A sentence for -v and run.log."""
         self.lines.append(text)
@@ -59,6 +64,11 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
         return status
     except SlamrefError as fault:
         print(f"error: {fault}", file=sys.stderr)
+        return WRONG
+    except MemoryError as fault:  # outside any job, so that nothing can be kept
+        print(
+            f"error: out of memory ({fault}); a shorter log, or a machine with more memory would help", file=sys.stderr
+        )
         return WRONG
     except KeyboardInterrupt:
         print("interrupted; nothing was changed", file=sys.stderr)
@@ -119,7 +129,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
     from eval.plan.experiments import make_plan
     from eval.report.contents import write_results
     from eval.studies import reproduced
-    from eval.studies.montecarlo import declared_line, failed_declarations, judge
+    from eval.studies.montecarlo import declared_line, failed_declarations, judge, study_lines
 
     plan = make_plan(options, console.say)
     for e in plan.experiments:
@@ -131,19 +141,21 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
     judged = [j for study in outcome.studies for j in judge(study)]
     for trial in outcome.trials:
         for run in trial.runs:
-            if run.failure is not None:
-                f = run.failure
-                console.say(f"{trial.log.name}, {run.task}: {run.estimator} {f.status} at frame {f.frame}: {f.why}")
+            if run.flaw is not None:
+                f = run.flaw
+                where = f"{trial.log.name}, {run.task}: {run.estimator}"
+                where += f" ({run.association})" if run.doubt is not None else ""
+                console.say(f"{where} {f.status} {'at' if run.doubt is None else 'from'} frame {f.frame}: {f.why}")
             for note in run.notes:
                 if "ran out" in note:
                     console.say(f"{trial.log.name}, {run.task}: {run.estimator}: {note}")
     for study in outcome.studies:
-        for (task, estimator, association, _), seed, why in study.failures():
-            console.say(f"{study.scenario.name}, {task}: {estimator} ({association}) diverged with seed {seed}, {why}")
+        for text in study_lines(study):
+            console.say(text)
     for text in [*reproduced.lines(outcome.published), *outcome.skipped]:
         console.say(text)
     with _bar("writing", options.quiet, check) as progress:
-        write_results(folder, options, outcome, judged, arguments, progress)
+        missing = write_results(folder, options, outcome, judged, arguments, progress)
     failed = failed_declarations(judged)
     for j in failed:
         task, estimator, _, phase = j.key
@@ -153,9 +165,11 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
         )
     if not failed and (line := declared_line(judged)):
         console.say(line)
+    for text in missing:
+        console.complain(text)
     console.say(f"report: {options.out / 'report.html'}")
     (folder / "run.log").write_text("\n".join(console.lines) + "\n", encoding="utf-8")
-    return REJECTED if failed else FINE
+    return WRONG if missing else REJECTED if failed else FINE
 
 
 @contextmanager

@@ -134,6 +134,7 @@ def _step(wish: Wish) -> None:
         raise UsageError(f"--association known: log {log.name!r} has no labels (true_id or label in observations.csv)")
     if wish.frames is not None:
         log = shortened(log, wish.frames)
+    from eval.replay.plausible import with_doubt
     from eval.replay.run import step_by_step
     from eval.report.statements import gate_sentence
     from eval.walk.album import Album, open_windows
@@ -148,7 +149,7 @@ def _step(wish: Wish) -> None:
     walk = Walk(log, task, o.estimator[0], album, pausing=not wish.run_through and sys.stdin.isatty())
     try:
         run = step_by_step(o.estimator[0], inputs, task, association, o.setup, observer=walk)
-        end(log, run, album, walk)
+        end(log, with_doubt(run, inputs), album, walk)
     except StoppedError:
         print("stopped; what was written so far is whole")
 

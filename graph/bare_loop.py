@@ -11,7 +11,7 @@ from data.result import Trajectory
 from graph.batch import build
 from graph.engine import Engine
 from graph.factors import pose2, prior_factor
-from graph.incremental import SKIP, THRESHOLD
+from graph.incremental import DELICATE, SKIP, THRESHOLD
 from graph.optimum import in_world
 
 
@@ -19,10 +19,12 @@ def bare_isam2(inputs: Inputs, decisions: IntArray, created: IntArray, *, every_
     """SLAM, frame by frame: add the factors, update, read the newest pose and its covariance.
 
     As in our own loop, frames that see nothing join the next update, unless `every_frame` asks for one each. Factors
-    are made beforehand, all at once; the parameters are ours. No recovery, no gate, no bookkeeping.
+    are made beforehand, all at once; the parameters and the choice of QR are ours. No recovery, no gate, no
+    bookkeeping.
     """
     problem = build(inputs, decisions, created)
-    isam = Engine(THRESHOLD, SKIP, qr=False).isam
+    delicate = np.linalg.eigvalsh(inputs.increments.covariance[1:]).min(initial=np.inf) < DELICATE
+    isam = Engine(THRESHOLD, SKIP, qr=bool(delicate)).isam
     pose, covariance = np.empty((len(inputs), 3)), np.empty((len(inputs), 3, 3))
     graph, values, row, known = gtsam.NonlinearFactorGraph(), gtsam.Values(), 0, set()
     estimate, P = pose2(inputs.prior.mean), np.zeros((3, 3))

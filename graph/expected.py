@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from association.expectation import Expectation
@@ -9,6 +11,61 @@ from data.blocks import coordinates, diagonal_blocks
 from data.inputs import IntArray, Sightings
 from data.se2 import Array, pose_error
 from data.sensors import Sensor
+
+LOOKED = 50
+"""Frames after which all positions are looked up again; a twentieth of what it takes to do so in every one."""
+STEADY = 1.0
+"""m. They are looked up at once where the newest pose was corrected by so much in sum, or a landmark near it moved by
+half of that: a loop was closed."""
+
+
+class Near:
+    """Landmarks of a smoother that may be near the robot, without asking for the positions of all in every frame.
+
+    Where a landmark was when it was looked up last, and `STEADY` around that, tells whether it may be near; what may be
+    is looked up anew. No landmark is missed that has not moved by more than that since, while neither the newest pose
+    nor any landmark around it did.
+    """
+
+    def __init__(self) -> None:
+        """Nothing was looked up."""
+        self._number, self._xy = np.empty(0, np.int64), np.empty((0, 2))
+        self._frames, self._corrected = 0, 0.0
+
+    def corrected(self, step: Array) -> None:
+        """The newest pose was corrected by (2,) [m]."""
+        self._corrected += float(np.hypot(*step))
+
+    def around(
+        self, number: IntArray, point: Array, radius: Array, look: Callable[[list[int]], Array]
+    ) -> tuple[IntArray, Array]:
+        """Indices (m,) of landmarks (n,) at most a radius (n,) [m] from a point (2,), and positions (m, 2).
+
+        Some more may be among them. `look` gives the positions of landmarks.
+        """
+        self._frames += 1
+        stale = self._frames >= LOOKED or self._corrected > STEADY or not np.isfinite(radius).all()
+        if not stale and not np.array_equal(number, self._number):
+            stale = not self._follow(number, look)
+        if not stale:
+            near = np.flatnonzero(np.hypot(*(self._xy - point).T) <= radius + STEADY)
+            xy = look(number[near].tolist())
+            stale = bool((np.abs(xy - self._xy[near]) > 0.5 * STEADY).any())
+            self._xy[near] = xy
+        if stale:
+            self._number, self._xy = number, look(number.tolist())
+            self._frames, self._corrected = 0, 0.0
+            near = np.flatnonzero(np.hypot(*(self._xy - point).T) <= radius)
+            xy = self._xy[near].copy()
+        return near, xy
+
+    def _follow(self, number: IntArray, look: Callable[[list[int]], Array]) -> bool:
+        """Look up what is new; False where something else changed."""
+        old = len(self._number)
+        if len(number) < old or not np.array_equal(number[:old], self._number):
+            return False
+        self._number, self._xy = number, np.concatenate([self._xy, look(number[old:].tolist())])
+        return True
 
 
 def form(

@@ -10,20 +10,19 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
-from association.candidates import Drift, in_view, may_be_in_view
+from association.candidates import SIGMAS, Drift, Places, in_view, may_be_in_view, view_radius
 from association.expectation import Expectation
 from data import se2
 from data.blocks import diagonal_blocks
 from data.inputs import Increment, IntArray, LandmarkMap, Prior, Sightings
 from data.result import NEW, Finished, MapState, PoseEstimate, Updated
 from data.se2 import Array, BoolArray
-from data.sensors import MIN_RANGE, RANGE_BEARING, Sensor
+from data.sensors import Sensor
 from graph import expected
 from graph.engine import Engine
 from graph.factors import (
     Factor,
     Sighted,
-    UnderConstrained,
     is_exact,
     pose2,
     prior_factor,
@@ -68,7 +67,8 @@ class Isam2Smoother(Smoother):
         self._end = OpenEnd(prior)
         self._motion: list[gtsam.BetweenFactorPose2] = []
         self._observed = Observed(sensor, known, loss)
-        self._drift = Drift()
+        self._drift, self._near = Drift(), expected.Near()
+        self._places = Places(np.empty((0, 2)) if known is None else known.xy)
         low = np.linalg.eigvalsh(prior.covariance)
         self._engine = Engine(threshold, skip, qr=bool(low[0] < DELICATE < low[-1]), name=self._observed.name)
 
@@ -100,12 +100,16 @@ class Isam2Smoother(Smoother):
     def expect(self, sightings: Sightings) -> Expectation:
         """What it expects of the landmarks in view: sensor range and angles, widened by 3 sigma and 5 degrees."""
         if self.map is not None:
-            candidates = self.map.id, self.map.xy
+            known = self._places.around(self._end.mean[:2], view_radius(self.sensor, self._end.P))
+            candidates = self.map.id[known], self.map.xy[known]
         else:
             number = self.numbers
-            xy = self._engine.points(number.tolist())
-            near = may_be_in_view(self.sensor, self._end.mean, xy, *self._drift.sigmas(number, self._end.P))
-            candidates = number[near], xy[near]
+            sigma, heading = self._drift.sigmas(number, self._end.P)
+            lever = np.hypot(*self.sensor.translation)
+            radius = self.sensor.max_range + lever + SIGMAS * (sigma + lever * heading)
+            around, xy = self._near.around(number, self._end.mean[:2], radius, self._engine.points)
+            near = may_be_in_view(self.sensor, self._end.mean, xy, sigma[around], heading[around])
+            candidates = number[around][near], xy[near]
         joint = self._joint(candidates[0])
         pose = self._end.mean
         every = expected.form(self.sensor, pose, joint, *candidates, sightings)
@@ -190,8 +194,6 @@ class Isam2Smoother(Smoother):
         new = dict.fromkeys(self._observed.missing(number))
         for n in new:
             i = int(np.flatnonzero(number == n)[0])
-            if self.sensor.kind == RANGE_BEARING and sightings.z[i, 0] < MIN_RANGE:
-                raise UnderConstrained(f"landmark {n} is not determined: initialized at range 0, without a bearing")
             values.insert(L(n), self.sensor.inverse(self._end.mean, sightings.z[i : i + 1])[0][0])
 
     def _add(self, motion: list[Factor], seen: list[Sighted], values: gtsam.Values, *, late: bool = False) -> None:
@@ -229,10 +231,12 @@ class Isam2Smoother(Smoother):
 
     def _read(self) -> None:
         """The anchor's pose and covariance from the engine; the newest pose follows by the motion since."""
-        pose = self._engine.settle(self._anchor_key, pose2(self._end.mean))
+        before = self._end.mean
+        pose = self._engine.settle(self._anchor_key, pose2(before))
         B = se2.world_from_body(pose.theta())
         P = B @ self._engine.covariance([self._anchor_key]) @ B.T
         self._end.renew(np.array([pose.x(), pose.y(), pose.theta()]), 0.5 * (P + P.T))
+        self._near.corrected(self._end.mean[:2] - before[:2])
 
     def remove(self, numbers: IntArray) -> None:
         """Drop landmarks with all their sightings, as if they had never been seen."""

@@ -21,11 +21,14 @@ class Observed:
         self.sighted: list[Sighted] = []
         self._handles: dict[int, list[int]] = {}
         self._copies = 0
+        self._numbers: IntArray | None = None
 
     @property
     def numbers(self) -> IntArray:
         """Landmark numbers that SLAM has in its map, ascending."""
-        return np.array(sorted(self._handles) if self.map is None else [], np.int64)
+        if self._numbers is None:
+            self._numbers = np.array(sorted(self._handles) if self.map is None else [], np.int64)
+        return self._numbers
 
     def missing(self, numbers: IntArray) -> list[int]:
         """Those of some numbers (n,) that name no landmark."""
@@ -60,14 +63,16 @@ class Observed:
 
     def hold(self, seen: Sequence[Sighted], handles: Sequence[int]) -> None:
         """The engine's handles on the factors of `add`, in their order."""
-        begin = 0
+        begin, count = 0, len(self._handles)
         for s in seen:
             end = begin + len(s.factors)
             self._handles.setdefault(s.number if self.map is None else s.frame, []).extend(handles[begin:end])
             begin = end
+        if len(self._handles) != count:
+            self._numbers = None
 
     def take_back(self, which: Sequence[int]) -> list[int]:
         """Forget the observations of some landmarks, or from some frames of a known map; handles on their factors."""
-        gone = set(which)
+        gone, self._numbers = set(which), None
         self.sighted = [s for s in self.sighted if (s.number if self.map is None else s.frame) not in gone]
         return [h for n in which for h in self._handles.pop(n, [])]

@@ -21,7 +21,7 @@ from eval.replay.run import front_end, step_by_step
 from eval.replay.settings import Setup
 
 GATE = 0.99
-MAP_SIZES = (66, 300, 1000)
+MAP_SIZES = (66, 300, 1000, 3000)
 PER_METRE = 5
 """Landmarks per metre along the line of `line_world`."""
 
@@ -109,6 +109,7 @@ def frame_seconds(estimator: str, inputs: Inputs, setup: Setup) -> tuple[float, 
     for k in range(last):
         front.move(inputs.frame(k))
         front.update(inputs.frame(k), front.associate(inputs.frame(k)))
+        front.tidy()
     front.move(inputs.frame(last))
     sightings = inputs.sightings(last)
     seconds = median_seconds(lambda: decide("jcbb", front.expect(sightings), GATE, 0.99999), 20)

@@ -67,6 +67,8 @@ def bars(trial: Trial, beside: Sequence[Trial] = ()) -> list[Bar]:
         for runs in grouped.values():
             first, names = runs[0], ", ".join(style_of(r.estimator).label for r in runs)
             label = f"{first.association} ({names})" + (f", {extra}" if extra and t is not trial else "")
+            doubtful = [style_of(r.estimator).label for r in runs if r.doubt is not None]
+            label += f", implausible: {', '.join(doubtful)}" if doubtful else ""
             online, final = (confusion_of(first, t.log, phase) for phase in ("online", "final"))
             if online is None or final is None:
                 continue

@@ -81,9 +81,9 @@ def panels(runs: Sequence[Run], most: int = MOST_PANELS) -> tuple[list[Series], 
 
 
 def heading_of(s: Series) -> str:
-    """Title of a panel: who, and where it stopped if it did."""
-    failure = s.run.failure
-    return s.label if failure is None else f"{s.label}\n{failure.status} at frame {failure.frame}"
+    """Title of a panel: who, and where it stopped, or from where it is implausible."""
+    flaw = s.run.flaw
+    return s.label if flaw is None else f"{s.label}\n{flaw.status} at frame {flaw.frame}"
 
 
 def reach(curves: Sequence[Array]) -> float:

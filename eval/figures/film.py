@@ -197,8 +197,8 @@ def _header(scene: _Scene, k: int) -> Image:
     image: Image = np.full((HEADER, scene.canvas.width, 3), 255, np.uint8)
     _write(image, f"{scene.log.name}: {run.task}, {run.estimator}, {run.association} ({scene.shown.phase})", (12, 20))
     stamp = f"frame {k}" if inputs.time_is_index else f"t = {inputs.time[k]:.1f} s"
-    if run.failure is not None and k >= run.failure.frame:
-        stamp += f"   {run.failure.status} at frame {run.failure.frame}"
+    if run.flaw is not None and k >= run.flaw.frame:
+        stamp += f"   {run.flaw.status} at frame {run.flaw.frame}"
     if scene.log.truth.known_poses:
         stamp += "   true robot and path: black"
     of_landmarks = f", landmarks x {scene.landmark_factor}" if len(scene.landmark_outlines) else ""

@@ -52,6 +52,7 @@ def _state_figure(trial: Trial, beside: Sequence[Trial]) -> Figure:
             name = run.association if run.estimator == "ekf" else f"{run.association}, {style_of(run.estimator).label}"
             label = f"{name}{f', {extra}' if extra and t is not trial else ''}: {end}"
             line: Line = SOLID if t is trial else DASHED
+            label += "" if run.doubt is None else f", {run.status} at frame {run.doubt.frame}"
             colour = colour_of_method(run.association)
             (drawn,) = ax.step(time, size, where="post", color=colour, linestyle=line, linewidth=1.1, label=label)
             lines.append((end, drawn))

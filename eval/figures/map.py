@@ -28,8 +28,8 @@ Surveyed = Callable[[Axes], Sequence[Line2D]]
 
 
 def _with_ellipses(shown: Sequence[Series]) -> list[Series]:
-    """All estimators that got to the end while they are few; otherwise the first filter and the first smoother."""
-    estimates = [s for s in shown if s.run.estimator != "dead-reckoning" and s.run.failure is None]
+    """All estimators with a plausible end while they are few; otherwise the first filter and the first smoother."""
+    estimates = [s for s in shown if s.run.estimator != "dead-reckoning" and s.run.flaw is None]
     if len(estimates) <= 3:
         return estimates
     ranked = sorted(estimates, key=lambda s: s.run.estimator not in ("ekf", "batch"))
@@ -38,8 +38,8 @@ def _with_ellipses(shown: Sequence[Series]) -> list[Series]:
 
 
 def _label(s: Series) -> str:
-    failure = s.run.failure
-    return s.label if failure is None else f"{s.label}:\n{failure.status} at frame {failure.frame}"
+    flaw = s.run.flaw
+    return s.label if flaw is None else f"{s.label}:\n{flaw.status} at frame {flaw.frame}"
 
 
 def map_figure(log: Log, runs: Sequence[Run], *, width: float = DOUBLE, surveyed: Surveyed | None = None) -> Figure:
@@ -94,7 +94,7 @@ def _map_figure(log: Log, runs: Sequence[Run], width: float, surveyed: Surveyed 
             _landmark_ids(ax, m.number, m.xy, view)
     for s, mean, covariance in poses:
         draw_ellipses(ax, mean, covariance, s.colour, factor, 5.0)
-    others = [s for s in shown if s.run.estimator != "dead-reckoning" and s.run.failure is None]
+    others = [s for s in shown if s.run.estimator != "dead-reckoning" and s.run.flaw is None]
     handles += _ellipse_handles(bool(maps), any(len(m) for _, m, _ in poses), factor, len(estimates) < len(others))
 
     start = log.recorded.prior.mean

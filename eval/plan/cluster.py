@@ -3,23 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from data.errors import UsageError
-from eval.studies.store import code_digest
 
 CONNECT = 10
 """s, to reach the scheduler."""
 Call = tuple[Callable[..., Any], tuple[Any, ...]]
 
 
+class Lost(NamedTuple):
+    """In place of a result: why there is none."""
+
+    why: str
+
+
+KILLED = Lost("its process was killed, as happens where memory runs out")
+
+
 def on_cluster(address: str, calls: Sequence[Call]) -> Iterator[tuple[int, Any]]:
     """Results of calls with their index, as they come; what a lost worker had in hand is done again by another.
 
+    A call that takes one worker after the other down with it gives `KILLED`.
+
     Raises UsageError if the scheduler cannot be reached, has no workers, or runs another version of this program.
     """
+    from eval.studies.store import code_digest  # all estimators with it, which a worker that starts has no need of
+
     try:
-        from distributed import Client, as_completed
+        from distributed import Client, KilledWorker, as_completed
     except ImportError:
         raise UsageError("--scheduler needs Dask: pip install 'slamref[distributed]'") from None
     try:
@@ -35,4 +47,8 @@ def on_cluster(address: str, calls: Sequence[Call]) -> Iterator[tuple[int, Any]]
                 raise UsageError(f"--scheduler {address}: {worker} has other versions of slamref or its libraries")
         index = {client.submit(f, *arguments, pure=False): i for i, (f, arguments) in enumerate(calls)}
         for future in as_completed(index):
-            yield index[future], future.result()
+            try:
+                result = future.result()
+            except KilledWorker:  # several workers one after the other
+                result = KILLED
+            yield index[future], result

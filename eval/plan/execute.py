@@ -11,17 +11,16 @@ from itertools import chain
 from typing import Any
 
 from data.log import Log
-from data.result import Run
 from eval.plan.cluster import Call
-from eval.plan.experiments import Experiment, Plan, Work
+from eval.plan.experiments import Plan
 from eval.plan.options import Options
 from eval.plan.trust import trusted
 from eval.plan.tutorial import ABOUT, tutorial_run, variant_log
+from eval.plan.unfinished import Unfinished, estimate, estimate_one, incomplete, wanted
 from eval.plan.validation import validated
 from eval.plan.variant import Variant
 from eval.plan.work import work
 from eval.referee.score import Trial
-from eval.replay.run import compare
 from eval.studies import store
 from eval.studies.montecarlo import Result, Study, one_run, study_of
 from eval.studies.reproduced import published_rows
@@ -43,6 +42,7 @@ class Outcome:
         skipped: what could not be done, a sentence each.
         trust: what each log says about itself, with each way of association.
         validations: studies of the battery, each with what came out for every log.
+        missing: what had not enough memory, a sentence each; everything else is whole.
     """
 
     trials: tuple[Trial, ...]
@@ -51,11 +51,7 @@ class Outcome:
     skipped: tuple[str, ...] = ()
     trust: tuple[Trust, ...] = ()
     validations: tuple[tuple[Validation, tuple[Examined, ...]], ...] = ()
-
-
-def _estimate(experiment: Experiment, part: Work) -> list[Run]:
-    log, known = experiment.log, part.association == "known"
-    return compare(log.inputs(labels=known), experiment.task, part.estimators, part.association, experiment.setup)
+    missing: tuple[str, ...] = ()
 
 
 def _tutorial(log: Log, variant: Variant) -> Trial:
@@ -66,11 +62,13 @@ def _tutorial(log: Log, variant: Variant) -> Trial:
 def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) -> Outcome:
     """Run everything as independent jobs: those with iSAM2 first (they take longest), each seed by itself.
 
-    A run of a study is kept on disk as soon as it is done, and taken from there if it was done before.
+    A run of a study is kept on disk as soon as it is done, and taken from there if it was done before. What has not
+    enough memory is tried again an estimator at a time, and then missing; the rest is as it would be.
     """
-    jobs: list[tuple[Owner, Call]] = []
-    for i, experiment in enumerate(plan.experiments):
-        jobs += [(("trial", i, 0), (_estimate, (experiment, p))) for w in experiment.work for p in w.parts()]
+    parts = [(i, p) for i, e in enumerate(plan.experiments) for w in e.work for p in w.parts()]
+    jobs: list[tuple[Owner, Call]] = [
+        (("trial", i, k), (estimate, (plan.experiments[i], p))) for k, (i, p) in enumerate(parts)
+    ]
     variants = [(e, v) for e in plan.experiments for v in options.variants if e.task == v.task and e.beside is None]
     jobs += [(("variant", i, 0), (_tutorial, (e.log, v))) for i, (e, v) in enumerate(variants)]
     jobs += [(("stored", i, 0), (replay_stored, asked)) for i, asked in enumerate(plan.stored)]
@@ -86,9 +84,14 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
             else:
                 kept[i, seed] = found
     results: dict[tuple[str, int], list[Any]] = {}
+    lost = Unfinished(options)
     far = [job for job in jobs if job[0][0] == "study"]
     near = [job for job in jobs if job[0][0] != "study"]
-    finishing = chain(work(far, options, far=True), work(near, options)) if options.scheduler else work(jobs, options)
+    finishing = (
+        chain(work(far, options, far=True, lost=lost), work(near, options, lost=lost))
+        if options.scheduler
+        else work(jobs, options, lost=lost)
+    )
     for done, ((kind, i, seed), result) in enumerate(finishing, start=1):
         if kind == "study":
             store.save(folders[i], seed, result)
@@ -96,19 +99,38 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
         else:
             results.setdefault((kind, i), []).append(result)
         progress(done, len(jobs))
+    again = [(owner, parts[owner[2]]) for owner in lost.jobs if owner[0] == "trial"]
+    one_by_one = [((i, p, n), (estimate_one, (plan.experiments[i], p, n))) for _, (i, p) in again for n in p.estimators]
+    gone = Unfinished(options)
+    for (i, _, _), result in work(one_by_one, options, lost=gone, apart=True):
+        results.setdefault(("trial", i), []).append(result)
     trials = []
     for i, e in enumerate(plan.experiments):
         runs = {(r.association, r.estimator): r for group in results.get(("trial", i), []) for r in group}
-        wanted = [("none" if n == "dead-reckoning" else w.association, n) for w in e.work for n in w.estimators]
-        trials.append(Trial(e.log, e.task, tuple(runs[key] for key in dict.fromkeys(wanted)), e.beside, e.about))
+        for (_, part, name), why in ((o, w) for o, w in gone.jobs.items() if o[0] == i):
+            run = incomplete(name, part.association, e.task, e.log.recorded, why)
+            runs[run.association, run.estimator] = run
+            lost.say(f"{e.log.name}, {e.task}: no run of {name} with association {part.association}", why)
+        trials.append(Trial(e.log, e.task, tuple(runs[key] for key in wanted(e.work)), e.beside, e.about))
     # before the variants, which share a log's name with its trial
-    said = trusted(plan.experiments, trials, options, lambda more, of: progress(len(jobs) + more, len(jobs) + of))
-    tested = validated(plan.validations, options, lambda more, of: progress(len(jobs) + more, len(jobs) + of))
-    trials += [results["variant", i][0] for i in range(len(variants))]
-    replayed = [results["stored", i][0] for i in range(len(plan.stored))]
-    finished = tuple(
-        study_of(scenario, seeds, [kept[i, seed] for seed in seeds])
-        for i, ((scenario, _), seeds) in enumerate(zip(plan.studies, studies, strict=True))
-    )
+    said = trusted(plan.experiments, trials, options, lost, lambda more, of: progress(len(jobs) + more, len(jobs) + of))
+    tested = validated(plan.validations, options, lost, lambda more, of: progress(len(jobs) + more, len(jobs) + of))
+    for (kind, i, seed), why in lost.jobs.items():
+        if kind == "study":
+            lost.say(f"scenario {plan.studies[i][0].name}: no run with seed {seed}", why)
+        elif kind == "variant":
+            lost.say(f"{variants[i][0].log.name}, {variants[i][1].task}: no run of {variants[i][1].name}", why)
+        elif kind == "stored":
+            lost.say(f"scenario {plan.stored[i][0].name}: no run", why)
+    trials += [results["variant", i][0] for i in range(len(variants)) if ("variant", i) in results]
+    replayed = [results["stored", i][0] for i in range(len(plan.stored)) if ("stored", i) in results]
+    finished = []
+    for i, ((scenario, _), seeds) in enumerate(zip(plan.studies, studies, strict=True)):
+        there = [seed for seed in seeds if (i, seed) in kept]
+        if there:
+            finished.append(study_of(scenario, there, [kept[i, seed] for seed in there]))
     published = [row for _, rows in replayed for row in rows] + [row for s in finished for row in published_rows(s)]
-    return Outcome((*trials, *(t for t, _ in replayed)), finished, tuple(published), plan.skipped, said, tested)
+    return Outcome(
+        (*trials, *(t for t, _ in replayed)), tuple(finished), tuple(published), plan.skipped, said, tested,
+        tuple(lost.said),
+    )  # fmt: skip

@@ -12,6 +12,7 @@ from data.log import Log
 from data.result import Run
 from eval.plan.experiments import Experiment
 from eval.plan.options import Options
+from eval.plan.unfinished import Unfinished
 from eval.plan.work import work
 from eval.referee.attribution import NOISE
 from eval.referee.score import Trial
@@ -44,12 +45,17 @@ class Group:
 
 
 def trusted(
-    experiments: Sequence[Experiment], trials: Sequence[Trial], options: Options, progress: Progress
+    experiments: Sequence[Experiment], trials: Sequence[Trial], options: Options, lost: Unfinished, progress: Progress
 ) -> tuple[Trust, ...]:
-    """What each log says about itself, in the order of `experiments` and of their ways of association."""
+    """What each log says about itself, in the order of `experiments` and of their ways of association.
+
+    A log of which that needs too much memory is left out, and `lost` told.
+    """
     groups = [g for e, t in zip(experiments, trials, strict=True) for g in _groups(e, t, options)]
-    said = dict(work([(i, (said_by, (g,))) for i, g in enumerate(groups)], options))
-    done = _with_twins([(g, *said[i]) for i, g in enumerate(groups)], _count(options), options, progress)
+
+    found = dict(work([(i, (said_by, (g,))) for i, g in enumerate(groups)], options, lost=_missing(groups, lost)))
+    groups, said = [groups[i] for i in sorted(found)], [found[i] for i in sorted(found)]
+    done = _with_twins([(g, *s) for g, s in zip(groups, said, strict=True)], _count(options), options, lost, progress)
     if not _count(options):
         return done
     wrong = [
@@ -57,11 +63,22 @@ def trusted(
         if t.blame is not None and t.blame.cause == NOISE and any(f.cause == NOISE for f in t.blame.findings)
     ]  # fmt: skip
     jobs = [(i, (calibrated_group, (groups[i], said[i][1], _named(done[i])))) for i in wrong]
-    better = {i: result for i, result in work(jobs, options) if result is not None}
+    tried = work(jobs, options, lost=_missing(groups, lost))
+    better = {i: result for i, result in tried if result is not None}
     again = [better[i][0] for i in sorted(better)]
-    after = _with_twins(again, min(AFTERWARDS, _count(options)), options, progress)
-    found = {i: replace(done[i], after=t, done=better[i][1]) for i, t in zip(sorted(better), after, strict=True)}
-    return tuple(found.get(i, t) for i, t in enumerate(done))
+    after = _with_twins(again, min(AFTERWARDS, _count(options)), options, lost, progress)
+    put_right = {i: replace(done[i], after=t, done=better[i][1]) for i, t in zip(sorted(better), after, strict=True)}
+    return tuple(put_right.get(i, t) for i, t in enumerate(done))
+
+
+def _missing(groups: Sequence[Group], lost: Unfinished) -> Callable[[int, str], None]:
+    """Says of which log something is missing; jobs are known by the place of their group."""
+
+    def missing(i: int, why: str) -> None:
+        g = groups[i]
+        lost.say(f"{g.log.name}, {g.task}: part of what it says of itself (association {g.association})", why)
+
+    return missing
 
 
 def _count(options: Options) -> int:
@@ -93,7 +110,7 @@ def said_by(group: Group) -> tuple[Sample, Run | None]:
 
 
 def _with_twins(
-    said: Sequence[tuple[Group, Sample, Run | None]], count: int, options: Options, progress: Progress
+    said: Sequence[tuple[Group, Sample, Run | None]], count: int, options: Options, lost: Unfinished, progress: Progress
 ) -> tuple[Trust, ...]:
     """Every log beside its twins, which are kept on disk as soon as done, and taken from there if they were."""
     root = options.out.absolute().parent
@@ -116,13 +133,16 @@ def _with_twins(
                 jobs.append(((i, seed), (one_twin, (source, seed))))
             else:
                 kept[i, seed] = found
-    for done, ((i, seed), sample) in enumerate(work(jobs, options, far=True), start=1):
+    missing = _missing([group for group, _, _ in said], lost)
+    drawn = work(jobs, options, far=True, lost=lambda owner, why: missing(owner[0], f"twin {owner[1]}: {why}"))
+    for done, ((i, seed), sample) in enumerate(drawn, start=1):
         sampled.save(sources[i][1] / f"{seed}.json", sample)
         kept[i, seed] = sample
         progress(done, len(jobs))
     asked = []
     for i, (group, real, smoother) in enumerate(said):
-        own = [kept[i, seed] for seed in range(options.seed, options.seed + count)] if i in sources else []
+        seeds = range(options.seed, options.seed + count)
+        own = [kept[i, seed] for seed in seeds if (i, seed) in kept]
         asked.append((i, (judged, (group.log, group.task, group.association, real, own, smoother))))
     result = dict(work(asked, options))
     return tuple(_noted(result[i], notes.get(i), g, count) for i, (g, _, _) in enumerate(said))

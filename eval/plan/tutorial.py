@@ -18,6 +18,7 @@ from data.result import Run
 from ekf.filter import FilterOptions
 from eval.plan.variant import Variant
 from eval.referee.score import Trial
+from eval.replay.plausible import with_doubt
 from eval.replay.run import filter_known, step_by_step
 from eval.replay.settings import Setup
 
@@ -80,7 +81,7 @@ def tutorial_run(log: Log, variant: Variant) -> Run:
         else:
             setup = Setup(gate=variant.gate, new_gate=variant.new_gate)
             run = step_by_step("ekf", inputs, variant.task, variant.association, setup, options=options)
-    return replace(run, notes=(*run.notes, *variant.notes))
+    return replace(with_doubt(run, inputs), notes=(*run.notes, *variant.notes))
 
 
 def _seconds(value: object) -> float | None:

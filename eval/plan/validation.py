@@ -8,15 +8,16 @@ from typing import Any
 
 from data.log import folder_name
 from eval.plan.options import Options
+from eval.plan.unfinished import Unfinished
 from eval.plan.work import work
 from eval.studies import store, validation
 from eval.studies.validation import Case, Examined, Validation
 
 
 def validated(
-    studies: Sequence[Validation], options: Options, progress: Callable[[int, int], None]
+    studies: Sequence[Validation], options: Options, lost: Unfinished, progress: Callable[[int, int], None]
 ) -> tuple[tuple[Validation, tuple[Examined, ...]], ...]:
-    """What came out for every log of each study, in the order of `validation.cases`."""
+    """What came out for every log of each study, in the order of `validation.cases`; `lost` hears what did not."""
     root = options.out.absolute().parent
     every = [validation.cases(study, options.seed) for study in studies]
     folders = [store.kept_folder(root, study.name, content_digest(study)) for study in studies]
@@ -29,11 +30,18 @@ def validated(
                 jobs.append(((i, k), (validation.examined, (study, case))))
             else:
                 kept[i, k] = found
-    for done, ((i, k), result) in enumerate(work(jobs, options, far=True), start=1):
+
+    def missing(owner: tuple[int, int], why: str) -> None:
+        case = every[owner[0]][owner[1]]
+        lost.say(f"scenario {studies[owner[0]].name}: no judgement of {case.world.name} with seed {case.seed}", why)
+
+    for done, ((i, k), result) in enumerate(work(jobs, options, far=True, lost=missing), start=1):
         validation.save(folders[i] / file_of(every[i][k]), result)
         kept[i, k] = result
         progress(done, len(jobs))
-    return tuple((study, tuple(e for k in range(len(every[i])) for e in kept[i, k])) for i, study in enumerate(studies))
+    return tuple(
+        (study, tuple(e for k in range(len(every[i])) for e in kept.get((i, k), ()))) for i, study in enumerate(studies)
+    )
 
 
 def content_digest(study: Validation) -> str:

@@ -1,33 +1,120 @@
-"""Independent jobs done in parallel, or on a cluster; results come with their owners as they are done."""
+"""Independent jobs done in parallel, or on a cluster; results come with their owners as they are done.
+
+A job that runs out of memory ends alone, whether it is told so (`MemoryError`) or its process is killed: all others
+are finished.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from typing import Any, TypeVar
 
 from joblib import Parallel, delayed
+from joblib.externals.loky import ProcessPoolExecutor  # type: ignore[import-untyped]
 from threadpoolctl import threadpool_limits
 
-from eval.plan.cluster import Call, on_cluster
+from data.errors import SlamrefError
+from eval.plan.cluster import KILLED, Call, Lost, on_cluster
 from eval.plan.options import Options
 
 Owner = TypeVar("Owner")
+NEVER = 10**6
+"""s (eleven days; much more overflows) that a worker waits for the next job, or it would have to be started again."""
 
 
-def work(jobs: Sequence[tuple[Owner, Call]], options: Options, far: bool = False) -> Iterator[tuple[Owner, Any]]:
-    """Results with their owners as they come; `far`: on the cluster, if there is one (`--scheduler`)."""
-    if not jobs:
+class OutOfMemoryError(SlamrefError):
+    """A job had not enough memory, and nobody can do without its result."""
+
+
+def work(
+    jobs: Sequence[tuple[Owner, Call]],
+    options: Options,
+    far: bool = False,
+    lost: Callable[[Owner, str], None] | None = None,
+    *,
+    apart: bool = False,
+) -> Iterator[tuple[Owner, Any]]:
+    """Results with their owners as they come; `far`: on the cluster, if there is one (`--scheduler`).
+
+    `apart`: one after the other, in a process of their own, which has all the memory. `lost` hears of each job that had
+    not enough memory, with the reason; without it, that raises `OutOfMemoryError`.
+    """
+    calls = {i: call for i, (_, call) in enumerate(jobs)}
+    distant = far and options.scheduler is not None
+    here = _one_at_a_time if apart else _together
+    results = _on_cluster(str(options.scheduler), calls) if distant else here(calls, options.jobs)
+    for i, result in results:
+        owner = jobs[i][0]
+        if not isinstance(result, Lost):
+            yield owner, result
+        elif lost is None:
+            raise OutOfMemoryError(f"{result.why}; fewer processes (--jobs 1) or a shorter log need less")
+        else:
+            lost(owner, result.why)
+
+
+def _on_cluster(address: str, calls: Mapping[int, Call]) -> Iterator[tuple[int, Any]]:
+    if calls:
+        yield from on_cluster(address, [(_sheltered, call) for call in calls.values()])
+
+
+def _together(calls: Mapping[int, Call], processes: int) -> Iterator[tuple[int, Any]]:
+    """On this machine. After a process was killed, nobody knows over which job: the rest is done one by one.
+
+    Then each has all the memory, and only the one that needs more is lost.
+    """
+    waiting = dict(calls)
+    if not waiting:
         return
-    if far and options.scheduler:
-        for i, result in on_cluster(options.scheduler, [call for _, call in jobs]):
-            yield jobs[i][0], result
-        return
-    pool = Parallel(n_jobs=min(options.jobs, len(jobs)), return_as="generator_unordered")
-    for i, result in pool(delayed(_numbered)(i, *call) for i, (_, call) in enumerate(jobs)):
-        yield jobs[i][0], result
+    try:
+        pool = Parallel(
+            n_jobs=min(processes, len(waiting)), return_as="generator_unordered", idle_worker_timeout=NEVER,
+            initializer=_keep_workers,
+        )  # fmt: skip
+        for i, result in pool(delayed(_numbered)(i, *call) for i, call in calls.items()):
+            del waiting[i]
+            yield i, result
+    except BrokenProcessPool:
+        yield from _one_at_a_time(waiting, processes)
+
+
+def _one_at_a_time(calls: Mapping[int, Call], processes: int) -> Iterator[tuple[int, Any]]:
+    """Calls in a process that nothing else runs in; a new one for the next after it was killed."""
+    pool = None
+    for i, call in calls.items():
+        pool = pool or ProcessPoolExecutor(max_workers=1, timeout=NEVER, initializer=_keep_workers)
+        try:
+            yield i, pool.submit(_sheltered, *call).result()
+        except BrokenProcessPool:
+            pool = None
+            yield i, KILLED
+    if pool is not None:
+        pool.shutdown()
+
+
+def _keep_workers() -> None:
+    """In a worker: it stays until the end, however much memory its jobs took.
+
+    A worker that has grown by 300 MB since its first job is taken by loky for one that leaks, stopped and replaced,
+    which it warns of. Ours grow because one log is larger than another, and allocators keep what they got: a new
+    process would grow as much, after compiling everything once more. There is no public switch.
+    """
+    from joblib.externals.loky import process_executor
+
+    process_executor._USE_PSUTIL = False
 
 
 def _numbered(i: int, function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[int, Any]:
+    return i, _sheltered(function, arguments)
+
+
+def _sheltered(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+    """What a call gives, or that it had not enough memory."""
     # sums over two threads round otherwise than over one: the same bytes for any number of processes and cores
     with threadpool_limits(1):
-        return i, function(*arguments)
+        try:
+            return function(*arguments)
+        except MemoryError as fault:
+            said = str(fault).rstrip(".")
+            return Lost(f"it ran out of memory ({said})" if said else "it ran out of memory")

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data.inputs import IntArray, LandmarkMap
+from data.inputs import CLUTTER, IntArray, LandmarkMap
 from data.result import DISCARD, NEW
+from data.se2 import BoolArray
 from data.truth import UNKNOWN_ID
 
 OUTCOMES = ("tp", "tn", "fp", "fn")
@@ -132,6 +133,40 @@ def confuse(
         missed=int((fn & (decisions != NEW) & ~deferred).sum()),
         deferred=int(deferred.sum()),
     )
+
+
+def majority(number: IntArray, true_id: IntArray, first: BoolArray) -> IntArray:
+    """What most observations of a landmark truly show: its id, by landmark number; `CLUTTER` where no landmark.
+
+    number: (M,) landmark of each observation, negative for none; true_id: (M,). Of ids that are equally frequent it is
+    that of the observation which is the landmark's `first` (M,) bool, else the lowest.
+    """
+    size = int(number.max(initial=-1)) + 1
+    named: IntArray = np.full(size, CLUTTER, np.int64)
+    rows = np.flatnonzero((number >= 0) & (true_id >= 0))
+    pairs, count = np.unique(np.stack([number[rows], true_id[rows]], 1), axis=0, return_counts=True)
+    initial = np.full(size, CLUTTER, np.int64)
+    begun = np.flatnonzero(first & (number >= 0))
+    initial[number[begun]] = true_id[begun]
+    own = pairs[:, 1] == initial[pairs[:, 0]]
+    order = np.lexsort((-pairs[:, 1], own, count))  # the last one written is the most frequent
+    named[pairs[order, 0]] = pairs[order, 1]
+    return named
+
+
+def majority_agreement(decisions: IntArray, true_id: IntArray) -> float:
+    """Share of the paired observations that show what most observations paired with the same landmark show.
+
+    decisions, true_id: (M,). In `confuse` a landmark is named by the observation that initialized it: where that one
+    was a neighbour's, all right ones after it count as wrong. Here they count as what they are. Clutter agrees with
+    nothing. NaN where nothing was paired.
+    """
+    paired = decisions >= 0
+    if not paired.any():
+        return float("nan")
+    named = majority(decisions, true_id, np.zeros(len(decisions), np.bool_))
+    agrees = (true_id[paired] >= 0) & (named[decisions[paired]] == true_id[paired])
+    return float(np.mean(agrees))
 
 
 def share_within(

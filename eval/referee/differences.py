@@ -29,7 +29,8 @@ def difference_rows(
         log: the log; its name is in the rows.
         task: of the runs.
         runs: all runs of the trial; one without a final path is a filter.
-        errors: along the log, by the run's place in `runs` and phase; runs without truth or that failed are missing.
+        errors: along the log, by the run's place in `runs` and phase; runs without truth or that failed are missing,
+            implausible ones are compared with nobody.
 
     See `intervals.run_differences` for the numbers; every pair is resampled from the same seed.
     """
@@ -55,7 +56,8 @@ def difference_rows(
 def _pairs(
     runs: Sequence[Run], errors: Mapping[tuple[int, str], Along]
 ) -> Iterator[tuple[tuple[Run, Along], tuple[Run, Along]]]:
-    filters = [(r, errors[i, "online"]) for i, r in enumerate(runs) if r.final is None and (i, "online") in errors]
-    smoothers = [(r, errors[i, "final"]) for i, r in enumerate(runs) if (i, "final") in errors]
+    kept = {(i, phase) for i, phase in errors if runs[i].flaw is None}
+    filters = [(r, errors[i, "online"]) for i, r in enumerate(runs) if r.final is None and (i, "online") in kept]
+    smoothers = [(r, errors[i, "final"]) for i, r in enumerate(runs) if (i, "final") in kept]
     for a in filters:
         yield from ((a, b) for b in smoothers if a[0].association == b[0].association)

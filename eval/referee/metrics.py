@@ -112,6 +112,9 @@ OF_ESTIMATES = (
     _error("crps_heading_rad", "CRPS of heading", "rad"),
     _error("energy_score_m", "energy score of the position", "m"),
     Metric("block_frames", "mean block of the intervals", "frames"),
+    _error("rmse_landmark_majority_m", "landmark RMSE, named by majority", "m"),
+    _count("iterations", "iterations", spelled="iterations of the optimizer"),
+    Metric("last_step_sigma", "last step", "sigmas", "smaller", form=".1e", spelled="Newton step left in the end"),
 )
 """Columns of metrics.csv after `status`."""
 OF_DECISIONS = (
@@ -128,6 +131,7 @@ OF_DECISIONS = (
     _count("deferred", "deferred (FN)", "smaller"),
     Metric("share_within", "paired near the right landmark", "%", "larger"),
     Metric("within_m", "what counts as near", "m"),
+    Metric("majority_agreement", "paired with the landmark's majority", "%", "larger"),
 )
 """Columns of association.csv after those of the run."""
 _BY_COLUMN = {m.column: m for m in (*OF_ESTIMATES, *OF_DECISIONS)}

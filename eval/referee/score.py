@@ -9,12 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from data.inputs import CLUTTER
 from data.log import Log
 from data.result import DISCARD, Run, surviving
+from data.se2 import Array
 from eval.referee import consistency, errors
 from eval.referee.along import Along, along
 from eval.referee.bounds import nis_bounds
-from eval.referee.confusion import WITHIN, Confusion, confuse, share_within
+from eval.referee.confusion import WITHIN, Confusion, confuse, majority, majority_agreement, share_within
 from eval.referee.differences import DIFFERENCES, difference_rows
 from eval.referee.intervals import SEED, run_intervals
 from eval.referee.lost import lost
@@ -23,7 +25,7 @@ from eval.referee.proper_scores import mean_scores
 
 METRICS = (*RUN, "status", *(m.column for m in OF_ESTIMATES))
 ASSOCIATION = (*RUN, *(m.column for m in OF_DECISIONS))
-COUNTED = tuple(c for c in ASSOCIATION if c not in (*RUN, "share_within", "within_m"))
+COUNTED = tuple(c for c in ASSOCIATION if c not in (*RUN, "share_within", "within_m", "majority_agreement"))
 """Columns that `Confusion` has."""
 CONSISTENCY = (
     "scenario",
@@ -132,7 +134,10 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Alo
         row["rmse_landmark_m"] = errors.rms(off)
         if np.isfinite(off).any():
             row["sse_landmark_m2"] = float(np.nansum(off**2))
-    if reference is not None and reference.final is not None and reference.failure is None:
+        row["rmse_landmark_majority_m"] = errors.rms(_by_majority(run, phase, log))
+    if phase == "final":
+        row["iterations"], row["last_step_sigma"] = run.iterations, run.last_step_sigma
+    if reference is not None and reference.final is not None and reference.flaw is None:
         row["rms_from_batch_m"] = errors.rms(errors.position_distance(pose, reference.final.pose))
     if phase == "online" and run.innovations is not None:
         o = log.recorded.observations
@@ -148,6 +153,21 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Alo
         row["nis_expected"] = run.gated[0]
         row["nis_lower"], row["nis_upper"] = nis_bounds(total[1], run.gated)
     return row
+
+
+def _by_majority(run: Run, phase: str, log: Log) -> Array:
+    """Distance [m] of each mapped landmark from the true one that most of its observations show; NaN where unknown."""
+    assert run.map is not None
+    own, decisions = log.truth.landmark_of, run.decisions if phase == "online" else run.final_decisions
+    if own is None:
+        return np.full(len(run.map), np.nan)
+    created = run.created if phase == "online" else surviving(decisions, run.created)
+    number = np.where(created >= 0, created, decisions)
+    named = majority(number, own, created >= 0)
+    padded = np.full(max(len(named), int(run.map.number.max()) + 1), CLUTTER, np.int64)
+    padded[: len(named)] = named
+    off: Array = np.hypot(*errors.landmark_errors(run.map.xy, padded[run.map.number], log.truth).T)
+    return off
 
 
 def _intervals(path: Along) -> dict[str, object]:
@@ -168,7 +188,14 @@ def association_row(run: Run, phase: str, log: Log) -> dict[str, object] | None:
     return {
         "log": log.name, "task": run.task, "estimator": run.estimator, "association": run.association, "phase": phase,
         **{k: getattr(counts, k) for k in COUNTED}, "share_within": _near(run, phase, log), "within_m": WITHIN,
+        "majority_agreement": _agreement(run, phase, log),
     }  # fmt: skip
+
+
+def _agreement(run: Run, phase: str, log: Log) -> float | None:
+    """Share of the pairings that show what most of their landmark's do; None without truth."""
+    own = log.truth.landmark_of
+    return None if own is None else majority_agreement(run.decisions if phase == "online" else run.final_decisions, own)
 
 
 def _near(run: Run, phase: str, log: Log) -> float | None:

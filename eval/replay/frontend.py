@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from association.candidates import in_view
-from association.decide import Decided, decide
+from association.decide import Decided, decide, horizon
 from association.expectation import Expectation, gate_threshold
 from association.jcbb import BUDGET
 from association.truncated import Acceptance, acceptance, accepted_moments, truncated_square
@@ -17,11 +17,12 @@ from data.inputs import Frame, IntArray, Sightings
 from data.result import Event, MapState, Updated
 from data.se2 import Array
 from ekf.filter import FilterOptions
+from ekf.localizer import EkfLocalizer
 from eval.replay.estimators import make_estimator
 from eval.replay.given import Beginning, Given
 from eval.replay.known import KnownAssociation
 from eval.replay.map_management import MapManagement
-from eval.replay.parking import Parking
+from eval.replay.parking import AutomaticParking, Parking, automatic_parking
 from eval.replay.settings import Setup
 
 
@@ -62,13 +63,17 @@ class FrontEnd:
         self.estimator = make_estimator(estimator, given, options, lag=setup.lag)
         self.slam = given.map is None
         self.k, self.incomplete = -1, 0
+        if isinstance(self.estimator, EkfLocalizer) and association != "known":
+            self.estimator.within = horizon(association, setup.gate, setup.new_gate, known_map=True)
         # a graph need not park, and what leaves it is as if never seen: that is not forgetting
         kept = replace(setup, forget_after=None, deactivate_after=None) if self.estimator.smooths else setup
-        self.map_management, self.parking = None, None
+        self.map_management: MapManagement | None = None
+        self.parking: Parking | AutomaticParking | None = None
         if self.slam and (kept.manages_map or self.revises_map):
             self.map_management = MapManagement(kept)
             if kept.deactivate_after is not None:
                 self.parking = Parking(self.estimator, self.map_management, given.sensor)
+        self.parking = self.parking or automatic_parking(self.estimator, association, setup)
         self.known = KnownAssociation(given.map) if association == "known" else None
         gated = self.known is not None and (setup.gate_smoothers or not self.estimator.smooths)
         self._threshold = gate_threshold(setup.label_gate) if gated else math.inf
@@ -101,7 +106,7 @@ class FrontEnd:
     def expect(self, sightings: Sightings) -> Expectation:
         """What the estimator expects of its candidates: parked landmarks that may be in view are taken back first."""
         if self.parking is not None:
-            self.parking.restore_in_view()
+            self.parking.offer(sightings)
         e = self.estimator.expect(sightings)
         return e.only(np.flatnonzero(in_view(self.given.sensor, e.z_hat, e.HPHt))) if self.setup.in_view else e
 
@@ -127,12 +132,12 @@ class FrontEnd:
         )
         if self.known is not None:
             self.known.initialized(frame, done.created)
+        numbers = np.where(done.used, pairing.decisions, done.created)
+        seen = np.flatnonzero(numbers >= 0)
         if self.map_management is not None:
-            numbers = np.where(done.used, pairing.decisions, done.created)
-            seen = np.flatnonzero(numbers >= 0)
             self.map_management.see(numbers[seen])
-            if self.parking is not None:
-                self.parking.see(Sightings(frame.sightings.z[seen], frame.sightings.R[seen]), numbers[seen])
+        if self.parking is not None:
+            self.parking.see(Sightings(frame.sightings.z[seen], frame.sightings.R[seen]), numbers[seen])
         if formed is not None:
             done = done._replace(nis=formed[0], dof=formed[1], log_likelihood=formed[2])
         return done._replace(moments=self._moments(pairing.S, done.dof))
@@ -168,6 +173,11 @@ class FrontEnd:
     def close(self) -> None:
         """The end of the log."""
 
+    @property
+    def state_size(self) -> int:
+        """Length of the state, 0 if there is none."""
+        return self.estimator.size if self.parking is None else self.parking.state_size
+
     def events(self) -> tuple[Event, ...]:
         """Decisions that were revised: none, where they are made frame by frame."""
         return ()
@@ -187,10 +197,7 @@ class FrontEnd:
         if self.slam and self.estimator.smooths and (s.forget_after is not None or s.deactivate_after is not None):
             notes.append("landmarks are forgotten or parked in the filter's state only, not in the graph")
         if self.parking is not None:
-            notes.append(
-                f"landmarks unseen for {s.deactivate_after:g} were parked: at most {self.parking.largest} states were "
-                f"active, and landmarks were taken back {self.parking.restored} times"
-            )
+            notes += self.parking.notes()
         if self.map_management is not None and self.map_management.removed:
             notes.append(f"{len(self.map_management.removed)} landmarks were removed from the map")
         return notes

@@ -56,7 +56,7 @@ class Recorder:
     def estimate(self, front: FrontEnd) -> None:
         """A frame is over."""
         self._pose[front.k], self._covariance[front.k] = front.estimator.estimate()
-        self._size[front.k] = front.estimator.size
+        self._size[front.k] = front.state_size
 
     def run(
         self, name: str, task: str, front: FrontEnd, finished: Finished, failure: Failure | None, seconds: float

@@ -15,6 +15,7 @@ from association.known import known_decisions
 from association.truncated import truncated_square
 from data.inputs import Frame, Inputs
 from data.result import DISCARD, Failure, Finished, Innovations, Run, Trajectory, map_estimate
+from ekf.epochs import run_in_epochs, worthwhile
 from ekf.filter import FilterDivergedError, FilterOptions
 from ekf.whole_run import FilterRun, run_filter
 from eval.replay.batch import batch
@@ -25,6 +26,7 @@ from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.hindsight.mapping_frontend import MappingFrontEnd
 from eval.replay.names import BATCH, FILTERS
 from eval.replay.observer import Nobody, Observer
+from eval.replay.plausible import judged
 from eval.replay.recorder import Recorder
 from eval.replay.settings import Setup
 from graph.factors import UnderConstrained
@@ -52,10 +54,16 @@ def filter_known(
     threshold: float = np.inf,
     options: FilterOptions | None = None,
 ) -> Run:
-    """A filter with labels, in one compiled loop."""
+    """A filter with labels, in one compiled loop; a large map is parked where that is faster."""
     begin = time.perf_counter()
     decisions, created = known_decisions(inputs)
-    result: FilterRun = run_filter(inputs, decisions, threshold=threshold, options=options or OPTIONS[name])
+    options = options or OPTIONS[name]
+    epochs = worthwhile(inputs, decisions, options)
+    result: FilterRun = (
+        run_filter(inputs, decisions, threshold=threshold, options=options)
+        if epochs is None
+        else run_in_epochs(inputs, decisions, epochs, threshold=threshold, options=options)
+    )
     seconds = time.perf_counter() - begin
     failure, decided = None, result.decisions
     if result.failure is not None:
@@ -170,7 +178,7 @@ def compare(
     """
     # sums over two threads round otherwise than over one: the same bytes for any number of processes and cores
     with threadpool_limits(1):
-        return _compare(inputs, task, estimators, association, setup)
+        return judged(_compare(inputs, task, estimators, association, setup), inputs)
 
 
 def _compare(inputs: Inputs, task: str, estimators: Sequence[str], association: str, setup: Setup) -> list[Run]:

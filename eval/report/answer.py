@@ -11,6 +11,7 @@ from eval.page.numbers import number
 from eval.page.tables import is_blank
 from eval.referee.consistency import CONSISTENT, OVERCONFIDENT
 from eval.replay.names import BATCH, FILTERS, INCREMENTAL
+from eval.replay.plausible import IMPLAUSIBLE
 from eval.report.deciding import SAME, best_and_worst
 from eval.report.differences import difference_sentence
 from eval.report.rows import Row, rows_of, value_of
@@ -79,29 +80,49 @@ def _compared(rows: Sequence[Row], differences: Sequence[Row], trusted: bool) ->
     `trusted`: what the log says of itself stands beside it, distance from the smoother and innovations included.
     """
     filtered, smoothed = _pick(rows, FILTERS, "online"), _pick(rows, SMOOTHERS, "final")
-    failed = [r for r in (filtered, smoothed) if r is not None and r["status"] != "ok"]
+    failed = [r for r in (filtered, smoothed) if r is not None and r["status"] not in ("ok", IMPLAUSIBLE)]
     if failed:
         names = " and ".join(f"{r['estimator']} ({r['status']})" for r in failed)
         return f"There is no comparison: {names} did not get to the end, so there are no numbers to compare.", False
+    doubtful = [r for r in (filtered, smoothed) if r is not None and r["status"] == IMPLAUSIBLE]
+    if doubtful:
+        return " ".join([*_doubted(doubtful), *_gone(filtered, smoothed)]), False
     if filtered is None or smoothed is None:
         only = filtered or smoothed
         if only is None:
             return "Neither a filter nor a smoother ran, so there is nothing to compare.", False
         missing = "smoother" if smoothed is None else "filter"
         return f"Only {only['estimator']} ran: without a {missing} there is nothing to compare it with.", False
-    gone = [r for r in (filtered, smoothed) if not is_blank(r.get("lost_why"))]
+    gone = _gone(filtered, smoothed)
     if gone:
-        which = "Neither path is" if len(gone) == 2 else "Its path is not"
-        advice = LOST_ADVICE.format(which)
-        if gone == [filtered] and _fits(smoothed, filtered):
-            advice = LINEARIZED.format(f"the smoother ({smoothed['estimator']})")
-        return " ".join([*(_lost(r) for r in gone), advice, *_errors_of(filtered, smoothed)]), False
-    newest = _pick(rows, INCREMENTAL, "online")
+        return " ".join([*gone, *_errors_of(filtered, smoothed)]), False
+    newest = _pick([r for r in rows if r["status"] == "ok"], INCREMENTAL, "online")
     if not _errors_of(filtered, smoothed):
         return " ".join(_without_truth(filtered, smoothed, trusted)), True
     return " ".join(
         _with_truth(filtered, smoothed, newest, difference_sentence(differences, filtered, smoothed))
     ), False
+
+
+def _doubted(rows: Sequence[Row]) -> list[str]:
+    """That some rows are implausible, in sentences."""
+    names = " and ".join(str(r["estimator"]) for r in rows)
+    end = " is implausible" if len(rows) == 1 else " are implausible"
+    return [
+        f"There is no comparison: {names}{end}, with a number that no honest run gives. All numbers are in the"
+        " table, but count for nothing; what probably happened is said under Failures."
+    ]
+
+
+def _gone(filtered: Row | None, smoothed: Row | None) -> list[str]:
+    """Who is lost, and what to look for; nothing where nobody is."""
+    gone = [r for r in (filtered, smoothed) if r is not None and not is_blank(r.get("lost_why"))]
+    if not gone:
+        return []
+    advice = LOST_ADVICE.format("Neither path is" if len(gone) == 2 else "Its path is not")
+    if gone == [filtered] and filtered is not None and smoothed is not None and _fits(smoothed, filtered):
+        advice = LINEARIZED.format(f"the smoother ({smoothed['estimator']})")
+    return [*(_lost(r) for r in gone), advice]
 
 
 def _lost(row: Row) -> str:

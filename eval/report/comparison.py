@@ -23,7 +23,7 @@ COMPARISON: Mapping[str, str] = {
 
 ASSOCIATION: Mapping[str, str] = {
     **heads(("log", "task", "association", "estimator", "phase")),
-    **heads([m.column for m in OF_DECISIONS if m.column not in ("share_within", "within_m")]),
+    **heads([m.column for m in OF_DECISIONS if m.column not in ("share_within", "within_m", "majority_agreement")]),
 }
 
 CONSISTENCY: Mapping[str, str] = {
@@ -70,8 +70,8 @@ COMPARISON_CAPTION = (
     " more accurate one. NEES of one run describes and proves nothing; NIS per dof against its 95 % bounds (behind a"
     " gate less than 1 is expected, and the bounds are lower), and the correlation of a landmark's innovations in"
     " successive frames against 0, are tests, conditional on the association. Blank: unknown or not applicable."
-    " A status is shown where"
-    " some run did not get to the end, a time-weighted RMSE where it differs from the plain one by more than 5 %."
+    " A status is shown where some run did not get to the end or is implausible, a time-weighted RMSE where it differs"
+    " from the plain one by more than 5 %."
 )
 ASSOCIATION_CAPTION = (
     "Outcomes of every observation's decision H against the truth GT. TP: H is a landmark and right; TN: both none;"

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from joblib import Parallel, delayed
 
 from eval.page.document import Block, Picture, Report, Section, write_report
+from eval.plan.cluster import Call
 from eval.plan.execute import Outcome
 from eval.plan.options import Options
 from eval.plan.provenance import command_of, provenance
+from eval.plan.unfinished import Unfinished
+from eval.plan.work import work
 from eval.referee.consistency import MIN_RUNS
 from eval.referee.score import Scores, Trial, score
 from eval.report.answer import answer
 from eval.report.corridor.questions import lab_sections
+from eval.report.doubt.origin import origin_statement
 from eval.report.log_sections import association_sections, beside, rows_of, trial_sections, tutorial_sections
 from eval.report.pictures import draw, kinds, publish_runs
 from eval.report.revisions import revision_section
@@ -39,6 +42,12 @@ READING = """\
 * **online**: each pose from the data up to its frame. **final**: every pose from all data (a filter does not revise
   its past, so it has no final row)."""
 
+IMPLAUSIBLE_RUNS = (
+    "An implausible run got to its end, but with a number that no honest run gives: innovations ten times as large as"
+    " claimed, a path longer than was driven, landmarks where the sensor cannot have seen them, or a claimed doubt"
+    " larger than the world. No truth is used. Its numbers are in the tables, and in no average and no comparison."
+)
+
 
 def write_results(
     folder: Path,
@@ -47,8 +56,9 @@ def write_results(
     judged: Sequence[Judged],
     arguments: Sequence[str],
     progress: Callable[[int, int], None],
-) -> None:
-    """Fill the result folder."""
+) -> tuple[str, ...]:
+    """Fill the result folder; returns what is missing from it for want of memory, a sentence each."""
+    lost = Unfinished(options, said=list(outcome.missing))
     scores = score(outcome.trials)
     consistency = consistency_table(judged)
     tables = {"metrics": scores.metrics, "association": scores.association, "timing": scores.timing}
@@ -57,7 +67,7 @@ def write_results(
     if outcome.published:
         published_frame(outcome.published).to_csv(folder / "published.csv", index=False, lineterminator="\n")
     (folder / "runs").mkdir()
-    published = _publish_trials(folder, options, outcome.trials, progress)
+    published = _publish_trials(folder, options, outcome.trials, lost, progress)
     sections = [*trial_sections(folder, options, outcome.trials, scores, published, outcome.trust)]
     sections += visual_sections(folder, options, outcome.trials)
     sections += tutorial_sections(folder, options, outcome.trials, scores)
@@ -65,7 +75,9 @@ def write_results(
     if outcome.trials:
         sections += association_sections(folder, options, outcome.trials, scores, published)
         sections += revision_section(folder, options, outcome.trials)
-        sections += [*lab_sections(outcome.trials, scores), _failure_section(outcome.trials)]
+        sections += lab_sections(outcome.trials, scores)
+    if outcome.trials or lost.said:
+        sections.append(_failure_section(outcome.trials, lost.said))
     sections += [Section("How to read the numbers", (READING,)), _source_section(outcome.trials, options)]
     introduction = _introduction(outcome, scores, judged)
     write_report(
@@ -77,30 +89,32 @@ def write_results(
     (folder / "provenance.json").write_text(
         provenance(options, {t.log.name: t.log for t in outcome.trials}.values(), arguments), encoding="utf-8"
     )
+    return tuple(lost.said)
 
 
 def _publish_trials(
-    folder: Path, options: Options, trials: Sequence[Trial], progress: Callable[[int, int], None]
+    folder: Path, options: Options, trials: Sequence[Trial], lost: Unfinished, progress: Callable[[int, int], None]
 ) -> list[list[Picture]]:
     """Write run files and pictures, each as a job of its own; returns the pictures of each trial."""
-    jobs: list[Any] = []
-    owner: list[int | None] = []
+    jobs: list[tuple[tuple[int, int], Call]] = []
     for i, trial in enumerate(trials):
         others = beside(trial, trials)
         drawn = not (options.no_plots or _shown_elsewhere(trial, trials))
-        for kind in kinds(trial, others, quick=options.quick) if drawn else ():
-            jobs.append(delayed(draw)(folder, trial, kind, others, quick=options.quick))
-            owner.append(i)
-    for trial in trials:
-        jobs.append(delayed(publish_runs)(folder, options, trial))
-        owner.append(None)
-    pictures: list[list[Picture]] = [[] for _ in trials]
-    pool: Iterable[Any] = Parallel(n_jobs=min(options.jobs, max(len(jobs), 1)), return_as="generator")(jobs)
-    for done, (whose, made) in enumerate(zip(owner, pool, strict=True), start=1):
-        if whose is not None:
-            pictures[whose].append(made)
+        for place, kind in enumerate(kinds(trial, others, quick=options.quick) if drawn else ()):
+            jobs.append(((i, place), (partial(draw, quick=options.quick), (folder, trial, kind, others))))
+    for i, trial in enumerate(trials):
+        jobs.append(((i, -1), (publish_runs, (folder, options, trial))))
+    made: dict[tuple[int, int], Picture] = {}
+
+    def missing(owner: tuple[int, int], why: str) -> None:
+        what = "files of its runs" if owner[1] < 0 else "a picture"
+        lost.say(f"{trials[owner[0]].log.name}, {trials[owner[0]].task}: {what} missing", why)
+
+    for done, (owner, picture) in enumerate(work(jobs, options, lost=missing), start=1):
+        if owner[1] >= 0:
+            made[owner] = picture
         progress(done, len(jobs))
-    return pictures
+    return [[made[owner] for owner in sorted(made) if owner[0] == i] for i in range(len(trials))]
 
 
 def _shown_elsewhere(trial: Trial, trials: Sequence[Trial]) -> bool:
@@ -115,15 +129,18 @@ def _seen_again(trial: Trial, other: Trial) -> bool:
     return other.log.evidence is not None and other.log.evidence is trial.log.evidence
 
 
-def _failure_section(trials: Sequence[Trial]) -> Section:
-    notes = [
-        failure_statement(t.log.name, t.task, r.estimator, r.association, r.status, r.failure.frame, r.failure.why)
-        for t in trials
-        for r in t.runs
-        if r.failure is not None
-    ]
-    text = "\n".join(f"* {line}" for line in notes) if notes else "Every estimator got to the end of every log."
-    return Section("Failures", (text,))
+def _failure_section(trials: Sequence[Trial], missing: Sequence[str]) -> Section:
+    notes = []
+    for t, r in [(trial, run) for trial in trials for run in trial.runs]:
+        if r.flaw is not None:
+            said = failure_statement(t.log.name, t.task, r.estimator, r.association, r.status, r.flaw.frame, r.flaw.why)
+            notes.append("; ".join(part for part in (said, origin_statement(r, t)) if part))
+    blocks = ["\n".join(f"* {line}" for line in notes)] if notes else ["Every estimator got to the end of every log."]
+    if any(r.doubt is not None for t in trials for r in t.runs):
+        blocks.append(IMPLAUSIBLE_RUNS)
+    if missing:
+        blocks.append("Missing for want of memory:\n\n" + "\n".join(f"* {line}" for line in missing))
+    return Section("Failures", tuple(blocks))
 
 
 def _introduction(outcome: Outcome, scores: Scores, judged: Sequence[Judged]) -> tuple[Block, ...]:

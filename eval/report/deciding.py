@@ -25,7 +25,7 @@ def f1(row: Row) -> float:
 def best_and_worst(rows: Sequence[Row], outcomes: Sequence[Row], labelled: int | None) -> str:
     """How the methods that decide for themselves did: the best and the worst, or against labels in a log without path.
 
-    Only runs that got to the end count: the others' decisions end with them.
+    Only runs that got to the end and are plausible count: the others' decisions end with them.
     """
     ended = {(r["estimator"], r["association"]) for r in rows if r["status"] == "ok"}
     deciding = [

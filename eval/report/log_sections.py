@@ -16,7 +16,10 @@ from eval.referee.score import Scores, Trial
 from eval.report import comparison
 from eval.report.differences import CAPTION as DIFFERENCES_CAPTION
 from eval.report.differences import differences_table, missing_intervals
+from eval.report.doubt.minima import minima_statements
+from eval.report.doubt.naming import naming_statements
 from eval.report.pictures import FILTER_SMOOTHER, stem
+from eval.report.rows import rows_of as rows_by
 from eval.report.trust.sections import trust_section
 from eval.report.tutorial_table import CAPTION, logs_with_tutorials, tutorial_table
 from eval.studies.trusted import Trust
@@ -57,6 +60,7 @@ def trial_sections(
         blocks += _differences(folder, options, trial, rows_of(scores.differences, trial))
         blocks += [p for p in pictures if p.stem not in (stem(trial, "association"), stem(trial, FILTER_SMOOTHER))]
         notes = [*trial.log.notes, *(f"{r.estimator}: {n}." for r in trial.runs for n in r.notes)]
+        notes += [f"{text}." for text in minima_statements(trial)]
         if notes:
             blocks.append("\n".join(f"* {n}" for n in dict.fromkeys(notes)))
         sections.append(Section(f"{trial.log.name}, {trial.task}", tuple(blocks)))
@@ -111,7 +115,9 @@ def association_sections(
         caption = f"{what}: outcomes of the decisions, as explained above."
         written = written_table(table, folder, name, caption, options.formats)
         shown = (p for p in pictures if p.stem == name)
-        sections.append(Section(f"Decisions: {what}", (written, *shown), level=3))
+        named = naming_statements(trial, *(rows_by(rows_of(t, trial)) for t in (scores.metrics, scores.association)))
+        notes = ["\n".join(f"* {n}" for n in named)] if named else []
+        sections.append(Section(f"Decisions: {what}", (written, *notes, *shown), level=3))
     if granted and any(len(rows) for rows in granted):
         blocks.append(
             "With known association the labels decide: a wrong pairing is a wrong label, a missed one was gated out."

@@ -22,7 +22,17 @@ from eval.plan.options import Options
 from eval.referee.score import Trial, confusion_of
 from eval.referee.trust import SHARE
 from eval.report.run_files import write_run
-from eval.report.shown_runs import finished, for_filter_smoother, for_growth, for_map, for_panels, left_out, same, worst
+from eval.report.shown_runs import (
+    finished,
+    for_filter_smoother,
+    for_growth,
+    for_map,
+    for_panels,
+    left_out,
+    plausible,
+    same,
+    worst,
+)
 
 
 def stem(trial: Trial, what: str) -> str:
@@ -51,7 +61,7 @@ def kinds(trial: Trial, beside: Sequence[Trial] = (), *, quick: bool = False) ->
     found = ["map"]
     if shown and trial.log.truth.known_poses:
         found += ["error", "nees"]
-    elif reference is not None and reference.failure is None and len(shown) > 1:
+    elif reference is not None and reference.flaw is None and len(shown) > 1:
         found.append("difference")
     if trial.beside is None and for_filter_smoother(trial) is not None:
         found.append(FILTER_SMOOTHER)
@@ -148,7 +158,7 @@ def _filter_smoother(trial: Trial, where: str) -> tuple[Figure, str, str]:
     alike = for_filter_smoother(trial)
     assert alike is not None  # `kinds` asks for it only where there are some
     runs, smoother = alike
-    others = [r for r in finished(trial) if r.online is not None and r.association == smoother.association]
+    others = [r for r in plausible(trial) if r.online is not None and r.association == smoother.association]
     names = ", ".join(r.estimator for r in others if not any(r is shown for shown in runs))
     return (
         figures.filter_smoother_figure(trial.log, runs, smoother),

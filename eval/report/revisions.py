@@ -103,8 +103,8 @@ def revision_section(folder: Path, options: Options, trials: Sequence[Trial]) ->
 
 def _picture(folder: Path, options: Options, trial: Trial) -> Picture | None:
     """One example of a trial: of a run that knows its whole path in the end, if there is one."""
-    runs = [run for run, _ in revising(trial) if run.failure is None]
-    known = [r for r in trial.runs if r.events and r.failure is None and r.final is not None]
+    runs = [run for run, _ in revising(trial) if run.flaw is None]
+    known = [r for r in trial.runs if r.events and r.flaw is None and r.final is not None]
     run = next(iter([*known, *runs]), None)
     one = None if run is None else example(run)
     if run is None or one is None:

@@ -20,8 +20,13 @@ MOST_PATHS = 6
 
 
 def finished(trial: Trial) -> list[Run]:
-    """The estimates that got to the end; dead reckoning is none."""
+    """The estimates that got to the end, implausible ones as well; dead reckoning is none."""
     return [r for r in trial.runs if r.failure is None and r.estimator != "dead-reckoning"]
+
+
+def plausible(trial: Trial) -> list[Run]:
+    """The estimates that got to the end and can be believed."""
+    return [r for r in finished(trial) if r.flaw is None]
 
 
 def associations(runs: Sequence[Run]) -> list[str]:
@@ -115,7 +120,7 @@ def for_panels(runs: Sequence[Run], most: int = MOST_PANELS, complete: Sequence[
 
 def for_growth(trial: Trial) -> list[Run]:
     """A filter and an incremental smoother under one association, known if there is one: how uncertainty grew."""
-    estimates = [r for r in finished(trial) if r.online is not None and r.map is not None]
+    estimates = [r for r in plausible(trial) if r.online is not None and r.map is not None]
     order = associations(estimates)
     alike = [r for r in estimates if r.association == order[0]] if order else []
     found = (next((r for r in alike if r.estimator == name), None) for name in ("ekf", "isam2"))
@@ -124,7 +129,7 @@ def for_growth(trial: Trial) -> list[Run]:
 
 def for_filter_smoother(trial: Trial) -> tuple[list[Run], Run] | None:
     """Online estimates and the batch smoother under the very same decisions, of the first association that has both."""
-    estimates = finished(trial)
+    estimates = plausible(trial)
     for name in associations(estimates):
         alike = [r for r in estimates if r.association == name]
         smoother = next((r for r in alike if r.estimator == "batch" and r.final is not None), None)

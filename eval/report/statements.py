@@ -10,6 +10,7 @@ import math
 
 from eval.page.numbers import number
 from eval.referee.consistency import CONSERVATIVE, CONSISTENT, INSIDE_3SIGMA, OVERCONFIDENT, TOO_FEW
+from eval.replay.plausible import IMPLAUSIBLE
 from eval.replay.settings import Setup
 
 
@@ -100,5 +101,6 @@ def gate_sentence(setup: Setup, *, sensed: bool) -> str:
 
 
 def failure_statement(log: str, task: str, estimator: str, association: str, status: str, frame: int, why: str) -> str:
-    """Where and why an estimator stopped."""
-    return f"{log}, {task}: {estimator} with association {association} is {status}, stopped at frame {frame}: {why}"
+    """Where and why an estimator stopped, or from where on it is not to be believed."""
+    where = "from" if status == IMPLAUSIBLE else "stopped at"
+    return f"{log}, {task}: {estimator} with association {association} is {status}, {where} frame {frame}: {why}"

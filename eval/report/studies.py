@@ -5,19 +5,19 @@ from __future__ import annotations
 import shlex
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
-from joblib import Parallel, delayed
 from scipy import special
 
 from data.log import folder_name
 from eval import figures
 from eval.figures.style import save
 from eval.page.document import Block, Picture, Section, Table, written_table
+from eval.plan.cluster import Call
 from eval.plan.execute import Outcome
 from eval.plan.options import Options
+from eval.plan.work import work
 from eval.referee.consistency import MIN_RUNS
 from eval.report import comparison
 from eval.report.validation import validation_section
@@ -28,6 +28,8 @@ from eval.studies.reproduced import orderings, published_frame
 OUTLIERS = ("task", "estimator", "rate", "rmse_position_m", "rmse_lower", "rmse_upper", "nees_pose", "nees_lower",
             "nees_upper", "runs", "diverged")  # fmt: skip
 
+MOST_LISTED = 20
+"""Runs of a study that are listed one by one with what replays them."""
 Writer = Callable[[pd.DataFrame, str, str], Table]
 """(frame, name, caption): writes a table in the formats asked for and hands it to the report."""
 
@@ -106,7 +108,10 @@ def _diverged(study: Study) -> str:
             ["--scenario", study.scenario.source, "--estimator", estimator, "--seed", str(seed), "--runs", "1"]
         )
         notes.append(f"* seed {seed}: `{estimator}` ({task}, {association}), {why}: `python -m eval.run_all {asked}`")
-    return f"{len(lost)} runs diverged; they are in no average:\n\n" + "\n".join(dict.fromkeys(notes))
+    what = "diverged or are implausible" if any(": implausible, " in why for _, _, why in lost) else "diverged"
+    shown = list(dict.fromkeys(notes))
+    shown[MOST_LISTED:] = [f"* … and {len(shown) - MOST_LISTED} more"] if len(shown) > MOST_LISTED else []
+    return f"{len(lost)} runs {what}; they are in no average:\n\n" + "\n".join(shown)
 
 
 def _draw(folder: Path, options: Options, studies: Sequence[Study]) -> list[list[Picture]]:
@@ -114,18 +119,16 @@ def _draw(folder: Path, options: Options, studies: Sequence[Study]) -> list[list
     pictures: list[list[Picture]] = [[] for _ in studies]
     if options.no_plots or options.quick:
         return pictures
-    jobs: list[Any] = []
-    owner: list[int] = []
+    jobs: list[tuple[tuple[int, int], Call]] = []
     for i, study in enumerate(studies):
         for task in study.scenario.task:
             for association in study.scenario.association:
                 for kind in ("anees", "ends", "coverage"):
-                    jobs.append(delayed(_picture)(folder, study, task, association, kind))
-                    owner.append(i)
-    made: Any = Parallel(n_jobs=min(options.jobs, max(len(jobs), 1)))(jobs)
-    for i, picture in zip(owner, made, strict=True):
-        if picture is not None:
-            pictures[i].append(picture)
+                    jobs.append(((i, len(jobs)), (_picture, (folder, study, task, association, kind))))
+    made = dict(work(jobs, options))
+    for i, place in sorted(made):
+        if made[i, place] is not None:
+            pictures[i].append(made[i, place])
     return pictures
 
 
@@ -204,6 +207,8 @@ def _outliers(folder: Path, options: Options, studies: Sequence[Study], table: W
         f"{name}: position RMSE and mean pose NEES (expected {DOF['pose']}) with 95 % intervals over"
         f" {len(studies[0].seeds)} runs, against the share of wrong labels."
     )
+    if any(study.failures() for study in studies):
+        caption += " Runs that diverged or are implausible are left out: of the others alone the mean is too small."
     blocks: list[Block] = [f"{s.about} {len(studies[0].seeds)} runs at each rate.", table(
         comparison.outliers_table(data), name, caption)]  # fmt: skip
     if not (options.no_plots or options.quick):

@@ -16,6 +16,7 @@ from data.log import Log
 from data.result import Run
 from eval.referee import attribution, effects, residuals
 from eval.replay.batch import batch
+from eval.replay.plausible import with_doubt
 from eval.replay.run import compare
 from eval.replay.settings import Setup
 from eval.studies.twins import Source, inputs_of, source_of, twin
@@ -49,7 +50,7 @@ def calibrated(
     inputs = inputs_of(log, task, association)
     done: dict[str, float] = {}
     for number in range(ROUNDS):
-        if smoother.failure is not None or smoother.final is None:
+        if smoother.flaw is not None or smoother.final is None:
             break
         used = residuals.used_by(smoother, inputs)
         source = source_of(replace(log, recorded=_recorded(log, inputs)), smoother, (), setup)
@@ -68,7 +69,7 @@ def calibrated(
             done[name] = done.get(name, 0.0) + size
         for name, factor in wrong.items():
             done[f"sigma_{name}"] = done.get(f"sigma_{name}", 1.0) * factor
-        smoother = batch("batch", inputs, replace(smoother, online=smoother.final))
+        smoother = with_doubt(batch("batch", inputs, replace(smoother, online=smoother.final)), inputs)
     return replace(log, recorded=_recorded(log, inputs)), done
 
 
@@ -77,7 +78,7 @@ def _typical(source: Source, seed: int) -> dict[str, float]:
     made = twin(source, seed)
     inputs = inputs_of(made, source.task, "known")
     (smoother,) = compare(inputs, source.task, ("batch",), "known", source.setup)
-    if smoother.failure is not None or smoother.final is None:
+    if smoother.flaw is not None or smoother.final is None:
         return {}
     used = residuals.used_by(smoother, inputs)
     return residuals.typical(residuals.smoothed_residuals(inputs, smoother.final.pose, used), outliers=True)

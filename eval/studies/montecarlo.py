@@ -16,6 +16,7 @@ from eval.referee import consistency, errors
 from eval.referee.bounds import LEVEL
 from eval.referee.consistency import QUANTITIES, Verdict
 from eval.referee.score import CONSISTENCY, frame_of
+from eval.replay.plausible import IMPLAUSIBLE
 from eval.replay.run import compare
 from eval.studies.scenario import Scenario
 
@@ -38,7 +39,7 @@ class Sample:
         squares: mean squared error of `position` [m^2] and `heading` [rad^2].
         published: NEES averaged as the scenario's published numbers are.
         nees_pose: (N,) pose NEES of every frame that counts, NaN before.
-        failure: where and why it stopped; nothing else is then filled in.
+        failure: where and why it stopped, or is implausible; nothing else is then filled in.
     """
 
     means: Mapping[str, float] = field(default_factory=dict)
@@ -60,11 +61,11 @@ class Study:
     samples: dict[Key, list[Sample]]
 
     def good(self, key: Key) -> list[Sample]:
-        """The runs that got to the end."""
+        """The runs that got to the end and are plausible."""
         return [s for s in self.samples[key] if s.failure is None]
 
     def failures(self) -> list[tuple[Key, int, str]]:
-        """Every run that did not get to the end: which, its seed, and why."""
+        """Every run that did not get to the end, or is implausible: which, its seed, and why."""
         return [
             (key, seed, s.failure)
             for key, samples in self.samples.items()
@@ -73,11 +74,27 @@ class Study:
         ]
 
 
+def study_lines(study: Study) -> list[str]:
+    """For the terminal: each run that diverged, and of each estimator how many are implausible, with the first."""
+    lines, doubtful = list[str](), dict[Key, list[tuple[int, str]]]()
+    for key, seed, why in study.failures():
+        task, estimator, association, _ = key
+        if IMPLAUSIBLE in why:
+            doubtful.setdefault(key, []).append((seed, why))
+        else:
+            lines.append(f"{study.scenario.name}, {task}: {estimator} ({association}) diverged with seed {seed}, {why}")
+    for (task, estimator, association, _), found in doubtful.items():
+        who = f"{study.scenario.name}, {task}: {estimator} ({association})"
+        seed, why = found[0][0], found[0][1].replace(f"{IMPLAUSIBLE}, ", "")
+        lines.append(f"{who} is {IMPLAUSIBLE} in {len(found)} of {len(study.seeds)} runs; with seed {seed}, {why}")
+    return lines
+
+
 def sample(run: Run, phase: str, log: Log, scenario: Scenario) -> Sample:
     """Reduce a run to what the verdicts need."""
     truth = log.truth
-    if run.failure is not None:
-        return Sample(failure=f"frame {run.failure.frame}: {run.failure.why}")
+    if run.flaw is not None:
+        return Sample(failure=run.flaw.text)
     assert truth.pose is not None  # a simulator knows
     t = run.trajectory(phase)
     each = {q: consistency.nees(t.pose, t.covariance, truth.pose, q) for q in QUANTITIES}
@@ -151,7 +168,7 @@ class Judged:
 
 
 def judge(study: Study) -> list[Judged]:
-    """Every verdict of a study. Runs that failed are counted, never averaged in."""
+    """Every verdict of a study. Runs that failed or are implausible are counted, never averaged in."""
     result = []
     for key, samples in study.samples.items():
         good = study.good(key)

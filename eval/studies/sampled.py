@@ -20,8 +20,12 @@ from eval.referee.score import confusion_of
 from eval.referee.trust import Key, Measured
 from eval.replay.batch import batch
 from eval.replay.names import BATCH, FILTERS, STEPPING
+from eval.replay.plausible import with_doubt
 from eval.replay.run import compare
 from eval.studies.twins import Source, inputs_of, twin
+
+PLAIN, STAND_IN = "batch", "batch-cauchy"
+"""The smoother that all is compared with, and which one takes its place where it is implausible."""
 
 
 @dataclass(frozen=True)
@@ -54,11 +58,16 @@ def smoother_of(runs: Sequence[Run], inputs: Inputs) -> Run | None:
 
 
 def same_decisions(front: Run, runs: Sequence[Run], inputs: Inputs) -> Run:
-    """The batch smoother under the final decisions of `front`: one of the runs, or a new one."""
-    for run in runs:
-        if run.estimator == "batch" and np.array_equal(run.final_decisions, front.final_decisions):
-            return run
-    return batch("batch", inputs, front)
+    """The batch smoother under the final decisions of `front`: one of the runs, or a new one.
+
+    Where that is implausible, the robust `STAND_IN` under the same decisions, unless that is, too.
+    """
+    alike = {r.estimator: r for r in runs if np.array_equal(r.final_decisions, front.final_decisions)}
+    plain = alike.get(PLAIN) or with_doubt(batch(PLAIN, inputs, front), inputs)
+    if plain.doubt is None:
+        return plain
+    robust = alike.get(STAND_IN) or with_doubt(batch(STAND_IN, inputs, front), inputs)
+    return robust if robust.flaw is None else plain
 
 
 def sample_of(
@@ -81,17 +90,17 @@ def sample_of(
         if run.estimator not in STEPPING:
             continue
         if run.failure is not None:
-            failures[run.estimator] = f"frame {run.failure.frame}: {run.failure.why}"
+            failures[run.estimator] = run.failure.text
             continue
         own = None if smoother is None else same_decisions(run, [*runs, smoother], inputs)
-        own = own if own is not None and own.failure is None else None
+        own = own if own is not None and own.flaw is None else None
         found = trust.of_online(run, own, inputs)
         measured |= {(run.estimator, name): m for name, m in found.items()}
         if own is not None and own.final is not None and run.online is not None:
             apart[run.estimator] = errors.rms(errors.position_distance(run.online.pose, own.final.pose))
-    if smoother is not None and smoother.failure is not None:
-        failures[smoother.estimator] = smoother.failure.why
-    if smoother is None or smoother.failure is not None:
+    if smoother is not None and smoother.flaw is not None:
+        failures[smoother.estimator] = smoother.flaw.why if smoother.doubt is None else smoother.doubt.text
+    if smoother is None or smoother.flaw is not None:
         return Sample(measured, failures, apart=apart)
     if said is None:
         said = trust.of_smoother(smoother, inputs)
@@ -116,7 +125,7 @@ def twin_sample(
     nees: dict[tuple[str, str], float] = {}
     counts: dict[str, tuple[int, int, int, int]] = {}
     for run in runs:
-        if run.failure is not None or run.estimator not in (*STEPPING, *BATCH):
+        if run.flaw is not None or run.estimator not in (*STEPPING, *BATCH):
             continue
         for phase in run.phases:
             t = run.trajectory(phase)

@@ -55,7 +55,7 @@ def replay_stored(scenario: Scenario, path: Path) -> tuple[Trial, Rows]:
 def _row(scenario: Scenario, stored: StoredRun, run: Run, tolerance: float) -> Mapping[str, object]:
     theirs = stored.nees[run.estimator]
     ours, difference = math.nan, math.inf
-    if run.failure is None and run.online is not None:
+    if run.flaw is None and run.online is not None:
         log = log_of(stored, scenario.name)
         assert log.truth.pose is not None
         nees = consistency.nees(run.online.pose, run.online.covariance, log.truth.pose, "pose")

@@ -19,8 +19,9 @@ from eval.referee.residuals import Used
 from eval.referee.score import frame_of
 from eval.referee.trust import Key, Measured
 from eval.replay.batch import batch
+from eval.replay.plausible import with_doubt
 from eval.studies.calibration import with_noise
-from eval.studies.sampled import Sample
+from eval.studies.sampled import PLAIN, STAND_IN, Sample
 from eval.studies.twins import inputs_of
 
 COLUMNS = (
@@ -106,8 +107,11 @@ def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[
         expected = m.expected if math.isfinite(m.expected) or not len(known) else float(np.median(known))
         p_family = float(family[i]) if len(known) else math.nan
         rows.append(Row(estimator, name, m, expected, len(known), battery.rank_p(m.value, own), p_family))
-    made = Trust(log.name, task, association, real, tuple(twins), tuple(rows), notes=_failures(log, real, twins))
-    if len(twins) < FEWEST or smoother is None or smoother.failure is not None:
+    notes = _failures(log, real, twins)
+    if smoother is not None and smoother.estimator == STAND_IN:
+        notes += (f"{PLAIN} is implausible, so {STAND_IN} under the same decisions stands in for it",)
+    made = Trust(log.name, task, association, real, tuple(twins), tuple(rows), notes=notes)
+    if len(twins) < FEWEST or smoother is None or smoother.flaw is not None:
         return made
     return replace(made, blame=_blame(made, inputs_of(log, task, association), smoother, drawn))
 
@@ -118,6 +122,9 @@ def is_exact(covariance: Array) -> bool:
 
 
 def _value(sample: Sample, key: Key) -> float:
+    """A statistic of a twin, NaN where it has none; a robust stand-in is compared with the twins' own smoother."""
+    if key not in sample.measured and key[0] == STAND_IN:
+        key = (PLAIN, key[1])
     return sample.measured[key].value if key in sample.measured else math.nan
 
 
@@ -190,8 +197,9 @@ def _noise(made: Trust, inputs: Inputs, smoother: Run, threshold: float) -> list
     systematic = attribution.systematic_errors(effects.scored(less, path, kept), factors, threshold)
     if systematic:
         sizes = {f.name: f.size for f in systematic}
-        again = batch("batch", effects.without(less, path, used, sizes), _as_front(fitted))
-        if again.failure is None:
+        corrected = effects.without(less, path, used, sizes)
+        again = with_doubt(batch("batch", corrected, _as_front(fitted)), corrected)
+        if again.flaw is None:
             outliers, less, fitted, left_out = _outliers(made, effects.without(inputs, path, used, sizes), again)
             kept = _without(residuals.used_by(fitted, less), left_out)
             factors = attribution.factors_of(_typical(less, _path(fitted), kept), typical)
@@ -208,8 +216,8 @@ def _outliers(made: Trust, inputs: Inputs, smoother: Run) -> tuple[list[Finding]
     usual = [s.outlying for s in made.twins]
     if not attribution.outlier_errors(made.real.outlying, 0, usual):
         return [], inputs, smoother, nothing
-    robust = batch("batch-cauchy", inputs, _as_front(smoother))
-    if robust.failure is not None:
+    robust = with_doubt(batch("batch-cauchy", inputs, _as_front(smoother)), inputs)
+    if robust.flaw is not None:
         robust = smoother
     path, used = _path(robust), residuals.used_by(robust, inputs)
     factors = attribution.factors_of(_typical(inputs, path, used), [s.typical for s in made.twins])
@@ -223,8 +231,8 @@ def _outliers(made: Trust, inputs: Inputs, smoother: Run) -> tuple[list[Finding]
     o = inputs.observations
     R = np.where(left_out[:, None, None], UNINFORMATIVE * o.R, o.R)
     less = replace(inputs, observations=replace(o, R=R))
-    again = batch("batch", less, _as_front(robust))
-    return (findings, less, again, left_out) if again.failure is None else (findings, inputs, smoother, nothing)
+    again = with_doubt(batch("batch", less, _as_front(robust)), less)
+    return (findings, less, again, left_out) if again.flaw is None else (findings, inputs, smoother, nothing)
 
 
 def _typical(inputs: Inputs, path: Array, used: Used) -> dict[str, float]:

@@ -69,9 +69,10 @@ def source_of(log: Log, smoother: Run, estimators: Sequence[str], setup: Setup) 
     inputs = inputs_of(log, smoother.task, "known" if smoother.association == "known" else "")
     if len(inputs) < SHORTEST:
         raise UsageError(f"no twins of {log.name}: it has {len(inputs)} frames, at least {SHORTEST} are needed")
-    if smoother.failure is not None or smoother.final is None:
-        why = smoother.failure.why if smoother.failure is not None else "it has no path"
-        raise UsageError(f"no twins of {log.name}: batch, which they would be drawn from, failed ({why})")
+    if smoother.flaw is not None or smoother.final is None:
+        why = smoother.flaw.why if smoother.flaw is not None else "it has no path"
+        what = "failed" if smoother.doubt is None else f"is {smoother.status}"
+        raise UsageError(f"no twins of {log.name}: batch, which they would be drawn from, {what} ({why})")
     used = residuals.used_by(smoother, inputs)
     if not (used.number >= 0).any():
         raise UsageError(f"no twins of {log.name}: batch used no reading, so nothing is known beside the odometry")

@@ -201,7 +201,7 @@ def _broken_on(
     task = case.world.task
     inputs = inputs_of(log, task, KNOWN)
     smoother = smoother_of(runs := compare(inputs, task, ("ekf", "batch"), KNOWN, study.setup), inputs)
-    if smoother is None or smoother.failure is not None:
+    if smoother is None or smoother.flaw is not None:
         return None, None, []
     if source is None:
         source = source_of(log, smoother, study.estimators, study.setup)

@@ -177,6 +177,9 @@ def closing(log: Log, run: Run, phase: str = "online") -> str:
         f = run.failure
         text = f"{f.status} at frame {f.frame}: {f.why}; all observations from there on count as discarded"
         lines.append(fill(text, WIDTH, subsequent_indent="  "))
+    elif run.doubt is not None:
+        text = f"{run.doubt.status} from frame {run.doubt.frame} on: {run.doubt.why}"
+        lines.append(fill(text, WIDTH, subsequent_indent="  "))
     steps = int(np.count_nonzero(np.diff(log.recorded.start)))
     lines.append(f"whole run: {UNKNOWN}" if confusion is None else totals(confusion, steps))
     return "\n".join(lines)

@@ -6,7 +6,8 @@ import numba
 import numpy as np
 
 from data.se2 import Array
-from graph.linear.elimination import Rows, Structure, Triangle
+from graph.linear.elimination import Rows, Triangle
+from graph.linear.symbolic import Structure
 
 
 def means(rows: Rows, s: Structure, t: Triangle) -> Array:

@@ -12,8 +12,9 @@ from gtsam.symbol_shorthand import X
 from data.inputs import IntArray, Prior
 from data.se2 import Array, world_from_body
 from graph.factors import pose2
-from graph.linear.elimination import Rows, Structure, structure
+from graph.linear.elimination import Rows
 from graph.linear.ordering import ordering
+from graph.linear.symbolic import Structure, structure
 from graph.problem import Problem
 
 CHUNK = 20000

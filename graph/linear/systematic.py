@@ -15,9 +15,10 @@ import numpy as np
 from data.inputs import Inputs, IntArray
 from data.se2 import Array, compose, pose_error
 from graph.factors import UnderConstrained, root_information
-from graph.linear.elimination import Rows, eliminate, structure
+from graph.linear.elimination import Rows, eliminate
 from graph.linear.ordering import ordering
 from graph.linear.rows import put_prior
+from graph.linear.symbolic import structure
 
 UNTOLD = 1e-16
 """Of the square of a column: what path and map leave of it, if it is less, is rounding (some 1e-26 was seen)."""

@@ -104,7 +104,7 @@ def test_a_filter_that_parks_equals_one_that_never_does(seed, sensor, threshold,
         if (done.used != (decisions >= 0)).any() and parked:
             event("a pairing is gated while landmarks are parked")
         place_of.update((int(n), int(p)) for n, p in zip(done.created, seen) if n >= 0)
-        event(f"epochs begin with {'the active part' if len(f._parked.P) else 'the parked part'}")
+        event(f"epochs begin with {'the active part' if f._parked.k else 'the parked part'}")
         assert_agree(f, full)
     f.restore(f.parked)
     assert_agree(f, full)

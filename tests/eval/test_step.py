@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from data.logs import open_log
 from eval import step
+from eval.replay.plausible import with_doubt
 from eval.replay.run import step_by_step
 from eval.step import main
 from eval.walk import album
@@ -84,7 +85,7 @@ def test_what_is_printed_on_the_way_is_what_the_referee_says_in_the_end(argument
         inputs = log.inputs(labels=association == "known")
         inputs = inputs.without_map() if task == "slam" else inputs
         setup = step.read(["--log", "corridor:0:people", *arguments]).options.setup
-        run = step_by_step("ekf", inputs, task, association, setup)
+        run = with_doubt(step_by_step("ekf", inputs, task, association, setup), inputs)
         assert out.startswith(run_text(log, run))
     sums = np.array([line.split()[1::2] for line in out.split("\n") if line.startswith("TP") and "FN" in line], int)
     counts = {line[:2]: int(line.split()[1]) for line in out.split("\n") if line.endswith("%")}

@@ -111,13 +111,13 @@ def test_a_robust_loss_costs_no_certainty_where_all_is_well():
 
 
 def test_a_landmark_that_nothing_determines_is_named():
-    """A bearing says nothing where the landmark is at the robot itself."""
+    """A landmark seen once, with a bearing that says nothing."""
     inputs, _, _ = circle(RangeBearing(), noise=0.0)
     inputs = inputs.without_map()
     o = inputs.observations
-    z = o.z.copy()
-    z[o.label == o.label[3], 0] = 0.0
-    inputs = replace(inputs, observations=LabelledObservations(o.frame, z, o.R, o.label))
+    R = o.R.copy()
+    R[o.label == o.label[3], 1, 1] = 1e30
+    inputs = replace(inputs, observations=LabelledObservations(o.frame, o.z, R, o.label))
     decisions, created = known_decisions(inputs)
     once = np.flatnonzero((o.label == o.label[3]) & (created < 0))
     decisions[once] = DISCARD

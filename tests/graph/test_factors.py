@@ -131,3 +131,13 @@ def test_a_measurement_covariance_that_is_not_definite_is_refused_by_frame(senso
 
 def test_variables_are_named_in_plain_words():
     assert (name_of(X(12)), name_of(L(3))) == ("pose of frame 12", "landmark 3")
+
+
+@pytest.mark.parametrize("task", ["localization", "slam"])
+def test_readings_nearer_than_three_sigma_are_points_and_all_others_range_and_bearing(task):
+    sensor, R = RangeBearing(), np.tile(np.diag([0.01, 0.0004]), (3, 1, 1))
+    z, rows = np.array([[0.29, 0.5], [0.31, 0.5], [5.0, -1.0]]), np.arange(3)
+    seen = sight_landmarks(sensor, z, R, rows, rows) if task == "slam" else sight_known(sensor, z, R, rows, rows, z, 0)
+    kinds = [type(s.measured[0]) for s in seen]
+    assert kinds[1:] == [gtsam.BearingRangeFactor2D] * 2
+    assert kinds[0] is not gtsam.BearingRangeFactor2D

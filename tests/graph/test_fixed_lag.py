@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import gtsam
 import numpy as np
 import pytest
@@ -11,14 +9,13 @@ from gtsam.symbol_shorthand import L, X
 
 from association.known import known_decisions
 from data import se2
-from data.inputs import Prior
-from data.result import DISCARD, NEW
+from data.result import DISCARD
 from data.worlds.arena import Arena, simulate
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from ekf.whole_run import run_filter
 from graph.batch import Start, build, smooth
-from graph.factors import UnderConstrained, graph_of, pose2, prior_factor
+from graph.factors import UnderConstrained, between_factors, graph_of, pose2, prior_factor
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
 from tests.graph.driving import TIGHT, both_tasks, drive, every_sensor, for_task, lagged, resting, solved, two_sensors
@@ -236,13 +233,13 @@ def test_the_same_bytes_come_out_twice():
 
 def test_what_the_data_leave_free_is_named():
     inputs, _, _ = circle(SENSORS["range-bearing"])
-    inputs = replace(inputs, prior=Prior(inputs.prior.mean, 0.01 * np.eye(3))).without_map()
-    s = lagged(inputs, 3.0)
-    seen = inputs.sightings(0)
-    z = seen.z.copy()
-    z[0, 0] = 0.0
-    with pytest.raises(UnderConstrained, match="landmark 0 is not determined"):
-        s.update(seen._replace(z=z), np.full(len(z), NEW))
+    s = lagged(inputs.without_map(), 3.0)
+    values = gtsam.Values()
+    for k in range(2):
+        values.insert(X(k), gtsam.Pose2(k, 0.0, 0.0))
+    step, _ = between_factors(1, np.array([[1.0, 0.0, 0.0]]), np.eye(3)[None])
+    with pytest.raises(UnderConstrained, match=r"pose of frame \d is not determined"):
+        s._engine.add(step, values)
 
 
 def test_senseless_requests_are_refused():

@@ -154,13 +154,16 @@ def test_bare_gtsam_breaks_down_where_the_recovery_is_needed():
         gtsam.ISAM2().update(problem.graph(), values)
 
 
-def test_a_landmark_founded_at_range_zero_is_named():
-    inputs, _, _ = circle(RangeBearing())
+def test_a_landmark_initialized_at_range_zero_is_at_the_robot_as_well_as_its_range_is_known():
+    """It is a point: its bearing, which has no derivative there, tells only how far across it may be."""
+    inputs, _, _ = circle(RangeBearing(), P0=np.zeros((3, 3)))
     s = Isam2Smoother(inputs.prior, inputs.sensor)
-    R = np.tile(0.01 * np.eye(2), (2, 1, 1))
-    seen = Sightings(np.array([[2.0, 0.3], [0.0, 0.1]]), R)
-    with pytest.raises(UnderConstrained, match="landmark 1 is not determined"):
-        s.update(seen, np.array([NEW, NEW]))
+    R = np.tile(np.diag([0.01, 0.0004]), (2, 1, 1))
+    done = s.update(Sightings(np.array([[2.0, 0.3], [0.0, 0.1]]), R), np.array([NEW, NEW]))
+    assert done.created.tolist() == [0, 1]
+    found = s.finish().map
+    np.testing.assert_allclose(found.xy[1], inputs.prior.mean[:2], atol=1e-6)
+    np.testing.assert_allclose(np.linalg.eigvalsh(found.covariance[1]), [0.01 * 0.0004, 0.01], rtol=1e-4)
 
 
 @pytest.mark.parametrize("qr", [False, True], ids=["Cholesky", "QR"])

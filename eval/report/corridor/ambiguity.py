@@ -202,5 +202,6 @@ def _what_a_prior_changes(primed: Trial, bare: Trial | None, scores: Scores) -> 
 
 
 def _errors(scores: Scores, trial: Trial, run: Run) -> str:
-    """Position RMSE of each phase of a run."""
-    return " / ".join(number(rmse(scores, trial, run, phase)) for phase in run.phases)
+    """Position RMSE of each phase of a run, and its status if it is implausible."""
+    mark = "" if run.doubt is None else f" ({run.status})"
+    return " / ".join(number(rmse(scores, trial, run, phase)) for phase in run.phases) + mark

@@ -43,7 +43,7 @@ def without_odometry(lab: Lab, scores: Scores) -> tuple[str, bool]:
     if known is not None and jcbb is None:
         notes.append("JCBB was not run on this log.")
     smoother = trial.find("batch", "known")
-    if known is not None and smoother is not None and smoother.failure is None:
+    if known is not None and smoother is not None and smoother.flaw is None:
         a, b = rmse(scores, trial, known), rmse(scores, trial, smoother, "final")
         if b < a / WORSE:
             notes.append(
@@ -75,8 +75,9 @@ def _how_it_ends(trial: Trial, run: Run, scores: Scores, truth: Array) -> str:
     nees = m[same & (m["phase"] == "online")]["nees_pose"].tolist()
     sure = f", mean pose NEES {number(float(nees[0]))} where 3 is expected" if nees and nees[0] is not None else ""
     far, reached = float(np.nanmax(off)), [number(furthest_from_start(p)) for p in (path, truth)]
+    mark = "" if run.doubt is None else f", {run.status} from frame {run.doubt.frame} on,"
     return (
-        f"With {name} {run.estimator} has a position RMSE of {number(rmse(scores, trial, run))} m, is up to"
+        f"With {name} {run.estimator}{mark} has a position RMSE of {number(rmse(scores, trial, run))} m, is up to"
         f" {number(far)} m off and {number(float(off[-1]))} m at the end{sure}; it believes to have been at most"
         f" {reached[0]} m from the start (in truth {reached[1]} m)."
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 from association.known import known_decisions
 from data.inputs import LandmarkMap
 from data.worlds.arena import Arena, simulate
-from eval.referee.confusion import confuse, ground_truth, share_within
+from eval.referee.confusion import confuse, ground_truth, majority_agreement, share_within
 from eval.referee.score import association_row
 from eval.replay.run import filter_known
 
@@ -125,3 +126,24 @@ def test_the_referee_states_the_share_and_its_distance_beside_the_counts():
     assert association_row(replace(runs[0], final_decisions=moved), "final", log)["share_within"] < 0.2
     nowhere = replace(log, truth=replace(log.truth, landmarks=None))
     assert association_row(runs[1], "online", nowhere)["share_within"] is None
+
+
+def test_a_landmark_initialized_by_a_neighbour_is_wrong_and_still_all_agree():
+    decisions, true_id = np.array([NEW, 0, 0, 0]), np.array([9, 7, 7, 7])
+    created = np.array([0, -1, -1, -1])
+    assert confuse(np.arange(4), true_id, decisions, created, None).fp == 3
+    assert majority_agreement(decisions, true_id) == 1.0
+
+
+def test_clutter_agrees_with_nothing_and_without_pairings_nothing_is_said():
+    assert majority_agreement(np.array([0, 0, 0, 1]), np.array([-1, -1, 7, 7])) == 0.5
+    assert np.isnan(majority_agreement(np.array([NEW, DISCARD]), np.array([1, 1])))
+
+
+@given(st.lists(st.tuples(st.integers(-2, 4), st.integers(-1, 4)), min_size=1))
+def test_the_majority_is_counted_landmark_by_landmark(pairs):
+    paired = [(d, t) for d, t in pairs if d >= 0]
+    counts = {d: Counter(t for e, t in paired if e == d and t >= 0) for d, _ in paired}
+    expected = sum(max(c.values(), default=0) for c in counts.values())
+    found = majority_agreement(*np.array(pairs).T)
+    assert np.isnan(found) if not paired else found == pytest.approx(expected / len(paired))

@@ -77,8 +77,9 @@ def test_the_error_of_the_correlation_holds_although_the_claim_is_wrong():
 
 
 def test_the_verdict_of_studies_keeps_the_unit_of_the_claim():
-    log = with_stated_noise(1e-4)
+    log = with_stated_noise(0.04)
     run, trial = innovations(log)
+    assert run.flaw is None
     seen = sample(run, "online", log, load_scenario("arena")).means["whiteness"]
     assert seen == lag1(run.innovations.white, log.recorded.observations.frame, run.decisions)[0]
     assert seen != pytest.approx(score([trial]).metrics.iloc[0]["innovation_lag1"])

@@ -23,13 +23,15 @@ def test_the_columns_of_the_files_are_the_contracts():
         "inside_3sigma", "rmse_time_m", "sse_position_m2", "sse_landmark_m2", "innovation_lag1", "innovation_lag1_se",
         "nis_expected", "nees_pose_median", "nees_left_out", "lost_frame", "lost_why", "rmse_position_lower",
         "rmse_position_upper", "nees_pose_lower", "nees_pose_upper", "log_score", "crps_x_m", "crps_y_m",
-        "crps_heading_rad", "energy_score_m", "block_frames",
+        "crps_heading_rad", "energy_score_m", "block_frames", "rmse_landmark_majority_m", "iterations",
+        "last_step_sigma",
     )  # fmt: skip
     assert ASSOCIATION == (
         "log", "task", "estimator", "association", "phase", "tp", "tn", "fp", "fn", "precision", "recall", "wrong",
         "spurious", "duplicate", "missed", "deferred", "share_within", "within_m",
+        "majority_agreement",
     )  # fmt: skip
-    assert ASSOCIATION[5:-2] == COUNTED
+    assert ASSOCIATION[5:-3] == COUNTED
     assert ASSOCIATION[5:9] == OUTCOMES
 
 

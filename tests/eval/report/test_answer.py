@@ -217,3 +217,22 @@ def test_without_a_true_path_decisions_are_counted_against_the_labels():
         "Deciding itself with jcbb, isam2 agrees with the log's labels in 750 of 1000 decisions (75 %); its map has 120"
         " landmarks where the labels tell 100 apart."
     )
+
+
+def test_an_implausible_run_is_in_no_comparison_and_no_headline():
+    doubtful = {"status": "implausible"}
+    text = answered(FILTER, SMOOTHER | doubtful)
+    assert text.startswith("There is no comparison: batch is implausible")
+    assert "ekf and batch are implausible" in answered(FILTER | doubtful, SMOOTHER | doubtful)
+    gone = doubtful | {"lost_frame": 12, "lost_why": "3 innovations"}
+    lost = answered(FILTER, SMOOTHER | gone)
+    assert "Lost: the smoother (batch) does not know" in lost
+    for said in (text, lost):
+        assert "RMSE" not in said
+        assert "0.1" not in said
+    # another smoother takes its place, and its online path credits nobody
+    robust = SMOOTHER | {"estimator": "batch-huber"}
+    newest = FILTER | {"estimator": "isam2", "rmse_position_m": 0.1201} | doubtful
+    text = answered(FILTER, newest, SMOOTHER | doubtful, robust)
+    assert "the smoother (batch-huber, every pose" in text
+    assert "isam2" not in text

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from data.result import Failure
+from eval.replay.run import compare
 from eval.studies.montecarlo import (
     QUANTITIES,
     Sample,
@@ -16,6 +18,8 @@ from eval.studies.montecarlo import (
     failed_declarations,
     judge,
     one_run,
+    sample,
+    study_lines,
     study_of,
 )
 from eval.studies.scenario_file import load_scenario
@@ -95,6 +99,26 @@ def test_diverged_runs_are_counted_not_averaged_and_fail_what_is_declared():
     assert table["diverged"].tolist() == [2, 2, 2]
     assert len(study.good(KEY)) == 58
     assert study.failures() == [(KEY, 0, "frame 3: lost"), (KEY, 1, "frame 3: lost")]
+
+
+def test_an_implausible_run_counts_as_one_that_diverged():
+    log = ARENA.simulate(0)
+    (run,) = compare(log.inputs(labels=True), "slam", ("ekf",))
+    marked = replace(run, doubt=Failure("implausible", 7, "NIS per degree of freedom is 400"))
+    assert sample(run, "online", log, ARENA).failure is None
+    found = sample(marked, "online", log, ARENA)
+    assert found.failure == "frame 7: implausible, NIS per degree of freedom is 400"
+    assert not found.means
+
+
+def test_on_the_terminal_implausible_runs_of_an_estimator_share_a_line():
+    runs = [
+        {KEY: Sample(failure=why)} for why in ("frame 3: lost", "frame 7: implausible, NIS", "frame 8: implausible, x")
+    ]
+    assert study_lines(study_of(only("ekf"), (0, 1, 2), runs)) == [
+        "arena, localization: ekf (known) diverged with seed 0, frame 3: lost",
+        "arena, localization: ekf (known) is implausible in 2 of 3 runs; with seed 1, frame 7: NIS",
+    ]
 
 
 def test_a_study_in_which_every_run_failed_still_says_so():

@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from graph.linear.elimination import SLACK, Rows, eliminate, reflect, structure
+from graph.linear.elimination import SLACK, Rows, eliminate, reflect
 from graph.linear.marginals import marginals, means
 from graph.linear.ordering import ordering
+from graph.linear.symbolic import structure
 
 
 def drive(rng, poses, landmarks, sightings, sides=1):

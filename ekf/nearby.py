@@ -1,0 +1,137 @@
+"""Which parked landmarks a reading could be paired with, told without taking any of them back.
+
+Everything used here is a bound, so that no landmark is missed. Since the epoch began (t0) a landmark's position l and
+the pose x0 that the robot had then are both constant, so
+
+    the covariance of l, and of l - x0, can only have become smaller, and
+    the estimate of l - x0 has moved by at most |y| times its standard deviation at t0
+
+(a constant s = m + D y with |D|^2 at most its variance at t0, see `ekf.parking`). A reading z of l within a squared
+distance g has |range(z) - range(l)| <= sqrt(g S) with S the variance of the expected range and of the noise
+(Cauchy-Schwarz). Landmarks too far away for that are left out block by block, by the boxes around them; of the others
+mean and cross-covariance with the pose are formed, and the squared distance with P_ll as it was at t0, which is too
+small if anything.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from association.candidates import reading_radius
+from data.inputs import Sightings
+from data.se2 import Array, BoolArray
+from data.sensors import Sensor, measure, residual
+from ekf.parking import Parked
+
+BLOCK = 64
+"""Landmarks in a box, by number: they were initialized one after the other, so they are near each other."""
+MARGIN = 1.0 + 1e-6
+"""Of squared distances: rounding must not leave a landmark out."""
+
+
+class Surroundings(NamedTuple):
+    """The parked landmarks of an epoch: covariance (n, 2, 2) and sigma [m] of the position relative to x0 (n,).
+
+    boxes: (n / 64, 5) smallest and largest x, smallest and largest y [m], largest sigma [m]; not a number where nobody
+    is parked.
+    """
+
+    own: Array
+    sigma: Array
+    boxes: Array
+
+
+NOBODY = Surroundings(np.empty((0, 2, 2)), np.empty(0), np.empty((0, 5)))
+"""No landmark is parked."""
+
+
+def surroundings(parked: Parked, C: Array, P_xx: Array) -> Surroundings:
+    """At the beginning of an epoch; C (2n, 3) and P_xx (3, 3) are the covariances with and of the pose."""
+    own = parked.P.blocks()
+    trace = np.trace(own, axis1=1, axis2=2) + P_xx[0, 0] + P_xx[1, 1] - 2.0 * (C[0::2, 0] + C[1::2, 1])
+    sigma = np.sqrt(np.maximum(trace, 0.0))
+    n = len(parked.based)
+    boxes = np.full((-(-n // BLOCK), 5), np.nan)
+    xy = parked.mean.reshape(-1, 2)
+    for b in range(len(boxes)):
+        here = b * BLOCK + np.flatnonzero(parked.based[b * BLOCK : (b + 1) * BLOCK])
+        if len(here):
+            boxes[b] = *np.stack([xy[here].min(0), xy[here].max(0)], 1).ravel(), sigma[here].max()
+    return Surroundings(own, sigma, boxes)
+
+
+def may_be_read(
+    parked: Parked, around: Surroundings, sensor: Sensor, x: Array, P: Array, sightings: Sightings, within: float
+) -> BoolArray:
+    """Which landmarks (n,) of these rows may be within a squared distance of some reading.
+
+    Args:
+        parked: the parked landmarks.
+        around: what was known of them when the epoch began.
+        sensor: of the readings.
+        x: (3 + k,) present mean of the pose and of y.
+        P: (3 + k, 3 + k) their covariance.
+        sightings: the readings.
+        within: the squared Mahalanobis distance.
+    """
+    k, robot = parked.k, parked.robot[:2]
+    y, P_yy = x[3:], P[3:, 3:]
+    gate = math.sqrt(within * MARGIN)
+    # x - x0: how uncertain, and where the robot is in terms of x0 as it was believed to be
+    step = robot @ (P_yy[:3, :3] + np.eye(3)) @ robot.T - 2.0 * P[:2, 3:6] @ robot.T + P[:2, :2]
+    centre = x[:2] - robot @ y[:3]
+    since = np.diag([step[0, 0], step[1, 1], P[2, 2]])
+    reach = reading_radius(sensor, np.maximum(since, 0.0), sightings, within * MARGIN)
+    found = np.zeros(len(parked.based), np.bool_)
+    z, R = np.array(sightings.z, float), np.array(sightings.R, float)
+    _search(
+        sensor.kind, sensor.extrinsic, x, P, parked.mean, parked.D, parked.based, *around, centre,
+        reach, gate + float(np.linalg.norm(y[:k])), z, R, within * MARGIN, found,
+    )  # fmt: skip
+    return found
+
+
+@numba.njit(cache=True)
+def _search(  # type: ignore[no-untyped-def]
+    kind, extrinsic, x, P, mean, D, based, own, sigma, boxes, centre, reach, sigmas, z, R, within, found
+):
+    """See `may_be_read`. Landmarks farther from `centre` than `reach` and so many of their sigmas are left out."""
+    k = D.shape[1]
+    z_hat, Hx, Hl, nu = np.empty(2), np.empty((2, 3)), np.empty((2, 2)), np.empty(2)
+    place, cross = np.empty(2), np.empty((2, 3))
+    for b in range(len(boxes)):
+        away = np.hypot(
+            max(boxes[b, 0] - centre[0], 0.0, centre[0] - boxes[b, 1]),
+            max(boxes[b, 2] - centre[1], 0.0, centre[1] - boxes[b, 3]),
+        )
+        if not away <= reach + sigmas * boxes[b, 4]:
+            continue
+        for n in range(b * BLOCK, min((b + 1) * BLOCK, len(based))):
+            if not based[n]:
+                continue
+            away = math.hypot(mean[2 * n] - centre[0], mean[2 * n + 1] - centre[1])
+            if away > reach + sigmas * sigma[n]:
+                continue
+            for q in range(2):
+                place[q] = mean[2 * n + q]
+                cross[q] = 0.0
+                for j in range(k):
+                    weight = D[2 * n + q, j]
+                    place[q] += weight * x[3 + j]
+                    for i in range(3):
+                        cross[q, i] += weight * P[3 + j, i]
+            measure(kind, extrinsic, x[:3], place, z_hat, Hx, Hl)
+            mixed = Hx @ cross.T @ Hl.T
+            HPHt = Hx @ np.ascontiguousarray(P[:3, :3]) @ Hx.T + mixed + mixed.T + Hl @ own[n] @ Hl.T
+            for i in range(len(z)):
+                residual(kind, z[i], z_hat, nu)
+                a, c = HPHt[0, 0] + R[i, 0, 0], HPHt[1, 1] + R[i, 1, 1]
+                off = 0.5 * (HPHt[0, 1] + HPHt[1, 0] + R[i, 0, 1] + R[i, 1, 0])
+                det = a * c - off * off
+                if not det > 0.0 or c * nu[0] ** 2 - 2.0 * off * nu[0] * nu[1] + a * nu[1] ** 2 <= within * det:
+                    found[n] = True
+                    break

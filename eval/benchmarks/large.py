@@ -1,0 +1,124 @@
+"""Time and memory against size: parks of a thousand to a hundred thousand frames, each run in a process of its own."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from data.worlds.registry import named_log
+
+SIZES = (1_000, 3_000, 10_000, 30_000, 100_000)
+BARE = "bare isam2"
+ESTIMATORS = ("ekf", "batch", "isam2", BARE)
+LOG = "park:0:spacing=3.3+frames={}"
+"""About a landmark for every ten frames, five to seven readings a frame."""
+COLUMNS = (
+    "estimator",
+    "frames",
+    "landmarks",
+    "readings",
+    "seconds",
+    "cpu_seconds",
+    "peak_mb",
+    "log_mb",
+    "rmse_m",
+    "status",
+)
+MEGABYTE = 1024.0
+"""KiB, the unit of `ru_maxrss`."""
+
+
+class Measured(NamedTuple):
+    """One run: its size, wall and processor time [s], peak memory of its process and before the run [MB], RMSE [m]."""
+
+    estimator: str
+    frames: int
+    landmarks: int
+    readings: int
+    seconds: float
+    cpu_seconds: float
+    peak_mb: float
+    log_mb: float
+    rmse_m: float
+    status: str
+
+
+def measure(estimator: str, name: str) -> Measured:
+    """One estimator with labels on one simulated log, in this process: best in a fresh one."""
+    from association.known import known_decisions
+    from eval.replay.run import compare
+    from graph.bare_loop import bare_isam2
+
+    log = named_log(name)
+    inputs = log.inputs(labels=True).without_map()
+    if estimator != BARE:
+        compare(named_log("park:0:frames=50").inputs(labels=True), "slam", [estimator])  # compiled code is loaded
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / MEGABYTE
+    begin, cpu = time.perf_counter(), time.process_time()
+    if estimator == BARE:
+        pose, status, landmarks = bare_isam2(inputs, *known_decisions(inputs)).pose, "ok", -1
+    else:
+        (run,) = compare(inputs, "slam", [estimator])
+        pose, status = run.trajectory(run.phases[-1]).pose, run.status
+        landmarks = -1 if run.map is None else len(run.map)
+    seconds, cpu = time.perf_counter() - begin, time.process_time() - cpu
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / MEGABYTE
+    assert log.truth.pose is not None
+    rmse = math.sqrt(float(np.mean(np.sum((pose - log.truth.pose)[:, :2] ** 2, axis=1))))
+    if landmarks < 0:
+        landmarks = len(np.unique(log.truth.landmark_of)) if log.truth.landmark_of is not None else 0
+    readings = len(inputs.observations.frame)
+    return Measured(estimator, len(inputs), landmarks, readings, seconds, cpu, peak, before, rmse, status)
+
+
+def measured_apart(estimator: str, name: str) -> Measured:
+    """The same in a process of its own, whose peak of memory is this run's."""
+    command = [sys.executable, "-m", "eval.benchmarks.large", estimator, name]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    return Measured(*json.loads(done.stdout.splitlines()[-1]))
+
+
+def measure_all(sizes: Sequence[int] = SIZES, estimators: Sequence[str] = ESTIMATORS) -> Iterator[Measured]:
+    """Every estimator at every size, the small ones first."""
+    for frames in sizes:
+        for estimator in estimators:
+            yield measured_apart(estimator, LOG.format(frames))
+
+
+def slope(sizes: Sequence[float], values: Sequence[float]) -> float:
+    """Exponent of growth: slope of log(values) against log(sizes), by least squares over the larger half and more."""
+    x, y = np.log(np.asarray(sizes, float)), np.log(np.asarray(values, float))
+    last = slice(len(x) // 3, None)
+    return float(np.polyfit(x[last], y[last], 1)[0])
+
+
+def write(found: Sequence[Measured], path: Path) -> None:
+    """The measurements as CSV."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        writer.writerows(found)
+
+
+def line_of(m: Measured) -> str:
+    """A measurement in a line of text."""
+    return (
+        f"{m.estimator:10s} {m.frames:7d} frames {m.landmarks:6d} landmarks {m.readings:7d} readings:"
+        f" {m.seconds:8.1f} s"
+        f" ({m.cpu_seconds:.1f} of processor), {m.peak_mb:7.0f} MB ({m.log_mb:.0f} before), RMSE {m.rmse_m:.2f} m,"
+        f" {m.status}"
+    )
+
+
+if __name__ == "__main__":
+    sys.stdout.write(json.dumps(measure(*sys.argv[1:])) + "\n")

@@ -1,0 +1,41 @@
+"""Figure of scaling: time and memory of each estimator against the length of the log, with the exponents of growth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from matplotlib.figure import Figure
+
+from eval.benchmarks.large import BARE, Measured, slope
+from eval.figures.style import DOTTED, DOUBLE, Style, drawing, style_of
+
+
+def scaling_figure(found: Sequence[Measured]) -> Figure:
+    """Wall time and peak memory above that of the log, over the number of frames, both axes logarithmic."""
+    with drawing():
+        fig = Figure(figsize=(DOUBLE, 2.9))
+        panels: tuple[tuple[str, Callable[[Measured], float]], ...] = (
+            ("wall time [s]", lambda m: m.seconds),
+            ("memory beside the log [MB]", lambda m: max(m.peak_mb - m.log_mb, 1.0)),
+        )
+        for ax, (label, value) in zip(fig.subplots(1, 2), panels, strict=True):
+            for estimator in dict.fromkeys(m.estimator for m in found):
+                own = sorted((m for m in found if m.estimator == estimator), key=lambda m: m.frames)
+                frames, values = [m.frames for m in own], [value(m) for m in own]
+                style = _style(estimator)
+                exponent = f", $n^{{{slope(frames, values):.2f}}}$" if len(own) > 2 else ""
+                ax.plot(
+                    frames, values, color=style.colour, linestyle=style.line, marker=style.marker,
+                    label=style.label + exponent,
+                )  # fmt: skip
+            ax.set(xscale="log", yscale="log", xlabel="frames n [–]", ylabel=label)
+            ax.legend()
+        return fig
+
+
+def _style(estimator: str) -> Style:
+    if estimator != BARE:
+        return style_of(estimator)
+    own = style_of("isam2")
+    return replace(own, label="bare gtsam loop", line=DOTTED, marker="o")

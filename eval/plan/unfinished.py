@@ -1,0 +1,72 @@
+"""Work that had not enough memory: tried again an estimator at a time, and said where that was not enough either."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from data.inputs import Inputs
+from data.result import DISCARD, Failure, Run, Trajectory
+from eval.plan.experiments import Experiment, Work
+from eval.plan.options import Options
+from eval.replay.names import BATCH, INCREMENTAL
+from eval.replay.run import compare
+
+
+def estimate(experiment: Experiment, part: Work) -> list[Run]:
+    """All estimators of a part of the work on one log."""
+    log, known = experiment.log, part.association == "known"
+    return compare(log.inputs(labels=known), experiment.task, part.estimators, part.association, experiment.setup)
+
+
+def estimate_one(experiment: Experiment, part: Work, name: str) -> list[Run]:
+    """One estimator of a part: the same run as in `estimate`, from the same front end."""
+    fronts = {"ekf-iterated"} if part.association == "known" else {"isam2"}
+    kept = tuple(n for n in part.estimators if name in BATCH and n in fronts)
+    return estimate(experiment, Work(part.association, (*kept, name)))[-1:]
+
+
+def incomplete(name: str, association: str, task: str, inputs: Inputs, why: str) -> Run:
+    """A run of which nothing is left but the reason."""
+    n = len(inputs)
+    nowhere = Trajectory(np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan))
+    nothing = np.full(len(inputs.observations.frame), DISCARD, np.int64)
+    given = "none" if name == "dead-reckoning" else association
+    online, final = name not in BATCH, name in (*BATCH, *INCREMENTAL)
+    return Run(
+        name, given, task, nowhere if online else None, nowhere if final else None, None, nothing, nothing,
+        np.full(len(nothing), -1, np.int64), failure=Failure("incomplete", 0, why),
+    )  # fmt: skip
+
+
+@dataclass
+class Unfinished:
+    """What had not enough memory, and what is said of it.
+
+    Attributes:
+        options: of the run.
+        jobs: by what they belong to, each with the reason.
+        said: a sentence each, for the person and the report.
+    """
+
+    options: Options
+    jobs: dict[Any, str] = field(default_factory=dict)
+    said: list[str] = field(default_factory=list)
+
+    def __call__(self, owner: Any, why: str) -> None:
+        """A job is lost."""
+        self.jobs[owner] = why
+
+    def say(self, what: str, why: str) -> None:
+        """What is missing therefore, and what would help."""
+        fewer = "fewer processes at once (--jobs 1), " if self.options.jobs > 1 else ""
+        self.said.append(f"{what}: {why}; {fewer}a shorter log, or a machine with more memory would help")
+
+
+def wanted(work: Sequence[Work]) -> list[tuple[str, str]]:
+    """Association and estimator of every run asked for, in the order of the tables."""
+    named = [("none" if n == "dead-reckoning" else w.association, n) for w in work for n in w.estimators]
+    return list(dict.fromkeys(named))

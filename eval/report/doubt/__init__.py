@@ -1,0 +1,1 @@
+"""Where numbers are not what they seem: implausible runs, two minima, landmarks with a wrong name."""

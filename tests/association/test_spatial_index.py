@@ -1,0 +1,80 @@
+"""Candidates far from every reading can be left out: no decision depends on them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from association.candidates import FEW, Places, reading_radius, view_radius
+from association.decide import METHODS, decide, horizon
+from data.inputs import LandmarkMap, Prior, Sightings
+from data.sensors import RangeBearing, RelativePoint
+from ekf.localizer import EkfLocalizer
+from tests.association.problems import problem
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    method=st.sampled_from(METHODS),
+    known_map=st.booleans(),
+    gates=st.sampled_from([(0.99, 0.99999), (0.5, 0.9), (0.1, 0.1)]),
+    ambiguity=st.sampled_from([0.3, 1.0, 3.0]),
+)
+def test_no_candidate_beyond_the_horizon_has_any_influence(seed, method, known_map, gates, ambiguity):
+    e = problem(seed, 3, 12, ambiguity=ambiguity, clutter=0.4)
+    limit = horizon(method, *gates, known_map=known_map)
+    near = np.flatnonzero((e.individual_distances() <= limit).any(axis=0))
+    some, every = (decide(method, each, *gates, known_map=known_map) for each in (e.only(near), e))
+    np.testing.assert_array_equal(some.decisions, every.decisions)
+
+
+def test_without_a_gate_there_is_no_horizon():
+    assert horizon("jcbb", None, 0.99) == np.inf
+    assert horizon("jcbb", 0.99, None) == np.inf
+    assert horizon("jcbb-hindsight", 0.99, 0.999) == np.inf
+    assert np.isfinite(horizon("jcbb", 0.99, None, known_map=True))
+
+
+@pytest.mark.parametrize("sensor", [RangeBearing(max_range=6.0, translation=(0.5, 0.2)), RelativePoint(max_range=6.0)])
+def test_a_localizer_expects_what_may_be_near_a_reading_and_decides_the_same(sensor):
+    rng = np.random.default_rng(3)
+    known = LandmarkMap(np.arange(2000) * 3, rng.uniform(-60.0, 60.0, (2000, 2)))
+    seen = offered = 0
+    for _ in range(30):
+        P = np.diag([0.05, 0.05, 0.002]) * rng.uniform(0.1, 3.0)
+        pose = np.append(rng.uniform(-50.0, 50.0, 2), rng.uniform(-3.0, 3.0))
+        f = EkfLocalizer(Prior(pose, P), sensor, known)
+        truth = pose + np.linalg.cholesky(P) @ rng.normal(size=3)
+        inside = np.flatnonzero(sensor.in_view(sensor.predict(truth, known.xy)))[:6]
+        z = sensor.predict(truth, known.xy[inside]) + 0.02 * rng.normal(size=(len(inside), 2))
+        sightings = Sightings(z, np.tile(4e-4 * np.eye(2), (len(inside), 1, 1)))
+        every = f.expect(sightings)
+        assert len(every.number) == 2000
+        f.within = horizon("jcbb", 0.99, None, known_map=True)
+        e = f.expect(sightings)
+        a, b = (decide("jcbb", each, 0.99, None, known_map=True).decisions for each in (e, every))
+        np.testing.assert_array_equal(a, b)
+        may = every.number[(every.individual_distances() <= f.within).any(axis=0)]
+        assert np.isin(may, e.number).all()
+        seen, offered = seen + len(inside), offered + len(e.number)
+    assert seen > 100
+    assert offered < 0.1 * 30 * 2000
+
+
+def test_places_are_those_within_the_radius_and_of_a_few_all():
+    xy = np.random.default_rng(0).uniform(0.0, 10.0, (FEW + 50, 2))
+    near = np.flatnonzero(np.hypot(*(xy - [3.0, 4.0]).T) <= 2.0)
+    np.testing.assert_array_equal(Places(xy).around(np.array([3.0, 4.0]), 2.0), near)
+    assert len(Places(xy).around(np.array([3.0, 4.0]), np.inf)) == FEW + 50
+    assert len(Places(xy[:FEW]).around(np.array([3.0, 4.0]), 2.0)) == FEW
+
+
+def test_radii_are_those_on_paper():
+    sensor = RangeBearing(max_range=10.0, translation=(3.0, 4.0))
+    P = np.diag([9.0, 16.0, 0.04])
+    assert view_radius(sensor, P) == pytest.approx(10.0 + 5.0 + 3.0 * (5.0 + 5.0 * 0.2))
+    z = Sightings(np.array([[7.0, 0.0], [2.0, 1.0]]), np.tile(np.diag([0.25, 0.1]), (2, 1, 1)))
+    assert reading_radius(sensor, P, z, 4.0) == pytest.approx(7.0 + 2.0 * 0.5 + 5.0 + 2.0 * (5.0 + 5.0 * 0.2))

@@ -1,0 +1,93 @@
+"""A parked landmark that a reading could be paired with is always found; the filter that never parks knows which."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import event, given, settings
+from hypothesis import strategies as st
+
+from data import se2
+from data.inputs import Increment, Prior, Sightings
+from data.result import NEW
+from data.sensors import RangeBearing, RelativePoint
+from ekf.slam import EkfSlam
+
+SENSORS = [RangeBearing(), RangeBearing(rotation=0.3, translation=(0.4, -0.2)), RelativePoint(translation=(0.5, 0.0))]
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    sensor=st.sampled_from(SENSORS),
+    within=st.sampled_from([1.0, 9.2, 23.0]),
+    drift=st.sampled_from([0.02, 0.2]),
+)
+def test_no_parked_landmark_inside_the_gate_is_missed(seed, sensor, within, drift):
+    rng = np.random.default_rng(seed)
+    prior = Prior(np.array([1.0, -2.0, 3.0]), np.diag([0.04, 0.01, 0.002]))
+    places = rng.uniform(-25, 25, (150, 2))
+    truth = prior.mean.copy()
+    f, full = EkfSlam(prior, sensor), EkfSlam(prior, sensor)
+    number = {}
+    inside = found_in_all = asked = 0
+    for k in range(45):
+        u = np.array([1.0, 0.0, 0.15])
+        L = rng.normal(size=(3, 3)) * drift * np.array([[1.0], [1.0], [0.1]])
+        P = L @ L.T + 1e-8 * np.eye(3)
+        truth = se2.compose(truth, u + np.linalg.cholesky(P) @ rng.normal(size=3))
+        for g in (f, full):
+            g.predict(Increment(u, P))
+        seen = np.argsort(np.hypot(*(places - truth[:2]).T))[: 4 if k else 8]
+        z = sensor.predict(truth, places[seen]) + rng.normal(size=(len(seen), 2)) * [0.05, 0.02]
+        sightings = Sightings(z, np.tile(np.diag([0.0025, 0.0004]), (len(seen), 1, 1)))
+        parked = f.parked
+        near = f.parked_within(sightings, within)
+        if len(parked):
+            e = full.expect(sightings)
+            d2 = e.individual_distances()[:, np.isin(e.number, parked)].min(axis=0)
+            must = parked[d2 <= within]
+            assert np.isin(must, near).all(), f"missed {np.setdiff1d(must, near)}"
+            inside, asked, found_in_all = inside + len(must), asked + len(parked), found_in_all + len(near)
+        decisions = np.array([number.get(p, NEW) for p in seen.tolist()])
+        f.restore(np.intersect1d(decisions, f.parked))
+        done = f.update(sightings, decisions)
+        full.update(sightings, decisions)
+        number.update((int(p), int(n)) for p, n in zip(seen, done.created) if n >= 0)
+        if rng.random() < 0.3:
+            f.park(f.active[rng.random(len(f.active)) < 0.8], begin_epoch=True)
+    event(f"{'some' if inside else 'no'} parked landmark was inside the gate")
+    event(f"{'less' if found_in_all < 0.5 * asked else 'more'} than half were taken for near")
+
+
+def test_a_landmark_that_was_put_right_far_from_where_it_was_parked_is_found():
+    """Seen after a turn of unknown angle and parked; then the angle turns out to be another one, by two sigmas."""
+    sensor = RangeBearing()
+    f, full = (EkfSlam(Prior(np.zeros(3), 1e-8 * np.eye(3)), sensor) for _ in range(2))
+    R = 1e-6 * np.eye(2)
+    seven = np.stack([20.0 + np.arange(7), np.zeros(7)], 1)
+    for g in (f, full):
+        g.update(Sightings(np.array([[10.0, 0.0]]), R[None]), np.array([NEW]))
+        g.predict(Increment(np.zeros(3), np.diag([1e-8, 1e-8, 0.04])))
+        g.update(Sightings(seven, np.tile(R, (7, 1, 1))), np.full(7, NEW))
+    f.park(np.arange(1, 8), begin_epoch=True)
+    for g in (f, full):
+        g.update(Sightings(np.array([[10.0, -0.4]]), R[None]), np.array([0]))
+        g.predict(Increment(np.array([19.0, 0.0, 0.0]), 1e-8 * np.eye(3)))
+    reading = full.expect(Sightings(np.empty((0, 2)), np.empty((0, 2, 2)))).z_hat[1:2]
+    assert 1 in f.parked_within(Sightings(reading, R[None]), 0.01)
+
+
+def test_far_away_landmarks_are_not_taken_for_near():
+    """A robot goes 300 m along a row of landmarks, one a metre, and parks what it has passed; where all that is it does
+    not know to ten metres."""
+    sensor = RangeBearing()
+    f = EkfSlam(Prior(np.zeros(3), np.diag([100.0, 100.0, 1e-6])), sensor)
+    for k in range(300):
+        f.predict(Increment(np.array([1.0, 0.0, 0.0]), 1e-6 * np.eye(3)))
+        seen = Sightings(sensor.predict(f.mean[:3], f.mean[:2] + [[0.5, 2.0]]), 1e-4 * np.eye(2)[None])
+        assert not len(f.parked_within(seen, 9.2)), k
+        f.update(seen, np.array([NEW]))
+        if k >= 150 and k % 10 == 9:
+            f.park(f.active, begin_epoch=True)
+    assert len(f.parked) == 300
+    assert len(f._mean) < 100, "the buffers shrink with what is in use"

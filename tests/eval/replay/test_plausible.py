@@ -1,0 +1,109 @@
+"""Runs with a number that no honest run gives are marked, others are not, whatever their errors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from data.logs import open_log
+from data.result import Failure, MapEstimate, Trajectory
+from eval.replay.plausible import ABSURD, first_misfit, judged, sight, with_doubt
+from eval.replay.run import compare
+from tests.eval.handmade import FRAMES, circle_log, run_with_error, true_path
+
+INPUTS = circle_log().recorded
+WAY = 2.0 * np.pi * 4.0
+
+
+def smoother(error=0.0, **changes):
+    run = run_with_error(np.full(3, error), estimator="batch", phases=("final",))
+    return replace(run, total_nis=(8.0, 8), **changes)
+
+
+def with_map(run, xy, sigma=0.2):
+    return replace(run, map=MapEstimate(np.array([0]), np.array([xy]), sigma**2 * np.eye(2)[None], run.map.first_frame,
+                                        run.map.times_seen))  # fmt: skip
+
+
+def test_being_wrong_is_not_implausible():
+    for error in (0.0, 0.3, 3.0):
+        assert with_doubt(smoother(error), INPUTS).status == "ok"
+        assert with_doubt(run_with_error(np.full(3, error)), INPUTS).doubt is None
+
+
+def test_innovations_ten_times_as_large_as_claimed_are_implausible():
+    assert with_doubt(replace(smoother(), total_nis=(ABSURD * 8, 8)), INPUTS).doubt is None
+    marked = with_doubt(replace(smoother(), total_nis=(1.01 * ABSURD * 8, 8)), INPUTS)
+    assert marked.status == "implausible"
+    assert marked.flaw == marked.doubt
+    assert "NIS per degree of freedom is 101 " in marked.doubt.why
+
+
+def test_the_frame_is_the_first_that_does_not_fit():
+    path = true_path()
+    path[20:, 0] += 5.0  # a jump that the odometry, known to a centimetre, does not have
+    run = replace(smoother(), final=Trajectory(path, np.tile(np.eye(3), (FRAMES, 1, 1))), total_nis=(1e4, 8))
+    assert first_misfit(run, INPUTS) == 20
+    assert with_doubt(run, INPUTS).doubt.frame == 20
+
+
+def test_a_path_longer_than_was_driven_is_implausible():
+    path = true_path()
+    path[25:, 1] += 4.0 * WAY
+    run = replace(smoother(), final=Trajectory(path, np.tile(0.01 * np.eye(3), (FRAMES, 1, 1))))
+    assert with_doubt(run, INPUTS).doubt.frame == 25
+    path[25:, 1] -= 3.5 * WAY
+    run = replace(run, final=Trajectory(path, run.final.covariance))
+    assert with_doubt(run, INPUTS).doubt is None
+
+
+def test_a_landmark_where_the_sensor_cannot_have_seen_it_is_implausible():
+    seen = sight(INPUTS)
+    assert 16.0 < seen < 18.0  # twice the range of 8 m, and noise
+    beyond = [4.0 + seen + 1.0, 0.0]  # of the first poses, which saw it
+    assert "where the sensor cannot have seen it" in with_doubt(with_map(smoother(), beyond), INPUTS).doubt.why
+    assert with_doubt(with_map(smoother(), [4.0 + seen - 1.0, 0.0]), INPUTS).doubt is None
+    # where a filter's landmark was seen from is known only as it was believed then
+    assert with_doubt(with_map(run_with_error(np.zeros(3)), beyond), INPUTS).doubt is None
+    assert with_doubt(with_map(run_with_error(np.zeros(3)), [1e4, 0.0]), INPUTS).status == "implausible"
+    assert with_doubt(with_map(run_with_error(np.zeros(3)), [np.inf, 0.0]), INPUTS).status == "implausible"
+
+
+def test_a_doubt_larger_than_the_world_is_implausible():
+    for run in (with_map(smoother(), [6.0, 0.0], 1e3), replace(
+        smoother(), final=Trajectory(true_path(), np.tile(1e6 * np.eye(3), (FRAMES, 1, 1)))
+    )):  # fmt: skip
+        marked = with_doubt(run, INPUTS)
+        assert marked.status == "implausible"
+        assert "is claimed to 1000 m" in marked.doubt.why
+
+
+def test_who_knows_as_little_as_dead_reckoning_is_not_implausible():
+    vague = np.array(INPUTS.increments.covariance)
+    vague[1:, 2, 2] = 1e3  # rad^2: the claimed doubt about the position is far longer than the way
+    inputs = replace(INPUTS, increments=replace(INPUTS.increments, covariance=vague))
+    (reckoned,) = compare(inputs, "slam", ["dead-reckoning"])
+    assert np.sqrt(reckoned.online.covariance[-1, 0, 0]) > 2.0 * (WAY + 40.0)
+    assert replace(smoother(), final=reckoned.online, association="known").doubt is None
+    assert not judged([replace(smoother(), final=reckoned.online, map=None)], inputs)[0].doubt
+
+
+def test_a_failure_comes_first():
+    failed = run_with_error(np.zeros(3), failure=Failure("diverged", 3, "NaN"))
+    assert with_doubt(failed, INPUTS) is failed
+    both = replace(failed, doubt=Failure("implausible", 0, "x"))
+    assert (both.status, both.flaw) == ("diverged", failed.failure)
+
+
+@pytest.mark.parametrize(("name", "doubtful"), [
+    ("arena:0", set()), ("corridor:0:people", set()),
+    ("corridor:0:no-odometry", {"ekf"}), ("corridor:0:no-odometry+forward", {"ekf", "batch"}),
+])  # fmt: skip
+def test_of_simulated_logs_the_runs_that_went_astray_are_marked(name, doubtful):
+    runs = compare(open_log(name).inputs(labels=True), "slam", ["ekf", "isam2", "batch"])
+    assert {r.estimator for r in runs if r.status == "implausible"} == doubtful
+    for run in runs:
+        absurd = run.total_nis[0] > 100.0 * run.total_nis[1]
+        assert absurd == (run.estimator in doubtful)
