@@ -110,15 +110,11 @@ def _run(options: argparse.Namespace) -> str:
     used = None if options.use is None else _numbers_of(options.use)
     if used is not None and options.fit is not None:
         raise UsageError("--fit and --use exclude each other: --use fits nothing")
+    gate = Setup(gate_known=probability_or_auto("--gate", options.gate)).settled(log.labels_are_sensed).label_gate
     with threadpool_limits(1):
-        tuning = tune(log, folder, groups=options.fit, gate=_gate_of(log, options.gate), use=used)
+        tuning = tune(log, folder, groups=options.fit, gate=gate, use=used)
     write_folder(tuning.log, options.out)
     return "\n".join([*_report(log, tuning), f"written: {options.out.absolute()}", ""])
-
-
-def _gate_of(log: Log, asked: str) -> float | None:
-    """The gate of a log's pairings, as `--gate` has it."""
-    return Setup(gate_known=probability_or_auto("--gate", asked)).settled(log.labels_are_sensed).label_gate
 
 
 def tune(
@@ -151,8 +147,6 @@ def tune(
         raise UsageError(f"log {log.name!r} has no labels; noise is fitted with known association only")
     if MARK in log.source:
         raise UsageError(f"log {log.name!r} is a tuned copy; tune the original")
-    if gate is not None and not 0.0 < gate < 1.0:
-        raise UsageError(f"--gate {gate:g}: a probability between 0 and 1 is needed")
     inputs = log.inputs(labels=True)
     decisions = pairings(inputs, gate_threshold(gate))
     wanted = DEFAULT_GROUPS if groups is None else tuple(groups.split(","))
