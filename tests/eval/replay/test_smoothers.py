@@ -56,6 +56,25 @@ def test_a_wide_prior_on_the_motion_loses_the_plain_filter_and_nobody_who_reline
     assert off(isam2, log) < 0.1
 
 
+@pytest.mark.parametrize("name", ["arena:1", "corridor:1", "corridor:0:no-odometry+forward", "park:0:frames=500"])
+def test_batch_and_isam2_end_in_the_same_optimum(name):
+    inputs = open_log(name).inputs(labels=True)
+    isam2, batch = compare(inputs, "slam", ["isam2", "batch"])
+    sigma = np.sqrt(np.diagonal(batch.final.covariance, axis1=1, axis2=2)).clip(1e-6)
+    assert np.abs((isam2.final.pose - batch.final.pose) / sigma).max() < 1e-3
+    assert max(isam2.last_step_sigma, batch.last_step_sigma) < 1e-3
+    assert min(isam2.iterations, batch.iterations) > 0
+
+
+def test_batch_is_the_same_whatever_else_is_asked_for():
+    """Where the plain filter is lost, the iterated one's path is tried, asked for or not."""
+    inputs = open_log("corridor:0:no-odometry+forward").inputs(labels=True)
+    (alone,) = compare(inputs, "slam", ["batch"])
+    beside = compare(inputs, "slam", ["ekf-iterated", "isam2", "batch"])[-1]
+    assert alone.final.pose.tobytes() == beside.final.pose.tobytes()
+    assert alone.total_nis[0] < 1.2 * alone.total_nis[1]
+
+
 def test_the_lag_reaches_the_smoother_only(clean):
     inputs = clean.inputs(labels=True)
     a, b = (compare(inputs, "slam", ["ekf", "isam2", "fixed-lag"], setup=Setup(lag=lag)) for lag in (2.0, 20.0))
