@@ -152,8 +152,7 @@ def tune(
     wanted = DEFAULT_GROUPS if groups is None else tuple(groups.split(","))
     model = make_model(inputs, None if folder is None else read_odometry(folder), wanted if use is None else GROUPS)
     origin: Fit | Numbers = fit(model, decisions) if use is None else use
-    found = origin if isinstance(origin, Fit) else None
-    theta = origin.theta if isinstance(origin, Fit) else vector(model, origin.values)
+    found, theta = (origin, origin.theta) if isinstance(origin, Fit) else (None, vector(model, origin.values))
     tuned = _tuned(log, folder, model, theta, origin)
     scores, errors = _judge(log, tuned, model, decisions, found)
     return Tuning(tuned, model, found, theta, scores, errors)
