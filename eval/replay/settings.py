@@ -10,8 +10,8 @@ from eval.replay.flag import flag, positive, positive_or_none, probability, prob
 
 SENSED_GATE = 0.9999
 """Gate for labels that a sensor read, where nobody says otherwise: one right reading in 10 000 is lost by it, and a
-misread barcode puts an ungated estimate off by decimetres. Chosen on simulated logs with up to 5 % of wrong labels,
-among gates from 0.99 to 0.99999 and robust losses (docs/results.md)."""
+misread barcode puts an ungated estimate off by decimetres. Compared with gates from 0.99 to 0.99999 and with robust
+losses on simulated logs with up to 5 % of wrong labels, and on recordings (docs/results.md)."""
 
 
 @dataclass(frozen=True)
