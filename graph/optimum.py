@@ -30,6 +30,8 @@ ROUNDING = 2e-5
 good to 1e-5 sigma or so."""
 CONVERGED = 1e-3
 """sigma. The largest component of the step that is left at what may be called an optimum."""
+SHRANK = 0.9
+"""Hardly: to more than this share. The steps of a robust loss shrink to half or so each time."""
 MOST = 200
 """Steps of one search. Five to fifteen are usual, a robust loss converges linearly and may take fifty."""
 SHORTEST = 1e-3
@@ -122,7 +124,7 @@ def _descend(
         if triangle.free >= 0:
             raise UnderConstrained(f"{_name(linearizer, triangle.free)} is not determined by the observations")
         left = float(np.sqrt(np.einsum("vic,vic->", triangle.d, triangle.d)))
-        if left < enough or 0.5 * before < left < rounding or step == MOST:
+        if left < enough or SHRANK * before < left < rounding or step == MOST:
             break
         # beyond what the cost can resolve, a step that grew went too far: large residuals bend the valley
         if left > before and left < 1.0:

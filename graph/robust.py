@@ -88,13 +88,14 @@ def _graduate(problem: Problem, start: Start, probability: float, *, qr: bool) -
     graph = graph_of([*believed, *(f for s in problem.sighted for f in s.measured)])
     optimizer = gtsam.GncLMOptimizer(graph, start_values(problem, start), parameters)
     count = np.array([len(s.measured) for s in problem.sighted], np.int64)
-    # one quantile for all: two independent scalars both pass theirs as often as the pair would pass its own
-    scalars = count.max(initial=1) == 2
-    quantile = gate_threshold(np.sqrt(probability), 1) if scalars else gate_threshold(probability)
+    # one quantile for all: two independent scalars both pass theirs as often as the pair would pass its own; where only
+    # the nearest readings are points, theirs is the pair's until they are judged together
+    quantile = gate_threshold(np.sqrt(probability), 1) if (count == 2).all() else gate_threshold(probability)
     optimizer.setInlierCostThresholds(0.5 * quantile)
     values = optimizer.optimize()
     weight = optimizer.getWeights()[len(believed) :]
-    smallest = weight.reshape(-1, 2).min(1) if scalars else weight
+    first = np.cumsum(count) - count
+    smallest = np.minimum.reduceat(weight, first) if len(count) else weight
     return _start_of(problem, values, start), smallest > 0.5
 
 

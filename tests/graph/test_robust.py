@@ -15,6 +15,7 @@ from data.errors import DataError
 from data.inputs import Increments, LabelledObservations, Prior, floor_covariances
 from data.result import DISCARD
 from data.worlds.arena import Arena, simulate
+from data.worlds.registry import named_log
 from ekf.whole_run import run_filter
 from graph.batch import Start, build, smooth, start_values
 from graph.robust import gnc
@@ -281,3 +282,16 @@ def test_senseless_requests_are_refused():
     singular = replace(inputs, increments=Increments(inputs.increments.mean, 0.0 * inputs.increments.covariance))
     with pytest.raises(DataError, match="covariance is singular"):
         gnc(singular, decisions, created, start)
+
+
+def test_near_readings_which_are_points_are_judged_like_all_others():
+    """In a park whose trees stand on the way, seen all around: every tenth reading or so is nearer than three sigma."""
+    log = named_log("park:5:frames=150+strip=.3+field_of_view=360+max_range=5+sigma_range=.2")
+    inputs = log.inputs(labels=True).without_map()
+    decisions, created = known_decisions(inputs)
+    o = inputs.observations
+    assert (o.z[:, 0] < 3.0 * np.sqrt(o.R[:, 0, 0])).sum() > 20
+    result, accepted = gnc(inputs, decisions, created, filtered(inputs, decisions))
+    assert accepted.mean() > 0.97
+    plain = smooth(inputs, decisions, created, filtered(inputs, decisions))
+    assert rms(result.trajectory.pose, log.truth.pose) < 1.5 * rms(plain.trajectory.pose, log.truth.pose)
