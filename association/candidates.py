@@ -92,9 +92,9 @@ class Places:
 class Drift:
     """Bounds on each landmark's uncertainty relative to the robot, without any joint covariance.
 
-    The lesser of two: the landmark's last sighting and odometry alone since then (all else that was measured can only
-    make it smaller), and its own uncertainty in the world plus the robot's. Far from the start the second is useless,
-    after a long way the first.
+    The lesser of two: what was known of the landmark when it was last seen or expected, and odometry alone since then
+    (all else that was measured can only make it smaller), and its own uncertainty in the world plus the robot's. Far
+    from the start the second is useless, after a long way the first.
     """
 
     def __init__(self) -> None:
@@ -102,8 +102,8 @@ class Drift:
         self._now = np.zeros(3)
         """Sums of position variances [m^2] and heading variances [rad^2], path length [m]."""
         self._then = np.empty((0, 6))
-        """By landmark number: the sums at its last sighting, its variance [m^2] and distance [m] in that, its own
-        sigma [m] in the world."""
+        """By landmark number: the sums when it was last seen or expected, its variance [m^2] and distance [m] then,
+        its own sigma [m] in the world."""
 
     def move(self, increment: Increment) -> None:
         """The robot moved."""
@@ -125,6 +125,12 @@ class Drift:
         lever = r + math.hypot(*sensor.translation)
         own = np.sqrt(covariance[0, 0] + covariance[1, 1]) + lever * math.sqrt(covariance[2, 2]) + np.sqrt(variance)
         self.know(numbers, own)
+
+    def expect(self, sensor: Sensor, numbers: IntArray, z_hat: Array, HPHt: Array) -> None:
+        """Seen landmarks `numbers` (n,) are expected at z_hat (n, 2) now, with covariances HPHt (n, 2, 2)."""
+        r, sigma = sensor.polar(z_hat)[:, 0], polar_sigma(sensor, z_hat, HPHt)
+        self._then[numbers, :3], self._then[numbers, 4] = self._now, r
+        self._then[numbers, 3] = sigma[:, 0] ** 2 + (r * sigma[:, 1]) ** 2
 
     def know(self, numbers: IntArray, sigma: Array) -> None:
         """The landmarks' own uncertainty (n,) [m] in the world; it never grows."""

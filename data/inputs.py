@@ -119,6 +119,42 @@ class Frame(NamedTuple):
         return self._replace(sightings=seen, label=label, first=self.first + begin)
 
 
+@dataclass(frozen=True)
+class Scanner:
+    """A planar laser scanner: beam i points at angle_min + i * angle_step in its own frame.
+
+    Attributes:
+        angle_min, angle_step: rad.
+        max_range: m; a range not below it is no return.
+        sigma: m, of a range.
+        rotation, translation: rad, m, (2,): p_scanner = R(rotation) p_body + translation, as of the other sensors.
+    """
+
+    angle_min: float
+    angle_step: float
+    max_range: float
+    sigma: float
+    rotation: float = 0.0
+    translation: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Scans:
+    """Range scans: frame (S,) strictly ascending, ranges (S, B) [m], 0 where nothing came back."""
+
+    scanner: Scanner
+    frame: IntArray
+    ranges: Array
+
+    def __post_init__(self) -> None:
+        read_only(self)
+
+    def of(self, frame: int) -> Array | None:
+        """The scan (B,) of a frame, None where there is none."""
+        row = int(np.searchsorted(self.frame, frame))
+        return self.ranges[row] if row < len(self.frame) and self.frame[row] == frame else None
+
+
 @dataclass(frozen=True, eq=False)
 class LandmarkMap:
     """Known landmarks: id (L,) ascending and >= 0, xy (L, 2) in the world frame. Estimators take them as exact."""
@@ -159,6 +195,7 @@ class Inputs:
         time_is_index: the log has no stamps.
         covariance_floor: smallest eigenvalue allowed in an increment's covariance.
         floored: how many increments got the floor.
+        scans: of a laser log.
         start: (N + 1,) offsets; the observations of frame k are rows start[k]:start[k + 1].
     """
 
@@ -171,6 +208,7 @@ class Inputs:
     time_is_index: bool = False
     covariance_floor: float = 1e-10
     floored: int = 0
+    scans: Scans | None = None
     start: IntArray = field(init=False)
 
     def __post_init__(self) -> None:

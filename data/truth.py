@@ -14,6 +14,32 @@ UNKNOWN_ID = -2
 
 
 @dataclass(frozen=True, eq=False)
+class Relations:
+    """Reference relations: the pose at one frame in the frame of the pose at another, known without a true path.
+
+    Attributes:
+        row1, row2: (K,) frames.
+        relative: (K, 3), the pose of row2 in the frame of row1 [m, m, rad].
+        exact: (K,) 1 where both rows are sure, 0 where they are not; None: not said.
+        stamp: (K, 2) s, what the reference's author tied the relations to; None: rows only.
+        frame_stamp: (N,) s, the frames' stamps as recorded, not made monotone; None: the log's time.
+    """
+
+    row1: IntArray
+    row2: IntArray
+    relative: Array
+    exact: IntArray | None = None
+    stamp: Array | None = None
+    frame_stamp: Array | None = None
+
+    def __post_init__(self) -> None:
+        read_only(self)
+
+    def __len__(self) -> int:
+        return len(self.row1)
+
+
+@dataclass(frozen=True, eq=False)
 class Truth:
     """Ground truth; any part may be absent (None), and metrics that need it are then left blank.
 
@@ -21,11 +47,13 @@ class Truth:
         pose: (N, 3), NaN rows where the truth is missing or marked bad.
         landmarks: true landmark positions by id.
         landmark_of: (M,) true id per observation, `CLUTTER` for none, `UNKNOWN_ID` where not known.
+        relations: reference relations of a laser log.
     """
 
     pose: Array | None = None
     landmarks: LandmarkMap | None = None
     landmark_of: IntArray | None = None
+    relations: Relations | None = None
 
     def __post_init__(self) -> None:
         read_only(self)
@@ -36,4 +64,4 @@ class Truth:
         return 0 if self.pose is None else int(np.isfinite(self.pose).all(axis=1).sum())
 
 
-__all__ = ["CLUTTER", "UNKNOWN_ID", "Truth"]
+__all__ = ["CLUTTER", "UNKNOWN_ID", "Relations", "Truth"]

@@ -115,6 +115,7 @@ class Isam2Smoother(Smoother):
         every = expected.form(self.sensor, pose, joint, *candidates, sightings)
         keep = in_view(self.sensor, every.z_hat, every.HPHt)
         if self.map is None:
+            self._drift.expect(self.sensor, candidates[0], every.z_hat, every.HPHt)
             joint = joint[np.ix_(*[np.concatenate([np.ones(3, np.bool_), np.repeat(keep, 2)])] * 2)]
         return expected.form(self.sensor, pose, joint, candidates[0][keep], candidates[1][keep], sightings)
 
