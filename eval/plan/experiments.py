@@ -14,7 +14,7 @@ from data.logs import Reading, find_logs, open_log
 from data.recordings.esde import NAME, find_esde
 from eval.plan.flags import DEFAULT_ESTIMATORS, QUICK_RUNS
 from eval.plan.options import Options
-from eval.replay.names import FILTERS
+from eval.replay.names import FILTERS, SCAN
 from eval.replay.settings import Setup
 from eval.studies.scenario import Scenario
 from eval.studies.scenario_file import load_scenario
@@ -36,7 +36,12 @@ class Work:
     estimators: tuple[str, ...]
 
     def parts(self) -> tuple[Work, ...]:
-        """What can be done apart: iSAM2 takes longest; batch goes with the front end whose decisions it takes."""
+        """What can be done apart: iSAM2 takes longest; batch goes with the front end whose decisions it takes.
+
+        Scans are matched once for all.
+        """
+        if self.association == SCAN:
+            return (self,)
         apart: list[tuple[str, ...]] = [(e,) for e in self.estimators if e == "fixed-lag"]
         rest = tuple(e for e in self.estimators if e != "fixed-lag")
         if "isam2" in rest:
@@ -168,7 +173,11 @@ def _tasks(log: Log, options: Options) -> Sequence[str]:
 
 def _work(log: Log, options: Options) -> tuple[Work, ...]:
     """Every estimator with every way of association asked for."""
-    associations = options.association or (("known",) if log.has_labels else ("jcbb",))
+    scans, seen = log.recorded.scans is not None, len(log.recorded.observations.frame) > 0
+    alone = SCAN if scans and not seen else "jcbb"
+    associations = options.association or (("known",) if log.has_labels else (alone,))
+    if SCAN in associations and not scans:
+        raise UsageError(f"--association {SCAN}: log {log.name!r} has no laser scans")
     if "known" in associations and not log.has_labels:
         raise UsageError(f"--association known: log {log.name!r} has no labels (true_id or label in observations.csv)")
     return tuple(Work(a, options.estimator) for a in associations)

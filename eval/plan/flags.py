@@ -73,7 +73,8 @@ class Selection:
         default=(),
         metadata=flag(
             names(ASSOCIATIONS), "LIST",
-            f"of {', '.join(ASSOCIATIONS)} (default: known where the log has labels, else jcbb)",
+            f"of {', '.join(ASSOCIATIONS)} (default: known where the log has labels, scan where it "
+            "has laser scans alone, else jcbb)",
         ),
     )  # fmt: skip
 
