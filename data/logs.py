@@ -92,7 +92,8 @@ def _open_folder(path: Path, reading: Reading, say: Callable[[str], None]) -> Lo
 
 
 def find_logs(folder: Path, say: Callable[[str], None]) -> Iterator[Callable[[], Log]]:
-    """Loaders of every dataset in a folder, two levels deep: open logs, MRCLAM folders and zips with every robot.
+    """Loaders of every dataset in a folder, two levels deep: open logs, MRCLAM folders and zips with every robot, and
+    CARMEN logs with scans (where some of a folder have relations beside them, those).
 
     What is not recognised is named through `say` and skipped. Loading is left to the caller, log by log.
     """
@@ -104,9 +105,19 @@ def find_logs(folder: Path, say: Callable[[str], None]) -> Iterator[Callable[[],
 def _search(folder: Path, depth: int, say: Callable[[str], None]) -> Iterator[Callable[[], Log]]:
     from data.mrclam.load import is_mrclam
     from data.open_log.reader import load_folder
+    from data.recordings.carmen import RELATIONS, is_carmen, load_carmen, relations_beside
 
-    for path in sorted(folder.iterdir()):
-        if path.name.startswith("."):
+    inside = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
+    lasers = [path for path in inside if is_carmen(path)]
+    related = [path for path in lasers if relations_beside(path) is not None]
+    for path in inside:
+        if path in lasers:
+            if path in related or not related:
+                yield lambda path=path: load_carmen(path)  # type: ignore[misc]
+            else:
+                say(f"skipped {path}: no relations beside it, as other logs there have")
+            continue
+        if path.name.endswith(RELATIONS):
             continue
         if path.is_dir() and (path / "log.toml").exists():
             yield lambda path=path: load_folder(path)  # type: ignore[misc]

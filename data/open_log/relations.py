@@ -47,3 +47,17 @@ def read_relations(path: Path, frames: int, frame_stamp: Array | None = None) ->
         stamp = table.stack(STAMPS)
     row1, row2 = (table.columns[name].astype(np.int64) for name in ("row1", "row2"))
     return Relations(row1, row2, table.stack(RELATIVE), exact, stamp, frame_stamp)
+
+
+def relations_columns(relations: Relations) -> tuple[list[str], list[list[object]]]:
+    """Names of the columns, and the rows: what `read_relations` reads."""
+    r = relations
+    names = ["row1", "row2", *RELATIVE]
+    columns = [r.row1.tolist(), r.row2.tolist(), *r.relative.T.tolist()]
+    if r.exact is not None:
+        names.append(EXACT)
+        columns.append(r.exact.tolist())
+    if r.stamp is not None:
+        names += STAMPS
+        columns += r.stamp.T.tolist()
+    return names, [list(row) for row in zip(*columns, strict=True)]

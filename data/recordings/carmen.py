@@ -17,6 +17,7 @@ from data.errors import DataError
 from data.inputs import Inputs, IntArray, Observations, Prior, Scanner, Scans
 from data.log import Log
 from data.open_log.relations import read_relations
+from data.open_log.scans import with_returns
 from data.recordings.carmen_lines import HEAD, SCANS, CarmenLines, ScanLines, content_of, parse_carmen
 from data.recordings.wheel_odometry import FLOOR, increments_of, made_increasing
 from data.se2 import Array, between, inverse
@@ -63,7 +64,7 @@ def is_carmen(path: Path) -> bool:
     if not is_named_carmen(path) or not path.is_file():
         return False
     try:
-        content = content_of(path)
+        content, _ = content_of(path)
     except DataError:
         return False
     return any(content.startswith(f"{kind} ".encode()) or f"\n{kind} ".encode() in content for kind in SCANS)
@@ -88,12 +89,11 @@ def load_carmen(path: str | PathLike[str], relations: Path | None = None) -> Log
             the relations.
     """
     file = Path(path)
-    content = content_of(file)
-    lines = parse_carmen(file, content)
-    return log_of(file, content, lines, relations or relations_beside(file))
+    content, sha256 = content_of(file)
+    return log_of(file, sha256, parse_carmen(file, content), relations or relations_beside(file))
 
 
-def log_of(file: Path, content: bytes, lines: CarmenLines, relations: Path | None) -> Log:
+def log_of(file: Path, sha256: str, lines: CarmenLines, relations: Path | None) -> Log:
     """The log of a file's lines."""
     scans, odometry = lines.scans, lines.odometry
     if len(odometry.line):
@@ -116,9 +116,9 @@ def log_of(file: Path, content: bytes, lines: CarmenLines, relations: Path | Non
         sensor=RangeBearing(scanner.max_range),
         covariance_floor=FLOOR,
         floored=floored,
-        scans=Scans(scanner, frame[kept], without_returns(scans.ranges[kept], scanner.max_range)),
+        scans=Scans(scanner, frame[kept], with_returns(scans.ranges[kept], scanner.max_range)),
     )
-    source = {"kind": "carmen", "path": str(file.absolute()), "sha256": hashlib.sha256(content).hexdigest()}
+    source = {"kind": "carmen", "path": str(file.absolute()), "sha256": sha256}
     truth = Truth()
     if relations is not None:
         truth = Truth(relations=read_relations(relations, len(pose), raw))
@@ -126,11 +126,6 @@ def log_of(file: Path, content: bytes, lines: CarmenLines, relations: Path | Non
         source["relations_sha256"] = hashlib.sha256(relations.read_bytes()).hexdigest()
     notes = [*_notes(lines, frame.astype(np.int64), kept, stamp), *of_scanner]
     return Log(log_name(file), recorded, truth, source=source, notes=tuple(notes))
-
-
-def without_returns(ranges: Array, max_range: float) -> Array:
-    """Ranges (S, B) [m] with 0 where nothing came back: what is not below `max_range`."""
-    return np.where(ranges < max_range, ranges, 0.0)
 
 
 def _notes(lines: CarmenLines, frame: IntArray, kept: IntArray, stamp: Array) -> list[str]:

@@ -16,6 +16,7 @@ Source: the CARMEN toolkit's log format (M. Montemerlo, N. Roy, S. Thrun), as it
 from __future__ import annotations
 
 import gzip
+import hashlib
 import math
 import zlib
 from collections import Counter
@@ -25,7 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
-from data.errors import LARGEST, DataError
+from data.errors import DataError
 from data.inputs import IntArray
 from data.open_log.table import Table
 from data.se2 import Array
@@ -90,11 +91,16 @@ class CarmenLines:
     neff: IntArray
 
 
-def content_of(path: Path) -> bytes:
-    """Bytes of a file, unpacked if its name ends in .gz; DataError where that cannot be."""
+def content_of(path: Path) -> tuple[bytes, str]:
+    """Bytes of a file, unpacked if its name ends in .gz, and the SHA-256 of the file as it is.
+
+    Raises:
+        DataError: the file cannot be read or unpacked.
+    """
     try:
         packed = path.read_bytes()
-        return gzip.decompress(packed) if path.suffix.lower() == ".gz" else packed
+        content = gzip.decompress(packed) if path.suffix.lower() == ".gz" else packed
+        return content, hashlib.sha256(packed).hexdigest()
     except gzip.BadGzipFile:
         raise DataError.at(path, "not a gzip file, though named so; pack it, or name it without .gz") from None
     except (EOFError, zlib.error) as error:
@@ -273,6 +279,3 @@ def _not_a_number(path: Path, line: int, row: list[bytes], names: Sequence[str])
         if not fine:
             return DataError.at(path, f"{_shown(field)} is not a number", line=line, column=name)
     raise AssertionError("called for a line whose fields are all numbers")
-
-
-__all__ = ["LARGEST", "CarmenLines", "OdometryLines", "ScanLines", "content_of", "parse_carmen"]
