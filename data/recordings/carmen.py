@@ -8,20 +8,21 @@ from __future__ import annotations
 
 import hashlib
 import math
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
 
 from data.errors import DataError
-from data.inputs import Inputs, IntArray, Observations, Prior, Scanner, Scans
+from data.inputs import IntArray, Scanner, Scans
 from data.log import Log
 from data.open_log.relations import read_relations
 from data.open_log.scans import with_returns
+from data.recordings.carmen_corrected import without_corrections
 from data.recordings.carmen_lines import HEAD, SCANS, CarmenLines, ScanLines, content_of, parse_carmen
-from data.recordings.wheel_odometry import FLOOR, increments_of, made_increasing
+from data.recordings.laser import laser_inputs
 from data.se2 import Array, between, inverse
-from data.sensors import RangeBearing
 from data.truth import Truth
 
 ENDINGS = (".log", ".clf")
@@ -76,8 +77,11 @@ def relations_beside(path: Path) -> Path | None:
     return beside if beside.is_file() else None
 
 
-def load_carmen(path: str | PathLike[str], relations: Path | None = None) -> Log:
+def load_carmen(path: str | PathLike[str], relations: Path | None = None, *, undo_correction: bool = False) -> Log:
     """A CARMEN log with the relations in a file, or in the file beside it.
+
+    `undo_correction`: its poses are a particle filter's; the raw odometry is recovered from them (see
+    `data.recordings.carmen_corrected`).
 
     The first pose is that of the odometry, exactly. Increments are those of the odometry, with the noise of
     `data.recordings.wheel_odometry`. Of several scans of a frame the first is kept, the nearest to the frame's
@@ -90,7 +94,14 @@ def load_carmen(path: str | PathLike[str], relations: Path | None = None) -> Log
     """
     file = Path(path)
     content, sha256 = content_of(file)
-    return log_of(file, sha256, parse_carmen(file, content), relations or relations_beside(file))
+    lines = parse_carmen(file, content)
+    said: list[str] = []
+    if undo_correction:
+        if not len(lines.odometry.line):
+            raise DataError.at(file, "no ODOM line; without one there is no raw odometry to recover")
+        lines, *said = without_corrections(lines)
+    log = log_of(file, sha256, lines, relations or relations_beside(file))
+    return replace(log, notes=(*said, *log.notes))
 
 
 def log_of(file: Path, sha256: str, lines: CarmenLines, relations: Path | None) -> Log:
@@ -105,19 +116,10 @@ def log_of(file: Path, sha256: str, lines: CarmenLines, relations: Path | None) 
     if len(kept) == 0:
         raise DataError.at(file, "no scan after the first ODOM line; scans with odometry before them are needed")
     scanner, of_scanner = _scanner(lines)
-    increments, floored = increments_of(pose)
     raw = stamp.copy()
     raw[frame[kept]] = scans.stamp[kept]
-    recorded = Inputs(
-        prior=Prior(pose[0], np.zeros((3, 3))),
-        time=made_increasing(stamp),
-        increments=increments,
-        observations=Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2))),
-        sensor=RangeBearing(scanner.max_range),
-        covariance_floor=FLOOR,
-        floored=floored,
-        scans=Scans(scanner, frame[kept], with_returns(scans.ranges[kept], scanner.max_range)),
-    )
+    taken = Scans(scanner, frame[kept], with_returns(scans.ranges[kept], scanner.max_range))
+    recorded = laser_inputs(pose, stamp, taken)
     source = {"kind": "carmen", "path": str(file.absolute()), "sha256": sha256}
     truth = Truth()
     if relations is not None:
