@@ -58,7 +58,7 @@ class PoseGraph:
 
         Raises DataError for a covariance that is singular, ValueError for a key pose that is not there.
         """
-        if len(key1) and not (0 <= min(key1.min(), key2.min()) and max(key1.max(), key2.max()) < self.keys):
+        if len(key1) and not (min(key1.min(), key2.min()) >= 0 and max(key1.max(), key2.max()) < self.keys):
             raise ValueError(f"a loop closure is between key poses 0 ... {self.keys - 1}")
         models, _ = relative_noise(relative, covariance, "loop closure")
         for a, b, pose, model in zip(key1.tolist(), key2.tolist(), relative, models, strict=True):

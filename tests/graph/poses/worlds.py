@@ -34,7 +34,7 @@ class World(NamedTuple):
         return self._replace(key1=key1[order], key2=key2[order], relative=relative[order], loop_covariance=C[order])
 
 
-def corridors(seed, keys=300, *, loops=100, side=6.0, step=0.5, blocks=5):
+def corridors(seed, keys=300, *, loops=100, drift=1.0, side=6.0, step=0.5, blocks=5):
     """A walk on a grid of corridors `side` m apart, a key every `step` m; loops between keys near and alike in heading."""
     rng = np.random.default_rng(seed)
     at, facing = np.array([0, 0]), 0
@@ -54,8 +54,8 @@ def corridors(seed, keys=300, *, loops=100, side=6.0, step=0.5, blocks=5):
     truth[1:] += rng.normal(0, [0.1, 0.1, 0.05], (keys - 1, 3))
     truth[:, 2] = np.angle(np.exp(1j * truth[:, 2]))
     motion, covariance = np.zeros((keys, 3)), np.zeros((keys, 3, 3))
-    covariance[1:] = np.diag(SIGMA_CHAIN**2)
-    motion[1:] = between(truth[:-1], truth[1:]) + rng.normal(0, SIGMA_CHAIN, (keys - 1, 3))
+    covariance[1:] = np.diag((drift * SIGMA_CHAIN) ** 2)
+    motion[1:] = between(truth[:-1], truth[1:]) + rng.normal(0, drift * SIGMA_CHAIN, (keys - 1, 3))
     gap = np.hypot(*(truth[:, None, :2] - truth[None, :, :2]).transpose(2, 0, 1))
     a, b = np.nonzero((gap < 1.0) & (np.arange(keys)[None] - np.arange(keys)[:, None] > 20))
     pick = np.sort(rng.choice(len(a), min(loops, len(a)), replace=False)) if len(a) else np.empty(0, int)
@@ -73,17 +73,19 @@ def random_false(world, rng, count):
     return a, b, rng.normal(0, [0.5, 0.5, 0.3], (count, 3))
 
 
-def structured_false(world, rng, count, group=5):
-    """Groups of loops that agree with each other: a stretch of corridor taken for another one, with one wrong offset."""
-    keys = len(world.truth)
-    a, b, relative = [], [], []
+def structured_false(world, rng, count, group=5, apart=8.0):
+    """Groups of loops that agree with each other: a stretch of corridor taken for another like it, at most `apart` m off."""
+    keys, a, b, relative = len(world.truth), [], [], []
+    p = world.truth
     while len(a) < count:
-        i = int(rng.integers(0, keys - 30 - group))
-        j = int(rng.integers(i + 20, keys - group))
-        shift = rng.normal(0, [0.5, 0.5, 0.05])  # where the second stretch seems to begin, seen from the first one
+        i, j = int(rng.integers(0, keys - group)), int(rng.integers(0, keys - group))
+        gap, turn = np.hypot(*(p[i] - p[j])[:2]), np.cos(p[i, 2] - p[j, 2])
+        if not (j > i + 20 and 2.0 < gap < apart and turn > 0.9):
+            continue
+        shift = rng.normal(0, [0.3, 0.3, 0.05])  # where the second stretch seems to begin, seen from the first one
         for k in range(min(group, count - len(a))):
-            second = compose(shift, between(world.truth[j], world.truth[j + k]))
-            first = between(world.truth[i], world.truth[i + k])
+            second = compose(shift, between(p[j], p[j + k]))
+            first = between(p[i], p[i + k])
             a.append(i + k)
             b.append(j + k)
             relative.append(between(first, second) + rng.normal(0, SIGMA_LOOP))
