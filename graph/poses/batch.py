@@ -29,9 +29,9 @@ from graph.poses.linear import Newton, PoseProblem
 HUBER, CAUCHY = 1.345, 1.0
 """Sigmas at which the losses bend, as in `graph.factors.KERNELS`."""
 CUT = 30.0
-"""sigma. From Cauchy's optimum on, a loop closure further off has no weight at all. There it has 0.1 %, a pull of 3 % of
-a sigma; but two hundred false ones pull together: in a grid of corridors with as many false loop closures as true ones
-the path's error changed by up to a third, cut by less than 2 % (GNC: 0). Cut at 10, honest ones were lost, too."""
+"""sigma. From Cauchy's optimum on, a loop closure further off has no weight at all. There it has 0.1 %, a pull of 3 %
+of a sigma; but two hundred false ones pull together: in grids of corridors with as many false loop closures as true
+ones the path's error changed by up to a third, cut by less than 2 % (GNC: 0). Cut at 10, honest ones were lost, too."""
 MOST = 400
 """Steps of one search. Of a robust loss 50 to 150 are usual."""
 DEPTH = 6
@@ -100,9 +100,8 @@ def descend(problem: PoseProblem, pose: Array, loss: Loss) -> tuple[Array, Array
         past = [*past[1 - DEPTH :], (pose, newton.delta)]
         for share, moved in _trials(past):
             moved_cost, moved_weight = evaluate(problem, moved, loss)
-            if moved_cost <= cost - ARMIJO * 2.0 * share * (1.0 - 0.5 * share) * left**2 + ERROR_ROUNDING * (
-                1.0 + cost
-            ):
+            promised = share * (2.0 - share) * left**2
+            if moved_cost <= cost - ARMIJO * promised + ERROR_ROUNDING * (1.0 + cost):
                 break
             if share < 1.0:
                 past = past[-1:]
@@ -171,7 +170,10 @@ def finished(
     iterations: int,
     dof: int | None = None,
 ) -> SmoothedPoses:
-    """Where a search ended, with covariances; `dof` where they are not the problem's own. Raises `NotConvergedError` where that is no optimum."""
+    """Where a search ended, with covariances; `dof` where they are not the problem's own.
+
+    Raises `NotConvergedError` where that is no optimum.
+    """
     dof = problem.dof if dof is None else dof
     covariance = problem.covariances(newton)
     sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), TINY**2))

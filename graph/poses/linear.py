@@ -56,10 +56,11 @@ class PoseProblem:
 
     def residuals(self, pose: Array) -> Array:
         """Whitened residuals (E, 3) of all edges at poses (K, 3)."""
-        return _residuals(pose, self.key1, self.key2, self.relative, self.root)
+        residual: Array = _residuals(pose, self.key1, self.key2, self.relative, self.root)
+        return residual
 
     def prior_residual(self, pose: Array) -> tuple[Array, Array, Array]:
-        """start (3,), z (3,), U (3, 3): the first pose is pose[0] + start + U w, where z + w ~ N(0, I).
+        """Start (3,), z (3,) and U (3, 3): the first pose is pose[0] + start + U w, where z + w ~ N(0, I).
 
         The start is zero unless `pose` contradicts what the prior knows exactly.
         """
@@ -150,15 +151,14 @@ def _error(a, b, m, r):  # type: ignore[no-untyped-def]
     dx, dy = b[0] - a[0], b[1] - a[1]
     x, y = ca * dx + sa * dy, -sa * dx + ca * dy  # of b in a
     tx, ty = cm * (x - m[0]) + sm * (y - m[1]), -sm * (x - m[0]) + cm * (y - m[1])
-    w = wrap_angle(b[2] - a[2] - m[2])
-    h = 0.5 * w
+    h = 0.5 * wrap_angle(b[2] - a[2] - m[2])
     if abs(h) < 1e-4:
         g, slope = 1.0 - h * h / 3.0, -2.0 * h / 3.0
     else:
         tangent = np.tan(h)
         g = h / tangent
         slope = 1.0 / tangent - h / np.sin(h) ** 2
-    r[0], r[1], r[2] = g * tx + h * ty, -h * tx + g * ty, w
+    r[0], r[1], r[2] = g * tx + h * ty, -h * tx + g * ty, 2.0 * h
     return x, y, tx, ty, g, h, slope
 
 

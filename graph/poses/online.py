@@ -33,12 +33,13 @@ class PoseGraph:
             raise ValueError(f"loss {loss!r}; known: {', '.join(LOSSES)}")
         self.prior, self.loss, self.keys = prior, loss, 1
         low = np.linalg.eigvalsh(prior.covariance)
-        self._engine = Engine(THRESHOLD, SKIP, qr=bool(low[0] < DELICATE < low[-1]), name=_name)
+        self._engine = Engine(THRESHOLD, SKIP, qr=bool(low[0] < DELICATE < low[-1]), name=name_of_key)
         self._tip = prior.mean.copy()
         self._factors: list[Factor] = [prior_factor(prior)]
         self._values = gtsam.Values()
         self._values.insert(X(0), pose2(prior.mean))
         self._loops = False
+        self._oldest = 0  # key pose that is still in the graph
 
     def add_key(self, motion: Array, covariance: Array) -> None:
         """The next key pose, `motion` (3,) with covariance (3, 3) from the newest one.
@@ -81,24 +82,29 @@ class PoseGraph:
     def newest(self) -> tuple[Array, Array]:
         """The newest key pose (3,) after the last update, and its covariance (3, 3)."""
         self._ready()
-        if self.keys == 1 and is_exact(self.prior):
-            return self._tip.copy(), np.zeros((3, 3))
         B = world_from_body(self._tip[2])
-        P = B @ self._engine.covariance([int(X(self.keys - 1))]) @ B.T
+        P = B @ self._body_covariance(self.keys - 1) @ B.T
         return self._tip.copy(), 0.5 * (P + P.T)
 
     def poses(self) -> Array:
         """All key poses (K, 3) after the last update."""
-        self._ready()
-        return np.asarray(gtsam.utilities.extractPose2(self._engine.values()), float)
+        return self._present()
 
     def covariances(self) -> Array:
         """Marginal covariances (K, 3, 3) of all key poses after the last update."""
+        body = np.array([self._body_covariance(k) for k in range(self._oldest, self.keys)])
+        return in_world(self._present(), body)
+
+    def _present(self) -> Array:
+        """Key poses that are in the graph."""
         self._ready()
-        body = np.array([self._engine.covariance([int(X(k))]) for k in range(self.keys)])
-        if is_exact(self.prior):
-            body[0] = 0.0
-        return in_world(self.poses(), body)
+        return np.asarray(gtsam.utilities.extractPose2(self._engine.values()), float)
+
+    def _body_covariance(self, key: int) -> Array:
+        """Covariance (3, 3) of a key pose in its own frame."""
+        if key == 0 and is_exact(self.prior):
+            return np.zeros((3, 3))
+        return self._engine.covariance([int(X(key))])
 
     def _ready(self) -> None:
         """Raises ValueError where something was added that no update has seen."""
@@ -106,5 +112,6 @@ class PoseGraph:
             raise ValueError("update the graph before asking it")
 
 
-def _name(key: int) -> str:
+def name_of_key(key: int) -> str:
+    """A variable in words."""
     return f"key pose {gtsam.symbolIndex(key)}"

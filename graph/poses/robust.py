@@ -56,7 +56,9 @@ def _graduate(problem: PoseProblem, pose: Array, threshold: float) -> tuple[Arra
         return pose, np.ones(problem.loops, np.bool_), 0
     mu = threshold / max(2.0 * largest - threshold, threshold)
     weight = np.ones(problem.loops)
-    for count in range(1, ROUNDS + 1):
+    rounds = 0
+    while rounds < ROUNDS:
+        rounds += 1
         low, high = mu / (mu + 1.0) * threshold, (mu + 1.0) / mu * threshold
         middle = np.sqrt(threshold / np.maximum(square, low) * mu * (mu + 1.0)) - mu
         weight = np.where(square <= low, 1.0, np.where(square >= high, 0.0, np.clip(middle, 0.0, 1.0)))
@@ -65,7 +67,7 @@ def _graduate(problem: PoseProblem, pose: Array, threshold: float) -> tuple[Arra
         if mu > 1.0 and ((weight == 0.0) | (weight == 1.0)).all():
             break
         mu *= GROW
-    return pose, weight > 0.5, count
+    return pose, weight > 0.5, rounds
 
 
 def _step(problem: PoseProblem, pose: Array, weight: Array) -> Array:
