@@ -21,8 +21,8 @@ NAMES = ", ".join(["victoria-park", *(f"{world}:SEED[:KEYS]" for world in regist
 
 @dataclass(frozen=True)
 class Reading:
-    """How logs with images are read (see `data.visual.opening.Camera`), and where rendered ones keep their
-    detections.
+    """How logs with images are read (see `data.visual.opening.Camera`), where rendered ones keep their detections, and
+    the reference relations of a laser log (None: those beside it).
     """
 
     camera_translation: str = "cm"
@@ -30,13 +30,20 @@ class Reading:
     corner_noise: str = "lab"
     trust_pickle: bool = False
     cache: Path | None = None
+    relations: Path | None = None
 
 
 def open_log(name: str, reading: Reading = Reading(), say: Callable[[str], None] = lambda text: None) -> Log:
-    """A log by name (`victoria-park`, `arena:SEED`, `corridor:SEED:KEYS`, see `data.worlds.names`) or by its folder.
+    """A log by name (`victoria-park`, `arena:SEED`, `corridor:SEED:KEYS`, see `data.worlds.names`), by its folder or
+    file (CARMEN).
 
-    Raises UsageError for a name that is neither, DataError for a folder that is not valid.
+    Raises UsageError for a name that is neither, DataError for a folder or file that is not valid.
     """
+    path = Path(name)
+    if path.is_file():
+        return _open_file(path, reading)
+    if reading.relations is not None and not (path / "log.toml").exists():
+        raise UsageError(f"--relations {reading.relations}: for a CARMEN log or an open log folder, not for {name}")
     if name == "victoria-park":
         from data.recordings.victoria_park import load_victoria_park
 
@@ -47,12 +54,21 @@ def open_log(name: str, reading: Reading = Reading(), say: Callable[[str], None]
         return open_rendered(name, _camera(reading), say, reading.cache)
     if registry.is_simulated(name):
         return registry.named_log(name)
-    path = Path(name)
     if path.is_dir():
         return _open_folder(path, reading, say)
     if path.exists():
-        raise UsageError(f"--log {name}: a file; expected an open log folder or one of {NAMES}")
+        raise UsageError(f"--log {name}: neither a folder nor a file")
     raise UsageError(f"--log {name}: no such folder, and not one of {NAMES}")
+
+
+def _open_file(path: Path, reading: Reading) -> Log:
+    """A CARMEN log, by the file's name."""
+    from data.recordings.carmen import is_named_carmen, load_carmen
+
+    if not is_named_carmen(path):
+        what = "a file; expected an open log folder, a CARMEN log (.log, .clf, also .gz)"
+        raise UsageError(f"--log {path}: {what} or one of {NAMES}")
+    return load_carmen(path, reading.relations)
 
 
 def _camera(reading: Reading) -> Camera:
@@ -72,7 +88,7 @@ def _open_folder(path: Path, reading: Reading, say: Callable[[str], None]) -> Lo
             return open_lab_log(path, _camera(reading), say)
     from data.open_log.reader import load_folder
 
-    return load_folder(path)
+    return load_folder(path, reading.relations)
 
 
 def find_logs(folder: Path, say: Callable[[str], None]) -> Iterator[Callable[[], Log]]:

@@ -27,6 +27,7 @@ from data.motion import VelocityModel, preintegrate
 from data.open_log.csv_table import read_table
 from data.open_log.header import Header, read_header
 from data.open_log.motion_prior import MotionPrior, note_of
+from data.open_log.relations import read_relations
 from data.open_log.table import Table
 from data.se2 import Array
 from data.sensors import RangeBearing
@@ -41,7 +42,8 @@ FRAMES, ODOMETRY, OBSERVATIONS, TRUTH, LANDMARKS = (
     "truth.csv",
     "landmarks.csv",
 )
-FILES = (HEADER, FRAMES, ODOMETRY, OBSERVATIONS, TRUTH, LANDMARKS)
+RELATIONS = "relations.csv"
+FILES = (HEADER, FRAMES, ODOMETRY, OBSERVATIONS, TRUTH, LANDMARKS, RELATIONS)
 
 MEAN = ("dx", "dy", "dtheta")
 COVARIANCE = ("c_xx", "c_xy", "c_xt", "c_yy", "c_yt", "c_tt")
@@ -52,8 +54,8 @@ LONGEST = 1e6
 """s. An odometry log that lasts longer has stamps in another unit, or a broken one; keyframes would fill the memory."""
 
 
-def load_folder(path: str | PathLike[str]) -> Log:
-    """Read an open log folder.
+def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log:
+    """Read an open log folder; `relations`: a file instead of its relations.csv.
 
     Observations outside the sensor's stated range or angles are kept. The covariance floor is applied once, here;
     a folder that was written by `data.open_log.writer` already holds it. A survey's sigmas (sx, sy in landmarks.csv)
@@ -91,6 +93,8 @@ def load_folder(path: str | PathLike[str]) -> Log:
         sightings.table.require_ascending("frame", strictly=False)
         pose = _truth_per_frame(folder / TRUTH, len(motion.time))
     landmarks, survey = _landmarks(folder / LANDMARKS)
+    reference = folder / RELATIONS if relations is None else relations
+    related = read_relations(reference, len(motion.time)) if relations is not None or reference.exists() else None
     covariance, floored = floor_covariances(motion.increments.covariance, header.covariance_floor)
 
     table = sightings.table
@@ -115,7 +119,7 @@ def load_folder(path: str | PathLike[str]) -> Log:
     return Log(
         name=header.name,
         recorded=recorded,
-        truth=Truth(pose, landmarks, sightings.true_id),
+        truth=Truth(pose, landmarks, sightings.true_id, related),
         label=sightings.label,
         labels_are_sensed=header.labels_are_sensed,
         source=header.source,

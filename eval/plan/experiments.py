@@ -83,6 +83,8 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
     for folder in options.data:
         if not Path(folder).is_dir():
             raise UsageError(f"--data {folder}: no such folder")
+    if options.relations is not None and len(options.log) != 1:
+        raise UsageError(f"--relations {options.relations}: belongs to one log; give it with one --log")
     experiments = [] if options.log else _default(options, say)
     asked = [open_log(name, reading_of(options), say) for name in options.log]
     for folder in options.data:
@@ -204,8 +206,9 @@ PRIMED_WORK = (Work("known", ("ekf", "ekf-iterated", "isam2")), Work(HINDSIGHT, 
 def reading_of(options: Options) -> Reading:
     """How logs with images are read."""
     cache = options.out.absolute().parent / ".detections"
+    relations = None if options.relations is None else Path(options.relations)
     return Reading(
-        options.camera_translation, options.camera_reading, options.corner_noise, options.trust_pickle, cache
+        options.camera_translation, options.camera_reading, options.corner_noise, options.trust_pickle, cache, relations
     )
 
 
