@@ -49,6 +49,20 @@ class PoseEdges:
         return _project(root, keys, self._head, self._next, self._keys, self._relative, self._covariance)  # type: ignore[no-any-return]
 
 
+def compose_covariances(pose: Array, covariance: Array, motion: Array, motion_covariance: Array) -> Array:
+    """Covariance (3, 3) of `compose(pose, motion)`, additive errors, to first order (Smith, Self, Cheeseman 1990)."""
+    out, out_pose = np.empty((3, 3)), np.empty(3)
+    _compose(pose, covariance, motion, motion_covariance, out_pose, out)
+    return out
+
+
+def inverse_covariance(pose: Array, covariance: Array) -> Array:
+    """Covariance (3, 3) of `inverse(pose)`, additive errors, to first order."""
+    out, out_pose = np.empty((3, 3)), np.empty(3)
+    _invert(pose, covariance, out_pose, out)
+    return out
+
+
 def _doubled(array):  # type: ignore[no-untyped-def]
     return np.concatenate([array, np.zeros_like(array)])
 

@@ -17,6 +17,18 @@ class LaserParameters:
         variance_scale: of every scan-matching covariance; 1 is honest in simulation, 10 on the Intel log.
         prior_scale: standard deviations at which the odometry prior begins to yield (Cauchy).
         least_share: share of a scan's points that must fit for its match to be used.
+        loop_gap: key poses between the two of a loop closure, at least.
+        loop_distance: of the middles of what two key scans see, to be candidates (and twice the uncertainty).
+        loop_apart: key poses between two candidates of one key pose.
+        loops_per_key: candidates looked at per key pose.
+        loop_around: key scans on either side of a candidate that are matched against with it.
+        direct_distance, direct_angle: three standard deviations up to which a match starts from the expected pose;
+            beyond it a correlative search covers them, up to `widest` either way.
+        least_correlation, loop_share, most_contradiction: of a loop closure: score of the search, share of points that
+            fit, share of beams that contradict.
+        gate: chi-square of three degrees of freedom, closure against the graph.
+        pair_gate: the same of the circle through two closures.
+        wait: key poses after which a closure that found no second one is given up.
     """
 
     keyframe_distance: float = 0.4
@@ -27,3 +39,17 @@ class LaserParameters:
     variance_scale: float = 10.0
     prior_scale: float = 2.0
     least_share: float = 0.3
+    loop_gap: int = 12
+    loop_distance: float = 2.0
+    loop_apart: int = 8
+    loops_per_key: int = 2
+    loop_around: int = 2
+    direct_distance: float = 0.2
+    direct_angle: float = 0.1
+    widest: float = 8.0
+    least_correlation: float = 0.4
+    loop_share: float = 0.5
+    most_contradiction: float = 0.1
+    gate: float = 16.27
+    pair_gate: float = 11.34
+    wait: int = 15

@@ -9,6 +9,7 @@ import numpy as np
 from association.scans.matching import Match, MotionPrior, match
 from association.scans.nearest import NearestGrid
 from association.scans.points import Points
+from association.scans.uncertainty import compose_covariances
 from data.se2 import Array, between, compose, transform_points, wrap_angle
 from eval.replay.laser.parameters import LaserParameters
 
@@ -18,16 +19,6 @@ OTHER_START = np.array([0.03, 0.03, 0.01])
 """m, m, rad: where the last motion predicts a pose that differs by more than odometry's, it is a second start."""
 BETTER = 0.02
 """By how much the second start's cost must be smaller: where both fit (a corridor), odometry is believed."""
-
-
-def compose_covariances(pose: Array, covariance: Array, motion: Array, motion_covariance: Array) -> Array:
-    """Covariance (3, 3) of `compose(pose, motion)`, additive errors, to first order (Smith, Self, Cheeseman 1990)."""
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    J = np.eye(3)
-    J[0, 2], J[1, 2] = -s * motion[0] - c * motion[1], c * motion[0] - s * motion[1]
-    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    result: Array = J @ covariance @ J.T + R @ motion_covariance @ R.T
-    return result
 
 
 class Tracker:
