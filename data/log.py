@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from data.inputs import UNLABELLED, Inputs, IntArray, LabelledObservations, Observations
+from data.inputs import UNLABELLED, Inputs, IntArray, LabelledObservations, Observations, Scans
 from data.pictures import Evidence
-from data.truth import UNKNOWN_ID, Truth
+from data.truth import UNKNOWN_ID, Relations, Truth
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,16 +75,42 @@ def shortened(log: Log, n: int) -> Log:
         time=r.time[:n],
         increments=replace(r.increments, mean=r.increments.mean[:n], covariance=r.increments.covariance[:n]),
         observations=replace(o, frame=o.frame[:m], z=o.z[:m], R=o.R[:m]),
+        scans=_first_scans(r.scans, n),
     )
     t = log.truth
     truth = replace(
         t,
         pose=None if t.pose is None else t.pose[:n],
         landmark_of=None if t.landmark_of is None else t.landmark_of[:m],
+        relations=_first_relations(t.relations, n),
     )
     label = None if log.label is None else log.label[:m]
     return replace(
         log, recorded=recorded, truth=truth, label=label, notes=(*log.notes, f"Only the first {n} frames (quick).")
+    )
+
+
+def _first_scans(scans: Scans | None, n: int) -> Scans | None:
+    """Those of the first n frames."""
+    if scans is None:
+        return None
+    k = int(np.searchsorted(scans.frame, n))
+    return replace(scans, frame=scans.frame[:k], ranges=scans.ranges[:k])
+
+
+def _first_relations(relations: Relations | None, n: int) -> Relations | None:
+    """Those within the first n frames."""
+    if relations is None:
+        return None
+    r = relations
+    inside = (r.row1 < n) & (r.row2 < n)
+    return Relations(
+        row1=r.row1[inside],
+        row2=r.row2[inside],
+        relative=r.relative[inside],
+        exact=None if r.exact is None else r.exact[inside],
+        stamp=None if r.stamp is None else r.stamp[inside],
+        frame_stamp=None if r.frame_stamp is None else r.frame_stamp[:n],
     )
 
 

@@ -21,8 +21,8 @@ NAMES = ", ".join(["victoria-park", *(f"{world}:SEED[:KEYS]" for world in regist
 
 @dataclass(frozen=True)
 class Reading:
-    """How logs with images are read (see `data.visual.opening.Camera`), and where rendered ones keep their
-    detections.
+    """How logs with images are read (see `data.visual.opening.Camera`), where rendered ones keep their detections, and
+    the reference relations of a laser log (None: those beside it).
     """
 
     camera_translation: str = "cm"
@@ -30,13 +30,20 @@ class Reading:
     corner_noise: str = "lab"
     trust_pickle: bool = False
     cache: Path | None = None
+    relations: Path | None = None
 
 
 def open_log(name: str, reading: Reading = Reading(), say: Callable[[str], None] = lambda text: None) -> Log:
-    """A log by name (`victoria-park`, `arena:SEED`, `corridor:SEED:KEYS`, see `data.worlds.names`) or by its folder.
+    """A log by name (`victoria-park`, `arena:SEED`, `corridor:SEED:KEYS`, see `data.worlds.names`), by its folder or
+    file (CARMEN).
 
-    Raises UsageError for a name that is neither, DataError for a folder that is not valid.
+    Raises UsageError for a name that is neither, DataError for a folder or file that is not valid.
     """
+    path = Path(name)
+    if path.is_file():
+        return _open_file(path, reading)
+    if reading.relations is not None and not (path / "log.toml").exists():
+        raise UsageError(f"--relations {reading.relations}: for a CARMEN log or an open log folder, not for {name}")
     if name == "victoria-park":
         from data.recordings.victoria_park import load_victoria_park
 
@@ -47,12 +54,21 @@ def open_log(name: str, reading: Reading = Reading(), say: Callable[[str], None]
         return open_rendered(name, _camera(reading), say, reading.cache)
     if registry.is_simulated(name):
         return registry.named_log(name)
-    path = Path(name)
     if path.is_dir():
         return _open_folder(path, reading, say)
     if path.exists():
-        raise UsageError(f"--log {name}: a file; expected an open log folder or one of {NAMES}")
+        raise UsageError(f"--log {name}: neither a folder nor a file")
     raise UsageError(f"--log {name}: no such folder, and not one of {NAMES}")
+
+
+def _open_file(path: Path, reading: Reading) -> Log:
+    """A CARMEN log, by the file's name."""
+    from data.recordings.carmen import is_named_carmen, load_carmen
+
+    if not is_named_carmen(path):
+        what = "a file; expected an open log folder, a CARMEN log (.log, .clf, also .gz)"
+        raise UsageError(f"--log {path}: {what} or one of {NAMES}")
+    return load_carmen(path, reading.relations)
 
 
 def _camera(reading: Reading) -> Camera:
@@ -72,11 +88,12 @@ def _open_folder(path: Path, reading: Reading, say: Callable[[str], None]) -> Lo
             return open_lab_log(path, _camera(reading), say)
     from data.open_log.reader import load_folder
 
-    return load_folder(path)
+    return load_folder(path, reading.relations)
 
 
 def find_logs(folder: Path, say: Callable[[str], None]) -> Iterator[Callable[[], Log]]:
-    """Loaders of every dataset in a folder, two levels deep: open logs, MRCLAM folders and zips with every robot.
+    """Loaders of every dataset in a folder, two levels deep: open logs, MRCLAM folders and zips with every robot, and
+    CARMEN logs with scans (where some of a folder have relations beside them, those).
 
     What is not recognised is named through `say` and skipped. Loading is left to the caller, log by log.
     """
@@ -88,9 +105,19 @@ def find_logs(folder: Path, say: Callable[[str], None]) -> Iterator[Callable[[],
 def _search(folder: Path, depth: int, say: Callable[[str], None]) -> Iterator[Callable[[], Log]]:
     from data.mrclam.load import is_mrclam
     from data.open_log.reader import load_folder
+    from data.recordings.carmen import RELATIONS, is_carmen, load_carmen, relations_beside
 
-    for path in sorted(folder.iterdir()):
-        if path.name.startswith("."):
+    inside = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
+    lasers = [path for path in inside if is_carmen(path)]
+    related = [path for path in lasers if relations_beside(path) is not None]
+    for path in inside:
+        if path in lasers:
+            if path in related or not related:
+                yield lambda path=path: load_carmen(path)  # type: ignore[misc]
+            else:
+                say(f"skipped {path}: no relations beside it, as other logs there have")
+            continue
+        if path.name.endswith(RELATIONS):
             continue
         if path.is_dir() and (path / "log.toml").exists():
             yield lambda path=path: load_folder(path)  # type: ignore[misc]

@@ -32,8 +32,10 @@ def summarize(log: Log) -> list[Line]:
         *_frames(log),
         *_increments(log),
         *_observations(log),
+        *_scans(log),
         *_labels(log),
         *_truth(log),
+        *_relations(log),
         *_landmarks(log),
         *(("odd", oddity) for oddity in _oddities(log)),
     ]
@@ -135,6 +137,38 @@ def _observations(log: Log) -> list[Line]:
     span_text += f"bearing {bearing.min():.4g} to {bearing.max():.4g} deg"
     lines.append(("seen", f"{span_text}; {_share(outside, m)} outside the stated field of view"))
     return lines
+
+
+def _scans(log: Log) -> list[Line]:
+    scans = log.recorded.scans
+    if scans is None:
+        return []
+    s, (count, beams) = scans.scanner, scans.ranges.shape
+    last = s.angle_min + (beams - 1) * s.angle_step
+    text = f"{_count(beams, 'beam')} from {np.degrees(s.angle_min):.4g} to {np.degrees(last):.4g} deg, "
+    text += f"up to {s.max_range:g} m, sigma {s.sigma:g} m"
+    if s.rotation or any(s.translation):
+        tx, ty = s.translation
+        text += f"; p_scanner = R({np.degrees(s.rotation):.4g} deg) p_body + ({tx:g}, {ty:g}) m"
+    seen = scans.ranges[scans.ranges > 0.0]
+    held = f"in {_share(count, len(log.recorded))} frames; {_share(scans.ranges.size - len(seen), scans.ranges.size)} "
+    held += "readings are no return"
+    if len(seen):
+        held += f", the others {seen.min():.4g} to {seen.max():.4g} m, median {np.median(seen):.4g} m"
+    return [("scanner", text), ("scans", held)]
+
+
+def _relations(log: Log) -> list[Line]:
+    relations = log.truth.relations
+    if relations is None:
+        return []
+    text = f"{_count(len(relations), 'relation')} between {len(np.union1d(relations.row1, relations.row2))} frames"
+    if relations.exact is not None:
+        text += f", {int(relations.exact.sum())} exact"
+    text += ", with stamps" if relations.stamp is not None else ", by row only"
+    if len(relations):
+        text += f"; up to {np.hypot(*relations.relative[:, :2].T).max():.4g} m apart"
+    return [("relations", text)]
 
 
 def _out_of_view(log: Log) -> IntArray:

@@ -1,4 +1,4 @@
-"""The peer of the benchmark: a loop around gtsam's ISAM2 with the same factors, and nothing else."""
+"""The peers of the benchmark: gtsam's ISAM2 in a loop and its batch optimizer, with the same factors, nothing else."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from gtsam.symbol_shorthand import L, X
 
 from data.inputs import Inputs, IntArray
 from data.result import Trajectory
-from graph.batch import build
+from graph.batch import Start, build, start_values
 from graph.engine import Engine
 from graph.factors import pose2, prior_factor
 from graph.incremental import DELICATE, SKIP, THRESHOLD
@@ -49,4 +49,20 @@ def bare_isam2(inputs: Inputs, decisions: IntArray, created: IntArray, *, every_
             graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
             estimate, P = isam.calculateEstimatePose2(X(k)), isam.marginalCovariance(X(k))
         pose[k], covariance[k] = (estimate.x(), estimate.y(), estimate.theta()), P
+    return Trajectory(pose, in_world(pose, covariance))
+
+
+def bare_batch(inputs: Inputs, decisions: IntArray, created: IntArray, start: Start) -> Trajectory:
+    """SLAM: gtsam's Levenberg-Marquardt optimizer as it comes, and the marginal covariance of every pose and landmark.
+
+    It stops where the error falls little, near the optimum or not, and says nothing.
+    """
+    problem = build(inputs, decisions, created)
+    graph = problem.graph()
+    found = gtsam.LevenbergMarquardtOptimizer(graph, start_values(problem, start)).optimize()
+    marginals = gtsam.Marginals(graph, found)
+    for n in problem.numbers.tolist():
+        marginals.marginalCovariance(L(n))
+    covariance = np.array([marginals.marginalCovariance(X(k)) for k in range(len(inputs))])
+    pose = gtsam.utilities.extractPose2(gtsam.utilities.allPose2s(found))
     return Trajectory(pose, in_world(pose, covariance))

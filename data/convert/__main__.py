@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from data.convert import lab, mrclam, victoria_park, visual, worlds
+from data.convert import carmen, lab, mrclam, rosbag, victoria_park, visual, worlds
 from data.convert.parsers import Parser
 from data.errors import SlamrefError
 from data.worlds.registry import SIMULATORS
@@ -21,6 +21,8 @@ EXAMPLES = """\
 examples:
   python -m data.convert mrclam MRCLAM_Dataset9.zip logs/nine --robot 3 --exclude-truth 755:836 --exclude-truth 945:1050
   python -m data.convert victoria-park logs/victoria
+  python -m data.convert carmen intel.log.gz logs/intel
+  python -m data.convert rosbag robot.bag logs/robot --scan /scan --odom /odom
   python -m data.convert arena logs/arena-0 --seed 0 --landmarks 40
   python -m data.convert corridor logs/corridor-0 --seed 0 --people
   python -m data.convert circle logs/circle-0 --seed 0
@@ -28,7 +30,7 @@ examples:
   python -m data.convert visual my_lab --seed 0
   python -m data.convert lab my_lab logs/lab
 """
-SOURCES = (mrclam, victoria_park, worlds, visual, lab)
+SOURCES = (mrclam, victoria_park, carmen, rosbag, worlds, visual, lab)
 CONVERTERS: dict[str, Callable[[argparse.Namespace], Log | str]] = {
     kind: source.convert for source in SOURCES for kind in source.KINDS
 }
@@ -58,6 +60,10 @@ def summary(log: Log) -> list[str]:
         "no known map" if inputs.map is None else f"a map of {len(inputs.map.id)} landmarks",
         "no ground truth" if truth.pose is None else f"ground truth in {truth.known_poses} frames",
     ]
+    if inputs.scans is not None:
+        lines.append(f"{len(inputs.scans.frame)} scans of {inputs.scans.ranges.shape[1]} beams")
+    if truth.relations is not None:
+        lines.append(f"{len(truth.relations)} reference relations")
     if inputs.floored:
         lines.append(f"{inputs.floored} singular increments got the covariance floor {inputs.covariance_floor:g}")
     return lines

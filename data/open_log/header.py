@@ -16,6 +16,10 @@ Format 1. Keys, with their defaults where they may be left out:
               min_angle = -pi, max_angle = pi, or field_of_view (the full opening angle)   rad
               rotation = 0 [rad], translation = [0, 0] [m]    p_sensor = R(rotation) p_body + translation;
                                         a table [sensor.extrinsic] with these two keys is the same
+    [scanner] of a log with scans.npz, for which [sensor] may be left out:
+              angle_min, angle_step [rad]    beam i points at angle_min + i * angle_step
+              max_range, sigma [m]      a range not below max_range is no return; noise of a range
+              rotation, translation     as in [sensor]
     [motion]  model = "unicycle" or "half_angle", noise = "velocity" or "density" with sigma = [2 numbers],
               or noise = "displacement" with alphas = [4 numbers]     needed with odometry.csv only;
               without odometry, instead: prior = "forward" with step_mean, step_sigma, lateral_sigma [m] and turn_sigma
@@ -35,9 +39,10 @@ from pathlib import Path
 import numpy as np
 
 from data.errors import DataError
-from data.inputs import Prior
+from data.inputs import Prior, Scanner
 from data.motion import MODELS, NOISES, VelocityModel, VelocityNoise
 from data.open_log.motion_prior import PRIORS, MotionPrior
+from data.open_log.scans import KEYS, read_scanner
 from data.se2 import Array
 from data.sensors import RangeBearing, RelativePoint, Sensor
 from data.toml_table import TomlTable, finite, load_toml, not_negative, positive
@@ -46,7 +51,7 @@ FORMAT = 1
 KNOWN = {
     "": (
         *("format", "name", "time_is_index", "covariance_floor", "floored", "labels_are_sensed", "notes"),
-        *("prior", "sensor", "motion", "source"),
+        *("prior", "sensor", "scanner", "motion", "source"),
     ),
     "prior": ("mean", "sigma", "covariance"),
     "sensor": (
@@ -54,6 +59,7 @@ KNOWN = {
         *("rotation", "translation", "extrinsic"),
     ),
     "sensor.extrinsic": ("rotation", "translation"),
+    "scanner": KEYS,
     "motion": (
         *("model", "noise", "sigma", "alphas"),
         *("prior", *dict.fromkeys(f.name for kind in PRIORS.values() for f in fields(kind))),
@@ -67,7 +73,7 @@ SENSORS: dict[str, Callable[..., Sensor]] = {s.name: s for s in (RangeBearing, R
 class Header:
     """Contents of `log.toml`; `sigma` (2,) is the sensor's default noise, `motion` how odometry becomes increments.
 
-    `motion_prior`: what stands in for odometry, where the log states that.
+    `motion_prior`: what stands in for odometry, where the log states that. `scanner`: of a laser log.
     """
 
     name: str
@@ -82,6 +88,7 @@ class Header:
     notes: tuple[str, ...]
     source: Mapping[str, object]
     motion_prior: MotionPrior | None = None
+    scanner: Scanner | None = None
 
 
 def _name(top: TomlTable) -> str:
@@ -200,7 +207,13 @@ def read_header(path: Path) -> Header:
         what = "no format number" if number is None else f"format = {number!r}: unknown format number"
         raise fault(f"{what}; format = {FORMAT} is needed")
     top = TomlTable(fault, table, KNOWN)
-    sensor, sigma = _sensor(top.table_of("sensor"))
+    lasers = top.optional_table("scanner")
+    scanner = None if lasers is None else read_scanner(lasers)
+    sensor: Sensor
+    if scanner is not None and "sensor" not in top:
+        sensor, sigma = RangeBearing(scanner.max_range), None
+    else:
+        sensor, sigma = _sensor(top.table_of("sensor"))
     motion = top.optional_table("motion")
     notes = table.get("notes", [])
     if not isinstance(notes, list) or not all(isinstance(n, str) for n in notes):
@@ -221,4 +234,5 @@ def read_header(path: Path) -> Header:
         notes=tuple(notes),
         source=source,
         motion_prior=_motion_prior(motion) if motion is not None and "prior" in motion else None,
+        scanner=scanner,
     )

@@ -6,7 +6,10 @@
     observations.csv    frame,z1,z2[,r11,r12,r22][,true_id][,label]         with odometry.csv: t instead of frame
     truth.csv           x,y,theta per frame, blank or nan where unknown     with odometry.csv: t,x,y,theta; optional
     landmarks.csv       id,x,y[,sx,sy]                                      optional
+    scans.npz           range scans (see `data.open_log.scans`); then observations.csv and [sensor] may be missing
+    relations.csv       reference relations between frames (see `data.open_log.relations`)          optional
 
+frames.csv of a log with relations may have a column stamp: stamps as recorded, which need not increase.
 true_id: -1 clutter, blank unknown. label: what the sensor claimed, where that can differ; absent, it is true_id.
 With odometry.csv the frames are the instants with observations, and keyframes where those are more than 1 s apart.
 """
@@ -21,12 +24,15 @@ from typing import NamedTuple
 import numpy as np
 
 from data.errors import DataError
-from data.inputs import UNLABELLED, Increments, Inputs, IntArray, LandmarkMap, Observations, floor_covariances
+from data.inputs import UNLABELLED, Increments, Inputs, IntArray, Observations, Scans, floor_covariances
 from data.log import Log
 from data.motion import VelocityModel, preintegrate
 from data.open_log.csv_table import read_table
 from data.open_log.header import Header, read_header
+from data.open_log.landmarks import read_landmarks
 from data.open_log.motion_prior import MotionPrior, note_of
+from data.open_log.relations import read_relations
+from data.open_log.scans import read_scans
 from data.open_log.table import Table
 from data.se2 import Array
 from data.sensors import RangeBearing
@@ -41,10 +47,12 @@ FRAMES, ODOMETRY, OBSERVATIONS, TRUTH, LANDMARKS = (
     "truth.csv",
     "landmarks.csv",
 )
-FILES = (HEADER, FRAMES, ODOMETRY, OBSERVATIONS, TRUTH, LANDMARKS)
+SCANS, RELATIONS = "scans.npz", "relations.csv"
+FILES = (HEADER, FRAMES, ODOMETRY, OBSERVATIONS, TRUTH, LANDMARKS, SCANS, RELATIONS)
 
 MEAN = ("dx", "dy", "dtheta")
 COVARIANCE = ("c_xx", "c_xy", "c_xt", "c_yy", "c_yt", "c_tt")
+STAMP = "stamp"
 NOISE = ("r11", "r12", "r22")
 POSE = ("x", "y", "theta")
 
@@ -52,8 +60,8 @@ LONGEST = 1e6
 """s. An odometry log that lasts longer has stamps in another unit, or a broken one; keyframes would fill the memory."""
 
 
-def load_folder(path: str | PathLike[str]) -> Log:
-    """Read an open log folder.
+def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log:
+    """Read an open log folder; `relations`: a file instead of its relations.csv.
 
     Observations outside the sensor's stated range or angles are kept. The covariance floor is applied once, here;
     a folder that was written by `data.open_log.writer` already holds it. A survey's sigmas (sx, sy in landmarks.csv)
@@ -90,7 +98,12 @@ def load_folder(path: str | PathLike[str]) -> Log:
         )
         sightings.table.require_ascending("frame", strictly=False)
         pose = _truth_per_frame(folder / TRUTH, len(motion.time))
-    landmarks, survey = _landmarks(folder / LANDMARKS)
+    landmarks, survey = read_landmarks(folder / LANDMARKS)
+    scans = _scans(folder, header, len(motion.time), by_stamp=by_stamp)
+    reference = folder / RELATIONS if relations is None else relations
+    related = None
+    if relations is not None or reference.exists():
+        related = read_relations(reference, len(motion.time), motion.stamp)
     covariance, floored = floor_covariances(motion.increments.covariance, header.covariance_floor)
 
     table = sightings.table
@@ -104,6 +117,7 @@ def load_folder(path: str | PathLike[str]) -> Log:
         time_is_index=header.time_is_index,
         covariance_floor=header.covariance_floor,
         floored=header.floored + floored,
+        scans=scans,
     )
     notes = list(header.notes) + ([note_of(header.motion_prior)] if header.motion_prior is not None else [])
     notes += [f"{OBSERVATIONS}: column {name!r} is not known and was left out" for name in table.unknown]
@@ -115,7 +129,7 @@ def load_folder(path: str | PathLike[str]) -> Log:
     return Log(
         name=header.name,
         recorded=recorded,
-        truth=Truth(pose, landmarks, sightings.true_id),
+        truth=Truth(pose, landmarks, sightings.true_id, related),
         label=sightings.label,
         labels_are_sensed=header.labels_are_sensed,
         source=header.source,
@@ -126,6 +140,7 @@ def load_folder(path: str | PathLike[str]) -> Log:
 class _Motion(NamedTuple):
     time: Array
     increments: Increments
+    stamp: Array | None = None
 
 
 class _Sightings(NamedTuple):
@@ -152,17 +167,18 @@ def _frames(path: Path, prior: MotionPrior | None) -> _Motion:
     """frames.csv: time (N,) and increments, or the increments of a prior where there is one."""
     motion = (*MEAN, *COVARIANCE)
     columns = ("t", *motion) if prior is None else ("t",)
-    table = read_table(path, columns, motion)
+    table = read_table(path, columns, (*motion, STAMP))
     if len(table) == 0:
         raise DataError.at(path, "no rows; at least one frame is needed", line=1)
-    table.require_finite(columns)
+    table.require_finite([name for name in (*columns, STAMP) if name in table])
+    stamp = table.columns.get(STAMP)
     table.require_ascending("t", strictly=True)
     if prior is not None:
         for name in motion:
             if name in table:
                 what = f"[motion] prior in {HEADER} states the increments; one of them must go"
                 raise DataError.at(path, what, line=1, column=name)
-        return _Motion(table.columns["t"], prior.increments(table.columns["t"]))
+        return _Motion(table.columns["t"], prior.increments(table.columns["t"]), stamp)
     for name in (*MEAN, *COVARIANCE):
         table.require(
             (table.columns[name] == 0.0) | (np.arange(len(table)) > 0),
@@ -171,11 +187,14 @@ def _frames(path: Path, prior: MotionPrior | None) -> _Motion:
         )
     covariance = table.symmetric(COVARIANCE)
     _require_semidefinite(table, covariance)
-    return _Motion(table.columns["t"], Increments(table.stack(MEAN), covariance))
+    return _Motion(table.columns["t"], Increments(table.stack(MEAN), covariance), stamp)
 
 
 def _sightings(path: Path, header: Header, key: str) -> _Sightings:
     """observations.csv, checked but for the range and order of `key` (frame or t)."""
+    if header.scanner is not None and not path.exists():
+        nothing = np.zeros(0)
+        return _Sightings(Table(path, {key: nothing, "z1": nothing, "z2": nothing}), np.zeros((0, 2, 2)), None, None)
     ids = ("true_id", "label")
     other = "t" if key == "frame" else "frame"
     table = read_table(path, (key, "z1", "z2"), (*NOISE, *ids, other), may_be_blank=(*ids, other))
@@ -212,6 +231,18 @@ def _noise(table: Table, header: Header) -> Array:
         np.abs(r12) < largest, "r12", "{} is too large for r11 and r22: the covariance must be positive definite"
     )
     return table.symmetric(NOISE)
+
+
+def _scans(folder: Path, header: Header, frames: int, *, by_stamp: bool) -> Scans | None:
+    """scans.npz, which comes with [scanner] and with frames.csv."""
+    path = folder / SCANS
+    if header.scanner is None:
+        if path.exists():
+            raise DataError.at(folder / HEADER, f"no [scanner] table; {SCANS} needs one")
+        return None
+    if by_stamp:
+        raise DataError.at(path, f"scans belong to frames; {FRAMES} is needed instead of {ODOMETRY}")
+    return read_scans(path, header.scanner, frames)
 
 
 def _odometry(path: Path, model: VelocityModel, sightings: Table) -> tuple[_Motion, IntArray, int]:
@@ -265,22 +296,3 @@ def _stamped_truth(path: Path, at: Array) -> Array | None:
     table.require_finite(("t",))
     table.require_ascending("t", strictly=True)
     return truth_at(table.columns["t"], table.stack(POSE), at)
-
-
-def _landmarks(path: Path) -> tuple[LandmarkMap | None, bool]:
-    """landmarks.csv, ascending by id, and whether a survey's sigmas were left out."""
-    if not path.exists():
-        return None, False
-    table = read_table(path, ("id", "x", "y"), ("sx", "sy"))
-    sigmas = [n for n in ("sx", "sy") if n in table]
-    table.require_finite(("x", "y", *sigmas))
-    for name in sigmas:
-        table.require(table.columns[name] >= 0.0, name, "{} is a negative standard deviation")
-    number = table.integers("id", 0)
-    order = np.argsort(number, kind="stable")
-    repeated = np.zeros(len(number), bool)
-    repeated[order[1:]] = number[order[1:]] == number[order[:-1]]
-    table.require(~repeated, "id", "{} stands for two landmarks")
-    return LandmarkMap(number[order], table.stack(("x", "y"))[order]), any(
-        (table.columns[n] > 0.0).any() for n in sigmas
-    )

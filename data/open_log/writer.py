@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -25,9 +26,14 @@ from data.open_log.reader import (
     NOISE,
     OBSERVATIONS,
     POSE,
+    RELATIONS,
+    SCANS,
+    STAMP,
     TRUTH,
     load_folder,
 )
+from data.open_log.relations import relations_columns
+from data.open_log.scans import scans_content
 from data.truth import UNKNOWN_ID
 from data.whole import whole_folder
 
@@ -48,6 +54,8 @@ def write_folder(log: Log, path: str | PathLike[str]) -> None:
         with whole_folder(target) as partial:
             for name, text in _files(log, target.name).items():
                 (partial / name).write_text(text, encoding="utf-8", newline="")
+            if log.recorded.scans is not None:
+                (partial / SCANS).write_bytes(scans_content(log.recorded.scans))
             load_folder(partial)
     except OSError as error:
         raise DataError.at(target, f"cannot be written: {error.strerror}") from error
@@ -73,10 +81,14 @@ def _files(log: Log, name: str) -> dict[str, str]:
     increments, observations = inputs.increments, inputs.observations
     files = {HEADER: tomli_w.dumps(_header(log, name))}
     upper = np.triu_indices(3)
-    files[FRAMES] = _csv(
-        ("t", *MEAN, *COVARIANCE),
-        np.column_stack([inputs.time, increments.mean, increments.covariance[:, upper[0], upper[1]]]).tolist(),
-    )
+    frames = np.column_stack([inputs.time, increments.mean, increments.covariance[:, upper[0], upper[1]]])
+    frame_names = ["t", *MEAN, *COVARIANCE]
+    if truth.relations is not None:
+        files[RELATIONS] = _csv(*relations_columns(truth.relations))
+        if truth.relations.frame_stamp is not None:
+            frame_names.append(STAMP)
+            frames = np.column_stack([frames, truth.relations.frame_stamp])
+    files[FRAMES] = _csv(frame_names, frames.tolist())
     R = observations.R
     columns: list[Sequence[object]] = [
         observations.frame.tolist(),
@@ -89,7 +101,8 @@ def _files(log: Log, name: str) -> dict[str, str]:
     if log.label is not None:
         names.append("label")
         columns.append(_or_blank(log.label, UNLABELLED))
-    files[OBSERVATIONS] = _csv(names, zip(*columns, strict=True))
+    if inputs.scans is None or len(observations.frame) or len(names) > 3 + len(NOISE):
+        files[OBSERVATIONS] = _csv(names, zip(*columns, strict=True))
     if truth.pose is not None:
         files[TRUTH] = _csv(POSE, truth.pose.tolist())
     landmarks = _landmarks(log)
@@ -135,6 +148,8 @@ def _header(log: Log, name: str) -> dict[str, Any]:
         },
         "source": log.source,
     }
+    if inputs.scans is not None:
+        plain["scanner"] = asdict(inputs.scans.scanner)
     return {key: _plain(value) for key, value in plain.items()}
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import Protocol, TypeVar
 
 import cv2
 import numpy as np
@@ -55,6 +57,25 @@ MAX_CORNER_SIGMA = 2.0
 """px, of the worst corner: where features do not reach, the homography does not know the corner."""
 MAX_OVERLAP = 0.1
 """Of two pictures in the image, as a share of the smaller."""
+
+
+AT_ONCE = 2
+"""Frames looked at together: OpenCV's own threads leave half of two cores idle, and the bits are the same."""
+
+
+class Pictured(Protocol):
+    """A frame with an image."""
+
+    @property
+    def rgb(self) -> Image:
+        """(H, W, 3) uint8."""
+
+    @property
+    def xyz(self) -> Points | None:
+        """(H, W, 3) m, stereo points."""
+
+
+T = TypeVar("T", bound=Pictured)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,6 +160,18 @@ class Detector:
         # one thread of linear algebra: the same bits everywhere, and no threads that spin beside OpenCV's
         with self._pools.limit(limits=1, user_api="blas"):
             return self._detect(rgb, xyz)
+
+    def detect_each(self, frames: Iterable[T], at_once: int = AT_ONCE) -> Iterator[tuple[T, Detected]]:
+        """Each frame (with its `rgb` and `xyz`) and what was found in it, in order, `at_once` of them at a time."""
+        waiting = deque[tuple[T, Future[Detected]]]()
+        with self._pools.limit(limits=1, user_api="blas"), ThreadPoolExecutor(at_once) as pool:
+            for frame in frames:
+                waiting.append((frame, pool.submit(self.detect, frame.rgb, frame.xyz)))
+                if len(waiting) > at_once:
+                    first, found = waiting.popleft()
+                    yield first, found.result()
+            for first, found in waiting:
+                yield first, found.result()
 
     def _detect(self, rgb: Image, xyz: Points | None) -> Detected:
         scene = extract(rgb, SCENE_FEATURES)

@@ -55,8 +55,7 @@ def find_pictures(recording: VisualRecording, progress: Callable[[int, int], Non
     candidates: list[tuple[int, int, bytes]] = []
     n = len(recording)
     every = max(1, n // (4 * TILES))
-    for k, f in enumerate(recording.frames()):
-        seen = detector.detect(f.rgb, f.xyz)
+    for k, (f, seen) in enumerate(detector.detect_each(recording.frames())):
         time.append(f.time)
         commands.append((f.v, f.omega))
         for picture, reason in seen.refused:

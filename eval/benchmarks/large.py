@@ -19,7 +19,8 @@ from data.worlds.registry import named_log
 
 SIZES = (1_000, 3_000, 10_000, 30_000, 100_000)
 BARE = "bare isam2"
-ESTIMATORS = ("ekf", "batch", "isam2", BARE)
+BARE_BATCH = "bare batch"
+ESTIMATORS = ("ekf", "batch", BARE_BATCH, "isam2", BARE)
 LOG = "park:0:spacing=3.3+frames={}"
 """About a landmark for every ten frames, five to seven readings a frame."""
 MEGABYTE = 1024.0
@@ -50,18 +51,24 @@ class Measured(NamedTuple):
 def measure(estimator: str, name: str) -> Measured:
     """One estimator with labels on one simulated log, in this process: best in a fresh one."""
     from association.known import known_decisions
-    from eval.replay.run import compare
-    from graph.bare_loop import bare_isam2
+    from eval.replay.batch import start_at
+    from eval.replay.run import compare, filter_known
+    from graph.bare_loop import bare_batch, bare_isam2
 
     log = named_log(name)
     inputs = log.inputs(labels=True).without_map()
-    if estimator != BARE:
-        compare(named_log("park:0:frames=50").inputs(labels=True), "slam", [estimator])  # compiled code is loaded
+    if estimator != BARE:  # compiled code is loaded
+        compare(named_log("park:0:frames=50").inputs(labels=True), "slam", [estimator.removeprefix("bare ")])
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / MEGABYTE
     begin, cpu = time.perf_counter(), time.process_time()
     if estimator == BARE:
         pose, status = bare_isam2(inputs, *known_decisions(inputs)).pose, "ok"
         seconds = time.perf_counter() - begin
+    elif estimator == BARE_BATCH:
+        front = filter_known(inputs, "slam")
+        started = time.perf_counter()
+        pose = bare_batch(inputs, front.decisions, front.created, start_at(inputs, front, front.created)).pose
+        status, seconds = "ok", time.perf_counter() - started
     else:
         (run,) = compare(inputs, "slam", [estimator])
         pose, status, seconds = run.trajectory(run.phases[-1]).pose, run.status, run.seconds

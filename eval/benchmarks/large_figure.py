@@ -7,8 +7,11 @@ from dataclasses import replace
 
 from matplotlib.figure import Figure
 
-from eval.benchmarks.large import BARE, Measured, slope
+from eval.benchmarks.large import BARE, BARE_BATCH, Measured, slope
 from eval.figures.style import DOTTED, DOUBLE, Style, drawing, style_of
+
+PEERS = {BARE: ("isam2", "bare gtsam loop"), BARE_BATCH: ("batch", "bare gtsam batch")}
+"""Whose peer each is, and what it is called."""
 
 
 def scaling_figure(found: Sequence[Measured]) -> Figure:
@@ -35,7 +38,7 @@ def scaling_figure(found: Sequence[Measured]) -> Figure:
 
 
 def _style(estimator: str) -> Style:
-    if estimator != BARE:
+    if estimator not in PEERS:
         return style_of(estimator)
-    own = style_of("isam2")
-    return replace(own, label="bare gtsam loop", line=DOTTED, marker="o")
+    ours, label = PEERS[estimator]
+    return replace(style_of(ours), label=label, line=DOTTED, marker="o")

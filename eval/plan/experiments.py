@@ -14,7 +14,7 @@ from data.logs import Reading, find_logs, open_log
 from data.recordings.esde import NAME, find_esde
 from eval.plan.flags import DEFAULT_ESTIMATORS, QUICK_RUNS
 from eval.plan.options import Options
-from eval.replay.names import FILTERS
+from eval.replay.names import FILTERS, SCAN
 from eval.replay.settings import Setup
 from eval.studies.scenario import Scenario
 from eval.studies.scenario_file import load_scenario
@@ -36,7 +36,12 @@ class Work:
     estimators: tuple[str, ...]
 
     def parts(self) -> tuple[Work, ...]:
-        """What can be done apart: iSAM2 takes longest; batch goes with the front end whose decisions it takes."""
+        """What can be done apart: iSAM2 takes longest; batch goes with the front end whose decisions it takes.
+
+        Scans are matched once for all.
+        """
+        if self.association == SCAN:
+            return (self,)
         apart: list[tuple[str, ...]] = [(e,) for e in self.estimators if e == "fixed-lag"]
         rest = tuple(e for e in self.estimators if e != "fixed-lag")
         if "isam2" in rest:
@@ -83,6 +88,8 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
     for folder in options.data:
         if not Path(folder).is_dir():
             raise UsageError(f"--data {folder}: no such folder")
+    if options.relations is not None and len(options.log) != 1:
+        raise UsageError(f"--relations {options.relations}: belongs to one log; give it with one --log")
     experiments = [] if options.log else _default(options, say)
     asked = [open_log(name, reading_of(options), say) for name in options.log]
     for folder in options.data:
@@ -168,7 +175,11 @@ def _tasks(log: Log, options: Options) -> Sequence[str]:
 
 def _work(log: Log, options: Options) -> tuple[Work, ...]:
     """Every estimator with every way of association asked for."""
-    associations = options.association or (("known",) if log.has_labels else ("jcbb",))
+    scans, seen = log.recorded.scans is not None, len(log.recorded.observations.frame) > 0
+    alone = SCAN if scans and not seen else "jcbb"
+    associations = options.association or (("known",) if log.has_labels else (alone,))
+    if SCAN in associations and not scans:
+        raise UsageError(f"--association {SCAN}: log {log.name!r} has no laser scans")
     if "known" in associations and not log.has_labels:
         raise UsageError(f"--association known: log {log.name!r} has no labels (true_id or label in observations.csv)")
     return tuple(Work(a, options.estimator) for a in associations)
@@ -204,8 +215,9 @@ PRIMED_WORK = (Work("known", ("ekf", "ekf-iterated", "isam2")), Work(HINDSIGHT, 
 def reading_of(options: Options) -> Reading:
     """How logs with images are read."""
     cache = options.out.absolute().parent / ".detections"
+    relations = None if options.relations is None else Path(options.relations)
     return Reading(
-        options.camera_translation, options.camera_reading, options.corner_noise, options.trust_pickle, cache
+        options.camera_translation, options.camera_reading, options.corner_noise, options.trust_pickle, cache, relations
     )
 
 

@@ -36,9 +36,9 @@ class Selection:
     log: tuple[str, ...] = field(
         default=(),
         metadata=flag(
-            texts, "PATH|NAME", "open log folder, victoria-park, arena:SEED, circle:SEED, linear:SEED, or "
-            "corridor:SEED:people+no-odometry+KEY=VALUE (repeatable; default: victoria-park, arena:0, corridor:0 in "
-            "five variants, a short visual:0)", repeatable=True,
+            texts, "PATH|NAME", "open log folder, CARMEN log (.log, .clf, also .gz), victoria-park, arena:SEED, "
+            "circle:SEED, linear:SEED, or corridor:SEED:people+no-odometry+KEY=VALUE (repeatable; default: "
+            "victoria-park, arena:0, corridor:0 in five variants, a short visual:0)", repeatable=True,
         ),
     )  # fmt: skip
     data: tuple[str, ...] = field(
@@ -73,7 +73,8 @@ class Selection:
         default=(),
         metadata=flag(
             names(ASSOCIATIONS), "LIST",
-            f"of {', '.join(ASSOCIATIONS)} (default: known where the log has labels, else jcbb)",
+            f"of {', '.join(ASSOCIATIONS)} (default: known where the log has labels, scan where it "
+            "has laser scans alone, else jcbb)",
         ),
     )  # fmt: skip
 
@@ -111,6 +112,13 @@ class Options(Setup, Selection):
     trust_pickle: bool = field(
         default=False, metadata=flag(switch, "", "read object arrays of a lab folder: they can run code")
     )
+    relations: str | None = field(
+        default=None,
+        metadata=flag(
+            text("a file"), "FILE", "reference relations of the one laser --log (default: NAME.relations.csv beside "
+            "it, or relations.csv in its folder)",
+        ),
+    )  # fmt: skip
     runs: int | None = field(
         default=None,
         metadata=flag(
@@ -188,11 +196,13 @@ examples:
   python -m eval.run_all                                    the default report, in results/report
   python -m eval.run_all --quick                            the same, shortened (a check that all works)
   python -m eval.run_all --log my_log --log arena:3         an open log folder and a simulated log
+  python -m eval.run_all --log intel.log.gz --keyframe-distance 0.8    a laser log (CARMEN): scans matched, loops closed
   python -m eval.run_all --log victoria-park --task slam    one log, one task
   python -m eval.run_all --log visual:0                     a rendered camera log: pictures found, corners used
   python -m eval.run_all --log my_lab_folder --camera-translation m --camera-reading to-body --trust-pickle
   python -m eval.run_all --log visual:0:frames=40 --corner-noise depth
   python -m eval.run_all --log corridor:0:people+range=8    the corridor lab: people in the way, any constant changed
+  python -m eval.run_all --log intel.log.gz --relations intel.relations.csv    a CARMEN laser log, scored by relations
   python -m eval.run_all --data ~/datasets                  every dataset found in a folder, two levels deep
   python -m eval.run_all --log my_log --estimator ekf,batch-cauchy --association known
   python -m eval.run_all --log arena:0 --task slam --estimator ekf,ekf-invariant,isam2,batch

@@ -8,6 +8,7 @@ import platform
 import shlex
 import sys
 from collections.abc import Iterable, Sequence
+from dataclasses import fields
 from importlib.metadata import version
 
 import numpy as np
@@ -65,6 +66,12 @@ def input_digest(log: Log) -> str:
     for landmarks in (r.map, t.landmarks):
         if landmarks is not None:
             arrays += [landmarks.id, landmarks.xy]
+    if r.scans is not None:
+        arrays += [r.scans.frame, r.scans.ranges]
+        digest.update(repr(r.scans.scanner).encode())
+    if t.relations is not None:
+        given = (getattr(t.relations, f.name) for f in fields(t.relations))
+        arrays += [array for array in given if array is not None]
     for array in arrays:
         digest.update(str(array.shape).encode())
         digest.update(array.tobytes())

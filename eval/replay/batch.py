@@ -9,7 +9,7 @@ import numpy as np
 
 from data.inputs import Inputs, IntArray
 from data.result import DISCARD, Failure, Run, Trajectory, map_estimate, surviving
-from data.se2 import Array, BoolArray
+from data.se2 import BoolArray
 from graph.batch import Smoothed, Start, smooth
 from graph.factors import UnderConstrained
 from graph.optimum import NotConvergedError
@@ -36,7 +36,7 @@ def batch(name: str, inputs: Inputs, front: Run, other: Callable[[], Run] | None
     begin = time.perf_counter()
     # what was retracted has no landmark; what a filter merely forgot is smoothed like all others
     initialized = surviving(front.final_decisions, front.created)
-    start = Start(front.online.pose, _places(inputs, front, initialized))
+    start = start_at(inputs, front, initialized)
     final, notes = front.final_decisions, [f"decisions made by {front.estimator}"]
     try:
         if name == "gnc":
@@ -78,9 +78,8 @@ def _lowest(
     if other is not None and (result is None or result.suspect):
         run = other()
         if run.failure is None and run.online is not None:
-            elsewhere = Start(run.online.pose, _places(inputs, run, initialized))
             try:
-                found = smooth(inputs, final, initialized, elsewhere, loss=loss)
+                found = smooth(inputs, final, initialized, start_at(inputs, run, initialized), loss=loss)
             except NotConvergedError as fault:
                 stop = fault
             else:
@@ -99,17 +98,21 @@ def _left_out(decisions: IntArray, initialized: IntArray, accepted: BoolArray) -
     return (number >= 0) & np.where(initialized >= 0, ~np.isin(number, alive), ~accepted)
 
 
-def _places(inputs: Inputs, front: Run, initialized: IntArray) -> Array:
-    """Where each landmark is by the front end (L, 2); one that it dropped stands where it was initialized."""
+def start_at(inputs: Inputs, front: Run, initialized: IntArray) -> Start:
+    """A front end's path, and its map; a landmark that it dropped stands where it was initialized.
+
+    `initialized` (M,): number of the landmark that an observation initialized, -1 for none.
+    """
+    assert front.online is not None
     places = np.full((int(initialized.max(initial=-1)) + 1, 2), np.nan)
-    if front.map is not None and front.online is not None:
+    if front.map is not None:
         o = inputs.observations
         for i in np.flatnonzero(initialized >= 0):
             pose = front.online.pose[o.frame[i]]
             places[initialized[i]] = inputs.sensor.inverse(pose, o.z[i : i + 1])[0][0]
         held = front.map.number < len(places)
         places[front.map.number[held]] = front.map.xy[held]
-    return places
+    return Start(front.online.pose, places)
 
 
 def _failed(name: str, front: Run, failure: Failure, frames: int, seconds: float) -> Run:

@@ -11,4 +11,6 @@ INCREMENTAL = ("isam2", "fixed-lag")
 STEPPING = (*FILTERS, *INCREMENTAL)
 BATCH = ("batch", "batch-huber", "batch-cauchy", "gnc")
 ESTIMATORS = ("dead-reckoning", *STEPPING, *BATCH)
-ASSOCIATIONS = ("known", "nn", "ml", "ml-ratio", "singles", "jcbb", "jcbb-first", "gnn", "jcbb-hindsight")
+ASSOCIATIONS = ("known", "nn", "ml", "ml-ratio", "singles", "jcbb", "jcbb-first", "gnn", "jcbb-hindsight", "scan")
+SCAN = "scan"
+"""Laser scans matched to each other: loop closures are what is associated."""

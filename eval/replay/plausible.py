@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from data import se2
-from data.inputs import Inputs, IntArray
+from data.inputs import Inputs, IntArray, LabelledObservations
 from data.result import DISCARD, Failure, Run, Trajectory, surviving
 from data.se2 import Array, BoolArray
 from ekf.whole_run import run_filter
@@ -34,9 +34,32 @@ WILD = 10.0
 """Sigmas of a reading's own noise that a landmark may stand beyond the range, besides."""
 
 
+SUSPECT = 2.0
+"""Least cost of a smoother per degree of freedom from which on a person is told."""
+LEFT_OUT = 0.1
+"""Share of the labelled readings that a gate left out, likewise: of recordings with misread labels at most 0.0012."""
+
+
 def judged(runs: Sequence[Run], inputs: Inputs) -> list[Run]:
-    """The runs on these inputs, each with its doubt if there is one."""
-    return [with_doubt(run, inputs) for run in runs]
+    """The runs on these inputs, each with its doubt if there is one, and with what may be doubted in its notes."""
+    return [replace(run, notes=(*run.notes, *suspicions(run, inputs))) for run in (with_doubt(r, inputs) for r in runs)]
+
+
+def suspicions(run: Run, inputs: Inputs) -> Iterator[str]:
+    """Sentences about numbers that an honest run can give, and hardly does."""
+    if run.failure is not None:
+        return
+    total, o = run.total_nis, inputs.observations
+    if run.final is not None and total is not None and total[0] > SUSPECT * total[1] > 0:
+        yield (
+            f"its cost is {_number(total[0] / total[1])} per degree of freedom where 1 is expected: noise is"
+            " understated, pairings are wrong, or this is not the lowest minimum"
+        )
+    if run.association == "known" and isinstance(o, LabelledObservations):
+        named = o.label >= 0
+        share = float(np.mean(run.final_decisions[named] == DISCARD)) if named.any() else 0.0
+        if share > LEFT_OUT:
+            yield f"{share:.0%} of the labelled readings were left out: noise or labels are not as stated"
 
 
 def with_doubt(run: Run, inputs: Inputs) -> Run:

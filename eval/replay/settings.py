@@ -29,6 +29,7 @@ class Setup:
         forget_after: the EKF drops landmarks unseen for so long.
         deactivate_after: the EKF parks landmarks unseen for so long, and takes them back when they may be seen again.
         lag: a fixed-lag smoother keeps poses for so long.
+        keyframe_distance: m between the key poses of a laser log.
     """
 
     gate: float | None = field(
@@ -72,6 +73,9 @@ class Setup:
     lag: float = field(
         default=30.0,
         metadata=flag(positive, "S", "fixed-lag keeps poses for S seconds (frames without stamps; default: 30)"),
+    )
+    keyframe_distance: float = field(
+        default=0.4, metadata=flag(positive, "M", "laser logs: a key pose every M metres (default: 0.4)")
     )
 
     def settled(self, sensed: bool) -> Setup:

@@ -191,7 +191,7 @@ def _what_a_prior_changes(primed: Trial, bare: Trial | None, scores: Scores) -> 
         f"Position RMSE (online / final where there are both): {'; '.join(rows)}.",
     ]
     plain, again = primed.find("ekf"), primed.find("ekf-iterated")
-    if plain is not None and again is not None and plain.failure is None and again.failure is None:
+    if plain is not None and again is not None and plain.flaw is None and again.flaw is None:
         a, b = rmse(scores, primed, plain), rmse(scores, primed, again)
         if b < a:
             notes.append(

@@ -124,6 +124,16 @@ def test_the_same_frame_gives_the_same_bits_with_any_number_of_threads(textures,
             assert one.inliers == other.inliers
 
 
+def test_frames_looked_at_together_come_in_order_with_what_each_alone_gives(textures, detector):
+    frames = [hang(wall(), textures[i], hung(2, 0, 0.0)) for i in (0, 3, 1)]
+    seen = list(detector.detect_each(frames))
+    assert [f for f, _ in seen] == frames
+    for frame, together in seen:
+        alone = detector.detect(frame.rgb, frame.xyz)
+        assert found(together) == found(alone) != []
+        np.testing.assert_array_equal(together.detections[0].points, alone.detections[0].points)
+
+
 # --- bad input and counting -------------------------------------------------------------------------------------------
 
 

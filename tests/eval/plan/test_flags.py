@@ -31,19 +31,20 @@ VALUES = {
     **dict.fromkeys(("log", "data", "scenario"), PATHS),
     "task": some(TASKS), "estimator": some(ESTIMATORS), "association": some(ASSOCIATIONS),
     **dict.fromkeys(("gate", "new_gate", "gate_known"), GATES),
-    **dict.fromkeys(("forget_after", "deactivate_after", "lag"), SPANS),
+    **dict.fromkeys(("forget_after", "deactivate_after", "lag", "keyframe_distance"), SPANS),
     **dict.fromkeys(("runs", "seed", "twins"), st.integers(0, 10**9).map(str)),
     "camera_translation": st.sampled_from(("cm", "mm", "m")),
     "camera_reading": st.sampled_from(("to-camera", "to-body")),
     "corner_noise": st.sampled_from(("lab", "depth")),
+    "relations": PATHS,
     "config": st.sampled_from(("tutorial-step1", "tutorial-step3")),
 }  # fmt: skip
 """Words for every row that takes a value and changes the numbers."""
 CHANGED = {
     "log": "a b", "data": "a b", "scenario": "a b", "task": "slam", "estimator": "ekf,batch", "association": "known,nn",
     "gate": "0.9", "new_gate": "0.9999999", "gate_known": "0.999", "forget_after": "12.5", "deactivate_after": "12.5",
-    "lag": "1e-07", "runs": "0", "seed": "7", "twins": "9", "camera_translation": "m", "camera_reading": "to-body",
-    "corner_noise": "depth", "config": "tutorial-step1",
+    "lag": "1e-07", "keyframe_distance": "0.8", "runs": "0", "seed": "7", "twins": "9", "camera_translation": "m", "camera_reading": "to-body",
+    "corner_noise": "depth", "relations": "a b", "config": "tutorial-step1",
 }  # fmt: skip
 """For each of them one that is not the default."""
 NUMBERS = [row.name for row in TABLE.values() if row.numbers]

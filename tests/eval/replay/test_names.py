@@ -27,9 +27,9 @@ def test_every_batch_smoother_is_a_loss_that_the_graph_knows_or_gnc():
     assert tuple(LOSSES.values()) == factors.LOSSES
 
 
-def test_every_way_of_association_is_known_a_method_or_hindsight():
-    assert set(names.ASSOCIATIONS) == {"known", *METHODS, HINDSIGHT}
-    assert len(names.ASSOCIATIONS) == 2 + len(METHODS)
+def test_every_way_of_association_is_known_a_method_hindsight_or_of_scans():
+    assert set(names.ASSOCIATIONS) == {"known", *METHODS, HINDSIGHT, names.SCAN}
+    assert len(names.ASSOCIATIONS) == 3 + len(METHODS)
 
 
 def test_every_estimator_has_a_style():

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from data.inputs import LabelledObservations
 from data.logs import open_log
-from data.result import Failure, MapEstimate, Trajectory
-from eval.replay.plausible import ABSURD, first_misfit, judged, sight, with_doubt
+from data.result import DISCARD, Failure, MapEstimate, Trajectory
+from eval.replay.plausible import ABSURD, first_misfit, judged, sight, suspicions, with_doubt
 from eval.replay.run import compare
 from tests.eval.handmade import FRAMES, circle_log, run_with_error, true_path
 
@@ -39,6 +40,26 @@ def test_innovations_ten_times_as_large_as_claimed_are_implausible():
     assert marked.status == "implausible"
     assert marked.flaw == marked.doubt
     assert "NIS per degree of freedom is 101 " in marked.doubt.why
+
+
+def test_a_cost_of_twice_the_expected_is_said_and_still_ok():
+    assert list(suspicions(replace(smoother(), total_nis=(16.0, 8)), INPUTS)) == []
+    (run,) = judged([replace(smoother(), total_nis=(20.0, 8))], INPUTS)
+    assert run.status == "ok"
+    assert run.notes[-1].startswith("its cost is 2.5 per degree of freedom where 1 is expected")
+
+
+def test_labels_left_out_by_the_gate_are_said_from_a_tenth_on():
+    log = circle_log()
+    o = log.recorded.observations
+    m = len(o.frame)
+    inputs = replace(log.recorded, observations=LabelledObservations(o.frame, o.z, o.R, np.zeros(m, np.int64)))
+    final = np.zeros(m, np.int64)
+    run = replace(smoother(), association="known", final_decisions=final)
+    assert list(suspicions(run, inputs)) == []
+    final[: m // 2] = DISCARD
+    (said,) = suspicions(replace(run, final_decisions=final), inputs)
+    assert said.startswith("50% of the labelled readings were left out")
 
 
 def test_the_frame_is_the_first_that_does_not_fit():

@@ -64,10 +64,10 @@ def test_a_batch_takes_the_decisions_of_isam2_or_of_the_filter_if_there_is_no_is
     inputs = slam(lab, labels=True)
     _, isam2, batch = compare(inputs, "slam", ["ekf", "isam2", "batch"], "nn")
     np.testing.assert_array_equal(batch.final_decisions, isam2.final_decisions)
-    assert batch.notes == ("decisions made by isam2",)
+    assert batch.notes[0] == "decisions made by isam2"
     ekf, alone = compare(inputs, "slam", ["ekf", "batch"], "nn")
     np.testing.assert_array_equal(alone.decisions, ekf.decisions)
-    assert alone.notes == ("decisions made by ekf",)
+    assert alone.notes[0] == "decisions made by ekf"
     assert not np.array_equal(ekf.decisions, isam2.decisions)
 
 

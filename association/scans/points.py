@@ -1,0 +1,109 @@
+"""Range scans as points of surfaces: where each beam ended, and which way the surface there faces."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from data.inputs import Scanner
+from data.se2 import Array
+
+NEIGHBOUR_RADIUS = 0.2
+"""m, half the length of surface over which a normal is fitted: ten times a scanner's noise, less than a door leaf."""
+NEIGHBOUR_SPACINGS = 3.0
+"""The same in spacings of the beams at the point's range, for far points: at least two neighbours on either side."""
+MOST_NEIGHBOURS = 12
+"""Beams looked at on either side; more do not make the normal of a near wall better than the wall is flat."""
+FLATNESS = 0.25
+"""Largest ratio of spread across to spread along the surface (standard deviations): else it is a corner, or clutter."""
+
+
+class Points(NamedTuple):
+    """Surface points of one scan in the body frame: xy (n, 2) [m], normal (n, 2), unit length, towards the scanner."""
+
+    xy: Array
+    normal: Array
+
+
+class Beams(NamedTuple):
+    """Unit directions (B, 2) of the beams in the body frame, their spacing [rad], and the scanner's place (2,) there."""
+
+    direction: Array
+    step: float
+    origin: Array
+
+
+def beams_of(scanner: Scanner, number: int) -> Beams:
+    """The `number` beams of a scanner, its extrinsic p_scanner = R p_body + T undone."""
+    angle = scanner.angle_min + scanner.angle_step * np.arange(number) - scanner.rotation
+    c, s = math.cos(scanner.rotation), math.sin(scanner.rotation)
+    tx, ty = scanner.translation
+    origin = np.array([-c * tx - s * ty, s * tx - c * ty])
+    return Beams(np.stack([np.cos(angle), np.sin(angle)], axis=-1), abs(scanner.angle_step), origin)
+
+
+def scan_points(ranges: Array, beams: Beams, max_range: float) -> Points:
+    """Points and normals of a scan (B,) [m]; returns beyond `max_range` and points without a flat surface left out.
+
+    The normal is the smaller principal axis of the unbroken run of neighbours around the point.
+    """
+    xy, normal = _points(ranges, beams.direction, beams.step, beams.origin, max_range)
+    return Points(xy, normal)
+
+
+@numba.njit(cache=True)
+def _points(ranges, direction, step, origin, max_range):  # type: ignore[no-untyped-def]
+    n = len(ranges)
+    all_xy = np.empty((n, 2))
+    valid = np.zeros(n, np.bool_)
+    for i in range(n):
+        if 0.0 < ranges[i] < max_range:
+            valid[i] = True
+            all_xy[i, 0] = origin[0] + ranges[i] * direction[i, 0]
+            all_xy[i, 1] = origin[1] + ranges[i] * direction[i, 1]
+    xy = np.empty((n, 2))
+    normal = np.empty((n, 2))
+    count = 0
+    for i in range(n):
+        if not valid[i]:
+            continue
+        radius = max(NEIGHBOUR_RADIUS, NEIGHBOUR_SPACINGS * step * ranges[i])
+        px, py = all_xy[i, 0], all_xy[i, 1]
+        m, sx, sy, sxx, sxy, syy = 1, 0.0, 0.0, 0.0, 0.0, 0.0
+        for side in (-1, 1):
+            before = i
+            for k in range(1, MOST_NEIGHBOURS + 1):
+                j = i + side * k
+                if j < 0 or j >= n or not valid[j]:
+                    break
+                dx, dy = all_xy[j, 0] - px, all_xy[j, 1] - py
+                if dx * dx + dy * dy > radius * radius:
+                    break
+                gx, gy = all_xy[j, 0] - all_xy[before, 0], all_xy[j, 1] - all_xy[before, 1]
+                if gx * gx + gy * gy > radius * radius:
+                    break
+                before = j
+                m += 1
+                sx += dx
+                sy += dy
+                sxx += dx * dx
+                sxy += dx * dy
+                syy += dy * dy
+        if m < 3:
+            continue
+        cxx, cxy, cyy = sxx / m - sx * sx / m / m, sxy / m - sx * sy / m / m, syy / m - sy * sy / m / m
+        half, mean = 0.5 * (cxx - cyy), 0.5 * (cxx + cyy)
+        root = math.sqrt(half * half + cxy * cxy)
+        if mean - root > FLATNESS * FLATNESS * (mean + root):
+            continue
+        along = 0.5 * math.atan2(2.0 * cxy, cxx - cyy)
+        nx, ny = -math.sin(along), math.cos(along)
+        if nx * direction[i, 0] + ny * direction[i, 1] > 0.0:
+            nx, ny = -nx, -ny
+        xy[count, 0], xy[count, 1] = px, py
+        normal[count, 0], normal[count, 1] = nx, ny
+        count += 1
+    return xy[:count].copy(), normal[:count].copy()

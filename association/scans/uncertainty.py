@@ -1,0 +1,132 @@
+"""How far one key pose can be from another: covariances along the surest paths of the graph (Olson 2009, section 3)."""
+
+from __future__ import annotations
+
+import heapq
+import math
+
+import numba
+import numpy as np
+
+from data.inputs import IntArray
+from data.se2 import Array
+
+LEVER = 2.0
+"""m, what a heading error is weighed with when paths are compared: the distance of the surfaces a scan is matched by."""
+
+
+class PoseEdges:
+    """Relative poses between key poses, in a list that grows; `project` gives uncertainties over them."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._keys = np.zeros((64, 2), np.int64)
+        self._relative = np.zeros((64, 3))
+        self._covariance = np.zeros((64, 3, 3))
+        self._next = np.zeros((64, 2), np.int64)
+        self._head = np.full(64, -1, np.int64)
+
+    def add(self, key1: int, key2: int, relative: Array, covariance: Array) -> None:
+        """Pose (3,) of key2 in the frame of key1, covariance (3, 3) of its additive error."""
+        e = self._count
+        if e == len(self._keys):
+            self._keys, self._next = _doubled(self._keys), _doubled(self._next)
+            self._relative, self._covariance = _doubled(self._relative), _doubled(self._covariance)
+        while max(key1, key2) >= len(self._head):
+            self._head = np.concatenate([self._head, np.full(len(self._head), -1, np.int64)])
+        self._keys[e] = key1, key2
+        self._relative[e], self._covariance[e] = relative, covariance
+        self._next[e] = self._head[key1], self._head[key2]
+        self._head[key1] = self._head[key2] = e
+        self._count += 1
+
+    def project(self, root: int, keys: int) -> Array:
+        """Covariances (keys, 3, 3) of each key's pose in the frame of `root`, infinite where no path leads.
+
+        Each is carried along the one path whose steps have the least sum of variances (Dijkstra 1959): never less
+        than what all paths together would give, and found for all keys in one pass.
+        """
+        return _project(root, keys, self._head, self._next, self._keys, self._relative, self._covariance)  # type: ignore[no-any-return]
+
+
+def compose_covariances(pose: Array, covariance: Array, motion: Array, motion_covariance: Array) -> Array:
+    """Covariance (3, 3) of `compose(pose, motion)`, additive errors, to first order (Smith, Self, Cheeseman 1990)."""
+    out, out_pose = np.empty((3, 3)), np.empty(3)
+    _compose(pose, covariance, motion, motion_covariance, out_pose, out)
+    return out
+
+
+def inverse_covariance(pose: Array, covariance: Array) -> Array:
+    """Covariance (3, 3) of `inverse(pose)`, additive errors, to first order."""
+    out, out_pose = np.empty((3, 3)), np.empty(3)
+    _invert(pose, covariance, out_pose, out)
+    return out
+
+
+def _doubled(array):  # type: ignore[no-untyped-def]
+    return np.concatenate([array, np.zeros_like(array)])
+
+
+@numba.njit(cache=True)
+def _project(root, keys, head, following, ends, relative, covariance):  # type: ignore[no-untyped-def]
+    result = np.full((keys, 3, 3), np.inf)
+    pose = np.zeros((keys, 3))
+    done = np.zeros(keys, np.bool_)
+    cost = np.full(keys, np.inf)
+    result[root] = 0.0
+    cost[root] = 0.0
+    heap = [(0.0, root)]
+    z = np.zeros(3)
+    C = np.zeros((3, 3))
+    while len(heap) > 0:
+        so_far, a = heapq.heappop(heap)
+        if done[a]:
+            continue
+        done[a] = True
+        e = head[a]
+        while e >= 0:
+            forward = ends[e, 0] == a
+            b = ends[e, 1] if forward else ends[e, 0]
+            V = covariance[e]
+            if b < keys and not done[b]:
+                total = so_far + V[0, 0] + V[1, 1] + LEVER * LEVER * V[2, 2]
+                if total < cost[b]:
+                    cost[b] = total
+                    heapq.heappush(heap, (total, b))
+                    if forward:
+                        z[:] = relative[e]
+                        C[:] = V
+                    else:
+                        _invert(relative[e], V, z, C)
+                    _compose(pose[a], result[a], z, C, pose[b], result[b])
+            e = following[e, 0] if forward else following[e, 1]
+    return result
+
+
+@numba.njit(cache=True)
+def _invert(pose, covariance, z, C):  # type: ignore[no-untyped-def]
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    z[0], z[1], z[2] = -c * pose[0] - s * pose[1], s * pose[0] - c * pose[1], -pose[2]
+    J = np.array([[-c, -s, z[1]], [s, -c, -z[0]], [0.0, 0.0, -1.0]])
+    C[:] = J @ covariance @ J.T
+
+
+@numba.njit(cache=True)
+def _compose(pose, covariance, z, C, out_pose, out_covariance):  # type: ignore[no-untyped-def]
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    dx, dy = c * z[0] - s * z[1], s * z[0] + c * z[1]
+    J = np.array([[1.0, 0.0, -dy], [0.0, 1.0, dx], [0.0, 0.0, 1.0]])
+    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    out_covariance[:] = J @ covariance @ J.T + R @ C @ R.T
+    out_pose[0], out_pose[1], out_pose[2] = pose[0] + dx, pose[1] + dy, pose[2] + z[2]
+
+
+def nearest_first(distance: Array, apart: int, most: int) -> IntArray:
+    """Numbers of the smallest finite distances (K,), at most `most`, no two of them within `apart` of each other."""
+    chosen: list[int] = []
+    for k in np.argsort(distance, kind="stable"):
+        if len(chosen) == most or not np.isfinite(distance[k]):
+            break
+        if all(abs(int(k) - c) >= apart for c in chosen):
+            chosen.append(int(k))
+    return np.array(chosen, np.int64)

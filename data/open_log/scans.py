@@ -1,0 +1,117 @@
+"""`scans.npz` of an open log folder: the range scans of a laser log; [scanner] in `log.toml` says what took them.
+
+frame   (S,) whole numbers      frame of each scan, ascending, none twice
+ranges  (S, B) numbers [m]      of each beam; 0 or NaN: nothing came back, and so from max_range on
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data.errors import LARGEST, DataError
+from data.inputs import Scanner, Scans
+from data.se2 import Array
+from data.toml_table import TomlTable, finite, positive
+
+FRAME, RANGES = "frame", "ranges"
+KEYS = ("angle_min", "angle_step", "max_range", "sigma", "rotation", "translation")
+"""Of [scanner]; the last two may be left out."""
+
+
+def read_scanner(table: TomlTable) -> Scanner:
+    """[scanner], checked."""
+    what = "a finite angle (radians)"
+    step = table.number("angle_step", None, "an angle other than 0 (radians)", lambda v: finite(v) and v != 0.0)
+    translation = (0.0, 0.0)
+    if "translation" in table:
+        tx, ty = table.numbers("translation", 2, "two numbers [m] are", finite)
+        translation = (float(tx), float(ty))
+    return Scanner(
+        table.number("angle_min", None, what, finite),
+        step,
+        table.number("max_range", None, "a finite range > 0 [m]", positive),
+        table.number("sigma", None, "a number > 0 [m]", positive),
+        table.number("rotation", 0.0, what, finite),
+        translation,
+    )
+
+
+def read_scans(path: Path, scanner: Scanner, frames: int) -> Scans:
+    """The scans of a log of so many frames, 0 where nothing came back.
+
+    Raises:
+        DataError: not such a file (object arrays are not read), arrays missing, unknown or of the wrong shape or type,
+            frames out of range or not ascending, or a range that is negative or infinite.
+    """
+    arrays = _arrays(path)
+    for name in (FRAME, RANGES):
+        if name not in arrays:
+            raise DataError.at(path, f"no such array; found {', '.join(arrays) or 'none'}", column=name)
+    for name in arrays:
+        if name not in (FRAME, RANGES):
+            raise DataError.at(path, f"unknown array; known: {FRAME}, {RANGES}", column=name)
+    frame, ranges = arrays[FRAME], arrays[RANGES]
+    if frame.dtype.kind not in "iu" or frame.ndim != 1:
+        raise DataError.at(path, f"{_kind(frame)}; whole numbers (S,) are needed", column=FRAME)
+    if ranges.dtype.kind not in "fiu" or ranges.ndim != 2 or ranges.shape[1] == 0 or len(ranges) != len(frame):
+        wanted = f"numbers ({len(frame)}, B), a row for each frame, are needed"
+        raise DataError.at(path, f"{_kind(ranges)}; {wanted}", column=RANGES)
+    _check_frames(path, frame, frames)
+    metres = ranges.astype(np.float64)
+    fine = np.isnan(metres) | ((metres >= 0.0) & (metres <= LARGEST))
+    if not fine.all():
+        row, beam = np.argwhere(~fine)[0].tolist()
+        what = f"scan {row}, beam {beam}: {float(metres[row, beam])!r} is not a range; a number from 0 up is needed"
+        raise DataError.at(path, f"{what} (0 or NaN: nothing came back)", column=RANGES)
+    return Scans(scanner, frame.astype(np.int64), with_returns(metres, scanner.max_range))
+
+
+def with_returns(ranges: Array, max_range: float) -> Array:
+    """Ranges [m] of any shape with 0 where nothing came back: NaN, and what is not below `max_range`."""
+    return np.where(ranges < max_range, ranges, 0.0)
+
+
+def scans_content(scans: Scans) -> bytes:
+    """The file: the same bytes for the same scans."""
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, frame=scans.frame, ranges=scans.ranges)
+    return buffer.getvalue()
+
+
+def _arrays(path: Path) -> dict[str, NDArray[np.generic]]:
+    """Arrays of an npz file by name; no code of the file is run."""
+    try:
+        content = np.load(io.BytesIO(path.read_bytes()), allow_pickle=False)
+        if not isinstance(content, np.lib.npyio.NpzFile):
+            raise DataError.at(path, "one array; an npz file with frame and ranges is needed")
+        with content:
+            return {name: content[name] for name in content.files}
+    except OSError as error:
+        raise DataError.at(path, f"cannot be read: {error.strerror or error}") from None
+    except (ValueError, EOFError, KeyError, NotImplementedError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
+        what = " ".join(str(error).split())[:80]
+        raise DataError.at(path, f"not an npz file of plain arrays ({what}); numpy.savez writes one") from None
+
+
+def _kind(array: NDArray[np.generic]) -> str:
+    return f"{array.dtype} of shape {array.shape}"
+
+
+def _check_frames(path: Path, frame: NDArray[np.generic], frames: int) -> None:
+    number = frame.astype(np.float64)  # exact below 2^53, and order and range stay what they are above
+    out = (number < 0) | (number >= frames)
+    if out.any():
+        row = int(np.argmax(out))
+        what = f"scan {row}: {frame[row]} is out of range; there are frames 0 to {frames - 1}"
+        raise DataError.at(path, what, column=FRAME)
+    stay = np.diff(number) <= 0
+    if stay.any():
+        row = int(np.argmax(stay)) + 1
+        what = f"scan {row}: {frame[row]} follows {frame[row - 1]}; frames must increase from scan to scan"
+        raise DataError.at(path, what, column=FRAME)

@@ -1,0 +1,219 @@
+"""A CARMEN log (`.log` or `.clf`, also packed as `.gz`) as a laser log: odometry and range scans, no landmarks.
+
+Every ODOM line is a frame, row k (from 0) being the k-th of them; where there is none, every scan is. A scan belongs
+to the ODOM line before it in line order, which is the true order: stamps of such logs come in bursts and go back.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import replace
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+
+from data.errors import DataError
+from data.inputs import IntArray, Scanner, Scans
+from data.log import Log
+from data.open_log.relations import read_relations
+from data.open_log.scans import with_returns
+from data.recordings.carmen_corrected import without_corrections
+from data.recordings.carmen_lines import HEAD, SCANS, CarmenLines, ScanLines, content_of, parse_carmen
+from data.recordings.laser import laser_inputs
+from data.se2 import Array, between, inverse
+from data.truth import Truth
+
+ENDINGS = (".log", ".clf")
+RELATIONS = ".relations.csv"
+REACH = 80.0
+"""m. Reach of the laser scanners of these logs (SICK LMS 2xx), whose codes for no return begin at 81.83."""
+SIGMA = 0.01
+"""m, of a range: their resolution, which is above their noise (5 mm, data sheet of the LMS 200)."""
+PILE, BESIDE, STANDS_OUT = 1e-3, 0.01, 10
+"""The largest reading is a code for no return if it is this share of all, and there are this many times as many of it
+as of the readings less than this share below it."""
+OFFSET = "robot_frontlaser_offset"
+LARGEST_RANGE = ("laser_max_range", "robot_front_laser_max")
+"""Parameters that state the reach."""
+NARROW = {101: 100.0, 201: 100.0, 401: 100.0}
+"""Beams of scanners that do not open 180 degrees."""
+MOUNTED = 0.01
+"""m, rad. A laser whose pose on the robot varies more from scan to scan is not given by the line's two poses."""
+
+
+def log_name(path: Path) -> str:
+    """The file's name without `.gz`, `.log`, `.clf`."""
+    name = path.name
+    for endings in ((".gz",), ENDINGS):
+        for ending in endings:
+            if name.lower().endswith(ending) and len(name) > len(ending):
+                name = name[: -len(ending)]
+                break
+    return name
+
+
+def is_named_carmen(path: Path) -> bool:
+    """Whether the file's name is one of a CARMEN log."""
+    name = path.name.lower()
+    return name.removesuffix(".gz").endswith(ENDINGS)
+
+
+def is_carmen(path: Path) -> bool:
+    """Whether a file has the name of a CARMEN log, and a scan in it."""
+    if not is_named_carmen(path) or not path.is_file():
+        return False
+    try:
+        content, _ = content_of(path)
+    except DataError:
+        return False
+    return any(content.startswith(f"{kind} ".encode()) or f"\n{kind} ".encode() in content for kind in SCANS)
+
+
+def relations_beside(path: Path) -> Path | None:
+    """The file of relations beside a log, `<name>.relations.csv`, or None."""
+    beside = path.with_name(log_name(path) + RELATIONS)
+    return beside if beside.is_file() else None
+
+
+def load_carmen(path: str | PathLike[str], relations: Path | None = None, *, undo_correction: bool = False) -> Log:
+    """A CARMEN log with the relations in a file, or in the file beside it.
+
+    `undo_correction`: its poses are a particle filter's; the raw odometry is recovered from them (see
+    `data.recordings.carmen_corrected`).
+
+    The first pose is that of the odometry, exactly. Increments are those of the odometry, with the noise of
+    `data.recordings.wheel_odometry`. Of several scans of a frame the first is kept, the nearest to the frame's
+    odometry. Times are the stamps made strictly increasing in line order. `Relations.frame_stamp` are the stamps as
+    recorded, a frame's scan before its odometry: references tie relations to scans.
+
+    Raises:
+        DataError: the file cannot be read or unpacked, has no scan, or something is wrong in a line or in a row of
+            the relations.
+    """
+    file = Path(path)
+    content, sha256 = content_of(file)
+    lines = parse_carmen(file, content)
+    said: list[str] = []
+    if undo_correction:
+        if not len(lines.odometry.line):
+            raise DataError.at(file, "no ODOM line; without one there is no raw odometry to recover")
+        lines, *said = without_corrections(lines)
+    log = log_of(file, sha256, lines, relations or relations_beside(file))
+    return replace(log, notes=(*said, *log.notes))
+
+
+def log_of(file: Path, sha256: str, lines: CarmenLines, relations: Path | None) -> Log:
+    """The log of a file's lines."""
+    scans, odometry = lines.scans, lines.odometry
+    if len(odometry.line):
+        frame = np.searchsorted(odometry.line, scans.line) - 1
+        pose, stamp = odometry.pose, odometry.stamp
+    else:
+        frame, pose, stamp = np.arange(len(scans.line)), scans.robot, scans.stamp
+    kept = np.flatnonzero((frame >= 0) & np.append(True, frame[1:] != frame[:-1]))
+    if len(kept) == 0:
+        raise DataError.at(file, "no scan after the first ODOM line; scans with odometry before them are needed")
+    scanner, of_scanner = _scanner(lines)
+    raw = stamp.copy()
+    raw[frame[kept]] = scans.stamp[kept]
+    taken = Scans(scanner, frame[kept], with_returns(scans.ranges[kept], scanner.max_range))
+    recorded = laser_inputs(pose, stamp, taken)
+    source = {"kind": "carmen", "path": str(file.absolute()), "sha256": sha256}
+    truth = Truth()
+    if relations is not None:
+        truth = Truth(relations=read_relations(relations, len(pose), raw))
+        source["relations"] = str(relations.absolute())
+        source["relations_sha256"] = hashlib.sha256(relations.read_bytes()).hexdigest()
+    notes = [*_notes(lines, frame.astype(np.int64), kept, stamp), *of_scanner]
+    return Log(log_name(file), recorded, truth, source=source, notes=tuple(notes))
+
+
+def _notes(lines: CarmenLines, frame: IntArray, kept: IntArray, stamp: Array) -> list[str]:
+    """What a reader should know, a sentence each."""
+    notes = ["No ground truth: the prior is the first pose of the odometry."]
+    if lines.left_out:
+        notes.append("Lines left out: " + ", ".join(f"{n} {kind}" for kind, n in sorted(lines.left_out.items())) + ".")
+    early, dropped = int((frame < 0).sum()), len(frame) - len(kept)
+    if early:
+        notes.append(f"{early} of {len(frame)} scans come before the first ODOM line and were left out.")
+    if dropped > early:
+        notes.append(
+            f"{dropped - early} of {len(frame)} scans follow another without an ODOM line between and were left out."
+        )
+    if (back := int((np.diff(stamp) <= 0.0).sum())) > 0:
+        notes.append(f"{back} of {len(stamp)} stamps do not increase; line order counts.")
+    if len(lines.neff):
+        notes.append(
+            "Poses of a particle filter (NEFF lines): data.convert carmen --undo-correction recovers the odometry."
+        )
+    return notes
+
+
+def _scanner(lines: CarmenLines) -> tuple[Scanner, list[str]]:
+    """The scanner, and what is to be said about it."""
+    scans = lines.scans
+    notes: list[str] = []
+    mounting: Array
+    offset = lines.parameters.get(OFFSET)
+    stated = next((lines.parameters[key] for key in LARGEST_RANGE if lines.parameters.get(key, 0.0) > 0.0), None)
+    if scans.head is None:
+        low, step = beams_of(scans.ranges.shape[1])
+        sigma, mounting = SIGMA, np.array([offset or 0.0, 0.0, 0.0])
+    else:
+        head = dict(zip(HEAD, scans.head[0].tolist(), strict=True))
+        low, step = head["start_angle"], head["resolution"]
+        sigma = head["accuracy"] if head["accuracy"] > 0.0 else SIGMA
+        stated = float(scans.head[:, HEAD.index("max_range")].min())
+        mounting, notes = _mounting(scans, offset)
+    largest, said = largest_range(scans.ranges, stated)
+    if mounting.any():
+        x, y, turned = mounting[0], mounting[1], math.degrees(mounting[2])
+        notes.append(f"The laser is mounted at ({x:.6g}, {y:.6g}) m, turned by {turned:.4g} deg.")
+    # p_scanner = R p_body + T is the body's pose as the laser sees it
+    tx, ty, turn = (float(v) + 0.0 for v in inverse(mounting))
+    scanner = Scanner(low, step, largest, sigma, turn, (tx, ty))
+    return scanner, [*notes, said]
+
+
+def beams_of(n: int) -> tuple[float, float]:
+    """Angle of the first beam and step [rad] of a FLASER line with n beams, which does not say: the first looks right.
+
+    From -90 degrees; an odd number reaches +90 (181: every degree, 361: every half), an even one stops a step before
+    (180, 360). 101, 201 and 401 beams open 100 degrees.
+    """
+    opening = math.radians(NARROW.get(n, 180.0))
+    return -0.5 * opening, opening / max(n - n % 2, 1)
+
+
+def largest_range(ranges: Array, stated: float | None) -> tuple[float, str]:
+    """The range [m] from which on a reading is no return, and a sentence that says why.
+
+    What the log states; else the largest reading below 80 m if readings pile up there (a code for no return, or ranges
+    cut off); else 80 m.
+    """
+    if stated is not None:
+        return stated, f"No return: readings of {stated:g} m and more, as the log states."
+    below = ranges[ranges < REACH]
+    top = float(below.max(initial=0.0))
+    piled = int((below == top).sum())
+    beside = int(((below < top) & (below >= (1.0 - BESIDE) * top)).sum())
+    if top > 0.0 and piled >= max(PILE * ranges.size, STANDS_OUT) and piled >= STANDS_OUT * beside:
+        return top, f"No return: readings of {top:g} m and more, where {piled} of {ranges.size} pile up."
+    return REACH, f"No return: readings of {REACH:g} m and more."
+
+
+def _mounting(scans: ScanLines, offset: float | None) -> tuple[Array, list[str]]:
+    """Pose (3,) of the laser on the robot: from both poses of each line if they agree, else the parameter's."""
+    on_robot = between(scans.robot, scans.laser)
+    middle = np.median(on_robot, axis=0)
+    if float(np.median(np.abs(on_robot - middle).max(axis=1))) <= MOUNTED:
+        return np.where(np.abs(middle) < 1e-5, 0.0, middle), []
+    stated = np.array([offset or 0.0, 0.0, 0.0])
+    return stated, [
+        "The two poses of ROBOTLASER1 lines do not keep their distance; the laser's place is the parameter's."
+    ]
+
+
+__all__ = ["is_carmen", "is_named_carmen", "load_carmen", "log_name", "log_of", "relations_beside"]

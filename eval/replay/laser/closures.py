@@ -1,0 +1,180 @@
+"""Loop closures of the newest key pose: candidates by uncertainty, search, verification, and belief in pairs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from association.scans.constraints import Loops
+from association.scans.correlation import Pyramid, best_pose, pyramid
+from association.scans.free_space import contradiction
+from association.scans.matching import MotionPrior, match
+from association.scans.nearest import NearestGrid
+from association.scans.points import Points
+from association.scans.uncertainty import PoseEdges, compose_covariances, inverse_covariance, nearest_first
+from data.inputs import Scanner
+from data.se2 import Array, between, compose, inverse, transform_points, wrap_angle
+from eval.replay.laser.parameters import LaserParameters
+from eval.replay.laser.tracker import rotated
+
+NO_PRIOR = np.diag([1.0, 1.0, 1.0])
+"""Information [1/m^2, 1/rad^2] that keeps a match solvable where a corridor leaves it open: one metre, one radian."""
+
+
+@dataclass
+class KeyScan:
+    """A key pose's scan: ranges (B,), points, and the middle (2,) of what it sees, body frame."""
+
+    ranges: Array
+    points: Points
+    centre: Array
+
+
+@dataclass
+class Closure:
+    """A loop closure that was looked at; `believed` as in `Loops`."""
+
+    key1: int
+    key2: int
+    relative: Array
+    covariance: Array
+    score: float
+    believed: int = -1
+
+
+class LoopCloser:
+    """Finds loop closures of each new key pose, and says when they are believed."""
+
+    def __init__(self, parameters: LaserParameters, scanner: Scanner) -> None:
+        self.parameters, self.scanner = parameters, scanner
+        self.sigma = max(parameters.sigma, scanner.sigma) * math.sqrt(parameters.variance_scale)
+        self.edges = PoseEdges()
+        self.closures: list[Closure] = []
+        self._keys: list[KeyScan] = []
+        self._motion: list[Array] = []
+        self._grid = NearestGrid(parameters.max_range + 2.0, 0.3)
+        self._pyramids: dict[int, Pyramid] = {}
+        self.centres = np.zeros((0, 2))
+
+    def add_key(self, ranges: Array, points: Points, motion: Array, covariance: Array) -> None:
+        """A new key pose: its scan, and the motion from the key pose before (of the first: unused)."""
+        new = len(self._keys)
+        if new:
+            self.edges.add(new - 1, new, motion, covariance)
+        near = np.hypot(points.xy[:, 0], points.xy[:, 1]) < 5.0
+        centre = points.xy[near].mean(axis=0) if near.any() else np.zeros(2)
+        self._keys.append(KeyScan(ranges, points, centre))
+        self._motion.append(motion)
+        self.centres = np.concatenate([self.centres, centre[None]])
+
+    def find(self, poses: Array) -> list[Closure]:
+        """Closures of the newest key pose, given all key poses (K, 3), that are believed now."""
+        p = self.parameters
+        self._poses = poses
+        newest = len(self._keys) - 1
+        last = newest - p.loop_gap
+        if last < 0 or len(self._keys[newest].points.xy) < 10:
+            return []
+        covariance = self.edges.project(newest, newest + 1)
+        spread = np.sqrt(covariance[: last + 1, 0, 0] + covariance[: last + 1, 1, 1])
+        world = transform_points(poses, self.centres[: newest + 1])
+        apart = np.hypot(*(world[: last + 1] - world[newest]).T)
+        distance = np.where(apart <= p.loop_distance + 2.0 * spread, apart, np.inf)
+        found = []
+        for key in nearest_first(distance, p.loop_apart, p.loops_per_key):
+            closure = self._close(int(key), newest, poses, covariance[key])
+            if closure is not None:
+                found.append(closure)
+        return self._believe(found, covariance)
+
+    def _close(self, key1: int, key2: int, poses: Array, inverted: Array) -> Closure | None:
+        """Match the scan of key2 to those around key1; None where it does not fit."""
+        p = self.parameters
+        expected = between(poses[key1], poses[key2])
+        expected[2] = wrap_angle(float(expected[2]))
+        covariance = inverse_covariance(between(poses[key2], poses[key1]), inverted)
+        new = self._keys[key2]
+        around = self._around(key1)
+        start = expected
+        window = 3.0 * np.sqrt(np.diag(covariance))
+        if max(window[0], window[1]) > p.direct_distance or window[2] > p.direct_angle:
+            window = np.clip(window, [0.2, 0.2, 0.1], [p.widest, p.widest, math.pi])
+            if key1 not in self._pyramids:
+                self._pyramids[key1] = pyramid(around.xy, 12.0)
+                if len(self._pyramids) > 64:
+                    del self._pyramids[next(iter(self._pyramids))]
+            xy = new.points.xy
+            xy = xy[np.hypot(xy[:, 0], xy[:, 1]) < 10.0]
+            xy = xy[:: max(len(xy) // 90, 1)]
+            start, score = best_pose(xy, self._pyramids[key1], expected, window, p.least_correlation)
+            if score == 0.0:
+                return None
+        reference = self._grid.reference(around.xy, around.normal)
+        result = match(new.points, reference, start, MotionPrior(start, NO_PRIOR), self.sigma, 1e3)
+        against, shared = contradiction(self._keys[key1].ranges, new.ranges, result.pose, self.scanner, p.max_range)
+        error = result.pose - expected
+        error[2] = wrap_angle(float(error[2]))
+        d2 = error @ np.linalg.solve(covariance + result.covariance, error)
+        if result.share < p.loop_share or against > p.most_contradiction or d2 > p.gate:
+            return None
+        return Closure(key1, key2, result.pose, result.covariance, result.share)
+
+    def _around(self, key: int) -> Points:
+        """The points of the key scans within two of `key`, in its frame, along the chain."""
+        xy, normal = [self._keys[key].points.xy], [self._keys[key].points.normal]
+        for way in (-1, 1):
+            pose = np.zeros(3)
+            k = key
+            for _ in range(self.parameters.loop_around):
+                k += way
+                if k < 0 or k >= len(self._keys) - self.parameters.loop_gap // 2:
+                    break
+                pose = compose(pose, inverse(self._motion[k + 1]) if way < 0 else self._motion[k])
+                xy.append(transform_points(pose, self._keys[k].points.xy))
+                normal.append(rotated(float(pose[2]), self._keys[k].points.normal))
+        return Points(np.concatenate(xy), np.concatenate(normal))
+
+    def _believe(self, found: list[Closure], from_newest: Array) -> list[Closure]:
+        """Of the new closures and those that wait, the ones that are now believed: two must agree (Olson 2009)."""
+        p = self.parameters
+        newest = len(self._keys) - 1
+        believed: list[Closure] = []
+        for new in found:
+            from_key1 = self.edges.project(new.key1, newest + 1)
+            for old in reversed(self.closures):
+                if newest - old.key2 > p.wait:
+                    break
+                if old.key2 == new.key2:
+                    continue
+                # key1 -> newest by the one closure; key1 -> old.key1 -> old.key2 -> newest by the other
+                there = self._relative(new.key1, old.key1)
+                loop = compose(there, old.relative)
+                covariance = compose_covariances(there, from_key1[old.key1], old.relative, old.covariance)
+                last = self._relative(old.key2, new.key2)
+                step = inverse_covariance(inverse(last), from_newest[old.key2])
+                covariance = compose_covariances(loop, covariance, last, step) + new.covariance
+                error = compose(loop, last) - new.relative
+                error[2] = wrap_angle(float(error[2]))
+                if error @ np.linalg.solve(covariance, error) < p.pair_gate:
+                    for c in (old, new):
+                        if c.believed < 0:
+                            c.believed = newest
+                            believed.append(c)
+            self.closures.append(new)
+        for c in believed:
+            self.edges.add(c.key1, c.key2, c.relative, c.covariance)
+        return believed
+
+    def _relative(self, key1: int, key2: int) -> Array:
+        return between(self._poses[key1], self._poses[key2])
+
+    def loops(self) -> Loops:
+        """All closures in the order of their finding."""
+        c = self.closures
+        return Loops(
+            np.array([x.key1 for x in c], np.int64), np.array([x.key2 for x in c], np.int64),
+            np.array([x.relative for x in c]).reshape(-1, 3), np.array([x.covariance for x in c]).reshape(-1, 3, 3),
+            np.array([x.score for x in c]), np.array([x.believed for x in c], np.int64),
+        )  # fmt: skip

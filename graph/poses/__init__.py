@@ -1,0 +1,1 @@
+"""Graphs of key poses alone: a chain, and loop closures in it."""
