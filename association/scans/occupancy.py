@@ -1,7 +1,7 @@
 """Occupancy grid of laser scans from known poses: log odds, each cell changed once by a scan.
 
-Moravec and Elfes, "High resolution maps from wide angle sonar", ICRA 1985; Thrun, Burgard, Fox, Probabilistic Robotics,
-Table 9.1. Cells along a beam: Amanatides and Woo, "A fast voxel traversal algorithm for ray tracing", Eurographics 1987.
+Moravec and Elfes, "High resolution maps from wide angle sonar", ICRA 1985; Probabilistic Robotics, Table 9.1. Cells
+along a beam: Amanatides and Woo, "A fast voxel traversal algorithm for ray tracing", Eurographics 1987.
 """
 
 from __future__ import annotations
