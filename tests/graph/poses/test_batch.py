@@ -41,7 +41,7 @@ def start(world):
 
 
 def test_optimum_and_covariances_are_those_of_dense_least_squares():
-    world = corridors(3, 16, loops=6, side=1.5, blocks=1)._replace(key1=np.array([0, 2, 5]), key2=np.array([9, 14, 15]))
+    world = corridors(3, 10, loops=6, side=1.5, blocks=1)._replace(key1=np.array([0, 2, 5]), key2=np.array([6, 9, 8]))
     rng = np.random.default_rng(0)
     world = world._replace(relative=rng.normal(0, 0.5, (3, 3)), loop_covariance=np.tile(0.04 * np.eye(3), (3, 1, 1)))
     root = rng.normal(0, 0.1, (3, 3))
@@ -52,7 +52,7 @@ def test_optimum_and_covariances_are_those_of_dense_least_squares():
     assert np.abs(P @ J.T @ r / np.sqrt(np.diag(P))).max() < 1e-4
     assert found.cost == pytest.approx(r @ r, rel=1e-9)
     assert found.dof == len(r) - len(found.pose) * 3 == 9
-    for k in range(16):
+    for k in range(10):
         own = P[3 * k : 3 * k + 3, 3 * k : 3 * k + 3]
         np.testing.assert_allclose(found.covariance[k], own, rtol=1e-4, atol=1e-5 * np.abs(own).max())
 
@@ -95,16 +95,16 @@ def test_as_many_false_loop_closures_as_half_the_true_ones_change_the_robust_pat
     before = {"gaussian": [], "cauchy": [], "gnc": []}
     after = {"gaussian": [], "cauchy": [], "gnc": []}
     for seed in range(2):
-        world = corridors(seed, 150, loops=60, drift=3.0, blocks=2)
-        wrong = world.with_loops(*false(world, np.random.default_rng(seed), 30))
+        world = corridors(seed, 110, loops=50, drift=3.0, blocks=2)
+        wrong = world.with_loops(*false(world, np.random.default_rng(seed), 25))
         for w, errors in ((world, before), (wrong, after)):
             for loss in ("gaussian", "cauchy"):
                 errors[loss].append(world.rmse(smooth_poses(w.problem(), start(w), loss=loss).pose))
             found, believed = gnc_poses(w.problem(), start(w))
             errors["gnc"].append(world.rmse(found.pose))
-            assert not believed[60:].any()
+            assert not believed[50:].any()
             assert (found.weight == believed).all()
-            assert believed[:60].mean() > 0.9
+            assert believed[:50].mean() > 0.9
     for loss in ("cauchy", "gnc"):
         np.testing.assert_allclose(after[loss], before[loss], rtol=0.05)
     assert min(after["gaussian"]) > 5.0 * max(before["gaussian"])

@@ -14,6 +14,7 @@ from graph.poses.fixed_lag import FixedLagPoseGraph
 from graph.poses.online import PoseGraph
 from tests.graph.poses.worlds import corridors
 
+
 def driven(graph, world):
     """Online poses (K, 3) and covariances (K, 3, 3) of a graph that is given a world, each key with its loops."""
     newest = []
@@ -50,7 +51,7 @@ def test_the_graph_ends_at_the_batch_optimum_of_the_same_constraints(prior, thre
     graph.refine()
     best = smooth_poses(world.problem(prior), graph.poses())
     assert sigmas_between(graph.poses(), best.pose, best.covariance)[1:].max() < sigmas
-    assert correlation_change(graph.covariances()[1:], best.covariance[1:]).max() < 0.01
+    assert correlation_change(graph.covariances()[1:], best.covariance[1:]).max() < 0.03
 
 
 def test_online_the_newest_pose_is_that_of_a_batch_over_what_was_known_then():
