@@ -34,6 +34,10 @@ def check_parameters(
             if value not in known:
                 raise UsageError(f"{where}; known: {', '.join(known)}")
             continue
+        if isinstance(f.default, bool):
+            if not isinstance(value, bool):
+                raise UsageError(f"{where}; on or off is needed")
+            continue
         if f.default is None and value is None:
             continue
         whole = isinstance(f.default, int)

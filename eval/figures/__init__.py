@@ -7,6 +7,7 @@ from eval.figures.consistency import anees_figure, nees_figure
 from eval.figures.error import difference_figure, error_figure
 from eval.figures.filter_smoother import filter_smoother_figure
 from eval.figures.growth import growth_figure, state_figure
+from eval.figures.laser import loop_picture, map_picture
 from eval.figures.map import map_figure
 from eval.figures.outliers import outlier_figure
 from eval.figures.power import Seen, power_figure
@@ -14,6 +15,6 @@ from eval.figures.verdicts import coverage_figure, run_end_figure
 
 __all__ = [
     "Seen", "anees_figure", "confusion_figure", "coverage_figure", "difference_figure", "error_figure",
-    "filter_smoother_figure", "growth_figure", "map_figure", "nees_figure", "outlier_figure", "power_figure",
-    "run_end_figure", "state_figure",
+    "filter_smoother_figure", "growth_figure", "loop_picture", "map_figure", "map_picture", "nees_figure",
+    "outlier_figure", "power_figure", "run_end_figure", "state_figure",
 ]  # fmt: skip

@@ -1,0 +1,139 @@
+"""Occupancy grid of laser scans from known poses: log odds, each cell changed once by a scan.
+
+Moravec and Elfes, "High resolution maps from wide angle sonar", ICRA 1985; Probabilistic Robotics, Table 9.1. Cells
+along a beam: Amanatides and Woo, "A fast voxel traversal algorithm for ray tracing", Eurographics 1987.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from data.inputs import Scanner, read_only
+from data.se2 import Array, compose, inverse
+
+HIT, MISS = 0.85, -0.41
+"""Log odds of a cell in which a beam ends (0.70) and of one that it crosses (0.40): Hornung et al., "OctoMap",
+Autonomous Robots 34, 2013, section 5.2. A wall is kept where it is hit in a third of the scans that look at it."""
+LEAST, MOST = -2.0, 3.5
+"""Log odds are kept between these (0.12 and 0.97; same source), so that a place that has changed is soon seen to."""
+MARGIN = 0.5
+"""m of unknown cells about all that was seen."""
+MOST_CELLS = 100_000_000
+"""A larger grid is refused: 500 m a side at 5 cm, 1.2 GB with what it is worked out in."""
+_FREE, _ENDS = 1, 2
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """An occupancy grid, axes along those of the world.
+
+    Attributes:
+        origin: (2,) m, the lower left corner of cell [0, 0] in the world.
+        resolution: m, side of a cell.
+        log_odds: (H, W) of being occupied, row by y and column by x; 0 where nothing is known.
+    """
+
+    origin: Array
+    resolution: float
+    log_odds: Array
+
+    def __post_init__(self) -> None:
+        read_only(self)
+
+    @property
+    def probability(self) -> Array:
+        """(H, W) of being occupied, 0.5 where nothing is known."""
+        p: Array = 1.0 / (1.0 + np.exp(-self.log_odds))
+        return p
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """West, east, south and north edge in the world [m]."""
+        h, w = self.log_odds.shape
+        x, y = float(self.origin[0]), float(self.origin[1])
+        return x, x + w * self.resolution, y, y + h * self.resolution
+
+
+@numba.njit(cache=True)
+def _add_scans(origins, ends, reach, log_odds, touched):  # type: ignore[no-untyped-def]
+    """Add scans to log_odds (H, W), all in cells: origins (K, 2), ends (K, B, 2), reach (K, B).
+
+    reach: 0 nothing is known of the beam, 1 all before its end is free, 2 its end is occupied too. `touched` (H, W)
+    holds 3 k + what scan k did to a cell, so that it is done once, and a cell with an end in it is not free.
+    """
+    for k in range(len(ends)):
+        for b in range(ends.shape[1]):
+            if reach[k, b] == _ENDS:
+                column, row = math.floor(ends[k, b, 0]), math.floor(ends[k, b, 1])
+                if touched[row, column] != 3 * k + _ENDS:
+                    touched[row, column] = 3 * k + _ENDS
+                    log_odds[row, column] = min(log_odds[row, column] + HIT, MOST)
+        x, y = origins[k, 0], origins[k, 1]
+        for b in range(ends.shape[1]):
+            if reach[k, b] == 0:
+                continue
+            column, row = math.floor(x), math.floor(y)
+            dx, dy = ends[k, b, 0] - x, ends[k, b, 1] - y
+            right, up = (1 if dx > 0.0 else -1), (1 if dy > 0.0 else -1)
+            # share of the beam to the next line between columns, or rows, and from each to the one after
+            across = 1.0 / abs(dx) if dx != 0.0 else np.inf
+            along = 1.0 / abs(dy) if dy != 0.0 else np.inf
+            next_column = ((column + 1 - x) if dx > 0.0 else (x - column)) * across if dx != 0.0 else np.inf
+            next_row = ((row + 1 - y) if dy > 0.0 else (y - row)) * along if dy != 0.0 else np.inf
+            # as many steps as lines between the two cells: the end is met whatever rounding does
+            steps = abs(math.floor(ends[k, b, 0]) - column) + abs(math.floor(ends[k, b, 1]) - row)
+            for _ in range(steps):
+                if touched[row, column] < 3 * k + _FREE:
+                    touched[row, column] = 3 * k + _FREE
+                    log_odds[row, column] = max(log_odds[row, column] + MISS, LEAST)
+                if next_column < next_row:
+                    next_column += across
+                    column += right
+                else:
+                    next_row += along
+                    row += up
+
+
+def occupancy_grid(
+    poses: Array, ranges: Array, scanner: Scanner, *, resolution: float = 0.05, free_without_return: float = 0.0
+) -> Grid:
+    """The grid of all that scans from known poses show.
+
+    Args:
+        poses: (K, 3) of the body in the world; those that are not finite are left out.
+        ranges: (K, B) m; 0, NaN or max_range and beyond: nothing came back.
+        scanner: its angles and extrinsic.
+        resolution: m, side of a cell.
+        free_without_return: m, how far a beam that did not come back is taken to have gone through free space. 0 as it
+            is: the beam may have met glass.
+
+    Raises:
+        ValueError: the grid would have more than `MOST_CELLS` cells, as when poses run away.
+    """
+    poses, ranges = np.asarray(poses, float), np.asarray(ranges, float)
+    sure = np.isfinite(poses).all(axis=1)
+    poses, ranges = poses[sure], ranges[sure]
+    returned = (ranges > 0.0) & (ranges < scanner.max_range)
+    reach = np.where(returned, _ENDS, _FREE if free_without_return > 0.0 else 0).astype(np.int8)
+    length = np.where(returned, ranges, free_without_return)
+    at = compose(poses, inverse(np.array([*scanner.translation, scanner.rotation])))
+    angle = at[:, 2:] + scanner.angle_min + scanner.angle_step * np.arange(ranges.shape[1])
+    ends = at[:, None, :2] + length[:, :, None] * np.stack([np.cos(angle), np.sin(angle)], axis=2)
+    seen = np.concatenate([ends.reshape(-1, 2), at[:, :2]]) if len(at) else np.zeros((1, 2))
+    # whole cells from the world's origin, so that grids of the same place have the same cells
+    low = np.floor((seen.min(axis=0) - MARGIN) / resolution)
+    width, height = (np.ceil((seen.max(axis=0) + MARGIN) / resolution) - low).tolist()
+    if width * height > MOST_CELLS:
+        raise ValueError(
+            f"an occupancy grid of {width * resolution:.0f} m by {height * resolution:.0f} m at {resolution:g} m;"
+            f" at most {MOST_CELLS} cells"
+        )
+    log_odds = np.zeros((int(height), int(width)))
+    touched = np.full(log_odds.shape, -1, np.int32)
+    _add_scans(at[:, :2] / resolution - low, ends / resolution - low, reach, log_odds, touched)
+    # rounded, so that it reads well in a file: 1.15, not 1.1500000000000001
+    return Grid(np.round(low * resolution, 9), resolution, log_odds)
