@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from association.decide import HINDSIGHT, METHODS
+from association.scans.laser_run import SCAN
 from data.errors import UsageError
 from data.log import Log, folder_name, shortened
 from data.logs import Reading, find_logs, open_log
 from data.recordings.esde import NAME, find_esde
 from eval.plan.flags import DEFAULT_ESTIMATORS, QUICK_RUNS
 from eval.plan.options import Options
-from eval.replay.names import FILTERS, SCAN
+from eval.replay.names import FILTERS
 from eval.replay.settings import Setup
 from eval.studies.scenario import Scenario
 from eval.studies.scenario_file import load_scenario
