@@ -242,7 +242,8 @@ def _blank(value: object) -> object:
 @dataclass(frozen=True)
 class Scores:
     """The tables of a set of trials; differences between filters and smoothers where there is truth, relations of laser
-    logs."""
+    logs.
+    """
 
     metrics: pd.DataFrame
     association: pd.DataFrame

@@ -13,12 +13,12 @@ from scipy.special import gammainc
 
 from association.expectation import gate_threshold
 from association.scans.constraints import Chain, Loops
+from association.scans.laser_run import SCAN
 from data.inputs import Inputs, IntArray
 from data.result import DISCARD, Failure, Innovations, Run, Trajectory
 from data.se2 import Array, compose, dead_reckoned
 from ekf.pose_chain import run_pose_chain
 from ekf.whole_run import run_filter
-from eval.replay.names import SCAN
 from eval.replay.settings import Setup
 from graph.factors import UnderConstrained
 from graph.optimum import NotConvergedError
@@ -82,7 +82,7 @@ def backend(
     loops: Loops,
     setup: Setup = PLAIN,
     *,
-    loss: str = "cauchy",
+    loss: str = "gaussian",
     gate: float | None = None,
 ) -> Solved:
     """One back end, by its name in `NAMES`, over the loop closures that the front end believed.

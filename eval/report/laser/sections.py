@@ -21,8 +21,8 @@ from eval.report.laser.pictures import GRID, LOOPS
 from eval.report.pictures import stem
 
 RELATIONS_CAPTION = (
-    "errors against the reference relations, mean ± standard deviation. A relation is tied to frames by its *row* in the"
-    " log, or by its *time* stamp, which in bursts of stamps is another frame; *exact*: relations whose frames are"
+    "errors against the reference relations, mean ± standard deviation. A relation is tied to frames by its *row* in"
+    " the log, or by its *time* stamp, which in bursts of stamps is another frame; *exact*: relations whose frames are"
     " sure. Errors are (a⁻¹b)·rel⁻¹; the last column has rel⁻¹·(a⁻¹b) instead (all, by row). Of the filter, *final* is"
     " the path of its last state, in which every key pose stayed."
 )
@@ -65,7 +65,9 @@ def _relations(folder: Path, options: Options, trial: Trial) -> list[Block]:
     if not rows:
         return []
     caption = f"{trial.log.name}: {RELATIONS_CAPTION}"
-    blocks: list[Block] = [written_table(pd.DataFrame(rows), folder, stem(trial, "relations"), caption, options.formats)]
+    blocks: list[Block] = [
+        written_table(pd.DataFrame(rows), folder, stem(trial, "relations"), caption, options.formats)
+    ]
     return [*blocks, PUBLISHED] if len(relations) == INTEL_RELATIONS else blocks
 
 
@@ -128,7 +130,10 @@ def _gate_statement(trial: Trial) -> list[str]:
     if twin.failure is not None or twin.weight is None:
         return []
     rejected, looked = int((twin.weight == 0.0).sum()), int(np.isfinite(twin.weight).sum())
-    text = f"The filter over key poses takes every believed loop closure. With a gate of 0.999 it rejects {rejected} of {looked}"
+    text = (
+        "The filter over key poses takes every believed loop closure. With a gate of 0.999 it rejects"
+        f" {rejected} of {looked}"
+    )
     relations = trial.log.truth.relations
     if relations is not None and run.last is not None and twin.last is not None:
         a, b = (
