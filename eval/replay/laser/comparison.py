@@ -47,6 +47,8 @@ def _run(inputs: Inputs, front: FrontEndResult, solved: Solved) -> LaserRun:
         last = replace(path, pose=between_scans(inputs, path.pose))
         run = replace(run, seconds=run.seconds + float(front.seconds.sum()), final=run.final and last)
     given = {f.name: getattr(run, f.name) for f in fields(Run)}
+    if last is None:
+        return LaserRun(**given)
     return LaserRun(
         **given, chain=chain, loops=front.loops, frame_seconds=front.seconds, key_pose=solved.final_keys,
         weight=solved.weight, last=last,
