@@ -18,7 +18,7 @@ from eval.referee.laser.rows import KEPT, paths_of
 from eval.referee.score import Trial
 from eval.report.laser.files import mapping_run
 from eval.report.laser.pictures import GRID, LOOPS
-from eval.report.pictures import stem
+from eval.report.names import stem
 
 RELATIONS_CAPTION = (
     "errors against the reference relations, mean ± standard deviation. A relation is tied to frames by its *row* in"
