@@ -165,7 +165,7 @@ class PoseChainRun(NamedTuple):
 
     online, online_covariance: (K, 3), (K, 3, 3) of each key pose when it was the newest, its loop closures included;
     pose, covariance: (K, 3), (K, 3, 3) of all of them in the last state; used: (L,) loop closures that passed the gate;
-    d2: (L,) their squared innovations, NaN: never looked at; nis, dof: of the updates, summed up.
+    d2: (L,) their squared innovations, NaN: never looked at; nis, dof: (K,) of the update at each key pose.
     """
 
     online: Array
@@ -174,8 +174,8 @@ class PoseChainRun(NamedTuple):
     covariance: Array
     used: BoolArray
     d2: Array
-    nis: float
-    dof: int
+    nis: Array
+    dof: IntArray
     failure: Failure | None
 
 
@@ -201,7 +201,7 @@ def run_pose_chain(
     used, d2 = np.zeros(len(key1), np.bool_), np.full(len(key1), np.nan)
     order = np.argsort(joined, kind="stable")
     first = np.searchsorted(joined[order], np.arange(K + 1))
-    nis, failure = 0.0, None
+    nis, dof, failure = np.zeros(K), np.zeros(K, np.int64), None
     for k in range(K):
         if k:
             filter_.augment(motion[k], motion_covariance[k])
@@ -213,8 +213,8 @@ def run_pose_chain(
                 failure = Failure("diverged", k, f"loop closures of key pose {k}: {fault}")
                 break
             used[rows], d2[rows] = done.used, done.d2
-            nis += done.nis
+            nis[k], dof[k] = done.nis, 3 * int(done.used.sum())
         online[k], online_P[k] = filter_.newest()
     pose, final_P = np.full((K, 3), np.nan), np.full((K, 3, 3), np.nan)
     pose[: filter_.keys], final_P[: filter_.keys] = filter_.poses(), filter_.covariances()
-    return PoseChainRun(online, online_P, pose, final_P, used, d2, nis, 3 * int(used.sum()), failure)
+    return PoseChainRun(online, online_P, pose, final_P, used, d2, nis, dof, failure)

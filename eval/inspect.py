@@ -34,7 +34,9 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
-        "log", metavar="LOG", help="an open log folder, or a name: victoria-park, arena:SEED, corridor:SEED[:KEYS]"
+        "log",
+        metavar="LOG",
+        help="an open log folder, a CARMEN log, or a name: victoria-park, arena:SEED, corridor:SEED[:KEYS]",
     )
     parser.add_argument("--plot", metavar="FILE", type=Path, help="write a picture of the log (.png or .pdf)")
     options = parser.parse_args(argv)

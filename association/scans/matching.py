@@ -85,9 +85,13 @@ def _match(xy, normal, r_xy, r_normal, index, half, cell, start, mean, informati
                 continue
             m = index[i, j]
             nx, ny = r_normal[m, 0], r_normal[m, 1]
-            if (c * normal[k, 0] - s * normal[k, 1]) * nx + (s * normal[k, 0] + c * normal[k, 1]) * ny < SAME_SIDE:
+            mx, my = c * normal[k, 0] - s * normal[k, 1], s * normal[k, 0] + c * normal[k, 1]
+            same = mx * nx + my * ny
+            if same < SAME_SIDE:
                 cost += 1.0
                 continue
+            norm = math.sqrt(2.0 + 2.0 * same)
+            nx, ny = (nx + mx) / norm, (ny + my) / norm
             e = nx * (qx - r_xy[m, 0]) + ny * (qy - r_xy[m, 1])
             u = e / scale
             w = 1.0 / (1.0 + u * u)

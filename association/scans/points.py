@@ -13,8 +13,9 @@ from data.se2 import Array
 
 NEIGHBOUR_RADIUS = 0.2
 """m, half the length of surface over which a normal is fitted: ten times a scanner's noise, less than a door leaf."""
-NEIGHBOUR_SPACINGS = 3.0
+NEIGHBOUR_SPACINGS = 6.0
 """The same in spacings of the beams at the point's range, for far points: at least two neighbours on either side."""
+LEAST_NEIGHBOURS = 2
 MOST_NEIGHBOURS = 12
 """Beams looked at on either side; more do not make the normal of a near wall better than the wall is flat."""
 FLATNESS = 0.25
@@ -70,7 +71,7 @@ def _points(ranges, direction, step, origin, max_range):  # type: ignore[no-unty
     for i in range(n):
         if not valid[i]:
             continue
-        radius = max(NEIGHBOUR_RADIUS, NEIGHBOUR_SPACINGS * step * ranges[i])
+        gap = max(NEIGHBOUR_RADIUS, NEIGHBOUR_SPACINGS * step * ranges[i])
         px, py = all_xy[i, 0], all_xy[i, 1]
         m, sx, sy, sxx, sxy, syy = 1, 0.0, 0.0, 0.0, 0.0, 0.0
         for side in (-1, 1):
@@ -80,10 +81,10 @@ def _points(ranges, direction, step, origin, max_range):  # type: ignore[no-unty
                 if j < 0 or j >= n or not valid[j]:
                     break
                 dx, dy = all_xy[j, 0] - px, all_xy[j, 1] - py
-                if dx * dx + dy * dy > radius * radius:
+                if k > LEAST_NEIGHBOURS and dx * dx + dy * dy > NEIGHBOUR_RADIUS * NEIGHBOUR_RADIUS:
                     break
                 gx, gy = all_xy[j, 0] - all_xy[before, 0], all_xy[j, 1] - all_xy[before, 1]
-                if gx * gx + gy * gy > radius * radius:
+                if gx * gx + gy * gy > gap * gap:
                     break
                 before = j
                 m += 1

@@ -231,7 +231,9 @@ def _robotlaser(path: Path, lines: list[int], rows: list[list[bytes]]) -> ScanLi
     head = table.stack(HEAD)
     for i in range(GEOMETRY.start, GEOMETRY.stop):
         fine = np.abs(head[:, i] - head[0, i]) <= 1e-6
-        table.require(fine, HEAD[i], f"{{}} differs from {head[0, i]!r} in line {lines[0]}; one geometry is needed")
+        table.require(
+            fine, HEAD[i], f"{{}} differs from {float(head[0, i])!r} in line {lines[0]}; one geometry is needed"
+        )
     return replace(_scans(path, ROBOTLASER, lines, chosen, counts[0]), head=head)
 
 

@@ -28,6 +28,7 @@ def increments_of(pose: Array) -> tuple[Increments, int]:
     """
     mean = np.zeros((len(pose), 3))
     mean[1:] = between(pose[:-1], pose[1:])
+    mean[1:][(pose[1:] == pose[:-1]).all(axis=1)] = 0.0  # at rest, not a rounding away from it
     distance, turn = np.hypot(mean[:, 0], mean[:, 1]), np.abs(mean[:, 2])
     covariance = np.zeros((len(pose), 3, 3))
     along = TRANSLATION_PER_METRE**2 * distance + TRANSLATION_PER_RADIAN**2 * turn

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from association.scans.laser_run import SCAN, LaserRun
 from data.inputs import CLUTTER
 from data.log import Log
 from data.result import DISCARD, Run, surviving
@@ -19,6 +20,7 @@ from eval.referee.bounds import nis_bounds
 from eval.referee.confusion import WITHIN, Confusion, confuse, majority, majority_agreement, share_within
 from eval.referee.differences import DIFFERENCES, difference_rows
 from eval.referee.intervals import SEED, run_intervals
+from eval.referee.laser.rows import RELATIONS, closure_counts, kept, relation_rows
 from eval.referee.lost import lost
 from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES, RUN
 from eval.referee.proper_scores import mean_scores
@@ -106,10 +108,14 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Alo
         return row
     trajectory = run.trajectory(phase)
     pose, covariance = trajectory.pose, trajectory.covariance
-    if run.association != "none":
+    if isinstance(run, LaserRun) and run.loops is not None:  # what is decided are loop closures
+        believed = kept(run.loops, run.weight, phase)
+        row["observations"] = len(believed)
+        row["accepted"], row["rejected"] = int(believed.sum()), int((~believed).sum())
+    elif run.association != "none":
         row["accepted"] = int((decisions >= 0).sum())
         row["rejected"] = int((decisions == DISCARD).sum())
-    if run.task == "slam" and run.association != "none":
+    if run.task == "slam" and run.association not in ("none", SCAN):
         row["landmarks"] = len(run.map) if run.map is not None else 0
     truth = log.truth.pose
     path = path or along(run, phase, log)
@@ -182,13 +188,22 @@ def _intervals(path: Along) -> dict[str, object]:
 
 def association_row(run: Run, phase: str, log: Log) -> dict[str, object] | None:
     """One row of association.csv; None for a run that failed, and where there is nothing to compare with."""
+    if isinstance(run, LaserRun):
+        closures = None if run.failure is not None else closure_counts(run, log, phase)
+        return None if closures is None else {**_name_of(run, phase, log), **closures}
     counts = confusion_of(run, log, phase)
     if counts is None or run.failure is not None:
         return None
     return {
-        "log": log.name, "task": run.task, "estimator": run.estimator, "association": run.association, "phase": phase,
+        **_name_of(run, phase, log),
         **{k: getattr(counts, k) for k in COUNTED}, "share_within": _near(run, phase, log), "within_m": WITHIN,
         "majority_agreement": _agreement(run, phase, log),
+    }  # fmt: skip
+
+
+def _name_of(run: Run, phase: str, log: Log) -> dict[str, object]:
+    return {
+        "log": log.name, "task": run.task, "estimator": run.estimator, "association": run.association, "phase": phase,
     }  # fmt: skip
 
 
@@ -226,19 +241,22 @@ def _blank(value: object) -> object:
 
 @dataclass(frozen=True)
 class Scores:
-    """The three tables of a set of trials, and the differences between filters and smoothers on logs with truth."""
+    """The tables of a set of trials; differences between filters and smoothers where there is truth, relations of laser
+    logs.
+    """
 
     metrics: pd.DataFrame
     association: pd.DataFrame
     timing: pd.DataFrame
     differences: pd.DataFrame
+    relations: pd.DataFrame
 
 
 def score(trials: Sequence[Trial]) -> Scores:
     """Referee every run of every trial."""
-    metrics, association, timing, differences = [], [], [], []
+    metrics, association, timing, differences, relations = [], [], [], [], []
     for trial in trials:
-        reference = trial.find("batch")
+        reference = trial.find("batch") or trial.find("batch", SCAN)
         known: dict[tuple[int, str], Along] = {}
         for i, run in enumerate(trial.runs):
             for phase in run.phases:
@@ -251,6 +269,7 @@ def score(trials: Sequence[Trial]) -> Scores:
                     row = association_row(run, phase, trial.log)
                     if row is not None:
                         association.append(row)
+            relations += relation_rows(run, trial.log)
             frames = len(trial.log.recorded)
             timing.append({
                 "log": trial.log.name, "task": run.task, "estimator": run.estimator, "association": run.association,
@@ -263,4 +282,5 @@ def score(trials: Sequence[Trial]) -> Scores:
         frame_of(association, ASSOCIATION),
         frame_of(timing, TIMING),
         frame_of(differences, DIFFERENCES),
+        frame_of(relations, RELATIONS),
     )

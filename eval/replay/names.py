@@ -12,5 +12,3 @@ STEPPING = (*FILTERS, *INCREMENTAL)
 BATCH = ("batch", "batch-huber", "batch-cauchy", "gnc")
 ESTIMATORS = ("dead-reckoning", *STEPPING, *BATCH)
 ASSOCIATIONS = ("known", "nn", "ml", "ml-ratio", "singles", "jcbb", "jcbb-first", "gnn", "jcbb-hindsight", "scan")
-SCAN = "scan"
-"""Laser scans matched to each other: loop closures are what is associated."""

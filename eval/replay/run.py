@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 from association.decide import HINDSIGHT
 from association.expectation import SingularInnovationError, gate_threshold
 from association.known import known_decisions
+from association.scans.laser_run import SCAN
 from association.truncated import truncated_square
 from data.inputs import Frame, Inputs
 from data.result import DISCARD, Failure, Finished, Innovations, Run, Trajectory, map_estimate
@@ -24,6 +25,7 @@ from eval.replay.frontend import FrontEnd
 from eval.replay.given import Given
 from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.hindsight.mapping_frontend import MappingFrontEnd
+from eval.replay.laser.comparison import compare_laser
 from eval.replay.names import BATCH, FILTERS
 from eval.replay.observer import Nobody, Observer
 from eval.replay.plausible import judged
@@ -178,6 +180,8 @@ def compare(
     """
     # sums over two threads round otherwise than over one: the same bytes for any number of processes and cores
     with threadpool_limits(1):
+        if association == SCAN:
+            return judged(compare_laser(inputs, estimators, setup), inputs)
         return judged(_compare(inputs, task, estimators, association, setup), inputs)
 
 

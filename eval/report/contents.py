@@ -20,6 +20,7 @@ from eval.referee.score import Scores, Trial, score
 from eval.report.answer import answer
 from eval.report.corridor.questions import lab_sections
 from eval.report.doubt.origin import origin_statement
+from eval.report.laser.sections import laser_sections
 from eval.report.log_sections import association_sections, beside, rows_of, trial_sections, tutorial_sections
 from eval.report.pictures import draw, kinds, publish_runs
 from eval.report.revisions import revision_section
@@ -64,11 +65,14 @@ def write_results(
     tables = {"metrics": scores.metrics, "association": scores.association, "timing": scores.timing}
     for name, table in {**tables, "consistency": consistency, "trust": trust_table(outcome.trust)}.items():
         table.to_csv(folder / f"{name}.csv", index=False, lineterminator="\n")
+    if len(scores.relations):
+        scores.relations.to_csv(folder / "relations.csv", index=False, lineterminator="\n")
     if outcome.published:
         published_frame(outcome.published).to_csv(folder / "published.csv", index=False, lineterminator="\n")
     (folder / "runs").mkdir()
     published = _publish_trials(folder, options, outcome.trials, lost, progress)
     sections = [*trial_sections(folder, options, outcome.trials, scores, published, outcome.trust)]
+    sections += laser_sections(folder, options, outcome.trials, published)
     sections += visual_sections(folder, options, outcome.trials)
     sections += tutorial_sections(folder, options, outcome.trials, scores)
     sections += study_sections(folder, options, outcome, judged)

@@ -18,6 +18,7 @@ from eval.report.differences import CAPTION as DIFFERENCES_CAPTION
 from eval.report.differences import differences_table, missing_intervals
 from eval.report.doubt.minima import minima_statements
 from eval.report.doubt.naming import naming_statements
+from eval.report.laser.pictures import GRID, LOOPS
 from eval.report.pictures import FILTER_SMOOTHER, stem
 from eval.report.rows import rows_of as rows_by
 from eval.report.trust.sections import trust_section
@@ -35,6 +36,10 @@ def beside(trial: Trial, trials: Sequence[Trial]) -> tuple[Trial, ...]:
 def rows_of(frame: pd.DataFrame, trial: Trial) -> pd.DataFrame:
     """Rows of one of the tables of `Scores` that belong to a trial."""
     return frame[(frame["log"] == trial.log.name) & (frame["task"] == trial.task)]
+
+
+ELSEWHERE = ("association", FILTER_SMOOTHER, GRID, LOOPS)
+"""Pictures that stand in a section of their own."""
 
 
 def trial_sections(
@@ -58,7 +63,7 @@ def trial_sections(
         blocks.append(written_table(table, folder, stem(trial, "comparison"), caption, options.formats))
         blocks += [_beside_note(t, rows_of(scores.metrics, t)) for t in others]
         blocks += _differences(folder, options, trial, rows_of(scores.differences, trial))
-        blocks += [p for p in pictures if p.stem not in (stem(trial, "association"), stem(trial, FILTER_SMOOTHER))]
+        blocks += [p for p in pictures if p.stem not in {stem(trial, kind) for kind in ELSEWHERE}]
         notes = [*trial.log.notes, *(f"{r.estimator}: {n}." for r in trial.runs for n in r.notes)]
         notes += [f"{text}." for text in minima_statements(trial)]
         if notes:

@@ -21,6 +21,8 @@ from eval.page.numbers import number
 from eval.plan.options import Options
 from eval.referee.score import Trial, confusion_of
 from eval.referee.trust import SHARE
+from eval.report.laser.files import write_laser_files
+from eval.report.laser.pictures import GRID, LOOPS, laser_kinds, laser_picture
 from eval.report.run_files import write_run
 from eval.report.shown_runs import (
     finished,
@@ -42,6 +44,8 @@ def stem(trial: Trial, what: str) -> str:
 
 def publish_runs(folder: Path, options: Options, trial: Trial) -> None:
     """Write the run files of a trial, and its films if asked for."""
+    if trial.beside is None:
+        write_laser_files(folder, trial)
     for run in trial.runs:
         write_run(folder, trial, run)
         if options.animate and run.failure is None:
@@ -51,14 +55,14 @@ def publish_runs(folder: Path, options: Options, trial: Trial) -> None:
 
 
 FILTER_SMOOTHER = "filter-smoother"
-QUICK = ("map", "error", "difference", "association")
+QUICK = ("map", GRID, "error", "difference", "association")
 """All that a quick report shows."""
 
 
 def kinds(trial: Trial, beside: Sequence[Trial] = (), *, quick: bool = False) -> tuple[str, ...]:
     """Which pictures a trial gets, with the trials that stand beside it."""
     shown, reference = finished(trial), trial.find("batch")
-    found = ["map"]
+    found = ["map", *laser_kinds(trial)]
     if shown and trial.log.truth.known_poses:
         found += ["error", "nees"]
     elif reference is not None and reference.flaw is None and len(shown) > 1:
@@ -95,6 +99,8 @@ def _picture(trial: Trial, kind: str, beside: Sequence[Trial]) -> tuple[Figure, 
     """Figure, caption and what it shows in a sentence."""
     log = trial.log
     where = f"`{log.name}`, {trial.task}"
+    if kind in (GRID, LOOPS):
+        return laser_picture(trial, kind)
     if kind == "association":
         return (
             figures.confusion_figure(f"{log.name}, {trial.task}: decisions", bars(trial, beside)),

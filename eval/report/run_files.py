@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from association.scans.laser_run import SCAN
 from data.log import folder_name
 from data.result import Run, Trajectory
 from data.se2 import Array
@@ -61,7 +62,7 @@ def write_run(folder: Path, trial: Trial, run: Run) -> None:
 def _write_map(place: Path, trial: Trial, run: Run) -> None:
     m = run.map
     if m is None:
-        if run.task != "slam" or run.association == "none" or run.failure is not None:
+        if run.task != "slam" or run.association in ("none", SCAN) or run.failure is not None:
             return
         raise AssertionError(f"{run.estimator} did SLAM but returned no map")
     ids = landmark_true_ids(run.created, trial.log.truth, m.number)
@@ -76,7 +77,7 @@ def _write_map(place: Path, trial: Trial, run: Run) -> None:
 
 def _write_decisions(place: Path, trial: Trial, run: Run) -> None:
     """One row per observation; truth and outcome are blank where the true id is unknown."""
-    if run.association == "none":
+    if run.association in ("none", SCAN):
         return
     recorded = trial.log.recorded
     frame = recorded.observations.frame

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data.se2 import Array
+from data.se2 import Array, wrap_angle
 from graph.factors import LOSSES
 from graph.optimum import (
     ARMIJO,
@@ -184,4 +184,5 @@ def finished(
             f"the optimization did not converge: after {iterations} steps {last_step:.2g} sigma are left at key pose "
             f"{int(share.max(axis=1).argmax())}, cost {cost:.6g} for {dof} degrees of freedom"
         )
+    pose = np.column_stack([pose[:, :2], wrap_angle(pose[:, 2])])
     return SmoothedPoses(pose, covariance, weight, cost, dof, iterations, last_step)

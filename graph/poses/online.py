@@ -10,7 +10,7 @@ from data.inputs import IntArray, Prior
 from data.se2 import Array, compose, world_from_body
 from graph.engine import Engine
 from graph.factors import LOSSES, Factor, is_exact, pose2, prior_factor, with_loss
-from graph.incremental import DELICATE
+from graph.incremental import DELICATE, SETTLE
 from graph.optimum import in_world
 from graph.poses.factors import relative_noise
 
@@ -78,6 +78,19 @@ class PoseGraph:
         else:
             pose = self._engine.isam.calculateEstimatePose2(newest)
         self._tip, self._loops = np.array([pose.x(), pose.y(), pose.theta()]), False
+
+    def refine(self, updates: int = SETTLE) -> None:
+        """More steps towards the optimum of what is known: an update without loop closures makes only one."""
+        self._ready()
+        for _ in range(updates):
+            self._engine.update()
+        pose = self._engine.isam.calculateEstimatePose2(X(self.keys - 1))
+        self._tip = np.array([pose.x(), pose.y(), pose.theta()])
+
+    @property
+    def size(self) -> int:
+        """How many key poses are in the graph."""
+        return self.keys - self._oldest
 
     def newest(self) -> tuple[Array, Array]:
         """The newest key pose (3,) after the last update, and its covariance (3, 3)."""

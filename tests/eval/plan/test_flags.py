@@ -43,7 +43,8 @@ VALUES = {
 CHANGED = {
     "log": "a b", "data": "a b", "scenario": "a b", "task": "slam", "estimator": "ekf,batch", "association": "known,nn",
     "gate": "0.9", "new_gate": "0.9999999", "gate_known": "0.999", "forget_after": "12.5", "deactivate_after": "12.5",
-    "lag": "1e-07", "keyframe_distance": "0.8", "runs": "0", "seed": "7", "twins": "9", "camera_translation": "m", "camera_reading": "to-body",
+    "lag": "1e-07", "keyframe_distance": "0.8",
+    "runs": "0", "seed": "7", "twins": "9", "camera_translation": "m", "camera_reading": "to-body",
     "corner_noise": "depth", "relations": "a b", "config": "tutorial-step1",
 }  # fmt: skip
 """For each of them one that is not the default."""

@@ -7,6 +7,7 @@ from typing import get_type_hints
 import pytest
 
 from association.decide import HINDSIGHT, METHODS
+from association.scans.laser_run import SCAN
 from data.errors import UsageError
 from data.worlds.arena import Arena, simulate
 from eval.figures.style import STYLES
@@ -28,7 +29,7 @@ def test_every_batch_smoother_is_a_loss_that_the_graph_knows_or_gnc():
 
 
 def test_every_way_of_association_is_known_a_method_hindsight_or_of_scans():
-    assert set(names.ASSOCIATIONS) == {"known", *METHODS, HINDSIGHT, names.SCAN}
+    assert set(names.ASSOCIATIONS) == {"known", *METHODS, HINDSIGHT, SCAN}
     assert len(names.ASSOCIATIONS) == 3 + len(METHODS)
 
 

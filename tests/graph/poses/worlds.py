@@ -6,10 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from data.se2 import between, compose
+from data.inputs import Prior
+from data.se2 import between, compose, wrap_angle
+from graph.poses.linear import pose_problem
 
 SIGMA_CHAIN = np.array([0.02, 0.02, 0.004])
 SIGMA_LOOP = np.array([0.03, 0.03, 0.006])
+EXACT = np.zeros((3, 3))
+WAY = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
 
 
 class World(NamedTuple):
@@ -23,36 +27,41 @@ class World(NamedTuple):
     relative: np.ndarray
     loop_covariance: np.ndarray
 
-    def with_loops(self, key1, key2, relative) -> World:
-        """More loops, with the first one's covariance; in the order of their later key."""
-        key1, key2 = np.concatenate([self.key1, key1]), np.concatenate([self.key2, key2])
-        relative = np.concatenate([self.relative, relative])
-        C = np.concatenate(
-            [self.loop_covariance, np.tile(self.loop_covariance[:1], (len(key1) - len(self.key1), 1, 1))]
-        )
-        order = np.argsort(key2, kind="stable")
-        return self._replace(key1=key1[order], key2=key2[order], relative=relative[order], loop_covariance=C[order])
+    def prior(self, covariance=EXACT):
+        return Prior(self.truth[0], covariance)
+
+    def problem(self, covariance=EXACT):
+        return pose_problem(self.prior(covariance), *self[1:])
+
+    def of(self, key):
+        """The loops that come with a key pose, as `add_loops` takes them."""
+        rows = self.key2 == key
+        return self.key1[rows], self.key2[rows], self.relative[rows], self.loop_covariance[rows]
+
+    def with_loops(self, key1, key2, relative):
+        """More loops behind these, with the first one's covariance."""
+        C = np.tile(self.loop_covariance[:1], (len(key1), 1, 1))
+        more = zip(self[3:], (key1, key2, relative, C))
+        return World(*self[:3], *(np.concatenate(both) for both in more))
+
+    def rmse(self, pose):
+        return float(np.sqrt(((pose - self.truth)[:, :2] ** 2).sum(1).mean()))
 
 
 def corridors(seed, keys=300, *, loops=100, drift=1.0, side=6.0, step=0.5, blocks=5):
-    """A walk on a grid of corridors `side` m apart, a key every `step` m; loops between keys near and alike in heading."""
+    """A walk on a grid of corridors `side` m apart, a key every `step` m; loops between keys less than 1 m apart."""
     rng = np.random.default_rng(seed)
     at, facing = np.array([0, 0]), 0
-    path, way = [], np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
+    path = []
     while len(path) < keys:
-        turns = [
-            t
-            for t in (0, 1, 3)
-            if ((at + way[(facing + t) % 4]) >= 0).all() and ((at + way[(facing + t) % 4]) <= blocks).all()
-        ]
+        ahead = [at + WAY[(facing + t) % 4] for t in (0, 1, 3)]
+        turns = [t for t, to in zip((0, 1, 3), ahead) if (to >= 0).all() and (to <= blocks).all()]
         facing = (facing + int(rng.choice(turns))) % 4
-        for i in range(round(side / step)):
-            p = side * at + step * i * way[facing]
-            path.append([p[0], p[1], np.pi / 2 * facing])
-        at = at + way[facing]
+        path += [[*(side * at + step * i * WAY[facing]), np.pi / 2 * facing] for i in range(round(side / step))]
+        at = at + WAY[facing]
     truth = np.array(path[:keys], float)
     truth[1:] += rng.normal(0, [0.1, 0.1, 0.05], (keys - 1, 3))
-    truth[:, 2] = np.angle(np.exp(1j * truth[:, 2]))
+    truth[:, 2] = wrap_angle(truth[:, 2])
     motion, covariance = np.zeros((keys, 3)), np.zeros((keys, 3, 3))
     covariance[1:] = np.diag((drift * SIGMA_CHAIN) ** 2)
     motion[1:] = between(truth[:-1], truth[1:]) + rng.normal(0, drift * SIGMA_CHAIN, (keys - 1, 3))
@@ -74,11 +83,10 @@ def random_false(world, rng, count):
 
 
 def structured_false(world, rng, count, group=5, apart=8.0):
-    """Groups of loops that agree with each other: a stretch of corridor taken for another like it, at most `apart` m off."""
-    keys, a, b, relative = len(world.truth), [], [], []
-    p = world.truth
+    """Groups of loops that agree with each other: a stretch of corridor taken for another like it, `apart` m off."""
+    p, a, b, relative = world.truth, [], [], []
     while len(a) < count:
-        i, j = int(rng.integers(0, keys - group)), int(rng.integers(0, keys - group))
+        i, j = rng.integers(0, len(p) - group, 2).tolist()
         gap, turn = np.hypot(*(p[i] - p[j])[:2]), np.cos(p[i, 2] - p[j, 2])
         if not (j > i + 20 and 2.0 < gap < apart and turn > 0.9):
             continue

@@ -1,0 +1,34 @@
+"""A run over a laser log: what every run has, and the pose graph behind it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from association.scans.constraints import Chain, Loops
+from data.result import Run, Trajectory
+from data.se2 import Array
+
+SCAN = "scan"
+"""The way of association: scans matched to each other, loop closures found in them."""
+
+
+@dataclass(frozen=True, eq=False)
+class LaserRun(Run):
+    """A run over a laser log, and what only such a log has; all of it there but in dead reckoning.
+
+    Attributes:
+        chain, loops: the constraints that every back end was given.
+        frame_seconds: (N,) s, of the front end at each frame, matching, loop closures and graph.
+        key_pose: (K, 3) of all key poses in the end, a filter's last state, too.
+        weight: (L,) of each loop closure in the end; 0: left out, NaN: never believed.
+        last: the path that belongs to `key_pose`; a smoother's final one.
+        gated_twin: of a filter without a gate, the same with one.
+    """
+
+    chain: Chain | None = None
+    loops: Loops | None = None
+    frame_seconds: Array | None = None
+    key_pose: Array | None = None
+    weight: Array | None = None
+    last: Trajectory | None = None
+    gated_twin: LaserRun | None = None

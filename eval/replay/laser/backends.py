@@ -1,0 +1,258 @@
+"""Every back end on the identical constraints of one laser log: key poses, the chain between them, loop closures."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import gammainc
+
+from association.expectation import gate_threshold
+from association.scans.constraints import Chain, Loops
+from association.scans.laser_run import SCAN
+from data.inputs import Inputs, IntArray
+from data.result import DISCARD, Failure, Innovations, Run, Trajectory
+from data.se2 import Array, compose, dead_reckoned
+from ekf.pose_chain import run_pose_chain
+from ekf.whole_run import run_filter
+from eval.replay.settings import Setup
+from graph.factors import UnderConstrained
+from graph.optimum import NotConvergedError
+from graph.poses.batch import SmoothedPoses, smooth_poses
+from graph.poses.fixed_lag import FixedLagPoseGraph
+from graph.poses.linear import PoseProblem, pose_problem
+from graph.poses.online import PoseGraph
+from graph.poses.robust import gnc_poses
+
+TASK = "slam"
+LOSSES = {"batch": "gaussian", "batch-huber": "huber", "batch-cauchy": "cauchy"}
+"""On loop closures, of the batch smoothers; `gnc` aside."""
+NAMES = ("dead-reckoning", "ekf", "isam2", "fixed-lag", *LOSSES, "gnc")
+"""Of all back ends."""
+PLAIN = Setup()
+
+
+class Solved(NamedTuple):
+    """What a back end made of the constraints.
+
+    run: with a path over all frames; final_keys (K, 3): the key poses that it ended with, a filter's last state, too
+    (NaN: never reached); weight (L,) of each loop closure in the end, 0: left out, NaN: never believed.
+    """
+
+    run: Run
+    final_keys: Array
+    weight: Array
+
+
+class _Constraints(NamedTuple):
+    """What a back end is given: `believed` (L,) rows of the loops that ever joined the graph, in that order."""
+
+    inputs: Inputs
+    chain: Chain
+    loops: Loops
+    believed: IntArray
+
+    def joining(self, key: int) -> IntArray:
+        """Rows of the loop closures that joined at a key pose."""
+        joined = self.loops.believed[self.believed]
+        return self.believed[np.searchsorted(joined, key) : np.searchsorted(joined, key + 1)]
+
+    def problem(self) -> PoseProblem:
+        """All of them at once."""
+        c, o, b = self.chain, self.loops, self.believed
+        return pose_problem(
+            self.inputs.prior, c.motion, c.covariance, o.key1[b], o.key2[b], o.relative[b], o.covariance[b]
+        )
+
+    def weights(self, of_believed: Array) -> Array:
+        """Weights (L,) of all loop closures from those of the believed ones."""
+        weight = np.full(len(self.loops), np.nan)
+        weight[self.believed] = of_believed
+        return weight
+
+
+def backend(
+    name: str,
+    inputs: Inputs,
+    chain: Chain,
+    loops: Loops,
+    setup: Setup = PLAIN,
+    *,
+    loss: str = "gaussian",
+    gate: float | None = None,
+) -> Solved:
+    """One back end, by its name in `NAMES`, over the loop closures that the front end believed.
+
+    Online, at frame f: the estimate of its key pose when f came, with all loop closures that had joined by then, and
+    the way since. `loss` on loop closures is that of `isam2` and `fixed-lag` (the others have it in their name), `gate`
+    the filter's chi-square probability (3 dof) of a loop closure, None: no gate. `setup.lag` is that of `fixed-lag`.
+    Seconds are those of the back end alone.
+    """
+    if name not in NAMES:
+        raise ValueError(f"back end {name!r}; known: {', '.join(NAMES)}")
+    begin = time.perf_counter()
+    order = np.argsort(loops.believed, kind="stable")
+    given = _Constraints(inputs, chain, loops, order[loops.believed[order] >= 0].astype(np.int64))
+    if name == "dead-reckoning":
+        solved = _dead_reckoning(given)
+    elif name == "ekf":
+        solved = _filter(given, gate)
+    elif name in ("isam2", "fixed-lag"):
+        lag = setup.lag if name == "fixed-lag" else None
+        solved = _incremental(name, given, loss, lag)
+    else:
+        solved = _batch(name, given)
+    return solved._replace(run=replace(solved.run, seconds=time.perf_counter() - begin))
+
+
+def over_frames(chain: Chain, pose: Array, covariance: Array) -> Trajectory:
+    """Path of all N frames from key poses (K, 3), (K, 3, 3): each is its key pose and the way since, (world, additive).
+
+    The error of the way since is taken as independent of the key pose's.
+    """
+    at, P = pose[chain.key], covariance[chain.key]
+    path = compose(at, chain.since)
+    F, B = np.tile(np.eye(3), (2, len(path), 1, 1))
+    F[:, 0, 2], F[:, 1, 2] = at[:, 1] - path[:, 1], path[:, 0] - at[:, 0]
+    c, s = np.cos(at[:, 2]), np.sin(at[:, 2])
+    B[:, 0, 0], B[:, 0, 1], B[:, 1, 0], B[:, 1, 1] = c, -s, s, c
+    world = F @ P @ F.transpose(0, 2, 1) + B @ chain.since_covariance @ B.transpose(0, 2, 1)
+    return Trajectory(path, 0.5 * (world + world.transpose(0, 2, 1)))
+
+
+def chi2_within(threshold: float, dof: int = 3) -> tuple[float, float]:
+    """Mean and variance, per degree of freedom, of a chi-square variable that lies below a threshold."""
+    if math.isinf(threshold):
+        return 1.0, 2.0
+    inside, first, second = (float(gammainc(0.5 * dof + k, 0.5 * threshold)) for k in range(3))
+    mean, square = dof * first / inside, dof * (dof + 2) * second / inside
+    return mean / dof, (square - mean**2) / dof
+
+
+def _run(name: str, **parts: object) -> Run:
+    """A run without observations, map or decisions."""
+    none = np.empty(0, np.int64)
+    run = Run(name, SCAN, TASK, None, None, None, none, none, none)
+    return replace(run, **parts)  # type: ignore[arg-type]
+
+
+def _dead_reckoning(given: _Constraints) -> Solved:
+    """Wheel odometry alone, as of every other log."""
+    inputs = given.inputs
+    nothing = np.full(len(inputs.observations.frame), DISCARD, np.int64)
+    alone = run_filter(inputs.without_map(), nothing)
+    path = Trajectory(alone.pose, alone.covariance)
+    run = _run("dead-reckoning", association="none", online=path, state_size=alone.state_size)
+    return Solved(run, path.pose[given.chain.frame], np.full(len(given.loops), np.nan))
+
+
+def _filter(given: _Constraints, gate: float | None) -> Solved:
+    """EKF over all key poses: online only, as all filters."""
+    c, o, n = given.chain, given.loops, len(given.inputs)
+    threshold = gate_threshold(gate, 3)
+    found = run_pose_chain(
+        given.inputs.prior, c.motion, c.covariance, o.key1, o.key2, o.relative, o.covariance, o.believed,
+        threshold=threshold,
+    )  # fmt: skip
+    nis, dof = np.full(n, np.nan), np.zeros(n, np.int64)
+    nis[c.frame], dof[c.frame] = np.where(found.dof > 0, found.nis, np.nan), found.dof
+    failure: Failure | None = None
+    notes: tuple[str, ...] = ()
+    if found.failure is not None:
+        failure = Failure("diverged", int(c.frame[found.failure.frame]), found.failure.why)
+    if gate is not None:
+        looked = int(np.isfinite(found.d2).sum())
+        notes = (f"the gate of {gate:g} rejected {looked - int(found.used.sum())} of {looked} loop closures",)
+    run = _run(
+        "ekf",
+        online=over_frames(c, found.online, found.online_covariance),
+        innovations=Innovations(nis, dof, np.full(n, np.nan), np.empty((0, 2))),
+        total_nis=(float(found.nis.sum()), int(found.dof.sum())) if failure is None else None,
+        state_size=3 * (c.key + 1),
+        failure=failure,
+        notes=notes,
+        gated=chi2_within(threshold),
+    )
+    return Solved(run, found.pose, given.weights(found.used[given.believed].astype(float)))
+
+
+def _incremental(name: str, given: _Constraints, loss: str, lag: float | None) -> Solved:
+    """iSAM2 key pose by key pose, over all of them or (`lag`) the newest; isam2 ends at the optimum of everything."""
+    inputs, chain = given.inputs, given.chain
+    graph = PoseGraph(inputs.prior, loss=loss) if lag is None else FixedLagPoseGraph(inputs.prior, lag=lag, loss=loss)
+    keys = len(chain.frame)
+    online, covariance = np.full((keys, 3), np.nan), np.full((keys, 3, 3), np.nan)
+    size = np.zeros(keys, np.int64)
+    k = 0
+    try:
+        for k in range(keys):
+            if k:
+                graph.add_key(chain.motion[k], chain.covariance[k])
+            if isinstance(graph, FixedLagPoseGraph):
+                graph.stamp(float(inputs.time[chain.frame[k]]))
+            rows, o = given.joining(k), given.loops
+            graph.add_loops(o.key1[rows], o.key2[rows], o.relative[rows], o.covariance[rows])
+            graph.update()
+            online[k], covariance[k] = graph.newest()
+            size[k] = 3 * graph.size
+        pose = graph.poses()
+        if isinstance(graph, FixedLagPoseGraph):
+            final = over_frames(chain, pose, graph.covariances())
+            notes = (f"{graph.fixes} loop closures led to key poses that had left, {graph.lost} between two such",)
+            run = _run(name, final=final, notes=notes)
+            weight = np.full(len(given.believed), np.nan)
+        else:
+            found = smooth_poses(given.problem(), pose, loss=loss)
+            run, pose, weight = _smoothed(name, given, found, loss), found.pose, found.weight
+    except UnderConstrained as stop:
+        nothing = np.full((keys, 3), np.nan)
+        run = _run(name, final=over_frames(chain, nothing, np.full((keys, 3, 3), np.nan)))
+        run = replace(run, failure=Failure("diverged", int(chain.frame[k]), str(stop)))
+        pose, weight = nothing, np.full(len(given.believed), np.nan)
+    run = replace(run, online=over_frames(chain, online, covariance), state_size=size[chain.key])
+    return Solved(run, pose, given.weights(weight))
+
+
+def _batch(name: str, given: _Constraints) -> Solved:
+    """A batch smoother, from the chain's dead reckoning; where that ends nowhere, from iSAM2's path."""
+    chain, problem = given.chain, given.problem()
+    loss = LOSSES.get(name, "gaussian")
+    solve: Callable[[Array], SmoothedPoses]
+    if name == "gnc":
+        solve = lambda start: gnc_poses(problem, start)[0]  # noqa: E731
+    else:
+        solve = lambda start: smooth_poses(problem, start, loss=loss)  # noqa: E731
+    try:
+        try:
+            found = solve(dead_reckoned(given.inputs.prior.mean, chain.motion))
+        except NotConvergedError:
+            start = _incremental("isam2", given, loss, None).final_keys
+            if not np.isfinite(start).all():
+                raise
+            found = solve(start)
+    except UnderConstrained as stop:
+        keys = len(chain.frame)
+        nothing = np.full((keys, 3), np.nan)
+        run = _run(name, final=over_frames(chain, nothing, np.full((keys, 3, 3), np.nan)))
+        run = replace(run, failure=Failure("diverged", 0, str(stop)))
+        return Solved(run, nothing, np.full(len(given.loops), np.nan))
+    run = _smoothed(name, given, found, loss)
+    if name == "gnc":
+        out = int((found.weight == 0.0).sum())
+        run = replace(run, notes=(f"{out} of {len(found.weight)} loop closures were rejected",))
+    return Solved(run, found.pose, given.weights(found.weight))
+
+
+def _smoothed(name: str, given: _Constraints, found: SmoothedPoses, loss: str) -> Run:
+    """An optimum as a run."""
+    return _run(
+        name,
+        final=over_frames(given.chain, found.pose, found.covariance),
+        total_nis=(found.cost, found.dof) if loss == "gaussian" else None,
+        iterations=found.iterations,
+        last_step_sigma=found.last_step,
+    )

@@ -1,0 +1,70 @@
+"""Files of a laser log that belong to no single estimator: the map as a picture and for map servers, the loops."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from association.scans.constraints import Loops
+from association.scans.laser_run import LaserRun
+from association.scans.occupancy import Grid, occupancy_grid
+from data.log import folder_name
+from data.se2 import Array
+from eval.figures.laser import map_picture
+from eval.figures.style import save
+from eval.referee.laser.rows import kept
+from eval.referee.score import Trial
+from eval.report.laser.map_files import write_map
+
+LOOPS = (
+    "key1", "key2", "dx", "dy", "dtheta", "c_xx", "c_xy", "c_xt", "c_yy", "c_yt", "c_tt", "score", "accepted", "final",
+)  # fmt: skip
+
+
+def mapping_run(trial: Trial) -> LaserRun | None:
+    """The run whose final poses the map is drawn from: isam2's, or the first that has some; None: no laser log."""
+    found = [r for r in trial.runs if isinstance(r, LaserRun) and r.failure is None and r.last is not None]
+    return min(found, key=lambda r: r.estimator != "isam2", default=None)
+
+
+def phase_of(run: LaserRun) -> str:
+    """Phase that its last path belongs to, in words."""
+    return "final" if run.final is not None else "last state"
+
+
+def grid_of(trial: Trial, run: LaserRun) -> Grid:
+    """The occupancy grid of a run's key scans at its last key poses."""
+    scans = trial.log.recorded.scans
+    assert scans is not None
+    assert run.chain is not None
+    assert run.key_pose is not None
+    row = np.searchsorted(scans.frame, run.chain.frame)
+    row = np.minimum(row, len(scans.frame) - 1)
+    there = scans.frame[row] == run.chain.frame
+    return occupancy_grid(run.key_pose[there], scans.ranges[row[there]], scans.scanner)
+
+
+def write_laser_files(folder: Path, trial: Trial) -> None:
+    """`map.png`, `map.pgm`, `map.yaml` and `loops.csv` in `runs/<log>/`; nothing where no run matched scans."""
+    run = mapping_run(trial)
+    if run is None or run.last is None or run.loops is None:
+        return
+    place = folder / "runs" / folder_name(trial.log.name)
+    place.mkdir(parents=True, exist_ok=True)
+    grid = grid_of(trial, run)
+    write_map(grid, place)
+    figure = map_picture(grid, run.last.pose, name=trial.log.name, estimator=run.estimator, phase=phase_of(run))
+    save(figure, place, "map", ("png",))
+    loops_table(run.loops, run.weight).to_csv(place / "loops.csv", index=False, lineterminator="\n")
+
+
+def loops_table(loops: Loops, weight: Array | None) -> pd.DataFrame:
+    """loops.csv: every loop closure looked at; accepted: it joined the graph, final: it kept its weight."""
+    rows, columns = np.triu_indices(3)
+    values = [
+        loops.key1, loops.key2, *loops.relative.T, *loops.covariance[:, rows, columns].T, loops.score,
+        kept(loops, weight, "online").astype(int), kept(loops, weight, "final").astype(int),
+    ]  # fmt: skip
+    return pd.DataFrame(dict(zip(LOOPS, values, strict=True)))

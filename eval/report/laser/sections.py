@@ -1,0 +1,174 @@
+"""The report's section on a laser log: reference relations, the graph, the filter with and without a gate, time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from association.scans.laser_run import LaserRun
+from data.log import Log
+from eval.page.document import Block, Picture, Section, written_table
+from eval.page.numbers import number
+from eval.plan.options import Options
+from eval.referee.laser.relations import ALL, CARTOGRAPHER, EXACT, KUEMMERLE, ROW, TIME, relation_errors
+from eval.referee.laser.rows import KEPT, paths_of
+from eval.referee.score import Trial
+from eval.report.laser.files import mapping_run
+from eval.report.laser.pictures import GRID, LOOPS
+from eval.report.pictures import stem
+
+RELATIONS_CAPTION = (
+    "errors against the reference relations, mean ± standard deviation. A relation is tied to frames by its *row* in"
+    " the log, or by its *time* stamp, which in bursts of stamps is another frame; *exact*: relations whose frames are"
+    " sure. Errors are (a⁻¹b)·rel⁻¹; the last column has rel⁻¹·(a⁻¹b) instead (all, by row). Of the filter, *final* is"
+    " the path of its last state, in which every key pose stayed."
+)
+PUBLISHED = (
+    "Published for this log: Cartographer 0.0229 ± 0.0239 m (Hess et al., ICRA 2016), graph mapping 0.031 ± 0.026 m"
+    " (Kümmerle et al., Autonomous Robots 27, 2009), both on all scans of the recording."
+)
+INTEL_RELATIONS = 2984
+"""Relations of the Intel log, by whose number it is recognized."""
+
+
+def laser_sections(
+    folder: Path,
+    options: Options,
+    trials: Sequence[Trial],
+    published: Sequence[Sequence[Picture]],
+) -> list[Section]:
+    """A section for each laser log; those that stand beside another are rows in its table of graph sizes."""
+    sections = []
+    for trial, pictures in zip(trials, published, strict=True):
+        run = mapping_run(trial)
+        if run is None or trial.beside is not None:
+            continue
+        beside = [t for t in trials if t.beside == trial.log.name and mapping_run(t) is not None]
+        blocks: list[Block] = list(_relations(folder, options, trial))
+        blocks.append("\n".join(f"* {s}" for s in _statements(trial, run)))
+        blocks += [p for p in pictures if p.stem in (stem(trial, GRID), stem(trial, LOOPS))]
+        if beside:
+            blocks.append(_sizes(folder, options, [trial, *beside]))
+        sections.append(Section(f"Laser: {trial.log.name}", tuple(blocks)))
+    return sections
+
+
+def _relations(folder: Path, options: Options, trial: Trial) -> list[Block]:
+    """Every run against the reference relations."""
+    relations = trial.log.truth.relations
+    if relations is None:
+        return []
+    rows = [row for run in trial.runs for row in _relation_rows(run, trial.log)]
+    if not rows:
+        return []
+    caption = f"{trial.log.name}: {RELATIONS_CAPTION}"
+    blocks: list[Block] = [
+        written_table(pd.DataFrame(rows), folder, stem(trial, "relations"), caption, options.formats)
+    ]
+    return [*blocks, PUBLISHED] if len(relations) == INTEL_RELATIONS else blocks
+
+
+def _relation_rows(run: object, log: Log) -> list[dict[str, object]]:
+    """A row per phase; the filter with its gate below the one without."""
+    if not isinstance(run, LaserRun) or run.failure is not None or log.truth.relations is None:
+        return []
+    rows = []
+    for phase, path in paths_of(run).items():
+        row: dict[str, object] = {"estimator": run.estimator, "association": run.association, "phase": phase}
+        for tie, subset in ((ROW, ALL), (ROW, EXACT), (TIME, ALL), (TIME, EXACT)):
+            e = relation_errors(path, log.truth.relations, log.recorded.time, tie=tie, subset=subset)
+            if e is not None:
+                head = f"{subset} by {tie} ({e.relations}) [m]"
+                row[head] = f"{e.trans_mean_m:.4f} ± {e.trans_std_m:.4f}"
+                if (tie, subset) == (ROW, ALL):
+                    row["heading [°]"] = f"{e.rot_mean_deg:.3f} ± {e.rot_std_deg:.3f}"
+                    row["largest [m]"] = number(e.trans_max_m)
+        other = relation_errors(path, log.truth.relations, log.recorded.time, order=KUEMMERLE)
+        if other is not None:
+            row["other order [m]"] = f"{other.trans_mean_m:.4f} ± {other.trans_std_m:.4f}"
+        rows.append(row)
+    twin = run.gated_twin
+    return rows + [{**row, "estimator": "ekf, gated"} for row in (_relation_rows(twin, log) if twin else [])]
+
+
+def _statements(trial: Trial, run: LaserRun) -> list[str]:
+    """The graph, its loop closures, the filter's gate, and time, in sentences."""
+    assert run.chain is not None
+    assert run.loops is not None
+    believed = int((run.loops.believed >= 0).sum())
+    log, keys = trial.log, len(run.chain.frame)
+    scans = 0 if log.recorded.scans is None else len(log.recorded.scans.frame)
+    said = [
+        f"{scans} scans in {len(log.recorded)} frames became {keys} key poses; {len(run.loops)} loop closures were"
+        f" looked at, {believed} believed, each together with another one that agrees with it."
+    ]
+    for other in trial.runs:
+        if isinstance(other, LaserRun) and other.weight is not None and other.estimator in ("batch-cauchy", "gnc"):
+            out = int((other.weight < KEPT).sum())
+            said.append(f"`{other.estimator}` left {out} of them out in the end.")
+    said += _gate_statement(trial)
+    if run.frame_seconds is not None and not log.recorded.time_is_index:
+        span, spent = float(log.recorded.time[-1] - log.recorded.time[0]), float(run.frame_seconds.sum())
+        late = np.quantile(run.frame_seconds, 0.99)
+        said.append(
+            f"The front end (scan matching, loop closures, online graph) took {number(spent)} s for {number(span)} s of"
+            f" driving, {number(span / spent)} times real time; 99 % of the frames less than {number(1e3 * late)} ms,"
+            f" the longest {number(1e3 * float(run.frame_seconds.max()))} ms."
+        )
+    return said
+
+
+def _gate_statement(trial: Trial) -> list[str]:
+    """What the filter's gate does: true loop closures look wrong to a filter that has drifted more than it believes."""
+    run = trial.find("ekf", "scan")
+    if not isinstance(run, LaserRun) or run.gated_twin is None or run.failure is not None:
+        return []
+    twin = run.gated_twin
+    if twin.failure is not None or twin.weight is None:
+        return []
+    rejected, looked = int((twin.weight == 0.0).sum()), int(np.isfinite(twin.weight).sum())
+    text = (
+        "The filter over key poses takes every believed loop closure. With a gate of 0.999 it rejects"
+        f" {rejected} of {looked}"
+    )
+    relations = trial.log.truth.relations
+    if relations is not None and run.last is not None and twin.last is not None:
+        a, b = (
+            relation_errors(r.last.pose, relations, trial.log.recorded.time, order=CARTOGRAPHER)
+            for r in (run, twin)
+            if r.last is not None
+        )
+        if a is not None and b is not None:
+            text += (
+                f", and its last state is {b.trans_mean_m:.4f} ± {b.trans_std_m:.4f} m off the relations instead of"
+                f" {a.trans_mean_m:.4f} ± {a.trans_std_m:.4f} m"
+            )
+    return [text + "."]
+
+
+def _sizes(folder: Path, options: Options, trials: Sequence[Trial]) -> Block:
+    """Graph size and error for several distances between key poses."""
+    rows = []
+    for t in trials:
+        run = mapping_run(t)
+        if run is None or run.chain is None or run.loops is None or run.last is None:
+            continue
+        row: dict[str, object] = {
+            "log": t.log.name, "key poses": len(run.chain.frame), "loop closures": int((run.loops.believed >= 0).sum()),
+            "estimator": run.estimator,
+        }  # fmt: skip
+        truth, relations = t.log.truth.pose, t.log.truth.relations
+        if relations is not None:
+            e = relation_errors(run.last.pose, relations, t.log.recorded.time)
+            if e is not None:
+                row["relations, all by row [m]"] = f"{e.trans_mean_m:.4f} ± {e.trans_std_m:.4f}"
+        if truth is not None:
+            off = np.hypot(*(run.last.pose - truth)[:, :2].T)
+            row["position RMSE [m]"] = number(float(np.sqrt(np.nanmean(off**2))))
+        row["seconds"] = number(run.seconds)
+        rows.append(row)
+    caption = f"{trials[0].log.name}: how sparse the graph may be (`--keyframe-distance`)."
+    return written_table(pd.DataFrame(rows), folder, stem(trials[0], "graph-sizes"), caption, options.formats)

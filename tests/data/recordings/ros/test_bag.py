@@ -1,0 +1,152 @@
+"""ROS bags of every form become the same laser log, and what is wrong with one is one line."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data.errors import DataError, UsageError
+from data.log import Log
+from data.recordings.ros.bag import read_bag
+from data.recordings.ros.log import log_of
+from tests.data.recordings.ros.bags import FORMS, START, Maker
+
+LEVEL = np.arange(0.0, 3.01, 0.5)
+
+
+def load(path: Path, scan: str | None = None, odom: str | None = None) -> Log:
+    return log_of(path, read_bag(path, scan, odom))
+
+
+@pytest.fixture
+def maker() -> Maker:
+    made = Maker("mcap")
+    made.drive(LEVEL)
+    made.scan(1.0, [1.0, 2.0, 3.0])
+    return made
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_scans_are_frames_with_the_odometry_between_its_messages(form, tmp_path):
+    made = Maker(form)
+    made.drive(LEVEL)
+    made.mounting("base_link", "laser", 0.25, 0.0, 0.0)
+    made.scan(0.75, [1.0, 0.125, 8.0])  # below range_min, not below range_max
+    made.scan(2.25, [math.inf, 2.0, math.nan])
+    log = load(made.save(tmp_path))
+    recorded = log.recorded
+    assert recorded.prior.mean == pytest.approx([0.75, 0.0, 0.075])
+    assert recorded.time == pytest.approx([START + 0.75, START + 2.25], abs=1e-6)
+    c, s = math.cos(0.075), math.sin(0.075)
+    assert recorded.increments.mean[1] == pytest.approx([1.5 * c, -1.5 * s, 0.15])
+    assert recorded.scans.ranges.tolist() == [[1, 0, 0], [0, 2, 0]]
+    scanner = recorded.scans.scanner
+    assert (scanner.angle_min, scanner.angle_step, scanner.max_range) == (-0.5, 0.5, 8.0)
+    assert scanner.translation == (-0.25, 0.0)
+
+
+def test_the_file_within_a_folder_is_the_bag_too(maker, tmp_path):
+    folder = maker.save(tmp_path)
+    (inside,) = folder.glob("*.mcap")
+    assert load(inside).recorded.scans.ranges.tolist() == load(folder).recorded.scans.ranges.tolist()
+
+
+def test_a_laser_upside_down_looks_the_other_way_round(maker, tmp_path):
+    maker.mounting("base_link", "laser", 0.5, 0.25, 0.5 * math.pi, upside_down=True)
+    scanner = load(maker.save(tmp_path)).recorded.scans.scanner
+    # its first beam points to -0.5 rad of its own x axis: seen from above to +0.5
+    assert (scanner.angle_min, scanner.angle_step) == (0.5, -0.5)
+    assert scanner.rotation == pytest.approx(-0.5 * math.pi)
+    assert scanner.translation == pytest.approx((-0.25, 0.5))
+
+
+def test_what_is_not_known_or_left_out_is_said(maker, tmp_path):
+    maker.scan(-2.0, [1.0, 2.0, 3.0])
+    maker.scan(4.0, [1.0, 2.0, 3.0])
+    log = load(maker.save(tmp_path))
+    assert len(log.recorded) == 1
+    assert "Where 'laser' is on 'base_link' is not in the bag: it is taken to be at its origin." in log.notes
+    assert "2 of 3 scans are outside the span of the odometry: left out." in log.notes
+
+
+def test_a_stamp_that_was_never_set_is_the_time_of_recording(maker, tmp_path):
+    maker.scan(2.0, [1.0, 2.0, 3.0], stamped=False)
+    assert load(maker.save(tmp_path)).recorded.time == pytest.approx([START + 1.0, START + 2.0], abs=1e-6)
+
+
+def test_of_several_topics_one_is_chosen(maker, tmp_path):
+    maker.scan(1.5, [4.0, 5.0], "/rear")
+    path = maker.save(tmp_path)
+    assert load(path, "/rear").recorded.scans.ranges.tolist() == [[4.0, 5.0]]
+    with pytest.raises(UsageError, match=r"--scan TOPIC is needed, .* sensor_msgs/LaserScan: /rear, /scan"):
+        load(path)
+    with pytest.raises(UsageError, match=r"--scan /front: no such topic in .* /rear, /scan"):
+        load(path, "/front")
+    with pytest.raises(UsageError, match=r"--scan /odom: its messages are nav_msgs/msg/Odometry"):
+        load(path, "/odom")
+
+
+@pytest.mark.parametrize(
+    ("changed", "ranges", "message"),
+    [
+        ({}, [1.0, 2.0], "message 1 of /scan: 2 beams; 3 are needed, as in the first"),
+        ({"angle_min": -0.75}, [1.0, 2.0, 3.0], "message 1 of /scan: angle_min -0.75; -0.5 is needed"),
+        ({"range_max": math.nan}, [1.0, 2.0, 3.0], "message 1 of /scan: range_max nan; 8.0 is needed"),
+    ],
+)
+def test_a_scan_unlike_the_first_is_named(maker, tmp_path, changed, ranges, message):
+    maker.scan(2.0, ranges, **changed)
+    with pytest.raises(DataError, match=message):
+        load(maker.save(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"angle_increment": 0.0}, "message 0 of /scan: .* is no scan"),
+        ({"range_max": 0.125}, "message 0 of /scan: range_max 0.125 m; a number above range_min"),
+    ],
+)
+def test_a_scan_that_is_none_is_named(tmp_path, changed, message):
+    made = Maker("mcap")
+    made.drive(LEVEL)
+    made.scan(1.0, [1.0, 2.0, 3.0], **changed)
+    with pytest.raises(DataError, match=message):
+        load(made.save(tmp_path))
+
+
+def test_odometry_that_is_no_number_or_of_another_time_is_named(maker, tmp_path):
+    made = Maker("ros1")
+    made.drive(LEVEL + 10.0)
+    made.scan(1.0, [1.0, 2.0, 3.0])
+    with pytest.raises(DataError, match="at least one scan within the odometry"):
+        load(made.save(tmp_path))
+    maker.odometry(2.75, (0.0, math.nan, 0.0))
+    with pytest.raises(DataError, match=r"message 6 of /odom: pose .* three finite numbers"):
+        load(maker.save(tmp_path))
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_broken_bag_is_named(form, tmp_path):
+    made = Maker(form)
+    made.drive(LEVEL)
+    made.scan(1.0, [1.0, 2.0, 3.0])
+    path = made.save(tmp_path)
+    file = path if path.is_file() else next(p for p in path.iterdir() if p.suffix != ".yaml")
+    whole = file.read_bytes()
+    for kept in (0, 10, len(whole) // 2):
+        file.write_bytes(whole[:kept])
+        with pytest.raises(DataError, match=f"{path.name}.*: not a bag that can be read") as raised:
+            load(path)
+        assert "\n" not in str(raised.value)
+
+
+def test_a_path_without_a_bag_is_named(tmp_path):
+    with pytest.raises(DataError, match=r"none.bag: no such bag"):
+        load(tmp_path / "none.bag")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(DataError, match=r"empty: not a bag that can be read"):
+        load(tmp_path / "empty")
