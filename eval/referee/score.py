@@ -112,7 +112,7 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Alo
         believed = kept(run.loops, run.weight, phase)
         row["observations"] = len(believed)
         row["accepted"], row["rejected"] = int(believed.sum()), int((~believed).sum())
-    elif run.association != "none":
+    elif run.association != "none" and not isinstance(run, LaserRun):
         row["accepted"] = int((decisions >= 0).sum())
         row["rejected"] = int((decisions == DISCARD).sum())
     if run.task == "slam" and run.association not in ("none", SCAN):
