@@ -21,8 +21,6 @@ class Chain:
         key: (N,) the newest key pose at each frame.
         since: (N, 3) pose of each frame in its key pose's frame; zero at a key pose.
         since_covariance: (N, 3, 3) of it.
-        settled, settled_covariance: (N, 3), (N, 3, 3), `since` when the next scan is known, too: final paths are made
-            of it. Frames with a scan have the same in both; None: nothing else is known.
     """
 
     frame: IntArray
@@ -31,8 +29,6 @@ class Chain:
     key: IntArray
     since: Array
     since_covariance: Array
-    settled: Array | None = None
-    settled_covariance: Array | None = None
 
     def __post_init__(self) -> None:
         read_only(self)

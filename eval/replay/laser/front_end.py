@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from association.scans.arrival import arrival
 from association.scans.constraints import Chain, Loops
 from association.scans.points import Points, beams_of, scan_points
 from data.inputs import Inputs
@@ -59,8 +58,6 @@ def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult
     points: list[Points] = []
     key = np.zeros(count, np.int64)
     since, since_covariance = np.zeros((count, 3)), np.zeros((count, 3, 3))
-    settled, settled_covariance = np.zeros((count, 3)), np.zeros((count, 3, 3))
-    fitted, fit = -1, np.zeros(3)
     online, seconds = np.zeros((count, 3)), np.zeros(count)
     poses = np.zeros((0, 3))
     for frame in range(count):
@@ -70,15 +67,8 @@ def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult
         scanned = row[frame] >= 0
         ranges = scans.ranges[row[frame]] if scanned else nothing
         seen = scan_points(ranges, beams, p.max_range)
-        if scanned and tracker.correct(seen):
-            between = slice(fitted + 1, frame)
-            if fitted >= 0 and fitted + 1 < frame:
-                odometry = slice(fitted + 1, frame + 1)
-                settled[between], settled_covariance[between] = arrival(
-                    fit, tracker.pose, tracker.covariance,
-                    inputs.increments.mean[odometry], inputs.increments.covariance[odometry],
-                )  # fmt: skip
-            fitted, fit = frame, tracker.pose
+        if scanned:
+            tracker.correct(seen)
         if frame == 0 or (scanned and tracker.is_far):
             motion, covariance = tracker.pose, tracker.covariance
             frames.append(frame)
@@ -92,7 +82,6 @@ def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult
                 poses = inputs.prior.mean[None].copy()
             closer.add_key(ranges, seen, motion, covariance)
             tracker.make_key(seen)
-            fitted, fit = (frame, tracker.pose) if frame == 0 or fitted == frame else (-1, fit)
             believed = closer.find(poses)
             if believed:
                 graph.add_loops(
@@ -103,11 +92,7 @@ def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult
                 poses = graph.poses()
         key[frame] = len(frames) - 1
         since[frame], since_covariance[frame] = tracker.pose, tracker.covariance
-        settled[frame], settled_covariance[frame] = tracker.pose, tracker.covariance
         online[frame] = compose(poses[-1], tracker.pose)
         seconds[frame] = time.perf_counter() - began
-    chain = Chain(
-        np.array(frames), np.array(motions), np.array(covariances),
-        key, since, since_covariance, settled, settled_covariance,
-    )  # fmt: skip
+    chain = Chain(np.array(frames), np.array(motions), np.array(covariances), key, since, since_covariance)
     return FrontEndResult(chain, closer.loops(), points, online, seconds)
