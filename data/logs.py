@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,9 +41,9 @@ def open_log(name: str, reading: Reading = Reading(), say: Callable[[str], None]
     Raises UsageError for a name that is neither, DataError for a folder or file that is not valid.
     """
     path = Path(name)
-    if path.is_file():
+    if os.path.isfile(path):  # unlike Path.is_file, also false for a name the system refuses
         return _open_file(path, reading)
-    if reading.relations is not None and not (path / "log.toml").exists():
+    if reading.relations is not None and not os.path.exists(path / "log.toml"):
         raise UsageError(f"--relations {reading.relations}: for a CARMEN log or an open log folder, not for {name}")
     if name == "victoria-park":
         from data.recordings.victoria_park import load_victoria_park

@@ -15,14 +15,13 @@ from association.scans.constraints import Loops
 from association.scans.occupancy import Grid
 from data.se2 import Array, BoolArray
 from eval.figures.style import DASHED, DOTTED, DOUBLE, SOLID, Line, drawing, settle, style_of
+from eval.referee.laser.rows import KEPT
 
 UNKNOWN_GREY, FREE_GREY = 0.85, 1.0
 RARE = 0.005
 """Share of the known cells that may be left out at each edge: a beam through a window does not squash the picture."""
 AROUND = 1.0
 """m of the plan about what is shown."""
-SWITCHED_OFF = 0.5
-"""A loop closure of a smaller weight is one that a robust back end has switched off."""
 FATES: dict[str, tuple[str, Line, float]] = {
     "not believed": ("#BBBBBB", DOTTED, 0.7),
     "believed and kept": ("#0072B2", SOLID, 0.7),
@@ -111,7 +110,7 @@ def loop_picture(
 
 def fates(loops: Loops, weight: Array, false: BoolArray | None = None) -> Array:
     """What became of each loop closure, (L,) of the keys of `FATES`."""
-    kept = weight >= SWITCHED_OFF
+    kept = weight >= KEPT
     fate = np.where(kept, "believed and kept", "believed, later switched off").astype(object)
     if false is not None:
         fate[kept & false] = "kept, though false"

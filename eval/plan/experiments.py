@@ -103,6 +103,8 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
             Experiment(_cut(log, options), task, _work(log, options), _setup(log, options))
             for task in _tasks(log, options)
         ]
+    if not options.quick:
+        experiments += [sparse for e in experiments for sparse in _sparser(e)]
     experiments += _with_depth_noise([e for e in experiments if _shows_noise(e, options)])
     names = [name for _, name in dict.fromkeys((id(e.log), e.log.name) for e in experiments)]
     for name in names:
@@ -183,7 +185,8 @@ def _work(log: Log, options: Options) -> tuple[Work, ...]:
         raise UsageError(f"--association {SCAN}: log {log.name!r} has no laser scans")
     if "known" in associations and not log.has_labels:
         raise UsageError(f"--association known: log {log.name!r} has no labels (true_id or label in observations.csv)")
-    return tuple(Work(a, options.estimator) for a in associations)
+    scanned = (*ALL, *ROBUST) if options.estimator == ALL else options.estimator
+    return tuple(Work(a, scanned if a == SCAN else options.estimator) for a in associations)
 
 
 def _setup(log: Log, options: Options) -> Setup:
@@ -196,6 +199,8 @@ def _cut(log: Log, options: Options) -> Log:
 
 
 ALL = DEFAULT_ESTIMATORS
+ROBUST = ("batch-cauchy", "gnc")
+"""What a laser log gets besides: one wrong loop closure bends the whole map."""
 DECIDING = ("ekf", "isam2", "batch")
 KNOWN = (Work("known", ALL),)
 WAYS = (*METHODS, HINDSIGHT)
@@ -258,6 +263,18 @@ def _maintained(experiment: Experiment, work: tuple[Work, ...]) -> Experiment:
     deciding = tuple(w for w in work if w.association != "known")
     log, setup = replace(experiment.log, name=f"{name}:maintain"), replace(experiment.setup, maintain=True)
     return Experiment(log, experiment.task, deciding, setup, name, "the same log with map maintenance (`--maintain`)")
+
+
+def _sparser(experiment: Experiment) -> list[Experiment]:
+    """A laser log with key poses twice and four times as far apart, as rows beside."""
+    name, setup = experiment.log.name, experiment.setup
+    found = []
+    for distance in (2.0 * setup.keyframe_distance, 4.0 * setup.keyframe_distance):
+        log = replace(experiment.log, name=f"{name}:keyframe-distance={distance:g}")
+        work = tuple(Work(SCAN, ("isam2",)) for w in experiment.work if w.association == SCAN)
+        about = f"the same log with key poses {distance:g} m apart (`--keyframe-distance`)"
+        found.append(Experiment(log, experiment.task, work, replace(setup, keyframe_distance=distance), name, about))
+    return [e for e in found if e.work]
 
 
 def _shows_noise(e: Experiment, options: Options) -> bool:

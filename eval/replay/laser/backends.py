@@ -230,8 +230,11 @@ def _batch(name: str, given: _Constraints) -> Solved:
         try:
             found = solve(dead_reckoned(given.inputs.prior.mean, chain.motion))
         except NotConvergedError:
-            found = solve(_incremental("isam2", given, loss, None).final_keys)
-    except (UnderConstrained, ValueError) as stop:
+            start = _incremental("isam2", given, loss, None).final_keys
+            if not np.isfinite(start).all():
+                raise
+            found = solve(start)
+    except UnderConstrained as stop:
         keys = len(chain.frame)
         nothing = np.full((keys, 3), np.nan)
         run = _run(name, final=over_frames(chain, nothing, np.full((keys, 3, 3), np.nan)))

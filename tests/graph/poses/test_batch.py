@@ -127,3 +127,20 @@ def test_a_chain_without_loops_is_its_dead_reckoning_and_bad_starts_are_refused(
         smooth_poses(chain.problem(), np.full((30, 3), np.nan))
     with pytest.raises(ValueError, match="'tukey'; known: gaussian"):
         smooth_poses(chain.problem(), chain.truth, loss="tukey")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("false", [random_false, structured_false])
+def test_as_many_false_loop_closures_as_true_ones_do_no_more(false):
+    errors = []
+    for seed in range(6):
+        world = corridors(seed, 300, loops=120, drift=3.0, blocks=2)
+        wrong = world.with_loops(*false(world, np.random.default_rng(seed), len(world.key1)))
+        errors.append(
+            [
+                [w.rmse(smooth_poses(w.problem(), start(w), loss="cauchy").pose) for w in (world, wrong)],
+                [w.rmse(gnc_poses(w.problem(), start(w))[0].pose) for w in (world, wrong)],
+            ]
+        )
+    clean, changed = np.sqrt(np.mean(np.square(errors), axis=0)).T
+    np.testing.assert_allclose(changed, clean, rtol=0.05)

@@ -67,8 +67,8 @@ def test_online_the_newest_pose_is_that_of_a_batch_over_what_was_known_then():
 
 
 def test_a_false_loop_closure_moves_a_graph_with_a_cauchy_loss_a_hundred_times_less():
-    world = corridors(1, 120, loops=60, blocks=2)
-    wrong = world.with_loops(np.array([0]), np.array([119]), np.zeros((1, 3)))
+    world = corridors(1, 80, loops=40, blocks=1)
+    wrong = world.with_loops(np.array([0]), np.array([79]), np.zeros((1, 3)))
     ends = {}
     for loss in ("gaussian", "cauchy"):
         graphs = [PoseGraph(w.prior(), loss=loss) for w in (world, wrong)]

@@ -111,7 +111,7 @@ def test_a_scan_unlike_the_first_is_named(maker, tmp_path, changed, ranges, mess
     ],
 )
 def test_a_scan_that_is_none_is_named(tmp_path, changed, message):
-    made = Maker("sqlite3")
+    made = Maker("mcap")
     made.drive(LEVEL)
     made.scan(1.0, [1.0, 2.0, 3.0], **changed)
     with pytest.raises(DataError, match=message):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from association.scans.constraints import Chain, Loops
-from data.se2 import between
+from data.se2 import between, inverse, transform_points
 from eval.referee.consistency import CONSERVATIVE, CONSISTENT, OVERCONFIDENT
 from eval.referee.laser.closures import ClosureCounts, count_closures, fits, revisits, right_closures
 from eval.referee.laser.factors import chain_squares, factor_nees, loop_squares
@@ -52,8 +52,7 @@ def square_room(pose):
     """Points (P, 2) of the walls of a room 8 m wide around (2, 2), in the frame of a pose."""
     side = np.linspace(-4.0, 4.0, 161)
     walls = [np.stack(w, 1) for w in ((side, 0 * side + 4), (side, 0 * side - 3.9), (0 * side - 4.1, side))]
-    world = np.concatenate([np.concatenate(walls) + 2.0, np.zeros((len(side), 2))])[: 3 * len(side)]
-    return np.array([between(pose, np.array([*p, 0.0]))[:2] for p in world])
+    return transform_points(inverse(pose), np.concatenate(walls) + 2.0)
 
 
 def test_a_revisit_is_near_long_past_and_seen_alike():

@@ -82,6 +82,7 @@ def test_stamps_that_come_in_bursts_and_go_back_are_tied_to_the_nearest_frame_by
     path = np.array([[float(k), 0.0, 0.0] for k in range(6)])
     stamp = np.array([0.0, 1.0, 1.0, 1.0, 0.9, 2.0])
     assert nearest_frames(stamp, np.array([1.0, 0.91, 0.96, 1.4, 1.6])).tolist() == [1, 4, 1, 1, 5]
+    assert nearest_frames(np.array([2.0, 1.0]), np.array([1.5])).tolist() == [0]  # half way: the first in line order
     got = at_stamps(path, stamp, np.array([1.0, 0.92, 0.98, 1.4, 1.6]))
     # 0.92: nearest is frame 4; the next one (2.0) is on that side: 0.02 of 1.1 on. 1.4: nearest is frame 1, whose
     # neighbours (1.0 and 0.0) are not on that side: the frame's own pose

@@ -12,8 +12,11 @@ from association.scans.constraints import Chain, Loops
 from data.inputs import Increments, Inputs, Observations
 from data.se2 import between, compose, inverse, pose_error
 from data.sensors import RelativePoint
+from eval.replay.laser import backends
 from eval.replay.laser.backends import NAMES, backend, chi2_within, over_frames
 from eval.replay.names import ESTIMATORS
+from graph.optimum import NotConvergedError
+from graph.poses.batch import smooth_poses
 from tests.graph.poses.worlds import corridors
 
 PER_KEY = 3
@@ -160,6 +163,27 @@ def test_nis_behind_a_gate_has_the_moments_of_a_truncated_chi_square():
     assert mean == pytest.approx(inside.mean() / 3, rel=0.01)
     assert variance == pytest.approx(inside.var() / 3, rel=0.01)
     assert chi2_within(np.inf) == (1.0, 2.0)
+
+
+def test_where_dead_reckoning_leads_a_batch_to_no_optimum_it_starts_at_isam2s_path_and_else_is_diverged(monkeypatch):
+    inputs, chain, loops, _ = LOG
+    tried = []
+
+    def fails_first(problem, start, *, loss):
+        tried.append(start)
+        if len(tried) <= failures:
+            raise NotConvergedError("no optimum")
+        return smooth_poses(problem, start, loss=loss)
+
+    monkeypatch.setattr(backends, "smooth_poses", fails_first)
+    failures = 1
+    found = backend("batch", inputs, chain, loops)
+    assert found.run.status == "ok"
+    assert np.abs(tried[2] - found.final_keys)[:, :2].max() < 0.01 < np.abs(tried[0] - found.final_keys)[:, :2].max()
+    failures = 10
+    run = backend("batch", inputs, chain, loops).run
+    assert (run.status, run.failure.why) == ("diverged", "no optimum")
+    assert np.isnan(run.final.pose).all()
 
 
 def test_a_filter_that_breaks_down_is_diverged_from_the_frame_on_where_it_did():

@@ -1,0 +1,239 @@
+"""Corners of walls in a scan, as point landmarks: where two fitted straight lines meet, with the covariance of that.
+
+A scan is cut where it is not continuous, then at the points farthest from chords (iterative end-point fit; Nguyen,
+Gächter, Martinelli, Tomatis, Siegwart, "A comparison of line extraction algorithms using 2D range data for indoor
+mobile robotics", Autonomous Robots 23, 2007). Lines are fitted with the range noise as their normals see it, and their
+covariance is carried to the point where they meet. That point stands still even where one line ends a little before the
+other, as a cabinet does before a wall.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+from association.scans.points import beams_of
+from data.inputs import Scanner
+from data.se2 import Array
+
+LONGEST_STEP, STEP_SPACINGS = 0.3, 4.0
+"""m, and in spacings of beams at right angles: two neighbouring points further apart than both are not on one thing."""
+SPLIT, SPLIT_SIGMAS = 0.05, 5.0
+"""m, and in sigmas of the range: a chord with a point further off than both is cut there. Both ends of the chord and
+the point have noise: 5 sigma is 3 of their difference."""
+TRIM = 0.1
+"""m about a corner, and about the other end of a line, whose points do not count: noise decides to which line they
+seem to belong. In simulation NEES / 2 of the corners is 1.01 with it, 1.04 with 0.07 m and 1.19 with 0.05 m."""
+SHORTEST, FEWEST = 0.25, 5
+"""m and points that a line needs without those. In simulation 0.5 m and 6 points leave three quarters as many corners,
+no better ones."""
+STEEPEST = math.sin(math.radians(45.0))
+"""Sine of the angle between two lines, at least; below it the corner is not sure along them."""
+REACH = 0.25
+"""m from the corner to the nearest point of each line that counts, at most, beside two of their spacings."""
+WORST_FIT = 3.0
+"""Mean squared residual of a line in sigmas. That of a straight wall is below in 97 % of all cases with 5 points, and
+more often with more. In simulation NEES / 2 is 1.04 with 4."""
+
+
+def corners(ranges: Array, scanner: Scanner) -> tuple[Array, Array]:
+    """Corners of one scan: xy (m, 2) in the body frame [m], and their covariances R (m, 2, 2), in the order of beams.
+
+    Args:
+        ranges: (B,) m; 0, NaN or max_range and beyond: nothing came back.
+        scanner: its angles, extrinsic and range noise, which R is in proportion to.
+    """
+    n = len(ranges)
+    beams = beams_of(scanner, n)
+    xy, R = np.empty((n, 2)), np.empty((n, 2, 2))
+    ranges = np.ascontiguousarray(ranges, np.float64)
+    m = _corners(ranges, beams.direction, beams.origin, beams.step, scanner.max_range, scanner.sigma, xy, R)
+    return xy[:m].copy(), R[:m].copy()
+
+
+@numba.njit(cache=True)
+def _corners(ranges, direction, origin, step, max_range, sigma, xy, R):  # type: ignore[no-untyped-def]
+    """Fill xy and R, return how many."""
+    n, count = len(ranges), 0
+    p = np.empty((n, 2))
+    for i in range(n):
+        p[i, 0] = origin[0] + ranges[i] * direction[i, 0]
+        p[i, 1] = origin[1] + ranges[i] * direction[i, 1]
+    vertex = np.empty(n, np.int64)
+    one, two, c, S = np.empty(8), np.empty(8), np.empty(2), np.empty((2, 2))
+    begin = 0
+    while begin < n:
+        if not 0.0 < ranges[begin] < max_range:
+            begin += 1
+            continue
+        end = begin + 1
+        while end < n and 0.0 < ranges[end] < max_range:
+            gap = math.hypot(p[end, 0] - p[end - 1, 0], p[end, 1] - p[end - 1, 1])
+            if gap > max(LONGEST_STEP, STEP_SPACINGS * step * min(ranges[end], ranges[end - 1])):
+                break
+            end += 1
+        vertices = _vertices(p, ranges, step, begin, end, max(SPLIT, SPLIT_SIGMAS * sigma), vertex)
+        for v in range(1, vertices - 1):
+            before, at, after = vertex[v - 1], vertex[v], vertex[v + 1]
+            c[0], c[1] = p[at, 0], p[at, 1]
+            middle, met = at, True
+            # once about the farthest point, and again about where the lines met: no noise of a single point in it
+            for _ in range(2):
+                met = met and _line(p, direction, before, middle, c, sigma, one)
+                met = met and _line(p, direction, after, middle, c, sigma, two)
+                met = met and _meet(one, two, c, S)
+                middle = _beam_of(c, origin, direction, before, after)
+            if met and _ends_near(p, one, two, c, step, ranges):
+                xy[count], R[count] = c, S
+                count += 1
+        begin = end
+    return count
+
+
+@numba.njit(cache=True)
+def _farthest(p, a, b):  # type: ignore[no-untyped-def]
+    """The point between two that is farthest from their chord, and how far."""
+    ex, ey = p[b, 0] - p[a, 0], p[b, 1] - p[a, 1]
+    length = max(math.hypot(ex, ey), 1e-9)
+    worst, where = -1.0, a
+    for i in range(a + 1, b):
+        off = abs((p[i, 0] - p[a, 0]) * ey - (p[i, 1] - p[a, 1]) * ex) / length
+        if off > worst:
+            worst, where = off, i
+    return where, worst
+
+
+@numba.njit(cache=True)
+def _vertices(p, ranges, step, begin, end, tolerance, vertex):  # type: ignore[no-untyped-def]
+    """Fill `vertex` with the corners of a polyline that all points begin..end - 1 are near to, ends included.
+
+    Split at the farthest point from a chord, again and again; then each vertex is taken out if the chord without it is
+    near enough, or else moved to the farthest point from that: the first chords have little to do with the walls. Two
+    that are too near to each other for a line between them are one corner, whose very point no beam has met.
+    """
+    vertex[0], vertex[1] = begin, end - 1
+    count, v = 2, 0
+    while v < count - 1:
+        where, worst = _farthest(p, vertex[v], vertex[v + 1])
+        if worst <= tolerance:
+            v += 1
+            continue
+        for k in range(count, v + 1, -1):
+            vertex[k] = vertex[k - 1]
+        vertex[v + 1] = where
+        count += 1
+    v = 1
+    while v < count - 1:
+        where, worst = _farthest(p, vertex[v - 1], vertex[v + 1])
+        if worst > tolerance:
+            vertex[v] = where
+            v += 1
+            continue
+        for k in range(v, count - 1):
+            vertex[k] = vertex[k + 1]
+        count -= 1
+        v = max(v - 1, 1)
+    v = 1
+    while v < count - 2:
+        a, b = vertex[v], vertex[v + 1]
+        if math.hypot(p[b, 0] - p[a, 0], p[b, 1] - p[a, 1]) > max(TRIM, STEP_SPACINGS * step * ranges[a]):
+            v += 1
+            continue
+        vertex[v], _ = _farthest(p, vertex[v - 1], vertex[v + 2])
+        for k in range(v + 1, count - 1):
+            vertex[k] = vertex[k + 1]
+        count -= 1
+    return count
+
+
+@numba.njit(cache=True)
+def _line(p, direction, outer, middle, c, sigma, line):  # type: ignore[no-untyped-def]
+    """Fit the points between a vertex and the beam of the corner c; false if they make no good line.
+
+    Fills line: normal (2), centroid (2), variances of its angle and its offset there, first and last point's number
+    from the corner. The residual of a point is its offset n (p - m); its sigma that of the range times |n d|. The
+    centroid is weighted, so that angle and offset are independent.
+    """
+    towards = 1 if outer > middle else -1
+    near, far, k = -1, -1, 0
+    for j in range(abs(outer - middle)):
+        i = middle + towards * j
+        from_corner = math.hypot(p[i, 0] - c[0], p[i, 1] - c[1])
+        if from_corner > TRIM and math.hypot(p[i, 0] - p[outer, 0], p[i, 1] - p[outer, 1]) > TRIM:
+            near, far = i if near < 0 else near, i
+            k += 1
+    if k < FEWEST or math.hypot(p[far, 0] - p[near, 0], p[far, 1] - p[near, 1]) < SHORTEST:
+        return False
+    angle = math.atan2(p[far, 1] - p[near, 1], p[far, 0] - p[near, 0]) + 0.5 * math.pi
+    mx, my, sw, stt, square = 0.0, 0.0, 0.0, 0.0, 0.0
+    for _ in range(3):  # Gauss-Newton; a wall is straight, so that the third step is rounding
+        nx, ny = math.cos(angle), math.sin(angle)
+        sw, mx, my = 0.0, 0.0, 0.0
+        for i in range(near, far + towards, towards):
+            seen = max(abs(nx * direction[i, 0] + ny * direction[i, 1]), 0.02) * sigma
+            w = 1.0 / (seen * seen)
+            sw += w
+            mx += w * p[i, 0]
+            my += w * p[i, 1]
+        mx /= sw
+        my /= sw
+        stt, stn, square = 0.0, 0.0, 0.0
+        for i in range(near, far + towards, towards):
+            seen = max(abs(nx * direction[i, 0] + ny * direction[i, 1]), 0.02) * sigma
+            w = 1.0 / (seen * seen)
+            x, y = p[i, 0] - mx, p[i, 1] - my
+            t, off = -ny * x + nx * y, nx * x + ny * y
+            stt += w * t * t
+            stn += w * t * off
+            square += w * off * off
+        angle -= stn / stt
+    if square > WORST_FIT * (abs(far - near) - 1):
+        return False
+    line[0], line[1], line[2], line[3] = math.cos(angle), math.sin(angle), mx, my
+    line[4], line[5], line[6], line[7] = 1.0 / stt, 1.0 / sw, near, far
+    return True
+
+
+@numba.njit(cache=True)
+def _meet(one, two, c, S):  # type: ignore[no-untyped-def]
+    """Fill c (2,) with the point where two lines meet and S (2, 2) with its covariance; false if they are too parallel.
+
+    N c = (n1 m1, n2 m2), rows of N the normals; an offset moves the right side by itself, an angle by n' (c - m), n'
+    along the line. S = N^-1 diag(v) N^-T with v = var(offset) + (n' (c - m))^2 var(angle) of either line.
+    """
+    det = one[0] * two[1] - one[1] * two[0]
+    if abs(det) < STEEPEST:
+        return False
+    b1, b2 = one[0] * one[2] + one[1] * one[3], two[0] * two[2] + two[1] * two[3]
+    c[0], c[1] = (two[1] * b1 - one[1] * b2) / det, (one[0] * b2 - two[0] * b1) / det
+    t1 = -one[1] * (c[0] - one[2]) + one[0] * (c[1] - one[3])
+    t2 = -two[1] * (c[0] - two[2]) + two[0] * (c[1] - two[3])
+    v1, v2 = one[5] + t1 * t1 * one[4], two[5] + t2 * t2 * two[4]
+    S[0, 0] = (two[1] * two[1] * v1 + one[1] * one[1] * v2) / (det * det)
+    S[1, 1] = (two[0] * two[0] * v1 + one[0] * one[0] * v2) / (det * det)
+    S[0, 1] = S[1, 0] = -(two[0] * two[1] * v1 + one[0] * one[1] * v2) / (det * det)
+    return True
+
+
+@numba.njit(cache=True)
+def _beam_of(c, origin, direction, first, last):  # type: ignore[no-untyped-def]
+    """The beam between two whose direction is nearest to that of a point."""
+    best, where = -2.0, first
+    x, y = c[0] - origin[0], c[1] - origin[1]
+    for i in range(first, last + 1):
+        along = x * direction[i, 0] + y * direction[i, 1]
+        if along > best or i == first:
+            best, where = along, i
+    return where
+
+
+@numba.njit(cache=True)
+def _ends_near(p, one, two, c, step, ranges):  # type: ignore[no-untyped-def]
+    """Whether both lines come near the corner: lines that meet far from both are no landmark that can be recognized."""
+    for line in (one, two):
+        i = int(line[6])
+        if math.hypot(p[i, 0] - c[0], p[i, 1] - c[1]) > REACH + 2.0 * step * ranges[i]:
+            return False
+    return True
