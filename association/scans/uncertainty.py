@@ -52,7 +52,7 @@ class PoseEdges:
 def compose_covariances(pose: Array, covariance: Array, motion: Array, motion_covariance: Array) -> Array:
     """Covariance (3, 3) of `compose(pose, motion)`, additive errors, to first order (Smith, Self, Cheeseman 1990)."""
     out, out_pose = np.empty((3, 3)), np.empty(3)
-    _compose(pose, covariance, motion, motion_covariance, out_pose, out)
+    compose_in_place(pose, covariance, motion, motion_covariance, out_pose, out)
     return out
 
 
@@ -73,7 +73,7 @@ def _project(root, keys, head, following, ends, relative, covariance):  # type: 
     pose = np.zeros((keys, 3))
     done = np.zeros(keys, np.bool_)
     cost = np.full(keys, np.inf)
-    result[root] = 0.0
+    edge = np.full(keys, -1, np.int64)
     cost[root] = 0.0
     heap = [(0.0, root)]
     z = np.zeros(3)
@@ -83,23 +83,28 @@ def _project(root, keys, head, following, ends, relative, covariance):  # type: 
         if done[a]:
             continue
         done[a] = True
+        e = edge[a]
+        if e < 0:
+            result[a] = 0.0
+        elif ends[e, 1] == a:
+            b = ends[e, 0]
+            compose_in_place(pose[b], result[b], relative[e], covariance[e], pose[a], result[a])
+        else:
+            b = ends[e, 1]
+            _invert(relative[e], covariance[e], z, C)
+            compose_in_place(pose[b], result[b], z, C, pose[a], result[a])
         e = head[a]
         while e >= 0:
-            forward = ends[e, 0] == a
-            b = ends[e, 1] if forward else ends[e, 0]
-            V = covariance[e]
+            side = 0 if ends[e, 0] == a else 1
+            b = ends[e, 1 - side]
             if b < keys and not done[b]:
+                V = covariance[e]
                 total = so_far + V[0, 0] + V[1, 1] + LEVER * LEVER * V[2, 2]
                 if total < cost[b]:
                     cost[b] = total
+                    edge[b] = e
                     heapq.heappush(heap, (total, b))
-                    if forward:
-                        z[:] = relative[e]
-                        C[:] = V
-                    else:
-                        _invert(relative[e], V, z, C)
-                    _compose(pose[a], result[a], z, C, pose[b], result[b])
-            e = following[e, 0] if forward else following[e, 1]
+            e = following[e, side]
     return result
 
 
@@ -107,17 +112,31 @@ def _project(root, keys, head, following, ends, relative, covariance):  # type: 
 def _invert(pose, covariance, z, C):  # type: ignore[no-untyped-def]
     c, s = math.cos(pose[2]), math.sin(pose[2])
     z[0], z[1], z[2] = -c * pose[0] - s * pose[1], s * pose[0] - c * pose[1], -pose[2]
-    J = np.array([[-c, -s, z[1]], [s, -c, -z[0]], [0.0, 0.0, -1.0]])
-    C[:] = J @ covariance @ J.T
+    # J = [-c, -s, z1; s, -c, -z0; 0, 0, -1]
+    J = ((-c, -s, z[1]), (s, -c, -z[0]), (0.0, 0.0, -1.0))
+    for i in range(3):
+        u0 = J[i][0] * covariance[0, 0] + J[i][1] * covariance[1, 0] + J[i][2] * covariance[2, 0]
+        u1 = J[i][0] * covariance[0, 1] + J[i][1] * covariance[1, 1] + J[i][2] * covariance[2, 1]
+        u2 = J[i][0] * covariance[0, 2] + J[i][1] * covariance[1, 2] + J[i][2] * covariance[2, 2]
+        for j in range(3):
+            C[i, j] = u0 * J[j][0] + u1 * J[j][1] + u2 * J[j][2]
 
 
 @numba.njit(cache=True)
-def _compose(pose, covariance, z, C, out_pose, out_covariance):  # type: ignore[no-untyped-def]
+def compose_in_place(pose, covariance, z, C, out_pose, out):  # type: ignore[no-untyped-def]
+    """Pose (3,) and covariance of the motion z with covariance C from a pose, written to `out_pose` and `out`."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     dx, dy = c * z[0] - s * z[1], s * z[0] + c * z[1]
-    J = np.array([[1.0, 0.0, -dy], [0.0, 1.0, dx], [0.0, 0.0, 1.0]])
-    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    out_covariance[:] = J @ covariance @ J.T + R @ C @ R.T
+    P = covariance
+    # J = [1, 0, -dy; 0, 1, dx; 0, 0, 1] on the pose, R(theta) on the motion
+    xt, yt = P[0, 2] - dy * P[2, 2], P[1, 2] + dx * P[2, 2]
+    out[0, 0] = P[0, 0] - dy * (P[0, 2] + xt) + c * c * C[0, 0] - 2.0 * c * s * C[0, 1] + s * s * C[1, 1]
+    out[1, 1] = P[1, 1] + dx * (P[1, 2] + yt) + s * s * C[0, 0] + 2.0 * c * s * C[0, 1] + c * c * C[1, 1]
+    out[0, 1] = P[0, 1] - dy * P[1, 2] + dx * xt + c * s * (C[0, 0] - C[1, 1]) + (c * c - s * s) * C[0, 1]
+    out[0, 2] = xt + c * C[0, 2] - s * C[1, 2]
+    out[1, 2] = yt + s * C[0, 2] + c * C[1, 2]
+    out[2, 2] = P[2, 2] + C[2, 2]
+    out[1, 0], out[2, 0], out[2, 1] = out[0, 1], out[0, 2], out[1, 2]
     out_pose[0], out_pose[1], out_pose[2] = pose[0] + dx, pose[1] + dy, pose[2] + z[2]
 
 

@@ -142,22 +142,15 @@ class LoopCloser:
         newest = len(self._keys) - 1
         believed: list[Closure] = []
         for new in found:
-            from_key1 = self.edges.project(new.key1, newest + 1)
+            from_key1 = None
             for old in reversed(self.closures):
                 if newest - old.key2 > p.wait:
                     break
-                if old.key2 == new.key2:
+                if old.key2 == new.key2 or (old.believed >= 0 and new.believed >= 0):
                     continue
-                # key1 -> newest by the one closure; key1 -> old.key1 -> old.key2 -> newest by the other
-                there = self._relative(new.key1, old.key1)
-                loop = compose(there, old.relative)
-                covariance = compose_covariances(there, from_key1[old.key1], old.relative, old.covariance)
-                last = self._relative(old.key2, new.key2)
-                step = inverse_covariance(inverse(last), from_newest[old.key2])
-                covariance = compose_covariances(loop, covariance, last, step) + new.covariance
-                error = compose(loop, last) - new.relative
-                error[2] = wrap_angle(float(error[2]))
-                if error @ np.linalg.solve(covariance, error) < p.pair_gate:
+                if from_key1 is None:
+                    from_key1 = self.edges.project(new.key1, newest + 1)
+                if self._disagreement(new, old, from_key1[old.key1], from_newest[old.key2]) < p.pair_gate:
                     for c in (old, new):
                         if c.believed < 0:
                             c.believed = newest
@@ -166,6 +159,19 @@ class LoopCloser:
         for c in believed:
             self.edges.add(c.key1, c.key2, c.relative, c.covariance)
         return believed
+
+    def _disagreement(self, new: Closure, old: Closure, between_first: Array, between_second: Array) -> float:
+        """Chi-square of the circle through two closures, given how unsure the ways between their ends are."""
+        # new.key1 -> new.key2 by the one closure; new.key1 -> old.key1 -> old.key2 -> new.key2 by the other
+        there = self._relative(new.key1, old.key1)
+        last = self._relative(old.key2, new.key2)
+        way = compose(there, old.relative)
+        covariance = compose_covariances(there, between_first, old.relative, old.covariance)
+        step = inverse_covariance(inverse(last), between_second)
+        covariance = compose_covariances(way, covariance, last, step) + new.covariance
+        error = compose(way, last) - new.relative
+        error[2] = wrap_angle(float(error[2]))
+        return float(error @ np.linalg.solve(covariance, error))
 
     def _relative(self, key1: int, key2: int) -> Array:
         return between(self._poses[key1], self._poses[key2])
