@@ -49,7 +49,7 @@ class LoopCloser:
 
     def __init__(self, parameters: LaserParameters, scanner: Scanner) -> None:
         self.parameters, self.scanner = parameters, scanner
-        self.sigma = max(parameters.sigma, scanner.sigma) * math.sqrt(parameters.variance_scale)
+        self.sigma = parameters.distance_sigma(scanner.sigma)
         self.edges = PoseEdges()
         self.closures: list[Closure] = []
         self._keys: list[KeyScan] = []
