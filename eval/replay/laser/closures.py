@@ -117,6 +117,8 @@ class LoopCloser:
         error = result.pose - expected
         error[2] = wrap_angle(float(error[2]))
         d2 = error @ np.linalg.solve(covariance + result.covariance, error)
+        if np.linalg.eigvalsh(result.covariance[:2, :2])[1] > p.loosest**2:
+            return None
         if result.share < p.loop_share or against > p.most_contradiction or d2 > p.gate:
             return None
         return Closure(key1, key2, result.pose, result.covariance, result.share)
