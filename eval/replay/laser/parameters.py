@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
@@ -13,8 +14,8 @@ class LaserParameters:
         keyframe_distance, keyframe_angle: a key pose is made when either is reached.
         max_range: returns beyond it are not used: far surfaces are hit by few beams.
         window: key scans that the newest scans are matched against.
-        sigma: standard deviation of a point's distance from a line; the scanner's own where that is larger.
-        variance_scale: of every scan-matching covariance; 1 is honest in simulation, 10 on the Intel log.
+        sigma: standard deviation of a range; the scanner's own where that is larger.
+        variance_scale: of every scan-matching covariance: 1 is honest in simulation, real walls and floors need more.
         prior_scale: standard deviations at which the odometry prior begins to yield (Cauchy).
         least_share: share of a scan's points that must fit for its match to be used.
         loop_gap: key poses between the two of a loop closure, at least.
@@ -26,6 +27,7 @@ class LaserParameters:
             beyond it a correlative search covers them, up to `widest` either way.
         least_correlation, loop_share, most_contradiction: of a loop closure: score of the search, share of points that
             fit, share of beams that contradict.
+        loosest: largest standard deviation of a closure's place, in its worst direction.
         gate: chi-square of three degrees of freedom, closure against the graph.
         pair_gate: the same of the circle through two closures.
         wait: key poses after which a closure that found no second one is given up.
@@ -36,7 +38,7 @@ class LaserParameters:
     max_range: float = 20.0
     window: int = 8
     sigma: float = 0.01
-    variance_scale: float = 10.0
+    variance_scale: float = 5.0
     prior_scale: float = 2.0
     least_share: float = 0.3
     loop_gap: int = 12
@@ -50,6 +52,11 @@ class LaserParameters:
     least_correlation: float = 0.4
     loop_share: float = 0.5
     most_contradiction: float = 0.1
+    loosest: float = 0.1
     gate: float = 16.27
     pair_gate: float = 11.34
     wait: int = 15
+
+    def distance_sigma(self, range_sigma: float) -> float:
+        """Standard deviation [m] of a point's distance from a line of another scan, scaled: both scans are noisy."""
+        return math.sqrt(2.0 * self.variance_scale) * max(self.sigma, range_sigma)

@@ -26,7 +26,7 @@ class Tracker:
 
     def __init__(self, parameters: LaserParameters, sigma: float) -> None:
         self.parameters = parameters
-        self.sigma = max(parameters.sigma, sigma) * math.sqrt(parameters.variance_scale)
+        self.sigma = parameters.distance_sigma(sigma)
         self.pose, self.covariance = np.zeros(3), np.zeros((3, 3))
         self._grid = NearestGrid(parameters.max_range + 2.0, REACH)
         self._keys: list[Points] = []
