@@ -16,6 +16,7 @@ from eval.plan.beside import maintained, shows_noise, sparser, with_depth_noise
 from eval.plan.experiment import Experiment, Work
 from eval.plan.flags import DEFAULT_ESTIMATORS, QUICK_RUNS
 from eval.plan.options import Options
+from eval.replay.laser.backends import NAMES as BACK_ENDS
 from eval.replay.settings import Setup
 from eval.studies.scenario import Scenario
 from eval.studies.scenario_file import load_scenario
@@ -151,6 +152,9 @@ def _work(log: Log, options: Options) -> tuple[Work, ...]:
         raise UsageError(f"--association {SCAN}: log {log.name!r} has no laser scans")
     if "known" in associations and not log.has_labels:
         raise UsageError(f"--association known: log {log.name!r} has no labels (true_id or label in observations.csv)")
+    strange = [e for e in options.estimator if e not in BACK_ENDS]
+    if SCAN in associations and strange:
+        raise UsageError(f"--estimator {strange[0]}: log {log.name!r} is a laser log; of these, {', '.join(BACK_ENDS)}")
     scanned = (*ALL, *ROBUST) if options.estimator == ALL else options.estimator
     return tuple(Work(a, scanned if a == SCAN else options.estimator) for a in associations)
 

@@ -7,11 +7,12 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from association.scans.laser_run import LaserRun
+from association.scans.laser_run import SCAN, LaserRun
 from association.scans.scale import learned_scale, residuals
+from data.errors import UsageError
 from data.inputs import Inputs
 from data.result import Run
-from eval.replay.laser.backends import Solved, backend, over_frames
+from eval.replay.laser.backends import NAMES, Solved, backend, over_frames
 from eval.replay.laser.front_end import FrontEndResult, run_front_end
 from eval.replay.laser.parameters import LaserParameters
 from eval.replay.laser.unscanned import between_scans
@@ -28,8 +29,11 @@ def compare_laser(inputs: Inputs, estimators: Sequence[str], setup: Setup) -> li
 
     Covariances of scan matching are scaled, all alike, so that the loop closures fit the graph as they should; that
     changes no optimum, and what is claimed of it. The filter's gate on loop closures is `setup.gate_known`. Seconds
-    hold the front end's as well.
+    hold the front end's as well. Raises UsageError for an estimator that is no back end of scan matching.
     """
+    for name in estimators:
+        if name not in NAMES:
+            raise UsageError(f"{name} with association {SCAN}: of laser logs there are {', '.join(NAMES)}")
     parameters = LaserParameters(keyframe_distance=setup.keyframe_distance)
     front = run_front_end(inputs, parameters)
     learned = _learned(inputs, front, setup)

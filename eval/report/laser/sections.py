@@ -58,6 +58,27 @@ def laser_sections(
     return sections
 
 
+def against_relations(trial: Trial) -> str:
+    """Filter, smoother and wheels against the reference relations, in a sentence; empty where there are none."""
+    relations = trial.log.truth.relations
+    if relations is None:
+        return ""
+    parts = []
+    for name, association, phase in (
+        ("ekf", SCAN, "online"), ("ekf", SCAN, "final"), ("isam2", SCAN, "online"), ("isam2", SCAN, "final"),
+        ("dead-reckoning", "none", "online"),
+    ):  # fmt: skip
+        run = trial.find(name, association)
+        path = None if run is None or run.failure is not None else paths_of(run).get(phase)
+        e = None if path is None else relation_errors(path, relations, trial.log.recorded.time)
+        if e is not None:
+            what = "last state" if (name, phase) == ("ekf", "final") else phase
+            parts.append(f"`{name}` ({what}) {e.trans_mean_m:.4f} ± {e.trans_std_m:.4f} m, {e.rot_mean_deg:.2f}°")
+    if not parts:
+        return ""
+    return f"Against {len(relations)} reference relations (tied by row): {'; '.join(parts)}."
+
+
 def _relations(folder: Path, options: Options, trial: Trial) -> list[Block]:
     """Every run against the reference relations."""
     relations = trial.log.truth.relations
