@@ -19,6 +19,11 @@ OTHER_START = np.array([0.03, 0.03, 0.01])
 """m, m, rad: where the last motion predicts a pose that differs by more than odometry's, it is a second start."""
 BETTER = 0.02
 """By how much the second start's cost must be smaller: where both fit (a corridor), odometry is believed."""
+SURPRISE, MUCH_BETTER = 25.0, 0.1
+"""Chi-square (3 dof) from where a match contradicts odometry: wheels slip, but a scan matched to the wrong surface says
+the same. It is believed if its cost is smaller by this much than that of a match that keeps to odometry."""
+FIRM = 1e3
+"""Scale of a prior that does not yield, in standard deviations."""
 
 
 class Tracker:
@@ -56,6 +61,12 @@ class Tracker:
             other = self._match(points, start, prior)
             if other.cost < best.cost - BETTER:
                 best = other
+        error = best.pose - self.pose
+        error[2] = wrap_angle(float(error[2]))
+        if error @ prior.information @ error > SURPRISE:
+            held = self._match(points, self.pose, prior, FIRM)
+            if best.cost > held.cost - MUCH_BETTER:
+                best = held
         if best.share < self.parameters.least_share:
             return False
         self._motion = between(self._matched, best.pose) / max(self._frames, 1)
@@ -63,8 +74,9 @@ class Tracker:
         self._matched, self._frames = best.pose, 0
         return True
 
-    def _match(self, points: Points, start: Array, prior: MotionPrior) -> Match:
-        return match(points, self._reference, start, prior, self.sigma, self.parameters.prior_scale)
+    def _match(self, points: Points, start: Array, prior: MotionPrior, prior_scale: float = 0.0) -> Match:
+        scale = prior_scale or self.parameters.prior_scale
+        return match(points, self._reference, start, prior, self.sigma, scale)
 
     @property
     def is_far(self) -> bool:
