@@ -30,8 +30,18 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
         type=Path,
         help="instead: time and memory of logs of 1000 to 100 000 frames, to OUT/large.csv and OUT/large.png (hours)",
     )
+    p.add_argument(
+        "--laser",
+        action="store_true",
+        help="instead: errors, consistency and loop closures of 50 simulated floor plans",
+    )
     args = p.parse_args(argv)
     quick = args.quick
+    if args.laser:
+        from eval.benchmarks.laser import SEEDS, measure_plans, plan_lines
+
+        print("\n".join(plan_lines(measure_plans(range(SEEDS // 10 if quick else SEEDS)))), flush=True)
+        return 0
     if args.large is not None:
         return _large(args.large, quick)
     from eval.benchmarks.timed import table

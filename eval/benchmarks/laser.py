@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -11,7 +10,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from association.scans.laser_run import SCAN, LaserRun
-from data.se2 import Array, transform_points
+from data.se2 import Array
 from data.worlds.registry import named_log
 from eval.referee.consistency import mean_or_nan, nees, verdict
 from eval.referee.errors import aligned_rmse, position_distance, rms
@@ -107,14 +106,10 @@ def plan_lines(found: Sequence[PlanRun]) -> list[str]:
         f" {100 * counts.precision:.2f} %, {100 * counts.recall:.1f} % of {counts.possible} possible revisits closed"
     )
     scale = np.array([r.scale[0] for r in found])
-    lines.append(f"learned factor on claimed variances: {np.nanmedian(scale):.2f} ({np.nanmin(scale):.2f} to {np.nanmax(scale):.2f})")
+    lines.append(
+        f"learned factor on claimed variances: {np.nanmedian(scale):.2f} ({np.nanmin(scale):.2f} to"
+        f" {np.nanmax(scale):.2f})"
+    )
     speed = [r.span / r.seconds for r in found]
     lines.append(f"front end: {np.median(speed):.0f} times real time")
     return lines
-
-
-if __name__ == "__main__":
-    import sys
-
-    begin = time.perf_counter()
-    print("\n".join(plan_lines(measure_plans(range(int(sys.argv[1])), *sys.argv[2:]))), f"\n{time.perf_counter() - begin:.0f} s")
