@@ -24,7 +24,7 @@ SEEDS = 50
 class PlanRun(NamedTuple):
     """One simulated plan: RMSE [m] of iSAM2's final, the same aligned, its online path, the filter's, the wheels'.
 
-    nees_final, nees_online: mean pose NEES (3 expected); chain, loops: squared distances of the factors; scale: learned,
+    nees_final, nees_online: mean pose NEES (3 expected); chain, loops: squared distances of the factors; scale: learned
     of the claimed variances, and its standard error; seconds: of the front end, span: of the drive.
     """
 
