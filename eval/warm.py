@@ -58,6 +58,24 @@ def warm() -> None:
         if place is not None:
             n = len(place.id)
             relocalize(Scan(place.xy, 1e-4 * np.eye(2 * n), tuple((i,) for i in range(n))), place)
+    _warm_laser()
+
+
+def _warm_laser() -> None:
+    """Every back end on a short drive with loop closures, corners as landmarks, and the grid."""
+    import numpy as np
+
+    from association.scans.laser_run import SCAN
+    from association.scans.occupancy import occupancy_grid
+    from data.worlds.registry import named_log
+    from eval.replay.names import BATCH
+    from eval.replay.run import compare
+
+    inputs = named_log("floorplan:0:frames=600").recorded
+    compare(inputs, "slam", ("dead-reckoning", "ekf", "isam2", "fixed-lag", *BATCH), SCAN)
+    compare(inputs, "slam", ("ekf",), "jcbb")
+    if inputs.scans is not None:
+        occupancy_grid(np.zeros((1, 3)), inputs.scans.ranges[:1], inputs.scans.scanner)
 
 
 if __name__ == "__main__":

@@ -22,7 +22,9 @@ class LaserRun(Run):
         key_pose: (K, 3) of all key poses in the end, a filter's last state, too.
         weight: (L,) of each loop closure in the end; 0: left out, NaN: never believed.
         last: the path that belongs to `key_pose`; a smoother's final one.
-        gated_twin: of a filter without a gate, the same with one.
+        scale: factor on the variances that scan matching claims, learned from how loop closures fit, and its standard
+            error; None: not learned.
+        with_gate: of a filter without a gate, the same with one, and with one and covariances as scan matching claims.
     """
 
     chain: Chain | None = None
@@ -31,4 +33,5 @@ class LaserRun(Run):
     key_pose: Array | None = None
     weight: Array | None = None
     last: Trajectory | None = None
-    gated_twin: LaserRun | None = None
+    scale: tuple[float, float] | None = None
+    with_gate: tuple[LaserRun, LaserRun] | None = None

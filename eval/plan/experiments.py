@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,9 +12,11 @@ from data.errors import UsageError
 from data.log import Log, folder_name, shortened
 from data.logs import Reading, find_logs, open_log
 from data.recordings.esde import NAME, find_esde
+from eval.plan.beside import maintained, shows_noise, sparser, with_depth_noise
+from eval.plan.experiment import Experiment, Work
 from eval.plan.flags import DEFAULT_ESTIMATORS, QUICK_RUNS
 from eval.plan.options import Options
-from eval.replay.names import FILTERS
+from eval.replay.laser.backends import NAMES as BACK_ENDS
 from eval.replay.settings import Setup
 from eval.studies.scenario import Scenario
 from eval.studies.scenario_file import load_scenario
@@ -27,40 +28,6 @@ from eval.studies.validation_file import load_validation
 DEFAULT_RUNS = 50
 QUICK_FRAMES = 1000
 """Frames of a log that a quick report looks at."""
-
-
-@dataclass(frozen=True)
-class Work:
-    """Estimators with one way of association."""
-
-    association: str
-    estimators: tuple[str, ...]
-
-    def parts(self) -> tuple[Work, ...]:
-        """What can be done apart: iSAM2 takes longest; batch goes with the front end whose decisions it takes.
-
-        Scans are matched once for all.
-        """
-        if self.association == SCAN:
-            return (self,)
-        apart: list[tuple[str, ...]] = [(e,) for e in self.estimators if e == "fixed-lag"]
-        rest = tuple(e for e in self.estimators if e != "fixed-lag")
-        if "isam2" in rest:
-            alone = ("isam2",) if self.association == "known" else tuple(e for e in rest if e not in FILTERS)
-            apart, rest = [alone, *apart], tuple(e for e in rest if e not in alone)
-        return tuple(Work(self.association, part) for part in (*apart, rest) if part)
-
-
-@dataclass(frozen=True)
-class Experiment:
-    """One log and task with all that is done with it; `beside` names the log whose table it joins, `about` says why."""
-
-    log: Log
-    task: str
-    work: tuple[Work, ...]
-    setup: Setup
-    beside: str | None = None
-    about: str = ""
 
 
 @dataclass(frozen=True)
@@ -104,8 +71,8 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
             for task in _tasks(log, options)
         ]
     if not options.quick:
-        experiments += [sparse for e in experiments for sparse in _sparser(e)]
-    experiments += _with_depth_noise([e for e in experiments if _shows_noise(e, options)])
+        experiments += [sparse for e in experiments for sparse in sparser(e)]
+    experiments += with_depth_noise([e for e in experiments if shows_noise(e, options)])
     names = [name for _, name in dict.fromkeys((id(e.log), e.log.name) for e in experiments)]
     for name in names:
         same = [n for n in names if folder_name(n) == folder_name(name)]
@@ -185,6 +152,9 @@ def _work(log: Log, options: Options) -> tuple[Work, ...]:
         raise UsageError(f"--association {SCAN}: log {log.name!r} has no laser scans")
     if "known" in associations and not log.has_labels:
         raise UsageError(f"--association known: log {log.name!r} has no labels (true_id or label in observations.csv)")
+    strange = [e for e in options.estimator if e not in BACK_ENDS]
+    if SCAN in associations and strange:
+        raise UsageError(f"--estimator {strange[0]}: log {log.name!r} is a laser log; of these, {', '.join(BACK_ENDS)}")
     scanned = (*ALL, *ROBUST) if options.estimator == ALL else options.estimator
     return tuple(Work(a, scanned if a == SCAN else options.estimator) for a in associations)
 
@@ -253,50 +223,5 @@ def _default(options: Options, say: Callable[[str], None]) -> list[Experiment]:
         experiments.append(Experiment(log, task, _work(log, options) if asked else work, _setup(log, options)))
         if not asked and ":people" in name and not options.quick and not options.setup.manages_map:
             kept = lab if options.full else (Work("jcbb", ("ekf",)),)
-            experiments.append(_maintained(experiments[-1], kept))
+            experiments.append(maintained(experiments[-1], kept))
     return experiments
-
-
-def _maintained(experiment: Experiment, work: tuple[Work, ...]) -> Experiment:
-    """The same with map maintenance, as rows beside."""
-    name = experiment.log.name
-    deciding = tuple(w for w in work if w.association != "known")
-    log, setup = replace(experiment.log, name=f"{name}:maintain"), replace(experiment.setup, maintain=True)
-    return Experiment(log, experiment.task, deciding, setup, name, "the same log with map maintenance (`--maintain`)")
-
-
-def _sparser(experiment: Experiment) -> list[Experiment]:
-    """A laser log with key poses twice and four times as far apart, as rows beside."""
-    name, setup = experiment.log.name, experiment.setup
-    found = []
-    for distance in (2.0 * setup.keyframe_distance, 4.0 * setup.keyframe_distance):
-        log = replace(experiment.log, name=f"{name}:keyframe-distance={distance:g}")
-        work = tuple(Work(SCAN, ("isam2",)) for w in experiment.work if w.association == SCAN)
-        about = f"the same log with key poses {distance:g} m apart (`--keyframe-distance`)"
-        found.append(Experiment(log, experiment.task, work, replace(setup, keyframe_distance=distance), name, about))
-    return [e for e in found if e.work]
-
-
-def _shows_noise(e: Experiment, options: Options) -> bool:
-    """Whether rows with the corners' depth noise stand beside those with the lab's constants."""
-    evidence = e.log.evidence
-    found = evidence is not None and len(evidence.found.frame) > 0 and math.isfinite(evidence.found.depth_noise)
-    return found and options.corner_noise == "lab" and not options.quick
-
-
-def _with_depth_noise(experiments: Sequence[Experiment]) -> list[Experiment]:
-    """The same detections with covariances that follow from the noise of their depth, as rows beside."""
-    from data.visual.observations import with_noise
-
-    about = "the same detections, each corner's covariance from the noise of its depth (`--corner-noise depth`)"
-    names = dict.fromkeys(e.log.name for e in experiments)
-    logs = {
-        n: with_noise(next(e.log for e in experiments if e.log.name == n), "depth", f"{n}:depth-noise") for n in names
-    }
-    return [
-        replace(
-            e, log=logs[e.log.name], beside=e.log.name, about=about,
-            work=tuple(Work(w.association, tuple(n for n in w.estimators if n != "dead-reckoning")) for w in e.work),
-        )
-        for e in experiments
-    ]  # fmt: skip

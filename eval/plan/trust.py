@@ -10,7 +10,7 @@ from typing import Any
 from data.errors import UsageError
 from data.log import Log
 from data.result import Run
-from eval.plan.experiments import Experiment
+from eval.plan.experiment import Experiment
 from eval.plan.options import Options
 from eval.plan.unfinished import Unfinished
 from eval.plan.work import work

@@ -112,7 +112,7 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Alo
         believed = kept(run.loops, run.weight, phase)
         row["observations"] = len(believed)
         row["accepted"], row["rejected"] = int(believed.sum()), int((~believed).sum())
-    elif run.association != "none":
+    elif run.association != "none" and not isinstance(run, LaserRun):
         row["accepted"] = int((decisions >= 0).sum())
         row["rejected"] = int((decisions == DISCARD).sum())
     if run.task == "slam" and run.association not in ("none", SCAN):
@@ -150,7 +150,9 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Alo
         row["innovation_lag1"], row["innovation_lag1_se"] = consistency.lag1_correlation(
             run.innovations.white, o.frame, decisions
         )
-    found = lost(run, log.recorded, log.granted if run.association == "known" else None)
+    labels = log.granted if run.association == "known" else None
+    # a laser run decides about no observation of its log
+    found = None if isinstance(run, LaserRun) else lost(run, log.recorded, labels)
     if found is not None:
         row["lost_frame"], row["lost_why"] = found
     total = nis_of(run, phase)

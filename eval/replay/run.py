@@ -26,6 +26,7 @@ from eval.replay.given import Given
 from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.hindsight.mapping_frontend import MappingFrontEnd
 from eval.replay.laser.comparison import compare_laser
+from eval.replay.laser.landmarks import at_all_frames, corner_log
 from eval.replay.names import BATCH, FILTERS
 from eval.replay.observer import Nobody, Observer
 from eval.replay.plausible import judged
@@ -175,6 +176,8 @@ def compare(
     that leads to no good end, at the iterated one's), otherwise those of iSAM2, or of the EKF if iSAM2 was not asked
     for. A front end that was not asked for runs all the same. Where the setup's gate for labels is not for smoothers,
     they get every pairing and start at the gated EKF's path.
+    With `scan` the scans of a laser log are matched and loops closed; under any other name the corners of walls in them
+    are the landmarks.
     Labels are withheld from every method but `known`. Labels that a sensor read are gated where the setup does not say
     otherwise (`Setup.settled`).
     """
@@ -182,6 +185,10 @@ def compare(
     with threadpool_limits(1):
         if association == SCAN:
             return judged(compare_laser(inputs, estimators, setup), inputs)
+        if inputs.scans is not None and not len(inputs.observations.frame):
+            log = corner_log(inputs, setup)
+            runs = judged(_compare(log.inputs, task, estimators, association, setup), log.inputs)
+            return [at_all_frames(run, log, len(inputs)) for run in runs]
         return judged(_compare(inputs, task, estimators, association, setup), inputs)
 
 

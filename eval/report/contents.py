@@ -20,7 +20,7 @@ from eval.referee.score import Scores, Trial, score
 from eval.report.answer import answer
 from eval.report.corridor.questions import lab_sections
 from eval.report.doubt.origin import origin_statement
-from eval.report.laser.sections import laser_sections
+from eval.report.laser.sections import against_relations, laser_sections
 from eval.report.log_sections import association_sections, beside, rows_of, trial_sections, tutorial_sections
 from eval.report.pictures import draw, kinds, publish_runs
 from eval.report.revisions import revision_section
@@ -155,6 +155,7 @@ def _introduction(outcome: Outcome, scores: Scores, judged: Sequence[Judged]) ->
                 rows_of(table, trial) for table in (scores.metrics, scores.association, scores.differences)
             )
             said = answer(metrics, decided, _labelled(trial), differences, first_said(trial, outcome.trust))
+            said = " ".join(s for s in (against_relations(trial), said) if s)
             notes.append(f"* **{trial.log.name}, {trial.task}.** {said}")
     declared = [j for j in judged if j.declared and j.verdict.runs >= MIN_RUNS]
     if declared:

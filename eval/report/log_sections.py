@@ -19,7 +19,8 @@ from eval.report.differences import differences_table, missing_intervals
 from eval.report.doubt.minima import minima_statements
 from eval.report.doubt.naming import naming_statements
 from eval.report.laser.pictures import GRID, LOOPS
-from eval.report.pictures import FILTER_SMOOTHER, stem
+from eval.report.names import stem
+from eval.report.pictures import FILTER_SMOOTHER
 from eval.report.rows import rows_of as rows_by
 from eval.report.trust.sections import trust_section
 from eval.report.tutorial_table import CAPTION, logs_with_tutorials, tutorial_table

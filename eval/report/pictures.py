@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from data.log import Log, folder_name
+from data.log import Log
 from data.result import Run
 from eval import figures
 from eval.figures.association import bars
@@ -23,6 +23,7 @@ from eval.referee.score import Trial, confusion_of
 from eval.referee.trust import SHARE
 from eval.report.laser.files import write_laser_files
 from eval.report.laser.pictures import GRID, LOOPS, laser_kinds, laser_picture
+from eval.report.names import stem
 from eval.report.run_files import write_run
 from eval.report.shown_runs import (
     finished,
@@ -35,11 +36,6 @@ from eval.report.shown_runs import (
     same,
     worst,
 )
-
-
-def stem(trial: Trial, what: str) -> str:
-    """Name of a trial's file, without suffix."""
-    return f"{folder_name(trial.log.name)}-{trial.task}-{what}"
 
 
 def publish_runs(folder: Path, options: Options, trial: Trial) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from association.scans.laser_run import SCAN
+from association.scans.laser_run import SCAN, LaserRun
 from data.log import folder_name
 from data.result import Run, Trajectory
 from data.se2 import Array
@@ -77,7 +77,7 @@ def _write_map(place: Path, trial: Trial, run: Run) -> None:
 
 def _write_decisions(place: Path, trial: Trial, run: Run) -> None:
     """One row per observation; truth and outcome are blank where the true id is unknown."""
-    if run.association in ("none", SCAN):
+    if run.association == "none" or isinstance(run, LaserRun):  # these decide about no observation of the log
         return
     recorded = trial.log.recorded
     frame = recorded.observations.frame

@@ -7,35 +7,77 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from association.scans.laser_run import LaserRun
+from association.scans.laser_run import SCAN, LaserRun
+from association.scans.scale import learned_scale, residuals
+from data.errors import UsageError
 from data.inputs import Inputs
 from data.result import Run
-from eval.replay.laser.backends import Solved, backend, over_frames
+from eval.replay.laser.backends import NAMES, Solved, backend, over_frames
 from eval.replay.laser.front_end import FrontEndResult, run_front_end
 from eval.replay.laser.parameters import LaserParameters
 from eval.replay.laser.unscanned import between_scans
 from eval.replay.settings import Setup
 
 CONTRAST = 0.999
-"""Gate of the filter that is shown beside the one without: it looks safe, and keeps out true loop closures where the
-filter has drifted further than it believes."""
+"""Gate of the filter that is shown beside the one without."""
+FEWEST = 20
+"""Loop closures from which a scale of the covariances is learned: it is then known to a quarter or better."""
 
 
 def compare_laser(inputs: Inputs, estimators: Sequence[str], setup: Setup) -> list[LaserRun]:
     """The estimators on the same key poses and loop closures, in the order asked for; dead reckoning is the wheels'.
 
-    The filter's gate on loop closures is `setup.gate_known`. Seconds hold the front end's as well.
+    Covariances of scan matching are scaled, all alike, so that the loop closures fit the graph as they should; that
+    changes no optimum, and what is claimed of it. The filter's gate on loop closures is `setup.gate_known`. Seconds
+    hold the front end's as well. Raises UsageError for an estimator that is no back end of scan matching.
     """
-    front = run_front_end(inputs, LaserParameters(keyframe_distance=setup.keyframe_distance))
+    for name in estimators:
+        if name not in NAMES:
+            raise UsageError(f"{name} with association {SCAN}: of laser logs there are {', '.join(NAMES)}")
+    parameters = LaserParameters(keyframe_distance=setup.keyframe_distance)
+    front = run_front_end(inputs, parameters)
+    learned = _learned(inputs, front, setup)
+    factor, error = learned or (1.0, 0.0)
+    front = _scaled(front, factor)
+    claimed = parameters.variance_scale * factor
     gate = setup.settled(False).label_gate
     runs = []
     for name in estimators:
         run = _run(inputs, front, backend(name, inputs, front.chain, front.loops, setup, gate=gate))
+        if learned and run.chain is not None:
+            run = replace(run, scale=(claimed, parameters.variance_scale * error))
         if name == "ekf" and gate is None:
-            twin = backend(name, inputs, front.chain, front.loops, setup, gate=CONTRAST)
-            run = replace(run, gated_twin=_run(inputs, front, twin))
+            twins = []
+            for given in (front, _scaled(front, 1.0 / claimed)):
+                twins.append(_run(inputs, given, backend(name, inputs, given.chain, given.loops, setup, gate=CONTRAST)))
+            run = replace(run, with_gate=(twins[0], twins[1]))
         runs.append(run)
     return runs
+
+
+def _learned(inputs: Inputs, front: FrontEndResult, setup: Setup) -> tuple[float, float] | None:
+    """Factor on the front end's covariances and its standard error; None where too few loop closures tell."""
+    chain, loops = front.chain, front.loops
+    believed = np.flatnonzero(loops.believed >= 0)
+    if len(believed) < FEWEST:
+        return None
+    solved = backend("batch", inputs, chain, loops, setup)
+    if solved.run.failure is not None:
+        return None
+    keys = np.arange(len(chain.frame))
+    d2 = residuals(
+        solved.final_keys, np.concatenate([keys[:-1], loops.key1[believed]]),
+        np.concatenate([keys[1:], loops.key2[believed]]), np.concatenate([chain.motion[1:], loops.relative[believed]]),
+        np.concatenate([chain.covariance[1:], loops.covariance[believed]]),
+    )  # fmt: skip
+    return learned_scale(d2, len(believed))
+
+
+def _scaled(front: FrontEndResult, factor: float) -> FrontEndResult:
+    """The same constraints with other covariances."""
+    c, o = front.chain, front.loops
+    chain = replace(c, covariance=factor * c.covariance, since_covariance=factor * c.since_covariance)
+    return replace(front, chain=chain, loops=replace(o, covariance=factor * o.covariance))
 
 
 def _run(inputs: Inputs, front: FrontEndResult, solved: Solved) -> LaserRun:
@@ -47,6 +89,8 @@ def _run(inputs: Inputs, front: FrontEndResult, solved: Solved) -> LaserRun:
         last = replace(path, pose=between_scans(inputs, path.pose))
         run = replace(run, seconds=run.seconds + float(front.seconds.sum()), final=run.final and last)
     given = {f.name: getattr(run, f.name) for f in fields(Run)}
+    if last is None:
+        return LaserRun(**given)
     return LaserRun(
         **given, chain=chain, loops=front.loops, frame_seconds=front.seconds, key_pose=solved.final_keys,
         weight=solved.weight, last=last,

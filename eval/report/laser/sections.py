@@ -8,17 +8,18 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from association.scans.laser_run import LaserRun
+from association.scans.laser_run import SCAN, LaserRun
 from data.log import Log
 from eval.page.document import Block, Picture, Section, written_table
 from eval.page.numbers import number
 from eval.plan.options import Options
+from eval.referee.errors import position_distance, rms
 from eval.referee.laser.relations import ALL, CARTOGRAPHER, EXACT, KUEMMERLE, ROW, TIME, relation_errors
 from eval.referee.laser.rows import KEPT, paths_of
 from eval.referee.score import Trial
 from eval.report.laser.files import mapping_run
 from eval.report.laser.pictures import GRID, LOOPS
-from eval.report.pictures import stem
+from eval.report.names import stem
 
 RELATIONS_CAPTION = (
     "errors against the reference relations, mean ± standard deviation. A relation is tied to frames by its *row* in"
@@ -30,6 +31,7 @@ PUBLISHED = (
     "Published for this log: Cartographer 0.0229 ± 0.0239 m (Hess et al., ICRA 2016), graph mapping 0.031 ± 0.026 m"
     " (Kümmerle et al., Autonomous Robots 27, 2009), both on all scans of the recording."
 )
+GATED = ("ekf, gate 0.999", "ekf, gate 0.999, covariances as claimed")
 INTEL_RELATIONS = 2984
 """Relations of the Intel log, by whose number it is recognized."""
 
@@ -54,6 +56,27 @@ def laser_sections(
             blocks.append(_sizes(folder, options, [trial, *beside]))
         sections.append(Section(f"Laser: {trial.log.name}", tuple(blocks)))
     return sections
+
+
+def against_relations(trial: Trial) -> str:
+    """Filter, smoother and wheels against the reference relations, in a sentence; empty where there are none."""
+    relations = trial.log.truth.relations
+    if relations is None:
+        return ""
+    parts = []
+    for name, association, phase in (
+        ("ekf", SCAN, "online"), ("ekf", SCAN, "final"), ("isam2", SCAN, "online"), ("isam2", SCAN, "final"),
+        ("dead-reckoning", "none", "online"),
+    ):  # fmt: skip
+        run = trial.find(name, association)
+        path = None if run is None or run.failure is not None else paths_of(run).get(phase)
+        e = None if path is None else relation_errors(path, relations, trial.log.recorded.time)
+        if e is not None:
+            what = "last state" if (name, phase) == ("ekf", "final") else phase
+            parts.append(f"`{name}` ({what}) {e.trans_mean_m:.4f} ± {e.trans_std_m:.4f} m, {e.rot_mean_deg:.2f}°")
+    if not parts:
+        return ""
+    return f"Against {len(relations)} reference relations (tied by row): {'; '.join(parts)}."
 
 
 def _relations(folder: Path, options: Options, trial: Trial) -> list[Block]:
@@ -90,8 +113,9 @@ def _relation_rows(run: object, log: Log) -> list[dict[str, object]]:
         if other is not None:
             row["other order [m]"] = f"{other.trans_mean_m:.4f} ± {other.trans_std_m:.4f}"
         rows.append(row)
-    twin = run.gated_twin
-    return rows + [{**row, "estimator": "ekf, gated"} for row in (_relation_rows(twin, log) if twin else [])]
+    for twin, name in zip(run.with_gate or (), GATED, strict=False):
+        rows += [{**row, "estimator": name} for row in _relation_rows(twin, log)]
+    return rows
 
 
 def _statements(trial: Trial, run: LaserRun) -> list[str]:
@@ -109,6 +133,12 @@ def _statements(trial: Trial, run: LaserRun) -> list[str]:
         if isinstance(other, LaserRun) and other.weight is not None and other.estimator in ("batch-cauchy", "gnc"):
             out = int((other.weight < KEPT).sum())
             said.append(f"`{other.estimator}` left {out} of them out in the end.")
+    if run.scale is not None:
+        factor, error = run.scale
+        said.append(
+            f"The variances that scan matching claims are taken times {number(factor)} ± {number(error, 2)}, learned"
+            " from how well loop closures fit the graph; 1 would be as claimed. It moves no optimum."
+        )
     said += _gate_statement(trial)
     if run.frame_seconds is not None and not log.recorded.time_is_index:
         span, spent = float(log.recorded.time[-1] - log.recorded.time[0]), float(run.frame_seconds.sum())
@@ -122,31 +152,32 @@ def _statements(trial: Trial, run: LaserRun) -> list[str]:
 
 
 def _gate_statement(trial: Trial) -> list[str]:
-    """What the filter's gate does: true loop closures look wrong to a filter that has drifted more than it believes."""
-    run = trial.find("ekf", "scan")
-    if not isinstance(run, LaserRun) or run.gated_twin is None or run.failure is not None:
+    """What a gate does to the filter: true loop closures look wrong to one that has drifted more than it believes."""
+    run = trial.find("ekf", SCAN)
+    if not isinstance(run, LaserRun) or run.with_gate is None or run.failure is not None:
         return []
-    twin = run.gated_twin
-    if twin.failure is not None or twin.weight is None:
-        return []
-    rejected, looked = int((twin.weight == 0.0).sum()), int(np.isfinite(twin.weight).sum())
-    text = (
-        "The filter over key poses takes every believed loop closure. With a gate of 0.999 it rejects"
-        f" {rejected} of {looked}"
-    )
-    relations = trial.log.truth.relations
-    if relations is not None and run.last is not None and twin.last is not None:
-        a, b = (
-            relation_errors(r.last.pose, relations, trial.log.recorded.time, order=CARTOGRAPHER)
-            for r in (run, twin)
-            if r.last is not None
-        )
-        if a is not None and b is not None:
-            text += (
-                f", and its last state is {b.trans_mean_m:.4f} ± {b.trans_std_m:.4f} m off the relations instead of"
-                f" {a.trans_mean_m:.4f} ± {a.trans_std_m:.4f} m"
-            )
-    return [text + "."]
+    parts = [f"The filter over key poses takes every believed loop closure{_off(run, trial.log)}."]
+    for twin, how in zip(
+        run.with_gate, ("With a gate of 0.999", "With that gate and unscaled covariances"), strict=True
+    ):
+        if twin.failure is not None or twin.weight is None:
+            parts.append(f"{how} it did not get to the end.")
+            continue
+        rejected, looked = int((twin.weight == 0.0).sum()), int(np.isfinite(twin.weight).sum())
+        parts.append(f"{how} it rejects {rejected} of {looked}{_off(twin, trial.log)}.")
+    return [" ".join(parts)]
+
+
+def _off(run: LaserRun, log: Log) -> str:
+    """How far its last state is from the relations, or from the truth."""
+    if run.last is None:
+        return ""
+    if log.truth.relations is not None:
+        e = relation_errors(run.last.pose, log.truth.relations, log.recorded.time, order=CARTOGRAPHER)
+        return "" if e is None else f" and ends {e.trans_mean_m:.4f} ± {e.trans_std_m:.4f} m off the relations"
+    if log.truth.pose is None:
+        return ""
+    return f" and ends with a position RMSE of {number(rms(position_distance(run.last.pose, log.truth.pose)))} m"
 
 
 def _sizes(folder: Path, options: Options, trials: Sequence[Trial]) -> Block:

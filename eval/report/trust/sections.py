@@ -8,7 +8,8 @@ from pathlib import Path
 from eval.page.document import Block, Picture, Section, written_table
 from eval.plan.options import Options
 from eval.referee.score import Trial
-from eval.report.pictures import FILTER_SMOOTHER, stem
+from eval.report.names import stem
+from eval.report.pictures import FILTER_SMOOTHER
 from eval.report.shown_runs import associations
 from eval.report.trust.phrases import terms_of
 from eval.report.trust.said import online

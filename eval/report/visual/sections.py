@@ -23,7 +23,7 @@ from eval.page.numbers import number
 from eval.page.tables import drop_blank_columns
 from eval.plan.options import Options
 from eval.referee.score import Trial
-from eval.report.pictures import stem
+from eval.report.names import stem
 from eval.report.shown_runs import for_map, left_out
 from eval.report.visual.figures import Tile, contact_sheet, plan_figure
 from eval.report.visual.models import MODELS, models_latex

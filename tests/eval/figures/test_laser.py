@@ -17,7 +17,7 @@ from eval.figures.style import save, style_of
 from tests.eval.figures.looks import SEEN_BY, lab, within
 
 KEYS = np.array([[0.0, 0, 0], [4, 0, 0.5], [4, 3, 2], [0, 3, 3], [0, 0.5, -1]])
-WEIGHT = np.array([1.0, 0.2, 0.9, 0.5])
+WEIGHT = np.array([1.0, 0.0, 0.9, 0.5])
 FALSE = np.array([False, False, True, False])
 
 

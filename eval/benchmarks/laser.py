@@ -1,0 +1,120 @@
+"""How good laser SLAM is where the truth is known: simulated floor plans, errors, consistency, loop closures."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from joblib import Parallel, delayed
+
+from association.scans.laser_run import SCAN, LaserRun
+from data.se2 import Array, transform_points
+from data.worlds.registry import named_log
+from eval.referee.consistency import mean_or_nan, nees, verdict
+from eval.referee.errors import aligned_rmse, position_distance, rms
+from eval.referee.laser.closures import ClosureCounts, count_closures, revisits
+from eval.referee.laser.factors import chain_squares, factor_nees, loop_squares
+from eval.replay.run import compare
+
+SEEDS = 50
+
+
+class PlanRun(NamedTuple):
+    """One simulated plan: RMSE [m] of iSAM2's final, the same aligned, its online path, the filter's, the wheels'.
+
+    nees_final, nees_online: mean pose NEES (3 expected); chain, loops: squared distances of the factors; scale: learned,
+    of the claimed variances, and its standard error; seconds: of the front end, span: of the drive.
+    """
+
+    final: float
+    aligned: float
+    online: float
+    filter: float
+    wheels: float
+    nees_final: float
+    nees_online: float
+    chain: Array
+    loops: Array
+    counts: ClosureCounts
+    scale: tuple[float, float]
+    seconds: float
+    span: float
+
+
+def measure_plan(name: str) -> PlanRun:
+    """Everything about one log of a floor plan."""
+    log = named_log(name)
+    truth = log.truth.pose
+    assert truth is not None
+    wheels, ekf, isam2 = compare(log.recorded, "slam", ["dead-reckoning", "ekf", "isam2"], SCAN)
+    assert isinstance(isam2, LaserRun)
+    assert isam2.chain is not None
+    assert isam2.loops is not None
+    assert isam2.frame_seconds is not None
+    assert log.recorded.scans is not None
+    final, online, keys = isam2.trajectory("final"), isam2.trajectory("online"), truth[isam2.chain.frame]
+    scans = log.recorded.scans
+    angle = scans.scanner.angle_min + scans.scanner.angle_step * np.arange(scans.ranges.shape[1])
+    direction = np.stack([np.cos(angle), np.sin(angle)], 1)
+    points = []
+    for frame in isam2.chain.frame.tolist():
+        ranges = scans.of(frame)
+        assert ranges is not None
+        points.append((ranges[:, None] * direction)[ranges > 0.0])
+
+    def error(pose: Array) -> float:
+        return rms(position_distance(pose, truth))
+
+    return PlanRun(
+        error(final.pose), aligned_rmse(final.pose, truth), error(online.pose), error(ekf.trajectory("online").pose),
+        error(wheels.trajectory("online").pose),
+        mean_or_nan(nees(final.pose, final.covariance, truth, "pose")),
+        mean_or_nan(nees(online.pose, online.covariance, truth, "pose")),
+        chain_squares(isam2.chain, keys), loop_squares(isam2.loops, keys),
+        count_closures(isam2.loops, keys, revisits(keys, points)), isam2.scale or (np.nan, np.nan),
+        float(isam2.frame_seconds.sum()), float(log.recorded.time[-1] - log.recorded.time[0]),
+    )  # fmt: skip
+
+
+def measure_plans(seeds: Sequence[int] = range(SEEDS), keys: str = "") -> list[PlanRun]:
+    """Plans of several seeds, with further `keys` of the log's name, on all cores."""
+    names = [f"floorplan:{seed}" + (f":{keys}" if keys else "") for seed in seeds]
+    jobs = Parallel(n_jobs=os.cpu_count() or 1)
+    return list(jobs(delayed(measure_plan)(name) for name in names))
+
+
+def plan_lines(found: Sequence[PlanRun]) -> list[str]:
+    """What was measured, in lines of text."""
+    counts = sum((r.counts for r in found), ClosureCounts(0, 0, 0, 0))
+    lines = [f"{len(found)} simulated plans, position RMSE [mm]: median (largest)"]
+    for what in ("final", "aligned", "online", "filter", "wheels"):
+        values = 1e3 * np.array([getattr(r, what) for r in found])
+        lines.append(f"  {what:8s} {np.median(values):8.1f} ({values.max():.1f})")
+    for what in ("nees_final", "nees_online"):
+        v = verdict(np.array([getattr(r, what) for r in found]), 3)
+        lines.append(f"{what:12s} {v.mean:.2f} [{v.lower:.2f}, {v.upper:.2f}] where 3 is expected: {v.word}")
+    for what in ("chain", "loops"):
+        f = factor_nees([getattr(r, what) for r in found])
+        lines.append(
+            f"NEES/3 of {what}: mean {f.mean:.3f}, median {f.median:.3f} (1 and 0.79 expected), {f.factors} factors,"
+            f" bounds {f.lower:.3f} to {f.upper:.3f}"
+        )
+    lines.append(
+        f"loop closures: {counts.tp} TP, {counts.fp} FP, {counts.tn} TN, {counts.fn} FN; precision"
+        f" {100 * counts.precision:.2f} %, {100 * counts.recall:.1f} % of {counts.possible} possible revisits closed"
+    )
+    scale = np.array([r.scale[0] for r in found])
+    lines.append(f"learned factor on claimed variances: {np.nanmedian(scale):.2f} ({np.nanmin(scale):.2f} to {np.nanmax(scale):.2f})")
+    speed = [r.span / r.seconds for r in found]
+    lines.append(f"front end: {np.median(speed):.0f} times real time")
+    return lines
+
+
+if __name__ == "__main__":
+    import sys
+
+    begin = time.perf_counter()
+    print("\n".join(plan_lines(measure_plans(range(int(sys.argv[1])), *sys.argv[2:]))), f"\n{time.perf_counter() - begin:.0f} s")

@@ -1,0 +1,56 @@
+"""Experiments on the same log done otherwise, as rows beside it: sparser graphs, other noise, map maintenance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from association.scans.laser_run import SCAN
+from eval.plan.experiment import Experiment, Work
+from eval.plan.options import Options
+
+
+def sparser(experiment: Experiment) -> list[Experiment]:
+    """A laser log with key poses twice and four times as far apart, as rows beside."""
+    name, setup = experiment.log.name, experiment.setup
+    found = []
+    for distance in (2.0 * setup.keyframe_distance, 4.0 * setup.keyframe_distance):
+        log = replace(experiment.log, name=f"{name}:keyframe-distance={distance:g}")
+        work = tuple(Work(SCAN, ("isam2",)) for w in experiment.work if w.association == SCAN)
+        about = f"the same log with key poses {distance:g} m apart (`--keyframe-distance`)"
+        found.append(Experiment(log, experiment.task, work, replace(setup, keyframe_distance=distance), name, about))
+    return [e for e in found if e.work]
+
+
+def shows_noise(e: Experiment, options: Options) -> bool:
+    """Whether rows with the corners' depth noise stand beside those with the lab's constants."""
+    evidence = e.log.evidence
+    found = evidence is not None and len(evidence.found.frame) > 0 and math.isfinite(evidence.found.depth_noise)
+    return found and options.corner_noise == "lab" and not options.quick
+
+
+def with_depth_noise(experiments: Sequence[Experiment]) -> list[Experiment]:
+    """The same detections with covariances that follow from the noise of their depth, as rows beside."""
+    from data.visual.observations import with_noise
+
+    about = "the same detections, each corner's covariance from the noise of its depth (`--corner-noise depth`)"
+    names = dict.fromkeys(e.log.name for e in experiments)
+    logs = {
+        n: with_noise(next(e.log for e in experiments if e.log.name == n), "depth", f"{n}:depth-noise") for n in names
+    }
+    return [
+        replace(
+            e, log=logs[e.log.name], beside=e.log.name, about=about,
+            work=tuple(Work(w.association, tuple(n for n in w.estimators if n != "dead-reckoning")) for w in e.work),
+        )
+        for e in experiments
+    ]  # fmt: skip
+
+
+def maintained(experiment: Experiment, work: tuple[Work, ...]) -> Experiment:
+    """The same with map maintenance, as rows beside."""
+    name = experiment.log.name
+    deciding = tuple(w for w in work if w.association != "known")
+    log, setup = replace(experiment.log, name=f"{name}:maintain"), replace(experiment.setup, maintain=True)
+    return Experiment(log, experiment.task, deciding, setup, name, "the same log with map maintenance (`--maintain`)")

@@ -1,0 +1,44 @@
+"""What an experiment is: a log and a task, and the estimators with each way of association."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from association.scans.laser_run import SCAN
+from data.log import Log
+from eval.replay.names import FILTERS
+from eval.replay.settings import Setup
+
+
+@dataclass(frozen=True)
+class Work:
+    """Estimators with one way of association."""
+
+    association: str
+    estimators: tuple[str, ...]
+
+    def parts(self) -> tuple[Work, ...]:
+        """What can be done apart: iSAM2 takes longest; batch goes with the front end whose decisions it takes.
+
+        Scans are matched once for all.
+        """
+        if self.association == SCAN:
+            return (self,)
+        apart: list[tuple[str, ...]] = [(e,) for e in self.estimators if e == "fixed-lag"]
+        rest = tuple(e for e in self.estimators if e != "fixed-lag")
+        if "isam2" in rest:
+            alone = ("isam2",) if self.association == "known" else tuple(e for e in rest if e not in FILTERS)
+            apart, rest = [alone, *apart], tuple(e for e in rest if e not in alone)
+        return tuple(Work(self.association, part) for part in (*apart, rest) if part)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One log and task with all that is done with it; `beside` names the log whose table it joins, `about` says why."""
+
+    log: Log
+    task: str
+    work: tuple[Work, ...]
+    setup: Setup
+    beside: str | None = None
+    about: str = ""

@@ -1,0 +1,82 @@
+"""Corners of walls as landmarks: a laser log as EKF-SLAM takes it, with scan matching as odometry."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from association.scans.constraints import Chain
+from association.scans.corners import corners
+from association.scans.laser_run import LaserRun
+from data.inputs import Increments, Inputs, Observations, floor_covariances
+from data.result import Failure, Innovations, Run
+from data.sensors import RelativePoint
+from eval.replay.laser.backends import over_frames
+from eval.replay.laser.front_end import run_front_end
+from eval.replay.laser.parameters import LaserParameters
+from eval.replay.settings import Setup
+
+
+class CornerLog(NamedTuple):
+    """Key poses as frames of a landmark log, the chain that leads to all other frames, and what it took [s]."""
+
+    inputs: Inputs
+    chain: Chain
+    seconds: float
+
+
+def corner_log(inputs: Inputs, setup: Setup) -> CornerLog:
+    """A laser log with the corners of its key scans for observations (body frame) and scan matching for increments.
+
+    Neither loop closures nor wheel odometry are in it: what closes a loop is that a corner is known again.
+    """
+    scans = inputs.scans
+    assert scans is not None
+    front = run_front_end(inputs, LaserParameters(keyframe_distance=setup.keyframe_distance))
+    chain = front.chain
+    seen = [(k, *corners(r, scans.scanner)) for k, f in enumerate(chain.frame) if (r := scans.of(int(f))) is not None]
+    z = np.concatenate([np.empty((0, 2)), *(xy for _, xy, _ in seen)])
+    R = np.concatenate([np.empty((0, 2, 2)), *(R for _, _, R in seen)])
+    frame = np.repeat(np.array([k for k, _, _ in seen], np.int64), [len(xy) for _, xy, _ in seen])
+    covariance, floored = floor_covariances(chain.covariance, inputs.covariance_floor)
+    lever = float(np.hypot(*scans.scanner.translation))
+    given = Inputs(
+        inputs.prior, inputs.time[chain.frame], Increments(chain.motion, covariance), Observations(frame, z, R),
+        RelativePoint(max_range=scans.scanner.max_range + lever), time_is_index=inputs.time_is_index,
+        covariance_floor=inputs.covariance_floor, floored=floored,
+    )  # fmt: skip
+    return CornerLog(given, chain, float(front.seconds.sum()))
+
+
+def at_all_frames(run: Run, corners: CornerLog, frames: int) -> LaserRun:
+    """A run over key poses as one over all frames: each hangs on its key pose; decisions about corners stay inside.
+
+    Dead reckoning here is that of scan matching alone.
+    """
+    chain, of = corners.chain, corners.chain.frame
+    paths = {p: over_frames(chain, t.pose, t.covariance) for p in run.phases if (t := run.trajectory(p)) is not None}
+    none = np.empty(0, np.int64)
+    given = {f.name: getattr(run, f.name) for f in fields(Run)}
+    given |= {
+        "online": paths.get("online"), "final": paths.get("final"), "decisions": none, "final_decisions": none,
+        "created": none, "removed": None, "events": (), "seconds": run.seconds + corners.seconds,
+        "state_size": None if run.state_size is None else run.state_size[chain.key],
+        "failure": _at(run.failure, corners), "doubt": _at(run.doubt, corners),
+    }  # fmt: skip
+    if run.innovations is not None:
+        nis, dof = np.full(frames, np.nan), np.zeros(frames, np.int64)
+        likelihood = np.full(frames, np.nan)
+        nis[of], dof[of], likelihood[of] = run.innovations.nis, run.innovations.dof, run.innovations.log_likelihood
+        given["innovations"] = Innovations(nis, dof, likelihood, np.empty((0, 2)))
+    if run.map is not None:
+        given["map"] = replace(run.map, first_frame=of[np.maximum(run.map.first_frame, 0)])
+    seen = len(corners.inputs.observations.frame)
+    given["notes"] = (*run.notes, f"{seen} corners in {len(of)} key scans, scan matching for odometry")
+    return LaserRun(**given)
+
+
+def _at(failure: Failure | None, corners: CornerLog) -> Failure | None:
+    """The same at the frame of its key pose."""
+    return None if failure is None else failure._replace(frame=int(corners.chain.frame[failure.frame]))
