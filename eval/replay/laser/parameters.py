@@ -27,7 +27,7 @@ class LaserParameters:
             beyond it a correlative search covers them, up to `widest` either way.
         least_correlation, loop_share, most_contradiction: of a loop closure: score of the search, share of points that
             fit, share of beams that contradict.
-        loosest: largest standard deviation of a closure's place in its worst direction, before its covariance is scaled.
+        loosest: largest standard deviation of a closure's place in its worst direction, before scaling.
         gate: chi-square of three degrees of freedom, closure against the graph.
         pair_gate: the same of the circle through two closures.
         wait: key poses after which a closure that found no second one is given up.
