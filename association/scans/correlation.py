@@ -14,7 +14,7 @@ from data.se2 import Array
 CELL = 0.1
 """m, of the finest grid; point-to-line matching converges from there."""
 SPREAD = 0.1
-"""m, standard deviation of the bell around each reference point: as far as two pictures of a wall differ on the grid."""
+"""m, standard deviation of the bell around each reference point: what the grid and the scans differ by."""
 LEVELS = 6
 """Grids, each pooled over twice the cells of the one before: the coarsest looks at 3.2 m at once."""
 HIGHEST = 100
@@ -22,7 +22,7 @@ HIGHEST = 100
 
 
 class Pyramid(NamedTuple):
-    """Scores (LEVELS, n, n) uint8 about the frame's origin; level h at (i, j) is the most over 2^h cells on from there."""
+    """Scores (LEVELS, n, n) uint8 about the frame's origin; at (h, i, j) the most of the 2^h cells on from there."""
 
     grid: NDArray[np.uint8]
     half: float
@@ -30,7 +30,7 @@ class Pyramid(NamedTuple):
 
 def pyramid(xy: Array, half: float) -> Pyramid:
     """Score grids of reference points (P, 2) inside a square of -half .. half metres."""
-    side = 2 * int(math.ceil(half / CELL))
+    side = 2 * math.ceil(half / CELL)
     return Pyramid(_pyramid(xy, side), 0.5 * side * CELL)
 
 
@@ -42,7 +42,7 @@ def best_pose(points: Array, reference: Pyramid, centre: Array, window: Array, l
     """
     far = math.sqrt(float((points**2).sum(axis=1).max(initial=1.0)))
     step = CELL / max(far, 1.0)
-    turns = int(math.ceil(window[2] / step))
+    turns = math.ceil(window[2] / step)
     angles = centre[2] + step * np.arange(-turns, turns + 1)
     reach = np.ceil(window[:2] / CELL).astype(np.int64)
     floor = least * len(points) * HIGHEST
@@ -54,10 +54,10 @@ def best_pose(points: Array, reference: Pyramid, centre: Array, window: Array, l
 def _pyramid(xy, side):  # type: ignore[no-untyped-def]
     grid = np.zeros((LEVELS, side, side), np.uint8)
     half = 0.5 * side * CELL
-    r = int(math.ceil(2.0 * SPREAD / CELL))
+    r = math.ceil(2.0 * SPREAD / CELL)
     for k in range(len(xy)):
         x, y = xy[k, 0] + half, xy[k, 1] + half
-        ci, cj = int(math.floor(x / CELL)), int(math.floor(y / CELL))
+        ci, cj = math.floor(x / CELL), math.floor(y / CELL)
         for i in range(max(ci - r, 0), min(ci + r + 1, side)):
             for j in range(max(cj - r, 0), min(cj + r + 1, side)):
                 dx, dy = (i + 0.5) * CELL - x, (j + 0.5) * CELL - y
@@ -104,7 +104,7 @@ def _search(points, grid, half, centre, angles, reach_x, reach_y, floor):  # typ
         for k in range(n):
             x = c * points[k, 0] - s * points[k, 1] + centre[0] + half
             y = s * points[k, 0] + c * points[k, 1] + centre[1] + half
-            cells[a, k, 0], cells[a, k, 1] = int(math.floor(x / CELL)), int(math.floor(y / CELL))
+            cells[a, k, 0], cells[a, k, 1] = math.floor(x / CELL), math.floor(y / CELL)
         for p in range(nx):
             for q in range(ny):
                 bound[(a * nx + p) * ny + q] = _score(cells[a], grid, top, p * size - reach_x, q * size - reach_y)

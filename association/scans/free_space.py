@@ -15,8 +15,8 @@ TOLERANCE_SHARE = 0.05
 """... this share of its range, to contradict it: what a heading error and a grazing wall make."""
 
 
-def contradiction(ranges: Array, others: Array, relative: Array, scanner: Scanner, max_range: float) -> tuple[float, int]:
-    """Share of the shared beams of two scans (B,) that contradict, and how many are shared.
+def contradiction(ranges: Array, others: Array, relative: Array, scanner: Scanner, max_range: float) -> float:
+    """Share of the shared beams of two scans (B,) that contradict, 0 where none is shared.
 
     `relative` (3,) is the body's pose at the second scan in its frame at the first. Each end point of either scan is
     looked up in the other: nearer than that beam's surface (and its neighbours') it contradicts, at the same range it
@@ -26,7 +26,7 @@ def contradiction(ranges: Array, others: Array, relative: Array, scanner: Scanne
         ranges, others, relative, scanner.angle_min, scanner.angle_step, scanner.rotation,
         scanner.translation[0], scanner.translation[1], max_range,
     )  # fmt: skip
-    return against / max(seen, 1), seen
+    return float(against / max(seen, 1))
 
 
 @numba.njit(cache=True)
@@ -51,7 +51,7 @@ def _compare(ranges, others, relative, first, step, rotation, tx, ty, max_range)
             x, y = c0 * x - s0 * y + tx, s0 * x + c0 * y + ty
             bearing = math.atan2(y, x) - first
             bearing -= 2.0 * math.pi * math.floor(bearing / (2.0 * math.pi)) if step > 0.0 else 0.0
-            i = int(math.floor(bearing / step + 0.5))
+            i = math.floor(bearing / step + 0.5)
             if i < 1 or i > n - 2:
                 continue
             r = math.sqrt(x * x + y * y)

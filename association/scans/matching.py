@@ -15,7 +15,7 @@ from data.se2 import Array, wrap_angle
 SAME_SIDE = 0.5
 """Smallest cosine between two normals that may belong to one surface (60 degrees): never the other side of a wall."""
 WIDE, NARROW = 0.3, 0.03
-"""m, the Cauchy scale of the first and of the later iterations: first find the place, then let only good pairs speak."""
+"""m, the Cauchy scale of the first and of the later iterations: first find the place, then count good pairs only."""
 ITERATIONS = 30
 SMALL_STEP = 1e-5
 """m and rad: a step below it ends the iterations; a hundredth of the spread that a match has."""
@@ -54,7 +54,7 @@ def match(
     distance's standard deviation.
     """
     pose, hessian, cost, share = _match(
-        points.xy, points.normal, reference.xy, reference.normal, reference.index, reference.half, reference.cell,
+        points.xy, points.normal, reference.xy, reference.normal, reference.nearest, reference.half, reference.cell,
         start, prior.mean, prior.information, sigma, prior_scale,
     )  # fmt: skip
     pose[2] = wrap_angle(float(pose[2]))
@@ -79,7 +79,7 @@ def _match(xy, normal, r_xy, r_normal, index, half, cell, start, mean, informati
         for k in range(len(xy)):
             rx, ry = c * xy[k, 0] - s * xy[k, 1], s * xy[k, 0] + c * xy[k, 1]
             qx, qy = rx + x, ry + y
-            i, j = int(math.floor((qx + half) / cell)), int(math.floor((qy + half) / cell))
+            i, j = math.floor((qx + half) / cell), math.floor((qy + half) / cell)
             if i < 0 or j < 0 or i >= side or j >= side or index[i, j] < 0:
                 cost += 1.0
                 continue

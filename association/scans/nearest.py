@@ -1,4 +1,4 @@
-"""A grid that knows for each of its cells the nearest reference point: a look-up where a search tree would be walked."""
+"""A grid that knows for each of its cells the nearest reference point: a look-up instead of a search."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 from data.se2 import Array
 
 CELL = 0.05
-"""m; the nearest point is that of the cell's centre, so it can be another by half a cell: along a line that is no error."""
+"""m; the nearest point is that of the cell's centre, half a cell off at most: no error along a line."""
 
 
 class Reference(NamedTuple):
     """Points (P, 2) with normals (P, 2) in one frame, and the grid over them.
 
-    `index` (n, n) int32 holds the number of the point nearest to the cell's centre, -1 beyond `reach`; the grid spans
+    `nearest` (n, n) int32 holds the number of the point nearest to the cell's centre, -1 beyond `reach`; the grid spans
     -half .. half metres about the frame's origin.
     """
 
     xy: Array
     normal: Array
-    index: NDArray[np.int32]
+    nearest: NDArray[np.int32]
     half: float
     cell: float
 

@@ -12,7 +12,7 @@ from data.inputs import Scanner
 from data.se2 import Array
 
 NEIGHBOUR_RADIUS = 0.2
-"""m, half the length of surface over which a normal is fitted: ten times a scanner's noise, less than a door leaf."""
+"""m, half the length of surface over which a normal is fitted: ten times a scanner's noise."""
 LEAST_NEIGHBOURS, MOST_NEIGHBOURS = 2, 12
 """Beams on either side that may lie further off than that, as on far surfaces, and that are looked at at most."""
 GAP_SPACINGS = 6.0
@@ -31,7 +31,7 @@ class Points(NamedTuple):
 
 
 class Beams(NamedTuple):
-    """Unit directions (B, 2) of the beams in the body frame, their spacing [rad], and the scanner's place (2,) there."""
+    """Unit directions (B, 2) of the beams, their spacing [rad], and the scanner's place (2,) [m]; body frame."""
 
     direction: Array
     step: float
@@ -48,7 +48,7 @@ def beams_of(scanner: Scanner, number: int) -> Beams:
 
 
 def scan_points(ranges: Array, beams: Beams, max_range: float) -> Points:
-    """Points and normals of a scan (B,) [m]; returns beyond `max_range` and points without a flat surface left out.
+    """Points and normals of a scan (B,) [m]; without returns beyond `max_range` and points off flat surfaces.
 
     The normal is the smaller principal axis of the unbroken run of neighbours around the point, and the point is moved
     along it onto the line through them: a third less noise in the heading that matching finds.

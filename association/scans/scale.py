@@ -19,7 +19,8 @@ def residuals(poses: Array, key1: IntArray, key2: IntArray, relative: Array, cov
     """Squared Mahalanobis distances (E,) of relative poses (E, 3) with covariances (E, 3, 3) from key poses (K, 3)."""
     error = between(poses[key1], poses[key2]) - relative
     error[:, 2] = wrap_angle(error[:, 2])
-    return np.einsum("ki,ki->k", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0])
+    d2: Array = np.einsum("ki,ki->k", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0])
+    return d2
 
 
 def learned_scale(d2: Array, closures: int) -> tuple[float, float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 import math
+from typing import TypeVar
 
 import numba
 import numpy as np
@@ -11,8 +12,10 @@ import numpy as np
 from data.inputs import IntArray
 from data.se2 import Array
 
+AnyArray = TypeVar("AnyArray", Array, IntArray)
+
 LEVER = 2.0
-"""m, what a heading error is weighed with when paths are compared: the distance of the surfaces a scan is matched by."""
+"""m, what a heading error is weighed with when paths are compared: how far a scan sees surfaces."""
 
 
 class PoseEdges:
@@ -63,7 +66,7 @@ def inverse_covariance(pose: Array, covariance: Array) -> Array:
     return out
 
 
-def _doubled(array):  # type: ignore[no-untyped-def]
+def _doubled(array: AnyArray) -> AnyArray:
     return np.concatenate([array, np.zeros_like(array)])
 
 

@@ -56,6 +56,7 @@ class LoopCloser:
         self._motion: list[Array] = []
         self._grid = NearestGrid(parameters.max_range + 2.0, 0.3)
         self._pyramids: dict[int, Pyramid] = {}
+        self._poses = np.zeros((0, 3))
         self.centres = np.zeros((0, 2))
 
     def add_key(self, ranges: Array, points: Points, motion: Array, covariance: Array) -> None:
@@ -113,11 +114,11 @@ class LoopCloser:
                 return None
         reference = self._grid.reference(around.xy, around.normal)
         result = match(new.points, reference, start, MotionPrior(start, NO_PRIOR), self.sigma, 1e3)
-        against, shared = contradiction(self._keys[key1].ranges, new.ranges, result.pose, self.scanner, p.max_range)
+        against = contradiction(self._keys[key1].ranges, new.ranges, result.pose, self.scanner, p.max_range)
         error = result.pose - expected
         error[2] = wrap_angle(float(error[2]))
         d2 = error @ np.linalg.solve(covariance + result.covariance, error)
-        if np.linalg.eigvalsh(result.covariance[:2, :2])[1] > p.loosest**2:
+        if np.linalg.eigvalsh(result.covariance[:2, :2])[1] > p.variance_scale * p.loosest**2:
             return None
         if result.share < p.loop_share or against > p.most_contradiction or d2 > p.gate:
             return None

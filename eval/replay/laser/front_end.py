@@ -69,7 +69,7 @@ def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult
         seen = scan_points(ranges, beams, p.max_range)
         if scanned:
             tracker.correct(seen)
-        if frame == 0 or (scanned and tracker.is_far):
+        if frame == 0 or (scanned and tracker.is_due):
             motion, covariance = tracker.pose, tracker.covariance
             frames.append(frame)
             motions.append(motion)

@@ -27,7 +27,7 @@ class LaserParameters:
             beyond it a correlative search covers them, up to `widest` either way.
         least_correlation, loop_share, most_contradiction: of a loop closure: score of the search, share of points that
             fit, share of beams that contradict.
-        loosest: largest standard deviation of a closure's place, in its worst direction.
+        loosest: largest standard deviation of a closure's place in its worst direction, before scaling.
         gate: chi-square of three degrees of freedom, closure against the graph.
         pair_gate: the same of the circle through two closures.
         wait: key poses after which a closure that found no second one is given up.
@@ -52,7 +52,7 @@ class LaserParameters:
     least_correlation: float = 0.4
     loop_share: float = 0.5
     most_contradiction: float = 0.1
-    loosest: float = 0.1
+    loosest: float = 0.045
     gate: float = 16.27
     pair_gate: float = 11.34
     wait: int = 15

@@ -50,7 +50,7 @@ class Tracker:
         """Match the frame's scan; False where it does not fit and the prediction stays."""
         if not self._keys or len(points.xy) == 0:
             return False
-        prior = MotionPrior(self.pose, np.linalg.inv(self.covariance + 1e-10 * np.eye(3)))
+        prior = MotionPrior(self.pose, np.asarray(np.linalg.inv(self.covariance + 1e-10 * np.eye(3)), float))
         best = self._match(points, self.pose, prior)
         start = self._matched
         for _ in range(self._frames):
@@ -79,9 +79,11 @@ class Tracker:
         return match(points, self._reference, start, prior, self.sigma, scale)
 
     @property
-    def is_far(self) -> bool:
-        """Whether the next key pose is due."""
+    def is_due(self) -> bool:
+        """Whether the next key pose is due: the newest one is far, or nothing has been seen yet."""
         p = self.parameters
+        if not any(len(k.xy) for k in self._keys):
+            return True
         far = math.hypot(self.pose[0], self.pose[1]) >= p.keyframe_distance
         return far or abs(float(self.pose[2])) >= p.keyframe_angle
 
@@ -100,4 +102,5 @@ class Tracker:
 def rotated(theta: float, vectors: Array) -> Array:
     """Vectors (n, 2) turned by theta [rad]."""
     c, s = math.cos(theta), math.sin(theta)
-    return vectors @ np.array([[c, s], [-s, c]])
+    turned: Array = vectors @ np.array([[c, s], [-s, c]])
+    return turned
