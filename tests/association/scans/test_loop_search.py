@@ -48,6 +48,8 @@ def test_uncertainty_follows_the_surest_path_whichever_way_its_edges_point() -> 
         C, pose = compose_covariances(pose, C, relative[k], covariance[k]), compose(pose, relative[k])
     np.testing.assert_allclose(edges.project(0, 100)[99], C, rtol=1e-9)
     np.testing.assert_allclose(edges.project(99, 100)[0], inverse_covariance(pose, C), rtol=1e-6, atol=1e-9)
+    edges.add(0, 99, pose, 1e4 * np.eye(3))
+    np.testing.assert_allclose(edges.project(0, 100)[99], C, rtol=1e-9)
     short = 1e-6 * np.eye(3)
     edges.add(2, 90, np.array([1.0, 2.0, 0.5]), short)
     expected = inverse_covariance(np.array([1.0, 2.0, 0.5]), short)
