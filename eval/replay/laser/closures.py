@@ -34,7 +34,7 @@ class KeyScan:
 
 @dataclass
 class Closure:
-    """A loop closure that was looked at; `believed` as in `Loops`."""
+    """A loop closure that was looked at; `believed` as in `Loops`. `refused`: it did not fit, or not alone for sure."""
 
     key1: int
     key2: int
@@ -42,6 +42,7 @@ class Closure:
     covariance: Array
     score: float
     believed: int = -1
+    refused: bool = False
 
 
 class LoopCloser:
@@ -51,7 +52,7 @@ class LoopCloser:
         self.parameters, self.scanner = parameters, scanner
         self.sigma = parameters.distance_sigma(scanner.sigma)
         self.edges = PoseEdges()
-        self.closures: list[Closure] = []
+        self.looked_at: list[Closure] = []
         self._keys: list[KeyScan] = []
         self._motion: list[Array] = []
         self._grid = NearestGrid(parameters.max_range + 2.0, 0.3)
@@ -86,12 +87,14 @@ class LoopCloser:
         found = []
         for key in nearest_first(distance, p.loop_apart, p.loops_per_key):
             closure = self._close(int(key), newest, poses, covariance[key])
-            if closure is not None:
+            if closure.refused:
+                self.looked_at.append(closure)
+            else:
                 found.append(closure)
         return self._believe(found, covariance)
 
-    def _close(self, key1: int, key2: int, poses: Array, inverted: Array) -> Closure | None:
-        """Match the scan of key2 to those around key1; None where it does not fit."""
+    def _close(self, key1: int, key2: int, poses: Array, inverted: Array) -> Closure:
+        """Match the scan of key2 to those around key1."""
         p = self.parameters
         expected = between(poses[key1], poses[key2])
         expected[2] = wrap_angle(float(expected[2]))
@@ -110,19 +113,17 @@ class LoopCloser:
             xy = xy[np.hypot(xy[:, 0], xy[:, 1]) < 10.0]
             xy = xy[:: max(len(xy) // 90, 1)]
             start, score = best_pose(xy, self._pyramids[key1], expected, window, p.least_correlation)
-            if score == 0.0:
-                return None
+            if score == 0.0:  # nowhere in the window: what is known is what was expected
+                return Closure(key1, key2, expected, covariance, 0.0, refused=True)
         reference = self._grid.reference(around.xy, around.normal)
         result = match(new.points, reference, start, MotionPrior(start, NO_PRIOR), self.sigma, 1e3)
         against = contradiction(self._keys[key1].ranges, new.ranges, result.pose, self.scanner, p.max_range)
         error = result.pose - expected
         error[2] = wrap_angle(float(error[2]))
         d2 = error @ np.linalg.solve(covariance + result.covariance, error)
-        if np.linalg.eigvalsh(result.covariance[:2, :2])[1] > p.variance_scale * p.loosest**2:
-            return None
-        if result.share < p.loop_share or against > p.most_contradiction or d2 > p.gate:
-            return None
-        return Closure(key1, key2, result.pose, result.covariance, result.share)
+        loose = np.linalg.eigvalsh(result.covariance[:2, :2])[1] > p.variance_scale * p.loosest**2
+        misfit = result.share < p.loop_share or against > p.most_contradiction or d2 > p.gate
+        return Closure(key1, key2, result.pose, result.covariance, result.share, refused=bool(loose or misfit))
 
     def _around(self, key: int) -> Points:
         """The points of the key scans within two of `key`, in its frame, along the chain."""
@@ -146,9 +147,11 @@ class LoopCloser:
         believed: list[Closure] = []
         for new in found:
             from_key1 = None
-            for old in reversed(self.closures):
+            for old in reversed(self.looked_at):
                 if newest - old.key2 > p.wait:
                     break
+                if old.refused:
+                    continue
                 if old.key2 == new.key2 or (old.believed >= 0 and new.believed >= 0):
                     continue
                 if from_key1 is None:
@@ -158,7 +161,7 @@ class LoopCloser:
                         if c.believed < 0:
                             c.believed = newest
                             believed.append(c)
-            self.closures.append(new)
+            self.looked_at.append(new)
         for c in believed:
             self.edges.add(c.key1, c.key2, c.relative, c.covariance)
         return believed
@@ -181,7 +184,7 @@ class LoopCloser:
 
     def loops(self) -> Loops:
         """All closures in the order of their finding."""
-        c = self.closures
+        c = self.looked_at
         return Loops(
             np.array([x.key1 for x in c], np.int64), np.array([x.key2 for x in c], np.int64),
             np.array([x.relative for x in c]).reshape(-1, 3), np.array([x.covariance for x in c]).reshape(-1, 3, 3),

@@ -54,7 +54,7 @@ class LaserParameters:
     least_correlation: float = 0.4
     loop_share: float = 0.5
     most_contradiction: float = 0.1
-    loosest: float = 0.045
+    loosest: float = 0.02
     gate: float = 16.27
     pair_gate: float = 11.34
     wait: int = 15
