@@ -14,7 +14,7 @@ from data.se2 import Array
 from data.worlds.registry import named_log
 from eval.referee.consistency import mean_or_nan, nees, verdict
 from eval.referee.errors import aligned_rmse, position_distance, rms
-from eval.referee.laser.closures import ClosureCounts, count_closures, revisits
+from eval.referee.laser.closures import ClosureCounts, count_closures, revisits, scan_points_of
 from eval.referee.laser.factors import chain_squares, factor_nees, loop_squares
 from eval.replay.run import compare
 
@@ -55,14 +55,7 @@ def measure_plan(name: str) -> PlanRun:
     assert isam2.frame_seconds is not None
     assert log.recorded.scans is not None
     final, online, keys = isam2.trajectory("final"), isam2.trajectory("online"), truth[isam2.chain.frame]
-    scans = log.recorded.scans
-    angle = scans.scanner.angle_min + scans.scanner.angle_step * np.arange(scans.ranges.shape[1])
-    direction = np.stack([np.cos(angle), np.sin(angle)], 1)
-    points = []
-    for frame in isam2.chain.frame.tolist():
-        ranges = scans.of(frame)
-        assert ranges is not None
-        points.append((ranges[:, None] * direction)[ranges > 0.0])
+    points = scan_points_of(log.recorded.scans, isam2.chain.frame)
 
     def error(pose: Array) -> float:
         return rms(position_distance(pose, truth))
@@ -73,7 +66,7 @@ def measure_plan(name: str) -> PlanRun:
         mean_or_nan(nees(final.pose, final.covariance, truth, "pose")),
         mean_or_nan(nees(online.pose, online.covariance, truth, "pose")),
         chain_squares(isam2.chain, keys), loop_squares(isam2.loops, keys),
-        count_closures(isam2.loops, keys, revisits(keys, points)), isam2.scale or (np.nan, np.nan),
+        count_closures(isam2.loops, keys, revisits(keys, points), points), isam2.scale or (np.nan, np.nan),
         float(isam2.frame_seconds.sum()), float(log.recorded.time[-1] - log.recorded.time[0]),
     )  # fmt: skip
 
@@ -103,7 +96,8 @@ def plan_lines(found: Sequence[PlanRun]) -> list[str]:
         )
     lines.append(
         f"loop closures: {counts.tp} TP, {counts.fp} FP, {counts.tn} TN, {counts.fn} FN; precision"
-        f" {100 * counts.precision:.2f} %, {100 * counts.recall:.1f} % of {counts.possible} possible revisits closed"
+        f" {100 * counts.precision:.2f} %, recall {100 * counts.recall_of_found:.1f} %;"
+        f" {100 * counts.recall:.1f} % of {counts.possible} possible revisits closed"
     )
     scale = np.array([r.scale[0] for r in found])
     lines.append(

@@ -92,6 +92,7 @@ STYLES: dict[str, Style] = {
 METHOD_COLOURS = {
     "known": "#000000", "nn": "#D55E00", "ml": "#E69F00", "ml-ratio": "#7B3F00", "singles": "#CC79A7", "gnn": "#999933",
     "jcbb": "#0072B2", "jcbb-first": "#56B4E9", "jcbb-hindsight": "#332288",
+    "scan": "#117733",
 }  # fmt: skip
 """Ways of association, where lines tell these apart and not the estimators; independent tests warm, joint ones blue."""
 OTHER_METHOD = "#707070"

@@ -4,7 +4,9 @@
     right       TP                                    FN
     wrong       FP                                    TN
 
-over all loop closures that were looked at; precision is TP / (TP + FP). A loop closure is right if what it says of the
+over all loop closures that were looked at; precision is TP / (TP + FP). Of those not believed only such count as right
+whose two scans show the same (as defined for revisits below): with less in common there was nothing to know. A loop
+closure is right if what it says of the
 two poses is near the truth, or no farther from it than its own covariance lets expect: an honest match along a corridor
 may be a metre off. Recall over what was looked at, TP / (TP + FN), says nothing of the loops that nobody looked for, so
 the second one is over places: of the key poses from which an earlier, long past one could have been recognized, the
@@ -14,6 +16,7 @@ share that a right and believed loop closure leads to.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,8 +24,8 @@ from scipy.spatial import cKDTree
 
 from association.expectation import gate_threshold
 from association.scans.constraints import Loops
-from data.inputs import IntArray
-from data.se2 import Array, BoolArray, between, transform_points, wrap_angle
+from data.inputs import IntArray, Scans
+from data.se2 import Array, BoolArray, between, inverse, transform_points, wrap_angle
 from eval.referee.consistency import squared_distance
 
 NEAR_M, NEAR_RAD = 0.15, 0.02
@@ -90,9 +93,43 @@ def closure_errors(loops: Loops, truth: Array) -> Array:
     return error
 
 
-def count_closures(loops: Loops, truth: Array, possible: BoolArray | None = None) -> ClosureCounts:
-    """Counts against true key poses (K, 3), with `possible` (K,) from `revisits`; None: those are not counted."""
+def knowable(loops: Loops, truth: Array, points: Sequence[Array]) -> BoolArray:
+    """Which loop closures (L,) are between key poses whose scans (P, 2) show the same at the true poses (K, 3)."""
+    trees: dict[int, cKDTree] = {}
+    found = np.zeros(len(loops), np.bool_)
+    for i, (a, b) in enumerate(zip(loops.key1.tolist(), loops.key2.tolist(), strict=True)):
+        if a not in trees:
+            trees[a] = cKDTree(points[a])
+        found[i] = fits(points[a], points[b], between(truth[a], truth[b]), trees[a])
+    return found
+
+
+def scan_points_of(scans: Scans, frames: IntArray) -> list[Array]:
+    """Points (P, 2) of each frame's scan, body frame; none where there is no scan."""
+    scanner = scans.scanner
+    angle = scanner.angle_min + scanner.angle_step * np.arange(scans.ranges.shape[1])
+    direction = np.stack([np.cos(angle), np.sin(angle)], 1)
+    mounted = inverse(np.array([*scanner.translation, scanner.rotation]))
+    points = []
+    for frame in frames.tolist():
+        ranges = scans.of(frame)
+        if ranges is None:
+            points.append(np.empty((0, 2)))
+            continue
+        points.append(transform_points(mounted, (ranges[:, None] * direction)[ranges > 0.0]))
+    return points
+
+
+def count_closures(
+    loops: Loops, truth: Array, possible: BoolArray | None = None, points: Sequence[Array] | None = None
+) -> ClosureCounts:
+    """Counts against true key poses (K, 3), with `possible` (K,) from `revisits`; None: those are not counted.
+
+    With the scans' `points` those not believed are right only if they are `knowable`.
+    """
     right, believed = right_closures(loops, truth), loops.believed >= 0
+    if points is not None:
+        right &= believed | knowable(loops, truth, points)
     counts = (
         int((right & believed).sum()), int((~right & believed).sum()),
         int((~right & ~believed).sum()), int((right & ~believed).sum()),

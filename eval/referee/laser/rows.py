@@ -11,7 +11,7 @@ from association.scans.laser_run import LaserRun
 from data.log import Log
 from data.result import Run
 from data.se2 import Array, BoolArray
-from eval.referee.laser.closures import right_closures
+from eval.referee.laser.closures import knowable, right_closures, scan_points_of
 from eval.referee.laser.relations import SUBSETS, TIES, relation_errors
 
 RELATIONS = (
@@ -68,6 +68,9 @@ def closure_counts(run: LaserRun, log: Log, phase: str) -> dict[str, object] | N
     if not np.isfinite(keys[ends]).all():
         return None
     right, believed = right_closures(loops, keys), kept(loops, run.weight, phase)
+    if log.recorded.scans is not None:
+        joined = loops.believed >= 0
+        right &= joined | knowable(loops, keys, scan_points_of(log.recorded.scans, run.chain.frame))
     tp, fp = int((right & believed).sum()), int((~right & believed).sum())
     tn, fn = int((~right & ~believed).sum()), int((right & ~believed).sum())
     return {
