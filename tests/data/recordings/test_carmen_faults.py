@@ -76,8 +76,8 @@ def test_a_fault_in_a_line_with_its_own_geometry_is_named(tmp_path, line, messag
         ("empty.log", b"", "no line of a laser scan"),
         ("late.log", f"{FIRST}\n{odom(0, 0, 0, 1.0)}\n".encode(), "no scan after the first ODOM line"),
         ("plain.log.gz", SMALL.encode(), "not a gzip file, though named so"),
-        ("cut.log.gz", gzip.compress(SMALL.encode())[:-20], "the gzip file is broken or cut off"),
-        ("bent.log.gz", gzip.compress(SMALL.encode())[:10] + bytes(40), "the gzip file is broken or cut off"),
+        ("cut.log.gz", gzip.compress(SMALL.encode(), mtime=0)[:-20], "the gzip file is broken or cut off"),
+        ("bent.log.gz", gzip.compress(SMALL.encode(), mtime=0)[:10] + bytes(40), "the gzip file is broken or cut off"),
         ("noise.log", bytes(range(256)), "no line of a laser scan"),
     ],
 )
