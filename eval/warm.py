@@ -65,6 +65,7 @@ def _warm_laser() -> None:
     """Every back end on a short drive with loop closures, corners as landmarks, and the grid."""
     import numpy as np
 
+    from association.scans.correlation import best_pose, pyramid
     from association.scans.laser_run import SCAN
     from association.scans.occupancy import occupancy_grid
     from data.worlds.registry import named_log
@@ -74,6 +75,9 @@ def _warm_laser() -> None:
     inputs = named_log("floorplan:0:frames=600").recorded
     compare(inputs, "slam", ("dead-reckoning", "ekf", "isam2", "fixed-lag", *BATCH), SCAN)
     compare(inputs, "slam", ("ekf",), "jcbb")
+    # a search that a short drive does not need
+    corner = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+    best_pose(corner, pyramid(corner, 2.0), np.zeros(3), np.array([0.2, 0.2, 0.1]), 0.4)
     if inputs.scans is not None:
         occupancy_grid(np.zeros((1, 3)), inputs.scans.ranges[:1], inputs.scans.scanner)
 
