@@ -108,6 +108,7 @@ def test_an_exact_prior_is_said(tmp_path):
     assert any("prior is exact" in note for note in trust.notes)
 
 
+@pytest.mark.slow
 def test_with_a_scheduler_twins_are_drawn_on_the_cluster(outcome, unmeasured, tmp_path, monkeypatch):
     asked = []
 

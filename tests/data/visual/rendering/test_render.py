@@ -82,7 +82,7 @@ class TestImagesAreTrueToTheGeometry:
         assert np.abs(np.median(shifts, axis=0)).max() < 0.03
         assert np.abs(shifts).max() < 0.1
 
-    @pytest.mark.parametrize("near", [False, True])
+    @pytest.mark.parametrize("near", [pytest.param(False, marks=pytest.mark.slow), True])
     def test_every_pixel_of_a_picture_has_its_colour_be_it_cut_by_the_images_edge_or_reach_behind_us(self, clean, near):
         recording = clean
         if near:  # close along a wall with large pictures

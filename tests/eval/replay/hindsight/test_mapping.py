@@ -93,7 +93,8 @@ def test_what_was_seen_in_one_frame_is_never_merged(world, runs):
     assert all(not frames[a] & frames[b] for a, b in at.items())
 
 
-@pytest.mark.parametrize("lag", [30.0, pytest.param(1e4, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("lag", [30.0, 1e4])
 def test_a_fixed_lag_smoother_merges_what_has_left_its_window(world, runs, lag):
     run = step_by_step("fixed-lag", world[0], "slam", METHOD, Setup(lag=lag))
     assert run.failure is None
@@ -102,7 +103,13 @@ def test_a_fixed_lag_smoother_merges_what_has_left_its_window(world, runs, lag):
         np.testing.assert_allclose(run.map.xy, runs["isam2"].map.xy, atol=0.05)
 
 
-@pytest.mark.parametrize("setup", [Setup(deactivate_after=40.0), Setup(forget_after=200.0), Setup(maintain=True)])
+@pytest.mark.parametrize(
+    "setup",
+    [
+        Setup(deactivate_after=40.0),
+        *(pytest.param(s, marks=pytest.mark.slow) for s in (Setup(forget_after=200.0), Setup(maintain=True))),
+    ],
+)
 def test_merging_goes_with_the_other_ways_out_of_the_map(world, setup):
     run = step_by_step("ekf", world[0], "slam", METHOD, setup)
     assert run.failure is None
