@@ -43,7 +43,7 @@ def rms(pose, other):
     return np.sqrt(np.mean(np.sum(se2.pose_error(pose, other)[:, :2] ** 2, 1)))
 
 
-@pytest.mark.parametrize("kind", ["range_bearing", "relative_point"])
+@pytest.mark.parametrize("kind", ["range_bearing", pytest.param("relative_point", marks=pytest.mark.slow)])
 @both_tasks
 def test_a_fifth_of_wrong_associations_does_no_harm(kind, task):
     """From the path of a filter that believed them all, where the plain smoother is off by a metre and more."""
