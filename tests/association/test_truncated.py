@@ -50,7 +50,7 @@ def _problem(rng: np.random.Generator, k: int, common: float) -> tuple[Expectati
 
 
 @pytest.mark.parametrize("method", ["nn", "singles", "gnn", "jcbb", "jcbb-first", "jcbb-hindsight"])
-@pytest.mark.parametrize("common", [0.1, 5.0])
+@pytest.mark.parametrize("common", [0.1, pytest.param(5.0, marks=pytest.mark.slow)])
 def test_what_a_method_accepts_has_the_expected_mean_and_spread(method, common):
     rng, total, mean, variance, dof = np.random.default_rng(5), 0.0, 0.0, 0.0, 0
     passed = acceptance(method, GATE)

@@ -67,6 +67,7 @@ def wait_for(ended: Callable[[], object], folder: Path, runs: int) -> int:
     return kept
 
 
+@pytest.mark.slow
 def test_numbers_do_not_depend_on_the_number_of_processes(small, tmp_path):
     with threadpool_limits(2):
         assert study(small, tmp_path / "one" / "r", "--jobs", "1") == 0

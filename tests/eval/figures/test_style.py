@@ -66,6 +66,7 @@ def drawn(tmp_path_factory):
     return files, before, dict(matplotlib.rcParams)
 
 
+@pytest.mark.slow
 def test_same_data_gives_same_bytes_in_another_process_too(drawn, tmp_path):
     assert sorted(drawn[0]) == ["map.pdf", "map.png"]
     call = f"pictures(Path({str(tmp_path)!r}))"
