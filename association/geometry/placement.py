@@ -82,7 +82,7 @@ def too_uncertain(e: Expectation, sensor: Sensor, motion: Array) -> bool:
     xy, R = sensor.body_points(e.z, e.R)
     turn, shift = motion[2, 2], math.sqrt(motion[0, 0] + motion[1, 1])
     left_out = 0.5 * math.sqrt(3.0) * turn * np.hypot(*xy.T) + shift * math.sqrt(turn)
-    return bool(np.median(left_out - np.linalg.det(R) ** 0.25) > 0.0)
+    return bool(np.median(left_out - np.maximum(np.linalg.det(R), 0.0) ** 0.25) > 0.0)
 
 
 def place(
