@@ -11,8 +11,9 @@ from data.result import Trajectory
 from graph.batch import Start, build, start_values
 from graph.engine import Engine
 from graph.factors import pose2, prior_factor
-from graph.incremental import DELICATE, SKIP, THRESHOLD
+from graph.incremental import SKIP, THRESHOLD
 from graph.optimum import in_world
+from graph.robust import is_delicate
 
 
 def bare_isam2(inputs: Inputs, decisions: IntArray, created: IntArray, *, every_frame: bool = False) -> Trajectory:
@@ -23,8 +24,7 @@ def bare_isam2(inputs: Inputs, decisions: IntArray, created: IntArray, *, every_
     bookkeeping.
     """
     problem = build(inputs, decisions, created)
-    delicate = np.linalg.eigvalsh(inputs.increments.covariance[1:]).min(initial=np.inf) < DELICATE
-    isam = Engine(THRESHOLD, SKIP, qr=bool(delicate)).isam
+    isam = Engine(THRESHOLD, SKIP, qr=is_delicate(inputs)).isam
     pose, covariance = np.empty((len(inputs), 3)), np.empty((len(inputs), 3, 3))
     graph, values, row, known = gtsam.NonlinearFactorGraph(), gtsam.Values(), 0, set()
     estimate, P = pose2(inputs.prior.mean), np.zeros((3, 3))

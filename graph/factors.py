@@ -34,11 +34,11 @@ BEACON = 1e7
 SINGULAR = 1e-13
 """m^2, rad^2. An increment that is known better than this in some direction has no information matrix to speak of."""
 NEAR = 3.0
-"""Sigmas of a range. A reading that is shorter than so many is taken as a point, see `is_point`.
-
-In parks whose trees stand on the way, searches got stuck at the kink with 1 and none with 2; 3 spares a third of steps.
-"""
-KERNELS = {"huber": noise.mEstimator.Huber.Create(1.345), "cauchy": noise.mEstimator.Cauchy.Create(1.0)}
+"""Sigmas of a range. A reading that is shorter than so many is taken as a point, see `is_point`. In parks whose trees
+stand on the way, searches got stuck at the kink with 1 and none with 2; 3 spares a third of steps."""
+HUBER, CAUCHY = 1.345, 1.0
+"""Sigmas at which the losses bend: 95 % efficient on Gaussian noise, and usual."""
+KERNELS = {"huber": noise.mEstimator.Huber.Create(HUBER), "cauchy": noise.mEstimator.Cauchy.Create(CAUCHY)}
 LOSSES = ("gaussian", *KERNELS)
 _HELD = noise.Constrained.All(2)
 
@@ -170,7 +170,7 @@ def between_factors(first_frame: int, mean: Array, covariance: Array) -> tuple[l
 
 
 def with_loss(model: gtsam.noiseModel.Base, loss: str) -> gtsam.noiseModel.Base:
-    """The noise model under a robust kernel: Huber 1.345, Cauchy 1.0 (95 % efficient, and usual), or none."""
+    """The noise model under a robust kernel: Huber, Cauchy, or none."""
     return model if loss == "gaussian" else noise.Robust.Create(KERNELS[loss], model)
 
 

@@ -36,7 +36,7 @@ def gnc(
     threshold = gate_threshold(probability)
     problem = build(inputs, decisions, created)
     used = np.flatnonzero(np.where(created >= 0, created, decisions) >= 0)
-    start, believed = _graduate(problem, start, probability, qr=_is_delicate(inputs))
+    start, believed = _graduate(problem, start, probability, qr=is_delicate(inputs))
     # block-coordinate descent on the truncated cost, from gtsam's choice: its weights need not be those of its
     # solution, and it judges the two scalars of a relative point apart
     before = np.inf
@@ -57,7 +57,7 @@ def gnc(
         before = cost
 
 
-def _is_delicate(inputs: Inputs) -> bool:
+def is_delicate(inputs: Inputs) -> bool:
     """Whether Cholesky elimination would fail so often that Levenberg-Marquardt crawls."""
     prior = np.linalg.eigvalsh(inputs.prior.covariance)
     motion = np.linalg.eigvalsh(inputs.increments.covariance[1:])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from association.scans.constraints import Chain, Loops
-from data.result import Run, Trajectory
+from data.result import Run
 from data.se2 import Array
 
 SCAN = "scan"
@@ -21,7 +21,7 @@ class LaserRun(Run):
         frame_seconds: (N,) s, of the front end at each frame, matching, loop closures and graph.
         key_pose: (K, 3) of all key poses in the end, a filter's last state, too.
         weight: (L,) of each loop closure in the end; 0: left out, NaN: never believed.
-        last: the path that belongs to `key_pose`; a smoother's final one.
+        last: (N, 3) the path that belongs to `key_pose`; a smoother's final one.
         scale: factor on the variances that scan matching claims, learned from how loop closures fit, and its standard
             error; None: not learned.
         with_gate: of a filter without a gate, the same with one, and with one and covariances as scan matching claims.
@@ -32,6 +32,6 @@ class LaserRun(Run):
     frame_seconds: Array | None = None
     key_pose: Array | None = None
     weight: Array | None = None
-    last: Trajectory | None = None
+    last: Array | None = None
     scale: tuple[float, float] | None = None
     with_gate: tuple[LaserRun, LaserRun] | None = None

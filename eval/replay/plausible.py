@@ -18,6 +18,7 @@ from data.inputs import Inputs, IntArray, LabelledObservations
 from data.result import DISCARD, Failure, Run, Trajectory, surviving
 from data.se2 import Array, BoolArray
 from ekf.whole_run import run_filter
+from graph.optimum import SUSPECT
 
 IMPLAUSIBLE = "implausible"
 """The status word."""
@@ -34,8 +35,6 @@ WILD = 10.0
 """Sigmas of a reading's own noise that a landmark may stand beyond the range, besides."""
 
 
-SUSPECT = 2.0
-"""Least cost of a smoother per degree of freedom from which on a person is told."""
 LEFT_OUT = 0.1
 """Share of the labelled readings that a gate left out, likewise: of recordings with misread labels at most 0.0012."""
 

@@ -22,7 +22,7 @@ class Setup:
         gate: of the association methods' tests.
         new_gate: outside which of every landmark an observation may start a new one.
         gate_known: of pairings by label; `auto`: `SENSED_GATE` where a sensor read the labels, which can be misread,
-            none where they are the truth (see `settled`).
+            none where they are the truth (see `settled`). In a laser log that of the EKF's loop closures.
         gate_smoothers: what that gate leaves out is left out for the smoothers, too.
         in_view: the EKF offers only landmarks in range and view as candidates, as iSAM2 always does.
         maintain: remove landmarks seen once and more than two frames ago.
@@ -50,7 +50,7 @@ class Setup:
         default="auto",
         metadata=flag(
             probability_or_auto, "P", f"gate for readings paired by label: a probability, none, or auto (default): "
-            f"{SENSED_GATE} where a sensor read the labels, else none",
+            f"{SENSED_GATE} where a sensor read the labels, else none; laser logs: of the EKF's loop closures",
         ),
     )  # fmt: skip
     gate_smoothers: bool = field(

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from data.se2 import Array, wrap_angle
-from graph.factors import LOSSES
+from graph.factors import CAUCHY, HUBER, LOSSES
 from graph.optimum import (
     ARMIJO,
     CONVERGED,
@@ -26,8 +26,6 @@ from graph.optimum import (
 )
 from graph.poses.linear import Newton, PoseProblem
 
-HUBER, CAUCHY = 1.345, 1.0
-"""Sigmas at which the losses bend, as in `graph.factors.KERNELS`."""
 CUT = 30.0
 """sigma. From Cauchy's optimum on, a loop closure further off has no weight at all. There it has 0.1 %, a pull of 3 %
 of a sigma; but two hundred false ones pull together: in grids of corridors with as many false loop closures as true

@@ -24,8 +24,9 @@ from scipy.spatial import cKDTree
 
 from association.expectation import gate_threshold
 from association.scans.constraints import Loops
+from association.scans.points import beams_of
 from data.inputs import IntArray, Scans
-from data.se2 import Array, BoolArray, between, inverse, transform_points, wrap_angle
+from data.se2 import Array, BoolArray, between, transform_points, wrap_angle
 from eval.referee.consistency import squared_distance
 
 NEAR_M, NEAR_RAD = 0.15, 0.02
@@ -106,17 +107,14 @@ def knowable(loops: Loops, truth: Array, points: Sequence[Array]) -> BoolArray:
 
 def scan_points_of(scans: Scans, frames: IntArray) -> list[Array]:
     """Points (P, 2) of each frame's scan, body frame; none where there is no scan."""
-    scanner = scans.scanner
-    angle = scanner.angle_min + scanner.angle_step * np.arange(scans.ranges.shape[1])
-    direction = np.stack([np.cos(angle), np.sin(angle)], 1)
-    mounted = inverse(np.array([*scanner.translation, scanner.rotation]))
+    beams = beams_of(scans.scanner, scans.ranges.shape[1])
     points = []
     for frame in frames.tolist():
         ranges = scans.of(frame)
         if ranges is None:
             points.append(np.empty((0, 2)))
             continue
-        points.append(transform_points(mounted, (ranges[:, None] * direction)[ranges > 0.0]))
+        points.append((beams.origin + ranges[:, None] * beams.direction)[ranges > 0.0])
     return points
 
 

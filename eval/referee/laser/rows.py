@@ -27,7 +27,7 @@ def paths_of(run: Run) -> dict[str, Array]:
     """Phase to path (N, 3); of a filter over key poses `final` is the path of its last state."""
     found = {phase: run.trajectory(phase).pose for phase in run.phases}
     if isinstance(run, LaserRun) and run.last is not None:
-        found["final"] = run.last.pose
+        found["final"] = run.last
     return found
 
 

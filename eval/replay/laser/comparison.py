@@ -12,7 +12,8 @@ from association.scans.scale import learned_scale, residuals
 from data.errors import UsageError
 from data.inputs import Inputs
 from data.result import Run
-from eval.replay.laser.backends import NAMES, Solved, backend, over_frames
+from data.se2 import compose
+from eval.replay.laser.backends import NAMES, Solved, backend
 from eval.replay.laser.front_end import FrontEndResult, run_front_end
 from eval.replay.laser.parameters import LaserParameters
 from eval.replay.laser.unscanned import between_scans
@@ -47,10 +48,11 @@ def compare_laser(inputs: Inputs, estimators: Sequence[str], setup: Setup) -> li
         if learned and run.chain is not None:
             run = replace(run, scale=(claimed, parameters.variance_scale * error))
         if name == "ekf" and gate is None:
-            twins = []
-            for given in (front, _scaled(front, 1.0 / claimed)):
-                twins.append(_run(inputs, given, backend(name, inputs, given.chain, given.loops, setup, gate=CONTRAST)))
-            run = replace(run, with_gate=(twins[0], twins[1]))
+            scaled, unscaled = (
+                _run(inputs, given, backend(name, inputs, given.chain, given.loops, setup, gate=CONTRAST))
+                for given in (front, _scaled(front, 1.0 / claimed))
+            )
+            run = replace(run, with_gate=(scaled, unscaled))
         runs.append(run)
     return runs
 
@@ -85,9 +87,9 @@ def _run(inputs: Inputs, front: FrontEndResult, solved: Solved) -> LaserRun:
     run, chain = solved.run, front.chain
     last = None
     if run.association != "none":
-        path = run.final or over_frames(chain, solved.final_keys, np.zeros((len(chain.frame), 3, 3)))
-        last = replace(path, pose=between_scans(inputs, path.pose))
-        run = replace(run, seconds=run.seconds + float(front.seconds.sum()), final=run.final and last)
+        last = between_scans(inputs, compose(solved.final_keys[chain.key], chain.since))
+        final = None if run.final is None else replace(run.final, pose=last)
+        run = replace(run, seconds=run.seconds + float(front.seconds.sum()), final=final)
     given = {f.name: getattr(run, f.name) for f in fields(Run)}
     if last is None:
         return LaserRun(**given)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from association.scans.constraints import Chain, Loops
-from association.scans.points import Points, beams_of, scan_points
+from association.scans.points import beams_of, scan_points
 from data.inputs import Inputs
 from data.se2 import Array, compose
 from eval.replay.laser.closures import LoopCloser
@@ -23,14 +23,12 @@ class FrontEndResult:
 
     Attributes:
         chain, loops: the constraints for every back end.
-        points: per key pose, its scan's surface points in the body frame.
         online: (N, 3) world pose of each frame as it was known then.
         seconds: (N,) wall time of each frame, matching, loops and graph.
     """
 
     chain: Chain
     loops: Loops
-    points: list[Points]
     online: Array
     seconds: Array
 
@@ -55,7 +53,6 @@ def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult
     frames: list[int] = []
     motions: list[Array] = []
     covariances: list[Array] = []
-    points: list[Points] = []
     key = np.zeros(count, np.int64)
     since, since_covariance = np.zeros((count, 3)), np.zeros((count, 3, 3))
     online, seconds = np.zeros((count, 3)), np.zeros(count)
@@ -74,7 +71,6 @@ def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult
             frames.append(frame)
             motions.append(motion)
             covariances.append(covariance)
-            points.append(seen)
             if frame:
                 graph.add_key(motion, covariance)
                 poses = np.concatenate([poses, compose(poses[-1], motion)[None]])
@@ -95,4 +91,4 @@ def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult
         online[frame] = compose(poses[-1], tracker.pose)
         seconds[frame] = time.perf_counter() - began
     chain = Chain(np.array(frames), np.array(motions), np.array(covariances), key, since, since_covariance)
-    return FrontEndResult(chain, closer.loops(), points, online, seconds)
+    return FrontEndResult(chain, closer.loops(), online, seconds)

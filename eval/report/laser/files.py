@@ -55,7 +55,7 @@ def write_laser_files(folder: Path, trial: Trial) -> None:
     place.mkdir(parents=True, exist_ok=True)
     grid = grid_of(trial, run)
     write_map(grid, place)
-    figure = map_picture(grid, run.last.pose, name=trial.log.name, estimator=run.estimator, phase=phase_of(run))
+    figure = map_picture(grid, run.last, name=trial.log.name, estimator=run.estimator, phase=phase_of(run))
     save(figure, place, "map", ("png",))
     loops_table(run.loops, run.weight).to_csv(place / "loops.csv", index=False, lineterminator="\n")
 

@@ -29,7 +29,7 @@ def laser_picture(trial: Trial, kind: str) -> tuple[Figure, str, str]:
     phase = phase_of(run)
     if kind == GRID:
         return (
-            map_picture(grid_of(trial, run), run.last.pose, name=name, estimator=run.estimator, phase=phase),
+            map_picture(grid_of(trial, run), run.last, name=name, estimator=run.estimator, phase=phase),
             f"`{name}`: occupancy grid of the key scans at the key poses of `{run.estimator}` ({phase}), its path on"
             " it. The same as `map.pgm` for map servers. Double walls would be poses that do not agree.",
             f"Occupancy grid of {name} with the path of {run.estimator}",

@@ -173,11 +173,11 @@ def _off(run: LaserRun, log: Log) -> str:
     if run.last is None:
         return ""
     if log.truth.relations is not None:
-        e = relation_errors(run.last.pose, log.truth.relations, log.recorded.time, order=CARTOGRAPHER)
+        e = relation_errors(run.last, log.truth.relations, log.recorded.time, order=CARTOGRAPHER)
         return "" if e is None else f" and ends {e.trans_mean_m:.4f} ± {e.trans_std_m:.4f} m off the relations"
     if log.truth.pose is None:
         return ""
-    return f" and ends with a position RMSE of {number(rms(position_distance(run.last.pose, log.truth.pose)))} m"
+    return f" and ends with a position RMSE of {number(rms(position_distance(run.last, log.truth.pose)))} m"
 
 
 def _sizes(folder: Path, options: Options, trials: Sequence[Trial]) -> Block:
@@ -193,11 +193,11 @@ def _sizes(folder: Path, options: Options, trials: Sequence[Trial]) -> Block:
         }  # fmt: skip
         truth, relations = t.log.truth.pose, t.log.truth.relations
         if relations is not None:
-            e = relation_errors(run.last.pose, relations, t.log.recorded.time)
+            e = relation_errors(run.last, relations, t.log.recorded.time)
             if e is not None:
                 row["relations, all by row [m]"] = f"{e.trans_mean_m:.4f} ± {e.trans_std_m:.4f}"
         if truth is not None:
-            off = np.hypot(*(run.last.pose - truth)[:, :2].T)
+            off = np.hypot(*(run.last - truth)[:, :2].T)
             row["position RMSE [m]"] = number(float(np.sqrt(np.nanmean(off**2))))
         row["seconds"] = number(run.seconds)
         rows.append(row)

@@ -46,7 +46,7 @@ def test_filter_and_smoothers_end_at_the_same_key_poses_where_nothing_is_wrong(r
 
 def test_scan_matching_is_far_better_than_the_wheels(log, runs):
     def rmse(run):
-        pose = run.last.pose if run.last is not None else run.online.pose
+        pose = run.last if run.last is not None else run.online.pose
         return float(np.sqrt((pose_error(pose, log.truth.pose)[:, :2] ** 2).sum(1).mean()))
 
     assert rmse(runs["isam2"]) < 0.15
