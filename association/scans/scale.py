@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from data.inputs import IntArray
-from data.se2 import Array, between, wrap_angle
+from data.se2 import Array, BoolArray, between, wrap_angle
 
 DOF = 3
 TAILS = np.geomspace(2.5, 200.0, 40)
@@ -23,13 +23,25 @@ def residuals(poses: Array, key1: IntArray, key2: IntArray, relative: Array, cov
     return d2
 
 
+def spanned(keys: int, key1: IntArray, key2: IntArray) -> BoolArray:
+    """Which steps of the chain (K - 1,), from each of K key poses to the next, some loop closure key1 -> key2 spans.
+
+    The others fit exactly at the optimum, whatever their errors: they tell nothing of a scale.
+    """
+    ends = np.zeros(keys, np.int64)
+    np.add.at(ends, np.minimum(key1, key2), 1)
+    np.add.at(ends, np.maximum(key1, key2), -1)
+    return np.cumsum(ends)[:-1] > 0
+
+
 def learned_scale(d2: Array, closures: int) -> tuple[float, float]:
     """Factor for the covariances of a pose graph, and its standard error.
 
-    `d2` (E,) are the `residuals` of all its edges at its optimum, `closures` of them loop closures. The optimum has
-    eaten as many residuals as there are poses, which leaves closures / E of each one's variance (on average). The
-    residuals' tails are heavy, so that a Student's t of three dimensions is fitted (Lange, Little, Taylor 1989), its
-    tail by likelihood; the factor is that of its covariance, the error that of its scale (their Fisher information).
+    `d2` (E,) are the `residuals` of its loop closures and of the steps that they span, at its optimum; `closures` of
+    them are loop closures. The optimum has eaten as many residuals as there are poses, which leaves closures / E of
+    each one's variance (on average). The residuals' tails are heavy, so that a Student's t of three dimensions is
+    fitted (Lange, Little, Taylor 1989), its tail by likelihood; the factor is that of its covariance, the error that of
+    its scale (their Fisher information).
     Raises ValueError without loop closures.
     """
     if closures < 1 or len(d2) < closures:

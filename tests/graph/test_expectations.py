@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from association.candidates import Drift, in_view, may_be_in_view
+from association.candidates import Drift, in_view, may_be_in_view, polar_sigma
 from association.known import known_decisions
-from data.inputs import LabelledObservations, Prior
+from data.inputs import LabelledObservations, Prior, Sightings
 from data.sensors import RangeBearing, RelativePoint
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
@@ -165,3 +165,26 @@ def test_the_first_expectations_are_the_filters_whatever_the_prior(sensor, varia
             np.testing.assert_allclose(A, B, atol=1e-4 * np.abs(B).max())
         for e in (ours, twin):
             e.update(sightings, decisions[rows])
+
+
+@every_sensor
+def test_what_was_expected_bounds_from_then_on_what_may_be_in_view(sensor):
+    """The bound right after is the expectation's own, and grows by odometry as after a sighting."""
+    inputs, _, _ = circle(sensor, noise=0.0, landmarks=25)
+    inputs = inputs.without_map()
+    decisions, _ = known_decisions(inputs)
+    twin, *_ = drive(inputs, decisions, until=6, smoother=EkfSlam(inputs.prior, inputs.sensor))
+    n = (twin.size - 3) // 2
+    xy, P, number = twin.mean[3:].reshape(n, 2), twin.covariance, np.arange(n)
+    drift = Drift()
+    first = inputs.sensor.predict(twin.mean[:3], xy)
+    drift.see(sensor, Sightings(first, np.tile(np.eye(2), (n, 1, 1))), number, 1e6 * np.eye(3))
+    loose = drift.sigmas(number, 1e6 * np.eye(3))[0]
+    e = expected.form(sensor, twin.mean[:3], P, number, xy, inputs.sightings(6))
+    drift.expect(sensor, number, e.z_hat, e.HPHt)
+    tight = drift.sigmas(number, 1e6 * np.eye(3))[0]
+    r, own = sensor.polar(e.z_hat)[:, 0], polar_sigma(sensor, e.z_hat, e.HPHt)
+    np.testing.assert_allclose(tight, np.hypot(own[:, 0], r * own[:, 1]))
+    assert (tight < loose).all()
+    drift.move(inputs.increment(7))
+    assert (drift.sigmas(number, 1e6 * np.eye(3))[0] > tight).all()

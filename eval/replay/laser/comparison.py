@@ -8,7 +8,7 @@ from dataclasses import fields, replace
 import numpy as np
 
 from association.scans.laser_run import SCAN, LaserRun
-from association.scans.scale import learned_scale, residuals
+from association.scans.scale import learned_scale, residuals, spanned
 from data.errors import UsageError
 from data.inputs import Inputs
 from data.result import Run
@@ -66,11 +66,12 @@ def _learned(inputs: Inputs, front: FrontEndResult, setup: Setup) -> tuple[float
     solved = backend("batch", inputs, chain, loops, setup)
     if solved.run.failure is not None:
         return None
-    keys = np.arange(len(chain.frame))
+    key1, key2 = loops.key1[believed], loops.key2[believed]
+    step = 1 + np.flatnonzero(spanned(len(chain.frame), key1, key2))
     d2 = residuals(
-        solved.final_keys, np.concatenate([keys[:-1], loops.key1[believed]]),
-        np.concatenate([keys[1:], loops.key2[believed]]), np.concatenate([chain.motion[1:], loops.relative[believed]]),
-        np.concatenate([chain.covariance[1:], loops.covariance[believed]]),
+        solved.final_keys, np.concatenate([step - 1, key1]), np.concatenate([step, key2]),
+        np.concatenate([chain.motion[step], loops.relative[believed]]),
+        np.concatenate([chain.covariance[step], loops.covariance[believed]]),
     )  # fmt: skip
     return learned_scale(d2, len(believed))
 

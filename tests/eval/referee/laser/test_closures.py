@@ -33,6 +33,17 @@ def test_four_kinds():
     assert math.isnan(counts.recall)
 
 
+def test_one_not_believed_is_missed_only_where_the_two_scans_show_the_same():
+    near = [0.1, 0.0, 0.0]
+    wall = np.stack([np.linspace(-3.0, 3.0, 60), np.full(60, 2.0)], 1)
+    elsewhere = wall + [0.0, 5.0]
+    seen = [wall] * 4 + [transform_points(inverse(TRUTH[4]), wall)]
+    apart = [wall] * 4 + [transform_points(inverse(TRUTH[4]), elsewhere)]
+    for points, missed in ((seen, 1), (apart, 0)):
+        counts = count_closures(loops([near, near], [4, -1]), TRUTH, points=points)
+        assert (counts.tp, counts.fp, counts.fn, counts.tn) == (1, 0, missed, 1 - missed)
+
+
 def test_a_match_that_slid_along_a_corridor_is_right_if_its_covariance_says_so():
     slid = [0.8, 0.0, 0.0]
     assert right_closures(loops([slid], [4], (0.3, 0.01, 0.01)), TRUTH).all()

@@ -13,6 +13,10 @@ from data.se2 import between, compose, dead_reckoned, pose_error
 from data.worlds.registry import named_log
 from eval.referee.laser.rows import closure_counts, kept, paths_of, relation_rows
 from eval.referee.score import Trial, score
+from eval.replay.laser.backends import backend
+from eval.replay.laser.comparison import FEWEST
+from eval.replay.laser.front_end import run_front_end
+from eval.replay.laser.parameters import LaserParameters
 from eval.replay.laser.unscanned import between_scans
 from eval.replay.run import compare
 
@@ -76,6 +80,25 @@ def test_a_loop_closure_without_weight_counts_as_left_out_in_the_end_only(log, r
     assert online["tp"] - final["tp"] == 2
 
 
+def test_variances_are_scaled_by_what_loop_closures_tell_and_no_pose_moves_by_it():
+    """Of these key poses some steps are spanned by no loop closure: they fit exactly and tell nothing."""
+    longer = named_log("floorplan:0:frames=1000").recorded
+    (run,) = compare(longer, "slam", ["batch"], "scan")
+    parameters = LaserParameters()
+    front = run_front_end(longer, parameters)
+    (factor, error), claimed = run.scale, front.chain.covariance[1:] / parameters.variance_scale
+    assert 0.2 < factor < 1.5
+    assert 0.0 < error < 0.3 * factor
+    np.testing.assert_allclose(run.chain.covariance[1:], factor * claimed, rtol=1e-9)
+    unscaled = backend("batch", longer, front.chain, front.loops)
+    np.testing.assert_allclose(run.key_pose, unscaled.final_keys, atol=1e-6)
+
+
+def test_with_few_loop_closures_no_scale_is_learned(runs):
+    assert (runs["batch"].loops.believed >= 0).sum() < FEWEST
+    assert runs["batch"].scale is None
+
+
 def test_the_last_state_of_the_filter_is_scored_as_its_final_path(runs):
     assert set(paths_of(runs["ekf"])) == {"online", "final"}
     assert runs["ekf"].phases == ("online",)
@@ -113,6 +136,8 @@ def test_corners_of_walls_are_landmarks_under_any_other_association(log, runs):
     assert len(run.map) > 3
     assert run.online.pose.shape == log.truth.pose.shape
     assert run.status == "ok"
+    assert run.state_size.shape == (len(log.recorded),)
+    assert run.state_size[-1] == 3 + 2 * len(run.map)
     # each frame hangs on its key pose as under scan matching
     chain = runs["ekf"].chain
     np.testing.assert_allclose(

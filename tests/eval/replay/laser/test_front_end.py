@@ -66,6 +66,13 @@ def test_loop_closures_are_true_and_never_of_one_key_pose_alone() -> None:
     assert np.hypot(error[:, 0], error[:, 1])[loops.believed >= 0].max() < 0.1
 
 
+def test_what_did_not_fit_is_kept_beside_what_is_believed() -> None:
+    loops = _found().loops
+    assert 0 < (loops.believed < 0).sum() < len(loops)
+    assert (np.diff(loops.key2) >= 0).all()
+    assert np.linalg.eigvalsh(loops.covariance).min() > 0.0
+
+
 def test_online_path_stays_where_odometry_alone_is_lost() -> None:
     (inputs, truth), found = _drive(), _found()
     dead = [inputs.prior.mean]
