@@ -18,8 +18,9 @@ from typing import NoReturn
 
 from data.errors import SlamrefError, UsageError
 from data.whole import whole_folder
-from eval.plan.flags import PROG, Options
-from eval.plan.options import read_options
+from eval.plan.flags.examples import PROG
+from eval.plan.flags.options import read_options
+from eval.plan.flags.table import Options
 
 FINE, REJECTED, WRONG = 0, 1, 2
 INTERRUPTED = 130

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data.errors import SlamrefError, UsageError
-from eval.plan.flags import Options, add_flags
-from eval.plan.options import options_of
+from eval.plan.flags.options import options_of
+from eval.plan.flags.table import Options, add_flags
 from eval.replay.flag import rows
 from eval.replay.names import ASSOCIATIONS, STEPPING
 

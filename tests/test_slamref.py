@@ -83,7 +83,7 @@ def test_the_wheel_holds_the_face_the_command_and_the_files_beside_the_code(tmp_
     assert {name for name in code if name.startswith(packages)} | tables | {"slamref.py"} <= held
     (entry,) = (name for name in held if name.endswith("entry_points.txt"))
     assert "slamref = slamref:main" in (tmp_path / "unpacked" / entry).read_text()
-    asked = "import slamref; from eval.plan.flags import shipped; print(slamref.__file__, len(shipped()))"
+    asked = "import slamref; from eval.plan.flags.table import shipped; print(slamref.__file__, len(shipped()))"
     done = subprocess.run(
         [sys.executable, "-c", asked], cwd=tmp_path, check=True, capture_output=True, text=True,
         env={**os.environ, "PYTHONPATH": str(tmp_path / "unpacked")},

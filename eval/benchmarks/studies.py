@@ -10,7 +10,7 @@ from statistics import median
 from eval.benchmarks.timed import Timed
 from eval.plan.execute import execute
 from eval.plan.experiments import Plan
-from eval.plan.options import Options
+from eval.plan.flags.options import Options
 from eval.studies.scenario import Scenario
 from eval.studies.scenario_file import load_scenario
 

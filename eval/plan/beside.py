@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from association.scans.laser_run import SCAN
 from eval.plan.experiment import Experiment, Work
-from eval.plan.options import Options
+from eval.plan.flags.options import Options
 
 
 def sparser(experiment: Experiment) -> list[Experiment]:

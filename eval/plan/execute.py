@@ -13,12 +13,12 @@ from typing import Any
 from data.log import Log
 from eval.plan.cluster import Call
 from eval.plan.experiments import Plan
-from eval.plan.options import Options
+from eval.plan.flags.options import Options
+from eval.plan.flags.variant import Variant
 from eval.plan.trust import trusted
 from eval.plan.tutorial import ABOUT, tutorial_run, variant_log
 from eval.plan.unfinished import Unfinished, estimate, estimate_one, incomplete, wanted
 from eval.plan.validation import validated
-from eval.plan.variant import Variant
 from eval.plan.work import work
 from eval.referee.score import Trial
 from eval.studies import store

@@ -14,8 +14,8 @@ from data.logs import Reading, find_logs, open_log
 from data.recordings.esde import NAME, find_esde
 from eval.plan.beside import maintained, shows_noise, sparser, with_depth_noise
 from eval.plan.experiment import Experiment, Work
-from eval.plan.flags import DEFAULT_ESTIMATORS, QUICK_RUNS
-from eval.plan.options import Options
+from eval.plan.flags.options import Options
+from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS
 from eval.replay.laser.backends import NAMES as BACK_ENDS
 from eval.replay.settings import Setup
 from eval.studies.scenario import Scenario

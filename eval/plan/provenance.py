@@ -14,7 +14,8 @@ from importlib.metadata import version
 import numpy as np
 
 from data.log import Log
-from eval.plan.flags import PROG, Options
+from eval.plan.flags.examples import PROG
+from eval.plan.flags.table import Options
 from eval.replay.flag import rows
 
 PACKAGES = ("gtsam", "numpy", "scipy", "numba", "pandas", "matplotlib", "opencv-python-headless")

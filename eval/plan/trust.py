@@ -11,7 +11,7 @@ from data.errors import UsageError
 from data.log import Log
 from data.result import Run
 from eval.plan.experiment import Experiment
-from eval.plan.options import Options
+from eval.plan.flags.options import Options
 from eval.plan.unfinished import Unfinished
 from eval.plan.work import work
 from eval.referee.attribution import NOISE

@@ -16,7 +16,7 @@ from data.mrclam.calibration import Calibration
 from data.mrclam.load import load_mrclam
 from data.result import Run
 from ekf.filter import FilterOptions
-from eval.plan.variant import Variant
+from eval.plan.flags.variant import Variant
 from eval.referee.score import Trial
 from eval.replay.plausible import with_doubt
 from eval.replay.run import filter_known, step_by_step

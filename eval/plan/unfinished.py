@@ -11,7 +11,7 @@ import numpy as np
 from data.inputs import Inputs
 from data.result import DISCARD, Failure, Run, Trajectory
 from eval.plan.experiment import Experiment, Work
-from eval.plan.options import Options
+from eval.plan.flags.options import Options
 from eval.replay.names import BATCH, INCREMENTAL
 from eval.replay.run import compare
 

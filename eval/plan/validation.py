@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from data.log import folder_name
-from eval.plan.options import Options
+from eval.plan.flags.options import Options
 from eval.plan.unfinished import Unfinished
 from eval.plan.work import work
 from eval.studies import store, validation

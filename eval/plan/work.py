@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from data.errors import SlamrefError
 from eval.plan.cluster import KILLED, Call, Lost, on_cluster
-from eval.plan.options import Options
+from eval.plan.flags.options import Options
 
 Owner = TypeVar("Owner")
 NEVER = 10**6

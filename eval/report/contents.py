@@ -11,7 +11,7 @@ import numpy as np
 from eval.page.document import Block, Picture, Report, Section, write_report
 from eval.plan.cluster import Call
 from eval.plan.execute import Outcome
-from eval.plan.options import Options
+from eval.plan.flags.options import Options
 from eval.plan.provenance import command_of, provenance
 from eval.plan.unfinished import Unfinished
 from eval.plan.work import work

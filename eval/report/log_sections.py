@@ -10,7 +10,7 @@ import pandas as pd
 from data.log import folder_name
 from eval.page.document import Block, Picture, Section, written_table
 from eval.page.numbers import number
-from eval.plan.options import Options
+from eval.plan.flags.options import Options
 from eval.plan.tutorial import is_tutorial
 from eval.referee.score import Scores, Trial
 from eval.report import comparison

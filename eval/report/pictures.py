@@ -18,7 +18,7 @@ from eval.figures.growth import closing_frame, state_is_informative
 from eval.figures.style import save
 from eval.page.document import Picture
 from eval.page.numbers import number
-from eval.plan.options import Options
+from eval.plan.flags.options import Options
 from eval.referee.score import Trial, confusion_of
 from eval.referee.trust import SHARE
 from eval.report.laser.files import write_laser_files

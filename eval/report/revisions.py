@@ -14,7 +14,7 @@ from data.result import DISCARD, NEW, Event, Run
 from eval.figures.revision import Example, revision_figure
 from eval.figures.style import save
 from eval.page.document import Picture, Section, written_table
-from eval.plan.options import Options
+from eval.plan.flags.options import Options
 from eval.referee.score import Trial
 from eval.replay.hindsight.ledger import MERGED
 

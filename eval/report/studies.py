@@ -16,7 +16,7 @@ from eval.figures.style import save
 from eval.page.document import Block, Picture, Section, Table, written_table
 from eval.plan.cluster import Call
 from eval.plan.execute import Outcome
-from eval.plan.options import Options
+from eval.plan.flags.options import Options
 from eval.plan.work import work
 from eval.referee.consistency import MIN_RUNS
 from eval.report import comparison

@@ -12,7 +12,7 @@ from association.scans.laser_run import SCAN, LaserRun
 from data.log import Log
 from eval.page.document import Block, Picture, Section, written_table
 from eval.page.numbers import number
-from eval.plan.options import Options
+from eval.plan.flags.options import Options
 from eval.referee.errors import position_distance, rms
 from eval.referee.laser.relations import ALL, CARTOGRAPHER, EXACT, KUEMMERLE, ROW, TIME, relation_errors
 from eval.referee.laser.rows import KEPT, paths_of

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from eval.page.document import Block, Picture, Section, written_table
-from eval.plan.options import Options
+from eval.plan.flags.options import Options
 from eval.referee.score import Trial
 from eval.report.names import stem
 from eval.report.pictures import FILTER_SMOOTHER

@@ -21,7 +21,7 @@ from eval.page.document import Block, Formula, Picture, Section, written_table
 from eval.page.equations import formula_figure, latex
 from eval.page.numbers import number
 from eval.page.tables import drop_blank_columns
-from eval.plan.options import Options
+from eval.plan.flags.options import Options
 from eval.referee.score import Trial
 from eval.report.names import stem
 from eval.report.shown_runs import for_map, left_out

@@ -16,7 +16,7 @@ from data.open_log.reader import load_folder
 from data.recordings.carmen import load_carmen
 from data.summary import summarize
 from eval.plan.experiments import make_plan
-from eval.plan.options import read_options
+from eval.plan.flags.options import read_options
 from eval.plan.provenance import input_digest
 from tests.data.open_log.same_log import assert_same_log
 from tests.data.recordings.carmen_text import SMALL

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from data.errors import UsageError
-from eval.plan.options import read_options
+from eval.plan.flags.options import read_options
 from eval.step import read
 from eval.studies.scenario_file import load_scenario
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from eval.plan import work as works
-from eval.plan.options import read_options
+from eval.plan.flags.options import read_options
 from eval.plan.unfinished import estimate
 from eval.plan.work import OutOfMemoryError, work
 from eval.run_all import main

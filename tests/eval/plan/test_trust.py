@@ -15,7 +15,7 @@ from data.open_log.writer import write_folder
 from data.truth import Truth
 from eval.plan.execute import execute
 from eval.plan.experiments import make_plan
-from eval.plan.options import read_options
+from eval.plan.flags.options import read_options
 from eval.referee.attribution import NOISE
 from eval.studies.faults import FAULTS
 from eval.studies.trusted import trust_table

@@ -8,7 +8,7 @@ import pytest
 from data.errors import UsageError
 from eval.plan.execute import execute
 from eval.plan.experiments import make_plan
-from eval.plan.options import read_options
+from eval.plan.flags.options import read_options
 from eval.run_all import main
 
 TINY = """

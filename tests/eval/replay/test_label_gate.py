@@ -13,7 +13,7 @@ from data.logs import open_log
 from data.open_log.writer import write_folder
 from eval.inspect import main as inspect
 from eval.plan.experiments import make_plan
-from eval.plan.options import read_options
+from eval.plan.flags.options import read_options
 from eval.replay.run import compare, step_by_step
 from eval.replay.settings import SENSED_GATE, Setup
 from eval.report.statements import gate_sentence

@@ -9,7 +9,7 @@ import pytest
 
 from data.result import Trajectory
 from eval.page.document import Table
-from eval.plan.options import Options
+from eval.plan.flags.options import Options
 from eval.referee.attribution import NOISE
 from eval.referee.score import Trial
 from eval.referee.trust import Measured

@@ -11,7 +11,7 @@ import pytest
 from eval.page.document import Formula, Picture, Report, Table, write_report
 from eval.page.equations import latex
 from eval.page.tables import drop_blank_columns
-from eval.plan.options import Options
+from eval.plan.flags.options import Options
 from eval.referee.score import Trial
 from eval.report.visual import models
 from eval.report.visual.sections import PictureStatistics, detection_table, statistics_of, tiles_of, visual_sections

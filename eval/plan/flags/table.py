@@ -1,4 +1,4 @@
-"""The table of flags of `python -m eval.run_all`, one field a row, with an example of each in `--help`.
+"""The table of flags of `python -m eval.run_all`, one field a row.
 
 Parser, config files, checks, the command in the report and step mode read this table; its middle part, `Setup`, serves
 scenario files, too. Imports nothing heavy, so that `--help` and a mistyped flag answer at once.
@@ -11,17 +11,17 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
-from eval.plan.variant import Variant
+from eval.plan.flags.examples import EPILOG, PROG
+from eval.plan.flags.variant import Variant
 from eval.replay.flag import Flag, flag, folder, names, one_of, rows, switch, text, texts, whole
 from eval.replay.names import ASSOCIATIONS, ESTIMATORS, TASKS
 from eval.replay.settings import Setup
 from eval.studies.shipped import VALIDATIONS, scenarios
 
-PROG = "python -m eval.run_all"
 FORMATS = ("csv", "md", "tex")
 DEFAULT_ESTIMATORS = ("dead-reckoning", "ekf", "isam2", "batch")
 QUICK_RUNS = 2
-CONFIGS = Path(__file__).parents[1] / "configs"
+CONFIGS = Path(__file__).parents[2] / "configs"
 
 
 def shipped() -> list[str]:
@@ -189,50 +189,6 @@ class Options(Setup, Selection):
     def setup(self) -> Setup:
         """How observations are paired and how much of the map is kept."""
         return Setup(**{f.name: getattr(self, f.name) for f in fields(Setup)})
-
-
-EPILOG = """\
-examples:
-  python -m eval.run_all                                    the default report, in results/report
-  python -m eval.run_all --quick                            the same, shortened (a check that all works)
-  python -m eval.run_all --log my_log --log arena:3         an open log folder and a simulated log
-  python -m eval.run_all --log intel.log.gz --keyframe-distance 0.8    a laser log (CARMEN): scans matched, loops closed
-  python -m eval.run_all --log victoria-park --task slam    one log, one task
-  python -m eval.run_all --log visual:0                     a rendered camera log: pictures found, corners used
-  python -m eval.run_all --log my_lab_folder --camera-translation m --camera-reading to-body --trust-pickle
-  python -m eval.run_all --log visual:0:frames=40 --corner-noise depth
-  python -m eval.run_all --log corridor:0:people+range=8    the corridor lab: people in the way, any constant changed
-  python -m eval.run_all --log intel.log.gz --relations intel.relations.csv    a CARMEN laser log, scored by relations
-  python -m eval.run_all --data ~/datasets                  every dataset found in a folder, two levels deep
-  python -m eval.run_all --log my_log --estimator ekf,batch-cauchy --association known
-  python -m eval.run_all --log arena:0 --task slam --estimator ekf,ekf-invariant,isam2,batch
-  python -m eval.run_all --log my_log --twins 100           trust without ground truth: p values, and whose fault it is
-  python -m eval.run_all --log my_log --gate-known 0.999    leave labelled readings out that fit badly, or keep them
-  python -m eval.run_all --log my_log --gate-known none     all, which is the default where no sensor read the labels
-  python -m eval.run_all --log my_log --gate-known 0.9999 --no-gate-smoothers    the smoothers keep them
-  python -m eval.run_all --log my_log --task slam --association known,nn,jcbb    unknown labels beside known ones
-  python -m eval.run_all --log corridor:0 --association jcbb --gate 0.95 --new-gate 0.999
-  python -m eval.run_all --log my_log --association ml --gate none   no gate: every reading is paired
-  python -m eval.run_all --log my_log --association nn --in-view     the EKF, too, offers only what may be in view
-  python -m eval.run_all --log corridor:0:people --association jcbb --maintain    drop landmarks seen only once
-  python -m eval.run_all --log victoria-park --estimator ekf --forget-after 60
-  python -m eval.run_all --log victoria-park --estimator ekf --deactivate-after 60
-  python -m eval.run_all --full                             every method with every estimator; takes minutes
-  python -m eval.run_all --runs 100 --seed 1000 --jobs 2    the consistency study: 100 arenas, two processes
-  python -m eval.run_all --scenario circle --runs 100       a published study: ours beside the printed numbers
-  python -m eval.run_all --scenario my_world.toml --estimator ekf,ekf-fej,batch
-  python -m eval.run_all --scenario all --data DIR          every shipped scenario; DIR: the recording of esde-replay
-  python -m eval.run_all --scenario trust --jobs 2           is what a log says about itself to be trusted? an hour
-  python -m eval.run_all --scenario arena --runs 1000 --scheduler tcp://host:8786    on a Dask cluster
-  python -m eval.run_all --log arena:0 --estimator isam2,fixed-lag --lag 20
-  python -m eval.run_all --formats csv,tex --out results/paper --no-plots
-  python -m eval.run_all --log arena:0 --animate            a film of each estimator beside the figures
-  python -m eval.run_all --config my_run.toml -v            the same keys from a file; flags win; a table
-                                                            [corridor] (seed, people, range, ...) is a log, too
-  python -m eval.run_all --log DIR --config tutorial-step1 --config tutorial-step3   (DIR made by data.convert mrclam)
-  python -m eval.run_all -q                                 print nothing but errors
-
-exit status: 0 fine, 1 an estimator that is declared consistent was rejected, 2 wrong usage or bad data"""
 
 
 def parser(prog: str = PROG) -> argparse.ArgumentParser:

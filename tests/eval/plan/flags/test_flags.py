@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from data.errors import UsageError
-from eval.plan.flags import Options, parser
-from eval.plan.options import read_options
+from eval.plan.flags.options import read_options
+from eval.plan.flags.table import Options, parser
 from eval.plan.provenance import command_of
 from eval.replay.flag import rows
 from eval.replay.names import ASSOCIATIONS, ESTIMATORS, TASKS

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from data.errors import UsageError
-from eval.plan.flags import parser, shipped
-from eval.plan.options import read_options
+from eval.plan.flags.options import read_options
+from eval.plan.flags.table import parser, shipped
 
 ROOT = Path(__file__).parents[3]
 
@@ -123,7 +123,7 @@ def test_help_shows_an_example_of_every_flag_and_answers_at_once():
 
 def test_help_imports_nothing_heavy():
     heavy = ("numpy", "gtsam", "numba", "pandas", "matplotlib")
-    code = "import sys; from eval.plan.flags import parser; parser().format_help(); "
+    code = "import sys; from eval.plan.flags.table import parser; parser().format_help(); "
     code += f"print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True)
     assert done.stdout.strip() == "[]"
