@@ -80,7 +80,8 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
 def heeding_interruption() -> Iterator[Callable[[], None]]:
     """A function that raises KeyboardInterrupt if Ctrl-C was pressed, even where a library lost the exception.
 
-    (Libraries call back from compiled code while they are loaded; an exception raised there goes nowhere.)
+    (Libraries call back from compiled code while they are loaded: an exception raised there goes nowhere, or comes out
+    as another one, which after Ctrl-C is an interruption, too.)
     """
     pressed: list[int] = []
 
@@ -98,6 +99,9 @@ def heeding_interruption() -> Iterator[Callable[[], None]]:
     before = signal.signal(signal.SIGINT, handle)
     try:
         yield check
+    except Exception:
+        check()
+        raise
     finally:
         signal.signal(signal.SIGINT, before)
 
