@@ -36,7 +36,8 @@ def redundant(ends: Sequence[Array], least: float) -> BoolArray:
     gone = np.zeros(len(ends), np.bool_)
 
     def share(k: int) -> float:
-        return float((1.0 / hits[cells[k]]).mean()) if len(cells[k]) else 0.0
+        # rounded: of equal ones the older key pose goes, whatever the order of a sum
+        return round(float((1.0 / hits[cells[k]]).mean()), 12) if len(cells[k]) else 0.0
 
     waiting = [(share(k), k) for k in range(1, len(ends) - 1)]
     heapq.heapify(waiting)
