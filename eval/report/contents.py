@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from eval.report.pictures import draw, kinds, publish_runs
 from eval.report.revisions import revision_section
 from eval.report.statements import failure_statement, gate_sentence
 from eval.report.studies import study_sections
+from eval.report.terminal.headline import headlines
 from eval.report.trust.sections import first_said
 from eval.report.visual.sections import visual_sections
 from eval.studies.montecarlo import Judged, consistency_table
@@ -50,6 +52,13 @@ IMPLAUSIBLE_RUNS = (
 )
 
 
+class Written(NamedTuple):
+    """What is missing from a result folder for want of memory, a sentence each, and the lines of its main numbers."""
+
+    missing: tuple[str, ...]
+    headlines: tuple[str, ...]
+
+
 def write_results(
     folder: Path,
     options: Options,
@@ -57,8 +66,8 @@ def write_results(
     judged: Sequence[Judged],
     arguments: Sequence[str],
     progress: Callable[[int, int], None],
-) -> tuple[str, ...]:
-    """Fill the result folder; returns what is missing from it for want of memory, a sentence each."""
+) -> Written:
+    """Fill the result folder."""
     lost = Unfinished(options, said=list(outcome.missing))
     scores = score(outcome.trials)
     consistency = consistency_table(judged)
@@ -93,7 +102,7 @@ def write_results(
     (folder / "provenance.json").write_text(
         provenance(options, {t.log.name: t.log for t in outcome.trials}.values(), arguments), encoding="utf-8"
     )
-    return tuple(lost.said)
+    return Written(tuple(lost.said), tuple(headlines(scores, outcome.trials, outcome.studies, judged)))
 
 
 def _publish_trials(
