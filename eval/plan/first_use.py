@@ -14,7 +14,7 @@ from pathlib import Path
 
 def mark() -> Path | None:
     """The file that stands for compiled kernels; None where numba keeps nothing, or compiles nothing."""
-    import llvmlite.binding
+    import llvmlite.binding  # type: ignore[import-untyped]
     import numba
 
     from ekf.kernels import predict

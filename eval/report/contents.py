@@ -17,6 +17,7 @@ from eval.plan.provenance import command_of, provenance
 from eval.plan.unfinished import Unfinished
 from eval.plan.work import work
 from eval.referee.consistency import MIN_RUNS
+from eval.referee.files import top
 from eval.referee.score import Scores, Trial, score
 from eval.report.answer import answer
 from eval.report.corridor.questions import lab_sections
@@ -71,13 +72,15 @@ def write_results(
     lost = Unfinished(options, said=list(outcome.missing))
     scores = score(outcome.trials)
     consistency = consistency_table(judged)
-    tables = {"metrics": scores.metrics, "association": scores.association, "timing": scores.timing}
-    for name, table in {**tables, "consistency": consistency, "trust": trust_table(outcome.trust)}.items():
-        table.to_csv(folder / f"{name}.csv", index=False, lineterminator="\n")
+    for file, table in (
+        (top.METRICS, scores.metrics), (top.DECISIONS, scores.association), (top.TIMING, scores.timing),
+        (top.CONSISTENCY, consistency), (top.TRUST, trust_table(outcome.trust)),
+    ):  # fmt: skip
+        file.write(table, folder)
     if len(scores.relations):
-        scores.relations.to_csv(folder / "relations.csv", index=False, lineterminator="\n")
+        top.RELATIONS.write(scores.relations, folder)
     if outcome.published:
-        published_frame(outcome.published).to_csv(folder / "published.csv", index=False, lineterminator="\n")
+        top.PUBLISHED.write(published_frame(outcome.published), folder)
     (folder / "runs").mkdir()
     published = _publish_trials(folder, options, outcome.trials, lost, progress)
     sections = [*trial_sections(folder, options, outcome.trials, scores, published, outcome.trust)]
