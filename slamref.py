@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import sys
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -64,7 +65,15 @@ def __dir__() -> list[str]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """The command `slamref`: hands on to a subcommand and returns its exit status; 2 if there is no such one."""
-    name, *rest = list(sys.argv[1:] if argv is None else argv) or ["--help"]
+    # a package `data` or `eval` of somebody else, in the working directory or on PYTHONPATH, must not hide ours
+    sys.path.insert(0, str(Path(__file__).parent))
+    from data.terminal.ending import ended
+
+    return ended(lambda: _command(list(sys.argv[1:] if argv is None else argv) or ["--help"]))
+
+
+def _command(words: list[str]) -> int:
+    name, *rest = words
     if name in COMMANDS:
         status: int = import_module(COMMANDS[name][0]).main(rest, f"slamref {name}")
         return status

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from eval.plan.provenance import command_of, provenance
 from eval.plan.unfinished import Unfinished
 from eval.plan.work import work
 from eval.referee.consistency import MIN_RUNS
+from eval.referee.files import top
 from eval.referee.score import Scores, Trial, score
 from eval.report.answer import answer
 from eval.report.corridor.questions import lab_sections
@@ -26,6 +28,7 @@ from eval.report.pictures import draw, kinds, publish_runs
 from eval.report.revisions import revision_section
 from eval.report.statements import failure_statement, gate_sentence
 from eval.report.studies import study_sections
+from eval.report.terminal.headline import headlines
 from eval.report.trust.sections import first_said
 from eval.report.visual.sections import visual_sections
 from eval.studies.montecarlo import Judged, consistency_table
@@ -50,6 +53,13 @@ IMPLAUSIBLE_RUNS = (
 )
 
 
+class Written(NamedTuple):
+    """What is missing from a result folder for want of memory, a sentence each, and the lines of its main numbers."""
+
+    missing: tuple[str, ...]
+    headlines: tuple[str, ...]
+
+
 def write_results(
     folder: Path,
     options: Options,
@@ -57,18 +67,20 @@ def write_results(
     judged: Sequence[Judged],
     arguments: Sequence[str],
     progress: Callable[[int, int], None],
-) -> tuple[str, ...]:
-    """Fill the result folder; returns what is missing from it for want of memory, a sentence each."""
+) -> Written:
+    """Fill the result folder."""
     lost = Unfinished(options, said=list(outcome.missing))
     scores = score(outcome.trials)
     consistency = consistency_table(judged)
-    tables = {"metrics": scores.metrics, "association": scores.association, "timing": scores.timing}
-    for name, table in {**tables, "consistency": consistency, "trust": trust_table(outcome.trust)}.items():
-        table.to_csv(folder / f"{name}.csv", index=False, lineterminator="\n")
+    for file, table in (
+        (top.METRICS, scores.metrics), (top.DECISIONS, scores.association), (top.TIMING, scores.timing),
+        (top.CONSISTENCY, consistency), (top.TRUST, trust_table(outcome.trust)),
+    ):  # fmt: skip
+        file.write(table, folder)
     if len(scores.relations):
-        scores.relations.to_csv(folder / "relations.csv", index=False, lineterminator="\n")
+        top.RELATIONS.write(scores.relations, folder)
     if outcome.published:
-        published_frame(outcome.published).to_csv(folder / "published.csv", index=False, lineterminator="\n")
+        top.PUBLISHED.write(published_frame(outcome.published), folder)
     (folder / "runs").mkdir()
     published = _publish_trials(folder, options, outcome.trials, lost, progress)
     sections = [*trial_sections(folder, options, outcome.trials, scores, published, outcome.trust)]
@@ -93,7 +105,7 @@ def write_results(
     (folder / "provenance.json").write_text(
         provenance(options, {t.log.name: t.log for t in outcome.trials}.values(), arguments), encoding="utf-8"
     )
-    return tuple(lost.said)
+    return Written(tuple(lost.said), tuple(headlines(scores, outcome.trials, outcome.studies, judged)))
 
 
 def _publish_trials(
