@@ -10,6 +10,7 @@ from data.log import Log
 from data.result import Run
 from eval.referee.along import Along
 from eval.referee.intervals import SEED, run_differences
+from eval.referee.paths.given import log_of
 
 DIFFERENCES = (
     "log", "task", "association", "a", "b", "phase_a", "phase_b",
@@ -35,7 +36,7 @@ def difference_rows(
     See `intervals.run_differences` for the numbers; every pair is resampled from the same seed.
     """
     rows: list[dict[str, object]] = []
-    for (a, ours), (b, theirs) in _pairs(runs, errors):
+    for (a, ours), (b, theirs) in _pairs(runs, {k: v for k, v in errors.items() if log_of(runs[k[0]], log) is log}):
         rmse, nees = run_differences(
             (ours.distance**2, theirs.distance**2),
             (ours.nees["pose"], theirs.nees["pose"]),
