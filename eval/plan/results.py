@@ -16,9 +16,10 @@ from data.results.bag import is_bag
 from data.results.kept import Beside, beside
 from data.results.path import FRAMES, GivenPath, Manner
 from data.results.reading import read_path
-from eval.plan.flags.results import Reading
-from eval.referee.paths.given import GivenRun, Kept, TruePath, given_run
+from eval.plan.flags.results import Reading, Results
+from eval.referee.paths.given import GivenRun, Kept, TruePath, given_run, truth_log, with_truth
 from eval.referee.score import Trial
+from eval.replay.flag import rows
 from eval.replay.names import ESTIMATORS
 
 TRUTH = "truth"
@@ -161,16 +162,72 @@ def _kept(result: Result, log: Log) -> Kept:
     return Kept(b.landmarks, decisions[:m, 2], decisions[:m, 3])
 
 
-def with_results(trials: Sequence[Trial], results: Sequence[Result], truth: TruePath | None, reading: Reading) -> tuple[Trial, ...]:
-    """The trials, with the results among the runs of the log's: SLAM's where a map is handed in, else the first."""
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """Results to be scored, and the truth.
+
+    Attributes:
+        results: as they were read.
+        file: the truth that was given; None: the log's own.
+        truth: at its own stamps, settled with the log; None: there is none.
+        reading: flags.
+    """
+
+    results: tuple[Result, ...] = ()
+    file: GivenPath | None = None
+    truth: TruePath | None = None
+    reading: Reading = Reading()
+
+    def settled(self, log: Log) -> tuple[Log, Asked]:
+        """The log with the truth that was given, if one was, and the truth that results are scored against."""
+        truth = truth_of(log, self.file)
+        if self.file is None:
+            return log, replace(self, truth=truth)
+        changed, found = with_truth(log, self.file, self.reading.truth_gap)
+        if not found.matched:
+            own = GivenPath(f"log {log.name!r}", "", log.recorded.time, log.recorded.increments.mean)
+            raise DataError(unmatched(own, TruePath(self.file.time, self.file.pose)))
+        return changed, replace(self, truth=truth)
+
+
+def asked_results(reading: Results, logs: Sequence[str], folders: Sequence[str]) -> Asked:
+    """What `--result` and `--truth` ask for, read; raises UsageError for what makes no sense together."""
+    for row in rows(Reading).values():
+        if getattr(reading, row.name) != row.default and not (reading.result or reading.truth):
+            raise UsageError(f"{row.option}: for results; --result NAME=FILE is missing")
+    if not reading.result and reading.truth is None:
+        return Asked()
+    flag = f"--result {reading.result[0]}" if reading.result else f"--truth {reading.truth}"
+    if len(logs) > 1 or folders:
+        raise UsageError(f"{flag}: belongs to one log; give it with one --log")
+    if not logs and reading.truth is None:
+        raise UsageError(f"{flag}: on which log? one --log is needed, or --truth FILE alone")
+    if not logs and not reading.result:
+        raise UsageError(f"{flag}: nothing to score; --result NAME=FILE is needed, or the --log it is the truth of")
+    results = read_results(reading.result, reading)
+    names = [r.name for r in results]
+    file = None if reading.truth is None else true_path(reading.truth, names, reading)
+    truth = None if file is None else TruePath(file.time, file.pose)
+    plain = Reading(**{row.name: getattr(reading, row.name) for row in rows(Reading).values()})
+    return Asked(results, file, truth, plain)
+
+
+def truth_alone(asked: Asked) -> Log:
+    """The log that is a truth and nothing else; its name is the file's, or the folder's of a file named `truth`."""
+    assert asked.file is not None  # the caller asks for it only then
+    path = Path(asked.file.file.partition(":/")[0])
+    name = path.absolute().parent.name if path.stem in ("truth", "groundtruth", "data") else path.stem
+    return truth_log(name or "truth", asked.file)
+
+
+def with_results(trials: Sequence[Trial], asked: Asked) -> tuple[Trial, ...]:
+    """The trials, with the results among the runs of their log: of SLAM where a map is handed in, else of the first."""
     made = list(trials)
-    if not results:
-        return tuple(made)
     hosts = [i for i, t in enumerate(made) if t.beside is None]
-    for result in results:
+    for result in asked.results:
         slam = [i for i in hosts if made[i].task == "slam" and result.beside.landmarks is not None]
         i = (slam or hosts)[0]
         host = made[i]
-        runs = tuple(runs_of(result, host.log, host.task, truth, reading))
+        runs = tuple(runs_of(result, host.log, host.task, asked.truth, asked.reading))
         made[i] = replace(host, runs=(*host.runs, *runs))
     return tuple(made)

@@ -24,6 +24,7 @@ from eval.report.laser.sections import against_relations, laser_sections
 from eval.report.log_sections import association_sections, beside, rows_of, trial_sections, tutorial_sections
 from eval.report.pictures import draw, kinds, publish_runs
 from eval.report.revisions import revision_section
+from eval.report.run_files import write_truths
 from eval.report.statements import failure_statement, gate_sentence
 from eval.report.studies import study_sections
 from eval.report.trust.sections import first_said
@@ -70,6 +71,7 @@ def write_results(
     if outcome.published:
         published_frame(outcome.published).to_csv(folder / "published.csv", index=False, lineterminator="\n")
     (folder / "runs").mkdir()
+    write_truths(folder, outcome.trials)
     published = _publish_trials(folder, options, outcome.trials, lost, progress)
     sections = [*trial_sections(folder, options, outcome.trials, scores, published, outcome.trust)]
     sections += laser_sections(folder, options, outcome.trials, published)

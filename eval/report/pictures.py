@@ -19,6 +19,7 @@ from eval.figures.style import save
 from eval.page.document import Picture
 from eval.page.numbers import number
 from eval.plan.flags.options import Options
+from eval.referee.paths.given import log_of
 from eval.referee.score import Trial, confusion_of
 from eval.referee.trust import SHARE
 from eval.report.laser.files import write_laser_files
@@ -47,7 +48,7 @@ def publish_runs(folder: Path, options: Options, trial: Trial) -> None:
         if options.animate and run.failure is None:
             from eval.figures.film import animate
 
-            animate(trial.log, run, folder / "figures" / f"{stem(trial, run.estimator)}.mp4")
+            animate(log_of(run, trial.log), run, folder / "figures" / f"{stem(trial, run.estimator)}.mp4")
 
 
 FILTER_SMOOTHER = "filter-smoother"

@@ -14,7 +14,7 @@ from data.results.space import projection
 from data.sensors import RangeBearing
 from data.se2 import Array
 from data.truth import Truth
-from eval.referee.paths.align import ABOUT, alignment, moved, moved_map
+from eval.referee.paths.align import ABOUT, NONE, alignment, moved, moved_map
 from eval.referee.paths.match import GAP, SAME, Match, match
 
 GIVEN = "given"
@@ -43,16 +43,23 @@ class GivenRun(Run):
 
     Attributes:
         log: its instants, and the truth there; the log beside which it stands where it has that log's frames.
-        match: of its last phase with the truth.
+        match: with the truth.
+        aligned: how it was moved onto the truth (`ALIGNMENTS`).
     """
 
     log: Log | None = None
     match: Match | None = None
+    aligned: str = NONE
 
 
 def log_of(run: Run, log: Log) -> Log:
     """The log whose frames a run has: its own, if it was handed in."""
     return run.log if isinstance(run, GivenRun) and run.log is not None else log
+
+
+def is_truth_alone(log: Log) -> bool:
+    """Whether a log was made of a truth and has nothing else."""
+    return log.source.get("kind") == TRUTH_ALONE
 
 
 def truth_log(name: str, path: GivenPath) -> Log:
@@ -129,6 +136,7 @@ def given_run(
     return GivenRun(
         name, "none" if kept.decisions is None else GIVEN, task, made.get("online"), made.get("final"), landmarks,
         decisions, final, created_by(decisions, final, task), notes=tuple(notes), log=at, match=found,
+        aligned=NONE if T is None else align,
     )  # fmt: skip
 
 
