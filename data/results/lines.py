@@ -26,7 +26,7 @@ class Text:
 
 
 def read_text(path: Path) -> Text:
-    """Split a file at commas if its first line of data has any, else at blanks; `#` starts a comment, blank lines go."""
+    """Split a file at commas if its first line of data has any, else at blanks; `#` begins a comment line."""
     try:
         content = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
@@ -68,7 +68,7 @@ def numbers(text: Text, columns: Sequence[str], *, more: bool = False) -> Array:
         for name, field in zip(columns, fields, strict=False):
             if not is_number(field):
                 raise DataError.at(text.path, f"{field[:40]!r} is not a number", line=line, column=name)
-            if not math.isfinite(float(field)) or abs(float(field)) > LARGEST and name != "timestamp [ns]":
+            if not math.isfinite(float(field)) or (abs(float(field)) > LARGEST and name != "timestamp [ns]"):
                 raise DataError.at(text.path, f"{field}; a finite number in SI units is needed", line=line, column=name)
     return np.array([[float(f) for f in fields[:k]] for fields in text.fields])
 
@@ -78,7 +78,9 @@ def require_order(text: Text, time: Array) -> None:
     back = np.flatnonzero(np.diff(time) < 0.0)
     if len(back):
         k = int(back[0]) + 1
-        what = f"stamp {float(time[k])!r} is before {float(time[k - 1])!r} of the line above; ascending stamps are needed"
+        what = (
+            f"stamp {float(time[k])!r} is before {float(time[k - 1])!r} of the line above; ascending stamps are needed"
+        )
         raise DataError.at(text.path, what, line=text.line[k])
 
 

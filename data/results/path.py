@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -58,6 +59,14 @@ class GivenPath:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    @property
+    def digest(self) -> str:
+        """sha256 over all that was read."""
+        digest = hashlib.sha256(self.time.tobytes() + self.pose.tobytes())
+        if self.covariance is not None:
+            digest.update(self.covariance.tobytes())
+        return digest.hexdigest()
 
 
 @dataclass(frozen=True)

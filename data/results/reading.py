@@ -10,14 +10,17 @@ from data.results import kitti, tables, tum
 from data.results.bag import is_bag, read_bag
 from data.results.lines import Text, is_number, read_text
 from data.results.path import GivenPath, Manner
+from data.results.square import header_of
 
+AS_SAID = Manner()
+"""Nothing is said beyond the file."""
 ACCEPTED = (
     "a CSV with the columns t,x,y,theta, TUM (8 columns), TUM with covariance (29), SQUARE, EuRoC (commas, ns), KITTI "
     "poses (12), or a ROS bag"
 )
 
 
-def read_path(name: str, manner: Manner = Manner()) -> GivenPath:
+def read_path(name: str, manner: Manner = AS_SAID) -> GivenPath:
     """The trajectory in a file, or in a bag (`FILE` or `FILE:/TOPIC`).
 
     Raises:
@@ -52,7 +55,7 @@ def _with_topic(name: str) -> tuple[Path, str | None]:
 
 def _reader(text: Text) -> Callable[[Text, Manner], GivenPath]:
     """Which format a text is in."""
-    if "FORMAT" in tum.header_of(text).values:
+    if "FORMAT" in header_of(text).values:
         return tum.read_square
     if tables.is_plane(text):
         return tables.read_plane

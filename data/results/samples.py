@@ -8,7 +8,7 @@ from data.errors import DataError
 from data.results.lines import Text, lines_of, numbers, require_order
 from data.results.path import WORLD, GivenPath, Manner, Outside
 from data.results.space import Spatial, on_plane, rotations
-from data.results.tum import POSE, Header
+from data.results.square import POSE, Header
 from data.se2 import Array, wrap_angle
 
 FEWEST = 4
@@ -44,7 +44,7 @@ def read_samples(text: Text, header: Header, unit: float, manner: Manner) -> Giv
         pose[k], covariance[k] = _moments(flat.pose[i : i + n], weight / weight.sum())
     few = int((count < FEWEST).sum())
     covariance[count < FEWEST] = np.nan
-    notes = (f"mean and covariance of {int(count.min())} to {int(count.max())} samples an instant",)
+    notes: tuple[str, ...] = (f"mean and covariance of {int(count.min())} to {int(count.max())} samples an instant",)
     if few:
         notes += (f"{few} instants have fewer than {FEWEST} samples, too few for a covariance",)
     outside: Outside | None = flat.outside

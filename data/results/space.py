@@ -127,7 +127,7 @@ def _planar_covariance(p: Array, R: Array, C: Array, frame: str) -> Array:
 
 def require_covariances(P: Array, file: str, place: Callable[[int], str]) -> None:
     """Covariances (n, 3, 3) must be positive semidefinite (tolerance 1e-12 trace); NaN: not known."""
-    known = np.isfinite(P).all(axis=(1, 2))
+    known = np.asarray(np.isfinite(P).all(axis=(1, 2)))
     least = np.linalg.eigvalsh(np.where(known[:, None, None], P, np.eye(3)))[:, 0]
     bad = np.flatnonzero(known & (least < -1e-12 * np.abs(np.trace(P, axis1=1, axis2=2))))
     if len(bad):
@@ -149,13 +149,18 @@ def _outside(p: Array, R: Array) -> Outside:
 def projection(path: GivenPath) -> str:
     """What was projected, in a sentence; empty where nothing was."""
     o = path.outside
-    if o is None or max(map(abs, (*o.z, *o.roll, *o.pitch))) < LEVEL:
+    if o is None:
         return ""
-    roll, pitch = ([math.degrees(v) for v in ends] for ends in (o.roll, o.pitch))
-    said = (
-        f"projected to the plane: z {o.z[0]:.4g} to {o.z[1]:.4g} m, roll {roll[0]:.3g} to {roll[1]:.3g} deg, "
-        f"pitch {pitch[0]:.3g} to {pitch[1]:.3g} deg are left out"
-    )
+    degrees = math.degrees(1.0)
+    parts = [("z", o.z, 1.0, "m"), ("roll", o.roll, degrees, "deg"), ("pitch", o.pitch, degrees, "deg")]
+    there = [
+        f"{name} {scale * ends[0]:.4g} to {scale * ends[1]:.4g} {unit}"
+        for name, ends, scale, unit in parts
+        if max(map(abs, ends)) >= LEVEL
+    ]
+    if not there:
+        return ""
+    said = f"projected to the plane: {', '.join(there)} left out"
     flat = float(np.max(np.ptp(path.pose[:, :2], axis=0))) if len(path) else 0.0
     if o.z[1] - o.z[0] > flat:
         said += "; more is outside than in it: a camera's axes (z forward)? then --axes camera"

@@ -31,7 +31,9 @@ def read_plane(text: Text, manner: Manner) -> GivenPath:
     names = _names(text)
     if "t" not in names:
         raise DataError.at(
-            text.path, "no column t: these are poses of a log's frames; give the log's folder instead", line=text.line[0]
+            text.path,
+            "no column t: these are poses of a log's frames; give its folder instead",
+            line=text.line[0],
         )
     if manner.frame not in (None, WORLD):
         raise DataError.at(text.path, f"its covariances are {WORLD} by definition; --cov-frame {manner.frame}")

@@ -7,53 +7,23 @@ translation first; without a header T = T_mean Exp(xi), in the body's axes, as `
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from data.errors import DataError
 from data.results.lines import Text, lines_of, numbers, read_text, require_order
-from data.results.path import LEFT, LOCAL, GivenPath, Manner
+from data.results.path import LOCAL, GivenPath, Manner
+from data.results.samples import read_samples
 from data.results.space import Spatial, on_plane, rotations
+from data.results.square import ORDERS, POSE, header_of, tangent
 from data.se2 import Array
 
-POSE = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 TRIANGLE = tuple(f"c{i}{j}" for i in range(1, 7) for j in range(1, i + 1))
 SAME_STAMP = 1e-6
 """s by which a covariance's stamp may differ from its pose's: microseconds were written."""
-CONVENTIONS = {"right_perturbation": LOCAL, "left_perturbation": LEFT}
-ORDERS = ("translation_rotation", "rotation_translation")
 GAUSSIAN, PLAIN, SAMPLES = "gaussian_se3", "deterministic", "ensemble_se3"
 UNITS = {"seconds": 1.0, "s": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
-
-
-@dataclass(frozen=True)
-class Header:
-    """What `#%KEY value` lines say, by key, each with its line."""
-
-    values: dict[str, tuple[int, str]]
-
-    def one_of(self, text: Text, key: str, allowed: tuple[str, ...]) -> str | None:
-        """A value that must be one of a few; None: not said."""
-        line, value = self.values.get(key, (0, ""))
-        if key not in self.values:
-            return None
-        if value not in allowed:
-            raise DataError.at(text.path, f"{key} {value!r}; one of {', '.join(allowed)} is needed", line=line)
-        return value
-
-
-def header_of(text: Text) -> Header:
-    """The header of a SQUARE file or of a file of covariances; empty where there is none."""
-    found: dict[str, tuple[int, str]] = {}
-    for line, comment in text.comments:
-        if comment.startswith("#%"):
-            key, _, value = comment[2:].strip().partition(" ")
-            if key.upper() in found:
-                raise DataError.at(text.path, f"{key} is said twice", line=line)
-            found[key.upper()] = line, value.strip()
-    return Header(found)
 
 
 def read_tum(text: Text, manner: Manner) -> GivenPath:
@@ -82,13 +52,11 @@ def read_square(text: Text, manner: Manner) -> GivenPath:
         raise DataError.at(text.path, f"the header lacks REPRESENTATION ({GAUSSIAN}, {PLAIN} or {SAMPLES})", line=line)
     unit = UNITS[header.one_of(text, "TIMESTAMP_UNIT", tuple(UNITS)) or "seconds"]
     if what == SAMPLES:
-        from data.results.samples import read_samples
-
         return read_samples(text, header, unit, manner)
     if what == PLAIN:
         rows = numbers(text, POSE)
         return _path(text, f"{version}, {what}", _in_seconds(rows, unit), None, "", manner)
-    frame, order = _tangent(text, header)
+    frame, order = tangent(text, header)
     for key, found in (("TANGENT_CONVENTION", frame), ("TANGENT_ORDER", order)):
         if found is None:
             raise DataError.at(text.path, f"the header lacks {key}, which {GAUSSIAN} needs", line=line)
@@ -101,12 +69,6 @@ def read_square(text: Text, manner: Manner) -> GivenPath:
 
 def _in_seconds(rows: Array, unit: float) -> Array:
     return rows if unit == 1.0 else np.column_stack([rows[:, 0] * unit, rows[:, 1:]])
-
-
-def _tangent(text: Text, header: Header) -> tuple[str | None, str | None]:
-    """Frame and order that a header declares."""
-    convention = header.one_of(text, "TANGENT_CONVENTION", tuple(CONVENTIONS))
-    return None if convention is None else CONVENTIONS[convention], header.one_of(text, "TANGENT_ORDER", ORDERS)
 
 
 def _symmetric(entries: Array) -> Array:
@@ -137,7 +99,7 @@ def _sidecar(path: Path, time: Array, poses: Text) -> tuple[Array, str, bool]:
         k = int(off[0])
         what = f"stamp {rows[k, 0]!r}; {time[k]!r} is needed, of the pose in line {poses.line[k]} of {poses.path}"
         raise DataError.at(path, what, line=text.line[k])
-    frame, order = _tangent(text, header)
+    frame, order = tangent(text, header)
     return _ordered(_symmetric(rows[:, 1:]), order), frame or LOCAL, frame is not None
 
 
@@ -153,6 +115,4 @@ def _path(
         return f"line {line[k]}"
 
     R = rotations(rows[:, 4:8], file, place)
-    return on_plane(
-        Spatial(file, kind, rows[:, 0], rows[:, 1:4], R, covariance, frame, place, declared), manner
-    )
+    return on_plane(Spatial(file, kind, rows[:, 0], rows[:, 1:4], R, covariance, frame, place, declared), manner)

@@ -19,8 +19,8 @@ from data.result import Run
 from data.se2 import Array, dead_reckoned
 from eval.figures.ellipses import along_path, draw_ellipses, ellipses, longest_axis
 from eval.figures.style import DOTTED, DOUBLE, STYLES, TRUTH_COLOUR, Series, drawing, series, settle
-from eval.referee.paths.given import is_truth_alone
 from eval.figures.view import View, enlargement, true_landmarks, view_of
+from eval.referee.paths.given import is_truth_alone
 
 MOST_IDS = 30
 LONG_LABEL = 24

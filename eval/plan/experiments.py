@@ -16,7 +16,7 @@ from eval.plan.beside import maintained, shows_noise, sparser, with_depth_noise
 from eval.plan.experiment import Experiment, Work
 from eval.plan.flags.options import Options
 from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS
-from eval.plan.results import Asked, asked_results, truth_alone
+from eval.plan.results import NOTHING, Asked, asked_results, truth_alone
 from eval.replay.laser.backends import NAMES as BACK_ENDS
 from eval.replay.settings import Setup
 from eval.studies.scenario import Scenario
@@ -49,7 +49,7 @@ class Plan:
     stored: tuple[tuple[Scenario, Path], ...] = ()
     skipped: tuple[str, ...] = ()
     validations: tuple[Validation, ...] = ()
-    given: Asked = Asked()
+    given: Asked = NOTHING
 
 
 def make_plan(options: Options, say: Callable[[str], None]) -> Plan:

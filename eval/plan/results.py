@@ -1,4 +1,4 @@
-"""Results that were handed in: their files are read before any work is done, and scored beside the runs of their log."""
+"""Results that were handed in: read before any work is done, and scored beside the runs of their log."""
 
 from __future__ import annotations
 
@@ -25,6 +25,8 @@ from eval.replay.names import ESTIMATORS
 TRUTH = "truth"
 """Name of the truth in `--times truth=FILE` and the like."""
 PHASES = ("online", "final")
+PLAIN = Reading()
+"""Nothing was said."""
 NAME = re.compile(r"[\w][\w.+-]*")
 
 
@@ -93,7 +95,10 @@ def _of(flag: str, values: Sequence[str], name: str, names: Sequence[str], *, al
     if len(own) > 1 or len(common) > 1:
         raise UsageError(f"{flag} {(own if len(own) > 1 else common)[1]}: given twice for the same; NAME=... for each")
     if alone and common and len(names) != 1:
-        raise UsageError(f"{flag} {common[0]}: of which result? NAME={common[0]} with one of {', '.join(names) or 'none'}")
+        who = (
+            f"NAME={common[0]} is needed, NAME one of {', '.join(names)}" if names else "--result NAME=FILE is missing"
+        )
+        raise UsageError(f"{flag} {common[0]}: of which result? {who}")
     if own or (alone and name == TRUTH):
         return own[0] if own else None
     return common[0] if common else None
@@ -176,7 +181,7 @@ class Asked:
     results: tuple[Result, ...] = ()
     file: GivenPath | None = None
     truth: TruePath | None = None
-    reading: Reading = Reading()
+    reading: Reading = PLAIN
 
     def settled(self, log: Log) -> tuple[Log, Asked]:
         """The log with the truth that was given, if one was, and the truth that results are scored against."""
@@ -190,13 +195,16 @@ class Asked:
         return changed, replace(self, truth=truth)
 
 
+NOTHING = Asked()
+
+
 def asked_results(reading: Results, logs: Sequence[str], folders: Sequence[str]) -> Asked:
     """What `--result` and `--truth` ask for, read; raises UsageError for what makes no sense together."""
     for row in rows(Reading).values():
         if getattr(reading, row.name) != row.default and not (reading.result or reading.truth):
             raise UsageError(f"{row.option}: for results; --result NAME=FILE is missing")
     if not reading.result and reading.truth is None:
-        return Asked()
+        return NOTHING
     flag = f"--result {reading.result[0]}" if reading.result else f"--truth {reading.truth}"
     if len(logs) > 1 or folders:
         raise UsageError(f"{flag}: belongs to one log; give it with one --log")

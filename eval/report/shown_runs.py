@@ -88,8 +88,9 @@ def for_map(trial: Trial, most: int = MOST_PATHS) -> list[Run]:
         return _final_only(trial.runs)
     others = [r for r in trial.runs if r.estimator == "dead-reckoning"]
     astray, estimates = worst(trial), finished(trial)
-    ranked = [r for r in estimates if isinstance(r, GivenRun)]
-    ranked += _by_importance([r for r in estimates if not isinstance(r, GivenRun)], ((0, 0), (2, 0), (0, 1), (2, 1), (1, 0), (1, 1)))
+    handed = [r for r in estimates if isinstance(r, GivenRun)]
+    ours = [r for r in estimates if not isinstance(r, GivenRun)]
+    ranked = [*handed, *_by_importance(ours, ((0, 0), (2, 0), (0, 1), (2, 1), (1, 0), (1, 1)))]
     room = most - len(others) - (astray is not None)
     chosen = [r for r in ranked if r is not astray][:room]
     return _final_only([*others, *_in_order(chosen), *([] if astray is None else [astray])])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,8 +12,8 @@ from data.log import Log
 from data.result import NEW, MapEstimate, Run, Trajectory
 from data.results.path import GivenPath
 from data.results.space import projection
-from data.sensors import RangeBearing
 from data.se2 import Array
+from data.sensors import RangeBearing
 from data.truth import Truth
 from eval.referee.paths.align import ABOUT, NONE, alignment, moved, moved_map
 from eval.referee.paths.match import GAP, SAME, Match, match
@@ -21,6 +22,9 @@ GIVEN = "given"
 """Association of a run whose decisions were handed in, too."""
 TRUTH_ALONE = "a truth alone"
 """Kind of a log's source that holds nothing else."""
+
+
+NO_TRUTH = "no true path is known, so it has no errors: only its distance from batch is measured, where that ran"
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,13 +47,15 @@ class GivenRun(Run):
 
     Attributes:
         log: its instants, and the truth there; the log beside which it stands where it has that log's frames.
-        match: with the truth.
+        match: with the truth; None: there is none.
+        source: sha256 of what was read, by file.
         aligned: how it was moved onto the truth (`ALIGNMENTS`).
     """
 
     log: Log | None = None
     match: Match | None = None
     aligned: str = NONE
+    source: Mapping[str, str] = field(default_factory=dict)
 
 
 def log_of(run: Run, log: Log) -> Log:
@@ -70,12 +76,11 @@ def truth_log(name: str, path: GivenPath) -> Log:
     start = known[0] if len(known) else np.zeros(3)
     inputs = Inputs(
         Prior(start, np.zeros((3, 3))), path.time, Increments(np.zeros((n, 3)), np.zeros((n, 3, 3))), nothing,
-        RangeBearing(np.eye(2)),
+        RangeBearing(),
     )  # fmt: skip
-    source = {"kind": TRUTH_ALONE, "file": path.file}
-    notes = (f"Truth alone, {path.kind}: {path.file}.",)
-    said = projection(path)
-    return Log(name, inputs, Truth(pose=path.pose), source=source, notes=(*notes, *((f"Its truth is {said}.",) if said else ())))
+    said = (f"Truth alone, read from {path.file} ({path.kind})", projection(path), *path.notes)
+    notes = tuple(f"{s[0].upper()}{s[1:]}." for s in said if s)
+    return Log(name, inputs, Truth(pose=path.pose), source={"kind": TRUTH_ALONE, "file": path.file}, notes=notes)
 
 
 def with_truth(log: Log, path: GivenPath, gap: float = GAP) -> tuple[Log, Match]:
@@ -110,20 +115,20 @@ def given_run(
     """
     first = next(iter(paths.values()))
     time = first.time
-    if truth is None:
-        found = Match(np.full((len(time), 3), np.nan), 0, len(time), 0, float("nan"))
-    else:
+    found = None
+    if truth is not None:
         found = match(time, truth.time, truth.pose, 0.0 if log.recorded.time_is_index else gap)
     own = log.recorded.time
     same = len(time) == len(own) and bool((np.abs(time - own) <= SAME).all())
-    at = log if same else _at(log, time, found.truth if truth is not None else None)
-    T = None
+    at = log if same else _at(log, time, None if found is None else found.truth)
     last = paths.get("final") or first
-    if truth is not None:
-        T = alignment(last.pose, found.truth, align)
+    T = None if found is None else alignment(last.pose, found.truth, align)
     made = {phase: _trajectory(path) for phase, path in paths.items()}
     landmarks = kept.landmarks
-    notes = [f"read from {last.file} ({last.kind}): {found.text}" if truth is not None else f"read from {last.file}"]
+    matched = NO_TRUTH if found is None else found.text
+    notes = [f"read from {last.file} ({last.kind}): {matched}"]
+    if last.covariance is None:
+        notes.append("its file has no covariance, so there is no NEES")
     notes += [s for s in (projection(last), *last.notes) if s]
     if T is not None:
         made = {phase: moved(T, path) for phase, path in made.items()}
@@ -136,7 +141,7 @@ def given_run(
     return GivenRun(
         name, "none" if kept.decisions is None else GIVEN, task, made.get("online"), made.get("final"), landmarks,
         decisions, final, created_by(decisions, final, task), notes=tuple(notes), log=at, match=found,
-        aligned=NONE if T is None else align,
+        aligned=NONE if T is None else align, source={p.file: p.digest for p in paths.values()},
     )  # fmt: skip
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data.inputs import read_only
-from data.se2 import Array, BoolArray, wrap_angle
+from data.inputs import IntArray, read_only
+from data.se2 import Array, wrap_angle
 
 SAME = 1e-6
 """s: stamps that differ by no more are the same instant (microseconds were written; `smfeval` has the same)."""
@@ -56,7 +56,8 @@ def match(time: Array, truth_time: Array, truth: Array, gap: float = GAP) -> Mat
     apart, positions are interpolated linearly and headings along the shorter way. Elsewhere, beside a truth that is
     NaN and outside the span of the truths, it is unknown.
     """
-    n, known = len(time), np.isfinite(truth).all(axis=1)
+    n = len(time)
+    known = np.asarray(np.isfinite(truth).all(axis=1))
     found = np.full((n, 3), np.nan)
     if not len(truth_time):
         return Match(found, 0, n, 0, math.nan)
@@ -68,13 +69,13 @@ def match(time: Array, truth_time: Array, truth: Array, gap: float = GAP) -> Mat
     within = ~same & (truth_time[before] < time) & (time < truth_time[after]) & known[before] & known[after]
     within &= truth_time[after] - truth_time[before] <= gap + SAME
     found[within] = _between(truth_time, truth, before[within], after[within], time[within])
-    matched: BoolArray = np.isfinite(found).all(axis=1)
+    matched = np.asarray(np.isfinite(found).all(axis=1))
     between = int((within & matched).sum())
     error = _sagitta(truth_time, truth, gap) if between else math.nan
     return Match(found, int(matched.sum()), n - int(matched.sum()), between, error)
 
 
-def _between(time: Array, pose: Array, a: Array, b: Array, at: Array) -> Array:
+def _between(time: Array, pose: Array, a: IntArray, b: IntArray, at: Array) -> Array:
     """Poses (m, 3) at stamps (m,) between rows a and b (m,)."""
     share = ((at - time[a]) / (time[b] - time[a]))[:, None]
     step = pose[b] - pose[a]

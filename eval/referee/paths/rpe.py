@@ -32,7 +32,7 @@ class Relative:
 
 
 def pairs_by_way(xy: Array, distance: float) -> tuple[IntArray, IntArray]:
-    """Rows i < j (p,) of positions (n, 2) whose way along them is `distance`, within a tenth; of equal ones the first."""
+    """Rows i < j (p,) of positions (n, 2) with a way of `distance` between, within a tenth; of equals the first."""
     n = len(xy)
     none = np.empty(0, np.int64)
     if n < 2:

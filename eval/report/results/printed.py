@@ -11,21 +11,22 @@ import numpy as np
 
 from data.log import Log
 from data.results.bag import is_bag
+from data.results.kept import Beside
+from data.results.reading import read_path
 from data.results.space import projection
 from data.se2 import Array
-from eval.plan.flags.results import Reading
-from eval.plan.results import Result, manner_of, phase_of, read_path, runs_of, true_path, truth_of
 from eval.page.numbers import number
+from eval.plan.flags.results import Reading
+from eval.plan.results import Result, manner_of, phase_of, runs_of, true_path, truth_of
 from eval.referee import consistency, errors
 from eval.referee.consistency import QUANTITIES
 from eval.referee.metrics import OF_ESTIMATES
 from eval.referee.paths.given import GivenRun, TruePath, truth_log
 from eval.referee.score import metrics_row
-from eval.studies.montecarlo import DOF, Sample, verdicts
-from data.results.kept import Beside
+from eval.studies.montecarlo import Sample, verdicts
 
 ESTIMATE = "estimate"
-FIRST = ("rmse_position_m", "mean_position_m", "median_position_m", "std_position_m", "min_position_m", "max_position_m")
+FIRST = tuple(f"{name}_position_m" for name in ("rmse", "mean", "median", "std", "min", "max"))
 """Absolute errors of the position stand in front."""
 LEFT_OUT = ("observations", "accepted", "rejected", "landmarks", "frames", "lost_frame", "iterations", "block_frames")
 
