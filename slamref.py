@@ -41,6 +41,7 @@ COMMANDS = {
     "twin": ("eval.twin", "draw a log again as it says of itself, with a truth"),
     "convert": ("data.convert.__main__", "turn a recording or a simulation into an open log folder"),
     "inspect": ("eval.inspect", "print what a log holds and what is odd about it"),
+    "score": ("eval.score", "score a trajectory that another program made against a truth"),
     "tune": ("eval.tune", "fit noise, biases and odometry scales to a labelled log"),
     "benchmark": ("eval.benchmark", "time the estimators beside their peers"),
     "warm": ("eval.warm", "compile every kernel once, into the cache"),

@@ -137,6 +137,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
     from eval.plan.execute import execute
     from eval.plan.experiments import make_plan
     from eval.plan.first_use import compile_if_needed
+    from eval.referee.paths.given import GivenRun
     from eval.report.contents import write_results
     from eval.studies import reproduced, store
     from eval.studies.montecarlo import declared_line, failed_declarations, judge, study_lines
@@ -160,7 +161,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
                 where += f" ({run.association})" if run.doubt is not None else ""
                 console.say(f"{where} {f.status} {'at' if run.doubt is None else 'from'} frame {f.frame}: {f.why}")
             for note in run.notes:
-                if "ran out" in note:
+                if "ran out" in note or isinstance(run, GivenRun):
                     console.say(f"{trial.log.name}, {run.task}: {run.estimator}: {note}")
     for study in outcome.studies:
         for text in study_lines(study):

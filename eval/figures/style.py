@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.typing import RcKeyType
 
 from data.result import Run, Trajectory
+from eval.referee.paths.given import GivenRun
 
 SINGLE = 3.4
 """in. Width of one column of a two-column paper."""
@@ -135,18 +136,21 @@ def series(runs: Sequence[Run]) -> list[Series]:
     label only where it differs between the estimates, and then decides the line as well, known association first.
     """
     cycle: tuple[Line, ...] = (SOLID, DASHDOT, DOTTED, DASHED)
-    estimates = [r for r in runs if r.estimator != "dead-reckoning"]
+    # a result that was handed in without decisions has no association that could differ, as dead reckoning has none
+    estimates = [r for r in runs if r.association != "none"]
     variants = sorted({(r.task, r.association != "known", r.association) for r in estimates})
     drawn = []
     for run in runs:
         style, extra, line = style_of(run.estimator), "", style_of(run.estimator).line
-        if run.estimator != "dead-reckoning" and len(variants) > 1:
+        if run.association != "none" and len(variants) > 1:
             if len({r.association for r in estimates}) > 1:
                 extra += f", {run.association}"
             if len({r.task for r in estimates}) > 1:
                 extra += f", {run.task}"
             position = variants.index((run.task, run.association != "known", run.association))
             line = cycle[position % len(cycle)]
+        if isinstance(run, GivenRun) and run.aligned != "none":
+            extra += ", aligned"
         for phase in run.phases:
             phase_line = DASHED if phase == "online" and len(run.phases) > 1 else line
             when = "" if run.estimator == "dead-reckoning" else f" ({phase})"

@@ -129,6 +129,14 @@ OF_ESTIMATES = (
     _error("rmse_landmark_majority_m", "landmark RMSE, named by majority", "m"),
     _count("iterations", "iterations", spelled="iterations of the optimizer"),
     Metric("last_step_sigma", "last step", "sigmas", "smaller", form=".1e", spelled="Newton step left in the end"),
+    _error("rpe_frame_m", "relative error a frame", "m"),
+    _error("rpe_frame_deg", "relative turn error a frame", "deg"),
+    _error("rpe_1m_m", "relative error over 1 m", "m"),
+    _error("rpe_1m_deg", "relative turn error over 1 m", "deg"),
+    _error("rpe_10m_m", "relative error over 10 m", "m"),
+    _error("rpe_10m_deg", "relative turn error over 10 m", "deg"),
+    _count("matched", "matched", spelled="poses of a result that the truth is known at"),
+    _count("unmatched", "unmatched", spelled="poses of a result that the truth is not known at"),
 )
 """Columns of metrics.csv after `status`."""
 OF_DECISIONS = (

@@ -18,6 +18,7 @@ from eval.plan.unfinished import Unfinished
 from eval.plan.work import work
 from eval.referee.consistency import MIN_RUNS
 from eval.referee.files import top
+from eval.referee.paths.given import GivenRun, is_truth_alone
 from eval.referee.score import Scores, Trial, score
 from eval.report.answer import answer
 from eval.report.corridor.questions import lab_sections
@@ -25,7 +26,10 @@ from eval.report.doubt.origin import origin_statement
 from eval.report.laser.sections import against_relations, laser_sections
 from eval.report.log_sections import association_sections, beside, rows_of, trial_sections, tutorial_sections
 from eval.report.pictures import draw, kinds, publish_runs
+from eval.report.results.said import results_statement
 from eval.report.revisions import revision_section
+from eval.report.rows import rows_of as report_rows
+from eval.report.run_files import write_truths
 from eval.report.statements import failure_statement, gate_sentence
 from eval.report.studies import study_sections
 from eval.report.terminal.headline import headlines
@@ -82,6 +86,7 @@ def write_results(
     if outcome.published:
         top.PUBLISHED.write(published_frame(outcome.published), folder)
     (folder / "runs").mkdir()
+    write_truths(folder, outcome.trials)
     published = _publish_trials(folder, options, outcome.trials, lost, progress)
     sections = [*trial_sections(folder, options, outcome.trials, scores, published, outcome.trust)]
     sections += laser_sections(folder, options, outcome.trials, published)
@@ -103,9 +108,18 @@ def write_results(
         ),
     )
     (folder / "provenance.json").write_text(
-        provenance(options, {t.log.name: t.log for t in outcome.trials}.values(), arguments), encoding="utf-8"
+        provenance(options, {t.log.name: t.log for t in outcome.trials}.values(), arguments, _results(outcome.trials)),
+        encoding="utf-8",
     )
     return Written(tuple(lost.said), tuple(headlines(scores, outcome.trials, outcome.studies, judged)))
+
+
+def _results(trials: Sequence[Trial]) -> dict[str, dict[str, str]]:
+    """The files of each result that was handed in, with their digests."""
+    found: dict[str, dict[str, str]] = {}
+    for run in (r for t in trials for r in t.runs if isinstance(r, GivenRun)):
+        found.setdefault(run.estimator, {}).update(run.source)
+    return found
 
 
 def _publish_trials(
@@ -167,7 +181,9 @@ def _introduction(outcome: Outcome, scores: Scores, judged: Sequence[Judged]) ->
                 rows_of(table, trial) for table in (scores.metrics, scores.association, scores.differences)
             )
             said = answer(metrics, decided, _labelled(trial), differences, first_said(trial, outcome.trust))
-            said = " ".join(s for s in (against_relations(trial), said) if s)
+            theirs = results_statement(trial, report_rows(metrics))
+            said = "" if theirs and is_truth_alone(trial.log) else said
+            said = " ".join(s for s in (against_relations(trial), said, theirs) if s)
             notes.append(f"* **{trial.log.name}, {trial.task}.** {said}")
     declared = [j for j in judged if j.declared and j.verdict.runs >= MIN_RUNS]
     if declared:

@@ -22,6 +22,7 @@ from eval.report.doubt.naming import naming_statements
 from eval.report.laser.pictures import GRID, LOOPS
 from eval.report.names import stem
 from eval.report.pictures import FILTER_SMOOTHER
+from eval.report.results.said import aligned_statement
 from eval.report.rows import rows_of as rows_by
 from eval.report.trust.sections import trust_section
 from eval.report.tutorial_table import CAPTION, logs_with_tutorials, tutorial_table
@@ -61,7 +62,7 @@ def trial_sections(
         blocks: list[Block] = []
         others = beside(trial, trials)
         table = comparison.comparison_table(pd.concat([rows, *(rows_of(scores.metrics, t) for t in others)]))
-        caption = f"{trial.log.name}, {trial.task}. {comparison.COMPARISON_CAPTION}"
+        caption = f"{trial.log.name}, {trial.task}. {comparison.COMPARISON_CAPTION}{aligned_statement(trial)}"
         blocks.append(written_table(table, folder, stem(trial, "comparison"), caption, options.formats))
         blocks += [_beside_note(t, rows_of(scores.metrics, t)) for t in others]
         blocks += _differences(folder, options, trial, rows_of(scores.differences, trial))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from data.se2 import Array
 from eval.referee.confusion import OUTCOMES
 from eval.referee.errors import landmark_true_ids
 from eval.referee.files import of_runs
+from eval.referee.paths.given import GivenRun, log_of
 from eval.referee.score import Trial, confusion_of
 
 FILES = {"online": of_runs.ONLINE, "final": of_runs.FINAL}
@@ -41,12 +43,21 @@ def write_tum(path: Path, time: Array, pose: Array) -> None:
         np.savetxt(file, np.column_stack(columns), fmt="%.17g")
 
 
+def write_truths(folder: Path, trials: Sequence[Trial]) -> None:
+    """The true path of every log that has one, as `runs/<log>/truth.tum`."""
+    for log in {t.log.name: t.log for t in trials}.values():
+        if log.truth.pose is not None and log.truth.known_poses:
+            place = folder / "runs" / folder_name(log.name)
+            place.mkdir(parents=True, exist_ok=True)
+            write_tum(place / "truth.tum", log.recorded.time, log.truth.pose)
+
+
 def write_run(folder: Path, trial: Trial, run: Run) -> None:
     """Everything about one run below `folder/runs/<log>/<task>-<estimator>-<association>/`."""
     log = trial.log
     place = folder / "runs" / folder_name(log.name) / f"{run.task}-{run.estimator}-{run.association}"
     place.mkdir(parents=True, exist_ok=True)
-    time = log.recorded.time
+    time = log_of(run, log).recorded.time
     for phase in run.phases:
         trajectory = run.trajectory(phase)
         table = trajectory_table(time, trajectory)
@@ -63,7 +74,8 @@ def write_run(folder: Path, trial: Trial, run: Run) -> None:
 def _write_map(place: Path, trial: Trial, run: Run) -> None:
     m = run.map
     if m is None:
-        if run.task != "slam" or run.association in ("none", SCAN) or run.failure is not None:
+        bare = isinstance(run, GivenRun) or run.association in ("none", SCAN)
+        if run.task != "slam" or bare or run.failure is not None:
             return
         raise AssertionError(f"{run.estimator} did SLAM but returned no map")
     ids = landmark_true_ids(run.created, trial.log.truth, m.number)
