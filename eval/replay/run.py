@@ -21,6 +21,9 @@ from ekf.filter import FilterDivergedError, FilterOptions
 from ekf.whole_run import FilterRun, run_filter
 from eval.replay.batch import batch
 from eval.replay.estimators import OPTIONS
+from eval.replay.foreign.guard import ForeignError
+from eval.replay.foreign.make import CannotError, require
+from eval.replay.foreign.spec import is_foreign, name_of
 from eval.replay.frontend import FrontEnd
 from eval.replay.given import Given
 from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
@@ -28,6 +31,7 @@ from eval.replay.hindsight.mapping_frontend import MappingFrontEnd
 from eval.replay.laser.comparison import compare_laser
 from eval.replay.laser.landmarks import at_all_frames, corner_log
 from eval.replay.names import BATCH, FILTERS
+from eval.replay.nothing import no_run
 from eval.replay.observer import Nobody, Observer
 from eval.replay.plausible import judged
 from eval.replay.recorder import Recorder
@@ -104,7 +108,16 @@ def step_by_step(
     every stage and changes nothing but the time taken.
     """
     begin = time.perf_counter()
-    front = front_end(name, association, inputs, setup.settled(inputs.labels_are_sensed), options)
+    setup = setup.settled(inputs.labels_are_sensed)
+    try:
+        if is_foreign(name):
+            require(name, task, association, setup)
+        front = front_end(name, association, inputs, setup, options)
+    except CannotError as stop:
+        return no_run(name_of(name), name_of(association), task, inputs, Failure("incomplete", 0, str(stop)))
+    except ForeignError as stop:  # its constructor crashed
+        failure = Failure("diverged", 0, str(stop), stop.trace)
+        return no_run(name_of(name), name_of(association), task, inputs, failure)
     each = options is not None and options.each
     run = driven(name, front, inputs, task, each=each, finish=finish, observer=observer)
     return replace(run, seconds=time.perf_counter() - begin)
@@ -142,7 +155,9 @@ def driven(
             finished = front.estimator.finish()
     except (FilterDivergedError, UnderConstrained, SingularInnovationError) as stop:
         failure = Failure("diverged", front.k, str(stop))
-    return record.run(name, task, front, finished, failure, time.perf_counter() - begin)
+    except ForeignError as stop:
+        failure = Failure("diverged", max(front.k, 0), str(stop), stop.trace)
+    return record.run(name_of(name), task, front, finished, failure, time.perf_counter() - begin)
 
 
 def front_end(
