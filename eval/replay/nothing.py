@@ -9,7 +9,14 @@ from data.result import DISCARD, Failure, Run, Trajectory
 
 
 def no_run(
-    name: str, association: str, task: str, inputs: Inputs, failure: Failure, *, online: bool = True, final: bool = False
+    name: str,
+    association: str,
+    task: str,
+    inputs: Inputs,
+    failure: Failure,
+    *,
+    online: bool = True,
+    final: bool = False,
 ) -> Run:
     """Blank trajectories of the phases it would have had; nothing was decided."""
     n = len(inputs)

@@ -91,9 +91,23 @@ def write_results(
         ),
     )
     (folder / "provenance.json").write_text(
-        provenance(options, {t.log.name: t.log for t in outcome.trials}.values(), arguments), encoding="utf-8"
+        provenance(
+            options, {t.log.name: t.log for t in outcome.trials}.values(), arguments, _foreign(options, outcome)
+        ),
+        encoding="utf-8",
     )
     return tuple(lost.said)
+
+
+def _foreign(options: Options, outcome: Outcome) -> list[str]:
+    """Estimators and ways of association that were used, by flag and scenario file."""
+    studied = [s.scenario for s in outcome.studies]
+    return [
+        *options.estimator,
+        *options.association,
+        *(m.name for s in studied for m in s.members),
+        *(a for s in studied for a in s.association),
+    ]
 
 
 def _publish_trials(

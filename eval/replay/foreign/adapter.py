@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import inspect
 import math
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
 from association.expectation import Expectation
 from data.inputs import Increment, IntArray, LandmarkMap, Sightings
-from data.result import NEW, Finished, MapState, PoseEstimate, Trajectory, Updated
+from data.result import NEW, Finished, MapState, PoseEstimate, Updated
 from data.se2 import Array
-from eval.replay.foreign.guard import ForeignError, array, call, kind, whole
+from eval.replay.foreign.guard import ForeignError, array, call
 from eval.replay.foreign.returned import expectation_of, finished_of, map_of, pose_of, updated_of
 
 NONE = np.empty(0, np.int64)

@@ -35,7 +35,7 @@ def call(who: str, function: Callable[..., Any], *arguments: Any, **named: Any) 
         return function(*arguments, **named)
     except PASSED:
         raise
-    except (Exception, SystemExit) as fault:  # noqa: BLE001 - somebody else's code, which may raise anything
+    except (Exception, SystemExit) as fault:
         below = fault.__traceback__.tb_next if fault.__traceback__ is not None else None
         trace = "".join(traceback.format_exception(type(fault), fault, below))
         raise ForeignError(f"{who} raised {said(fault)}{at_line(fault)}", trace) from fault

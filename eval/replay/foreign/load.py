@@ -68,7 +68,7 @@ def load(text: str) -> Loaded:
     place = place_of(text)
     try:
         module = _of_file(Path(place.file)) if place.file else _of_module(place)
-    except (Exception, SystemExit) as fault:  # noqa: BLE001 - somebody else's code, which may raise anything
+    except (Exception, SystemExit) as fault:
         raise UsageError(f"{place.shown}: {_import_failure(place, fault)}") from fault
     thing: Any = module
     for part in place.attribute.split("."):

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from association.expectation import Expectation
 from data.inputs import IntArray
 from data.result import DISCARD, NEW
-from data.se2 import Array
 from eval.replay.foreign.guard import ForeignError, call, whole
 from eval.replay.foreign.load import Loaded
+
+T = TypeVar("T", bound=np.generic)
 
 
 class Method:
@@ -53,7 +56,7 @@ def locked(e: Expectation) -> Expectation:
     )  # fmt: skip
 
 
-def _locked(values: Array | IntArray) -> Array | IntArray:
+def _locked(values: NDArray[T]) -> NDArray[T]:
     view = values.view()
     view.setflags(write=False)
     return view

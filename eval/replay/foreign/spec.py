@@ -131,7 +131,9 @@ def check_name(label: str, name: str, kind: str, chosen: bool, rest: str) -> Non
         )
     ours = next((n for n in OURS[kind] if n.lower() == name.lower()), None)
     if ours is not None:
-        raise UsageError(f"{label}: {name!r} would be taken for our {kind} {ours!r}{instead or '; choose another name'}")
+        raise UsageError(
+            f"{label}: {name!r} would be taken for our {kind} {ours!r}{instead or '; choose another name'}"
+        )
 
 
 def _folder_of(module: str) -> str:
