@@ -13,7 +13,7 @@ from data.errors import UsageError
 from eval.checks import associations, estimators, expected, handed
 from eval.checks.finding import CheckError, Finding
 from eval.replay.foreign.guard import ForeignError
-from eval.replay.foreign.load import live, load
+from eval.replay.foreign.load import load, text_of
 from eval.replay.foreign.make import tasks_of
 from eval.replay.foreign.method import Method
 from eval.replay.foreign.spec import is_foreign, name_of, one_settled
@@ -94,7 +94,7 @@ def _judge(what: str | Callable[..., Any], findings: list[Finding]) -> None:
 
 
 def _text(what: str | Callable[..., Any], kind: str) -> str:
-    """A settled text for what may also be an object."""
-    if isinstance(what, str):
-        return one_settled("", what, kind) if "<" not in what else what
-    return live(what, getattr(what, "__name__", "it"))
+    """A settled text for what may also be an object, or a name that an installed package adds."""
+    if isinstance(what, str) and not is_foreign(what):
+        return one_settled("check", what, kind)
+    return text_of(what, kind)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib
 import importlib.util
+import re
 import sys
 import sysconfig
 import traceback
@@ -15,7 +16,10 @@ from types import ModuleType
 from typing import Any
 
 from data.errors import UsageError
-from eval.replay.foreign.spec import Place, is_foreign, place_of
+from eval.replay.foreign.spec import NAME, OURS, Place, is_foreign, place_of, settled
+
+Thing = Callable[..., Any]
+"""A class or a function."""
 
 
 @dataclass(frozen=True)
@@ -50,10 +54,18 @@ _FILES: dict[tuple[str, str], ModuleType] = {}
 """Modules by path and content, so that a file that was changed is loaded again."""
 
 
-def live(thing: Callable[..., Any], name: str) -> str:
-    """A text for an object of this process, for calls from Python; other processes cannot load it."""
-    text = f"{name}=<{id(thing):x}>:{getattr(thing, '__name__', 'object')}"
-    _LIVE[text] = Loaded(text, name, thing)
+def text_of(what: str | Thing, kind: str) -> str:
+    """A name of ours, a settled text, any other text settled, or a text for an object of this process.
+
+    Other processes cannot load such an object.
+    """
+    if isinstance(what, str):
+        return what if what in _LIVE or not is_foreign(what) else settled(kind, what, kind)
+    name = getattr(what, "__name__", type(what).__name__)
+    if name.lower() in OURS[kind] or not NAME.fullmatch(name):
+        name = f"my.{re.sub('[^A-Za-z0-9_]', '', name)[:36]}"
+    text = f"{name}=<{id(what):x}>:{name}"
+    _LIVE[text] = Loaded(text, name, what)
     return text
 
 

@@ -107,7 +107,7 @@ def settled(label: str, text: str, kind: str) -> str:
     where, colon, attribute = rest.rpartition(":")
     if not (colon and where and all(part.isidentifier() for part in attribute.split("."))):
         raise UsageError(f"{label} {text}: {FORM} is needed")
-    name = given or attribute.rpartition(".")[2]
+    name = given or _short(where, attribute, kind)
     check_name(label, name, kind, bool(given), rest)
     if where.endswith(".py") or "/" in where.partition("@")[0] or os.sep in where.partition("@")[0]:
         path = Path(where).expanduser().absolute()
@@ -120,6 +120,15 @@ def settled(label: str, text: str, kind: str) -> str:
     if not all(part.isidentifier() for part in module.split(".")):
         raise UsageError(f"{label} {text}: {where!r} is no module; {FORM} is needed")
     return Place(name, "", module, folder or _folder_of(module), attribute).text
+
+
+def _short(where: str, attribute: str, kind: str) -> str:
+    """The attribute's name, with that of its file or module before it where the attribute alone reads like ours."""
+    name = attribute.rpartition(".")[2]
+    if name.lower() not in (ours.lower() for ours in OURS[kind]):
+        return name
+    home = Path(where).stem if where.endswith(".py") else where.partition("@")[0].rpartition(".")[2]
+    return f"{home}.{name}"
 
 
 def check_name(label: str, name: str, kind: str, chosen: bool, rest: str) -> None:
