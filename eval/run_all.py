@@ -140,7 +140,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
     from eval.referee.paths.given import GivenRun
     from eval.report.contents import write_results
     from eval.studies import reproduced, store
-    from eval.studies.montecarlo import declared_line, failed_declarations, judge, study_lines
+    from eval.studies.montecarlo import declared_line, failed_declarations, judge, study_lines, traces
 
     compile_if_needed(options.quiet)
     plan = make_plan(options, console.say)
@@ -160,12 +160,16 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
                 where = f"{trial.log.name}, {run.task}: {run.estimator}"
                 where += f" ({run.association})" if run.doubt is not None else ""
                 console.say(f"{where} {f.status} {'at' if run.doubt is None else 'from'} frame {f.frame}: {f.why}")
+                if f.trace:
+                    console.detail(f.trace.rstrip())
             for note in run.notes:
                 if "ran out" in note or isinstance(run, GivenRun):
                     console.say(f"{trial.log.name}, {run.task}: {run.estimator}: {note}")
     for study in outcome.studies:
         for text in study_lines(study):
             console.say(text)
+        for trace in traces(study):
+            console.detail(trace)
     for text in [*reproduced.lines(outcome.published), *outcome.skipped]:
         console.say(text)
     with _bar("writing", options.quiet, check) as progress:

@@ -108,7 +108,13 @@ def write_results(
         ),
     )
     (folder / "provenance.json").write_text(
-        provenance(options, {t.log.name: t.log for t in outcome.trials}.values(), arguments, _results(outcome.trials)),
+        provenance(
+            options,
+            {t.log.name: t.log for t in outcome.trials}.values(),
+            arguments,
+            _foreign(options, outcome),
+            _results(outcome.trials),
+        ),
         encoding="utf-8",
     )
     return Written(tuple(lost.said), tuple(headlines(scores, outcome.trials, outcome.studies, judged)))
@@ -120,6 +126,17 @@ def _results(trials: Sequence[Trial]) -> dict[str, dict[str, str]]:
     for run in (r for t in trials for r in t.runs if isinstance(r, GivenRun)):
         found.setdefault(run.estimator, {}).update(run.source)
     return found
+
+
+def _foreign(options: Options, outcome: Outcome) -> list[str]:
+    """Estimators and ways of association that were used, by flag and scenario file."""
+    studied = [s.scenario for s in outcome.studies]
+    return [
+        *options.estimator,
+        *options.association,
+        *(m.name for s in studied for m in s.members),
+        *(a for s in studied for a in s.association),
+    ]
 
 
 def _publish_trials(

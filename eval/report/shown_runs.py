@@ -12,7 +12,7 @@ from eval.figures.error import MOST_PANELS
 from eval.referee.errors import position_distance, rms
 from eval.referee.paths.given import GivenRun, log_of
 from eval.referee.score import Trial
-from eval.replay.names import BATCH, FILTERS
+from eval.replay.names import ESTIMATORS, FILTERS
 
 FIRST = ("known", "jcbb", "jcbb-first")
 """Ways of association that are shown before all others."""
@@ -37,10 +37,10 @@ def associations(runs: Sequence[Run]) -> list[str]:
 
 
 def _kind(run: Run) -> int:
-    """0 filter, 1 incremental smoother, 2 batch smoother; a result that was handed in by its phase."""
-    if isinstance(run, GivenRun):
-        return 0 if run.final is None else 1
-    return 0 if run.estimator in FILTERS else 2 if run.estimator in BATCH else 1
+    """0 filter, 1 incremental smoother, 2 batch smoother; one that is not ours by its phases."""
+    if run.estimator in FILTERS or (run.estimator not in ESTIMATORS and run.final is None):
+        return 0
+    return 2 if run.online is None else 1
 
 
 def _by_importance(runs: Sequence[Run], kinds: Sequence[tuple[int, int]]) -> list[Run]:
