@@ -139,13 +139,16 @@ class Adapter:
         """The end: its own, or the last map."""
         if self.has("finish"):
             return finished_of(f"{self.name}.finish", self._call("finish"))
-        return Finished(None, self.landmarks() if self._known is None and self.has("landmarks") else None)
+        return Finished(None, self.landmarks() if self._known is None else None)
 
     def notes(self) -> list[str]:
         """What a reader of its results should know."""
+        said = []
         if self.lacks_covariance:
-            return [f"{self.name} gives no covariance: there is no NEES, no share inside 3 sigma and no ellipse of it"]
-        return []
+            said.append(f"{self.name} gives no covariance: there is no NEES, no share inside 3 sigma and no ellipse")
+        if self._known is None and not self.has("landmarks"):
+            said.append(f"{self.name} has no `landmarks`: nothing is known of its map")
+        return said
 
     def _call(self, verb: str, *arguments: Any, **named: Any) -> Any:
         function = getattr(self.inner, verb, None)
