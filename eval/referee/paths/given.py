@@ -134,6 +134,7 @@ def given_run(
         made = {phase: moved(T, path) for phase, path in made.items()}
         landmarks = None if landmarks is None else moved_map(T, landmarks)
         notes.append(f"{ABOUT[align]}; its covariance is turned with it")
+    notes += _gone(kept, task)
     m = len(log.recorded.observations.frame)
     nothing = np.full(m, -2, np.int64)
     decisions = nothing if kept.decisions is None else kept.decisions
@@ -143,6 +144,19 @@ def given_run(
         decisions, final, created_by(decisions, final, task), notes=tuple(notes), log=at, match=found,
         aligned=NONE if T is None else align, source={p.file: p.digest for p in paths.values()},
     )  # fmt: skip
+
+
+def _gone(kept: Kept, task: str) -> list[str]:
+    """A sentence where landmarks were removed on the way, which nobody said when."""
+    if kept.landmarks is None or kept.decisions is None or task == "localization":
+        return []
+    final = kept.decisions if kept.final is None else kept.final
+    made = created_by(kept.decisions, final, task)
+    gone = np.setdiff1d(made[made >= 0], kept.landmarks.number)
+    if not len(gone):
+        return []
+    what = f"{len(gone)} landmarks of its decisions are not in its map, and nothing says when they were removed"
+    return [f"{what}: outcomes count them as there to the end"]
 
 
 def created_by(decisions: IntArray, final: IntArray, task: str) -> IntArray:
