@@ -1,4 +1,4 @@
-"""`python -m eval.inspect LOG`: what a log holds, what is odd about it, and a picture of it.
+"""`python -m eval.inspect LOG`: what a log holds, what is odd about it, questions to its author, a picture.
 
 Only the parser is imported at once, so that `--help` does not wait for the numerical libraries.
 """
@@ -33,7 +33,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
 def _inspect_as_asked(argv: Sequence[str] | None, prog: str) -> None:
     parser = argparse.ArgumentParser(
         prog=prog,
-        description="Print what a log holds and what is odd about it.",
+        description="Print what a log holds, what is odd about it, and questions about what may be meant otherwise.",
         epilog=EXAMPLES.replace(PROG, prog),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -52,10 +52,12 @@ def _inspect(name: str, plot: Path | None) -> None:
     if plot is not None and plot.suffix not in PICTURES:
         raise UsageError(f"--plot {plot}: a file name that ends in {' or '.join(PICTURES)} is needed")
     from data.logs import open_log
+    from data.questions.ask import ask
     from data.summary import summarize
 
     log = open_log(name)
     lines = summarize(log)
+    lines += [("question", f"{question.name}: {question.text}") for question in ask(log)]
     if log.has_labels:
         from eval.replay.settings import Setup
         from eval.report.statements import gate_sentence

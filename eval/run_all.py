@@ -134,11 +134,13 @@ def staged(out: Path) -> Iterator[Path]:
 
 
 def _run(options: Options, console: Console, folder: Path, arguments: Sequence[str], check: Callable[[], None]) -> int:
+    from data.questions.ask import ask
     from eval.plan.execute import execute
     from eval.plan.experiments import make_plan
     from eval.plan.first_use import compile_if_needed
     from eval.referee.paths.given import GivenRun
     from eval.report.contents import write_results
+    from eval.report.doubt.questions import said_after
     from eval.studies import reproduced, store
     from eval.studies.montecarlo import declared_line, failed_declarations, judge, study_lines, traces
 
@@ -150,6 +152,9 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
         console.detail(f"{e.log.name}: {e.task}, {len(e.log.recorded)} frames")
         for note in e.log.notes:
             console.detail(f"{e.log.name}: {note}")
+    for log in {e.log.name: e.log for e in plan.experiments if e.beside is None}.values():
+        for question in ask(log):
+            console.say(f"question ({log.name}, {question.name}): {question.text}")
     with _bar("estimating", options.quiet, check) as progress:
         outcome = execute(plan, options, progress)
     judged = [j for study in outcome.studies for j in judge(study)]
@@ -165,6 +170,8 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
             for note in run.notes:
                 if "ran out" in note or isinstance(run, GivenRun):
                     console.say(f"{trial.log.name}, {run.task}: {run.estimator}: {note}")
+    for who, question in said_after(outcome.trials):
+        console.say(f"question ({who}, {question.name}): {question.text}")
     for study in outcome.studies:
         for text in study_lines(study):
             console.say(text)

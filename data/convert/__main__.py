@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from data.convert import carmen, lab, mrclam, rosbag, victoria_park, visual, worlds
+from data.convert import carmen, lab, mrclam, rosbag, table, victoria_park, visual, worlds
 from data.convert.parsers import Parser
 from data.terminal.ending import ended
 from data.worlds.registry import SIMULATORS
@@ -23,6 +23,7 @@ examples:
   python -m data.convert victoria-park logs/victoria
   python -m data.convert carmen intel.log.gz logs/intel
   python -m data.convert rosbag robot.bag logs/robot --scan /scan --odom /odom
+  python -m data.convert table robot.csv logs/robot --columns t=stamp,v=speed --unit angle=deg,time=ns  (and more)
   python -m data.convert arena logs/arena-0 --seed 0 --landmarks 40
   python -m data.convert corridor logs/corridor-0 --seed 0 --people
   python -m data.convert circle logs/circle-0 --seed 0
@@ -30,7 +31,7 @@ examples:
   python -m data.convert visual my_lab --seed 0
   python -m data.convert lab my_lab logs/lab
 """
-SOURCES = (mrclam, victoria_park, carmen, rosbag, worlds, visual, lab)
+SOURCES = (mrclam, victoria_park, carmen, rosbag, table, worlds, visual, lab)
 CONVERTERS: dict[str, Callable[[argparse.Namespace], Log | str]] = {
     kind: source.convert for source in SOURCES for kind in source.KINDS
 }

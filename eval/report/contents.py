@@ -23,6 +23,7 @@ from eval.referee.score import Scores, Trial, score
 from eval.report.answer import answer
 from eval.report.corridor.questions import lab_sections
 from eval.report.doubt.origin import origin_statement
+from eval.report.doubt.questions import questions_section, unused_statement
 from eval.report.laser.sections import against_relations, laser_sections
 from eval.report.log_sections import association_sections, beside, rows_of, trial_sections, tutorial_sections
 from eval.report.pictures import draw, kinds, publish_runs
@@ -88,7 +89,8 @@ def write_results(
     (folder / "runs").mkdir()
     write_truths(folder, outcome.trials)
     published = _publish_trials(folder, options, outcome.trials, lost, progress)
-    sections = [*trial_sections(folder, options, outcome.trials, scores, published, outcome.trust)]
+    sections = questions_section(outcome.trials)
+    sections += trial_sections(folder, options, outcome.trials, scores, published, outcome.trust)
     sections += laser_sections(folder, options, outcome.trials, published)
     sections += visual_sections(folder, options, outcome.trials)
     sections += tutorial_sections(folder, options, outcome.trials, scores)
@@ -200,7 +202,8 @@ def _introduction(outcome: Outcome, scores: Scores, judged: Sequence[Judged]) ->
             said = answer(metrics, decided, _labelled(trial), differences, first_said(trial, outcome.trust))
             theirs = results_statement(trial, report_rows(metrics))
             said = "" if theirs and is_truth_alone(trial.log) else said
-            said = " ".join(s for s in (against_relations(trial), said, theirs) if s)
+            every = (unused_statement(trial), against_relations(trial), said, theirs)
+            said = " ".join(s for s in every if s)
             notes.append(f"* **{trial.log.name}, {trial.task}.** {said}")
     declared = [j for j in judged if j.declared and j.verdict.runs >= MIN_RUNS]
     if declared:
