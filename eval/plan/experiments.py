@@ -16,6 +16,7 @@ from eval.plan.beside import maintained, shows_noise, sparser, with_depth_noise
 from eval.plan.experiment import Experiment, Work
 from eval.plan.flags.options import Options
 from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS
+from eval.plan.lab import lab_experiments
 from eval.plan.foreign import check_possible, check_scenario, load_all
 from eval.plan.results import NOTHING, Asked, asked_results, truth_alone
 from eval.replay.foreign.places import introduce
@@ -68,7 +69,10 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
         raise UsageError(f"--relations {options.relations}: belongs to one log; give it with one --log")
     given = asked_results(options, options.log, options.data)
     alone = given.file is not None and not options.log
-    experiments = [] if options.log or alone else _default(options, say)
+    if options.lab is not None:
+        experiments = lab_experiments(options, options.lab, reading_of(options), say)
+    else:
+        experiments = [] if options.log or alone else _default(options, say)
     if alone:
         experiments = [Experiment(truth_alone(given), "slam", (), options.setup)]
     asked = [open_log(name, reading_of(options), say) for name in options.log]
@@ -100,7 +104,7 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
     check_possible(experiments)
     runs = options.runs
     if runs is None:
-        runs = 0 if options.log or alone else QUICK_RUNS if options.quick else DEFAULT_RUNS
+        runs = 0 if options.log or options.lab or alone else QUICK_RUNS if options.quick else DEFAULT_RUNS
     return Plan(tuple(experiments), ((load_scenario("arena"), runs),) if runs else (), given=given)
 
 
