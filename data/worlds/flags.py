@@ -44,6 +44,7 @@ def add_flags(sub: argparse.ArgumentParser, simulator: str) -> None:
     described = _attributes(parameters.__doc__ or "", [f.name for f in fields(parameters)])
     for f in fields(parameters):
         flag, text = f"--{f.name.replace('_', '-')}", described.get(f.name, "")
+        flags = [flag, f"--{f.metadata['alias']}"] if "alias" in f.metadata else [flag]
         if isinstance(f.default, bool):
             text = f"{text} (default: {'on' if f.default else 'off'})".replace("%", "%%")
             sub.add_argument(flag, action=argparse.BooleanOptionalAction, default=f.default, help=text)
@@ -56,7 +57,7 @@ def add_flags(sub: argparse.ArgumentParser, simulator: str) -> None:
         if f.metadata.get("unit") == "deg":
             default, unit, convert = f"{math.degrees(default):.12g}", "DEG", degrees
         text = f"{text} (default: {default})".strip().replace("%", "%%")
-        sub.add_argument(flag, type=convert, default=f.default, metavar=unit, help=text)
+        sub.add_argument(*flags, type=convert, default=f.default, metavar=unit, help=text, dest=f.name)
 
 
 def _attributes(docstring: str, names: Sequence[str]) -> dict[str, str]:

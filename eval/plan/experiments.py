@@ -16,8 +16,8 @@ from eval.plan.beside import maintained, shows_noise, sparser, with_depth_noise
 from eval.plan.experiment import Experiment, Work
 from eval.plan.flags.options import Options
 from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS
-from eval.plan.lab import lab_experiments
 from eval.plan.foreign import check_possible, check_scenario, load_all
+from eval.plan.lab import lab_experiments
 from eval.plan.results import NOTHING, Asked, asked_results, truth_alone
 from eval.replay.foreign.places import introduce
 from eval.replay.foreign.spec import is_foreign, name_of

@@ -32,9 +32,7 @@ METHODS = ("nn", "singles", "jcbb-first", "jcbb")
 VISUAL = ("dead-reckoning", "ekf", "ekf-iterated", "isam2", "batch")
 
 
-def lab_experiments(
-    options: Options, lab: str, reading: Reading, say: Callable[[str], None]
-) -> list[Experiment]:
+def lab_experiments(options: Options, lab: str, reading: Reading, say: Callable[[str], None]) -> list[Experiment]:
     """Every run of a lab. Raises UsageError for a name that is no lab, and for a folder that lacks a condition."""
     if lab.startswith("corridor:"):
         logs: Sequence[Log] = [open_log(name, reading, say) for name in corridor_names(lab)]
@@ -83,7 +81,7 @@ def _matters(key: str, people: bool, odometry: bool) -> bool:
     return odometry if key.endswith(("_move", "_turn")) else True
 
 
-def condition(log: Log) -> tuple[bool, bool]:
+def switched_on(log: Log) -> tuple[bool, bool]:
     """Whether people were seen, and whether the wheels were read (no motion, or always the same, is stated if not)."""
     people = log.truth.landmark_of is not None and bool(np.any(log.truth.landmark_of == CLUTTER))
     made, mean = log.source.get("corridor"), log.recorded.increments.mean[1:]
@@ -103,10 +101,10 @@ def _recorded(folder: Path, say: Callable[[str], None]) -> dict[tuple[bool, bool
         if truth.landmark_of is None or truth.known_poses < len(log.recorded):
             say(f"skipped {log.name}: the lab's questions are about true poses and true ids, which it does not have")
             continue
-        if condition(log) in found:
-            say(f"skipped {log.name}: {found[condition(log)].name} has the same condition")
+        if switched_on(log) in found:
+            say(f"skipped {log.name}: {found[switched_on(log)].name} has the same condition")
             continue
-        found[condition(log)] = log
+        found[switched_on(log)] = log
     missing = [
         f"{'with' if people else 'without'} people and {'with' if odometry else 'without'} odometry"
         for people, odometry in CONDITIONS
