@@ -52,7 +52,7 @@ class Corridor:
         range: m; points as far as this or farther are not seen.
         min_angle, max_angle: deg, bearings between which points are seen, both ends included.
         srho: standard deviation of a range, as a share of that range.
-        sphi: deg, standard deviation of a bearing; the lab's program calls it stita, which is understood, too.
+        sphi: deg, standard deviation of a bearing.
         sx_move, sy_move: m, standard deviations of the odometry of a move of 1 m.
         stheta_move: deg, the same of its heading.
         sx_turn, sy_turn: m, standard deviations of the odometry of a turn of 90 deg in place.
@@ -81,7 +81,7 @@ class Corridor:
     min_angle: float = _degrees(-90.0)
     max_angle: float = _degrees(90.0)
     srho: float = 0.01
-    sphi: float = _degrees(0.125, alias="stita")
+    sphi: float = _degrees(0.125, alias="stita")  # its name in the lab's program
     sx_move: float = 0.01
     sy_move: float = 0.01
     stheta_move: float = _degrees(2.0)

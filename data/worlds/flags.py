@@ -44,7 +44,6 @@ def add_flags(sub: argparse.ArgumentParser, simulator: str) -> None:
     described = _attributes(parameters.__doc__ or "", [f.name for f in fields(parameters)])
     for f in fields(parameters):
         flag, text = f"--{f.name.replace('_', '-')}", described.get(f.name, "")
-        flags = [flag, f"--{f.metadata['alias']}"] if "alias" in f.metadata else [flag]
         if isinstance(f.default, bool):
             text = f"{text} (default: {'on' if f.default else 'off'})".replace("%", "%%")
             sub.add_argument(flag, action=argparse.BooleanOptionalAction, default=f.default, help=text)
@@ -57,7 +56,10 @@ def add_flags(sub: argparse.ArgumentParser, simulator: str) -> None:
         if f.metadata.get("unit") == "deg":
             default, unit, convert = f"{math.degrees(default):.12g}", "DEG", degrees
         text = f"{text} (default: {default})".strip().replace("%", "%%")
-        sub.add_argument(*flags, type=convert, default=f.default, metavar=unit, help=text, dest=f.name)
+        sub.add_argument(flag, type=convert, default=f.default, metavar=unit, help=text)
+        if "alias" in f.metadata:  # understood, not advertised
+            alias = f"--{f.metadata['alias']}"
+            sub.add_argument(alias, type=convert, default=argparse.SUPPRESS, dest=f.name, help=argparse.SUPPRESS)
 
 
 def _attributes(docstring: str, names: Sequence[str]) -> dict[str, str]:

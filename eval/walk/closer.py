@@ -15,11 +15,13 @@ from data.inputs import IntArray
 from data.se2 import Array
 from eval.figures.style import DOUBLE, drawing
 from eval.walk.deciding import draw_decisions, scene_of_wrong, wrong_of
-from eval.walk.marks import BAD, DASHES, DULL, FAINT, GOOD, HALO, LANDMARK, TITLES, outlines, robot_axes, write_numbers
+from eval.walk.marks import BAD, DASHES, DULL, FAINT, GOOD, HALO, LANDMARK, called, outlines, robot_axes, write_numbers
 from eval.walk.plane import Matching, Plane, lines, plane_of
 
 AROUND = 0.5
 """m, half the side of what is shown at least: the corridor's points stand 0.25 m apart."""
+TALL, FLAT = 4.4, 3.3
+"""in. Heights of a figure with two panels, and with one per method."""
 SIZE = 7.0
 """pt, of the numbers."""
 
@@ -34,8 +36,8 @@ def closer_figure(m: Matching, method: str) -> Figure:
         assert not isinstance(decided, str)  # the frame is one that this method updates with
         truth = m.truth.get(method)
         middle, half = _region(p, decided, scene_of_wrong(p, decided, truth))
-        fig = Figure(figsize=(DOUBLE, 4.1), layout="none")
-        left, right = (fig.add_axes((x, 0.225, 0.42, 0.42 * DOUBLE / 4.1)) for x in (0.07, 0.565))
+        fig = Figure(figsize=(DOUBLE, TALL), layout="none")
+        left, right = (fig.add_axes((x, 0.215, 0.415, 0.415 * DOUBLE / TALL)) for x in (0.085, 0.575))
         for ax in (left, right):
             _scene(ax, p, middle, half, wrong_of(truth) if ax is left else None)
         d2 = m.expectation.individual_distances()
@@ -51,7 +53,7 @@ def closer_figure(m: Matching, method: str) -> Figure:
         robot_axes(right, left=False)
         left.set_title("compatibility: pairs inside the gate, with their d²", loc="left")
         counted = "" if truth is None else "  ".join(f"{name.upper()} {n}" for name, n in truth.counts().items())
-        right.set_title(f"matching by {TITLES.get(method, method)}: {counted}", loc="left")
+        right.set_title(f"matching by {called(method)}: {counted}", loc="left")
         fig.legend(handles=_handles(m), loc="lower center", ncols=4)
         fig.suptitle(m.title, x=0.01, ha="left")
         return fig
@@ -63,20 +65,21 @@ def methods_figure(m: Matching, methods: Sequence[str]) -> Figure:
         p, first = plane_of(m), m.decisions[methods[0]]
         scene = None if isinstance(first, str) else scene_of_wrong(p, first, m.truth.get(methods[0]))
         middle, half = _region(p, np.empty(0, np.int64) if isinstance(first, str) else first, scene)
-        fig = Figure(figsize=(DOUBLE, 3.3), layout="none")
-        wide = 0.94 / len(methods)
+        fig = Figure(figsize=(DOUBLE, FLAT), layout="none")
+        wide = 0.925 / len(methods)
         for k, name in enumerate(methods):
-            ax = fig.add_axes((0.06 + k * wide, 0.27, wide - 0.03, (wide - 0.03) * DOUBLE / 3.3))
+            ax = fig.add_axes((0.075 + k * wide, 0.27, wide - 0.03, (wide - 0.03) * DOUBLE / FLAT))
             _scene(ax, p, middle, half, None)
+            ax.tick_params(labelleft=k == 0)
+            robot_axes(ax, left=k == 0)
             made = m.decisions[name]
             if isinstance(made, str):
-                ax.set_title(f"{TITLES.get(name, name)}: {made}", loc="left")
+                ax.set_title(f"{called(name)}: {made}", loc="left")
                 continue
             truth = m.truth.get(name)
             draw_decisions(ax, p, made, truth, all_numbers=True, size=SIZE - 0.5)
             counted = "" if truth is None else "  ".join(f"{n.upper()} {c}" for n, c in truth.counts().items())
-            ax.set_title(f"{TITLES.get(name, name)}: {counted}", loc="left")
-            robot_axes(ax, left=k == 0)
+            ax.set_title(f"{called(name)}: {counted}", loc="left")
         fig.legend(handles=_handles(m), loc="lower center", ncols=4)
         fig.suptitle(m.title, x=0.01, ha="left")
         return fig

@@ -19,8 +19,9 @@ LANDMARK = "#6A3D9A"
 """Of a landmark's number; a reading's is black, a wrong one's like its mark."""
 TITLES = {
     "truth": "ground truth", "nn": "NN", "singles": "SINGLES", "ml": "ML", "jcbb": "JCBB", "gnn": "GNN",
-    "jcbb-first": "JCBB (first of equals)",
+    "jcbb-first": "JCBB", "jcbb-hindsight": "hindsight", "known": "by labels",
 }  # fmt: skip
+"""The lab's JCBB is `jcbb-first`; where `jcbb` stands beside it the titles have the names as they are."""
 SHOWN_WITHOUT_GATE = 0.99
 """Without a gate every pair is compatible; only those inside this one are drawn."""
 DASHES = (0, (3.0, 1.5))
@@ -76,3 +77,10 @@ def write_numbers(
 def robot_axes(ax: Axes, left: bool = True, bottom: bool = True) -> None:
     """Labels of the axes of the robot frame."""
     ax.set(xlabel="x forward [m]" if bottom else "", ylabel="y left [m]" if left else "")
+
+
+def called(name: str, beside: Sequence[str] = ()) -> str:
+    """The title of a panel that shows a method; its own name where another of those beside has the same title."""
+    title = TITLES.get(name, name)
+    same = [n for n in (*beside, name) if TITLES.get(n, n) == title]
+    return name if len(set(same)) > 1 else title

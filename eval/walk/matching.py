@@ -21,7 +21,7 @@ from eval.walk.marks import (
     GOOD,
     LANDMARK,
     SHOWN_WITHOUT_GATE,
-    TITLES,
+    called,
     robot_axes,
     write_numbers,
 )
@@ -85,7 +85,7 @@ def paint_compatibility(fig: Figure, m: Matching) -> None:
         if at == 0:
             write_numbers(ax, p.xy, [str(i) for i in range(len(p.xy))], "#202020", 5.5)
         out = f", {len(bad)} incompatible" if bad else ""
-        ax.set_title(f"{_called(name)}: {EVIDENCE.get(name, rest)} ({len(pairs)}{out})")
+        ax.set_title(f"{called(name, names)}: {EVIDENCE.get(name, rest)} ({len(pairs)}{out})")
         robot_axes(ax, left=at % 3 == 0, bottom=at >= len(names) - 3)
     handles: list[Line2D | Patch] = [
         Line2D([], [], marker="o", color=GOOD, linestyle="none", markersize=4.0, label="observation, 3σ ellipse"),
@@ -100,10 +100,6 @@ def paint_compatibility(fig: Figure, m: Matching) -> None:
     fig.suptitle(f"{m.title}: compatibility, robot frame", x=0.01, ha="left")
 
 
-def _called(name: str) -> str:
-    return TITLES.get(name, name)
-
-
 def paint_matching(fig: Figure, m: Matching) -> None:
     """What each method decides on the same expectation: shapes say what, colours whether it is right."""
     p, names = plane_of(m), list(m.decisions)
@@ -114,9 +110,9 @@ def paint_matching(fig: Figure, m: Matching) -> None:
         made = m.decisions[name]
         update = " (updates)" if name == m.chosen else ""
         if isinstance(made, str):
-            ax.set_title(f"{_called(name)}{update}: {made}")
+            ax.set_title(f"{called(name, names)}{update}: {made}")
         else:
-            ax.set_title(f"{_called(name)}{update}: {_counted(made, m.truth.get(name))}")
+            ax.set_title(f"{called(name, names)}{update}: {_counted(made, m.truth.get(name))}")
             draw_decisions(ax, p, made, m.truth.get(name), all_numbers=at == 0)
             inset_on_wrong(ax, p, made, m.truth.get(name))
         if name == m.chosen:
