@@ -16,6 +16,7 @@ import pandas as pd
 from data.result import Run
 from data.truth import CLUTTER
 from eval.page.numbers import number
+from eval.plan.lab import switched_on
 from eval.referee.errors import landmark_true_ids
 from eval.referee.score import Scores, Trial
 from eval.report.corridor.conditions import what_maintenance_changes, without_odometry
@@ -47,8 +48,19 @@ def numbers(rows: Rows, scores: Scores) -> pd.DataFrame:
             run = None if trial is None else _finished(trial, method)
             if trial is None or run is None:
                 continue
-            lines.append({"log": trial.log.name, "method": method, **_outcomes(trial, run, scores)})
+            lines.append({"condition": _condition(trial), "method": method, **_outcomes(trial, run, scores)})
     return pd.DataFrame(lines, dtype=object)
+
+
+def _condition(trial: Trial) -> str:
+    """What is special about a trial's log."""
+    people, odometry = switched_on(trial.log)
+    said = [
+        w
+        for w, on in (("people", people), ("no odometry", not odometry), ("maintained", trial.beside is not None))
+        if on
+    ]
+    return ", ".join(said) or "plain"
 
 
 def _finished(trial: Trial, association: str) -> Run | None:
@@ -61,9 +73,9 @@ def _outcomes(trial: Trial, run: Run, scores: Scores) -> dict[str, object]:
     m = _row(trial, run, scores)
     return {
         "TP": counts.tp, "TN": counts.tn, "FP": counts.fp, "FN": counts.fn,
-        "position RMSE [m]": m("rmse_position_m"), "inside 3σ [%]": 100.0 * m("inside_3sigma"),
+        "RMSE [m]": m("rmse_position_m"), "in 3σ [%]": round(100.0 * m("inside_3sigma"), 1),
         "landmarks": 0 if run.map is None else len(run.map),
-        "length of the state, mean": None if run.state_size is None else round(float(np.mean(run.state_size))),
+        "state": None if run.state_size is None else round(float(np.mean(run.state_size))),
     }  # fmt: skip
 
 

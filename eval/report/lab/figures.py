@@ -17,13 +17,10 @@ from data.se2 import Array
 from eval.figures.error import ticks, time_label
 from eval.figures.style import DASHED, DOUBLE, SOLID, TRUTH_COLOUR, colour_of_method, drawing
 from eval.figures.view import true_landmarks
-from eval.referee.errors import landmark_true_ids, position_distance
+from eval.referee.errors import landmark_true_ids, position_distance, rms
 from eval.referee.score import Trial
 from eval.report.corridor.phrases import NAMES
 from eval.walk.marks import BAD, FAINT
-
-MAP_HEIGHT = 3.4
-"""in. Of a figure with two square maps and a plot beside each other or below."""
 
 
 class Shown(NamedTuple):
@@ -68,27 +65,28 @@ def people_figure(quiet: Sequence[Shown], busy: Sequence[Shown]) -> Figure:
         return fig
 
 
-def paths_figure(rows: Sequence[tuple[str, Sequence[Shown]]]) -> Figure:
-    """What every method believes the path to be, a row per log: believed against true path, and the map of each."""
+def paths_figure(quiet: Sequence[Shown], busy: Sequence[Shown]) -> Figure:
+    """What every method believes the path to be, a panel each: with its map, and dashed the path with people about."""
     with drawing():
-        columns = max(len(shown) for _, shown in rows)
-        fig = Figure(figsize=(DOUBLE, 0.55 + len(rows) * (DOUBLE / columns + 0.55)))
-        axes = fig.subplots(len(rows), columns, squeeze=False, sharex=True, sharey=True)
-        for (name, shown), row in zip(rows, axes, strict=True):
-            for ax, s in zip(row, shown, strict=False):
-                _draw_map(ax, s, left=False, size=2.0)
-                off = _error(s)
-                final = "" if s.run.flaw is None else f"\n{s.run.flaw.status} from frame {s.run.flaw.frame}"
-                rms = float(np.sqrt(np.nanmean(off**2)))
-                ax.set_title(f"{s.run.association}\nRMSE {rms:.2g} m{final}", fontsize=7.0)
-                ax.tick_params(labelsize=6.0)
-                ax.set_xlabel("")
-            for ax in row[len(shown) :]:
-                ax.set_axis_off()
-            row[0].set_ylabel(f"{name}\ny [m]")
-        for ax in axes[-1]:
-            ax.set_xlabel("x [m]")
-        fig.legend(handles=_map_handles(), loc="outside lower center", ncols=5)
+        columns = 3
+        rows = -(-len(quiet) // columns)
+        fig = Figure(figsize=(DOUBLE, 0.5 + 2.6 * rows))
+        axes = fig.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+        for k, s in enumerate(quiet):
+            ax = axes.flat[k]
+            _draw_map(ax, s, left=k % columns == 0, size=2.5)
+            title = f"{s.run.association}: RMSE {rms(_error(s)):.2g} m"
+            other = next((b for b in busy if b.run.association == s.run.association), None)
+            if other is not None:
+                path, colour = other.run.trajectory("online").pose[:, :2], colour_of_method(other.run.association)
+                ax.plot(*path.T, color=colour, linestyle=DASHED, linewidth=0.9, zorder=2.8)
+                title += f", with people {rms(_error(other)):.2g} m"
+            ax.set_title(title, loc="left", fontsize=7.0)
+            ax.set_xlabel("x [m]" if k + columns >= len(quiet) else "")
+        for ax in axes.flat[len(quiet) :]:
+            ax.set_axis_off()
+        dashed = Line2D([], [], color="#404040", linestyle=DASHED, linewidth=0.9, label="with people about")
+        fig.legend(handles=[*_map_handles(), dashed], loc="outside lower center", ncols=4)
         return fig
 
 

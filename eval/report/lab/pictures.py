@@ -132,16 +132,11 @@ def _methods(lab: Lab, setup: Setup) -> Drawn:
 
 
 def _paths(lab: Lab, setup: Setup) -> Drawn:
-    rows = []
-    for switches, name in ((BLIND, "nobody about"), (BLIND_PEOPLE, "people about")):
-        trial = lab.trials.get(switches)
-        if trial is not None:
-            rows.append((name, [Shown(trial, r) for r in _online(trial)]))
-    methods = ", ".join(dict.fromkeys(s.run.association for _, shown in rows for s in shown))
+    quiet, busy = ([Shown(lab.trials[c], r) for r in _online(lab.trials[c])] for c in (BLIND, BLIND_PEOPLE))
     return (
-        paths_figure(rows),
-        "Without odometry: true path and what each method believes, online. The robot stands still, or walks away.",
-        f"True and believed paths without odometry of {methods}",
+        paths_figure(quiet, busy),
+        f"`{quiet[0].log.name}`: true path and what each method believes, online; the map is the one without people.",
+        f"True and believed paths without odometry of {', '.join(s.run.association for s in quiet)}",
     )
 
 

@@ -14,6 +14,10 @@ from eval.report.corridor.facts import Lab, find_lab
 from eval.report.lab.answers import QUESTIONS, numbers
 from eval.report.lab.pictures import draw
 
+HEADS = (
+    "Online. TP to FN: outcomes of the decisions; RMSE: of the position; in 3σ: share of the frames (98.9 % expected);"
+    " landmarks at the end; state: mean length. "
+)
 METHODS = (
     "Methods by their names on the command line: `jcbb-first` is the lab's JCBB (of solutions with equally many pairings"
     " the first), `jcbb` takes the one with the least joint distance, `jcbb-hindsight` may revise; `known`: by labels."
@@ -40,7 +44,7 @@ def _corridor(folder: Path, options: Options, lab: Lab, scores: Scores, lost: Un
     sections = []
     for n, question in enumerate(QUESTIONS, start=1):
         name = f"lab-question-{n}"
-        caption = f"Question {n}: outcomes and errors, online. {METHODS}" if n == 1 else f"Question {n}: the numbers."
+        caption = f"Question {n}. {HEADS}{METHODS}" if n == 1 else f"Question {n}; heads as in the first table."
         paragraph, _ = question.paragraph(lab, scores)
         blocks: list[Block] = [
             f"**{question.short(lab, scores)}**",
