@@ -149,6 +149,11 @@ def _step(wish: Wish) -> None:
         print(gate_sentence(o, sensed=True))
     pausing, block = not wish.run_through and sys.stdin.isatty(), lab_block if wish.lab_text else step_block
     walk = Walk(log, task, name_of(o.estimator[0]), album, pausing=pausing, block=block)
+    if log.evidence is not None and album.wanted:
+        from data.visual.opening import Camera, open_recording
+        from data.visual.outlined import frame_pictures
+
+        walk.camera = frame_pictures(open_recording(o.log[0], Camera()), log.evidence.found)
     try:
         run = step_by_step(o.estimator[0], inputs, task, association, o.setup, observer=walk)
         end(log, with_doubt(run, inputs), album, walk)

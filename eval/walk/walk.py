@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,7 @@ class Walk:
     ) -> None:
         """Before the first frame; `block` makes the text of a step."""
         self.block = block
+        self.camera: Iterator[bytes] = iter(())  # an image for each frame, of a log made from images
         self.log, self.task, self.estimator, self.album, self.pausing = log, task, estimator, album, pausing
         m = len(log.recorded.observations.frame)
         self.decisions, self.created = np.full(m, -2, np.int64), np.full(m, -1, np.int64)
@@ -75,6 +76,8 @@ class Walk:
         self.k, self.printed = front.k, False
         r = self.log.recorded
         self.rows = slice(int(r.start[self.k]), int(r.start[self.k + 1]))
+        if (image := next(self.camera, None)) is not None:
+            self.album.show_image("camera", image, f"step-{self.k:0{self.digits}d}-camera")
         if self.log.truth.known_poses:
             self.show("ground-truth", lambda fig: paint_ground_truth(fig, self.log, self.k, self.title))
         if self.k > 0:
