@@ -47,7 +47,9 @@ def _detect_as_asked(argv: Sequence[str] | None, prog: str) -> None:
     parser.add_argument(
         "references", metavar="REFERENCE", type=Path, nargs="+", help="an image of a whole picture and nothing else"
     )
-    parser.add_argument("--out", metavar="FILE.png", type=Path, help="write the photo with the outlines of what was found")
+    parser.add_argument(
+        "--out", metavar="FILE.png", type=Path, help="write the photo with the outlines of what was found"
+    )
     options = parser.parse_args(argv)
     if options.out is not None and options.out.suffix.lower() != ".png":
         raise UsageError(f"--out {options.out}: a file name that ends in .png is needed")

@@ -34,7 +34,9 @@ def outlined(rgb: NDArray[np.uint8], found: Sequence[tuple[str, Array]]) -> byte
         for colour, width in ((BLACK, 3 * thick), (YELLOW, thick)):
             cv2.polylines(image, [places[:, None]], True, colour, width, cv2.LINE_AA, SUBPIXEL)
             for u, v in places.tolist():
-                cv2.circle(image, (u, v), (2 * thick + width // 2) << SUBPIXEL, colour, cv2.FILLED, cv2.LINE_AA, SUBPIXEL)
+                cv2.circle(
+                    image, (u, v), (2 * thick + width // 2) << SUBPIXEL, colour, cv2.FILLED, cv2.LINE_AA, SUBPIXEL
+                )
         _name(image, name, corners[0] * times, thick)
     ok, data = cv2.imencode(".png", image)
     assert ok

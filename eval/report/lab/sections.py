@@ -13,6 +13,7 @@ from eval.referee.score import Scores, Trial
 from eval.report.corridor.facts import Lab, find_lab
 from eval.report.lab.answers import QUESTIONS, numbers
 from eval.report.lab.pictures import draw
+from eval.report.lab.visual import visual_hand_in
 
 HEADS = (
     "Online. TP to FN: outcomes of the decisions; RMSE: of the position; in 3σ: share of the frames (98.9 % expected);"
@@ -28,6 +29,8 @@ def hand_in(folder: Path, options: Options, trials: Sequence[Trial], scores: Sco
     """The answers to a lab's questions; nothing without `--lab`."""
     if options.lab is None:
         return []
+    if any(t.log.evidence is not None for t in trials):
+        return visual_hand_in(folder, options, trials)
     lab = find_lab(trials, named=False)
     return [] if lab is None else _corridor(folder, options, lab, scores, lost)
 
