@@ -119,7 +119,8 @@ def _picture(trial: Trial, kind: str, beside: Sequence[Trial]) -> tuple[Figure, 
         return (
             figures.growth_figure(log, runs),
             f"{where}, association {runs[0].association}: standard deviation along the least certain direction, of the"
-            f" robot at each frame and of the landmarks after the last one.{_closure(log, runs)}",
+            f" robot at each frame and of the landmarks after the last one, and where shown at each frame: it shrinks at loop"
+            f" closure.{_closure(log, runs)}",
             f"Uncertainty of robot and landmarks on {log.name}",
         )
     if kind == FILTER_SMOOTHER:

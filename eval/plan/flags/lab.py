@@ -25,7 +25,7 @@ class LabFlags:
         default="1",
         metadata=flag(
             one_of(FACTORS), "FACTOR", f"ellipses in the plan of a camera log, so many times as large as they are: of "
-            f"{', '.join(FACTORS)} (default: 1; auto: as large as is needed to see them)", numbers=False,
+            f"{', '.join(FACTORS)} (default: 1; auto: as large as is needed to see them, which --lab shows beside it)", numbers=False,
         ),
     )  # fmt: skip
     write_up: bool = field(

@@ -222,7 +222,7 @@ def _maintenance_in_a_line(lab: Lab, scores: Scores) -> str:
     both = maintained_pair(lab)
     if both is None:
         return "No method got to its end both with and without maintenance."
-    plain, kept = both
+    _, kept = both
     sizes = [0 if s.run.map is None else len(s.run.map) for s in both]
     gone = 0 if kept.run.removed is None else int((kept.run.removed >= 0).sum())
     people = 0
@@ -230,7 +230,7 @@ def _maintenance_in_a_line(lab: Lab, scores: Scores) -> str:
         ids = landmark_true_ids(kept.run.created, kept.log.truth, np.flatnonzero(kept.run.removed >= 0))
         people = int((ids == CLUTTER).sum())
     a, b = (rmse(scores, s.trial, s.run) for s in both)
-    verdict = "no worse" if b <= WORSE * a else "worse"
+    verdict = "better" if b * WORSE < a else "about as good" if b <= WORSE * a else "worse"
     return (
         f"It removes {plural(gone, 'landmark')} seen only once, {people} of them people: {sizes[1]} in the map instead of"
         f" {sizes[0]}, and the path is {verdict} (RMSE {number(b)} m, {number(a)} m without)."

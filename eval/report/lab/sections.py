@@ -20,8 +20,8 @@ HEADS = (
     " landmarks at the end; state: mean length. "
 )
 METHODS = (
-    "Methods by their names on the command line: `jcbb-first` is the lab's JCBB (of solutions with equally many pairings"
-    " the first), `jcbb` takes the one with the least joint distance, `jcbb-hindsight` may revise; `known`: by labels."
+    "Methods by their names on the command line: jcbb-first is the lab's JCBB (of solutions with equally many pairings"
+    " the first), jcbb takes the one with the least joint distance, jcbb-hindsight may revise; known: by labels."
 )
 
 

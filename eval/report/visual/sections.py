@@ -195,7 +195,9 @@ def constants(log: Log) -> str:
 def _plan(folder: Path, options: Options, trial: Trial) -> Picture:
     log, drawn, name = trial.log, for_map(trial), stem(trial, "plan")
     assert log.evidence is not None  # `visual_sections` asks for the plan of no other log
-    figure = plan_figure(log, drawn, log.evidence.setup.corners, factor=options.ellipse_factor)
+    figure = plan_figure(
+        log, drawn, log.evidence.setup.corners, factor=None if options.lab is not None else options.ellipse_factor
+    )
     save(figure, folder / "figures", name, ("png",) if options.quick else ("pdf", "png"))
     truth = "" if log.truth.known_poses else " The true path is not known."
     return Picture(
