@@ -13,14 +13,14 @@ from eval.replay.estimators import make_estimator
 from eval.replay.names import FILTERS
 
 MOST_WORK = 3e7
-"""Entries of covariances, frame by frame: beyond (Victoria Park has 2e9) looking again takes longer than a figure may."""
+"""Entries of covariances, frame by frame: beyond (Victoria Park: 2e9) looking again takes longer than a figure may."""
 
 
 def landmark_sigmas(inputs: Inputs, run: Run) -> Array | None:
     """Standard deviation (N, L) [m] of each landmark along its least certain direction after every frame.
 
-    NaN before a landmark is initialized and after it was removed. None of runs that are no EKF-SLAM of ours from start to
-    end, that parked landmarks, or that are too large to be looked at again.
+    NaN before a landmark is initialized and after it was removed. None of runs that are no EKF-SLAM of ours from start
+    to end, that parked landmarks, or that are too large to be looked at again.
     """
     size = run.state_size
     if run.estimator not in FILTERS or run.task != "slam" or run.failure is not None or size is None:

@@ -101,7 +101,7 @@ def write_results(
     if outcome.trials:
         sections += association_sections(folder, options, outcome.trials, scores, published)
         sections += revision_section(folder, options, outcome.trials)
-        sections += lab_sections(outcome.trials, scores)
+        sections += lab_sections(outcome.trials, scores, answered_above=bool(answers))
     if outcome.trials or lost.said:
         sections.append(_failure_section(outcome.trials, lost.said))
     sections += [Section("How to read the numbers", (READING,)), _source_section(outcome.trials, options)]

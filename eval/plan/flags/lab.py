@@ -25,7 +25,14 @@ class LabFlags:
         default="1",
         metadata=flag(
             one_of(FACTORS), "FACTOR", f"ellipses in the plan of a camera log, so many times as large as they are: of "
-            f"{', '.join(FACTORS)} (default: 1; auto: as large as is needed to see them, which --lab shows beside it)", numbers=False,
+            f"{', '.join(FACTORS)} (default: 1; auto: as large as is needed, as --lab shows beside it)", numbers=False,
+        ),
+    )  # fmt: skip
+    lab_text: bool = field(
+        default=False,
+        metadata=flag(
+            switch, "", "leave lab.txt with each run: its steps as the lab's program prints them, numbers from 1",
+            numbers=False,
         ),
     )  # fmt: skip
     write_up: bool = field(

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from data.log import Log, folder_name
+from data.log import folder_name
 from data.result import Run
 from data.se2 import Array, dead_reckoned
 from eval.figures.error import error_figure, longest_sigma
