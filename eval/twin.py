@@ -47,7 +47,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     )
     parser.add_argument(
         "--association", choices=ASSOCIATIONS, metavar="NAME",
-        help="who pairs the readings (default: known where LOG has labels, else jcbb)",
+        help="who pairs the readings (default: known where LOG has labels, else jcbb-hindsight)",
     )  # fmt: skip
     options = parser.parse_args(argv)
     try:
@@ -68,6 +68,7 @@ def _run(options: argparse.Namespace) -> str:
     """Estimate, draw, write; gives the report."""
     from dataclasses import replace
 
+    from association.decide import HINDSIGHT
     from data.logs import open_log
     from data.open_log.writer import write_folder
     from eval.replay.run import compare
@@ -79,7 +80,7 @@ def _run(options: argparse.Namespace) -> str:
     task = options.task or ("slam" if log.recorded.map is None else "localization")
     if task == "localization" and log.recorded.map is None:
         raise UsageError(f"--task localization: log {log.name!r} has no map; only slam makes sense")
-    association = options.association or ("known" if log.has_labels else "jcbb")
+    association = options.association or ("known" if log.has_labels else HINDSIGHT)
     if association == "known" and not log.has_labels:
         raise UsageError(f"--association known: log {log.name!r} has no labels")
     inputs, setup = inputs_of(log, task, association), Setup()

@@ -74,7 +74,7 @@ class Selection:
         metadata=flag(
             names(ASSOCIATIONS), "LIST",
             f"of {', '.join(ASSOCIATIONS)} (default: known where the log has labels, scan where it "
-            "has laser scans alone, else jcbb)",
+            "has laser scans alone, else jcbb-hindsight)",
         ),
     )  # fmt: skip
 
