@@ -10,10 +10,10 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from data.errors import SlamrefError, UsageError
+from data.errors import UsageError
+from data.terminal.ending import ended
 
 PROG = "python -m eval.inspect"
-FINE, WRONG = 0, 2
 PICTURES = (".png", ".pdf")
 EXAMPLES = """\
 examples:
@@ -27,6 +27,10 @@ exit status: 0 fine, 2 wrong usage or bad data"""
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """The whole command, called `prog`; returns the exit status."""
+    return ended(lambda: _inspect_as_asked(argv, prog))
+
+
+def _inspect_as_asked(argv: Sequence[str] | None, prog: str) -> None:
     parser = argparse.ArgumentParser(
         prog=prog,
         description="Print what a log holds, what is odd about it, and questions about what may be meant otherwise.",
@@ -40,12 +44,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     )
     parser.add_argument("--plot", metavar="FILE", type=Path, help="write a picture of the log (.png or .pdf)")
     options = parser.parse_args(argv)
-    try:
-        _inspect(options.log, options.plot)
-    except SlamrefError as fault:
-        print(f"error: {fault}", file=sys.stderr)
-        return WRONG
-    return FINE
+    _inspect(options.log, options.plot)
 
 
 def _inspect(name: str, plot: Path | None) -> None:

@@ -18,6 +18,8 @@ from data.log import Log
 from data.result import Run, Trajectory
 from data.se2 import Array, pose_error
 from eval.figures.style import DOUBLE, Series, drawing, series
+from eval.referee.paths.given import log_of
+from eval.referee.paths.match import match
 
 MOST_PANELS = 4
 MOST_BINS = 600
@@ -132,9 +134,10 @@ def _error_figure(log: Log, runs: Sequence[Run]) -> Figure:
     columns = max(len(shown), 1)
     fig = Figure(figsize=(DOUBLE, 5.0))
     axes = fig.subplots(3, columns, sharex=True, sharey="row", squeeze=False)
-    time, truth = log.recorded.time, log.truth.pose
-    unknown = np.full((len(time), 3), np.nan)
-    errors = [unknown if truth is None else pose_error(s.trajectory.pose, truth) for s in shown]
+    time = log.recorded.time
+    own = [log_of(s.run, log) for s in shown]
+    times = [o.recorded.time for o in own]
+    errors = [_error(s, o) for s, o in zip(shown, own, strict=True)]
     bounds = [3.0 * sigmas(s.trajectory) for s in shown]
     for i, (name, unit, factor) in enumerate(COORDINATES):
         needs = [factor * reach([e[:, i], b[:, i]]) for e, b in zip(errors, bounds, strict=True)]
@@ -142,10 +145,10 @@ def _error_figure(log: Log, runs: Sequence[Run]) -> Figure:
         for j, s in enumerate(shown):
             ax: Axes = axes[i, j]
             error, bound = factor * errors[j][:, i], factor * bounds[j][:, i]
-            draw_band(ax, time, bound, s.colour, -1.0)
+            draw_band(ax, times[j], bound, s.colour, -1.0)
             ax.axhline(0.0, color="#909090", linewidth=0.5)
             keep = thinned(error)
-            ax.plot(time[keep], error[keep], color="black", linewidth=0.7)
+            ax.plot(times[j][keep], error[keep], color="black", linewidth=0.7)
             _note_outside(ax, error, limit, unit)
         axes[i, 0].set(ylim=(-limit, limit), ylabel=f"{name} error [{unit}]")
         axes[i, 0].yaxis.set_major_locator(ticks(6))
@@ -163,6 +166,12 @@ def _error_figure(log: Log, runs: Sequence[Run]) -> Figure:
     known = [Line2D([], [], color="black", linewidth=0.7, label="error")] if log.truth.known_poses else []
     fig.legend(handles=[*known, *handles], loc="outside lower center", ncols=2)
     return fig
+
+
+def _error(s: Series, log: Log) -> Array:
+    """Error (N, 3) of a series at its own frames; NaN without truth."""
+    truth = log.truth.pose
+    return np.full((len(log.recorded.time), 3), np.nan) if truth is None else pose_error(s.trajectory.pose, truth)
 
 
 def difference_figure(log: Log, runs: Sequence[Run], reference: Run) -> Figure:
@@ -183,11 +192,14 @@ def _difference_figure(log: Log, runs: Sequence[Run], reference: Run) -> Figure:
     axes = fig.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
     time, centre = log.recorded.time, reference.trajectory(reference.phases[-1]).pose
     for ax, s in zip(axes, shown, strict=False):
-        distance = np.hypot(*(s.trajectory.pose - centre)[:, :2].T)
+        own = log_of(s.run, log)
+        at = own.recorded.time
+        there = centre if own is log else match(at, time, centre).truth
+        distance = np.hypot(*(s.trajectory.pose - there)[:, :2].T)
         bound = 3.0 * longest_sigma(s.trajectory)
-        draw_band(ax, time, bound, s.colour, 0.0)
+        draw_band(ax, at, bound, s.colour, 0.0)
         keep = thinned(distance)
-        ax.plot(time[keep], distance[keep], color="black", linewidth=0.8)
+        ax.plot(at[keep], distance[keep], color="black", linewidth=0.8)
         limit = common_reach([reach([distance]), reach([bound])])
         ax.set(ylim=(-0.03 * limit, limit), ylabel="distance [m]")
         ax.set_title(heading_of(s).replace("\n", ": "), loc="left")

@@ -20,6 +20,7 @@ from data.se2 import Array, dead_reckoned
 from eval.figures.ellipses import along_path, draw_ellipses, ellipses, longest_axis
 from eval.figures.style import DOTTED, DOUBLE, STYLES, TRUTH_COLOUR, Series, drawing, series, settle
 from eval.figures.view import View, enlargement, true_landmarks, view_of
+from eval.referee.paths.given import is_truth_alone
 
 MOST_IDS = 30
 LONG_LABEL = 24
@@ -55,7 +56,7 @@ def map_figure(log: Log, runs: Sequence[Run], *, width: float = DOUBLE, surveyed
 def _map_figure(log: Log, runs: Sequence[Run], width: float, surveyed: Surveyed | None) -> Figure:
     shown = series(runs)
     paths = {s.label: s.trajectory.pose[:, :2] for s in shown}
-    if not any(r.estimator == "dead-reckoning" for r in runs):
+    if not (is_truth_alone(log) or any(r.estimator == "dead-reckoning" for r in runs)):
         reckoned = dead_reckoned(log.recorded.prior.mean, log.recorded.increments.mean)
         paths = {STYLES["dead-reckoning"].label: reckoned[:, :2], **paths}
     estimates = _with_ellipses(shown)

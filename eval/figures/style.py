@@ -6,7 +6,6 @@ Nothing here touches pyplot: figures are plain `Figure` objects made inside `mat
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,6 +17,8 @@ from matplotlib.figure import Figure
 from matplotlib.typing import RcKeyType
 
 from data.result import Run, Trajectory
+from eval.referee.paths.given import GivenRun
+from eval.replay.foreign.places import place
 
 SINGLE = 3.4
 """in. Width of one column of a two-column paper."""
@@ -95,21 +96,32 @@ METHOD_COLOURS = {
     "scan": "#117733",
 }  # fmt: skip
 """Ways of association, where lines tell these apart and not the estimators; independent tests warm, joint ones blue."""
-OTHER_METHOD = "#707070"
-_OTHERS = ("#7B3F00", "#5D3A9B", "#B8860B", "#4B4B4B")
+OTHERS = (
+    ("#800000", "*"), ("#0000E0", "h"), ("#00C060", "d"), ("#806080", "1"), ("#80C0E0", "2"), ("#406040", "3"),
+)  # fmt: skip
+"""Colour and marker of names that are not ours, as far from ours and from each other as colours go (CIELAB, for all
+colour-blind readers): each with every one of these lines, so that so many names look different."""
+OTHER_LINES: tuple[Line, ...] = (DASHDOT, LONG, DASHDOTDOT)
 
 
 def style_of(estimator: str) -> Style:
-    """The style of an estimator; a name nobody planned for gets a dull colour of its own, the same each time."""
+    """The style of an estimator; a name that is not ours gets one of its own, the same each time."""
     known = STYLES.get(estimator)
     if known is not None:
         return known
-    return Style(_OTHERS[zlib.crc32(estimator.encode()) % len(_OTHERS)], estimator, DASHDOT)
+    colour, line, marker = _other(estimator)
+    return Style(colour, estimator, line, marker)
 
 
 def colour_of_method(association: str) -> str:
-    """The colour of a way of association; grey for a name nobody planned for."""
-    return METHOD_COLOURS.get(association, OTHER_METHOD)
+    """The colour of a way of association; one of its own for a name that is not ours."""
+    return METHOD_COLOURS.get(association) or _other(association)[0]
+
+
+def _other(name: str) -> tuple[str, Line, str]:
+    which = place(name, len(OTHERS) * len(OTHER_LINES))
+    colour, marker = OTHERS[which % len(OTHERS)]
+    return colour, OTHER_LINES[which // len(OTHERS)], marker
 
 
 @dataclass(frozen=True)
@@ -135,18 +147,21 @@ def series(runs: Sequence[Run]) -> list[Series]:
     label only where it differs between the estimates, and then decides the line as well, known association first.
     """
     cycle: tuple[Line, ...] = (SOLID, DASHDOT, DOTTED, DASHED)
-    estimates = [r for r in runs if r.estimator != "dead-reckoning"]
+    # a result that was handed in without decisions has no association that could differ, as dead reckoning has none
+    estimates = [r for r in runs if r.association != "none"]
     variants = sorted({(r.task, r.association != "known", r.association) for r in estimates})
     drawn = []
     for run in runs:
         style, extra, line = style_of(run.estimator), "", style_of(run.estimator).line
-        if run.estimator != "dead-reckoning" and len(variants) > 1:
+        if run.association != "none" and len(variants) > 1:
             if len({r.association for r in estimates}) > 1:
                 extra += f", {run.association}"
             if len({r.task for r in estimates}) > 1:
                 extra += f", {run.task}"
             position = variants.index((run.task, run.association != "known", run.association))
             line = cycle[position % len(cycle)]
+        if isinstance(run, GivenRun) and run.aligned != "none":
+            extra += ", aligned"
         for phase in run.phases:
             phase_line = DASHED if phase == "online" and len(run.phases) > 1 else line
             when = "" if run.estimator == "dead-reckoning" else f" ({phase})"

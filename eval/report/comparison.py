@@ -17,7 +17,7 @@ COMPARISON: Mapping[str, str] = {
         "nees_pose", "nis",
     )),
     "bounds": "95 % bounds of NIS",
-    **heads(("innovation_lag1", "inside_3sigma", "accepted", "rejected")),
+    **heads(("innovation_lag1", "inside_3sigma", "accepted", "rejected", "matched", "unmatched")),
 }  # fmt: skip
 """Column of metrics.csv (or made here) and its head in the comparison table, in order."""
 

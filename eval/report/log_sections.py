@@ -10,6 +10,7 @@ import pandas as pd
 from data.log import folder_name
 from eval.page.document import Block, Picture, Section, written_table
 from eval.page.numbers import number
+from eval.page.tables import is_blank
 from eval.plan.flags.options import Options
 from eval.plan.tutorial import is_tutorial
 from eval.referee.score import Scores, Trial
@@ -21,6 +22,7 @@ from eval.report.doubt.naming import naming_statements
 from eval.report.laser.pictures import GRID, LOOPS
 from eval.report.names import stem
 from eval.report.pictures import FILTER_SMOOTHER
+from eval.report.results.said import aligned_statement
 from eval.report.rows import rows_of as rows_by
 from eval.report.trust.sections import trust_section
 from eval.report.tutorial_table import CAPTION, logs_with_tutorials, tutorial_table
@@ -60,7 +62,7 @@ def trial_sections(
         blocks: list[Block] = []
         others = beside(trial, trials)
         table = comparison.comparison_table(pd.concat([rows, *(rows_of(scores.metrics, t) for t in others)]))
-        caption = f"{trial.log.name}, {trial.task}. {comparison.COMPARISON_CAPTION}"
+        caption = f"{trial.log.name}, {trial.task}. {comparison.COMPARISON_CAPTION}{aligned_statement(trial)}"
         blocks.append(written_table(table, folder, stem(trial, "comparison"), caption, options.formats))
         blocks += [_beside_note(t, rows_of(scores.metrics, t)) for t in others]
         blocks += _differences(folder, options, trial, rows_of(scores.differences, trial))
@@ -91,7 +93,7 @@ def _beside_note(trial: Trial, rows: pd.DataFrame) -> str:
         return notes[0]
     for row in rows.to_dict("records"):
         for column, what in (("sse_position_m2", "positions"), ("sse_landmark_m2", "landmarks")):
-            if row[column] is not None:
+            if not is_blank(row[column]):
                 notes.append(f"Sum of squared errors of {what}: {number(float(row[column]))} m².")
     return " ".join([*notes, *trial.runs[0].notes])
 

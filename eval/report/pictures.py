@@ -19,11 +19,13 @@ from eval.figures.style import save
 from eval.page.document import Picture
 from eval.page.numbers import number
 from eval.plan.flags.options import Options
+from eval.referee.paths.given import log_of
 from eval.referee.score import Trial, confusion_of
 from eval.referee.trust import SHARE
 from eval.report.laser.files import write_laser_files
 from eval.report.laser.pictures import GRID, LOOPS, laser_kinds, laser_picture
 from eval.report.names import stem
+from eval.report.results.said import aligned_statement
 from eval.report.run_files import write_run
 from eval.report.shown_runs import (
     finished,
@@ -31,6 +33,7 @@ from eval.report.shown_runs import (
     for_growth,
     for_map,
     for_panels,
+    has_covariance,
     left_out,
     plausible,
     same,
@@ -47,7 +50,7 @@ def publish_runs(folder: Path, options: Options, trial: Trial) -> None:
         if options.animate and run.failure is None:
             from eval.figures.film import animate
 
-            animate(trial.log, run, folder / "figures" / f"{stem(trial, run.estimator)}.mp4")
+            animate(log_of(run, trial.log), run, folder / "figures" / f"{stem(trial, run.estimator)}.mp4")
 
 
 FILTER_SMOOTHER = "filter-smoother"
@@ -60,7 +63,7 @@ def kinds(trial: Trial, beside: Sequence[Trial] = (), *, quick: bool = False) ->
     shown, reference = finished(trial), trial.find("batch")
     found = ["map", *laser_kinds(trial)]
     if shown and trial.log.truth.known_poses:
-        found += ["error", "nees"]
+        found += ["error", "nees"] if any(has_covariance(r) for r in shown) else ["error"]
     elif reference is not None and reference.flaw is None and len(shown) > 1:
         found.append("difference")
     if trial.beside is None and for_filter_smoother(trial) is not None:
@@ -125,7 +128,7 @@ def _picture(trial: Trial, kind: str, beside: Sequence[Trial]) -> tuple[Figure, 
         drawn = for_map(trial)
         return (
             figures.map_figure(log, drawn),
-            f"{where}: paths and landmarks with 3σ ellipses. World frame, no alignment."
+            f"{where}: paths and landmarks with 3σ ellipses. World frame, no alignment.{aligned_statement(trial)}"
             f"{left_out(trial, drawn)}{_contrast(trial, drawn)}",
             f"Map of {log.name} with the paths of {', '.join(f'{r.estimator} ({r.association})' for r in drawn)}",
         )
@@ -138,7 +141,7 @@ def _picture(trial: Trial, kind: str, beside: Sequence[Trial]) -> tuple[Figure, 
             f"Errors over time on {log.name} in x, y and heading, one column per estimator",
         )
     if kind == "nees":
-        columns = for_panels(finished(trial))
+        columns = for_panels([r for r in finished(trial) if has_covariance(r)])
         return (
             figures.nees_figure(log, columns),
             f"{where}: pose NEES per frame; a consistent one is in the band 95 % of the time. One run: no verdict."

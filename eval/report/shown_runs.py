@@ -10,8 +10,9 @@ import numpy as np
 from data.result import Run
 from eval.figures.error import MOST_PANELS
 from eval.referee.errors import position_distance, rms
+from eval.referee.paths.given import GivenRun, log_of
 from eval.referee.score import Trial
-from eval.replay.names import BATCH, FILTERS
+from eval.replay.names import ASSOCIATIONS, ESTIMATORS, FILTERS
 
 FIRST = ("known", "jcbb", "jcbb-first")
 """Ways of association that are shown before all others."""
@@ -30,39 +31,59 @@ def plausible(trial: Trial) -> list[Run]:
 
 
 def associations(runs: Sequence[Run]) -> list[str]:
-    """The ways of association of some runs, those to be shown first in front."""
+    """The ways of association of some runs, those to be shown first in front: `known`, and those that are not ours."""
     given = list(dict.fromkeys(r.association for r in runs if r.association != "none"))
-    return sorted(given, key=lambda a: FIRST.index(a) if a in FIRST else len(FIRST))
+    theirs = tuple(a for a in given if a not in ASSOCIATIONS)
+    first = (FIRST[0], *theirs, *FIRST[1:])
+    return sorted(given, key=lambda a: first.index(a) if a in first else len(first))
+
+
+def has_covariance(run: Run) -> bool:
+    """Whether it says how certain it is; an estimator that is not ours need not."""
+    return bool(np.isfinite(run.trajectory(run.phases[-1]).covariance).any())
 
 
 def _kind(run: Run) -> int:
-    """0 filter, 1 incremental smoother, 2 batch smoother."""
-    return 0 if run.estimator in FILTERS else 2 if run.estimator in BATCH else 1
+    """0 filter, 1 incremental smoother, 2 batch smoother; one that is not ours by its phases."""
+    if run.estimator in FILTERS or (run.estimator not in ESTIMATORS and run.final is None):
+        return 0
+    return 2 if run.online is None else 1
 
 
 def _by_importance(runs: Sequence[Run], kinds: Sequence[tuple[int, int]]) -> list[Run]:
-    """Runs in the order of `kinds`, (kind of estimator, place of its association), one for each; then all others."""
+    """Runs in the order of `kinds`, (kind of estimator, place of its association), one for each; then all others.
+
+    Before them come those of estimators that are not ours, each once: who brought one wants to see it.
+    """
     order = associations(runs)
-    chosen: list[Run] = []
+    theirs = sorted((r for r in runs if r.estimator not in ESTIMATORS), key=lambda r: order.index(r.association))
+    chosen = list({r.estimator: r for r in reversed(theirs)}.values())[::-1]
     for kind, place in kinds:
         fitting = (r for r in runs if _kind(r) == kind and place < len(order) and r.association == order[place])
         first = next(fitting, None)
-        if first is not None:
+        if first is not None and not any(first is c for c in chosen):
             chosen.append(first)
     rest = [r for r in runs if not any(r is c for c in chosen)]
-    return [*chosen, *sorted(rest, key=lambda r: order.index(r.association))]
+    return [*chosen, *sorted(rest, key=lambda r: _place(order, r))]
+
+
+def _place(order: Sequence[str], run: Run) -> int:
+    """Place of a run's association; one without any comes last."""
+    return order.index(run.association) if run.association in order else len(order)
 
 
 def _in_order(chosen: Sequence[Run]) -> list[Run]:
     """The runs by association, those of one association as they came by kind of estimator."""
     order = associations(chosen)
-    return sorted(chosen, key=lambda r: (order.index(r.association), _kind(r)))
+    return sorted(chosen, key=lambda r: (_place(order, r), _kind(r)))
 
 
 def worst(trial: Trial) -> Run | None:
     """The run that ended furthest from the true path (RMS position), of those that decide for themselves."""
     truth = trial.log.truth.pose
-    deciding = [r for r in finished(trial) if r.association != "known"]
+    deciding = [
+        r for r in finished(trial) if r.association not in ("known", "none") and log_of(r, trial.log) is trial.log
+    ]
     if truth is None or not trial.log.truth.known_poses or not deciding:
         return None
     return max(deciding, key=lambda r: rms(position_distance(r.trajectory(r.phases[-1]).pose, truth)))
@@ -78,7 +99,9 @@ def for_map(trial: Trial, most: int = MOST_PATHS) -> list[Run]:
         return _final_only(trial.runs)
     others = [r for r in trial.runs if r.estimator == "dead-reckoning"]
     astray, estimates = worst(trial), finished(trial)
-    ranked = _by_importance(estimates, ((0, 0), (2, 0), (0, 1), (2, 1), (1, 0), (1, 1)))
+    handed = [r for r in estimates if isinstance(r, GivenRun)]
+    ours = [r for r in estimates if not isinstance(r, GivenRun)]
+    ranked = [*handed, *_by_importance(ours, ((0, 0), (2, 0), (0, 1), (2, 1), (1, 0), (1, 1)))]
     room = most - len(others) - (astray is not None)
     chosen = [r for r in ranked if r is not astray][:room]
     return _final_only([*others, *_in_order(chosen), *([] if astray is None else [astray])])
@@ -112,8 +135,11 @@ def for_panels(runs: Sequence[Run], most: int = MOST_PANELS, complete: Sequence[
     else:
         ranked = _by_importance(single, ((0, 0), (0, 1), (1, 1), (2, 1), (1, 0), (2, 0)))
     chosen: list[Run] = []
+    # what was handed in is what the reader came for; at least one of ours stands beside it
+    handed, room = [r for r in ranked if isinstance(r, GivenRun)], most - 1
+    ranked = [*handed, *(r for r in ranked if not isinstance(r, GivenRun))]
     for run in ranked:
-        if sum(len(r.phases) for r in (*chosen, run)) <= most:
+        if sum(len(r.phases) for r in (*chosen, run)) <= (room if isinstance(run, GivenRun) else most):
             chosen.append(run)
     return _in_order(chosen)
 
@@ -123,7 +149,8 @@ def for_growth(trial: Trial) -> list[Run]:
     estimates = [r for r in plausible(trial) if r.online is not None and r.map is not None]
     order = associations(estimates)
     alike = [r for r in estimates if r.association == order[0]] if order else []
-    found = (next((r for r in alike if r.estimator == name), None) for name in ("ekf", "isam2"))
+    found = [next((r for r in alike if r.estimator == name), None) for name in ("ekf", "isam2")]
+    found += [r for r in alike if r.estimator not in ESTIMATORS and has_covariance(r)]
     return [r for r in found if r is not None]
 
 
@@ -151,4 +178,4 @@ def left_out(trial: Trial, shown: Sequence[Run]) -> str:
 
 
 def _name(run: Run) -> str:
-    return f"{run.estimator} with {run.association}"
+    return run.estimator if run.association == "none" else f"{run.estimator} with {run.association}"

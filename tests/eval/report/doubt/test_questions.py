@@ -27,7 +27,10 @@ def overconfident(inputs: Inputs) -> Inputs:
     """Sigmas stated as half of what they are."""
     o, steps = inputs.observations, inputs.increments
     return replace(
-        inputs, map=None, observations=replace(o, R=o.R / 4.0), increments=replace(steps, covariance=steps.covariance / 4.0)
+        inputs,
+        map=None,
+        observations=replace(o, R=o.R / 4.0),
+        increments=replace(steps, covariance=steps.covariance / 4.0),
     )
 
 
@@ -74,7 +77,17 @@ def test_questions_stand_in_inspect_on_the_terminal_in_the_log_and_in_the_report
     assert inspect([str(tmp_path / "lost")]) == 0
     assert "question" in capsys.readouterr().out
     out = tmp_path / "report"
-    words = ["--log", str(tmp_path / "lost"), "--estimator", "ekf", "--association", "nn", "--no-plots", "--out", str(out)]
+    words = [
+        "--log",
+        str(tmp_path / "lost"),
+        "--estimator",
+        "ekf",
+        "--association",
+        "nn",
+        "--no-plots",
+        "--out",
+        str(out),
+    ]
     assert main(words) == 0
     said = capsys.readouterr().out
     assert "question (lost, prior): from the prior" in said
