@@ -85,7 +85,7 @@ def _run(options: argparse.Namespace) -> str:
     task = options.task or ("slam" if log.recorded.map is None else "localization")
     if task == "localization" and log.recorded.map is None:
         raise UsageError(f"--task localization: log {log.name!r} has no map; only slam makes sense")
-    association = "known" if log.has_labels else "jcbb"
+    association = "known" if log.has_labels else HINDSIGHT
     if options.association is not None:
         association = one_settled("--association", options.association, "association")
         load_all((), (association,))

@@ -94,6 +94,9 @@ OF_RUNS = (
 )
 OF_LOGS = (
     LOOPS,
+    File(
+        f"{LOG_FOLDER}/graph.g2o", "Key poses, the motion between them and the loop closures kept, for g2o.", when=LASER
+    ),
     File(f"{LOG_FOLDER}/map.png", "The occupancy grid with the path.", when=LASER),
     File(f"{LOG_FOLDER}/map.pgm", "The occupancy grid for map servers.", when=LASER),
     File(f"{LOG_FOLDER}/map.yaml", "Where `map.pgm` lies and how it is meant.", when=LASER),
