@@ -9,7 +9,7 @@ from data.graphs.g2o import BEARING, MOTION, SIGHTING, Edges, Graph, turned
 from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations, Prior, floor_covariances
 from data.log import Log
 from data.recordings.wheel_odometry import FLOOR
-from data.se2 import Array, inverse, transform_points, wrap_angle
+from data.se2 import Array, inverse, wrap_angle
 from data.sensors import RangeBearing, RelativePoint, Sensor
 from data.truth import Relations, Truth
 
@@ -80,8 +80,9 @@ def _estimates(vertices: tuple[IntArray, Array], ids: IntArray) -> Array:
     """Values of vertices by id, NaN where there is none."""
     rows = {int(i): value for i, value in zip(*vertices, strict=True)}
     width = vertices[1].shape[1]
-    values = [rows.get(int(i), np.full(width, np.nan)) for i in ids]
-    found: Array = np.array(values, np.float64).reshape(len(ids), width)
+    found = np.full((len(ids), width), np.nan)
+    for k, i in enumerate(ids.tolist()):
+        found[k] = rows.get(i, np.nan)
     return found
 
 
@@ -165,8 +166,8 @@ def _ranges(graph: Graph, rays: Edges) -> Array:
         k = int(np.argmax(missing))
         what = f"{BEARING} of landmark {rays.ends[k, 1]}, which has no VERTEX_XY: without it nothing says how far it is"
         raise DataError.at(graph.path, what, line=int(rays.line[k]))
-    local = np.array([transform_points(inverse(p), x) for p, x in zip(pose, point, strict=True)])
-    return np.maximum(np.hypot(local[:, 0], local[:, 1]), 1e-3)
+    ranges: Array = np.maximum(np.hypot(*(point - pose[:, :2]).T), 1e-3)
+    return ranges
 
 
 def _relations(edges: Edges, ids: IntArray, used: IntArray) -> Relations | None:
