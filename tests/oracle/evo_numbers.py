@@ -1,4 +1,4 @@
-"""Two paths made by formulas, and what evo 1.38.1 says of them: `evo_ape` and `evo_rpe`, as `test_evo.py` calls them."""
+"""Two paths made by formulas, and what evo 1.38.1 says of them when called as `test_evo.py` does."""
 
 from __future__ import annotations
 
