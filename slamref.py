@@ -11,20 +11,41 @@ from __future__ import annotations
 
 import sys
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from association.decide import decide
+    from association.expectation import Expectation
     from data.logs import open_log
+    from data.result import DISCARD, NEW
+    from eval.checks.checking import association_findings, check_association, check_estimator, estimator_findings
     from eval.referee.score import Trial, score
     from eval.replay.estimators import make_estimator
+    from eval.replay.foreign.samples import Samples
     from eval.replay.run import compare
 
     __version__: str
 
-__all__ = ["Trial", "__version__", "compare", "decide", "make_estimator", "open_log", "score"]
+__all__ = [
+    "DISCARD",
+    "NEW",
+    "Expectation",
+    "Samples",
+    "Trial",
+    "__version__",
+    "association_findings",
+    "check_association",
+    "check_estimator",
+    "compare",
+    "decide",
+    "estimator_findings",
+    "make_estimator",
+    "open_log",
+    "score",
+]
 
 HOMES = {
     "open_log": "data.logs",
@@ -33,6 +54,14 @@ HOMES = {
     "decide": "association.decide",
     "Trial": "eval.referee.score",
     "score": "eval.referee.score",
+    "check_estimator": "eval.checks.checking",
+    "check_association": "eval.checks.checking",
+    "estimator_findings": "eval.checks.checking",
+    "association_findings": "eval.checks.checking",
+    "Expectation": "association.expectation",
+    "Samples": "eval.replay.foreign.samples",
+    "NEW": "data.result",
+    "DISCARD": "data.result",
 }
 COMMANDS = {
     "run": ("eval.run_all", "run filters and smoothers on identical inputs, referee them, write the report"),
@@ -41,6 +70,7 @@ COMMANDS = {
     "convert": ("data.convert.__main__", "turn a recording or a simulation into an open log folder"),
     "inspect": ("eval.inspect", "print what a log holds and what is odd about it"),
     "score": ("eval.score", "score a trajectory that another program made against a truth"),
+    "check": ("eval.check", "check your own estimator or way of association, a sentence for each check"),
     "tune": ("eval.tune", "fit noise, biases and odometry scales to a labelled log"),
     "benchmark": ("eval.benchmark", "time the estimators beside their peers"),
     "warm": ("eval.warm", "compile every kernel once, into the cache"),
@@ -65,7 +95,15 @@ def __dir__() -> list[str]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """The command `slamref`: hands on to a subcommand and returns its exit status; 2 if there is no such one."""
-    name, *rest = list(sys.argv[1:] if argv is None else argv) or ["--help"]
+    # a package `data` or `eval` of somebody else, in the working directory or on PYTHONPATH, must not hide ours
+    sys.path.insert(0, str(Path(__file__).parent))
+    from data.terminal.ending import ended
+
+    return ended(lambda: _command(list(sys.argv[1:] if argv is None else argv) or ["--help"]))
+
+
+def _command(words: list[str]) -> int:
+    name, *rest = words
     if name in COMMANDS:
         status: int = import_module(COMMANDS[name][0]).main(rest, f"slamref {name}")
         return status

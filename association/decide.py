@@ -20,7 +20,9 @@ from data.errors import UsageError
 from data.inputs import IntArray
 from data.result import DISCARD, NEW
 
-PLAIN: dict[str, Callable[[Expectation, float | None], IntArray]] = {
+Method = Callable[[Expectation, float | None], IntArray]
+"""A way of association: pairs what is compatible at a gate (a probability, or None), and leaves the rest at `NEW`."""
+PLAIN: dict[str, Method] = {
     "nn": nn,
     "ml": ml,
     "ml-ratio": ml_ratio,
@@ -58,7 +60,7 @@ def horizon(method: str, gate: float | None, new_gate: float | None, *, known_ma
 
 
 def decide(
-    method: str,
+    method: str | Method,
     expectation: Expectation,
     gate: float | None,
     new_gate: float | None,
@@ -69,7 +71,7 @@ def decide(
     """Decisions of a frame: pair by `method`, then say which of the unpaired found a landmark.
 
     Args:
-        method: one of `METHODS`, or `HINDSIGHT`.
+        method: one of `METHODS`, `HINDSIGHT`, or any function that pairs as those of `PLAIN` do.
         expectation: candidates and observations.
         gate: chi-square probability of the method's tests, None for no gate.
         new_gate: chi-square probability outside which an observation is new; None: only where there is no candidate.
@@ -85,6 +87,8 @@ def decide(
     complete = True
     if method == "ml-ratio" and known_map:
         decisions = ml_ratio(expectation, gate, alpha=math.inf)
+    elif not isinstance(method, str):
+        decisions = method(expectation, gate)
     elif method in PLAIN:
         decisions = PLAIN[method](expectation, gate)
     elif method in SEARCHES:

@@ -148,11 +148,15 @@ def surviving(final: IntArray, created: IntArray) -> IntArray:
 
 
 class Failure(NamedTuple):
-    """Where and why an estimator stopped: `status` is `diverged` or `incomplete`; or is not believed: `implausible`."""
+    """Where and why an estimator stopped: `status` is `diverged` or `incomplete`; or is not believed: `implausible`.
+
+    `trace`: the traceback, where foreign code crashed.
+    """
 
     status: str
     frame: int
     why: str
+    trace: str = ""
 
     @property
     def text(self) -> str:

@@ -7,29 +7,28 @@ Only the parser is imported at once, so that `--help` does not wait for the nume
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from data.errors import SlamrefError, UsageError
+from data.errors import UsageError
+from data.terminal.ending import ended
 from eval.plan.flags.options import options_of
 from eval.plan.flags.table import Options, add_flags
 from eval.replay.flag import rows
-from eval.replay.names import ASSOCIATIONS, STEPPING
+from eval.replay.names import ASSOCIATIONS, STEPPING, steps
 
 if TYPE_CHECKING:
     from data.log import Log
 
-FINE, WRONG, INTERRUPTED = 0, 2, 130
 PROG = "python -m eval.step"
 TABLE = rows(Options)
 SHARED = (
     replace(TABLE["log"], help="open log folder, victoria-park, arena:SEED or corridor:SEED[:KEYS]"),
-    replace(TABLE["association"], metavar="NAME", help=f"of {', '.join(ASSOCIATIONS)} (default: jcbb)"),
-    replace(TABLE["estimator"], metavar="NAME", help=f"of {', '.join(STEPPING)} (default: ekf)"),
+    replace(TABLE["association"], metavar="NAME", help=f"of {', '.join(ASSOCIATIONS)}, or your own (default: jcbb)"),
+    replace(TABLE["estimator"], metavar="NAME", help=f"of {', '.join(STEPPING)}, or your own (default: ekf)"),
     replace(
         TABLE["task"], metavar="NAME",
         help="localization or slam (default: localization where there is a map, but slam in a corridor)",
@@ -93,7 +92,7 @@ def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
         names = getattr(options, name)
         if len(names) > 1 or not (names or name == "task"):
             raise UsageError(f"--{name} {','.join(names)}: one name is needed")
-    if options.estimator[0] not in STEPPING:
+    if not steps(options.estimator[0]):
         raise UsageError(f"--estimator {options.estimator[0]}: does not work step by step; {', '.join(STEPPING)} do")
     return Wish(options, given["save"], given["run_through"], _frames(given["frames"]))
 
@@ -108,45 +107,42 @@ def _frames(text: str | None) -> int | None:
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """The whole command, called `prog`; returns the exit status."""
-    try:
-        _step(read(argv, prog))
-    except SlamrefError as fault:
-        print(f"error: {fault}", file=sys.stderr)
-        return WRONG
-    except KeyboardInterrupt:
-        print()
-        print("interrupted; what was written so far is whole", file=sys.stderr)
-        return INTERRUPTED
-    except BrokenPipeError:
-        # whoever reads has seen enough, as after q; nothing is left to be flushed at the end
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return FINE
+    return ended(lambda: _step(read(argv, prog)), "interrupted; what was written so far is whole")
 
 
 def _step(wish: Wish) -> None:
     from data.log import shortened
     from data.logs import open_log
+    from eval.plan.first_use import compile_if_needed
+
+    compile_if_needed()
+    from eval.plan.foreign import load_all
 
     o = wish.options
+    load_all(o.estimator, o.association)
     log = open_log(o.log[0])
     task, association = task_of(log, o), o.association[0]
     if association == "known" and not log.has_labels:
         raise UsageError(f"--association known: log {log.name!r} has no labels (true_id or label in observations.csv)")
     if wish.frames is not None:
         log = shortened(log, wish.frames)
+    from eval.replay.foreign.make import lack
+    from eval.replay.foreign.spec import is_foreign, name_of
     from eval.replay.plausible import with_doubt
     from eval.replay.run import step_by_step
     from eval.report.statements import gate_sentence
     from eval.walk.album import Album, open_windows
     from eval.walk.walk import StoppedError, Walk, end
 
+    if is_foreign(o.estimator[0]) and (why := lack(o.estimator[0], task, association, o.setup)):
+        raise UsageError(f"--estimator {name_of(o.estimator[0])}: {why}")
     album = Album(wish.save, open_windows())
     inputs = log.inputs(labels=association == "known")
     if task == "slam":
         inputs = inputs.without_map()
     if inputs.labels_are_sensed:
         print(gate_sentence(o, sensed=True))
-    walk = Walk(log, task, o.estimator[0], album, pausing=not wish.run_through and sys.stdin.isatty())
+    walk = Walk(log, task, name_of(o.estimator[0]), album, pausing=not wish.run_through and sys.stdin.isatty())
     try:
         run = step_by_step(o.estimator[0], inputs, task, association, o.setup, observer=walk)
         end(log, with_doubt(run, inputs), album, walk)

@@ -10,11 +10,11 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from data.errors import SlamrefError, UsageError
+from data.errors import UsageError
+from data.terminal.ending import ended
 from eval.replay.names import ASSOCIATIONS, TASKS
 
 PROG = "python -m eval.twin"
-FINE, WRONG = 0, 2
 HELP = """\
 Draw a log again as it says of itself: the path and map of the batch smoother stand for the truth; prior, increments and
 readings are drawn with the covariances that LOG states, at the same frames, of the same landmarks. What the smoother
@@ -32,6 +32,10 @@ exit status: 0 fine, 2 wrong usage or bad data"""
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """The whole command, called `prog`; returns the exit status."""
+    return ended(lambda: _twin_as_asked(argv, prog), "interrupted; nothing was written")
+
+
+def _twin_as_asked(argv: Sequence[str] | None, prog: str) -> None:
     parser = argparse.ArgumentParser(
         prog=prog,
         description=HELP,
@@ -46,16 +50,15 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
         "--task", choices=TASKS, help="whose path is the truth (default: localization where LOG has a map, else slam)"
     )
     parser.add_argument(
-        "--association", choices=ASSOCIATIONS, metavar="NAME",
-        help="who pairs the readings (default: known where LOG has labels, else jcbb)",
+        "--association", metavar="NAME",
+        help=f"who pairs the readings: of {', '.join(ASSOCIATIONS)}, or your own (default: known where LOG has labels, "
+        "else jcbb)",
     )  # fmt: skip
     options = parser.parse_args(argv)
-    try:
-        sys.stdout.write(_run(options))
-    except SlamrefError as fault:
-        sys.stderr.write(f"error: {fault}\n")
-        return WRONG
-    return FINE
+    from eval.plan.first_use import compile_if_needed
+
+    compile_if_needed()
+    sys.stdout.write(_run(options))
 
 
 def _seed(text: str) -> int:
@@ -70,6 +73,8 @@ def _run(options: argparse.Namespace) -> str:
 
     from data.logs import open_log
     from data.open_log.writer import write_folder
+    from eval.plan.foreign import load_all
+    from eval.replay.foreign.spec import one_settled
     from eval.replay.run import compare
     from eval.replay.settings import Setup
     from eval.studies.sampled import smoother_of
@@ -79,14 +84,17 @@ def _run(options: argparse.Namespace) -> str:
     task = options.task or ("slam" if log.recorded.map is None else "localization")
     if task == "localization" and log.recorded.map is None:
         raise UsageError(f"--task localization: log {log.name!r} has no map; only slam makes sense")
-    association = options.association or ("known" if log.has_labels else "jcbb")
+    association = "known" if log.has_labels else "jcbb"
+    if options.association is not None:
+        association = one_settled("--association", options.association, "association")
+        load_all((), (association,))
     if association == "known" and not log.has_labels:
         raise UsageError(f"--association known: log {log.name!r} has no labels")
     inputs, setup = inputs_of(log, task, association), Setup()
     smoother = smoother_of(compare(inputs, task, ("ekf", "batch"), association, setup), inputs)
     if smoother is None:
         raise UsageError(f"no twin of {log.name}: the filter that the smoother starts from does not get to the end")
-    made = twin(source_of(log, smoother, ("ekf",), setup), options.seed)
+    made = twin(source_of(log, smoother, ("ekf",), setup, association), options.seed)
     if log.recorded.map is None:
         # landmarks.csv would be a map to localize in, which the log does not have
         made = replace(made, truth=replace(made.truth, landmarks=None))

@@ -6,7 +6,6 @@ Nothing here touches pyplot: figures are plain `Figure` objects made inside `mat
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from matplotlib.typing import RcKeyType
 
 from data.result import Run, Trajectory
 from eval.referee.paths.given import GivenRun
+from eval.replay.foreign.places import place
 
 SINGLE = 3.4
 """in. Width of one column of a two-column paper."""
@@ -96,21 +96,32 @@ METHOD_COLOURS = {
     "scan": "#117733",
 }  # fmt: skip
 """Ways of association, where lines tell these apart and not the estimators; independent tests warm, joint ones blue."""
-OTHER_METHOD = "#707070"
-_OTHERS = ("#7B3F00", "#5D3A9B", "#B8860B", "#4B4B4B")
+OTHERS = (
+    ("#800000", "*"), ("#0000E0", "h"), ("#00C060", "d"), ("#806080", "1"), ("#80C0E0", "2"), ("#406040", "3"),
+)  # fmt: skip
+"""Colour and marker of names that are not ours, as far from ours and from each other as colours go (CIELAB, for all
+colour-blind readers): each with every one of these lines, so that so many names look different."""
+OTHER_LINES: tuple[Line, ...] = (DASHDOT, LONG, DASHDOTDOT)
 
 
 def style_of(estimator: str) -> Style:
-    """The style of an estimator; a name nobody planned for gets a dull colour of its own, the same each time."""
+    """The style of an estimator; a name that is not ours gets one of its own, the same each time."""
     known = STYLES.get(estimator)
     if known is not None:
         return known
-    return Style(_OTHERS[zlib.crc32(estimator.encode()) % len(_OTHERS)], estimator, DASHDOT)
+    colour, line, marker = _other(estimator)
+    return Style(colour, estimator, line, marker)
 
 
 def colour_of_method(association: str) -> str:
-    """The colour of a way of association; grey for a name nobody planned for."""
-    return METHOD_COLOURS.get(association, OTHER_METHOD)
+    """The colour of a way of association; one of its own for a name that is not ours."""
+    return METHOD_COLOURS.get(association) or _other(association)[0]
+
+
+def _other(name: str) -> tuple[str, Line, str]:
+    which = place(name, len(OTHERS) * len(OTHER_LINES))
+    colour, marker = OTHERS[which % len(OTHERS)]
+    return colour, OTHER_LINES[which // len(OTHERS)], marker
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from association.scans.laser_run import SCAN
 from data.log import Log
+from eval.replay.foreign.spec import is_foreign
 from eval.replay.names import FILTERS
 from eval.replay.settings import Setup
 
@@ -18,14 +19,14 @@ class Work:
     estimators: tuple[str, ...]
 
     def parts(self) -> tuple[Work, ...]:
-        """What can be done apart: iSAM2 takes longest; batch goes with the front end whose decisions it takes.
+        """What can be done apart: iSAM2 takes longest, or a foreign one; batch goes with the front end it depends on.
 
         Scans are matched once for all.
         """
         if self.association == SCAN:
             return (self,)
-        apart: list[tuple[str, ...]] = [(e,) for e in self.estimators if e == "fixed-lag"]
-        rest = tuple(e for e in self.estimators if e != "fixed-lag")
+        apart: list[tuple[str, ...]] = [(e,) for e in self.estimators if e == "fixed-lag" or is_foreign(e)]
+        rest = tuple(e for e in self.estimators if (e,) not in apart)
         if "isam2" in rest:
             alone = ("isam2",) if self.association == "known" else tuple(e for e in rest if e not in FILTERS)
             apart, rest = [alone, *apart], tuple(e for e in rest if e not in alone)

@@ -16,7 +16,9 @@ import numpy as np
 from data.log import Log
 from eval.plan.flags.examples import PROG
 from eval.plan.flags.table import Options
+from eval.plan.foreign import sources_of
 from eval.replay.flag import rows
+from eval.replay.foreign.spec import shown
 
 PACKAGES = ("gtsam", "numpy", "scipy", "numba", "pandas", "matplotlib", "opencv-python-headless")
 
@@ -30,14 +32,24 @@ def command_of(options: Options) -> str:
     for row in rows(Options).values():
         value = getattr(options, row.name)
         if row.numbers and (value != row.default or row.name in options.stated):
+            if row.name in ("estimator", "association"):
+                value = tuple(shown(text) for text in value)
             words += row.words(value)
     return shlex.join(words)
 
 
 def provenance(
-    options: Options, logs: Iterable[Log], arguments: Sequence[str], results: Mapping[str, Mapping[str, str]] = {}
+    options: Options,
+    logs: Iterable[Log],
+    arguments: Sequence[str],
+    foreign: Iterable[str] = (),
+    results: Mapping[str, Mapping[str, str]] = {},
 ) -> str:
-    """The text of provenance.json; `results`: of each that was handed in the sha256 by file."""
+    """The text of provenance.json.
+
+    `foreign`: names of estimators and ways of association, some perhaps not ours; `results`: of each that was handed in
+    the sha256 by file.
+    """
     content = {
         "command": [*PROG.split(), *arguments],
         "versions": {
@@ -45,6 +57,7 @@ def provenance(
         },
         "platform": f"{sys.platform} {platform.machine()}",
         "seed": options.seed,
+        "foreign": sources_of(foreign),
         "inputs": {log.name: {**_plain(log), "sha256": input_digest(log)} for log in logs},
     }  # fmt: skip
     if results:

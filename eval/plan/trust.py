@@ -16,7 +16,8 @@ from eval.plan.unfinished import Unfinished
 from eval.plan.work import work
 from eval.referee.attribution import NOISE
 from eval.referee.score import Trial
-from eval.replay.names import FILTERS, STEPPING
+from eval.replay.foreign.spec import is_foreign, name_of
+from eval.replay.names import FILTERS, steps
 from eval.replay.run import compare
 from eval.replay.settings import Setup
 from eval.studies import sampled, store
@@ -34,7 +35,10 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """All runs of a log and task with one way of association; `twins` of how many estimators (none: no twins)."""
+    """All runs of a log and task with one way of association; `twins` of how many estimators (none: no twins).
+
+    `association` and `twins` are as given to `compare`, the names in `runs` as in tables.
+    """
 
     log: Log
     task: str
@@ -76,7 +80,7 @@ def _missing(groups: Sequence[Group], lost: Unfinished) -> Callable[[int, str], 
 
     def missing(i: int, why: str) -> None:
         g = groups[i]
-        lost.say(f"{g.log.name}, {g.task}: part of what it says of itself (association {g.association})", why)
+        lost.say(f"{g.log.name}, {g.task}: part of what it says of itself (association {name_of(g.association)})", why)
 
     return missing
 
@@ -89,15 +93,16 @@ def _count(options: Options) -> int:
 def _groups(e: Experiment, trial: Trial, options: Options) -> list[Group]:
     groups = []
     for association in dict.fromkeys(w.association for w in e.work):
-        runs = tuple(r for r in trial.runs if r.association == association)
-        filters = tuple(r.estimator for r in runs if r.estimator in FILTERS)
-        twins = filters or tuple(r.estimator for r in runs if r.estimator in STEPPING)
+        runs = tuple(r for r in trial.runs if r.association == name_of(association))
+        texts = {name_of(text): text for w in e.work for text in w.estimators if is_foreign(text)}
+        filters = tuple(texts.get(r.estimator, r.estimator) for r in runs if r.estimator in (*FILTERS, *texts))
+        twins = filters or tuple(r.estimator for r in runs if steps(r.estimator))
         if options.full and options.twins is None:
             twins = ("ekf",) if association == "known" and "ekf" in filters else ()
         if not _count(options) or e.beside is not None:
             twins = ()
         groups.append(Group(e.log, e.task, association, e.setup, runs, twins))
-    return [g for g in groups if any(r.estimator in STEPPING for r in g.runs)]
+    return [g for g in groups if any(steps(r.estimator) for r in g.runs)]
 
 
 def said_by(group: Group) -> tuple[Sample, Run | None]:
@@ -119,7 +124,7 @@ def _with_twins(
     for i, (group, _, smoother) in enumerate(said):
         if group.twins and smoother is not None:
             try:
-                source = source_of(group.log, smoother, group.twins, group.setup)
+                source = source_of(group.log, smoother, group.twins, group.setup, group.association)
             except UsageError as fault:
                 notes[i] = str(fault)
                 continue
@@ -143,7 +148,7 @@ def _with_twins(
     for i, (group, real, smoother) in enumerate(said):
         seeds = range(options.seed, options.seed + count)
         own = [kept[i, seed] for seed in seeds if (i, seed) in kept]
-        asked.append((i, (judged, (group.log, group.task, group.association, real, own, smoother))))
+        asked.append((i, (judged, (group.log, group.task, name_of(group.association), real, own, smoother))))
     result = dict(work(asked, options))
     return tuple(_noted(result[i], notes.get(i), g, count) for i, (g, _, _) in enumerate(said))
 

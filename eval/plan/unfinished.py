@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from data.inputs import Inputs
-from data.result import DISCARD, Failure, Run, Trajectory
+from data.result import Failure, Run
 from eval.plan.experiment import Experiment, Work
 from eval.plan.flags.options import Options
+from eval.replay.foreign.spec import name_of
 from eval.replay.names import BATCH, INCREMENTAL
+from eval.replay.nothing import no_run
 from eval.replay.run import compare
 
 
@@ -31,15 +31,9 @@ def estimate_one(experiment: Experiment, part: Work, name: str) -> list[Run]:
 
 def incomplete(name: str, association: str, task: str, inputs: Inputs, why: str) -> Run:
     """A run of which nothing is left but the reason."""
-    n = len(inputs)
-    nowhere = Trajectory(np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan))
-    nothing = np.full(len(inputs.observations.frame), DISCARD, np.int64)
-    given = "none" if name == "dead-reckoning" else association
+    given = "none" if name == "dead-reckoning" else name_of(association)
     online, final = name not in BATCH, name in (*BATCH, *INCREMENTAL)
-    return Run(
-        name, given, task, nowhere if online else None, nowhere if final else None, None, nothing, nothing,
-        np.full(len(nothing), -1, np.int64), failure=Failure("incomplete", 0, why),
-    )  # fmt: skip
+    return no_run(name_of(name), given, task, inputs, Failure("incomplete", 0, why), online=online, final=final)
 
 
 @dataclass
@@ -68,5 +62,7 @@ class Unfinished:
 
 def wanted(work: Sequence[Work]) -> list[tuple[str, str]]:
     """Association and estimator of every run asked for, in the order of the tables."""
-    named = [("none" if n == "dead-reckoning" else w.association, n) for w in work for n in w.estimators]
+    named = [
+        ("none" if n == "dead-reckoning" else name_of(w.association), name_of(n)) for w in work for n in w.estimators
+    ]
     return list(dict.fromkeys(named))

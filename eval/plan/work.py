@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 from data.errors import SlamrefError
 from eval.plan.cluster import KILLED, Call, Lost, on_cluster
 from eval.plan.flags.options import Options
+from eval.replay.foreign.places import acquainted, introduced
 
 Owner = TypeVar("Owner")
 NEVER = 10**6
@@ -40,7 +41,8 @@ def work(
     `apart`: one after the other, in a process of their own, which has all the memory. `lost` hears of each job that had
     not enough memory, with the reason; without it, that raises `OutOfMemoryError`.
     """
-    calls = {i: call for i, (_, call) in enumerate(jobs)}
+    names = introduced()
+    calls = {i: (acquainted, (names, *call)) if names else call for i, (_, call) in enumerate(jobs)}
     distant = far and options.scheduler is not None
     here = _one_at_a_time if apart else _together
     results = _on_cluster(str(options.scheduler), calls) if distant else here(calls, options.jobs)

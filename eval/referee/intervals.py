@@ -109,7 +109,7 @@ def _length(series: Array) -> tuple[float, str]:
     """Mean block length [frames] for a series (n,), and why it does not do (empty: it does)."""
     n = len(series)
     if n == 0:
-        return math.nan, "no frame has a true pose to compare with"
+        return math.nan, "no frame has a true pose and, for NEES, a covariance to compare with"
     if n < MIN_FRAMES:
         return math.nan, f"{n} frames with truth are too few, {MIN_FRAMES} are needed"
     if np.ptp(series) <= 1e-12 * np.abs(series).max():

@@ -18,45 +18,20 @@ from eval.referee import consistency, errors
 from eval.referee.along import Along, along
 from eval.referee.bounds import nis_bounds
 from eval.referee.confusion import WITHIN, Confusion, confuse, majority, majority_agreement, share_within
-from eval.referee.differences import DIFFERENCES, difference_rows
+from eval.referee.differences import difference_rows
+from eval.referee.files import top
 from eval.referee.intervals import SEED, run_intervals
-from eval.referee.laser.rows import RELATIONS, closure_counts, kept, relation_rows
+from eval.referee.laser.rows import closure_counts, kept, relation_rows
 from eval.referee.lost import lost
-from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES, RUN
+from eval.referee.metrics import RUN
 from eval.referee.paths.given import GivenRun, log_of
 from eval.referee.paths.match import match
 from eval.referee.paths.rpe import rpe_columns
 from eval.referee.proper_scores import mean_scores
 
-METRICS = (*RUN, "status", *(m.column for m in OF_ESTIMATES))
-ASSOCIATION = (*RUN, *(m.column for m in OF_DECISIONS))
+METRICS, ASSOCIATION, CONSISTENCY = top.METRICS.names, top.DECISIONS.names, top.CONSISTENCY.names
 COUNTED = tuple(c for c in ASSOCIATION if c not in (*RUN, "share_within", "within_m", "majority_agreement"))
 """Columns that `Confusion` has."""
-CONSISTENCY = (
-    "scenario",
-    "estimator",
-    "quantity",
-    "dof",
-    "runs",
-    "mean",
-    "lower",
-    "upper",
-    "verdict",
-    "task",
-    "association",
-    "phase",
-    "power",
-    "diverged",
-)
-TIMING = (
-    "log",
-    "task",
-    "estimator",
-    "association",
-    "frames",
-    "seconds",
-    "frames_per_second",
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,6 +230,9 @@ def _blank(value: object) -> object:
 class Scores:
     """The tables of a set of trials; differences between filters and smoothers where there is truth, relations of laser
     logs.
+
+    Numbers are float64 (unknown: NaN), counts `Int64` (unknown: `pd.NA`), words `str`; docs/results-folder.md says what
+    every column holds.
     """
 
     metrics: pd.DataFrame
@@ -292,9 +270,9 @@ def score(trials: Sequence[Trial]) -> Scores:
             })  # fmt: skip
         differences += difference_rows(trial.log, trial.task, trial.runs, known)
     return Scores(
-        frame_of(metrics, METRICS),
-        frame_of(association, ASSOCIATION),
-        frame_of(timing, TIMING),
-        frame_of(differences, DIFFERENCES),
-        frame_of(relations, RELATIONS),
+        top.METRICS.table(metrics),
+        top.DECISIONS.table(association),
+        top.TIMING.table(timing),
+        top.DIFFERENCES.table(differences),
+        top.RELATIONS.table(relations),
     )

@@ -14,6 +14,8 @@ from data.se2 import Array
 from ekf.filter import DEFAULT, FilterOptions
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
+from eval.replay.foreign.make import estimator as foreign_estimator
+from eval.replay.foreign.spec import is_foreign
 from eval.replay.given import Given
 from eval.replay.names import STEPPING
 from eval.replay.settings import Setup
@@ -133,9 +135,12 @@ def make_estimator(
 ) -> Estimator:
     """A fresh step-by-step estimator: with a map it localizes, without it does SLAM. `given` may be whole `Inputs`.
 
+    `name`: of ours, or the settled text of a foreign one (`eval.replay.foreign`).
     `options` stand in for those that go with the name of a filter; `lag` [s] is that of `fixed-lag`, which counts
     frames as long as no frame is stamped with its time.
     """
+    if is_foreign(name):
+        return foreign_estimator(name, given, options)
     if name in OPTIONS:
         options = options or OPTIONS[name]
         if given.map is not None:

@@ -19,6 +19,10 @@ from data.se2 import Array
 from ekf.filter import FilterOptions
 from ekf.localizer import EkfLocalizer
 from eval.replay.estimators import make_estimator
+from eval.replay.foreign.adapter import Adapter
+from eval.replay.foreign.load import load
+from eval.replay.foreign.method import Method, locked
+from eval.replay.foreign.spec import is_foreign, name_of
 from eval.replay.given import Beginning, Given
 from eval.replay.known import KnownAssociation
 from eval.replay.map_management import MapManagement
@@ -59,12 +63,15 @@ class FrontEnd:
         self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
     ) -> None:
         """Before the first frame."""
-        self.given, self.setup, self.association = Beginning(given.prior, given.sensor, given.map), setup, association
+        self.given, self.setup = Beginning(given.prior, given.sensor, given.map), setup
+        self.association = name_of(association)
+        self._method = Method(load(association)) if is_foreign(association) else association
         self.estimator = make_estimator(estimator, given, options, lag=setup.lag)
         self.slam = given.map is None
         self.k, self.incomplete = -1, 0
         if isinstance(self.estimator, EkfLocalizer) and association != "known":
-            self.estimator.within = horizon(association, setup.gate, setup.new_gate, known_map=True)
+            gate = None if is_foreign(association) else setup.gate  # nobody knows how far a foreign method looks
+            self.estimator.within = horizon(association, gate, setup.new_gate, known_map=True)
         # a graph need not park, and what leaves it is as if never seen: that is not forgetting
         kept = replace(setup, forget_after=None, deactivate_after=None) if self.estimator.smooths else setup
         self.map_management: MapManagement | None = None
@@ -113,7 +120,9 @@ class FrontEnd:
     def decide(self, expectation: Expectation, method: str | None = None) -> Decided:
         """Decisions by the method of this run, or for comparison by another one."""
         s = self.setup
-        return decide(method or self.association, expectation, s.gate, s.new_gate, known_map=not self.slam)
+        chosen = self._method if method is None else method
+        offered = expectation if isinstance(chosen, str) else locked(expectation)
+        return decide(chosen, offered, s.gate, s.new_gate, known_map=not self.slam)
 
     def update(self, frame: Frame, pairing: Pairing) -> Updated:
         """Use what was decided: one update with all pairings, then new landmarks from the updated pose."""
@@ -121,7 +130,7 @@ class FrontEnd:
             self.parking.restore(pairing.decisions)
         # a smoother forms no innovations of its own unless asked to; the expectation has them, until the update
         formed = None
-        if pairing.expectation is not None and self.estimator.smooths:
+        if pairing.expectation is not None and (self.estimator.smooths or isinstance(self.estimator, Adapter)):
             formed = pairing.expectation.innovation_statistics(*pairing.expectation.paired(pairing.decisions))
         done = self.estimator.update(
             frame.sightings,
@@ -138,7 +147,7 @@ class FrontEnd:
             self.map_management.see(numbers[seen])
         if self.parking is not None:
             self.parking.see(Sightings(frame.sightings.z[seen], frame.sightings.R[seen]), numbers[seen])
-        if formed is not None:
+        if formed is not None and (self.estimator.smooths or math.isnan(done.nis)):
             done = done._replace(nis=formed[0], dof=formed[1], log_likelihood=formed[2])
         return done._replace(moments=self._moments(pairing.S, done.dof))
 
@@ -188,7 +197,7 @@ class FrontEnd:
 
     def notes(self) -> list[str]:
         """What a reader of the results should know."""
-        notes, s = [], self.setup
+        notes, s = self.estimator.notes() if isinstance(self.estimator, Adapter) else [], self.setup
         if self.incomplete:
             notes.append(
                 f"{self.association} ran out of its {BUDGET} nodes in {self.incomplete} frames; "

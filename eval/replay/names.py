@@ -12,3 +12,8 @@ STEPPING = (*FILTERS, *INCREMENTAL)
 BATCH = ("batch", "batch-huber", "batch-cauchy", "gnc")
 ESTIMATORS = ("dead-reckoning", *STEPPING, *BATCH)
 ASSOCIATIONS = ("known", "nn", "ml", "ml-ratio", "singles", "jcbb", "jcbb-first", "gnn", "jcbb-hindsight", "scan")
+
+
+def steps(name: str) -> bool:
+    """Whether an estimator, ours or not, works frame by frame."""
+    return name not in BATCH and name != "dead-reckoning"

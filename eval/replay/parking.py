@@ -17,6 +17,7 @@ from data.sensors import Sensor
 from ekf.epochs import LEAST, MOVED, PRODUCT, READING, STEP
 from ekf.slam import EkfSlam
 from eval.replay.estimators import Estimator
+from eval.replay.foreign.spec import is_foreign
 from eval.replay.map_management import MapManagement
 from eval.replay.settings import Setup
 
@@ -168,6 +169,8 @@ def automatic_parking(estimator: Estimator, association: str, setup: Setup) -> A
         return None
     options = estimator.options
     if options.invariant or options.first_estimates or options.iterations > 1:
+        return None
+    if is_foreign(association):  # nobody knows how far it looks
         return None
     within = horizon(association, setup.gate, setup.new_gate)
     if association in ("known", HINDSIGHT):  # decided without a look at this estimator, but somebody may ask for one

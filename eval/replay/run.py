@@ -21,6 +21,10 @@ from ekf.filter import FilterDivergedError, FilterOptions
 from ekf.whole_run import FilterRun, run_filter
 from eval.replay.batch import batch
 from eval.replay.estimators import OPTIONS
+from eval.replay.foreign.guard import ForeignError
+from eval.replay.foreign.load import Thing, text_of
+from eval.replay.foreign.make import CannotError, require
+from eval.replay.foreign.spec import is_foreign, name_of
 from eval.replay.frontend import FrontEnd
 from eval.replay.given import Given
 from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
@@ -28,6 +32,7 @@ from eval.replay.hindsight.mapping_frontend import MappingFrontEnd
 from eval.replay.laser.comparison import compare_laser
 from eval.replay.laser.landmarks import at_all_frames, corner_log
 from eval.replay.names import BATCH, FILTERS
+from eval.replay.nothing import no_run
 from eval.replay.observer import Nobody, Observer
 from eval.replay.plausible import judged
 from eval.replay.recorder import Recorder
@@ -104,7 +109,16 @@ def step_by_step(
     every stage and changes nothing but the time taken.
     """
     begin = time.perf_counter()
-    front = front_end(name, association, inputs, setup.settled(inputs.labels_are_sensed), options)
+    setup = setup.settled(inputs.labels_are_sensed)
+    try:
+        if is_foreign(name):
+            require(name, task, association, setup)
+        front = front_end(name, association, inputs, setup, options)
+    except CannotError as stop:
+        return no_run(name_of(name), name_of(association), task, inputs, Failure("incomplete", 0, str(stop)))
+    except ForeignError as stop:  # its constructor crashed
+        failure = Failure("diverged", 0, str(stop), stop.trace)
+        return no_run(name_of(name), name_of(association), task, inputs, failure)
     each = options is not None and options.each
     run = driven(name, front, inputs, task, each=each, finish=finish, observer=observer)
     return replace(run, seconds=time.perf_counter() - begin)
@@ -142,7 +156,9 @@ def driven(
             finished = front.estimator.finish()
     except (FilterDivergedError, UnderConstrained, SingularInnovationError) as stop:
         failure = Failure("diverged", front.k, str(stop))
-    return record.run(name, task, front, finished, failure, time.perf_counter() - begin)
+    except ForeignError as stop:
+        failure = Failure("diverged", max(front.k, 0), str(stop), stop.trace)
+    return record.run(name_of(name), task, front, finished, failure, time.perf_counter() - begin)
 
 
 def front_end(
@@ -166,11 +182,14 @@ def _parts(frame: Frame, each: bool) -> list[Frame]:
 def compare(
     inputs: Inputs,
     task: str,
-    estimators: Sequence[str],
-    association: str = "known",
+    estimators: Sequence[str | Thing],
+    association: str | Thing = "known",
     setup: Setup = PLAIN,
 ) -> list[Run]:
     """Estimators with one way of association on identical inputs; the runs come in the order of `estimators`.
+
+    Beside names of ours stand settled texts of foreign ones (`eval.replay.foreign`), or classes and functions as they
+    are, which then have their own names.
 
     `batch...` take the decisions of a front end and start from its path: under `known` those of the EKF (and, where
     that leads to no good end, at the iterated one's), otherwise those of iSAM2, or of the EKF if iSAM2 was not asked
@@ -181,15 +200,16 @@ def compare(
     Labels are withheld from every method but `known`. Labels that a sensor read are gated where the setup does not say
     otherwise (`Setup.settled`).
     """
+    names, association = [text_of(e, "estimator") for e in estimators], text_of(association, "association")
     # sums over two threads round otherwise than over one: the same bytes for any number of processes and cores
     with threadpool_limits(1):
         if association == SCAN:
-            return judged(compare_laser(inputs, estimators, setup), inputs)
+            return judged(compare_laser(inputs, names, setup), inputs)
         if inputs.scans is not None and not len(inputs.observations.frame):
             log = corner_log(inputs, setup)
-            runs = judged(_compare(log.inputs, task, estimators, association, setup), log.inputs)
+            runs = judged(_compare(log.inputs, task, names, association, setup), log.inputs)
             return [at_all_frames(run, log, len(inputs)) for run in runs]
-        return judged(_compare(inputs, task, estimators, association, setup), inputs)
+        return judged(_compare(inputs, task, names, association, setup), inputs)
 
 
 def _compare(inputs: Inputs, task: str, estimators: Sequence[str], association: str, setup: Setup) -> list[Run]:

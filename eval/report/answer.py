@@ -10,14 +10,13 @@ import pandas as pd
 from eval.page.numbers import number
 from eval.page.tables import is_blank
 from eval.referee.consistency import CONSISTENT, OVERCONFIDENT
-from eval.replay.names import BATCH, FILTERS, INCREMENTAL
+from eval.replay.names import INCREMENTAL
 from eval.replay.plausible import IMPLAUSIBLE
 from eval.report.deciding import SAME, best_and_worst
 from eval.report.differences import difference_sentence
-from eval.report.rows import Row, rows_of, value_of
+from eval.report.rows import Row, filters_in, rows_of, smoothers_in, value_of
 from eval.report.statements import nis_statement, nis_verdict
 
-SMOOTHERS = (*BATCH, *INCREMENTAL)
 LINEARIZATION = 2.0
 """So many times the RMSE of a smoother with the same data at the same instants: linearization, not luck."""
 FAR = 20.0
@@ -41,8 +40,8 @@ def _pick(rows: Sequence[Row], names: Sequence[str], phase: str) -> Row | None:
 def chosen_association(rows: Sequence[Row]) -> str | None:
     """The association to compare under: known, or else the first that a filter and a smoother share, or else any."""
     given = [str(r["association"]) for r in rows if r["association"] != "none"]
-    filters = {r["association"] for r in rows if r["estimator"] in FILTERS}
-    smoothers = {r["association"] for r in rows if r["estimator"] in SMOOTHERS}
+    filters = {r["association"] for r in rows if r["estimator"] in filters_in(rows)}
+    smoothers = {r["association"] for r in rows if r["estimator"] in smoothers_in(rows)}
     order = sorted(dict.fromkeys(given), key=lambda a: (a != "known", a not in filters or a not in smoothers))
     return order[0] if order else None
 
@@ -79,7 +78,7 @@ def _compared(rows: Sequence[Row], differences: Sequence[Row], trusted: bool) ->
 
     `trusted`: what the log says of itself stands beside it, distance from the smoother and innovations included.
     """
-    filtered, smoothed = _pick(rows, FILTERS, "online"), _pick(rows, SMOOTHERS, "final")
+    filtered, smoothed = _pick(rows, filters_in(rows), "online"), _pick(rows, smoothers_in(rows), "final")
     failed = [r for r in (filtered, smoothed) if r is not None and r["status"] not in ("ok", IMPLAUSIBLE)]
     if failed:
         names = " and ".join(f"{r['estimator']} ({r['status']})" for r in failed)
@@ -126,7 +125,7 @@ def _gone(filtered: Row | None, smoothed: Row | None) -> list[str]:
 
 
 def _lost(row: Row) -> str:
-    kind = "filter" if row["estimator"] in FILTERS else "smoother"
+    kind = "filter" if row["phase"] == "online" else "smoother"
     frame = int(value_of(row, "lost_frame"))
     return f"Lost: the {kind} ({row['estimator']}) does not know where it is from frame {frame} on ({row['lost_why']})."
 

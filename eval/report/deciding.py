@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 from eval.page.numbers import number
 from eval.page.tables import is_blank
-from eval.replay.names import FILTERS, STEPPING
-from eval.report.rows import Row, value_of
+from eval.replay.names import steps
+from eval.report.rows import Row, filters_in, value_of
 
 SAME = 0.02
 """Relative difference of two RMSE values below which they are called equal."""
@@ -28,15 +28,16 @@ def best_and_worst(rows: Sequence[Row], outcomes: Sequence[Row], labelled: int |
     Only runs that got to the end and are plausible count: the others' decisions end with them.
     """
     ended = {(r["estimator"], r["association"]) for r in rows if r["status"] == "ok"}
+    filters = filters_in(rows)
     deciding = [
         r
         for r in outcomes
         if r["association"] not in ("known", "none")
         and (r["estimator"], r["association"]) in ended
-        and r["phase"] == ("online" if r["estimator"] in FILTERS else "final")
+        and r["phase"] == ("online" if r["estimator"] in filters else "final")
     ]
     # batch smoothers take the decisions of another run, which speaks for itself where it is there
-    own = [r for r in deciding if r["estimator"] in STEPPING] or deciding
+    own = [r for r in deciding if steps(str(r["estimator"]))] or deciding
     own = [r for r in own if math.isfinite(f1(r))]
     if not own:
         return ""

@@ -10,6 +10,7 @@ import pandas as pd
 from data.log import folder_name
 from eval.page.document import Block, Picture, Section, written_table
 from eval.page.numbers import number
+from eval.page.tables import is_blank
 from eval.plan.flags.options import Options
 from eval.plan.tutorial import is_tutorial
 from eval.referee.score import Scores, Trial
@@ -92,7 +93,7 @@ def _beside_note(trial: Trial, rows: pd.DataFrame) -> str:
         return notes[0]
     for row in rows.to_dict("records"):
         for column, what in (("sse_position_m2", "positions"), ("sse_landmark_m2", "landmarks")):
-            if row[column] is not None:
+            if not is_blank(row[column]):
                 notes.append(f"Sum of squared errors of {what}: {number(float(row[column]))} m².")
     return " ".join([*notes, *trial.runs[0].notes])
 

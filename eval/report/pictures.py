@@ -33,6 +33,7 @@ from eval.report.shown_runs import (
     for_growth,
     for_map,
     for_panels,
+    has_covariance,
     left_out,
     plausible,
     same,
@@ -62,7 +63,7 @@ def kinds(trial: Trial, beside: Sequence[Trial] = (), *, quick: bool = False) ->
     shown, reference = finished(trial), trial.find("batch")
     found = ["map", *laser_kinds(trial)]
     if shown and trial.log.truth.known_poses:
-        found += ["error", "nees"]
+        found += ["error", "nees"] if any(has_covariance(r) for r in shown) else ["error"]
     elif reference is not None and reference.flaw is None and len(shown) > 1:
         found.append("difference")
     if trial.beside is None and for_filter_smoother(trial) is not None:
@@ -140,7 +141,7 @@ def _picture(trial: Trial, kind: str, beside: Sequence[Trial]) -> tuple[Figure, 
             f"Errors over time on {log.name} in x, y and heading, one column per estimator",
         )
     if kind == "nees":
-        columns = for_panels(finished(trial))
+        columns = for_panels([r for r in finished(trial) if has_covariance(r)])
         return (
             figures.nees_figure(log, columns),
             f"{where}: pose NEES per frame; a consistent one is in the band 95 % of the time. One run: no verdict."

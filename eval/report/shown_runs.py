@@ -12,7 +12,7 @@ from eval.figures.error import MOST_PANELS
 from eval.referee.errors import position_distance, rms
 from eval.referee.paths.given import GivenRun, log_of
 from eval.referee.score import Trial
-from eval.replay.names import BATCH, FILTERS
+from eval.replay.names import ASSOCIATIONS, ESTIMATORS, FILTERS
 
 FIRST = ("known", "jcbb", "jcbb-first")
 """Ways of association that are shown before all others."""
@@ -31,26 +31,37 @@ def plausible(trial: Trial) -> list[Run]:
 
 
 def associations(runs: Sequence[Run]) -> list[str]:
-    """The ways of association of some runs, those to be shown first in front."""
+    """The ways of association of some runs, those to be shown first in front: `known`, and those that are not ours."""
     given = list(dict.fromkeys(r.association for r in runs if r.association != "none"))
-    return sorted(given, key=lambda a: FIRST.index(a) if a in FIRST else len(FIRST))
+    theirs = tuple(a for a in given if a not in ASSOCIATIONS)
+    first = (FIRST[0], *theirs, *FIRST[1:])
+    return sorted(given, key=lambda a: first.index(a) if a in first else len(first))
+
+
+def has_covariance(run: Run) -> bool:
+    """Whether it says how certain it is; an estimator that is not ours need not."""
+    return bool(np.isfinite(run.trajectory(run.phases[-1]).covariance).any())
 
 
 def _kind(run: Run) -> int:
-    """0 filter, 1 incremental smoother, 2 batch smoother; a result that was handed in by its phase."""
-    if isinstance(run, GivenRun):
-        return 0 if run.final is None else 1
-    return 0 if run.estimator in FILTERS else 2 if run.estimator in BATCH else 1
+    """0 filter, 1 incremental smoother, 2 batch smoother; one that is not ours by its phases."""
+    if run.estimator in FILTERS or (run.estimator not in ESTIMATORS and run.final is None):
+        return 0
+    return 2 if run.online is None else 1
 
 
 def _by_importance(runs: Sequence[Run], kinds: Sequence[tuple[int, int]]) -> list[Run]:
-    """Runs in the order of `kinds`, (kind of estimator, place of its association), one for each; then all others."""
+    """Runs in the order of `kinds`, (kind of estimator, place of its association), one for each; then all others.
+
+    Before them come those of estimators that are not ours, each once: who brought one wants to see it.
+    """
     order = associations(runs)
-    chosen: list[Run] = []
+    theirs = sorted((r for r in runs if r.estimator not in ESTIMATORS), key=lambda r: order.index(r.association))
+    chosen = list({r.estimator: r for r in reversed(theirs)}.values())[::-1]
     for kind, place in kinds:
         fitting = (r for r in runs if _kind(r) == kind and place < len(order) and r.association == order[place])
         first = next(fitting, None)
-        if first is not None:
+        if first is not None and not any(first is c for c in chosen):
             chosen.append(first)
     rest = [r for r in runs if not any(r is c for c in chosen)]
     return [*chosen, *sorted(rest, key=lambda r: _place(order, r))]
@@ -138,7 +149,8 @@ def for_growth(trial: Trial) -> list[Run]:
     estimates = [r for r in plausible(trial) if r.online is not None and r.map is not None]
     order = associations(estimates)
     alike = [r for r in estimates if r.association == order[0]] if order else []
-    found = (next((r for r in alike if r.estimator == name), None) for name in ("ekf", "isam2"))
+    found = [next((r for r in alike if r.estimator == name), None) for name in ("ekf", "isam2")]
+    found += [r for r in alike if r.estimator not in ESTIMATORS and has_covariance(r)]
     return [r for r in found if r is not None]
 
 

@@ -19,6 +19,7 @@ from eval.plan.execute import Outcome
 from eval.plan.flags.options import Options
 from eval.plan.work import work
 from eval.referee.consistency import MIN_RUNS
+from eval.replay.foreign.spec import name_of, names_of
 from eval.report import comparison
 from eval.report.validation import validation_section
 from eval.studies.montecarlo import DOF, Judged, Study, consistency_table
@@ -76,7 +77,7 @@ def _reading(studies: Sequence[Study]) -> Iterator[Block]:
 
 def _study(study: Study, judged: Sequence[Judged], pictures: Sequence[Picture], table: Writer) -> Section:
     s = study.scenario
-    declared = [f"`{m.name}` ({', '.join(m.must_be_consistent)})" for m in s.members if m.must_be_consistent]
+    declared = [f"`{name_of(m.name)}` ({', '.join(m.must_be_consistent)})" for m in s.members if m.must_be_consistent]
     blocks: list[Block] = [
         f"{s.about} {len(study.seeds)} runs (seeds {study.seeds[0]} to {study.seeds[-1]}).",
         f"Declared to be consistent: {', '.join(declared)}." if declared else "Nothing is declared to be consistent.",
@@ -122,7 +123,7 @@ def _draw(folder: Path, options: Options, studies: Sequence[Study]) -> list[list
     jobs: list[tuple[tuple[int, int], Call]] = []
     for i, study in enumerate(studies):
         for task in study.scenario.task:
-            for association in study.scenario.association:
+            for association in names_of(study.scenario.association):
                 for kind in ("anees", "ends", "coverage"):
                     jobs.append(((i, len(jobs)), (_picture, (folder, study, task, association, kind))))
     made = dict(work(jobs, options))

@@ -40,6 +40,7 @@ class Sample:
         published: NEES averaged as the scenario's published numbers are.
         nees_pose: (N,) pose NEES of every frame that counts, NaN before.
         failure: where and why it stopped, or is implausible; nothing else is then filled in.
+        trace: the traceback, where foreign code crashed.
     """
 
     means: Mapping[str, float] = field(default_factory=dict)
@@ -48,6 +49,7 @@ class Sample:
     published: Mapping[str, float] = field(default_factory=dict)
     nees_pose: Array = field(default_factory=lambda: np.empty(0))
     failure: str | None = None
+    trace: str = ""
 
 
 @dataclass(frozen=True)
@@ -90,11 +92,21 @@ def study_lines(study: Study) -> list[str]:
     return lines
 
 
+def traces(study: Study) -> list[str]:
+    """The first traceback of each estimator whose foreign code crashed."""
+    return [
+        f"{study.scenario.name}, {k[0]}: {k[1]} ({k[2]}), seed {seed}:\n{s.trace.rstrip()}"
+        for k, samples in study.samples.items()
+        for seed, s in [next(((n, s) for n, s in zip(study.seeds, samples, strict=True) if s.trace), (0, Sample()))]
+        if s.trace
+    ]
+
+
 def sample(run: Run, phase: str, log: Log, scenario: Scenario) -> Sample:
     """Reduce a run to what the verdicts need."""
     truth = log.truth
     if run.flaw is not None:
-        return Sample(failure=run.flaw.text)
+        return Sample(failure=run.flaw.text, trace=run.flaw.trace)
     assert truth.pose is not None  # a simulator knows
     t = run.trajectory(phase)
     each = {q: consistency.nees(t.pose, t.covariance, truth.pose, q) for q in QUANTITIES}

@@ -19,7 +19,7 @@ from eval.referee import consistency, errors, trust
 from eval.referee.score import confusion_of
 from eval.referee.trust import Key, Measured
 from eval.replay.batch import batch
-from eval.replay.names import BATCH, FILTERS, STEPPING
+from eval.replay.names import FILTERS, steps
 from eval.replay.plausible import with_doubt
 from eval.replay.run import compare
 from eval.studies.twins import Source, inputs_of, twin
@@ -52,7 +52,7 @@ class Sample:
 
 def smoother_of(runs: Sequence[Run], inputs: Inputs) -> Run | None:
     """Batch over the decisions of the first filter, else of the first that steps; None: none got to the end."""
-    fronts = [r for r in runs if r.estimator in STEPPING and r.failure is None]
+    fronts = [r for r in runs if steps(r.estimator) and r.failure is None]
     fronts.sort(key=lambda r: r.estimator not in FILTERS)
     return same_decisions(fronts[0], runs, inputs) if fronts else None
 
@@ -87,7 +87,7 @@ def sample_of(
     failures: dict[str, str] = {}
     apart: dict[str, float] = {}
     for run in runs:
-        if run.estimator not in STEPPING:
+        if not steps(run.estimator):
             continue
         if run.failure is not None:
             failures[run.estimator] = run.failure.text
@@ -125,7 +125,7 @@ def twin_sample(
     nees: dict[tuple[str, str], float] = {}
     counts: dict[str, tuple[int, int, int, int]] = {}
     for run in runs:
-        if run.flaw is not None or run.estimator not in (*STEPPING, *BATCH):
+        if run.flaw is not None or run.estimator == "dead-reckoning":
             continue
         for phase in run.phases:
             t = run.trajectory(phase)

@@ -10,6 +10,7 @@ import numpy as np
 from data.errors import UsageError
 from data.log import Log
 from data.worlds import registry
+from eval.replay.foreign.spec import name_of
 from eval.replay.settings import Setup
 from eval.studies.published import Published
 
@@ -21,7 +22,8 @@ RECORDED = "esde"
 class Member:
     """An estimator of a scenario: tasks in which it is declared consistent, parameters of the world that differ for it.
 
-    `world` may change only what an estimator is told (a published filter's own noise columns), never what happened.
+    `name` is one of ours, or the settled text of a foreign one. `world` may change only what an estimator is told (a
+    published filter's own noise columns), never what happened.
     """
 
     name: str
@@ -68,8 +70,8 @@ class Scenario:
 
     @property
     def estimators(self) -> tuple[str, ...]:
-        """Names of the members."""
-        return tuple(m.name for m in self.members)
+        """Names of the members, as in tables."""
+        return tuple(name_of(m.name) for m in self.members)
 
     @property
     def recorded(self) -> bool:
@@ -78,7 +80,7 @@ class Scenario:
 
     def declared(self, task: str, estimator: str) -> bool:
         """Whether the exit status depends on this estimator."""
-        return any(task in m.must_be_consistent for m in self.members if m.name == estimator)
+        return any(task in m.must_be_consistent for m in self.members if name_of(m.name) == estimator)
 
     def world(self, changed: tuple[tuple[str, object], ...] = ()) -> Any:
         """Parameters of the simulator, some of them changed."""

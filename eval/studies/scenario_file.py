@@ -11,7 +11,8 @@ from data.errors import UsageError
 from data.toml_table import Fault, TomlTable, finite, load_toml, not_negative
 from data.worlds.registry import SIMULATORS, parameters_of
 from eval.replay.flag import read_values, rows
-from eval.replay.names import ASSOCIATIONS, ESTIMATORS, TASKS
+from eval.replay.foreign.spec import entry_points, is_foreign, name_of, one_settled, own_or_foreign
+from eval.replay.names import ESTIMATORS, TASKS
 from eval.replay.settings import Setup, check_gates
 from eval.studies.published import PUBLISHABLE, Ordering, Published, Row
 from eval.studies.scenario import RECORDED, Member, Scenario
@@ -68,7 +69,7 @@ def _scenario(top: TomlTable, setup: Setup, source: str, stem: str) -> Scenario:
     task = top.names("task", TASKS, ("slam",))
     world = top.table_of("world", _world_keys(top))
     kind = world.one_of("kind", (*SIMULATORS, RECORDED))
-    estimators = top.table_of("estimators")
+    estimators = top.table_of("estimators", _estimator_keys(top))
     members = tuple(_member(estimators, name, task, kind) for name in estimators.table)
     if not members:
         raise top.error("estimators", "at least one is needed")
@@ -79,7 +80,7 @@ def _scenario(top: TomlTable, setup: Setup, source: str, stem: str) -> Scenario:
         cite=paragraph(top.text("cite", "")),
         runs=top.whole("runs", 100, least=1),
         task=task,
-        association=top.names("association", ASSOCIATIONS, ("known",)),
+        association=_associations(top),
         members=members,
         kind=kind,
         values=parameters(world, kind),
@@ -88,6 +89,25 @@ def _scenario(top: TomlTable, setup: Setup, source: str, stem: str) -> Scenario:
         rates=_rates(top),
         published=_published(top.table_of("published"), members) if "published" in top else None,
     )
+
+
+def _estimator_keys(top: TomlTable) -> tuple[str, ...]:
+    """Names of ours, those that installed packages add, and whatever reads like a foreign one: `_member` settles it."""
+    table = top.table.get("estimators")
+    added = entry_points("estimator")
+    theirs = [key for key in (table if isinstance(table, dict) else ()) if is_foreign(key) or key in added]
+    return (*ESTIMATORS, *theirs)
+
+
+def _associations(top: TomlTable) -> tuple[str, ...]:
+    given = top.table.get("association", ["known"])
+    if not isinstance(given, list):
+        raise top.error("association", "a list is needed")
+    try:
+        settled: tuple[str, ...] = own_or_foreign("association", least=1)("association =", given)
+    except UsageError as wrong:
+        raise top.error("association", str(wrong).removeprefix("association = ")) from None
+    return settled
 
 
 def paragraph(text: str) -> str:
@@ -146,7 +166,11 @@ def _member(estimators: TomlTable, name: str, task: tuple[str, ...], kind: str) 
         raise table.error("must_be", f"only {CONSISTENT!r} can be demanded")
     tasks = table.names("task", task, task)
     world = table.optional_table("world", parameters_of_kind(kind))
-    return Member(name, tasks if "must_be" in table else (), () if world is None else parameters(world, kind))
+    try:
+        text = one_settled("", name, "estimator")
+    except UsageError as wrong:
+        raise estimators.error(name, str(wrong).strip(": ")) from None
+    return Member(text, tasks if "must_be" in table else (), () if world is None else parameters(world, kind))
 
 
 def _setup(table: TomlTable) -> Setup:
@@ -156,7 +180,7 @@ def _setup(table: TomlTable) -> Setup:
 
 
 def _published(table: TomlTable, members: tuple[Member, ...]) -> Published:
-    known = tuple(m.name for m in members)
+    known = tuple(name_of(m.name) for m in members)
     rows = [
         Row(
             row.one_of("estimator", known),

@@ -17,7 +17,9 @@ import numpy as np
 
 from data.digest import program_digest
 from data.log import folder_name
+from data.terminal.words import counted
 from data.whole import whole_file
+from eval.replay.foreign.load import digests
 from eval.studies.montecarlo import Key, Result, Sample
 from eval.studies.scenario import Scenario
 
@@ -40,7 +42,8 @@ def content_digest(s: Scenario) -> str:
     p = s.published
     averages = None if p is None else (p.skipped_are_zero, p.per_dof)
     members = [(m.name, m.world) for m in s.members]
-    said = (s.kind, s.values, s.task, s.association, members, s.setup, s.from_frame, s.wrong, averages)
+    theirs = digests((*(m.name for m in s.members), *s.association))
+    said = (s.kind, s.values, s.task, s.association, members, s.setup, s.from_frame, s.wrong, averages, theirs)
     return hashlib.sha256(repr(said).encode()).hexdigest()[:DIGITS]
 
 
@@ -63,10 +66,20 @@ def kept_folder(root: Path, called: str, content: str) -> Path:
     return folder
 
 
+def kept_since(root: Path, begin: float) -> str:
+    """For somebody who interrupts a study begun then [s since the epoch]: what of it is kept, and how to go on."""
+    folder = root / ".studies"
+    done = sum(f.stat().st_mtime >= begin for f in folder.glob("*/[!.]*.*"))
+    if not done:
+        return "nothing was changed"
+    runs = f"{counted(done, 'run')} done since the start {'is' if done == 1 else 'are'} kept in {folder}"
+    return f"the report is as it was; {runs}: the same command goes on from there"
+
+
 def save(folder: Path, seed: int, result: Result) -> None:
     """Keep a run; a file appears whole or not at all."""
     rows = [
-        [list(key), dict(s.means), dict(s.ends), dict(s.squares), dict(s.published), s.failure]
+        [list(key), dict(s.means), dict(s.ends), dict(s.squares), dict(s.published), s.failure, s.trace]
         for key, s in result.items()
     ]
     kept: dict[str, Any] = {f"nees_{i}": s.nees_pose for i, s in enumerate(result.values())}
@@ -81,9 +94,9 @@ def load(folder: Path, seed: int) -> Result | None:
         with (folder / f"{seed}.npz").open("rb") as file, np.load(file) as kept:
             rows = json.loads(kept["samples"].tobytes())
             result: Result = {}
-            for i, (key, means, ends, squares, published, failure) in enumerate(rows):
+            for i, (key, means, ends, squares, published, failure, trace) in enumerate(rows):
                 named: Key = tuple(key)
-                result[named] = Sample(means, ends, squares, published, kept[f"nees_{i}"], failure)
+                result[named] = Sample(means, ends, squares, published, kept[f"nees_{i}"], failure, trace)
             return result
     except (FileNotFoundError, zipfile.BadZipFile, KeyError, ValueError, EOFError):
         return None

@@ -25,6 +25,7 @@ from data.se2 import Array
 from data.sensors import RangeBearing
 from data.truth import Truth
 from eval.referee import residuals
+from eval.replay.foreign.load import digests
 from eval.replay.settings import Setup
 
 STREAM = 0x7A17
@@ -64,8 +65,13 @@ def inputs_of(log: Log, task: str, association: str) -> Inputs:
     return inputs.without_map() if task == "slam" else inputs
 
 
-def source_of(log: Log, smoother: Run, estimators: Sequence[str], setup: Setup) -> Source:
-    """What twins of a log are drawn from; raises UsageError with a sentence where there can be none."""
+def source_of(
+    log: Log, smoother: Run, estimators: Sequence[str], setup: Setup, association: str | None = None
+) -> Source:
+    """What twins of a log are drawn from; raises UsageError with a sentence where there can be none.
+
+    `association`: that of `smoother` as it can be run again, where its name is not enough.
+    """
     inputs = inputs_of(log, smoother.task, "known" if smoother.association == "known" else "")
     if len(inputs) < SHORTEST:
         raise UsageError(f"no twins of {log.name}: it has {len(inputs)} frames, at least {SHORTEST} are needed")
@@ -79,7 +85,8 @@ def source_of(log: Log, smoother: Run, estimators: Sequence[str], setup: Setup) 
     landmarks = LandmarkMap(used.identity, used.landmarks)
     landmark_of = np.where(used.number >= 0, used.identity[np.maximum(used.number, 0)], CLUTTER)
     wanted = tuple(dict.fromkeys([*estimators, "batch"]))
-    return Source(log, smoother.task, smoother.association, wanted, setup, smoother.final.pose, landmarks, landmark_of)
+    again = association or smoother.association
+    return Source(log, smoother.task, again, wanted, setup, smoother.final.pose, landmarks, landmark_of)
 
 
 def twin(source: Source, seed: int) -> Log:
@@ -131,6 +138,7 @@ def digest_of(source: Source) -> str:
     digest = hashlib.sha256(
         repr((source.log.name, source.task, source.association, source.estimators, source.setup, r.sensor)).encode()
     )
+    digest.update(repr(digests((*source.estimators, source.association))).encode())
     for array in (
         r.prior.covariance, r.time, r.increments.covariance, r.observations.frame, r.observations.z, r.observations.R,
         source.path, source.landmarks.id, source.landmarks.xy, source.landmark_of,

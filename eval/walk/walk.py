@@ -15,7 +15,7 @@ from data.log import Log
 from data.result import DISCARD, NEW, Run
 from data.truth import CLUTTER
 from eval.figures import error_figure
-from eval.figures.style import STYLES
+from eval.figures.style import style_of
 from eval.replay.frontend import FrontEnd, Pairing
 from eval.walk.album import Album
 from eval.walk.matching import Matching, paint_compatibility, paint_matching
@@ -40,7 +40,7 @@ class Walk:
         self.decisions, self.created = np.full(m, -2, np.int64), np.full(m, -1, np.int64)
         self.path: list[Any] = []
         self.digits = max(3, len(str(len(log.recorded) - 1)))
-        self.kind = f"{STYLES[estimator].label} {'SLAM' if task == 'slam' else task}"
+        self.kind = f"{style_of(estimator).label} {'SLAM' if task == 'slam' else task}"
         self.printed = False
 
     def pause(self, stage: str) -> None:

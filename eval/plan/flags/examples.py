@@ -9,6 +9,7 @@ examples:
   python -m eval.run_all --quick                            the same, shortened (a check that all works)
   python -m eval.run_all --log my_log --log arena:3         an open log folder and a simulated log
   python -m eval.run_all --log intel.log.gz --keyframe-distance 0.8    a laser log (CARMEN): scans matched, loops closed
+  python -m eval.run_all --log intel.log.gz --least-information 0.2    its graph without the key poses that tell little
   python -m eval.run_all --log victoria-park --task slam    one log, one task
   python -m eval.run_all --log visual:0                     a rendered camera log: pictures found, corners used
   python -m eval.run_all --log my_lab_folder --camera-translation m --camera-reading to-body --trust-pickle

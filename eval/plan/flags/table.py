@@ -15,6 +15,7 @@ from eval.plan.flags.examples import EPILOG, PROG
 from eval.plan.flags.results import Results
 from eval.plan.flags.variant import Variant
 from eval.replay.flag import Flag, flag, folder, names, one_of, rows, switch, text, texts, whole
+from eval.replay.foreign.spec import FORM, own_or_foreign
 from eval.replay.names import ASSOCIATIONS, ESTIMATORS, TASKS
 from eval.replay.settings import Setup
 from eval.studies.shipped import VALIDATIONS, scenarios
@@ -66,15 +67,15 @@ class Selection:
     estimator: tuple[str, ...] = field(
         default=DEFAULT_ESTIMATORS,
         metadata=flag(
-            names(ESTIMATORS, least=1), "LIST",
-            f"of {', '.join(ESTIMATORS)} (default: {','.join(DEFAULT_ESTIMATORS)})",
+            own_or_foreign("estimator", least=1), "LIST",
+            f"of {', '.join(ESTIMATORS)}, or your own as {FORM} (default: {','.join(DEFAULT_ESTIMATORS)})",
         ),
     )  # fmt: skip
     association: tuple[str, ...] = field(
         default=(),
         metadata=flag(
-            names(ASSOCIATIONS), "LIST",
-            f"of {', '.join(ASSOCIATIONS)} (default: known where the log has labels, scan where it "
+            own_or_foreign("association"), "LIST",
+            f"of {', '.join(ASSOCIATIONS)}, or your own (default: known where the log has labels, scan where it "
             "has laser scans alone, else jcbb)",
         ),
     )  # fmt: skip

@@ -201,5 +201,5 @@ def _sizes(folder: Path, options: Options, trials: Sequence[Trial]) -> Block:
             row["position RMSE [m]"] = number(float(np.sqrt(np.nanmean(off**2))))
         row["seconds"] = number(run.seconds)
         rows.append(row)
-    caption = f"{trials[0].log.name}: how sparse the graph may be (`--keyframe-distance`)."
+    caption = f"{trials[0].log.name}: how sparse the graph may be (`--keyframe-distance`, `--least-information`)."
     return written_table(pd.DataFrame(rows), folder, stem(trials[0], "graph-sizes"), caption, options.formats)

@@ -23,7 +23,8 @@ HINT = "`--twins 100` says which of this is more than chance, and whose fault it
 
 def online(trust: Trust) -> list[str]:
     """Estimators that have a distance from the smoothed path, filters first."""
-    found = [name for name in ESTIMATORS if math.isfinite(trust.real.apart.get(name, math.nan))]
+    names = (*ESTIMATORS, *(name for name in trust.real.apart if name not in ESTIMATORS))
+    found = [name for name in names if math.isfinite(trust.real.apart.get(name, math.nan))]
     return sorted(found, key=lambda name: name not in FILTERS)
 
 

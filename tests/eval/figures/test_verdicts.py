@@ -66,7 +66,7 @@ def test_nothing_is_cut_and_no_panel_title_or_legend_lies_on_another(draw):
         assert label == "" or re.search(r"\[(m|s|%|–)\]$", label), label
 
 
-@pytest.mark.parametrize("kind", ["run end, eight", "outliers"])
+@pytest.mark.parametrize("kind", [pytest.param("run end, eight", marks=pytest.mark.slow), "outliers"])
 def test_the_same_values_give_the_same_bytes(kind, tmp_path):
     first, second = (save(FIGURES[kind](), tmp_path / str(i), "figure", ("png",))[0].read_bytes() for i in (0, 1))
     assert first == second

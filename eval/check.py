@@ -1,0 +1,93 @@
+"""`python -m eval.check`: check somebody's estimator or way of association, and print what each check found.
+
+Only the parser is imported at once, so that `--help` does not wait for the numerical libraries.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from data.errors import SlamrefError, UsageError
+from eval.replay.foreign.spec import FORM, OURS, entry_points, is_foreign, one_settled, settled
+from eval.replay.names import ASSOCIATIONS, ESTIMATORS
+
+FINE, FAILED, WRONG = 0, 1, 2
+KINDS = ("estimator", "association")
+PROG = "python -m eval.check"
+EXAMPLES = """\
+examples:
+  python -m eval.check ./mine.py:Filter                     a class: all checks of an estimator
+  python -m eval.check ./my_singles.py:singles              a function: all checks of a way of association
+  python -m eval.check my_package.filters:make --as estimator    a function that makes an estimator
+  python -m eval.check ekf isam2 jcbb                       ours
+
+What an estimator or a way of association is, and how runs use it: docs/extending.md.
+
+exit status: 0 every check passed, 1 one failed, 2 wrong usage"""
+
+
+def parser(prog: str = PROG) -> argparse.ArgumentParser:
+    """The flags."""
+    p = argparse.ArgumentParser(
+        prog=prog,
+        description="Check an estimator or a way of association: a sentence for each check.",
+        epilog=EXAMPLES.replace(PROG, prog),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    p.add_argument("what", metavar="WHAT", nargs="+", help=f"{FORM}, or a name of ours")
+    p.add_argument(
+        "--as", dest="kind", choices=KINDS, help="what it is (default: a class with `update` is an estimator)"
+    )
+    return p
+
+
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+    """The whole command, called `prog`; returns the exit status."""
+    options = parser(prog).parse_args(argv)
+    try:
+        asked = [_settled(text, options.kind) for text in options.what]
+        return max(_check(text, kind) for text, kind in asked)
+    except SlamrefError as fault:
+        print(f"error: {fault}", file=sys.stderr)
+        return WRONG
+
+
+def _settled(text: str, kind: str | None) -> tuple[str, str]:
+    """The text as it can be loaded, and what it is; raises UsageError where it cannot."""
+    from eval.replay.foreign.load import load
+
+    if kind is None and not is_foreign(text):
+        kind = next((k for k in KINDS if text in OURS[k] or text in entry_points(k)), None)
+        if kind is None:
+            raise UsageError(
+                f"{text}: unknown; known: {', '.join((*ESTIMATORS, *ASSOCIATIONS))}; or your own as {FORM}"
+            )
+    if kind is None:
+        thing = load(settled("check", text, "estimator")).thing
+        kind = "estimator" if callable(getattr(thing, "update", None)) else "association"
+    found = one_settled("check", text, kind)
+    if is_foreign(found):
+        load(found)
+    return found, kind
+
+
+def _check(text: str, kind: str) -> int:
+    from eval.checks.checking import association_findings, estimator_findings
+    from eval.replay.foreign.spec import shown
+
+    findings = estimator_findings(text) if kind == "estimator" else association_findings(text)
+    print(f"{shown(text)} ({'estimator' if kind == 'estimator' else 'way of association'})")
+    for f in findings:
+        print(f"  {f.line}")
+    failed = sum(not f.passed for f in findings)
+    print(
+        f"{len(findings) - failed} of {len(findings)} checks passed" if failed else f"all {len(findings)} checks passed"
+    )
+    return FAILED if failed else FINE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

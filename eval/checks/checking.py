@@ -1,0 +1,100 @@
+"""All checks of an estimator or of a way of association: as a list of findings, or as one error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from threadpoolctl import threadpool_limits
+
+from association.decide import METHODS, PLAIN
+from association.jcbb import jcbb, jcbb_first
+from data.errors import UsageError
+from eval.checks import associations, estimators, expected, handed
+from eval.checks.finding import CheckError, Finding
+from eval.replay.foreign.guard import ForeignError
+from eval.replay.foreign.load import load, text_of
+from eval.replay.foreign.make import tasks_of
+from eval.replay.foreign.method import Method
+from eval.replay.foreign.spec import is_foreign, name_of, one_settled
+from eval.replay.names import STEPPING, TASKS
+
+ESTIMATOR = (
+    *(handed.purity, handed.covariances, estimators.runs, estimators.linear_world, estimators.without_noise),
+    *(estimators.seams, estimators.empty_frames, estimators.determinism, estimators.covariance, estimators.numbers),
+    *(expected.expectation, expected.removal),
+)
+
+
+OWN = {**PLAIN, "jcbb": jcbb, "jcbb-first": jcbb_first}
+"""Our methods as functions."""
+
+
+def estimator_findings(estimator: str | Callable[..., Any]) -> list[Finding]:
+    """Every check of an estimator, for each task that it does: (check, passed, sentence).
+
+    `estimator`: a class as in docs/extending.md, a text as after `--estimator`, or a name of ours.
+    """
+    text = _text(estimator, "estimator")
+    if not is_foreign(text) and text not in STEPPING:
+        raise UsageError(f"{text}: does not work step by step; {', '.join(STEPPING)} do")
+    try:
+        tasks = tasks_of(load(text)) if is_foreign(text) else TASKS
+    except UsageError as fault:
+        return [Finding("interface", False, str(fault))]
+    found = [Finding("interface", True, f"{name_of(text)} does {' and '.join(tasks)}")]
+    with threadpool_limits(1):
+        for task in tasks:
+            found += [
+                f._replace(check=f"{task}, {f.check}") for check in ESTIMATOR for f in _sheltered(check, text, task)
+            ]
+    return found
+
+
+def _sheltered(check: Callable[[str, str], Iterator[Finding]], text: str, task: str) -> list[Finding]:
+    """What a check finds; where foreign code crashes outside a run, that."""
+    try:
+        return list(check(text, task))
+    except ForeignError as stop:
+        return [Finding(check.__name__.replace("_", " "), False, str(stop))]
+
+
+def association_findings(association: str | Callable[..., Any]) -> list[Finding]:
+    """Every check of a way of association: (check, passed, sentence).
+
+    `association`: a function as in docs/extending.md, a text as after `--association`, or a name of ours.
+    """
+    text = _text(association, "association")
+    if is_foreign(text):
+        try:
+            method = Method(load(text))
+        except ForeignError as stop:
+            return [Finding("interface", False, str(stop))]
+        return list(associations.run(method, load(text).thing))
+    if text not in METHODS:
+        raise UsageError(f"{text}: decides by more than one frame; {', '.join(METHODS)} can be checked")
+
+    own = OWN[text]
+    return list(associations.run(own, own))
+
+
+def check_estimator(estimator: str | Callable[..., Any]) -> None:
+    """Raises `CheckError`, an AssertionError with a sentence for each failed check, as scikit-learn's does."""
+    _judge(estimator, estimator_findings(estimator))
+
+
+def check_association(association: str | Callable[..., Any]) -> None:
+    """Raises `CheckError`, an AssertionError with a sentence for each failed check."""
+    _judge(association, association_findings(association))
+
+
+def _judge(what: str | Callable[..., Any], findings: list[Finding]) -> None:
+    if not all(f.passed for f in findings):
+        raise CheckError(what if isinstance(what, str) else getattr(what, "__name__", "it"), findings)
+
+
+def _text(what: str | Callable[..., Any], kind: str) -> str:
+    """A settled text for what may also be an object, or a name that an installed package adds."""
+    if isinstance(what, str) and not is_foreign(what):
+        return one_settled("check", what, kind)
+    return text_of(what, kind)

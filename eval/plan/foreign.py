@@ -1,0 +1,70 @@
+"""Foreign estimators and ways of association in a plan: loaded before any work, and what of it makes no sense."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from data.errors import UsageError
+from eval.plan.experiment import Experiment
+from eval.replay.foreign.guard import ForeignError
+from eval.replay.foreign.load import Loaded, load
+from eval.replay.foreign.make import lack, tasks_of
+from eval.replay.foreign.method import Method
+from eval.replay.foreign.spec import is_foreign, place_of
+from eval.replay.settings import Setup
+from eval.studies.scenario import Scenario
+
+
+def load_all(estimators: Sequence[str], associations: Sequence[str]) -> None:
+    """Raises UsageError for what cannot be loaded, or is no estimator or no way of association."""
+    for text in estimators:
+        if is_foreign(text):
+            tasks_of(load(text))
+    for text in associations:
+        if is_foreign(text):
+            try:
+                Method(load(text))
+            except ForeignError as fault:
+                raise UsageError(f"{place_of(text).shown}: {fault}") from fault
+
+
+def check_possible(experiments: Iterable[Experiment]) -> None:
+    """Raises UsageError for a foreign estimator that can do nothing of what is asked; what it can do is done."""
+    asked = [
+        (text, e.task, w.association, e.setup)
+        for e in experiments
+        for w in e.work
+        for text in w.estimators
+        if is_foreign(text)
+    ]
+    _check(asked)
+
+
+def check_scenario(scenario: Scenario) -> None:
+    """The same for a study, all of whose members are loaded first."""
+    names = tuple(m.name for m in scenario.members)
+    load_all(names, scenario.association)
+    _check([
+        (n, task, a, scenario.setup) for n in names if is_foreign(n) for task in scenario.task
+        for a in scenario.association
+    ])  # fmt: skip
+
+
+def _check(asked: Sequence[tuple[str, str, str, Setup]]) -> None:
+    for text in dict.fromkeys(text for text, *_ in asked):
+        lacks = [lack(*one) for one in asked if one[0] == text]
+        if all(lacks):
+            raise UsageError(f"--estimator {place_of(text).shown}: {lacks[0]}")
+
+
+def sources_of(texts: Iterable[str]) -> dict[str, object]:
+    """For provenance.json: where each foreign name came from, with the digest of all files behind it."""
+    found: dict[str, object] = {}
+    for text in texts:
+        if is_foreign(text):
+            loaded: Loaded = load(text)
+            place = place_of(text)
+            where = f"{place.file or place.module}:{place.attribute}"
+            found[loaded.name] = {"is": where, "sha256": loaded.digest, "files": [str(Path(f)) for f in loaded.sources]}
+    return found

@@ -1,0 +1,200 @@
+"""Loads what a settled text names; whatever is wrong with it is one sentence, before any work is done."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import importlib.util
+import re
+import sys
+import sysconfig
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from data.errors import UsageError
+from eval.replay.foreign.spec import NAME, OURS, Place, is_foreign, place_of, settled
+
+Thing = Callable[..., Any]
+"""A class or a function."""
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """Something foreign, ready for use.
+
+    Attributes:
+        text, name: as carried everywhere, and as in tables.
+        thing: the class or function.
+        sources: the file it is in, and of those beside it what it has imported.
+    """
+
+    text: str
+    name: str
+    thing: Callable[..., Any]
+    sources: tuple[Path, ...] = ()
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 over its sources; empty where there are none, as in a notebook."""
+        if not self.sources:
+            return ""
+        digest = hashlib.sha256()
+        for path in self.sources:
+            digest.update(path.name.encode() + path.read_bytes())
+        return digest.hexdigest()
+
+
+_LIVE: dict[str, Loaded] = {}
+"""What has no file: objects of this process."""
+_FILES: dict[tuple[str, str], ModuleType] = {}
+"""Modules by path and content, so that a file that was changed is loaded again."""
+
+
+def text_of(what: str | Thing, kind: str) -> str:
+    """A name of ours, a settled text, any other text settled, or a text for an object of this process.
+
+    Other processes cannot load such an object.
+    """
+    if isinstance(what, str):
+        return what if what in _LIVE or not is_foreign(what) else settled(kind, what, kind)
+    name = getattr(what, "__name__", type(what).__name__)
+    if name.lower() in OURS[kind] or not NAME.fullmatch(name):
+        name = f"my.{re.sub('[^A-Za-z0-9_]', '', name)[:36]}"
+    text = f"{name}=<{id(what):x}>:{name}"
+    _LIVE[text] = Loaded(text, name, what)
+    return text
+
+
+def load(text: str) -> Loaded:
+    """The class or function that a settled text names.
+
+    Raises:
+        UsageError: it cannot be imported, there is no such attribute, or it cannot be called.
+    """
+    if text in _LIVE:
+        return _LIVE[text]
+    place = place_of(text)
+    try:
+        module = _of_file(Path(place.file)) if place.file else _of_module(place)
+    except (Exception, SystemExit) as fault:
+        raise UsageError(f"{place.shown}: {_import_failure(place, fault)}") from fault
+    thing: Any = module
+    for part in place.attribute.split("."):
+        if not hasattr(thing, part):
+            there = ", ".join(n for n, v in vars(thing).items() if _own(n, v, module)) or "nothing"
+            raise UsageError(f"{place.shown}: no {place.attribute!r} in {_where(place)}; there is {there}")
+        thing = getattr(thing, part)
+    if not callable(thing):
+        raise UsageError(f"{place.shown}: {place.attribute} is {_a(thing)}; a class or a function is needed")
+    return Loaded(text, place.name, thing, _sources(module))
+
+
+def digests(texts: tuple[str, ...]) -> tuple[str, ...]:
+    """Digests of the foreign ones among names: whatever is kept of a run depends on them."""
+    return tuple(load(text).digest for text in texts if is_foreign(text))
+
+
+def _of_file(path: Path) -> ModuleType:
+    """The module of a file, which may import those beside it."""
+    content = hashlib.sha256(path.read_bytes()).hexdigest()
+    known = _FILES.get((str(path), content))
+    if known is not None:
+        return known
+    if str(path.parent) not in sys.path:
+        sys.path.append(str(path.parent))  # last: nothing there may shadow what others import
+    name = f"slamref_foreign_{path.stem}_{hashlib.sha256(str(path).encode()).hexdigest()[:8]}_{content[:8]}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise ImportError("it is no Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look themselves up there
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    _FILES[str(path), content] = module
+    return module
+
+
+def _of_module(place: Place) -> ModuleType:
+    if place.folder and place.folder not in sys.path:
+        sys.path.append(place.folder)
+    return importlib.import_module(place.module)
+
+
+def _sources(module: ModuleType) -> tuple[Path, ...]:
+    """The file of a module, and those of the modules it imported from its own folder and below."""
+    if module.__file__ is None:
+        return ()
+    own = Path(module.__file__)
+    found = {own}
+    waiting, seen = [module], {id(module)}
+    while waiting:
+        for value in list(vars(waiting.pop()).values()):
+            used = value if isinstance(value, ModuleType) else sys.modules.get(getattr(value, "__module__", None) or "")
+            file = getattr(used, "__file__", None)
+            if used is None or file is None or id(used) in seen or not Path(file).is_relative_to(own.parent):
+                continue
+            seen.add(id(used))
+            found.add(Path(file))
+            waiting.append(used)
+    return tuple(sorted(p for p in found if p.suffix == ".py"))
+
+
+def _import_failure(place: Place, fault: BaseException) -> str:
+    """Why an import failed, with the line of their file, in a sentence."""
+    if isinstance(fault, ModuleNotFoundError) and place.module and (fault.name or "") in _parents(place.module):
+        return f"there is no module {fault.name!r}, neither installed nor in {Path.cwd()}"
+    if isinstance(fault, SyntaxError):
+        file = Path(fault.filename or place.file or place.module).name
+        return f"{file}, line {fault.lineno}: {fault.msg}"
+    return f"importing it raised {said(fault)}{at_line(fault)}"
+
+
+def _parents(module: str) -> list[str]:
+    parts = module.split(".")
+    return [".".join(parts[: i + 1]) for i in range(len(parts))]
+
+
+def said(fault: BaseException) -> str:
+    """An exception in one line."""
+    text = " ".join(str(fault).split())
+    return f"{type(fault).__name__}: {text}" if text else type(fault).__name__
+
+
+def at_line(fault: BaseException) -> str:
+    """` (file.py, line 7)`: the innermost line of an exception that is not a library's; empty if there is none."""
+    frames = traceback.extract_tb(fault.__traceback__)
+    own = [f for f in frames if not f.filename.startswith("<") and not _elsewhere(f.filename)]
+    return f" ({Path(own[-1].filename).name}, line {own[-1].lineno})" if own else ""
+
+
+ROOT = Path(__file__).parents[3]
+LIBRARIES = (
+    *(str(ROOT / folder) for folder in ("association", "data", "ekf", "eval", "graph")),
+    *(sysconfig.get_path(kind) for kind in ("stdlib", "purelib", "platlib")),
+)
+
+
+def _elsewhere(file: str) -> bool:
+    """Whether a file is ours or a library's."""
+    return file.startswith(LIBRARIES)
+
+
+def _own(name: str, value: object, module: ModuleType) -> bool:
+    """Whether something of a module may have been meant."""
+    return not name.startswith("_") and callable(value) and getattr(value, "__module__", None) == module.__name__
+
+
+def _where(place: Place) -> str:
+    return Path(place.file).name if place.file else place.module
+
+
+def _a(thing: object) -> str:
+    kind = type(thing).__name__
+    return f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"

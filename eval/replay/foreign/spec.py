@@ -1,0 +1,214 @@
+"""Where somebody else's estimator or way of association is: `[NAME=]package.module:Class`, `[NAME=]./file.py:Class`.
+
+Such a text is settled early: with a name, and with a place that another process in another folder finds, too. Nothing
+is imported here, and nothing heavy, so that `--help` and a mistyped name answer at once.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from data.errors import UsageError
+from eval.replay.flag import Read, texts
+from eval.replay.names import ASSOCIATIONS, ESTIMATORS
+
+GROUPS = {"estimator": "slamref.estimators", "association": "slamref.associations"}
+"""Entry points by which an installed package adds names."""
+OURS = {"estimator": ESTIMATORS, "association": (*ASSOCIATIONS, "none")}
+NAME = re.compile(r"[A-Za-z0-9](?:[A-Za-z0-9._-]{0,38}[A-Za-z0-9_])?")
+"""Names stand in file names: letters, digits, `.`, `_` and `-`, at most 40."""
+FORM = "[NAME=]package.module:Attribute or [NAME=]./file.py:Attribute"
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where something foreign is.
+
+    Attributes:
+        name: stands in tables and file names.
+        file: an absolute path, or empty.
+        module: its dotted name, or empty.
+        folder: where the module is found if not in the installed packages; absolute, or empty.
+        attribute: what is wanted of it, dotted where it is inside a class.
+    """
+
+    name: str
+    file: str
+    module: str
+    folder: str
+    attribute: str
+
+    @property
+    def text(self) -> str:
+        """The settled text; `place_of` is the inverse."""
+        where = self.file or (f"{self.module}@{self.folder}" if self.folder else self.module)
+        return f"{self.name}={where}:{self.attribute}"
+
+    @property
+    def shown(self) -> str:
+        """The same for a person in this folder: what is below it is named from here."""
+        here = Path.cwd()
+        if self.file and Path(self.file).is_relative_to(here):
+            return f"{self.name}=./{Path(self.file).relative_to(here).as_posix()}:{self.attribute}"
+        if self.folder and Path(self.folder) == here:
+            return f"{self.name}={self.module}:{self.attribute}"
+        return self.text
+
+
+def is_foreign(text: str) -> bool:
+    """Whether a text names something that is not ours."""
+    return ":" in text
+
+
+def name_of(text: str) -> str:
+    """What an estimator or a way of association is called in tables, files and figures."""
+    return text.partition("=")[0] if is_foreign(text) else text
+
+
+def names_of(given: Sequence[str]) -> tuple[str, ...]:
+    """The same of several."""
+    return tuple(name_of(text) for text in given)
+
+
+def shown(text: str) -> str:
+    """A settled text, or a name of ours, as a person in this folder would write it."""
+    return place_of(text).shown if is_foreign(text) else text
+
+
+def place_of(text: str) -> Place:
+    """A settled text taken apart."""
+    name, _, rest = text.partition("=")
+    where, _, attribute = rest.rpartition(":")
+    if where.endswith(".py"):
+        return Place(name, where, "", "", attribute)
+    module, _, folder = where.partition("@")
+    return Place(name, "", module, folder, attribute)
+
+
+def settled(label: str, text: str, kind: str) -> str:
+    """A foreign text as any process finds it; relative places are those of the working directory.
+
+    Args:
+        label: of the flag, for messages.
+        text: as a person wrote it, or settled already.
+        kind: `estimator` or `association`.
+
+    Raises:
+        UsageError: it is not of the form, there is no such file, or the name cannot be used.
+    """
+    given, has_name, rest = text.partition("=")
+    if not has_name:
+        given, rest = "", text
+    where, colon, attribute = rest.rpartition(":")
+    if not (colon and where and all(part.isidentifier() for part in attribute.split("."))):
+        raise UsageError(f"{label} {text}: {FORM} is needed")
+    name = given or _short(where, attribute, kind)
+    check_name(label, name, kind, bool(given), rest)
+    if where.endswith(".py") or "/" in where.partition("@")[0] or os.sep in where.partition("@")[0]:
+        path = Path(where).expanduser().absolute()
+        if not path.is_file():
+            raise UsageError(f"{label} {text}: there is no file {where}")
+        if path.suffix != ".py":
+            raise UsageError(f"{label} {text}: a file that ends in .py is needed")
+        return Place(name, os.path.normpath(path), "", "", attribute).text
+    module, _, folder = where.partition("@")
+    if not all(part.isidentifier() for part in module.split(".")):
+        raise UsageError(f"{label} {text}: {where!r} is no module; {FORM} is needed")
+    return Place(name, "", module, folder or _folder_of(module), attribute).text
+
+
+def _short(where: str, attribute: str, kind: str) -> str:
+    """The attribute's name, with that of its file or module before it where the attribute alone reads like ours."""
+    name = attribute.rpartition(".")[2]
+    if name.lower() not in (ours.lower() for ours in OURS[kind]):
+        return name
+    home = Path(where).stem if where.endswith(".py") else where.partition("@")[0].rpartition(".")[2]
+    return f"{home}.{name}"
+
+
+def check_name(label: str, name: str, kind: str, chosen: bool, rest: str) -> None:
+    """Raises UsageError for a name that cannot stand in file names, or reads like one of ours."""
+    instead = "" if chosen else f"; put a name before it, as in mine={rest}"
+    if not NAME.fullmatch(name):
+        raise UsageError(
+            f"{label}: {name!r} cannot stand in file names; letters, digits, '.', '_' and '-' can, at most 40{instead}"
+        )
+    ours = next((n for n in OURS[kind] if n.lower() == name.lower()), None)
+    if ours is not None:
+        raise UsageError(
+            f"{label}: {name!r} would be taken for our {kind} {ours!r}{instead or '; choose another name'}"
+        )
+
+
+def _folder_of(module: str) -> str:
+    """The working directory if a module is there and not among the installed packages, else empty."""
+    here, top = Path.cwd(), module.partition(".")[0]
+    there = any((here / top / "__init__.py").is_file() or p.exists() for p in (here / f"{top}.py", here / top))
+    if not there:
+        return ""
+    from importlib.machinery import PathFinder
+
+    elsewhere = [p for p in sys.path if p and Path(p).resolve() != here.resolve()]
+    return "" if top in sys.builtin_module_names or PathFinder.find_spec(top, elsewhere) else str(here)
+
+
+def own_or_foreign(kind: str, *, least: int = 0) -> Read:
+    """Names of ours and foreign ones, none twice, separated by commas or as a list: a kind of value for a flag."""
+
+    def read(label: str, value: object) -> tuple[str, ...]:
+        given = tuple(name.strip() for part in texts(label, value) for name in part.split(",") if name.strip())
+        found = tuple(one_settled(label, text, kind) for text in given)
+        called = [name_of(text).lower() for text in found]
+        for i, text in enumerate(found):
+            if called.index(called[i]) != i:
+                other = found[called.index(called[i])]
+                if other == text:
+                    raise UsageError(f"{label} {','.join(given)}: named twice")
+                raise UsageError(
+                    f"{label} {given[i]}: the name {name_of(text)} is that of {shown(other)}, too; "
+                    "put another one before it, as in NAME=..."
+                )
+        if len(found) < least:
+            raise UsageError(f"{label}: at least one is needed")
+        return found
+
+    return read
+
+
+def one_settled(label: str, text: str, kind: str) -> str:
+    """A name of ours as it is, one that an installed package added as its place, any other text settled."""
+    added = entry_points(kind)
+    if text in OURS[kind] and text != "none":
+        return text
+    if is_foreign(text):
+        return settled(label, text, kind)
+    if text not in added:
+        known = ", ".join((*(n for n in OURS[kind] if n != "none"), *added))
+        raise UsageError(f"{label} {text}: unknown; known: {known}; or your own as {FORM}")
+    return settled(label, f"{text}={added[text]}", kind)
+
+
+def entry_points(kind: str) -> dict[str, str]:
+    """Names that installed packages add, each with its `package.module:Attribute`.
+
+    Raises:
+        UsageError: one of them has a name of ours, or two have the same.
+    """
+    from importlib import metadata
+
+    found: dict[str, str] = {}
+    packages: dict[str, str] = {}
+    for point in sorted(metadata.entry_points(group=GROUPS[kind]), key=lambda p: (p.name, p.value)):
+        package = point.dist.name if point.dist is not None else point.value
+        who = f"the installed package {package} adds the {kind} {point.name!r} ({GROUPS[kind]})"
+        if point.name.lower() in (n.lower() for n in OURS[kind]):
+            raise UsageError(f"{who}, which is the name of one of ours; uninstall it, or have it renamed there")
+        if found.get(point.name, point.value) != point.value:
+            raise UsageError(f"{who}, and so does {packages[point.name]}; uninstall one of them")
+        found[point.name], packages[point.name] = point.value, package
+    return found
