@@ -93,6 +93,7 @@ OF_RUNS = (
     DECISIONS,
 )
 OF_LOGS = (
+    File(f"{LOG_FOLDER}/truth.tum", f"The true path, at the frames of the log: {TUM}.", when="logs with true poses"),
     LOOPS,
     File(f"{LOG_FOLDER}/map.png", "The occupancy grid with the path.", when=LASER),
     File(f"{LOG_FOLDER}/map.pgm", "The occupancy grid for map servers.", when=LASER),
