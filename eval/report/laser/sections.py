@@ -10,12 +10,14 @@ import pandas as pd
 
 from association.scans.laser_run import SCAN, LaserRun
 from data.log import Log
+from data.result import Run
 from eval.page.document import Block, Picture, Section, written_table
 from eval.page.numbers import number
 from eval.plan.flags.options import Options
 from eval.referee.errors import position_distance, rms
 from eval.referee.laser.relations import ALL, CARTOGRAPHER, EXACT, KUEMMERLE, ROW, TIME, relation_errors
 from eval.referee.laser.rows import KEPT, paths_of
+from eval.referee.paths.given import GivenRun
 from eval.referee.score import Trial
 from eval.report.laser.files import mapping_run
 from eval.report.laser.pictures import GRID, LOOPS
@@ -94,9 +96,10 @@ def _relations(folder: Path, options: Options, trial: Trial) -> list[Block]:
     return [*blocks, PUBLISHED] if len(relations) == INTEL_RELATIONS else blocks
 
 
-def _relation_rows(run: object, log: Log) -> list[dict[str, object]]:
+def _relation_rows(run: Run, log: Log) -> list[dict[str, object]]:
     """A row per phase; the filter with its gate below the one without."""
-    if not isinstance(run, LaserRun) or run.failure is not None or log.truth.relations is None:
+    given = isinstance(run, GivenRun) and run.log is log
+    if not (given or isinstance(run, LaserRun)) or run.failure is not None or log.truth.relations is None:
         return []
     rows = []
     for phase, path in paths_of(run).items():
@@ -113,7 +116,7 @@ def _relation_rows(run: object, log: Log) -> list[dict[str, object]]:
         if other is not None:
             row["other order [m]"] = f"{other.trans_mean_m:.4f} ± {other.trans_std_m:.4f}"
         rows.append(row)
-    for twin, name in zip(run.with_gate or (), GATED, strict=False):
+    for twin, name in zip((run.with_gate or ()) if isinstance(run, LaserRun) else (), GATED, strict=False):
         rows += [{**row, "estimator": name} for row in _relation_rows(twin, log)]
     return rows
 
