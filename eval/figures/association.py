@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from data.result import Run
-from eval.figures.style import DOUBLE, drawing, style_of
+from eval.figures.look import page_width, points
+from eval.figures.style import drawing, style_of
 from eval.referee.confusion import Confusion
 from eval.referee.score import Trial, confusion_of
 
@@ -86,7 +87,7 @@ def confusion_figure(title: str, shown: Sequence[Bar]) -> Figure:
 
 
 def _confusion_figure(title: str, shown: Sequence[Bar]) -> Figure:
-    fig = Figure(figsize=(DOUBLE, 1.35 + 0.2 * len(shown)))
+    fig = Figure(figsize=(page_width(), 1.35 + 0.2 * len(shown)))
     ax = fig.add_subplot()
     rows = np.arange(len(shown))
     left = np.zeros(len(shown))
@@ -120,7 +121,9 @@ def _confusion_figure(title: str, shown: Sequence[Bar]) -> Figure:
 def _numbers(ax: Axes, shown: Sequence[Bar]) -> None:
     """FP and FN of each bar, in columns to the right of it."""
     for place, key in ((1.065, "fp"), (1.125, "fn")):
-        ax.text(place, 1.02, key.upper(), transform=ax.transAxes, ha="right", va="bottom", fontsize=7, weight="bold")
+        ax.text(
+            place, 1.02, key.upper(), transform=ax.transAxes, ha="right", va="bottom", fontsize=points(7), weight="bold"
+        )
         for row, bar in enumerate(shown):
             text = str(getattr(bar.counts, key))
-            ax.text(place, row, text, transform=ax.get_yaxis_transform(), ha="right", va="center", fontsize=7)
+            ax.text(place, row, text, transform=ax.get_yaxis_transform(), ha="right", va="center", fontsize=points(7))

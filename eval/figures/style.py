@@ -18,11 +18,10 @@ from matplotlib.figure import Figure
 from matplotlib.typing import RcKeyType
 
 from data.result import Run, Trajectory
+from eval.figures.look import current, refit
 
 SINGLE = 3.4
 """in. Width of one column of a two-column paper."""
-DOUBLE = 7.0
-"""in. Width of both columns."""
 PNG_DPI = 200
 LONG_HANDLE = 3.8
 """Length of a legend's line [font sizes] that shows every line's pattern beside its marker."""
@@ -157,7 +156,7 @@ def series(runs: Sequence[Run]) -> list[Series]:
 @contextmanager
 def drawing() -> Iterator[None]:
     """Our settings while a figure is built or saved, and nobody else's before or after."""
-    with matplotlib.rc_context(rc=RC):
+    with matplotlib.rc_context(rc=RC | current().settings()):
         yield
 
 
@@ -167,6 +166,7 @@ def settle(fig: Figure) -> None:
     With equal aspect, matplotlib's layout needs a second look to find room for the title, and would move everything a
     little each time the figure is drawn again.
     """
+    refit(fig)
     for _ in range(2):
         fig.draw_without_rendering()
     fig.set_layout_engine("none")
@@ -187,9 +187,10 @@ def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] = ("pdf", 
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     with drawing():
-        for suffix in formats:
+        refit(fig)
+        for suffix in [*formats, *(["pgf"] if current().pgf else [])]:
             path = folder / f"{stem}.{suffix}"
-            fig.savefig(path, dpi=PNG_DPI, metadata=clean[suffix])
+            fig.savefig(path, dpi=PNG_DPI, metadata=clean.get(suffix))
             fig.set_layout_engine("none")  # one layout for all formats
             written.append(path)
     fig.clear()

@@ -38,6 +38,9 @@ examples:
   python -m eval.run_all --scenario arena --runs 1000 --scheduler tcp://host:8786    on a Dask cluster
   python -m eval.run_all --log arena:0 --estimator isam2,fixed-lag --lag 20
   python -m eval.run_all --formats csv,tex --out results/paper --no-plots
+  python -m eval.run_all --log arena:0 --table-width column --columns rmse_position_m,nees_pose,nis
+  python -m eval.run_all --log arena:0 --figure-width 3.4in --font Times --font-size 8    figures for a column
+  python -m eval.run_all --log arena:0 --figure-width 86mm --usetex --pgf      text set by LaTeX, which must be there
   python -m eval.run_all --log arena:0 --animate            a film of each estimator beside the figures
   python -m eval.run_all --config my_run.toml -v            the same keys from a file; flags win; a table
                                                             [corridor] (seed, people, range, ...) is a log, too

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 from eval.plan.flags.examples import EPILOG, PROG
+from eval.plan.flags.paper import Paper
 from eval.plan.flags.variant import Variant
 from eval.replay.flag import Flag, flag, folder, names, one_of, rows, switch, text, texts, whole
 from eval.replay.names import ASSOCIATIONS, ESTIMATORS, TASKS
@@ -80,7 +81,7 @@ class Selection:
 
 
 @dataclass(frozen=True)
-class Options(Setup, Selection):
+class Options(Paper, Setup, Selection):
     """What was asked for, the setup included; field names are the config file's keys (with `-` for `_`).
 
     Attributes:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from eval.page.equations import Equation, Matrix, Where, latex
-from eval.page.tables import tex_escape
+from eval.page.paper.latex import tex_escape
 
 
 @dataclass(frozen=True)
