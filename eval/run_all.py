@@ -130,7 +130,7 @@ def staged(out: Path) -> Iterator[Path]:
 
 
 def _run(options: Options, console: Console, folder: Path, arguments: Sequence[str], check: Callable[[], None]) -> int:
-    from eval.figures.look import looking
+    from eval.figures.paper.look import looking
     from eval.page.paper.columns import check_columns
     from eval.plan.execute import execute
     from eval.plan.experiments import make_plan

@@ -8,7 +8,7 @@ from dataclasses import replace
 from matplotlib.figure import Figure
 
 from eval.benchmarks.large import BARE, BARE_BATCH, Measured, slope
-from eval.figures.look import page_width
+from eval.figures.paper.look import page_width
 from eval.figures.style import DOTTED, Style, drawing, style_of
 
 PEERS = {BARE: ("isam2", "bare gtsam loop"), BARE_BATCH: ("batch", "bare gtsam batch")}

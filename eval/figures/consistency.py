@@ -15,7 +15,7 @@ from data.log import Log
 from data.result import Run
 from data.se2 import Array
 from eval.figures.error import heading_of, panels, thinned, ticks, time_label
-from eval.figures.look import page_width
+from eval.figures.paper.look import page_width
 from eval.figures.style import BAND_COLOUR, LONG_HANDLE, drawing, style_of
 from eval.referee.bounds import anees_band
 from eval.referee.consistency import mean_or_nan, nees

@@ -17,7 +17,7 @@ from data.inputs import Inputs, IntArray
 from data.log import Log
 from data.result import Run, Trajectory
 from data.se2 import Array, pose_error
-from eval.figures.look import across, page_width, points
+from eval.figures.paper.look import across, page_width, points
 from eval.figures.style import Series, drawing, series
 
 MOST_PANELS = 4
@@ -77,8 +77,10 @@ def panels(runs: Sequence[Run], most: int = MOST_PANELS) -> tuple[list[Series], 
     """The series that get a panel of their own (dead reckoning only if it is alone), and a remark if not all fit."""
     shown = series(runs)
     estimates = [s for s in shown if s.run.estimator != "dead-reckoning"] or shown
-    # of two, the first and the last: filter and smoother
-    kept = [estimates[0], estimates[-1]] if most == 2 < len(estimates) else estimates[:most]
+    kept = estimates[:most]
+    if most == 2 < len(estimates):  # the first filter and the last smoother that had the same decisions
+        alike = [s for s in estimates if s.run.association == estimates[0].run.association]
+        kept = [alike[0], alike[-1]] if len(alike) > 1 else kept
     left_out = [s.label for s in estimates if s not in kept]
     return kept, f"\nnot shown: {', '.join(left_out)}" if left_out else ""
 

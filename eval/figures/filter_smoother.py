@@ -14,7 +14,7 @@ from data.log import Log
 from data.result import Run
 from data.se2 import Array, BoolArray
 from eval.figures.error import COORDINATES, common_reach, draw_band, reach, thinned, ticks, time_label
-from eval.figures.look import page_width
+from eval.figures.paper.look import page_width
 from eval.figures.style import Style, drawing, style_of
 from eval.referee.trust import Difference, difference
 

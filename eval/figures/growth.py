@@ -11,7 +11,7 @@ from data.log import Log
 from data.result import Run
 from eval.figures.ellipses import SIGMAS, longest_axis
 from eval.figures.error import longest_sigma, ticks, time_label
-from eval.figures.look import page_width, points
+from eval.figures.paper.look import page_width, points
 from eval.figures.style import DASHED, DOTTED, SOLID, Line, colour_of_method, drawing, style_of
 from eval.referee.score import Trial
 

@@ -11,7 +11,7 @@ from data.inputs import CLUTTER, IntArray
 from data.log import Log
 from data.se2 import dead_reckoned
 from data.summary import granted_labels
-from eval.figures.look import page_width
+from eval.figures.paper.look import page_width
 from eval.figures.style import DOTTED, STYLES, TRUTH_COLOUR, drawing
 
 SEEN_COLOUR = "#56B4E9"

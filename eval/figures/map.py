@@ -18,7 +18,7 @@ from data.log import Log
 from data.result import Run
 from data.se2 import Array, dead_reckoned
 from eval.figures.ellipses import along_path, draw_ellipses, ellipses, longest_axis
-from eval.figures.look import page_width, points
+from eval.figures.paper.look import page_width, points
 from eval.figures.style import DOTTED, STYLES, TRUTH_COLOUR, Series, drawing, series, settle
 from eval.figures.view import View, enlargement, true_landmarks, view_of
 

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from eval.figures.error import ticks
-from eval.figures.look import page_width
+from eval.figures.paper.look import page_width
 from eval.figures.style import LONG_HANDLE, drawing, style_of
 
 LOG_RATIO = 12.0

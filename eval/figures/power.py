@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
-from eval.figures.look import across, page_width
+from eval.figures.paper.look import across, page_width
 from eval.figures.style import drawing
 
 COLOURS = ("#0072B2", "#D55E00")

@@ -12,7 +12,7 @@ from data.inputs import IntArray
 from data.log import Log
 from data.result import Run
 from data.se2 import Array
-from eval.figures.look import page_width, points
+from eval.figures.paper.look import page_width, points
 from eval.figures.style import TRUTH_COLOUR, drawing, settle
 
 BEFORE, AFTER, PATH = "#D55E00", "#0072B2", "#808080"

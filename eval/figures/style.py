@@ -18,7 +18,8 @@ from matplotlib.figure import Figure
 from matplotlib.typing import RcKeyType
 
 from data.result import Run, Trajectory
-from eval.figures.look import current, refit
+from eval.figures.paper.look import current, refit
+from eval.figures.paper.tex import translate
 
 SINGLE = 3.4
 """in. Width of one column of a two-column paper."""
@@ -187,11 +188,24 @@ def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] = ("pdf", 
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     with drawing():
+        if current().usetex:
+            translate(fig, escape=True)
         refit(fig)
-        for suffix in [*formats, *(["pgf"] if current().pgf else [])]:
+        for suffix in formats:
             path = folder / f"{stem}.{suffix}"
-            fig.savefig(path, dpi=PNG_DPI, metadata=clean.get(suffix))
+            fig.savefig(path, dpi=PNG_DPI, metadata=clean[suffix])
             fig.set_layout_engine("none")  # one layout for all formats
             written.append(path)
+        if current().pgf is not None:
+            written.append(_save_pgf(fig, folder / f"{stem}.pgf"))
     fig.clear()
     return written
+
+
+def _save_pgf(fig: Figure, path: Path) -> Path:
+    """The figure for LaTeX to set with the fonts of the document; laid out by the widths that those have here."""
+    if not current().usetex:
+        translate(fig, escape=False)
+    with matplotlib.rc_context(rc={"axes.unicode_minus": False}):
+        fig.savefig(path, backend="pgf")
+    return path

@@ -14,7 +14,7 @@ from scipy import stats
 
 from data.se2 import Array
 from eval.figures.error import ticks
-from eval.figures.look import across, page_width, points
+from eval.figures.paper.look import across, page_width, points
 from eval.figures.style import DASHED, drawing, style_of
 from eval.referee.consistency import COVERAGE_LEVELS, coverage
 

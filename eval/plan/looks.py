@@ -7,7 +7,7 @@ import shutil
 from matplotlib import font_manager
 
 from data.errors import UsageError
-from eval.figures.look import Look
+from eval.figures.paper.look import Look
 from eval.plan.flags.options import Options
 from eval.plan.flags.paper import inches
 

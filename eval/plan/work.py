@@ -15,7 +15,7 @@ from joblib.externals.loky import ProcessPoolExecutor  # type: ignore[import-unt
 from threadpoolctl import threadpool_limits
 
 from data.errors import SlamrefError
-from eval.figures.look import Look, current, looking
+from eval.figures.paper.look import Look, current, looking
 from eval.plan.cluster import KILLED, Call, Lost, on_cluster
 from eval.plan.flags.options import Options
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from eval.page.paper.latex import tex_escape
+from eval.figures.paper.tex import tex_escape
 
 HEAD = "% What the tables mean; a paragraph can stand below its table or in the text.\n"
 

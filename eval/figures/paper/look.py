@@ -48,7 +48,7 @@ class Look:
             made["figure.titlesize"] = self.size + 0.5
         if self.usetex:
             made["text.usetex"] = True
-            made["text.latex.preamble"] = r"\usepackage{textcomp}"
+            made["axes.unicode_minus"] = False
         if self.pgf is not None:
             made["pgf.texsystem"] = self.pgf
             made["pgf.rcfonts"] = False
