@@ -97,7 +97,7 @@ METHOD_COLOURS = {
 }  # fmt: skip
 """Ways of association, where lines tell these apart and not the estimators; independent tests warm, joint ones blue."""
 OTHERS = (
-    ("#800000", "*"), ("#0000E0", "h"), ("#00C060", "d"), ("#806080", "1"), ("#80C0E0", "2"), ("#406040", "3"),
+    ("#8000E0", "*"), ("#800000", "h"), ("#806080", "d"), ("#E00040", "1"), ("#E040E0", "2"), ("#C080C0", "3"),
 )  # fmt: skip
 """Colour and marker of names that are not ours, as far from ours and from each other as colours go (CIELAB, for all
 colour-blind readers): each with every one of these lines, so that so many names look different."""
