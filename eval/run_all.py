@@ -135,15 +135,23 @@ def staged(out: Path) -> Iterator[Path]:
 
 def _run(options: Options, console: Console, folder: Path, arguments: Sequence[str], check: Callable[[], None]) -> int:
     from data.questions.ask import ask
+    from eval.figures.paper.look import looking
+    from eval.page.paper.columns import check_columns
     from eval.plan.execute import execute
     from eval.plan.experiments import make_plan
     from eval.plan.first_use import compile_if_needed
+    from eval.plan.looks import look_of, require_latex
     from eval.referee.paths.given import GivenRun
     from eval.report.contents import write_results
     from eval.report.doubt.questions import said_after
     from eval.studies import reproduced, store
     from eval.studies.montecarlo import declared_line, failed_declarations, judge, study_lines, traces
 
+    check_columns(options.columns)
+    require_latex(options)
+    look, said = look_of(options)
+    if said:
+        console.say(said)
     compile_if_needed(options.quiet)
     plan = make_plan(options, console.say)
     begin = time.time()
@@ -179,7 +187,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
             console.detail(trace)
     for text in [*reproduced.lines(outcome.published), *outcome.skipped]:
         console.say(text)
-    with _bar("writing", options.quiet, check) as progress:
+    with _bar("writing", options.quiet, check) as progress, looking(look):
         missing, lines = write_results(folder, options, outcome, judged, arguments, progress)
     failed = failed_declarations(judged)
     for j in failed:

@@ -124,7 +124,7 @@ def _scenarios(options: Options) -> Plan:
         scenario = load_scenario(name)
         if options.estimator != ALL:
             scenario = scenario.only(options.estimator)
-        check_scenario(scenario)
+        skipped += check_scenario(scenario)
         if scenario.recorded:
             path = find_esde(folders)
             if path is None:

@@ -16,6 +16,7 @@ from eval.referee import consistency, errors
 from eval.referee.bounds import LEVEL
 from eval.referee.consistency import QUANTITIES, Verdict
 from eval.referee.score import CONSISTENCY, frame_of
+from eval.replay.foreign.make import able
 from eval.replay.plausible import IMPLAUSIBLE
 from eval.replay.run import compare
 from eval.studies.scenario import Scenario
@@ -148,7 +149,8 @@ def one_run(scenario: Scenario, seed: int) -> Result:
         for task in scenario.task:
             for association in scenario.association:
                 inputs = log.inputs(labels=association == "known")
-                for run in compare(inputs, task, names, association, scenario.setup):
+                there = able(names, task, association, scenario.setup)
+                for run in compare(inputs, task, there, association, scenario.setup):
                     for phase in run.phases:
                         result[(task, run.estimator, run.association, phase)] = sample(run, phase, log, scenario)
     return result

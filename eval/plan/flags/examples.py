@@ -43,6 +43,9 @@ examples:
   python -m eval.run_all --log my_log --result a=a.tum --result b=bag:/odom --align se2 --cov-frame b=world
   python -m eval.run_all --truth gt.tum --truth-gap 0.2 --result a=a.csv     a truth alone: a referee for results
   python -m eval.run_all --truth gt.txt --result a=kitti.txt --times times.txt --axes camera    KITTI poses
+  python -m eval.run_all --log arena:0 --table-width column --columns rmse_position_m,nees_pose,nis
+  python -m eval.run_all --log arena:0 --figure-width 3.4in --font Times --font-size 8    figures for a column
+  python -m eval.run_all --log arena:0 --figure-width 86mm --usetex --pgf      text set by LaTeX, which must be there
   python -m eval.run_all --log arena:0 --animate            a film of each estimator beside the figures
   python -m eval.run_all --config my_run.toml -v            the same keys from a file; flags win; a table
                                                             [corridor] (seed, people, range, ...) is a log, too
