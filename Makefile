@@ -17,7 +17,7 @@ unexport PYTHONHOME PYTHONPATH VIRTUAL_ENV PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv report test test-slow benchmark lock clean
+.PHONY: help venv report test test-slow benchmark docs lock clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z-]+):.*## (.*)/  \1\t\2/' | expand -t 14
@@ -40,6 +40,9 @@ test-slow: .venv/.warm ## the tests that take long
 
 benchmark: .venv/.warm ## frames per second
 	$(BIN)/python -m eval.benchmark $(ARGS)
+
+docs: .venv/.warm ## write docs/results-folder.md anew
+	$(BIN)/python -m eval.page.results_folder
 
 lock: ## pin requirements.lock anew; LOCK_ARGS=--upgrade for the newest versions
 	$(PYTHON) -m venv .venv/lock

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import sys
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -68,6 +69,7 @@ COMMANDS = {
     "twin": ("eval.twin", "draw a log again as it says of itself, with a truth"),
     "convert": ("data.convert.__main__", "turn a recording or a simulation into an open log folder"),
     "inspect": ("eval.inspect", "print what a log holds and what is odd about it"),
+    "score": ("eval.score", "score a trajectory that another program made against a truth"),
     "check": ("eval.check", "check your own estimator or way of association, a sentence for each check"),
     "tune": ("eval.tune", "fit noise, biases and odometry scales to a labelled log"),
     "benchmark": ("eval.benchmark", "time the estimators beside their peers"),
@@ -93,7 +95,15 @@ def __dir__() -> list[str]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """The command `slamref`: hands on to a subcommand and returns its exit status; 2 if there is no such one."""
-    name, *rest = list(sys.argv[1:] if argv is None else argv) or ["--help"]
+    # a package `data` or `eval` of somebody else, in the working directory or on PYTHONPATH, must not hide ours
+    sys.path.insert(0, str(Path(__file__).parent))
+    from data.terminal.ending import ended
+
+    return ended(lambda: _command(list(sys.argv[1:] if argv is None else argv) or ["--help"]))
+
+
+def _command(words: list[str]) -> int:
+    name, *rest = words
     if name in COMMANDS:
         status: int = import_module(COMMANDS[name][0]).main(rest, f"slamref {name}")
         return status

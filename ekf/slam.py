@@ -97,6 +97,11 @@ class EkfSlam(Parkable):
         at = self._at(numbers)
         return self._mean[at], self._P[np.ix_(at, at)]
 
+    def places(self, numbers: IntArray) -> tuple[Array, Array]:
+        """Means (n, 2) of active landmarks, and each one's variance of x plus that of y (n,)."""
+        at = self._at(numbers).reshape(-1, 2)
+        return self._mean[at], self._P[at, at].sum(axis=1)
+
     def merge(self, merged: IntArray, kept: IntArray) -> None:
         """Landmarks `merged` (k,) are the same as `kept` (k,), all of them active: both estimates become one.
 

@@ -12,6 +12,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from data.terminal.ending import ended
+
 if TYPE_CHECKING:
     from eval.benchmarks.timed import Timed
 
@@ -19,7 +21,11 @@ PROG = "python -m eval.benchmark"
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
-    """Time everything and print the tables as they come."""
+    """Time everything and print the tables as they come; returns the exit status."""
+    return ended(lambda: _benchmark(argv, prog), "interrupted; what was printed or written so far is whole")
+
+
+def _benchmark(argv: Sequence[str] | None, prog: str) -> None:
     p = argparse.ArgumentParser(
         prog=prog, description="How fast the estimators are, beside their peers timed in the same run."
     )
@@ -41,17 +47,17 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
         from eval.benchmarks.laser import SEEDS, measure_plans, plan_lines
 
         print("\n".join(plan_lines(measure_plans(range(SEEDS // 10 if quick else SEEDS)))), flush=True)
-        return 0
+        return
     if args.large is not None:
-        return _large(args.large, quick)
+        _large(args.large, quick)
+        return
     from eval.benchmarks.timed import table
 
     for lines in _measured(quick):
         print(table(lines), flush=True)
-    return 0
 
 
-def _large(out: Path, quick: bool) -> int:
+def _large(out: Path, quick: bool) -> None:
     """Measure logs of all sizes, a line each as they come; with the files of what is done so far."""
     from eval.benchmarks.large import SIZES, line_of, measure_all, write
     from eval.benchmarks.large_figure import scaling_figure
@@ -64,7 +70,6 @@ def _large(out: Path, quick: bool) -> int:
         found.append(m)
         write(found, out / "large.csv")
     save(scaling_figure(found), out, "large")
-    return 0
 
 
 def _measured(quick: bool) -> Iterator[list[Timed]]:

@@ -1,4 +1,4 @@
-"""`python -m eval.inspect LOG`: what a log holds, what is odd about it, and a picture of it.
+"""`python -m eval.inspect LOG`: what a log holds, what is odd about it, questions to its author, a picture.
 
 Only the parser is imported at once, so that `--help` does not wait for the numerical libraries.
 """
@@ -10,10 +10,10 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from data.errors import SlamrefError, UsageError
+from data.errors import UsageError
+from data.terminal.ending import ended
 
 PROG = "python -m eval.inspect"
-FINE, WRONG = 0, 2
 PICTURES = (".png", ".pdf")
 EXAMPLES = """\
 examples:
@@ -27,9 +27,13 @@ exit status: 0 fine, 2 wrong usage or bad data"""
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """The whole command, called `prog`; returns the exit status."""
+    return ended(lambda: _inspect_as_asked(argv, prog))
+
+
+def _inspect_as_asked(argv: Sequence[str] | None, prog: str) -> None:
     parser = argparse.ArgumentParser(
         prog=prog,
-        description="Print what a log holds and what is odd about it.",
+        description="Print what a log holds, what is odd about it, and questions about what may be meant otherwise.",
         epilog=EXAMPLES.replace(PROG, prog),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -40,12 +44,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     )
     parser.add_argument("--plot", metavar="FILE", type=Path, help="write a picture of the log (.png or .pdf)")
     options = parser.parse_args(argv)
-    try:
-        _inspect(options.log, options.plot)
-    except SlamrefError as fault:
-        print(f"error: {fault}", file=sys.stderr)
-        return WRONG
-    return FINE
+    _inspect(options.log, options.plot)
 
 
 def _inspect(name: str, plot: Path | None) -> None:
@@ -53,10 +52,12 @@ def _inspect(name: str, plot: Path | None) -> None:
     if plot is not None and plot.suffix not in PICTURES:
         raise UsageError(f"--plot {plot}: a file name that ends in {' or '.join(PICTURES)} is needed")
     from data.logs import open_log
+    from data.questions.ask import ask
     from data.summary import summarize
 
     log = open_log(name)
     lines = summarize(log)
+    lines += [("question", f"{question.name}: {question.text}") for question in ask(log)]
     if log.has_labels:
         from eval.replay.settings import Setup
         from eval.report.statements import gate_sentence

@@ -10,20 +10,21 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
-from data.errors import SlamrefError, UsageError
+from data.errors import UsageError
+from data.terminal.ending import INTERRUPTED, WRONG, ended, told, unread
 from data.whole import whole_folder
 from eval.plan.flags.examples import PROG
 from eval.plan.flags.options import read_options
 from eval.plan.flags.table import Options
 
-FINE, REJECTED, WRONG = 0, 1, 2
-INTERRUPTED = 130
+FINE, REJECTED = 0, 1
 MARK = "provenance.json"
 
 
@@ -34,12 +35,13 @@ class Console:
         """Quiet says nothing, verbose says more; run.log gets everything."""
         self.quiet, self.verbose = options.quiet, options.verbose
         self.lines: list[str] = []
+        self.kept: Callable[[], str] = lambda: "nothing was changed"
 
     def say(self, text: str) -> None:
         """A sentence everybody wants to see."""
         self.lines.append(text)
         if not self.quiet:
-            print(text, flush=True)
+            _print(text)
 
     def complain(self, text: str) -> None:
         """An error that did not end the command at once; nobody is spared it."""
@@ -50,37 +52,40 @@ class Console:
         """A sentence for -v and run.log."""
         self.lines.append(text)
         if self.verbose:
-            print(text, flush=True)
+            _print(text)
+
+
+def _print(text: str) -> None:
+    """A line on standard output; the report is made all the same where nobody reads on (`... | head -1`)."""
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        if not unread():
+            raise
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """The whole command, called `prog`; returns the exit status."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    try:
+    consoles: list[Console] = []
+
+    def body() -> int:
         options = read_options(arguments, prog)
-        console = Console(options)
+        consoles.append(Console(options))
         with heeding_interruption() as check, staged(options.out) as folder:
-            status = _run(options, console, folder, arguments, check)
+            status = _run(options, consoles[0], folder, arguments, check)
             check()
         return status
-    except SlamrefError as fault:
-        print(f"error: {fault}", file=sys.stderr)
-        return WRONG
-    except MemoryError as fault:  # outside any job, so that nothing can be kept
-        print(
-            f"error: out of memory ({fault}); a shorter log, or a machine with more memory would help", file=sys.stderr
-        )
-        return WRONG
-    except KeyboardInterrupt:
-        print("interrupted; nothing was changed", file=sys.stderr)
-        return INTERRUPTED
+
+    return ended(body, lambda: f"interrupted; {consoles[0].kept() if consoles else 'nothing was changed'}")
 
 
 @contextmanager
 def heeding_interruption() -> Iterator[Callable[[], None]]:
     """A function that raises KeyboardInterrupt if Ctrl-C was pressed, even where a library lost the exception.
 
-    (Libraries call back from compiled code while they are loaded; an exception raised there goes nowhere.)
+    (Libraries call back from compiled code while they are loaded: an exception raised there goes nowhere, or comes out
+    as another one, which after Ctrl-C is an interruption, too.)
     """
     pressed: list[int] = []
 
@@ -98,6 +103,9 @@ def heeding_interruption() -> Iterator[Callable[[], None]]:
     before = signal.signal(signal.SIGINT, handle)
     try:
         yield check
+    except Exception:
+        check()
+        raise
     finally:
         signal.signal(signal.SIGINT, before)
 
@@ -121,22 +129,40 @@ def staged(out: Path) -> Iterator[Path]:
         try:
             partial = stack.enter_context(whole_folder(out))
         except OSError as fault:
-            raise UsageError(f"--out {out}: {fault.strerror}") from fault
+            raise UsageError(f"--out {out}: {told(fault)}") from fault
         yield partial
 
 
 def _run(options: Options, console: Console, folder: Path, arguments: Sequence[str], check: Callable[[], None]) -> int:
+    from data.questions.ask import ask
+    from eval.figures.paper.look import looking
+    from eval.page.paper.columns import check_columns
     from eval.plan.execute import execute
     from eval.plan.experiments import make_plan
+    from eval.plan.first_use import compile_if_needed
+    from eval.plan.looks import look_of, require_latex
+    from eval.referee.paths.given import GivenRun
     from eval.report.contents import write_results
-    from eval.studies import reproduced
+    from eval.report.doubt.questions import said_after
+    from eval.studies import reproduced, store
     from eval.studies.montecarlo import declared_line, failed_declarations, judge, study_lines, traces
 
+    check_columns(options.columns)
+    require_latex(options)
+    look, said = look_of(options)
+    if said:
+        console.say(said)
+    compile_if_needed(options.quiet)
     plan = make_plan(options, console.say)
+    begin = time.time()
+    console.kept = lambda: store.kept_since(options.out.absolute().parent, begin)
     for e in plan.experiments:
         console.detail(f"{e.log.name}: {e.task}, {len(e.log.recorded)} frames")
         for note in e.log.notes:
             console.detail(f"{e.log.name}: {note}")
+    for log in {e.log.name: e.log for e in plan.experiments if e.beside is None}.values():
+        for question in ask(log):
+            console.say(f"question ({log.name}, {question.name}): {question.text}")
     with _bar("estimating", options.quiet, check) as progress:
         outcome = execute(plan, options, progress)
     judged = [j for study in outcome.studies for j in judge(study)]
@@ -150,8 +176,10 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
                 if f.trace:
                     console.detail(f.trace.rstrip())
             for note in run.notes:
-                if "ran out" in note:
+                if "ran out" in note or isinstance(run, GivenRun):
                     console.say(f"{trial.log.name}, {run.task}: {run.estimator}: {note}")
+    for who, question in said_after(outcome.trials):
+        console.say(f"question ({who}, {question.name}): {question.text}")
     for study in outcome.studies:
         for text in study_lines(study):
             console.say(text)
@@ -159,8 +187,8 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
             console.detail(trace)
     for text in [*reproduced.lines(outcome.published), *outcome.skipped]:
         console.say(text)
-    with _bar("writing", options.quiet, check) as progress:
-        missing = write_results(folder, options, outcome, judged, arguments, progress)
+    with _bar("writing", options.quiet, check) as progress, looking(look):
+        missing, lines = write_results(folder, options, outcome, judged, arguments, progress)
     failed = failed_declarations(judged)
     for j in failed:
         task, estimator, _, phase = j.key
@@ -170,6 +198,8 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
         )
     if not failed and (line := declared_line(judged)):
         console.say(line)
+    for text in lines:
+        console.say(text)
     for text in missing:
         console.complain(text)
     console.say(f"report: {options.out / 'report.html'}")

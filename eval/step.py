@@ -7,14 +7,14 @@ Only the parser is imported at once, so that `--help` does not wait for the nume
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from data.errors import SlamrefError, UsageError
+from data.errors import UsageError
+from data.terminal.ending import ended
 from eval.plan.flags.options import options_of
 from eval.plan.flags.table import Options, add_flags
 from eval.replay.flag import rows
@@ -23,7 +23,6 @@ from eval.replay.names import ASSOCIATIONS, STEPPING, steps
 if TYPE_CHECKING:
     from data.log import Log
 
-FINE, WRONG, INTERRUPTED = 0, 2, 130
 PROG = "python -m eval.step"
 TABLE = rows(Options)
 SHARED = (
@@ -108,24 +107,15 @@ def _frames(text: str | None) -> int | None:
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """The whole command, called `prog`; returns the exit status."""
-    try:
-        _step(read(argv, prog))
-    except SlamrefError as fault:
-        print(f"error: {fault}", file=sys.stderr)
-        return WRONG
-    except KeyboardInterrupt:
-        print()
-        print("interrupted; what was written so far is whole", file=sys.stderr)
-        return INTERRUPTED
-    except BrokenPipeError:
-        # whoever reads has seen enough, as after q; nothing is left to be flushed at the end
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return FINE
+    return ended(lambda: _step(read(argv, prog)), "interrupted; what was written so far is whole")
 
 
 def _step(wish: Wish) -> None:
     from data.log import shortened
     from data.logs import open_log
+    from eval.plan.first_use import compile_if_needed
+
+    compile_if_needed()
     from eval.plan.foreign import load_all
 
     o = wish.options

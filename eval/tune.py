@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from data.errors import DataError, SlamrefError, UsageError
+from data.errors import DataError, UsageError
+from data.terminal.ending import ended
 from eval.replay.flag import probability_or_auto
 from eval.replay.settings import SENSED_GATE, Setup
 
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from eval.tuning.model import Model
 
 PROG = "python -m eval.tune"
-FINE, WRONG = 0, 2
 MARK = "tuned"
 """Key of [source] in a tuned log's log.toml: what was changed, and by which log."""
 HELP = """\
@@ -70,6 +70,10 @@ class Tuning:
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """The whole command, called `prog`; returns the exit status."""
+    return ended(lambda: _tune_as_asked(argv, prog), "interrupted; nothing was written")
+
+
+def _tune_as_asked(argv: Sequence[str] | None, prog: str) -> None:
     parser = argparse.ArgumentParser(
         prog=prog,
         description=HELP,
@@ -89,12 +93,10 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     )  # fmt: skip
     parser.add_argument("--use", metavar="TUNED", type=Path, help="fit nothing: apply the numbers of this tuned log")
     options = parser.parse_args(argv)
-    try:
-        sys.stdout.write(_run(options))
-    except SlamrefError as fault:
-        sys.stderr.write(f"error: {fault}\n")
-        return WRONG
-    return FINE
+    from eval.plan.first_use import compile_if_needed
+
+    compile_if_needed()
+    sys.stdout.write(_run(options))
 
 
 def _run(options: argparse.Namespace) -> str:

@@ -10,11 +10,11 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from data.errors import SlamrefError, UsageError
+from data.errors import UsageError
+from data.terminal.ending import ended
 from eval.replay.names import ASSOCIATIONS, TASKS
 
 PROG = "python -m eval.twin"
-FINE, WRONG = 0, 2
 HELP = """\
 Draw a log again as it says of itself: the path and map of the batch smoother stand for the truth; prior, increments and
 readings are drawn with the covariances that LOG states, at the same frames, of the same landmarks. What the smoother
@@ -32,6 +32,10 @@ exit status: 0 fine, 2 wrong usage or bad data"""
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """The whole command, called `prog`; returns the exit status."""
+    return ended(lambda: _twin_as_asked(argv, prog), "interrupted; nothing was written")
+
+
+def _twin_as_asked(argv: Sequence[str] | None, prog: str) -> None:
     parser = argparse.ArgumentParser(
         prog=prog,
         description=HELP,
@@ -51,12 +55,10 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
         "else jcbb)",
     )  # fmt: skip
     options = parser.parse_args(argv)
-    try:
-        sys.stdout.write(_run(options))
-    except SlamrefError as fault:
-        sys.stderr.write(f"error: {fault}\n")
-        return WRONG
-    return FINE
+    from eval.plan.first_use import compile_if_needed
+
+    compile_if_needed()
+    sys.stdout.write(_run(options))
 
 
 def _seed(text: str) -> int:

@@ -8,9 +8,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from data.convert import carmen, lab, mrclam, rosbag, victoria_park, visual, worlds
+from data.convert import carmen, lab, mrclam, rosbag, table, victoria_park, visual, worlds
 from data.convert.parsers import Parser
-from data.errors import SlamrefError
+from data.terminal.ending import ended
 from data.worlds.registry import SIMULATORS
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ examples:
   python -m data.convert victoria-park logs/victoria
   python -m data.convert carmen intel.log.gz logs/intel
   python -m data.convert rosbag robot.bag logs/robot --scan /scan --odom /odom
+  python -m data.convert table robot.csv logs/robot --columns t=stamp,v=speed --unit angle=deg,time=ns  (and more)
   python -m data.convert arena logs/arena-0 --seed 0 --landmarks 40
   python -m data.convert corridor logs/corridor-0 --seed 0 --people
   python -m data.convert circle logs/circle-0 --seed 0
@@ -30,7 +31,7 @@ examples:
   python -m data.convert visual my_lab --seed 0
   python -m data.convert lab my_lab logs/lab
 """
-SOURCES = (mrclam, victoria_park, carmen, rosbag, worlds, visual, lab)
+SOURCES = (mrclam, victoria_park, carmen, rosbag, table, worlds, visual, lab)
 CONVERTERS: dict[str, Callable[[argparse.Namespace], Log | str]] = {
     kind: source.convert for source in SOURCES for kind in source.KINDS
 }
@@ -71,24 +72,23 @@ def summary(log: Log) -> list[str]:
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """Convert and say what was done; 0, or 2 with one line on stderr."""
+    return ended(lambda: _convert(argv, prog), "interrupted; nothing was written")
+
+
+def _convert(argv: Sequence[str] | None, prog: str) -> None:
     given = list(sys.argv[1:] if argv is None else argv)
     args = parser(simulators=any(kind in given for kind in SIMULATORS), prog=prog).parse_args(given)
-    try:
-        made = CONVERTERS[args.kind](args)
-        if isinstance(made, str):
-            print(made)
-            return 0
-        from data.open_log.writer import write_folder
+    made = CONVERTERS[args.kind](args)
+    if isinstance(made, str):
+        print(made)
+        return
+    from data.open_log.writer import write_folder
 
-        write_folder(made, args.out)
-    except SlamrefError as error:
-        print(error, file=sys.stderr)
-        return 2
+    write_folder(made, args.out)
     print(f"{made.name}: {', '.join(summary(made))}.")
     for note in made.notes:
         print(f"- {note}")
     print(f"written: {Path(args.out).absolute()}")
-    return 0
 
 
 if __name__ == "__main__":

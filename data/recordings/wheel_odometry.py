@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from data.inputs import Increments, floor_covariances
@@ -18,22 +20,38 @@ FLOOR = 1e-10
 """Smallest eigenvalue of an increment's covariance, for a robot at rest [m^2, rad^2]."""
 
 
-def increments_of(pose: Array) -> tuple[Increments, int]:
+class TravelNoise(NamedTuple):
+    """Odometry noise that grows with the way: standard deviations per square root of a metre and of a radian.
+
+    `translation_*` of the motion along and across [m / sqrt(m), m / sqrt(rad)], `rotation_*` of the heading
+    [rad / sqrt(m), rad / sqrt(rad)].
+    """
+
+    translation_per_metre: float = TRANSLATION_PER_METRE
+    translation_per_radian: float = TRANSLATION_PER_RADIAN
+    rotation_per_metre: float = ROTATION_PER_METRE
+    rotation_per_radian: float = ROTATION_PER_RADIAN
+
+
+MEASURED = TravelNoise()
+
+
+def increments_of(pose: Array, noise: TravelNoise = MEASURED) -> tuple[Increments, int]:
     """Increments (N) between odometry poses (N, 3), and how many got the covariance floor.
 
     Variances grow with the distance d and the turn |a| of an increment: those along and across by
-    0.05^2 d + 0.05^2 |a|, that of the heading by 0.075^2 d + 0.045^2 |a|. It is the four-parameter model of
-    Probabilistic Robotics, section 5.4, with variances instead of sigmas in proportion to the motion, so that an
-    increment cut in two has the same total however often odometry is logged.
+    0.05^2 d + 0.05^2 |a|, that of the heading by 0.075^2 d + 0.045^2 |a| (with the default noise). It is the
+    four-parameter model of Probabilistic Robotics, section 5.4, with variances instead of sigmas in proportion to the
+    motion, so that an increment cut in two has the same total however often odometry is logged.
     """
     mean = np.zeros((len(pose), 3))
     mean[1:] = between(pose[:-1], pose[1:])
     mean[1:][(pose[1:] == pose[:-1]).all(axis=1)] = 0.0  # at rest, not a rounding away from it
     distance, turn = np.hypot(mean[:, 0], mean[:, 1]), np.abs(mean[:, 2])
     covariance = np.zeros((len(pose), 3, 3))
-    along = TRANSLATION_PER_METRE**2 * distance + TRANSLATION_PER_RADIAN**2 * turn
+    along = noise.translation_per_metre**2 * distance + noise.translation_per_radian**2 * turn
     covariance[:, 0, 0] = covariance[:, 1, 1] = along
-    covariance[:, 2, 2] = ROTATION_PER_METRE**2 * distance + ROTATION_PER_RADIAN**2 * turn
+    covariance[:, 2, 2] = noise.rotation_per_metre**2 * distance + noise.rotation_per_radian**2 * turn
     covariance, floored = floor_covariances(covariance, FLOOR)
     return Increments(mean, covariance), floored
 

@@ -15,9 +15,11 @@ from data.log import Log
 from data.result import Run
 from data.se2 import Array
 from eval.figures.error import heading_of, panels, thinned, ticks, time_label
-from eval.figures.style import BAND_COLOUR, DOUBLE, LONG_HANDLE, drawing, style_of
+from eval.figures.paper.look import page_width
+from eval.figures.style import BAND_COLOUR, LONG_HANDLE, drawing, style_of
 from eval.referee.bounds import anees_band
 from eval.referee.consistency import mean_or_nan, nees
+from eval.referee.paths.given import log_of
 
 POSE_DOF = 3
 MARKERS = 8
@@ -61,18 +63,19 @@ def nees_figure(log: Log, runs: Sequence[Run]) -> Figure:
 def _nees_figure(log: Log, runs: Sequence[Run]) -> Figure:
     shown, remark = panels(runs)
     rows = max(len(shown), 1)
-    fig = Figure(figsize=(DOUBLE, 1.0 + 1.15 * rows))
+    fig = Figure(figsize=(page_width(), 1.0 + 1.15 * rows))
     axes = list(fig.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
-    time, truth = log.recorded.time, log.truth.pose
+    time = log.recorded.time
     lower, upper = anees_band(POSE_DOF, 1)
     curves = []
     for ax, s in zip(axes, shown, strict=False):
-        t = s.trajectory
-        values = np.full(len(time), np.nan) if truth is None else nees(t.pose, t.covariance, truth, "pose")
+        t, own = s.trajectory, log_of(s.run, log)
+        at, truth = own.recorded.time, own.truth.pose
+        values = np.full(len(at), np.nan) if truth is None else nees(t.pose, t.covariance, truth, "pose")
         curves.append(values)
         _band(ax, lower, upper, POSE_DOF)
         keep = thinned(values)
-        ax.plot(time[keep], values[keep], color=s.colour, linewidth=0.7, zorder=2)
+        ax.plot(at[keep], values[keep], color=s.colour, linewidth=0.7, zorder=2)
         mean = mean_or_nan(values)
         measured = f"mean {_short(mean)}" if np.isfinite(mean) else "nothing to compare with"
         ax.set_title(f"{heading_of(s)}: {measured}".replace("\n", ", "), loc="left")
@@ -111,7 +114,7 @@ def anees_figure(
     `title` stands before the rest, e.g. scenario and task.
     """
     with drawing():
-        fig = Figure(figsize=(DOUBLE, 2.7 + 0.13 * ((len(average) + 3) // 2)))
+        fig = Figure(figsize=(page_width(), 2.7 + 0.13 * ((len(average) + 3) // 2)))
         ax = fig.add_subplot()
         lower, upper = anees_band(dof, runs)
         _band(ax, lower, upper, dof)

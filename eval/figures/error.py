@@ -17,7 +17,10 @@ from data.inputs import Inputs, IntArray
 from data.log import Log
 from data.result import Run, Trajectory
 from data.se2 import Array, pose_error
-from eval.figures.style import DOUBLE, Series, drawing, series
+from eval.figures.paper.look import across, page_width, points
+from eval.figures.style import Series, drawing, series
+from eval.referee.paths.given import log_of
+from eval.referee.paths.match import match
 
 MOST_PANELS = 4
 MOST_BINS = 600
@@ -76,8 +79,12 @@ def panels(runs: Sequence[Run], most: int = MOST_PANELS) -> tuple[list[Series], 
     """The series that get a panel of their own (dead reckoning only if it is alone), and a remark if not all fit."""
     shown = series(runs)
     estimates = [s for s in shown if s.run.estimator != "dead-reckoning"] or shown
-    left_out = [s.label for s in estimates[most:]]
-    return estimates[:most], f"\nnot shown: {', '.join(left_out)}" if left_out else ""
+    kept = estimates[:most]
+    if most == 2 < len(estimates):  # the first filter and the last smoother that had the same decisions
+        alike = [s for s in estimates if s.run.association == estimates[0].run.association]
+        kept = [alike[0], alike[-1]] if len(alike) > 1 else kept
+    left_out = [s.label for s in estimates if s not in kept]
+    return kept, f"\nnot shown: {', '.join(left_out)}" if left_out else ""
 
 
 def heading_of(s: Series) -> str:
@@ -115,7 +122,9 @@ def _note_outside(ax: Axes, curve: Array, limit: float, factor_unit: str) -> Non
     finite = np.abs(curve[np.isfinite(curve)])
     if len(finite) and finite.max() > limit:
         text = f"up to {finite.max():.3g} {factor_unit}"
-        ax.annotate(text, (0.98, 0.96), xycoords="axes fraction", ha="right", va="top", fontsize=6, color="#404040")
+        ax.annotate(
+            text, (0.98, 0.96), xycoords="axes fraction", ha="right", va="top", fontsize=points(6), color="#404040"
+        )
 
 
 def error_figure(log: Log, runs: Sequence[Run]) -> Figure:
@@ -128,13 +137,14 @@ def error_figure(log: Log, runs: Sequence[Run]) -> Figure:
 
 
 def _error_figure(log: Log, runs: Sequence[Run]) -> Figure:
-    shown, remark = panels(runs)
+    shown, remark = panels(runs, across(MOST_PANELS))
     columns = max(len(shown), 1)
-    fig = Figure(figsize=(DOUBLE, 5.0))
+    fig = Figure(figsize=(page_width(), 5.0))
     axes = fig.subplots(3, columns, sharex=True, sharey="row", squeeze=False)
-    time, truth = log.recorded.time, log.truth.pose
-    unknown = np.full((len(time), 3), np.nan)
-    errors = [unknown if truth is None else pose_error(s.trajectory.pose, truth) for s in shown]
+    time = log.recorded.time
+    own = [log_of(s.run, log) for s in shown]
+    times = [o.recorded.time for o in own]
+    errors = [_error(s, o) for s, o in zip(shown, own, strict=True)]
     bounds = [3.0 * sigmas(s.trajectory) for s in shown]
     for i, (name, unit, factor) in enumerate(COORDINATES):
         needs = [factor * reach([e[:, i], b[:, i]]) for e, b in zip(errors, bounds, strict=True)]
@@ -142,10 +152,10 @@ def _error_figure(log: Log, runs: Sequence[Run]) -> Figure:
         for j, s in enumerate(shown):
             ax: Axes = axes[i, j]
             error, bound = factor * errors[j][:, i], factor * bounds[j][:, i]
-            draw_band(ax, time, bound, s.colour, -1.0)
+            draw_band(ax, times[j], bound, s.colour, -1.0)
             ax.axhline(0.0, color="#909090", linewidth=0.5)
             keep = thinned(error)
-            ax.plot(time[keep], error[keep], color="black", linewidth=0.7)
+            ax.plot(times[j][keep], error[keep], color="black", linewidth=0.7)
             _note_outside(ax, error, limit, unit)
         axes[i, 0].set(ylim=(-limit, limit), ylabel=f"{name} error [{unit}]")
         axes[i, 0].yaxis.set_major_locator(ticks(6))
@@ -165,6 +175,12 @@ def _error_figure(log: Log, runs: Sequence[Run]) -> Figure:
     return fig
 
 
+def _error(s: Series, log: Log) -> Array:
+    """Error (N, 3) of a series at its own frames; NaN without truth."""
+    truth = log.truth.pose
+    return np.full((len(log.recorded.time), 3), np.nan) if truth is None else pose_error(s.trajectory.pose, truth)
+
+
 def difference_figure(log: Log, runs: Sequence[Run], reference: Run) -> Figure:
     """Distance [m] of every path from a reference solution (batch with known association), for a log without truth.
 
@@ -179,15 +195,18 @@ def difference_figure(log: Log, runs: Sequence[Run], reference: Run) -> Figure:
 def _difference_figure(log: Log, runs: Sequence[Run], reference: Run) -> Figure:
     shown, remark = panels([r for r in runs if r is not reference])
     rows = max(len(shown), 1)
-    fig = Figure(figsize=(DOUBLE, 1.0 + 1.15 * rows))
+    fig = Figure(figsize=(page_width(), 1.0 + 1.15 * rows))
     axes = fig.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
     time, centre = log.recorded.time, reference.trajectory(reference.phases[-1]).pose
     for ax, s in zip(axes, shown, strict=False):
-        distance = np.hypot(*(s.trajectory.pose - centre)[:, :2].T)
+        own = log_of(s.run, log)
+        at = own.recorded.time
+        there = centre if own is log else match(at, time, centre).truth
+        distance = np.hypot(*(s.trajectory.pose - there)[:, :2].T)
         bound = 3.0 * longest_sigma(s.trajectory)
-        draw_band(ax, time, bound, s.colour, 0.0)
+        draw_band(ax, at, bound, s.colour, 0.0)
         keep = thinned(distance)
-        ax.plot(time[keep], distance[keep], color="black", linewidth=0.8)
+        ax.plot(at[keep], distance[keep], color="black", linewidth=0.8)
         limit = common_reach([reach([distance]), reach([bound])])
         ax.set(ylim=(-0.03 * limit, limit), ylabel="distance [m]")
         ax.set_title(heading_of(s).replace("\n", ": "), loc="left")

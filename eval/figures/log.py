@@ -11,7 +11,8 @@ from data.inputs import CLUTTER, IntArray
 from data.log import Log
 from data.se2 import dead_reckoned
 from data.summary import granted_labels
-from eval.figures.style import DOTTED, DOUBLE, STYLES, TRUTH_COLOUR, drawing
+from eval.figures.paper.look import page_width
+from eval.figures.style import DOTTED, STYLES, TRUTH_COLOUR, drawing
 
 SEEN_COLOUR = "#56B4E9"
 CLUTTER_COLOUR = "#D55E00"
@@ -74,5 +75,5 @@ def _log_figure(log: Log) -> Figure:
     fig.legend(loc="outside lower left", ncols=3, markerscale=1.5)
     # the page is cut to the scene, so that equal aspect leaves no blank paper
     (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
-    fig.set_size_inches(DOUBLE, float(np.clip(DOUBLE * (top - bottom) / (right - left), 2.0, 6.5)) + 0.9)
+    fig.set_size_inches(page_width(), float(np.clip(page_width() * (top - bottom) / (right - left), 2.0, 6.5)) + 0.9)
     return fig

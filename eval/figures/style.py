@@ -17,12 +17,13 @@ from matplotlib.figure import Figure
 from matplotlib.typing import RcKeyType
 
 from data.result import Run, Trajectory
+from eval.figures.paper.look import current, refit
+from eval.figures.paper.tex import translate
+from eval.referee.paths.given import GivenRun
 from eval.replay.foreign.places import place
 
 SINGLE = 3.4
 """in. Width of one column of a two-column paper."""
-DOUBLE = 7.0
-"""in. Width of both columns."""
 PNG_DPI = 200
 LONG_HANDLE = 3.8
 """Length of a legend's line [font sizes] that shows every line's pattern beside its marker."""
@@ -146,18 +147,21 @@ def series(runs: Sequence[Run]) -> list[Series]:
     label only where it differs between the estimates, and then decides the line as well, known association first.
     """
     cycle: tuple[Line, ...] = (SOLID, DASHDOT, DOTTED, DASHED)
-    estimates = [r for r in runs if r.estimator != "dead-reckoning"]
+    # a result that was handed in without decisions has no association that could differ, as dead reckoning has none
+    estimates = [r for r in runs if r.association != "none"]
     variants = sorted({(r.task, r.association != "known", r.association) for r in estimates})
     drawn = []
     for run in runs:
         style, extra, line = style_of(run.estimator), "", style_of(run.estimator).line
-        if run.estimator != "dead-reckoning" and len(variants) > 1:
+        if run.association != "none" and len(variants) > 1:
             if len({r.association for r in estimates}) > 1:
                 extra += f", {run.association}"
             if len({r.task for r in estimates}) > 1:
                 extra += f", {run.task}"
             position = variants.index((run.task, run.association != "known", run.association))
             line = cycle[position % len(cycle)]
+        if isinstance(run, GivenRun) and run.aligned != "none":
+            extra += ", aligned"
         for phase in run.phases:
             phase_line = DASHED if phase == "online" and len(run.phases) > 1 else line
             when = "" if run.estimator == "dead-reckoning" else f" ({phase})"
@@ -168,7 +172,7 @@ def series(runs: Sequence[Run]) -> list[Series]:
 @contextmanager
 def drawing() -> Iterator[None]:
     """Our settings while a figure is built or saved, and nobody else's before or after."""
-    with matplotlib.rc_context(rc=RC):
+    with matplotlib.rc_context(rc=RC | current().settings()):
         yield
 
 
@@ -178,6 +182,7 @@ def settle(fig: Figure) -> None:
     With equal aspect, matplotlib's layout needs a second look to find room for the title, and would move everything a
     little each time the figure is drawn again.
     """
+    refit(fig)
     for _ in range(2):
         fig.draw_without_rendering()
     fig.set_layout_engine("none")
@@ -198,10 +203,24 @@ def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] = ("pdf", 
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     with drawing():
+        if current().usetex:
+            translate(fig, escape=True)
+        refit(fig)
         for suffix in formats:
             path = folder / f"{stem}.{suffix}"
             fig.savefig(path, dpi=PNG_DPI, metadata=clean[suffix])
             fig.set_layout_engine("none")  # one layout for all formats
             written.append(path)
+        if current().pgf is not None:
+            written.append(_save_pgf(fig, folder / f"{stem}.pgf"))
     fig.clear()
     return written
+
+
+def _save_pgf(fig: Figure, path: Path) -> Path:
+    """The figure for LaTeX to set with the fonts of the document; laid out by the widths that those have here."""
+    if not current().usetex:
+        translate(fig, escape=False)
+    with matplotlib.rc_context(rc={"axes.unicode_minus": False}):
+        fig.savefig(path, backend="pgf")
+    return path

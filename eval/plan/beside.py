@@ -10,17 +10,30 @@ from association.scans.laser_run import SCAN
 from eval.plan.experiment import Experiment, Work
 from eval.plan.flags.options import Options
 
+SPARSE = 0.2
+"""Least information of a key pose in the row beside: on the Intel log three of five key poses go for 2 % of error."""
+
 
 def sparser(experiment: Experiment) -> list[Experiment]:
-    """A laser log with key poses twice and four times as far apart, as rows beside."""
+    """A laser log with fewer key poses as rows beside: without those that tell little, and further apart."""
     name, setup = experiment.log.name, experiment.setup
-    found = []
-    for distance in (2.0 * setup.keyframe_distance, 4.0 * setup.keyframe_distance):
-        log = replace(experiment.log, name=f"{name}:keyframe-distance={distance:g}")
-        work = tuple(Work(SCAN, ("isam2",)) for w in experiment.work if w.association == SCAN)
-        about = f"the same log with key poses {distance:g} m apart (`--keyframe-distance`)"
-        found.append(Experiment(log, experiment.task, work, replace(setup, keyframe_distance=distance), name, about))
-    return [e for e in found if e.work]
+    work = tuple(Work(SCAN, ("isam2",)) for w in experiment.work if w.association == SCAN)
+    if not work:
+        return []
+    settings = [
+        (f"keyframe-distance={d:g}", replace(setup, keyframe_distance=d), f"with key poses {d:g} m apart")
+        for d in (2.0 * setup.keyframe_distance, 4.0 * setup.keyframe_distance)
+    ]
+    if setup.least_information is None:
+        about = f"without key poses whose scans have less than {SPARSE:g} of what is known of the places they see"
+        settings.insert(0, (f"least-information={SPARSE:g}", replace(setup, least_information=SPARSE), about))
+    return [
+        Experiment(
+            replace(experiment.log, name=f"{name}:{changed}"), experiment.task, work, other, name,
+            f"the same log {about} (`--{changed.split('=')[0]}`)",
+        )
+        for changed, other, about in settings
+    ]  # fmt: skip
 
 
 def shows_noise(e: Experiment, options: Options) -> bool:

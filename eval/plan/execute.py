@@ -15,6 +15,7 @@ from eval.plan.cluster import Call
 from eval.plan.experiments import Plan
 from eval.plan.flags.options import Options
 from eval.plan.flags.variant import Variant
+from eval.plan.results import with_results
 from eval.plan.trust import trusted
 from eval.plan.tutorial import ABOUT, tutorial_run, variant_log
 from eval.plan.unfinished import Unfinished, estimate, estimate_one, incomplete, wanted
@@ -122,6 +123,7 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
             lost.say(f"{variants[i][0].log.name}, {variants[i][1].task}: no run of {variants[i][1].name}", why)
         elif kind == "stored":
             lost.say(f"scenario {plan.stored[i][0].name}: no run", why)
+    trials = list(with_results(trials, plan.given))
     trials += [results["variant", i][0] for i in range(len(variants)) if ("variant", i) in results]
     replayed = [results["stored", i][0] for i in range(len(plan.stored)) if ("stored", i) in results]
     finished = []

@@ -17,6 +17,7 @@ from eval.plan.experiment import Experiment, Work
 from eval.plan.flags.options import Options
 from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS
 from eval.plan.foreign import check_possible, check_scenario, load_all
+from eval.plan.results import NOTHING, Asked, asked_results, truth_alone
 from eval.replay.foreign.places import introduce
 from eval.replay.foreign.spec import is_foreign, name_of
 from eval.replay.laser.backends import NAMES as BACK_ENDS
@@ -43,6 +44,7 @@ class Plan:
         stored: scenarios that replay a recording, each with its file.
         skipped: what was asked for and cannot be done here, a sentence each.
         validations: studies of the battery.
+        given: results that were handed in, with the truth they are scored against.
     """
 
     experiments: tuple[Experiment, ...]
@@ -50,6 +52,7 @@ class Plan:
     stored: tuple[tuple[Scenario, Path], ...] = ()
     skipped: tuple[str, ...] = ()
     validations: tuple[Validation, ...] = ()
+    given: Asked = NOTHING
 
 
 def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
@@ -63,8 +66,14 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
             raise UsageError(f"--data {folder}: no such folder")
     if options.relations is not None and len(options.log) != 1:
         raise UsageError(f"--relations {options.relations}: belongs to one log; give it with one --log")
-    experiments = [] if options.log else _default(options, say)
+    given = asked_results(options, options.log, options.data)
+    alone = given.file is not None and not options.log
+    experiments = [] if options.log or alone else _default(options, say)
+    if alone:
+        experiments = [Experiment(truth_alone(given), "slam", (), options.setup)]
     asked = [open_log(name, reading_of(options), say) for name in options.log]
+    if asked and given.results:
+        asked, given = [given.settled(asked[0])[0]], given.settled(asked[0])[1]
     for folder in options.data:
         found = [load() for load in find_logs(Path(folder), say)]
         if not found:
@@ -91,8 +100,8 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
     check_possible(experiments)
     runs = options.runs
     if runs is None:
-        runs = 0 if options.log else QUICK_RUNS if options.quick else DEFAULT_RUNS
-    return Plan(tuple(experiments), ((load_scenario("arena"), runs),) if runs else ())
+        runs = 0 if options.log or alone else QUICK_RUNS if options.quick else DEFAULT_RUNS
+    return Plan(tuple(experiments), ((load_scenario("arena"), runs),) if runs else (), given=given)
 
 
 def _scenarios(options: Options) -> Plan:

@@ -7,7 +7,7 @@ import json
 import platform
 import shlex
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from importlib.metadata import version
 
@@ -38,8 +38,18 @@ def command_of(options: Options) -> str:
     return shlex.join(words)
 
 
-def provenance(options: Options, logs: Iterable[Log], arguments: Sequence[str], foreign: Iterable[str] = ()) -> str:
-    """The text of provenance.json; `foreign`: names of estimators and ways of association, some perhaps not ours."""
+def provenance(
+    options: Options,
+    logs: Iterable[Log],
+    arguments: Sequence[str],
+    foreign: Iterable[str] = (),
+    results: Mapping[str, Mapping[str, str]] = {},
+) -> str:
+    """The text of provenance.json.
+
+    `foreign`: names of estimators and ways of association, some perhaps not ours; `results`: of each that was handed in
+    the sha256 by file.
+    """
     content = {
         "command": [*PROG.split(), *arguments],
         "versions": {
@@ -50,6 +60,8 @@ def provenance(options: Options, logs: Iterable[Log], arguments: Sequence[str], 
         "foreign": sources_of(foreign),
         "inputs": {log.name: {**_plain(log), "sha256": input_digest(log)} for log in logs},
     }  # fmt: skip
+    if results:
+        content["results"] = {name: dict(files) for name, files in results.items()}
     return json.dumps(content, indent=2, sort_keys=True) + "\n"
 
 

@@ -9,14 +9,11 @@ import numpy as np
 from data.log import Log
 from data.result import Run
 from eval.referee.along import Along
+from eval.referee.files import top
 from eval.referee.intervals import SEED, run_differences
+from eval.referee.paths.given import log_of
 
-DIFFERENCES = (
-    "log", "task", "association", "a", "b", "phase_a", "phase_b",
-    "rmse_position_m", "rmse_position_lower", "rmse_position_upper", "rmse_position_p",
-    "nees_pose", "nees_pose_lower", "nees_pose_upper", "nees_pose_p", "block_frames",
-    "rmse_position_why", "nees_pose_why",
-)  # fmt: skip
+DIFFERENCES = top.DIFFERENCES.names
 """Columns of a row; differences are a minus b, `…_why` says why an interval is missing."""
 
 
@@ -35,7 +32,7 @@ def difference_rows(
     See `intervals.run_differences` for the numbers; every pair is resampled from the same seed.
     """
     rows: list[dict[str, object]] = []
-    for (a, ours), (b, theirs) in _pairs(runs, errors):
+    for (a, ours), (b, theirs) in _pairs(runs, {k: v for k, v in errors.items() if log_of(runs[k[0]], log) is log}):
         rmse, nees = run_differences(
             (ours.distance**2, theirs.distance**2),
             (ours.nees["pose"], theirs.nees["pose"]),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import pandas as pd
@@ -18,42 +18,21 @@ from eval.referee import consistency, errors
 from eval.referee.along import Along, along
 from eval.referee.bounds import nis_bounds
 from eval.referee.confusion import WITHIN, Confusion, confuse, majority, majority_agreement, share_within
-from eval.referee.differences import DIFFERENCES, difference_rows
+from eval.referee.differences import difference_rows
+from eval.referee.files import top
 from eval.referee.intervals import SEED, run_intervals
-from eval.referee.laser.rows import RELATIONS, closure_counts, kept, relation_rows
+from eval.referee.laser.rows import closure_counts, kept, relation_rows
 from eval.referee.lost import lost
-from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES, RUN
+from eval.referee.metrics import RUN
+from eval.referee.notebook.shown import scores_html, trial_html
+from eval.referee.paths.given import GivenRun, log_of
+from eval.referee.paths.match import match
+from eval.referee.paths.rpe import rpe_columns
 from eval.referee.proper_scores import mean_scores
 
-METRICS = (*RUN, "status", *(m.column for m in OF_ESTIMATES))
-ASSOCIATION = (*RUN, *(m.column for m in OF_DECISIONS))
+METRICS, ASSOCIATION, CONSISTENCY = top.METRICS.names, top.DECISIONS.names, top.CONSISTENCY.names
 COUNTED = tuple(c for c in ASSOCIATION if c not in (*RUN, "share_within", "within_m", "majority_agreement"))
 """Columns that `Confusion` has."""
-CONSISTENCY = (
-    "scenario",
-    "estimator",
-    "quantity",
-    "dof",
-    "runs",
-    "mean",
-    "lower",
-    "upper",
-    "verdict",
-    "task",
-    "association",
-    "phase",
-    "power",
-    "diverged",
-)
-TIMING = (
-    "log",
-    "task",
-    "estimator",
-    "association",
-    "frames",
-    "seconds",
-    "frames_per_second",
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +49,9 @@ class Trial:
         """The run of an estimator, or None."""
         found = [r for r in self.runs if r.estimator == estimator and r.association == association]
         return found[0] if found else None
+
+    def _repr_html_(self) -> str:
+        return trial_html(self.log, self.task, self.runs)
 
 
 def confusion_of(run: Run, log: Log, phase: str) -> Confusion | None:
@@ -98,6 +80,7 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Alo
 
     `reference` is the batch smoother with labels on the same log, or None; `path` what `along` gives, if at hand.
     """
+    own, log = log, log_of(run, log)
     frames = len(log.recorded)
     decisions = run.decisions if phase == "online" else run.final_decisions
     row: dict[str, object] = {
@@ -134,6 +117,9 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Alo
         row["inside_3sigma"] = consistency.inside_3sigma(path.nees["position"])
         row |= mean_scores(pose, covariance, truth, np.isfinite(path.nees["pose"]))
         row |= _intervals(path)
+        row |= rpe_columns(pose, truth)
+    if isinstance(run, GivenRun) and run.match is not None:
+        row["matched"], row["unmatched"] = run.match.matched, run.match.unmatched
     if run.map is not None and len(run.map):
         ids = errors.landmark_true_ids(run.created, log.truth, run.map.number)
         off = np.hypot(*errors.landmark_errors(run.map.xy, ids, log.truth).T)
@@ -144,15 +130,18 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Alo
     if phase == "final":
         row["iterations"], row["last_step_sigma"] = run.iterations, run.last_step_sigma
     if reference is not None and reference.final is not None and reference.flaw is None:
-        row["rms_from_batch_m"] = errors.rms(errors.position_distance(pose, reference.final.pose))
+        batch = reference.final.pose
+        if log is not own:  # at the stamps of a result that was handed in
+            batch = match(log.recorded.time, own.recorded.time, batch).truth
+        row["rms_from_batch_m"] = errors.rms(errors.position_distance(pose, batch))
     if phase == "online" and run.innovations is not None:
         o = log.recorded.observations
         row["innovation_lag1"], row["innovation_lag1_se"] = consistency.lag1_correlation(
             run.innovations.white, o.frame, decisions
         )
     labels = log.granted if run.association == "known" else None
-    # a laser run decides about no observation of its log
-    found = None if isinstance(run, LaserRun) else lost(run, log.recorded, labels)
+    # a laser run decides about no observation of its log; a result at other instants is asked about none
+    found = None if isinstance(run, LaserRun) or log is not own else lost(run, log.recorded, labels)
     if found is not None:
         row["lost_frame"], row["lost_why"] = found
     total = nis_of(run, phase)
@@ -245,6 +234,9 @@ def _blank(value: object) -> object:
 class Scores:
     """The tables of a set of trials; differences between filters and smoothers where there is truth, relations of laser
     logs.
+
+    Numbers are float64 (unknown: NaN), counts `Int64` (unknown: `pd.NA`), words `str`; docs/results-folder.md says what
+    every column holds.
     """
 
     metrics: pd.DataFrame
@@ -252,6 +244,9 @@ class Scores:
     timing: pd.DataFrame
     differences: pd.DataFrame
     relations: pd.DataFrame
+
+    def _repr_html_(self) -> str:
+        return scores_html({f.name: getattr(self, f.name) for f in fields(self)})
 
 
 def score(trials: Sequence[Trial]) -> Scores:
@@ -262,7 +257,7 @@ def score(trials: Sequence[Trial]) -> Scores:
         known: dict[tuple[int, str], Along] = {}
         for i, run in enumerate(trial.runs):
             for phase in run.phases:
-                path = along(run, phase, trial.log)
+                path = along(run, phase, log_of(run, trial.log))
                 if path is not None:
                     known[i, phase] = path
                 metrics.append(metrics_row(run, phase, trial.log, reference, path))
@@ -271,6 +266,8 @@ def score(trials: Sequence[Trial]) -> Scores:
                     row = association_row(run, phase, trial.log)
                     if row is not None:
                         association.append(row)
+            if isinstance(run, GivenRun):
+                continue
             relations += relation_rows(run, trial.log)
             frames = len(trial.log.recorded)
             timing.append({
@@ -280,9 +277,9 @@ def score(trials: Sequence[Trial]) -> Scores:
             })  # fmt: skip
         differences += difference_rows(trial.log, trial.task, trial.runs, known)
     return Scores(
-        frame_of(metrics, METRICS),
-        frame_of(association, ASSOCIATION),
-        frame_of(timing, TIMING),
-        frame_of(differences, DIFFERENCES),
-        frame_of(relations, RELATIONS),
+        top.METRICS.table(metrics),
+        top.DECISIONS.table(association),
+        top.TIMING.table(timing),
+        top.DIFFERENCES.table(differences),
+        top.RELATIONS.table(relations),
     )

@@ -98,6 +98,16 @@ def probability(label: str, value: object) -> float | None:
     return p
 
 
+def share_or_none(label: str, value: object) -> float | None:
+    """A share between 0 and 1, or `none`."""
+    if value == "none":
+        return None
+    p = number(label, value)
+    if not 0.0 < p < 1.0:
+        raise UsageError(f"{label} {p:g}: a share between 0 and 1 (both excluded), or none")
+    return p
+
+
 def probability_or_auto(label: str, value: object) -> float | Literal["auto"] | None:
     """A gate, `none`, or `auto`: as the log is."""
     return "auto" if value == "auto" else probability(label, value)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from data.errors import UsageError
-from eval.replay.flag import flag, positive, positive_or_none, probability, probability_or_auto, switch
+from eval.replay.flag import flag, positive, positive_or_none, probability, probability_or_auto, share_or_none, switch
 
 SENSED_GATE = 0.9999
 """Gate for labels that a sensor read, where nobody says otherwise: one right reading in 10 000 is lost by it, and a
@@ -30,6 +30,8 @@ class Setup:
         deactivate_after: the EKF parks landmarks unseen for so long, and takes them back when they may be seen again.
         lag: a fixed-lag smoother keeps poses for so long.
         keyframe_distance: m between the key poses of a laser log.
+        least_information: share of a key scan in what is known of the places it sees, below which its key pose leaves
+            the graph.
     """
 
     gate: float | None = field(
@@ -77,6 +79,13 @@ class Setup:
     keyframe_distance: float = field(
         default=0.4, metadata=flag(positive, "M", "laser logs: a key pose every M metres (default: 0.4)")
     )
+    least_information: float | None = field(
+        default=None,
+        metadata=flag(
+            share_or_none, "SHARE", "laser logs: key poses whose scans have less than this share in what is known of "
+            "the places they see leave the graph (default: none)",
+        ),
+    )  # fmt: skip
 
     def settled(self, sensed: bool) -> Setup:
         """The same, `auto` settled for a log whose labels were sensed or not."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,16 +17,23 @@ from eval.plan.provenance import command_of, provenance
 from eval.plan.unfinished import Unfinished
 from eval.plan.work import work
 from eval.referee.consistency import MIN_RUNS
+from eval.referee.files import top
+from eval.referee.paths.given import GivenRun, is_truth_alone
 from eval.referee.score import Scores, Trial, score
 from eval.report.answer import answer
 from eval.report.corridor.questions import lab_sections
 from eval.report.doubt.origin import origin_statement
+from eval.report.doubt.questions import questions_section, unused_statement
 from eval.report.laser.sections import against_relations, laser_sections
 from eval.report.log_sections import association_sections, beside, rows_of, trial_sections, tutorial_sections
 from eval.report.pictures import draw, kinds, publish_runs
+from eval.report.results.said import results_statement
 from eval.report.revisions import revision_section
+from eval.report.rows import rows_of as report_rows
+from eval.report.run_files import write_truths
 from eval.report.statements import failure_statement, gate_sentence
 from eval.report.studies import study_sections
+from eval.report.terminal.headline import headlines
 from eval.report.trust.sections import first_said
 from eval.report.visual.sections import visual_sections
 from eval.studies.montecarlo import Judged, consistency_table
@@ -50,6 +58,13 @@ IMPLAUSIBLE_RUNS = (
 )
 
 
+class Written(NamedTuple):
+    """What is missing from a result folder for want of memory, a sentence each, and the lines of its main numbers."""
+
+    missing: tuple[str, ...]
+    headlines: tuple[str, ...]
+
+
 def write_results(
     folder: Path,
     options: Options,
@@ -57,21 +72,25 @@ def write_results(
     judged: Sequence[Judged],
     arguments: Sequence[str],
     progress: Callable[[int, int], None],
-) -> tuple[str, ...]:
-    """Fill the result folder; returns what is missing from it for want of memory, a sentence each."""
+) -> Written:
+    """Fill the result folder."""
     lost = Unfinished(options, said=list(outcome.missing))
     scores = score(outcome.trials)
     consistency = consistency_table(judged)
-    tables = {"metrics": scores.metrics, "association": scores.association, "timing": scores.timing}
-    for name, table in {**tables, "consistency": consistency, "trust": trust_table(outcome.trust)}.items():
-        table.to_csv(folder / f"{name}.csv", index=False, lineterminator="\n")
+    for file, table in (
+        (top.METRICS, scores.metrics), (top.DECISIONS, scores.association), (top.TIMING, scores.timing),
+        (top.CONSISTENCY, consistency), (top.TRUST, trust_table(outcome.trust)),
+    ):  # fmt: skip
+        file.write(table, folder)
     if len(scores.relations):
-        scores.relations.to_csv(folder / "relations.csv", index=False, lineterminator="\n")
+        top.RELATIONS.write(scores.relations, folder)
     if outcome.published:
-        published_frame(outcome.published).to_csv(folder / "published.csv", index=False, lineterminator="\n")
+        top.PUBLISHED.write(published_frame(outcome.published), folder)
     (folder / "runs").mkdir()
+    write_truths(folder, outcome.trials)
     published = _publish_trials(folder, options, outcome.trials, lost, progress)
-    sections = [*trial_sections(folder, options, outcome.trials, scores, published, outcome.trust)]
+    sections = questions_section(outcome.trials)
+    sections += trial_sections(folder, options, outcome.trials, scores, published, outcome.trust)
     sections += laser_sections(folder, options, outcome.trials, published)
     sections += visual_sections(folder, options, outcome.trials)
     sections += tutorial_sections(folder, options, outcome.trials, scores)
@@ -92,11 +111,23 @@ def write_results(
     )
     (folder / "provenance.json").write_text(
         provenance(
-            options, {t.log.name: t.log for t in outcome.trials}.values(), arguments, _foreign(options, outcome)
+            options,
+            {t.log.name: t.log for t in outcome.trials}.values(),
+            arguments,
+            _foreign(options, outcome),
+            _results(outcome.trials),
         ),
         encoding="utf-8",
     )
-    return tuple(lost.said)
+    return Written(tuple(lost.said), tuple(headlines(scores, outcome.trials, outcome.studies, judged)))
+
+
+def _results(trials: Sequence[Trial]) -> dict[str, dict[str, str]]:
+    """The files of each result that was handed in, with their digests."""
+    found: dict[str, dict[str, str]] = {}
+    for run in (r for t in trials for r in t.runs if isinstance(r, GivenRun)):
+        found.setdefault(run.estimator, {}).update(run.source)
+    return found
 
 
 def _foreign(options: Options, outcome: Outcome) -> list[str]:
@@ -169,7 +200,10 @@ def _introduction(outcome: Outcome, scores: Scores, judged: Sequence[Judged]) ->
                 rows_of(table, trial) for table in (scores.metrics, scores.association, scores.differences)
             )
             said = answer(metrics, decided, _labelled(trial), differences, first_said(trial, outcome.trust))
-            said = " ".join(s for s in (against_relations(trial), said) if s)
+            theirs = results_statement(trial, report_rows(metrics))
+            said = "" if theirs and is_truth_alone(trial.log) else said
+            every = (unused_statement(trial), against_relations(trial), said, theirs)
+            said = " ".join(s for s in every if s)
             notes.append(f"* **{trial.log.name}, {trial.task}.** {said}")
     declared = [j for j in judged if j.declared and j.verdict.runs >= MIN_RUNS]
     if declared:

@@ -10,6 +10,7 @@ import pandas as pd
 from data.log import folder_name
 from eval.page.document import Block, Picture, Section, written_table
 from eval.page.numbers import number
+from eval.page.tables import is_blank
 from eval.plan.flags.options import Options
 from eval.plan.tutorial import is_tutorial
 from eval.referee.score import Scores, Trial
@@ -21,6 +22,7 @@ from eval.report.doubt.naming import naming_statements
 from eval.report.laser.pictures import GRID, LOOPS
 from eval.report.names import stem
 from eval.report.pictures import FILTER_SMOOTHER
+from eval.report.results.said import aligned_statement
 from eval.report.rows import rows_of as rows_by
 from eval.report.trust.sections import trust_section
 from eval.report.tutorial_table import CAPTION, logs_with_tutorials, tutorial_table
@@ -59,9 +61,10 @@ def trial_sections(
         rows = rows_of(scores.metrics, trial)
         blocks: list[Block] = []
         others = beside(trial, trials)
-        table = comparison.comparison_table(pd.concat([rows, *(rows_of(scores.metrics, t) for t in others)]))
-        caption = f"{trial.log.name}, {trial.task}. {comparison.COMPARISON_CAPTION}"
-        blocks.append(written_table(table, folder, stem(trial, "comparison"), caption, options.formats))
+        every = pd.concat([rows, *(rows_of(scores.metrics, t) for t in others)])
+        table, wide = comparison.comparison_table(every), comparison.comparison_table(every, options.columns)
+        caption = f"{trial.log.name}, {trial.task}. {comparison.COMPARISON_CAPTION}{aligned_statement(trial)}"
+        blocks.append(written_table(table, folder, stem(trial, "comparison"), caption, options, for_paper=wide))
         blocks += [_beside_note(t, rows_of(scores.metrics, t)) for t in others]
         blocks += _differences(folder, options, trial, rows_of(scores.differences, trial))
         blocks += [p for p in pictures if p.stem not in {stem(trial, kind) for kind in ELSEWHERE}]
@@ -79,7 +82,7 @@ def _differences(folder: Path, options: Options, trial: Trial, rows: pd.DataFram
     if not len(rows):
         return []
     name, caption = stem(trial, "differences"), f"{trial.log.name}, {trial.task}. {DIFFERENCES_CAPTION}"
-    table = written_table(differences_table(rows), folder, name, caption, options.formats)
+    table = written_table(differences_table(rows), folder, name, caption, options)
     missing = missing_intervals(rows)
     return [table, missing] if missing else [table]
 
@@ -91,7 +94,7 @@ def _beside_note(trial: Trial, rows: pd.DataFrame) -> str:
         return notes[0]
     for row in rows.to_dict("records"):
         for column, what in (("sse_position_m2", "positions"), ("sse_landmark_m2", "landmarks")):
-            if row[column] is not None:
+            if not is_blank(row[column]):
                 notes.append(f"Sum of squared errors of {what}: {number(float(row[column]))} m².")
     return " ".join([*notes, *trial.runs[0].notes])
 
@@ -119,7 +122,8 @@ def association_sections(
         table = comparison.association_table(rows)
         name, what = stem(trial, "association"), f"{trial.log.name}, {trial.task}"
         caption = f"{what}: outcomes of the decisions, as explained above."
-        written = written_table(table, folder, name, caption, options.formats)
+        fine = comparison.ASSOCIATION_CAPTION
+        written = written_table(table, folder, name, caption, options, fine_print=fine)
         shown = (p for p in pictures if p.stem == name)
         named = naming_statements(trial, *(rows_by(rows_of(t, trial)) for t in (scores.metrics, scores.association)))
         notes = ["\n".join(f"* {n}" for n in named)] if named else []
@@ -130,7 +134,8 @@ def association_sections(
         )
         table = comparison.association_table(pd.concat(granted))
         caption = "Logs on which only known association was run: outcomes of the decisions."
-        blocks.append(written_table(table, folder, "association", caption, options.formats))
+        fine = comparison.ASSOCIATION_CAPTION
+        blocks.append(written_table(table, folder, "association", caption, options, fine_print=fine))
     return [Section(head, tuple(blocks)), *sections]
 
 
@@ -139,5 +144,5 @@ def tutorial_sections(folder: Path, options: Options, trials: Sequence[Trial], s
     blocks: list[Block] = []
     for log in logs_with_tutorials(trials):
         table, caption = tutorial_table(log, trials, scores), CAPTION.format(log=log)
-        blocks.append(written_table(table, folder, f"{folder_name(log)}-knowledge", caption, options.formats))
+        blocks.append(written_table(table, folder, f"{folder_name(log)}-knowledge", caption, options))
     return [Section("From labels and map to nothing", tuple(blocks))] if blocks else []

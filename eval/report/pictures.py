@@ -19,11 +19,13 @@ from eval.figures.style import save
 from eval.page.document import Picture
 from eval.page.numbers import number
 from eval.plan.flags.options import Options
+from eval.referee.paths.given import log_of
 from eval.referee.score import Trial, confusion_of
 from eval.referee.trust import SHARE
 from eval.report.laser.files import write_laser_files
 from eval.report.laser.pictures import GRID, LOOPS, laser_kinds, laser_picture
 from eval.report.names import stem
+from eval.report.results.said import aligned_statement
 from eval.report.run_files import write_run
 from eval.report.shown_runs import (
     finished,
@@ -48,7 +50,7 @@ def publish_runs(folder: Path, options: Options, trial: Trial) -> None:
         if options.animate and run.failure is None:
             from eval.figures.film import animate
 
-            animate(trial.log, run, folder / "figures" / f"{stem(trial, run.estimator)}.mp4")
+            animate(log_of(run, trial.log), run, folder / "figures" / f"{stem(trial, run.estimator)}.mp4")
 
 
 FILTER_SMOOTHER = "filter-smoother"
@@ -126,7 +128,7 @@ def _picture(trial: Trial, kind: str, beside: Sequence[Trial]) -> tuple[Figure, 
         drawn = for_map(trial)
         return (
             figures.map_figure(log, drawn),
-            f"{where}: paths and landmarks with 3σ ellipses. World frame, no alignment."
+            f"{where}: paths and landmarks with 3σ ellipses. World frame, no alignment.{aligned_statement(trial)}"
             f"{left_out(trial, drawn)}{_contrast(trial, drawn)}",
             f"Map of {log.name} with the paths of {', '.join(f'{r.estimator} ({r.association})' for r in drawn)}",
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,11 @@ from data.result import Run, Trajectory
 from data.se2 import Array
 from eval.referee.confusion import OUTCOMES
 from eval.referee.errors import landmark_true_ids
+from eval.referee.files import of_runs
+from eval.referee.paths.given import GivenRun, log_of
 from eval.referee.score import Trial, confusion_of
 
-POSE = ["t", "x", "y", "theta", "c_xx", "c_xy", "c_xt", "c_yy", "c_yt", "c_tt"]
+FILES = {"online": of_runs.ONLINE, "final": of_runs.FINAL}
 
 
 def _blank(values: Array) -> pd.Series:
@@ -27,7 +30,7 @@ def trajectory_table(time: Array, trajectory: Trajectory) -> pd.DataFrame:
     """One row per frame: time, pose, upper triangle of the world-frame covariance."""
     rows, cols = np.triu_indices(3)
     values = np.column_stack([time, trajectory.pose, trajectory.covariance[:, rows, cols]])
-    return pd.DataFrame({name: _blank(values[:, i]) for i, name in enumerate(POSE)})
+    return pd.DataFrame({name: _blank(values[:, i]) for i, name in enumerate(of_runs.FINAL.names)})
 
 
 def write_tum(path: Path, time: Array, pose: Array) -> None:
@@ -40,12 +43,21 @@ def write_tum(path: Path, time: Array, pose: Array) -> None:
         np.savetxt(file, np.column_stack(columns), fmt="%.17g")
 
 
+def write_truths(folder: Path, trials: Sequence[Trial]) -> None:
+    """The true path of every log that has one, as `runs/<log>/truth.tum`."""
+    for log in {t.log.name: t.log for t in trials}.values():
+        if log.truth.pose is not None and log.truth.known_poses:
+            place = folder / "runs" / folder_name(log.name)
+            place.mkdir(parents=True, exist_ok=True)
+            write_tum(place / "truth.tum", log.recorded.time, log.truth.pose)
+
+
 def write_run(folder: Path, trial: Trial, run: Run) -> None:
     """Everything about one run below `folder/runs/<log>/<task>-<estimator>-<association>/`."""
     log = trial.log
     place = folder / "runs" / folder_name(log.name) / f"{run.task}-{run.estimator}-{run.association}"
     place.mkdir(parents=True, exist_ok=True)
-    time = log.recorded.time
+    time = log_of(run, log).recorded.time
     for phase in run.phases:
         trajectory = run.trajectory(phase)
         table = trajectory_table(time, trajectory)
@@ -53,7 +65,7 @@ def write_run(folder: Path, trial: Trial, run: Run) -> None:
             likelihood = run.innovations.log_likelihood if run.innovations is not None else np.full(len(time), np.nan)
             table["log_likelihood"] = _blank(likelihood)
             table["state_size"] = run.state_size if run.state_size is not None else None
-        table.to_csv(place / f"{phase}.csv", index=False, lineterminator="\n")
+        FILES[phase].write(table, place)
         write_tum(place / f"{phase}.tum", time, trajectory.pose)
     _write_map(place, trial, run)
     _write_decisions(place, trial, run)
@@ -62,7 +74,8 @@ def write_run(folder: Path, trial: Trial, run: Run) -> None:
 def _write_map(place: Path, trial: Trial, run: Run) -> None:
     m = run.map
     if m is None:
-        if run.task != "slam" or run.association in ("none", SCAN) or run.failure is not None:
+        bare = isinstance(run, GivenRun) or run.association in ("none", SCAN)
+        if run.task != "slam" or bare or run.failure is not None:
             return
         raise AssertionError(f"{run.estimator} did SLAM but returned no map")
     ids = landmark_true_ids(run.created, trial.log.truth, m.number)
@@ -72,7 +85,7 @@ def _write_map(place: Path, trial: Trial, run: Run) -> None:
         "true_id": pd.Series(ids, dtype=object).where(ids >= -1, None), "first_frame": m.first_frame,
         "times_seen": m.times_seen,
     })  # fmt: skip
-    table.to_csv(place / "landmarks.csv", index=False, lineterminator="\n")
+    of_runs.LANDMARKS.write(table, place)
 
 
 def _write_decisions(place: Path, trial: Trial, run: Run) -> None:
@@ -90,4 +103,4 @@ def _write_decisions(place: Path, trial: Trial, run: Run) -> None:
     table["outcome"] = None if online is None else names[online.outcome]
     table["final_decision"] = run.final_decisions
     table["final_outcome"] = None if final is None else names[final.outcome]
-    table.to_csv(place / "decisions.csv", index=False, lineterminator="\n")
+    of_runs.DECISIONS.write(table, place)

@@ -10,6 +10,7 @@ import numpy as np
 from data.result import Run
 from eval.figures.error import MOST_PANELS
 from eval.referee.errors import position_distance, rms
+from eval.referee.paths.given import GivenRun, log_of
 from eval.referee.score import Trial
 from eval.replay.names import ASSOCIATIONS, ESTIMATORS, FILTERS
 
@@ -43,7 +44,7 @@ def has_covariance(run: Run) -> bool:
 
 
 def _kind(run: Run) -> int:
-    """0 filter, 1 incremental smoother, 2 batch smoother."""
+    """0 filter, 1 incremental smoother, 2 batch smoother; one that is not ours by its phases."""
     if run.estimator in FILTERS or (run.estimator not in ESTIMATORS and run.final is None):
         return 0
     return 2 if run.online is None else 1
@@ -63,19 +64,26 @@ def _by_importance(runs: Sequence[Run], kinds: Sequence[tuple[int, int]]) -> lis
         if first is not None and not any(first is c for c in chosen):
             chosen.append(first)
     rest = [r for r in runs if not any(r is c for c in chosen)]
-    return [*chosen, *sorted(rest, key=lambda r: order.index(r.association))]
+    return [*chosen, *sorted(rest, key=lambda r: _place(order, r))]
+
+
+def _place(order: Sequence[str], run: Run) -> int:
+    """Place of a run's association; one without any comes last."""
+    return order.index(run.association) if run.association in order else len(order)
 
 
 def _in_order(chosen: Sequence[Run]) -> list[Run]:
     """The runs by association, those of one association as they came by kind of estimator."""
     order = associations(chosen)
-    return sorted(chosen, key=lambda r: (order.index(r.association), _kind(r)))
+    return sorted(chosen, key=lambda r: (_place(order, r), _kind(r)))
 
 
 def worst(trial: Trial) -> Run | None:
     """The run that ended furthest from the true path (RMS position), of those that decide for themselves."""
     truth = trial.log.truth.pose
-    deciding = [r for r in finished(trial) if r.association != "known"]
+    deciding = [
+        r for r in finished(trial) if r.association not in ("known", "none") and log_of(r, trial.log) is trial.log
+    ]
     if truth is None or not trial.log.truth.known_poses or not deciding:
         return None
     return max(deciding, key=lambda r: rms(position_distance(r.trajectory(r.phases[-1]).pose, truth)))
@@ -91,7 +99,9 @@ def for_map(trial: Trial, most: int = MOST_PATHS) -> list[Run]:
         return _final_only(trial.runs)
     others = [r for r in trial.runs if r.estimator == "dead-reckoning"]
     astray, estimates = worst(trial), finished(trial)
-    ranked = _by_importance(estimates, ((0, 0), (2, 0), (0, 1), (2, 1), (1, 0), (1, 1)))
+    handed = [r for r in estimates if isinstance(r, GivenRun)]
+    ours = [r for r in estimates if not isinstance(r, GivenRun)]
+    ranked = [*handed, *_by_importance(ours, ((0, 0), (2, 0), (0, 1), (2, 1), (1, 0), (1, 1)))]
     room = most - len(others) - (astray is not None)
     chosen = [r for r in ranked if r is not astray][:room]
     return _final_only([*others, *_in_order(chosen), *([] if astray is None else [astray])])
@@ -125,8 +135,11 @@ def for_panels(runs: Sequence[Run], most: int = MOST_PANELS, complete: Sequence[
     else:
         ranked = _by_importance(single, ((0, 0), (0, 1), (1, 1), (2, 1), (1, 0), (2, 0)))
     chosen: list[Run] = []
+    # what was handed in is what the reader came for; at least one of ours stands beside it
+    handed, room = [r for r in ranked if isinstance(r, GivenRun)], most - 1
+    ranked = [*handed, *(r for r in ranked if not isinstance(r, GivenRun))]
     for run in ranked:
-        if sum(len(r.phases) for r in (*chosen, run)) <= most:
+        if sum(len(r.phases) for r in (*chosen, run)) <= (room if isinstance(run, GivenRun) else most):
             chosen.append(run)
     return _in_order(chosen)
 
@@ -165,4 +178,4 @@ def left_out(trial: Trial, shown: Sequence[Run]) -> str:
 
 
 def _name(run: Run) -> str:
-    return f"{run.estimator} with {run.association}"
+    return run.estimator if run.association == "none" else f"{run.estimator} with {run.association}"

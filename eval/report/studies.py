@@ -29,6 +29,8 @@ from eval.studies.reproduced import orderings, published_frame
 OUTLIERS = ("task", "estimator", "rate", "rmse_position_m", "rmse_lower", "rmse_upper", "nees_pose", "nees_lower",
             "nees_upper", "runs", "diverged")  # fmt: skip
 
+FINE_PRINT = {"-consistency": comparison.CONSISTENCY_CAPTION, "-coverage": comparison.COVERAGE_CAPTION}
+"""Of tables by how their names end: what the report says once for all of them."""
 MOST_LISTED = 20
 """Runs of a study that are listed one by one with what replays them."""
 Writer = Callable[[pd.DataFrame, str, str], Table]
@@ -39,7 +41,8 @@ def study_sections(folder: Path, options: Options, outcome: Outcome, judged: Seq
     """All that is said about the studies of a report; nothing where there is none."""
 
     def table(frame: pd.DataFrame, name: str, caption: str) -> Table:
-        return written_table(frame, folder, name, caption, options.formats)
+        fine = next((text for ending, text in FINE_PRINT.items() if name.endswith(ending)), "")
+        return written_table(frame, folder, name, caption, options, fine_print=fine)
 
     plots = None if options.no_plots or options.quick else folder / "figures"
     sections = [validation_section(study, found, table, plots) for study, found in outcome.validations]

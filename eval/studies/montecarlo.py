@@ -188,21 +188,26 @@ def judge(study: Study) -> list[Judged]:
         good = study.good(key)
         diverged = len(samples) - len(good)
         demanded = study.scenario.declared(key[0], key[1])
-        found: list[tuple[str, Verdict]] = []
-        for quantity, dof in DOF.items():
-            means = np.array([s.means.get(quantity, math.nan) for s in good])
-            missing = not np.isfinite(means).all() if good else quantity not in QUANTITIES
-            if not missing:
-                found.append((quantity, consistency.verdict(means, dof)))
-        if good and all("whiteness" in s.means for s in good):
-            found.append(("whiteness", consistency.whiteness(np.array([s.means["whiteness"] for s in good]))))
-        ends = np.array([s.ends.get("position", math.nan) for s in good])
-        if len(ends) and np.isfinite(ends).all():
-            for p in consistency.COVERAGE_LEVELS:
-                found.append((f"coverage_{100 * p:.0f}", consistency.coverage(ends, DOF["position"], p)))
-        for quantity, v in found:
+        for quantity, v in verdicts(good):
             result.append(Judged(study.scenario.name, key, quantity, v, diverged, demanded and quantity in QUANTITIES))
     return result
+
+
+def verdicts(good: Sequence[Sample]) -> list[tuple[str, Verdict]]:
+    """Every quantity that all these runs have, with its verdict."""
+    found: list[tuple[str, Verdict]] = []
+    for quantity, dof in DOF.items():
+        means = np.array([s.means.get(quantity, math.nan) for s in good])
+        missing = not np.isfinite(means).all() if good else quantity not in QUANTITIES
+        if not missing:
+            found.append((quantity, consistency.verdict(means, dof)))
+    if good and all("whiteness" in s.means for s in good):
+        found.append(("whiteness", consistency.whiteness(np.array([s.means["whiteness"] for s in good]))))
+    ends = np.array([s.ends.get("position", math.nan) for s in good])
+    if len(ends) and np.isfinite(ends).all():
+        for p in consistency.COVERAGE_LEVELS:
+            found.append((f"coverage_{100 * p:.0f}", consistency.coverage(ends, DOF["position"], p)))
+    return found
 
 
 def consistency_table(judged: Sequence[Judged]) -> pd.DataFrame:

@@ -10,10 +10,9 @@ import numpy as np
 
 from data.se2 import Array
 from eval.referee.consistency import QUANTITIES
+from eval.referee.files.top import PUBLISHED
 
-COLUMNS = (
-    "scenario", "estimator", "quantity", "ours", "se_ours", "published", "se_published", "difference_in_se",
-)  # fmt: skip
+COLUMNS = PUBLISHED.names
 PUBLISHABLE = (*(f"nees_{q}" for q in QUANTITIES), "rmse_position_m", "rmse_heading_deg")
 
 

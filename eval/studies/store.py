@@ -17,6 +17,7 @@ import numpy as np
 
 from data.digest import program_digest
 from data.log import folder_name
+from data.terminal.words import counted
 from data.whole import whole_file
 from eval.replay.foreign.load import digests
 from eval.studies.montecarlo import Key, Result, Sample
@@ -63,6 +64,16 @@ def kept_folder(root: Path, called: str, content: str) -> Path:
         if old.name.split("-")[-2] != code_digest():
             shutil.rmtree(old, ignore_errors=True)
     return folder
+
+
+def kept_since(root: Path, begin: float) -> str:
+    """For somebody who interrupts a study begun then [s since the epoch]: what of it is kept, and how to go on."""
+    folder = root / ".studies"
+    done = sum(f.stat().st_mtime >= begin for f in folder.glob("*/[!.]*.*"))
+    if not done:
+        return "nothing was changed"
+    runs = f"{counted(done, 'run')} done since the start {'is' if done == 1 else 'are'} kept in {folder}"
+    return f"the report is as it was; {runs}: the same command goes on from there"
 
 
 def save(folder: Path, seed: int, result: Result) -> None:

@@ -15,6 +15,7 @@ from data.result import Run
 from data.se2 import Array, BoolArray
 from eval.referee import attribution, battery, effects, residuals, trust
 from eval.referee.attribution import ESTIMATOR, NOISE, NOTHING, Finding
+from eval.referee.files.top import TRUST
 from eval.referee.residuals import Used
 from eval.referee.score import frame_of
 from eval.referee.trust import Key, Measured
@@ -24,10 +25,7 @@ from eval.studies.calibration import with_noise
 from eval.studies.sampled import PLAIN, STAND_IN, Sample
 from eval.studies.twins import inputs_of
 
-COLUMNS = (
-    *("log", "task", "estimator", "association", "statistic", "value", "expected", "twins", "p", "p_family"),
-    *("se", "frame"),
-)
+COLUMNS = TRUST.names
 """Columns of trust.csv."""
 UNINFORMATIVE = 1e6
 """Factor of the covariance of a reading that is left out: its landmark, if it has no other, stays determined."""

@@ -47,6 +47,7 @@ def test_a_robot_is_followed_without_labels(shared_data):
     assert min(shares) == 1.0
 
 
+@pytest.mark.slow
 def test_a_smoother_ends_where_the_final_decisions_lead(shared_data):
     # landmarks stand 0.18 m apart: which of them was seen often shows only later
     log = load_mrclam(shared_data / "mrclam" / "MRCLAM_Dataset6.zip", 5, stop=200.0)

@@ -67,7 +67,12 @@ def test_map_and_loop_closures_are_written_without_plots_too(results):
 
 def test_sparser_graphs_stand_beside_and_the_report_says_what_the_gate_does(results):
     metrics = rows(results / "metrics.csv")
-    assert {r["log"] for r in metrics} == {"plan", "plan:keyframe-distance=0.8", "plan:keyframe-distance=1.6"}
+    assert {r["log"] for r in metrics} == {
+        "plan",
+        "plan:least-information=0.2",
+        "plan:keyframe-distance=0.8",
+        "plan:keyframe-distance=1.6",
+    }
     assert all(r["status"] == "ok" for r in metrics)
     report = (results / "report.md").read_text(encoding="utf-8")
     assert "## Laser: plan" in report

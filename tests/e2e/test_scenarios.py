@@ -105,7 +105,7 @@ def test_an_interrupted_study_leaves_the_old_report_and_resumes(small, tmp_path)
     wait_for(lambda: process.poll() is not None, folder, 6)
     os.kill(process.pid, signal.SIGINT)
     _, err = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 130
+    assert process.returncode == 130, err
     assert b"Traceback" not in err
     assert (out / "consistency.csv").read_bytes() == before
     kept = {f.name: f.stat().st_mtime_ns for f in folder.glob("[0-9]*.npz")}
@@ -207,12 +207,13 @@ def test_wrong_associations_are_one_table_over_all_rates(tmp_path):
         'ekf = { must_be = "consistent", task = ["localization"] }', "ekf = {}"
     )
     path.write_text(text + "gnc = {}\n\n[setup]\ngate_known = 0.99\ngate_smoothers = false\n")
-    assert study(str(path), tmp_path / "r", "--jobs", "2") == 0
+    assert study(str(path), tmp_path / "r", "--jobs", "1") == 0
     table = pd.read_csv(tmp_path / "r" / "tables" / "wrong.csv")
     assert table.shape[0] == 6
     assert set(pd.read_csv(tmp_path / "r" / "consistency.csv")["scenario"]) == {"wrong:0", "wrong:0.2"}
 
 
+@pytest.mark.slow
 def test_a_cluster_gives_the_same_numbers_though_a_worker_is_killed(small, tmp_path):
     from distributed import LocalCluster
 
@@ -230,3 +231,13 @@ def test_a_cluster_gives_the_same_numbers_though_a_worker_is_killed(small, tmp_p
         assert asked.result(PATIENCE) == 0
     assert kept < CLUSTER_RUNS
     same(tmp_path / "here" / "r", tmp_path / "there" / "r")
+
+
+def test_a_cluster_gives_the_same_numbers(small, tmp_path):
+    from distributed import LocalCluster
+
+    assert study(small, tmp_path / "here" / "r", "--jobs", "1", runs=3) == 0
+    with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0") as cluster:
+        there = tmp_path / "there" / "r"
+        assert study(small, there, "--scheduler", cluster.scheduler_address, runs=3) == 0
+    same(tmp_path / "here" / "r", there)

@@ -1,27 +1,48 @@
-"""Ctrl-C ends a run, leaves what was there before, and says so by its status, whatever a library makes of it."""
+"""Ctrl-C ends a command as an interruption, whatever a library makes of the exception."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import time
 
-from eval import run_all
+import pytest
+
+from eval.run_all import heeding_interruption
 
 
-def test_an_interruption_that_a_library_loses_is_heeded_all_the_same(tmp_path, monkeypatch):
-    """Seen: an exception raised in a callback of compiled code was printed and forgotten, and the run went on."""
+def press():
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(1)
 
-    def deaf(*_):
+
+def turned_into_another_exception():
+    with heeding_interruption():
         try:
-            os.kill(os.getpid(), signal.SIGINT)
-            time.sleep(1.0)
+            press()
         except KeyboardInterrupt:
-            pass
-        return 0
+            raise SystemError("a compiled function returned a result with an exception set") from None
 
-    monkeypatch.setattr(run_all, "_run", deaf)
-    before = signal.getsignal(signal.SIGINT)
-    assert run_all.main(["--log", "arena:0", "--out", str(tmp_path / "report")]) == 130
-    assert list(tmp_path.iterdir()) == []
-    assert signal.getsignal(signal.SIGINT) is before
+
+def lost():
+    with heeding_interruption() as check:
+        with contextlib.suppress(KeyboardInterrupt):
+            press()
+        check()
+
+
+def fault():
+    with heeding_interruption():
+        raise SystemError("not pressed")
+
+
+@pytest.mark.parametrize("work", [turned_into_another_exception, lost])
+def test_a_library_cannot_hide_it(work):
+    with pytest.raises(KeyboardInterrupt):
+        work()
+
+
+def test_without_it_an_error_stays_what_it_is():
+    with pytest.raises(SystemError, match="not pressed"):
+        fault()

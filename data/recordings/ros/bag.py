@@ -54,7 +54,7 @@ def read_bag(path: Path, scan_topic: str | None = None, odometry_topic: str | No
         DataError: not a bag, or a broken one; no message; a scan that differs from the first in beams or geometry, or
             a number in it that makes no sense.
     """
-    with _opened(path) as reader:
+    with opened(path) as reader:
         topics = {c.topic: c.msgtype for c in reader.connections}
         scans = _topic(path, topics, SCAN, scan_topic, "--scan")
         odometry = _topic(path, topics, ODOMETRY, odometry_topic, "--odom")
@@ -67,7 +67,7 @@ def read_bag(path: Path, scan_topic: str | None = None, odometry_topic: str | No
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def opened(path: Path) -> Iterator[Any]:
     """A reader of the bag; what goes wrong inside is a DataError."""
     try:
         from rosbags.highlevel import AnyReader, AnyReaderError
@@ -145,7 +145,7 @@ class _Messages:
                 if not abs(value - self.geometry[name]) <= 1e-5:
                     raise self._error(number, f"{name} {value!r}; {self.geometry[name]!r} is needed, as in the first")
         self.ranges.append(ranges)
-        self.scan_stamp.append(_stamp(message, recorded))
+        self.scan_stamp.append(stamp_of(message, recorded))
 
     def _odometry(self, message: Any, recorded: float) -> None:
         p, q = message.pose.pose.position, message.pose.pose.orientation
@@ -155,7 +155,7 @@ class _Messages:
             raise DataError.at(self.path, f"{place}: pose {pose}; three finite numbers are needed")
         self.frames[0] = message.child_frame_id
         self.pose.append(pose)
-        self.odometry_stamp.append(_stamp(message, recorded))
+        self.odometry_stamp.append(stamp_of(message, recorded))
 
     def _error(self, number: int, what: str) -> DataError:
         return DataError.at(self.path, f"message {number} of {self.scan_topic}: {what}")
@@ -173,7 +173,7 @@ class _Messages:
         )  # fmt: skip
 
 
-def _stamp(message: Any, recorded: float) -> float:
+def stamp_of(message: Any, recorded: float) -> float:
     """s; `sec` is `secs` nowhere: rosbags names the fields of both versions alike."""
     stamp = message.header.stamp
     return float(stamp.sec + 1e-9 * stamp.nanosec) if stamp.sec or stamp.nanosec else recorded

@@ -9,6 +9,7 @@ examples:
   python -m eval.run_all --quick                            the same, shortened (a check that all works)
   python -m eval.run_all --log my_log --log arena:3         an open log folder and a simulated log
   python -m eval.run_all --log intel.log.gz --keyframe-distance 0.8    a laser log (CARMEN): scans matched, loops closed
+  python -m eval.run_all --log intel.log.gz --least-information 0.2    its graph without the key poses that tell little
   python -m eval.run_all --log victoria-park --task slam    one log, one task
   python -m eval.run_all --log visual:0                     a rendered camera log: pictures found, corners used
   python -m eval.run_all --log my_lab_folder --camera-translation m --camera-reading to-body --trust-pickle
@@ -40,6 +41,13 @@ examples:
   python -m eval.run_all --scenario arena --runs 1000 --scheduler tcp://host:8786    on a Dask cluster
   python -m eval.run_all --log arena:0 --estimator isam2,fixed-lag --lag 20
   python -m eval.run_all --formats csv,tex --out results/paper --no-plots
+  python -m eval.run_all --log my_log --result mine=est.tum --cov est.cov      your result beside ours, same tables
+  python -m eval.run_all --log my_log --result a=a.tum --result b=bag:/odom --align se2 --cov-frame b=world
+  python -m eval.run_all --truth gt.tum --truth-gap 0.2 --result a=a.csv     a truth alone: a referee for results
+  python -m eval.run_all --truth gt.txt --result a=kitti.txt --times times.txt --axes camera    KITTI poses
+  python -m eval.run_all --log arena:0 --table-width column --columns rmse_position_m,nees_pose,nis
+  python -m eval.run_all --log arena:0 --figure-width 3.4in --font Times --font-size 8    figures for a column
+  python -m eval.run_all --log arena:0 --figure-width 86mm --usetex --pgf      text set by LaTeX, which must be there
   python -m eval.run_all --log arena:0 --animate            a film of each estimator beside the figures
   python -m eval.run_all --config my_run.toml -v            the same keys from a file; flags win; a table
                                                             [corridor] (seed, people, range, ...) is a log, too

@@ -120,7 +120,7 @@ def _check(o: Options) -> None:
     if o.scenario:
         for flag, stated in (
             ("--log", o.log), ("--task", o.task), ("--association", o.association), ("--config", o.variants),
-            ("--twins", o.twins),
+            ("--twins", o.twins), ("--result", o.result), ("--truth", o.truth),
         ):  # fmt: skip
             if stated:
                 raise UsageError(f"{flag} and --scenario exclude each other: a scenario states its own")

@@ -14,10 +14,6 @@ from data.se2 import Array, BoolArray
 from eval.referee.laser.closures import knowable, right_closures, scan_points_of
 from eval.referee.laser.relations import SUBSETS, TIES, relation_errors
 
-RELATIONS = (
-    "log", "estimator", "association", "phase", "tie", "subset", "relations", "trans_mean_m", "trans_std_m",
-    "trans_max_m", "rot_mean_deg", "rot_std_deg", "rot_max_deg",
-)  # fmt: skip
 KEPT = 0.05
 """Weight below which a robust back end has left a loop closure out: Cauchy's at 4.4 sigma, beyond which one honest one
 in 5000 lies (3 dof); GNC's are 0 or 1."""

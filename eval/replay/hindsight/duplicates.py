@@ -82,6 +82,22 @@ def compare(slam: EkfSlam, ledger: Ledger, young: list[int], old: list[int]) -> 
     return Compared(new, there, P[:m, m:], d2, det, never)
 
 
+def comparable(slam: EkfSlam, young: list[int], old: list[int], gate: float) -> tuple[list[int], list[int]]:
+    """Those of two groups that have one in the other whose squared Mahalanobis distance may be below the gate.
+
+    By bounds that need no joint covariance: the largest eigenvalue of that of a difference is at most twice the sum of
+    both traces.
+    """
+    (here, a), (there, b) = slam.places(np.array(young, np.int64)), slam.places(np.array(old, np.int64))
+    off = here[:, None] - there[None]
+    near = (off**2).sum(axis=2) < gate * (2.0 * (a[:, None] + b[None]) + constants.POINT_VARIANCE)
+    near &= np.array(young)[:, None] != np.array(old)[None]
+    return (
+        [n for n, any_ in zip(young, near.any(axis=1), strict=True) if any_],
+        [n for n, any_ in zip(old, near.any(axis=0), strict=True) if any_],
+    )
+
+
 def constellation(
     slam: EkfSlam, ledger: Ledger, young: list[int], old: list[int], density: float, scale: float
 ) -> Pairs:
@@ -97,10 +113,12 @@ def constellation(
     """
     if not young or not old:
         return []
-    young = young[-constants.WINDOW_MOST :]
+    young, gate = young[-constants.WINDOW_MOST :], gate_threshold(constants.WINDOW_GATE)
+    if len(comparable(slam, young, old, gate)[1]) < constants.CONSTELLATION_FEWEST:
+        return []
     c = compare(slam, ledger, young, old)
     turn = constants.TURN_SIGMAS * math.sqrt(slam.estimate().covariance[2, 2]) + constants.TURN_MARGIN
-    allowed = (c.d2 < gate_threshold(constants.WINDOW_GATE)) & ~c.covisible
+    allowed = (c.d2 < gate) & ~c.covisible
     return [(young[i], old[j]) for i, j in recognize(c.new, c.old, c.cross, allowed, density, turn, scale)]
 
 
@@ -109,7 +127,8 @@ def single(slam: EkfSlam, ledger: Ledger, window: list[int], others: list[int], 
 
     `area` [m^2]: the gate of their difference is smaller; `scale`: share of the stated variance that there is.
     """
-    young, old, gate = sorted(window), sorted(others), gate_threshold(constants.SINGLE_GATE)
+    gate = gate_threshold(constants.SINGLE_GATE)
+    young, old = comparable(slam, sorted(window), sorted(others), gate)
     if not young or not old:
         return []
     c = compare(slam, ledger, young, old)

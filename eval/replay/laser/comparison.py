@@ -8,11 +8,13 @@ from dataclasses import fields, replace
 import numpy as np
 
 from association.scans.laser_run import SCAN, LaserRun
+from association.scans.points import beams_of, scan_points
+from association.scans.redundant import redundant, without
 from association.scans.scale import learned_scale, residuals, spanned
 from data.errors import UsageError
 from data.inputs import Inputs
 from data.result import Run
-from data.se2 import compose
+from data.se2 import compose, transform_points
 from eval.replay.laser.backends import NAMES, Solved, backend
 from eval.replay.laser.front_end import FrontEndResult, run_front_end
 from eval.replay.laser.parameters import LaserParameters
@@ -40,6 +42,8 @@ def compare_laser(inputs: Inputs, estimators: Sequence[str], setup: Setup) -> li
     learned = _learned(inputs, front, setup)
     factor, error = learned or (1.0, 0.0)
     front = _scaled(front, factor)
+    if setup.least_information is not None:
+        front = _thinned(inputs, front, setup.least_information, parameters)
     claimed = parameters.variance_scale * factor
     gate = setup.settled(False).label_gate
     runs = []
@@ -81,6 +85,25 @@ def _scaled(front: FrontEndResult, factor: float) -> FrontEndResult:
     c, o = front.chain, front.loops
     chain = replace(c, covariance=factor * c.covariance, since_covariance=factor * c.since_covariance)
     return replace(front, chain=chain, loops=replace(o, covariance=factor * o.covariance))
+
+
+def _thinned(inputs: Inputs, front: FrontEndResult, least: float, parameters: LaserParameters) -> FrontEndResult:
+    """The constraints without the key poses that tell little about the map, placed by the batch smoother.
+
+    They are chosen by the whole log, so that online, too, estimates lack what was left out later.
+    """
+    solved = backend("batch", inputs, front.chain, front.loops)
+    if solved.run.failure is not None or inputs.scans is None:
+        return front
+    scans, nothing = inputs.scans, np.zeros((0, 2))
+    beams = beams_of(scans.scanner, scans.ranges.shape[1])
+    row = dict(zip(scans.frame.tolist(), scans.ranges, strict=True))
+    ends = [
+        transform_points(pose, scan_points(row[frame], beams, parameters.max_range).xy) if frame in row else nothing
+        for pose, frame in zip(solved.final_keys, front.chain.frame.tolist(), strict=True)
+    ]
+    chain, loops = without(front.chain, front.loops, redundant(ends, least))
+    return replace(front, chain=chain, loops=loops)
 
 
 def _run(inputs: Inputs, front: FrontEndResult, solved: Solved) -> LaserRun:

@@ -14,13 +14,10 @@ from data.log import folder_name
 from data.se2 import Array
 from eval.figures.laser import map_picture
 from eval.figures.style import save
+from eval.referee.files.of_runs import LOOPS
 from eval.referee.laser.rows import kept
 from eval.referee.score import Trial
 from eval.report.laser.map_files import write_map
-
-LOOPS = (
-    "key1", "key2", "dx", "dy", "dtheta", "c_xx", "c_xy", "c_xt", "c_yy", "c_yt", "c_tt", "score", "accepted", "final",
-)  # fmt: skip
 
 
 def mapping_run(trial: Trial) -> LaserRun | None:
@@ -57,7 +54,7 @@ def write_laser_files(folder: Path, trial: Trial) -> None:
     write_map(grid, place)
     figure = map_picture(grid, run.last, name=trial.log.name, estimator=run.estimator, phase=phase_of(run))
     save(figure, place, "map", ("png",))
-    loops_table(run.loops, run.weight).to_csv(place / "loops.csv", index=False, lineterminator="\n")
+    LOOPS.write(loops_table(run.loops, run.weight), place)
 
 
 def loops_table(loops: Loops, weight: Array | None) -> pd.DataFrame:
@@ -67,4 +64,4 @@ def loops_table(loops: Loops, weight: Array | None) -> pd.DataFrame:
         loops.key1, loops.key2, *loops.relative.T, *loops.covariance[:, rows, columns].T, loops.score,
         kept(loops, weight, "online").astype(int), kept(loops, weight, "final").astype(int),
     ]  # fmt: skip
-    return pd.DataFrame(dict(zip(LOOPS, values, strict=True)))
+    return pd.DataFrame(dict(zip(LOOPS.names, values, strict=True)))

@@ -88,9 +88,7 @@ def _relations(folder: Path, options: Options, trial: Trial) -> list[Block]:
     if not rows:
         return []
     caption = f"{trial.log.name}: {RELATIONS_CAPTION}"
-    blocks: list[Block] = [
-        written_table(pd.DataFrame(rows), folder, stem(trial, "relations"), caption, options.formats)
-    ]
+    blocks: list[Block] = [written_table(pd.DataFrame(rows), folder, stem(trial, "relations"), caption, options)]
     return [*blocks, PUBLISHED] if len(relations) == INTEL_RELATIONS else blocks
 
 
@@ -201,5 +199,5 @@ def _sizes(folder: Path, options: Options, trials: Sequence[Trial]) -> Block:
             row["position RMSE [m]"] = number(float(np.sqrt(np.nanmean(off**2))))
         row["seconds"] = number(run.seconds)
         rows.append(row)
-    caption = f"{trials[0].log.name}: how sparse the graph may be (`--keyframe-distance`)."
-    return written_table(pd.DataFrame(rows), folder, stem(trials[0], "graph-sizes"), caption, options.formats)
+    caption = f"{trials[0].log.name}: how sparse the graph may be (`--keyframe-distance`, `--least-information`)."
+    return written_table(pd.DataFrame(rows), folder, stem(trials[0], "graph-sizes"), caption, options)

@@ -223,7 +223,7 @@ def _detections(folder: Path, options: Options, log: Log) -> Iterator[Block]:
             " where this one is. Not judged: found where none is in view by that definition."
         )
     caption += " Not found: frames, by the reason."
-    yield written_table(frame, folder, name, caption, options.formats)
+    yield written_table(frame, folder, name, caption, options)
 
 
 def _summary(stats: Sequence[PictureStatistics], found: Found) -> str:

@@ -25,7 +25,9 @@ def learn(sensor, motion, frames=3000):
     return scales
 
 
-@pytest.mark.parametrize(("sensor", "motion"), [(0.03, 0.5), (0.5, 0.03), (1.0, 1.0)])
+@pytest.mark.parametrize(
+    ("sensor", "motion"), [(0.03, 0.5), pytest.param(0.5, 0.03, marks=pytest.mark.slow), (1.0, 1.0)]
+)
 def test_sensor_and_motion_are_told_apart(sensor, motion):
     scales = learn(sensor, motion)
     assert scales.sensor.scale == pytest.approx(sensor, rel=0.2, abs=0.03)

@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy import stats
+from tests.eval.figures.paper.looks import within
 
 from eval.figures import Seen, anees_figure, coverage_figure, outlier_figure, power_figure, run_end_figure
 from eval.figures.style import STYLES, save
-from tests.eval.figures.looks import within
 
 EIGHT = ["ekf", "ekf-iterated", "ekf-fej", "ekf-invariant", "batch", "isam2", "fixed-lag", "gnc"]
 RATES = [0.0, 0.01, 0.05, 0.1, 0.2]
@@ -66,7 +66,7 @@ def test_nothing_is_cut_and_no_panel_title_or_legend_lies_on_another(draw):
         assert label == "" or re.search(r"\[(m|s|%|–)\]$", label), label
 
 
-@pytest.mark.parametrize("kind", ["run end, eight", "outliers"])
+@pytest.mark.parametrize("kind", [pytest.param("run end, eight", marks=pytest.mark.slow), "outliers"])
 def test_the_same_values_give_the_same_bytes(kind, tmp_path):
     first, second = (save(FIGURES[kind](), tmp_path / str(i), "figure", ("png",))[0].read_bytes() for i in (0, 1))
     assert first == second

@@ -30,7 +30,7 @@ def test_who_localizes_in_a_wrong_world_is_lost(way, association):
     assert found(way(world("arena:0")), "localization", association) is not None
 
 
-@pytest.mark.parametrize("association", ["known", "jcbb"])
+@pytest.mark.parametrize("association", ["known", pytest.param("jcbb", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("way", wrecks.SLAM, ids=lambda f: f.__name__)
 def test_who_maps_with_wrong_readings_is_lost(way, association):
     assert found(way(world("arena:0")), "slam", association) is not None

@@ -35,7 +35,8 @@ def test_latency_scale_and_noise_of_recorded_odometry_are_found(tmp_path):
     assert tuning.errors["tuned"][0] < 0.5 * tuning.errors["as stated"][0]
 
 
-@pytest.mark.parametrize("seed", [pytest.param(3, marks=pytest.mark.slow), 4])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [3, 4])
 def test_averaging_two_odometry_samples_is_not_taken_for_a_latency(tmp_path, seed):
     # where two samples are averaged, the likelihood has maxima: 0.060 ± 0.007 and -0.109 ± 0.008 s were found
     true = Stamped(stated=(0.25, 0.25), noise=3.0, seed=seed)

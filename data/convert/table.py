@@ -1,0 +1,113 @@
+"""CSV files of another program as an open log: `--columns t=stamp,v=speed --unit angle=deg,time=ns`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from data.convert.parsers import Add
+    from data.log import Log
+
+KINDS = ("table",)
+EXAMPLES = """\
+examples:
+  python -m data.convert table robot.csv logs/robot --unit time=ns,angle=deg \\
+      --columns t=stamp,v=speed,omega=yaw_rate,range=dist,bearing=angle \\
+      --odometry-sigma 0.05,2deg --observation-sigma 0.1,2deg
+  python -m data.convert table odo.csv logs/robot --observations cones.csv --map survey.csv --truth gps.csv \\
+      --columns odometry.t=time_ms,observations.t=ms,truth.t=utc \\
+      --unit odometry.t=ms,observations.t=ms,truth.t=iso \\
+      --map-transform 12.5,-3,90deg --prior truth --prior-sigma 0.1,0.1,3deg \\
+      --odometry-sigma 0.05,2deg --observation-sigma 0.1,2deg --max-range 12
+  python -m data.convert table wheels.csv logs/robot --observations cones.csv --columns left=encL,right=encR \\
+      --track-width 0.54 --metres-per-tick 0.00012 --tick-wrap 65536 \\
+      --odometry-sigma 0.05,0.05,0.075,0.045 --observation-sigma 0.1,2deg
+  python -m data.convert table robot.toml logs/robot      the same keys in a file: odometry = "odo.csv", ...
+"""
+TEXT = """\
+CSV files of any program: comma, semicolon, tab or spaces, with or without a line of names, with decimal commas.
+
+What a column may hold (keys of --columns; its name in the file, or its number from 1):
+  odometry       t, and v, omega (velocities) | x, y, theta (poses) | dx, dy, dtheta (steps) | left, right (ticks);
+                 for theta also a quaternion qx, qy, qz, qw
+  observations   t (or frame: row of the odometry, from 0), and range, bearing | x, y in the sensor's frame;
+                 true_id: whose reading it is, known only to the referee; label: what the sensor claims; -1: clutter
+  map            x, y, and id
+  truth          t, x, y, theta; blank where unknown
+A key alone counts for every file; with a file's part in front (odometry.t, truth.x) for that part. A column that has
+the key's own name need not be stated.
+"""
+SENSED = "labels-sensed"
+KEYS_ALONE = ("odometry", SENSED)
+"""What a mapping file may state besides the flags below."""
+FLAGS = {
+    "observations": ("FILE", "file with the readings (default: SOURCE)"),
+    "map": ("FILE", "known landmarks"),
+    "truth": ("FILE", "true poses"),
+    "columns": ("KEY=NAME,...", "which column holds what"),
+    "unit": (
+        "KEY=UNIT,...",
+        "units: time (s, ms, us, ns, min, h, iso: dates), length (m, mm, cm, km, ft, in; v then in that per s), "
+        "angle (rad, mrad, deg, rev; omega then in that per s), or of one key: v=km/h, bearing=-deg (clockwise)",
+    ),
+    "odometry-kind": ("KIND", "velocities, poses, steps or ticks (default: by the columns)"),
+    "odometry-sigma": (
+        "S,...",
+        "noise: for velocities sigma of v and omega per sqrt(s); else of the way per sqrt(m) and sqrt(rad) and of the "
+        "heading per sqrt(m) and sqrt(rad); numbers may carry units: 5cm, 2deg",
+    ),
+    "odometry-noise": ("MODEL", "for velocities: density (default), velocity (per sample), displacement (4 numbers)"),
+    "observation-sigma": ("S1,S2", "noise of range and bearing, or of x and y, as in 0.1,2deg"),
+    "track-width": ("M", "of wheel ticks: distance between the wheels"),
+    "metres-per-tick": ("M[,M]", "of wheel ticks: for both, or left and right"),
+    "ticks": ("WHICH", "total: counted from the start (default); each: since the row before"),
+    "tick-wrap": ("N", "total ticks start again at N, as 65536"),
+    "prior": ("X,Y,THETA|truth", "first pose in the frame of map and truth (default without these: 0,0,0, exactly)"),
+    "prior-sigma": ("SX,SY,STHETA", "its standard deviations"),
+    "map-transform": (
+        "X,Y,THETA",
+        "pose of the map's frame in the world: each point is turned by THETA (counter-clockwise), then shifted by X, Y",
+    ),
+    "truth-transform": ("X,Y,THETA", "the same for the truth"),
+    "sensor-pose": ("X,Y,THETA", "pose of the sensor in the body frame (default: 0,0,0)"),
+    "max-range": ("M", "reach of the sensor (default: the farthest reading)"),
+    "view": ("LOW,HIGH", "least and largest bearing of the sensor, as in -60deg,60deg (default: all around)"),
+    "frames": ("WHICH", "instants with a pose: observations (default; and every 1 s), or odometry: every row, too"),
+}
+
+
+def add_parsers(add: Add, *, parameters: bool) -> None:
+    """The parser of `table`; `parameters` is for kinds whose flags take long to load."""
+    sub = add("table", help="CSV files of another program", description=TEXT, epilog=EXAMPLES)
+    sub.add_argument(
+        "source", metavar="SOURCE", type=Path, help="file with the odometry, and the readings if not stated; or .toml: "
+        "these flags as keys, odometry = FILE, [columns] and [unit] as tables; paths relative to it; flags win",
+    )  # fmt: skip
+    sub.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
+    for name, (metavar, text) in FLAGS.items():
+        repeatable = name in ("columns", "unit")
+        sub.add_argument(
+            f"--{name}", dest=name, metavar=metavar, help=text, default=argparse.SUPPRESS,
+            action="append" if repeatable else "store",
+        )  # fmt: skip
+    sub.add_argument(
+        f"--{SENSED}", dest=SENSED, action="store_true", default=argparse.SUPPRESS,
+        help="a sensor read the labels (barcodes), so some may be wrong",
+    )  # fmt: skip
+
+
+def convert(args: argparse.Namespace) -> Log:
+    """The log of the files."""
+    from data.tables.flags import settle, with_mapping
+    from data.tables.log import open_files, read_log
+
+    given: dict[str, object] = {key: value for key, value in vars(args).items() if key in (*FLAGS, SENSED)}
+    if args.source.suffix == ".toml":
+        given = with_mapping(args.source, given, (*FLAGS, *KEYS_ALONE))
+    else:
+        given["odometry"] = str(args.source)
+    given.setdefault("observations", given.get("odometry"))
+    wanted = settle(given)
+    return read_log(args.out.absolute().name, wanted, open_files(wanted.files))

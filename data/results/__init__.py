@@ -1,0 +1,1 @@
+"""Trajectories that other programs wrote: one file a format, each read into the same type."""

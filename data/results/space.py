@@ -1,0 +1,167 @@
+"""From space to the plane: poses with their 6x6 covariances, what is kept of them, and what lies outside.
+
+Kept are x, y and the yaw of Z-Y-X angles, atan2(R10, R00). The covariance of these three follows to first order from
+that of the pose, whatever its tangent: with p the position, c the first column of R, and a small turn w in the
+world's axes, dyaw = w_z - c_z (c_x w_x + c_y w_y) / (c_x^2 + c_y^2).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from data.errors import DataError
+from data.results.path import CAMERA, LEFT, LOCAL, GivenPath, Manner, Outside, in_order
+from data.se2 import Array, wrap_angle
+
+LEVEL = 1e-9
+"""m and rad: what is less outside the plane is not said."""
+UNIT = 0.01
+"""A quaternion may be so far from length 1, and a rotation matrix from orthonormal: two digits were written."""
+FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""Robot axes from a camera's: forward is its z, left its -x, up its -y."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spatial:
+    """A trajectory in space as a file has it.
+
+    Attributes:
+        file, kind: as of `GivenPath`.
+        time: (n,) s, ascending.
+        position: (n, 3) m.
+        rotation: (n, 3, 3), world from body.
+        covariance: (n, 6, 6), translation first, then rotation; rows NaN where unknown; None: there is none.
+        frame: what it is of, and whether the file says so itself (`declared`).
+        place: where row k stands, for messages.
+        notes: sentences.
+    """
+
+    file: str
+    kind: str
+    time: Array
+    position: Array
+    rotation: Array
+    covariance: Array | None
+    frame: str
+    place: Callable[[int], str]
+    declared: bool = False
+    notes: tuple[str, ...] = ()
+
+
+def rotations(quaternion: Array, file: str, place: Callable[[int], str]) -> Array:
+    """Rotation matrices (n, 3, 3) of quaternions x, y, z, w (n, 4); DataError for one that is not of length 1."""
+    length = np.sqrt(np.sum(quaternion**2, axis=1))
+    bad = np.flatnonzero(~(np.abs(length - 1.0) < UNIT))
+    if len(bad):
+        k = int(bad[0])
+        what = f"quaternion {quaternion[k].tolist()} has length {length[k]:.4g}; 1 is needed (order x, y, z, w)"
+        raise DataError(f"{file}: {place(k)}: {what}")
+    x, y, z, w = (quaternion / length[:, None]).T
+    return np.stack(
+        [
+            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], axis=-1),
+            np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], axis=-1),
+            np.stack([2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], axis=-1),
+        ],
+        axis=-2,
+    )
+
+
+def on_plane(spatial: Spatial, manner: Manner) -> GivenPath:
+    """The trajectory in the plane; DataError where its declared covariance frame is denied or a covariance is none."""
+    s, frame = spatial, spatial.frame
+    if s.covariance is not None and manner.frame is not None:
+        if s.declared and manner.frame != s.frame:
+            raise DataError.at(s.file, f"its header says that covariances are {s.frame}; --cov-frame {manner.frame}")
+        frame = manner.frame
+    p, R, C = s.position, s.rotation, s.covariance
+    if manner.axes == CAMERA:
+        turn = np.kron(np.eye(2), FROM_CAMERA)
+        p, R = p @ FROM_CAMERA.T, FROM_CAMERA @ R @ FROM_CAMERA.T
+        C = None if C is None else turn @ C @ turn.T
+    yaw = wrap_angle(np.arctan2(R[:, 1, 0], R[:, 0, 0]))
+    pose = np.column_stack([p[:, :2], yaw])
+    planar = None if C is None else _planar_covariance(p, R, C, frame)
+    if planar is not None:
+        require_covariances(planar, s.file, s.place)
+    keep = in_order(s.time)
+    notes = s.notes
+    if len(keep) < len(s.time):
+        notes += (f"{len(s.time) - len(keep)} of {len(s.time)} poses share their stamp with a later one, which counts",)
+    return GivenPath(
+        s.file, s.kind, s.time[keep], pose[keep], None if planar is None else planar[keep],
+        frame if planar is not None else "", _outside(p, R), notes,
+    )  # fmt: skip
+
+
+def _planar_covariance(p: Array, R: Array, C: Array, frame: str) -> Array:
+    """World-additive covariance (n, 3, 3) of x, y, yaw."""
+    n = len(p)
+    # error of position and small turn in the world's axes, from the tangent of the file
+    world = np.zeros((n, 6, 6))
+    if frame == LOCAL:
+        world[:, :3, :3] = R
+        world[:, 3:, 3:] = R
+    else:
+        world[:] = np.eye(6)
+        if frame == LEFT:  # w x p
+            x, y, z = p.T
+            world[:, 0, 4], world[:, 0, 5] = z, -y
+            world[:, 1, 3], world[:, 1, 5] = -z, x
+            world[:, 2, 3], world[:, 2, 4] = y, -x
+    plane = np.zeros((n, 3, 6))
+    plane[:, 0, 0] = plane[:, 1, 1] = plane[:, 2, 5] = 1.0
+    c = R[:, :, 0]
+    flat = c[:, 0] ** 2 + c[:, 1] ** 2
+    tilted = flat > 0.0
+    plane[tilted, 2, 3] = -c[tilted, 2] * c[tilted, 0] / flat[tilted]
+    plane[tilted, 2, 4] = -c[tilted, 2] * c[tilted, 1] / flat[tilted]
+    J = plane @ world
+    P = J @ C @ J.transpose(0, 2, 1)
+    return np.asarray(0.5 * (P + P.transpose(0, 2, 1)))
+
+
+def require_covariances(P: Array, file: str, place: Callable[[int], str]) -> None:
+    """Covariances (n, 3, 3) must be positive semidefinite (tolerance 1e-12 trace); NaN: not known."""
+    known = np.asarray(np.isfinite(P).all(axis=(1, 2)))
+    least = np.linalg.eigvalsh(np.where(known[:, None, None], P, np.eye(3)))[:, 0]
+    bad = np.flatnonzero(known & (least < -1e-12 * np.abs(np.trace(P, axis1=1, axis2=2))))
+    if len(bad):
+        k = int(bad[0])
+        what = f"covariance of x, y, heading has the eigenvalue {least[k]:.3g}; none may be negative"
+        raise DataError(f"{file}: {place(k)}: {what}")
+
+
+def _outside(p: Array, R: Array) -> Outside:
+    roll = np.arctan2(R[:, 2, 1], R[:, 2, 2])
+    pitch = -np.arcsin(np.clip(R[:, 2, 0], -1.0, 1.0))
+
+    def ends(values: Array) -> tuple[float, float]:
+        return float(values.min()), float(values.max())
+
+    return Outside(ends(p[:, 2]), ends(roll), ends(pitch))
+
+
+def projection(path: GivenPath) -> str:
+    """What was projected, in a sentence; empty where nothing was."""
+    o = path.outside
+    if o is None:
+        return ""
+    degrees = math.degrees(1.0)
+    parts = [("z", o.z, 1.0, "m"), ("roll", o.roll, degrees, "deg"), ("pitch", o.pitch, degrees, "deg")]
+    there = [
+        f"{name} {scale * ends[0]:.4g} to {scale * ends[1]:.4g} {unit}"
+        for name, ends, scale, unit in parts
+        if max(map(abs, ends)) >= LEVEL
+    ]
+    if not there:
+        return ""
+    said = f"projected to the plane: {', '.join(there)} left out"
+    flat = float(np.max(np.ptp(path.pose[:, :2], axis=0))) if len(path) else 0.0
+    if o.z[1] - o.z[0] > flat:
+        said += "; more is outside than in it: a camera's axes (z forward)? then --axes camera"
+    return said

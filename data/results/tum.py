@@ -1,0 +1,118 @@
+"""TUM trajectories: `t x y z qx qy qz qw` a line; the wide form with the covariance behind; covariances in a file of
+their own; and SQUARE files of `smfeval`, whose header says what the covariance is of.
+
+The covariance is the lower triangle, row by row (c11 c21 c22 c31 ... c66), of the 6x6 covariance of the tangent,
+translation first; without a header T = T_mean Exp(xi), in the body's axes, as `smfeval` takes it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from data.errors import DataError
+from data.results.lines import Text, lines_of, numbers, read_text, require_order
+from data.results.path import LOCAL, GivenPath, Manner
+from data.results.samples import read_samples
+from data.results.space import Spatial, on_plane, rotations
+from data.results.square import ORDERS, POSE, header_of, tangent
+from data.se2 import Array
+
+TRIANGLE = tuple(f"c{i}{j}" for i in range(1, 7) for j in range(1, i + 1))
+SAME_STAMP = 1e-6
+"""s by which a covariance's stamp may differ from its pose's: microseconds were written."""
+GAUSSIAN, PLAIN, SAMPLES = "gaussian_se3", "deterministic", "ensemble_se3"
+UNITS = {"seconds": 1.0, "s": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
+
+
+def read_tum(text: Text, manner: Manner) -> GivenPath:
+    """A TUM file, with its covariances from `manner.cov` if given."""
+    rows = numbers(text, POSE)
+    if manner.cov is None:
+        return _path(text, "TUM", rows, None, LOCAL, manner)
+    covariance, frame, declared = _sidecar(manner.cov, rows[:, 0], text)
+    return _path(text, f"TUM with covariances of {manner.cov}", rows, covariance, frame, manner, declared=declared)
+
+
+def read_wide(text: Text, manner: Manner) -> GivenPath:
+    """A wide TUM file: the covariance stands behind the pose."""
+    rows = numbers(text, (*POSE, *TRIANGLE))
+    return _path(text, "TUM with covariance", rows[:, :8], _symmetric(rows[:, 8:]), LOCAL, manner)
+
+
+def read_square(text: Text, manner: Manner) -> GivenPath:
+    """A SQUARE file."""
+    header = header_of(text)
+    line, version = header.values["FORMAT"]
+    if not version.startswith("SQUARE/"):
+        raise DataError.at(text.path, f"FORMAT {version!r}; SQUARE/0.3 is read here", line=line)
+    what = header.one_of(text, "REPRESENTATION", (GAUSSIAN, PLAIN, SAMPLES))
+    if what is None:
+        raise DataError.at(text.path, f"the header lacks REPRESENTATION ({GAUSSIAN}, {PLAIN} or {SAMPLES})", line=line)
+    unit = UNITS[header.one_of(text, "TIMESTAMP_UNIT", tuple(UNITS)) or "seconds"]
+    if what == SAMPLES:
+        return read_samples(text, header, unit, manner)
+    if what == PLAIN:
+        rows = numbers(text, POSE)
+        return _path(text, f"{version}, {what}", _in_seconds(rows, unit), None, "", manner)
+    frame, order = tangent(text, header)
+    for key, found in (("TANGENT_CONVENTION", frame), ("TANGENT_ORDER", order)):
+        if found is None:
+            raise DataError.at(text.path, f"the header lacks {key}, which {GAUSSIAN} needs", line=line)
+    assert frame is not None  # checked in the loop
+    header.one_of(text, "ROTATION_PARAM", ("axis_angle",))
+    rows = numbers(text, (*POSE, *TRIANGLE))
+    covariance = _ordered(_symmetric(rows[:, 8:]), order)
+    return _path(text, f"{version}, {what}", _in_seconds(rows[:, :8], unit), covariance, frame, manner, declared=True)
+
+
+def _in_seconds(rows: Array, unit: float) -> Array:
+    return rows if unit == 1.0 else np.column_stack([rows[:, 0] * unit, rows[:, 1:]])
+
+
+def _symmetric(entries: Array) -> Array:
+    """Matrices (n, 6, 6) of their lower triangles (n, 21), row by row."""
+    rows, columns = np.tril_indices(6)
+    full = np.zeros((len(entries), 6, 6))
+    full[:, rows, columns] = full[:, columns, rows] = entries
+    return full
+
+
+def _ordered(covariance: Array, order: str | None) -> Array:
+    """The same with the translation first."""
+    if order != ORDERS[1]:
+        return covariance
+    swap = [3, 4, 5, 0, 1, 2]
+    return covariance[:, swap][:, :, swap]
+
+
+def _sidecar(path: Path, time: Array, poses: Text) -> tuple[Array, str, bool]:
+    """Covariances (n, 6, 6) of the stamps (n,), their frame, and whether the file declares it."""
+    text = read_text(path)
+    header = header_of(text)
+    rows = numbers(text, ("t", *TRIANGLE))
+    if len(rows) != len(time):
+        raise DataError.at(path, f"{len(rows)} covariances; {poses.path} has {len(time)} poses, one each is needed")
+    off = np.flatnonzero(np.abs(rows[:, 0] - time) > SAME_STAMP)
+    if len(off):
+        k = int(off[0])
+        what = f"stamp {rows[k, 0]!r}; {time[k]!r} is needed, of the pose in line {poses.line[k]} of {poses.path}"
+        raise DataError.at(path, what, line=text.line[k])
+    frame, order = tangent(text, header)
+    return _ordered(_symmetric(rows[:, 1:]), order), frame or LOCAL, frame is not None
+
+
+def _path(
+    text: Text, kind: str, rows: Array, covariance: Array | None, frame: str, manner: Manner, *, declared: bool = False
+) -> GivenPath:
+    """Rows t x y z qx qy qz qw (n, 8) with covariances, in the plane."""
+    require_order(text, rows[:, 0])
+    line = lines_of(text)
+    file = str(text.path)
+
+    def place(k: int) -> str:
+        return f"line {line[k]}"
+
+    R = rotations(rows[:, 4:8], file, place)
+    return on_plane(Spatial(file, kind, rows[:, 0], rows[:, 1:4], R, covariance, frame, place, declared), manner)

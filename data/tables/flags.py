@@ -1,0 +1,222 @@
+"""What `python -m data.convert table` was asked for: texts of flags or of a mapping file, as values in SI units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from data.errors import DataError, UsageError
+from data.motion import VelocityNoise
+from data.recordings.wheel_odometry import TravelNoise
+from data.se2 import Array
+from data.tables.columns import ROLES, Columns
+from data.tables.files import read_text
+from data.tables.log import FROM_TRUTH, Wanted
+from data.tables.motion import KINDS, Wheels, kind_of
+from data.tables.units import Units, quantity_with_unit
+from data.toml_table import load_toml
+
+POSE = ("length", "length", "angle")
+TRAVEL = ("length", "length", "angle", "angle")
+TUNED = "`python -m eval.tune LOG OUT` fits it afterwards where the log has labels"
+
+Given = Mapping[str, object]
+"""Texts by flag (without dashes in front), `columns` and `unit` as text or as a table of texts."""
+
+
+def with_mapping(path: Path, given: Given, keys: Sequence[str]) -> dict[str, object]:
+    """The flags with what the mapping file says besides; paths in it are relative to it, flags win.
+
+    Raises:
+        DataError: not TOML, an unknown key, or a value of another kind.
+    """
+    merged: dict[str, object] = {}
+    for key, value in load_toml(path, lambda what: DataError.at(path, what)).items():
+        flag = key.replace("_", "-")
+        if flag not in keys:
+            raise DataError.at(path, f"unknown key {key!r}; known: {', '.join(keys)}")
+        if flag in ("columns", "unit"):
+            if not isinstance(value, dict):
+                raise DataError.at(
+                    path, f'{key}: a table is needed, as in [{key}] and below it lines such as t = "stamp"'
+                )
+            merged[flag] = dict(_flat(value))
+        elif isinstance(value, list):
+            merged[flag] = ",".join(str(v) for v in value)
+        elif isinstance(value, str | int | float) and not isinstance(value, bool):
+            merged[flag] = str(path.parent / str(value)) if flag in ROLES else str(value)
+        elif isinstance(value, bool) and flag == "labels-sensed":
+            merged[flag] = value
+        else:
+            raise DataError.at(path, f"{key} = {value}: a text, a number or a list is needed")
+    for key, value in given.items():
+        both = key in ("columns", "unit") and key in merged
+        merged[key] = {**pairs(merged[key], key), **pairs(value, key)} if both else value
+    return merged
+
+
+def _flat(table: Mapping[str, object], above: str = "") -> list[tuple[str, str]]:
+    """Keys with dots of tables in tables."""
+    flat: list[tuple[str, str]] = []
+    for key, value in table.items():
+        flat += _flat(value, f"{above}{key}.") if isinstance(value, dict) else [(f"{above}{key}", str(value))]
+    return flat
+
+
+def pairs(value: object, flag: str) -> dict[str, str]:
+    """`a=b,c=d` (or several such texts, or a table) as a table."""
+    if isinstance(value, Mapping):
+        return {str(k): str(v) for k, v in value.items()}
+    texts = value if isinstance(value, list) else [str(value)]
+    found: dict[str, str] = {}
+    for part in [p.strip() for text in texts for p in str(text).split(",") if p.strip()]:
+        key, equals, name = part.partition("=")
+        if not (key.strip() and equals and name.strip()):
+            raise UsageError(f"--{flag} {part}: KEY=NAME is needed, as in t=stamp; names with commas go into --mapping")
+        if key.strip() in found:
+            raise UsageError(f"--{flag}: {key.strip()} is named twice")
+        found[key.strip()] = name.strip()
+    return found
+
+
+def numbers(text: object, dimensions: Sequence[str], flag: str, what: str) -> Array:
+    """Numbers with or without units, one for each dimension; `what` says in a message which."""
+    parts = [p for p in str(text).replace(",", " ").split() if p]
+    if len(parts) != len(dimensions):
+        raise UsageError(f"--{flag} {text}: {len(dimensions)} numbers are needed: {what}")
+    return np.array([quantity_with_unit(p, d, f"--{flag}") for p, d in zip(parts, dimensions, strict=True)])
+
+
+def _sigmas(text: object, dimensions: Sequence[str], flag: str, what: str, *, zero: bool = True) -> Array:
+    found = numbers(text, dimensions, flag, what)
+    if (found < 0.0).any() or (not zero and (found == 0.0).any()):
+        raise UsageError(f"--{flag} {text}: must be {'0 or more' if zero else 'more than 0'}")
+    return found
+
+
+def settle(given: Given) -> Wanted:
+    """Everything in SI units.
+
+    Raises:
+        UsageError: something is missing, unknown, or no number; what stands in the files is checked later.
+    """
+    files = {role: Path(str(given[role])) for role in ROLES if given.get(role) is not None}
+    if "odometry" not in files:
+        raise UsageError('a mapping file names the file with the odometry: odometry = "FILE"')
+    columns = Columns(pairs(given.get("columns", {}), "columns"), Units(pairs(given.get("unit", {}), "unit")))
+    kind = given.get("odometry-kind")
+    if kind is not None and kind not in KINDS:
+        raise UsageError(f"--odometry-kind {kind}: known: {', '.join(KINDS)}")
+    odometry = read_text(files["odometry"])
+    kind = kind_of(odometry, columns, None if kind is None else str(kind))
+    sighted = read_text(files["observations"])
+    polar = columns.find(sighted, "observations", "range") is not None
+    return Wanted(
+        files=files,
+        columns=columns,
+        kind=kind,
+        wheels=_wheels(given) if kind == "ticks" else None,
+        noise=_noise(given, kind),
+        sigma=_reading_sigma(given, polar=polar),
+        prior=_prior(given),
+        prior_sigma=_sigmas(given["prior-sigma"], POSE, "prior-sigma", "x and y [m], heading [rad]")
+        if "prior-sigma" in given
+        else None,
+        map_pose=_pose(given, "map-transform"),
+        truth_pose=_pose(given, "truth-transform"),
+        every_row=_one_of(given, "frames", ("observations", "odometry")) == "odometry",
+        max_range=_reach(given),
+        view=_view(given),
+        sensor_pose=_pose(given, "sensor-pose"),
+        sensed=bool(given.get("labels-sensed", False)),
+    )
+
+
+def _one_of(given: Given, flag: str, known: Sequence[str]) -> str:
+    value = str(given.get(flag, known[0]))
+    if value not in known:
+        raise UsageError(f"--{flag} {value}: known: {', '.join(known)}")
+    return value
+
+
+def _wheels(given: Given) -> Wheels:
+    if "track-width" not in given or "metres-per-tick" not in given:
+        raise UsageError(
+            "wheel ticks need --track-width M (between the wheels) and --metres-per-tick M (or LEFT,RIGHT)"
+        )
+    width = float(numbers(given["track-width"], ("length",), "track-width", "the distance between the wheels")[0])
+    text = str(given["metres-per-tick"])
+    count = len(text.replace(",", " ").split())
+    metres = numbers(text, ("length",) * (2 if count == 2 else 1), "metres-per-tick", "metres a tick")
+    if width <= 0.0 or (metres == 0.0).any():
+        raise UsageError(f"--track-width {width:g} --metres-per-tick {text}: wheels apart, that move, are needed")
+    wrap = str(given.get("tick-wrap", "0"))
+    if not wrap.isdecimal():
+        raise UsageError(f"--tick-wrap {wrap}: a whole number of ticks is needed, as in 65536")
+    each = _one_of(given, "ticks", ("total", "each")) == "each"
+    return Wheels(width, (float(metres[0]), float(metres[-1])), each, int(wrap))
+
+
+def _noise(given: Given, kind: str) -> VelocityNoise | TravelNoise:
+    """Odometry noise; which numbers depends on the kind of odometry."""
+    velocities = kind == "velocities"
+    default = "density" if velocities else "travel"
+    known = ("density", "velocity", "displacement") if velocities else ("travel",)
+    model = str(given.get("odometry-noise", default))
+    if model not in known:
+        raise UsageError(f"--odometry-noise {model}: for {kind}: {', '.join(known)}")
+    what = {
+        "density": "of v [m] and omega [rad], per square root of a second, as in 0.05,2deg",
+        "velocity": "of v [m/s] and omega [rad/s], of each sample, as in 0.1,5deg",
+        "displacement": "A1,A2,A3,A4: sigma_v = A1 |v| + A2 |omega|, sigma_omega = A3 |v| + A4 |omega|",
+        "travel": "of the way [m] per sqrt(m) and per sqrt(rad), of the heading [rad] per sqrt(m) and per sqrt(rad); "
+        f"{','.join(f'{n:g}' for n in TravelNoise())} was measured on a robot with wheels in an office",
+    }[model]
+    if "odometry-sigma" not in given:
+        raise UsageError(f"how noisy is the odometry? --odometry-sigma is needed: {what}; {TUNED}")
+    text = given["odometry-sigma"]
+    if model == "travel":
+        return TravelNoise(*_sigmas(text, TRAVEL, "odometry-sigma", what).tolist())
+    if model == "displacement":
+        a1, a2, a3, a4 = _sigmas(text, ("",) * 4, "odometry-sigma", what).tolist()
+        return VelocityNoise(model, alphas=(a1, a2, a3, a4))
+    sigma_v, sigma_omega = _sigmas(text, ("length", "angle"), "odometry-sigma", what).tolist()
+    return VelocityNoise(model, sigma=(sigma_v, sigma_omega))
+
+
+def _reading_sigma(given: Given, *, polar: bool) -> Array:
+    what = "of a range [m] and a bearing [rad], as in 0.1,2deg" if polar else "of x and y [m], as in 0.1,0.1"
+    if "observation-sigma" not in given:
+        raise UsageError(f"how noisy is a reading? --observation-sigma is needed: {what}; {TUNED}")
+    dimensions = ("length", "angle" if polar else "length")
+    return _sigmas(given["observation-sigma"], dimensions, "observation-sigma", what, zero=False)
+
+
+def _prior(given: Given) -> Array | str | None:
+    if "prior" not in given or given["prior"] == FROM_TRUTH:
+        return FROM_TRUTH if "prior" in given else None
+    return numbers(given["prior"], POSE, "prior", "x, y [m], heading [rad], or the word truth")
+
+
+def _pose(given: Given, flag: str) -> Array:
+    return numbers(given.get(flag, "0,0,0"), POSE, flag, "x, y [m], angle [rad or as in 90deg]")
+
+
+def _reach(given: Given) -> float | None:
+    if "max-range" not in given:
+        return None
+    reach = float(numbers(given["max-range"], ("length",), "max-range", "metres")[0])
+    if reach <= 0.0:
+        raise UsageError(f"--max-range {given['max-range']}: must be more than 0")
+    return reach
+
+
+def _view(given: Given) -> tuple[float, float] | None:
+    if "view" not in given:
+        return None
+    low, high = numbers(given["view"], ("angle",) * 2, "view", "least and largest bearing, as in -60deg,60deg").tolist()
+    if not low < high:
+        raise UsageError(f"--view {given['view']}: the smaller bearing first")
+    return low, high

@@ -1,0 +1,303 @@
+"""A log out of the tables of another program: frames, increments, observations, map, truth and prior in SI units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from data import se2
+from data.errors import DataError, UsageError
+from data.inputs import CLUTTER, UNLABELLED, Inputs, IntArray, LandmarkMap, Observations, Prior, floor_covariances
+from data.log import Log
+from data.motion import VelocityNoise
+from data.open_log.table import Table
+from data.recordings.wheel_odometry import FLOOR, TravelNoise
+from data.se2 import Array
+from data.sensors import RangeBearing, RelativePoint, Sensor
+from data.tables.columns import Columns, headings, shared
+from data.tables.files import TextTable, read_text
+from data.tables.motion import Odometry, Wheels, kind_of, pose_columns, read_odometry
+from data.timeline import MAX_GAP, frame_times, truth_at
+from data.truth import UNKNOWN_ID, Truth
+
+LONGEST = 1e6
+"""s. A log that lasts longer has stamps in another unit; keyframes would fill the memory."""
+FROM_TRUTH = "truth"
+"""The prior's mean is the first true pose."""
+
+
+@dataclass(frozen=True, eq=False)
+class Wanted:
+    """What was asked for, in SI units.
+
+    Attributes:
+        files: path by role (odometry, observations, map, truth).
+        columns: which column holds what, and units.
+        kind: of odometry; None: found by its columns.
+        wheels: of wheel ticks.
+        noise: of the odometry.
+        sigma: (2,) of a reading.
+        prior: mean (3,), "truth", or None: the frame of the log starts at the robot; prior_sigma (3,) or None.
+        map_pose: (3,) pose of the map's frame in the world; truth_pose: of the truth's.
+        every_row: every odometry row is a frame, not only those with readings.
+        max_range: m, view: rad, least and largest bearing; None: what is seen.
+        sensor_pose: (3,) of the sensor in the body frame.
+        sensed: a sensor read the labels.
+    """
+
+    files: Mapping[str, Path]
+    columns: Columns
+    kind: str | None
+    wheels: Wheels | None
+    noise: VelocityNoise | TravelNoise
+    sigma: Array
+    prior: Array | str | None
+    prior_sigma: Array | None
+    map_pose: Array
+    truth_pose: Array
+    every_row: bool
+    max_range: float | None
+    view: tuple[float, float] | None
+    sensor_pose: Array
+    sensed: bool
+
+
+def open_files(files: Mapping[str, Path]) -> dict[str, TextTable]:
+    """The text of each file, by role; one that has several roles is read once."""
+    read = {path: read_text(path) for path in dict.fromkeys(files.values())}
+    return {role: read[path] for role, path in files.items()}
+
+
+def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Log:
+    """The log of the tables.
+
+    Raises:
+        DataError, UsageError: see the readers of the parts; stamps that do not overlap; no prior where one is needed.
+    """
+    columns = wanted.columns
+    odometry = read_odometry(
+        texts["odometry"], columns, kind_of(texts["odometry"], columns, wanted.kind), wanted.wheels
+    )
+    seen = _sightings(texts["observations"], wanted, odometry)
+    notes = [*odometry.notes, *seen.notes]
+    time, frame, seen = _frames(odometry, seen, wanted, notes)
+    increments, counted = odometry.increments(time, wanted.noise)
+    covariance, floored = floor_covariances(increments.covariance, FLOOR)
+    if odometry.velocity is None:
+        floored += counted
+    elif counted:
+        gaps = "gap" if counted == 1 else "gaps"
+        notes.append(f"odometry: {counted} {gaps} longer than {MAX_GAP:g} s, where the robot may have moved unseen")
+    known = _map(texts["map"], wanted) if "map" in texts else None
+    pose = _truth(texts["truth"], wanted, time, stamped=odometry.stamped) if "truth" in texts else None
+    columns.check_used(list(dict.fromkeys(texts.values())))
+    labels = {key: _whole(seen.table, seen.texts[key], key) for key in ("true_id", "label") if key in seen.texts}
+    sensor = _sensor(wanted, seen, notes)
+    R = np.tile(np.diag(wanted.sigma**2), (len(frame), 1, 1))
+    inputs = Inputs(
+        prior=_prior(wanted, pose, known),
+        time=time,
+        increments=replace(increments, covariance=covariance),
+        observations=Observations(frame, seen.z, R),
+        sensor=sensor,
+        map=known,
+        time_is_index=not odometry.stamped,
+        covariance_floor=FLOOR,
+        floored=floored,
+    )
+    return Log(
+        name,
+        inputs,
+        Truth(pose, known, labels.get("true_id")),
+        label=labels.get("label"),
+        labels_are_sensed=wanted.sensed,
+        source={
+            "kind": "table", **{role: str(path) for role, path in wanted.files.items()},
+            "columns": dict(columns.said), "unit": dict(columns.units.said),
+        },
+        notes=tuple(notes),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Sightings:
+    """Readings in the order of their stamps: z (M, 2), t (M,) s or frame numbers, whether range and bearing."""
+
+    table: Table
+    texts: Mapping[str, list[str]]
+    z: Array
+    at: Array
+    polar: bool
+    notes: tuple[str, ...]
+
+    def part(self, rows: IntArray) -> _Sightings:
+        """Some of them, in this order."""
+        table = replace(
+            self.table, columns={q: v[rows] for q, v in self.table.columns.items()},
+            line=None if self.table.line is None else self.table.line[rows],
+        )  # fmt: skip
+        texts = {q: [fields[i] for i in rows.tolist()] for q, fields in self.texts.items()}
+        return replace(self, table=table, texts=texts, z=self.z[rows], at=self.at[rows])
+
+
+def _sightings(file: TextTable, wanted: Wanted, odometry: Odometry) -> _Sightings:
+    """The readings of a file: range and bearing, or x and y in the sensor's frame."""
+    columns = wanted.columns
+    polar = columns.find(file, "observations", "range") is not None
+    polar |= columns.find(file, "observations", "bearing") is not None
+    if not polar and not columns.has(file, "observations", ("x", "y")):
+        raise DataError.at(
+            file.path, f"no readings: {file.described()}; needed are range and bearing, or x and y in the body frame; "
+            "name them as in --columns range=DIST,bearing=ANGLE",
+        )  # fmt: skip
+    by_stamp = odometry.stamped and columns.find(file, "observations", "t") is not None
+    key = "t" if by_stamp else "frame"
+    if not by_stamp and columns.find(file, "observations", "frame") is None:
+        columns.require(file, "observations", ("t",) if odometry.stamped else ("frame",))
+    values = ("range", "bearing") if polar else ("x", "y")
+    table, texts, skipped = columns.table(file, "observations", (*values, key), texts=("true_id", "label"))
+    together = "observations" in shared(wanted.files)
+    notes = [f"{file.path.name}: {skipped} rows without a reading"] if skipped and not together else []
+    z = table.stack(values)
+    if polar:
+        table.require(z[:, 0] >= 0.0, "range", "{} is a negative range")
+    at = table.columns[key]
+    if not by_stamp:
+        rows = table.integers("frame", 0)
+        last = len(odometry.time) - 1
+        table.require(rows <= last, "frame", f"{{}} is out of range; the odometry has rows 0 to {last}")
+    found = _Sightings(table, texts, z, at, polar, tuple(notes))
+    back = int((np.diff(at) < 0.0).sum())
+    if back:
+        found = found.part(np.argsort(at, kind="stable").astype(np.int64))
+        found = replace(
+            found, notes=(*notes, f"{file.path.name}: {back} readings were stamped before the one above; sorted")
+        )
+    return found
+
+
+def _frames(
+    odometry: Odometry, seen: _Sightings, wanted: Wanted, notes: list[str]
+) -> tuple[Array, IntArray, _Sightings]:
+    """Time (N,) of the frames, the frame (M,) of each reading, and the readings that have odometry."""
+    if "t" not in seen.table:
+        return odometry.time, seen.at.astype(np.int64), seen
+    first, last = float(odometry.time[0]), float(odometry.time[-1])
+    inside = (seen.at >= first) & (seen.at <= last)
+    if len(inside) and not inside.any():
+        raise DataError.at(
+            seen.table.path, f"readings from {seen.at[0]:.15g} to {seen.at[-1]:.15g} s, odometry from {first:.15g} to "
+            f"{last:.15g} s: they have no time in common; units of each are stated as in --unit odometry.t=ms",
+        )  # fmt: skip
+    if odometry.velocity is not None:  # a robot without samples may have moved: the covariance grows, as on loading
+        first, last = min(first, seen.at.min(initial=first)), max(last, seen.at.max(initial=last))
+    elif not inside.all():
+        outside = int((~inside).sum())
+        notes.append(
+            f"{outside} of {len(inside)} readings before or after all odometry, {first:.15g} to {last:.15g} s, left out"
+        )
+        seen = seen.part(np.flatnonzero(inside))
+    if last - first > LONGEST:
+        raise DataError.at(
+            odometry.table.path, f"the stamps span {last - first:.6g} s, {(last - first) / 86400.0:.3g} days; if they "
+            "are not seconds, say so as in --unit time=ns",
+        )  # fmt: skip
+    at = np.concatenate([seen.at, odometry.time]) if wanted.every_row else seen.at
+    time = frame_times(at, first, last)
+    return time, np.searchsorted(time, seen.at).astype(np.int64), seen
+
+
+def _map(file: TextTable, wanted: Wanted) -> LandmarkMap:
+    """Landmarks in the world frame; without ids they are numbered from 0 in the order of the file."""
+    columns = wanted.columns
+    table, texts, _ = columns.table(file, "map", ("x", "y"), texts=("id",))
+    ids = _whole(table, texts["id"], "id") if "id" in texts else np.arange(len(table), dtype=np.int64)
+    order = np.argsort(ids, kind="stable")
+    twice = np.flatnonzero(ids[order][1:] == ids[order][:-1])
+    if len(twice):
+        row = int(order[twice[0] + 1])
+        raise table.error(row, "id", f"{ids[row]} a second time; each landmark needs an id of its own")
+    if len(ids) and ids.min() < 0:
+        raise table.error(int(np.argmin(ids)), "id", f"{ids.min()} is negative; ids are whole numbers from 0 up")
+    return LandmarkMap(ids[order], se2.transform_points(wanted.map_pose, table.stack(("x", "y")))[order])
+
+
+def _truth(file: TextTable, wanted: Wanted, time: Array, *, stamped: bool) -> Array:
+    """True poses (N, 3) in the world frame at the frames, NaN where unknown."""
+    columns = wanted.columns
+    pose = pose_columns(file, columns, "truth")
+    by_stamp = stamped and columns.find(file, "truth", "t") is not None
+    if not by_stamp and len(file) != len(time):
+        columns.require(file, "truth", ("t",))
+    wants = (*(("t",) if by_stamp else ()), *pose)
+    table, _, _ = columns.table(file, "truth", wants, may_be_blank=pose)
+    values = table.columns
+    read = np.stack([values["x"], values["y"], headings(values)], axis=-1)
+    read[~np.isfinite(read).all(axis=1)] = np.nan
+    world = se2.compose(wanted.truth_pose, read) if wanted.truth_pose.any() else read
+    if not by_stamp:
+        return world
+    table.require_ascending("t", strictly=True)
+    there = np.isfinite(world).all(axis=1)
+    result = truth_at(values["t"], world, time)
+    if there.any() and not np.isfinite(result).any():
+        raise DataError.at(
+            file.path, f"truth from {values['t'][0]:.15g} to {values['t'][-1]:.15g} s, frames from {time[0]:.15g} to "
+            f"{time[-1]:.15g} s: no frame has one within {MAX_GAP:g} s; units are stated as in --unit truth.t=ms",
+        )  # fmt: skip
+    return result
+
+
+def _whole(table: Table, fields: list[str], name: str) -> IntArray:
+    """Ids: whole numbers, blank for not known, -1 for clutter."""
+    blank = UNLABELLED if name == "label" else UNKNOWN_ID
+    ids = np.full(len(fields), blank, np.int64)
+    for i, field in enumerate(fields):
+        if field and field.lower() != "nan":
+            try:
+                value = float(field)
+                ids[i] = int(value)
+            except (ValueError, OverflowError):
+                value = 0.5
+            if value != ids[i] or ids[i] < CLUTTER:
+                raise table.error(i, name, f"{field!r} is not a whole number from -1 up (-1: clutter; blank: unknown)")
+    return ids
+
+
+def _prior(wanted: Wanted, pose: Array | None, known: LandmarkMap | None) -> Prior:
+    """Belief about the first pose."""
+    if wanted.prior is None:
+        if pose is not None or known is not None:
+            what = "a map" if pose is None else "truth"
+            raise UsageError(
+                f"where does the robot start in the frame of the {'map' if pose is None else 'truth'}? With {what} "
+                "that must be said: --prior X,Y,THETA (m, rad; 90deg is fine), or --prior truth for the first true pose"
+            )
+        return Prior(np.zeros(3), np.zeros((3, 3)))
+    if wanted.prior_sigma is None:
+        raise UsageError("how sure is --prior? --prior-sigma SX,SY,STHETA (m, m, rad; 0,0,0: exact) is needed")
+    mean = wanted.prior
+    if isinstance(mean, str):
+        if pose is None:
+            raise UsageError("--prior truth: there is no --truth")
+        if not np.isfinite(pose[0]).all():
+            raise UsageError("--prior truth: the first frame has no true pose; state it with --prior X,Y,THETA")
+        mean = pose[0]
+    return Prior(mean, np.diag(wanted.prior_sigma**2))
+
+
+def _sensor(wanted: Wanted, seen: _Sightings, notes: list[str]) -> Sensor:
+    """The sensor, its field of view stated or as far as it was seen."""
+    kind = RangeBearing if seen.polar else RelativePoint
+    polar = kind().polar(seen.z)
+    reach, view = wanted.max_range, wanted.view
+    if reach is None:
+        # a little more, so that the farthest reading is inside however the number is rounded
+        reach = 1.001 * float(polar[:, 0].max()) if len(polar) and polar[:, 0].max() > 0.0 else np.inf
+        notes.append(f"max_range is {reach:.4g} m, the farthest reading; --max-range states the sensor's own")
+    low, high = view or (-np.pi, np.pi)
+    back = se2.inverse(wanted.sensor_pose)
+    return kind(reach, low, high, float(back[2]), (float(back[0]), float(back[1])))

@@ -1,0 +1,174 @@
+"""Odometry of a foreign table as increments between frames: velocities, poses, steps or wheel ticks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from data import se2
+from data.errors import DataError, UsageError
+from data.inputs import Increments
+from data.motion import VelocityModel, VelocityNoise, preintegrate
+from data.open_log.table import Table
+from data.recordings.wheel_odometry import TravelNoise, increments_of
+from data.se2 import Array
+from data.tables.columns import QUATERNION, Columns, headings
+from data.tables.files import TextTable
+
+KINDS = {
+    "velocities": ("v", "omega"),
+    "poses": ("x", "y", "theta"),
+    "steps": ("dx", "dy", "dtheta"),
+    "ticks": ("left", "right"),
+}
+"""Columns of each kind of odometry; steps are the motion since the row before, in the body frame there."""
+STAMPED = ("velocities",)
+"""Kinds that mean nothing without stamps."""
+
+
+@dataclass(frozen=True)
+class Wheels:
+    """Of wheel ticks: track_width [m], metres per tick left and right, whether each row counts from the row before
+    (`each`) or from the start, and at how many ticks a counter starts again (0: never).
+    """
+
+    track_width: float
+    metres: tuple[float, float]
+    each: bool = False
+    wrap: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Odometry:
+    """One file's odometry.
+
+    Attributes:
+        table: its rows, for messages; t in s where there are stamps.
+        time: (K,) s, strictly increasing; row numbers where there are no stamps.
+        stamped: whether there are.
+        pose: (K, 3) composed or recorded; None for velocities.
+        velocity: (K, 2) m/s and rad/s; None for the others.
+        notes: what was left out.
+    """
+
+    table: Table
+    time: Array
+    stamped: bool
+    pose: Array | None
+    velocity: Array | None
+    notes: tuple[str, ...] = ()
+
+    def increments(self, at: Array, noise: VelocityNoise | TravelNoise) -> tuple[Increments, int]:
+        """Motion between the instants `at` (N,), and how many gaps the odometry has there or covariances were floored.
+
+        Velocities: preintegrated (exact arcs, zero-order hold). Poses: interpolated at the instants, differences taken.
+        """
+        if self.velocity is not None:
+            if not isinstance(noise, VelocityNoise):
+                raise AssertionError("velocities have noise of velocities")
+            return preintegrate(VelocityModel(noise), self.time, self.velocity[:, 0], self.velocity[:, 1], at)
+        if self.pose is None or not isinstance(noise, TravelNoise):
+            raise AssertionError("poses have noise that grows with the way")
+        same = len(at) == len(self.time) and bool((at == self.time).all())
+        return increments_of(self.pose if same else se2.interpolate(self.time, self.pose, at), noise)
+
+
+def kind_of(file: TextTable, columns: Columns, said: str | None) -> str:
+    """The kind of odometry a file holds: what was said, else the only one whose columns it has.
+
+    Raises:
+        DataError: none or several.
+    """
+    if said is not None:
+        return said
+    found = [k for k, qs in KINDS.items() if columns.has(file, "odometry", _alternative(file, columns, qs))]
+    named = [k for k in found if columns.stated("odometry", KINDS[k])]
+    if len(named or found) == 1:
+        return (named or found)[0]
+    listed = "; ".join(f"{k} ({', '.join(qs)})" for k, qs in KINDS.items())
+    if not found:
+        raise DataError.at(
+            file.path, f"no odometry: {file.described()}; needed is one of {listed}; name them as in "
+            "--columns v=SPEED,omega=TURN_RATE",
+        )  # fmt: skip
+    raise DataError.at(file.path, f"holds {' and '.join(named or found)}; say which: --odometry-kind {found[0]}")
+
+
+def _alternative(file: TextTable, columns: Columns, quantities: Sequence[str]) -> Sequence[str]:
+    """The same quantities, with a quaternion for theta where a file has that."""
+    if "theta" in quantities and columns.find(file, "odometry", "theta") is None:
+        return (*[q for q in quantities if q != "theta"], *QUATERNION)
+    return quantities
+
+
+def pose_columns(file: TextTable, columns: Columns, role: str) -> tuple[str, ...]:
+    """x, y and theta, or a quaternion where a file has that and no theta."""
+    quaternion = columns.find(file, role, "theta") is None and columns.has(file, role, QUATERNION)
+    return ("x", "y", *QUATERNION) if quaternion else ("x", "y", "theta")
+
+
+def read_odometry(file: TextTable, columns: Columns, kind: str, wheels: Wheels | None) -> Odometry:
+    """The odometry of a file.
+
+    Raises:
+        DataError: columns missing, no numbers, or stamps that go back.
+        UsageError: ticks without the wheels' measures.
+    """
+    quantities = pose_columns(file, columns, "odometry") if kind == "poses" else KINDS[kind]
+    stamped = columns.find(file, "odometry", "t") is not None
+    if not stamped and kind in STAMPED:
+        columns.require(file, "odometry", ("t",))
+    table, _, skipped = columns.table(file, "odometry", (*(("t",) if stamped else ()), *quantities))
+    if len(table) == 0:
+        raise DataError.at(file.path, f"no row has {', '.join(quantities)}")
+    notes = []
+    time = table.columns["t"] if stamped else np.arange(len(table), dtype=float)
+    if stamped:
+        table.require_ascending("t", strictly=False)
+        # of rows with equal stamps the last counts: a file with a row for each reading repeats its odometry
+        last = np.append(time[1:] > time[:-1], True)
+        if not last.all():
+            if kind == "steps" or (kind == "ticks" and wheels is not None and wheels.each):
+                raise table.error(int(np.argmin(last)) + 1, "t", f"the stamp of the row before; {kind} need their own")
+            notes.append(
+                f"{file.path.name}: {int((~last).sum())} odometry rows share the stamp of the next; that counts"
+            )
+            table = replace(
+                table, columns={q: v[last] for q, v in table.columns.items()},
+                line=None if table.line is None else table.line[last],
+            )  # fmt: skip
+            time = time[last]
+    if skipped:
+        notes.append(f"{file.path.name}: {skipped} rows without odometry")
+    values = table.columns
+    if kind == "velocities":
+        return Odometry(table, time, stamped, None, table.stack(("v", "omega")), tuple(notes))
+    if kind == "poses":
+        pose = np.stack([values["x"], values["y"], se2.wrap_angle(headings(values))], axis=-1)
+    elif kind == "steps":
+        steps = table.stack(KINDS["steps"])
+        pose = se2.dead_reckoned(np.zeros(3), np.concatenate([np.zeros((1, 3)), steps[1:]]))
+        if steps[0].any():
+            notes.append(
+                f"{file.path.name}: the step of the first row leads to it from before the log and was left out"
+            )
+    else:
+        if wheels is None:
+            raise UsageError("wheel ticks need --track-width M (between the wheels) and --metres-per-tick M")
+        pose = _rolled(table.stack(KINDS["ticks"]), wheels)
+    return Odometry(table, time, stamped, pose, None, tuple(notes))
+
+
+def _rolled(ticks: Array, wheels: Wheels) -> Array:
+    """Poses (K, 3) of a robot with two wheels from its ticks (K, 2), left and right: an arc from row to row."""
+    turned = ticks.copy() if wheels.each else np.diff(ticks, axis=0, prepend=ticks[:1])
+    turned[0] = 0.0
+    if wheels.wrap:
+        turned = (turned + 0.5 * wheels.wrap) % wheels.wrap - 0.5 * wheels.wrap
+    way = turned * np.array(wheels.metres)
+    distance, turn = way.mean(axis=1), (way[:, 1] - way[:, 0]) / wheels.track_width
+    half = 0.5 * turn
+    chord = distance * np.sinc(half / np.pi)
+    return se2.dead_reckoned(np.zeros(3), np.stack([chord * np.cos(half), chord * np.sin(half), turn], axis=-1))

@@ -1,0 +1,244 @@
+"""Results that were handed in: read before any work is done, and scored beside the runs of their log."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from data.errors import DataError, UsageError
+from data.inputs import IntArray
+from data.log import Log
+from data.results.bag import is_bag
+from data.results.kept import Beside, beside
+from data.results.path import FRAMES, GivenPath, Manner
+from data.results.reading import read_path
+from data.se2 import Array
+from eval.plan.flags.results import Reading, Results
+from eval.referee.paths.given import GivenRun, Kept, TruePath, given_run, truth_log, with_truth
+from eval.referee.score import Trial
+from eval.replay.flag import rows
+from eval.replay.names import ESTIMATORS
+
+TRUTH = "truth"
+"""Name of the truth in `--times truth=FILE` and the like."""
+PHASES = ("online", "final")
+PLAIN = Reading()
+"""Nothing was said."""
+NAME = re.compile(r"[\w][\w.+-]*")
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """A result that was read: its paths by phase, and what stood beside them."""
+
+    name: str
+    paths: dict[str, GivenPath]
+    beside: Beside
+
+
+def read_results(asked: Sequence[str], reading: Reading) -> tuple[Result, ...]:
+    """The results `NAME=FILE`; raises UsageError for a name that will not do, DataError for a file."""
+    named: dict[str, str] = {}
+    for text in asked:
+        name, equals, file = text.partition("=")
+        if not equals or not file:
+            raise UsageError(f"--result {text}: NAME=FILE is needed, as in mine=est.tum")
+        if not NAME.fullmatch(name) or name == TRUTH:
+            raise UsageError(f"--result {text}: {name!r} is no name; letters, digits and . _ + - are, but not {TRUTH}")
+        if name in ESTIMATORS:
+            raise UsageError(f"--result {text}: {name} is one of our estimators; give it another name")
+        if name in named:
+            raise UsageError(f"--result {text}: two results are named {name}")
+        named[name] = file
+    return tuple(_result(name, file, manner_of(name, list(named), reading)) for name, file in named.items())
+
+
+def _result(name: str, file: str, manner: Manner) -> Result:
+    """A file (`online.csv` and the like are online, all others final), or the folder of a run with both."""
+    path = Path(file)
+    if path.is_dir() and not is_bag(path):
+        there = {phase: path / f"{phase}.csv" for phase in PHASES if (path / f"{phase}.csv").is_file()}
+        if not there:
+            raise DataError.at(path, "a folder without online.csv and final.csv; a file, or the folder of a run")
+        return Result(name, {p: read_path(str(f), manner) for p, f in there.items()}, beside(path))
+    return Result(name, {phase_of(path): read_path(file, manner)}, beside(path.parent))
+
+
+def phase_of(path: Path) -> str:
+    """Online by its name alone; what is not said to be online is final."""
+    return "online" if path.stem == "online" else "final"
+
+
+def manner_of(name: str, names: Sequence[str], reading: Reading) -> Manner:
+    """How a result (or the truth) is read: `NAME=` goes before what holds for all, which must then be meant for one."""
+    cov = _of("--cov", reading.cov, name, names, alone=True)
+    times = _of("--times", reading.times, name, names, alone=False)
+    frame = _of("--cov-frame", reading.cov_frame, name, names, alone=False)
+    if frame is not None and frame not in FRAMES:
+        raise UsageError(f"--cov-frame {frame}: unknown; known: {', '.join(FRAMES)}")
+    return Manner(None if cov is None else Path(cov), None if times is None else Path(times), frame, reading.axes)
+
+
+def _of(flag: str, values: Sequence[str], name: str, names: Sequence[str], *, alone: bool) -> str | None:
+    """The value for a name; `alone`: without a name it is that of the only result, and never the truth's."""
+    own, common = [], []
+    for text in values:
+        who, equals, value = text.partition("=")
+        if equals and who in (*names, TRUTH):
+            if who == name:
+                own.append(value)
+        else:
+            common.append(text)
+    if len(own) > 1 or len(common) > 1:
+        raise UsageError(f"{flag} {(own if len(own) > 1 else common)[1]}: given twice for the same; NAME=... for each")
+    if alone and common and len(names) != 1:
+        who = (
+            f"NAME={common[0]} is needed, NAME one of {', '.join(names)}" if names else "--result NAME=FILE is missing"
+        )
+        raise UsageError(f"{flag} {common[0]}: of which result? {who}")
+    if own or (alone and name == TRUTH):
+        return own[0] if own else None
+    return common[0] if common else None
+
+
+def true_path(file: str, names: Sequence[str], reading: Reading) -> GivenPath:
+    """The truth of a file; a covariance that it has is left alone."""
+    manner = manner_of(TRUTH, names, reading)
+    return replace(read_path(file, replace(manner, frame=None)), covariance=None, frame="")
+
+
+def truth_of(log: Log, path: GivenPath | None) -> TruePath | None:
+    """The truth at its own stamps: of the file that was given, else of the log; None: there is none."""
+    if path is not None:
+        return TruePath(path.time, path.pose)
+    return None if log.truth.pose is None else TruePath(log.recorded.time, log.truth.pose)
+
+
+def runs_of(result: Result, log: Log, task: str, truth: TruePath | None, reading: Reading) -> Iterator[GivenRun]:
+    """The runs of a result on a log: one, or one a phase where these have different stamps.
+
+    Raises DataError where nothing matches the truth, and where decisions are not about this log's observations.
+    """
+    kept = _kept(result, log)
+    paths = list(result.paths.items())
+    groups = [dict(paths)]
+    if len(paths) > 1 and not np.array_equal(paths[0][1].time, paths[1][1].time):
+        groups = [dict([p]) for p in paths]
+    for group in groups:
+        run = given_run(result.name, task, group, log, truth, align=reading.align, gap=reading.truth_gap, kept=kept)
+        if truth is not None and run.match is not None and not run.match.matched:
+            why = "; the log has no stamps, t is the number of a frame" if log.recorded.time_is_index else ""
+            raise DataError(unmatched(next(iter(group.values())), truth) + why)
+        yield run
+
+
+def unmatched(path: GivenPath, truth: TruePath) -> str:
+    """The sentence about a result without any match."""
+    known = truth.time[np.isfinite(truth.pose).all(axis=1)]
+    of = f"truth is known from {_span(known)}" if len(known) else "no true pose is known"
+    said = f"{path.file}: none of its {len(path)} stamps, {_span(path.time)}, has a truth: {of}"
+    return said + "; both clocks must be the same (no offset is guessed), and truths at most --truth-gap apart"
+
+
+def _span(time: Array) -> str:
+    return f"{float(time[0])!r} to {float(time[-1])!r} s"
+
+
+def _kept(result: Result, log: Log) -> Kept:
+    """Map and decisions, if the latter are about the observations of the log."""
+    b = result.beside
+    if b.decisions is None or not len(log.recorded.observations.frame):
+        return Kept(b.landmarks)
+    decisions: IntArray = b.decisions
+    frame = log.recorded.observations.frame
+    m = len(frame)
+    within = np.arange(m) - log.recorded.start[frame]
+    if len(decisions) < m:
+        raise DataError.at(str(b.file), f"{len(decisions)} decisions; log {log.name!r} has {m} observations")
+    off = np.flatnonzero((decisions[:m, 0] != frame) | (decisions[:m, 1] != within))
+    if len(off):
+        k = int(off[0])
+        what = (
+            f"frame {decisions[k, 0]}, observation {decisions[k, 1]}; frame {frame[k]}, observation {within[k]} of log "
+            f"{log.name!r} is needed there"
+        )
+        raise DataError.at(str(b.file), what, line=k + 2)
+    return Kept(b.landmarks, decisions[:m, 2], decisions[:m, 3])
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """Results to be scored, and the truth.
+
+    Attributes:
+        results: as they were read.
+        file: the truth that was given; None: the log's own.
+        truth: at its own stamps, settled with the log; None: there is none.
+        reading: flags.
+    """
+
+    results: tuple[Result, ...] = ()
+    file: GivenPath | None = None
+    truth: TruePath | None = None
+    reading: Reading = PLAIN
+
+    def settled(self, log: Log) -> tuple[Log, Asked]:
+        """The log with the truth that was given, if one was, and the truth that results are scored against."""
+        truth = truth_of(log, self.file)
+        if self.file is None:
+            return log, replace(self, truth=truth)
+        changed, found = with_truth(log, self.file, self.reading.truth_gap)
+        if not found.matched:
+            own = GivenPath(f"log {log.name!r}", "", log.recorded.time, log.recorded.increments.mean)
+            raise DataError(unmatched(own, TruePath(self.file.time, self.file.pose)))
+        return changed, replace(self, truth=truth)
+
+
+NOTHING = Asked()
+
+
+def asked_results(reading: Results, logs: Sequence[str], folders: Sequence[str]) -> Asked:
+    """What `--result` and `--truth` ask for, read; raises UsageError for what makes no sense together."""
+    for row in rows(Reading).values():
+        if getattr(reading, row.name) != row.default and not (reading.result or reading.truth):
+            raise UsageError(f"{row.option}: for results; --result NAME=FILE is missing")
+    if not reading.result and reading.truth is None:
+        return NOTHING
+    flag = f"--result {reading.result[0]}" if reading.result else f"--truth {reading.truth}"
+    if len(logs) > 1 or folders:
+        raise UsageError(f"{flag}: belongs to one log; give it with one --log")
+    if not logs and reading.truth is None:
+        raise UsageError(f"{flag}: on which log? one --log is needed, or --truth FILE alone")
+    if not logs and not reading.result:
+        raise UsageError(f"{flag}: nothing to score; --result NAME=FILE is needed, or the --log it is the truth of")
+    results = read_results(reading.result, reading)
+    names = [r.name for r in results]
+    file = None if reading.truth is None else true_path(reading.truth, names, reading)
+    truth = None if file is None else TruePath(file.time, file.pose)
+    plain = Reading(**{row.name: getattr(reading, row.name) for row in rows(Reading).values()})
+    return Asked(results, file, truth, plain)
+
+
+def truth_alone(asked: Asked) -> Log:
+    """The log that is a truth and nothing else; its name is the file's, or the folder's of a file named `truth`."""
+    assert asked.file is not None  # the caller asks for it only then
+    path = Path(asked.file.file.partition(":/")[0])
+    name = path.absolute().parent.name if path.stem in ("truth", "groundtruth", "data") else path.stem
+    return truth_log(name or "truth", asked.file)
+
+
+def with_results(trials: Sequence[Trial], asked: Asked) -> tuple[Trial, ...]:
+    """The trials, with the results among the runs of their log: of SLAM where a map is handed in, else of the first."""
+    made = list(trials)
+    hosts = [i for i, t in enumerate(made) if t.beside is None]
+    for result in asked.results:
+        slam = [i for i in hosts if made[i].task == "slam" and result.beside.landmarks is not None]
+        i = (slam or hosts)[0]
+        host = made[i]
+        runs = tuple(runs_of(result, host.log, host.task, asked.truth, asked.reading))
+        made[i] = replace(host, runs=(*host.runs, *runs))
+    return tuple(made)

@@ -1,0 +1,1 @@
+"""Results that other programs made, scored alone: what `eval.score` prints."""

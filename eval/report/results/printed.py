@@ -1,0 +1,137 @@
+"""The lines of `eval.score`: one estimate with a name and a value a line, or many runs with their verdicts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from data.log import Log
+from data.results.bag import is_bag
+from data.results.kept import Beside
+from data.results.reading import read_path
+from data.results.space import projection
+from data.se2 import Array
+from eval.page.numbers import number
+from eval.plan.flags.results import Reading
+from eval.plan.results import Result, manner_of, phase_of, runs_of, true_path, truth_of
+from eval.referee import consistency, errors
+from eval.referee.consistency import QUANTITIES
+from eval.referee.metrics import OF_ESTIMATES
+from eval.referee.paths.given import GivenRun, TruePath, truth_log
+from eval.referee.score import metrics_row
+from eval.studies.montecarlo import Sample, verdicts
+
+ESTIMATE = "estimate"
+FIRST = tuple(f"{name}_position_m" for name in ("rmse", "mean", "median", "std", "min", "max"))
+"""Absolute errors of the position stand in front."""
+LEFT_OUT = ("observations", "accepted", "rejected", "landmarks", "frames", "lost_frame", "iterations", "block_frames")
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """An estimate with its truth: the run, and notes for the person."""
+
+    run: GivenRun
+    log: Log
+    phase: str
+    notes: tuple[str, ...]
+
+
+def one(file: str, truth: str, reading: Reading) -> tuple[list[str], list[str]]:
+    """Lines of the scores, a name and a value each, and what has to be said besides."""
+    s = _scored(file, truth, reading)
+    row = scores(s)
+    return [f"{name} {_six(value)}" for name, value in row.items()], list(s.notes)
+
+
+def several(files: Sequence[str], truths: Sequence[str], reading: Reading) -> tuple[list[str], list[str]]:
+    """Lines of verdicts on many runs: errors pooled over all poses of equal weight a run, and the mean NEES."""
+    found = [_scored(file, truth, reading) for file, truth in zip(files, truths, strict=True)]
+    samples = [_sample(s) for s in found]
+    lines = [f"runs {len(found)}"]
+    for name, quantity, scale in (
+        ("rmse_position_m", "position", 1.0), ("rmse_heading_deg", "heading", math.degrees(1.0)),
+    ):  # fmt: skip
+        lines.append(f"{name} {_six(scale * math.sqrt(float(np.mean([s.squares[quantity] for s in samples]))))}")
+    bare = [f for f, s in zip(files, samples, strict=True) if not math.isfinite(s.means["pose"])]
+    matched = sum(s.run.match.matched for s in found if s.run.match is not None)
+    unmatched = sum(s.run.match.unmatched for s in found if s.run.match is not None)
+    lines += [f"matched {matched}", f"unmatched {unmatched}"]
+    notes = []
+    if bare:
+        notes.append(f"no NEES, as {len(bare)} of {len(files)} estimates have no usable covariance, {bare[0]} first")
+    for quantity, v in verdicts(samples):
+        name = quantity if quantity.startswith("coverage") else f"nees_{quantity}"
+        expected = f"{v.expected:g} expected"
+        interval = f"95 % interval {number(v.lower)} to {number(v.upper)}" if math.isfinite(v.lower) else "no interval"
+        power = f", power {v.power:.2f} against 0.8 P" if math.isfinite(v.power) else ""
+        lines.append(f"{name} {_six(v.mean)} {v.word} ({interval}, {expected}{power})")
+    if len(found) < consistency.MIN_RUNS:
+        notes.append(f"a verdict needs at least {consistency.MIN_RUNS} runs; these are {len(found)}")
+    first = next((s.notes for s in found if s.notes), ())
+    return lines, [*notes, *(f"{files[0]}: {n}" for n in first)]
+
+
+def _scored(file: str, truth: str, reading: Reading) -> Scored:
+    """An estimate, read and matched; of a truth that is a log, the run has its frames if they are the same."""
+    notes = []
+    path = Path(truth)
+    if (path.is_dir() and not is_bag(path)) or not (path.exists() or is_bag(Path(truth.partition(":/")[0]))):
+        from data.logs import open_log
+
+        log = open_log(truth)
+        asked = truth_of(log, None)
+        given = None
+    else:
+        given = true_path(truth, [ESTIMATE], reading)
+        log, asked = truth_log(path.stem, given), TruePath(given.time, given.pose)
+        notes += [f"truth {truth}: {n}" for n in (projection(given), *given.notes) if n]
+    if asked is None:
+        from data.errors import DataError
+
+        raise DataError.at(truth, "has no true poses (truth.csv)")
+    phase = phase_of(Path(file))
+    result = Result(ESTIMATE, {phase: read_path(file, manner_of(ESTIMATE, [ESTIMATE], reading))}, Beside())
+    (run,) = runs_of(result, log, "slam", asked, reading)
+    return Scored(run, log, phase, (*notes, *run.notes))
+
+
+def scores(s: Scored) -> dict[str, float]:
+    """Every number by its name: those of metrics.csv, and what else is said of the position's errors."""
+    row = metrics_row(s.run, s.phase, s.log, None)
+    assert s.run.match is not None  # `runs_of` matched it
+    pose, truth = s.run.trajectory(s.phase).pose, s.run.match.truth
+    d = errors.position_distance(pose, truth)
+    d = d[np.isfinite(d)]
+    row |= {
+        "mean_position_m": float(d.mean()), "median_position_m": float(np.median(d)),
+        "std_position_m": float(d.std()), "min_position_m": float(d.min()),
+    }  # fmt: skip
+    names = [*FIRST, *(m.column for m in OF_ESTIMATES if m.column not in (*FIRST, *LEFT_OUT))]
+    values = {name: row.get(name) for name in names}
+    return {name: float(v) for name, v in values.items() if isinstance(v, (int, float)) and math.isfinite(v)}
+
+
+def _sample(s: Scored) -> Sample:
+    """What one run gives to the verdicts."""
+    assert s.run.match is not None  # as above
+    t, truth = s.run.trajectory(s.phase), s.run.match.truth
+    each: dict[str, Array] = {q: consistency.nees(t.pose, t.covariance, truth, q) for q in QUANTITIES}
+    ends = {q: v[np.isfinite(v)] for q, v in each.items()}
+    return Sample(
+        {q: consistency.mean_or_nan(v) for q, v in each.items()},
+        {q: float(v[-1]) if len(v) else math.nan for q, v in ends.items()},
+        {
+            "position": errors.rms(errors.position_distance(t.pose, truth)) ** 2,
+            "heading": math.radians(errors.heading_rmse_deg(t.pose, truth)) ** 2,
+        },
+    )
+
+
+def _six(value: float) -> str:
+    """Six significant digits; counts as they are."""
+    return str(int(value)) if float(value).is_integer() and abs(value) < 1e6 else f"{value:.6g}"

@@ -1,0 +1,128 @@
+"""A log exported in another program's way of writing comes back as the same log, within the digits written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data import se2
+from data.convert.__main__ import main
+from data.log import Log
+from data.open_log.reader import load_folder
+from data.worlds.arena import Arena, simulate
+from tests.data.tables.foreign import FLAGS, START, export, table
+
+SMALL = Arena(frames=40, landmarks=12)
+LENGTH, ANGLE, TIME = 2e-6, 4e-8, 3e-7
+"""m, rad, s: what is lost by three digits of a millimetre, six of a degree, and a double of 1.7e9 s."""
+
+
+@pytest.fixture
+def arena() -> Log:
+    return simulate(SMALL, 0)
+
+
+@pytest.fixture
+def convert(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., Log]:
+    """`convert(*words)`: the log that comes out."""
+
+    def run(*words: object) -> Log:
+        status = main(["table", *map(str, words), str(tmp_path / "back")])
+        assert status == 0, capsys.readouterr().err
+        return load_folder(tmp_path / "back")
+
+    return run
+
+
+def test_an_arena_log_exported_in_mm_degrees_and_ns_comes_back(arena, convert, tmp_path):
+    back = convert(*export(arena, tmp_path), *FLAGS)
+    a, b = arena.recorded, back.recorded
+    assert b.time - START == pytest.approx(a.time, abs=TIME)
+    assert b.increments.mean == pytest.approx(a.increments.mean, abs=2 * LENGTH)
+    assert (b.observations.frame == a.observations.frame).all()
+    assert b.observations.z[:, 0] == pytest.approx(a.observations.z[:, 0], abs=LENGTH)
+    assert np.abs(se2.wrap_angle(b.observations.z[:, 1] - a.observations.z[:, 1])).max() < ANGLE
+    assert b.observations.R[0] == pytest.approx(a.observations.R[0])
+    assert (b.map.id == a.map.id).all()
+    assert b.map.xy == pytest.approx(a.map.xy, abs=LENGTH)
+    assert back.truth.pose == pytest.approx(arena.truth.pose, abs=LENGTH)
+    assert (back.truth.landmark_of == arena.truth.landmark_of).all()
+    assert b.prior.mean == pytest.approx(arena.truth.pose[0], abs=LENGTH)
+    assert b.prior.covariance == pytest.approx(a.prior.covariance)
+    assert b.sensor == a.sensor
+
+
+def test_velocities_give_what_the_open_format_makes_of_the_same_samples(small_log_files, save, convert, tmp_path):
+    files = small_log_files("odometry", "range_bearing")
+    expected = load_folder(save(tmp_path / "open", files))
+    rows = [[float(v) for v in line.split(",")] for line in files["odometry.csv"].split()[1:]]
+    odometry = table(tmp_path / "o.txt", "speed yaw ms", ([v, np.degrees(w), 1000 * t] for t, v, w in rows), " ")
+    seen = tmp_path / "open" / "observations.csv"
+    back = convert(
+        odometry, "--observations", seen, "--columns", "v=speed,omega=yaw,odometry.t=ms,range=z1,bearing=z2",
+        "--unit", "odometry.t=ms,omega=deg/s", "--odometry-sigma", "0.05,0.02", "--observation-sigma", "0.1,0.05",
+        "--map", tmp_path / "open" / "landmarks.csv", "--truth", tmp_path / "open" / "truth.csv",
+        "--prior", "1,2,0.5", "--prior-sigma", "0.1,0.1,0.05",
+    )  # fmt: skip
+    a, b = expected.recorded, back.recorded
+    assert b.time == pytest.approx(a.time)
+    assert b.increments.mean == pytest.approx(a.increments.mean)
+    assert b.increments.covariance == pytest.approx(a.increments.covariance)
+    assert b.observations.z.tolist() == a.observations.z.tolist()
+    assert back.truth.pose == pytest.approx(expected.truth.pose, nan_ok=True)
+    assert b.map.xy.tolist() == a.map.xy.tolist()
+    assert back.truth.landmark_of.tolist() == expected.truth.landmark_of.tolist()
+
+
+def test_wheel_ticks_make_the_circle_that_they_roll(convert, tmp_path):
+    # wheels 0.5 m apart, 1 mm a tick: 100 and 150 ticks a row are 0.125 m along an arc of 0.1 rad (radius 1.25 m)
+    rows = [[k, (65500 + 100 * k) % 65536, 150 * k, 1 + k, 0.1] for k in range(10)]
+    wheels = table(tmp_path / "w.csv", "t,encL,encR,range,bearing", rows, ",")
+    back = convert(
+        wheels, "--columns", "left=encL,right=encR", "--track-width", "0.5", "--metres-per-tick", "1mm",
+        "--tick-wrap", "65536", "--odometry-sigma", "0.05,0.05,0.075,0.045", "--observation-sigma", "0.1,2deg",
+    )  # fmt: skip
+    along, across = 1.25 * np.sin(0.1), 1.25 * (1.0 - np.cos(0.1))
+    assert back.recorded.increments.mean[1:] == pytest.approx(np.tile([along, across, 0.1], (9, 1)))
+    assert back.recorded.increments.covariance[1][2, 2] == pytest.approx(
+        0.075**2 * np.hypot(along, across) + 0.045**2 * 0.1
+    )
+    each = [[k, 100, 150, 1 + k, 0.1] for k in range(10)]
+    again = convert(
+        table(tmp_path / "e.csv", "t,left,right,range,bearing", each, ","), "--track-width", "50cm",
+        "--metres-per-tick", "0.001,0.001", "--ticks", "each", "--odometry-sigma", "0.05,0.05,0.075,0.045",
+        "--observation-sigma", "0.1,2deg",
+    )  # fmt: skip
+    assert again.recorded.increments.mean == pytest.approx(back.recorded.increments.mean)
+
+
+def test_the_map_is_turned_first_and_then_shifted(convert, tmp_path):
+    odometry = table(tmp_path / "o.csv", "t,v,omega,range,bearing", [[0, 1, 0, 2, 0], [1, 1, 0, 1, 0]], ",")
+    survey = table(tmp_path / "m.csv", "x,y", [[1, 0], [0, 2]], ",")
+    back = convert(
+        odometry, "--map", survey, "--map-transform", "10,20,90deg", "--prior", "0,0,0", "--prior-sigma", "0,0,0",
+        "--odometry-sigma", "0.1,0.1", "--observation-sigma", "0.1,0.1",
+    )  # fmt: skip
+    assert back.recorded.map.xy == pytest.approx(np.array([[10.0, 21.0], [8.0, 20.0]]))
+    assert back.recorded.map.id.tolist() == [0, 1]
+
+
+def test_a_mapping_file_says_the_same_as_flags(arena, convert, tmp_path):
+    words = export(arena, tmp_path)
+    by_flags = convert(*words, *FLAGS)
+    toml = tmp_path / "robot.toml"
+    toml.write_text(
+        'odometry = "odo.csv"\nobservations = "cones.csv"\nmap = "survey.csv"\ntruth = "gps.csv"\nframes = "odometry"\n'
+        'odometry-sigma = [0.05, 0.05, 0.075, 0.045]\nobservation_sigma = [0.1, 0.02]\nprior = "truth"\nmax-range = 8\n'
+        'prior-sigma = [0.1, 0.1, 0.03]\n[columns]\nt = "stamp"\nrange = "distance"\nbearing = "angle"\n'
+        'true_id = "cone"\nmap.id = "cone"\nx = "e"\ny = "n"\ntruth.theta = "yaw"\n[columns.odometry]\n'
+        't = "time [ns]"\nx = "east [mm]"\ny = "north [mm]"\ntheta = "yaw [deg]"\n'
+        '[unit]\nangle = "deg"\ntime = "ns"\nlength = "mm"\n'
+    )
+    again = convert(toml)
+    assert again.recorded.increments.mean.tolist() == by_flags.recorded.increments.mean.tolist()
+    assert again.recorded.observations.z.tolist() == by_flags.recorded.observations.z.tolist()
+    assert convert(toml, "--max-range", "9").recorded.sensor.max_range == 9.0

@@ -1,0 +1,95 @@
+"""What a person can mend ends a command with one line and status 2, whatever it is and wherever it happens."""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+from data.errors import DataError
+from data.terminal import ending
+from data.terminal.ending import ended, missing, told
+from data.terminal.words import counted
+
+FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def raising(fault):
+    def body():
+        raise fault
+
+    return body
+
+
+@pytest.mark.parametrize(("fault", "said"), [
+    (DataError("log.csv: line 3: no number"), "error: log.csv: line 3: no number\n"),
+    (FULL, "error: output cannot be written: No space left on device; free some space, or write to another place\n"),
+    (PermissionError(errno.EACCES, "Permission denied", "out/a.csv"), "error: out/a.csv: Permission denied\n"),
+    (OSError(errno.EROFS, "Read-only file system", "out"), "error: out: Read-only file system\n"),
+    (ConnectionResetError("gone"), "error: gone\n"),
+    (MemoryError("3 GiB"), "error: out of memory (3 GiB); a shorter log, or a machine with more memory would help\n"),
+])  # fmt: skip
+def test_it_is_one_line_and_status_2(fault, said, capsys):
+    assert ended(raising(fault)) == 2
+    assert capsys.readouterr() == ("", said)
+
+
+def test_a_fault_of_the_program_keeps_its_traceback():
+    with pytest.raises(ZeroDivisionError):
+        ended(raising(ZeroDivisionError()))
+
+
+def test_an_interruption_has_its_own_status_and_words(capsys):
+    assert ended(raising(KeyboardInterrupt()), lambda: "interrupted; 3 are kept") == 130
+    assert capsys.readouterr().err == "interrupted; 3 are kept\n"
+
+
+def test_the_status_of_the_body_is_handed_on():
+    assert [ended(lambda: None), ended(lambda: 0), ended(lambda: 1)] == [0, 0, 1]
+
+
+def test_what_was_printed_before_the_disk_was_full_is_said_once(monkeypatch, capsys):
+    """Else the interpreter would try to flush it once more at its end, and fail with a traceback."""
+    with Path("/dev/full").open("w") as full:
+        monkeypatch.setattr(sys, "stdout", full)
+        assert ended(lambda: sys.stdout.write("many words\n") and None) == 2
+        assert os.readlink(f"/proc/self/fd/{full.fileno()}") == os.devnull
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_reader_that_has_seen_enough_is_no_error(monkeypatch, capsys):
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "w") as pipe:
+        monkeypatch.setattr(sys, "stdout", pipe)
+        assert ended(lambda: sys.stdout.write("many words\n") and None) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_a_broken_pipe_to_somebody_else_is_an_error(capsys):
+    assert ended(raising(BrokenPipeError(errno.EPIPE, "Broken pipe"))) == 2
+    assert capsys.readouterr().err == "error: Broken pipe\n"
+
+
+def test_a_package_that_is_missing_is_named_with_the_way_to_install_it(monkeypatch, tmp_path, capsys):
+    assert ended(raising(ModuleNotFoundError("No module named 'numba.core'", name="numba.core"))) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"error: the package 'numba' is not installed for {sys.executable}; run `make venv` in ")
+    assert said.count("\n") == 1
+    monkeypatch.setattr(ending, "ROOT", tmp_path)
+    assert missing("gtsam").endswith("run `pip install slamref`, or `pip install .` in a checkout")
+    assert "hides that of slamref" in missing("data.errors")
+    assert missing("tomllib").startswith("slamref needs Python 3.11")
+
+
+def test_a_file_is_named_where_it_is_known():
+    assert told(OSError(errno.ENOSPC, "No space left on device", "a.csv")).startswith("a.csv: No space")
+    assert told(OSError()) == "OSError"
+
+
+def test_one_is_singular():
+    assert [counted(n, "landmark") for n in (0, 1, 2)] == ["0 landmarks", "1 landmark", "2 landmarks"]
+    assert counted(1, "frame is", "frames are") == "1 frame is"

@@ -1,0 +1,62 @@
+"""No column can be written that is not described; the tables of Python have types; the page is what the table says."""
+
+from __future__ import annotations
+
+import pandas as pd
+import pytest
+
+import slamref
+from eval.page.results_folder import PAGE, page
+from eval.referee.files.described import Column, File, count, measured, text
+from eval.referee.files.of_runs import OF_LOGS, OF_RUNS
+from eval.referee.files.top import TOP
+from eval.referee.metrics import Metric
+
+FILE = File("runs/small.csv", "small", (text("who", "name"), count("n", "how many"), Column("x", "where", "m")))
+
+
+def test_the_page_is_what_the_table_says():
+    assert PAGE.read_text(encoding="utf-8") == page(), "make docs writes it anew"
+
+
+def test_every_column_says_what_it_holds():
+    with pytest.raises(ValueError, match="column 'n'"):
+        count("n", " ")
+    assert all(c.about for f in (*TOP, *OF_RUNS, *OF_LOGS) for c in f.columns)
+
+
+@pytest.mark.parametrize("columns", [["who", "n", "x", "more"], ["who", "n"], ["n", "who", "x"]])
+def test_a_column_too_many_too_few_or_in_another_place_is_not_written(columns, tmp_path):
+    with pytest.raises(AssertionError, match="has the columns who, n, x, not"):
+        FILE.write(pd.DataFrame(columns=columns), tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_rows_become_typed_columns_and_unknown_is_blank_in_the_file(tmp_path):
+    table = FILE.table([{"who": "ekf", "n": 3, "x": 0.1}, {"who": None, "n": None, "x": float("nan")}, {}])
+    assert [str(t) for t in table.dtypes] == ["str", "Int64", "float64"]
+    assert table["n"].isna().tolist() == [False, True, True]
+    FILE.write(table, tmp_path)
+    assert (tmp_path / "small.csv").read_text() == "who,n,x\nekf,3,0.1\n,,\n,,\n"
+    assert [str(t) for t in FILE.table([]).dtypes] == ["str", "Int64", "float64"]
+    with pytest.raises(AssertionError, match=r"small.csv: columns \['m'\]"):
+        FILE.table([{"m": 1}])
+
+
+def test_a_metric_is_described_by_its_own_line():
+    assert measured(Metric("rpe_m", "RPE over 1 m", "m")) == Column("rpe_m", "RPE over 1 m", "m")
+    assert measured(Metric("n", "things", form="d", about="how many")) == count("n", "how many")
+
+
+def test_scores_are_typed_so_that_arithmetic_works_where_numbers_are_missing():
+    log = slamref.open_log("linear:0")
+    runs = slamref.compare(log.inputs(labels=True), "slam", ("dead-reckoning", "ekf", "batch"))
+    scores = slamref.score([slamref.Trial(log, "slam", tuple(runs))])
+    metrics = scores.metrics
+    assert str(metrics["nis"].dtype) == "float64"
+    assert metrics["nis"].isna().tolist() == [True, False, False]
+    assert str(metrics["accepted"].dtype) == "Int64"
+    assert metrics["accepted"].sum() == metrics["accepted"].dropna().sum() > 0
+    assert metrics["rmse_position_m"].mean() > 0.0
+    for table in (metrics, scores.association, scores.timing, scores.differences, scores.relations):
+        assert {str(t) for t in table.dtypes} <= {"str", "Int64", "float64"}

@@ -1,0 +1,100 @@
+"""What is asked about a run: whether anything was used, and whether there are more landmarks than make sense."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from data.inputs import Inputs, Prior
+from data.log import Log
+from data.worlds.arena import Arena, simulate
+from eval.inspect import main as inspect
+from eval.referee.score import Trial
+from eval.replay.run import compare
+from eval.report.doubt.questions import questions_of_run, questions_section, said_after, unused_statement
+from eval.run_all import main
+
+
+@cache
+def arena() -> Log:
+    return simulate(Arena(frames=150, landmarks=24), 0)
+
+
+def overconfident(inputs: Inputs) -> Inputs:
+    """Sigmas stated as half of what they are."""
+    o, steps = inputs.observations, inputs.increments
+    return replace(
+        inputs,
+        map=None,
+        observations=replace(o, R=o.R / 4.0),
+        increments=replace(steps, covariance=steps.covariance / 4.0),
+    )
+
+
+def lost() -> Log:
+    r = arena().recorded
+    return replace(arena(), recorded=replace(r, prior=Prior(r.prior.mean + [300.0, 0.0, 0.0], r.prior.covariance)))
+
+
+def test_a_map_with_several_landmarks_for_one_cone_is_asked_about():
+    inputs = overconfident(arena().recorded)
+    run = compare(inputs, "slam", ("ekf",), "jcbb")[0]
+    (question,) = questions_of_run(run, inputs)
+    cones = len(np.unique(arena().truth.landmark_of))
+    assert len(run.map) > 2 * cones
+    assert question.name == "landmarks"
+    assert question.text.startswith(f"{len(run.map)} landmarks")
+
+
+@pytest.mark.parametrize("association", ["known", "jcbb", "jcbb-hindsight"])
+def test_a_map_as_it_should_be_is_not(association):
+    inputs = arena().inputs(labels=association == "known").without_map()
+    run = compare(inputs, "slam", ("ekf",), association)[0]
+    assert questions_of_run(run, inputs) == []
+
+
+def test_a_run_that_used_nothing_says_so_in_the_headline():
+    log = lost()
+    runs = compare(log.recorded, "localization", ("dead-reckoning", "ekf", "batch"), "jcbb")
+    trial = Trial(log, "localization", tuple(runs))
+    seen = len(log.recorded.observations.z)
+    assert f"ekf (jcbb): 0 of {seen} observations used" in unused_statement(trial)
+    assert "dead-reckoning" not in unused_statement(trial).split(":")[0]
+    (said,) = said_after([trial])
+    assert said[0].endswith("ekf, batch")
+    (section,) = questions_section([trial])
+    assert "**prior**" in section.blocks[1]
+    assert "**unused**" in section.blocks[1]
+
+
+def test_questions_stand_in_inspect_on_the_terminal_in_the_log_and_in_the_report(tmp_path, capsys):
+    from data.open_log.writer import write_folder
+
+    write_folder(lost(), tmp_path / "lost")
+    assert inspect([str(tmp_path / "lost")]) == 0
+    assert "question" in capsys.readouterr().out
+    out = tmp_path / "report"
+    words = [
+        "--log",
+        str(tmp_path / "lost"),
+        "--estimator",
+        "ekf",
+        "--association",
+        "nn",
+        "--no-plots",
+        "--out",
+        str(out),
+    ]
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert "question (lost, prior): from the prior" in said
+    assert "observations used" in said
+    assert "question (lost, prior)" in (out / "run.log").read_text()
+    report = (out / "report.md").read_text()
+    headline = next(line for line in report.splitlines() if line.startswith("* **lost, localization.**"))
+    assert "0 of" in headline
+    assert "observations used" in headline
+    assert "## Questions" in report
