@@ -52,7 +52,7 @@ def _twin_as_asked(argv: Sequence[str] | None, prog: str) -> None:
     parser.add_argument(
         "--association", metavar="NAME",
         help=f"who pairs the readings: of {', '.join(ASSOCIATIONS)}, or your own (default: known where LOG has labels, "
-        "else jcbb)",
+        "else jcbb-hindsight)",
     )  # fmt: skip
     options = parser.parse_args(argv)
     from eval.plan.first_use import compile_if_needed
@@ -71,6 +71,7 @@ def _run(options: argparse.Namespace) -> str:
     """Estimate, draw, write; gives the report."""
     from dataclasses import replace
 
+    from association.decide import HINDSIGHT
     from data.logs import open_log
     from data.open_log.writer import write_folder
     from eval.plan.foreign import load_all
@@ -84,7 +85,7 @@ def _run(options: argparse.Namespace) -> str:
     task = options.task or ("slam" if log.recorded.map is None else "localization")
     if task == "localization" and log.recorded.map is None:
         raise UsageError(f"--task localization: log {log.name!r} has no map; only slam makes sense")
-    association = "known" if log.has_labels else "jcbb"
+    association = "known" if log.has_labels else HINDSIGHT
     if options.association is not None:
         association = one_settled("--association", options.association, "association")
         load_all((), (association,))

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from data.convert import carmen, lab, mrclam, rosbag, table, victoria_park, visual, worlds
+from data.convert import carmen, g2o, lab, mrclam, rosbag, table, victoria_park, visual, worlds
 from data.convert.parsers import Parser
 from data.terminal.ending import ended
 from data.worlds.registry import SIMULATORS
@@ -24,6 +24,7 @@ examples:
   python -m data.convert carmen intel.log.gz logs/intel
   python -m data.convert rosbag robot.bag logs/robot --scan /scan --odom /odom
   python -m data.convert table robot.csv logs/robot --columns t=stamp,v=speed --unit angle=deg,time=ns  (and more)
+  python -m data.convert g2o graph.g2o logs/graph        and back: g2o logs/graph graph.g2o
   python -m data.convert arena logs/arena-0 --seed 0 --landmarks 40
   python -m data.convert corridor logs/corridor-0 --seed 0 --people
   python -m data.convert circle logs/circle-0 --seed 0
@@ -31,7 +32,7 @@ examples:
   python -m data.convert visual my_lab --seed 0
   python -m data.convert lab my_lab logs/lab
 """
-SOURCES = (mrclam, victoria_park, carmen, rosbag, table, worlds, visual, lab)
+SOURCES = (mrclam, victoria_park, carmen, rosbag, table, g2o, worlds, visual, lab)
 CONVERTERS: dict[str, Callable[[argparse.Namespace], Log | str]] = {
     kind: source.convert for source in SOURCES for kind in source.KINDS
 }
@@ -55,9 +56,11 @@ def summary(log: Log) -> list[str]:
     """What a log holds, in sentences."""
     inputs, truth = log.recorded, log.truth
     span = "no stamps" if inputs.time_is_index else f"{inputs.time[-1] - inputs.time[0]:.1f} s"
-    ids = [] if truth.landmark_of is None else truth.landmark_of[truth.landmark_of >= 0].tolist()
+    label = log.granted
+    ids = [] if label is None else label[label >= 0].tolist()
     lines = [
-        f"{len(inputs)} frames ({span}), {len(inputs.observations.z)} readings of {len(set(ids))} landmarks",
+        f"{len(inputs)} frames ({span}), {len(inputs.observations.z)} readings"
+        + (f" of {len(set(ids))} landmark{'' if len(set(ids)) == 1 else 's'}" if label is not None else ""),
         "no known map" if inputs.map is None else f"a map of {len(inputs.map.id)} landmarks",
         "no ground truth" if truth.pose is None else f"ground truth in {truth.known_poses} frames",
     ]

@@ -165,7 +165,7 @@ def _tasks(log: Log, options: Options) -> Sequence[str]:
 def _work(log: Log, options: Options) -> tuple[Work, ...]:
     """Every estimator with every way of association asked for."""
     scans, seen = log.recorded.scans is not None, len(log.recorded.observations.frame) > 0
-    alone = SCAN if scans and not seen else "jcbb"
+    alone = SCAN if scans and not seen else HINDSIGHT
     associations = options.association or (("known",) if log.has_labels else (alone,))
     if SCAN in associations and not scans:
         raise UsageError(f"--association {SCAN}: log {log.name!r} has no laser scans")
