@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from data.convert import carmen, lab, mrclam, rosbag, victoria_park, visual, worlds
 from data.convert.parsers import Parser
 from data.terminal.ending import ended
+from data.terminal.words import counted
 from data.worlds.registry import SIMULATORS
 
 if TYPE_CHECKING:
@@ -56,16 +57,19 @@ def summary(log: Log) -> list[str]:
     span = "no stamps" if inputs.time_is_index else f"{inputs.time[-1] - inputs.time[0]:.1f} s"
     ids = [] if truth.landmark_of is None else truth.landmark_of[truth.landmark_of >= 0].tolist()
     lines = [
-        f"{len(inputs)} frames ({span}), {len(inputs.observations.z)} readings of {len(set(ids))} landmarks",
-        "no known map" if inputs.map is None else f"a map of {len(inputs.map.id)} landmarks",
-        "no ground truth" if truth.pose is None else f"ground truth in {truth.known_poses} frames",
+        f"{counted(len(inputs), 'frame')} ({span}), {counted(len(inputs.observations.z), 'reading')}"
+        f" of {counted(len(set(ids)), 'landmark')}",
+        "no known map" if inputs.map is None else f"a map of {counted(len(inputs.map.id), 'landmark')}",
+        "no ground truth" if truth.pose is None else f"ground truth in {counted(truth.known_poses, 'frame')}",
     ]
     if inputs.scans is not None:
-        lines.append(f"{len(inputs.scans.frame)} scans of {inputs.scans.ranges.shape[1]} beams")
+        lines.append(f"{counted(len(inputs.scans.frame), 'scan')} of {counted(inputs.scans.ranges.shape[1], 'beam')}")
     if truth.relations is not None:
-        lines.append(f"{len(truth.relations)} reference relations")
+        lines.append(counted(len(truth.relations), "reference relation"))
     if inputs.floored:
-        lines.append(f"{inputs.floored} singular increments got the covariance floor {inputs.covariance_floor:g}")
+        lines.append(
+            f"{counted(inputs.floored, 'singular increment')} got the covariance floor {inputs.covariance_floor:g}"
+        )
     return lines
 
 
