@@ -261,10 +261,8 @@ class Ledger:
         if not self.events:
             return []
         undone = sum(e.old >= 0 for e in self.events)
-        return [
-            again = sum(e.new >= 0 for e in self.events)
-            return [f"{counted(undone, 'pairing was', 'pairings were')} undone in hindsight, {again} made instead"]
-        ]
+        again = sum(e.new >= 0 for e in self.events)
+        return [f"{counted(undone, 'pairing was', 'pairings were')} undone in hindsight, {again} made instead"]
 
     def merge_notes(self) -> list[str]:
         """The same of landmarks that were merged."""
