@@ -68,7 +68,7 @@ def claims_figure(log: Log, runs: Sequence[Run]) -> Figure:
 
 def _claims_figure(log: Log, runs: Sequence[Run]) -> Figure:
     shown = [s for s in series(runs) if s.run.estimator != "dead-reckoning"] or series(runs)
-    fig = Figure(figsize=(4.6))
+    fig = Figure(figsize=(page_width(), 4.6))
     top, middle, low = fig.subplots(3, 1, sharex=True, height_ratios=(1.3, 1.0, 1.0))
     time = log.recorded.time
     handles: list[Line2D | Patch] = []

@@ -57,7 +57,7 @@ def _fate_figure(log: Log, runs: Sequence[Run]) -> Figure:
     low, high = _scene([*places, *paths])
     w, h = high - low
     across = (page_width() - 0.6) / max(len(runs), 1)
-    fig = Figure(figsize=(float(np.clip(across * h / w, 1.5, HIGHEST)) + 1.0))
+    fig = Figure(figsize=(page_width(), float(np.clip(across * h / w, 1.5, HIGHEST)) + 1.0))
     axes = fig.subplots(1, max(len(runs), 1), squeeze=False, sharey=True)[0]
     for ax, run, xy, path in zip(axes, runs, places, paths, strict=False):
         _draw(ax, run, xy, path)
