@@ -16,6 +16,7 @@ from data.log import Log
 from data.result import Run
 from data.se2 import Array
 from eval.figures.error import longest_sigma, sigmas, thinned, ticks, time_label
+from eval.figures.paper.look import page_width
 from eval.figures.style import BAND_COLOUR, drawing, series
 from eval.referee.bounds import nis_bounds
 from eval.referee.paths.given import log_of
