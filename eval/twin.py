@@ -12,6 +12,7 @@ from pathlib import Path
 
 from data.errors import UsageError
 from data.terminal.ending import ended
+from data.terminal.words import counted
 from eval.replay.names import ASSOCIATIONS, TASKS
 
 PROG = "python -m eval.twin"
@@ -102,7 +103,8 @@ def _run(options: argparse.Namespace) -> str:
     write_folder(made, options.out)
     seen = int((made.truth.landmark_of >= 0).sum()) if made.truth.landmark_of is not None else 0
     lines = [
-        f"{made.name}: {len(inputs)} frames, {len(inputs.observations.frame)} readings, {seen} of them drawn anew",
+        f"{made.name}: {counted(len(inputs), 'frame')}, {counted(len(inputs.observations.frame), 'reading')},"
+        f" {seen} of them drawn anew",
         *(f"- {note}" for note in made.notes),
         f"written: {options.out.absolute()}",
         "",

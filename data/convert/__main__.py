@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from data.convert import carmen, g2o, lab, mrclam, rosbag, table, victoria_park, visual, worlds
 from data.convert.parsers import Parser
 from data.terminal.ending import ended
+from data.terminal.words import counted
 from data.worlds.registry import SIMULATORS
 
 if TYPE_CHECKING:
@@ -59,17 +60,19 @@ def summary(log: Log) -> list[str]:
     label = log.granted
     ids = [] if label is None else label[label >= 0].tolist()
     lines = [
-        f"{len(inputs)} frames ({span}), {len(inputs.observations.z)} readings"
-        + (f" of {len(set(ids))} landmark{'' if len(set(ids)) == 1 else 's'}" if label is not None else ""),
-        "no known map" if inputs.map is None else f"a map of {len(inputs.map.id)} landmarks",
-        "no ground truth" if truth.pose is None else f"ground truth in {truth.known_poses} frames",
+        f"{counted(len(inputs), 'frame')} ({span}), {counted(len(inputs.observations.z), 'reading')}"
+        + (f" of {counted(len(set(ids)), 'landmark')}" if label is not None else ""),
+        "no known map" if inputs.map is None else f"a map of {counted(len(inputs.map.id), 'landmark')}",
+        "no ground truth" if truth.pose is None else f"ground truth in {counted(truth.known_poses, 'frame')}",
     ]
     if inputs.scans is not None:
-        lines.append(f"{len(inputs.scans.frame)} scans of {inputs.scans.ranges.shape[1]} beams")
+        lines.append(f"{counted(len(inputs.scans.frame), 'scan')} of {counted(inputs.scans.ranges.shape[1], 'beam')}")
     if truth.relations is not None:
-        lines.append(f"{len(truth.relations)} reference relations")
+        lines.append(counted(len(truth.relations), "reference relation"))
     if inputs.floored:
-        lines.append(f"{inputs.floored} singular increments got the covariance floor {inputs.covariance_floor:g}")
+        lines.append(
+            f"{counted(inputs.floored, 'singular increment')} got the covariance floor {inputs.covariance_floor:g}"
+        )
     return lines
 
 

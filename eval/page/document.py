@@ -6,14 +6,16 @@ import base64
 import html
 import re
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import pandas as pd
 from markdown_it import MarkdownIt
 
-from eval.page.tables import FORMATS, markdown, write_table
+from eval.page.tables import markdown
+from eval.page.written import Paper, write_table
 
 STYLE = """
 :root { color-scheme: light dark; --ink: #1b1b1b; --paper: #ffffff; --faint: #5c5c5c; --rule: #d0d0d0;
@@ -89,12 +91,39 @@ class Formula:
     latex: str
 
 
+class Wanted(Protocol):
+    """What is asked of tables: their formats, and what those for a paper are like (see `eval.page.written.Paper`)."""
+
+    @property
+    def formats(self) -> tuple[str, ...]:
+        """Of csv, md and tex."""
+
+    @property
+    def table_width(self) -> str:
+        """Of LaTeX tables: `column` or `page`."""
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Keys of the columns of LaTeX tables; none: as many as there is room for."""
+
+
 def written_table(
-    frame: pd.DataFrame, folder: Path, stem: str, caption: str, formats: Sequence[str] = FORMATS
+    frame: pd.DataFrame,
+    folder: Path,
+    stem: str,
+    caption: str,
+    wanted: Wanted,
+    *,
+    for_paper: pd.DataFrame | None = None,
+    fine_print: str = "",
 ) -> Table:
-    """Write a table as `folder/tables/stem.<format>`; the report links to its CSV if there is one."""
-    write_table(frame, folder / "tables", stem, caption, formats)
-    return Table(frame, caption, stem if "csv" in formats else None)
+    """Write a table as `folder/tables/stem.<format>`; the report links to its CSV if there is one.
+
+    `for_paper`: the same rows with more columns to choose from; `fine_print`: what the caption leaves to the text.
+    """
+    paper = Paper(wanted.table_width, wanted.columns)
+    write_table(frame, folder / "tables", stem, caption, wanted.formats, paper, for_paper, fine_print)
+    return Table(frame, caption, stem if "csv" in wanted.formats else None)
 
 
 Block = str | Table | Picture | Formula

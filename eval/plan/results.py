@@ -16,6 +16,7 @@ from data.results.bag import is_bag
 from data.results.kept import Beside, beside
 from data.results.path import FRAMES, GivenPath, Manner
 from data.results.reading import read_path
+from data.se2 import Array
 from eval.plan.flags.results import Reading, Results
 from eval.referee.paths.given import GivenRun, Kept, TruePath, given_run, truth_log, with_truth
 from eval.referee.score import Trial
@@ -130,19 +131,21 @@ def runs_of(result: Result, log: Log, task: str, truth: TruePath | None, reading
     for group in groups:
         run = given_run(result.name, task, group, log, truth, align=reading.align, gap=reading.truth_gap, kept=kept)
         if truth is not None and run.match is not None and not run.match.matched:
-            raise DataError(unmatched(next(iter(group.values())), truth))
+            why = "; the log has no stamps, t is the number of a frame" if log.recorded.time_is_index else ""
+            raise DataError(unmatched(next(iter(group.values())), truth) + why)
         yield run
 
 
 def unmatched(path: GivenPath, truth: TruePath) -> str:
     """The sentence about a result without any match."""
     known = truth.time[np.isfinite(truth.pose).all(axis=1)]
-    of = f"truth is known from {known[0]!r} to {known[-1]!r} s" if len(known) else "no true pose is known"
-    ours = f"{path.time[0]!r} to {path.time[-1]!r} s"
-    return (
-        f"{path.file}: none of its {len(path)} stamps, {ours}, has a truth: {of}".replace("np.float64", "")
-        + "; both clocks must be the same (no offset is guessed), and truths at most --truth-gap apart"
-    )
+    of = f"truth is known from {_span(known)}" if len(known) else "no true pose is known"
+    said = f"{path.file}: none of its {len(path)} stamps, {_span(path.time)}, has a truth: {of}"
+    return said + "; both clocks must be the same (no offset is guessed), and truths at most --truth-gap apart"
+
+
+def _span(time: Array) -> str:
+    return f"{float(time[0])!r} to {float(time[-1])!r} s"
 
 
 def _kept(result: Result, log: Log) -> Kept:
@@ -198,8 +201,11 @@ class Asked:
 NOTHING = Asked()
 
 
-def asked_results(reading: Results, logs: Sequence[str], folders: Sequence[str]) -> Asked:
-    """What `--result` and `--truth` ask for, read; raises UsageError for what makes no sense together."""
+def asked_results(reading: Results, logs: Sequence[str], folders: Sequence[str], taken: Sequence[str] = ()) -> Asked:
+    """What `--result` and `--truth` ask for, read; raises UsageError for what makes no sense together.
+
+    `taken`: names of estimators of others that run, too.
+    """
     for row in rows(Reading).values():
         if getattr(reading, row.name) != row.default and not (reading.result or reading.truth):
             raise UsageError(f"{row.option}: for results; --result NAME=FILE is missing")
@@ -213,6 +219,8 @@ def asked_results(reading: Results, logs: Sequence[str], folders: Sequence[str])
     if not logs and not reading.result:
         raise UsageError(f"{flag}: nothing to score; --result NAME=FILE is needed, or the --log it is the truth of")
     results = read_results(reading.result, reading)
+    for name in (r.name for r in results if r.name in taken):
+        raise UsageError(f"--result {name}=...: an estimator has that name; give it another")
     names = [r.name for r in results]
     file = None if reading.truth is None else true_path(reading.truth, names, reading)
     truth = None if file is None else TruePath(file.time, file.pose)

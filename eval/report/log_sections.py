@@ -61,9 +61,10 @@ def trial_sections(
         rows = rows_of(scores.metrics, trial)
         blocks: list[Block] = []
         others = beside(trial, trials)
-        table = comparison.comparison_table(pd.concat([rows, *(rows_of(scores.metrics, t) for t in others)]))
+        every = pd.concat([rows, *(rows_of(scores.metrics, t) for t in others)])
+        table, wide = comparison.comparison_table(every), comparison.comparison_table(every, options.columns)
         caption = f"{trial.log.name}, {trial.task}. {comparison.COMPARISON_CAPTION}{aligned_statement(trial)}"
-        blocks.append(written_table(table, folder, stem(trial, "comparison"), caption, options.formats))
+        blocks.append(written_table(table, folder, stem(trial, "comparison"), caption, options, for_paper=wide))
         blocks += [_beside_note(t, rows_of(scores.metrics, t)) for t in others]
         blocks += _differences(folder, options, trial, rows_of(scores.differences, trial))
         blocks += [p for p in pictures if p.stem not in {stem(trial, kind) for kind in ELSEWHERE}]
@@ -81,7 +82,7 @@ def _differences(folder: Path, options: Options, trial: Trial, rows: pd.DataFram
     if not len(rows):
         return []
     name, caption = stem(trial, "differences"), f"{trial.log.name}, {trial.task}. {DIFFERENCES_CAPTION}"
-    table = written_table(differences_table(rows), folder, name, caption, options.formats)
+    table = written_table(differences_table(rows), folder, name, caption, options)
     missing = missing_intervals(rows)
     return [table, missing] if missing else [table]
 
@@ -121,7 +122,8 @@ def association_sections(
         table = comparison.association_table(rows)
         name, what = stem(trial, "association"), f"{trial.log.name}, {trial.task}"
         caption = f"{what}: outcomes of the decisions, as explained above."
-        written = written_table(table, folder, name, caption, options.formats)
+        fine = comparison.ASSOCIATION_CAPTION
+        written = written_table(table, folder, name, caption, options, fine_print=fine)
         shown = (p for p in pictures if p.stem == name)
         named = naming_statements(trial, *(rows_by(rows_of(t, trial)) for t in (scores.metrics, scores.association)))
         notes = ["\n".join(f"* {n}" for n in named)] if named else []
@@ -132,7 +134,8 @@ def association_sections(
         )
         table = comparison.association_table(pd.concat(granted))
         caption = "Logs on which only known association was run: outcomes of the decisions."
-        blocks.append(written_table(table, folder, "association", caption, options.formats))
+        fine = comparison.ASSOCIATION_CAPTION
+        blocks.append(written_table(table, folder, "association", caption, options, fine_print=fine))
     return [Section(head, tuple(blocks)), *sections]
 
 
@@ -141,5 +144,5 @@ def tutorial_sections(folder: Path, options: Options, trials: Sequence[Trial], s
     blocks: list[Block] = []
     for log in logs_with_tutorials(trials):
         table, caption = tutorial_table(log, trials, scores), CAPTION.format(log=log)
-        blocks.append(written_table(table, folder, f"{folder_name(log)}-knowledge", caption, options.formats))
+        blocks.append(written_table(table, folder, f"{folder_name(log)}-knowledge", caption, options))
     return [Section("From labels and map to nothing", tuple(blocks))] if blocks else []

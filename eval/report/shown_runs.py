@@ -57,7 +57,7 @@ def _by_importance(runs: Sequence[Run], kinds: Sequence[tuple[int, int]]) -> lis
     Before them come those of estimators that are not ours, each once: who brought one wants to see it.
     """
     order = associations(runs)
-    theirs = sorted((r for r in runs if r.estimator not in ESTIMATORS), key=lambda r: order.index(r.association))
+    theirs = sorted((r for r in runs if r.estimator not in ESTIMATORS), key=lambda r: _place(order, r))
     chosen = list({r.estimator: r for r in reversed(theirs)}.values())[::-1]
     for kind, place in kinds:
         fitting = (r for r in runs if _kind(r) == kind and place < len(order) and r.association == order[place])

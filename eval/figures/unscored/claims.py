@@ -16,7 +16,8 @@ from data.log import Log
 from data.result import Run
 from data.se2 import Array
 from eval.figures.error import longest_sigma, sigmas, thinned, ticks, time_label
-from eval.figures.style import BAND_COLOUR, DOUBLE, drawing, series
+from eval.figures.paper.look import page_width
+from eval.figures.style import BAND_COLOUR, drawing, series
 from eval.referee.bounds import nis_bounds
 from eval.referee.paths.given import log_of
 
@@ -70,7 +71,7 @@ def claims_figure(log: Log, runs: Sequence[Run]) -> Figure:
 
 def _claims_figure(log: Log, runs: Sequence[Run]) -> Figure:
     shown = [s for s in series(runs) if s.run.estimator != "dead-reckoning"] or series(runs)
-    fig = Figure(figsize=(DOUBLE, 4.6))
+    fig = Figure(figsize=(page_width(), 4.6))
     top, middle, low = fig.subplots(3, 1, sharex=True, height_ratios=(1.3, 1.0, 1.0))
     time = log.recorded.time
     handles: list[Line2D | Patch] = []

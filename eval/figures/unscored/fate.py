@@ -12,7 +12,8 @@ from matplotlib.lines import Line2D
 from data.log import Log
 from data.result import DISCARD, NEW, Run
 from data.se2 import Array, BoolArray, transform_points
-from eval.figures.style import DOUBLE, drawing, settle, style_of
+from eval.figures.paper.look import page_width
+from eval.figures.style import drawing, settle, style_of
 
 FATES = {
     "paired": ("#9FC2DE", ".", 3.0, "paired with a landmark"),
@@ -55,8 +56,8 @@ def _fate_figure(log: Log, runs: Sequence[Run]) -> Figure:
     paths = [run.trajectory(run.phases[-1]).pose[:, :2] for run in runs]
     low, high = _scene([*places, *paths])
     w, h = high - low
-    across = (DOUBLE - 0.6) / max(len(runs), 1)
-    fig = Figure(figsize=(DOUBLE, float(np.clip(across * h / w, 1.5, HIGHEST)) + 1.0))
+    across = (page_width() - 0.6) / max(len(runs), 1)
+    fig = Figure(figsize=(page_width(), float(np.clip(across * h / w, 1.5, HIGHEST)) + 1.0))
     axes = fig.subplots(1, max(len(runs), 1), squeeze=False, sharey=True)[0]
     for ax, run, xy, path in zip(axes, runs, places, paths, strict=False):
         _draw(ax, run, xy, path)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 from eval.plan.flags.examples import EPILOG, PROG
+from eval.plan.flags.paper import Paper
 from eval.plan.flags.results import Results
 from eval.plan.flags.variant import Variant
 from eval.replay.flag import Flag, flag, folder, names, one_of, rows, switch, text, texts, whole
@@ -82,7 +83,7 @@ class Selection:
 
 
 @dataclass(frozen=True)
-class Options(Setup, Results, Selection):
+class Options(Paper, Setup, Results, Selection):
     """What was asked for, the setup included; field names are the config file's keys (with `-` for `_`).
 
     Attributes:

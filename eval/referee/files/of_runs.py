@@ -93,6 +93,7 @@ OF_RUNS = (
     DECISIONS,
 )
 OF_LOGS = (
+    File(f"{LOG_FOLDER}/truth.tum", f"The true path, at the frames of the log: {TUM}.", when="logs with true poses"),
     LOOPS,
     File(
         f"{LOG_FOLDER}/graph.g2o", "Key poses, the motion between them and the loop closures kept, for g2o.", when=LASER
