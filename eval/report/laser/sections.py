@@ -11,6 +11,7 @@ import pandas as pd
 from association.scans.laser_run import SCAN, LaserRun
 from data.log import Log
 from data.result import Run
+from data.terminal.words import counted
 from eval.page.document import Block, Picture, Section, written_table
 from eval.page.numbers import number
 from eval.plan.flags.options import Options
@@ -127,7 +128,8 @@ def _statements(trial: Trial, run: LaserRun) -> list[str]:
     log, keys = trial.log, len(run.chain.frame)
     scans = 0 if log.recorded.scans is None else len(log.recorded.scans.frame)
     said = [
-        f"{scans} scans in {len(log.recorded)} frames became {keys} key poses; {len(run.loops)} loop closures were"
+        f"{counted(scans, 'scan')} in {counted(len(log.recorded), 'frame')} became {counted(keys, 'key pose')};"
+        f" {counted(len(run.loops), 'loop closure was', 'loop closures were')}"
         f" looked at, {believed} believed, each together with another one that agrees with it."
     ]
     for other in trial.runs:
