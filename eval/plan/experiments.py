@@ -64,7 +64,7 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
             raise UsageError(f"--data {folder}: no such folder")
     if options.relations is not None and len(options.log) != 1:
         raise UsageError(f"--relations {options.relations}: belongs to one log; give it with one --log")
-    given = asked_results(options, options.log, options.data, names)
+    given = asked_results(options, options.log, options.data)
     alone = given.file is not None and not options.log
     experiments = [] if options.log or alone else _default(options, say)
     if alone:
