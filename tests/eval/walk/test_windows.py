@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from matplotlib import pyplot
 
 from data.log import shortened
@@ -9,6 +10,7 @@ from data.logs import open_log
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
 from eval.walk.album import Album
+from eval.walk.pictures import _picture
 from eval.walk.walk import Walk
 
 
@@ -22,8 +24,20 @@ class Windows:
         """Nobody looks; `draw_idle` has drawn the window."""
 
 
-def test_windows_are_drawn_again_and_again_without_a_warning(tmp_path):
+def test_a_picture_that_is_saved_and_drawn_again_needs_no_layout(tmp_path):
     """Warnings are errors here; seen: layoutgrids, of a figure whose axes stand where they were put."""
+    album = Album(tmp_path, Windows)
+    try:
+        for step in ("1", "2"):
+            album.show("picture", lambda fig: _picture(fig).plot([0.0, 1.0]), step)
+            pyplot.figure("picture").canvas.draw()
+    finally:
+        pyplot.close("all")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["1.png", "2.png"]
+
+
+@pytest.mark.slow
+def test_windows_are_drawn_again_and_again_without_a_warning(tmp_path):
     log = shortened(open_log("corridor:0:people"), 2)
     walk = Walk(log, "slam", "ekf", Album(tmp_path, Windows), pausing=False)
     try:
