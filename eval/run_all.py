@@ -19,6 +19,7 @@ from typing import NoReturn
 
 from data.errors import UsageError
 from data.terminal.ending import INTERRUPTED, WRONG, ended, told, unread
+from data.terminal.words import counted
 from data.whole import whole_folder
 from eval.plan.flags.examples import PROG
 from eval.plan.flags.options import read_options
@@ -157,7 +158,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
     begin = time.time()
     console.kept = lambda: store.kept_since(options.out.absolute().parent, begin)
     for e in plan.experiments:
-        console.detail(f"{e.log.name}: {e.task}, {len(e.log.recorded)} frames")
+        console.detail(f"{e.log.name}: {e.task}, {counted(len(e.log.recorded), 'frame')}")
         for note in e.log.notes:
             console.detail(f"{e.log.name}: {note}")
     for log in {e.log.name: e.log for e in plan.experiments if e.beside is None}.values():
@@ -194,7 +195,8 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
         task, estimator, _, phase = j.key
         console.say(
             f"rejected: {estimator} ({j.scenario}, {task}, {phase}) is declared consistent, but its {j.quantity} NEES "
-            f"is {j.verdict.mean:.3g}, not {j.verdict.expected:g} ({j.verdict.word}; {j.diverged} runs diverged)"
+            f"is {j.verdict.mean:.3g}, not {j.verdict.expected:g} ({j.verdict.word};"
+            f" {counted(j.diverged, 'run')} diverged)"
         )
     if not failed and (line := declared_line(judged)):
         console.say(line)

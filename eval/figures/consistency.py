@@ -14,6 +14,7 @@ from matplotlib.ticker import FuncFormatter
 from data.log import Log
 from data.result import Run
 from data.se2 import Array
+from data.terminal.words import counted
 from eval.figures.error import heading_of, panels, thinned, ticks, time_label
 from eval.figures.paper.look import page_width
 from eval.figures.style import BAND_COLOUR, LONG_HANDLE, drawing, style_of
@@ -133,7 +134,7 @@ def anees_figure(
         ax.set(ylabel=f"average {quantity} NEES [–]", xlabel="frame" if time_is_index else "time [s]")
         if len(time) > 1:
             ax.set_xlim(time[0], time[-1])
-        what = f"average {quantity} NEES over {runs} runs, dof {dof}"
+        what = f"average {quantity} NEES over {counted(runs, 'run')}, dof {dof}"
         ax.set_title(f"{title}: {what}" if title else what[0].upper() + what[1:], loc="left")
         handles += _handles(dof, f"95 % band {lower:.2f} to {upper:.2f}: 5 % outside by design")
         fig.legend(handles=handles, loc="outside lower center", ncols=2, handlelength=LONG_HANDLE)

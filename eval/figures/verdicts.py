@@ -13,6 +13,7 @@ from matplotlib.patches import Patch
 from scipy import stats
 
 from data.se2 import Array
+from data.terminal.words import counted
 from eval.figures.error import ticks
 from eval.figures.paper.look import across, page_width, points
 from eval.figures.style import DASHED, drawing, style_of
@@ -88,8 +89,8 @@ def _histogram(ax: Axes, name: str, values: Array, dof: int, edges: Array) -> No
     x = np.linspace(edges[0], end, 400)[1:]
     ax.plot(x, stats.chi2.pdf(x, dof), color=EXPECTED_COLOUR, linewidth=1.0)
     ax.set_xlim(0.0, end + 2.9 * width)
-    counted = f"{len(known)} runs" + (f"\n{len(values) - len(known)} without" if len(known) < len(values) else "")
-    ax.text(0.97, 0.95, counted, transform=ax.transAxes, ha="right", va="top", fontsize=points(7))
+    said = counted(len(known), "run") + (f"\n{len(values) - len(known)} without" if len(known) < len(values) else "")
+    ax.text(0.97, 0.95, said, transform=ax.transAxes, ha="right", va="top", fontsize=points(7))
     ax.set_title(style.label, loc="left")
 
 
@@ -113,7 +114,7 @@ def coverage_figure(nees: Mapping[str, Array], dof: int, title: str) -> Figure:
             known, style = values[np.isfinite(values)], style_of(name)
             offset = 0.8 * ((i + 0.5) / len(nees) - 0.5)
             left_out = f", {len(values) - len(known)} without" if len(known) < len(values) else ""
-            label = f"{style.label} ({len(known)} runs{left_out})"
+            label = f"{style.label} ({counted(len(known), 'run')}{left_out})"
             handles.append(Line2D([], [], color=style.colour, marker=style.marker, linestyle="none", label=label))
             if len(known) < 2:
                 continue

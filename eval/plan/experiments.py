@@ -58,7 +58,8 @@ class Plan:
 def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
     """Open the logs and settle what is done; raises UsageError for what makes no sense together."""
     load_all(options.estimator, options.association)
-    introduce(name_of(text) for text in (*options.estimator, *options.association) if is_foreign(text))
+    names = [name_of(text) for text in (*options.estimator, *options.association) if is_foreign(text)]
+    introduce([*names, *(text.partition("=")[0] for text in options.result)])
     if options.scenario:
         return _scenarios(options)
     for folder in options.data:
@@ -66,7 +67,7 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
             raise UsageError(f"--data {folder}: no such folder")
     if options.relations is not None and len(options.log) != 1:
         raise UsageError(f"--relations {options.relations}: belongs to one log; give it with one --log")
-    given = asked_results(options, options.log, options.data)
+    given = asked_results(options, options.log, options.data, names)
     alone = given.file is not None and not options.log
     experiments = [] if options.log or alone else _default(options, say)
     if alone:
@@ -164,7 +165,7 @@ def _tasks(log: Log, options: Options) -> Sequence[str]:
 def _work(log: Log, options: Options) -> tuple[Work, ...]:
     """Every estimator with every way of association asked for."""
     scans, seen = log.recorded.scans is not None, len(log.recorded.observations.frame) > 0
-    alone = SCAN if scans and not seen else "jcbb"
+    alone = SCAN if scans and not seen else HINDSIGHT
     associations = options.association or (("known",) if log.has_labels else (alone,))
     if SCAN in associations and not scans:
         raise UsageError(f"--association {SCAN}: log {log.name!r} has no laser scans")

@@ -266,9 +266,10 @@ def score(trials: Sequence[Trial]) -> Scores:
                     row = association_row(run, phase, trial.log)
                     if row is not None:
                         association.append(row)
+            if log_of(run, trial.log) is trial.log:  # relations are between frames of the log
+                relations += relation_rows(run, trial.log)
             if isinstance(run, GivenRun):
                 continue
-            relations += relation_rows(run, trial.log)
             frames = len(trial.log.recorded)
             timing.append({
                 "log": trial.log.name, "task": run.task, "estimator": run.estimator, "association": run.association,

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from data.terminal.words import counted
 from eval.page.document import Block, Picture, Report, Section, write_report
 from eval.plan.cluster import Call
 from eval.plan.execute import Outcome
@@ -232,8 +233,9 @@ def _source_section(trials: Sequence[Trial], options: Options) -> Section:
         if log.has_labels:
             labels += f" {gate_sentence(options, sensed=log.labels_are_sensed)}"
         notes.append(
-            f"* `{log.name}` ({kind}): {len(r)} frames, {len(r.observations.frame)} observations, sensor"
-            f" `{r.sensor.name}`, {log.truth.known_poses} frames with truth, {r.floored} increments raised to"
+            f"* `{log.name}` ({kind}): {counted(len(r), 'frame')}, {counted(len(r.observations.frame), 'observation')},"
+            f" sensor `{r.sensor.name}`, {counted(log.truth.known_poses, 'frame')} with truth,"
+            f" {counted(r.floored, 'increment')} raised to"
             f" the covariance floor.{labels}"
         )
     notes.append("* Versions, command and checksums of the inputs: `provenance.json`.")

@@ -12,6 +12,7 @@ import pandas as pd
 from data.log import Log
 from data.result import Run
 from data.se2 import Array
+from data.terminal.words import counted
 from eval.referee import consistency, errors
 from eval.referee.bounds import LEVEL
 from eval.referee.consistency import QUANTITIES, Verdict
@@ -89,7 +90,9 @@ def study_lines(study: Study) -> list[str]:
     for (task, estimator, association, _), found in doubtful.items():
         who = f"{study.scenario.name}, {task}: {estimator} ({association})"
         seed, why = found[0][0], found[0][1].replace(f"{IMPLAUSIBLE}, ", "")
-        lines.append(f"{who} is {IMPLAUSIBLE} in {len(found)} of {len(study.seeds)} runs; with seed {seed}, {why}")
+        lines.append(
+            f"{who} is {IMPLAUSIBLE} in {len(found)} of {counted(len(study.seeds), 'run')}; with seed {seed}, {why}"
+        )
     return lines
 
 

@@ -37,7 +37,7 @@ def test_there_are_three_complete_examples_of_at_most_40_lines():
 
 
 def test_the_examples_do_as_well_as_ours():
-    log = simulate(Arena(frames=20), 3)
+    log = simulate(Arena(frames=12), 3)
     names = ("ekf", "u=./ukf.py:Ukf", "p=./particles.py:Particles")
     runs = compare(log.inputs(labels=True), "localization", names)
     runs += compare(log.inputs(), "localization", names[:2], "s=./my_singles.py:my_singles")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -172,7 +173,7 @@ def animate(
             _draw_paths(background, scene, drawn, edges[0], FADED)
             drawn = edges[0]
             image = background.copy()
-            for band, (begin, end) in enumerate(zip(edges[:-1], edges[1:], strict=True), start=1):
+            for band, (begin, end) in enumerate(pairwise(edges), start=1):
                 if begin < end:
                     _draw_paths(image, scene, begin, end, FADED + (1.0 - FADED) * band / BANDS)
             _draw_landmarks(image, scene, standing)

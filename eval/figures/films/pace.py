@@ -21,7 +21,7 @@ FRAMES_A_SECOND = 5.0
 
 @dataclass(frozen=True)
 class Pace:
-    """Seconds of the log in one of the film (frames of a log without stamps); the frame (P,) that each picture shows."""
+    """Seconds of the log in one of the film (frames, without stamps); the frame (P,) of each picture."""
 
     speed: float
     frame: IntArray

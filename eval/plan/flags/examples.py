@@ -19,6 +19,8 @@ examples:
   python -m eval.run_all --data ~/datasets                  every dataset found in a folder, two levels deep
   python -m eval.run_all --log my_log --estimator ekf,batch-cauchy --association known
   python -m eval.run_all --log arena:0 --task slam --estimator ekf,ekf-invariant,isam2,batch
+  python -m eval.run_all --log arena:0 --estimator ekf,mine=./mine.py:Filter --association known,./mine.py:nearest
+                                                            your own beside ours (docs/extending.md)
   python -m eval.run_all --log my_log --twins 100           trust without ground truth: p values, and whose fault it is
   python -m eval.run_all --log my_log --gate-known 0.999    leave labelled readings out that fit badly, or keep them
   python -m eval.run_all --log my_log --gate-known none     all, which is the default where no sensor read the labels

@@ -77,7 +77,7 @@ class Selection:
         metadata=flag(
             own_or_foreign("association"), "LIST",
             f"of {', '.join(ASSOCIATIONS)}, or your own (default: known where the log has labels, scan where it "
-            "has laser scans alone, else jcbb)",
+            "has laser scans alone, else jcbb-hindsight)",
         ),
     )  # fmt: skip
 

@@ -93,7 +93,11 @@ OF_RUNS = (
     DECISIONS,
 )
 OF_LOGS = (
+    File(f"{LOG_FOLDER}/truth.tum", f"The true path, at the frames of the log: {TUM}.", when="logs with true poses"),
     LOOPS,
+    File(
+        f"{LOG_FOLDER}/graph.g2o", "Key poses, the motion between them and the loop closures kept, for g2o.", when=LASER
+    ),
     File(f"{LOG_FOLDER}/map.png", "The occupancy grid with the path.", when=LASER),
     File(f"{LOG_FOLDER}/map.pgm", "The occupancy grid for map servers.", when=LASER),
     File(f"{LOG_FOLDER}/map.yaml", "Where `map.pgm` lies and how it is meant.", when=LASER),

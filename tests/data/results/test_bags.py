@@ -1,4 +1,4 @@
-"""Poses with covariance from ROS bags of both versions: about the world's axes, and unknown where the message says so."""
+"""Poses with covariance from ROS bags of both versions: about the world's axes, and unknown where they say so."""
 
 from __future__ import annotations
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.path import Path as Outline
-from tests.eval.figures.paper.looks import within
 
 from data.result import Failure, MapEstimate
 from data.se2 import dead_reckoned
@@ -16,6 +15,7 @@ from eval.figures import anees_figure, difference_figure, error_figure, map_figu
 from eval.figures.ellipses import ellipses
 from eval.figures.error import MOST_BINS, longest_sigma, sigmas, thinned
 from eval.figures.view import View, enlargement
+from tests.eval.figures.looks import within
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error, true_path
 
 ZERO = np.zeros(3)

@@ -12,9 +12,9 @@ import matplotlib
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from tests.eval.figures.paper.looks import SEEN_BY, lab, pictures
 
 from eval.figures.style import STYLES, TRUTH_COLOUR, save, series, style_of
+from tests.eval.figures.looks import SEEN_BY, lab, pictures
 from tests.eval.handmade import run_with_error
 
 NAMES = [
@@ -70,7 +70,7 @@ def drawn(tmp_path_factory):
 def test_same_data_gives_same_bytes_in_another_process_too(drawn, tmp_path):
     assert sorted(drawn[0]) == ["map.pdf", "map.png"]
     call = f"pictures(Path({str(tmp_path)!r}))"
-    code = f"from pathlib import Path; from tests.eval.figures.paper.looks import pictures; {call}"
+    code = f"from pathlib import Path; from tests.eval.figures.looks import pictures; {call}"
     root = Path(__file__).resolve().parents[3]
     environment = {**os.environ, "PYTHONHASHSEED": "7", "PYTHONPATH": str(root)}
     subprocess.run([sys.executable, "-c", code], check=True, cwd=root, env=environment, timeout=120)
