@@ -48,7 +48,8 @@ examples:
   python -m eval.run_all --log arena:0 --table-width column --columns rmse_position_m,nees_pose,nis
   python -m eval.run_all --log arena:0 --figure-width 3.4in --font Times --font-size 8    figures for a column
   python -m eval.run_all --log arena:0 --figure-width 86mm --usetex --pgf      text set by LaTeX, which must be there
-  python -m eval.run_all --log arena:0 --animate            a film of each estimator beside the figures
+  python -m eval.run_all --log arena:0 --animate            a film of each estimator and association
+  python -m eval.run_all --log victoria-park --estimator ekf --animate --speed 20    at 20 times real time
   python -m eval.run_all --config my_run.toml -v            the same keys from a file; flags win; a table
                                                             [corridor] (seed, people, range, ...) is a log, too
   python -m eval.run_all --log DIR --config tutorial-step1 --config tutorial-step3   (DIR made by data.convert mrclam)
