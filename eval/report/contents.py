@@ -25,6 +25,7 @@ from eval.report.answer import answer
 from eval.report.corridor.questions import lab_sections
 from eval.report.doubt.origin import origin_statement
 from eval.report.doubt.questions import questions_section, unused_statement
+from eval.report.lab.sections import hand_in
 from eval.report.laser.sections import against_relations, laser_sections
 from eval.report.log_sections import association_sections, beside, rows_of, trial_sections, tutorial_sections
 from eval.report.pictures import draw, kinds, publish_runs
@@ -90,7 +91,8 @@ def write_results(
     (folder / "runs").mkdir()
     write_truths(folder, outcome.trials)
     published = _publish_trials(folder, options, outcome.trials, lost, progress)
-    sections = questions_section(outcome.trials)
+    sections = hand_in(folder, options, outcome.trials, scores, lost)
+    sections += questions_section(outcome.trials)
     sections += trial_sections(folder, options, outcome.trials, scores, published, outcome.trust)
     sections += laser_sections(folder, options, outcome.trials, published)
     sections += visual_sections(folder, options, outcome.trials)

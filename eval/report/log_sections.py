@@ -19,13 +19,14 @@ from eval.report.differences import CAPTION as DIFFERENCES_CAPTION
 from eval.report.differences import differences_table, missing_intervals
 from eval.report.doubt.minima import minima_statements
 from eval.report.doubt.naming import naming_statements
+from eval.report.films import films_of
 from eval.report.laser.pictures import GRID, LOOPS
 from eval.report.names import stem
 from eval.report.pictures import FILTER_SMOOTHER
 from eval.report.results.said import aligned_statement
 from eval.report.rows import rows_of as rows_by
 from eval.report.trust.sections import trust_section
-from eval.report.tutorial_table import CAPTION, logs_with_tutorials, tutorial_table
+from eval.report.tutorials.table import CAPTION, logs_with_tutorials, tutorial_table
 from eval.studies.trusted import Trust
 
 
@@ -68,6 +69,8 @@ def trial_sections(
         blocks += [_beside_note(t, rows_of(scores.metrics, t)) for t in others]
         blocks += _differences(folder, options, trial, rows_of(scores.differences, trial))
         blocks += [p for p in pictures if p.stem not in {stem(trial, kind) for kind in ELSEWHERE}]
+        if options.animate:
+            blocks += [film for t in (trial, *others) for film in films_of(folder, t)]
         notes = [*trial.log.notes, *(f"{r.estimator}: {n}." for r in trial.runs for n in r.notes)]
         notes += [f"{text}." for text in minima_statements(trial)]
         if notes:

@@ -19,7 +19,6 @@ from eval.figures.style import save
 from eval.page.document import Picture
 from eval.page.numbers import number
 from eval.plan.flags.options import Options
-from eval.referee.paths.given import log_of
 from eval.referee.score import Trial, confusion_of
 from eval.referee.trust import SHARE
 from eval.report.laser.files import write_laser_files
@@ -48,10 +47,10 @@ def publish_runs(folder: Path, options: Options, trial: Trial) -> None:
         write_laser_files(folder, trial)
     for run in trial.runs:
         write_run(folder, trial, run)
-        if options.animate and run.failure is None:
-            from eval.figures.film import animate
+    if options.animate:
+        from eval.report.films import write_films
 
-            animate(log_of(run, trial.log), run, folder / "figures" / f"{stem(trial, run.estimator)}.mp4")
+        write_films(folder, options, trial)
 
 
 FILTER_SMOOTHER = "filter-smoother"
