@@ -47,6 +47,7 @@ def add_run(pack: Pack, key: str, run: Run, trial: Trial, quantum: float, finer:
         "estimator": run.estimator, "association": run.association, "phases": list(run.phases), "status": run.status,
         "why": "" if run.flaw is None else run.flaw.text, "decides": f"{key}decision" in pack.names, "scored": scored,
         "history": watched is not None and len(watched.change_frame) > 0,
+        "every": 0 if watched is None else watched.every, "certain": watched is not None and watched.certain,
         "candidates": watched is not None and len(watched.pair_row) > 0,
         "nis": run.innovations is not None, "nis_expected": run.gated[0],
     }  # fmt: skip

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
 from association.expectation import gate_threshold
 from association.scans.laser_run import LaserRun
@@ -58,15 +57,14 @@ def scene(trials: Sequence[Trial], setup: Setup) -> dict[str, Any]:
                 "dash": dashes(line), "beside": _beside(trial, log),
             }  # fmt: skip
             runs.append(entry)
-    low, high = chi2.ppf([0.025, 0.975], 3)
     watched = [r.watched for t in trials for r in t.runs if isinstance(r.watched, Watched)]
     return pack.done({
         "name": log.name, "indexed": log.recorded.time_is_index, "quantum": quantum, "runs": runs,
         "left_out": left_out, "methods": list(watched[0].methods) if watched else [],
         "gate": _threshold(setup.gate), "new_gate": _threshold(setup.new_gate),
-        "gates": [_percent(setup.gate), _percent(setup.new_gate)], "band": [float(low), float(high)],
+        "gates": [_percent(setup.gate), _percent(setup.new_gate)], "band": [gate_threshold(p, 3) for p in (0.025, 0.975)],
         "labels": log.label is not None or log.labels_are_sensed, "laser": log.recorded.scans is not None,
-        "truth": bool(log.truth.known_poses), "landmark_every": max((w.every for w in watched), default=0),
+        "truth": bool(log.truth.known_poses),
     })  # fmt: skip
 
 

@@ -1,7 +1,7 @@
 """What an observer of a replay writes down for the player: landmarks as they were, and what could have been decided.
 
 Only changes of a landmark that can be seen are kept: a mean, or an end of its 3 sigma ellipse, moved by more than half
-a quantum. A filter is asked for its map after each frame in which it used something; a smoother is not, as its
+a quantum. A filter is asked for its map after each frame in which it saw something; a smoother for means alone, as its
 marginals cost more than the whole run (a tenth of a second a frame in a corridor) and asking moves its bookkeeping.
 """
 
@@ -20,6 +20,7 @@ from data.se2 import Array, dead_reckoned
 from ekf.filter import Filter
 from ekf.slam import EkfSlam
 from eval.replay.frontend import FrontEnd, Pairing
+from graph.incremental import Isam2Smoother
 
 SIGMAS = 3.0
 FINEST, COARSEST = 1.0e-3, 1.0e-1
@@ -30,9 +31,11 @@ LOOKED_AT = 0.99999
 """Candidates of an observation inside this gate are kept, ..."""
 MOST = 12
 """... the nearest so many; the nearest one always, and the one it was paired with."""
-LARGE, SELDOM = 300, 50
+LARGE, SELDOM = 300, 10
 """Above so many landmarks a map is written down after every so many frames only: writing it down costs as long as
 using it."""
+READ = 30_000
+"""Positions of landmarks that a smoother is asked for in all, each 10 to 20 microseconds."""
 LONG = 2000
 """Frames. In a longer log no method is asked where labels decide: that would take longer than the run."""
 NOT_ASKED, SINGULAR = -3, -4
@@ -52,7 +55,8 @@ class Watched:
 
     Attributes:
         quantum: m; smaller changes are left out.
-        every: landmarks were written down after every so many frames; 0: never.
+        every: landmarks were written down after every so many frames with observations; 0: never.
+        certain: with their covariances; else their sigmas are zero.
         change_frame, change_number, change_there: (C,) in which frame which landmark changed; 0: it left the map.
         change_xy, change_sigma, change_rho: (C, 2), (C, 2), (C,) in the world frame [m].
         seen_frame, seen_number: (K,) candidates that some observation might have been of.
@@ -64,6 +68,7 @@ class Watched:
 
     quantum: float
     every: int
+    certain: bool
     change_frame: IntArray
     change_number: IntArray
     change_there: IntArray
@@ -95,8 +100,8 @@ class Watch:
     def __init__(self, inputs: Inputs) -> None:
         """Before the first frame."""
         self.quantum, self.sensor, self.seconds = quantum_of(inputs), inputs.sensor, 0.0
-        self._frames = len(inputs)
-        self._every, self._written, self._looked = 0, 0, False
+        self._frames, self._seeing = len(inputs), int((np.diff(inputs.start) > 0).sum())
+        self._every, self._since, self._looked, self._certain = 0, 0, -1, True
         self._last = np.full((0, 5), np.nan)
         self._changes: list[Array] = []
         self._seen: list[Array] = []
@@ -108,7 +113,8 @@ class Watch:
 
     def decided(self, front: FrontEnd, frame: Frame, pairing: Pairing) -> None:
         """Candidates, their distances, and what each method says; what an estimator cannot say for nothing is left."""
-        begin, self._looked = time.perf_counter(), True
+        begin = time.perf_counter()
+        self._looked = front.k
         e = pairing.expectation
         # a filter's expectation is formed from its state and changes nothing; parked landmarks would have to come back
         if e is None and isinstance(front.estimator, Filter) and not len(front.estimator.parked):
@@ -142,14 +148,16 @@ class Watch:
 
     def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
         """Landmarks of a filter, as they are after the frame."""
-        begin = time.perf_counter()
-        if isinstance(front.estimator, EkfSlam):
-            seldom = front.estimator.created > LARGE
-            self._every = SELDOM if seldom else max(self._every, 1)
-            due = self._looked and (not seldom or front.k - self._written >= SELDOM)
-            if due or front.k == self._frames - 1:
-                self._write(front.k, front.landmarks())
-                self._looked, self._written = False, front.k
+        begin, estimator = time.perf_counter(), front.estimator
+        if isinstance(estimator, (EkfSlam, Isam2Smoother)) and front.slam:
+            filters = isinstance(estimator, EkfSlam)
+            size = estimator.created
+            seldom = (SELDOM if size > LARGE else 1) if filters else 1 + size * self._seeing // READ
+            self._every, self._certain = max(self._every, seldom), filters
+            self._since += self._looked == front.k
+            if self._since >= seldom or front.k == self._frames - 1:
+                self._since = 0
+                self._write(front.k, _state(estimator))
         self.seconds += time.perf_counter() - begin
 
     def _write(self, frame: int, state: MapState) -> None:
@@ -180,7 +188,7 @@ class Watch:
         changes, seen, pairs = _table(self._changes, 8), _table(self._seen, 7), _table(self._pairs, 3)
         whole = changes[:, :3].astype(np.int64)
         return Watched(
-            self.quantum, self._every, whole[:, 0], whole[:, 1], whole[:, 2],
+            self.quantum, self._every, self._certain, whole[:, 0], whole[:, 1], whole[:, 2],
             changes[:, 3:5], changes[:, 5:7], changes[:, 7],
             seen[:, 0].astype(np.int64), seen[:, 1].astype(np.int64), seen[:, 2:4], seen[:, 4:6], seen[:, 6],
             pairs[:, 0].astype(np.int64), pairs[:, 1].astype(np.int64), pairs[:, 2], METHODS, self._said,
@@ -193,6 +201,14 @@ def spread(covariance: Array) -> Array:
     product = sigma[:, 0] * sigma[:, 1]
     rho = np.divide(covariance[:, 0, 1], product, out=np.zeros(len(sigma)), where=product > 0.0)
     return np.column_stack([sigma, np.clip(rho, -1.0, 1.0)])
+
+
+def _state(estimator: EkfSlam | Isam2Smoother) -> MapState:
+    """Its landmarks as they are; of a smoother without covariances."""
+    if isinstance(estimator, EkfSlam):
+        return estimator.landmarks()
+    smoother, number = estimator, estimator.numbers
+    return MapState(number, smoother.positions(number), np.zeros((len(number), 2, 2)))
 
 
 def _table(parts: list[Array], columns: int) -> Array:

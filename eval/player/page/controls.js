@@ -51,10 +51,10 @@ function focused() {
   if (!run.phases.includes(S.phase)) said.push(`It has no ${S.phase} path; the ${phaseOf(run)} one is shown.`);
   if (run.decides && run.task === "slam") {
     if (phaseOf(run) === "final") said.push("Landmarks are those of the last map.");
-    else if (run.history) said.push(`Landmarks as they were after each frame${recording.head.landmark_every > 1 ? ` (of large maps every ${recording.head.landmark_every} frames)` : ""}; changes below ${1000 * recording.head.quantum} mm are left out.`);
-    else said.push("Where landmarks were at each instant is recorded of filters only; here each stands where it was in the end.");
+    else if (run.history && !run.certain) said.push(`Landmarks as they were, every ${run.every} frames with observations, without ellipses: a smoother's marginals take longer than the run.`);
+    else if (run.history) said.push(`Landmarks as they were after each frame${run.every > 1 ? ` (of so large a map after every ${run.every} with observations)` : ""}; changes below ${1000 * recording.head.quantum} mm are left out.`);
+    else said.push("Where landmarks were at each instant was not recorded; here each stands where it was in the end.");
   }
-  if (!run.decides && recording.head.laser) said.push("A laser log: key poses and loop closures stand in place of observations.");
   $$("about").textContent = said.join(" ");
   const wrong = run.decides && wrongFrames().length > 0;
   $$("wrong-back").disabled = $$("wrong-next").disabled = !wrong;
@@ -66,7 +66,7 @@ function wire() {
   $$("facts").textContent = `${recording.frames} frames, ${observations} observations. ${head.left_out.join(" ")}`;
   $$("slider").max = recording.frames - 1;
   // first a run that decided for itself and whose landmarks are known at each instant, joint compatibility before others
-  const worth = (r) => 8 * (r.decides && r.status === "ok") + 4 * r.candidates + 2 * r.history + (r.association !== "known") + 0.5 * r.association.startsWith("jcbb");
+  const worth = (r) => 8 * ((r.decides || (r.loops || []).length > 0) && r.status === "ok") + 4 * r.candidates + 2 * r.history + (r.association !== "known") + 0.5 * r.association.startsWith("jcbb");
   S.run = runs().reduce((best, r, i) => (worth(r) > worth(runs()[best]) ? i : best), 0);
   const few = new Map();
   for (const run of runs()) if (!few.has(run.estimator) && run.task === focus().task) few.set(run.estimator, run.key);
@@ -90,6 +90,7 @@ function wire() {
   for (const name of ["follow", "numbers", "rays"]) {
     $$(name).addEventListener("change", (e) => { S[name] = e.target.checked; changed(); });
   }
+  $$("enlarge").addEventListener("change", (e) => { S.enlarge = +e.target.value; changed(); });
   $$("play").addEventListener("click", () => play(!S.playing));
   $$("back").addEventListener("click", () => { play(false); go(S.frame - 1); });
   $$("forward").addEventListener("click", () => { play(false); go(S.frame + 1); });

@@ -18,7 +18,8 @@ function wireDetail() {
 
 function inspect() {
   const run = focus(), [from, to] = run.decides ? rowsIn(S.frame) : [0, 0];
-  if (S.playing && performance.now() - inspect.last < 200) { dirty = dirty || false; return; }
+  // the eye does not follow a list faster; what is left out comes with the next frame, the last one when play stops
+  if (S.playing && performance.now() - inspect.last < 200) return;
   inspect.last = performance.now();
   const wanted = [S.frame, S.run, S.phase, S.row, S.method, DARK.matches].join();
   if (wanted === listed) return;
@@ -33,7 +34,7 @@ function inspect() {
     return b;
   }));
   if (held) { const again = document.querySelector(`#list button[data-row="${held}"]`); if (again) again.focus(); }
-  if (to === from) $$("list").textContent = run.decides ? "Nothing was seen." : "This run decides about no observation.";
+  if (to === from) $$("list").textContent = run.decides ? "Nothing was seen." : run.loops && run.loops.length ? "A laser log: key poses and loop closures stand in the map instead." : "This run decides about no observation.";
   $$("inspected").innerHTML = S.row >= 0 ? described(run, d, S.row, from) : to > from ? '<p class="note">Click on one, here or in the map.</p>' : "";
   drawMatching(run, from, to);
 }
@@ -49,12 +50,12 @@ function described(run, d, row, from) {
   const trueId = recording.column("true_id"), labels = recording.column("label"), right = d.right ? d.right[row] : NaN;
   const rightName = !d.right ? "" : right >= 0 ? `landmark ${right}` : "none in the map";
   const facts = [
-    ["measured", `${point[0][row].toFixed(3)} m ahead, ${point[1][row].toFixed(3)} m to the left`],
+    ["measured", `${point[0][row].toFixed(3)} m ahead, ${Math.abs(point[1][row]).toFixed(3)} m to the ${point[1][row] < 0 ? "right" : "left"}`],
     [`${run.name} (${phaseOf(run)})`, `${named(d.decision[row])} <b style="color:${shade(outcome.colour)}">${outcome.key ? outcome.name : ""}</b>`],
   ];
   if (d.right) facts.push(["right", `${rightName}${trueId ? (trueId[row] === -1 ? " (clutter)" : ` (true id ${trueId[row]})`) : ""}`]);
   if (labels) facts.push(["label", labels[row] < 0 ? "none" : labels[row]]);
-  let html = `<h2>Frame ${S.frame}, observation ${row - from}</h2><table id="facts-table"><tbody>${facts.map(([a, b]) => `<tr><th scope="row">${a}</th><td>${b}</td></tr>`).join("")}</tbody></table>`;
+  let html = `<h2 id="which">Frame ${S.frame}, observation ${row - from}</h2><table id="facts-table"><tbody>${facts.map(([a, b]) => `<tr><th scope="row">${a}</th><td>${b}</td></tr>`).join("")}</tbody></table>`;
   const candidates = candidatesOf(recording, run.key, row);
   if (candidates.length) {
     const inside = (x, t) => t === null || x < t ? "inside" : "outside";

@@ -16,6 +16,7 @@ function go(frame) {
 function play(on) {
   if (on && S.frame >= recording.frames - 1) go(0);
   S.playing = on; S.clock = timeOf(S.frame);
+  $$("detail").setAttribute("aria-live", on ? "off" : "polite");  // nobody can listen to thirty frames a second
   $$("play").textContent = on ? "Pause" : "Play";
   $$("play").setAttribute("aria-pressed", on);
   changed();

@@ -1,4 +1,5 @@
 // The map at the present frame.
+const KNOWN = 1e-8;  // m; a smaller sigma says that none is known, or that there is nothing to know
 let mapView = null, marks = [];
 
 function worldBox() {
@@ -65,7 +66,7 @@ function drawRobot(c, view, run, size) {
   if (!pose) return;
   c.lineWidth = 1.2; c.setLineDash([]);
   c.strokeStyle = shade(run.colour);
-  if (Number.isFinite(pose.sx) && ellipse(c, view, pose.x, pose.y, pose.sx, pose.sy, pose.rho)) {
+  if (Number.isFinite(pose.sx) && ellipse(c, view, pose.x, pose.y, S.enlarge * pose.sx, S.enlarge * pose.sy, pose.rho)) {
     c.stroke();
     if (run === focus()) { c.globalAlpha = 0.15; c.fillStyle = shade(run.colour); c.fill(); c.globalAlpha = 1; }
   }
@@ -79,12 +80,12 @@ function drawObserved(c, view, run, pose) {
     const x = view.px(l.x), y = view.py(l.y);
     if (x < -200 || y < -200 || x > view.width + 200 || y > view.height + 200) continue;
     c.strokeStyle = colour; c.lineWidth = 1;
-    if (l.sx > 0 && ellipse(c, view, l.x, l.y, l.sx, l.sy, l.rho)) { c.globalAlpha = 0.8; c.stroke(); c.globalAlpha = 1; }
+    if (l.sx > KNOWN && ellipse(c, view, l.x, l.y, S.enlarge * l.sx, S.enlarge * l.sy, l.rho)) { c.globalAlpha = 0.8; c.stroke(); c.globalAlpha = 1; }
     c.fillStyle = colour; c.fillRect(x - 1.5, y - 1.5, 3, 3);
   }
-  if (S.numbers) writeNumbers(c, view, now, colour);
-  if (!pose) return;
   const d = decided(run), [from, to] = rowsIn(S.frame);
+  if (S.numbers) writeNumbers(c, view, now, colour, new Set(d.decision.slice(from, to)));
+  if (!pose) return;
   for (let row = from; row < to; row++) {
     const seen = seenPoint(row, pose), outcome = outcomeOf(d, row), tint = shade(outcome.colour);
     const x = view.px(seen.x), y = view.py(seen.y), paired = places.get(d.decision[row]);
@@ -100,15 +101,16 @@ function drawObserved(c, view, run, pose) {
   }
 }
 
-/** Landmark numbers beside their landmarks, the seen ones' neighbours first; none on top of another. */
-function writeNumbers(c, view, landmarks, colour) {
-  const taken = new Set();
+/** Landmark numbers beside their landmarks, those of the frame's pairings first; none on top of another. */
+function writeNumbers(c, view, landmarks, colour, paired) {
+  const taken = [];
   c.textAlign = "left";
-  for (const l of landmarks) {
-    const x = view.px(l.x), y = view.py(l.y), cell = `${Math.round(x / 22)} ${Math.round(y / 12)}`;
-    if (x < 0 || y < 0 || x > view.width || y > view.height || taken.has(cell)) continue;
-    taken.add(cell);
-    label(c, String(l.number), x + 4, y + 11, colour);
+  for (const l of [...landmarks].sort((a, b) => paired.has(b.number) - paired.has(a.number) || a.number - b.number)) {
+    const x = view.px(l.x) + 4, y = view.py(l.y) + 11, w = 7 * String(l.number).length + 2;
+    if (x < 0 || y < 0 || x > view.width || y > view.height) continue;
+    if (taken.some((t) => x < t.x + t.w && t.x < x + w && Math.abs(y - t.y) < 11)) continue;
+    taken.push({ x, y, w });
+    label(c, String(l.number), x, y, colour);
   }
 }
 

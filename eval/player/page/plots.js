@@ -30,7 +30,7 @@ function plotInto(place, title, unit, series, data, more) {
     width: Math.max(place.clientWidth, 200), height: 170, title: "", legend: { show: true, live: false },
     cursor: { y: false, drag: { x: true, y: false }, points: { show: false } },
     scales: { x: { time: false }, ...more },
-    axes: [{ ...axis, label: unitOfTime, labelSize: 18, size: 32 }, { ...axis, label: `${title}${unit ? ` [${unit}]` : ""}`, labelSize: 16, size: 54 }],
+    axes: [{ ...axis, label: unitOfTime, labelSize: 18, size: 32 }, { ...axis, label: `${title}${unit ? ` [${unit}]` : ""}`, labelSize: 16, size: 58, space: 22 }],
     series: [{ label: unitOfTime }, ...series],
   }, data, place);
   const cursor = document.createElement("div");
@@ -57,7 +57,7 @@ function makePlots() {
   if (!path(run).xy) return;
   const [name, , unit] = COMPONENTS[S.component], colour = shade(run.colour);
   const [error, high, low] = errorSeries(run, S.component);
-  const band = { stroke: faint(), width: 1, dash: [4, 3] };
+  const band = { stroke: faint(), width: 1, dash: [4, 3], points: { show: false } };
   const shown = [{ label: "+3σ", ...band }, { label: "−3σ", ...band }], data = [time, high, low];
   if (head.truth) { shown.unshift({ label: `${run.name}, ${phaseOf(run)}`, stroke: colour, width: 1.4 }); data.splice(1, 0, error); }
   plotInto($$("plot-error"), head.truth ? `error of ${name}` : `±3σ of ${name}`, unit, shown, data, {});

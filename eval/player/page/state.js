@@ -1,7 +1,7 @@
 // What is shown at the moment, and what follows from it.
 const recording = new Recording();
 const S = { frame: 0, playing: false, speed: 1, clock: 0, run: 0, phase: "online", shown: new Set(), follow: false,
-  numbers: true, rays: true, row: -1, method: "", component: 0 };
+  numbers: true, rays: true, enlarge: 1, row: -1, method: "", component: 0 };
 const histories = new Map();
 
 function runs() { return recording.head.runs; }
@@ -42,6 +42,7 @@ function outcomeOf(d, row) { return d.outcome ? OUTCOMES[d.outcome[row]] : UNSCO
 /** Frames in which the run shown decided something wrongly, ascending. */
 const wrongCache = new Map();
 function wrongFrames() {
+  if (!focus().decides) return [];
   const run = focus(), key = run.key + phaseOf(run);
   if (!wrongCache.has(key)) {
     const { outcome } = decided(run), found = [];
