@@ -19,12 +19,18 @@ from eval.replay.flag import rows
 
 PROG = "python -m eval.play"
 TABLE = rows(Options)
-SHARED = tuple(
-    TABLE[name]
-    for name in (
-        "task", "estimator", "association", "gate", "new_gate", "gate_known", "in_view", "maintain", "forget_after",
-        "deactivate_after", "lag", "keyframe_distance",
-    )
+SHARED = (
+    replace(
+        TABLE["task"],
+        help="localization, slam (default: localization where there is a map, but slam in a corridor)",
+    ),
+    *(
+        TABLE[name]
+        for name in (
+            "estimator", "association", "gate", "new_gate", "gate_known", "in_view", "maintain", "forget_after",
+            "deactivate_after", "lag", "keyframe_distance",
+        )
+    ),
 )  # fmt: skip
 """Flags that mean what they mean in `eval.run_all`."""
 EXAMPLES = """\
@@ -71,7 +77,9 @@ def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
         raise UsageError(f"--frames {frames}: a whole number from 1 up is needed")
     if out is not None and out.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"--out {out}: the name of a page ends in .html")
-    options = options_of({"log": [given["log"]]} | {row.name: given[row.name] for row in SHARED if row.name in given})
+    stated = {"task": "slam"} if given["log"].startswith("corridor:") else {}
+    stated |= {row.name: given[row.name] for row in SHARED if row.name in given}
+    options = options_of({"log": [given["log"]]} | stated)
     return Wish(options, out, None if frames is None else int(frames))
 
 

@@ -62,7 +62,8 @@ def scene(trials: Sequence[Trial], setup: Setup) -> dict[str, Any]:
         "name": log.name, "indexed": log.recorded.time_is_index, "quantum": quantum, "runs": runs,
         "left_out": left_out, "methods": list(watched[0].methods) if watched else [],
         "gate": _threshold(setup.gate), "new_gate": _threshold(setup.new_gate),
-        "gates": [_percent(setup.gate), _percent(setup.new_gate)], "band": [gate_threshold(p, 3) for p in (0.025, 0.975)],
+        "gates": [_percent(setup.gate), _percent(setup.new_gate)],
+        "band": [gate_threshold(p, 3) for p in (0.025, 0.975)],
         "labels": log.label is not None or log.labels_are_sensed, "laser": log.recorded.scans is not None,
         "truth": bool(log.truth.known_poses),
     })  # fmt: skip

@@ -32,6 +32,13 @@ function toWrong(direction) {
   changed();
 }
 
+function draw() {
+  const begin = performance.now();
+  dirty = false;
+  drawMap(); showNow(); inspect();
+  spent += performance.now() - begin; drawn += 1;
+}
+
 let last = 0;
 function tick(now) {
   const passed = Math.min((now - last) / 1000, 0.25);
@@ -43,12 +50,7 @@ function tick(now) {
     if (S.frame >= recording.frames - 1) play(false);
   }
   if (mapView.resize()) changed();
-  if (dirty) {
-    const begin = performance.now();
-    dirty = false;
-    drawMap(); showNow(); inspect();
-    spent += performance.now() - begin; drawn += 1;
-  }
+  if (dirty) draw();
   requestAnimationFrame(tick);
 }
 
@@ -72,6 +74,7 @@ async function begin() {
   DARK.addEventListener("change", () => { makePlots(); fillRuns(); fillLegend(); changed(); });
   requestAnimationFrame(tick);
   window.player = { S, recording, go, play, toWrong, marks: () => marks, redraw: changed,
+    pose: () => poseOf(focus()), draw,
     cost: () => ({ drawn, milliseconds: spent / Math.max(drawn, 1) }), view: mapView };
   document.documentElement.dataset.ready = "true";
 }

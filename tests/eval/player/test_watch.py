@@ -77,7 +77,11 @@ def test_landmarks_are_those_of_each_instant_to_half_a_quantum(watched):
 def test_only_what_can_be_seen_is_written_down(watched):
     memory, run = watched
     w = run.watched
-    assert len(w.change_frame) < 0.5 * sum(len(state.number) for state in memory.maps.values())
+    assert len(w.change_frame) < sum(len(state.number) for state in memory.maps.values())
+    values = np.column_stack([w.change_xy, 3 * w.change_sigma, 3 * w.change_rho * w.change_sigma.max()])
+    for number in range(len(run.created[run.created >= 0])):
+        own = values[w.change_number == number]
+        assert (np.abs(np.diff(own, axis=0)).max(axis=1) > 0.49 * w.quantum).all()
 
 
 def test_distances_are_those_of_the_expectation_and_the_nearest_is_always_there(watched, corridor):
