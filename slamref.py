@@ -72,6 +72,7 @@ COMMANDS = {
     "inspect": ("eval.inspect", "print what a log holds and what is odd about it"),
     "score": ("eval.score", "score a trajectory that another program made against a truth"),
     "check": ("eval.check", "check your own estimator or way of association, a sentence for each check"),
+    "detect": ("eval.detect", "find reference pictures in a photo of your own"),
     "tune": ("eval.tune", "fit noise, biases and odometry scales to a labelled log"),
     "benchmark": ("eval.benchmark", "time the estimators beside their peers"),
     "warm": ("eval.warm", "compile every kernel once, into the cache"),

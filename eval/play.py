@@ -77,9 +77,10 @@ def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
         raise UsageError(f"--frames {frames}: a whole number from 1 up is needed")
     if out is not None and out.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"--out {out}: the name of a page ends in .html")
-    stated = {"task": "slam"} if given["log"].startswith("corridor:") else {}
+    stated: dict[str, object] = {"log": [given["log"]]}
+    stated |= {"task": "slam"} if given["log"].startswith("corridor:") else {}
     stated |= {row.name: given[row.name] for row in SHARED if row.name in given}
-    options = options_of({"log": [given["log"]]} | stated)
+    options = options_of(stated)
     return Wish(options, out, None if frames is None else int(frames))
 
 

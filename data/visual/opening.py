@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from data.log import Log
-from data.pictures import Found, InView
+from data.pictures import Found, InView, VisualRecording
+from data.terminal.words import counted
 from data.visual.lab.folder import open_lab
 from data.visual.lab.units import unit_suspicion
 from data.visual.observations import cached, find_pictures, log_of
@@ -43,6 +44,16 @@ def parse_name(name: str) -> tuple[Gallery, int, int | None]:
     return gallery, seed, counts.get("frames")
 
 
+def open_recording(name: str, camera: Camera) -> VisualRecording:
+    """The images of `visual:SEED[...]`, or of a folder in the lab's format."""
+    if not name.startswith("visual:"):
+        return open_lab(
+            Path(name), translation_unit=camera.translation, reading=camera.reading, trust_pickle=camera.trust_pickle
+        )
+    gallery, seed, frames = parse_name(name)
+    return Rendered(gallery, seed, frames=frames)
+
+
 def open_rendered(name: str, camera: Camera, say: Say, cache: Path | None) -> Log:
     """The log of `visual:SEED[:KEY=VALUE+...]`."""
     gallery, seed, frames = parse_name(name)
@@ -50,7 +61,7 @@ def open_rendered(name: str, camera: Camera, say: Say, cache: Path | None) -> Lo
     n = len(recording)
 
     def look() -> Found:
-        say(f"{name}: rendering {n} frames and looking for pictures")
+        say(f"{name}: rendering {counted(n, 'frame')} and looking for pictures")
         return find_pictures(recording)
 
     notes: list[str] = []
@@ -90,7 +101,7 @@ def open_lab_log(folder: Path, camera: Camera, say: Say) -> Log:
     )
 
     def look() -> Found:
-        say(f"{folder.name}: looking for pictures in {len(recording)} frames")
+        say(f"{folder.name}: looking for pictures in {counted(len(recording), 'frame')}")
         return find_pictures(recording)
 
     found, note = cached(folder, recording.digest(), look)

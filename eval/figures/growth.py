@@ -11,7 +11,8 @@ from data.log import Log
 from data.result import Run
 from eval.figures.ellipses import SIGMAS, longest_axis
 from eval.figures.error import longest_sigma, ticks, time_label
-from eval.figures.style import DASHED, DOTTED, DOUBLE, SOLID, Line, colour_of_method, drawing, style_of
+from eval.figures.paper.look import page_width, points
+from eval.figures.style import DASHED, DOTTED, SOLID, Line, colour_of_method, drawing, style_of
 from eval.referee.score import Trial
 
 LOOP = 0.3
@@ -37,7 +38,7 @@ def state_figure(trial: Trial, beside: Sequence[Trial] = ()) -> Figure:
 
 
 def _state_figure(trial: Trial, beside: Sequence[Trial]) -> Figure:
-    fig = Figure(figsize=(DOUBLE, 2.7))
+    fig = Figure(figsize=(page_width(), 2.7))
     ax = fig.add_subplot()
     time = trial.log.recorded.time
     lines = []
@@ -62,7 +63,7 @@ def _state_figure(trial: Trial, beside: Sequence[Trial]) -> Figure:
     ax.yaxis.set_major_locator(ticks(6))
     ax.set_title(f"{trial.log.name}: state of the filters (3 for the pose, 2 for a landmark)", loc="left")
     handles = [drawn for _, drawn in sorted(lines, key=lambda pair: -pair[0])]
-    fig.legend(handles=handles, loc="outside right upper", title="length at the end", title_fontsize=7)
+    fig.legend(handles=handles, loc="outside right upper", title="length at the end", title_fontsize=points(7))
     return fig
 
 
@@ -89,7 +90,7 @@ def growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
 
 
 def _growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
-    fig = Figure(figsize=(DOUBLE, 2.9))
+    fig = Figure(figsize=(page_width(), 2.9))
     robot, landmarks = fig.subplots(1, 2)
     time = log.recorded.time
     for i, run in enumerate(runs):

@@ -18,7 +18,8 @@ from data.log import Log
 from data.result import Run
 from data.se2 import Array, dead_reckoned
 from eval.figures.ellipses import along_path, draw_ellipses, ellipses, longest_axis
-from eval.figures.style import DOTTED, DOUBLE, STYLES, TRUTH_COLOUR, Series, drawing, series, settle
+from eval.figures.paper.look import page_width, points
+from eval.figures.style import DOTTED, STYLES, TRUTH_COLOUR, Series, drawing, series, settle
 from eval.figures.view import View, enlargement, true_landmarks, view_of
 from eval.referee.paths.given import is_truth_alone
 
@@ -43,14 +44,16 @@ def _label(s: Series) -> str:
     return s.label if flaw is None else f"{s.label}:\n{flaw.status} at frame {flaw.frame}"
 
 
-def map_figure(log: Log, runs: Sequence[Run], *, width: float = DOUBLE, surveyed: Surveyed | None = None) -> Figure:
+def map_figure(
+    log: Log, runs: Sequence[Run], *, width: float | None = None, surveyed: Surveyed | None = None
+) -> Figure:
     """Paths, landmarks and 3 sigma ellipses of every run on one log; metres, equal aspect, `width` in inches.
 
     Ellipses too small to see are enlarged, all by one factor that the legend states. A path that runs away does not
     squash the picture: it is cut, and the title names it. `surveyed` draws in place of the true landmarks.
     """
     with drawing():
-        return _map_figure(log, runs, width, surveyed)
+        return _map_figure(log, runs, width or page_width(), surveyed)
 
 
 def _map_figure(log: Log, runs: Sequence[Run], width: float, surveyed: Surveyed | None) -> Figure:
@@ -141,7 +144,7 @@ def _landmark_ids(ax: Axes, number: IntArray, xy: Array, view: View) -> None:
     halo = [withStroke(linewidth=1.5, foreground="white")]
     for n, (x, y) in zip(number[inside].tolist(), xy[inside].tolist(), strict=True):
         ax.annotate(
-            str(n), (x, y), xytext=(3.0, 3.0), textcoords="offset points", fontsize=6, color="#404040",
+            str(n), (x, y), xytext=(3.0, 3.0), textcoords="offset points", fontsize=points(6), color="#404040",
             path_effects=halo, zorder=5.5,
         )  # fmt: skip
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from data.terminal.words import counted
 from eval.page.document import Block, Picture, Report, Section, write_report
 from eval.plan.cluster import Call
 from eval.plan.execute import Outcome
@@ -25,6 +26,7 @@ from eval.report.answer import answer
 from eval.report.corridor.questions import lab_sections
 from eval.report.doubt.origin import origin_statement
 from eval.report.doubt.questions import questions_section, unused_statement
+from eval.report.lab.sections import hand_in
 from eval.report.laser.sections import against_relations, laser_sections
 from eval.report.log_sections import association_sections, beside, rows_of, trial_sections, tutorial_sections
 from eval.report.pictures import draw, kinds, publish_runs
@@ -90,7 +92,8 @@ def write_results(
     (folder / "runs").mkdir()
     write_truths(folder, outcome.trials)
     published = _publish_trials(folder, options, outcome.trials, lost, progress)
-    sections = questions_section(outcome.trials)
+    sections = hand_in(folder, options, outcome.trials, scores, lost)
+    sections += questions_section(outcome.trials)
     sections += trial_sections(folder, options, outcome.trials, scores, published, outcome.trust)
     sections += laser_sections(folder, options, outcome.trials, published)
     sections += visual_sections(folder, options, outcome.trials)
@@ -235,8 +238,9 @@ def _source_section(trials: Sequence[Trial], options: Options) -> Section:
         if log.has_labels:
             labels += f" {gate_sentence(options, sensed=log.labels_are_sensed)}"
         notes.append(
-            f"* `{log.name}` ({kind}): {len(r)} frames, {len(r.observations.frame)} observations, sensor"
-            f" `{r.sensor.name}`, {log.truth.known_poses} frames with truth, {r.floored} increments raised to"
+            f"* `{log.name}` ({kind}): {counted(len(r), 'frame')}, {counted(len(r.observations.frame), 'observation')},"
+            f" sensor `{r.sensor.name}`, {counted(log.truth.known_poses, 'frame')} with truth,"
+            f" {counted(r.floored, 'increment')} raised to"
             f" the covariance floor.{labels}"
         )
     notes.append("* Versions, command and checksums of the inputs: `provenance.json`.")

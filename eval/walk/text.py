@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from textwrap import fill
 from typing import NamedTuple
 
@@ -18,6 +18,7 @@ from data.inputs import IntArray
 from data.log import Log
 from data.result import DISCARD, NEW, Run
 from data.se2 import Array
+from data.terminal.words import counted
 from data.truth import UNKNOWN_ID
 from eval.referee.confusion import OUTCOMES, Confusion, confuse
 from eval.referee.metrics import metric
@@ -150,8 +151,12 @@ def totals(confusion: Confusion, steps: int) -> str:
     ])  # fmt: skip
 
 
-def run_text(log: Log, run: Run, phase: str = "online") -> str:
-    """All steps of a run that have observations, and the totals.
+Block = Callable[[int, TruthRow | None, IntArray, IntArray], str]
+"""Text of a step, as `step_block` makes one; empty where nothing is said."""
+
+
+def run_text(log: Log, run: Run, phase: str = "online", block: Block = step_block) -> str:
+    """All steps of a run that have observations, each by `block`, and the totals.
 
     `phase` is `online` or `final`: decisions as they were made, or after all revisions.
     """
@@ -165,8 +170,8 @@ def run_text(log: Log, run: Run, phase: str = "online") -> str:
     blocks = []
     for k in frames.tolist():
         rows = slice(int(inputs.start[k]), int(inputs.start[k + 1]))
-        blocks.append(step_block(k, row_of(confusion, rows), decisions[rows], created[rows]))
-    return "\n\n".join([*blocks, closing(log, run, phase)])
+        blocks.append(block(k, row_of(confusion, rows), decisions[rows], created[rows]))
+    return "\n\n".join([*filter(None, blocks), closing(log, run, phase)])
 
 
 def closing(log: Log, run: Run, phase: str = "online") -> str:
@@ -215,6 +220,6 @@ def compatibility_text(e: Expectation, gate: float | None) -> str:
     each = (e.individual_distances() < gate_threshold(gate)).sum(axis=1)
     none, one, several = (int(mask.sum()) for mask in (each == 0, each == 1, each > 1))
     return (
-        f"{each.sum()} compatible pairs with {len(e.number)} landmarks; "
+        f"{counted(int(each.sum()), 'compatible pair')} with {counted(len(e.number), 'landmark')}; "
         f"observations with none {none}, with one {one}, with several {several}"
     )

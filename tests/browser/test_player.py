@@ -158,7 +158,8 @@ def test_every_decision_is_the_one_of_the_result_folder(corridor, results):
         rows = decisions_of(results, association)
         shown = corridor.js(
             "(() => { const key = player.recording.head.runs[player.S.run].key;"
-            " const of = (n) => [...player.recording.column(key + n)]; return [of('decision'), of('outcome'), of('right')]; })()"
+            " const of = (n) => [...player.recording.column(key + n)];"
+            " return [of('decision'), of('outcome'), of('right')]; })()"
         )
         assert shown[0] == [int(r["decision"]) for r in rows]
         assert [OUTCOMES[o] for o in shown[1]] == [r["outcome"] for r in rows]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from association.decide import METHODS
-from data.logs import open_log
 from data.log import shortened
+from data.logs import open_log
 from data.result import NEW
 from data.worlds.arena import Arena, simulate
 from eval.player.of_run import COARSE, own_steps
