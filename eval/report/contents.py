@@ -17,6 +17,7 @@ from eval.plan.flags.options import Options
 from eval.plan.provenance import command_of, provenance
 from eval.plan.unfinished import Unfinished
 from eval.plan.work import work
+from eval.player.write import played, write_player
 from eval.referee.consistency import MIN_RUNS
 from eval.referee.files import top
 from eval.referee.paths.given import GivenRun, is_truth_alone
@@ -156,10 +157,12 @@ def _publish_trials(
             jobs.append(((i, place), (partial(draw, quick=options.quick), (folder, trial, kind, others))))
     for i, trial in enumerate(trials):
         jobs.append(((i, -1), (publish_runs, (folder, options, trial))))
+    for group in () if options.no_plots else played(trials):
+        jobs.append(((trials.index(group[0]), -2), (write_player, (folder, group, options.setup))))
     made: dict[tuple[int, int], Picture] = {}
 
     def missing(owner: tuple[int, int], why: str) -> None:
-        what = "files of its runs" if owner[1] < 0 else "a picture"
+        what = {-1: "files of its runs", -2: "the player"}.get(owner[1], "a picture")
         lost.say(f"{trials[owner[0]].log.name}, {trials[owner[0]].task}: {what} missing", why)
 
     for done, (owner, picture) in enumerate(work(jobs, options, lost=missing), start=1):
