@@ -9,6 +9,7 @@ import numpy as np
 
 from data.inputs import UNLABELLED, Inputs, IntArray, LabelledObservations, Observations, Scans
 from data.pictures import Evidence
+from data.se2 import dead_reckoned
 from data.truth import UNKNOWN_ID, Relations, Truth
 
 
@@ -61,6 +62,27 @@ class Log:
         return replace(
             self.recorded, observations=LabelledObservations(o.frame, o.z, o.R, label, self.labels_are_sensed)
         )
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: what the log holds, and the true path or else dead reckoning."""
+        from data.notebook import card
+
+        r, truth = self.recorded, self.truth
+        if truth.pose is not None:
+            paths = [card.Path("true path", truth.pose[:, :2], card.BLACK)]
+        else:
+            reckoned = dead_reckoned(r.prior.mean, r.increments.mean)
+            paths = [card.Path("dead reckoning", reckoned[:, :2], card.GREY)]
+        known = truth.landmarks if truth.landmarks is not None else r.map
+        points = [] if known is None else [card.Points("landmarks", known.xy, card.GREY)]
+        span = "no stamps" if r.time_is_index else f"{r.time[-1] - r.time[0]:.1f} s"
+        facts = [
+            ("frames", f"{len(r)} ({span})"), ("observations", str(len(r.observations.frame))),
+            ("sensor", r.sensor.name), ("map", "none" if r.map is None else f"{len(r.map.id)} landmarks"),
+            ("truth", f"in {truth.known_poses} frames" if truth.known_poses else "none"),
+            ("labels", "yes" if self.has_labels else "none"),
+        ]  # fmt: skip
+        return card.card(f"Log {self.name}", facts, paths, points)
 
 
 def shortened(log: Log, n: int) -> Log:

@@ -196,6 +196,7 @@ class Run:
         last_step_sigma: largest component of the Newton step that it left, in standard deviations of that component;
             next to nothing at an optimum.
         doubt: it got to the end, but with a number that no honest run gives (`implausible`): from which frame, and why.
+        watched: what an observer of the replay wrote down, for those who know its kind; no part of the result.
     """
 
     estimator: str
@@ -219,6 +220,7 @@ class Run:
     iterations: int | None = None
     last_step_sigma: float | None = None
     doubt: Failure | None = None
+    watched: object | None = None
 
     def __post_init__(self) -> None:
         read_only(self)
@@ -244,3 +246,22 @@ class Run:
         if found is None:
             raise ValueError(f"{self.estimator} has no {phase} trajectory")
         return found
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: who, how far, what was decided, paths and map."""
+        from data.notebook import card
+
+        drawn = {"online": card.WARM, "final": card.COOL}
+        paths = [card.Path(p, self.trajectory(p).pose[:, :2], drawn[p]) for p in self.phases]
+        points = [] if self.map is None else [card.Points("map", self.map.xy, card.BLACK)]
+        facts = [
+            ("task", self.task), ("association", self.association), ("status", self.status),
+            ("frames", str(len(self.trajectory(self.phases[0]).pose)) if self.phases else "0"),
+            ("phases", ", ".join(self.phases)),
+            ("observations used", f"{int((self.final_decisions >= 0).sum())} of {len(self.final_decisions)}"),
+        ]  # fmt: skip
+        if self.map is not None:
+            facts.append(("landmarks", str(len(self.map))))
+        if self.flaw is not None:
+            facts.append(("why", self.flaw.text))
+        return card.card(f"Run of {self.estimator}", facts, paths, points)

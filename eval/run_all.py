@@ -19,6 +19,7 @@ from typing import NoReturn
 
 from data.errors import UsageError
 from data.terminal.ending import INTERRUPTED, WRONG, ended, told, unread
+from data.terminal.words import counted
 from data.whole import whole_folder
 from eval.plan.flags.examples import PROG
 from eval.plan.flags.options import read_options
@@ -135,21 +136,29 @@ def staged(out: Path) -> Iterator[Path]:
 
 def _run(options: Options, console: Console, folder: Path, arguments: Sequence[str], check: Callable[[], None]) -> int:
     from data.questions.ask import ask
+    from eval.figures.paper.look import looking
+    from eval.page.paper.columns import check_columns
     from eval.plan.execute import execute
     from eval.plan.experiments import make_plan
     from eval.plan.first_use import compile_if_needed
+    from eval.plan.looks import look_of, require_latex
     from eval.referee.paths.given import GivenRun
     from eval.report.contents import write_results
     from eval.report.doubt.questions import said_after
     from eval.studies import reproduced, store
     from eval.studies.montecarlo import declared_line, failed_declarations, judge, study_lines, traces
 
+    check_columns(options.columns)
+    require_latex(options)
+    look, said = look_of(options)
+    if said:
+        console.say(said)
     compile_if_needed(options.quiet)
     plan = make_plan(options, console.say)
     begin = time.time()
     console.kept = lambda: store.kept_since(options.out.absolute().parent, begin)
     for e in plan.experiments:
-        console.detail(f"{e.log.name}: {e.task}, {len(e.log.recorded)} frames")
+        console.detail(f"{e.log.name}: {e.task}, {counted(len(e.log.recorded), 'frame')}")
         for note in e.log.notes:
             console.detail(f"{e.log.name}: {note}")
     for log in {e.log.name: e.log for e in plan.experiments if e.beside is None}.values():
@@ -179,14 +188,15 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
             console.detail(trace)
     for text in [*reproduced.lines(outcome.published), *outcome.skipped]:
         console.say(text)
-    with _bar("writing", options.quiet, check) as progress:
+    with _bar("writing", options.quiet, check) as progress, looking(look):
         missing, lines = write_results(folder, options, outcome, judged, arguments, progress)
     failed = failed_declarations(judged)
     for j in failed:
         task, estimator, _, phase = j.key
         console.say(
             f"rejected: {estimator} ({j.scenario}, {task}, {phase}) is declared consistent, but its {j.quantity} NEES "
-            f"is {j.verdict.mean:.3g}, not {j.verdict.expected:g} ({j.verdict.word}; {j.diverged} runs diverged)"
+            f"is {j.verdict.mean:.3g}, not {j.verdict.expected:g} ({j.verdict.word};"
+            f" {counted(j.diverged, 'run')} diverged)"
         )
     if not failed and (line := declared_line(judged)):
         console.say(line)

@@ -19,8 +19,8 @@ FINE, WRONG = 0, 2
 HELP = """\
 Score a trajectory against a truth: errors, relative errors, and with a covariance NEES. Both may be CSV with the
 columns t,x,y,theta, TUM (also with covariance), SQUARE, EuRoC, KITTI poses or a topic of a ROS bag; the truth also a
-log. A name and a value a line, SI units (deg where the name says so), names as in metrics.csv; nothing is
-aligned unless asked. With several estimates, each of a run of its own: their mean NEES, with a verdict and its power."""
+log. A name and a value a line, SI units (deg where the name says so), names as in metrics.csv; nothing is aligned
+unless asked. With several estimates, each of a run of its own: their mean NEES, with a verdict and its power."""
 EXAMPLES = """\
 examples:
   python -m eval.score estimate.tum truth.tum

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from data.errors import DataError, UsageError
 from data.terminal.ending import ended
+from data.terminal.words import counted
 from eval.replay.flag import probability_or_auto
 from eval.replay.settings import SENSED_GATE, Setup
 
@@ -269,7 +270,7 @@ def _spread(model: Model, found: Fit, i: int) -> float:
 def _report(log: Log, tuning: Tuning) -> list[str]:
     """What was found, in lines."""
     task = "SLAM" if tuning.model.inputs.map is None else "localization"
-    lines = [f"{log.name}: {len(tuning.model.inputs)} frames, {task}, known association", ""]
+    lines = [f"{log.name}: {counted(len(tuning.model.inputs), 'frame')}, {task}, known association", ""]
     rows = [("parameter", "value", "s.e.", "", "what it is")]
     for i, p in enumerate(tuning.model.parameters):
         value = p.value(tuning.theta[i])

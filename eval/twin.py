@@ -12,6 +12,7 @@ from pathlib import Path
 
 from data.errors import UsageError
 from data.terminal.ending import ended
+from data.terminal.words import counted
 from eval.replay.names import ASSOCIATIONS, TASKS
 
 PROG = "python -m eval.twin"
@@ -52,7 +53,7 @@ def _twin_as_asked(argv: Sequence[str] | None, prog: str) -> None:
     parser.add_argument(
         "--association", metavar="NAME",
         help=f"who pairs the readings: of {', '.join(ASSOCIATIONS)}, or your own (default: known where LOG has labels, "
-        "else jcbb)",
+        "else jcbb-hindsight)",
     )  # fmt: skip
     options = parser.parse_args(argv)
     from eval.plan.first_use import compile_if_needed
@@ -71,6 +72,7 @@ def _run(options: argparse.Namespace) -> str:
     """Estimate, draw, write; gives the report."""
     from dataclasses import replace
 
+    from association.decide import HINDSIGHT
     from data.logs import open_log
     from data.open_log.writer import write_folder
     from eval.plan.foreign import load_all
@@ -84,7 +86,7 @@ def _run(options: argparse.Namespace) -> str:
     task = options.task or ("slam" if log.recorded.map is None else "localization")
     if task == "localization" and log.recorded.map is None:
         raise UsageError(f"--task localization: log {log.name!r} has no map; only slam makes sense")
-    association = "known" if log.has_labels else "jcbb"
+    association = "known" if log.has_labels else HINDSIGHT
     if options.association is not None:
         association = one_settled("--association", options.association, "association")
         load_all((), (association,))
@@ -101,7 +103,8 @@ def _run(options: argparse.Namespace) -> str:
     write_folder(made, options.out)
     seen = int((made.truth.landmark_of >= 0).sum()) if made.truth.landmark_of is not None else 0
     lines = [
-        f"{made.name}: {len(inputs)} frames, {len(inputs.observations.frame)} readings, {seen} of them drawn anew",
+        f"{made.name}: {counted(len(inputs), 'frame')}, {counted(len(inputs.observations.frame), 'reading')},"
+        f" {seen} of them drawn anew",
         *(f"- {note}" for note in made.notes),
         f"written: {options.out.absolute()}",
         "",

@@ -14,7 +14,10 @@ import pytest
 import slamref
 
 ROOT = Path(__file__).parents[1]
-NAMES = ["Trial", "__version__", "compare", "decide", "make_estimator", "open_log", "score"]
+NAMES = [
+    "DISCARD", "NEW", "Expectation", "Samples", "Trial", "__version__", "association_findings", "check_association",
+    "check_estimator", "compare", "decide", "estimator_findings", "make_estimator", "open_log", "score",
+]  # fmt: skip
 
 
 def command(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -25,13 +28,20 @@ def command(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 def test_the_names_are_those_of_the_submodules():
     from association.decide import decide
+    from association.expectation import Expectation
     from data.logs import open_log
+    from data.result import DISCARD, NEW
+    from eval.checks.checking import association_findings, check_association, check_estimator, estimator_findings
     from eval.referee.score import Trial, score
     from eval.replay.estimators import make_estimator
+    from eval.replay.foreign.samples import Samples
     from eval.replay.run import compare
 
-    assert dir(slamref) == NAMES == slamref.__all__
-    homes = (Trial, version("slamref"), compare, decide, make_estimator, open_log, score)
+    assert (dir(slamref), slamref.__all__) == (sorted(NAMES), NAMES)
+    homes = (
+        *(DISCARD, NEW, Expectation, Samples, Trial, version("slamref"), association_findings, check_association),
+        *(check_estimator, compare, decide, estimator_findings, make_estimator, open_log, score),
+    )
     assert tuple(getattr(slamref, name) for name in NAMES) == homes
     with pytest.raises(AttributeError, match="'slamref' has no attribute 'ekf'"):
         _ = slamref.ekf
@@ -56,7 +66,7 @@ def test_the_command_lists_its_subcommands_in_a_line_each(asked):
     done = command(*asked)
     assert done.returncode == 0
     names = [line.split()[0] for line in done.stdout.split("\n") if line.startswith("  ")]
-    assert names == ["run", "step", "twin", "convert", "inspect", "tune", "benchmark", "warm"]
+    assert names == ["run", "step", "twin", "convert", "inspect", "score", "check", "tune", "benchmark", "warm"]
 
 
 def test_the_command_says_its_version():

@@ -8,9 +8,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from data.convert import carmen, lab, mrclam, rosbag, table, victoria_park, visual, worlds
+from data.convert import carmen, g2o, lab, mrclam, rosbag, table, victoria_park, visual, worlds
 from data.convert.parsers import Parser
 from data.terminal.ending import ended
+from data.terminal.words import counted
 from data.worlds.registry import SIMULATORS
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ examples:
   python -m data.convert carmen intel.log.gz logs/intel
   python -m data.convert rosbag robot.bag logs/robot --scan /scan --odom /odom
   python -m data.convert table robot.csv logs/robot --columns t=stamp,v=speed --unit angle=deg,time=ns  (and more)
+  python -m data.convert g2o graph.g2o logs/graph        and back: g2o logs/graph graph.g2o
   python -m data.convert arena logs/arena-0 --seed 0 --landmarks 40
   python -m data.convert corridor logs/corridor-0 --seed 0 --people
   python -m data.convert circle logs/circle-0 --seed 0
@@ -31,7 +33,7 @@ examples:
   python -m data.convert visual my_lab --seed 0
   python -m data.convert lab my_lab logs/lab
 """
-SOURCES = (mrclam, victoria_park, carmen, rosbag, table, worlds, visual, lab)
+SOURCES = (mrclam, victoria_park, carmen, rosbag, table, g2o, worlds, visual, lab)
 CONVERTERS: dict[str, Callable[[argparse.Namespace], Log | str]] = {
     kind: source.convert for source in SOURCES for kind in source.KINDS
 }
@@ -55,18 +57,22 @@ def summary(log: Log) -> list[str]:
     """What a log holds, in sentences."""
     inputs, truth = log.recorded, log.truth
     span = "no stamps" if inputs.time_is_index else f"{inputs.time[-1] - inputs.time[0]:.1f} s"
-    ids = [] if truth.landmark_of is None else truth.landmark_of[truth.landmark_of >= 0].tolist()
+    label = log.granted
+    ids = [] if label is None else label[label >= 0].tolist()
     lines = [
-        f"{len(inputs)} frames ({span}), {len(inputs.observations.z)} readings of {len(set(ids))} landmarks",
-        "no known map" if inputs.map is None else f"a map of {len(inputs.map.id)} landmarks",
-        "no ground truth" if truth.pose is None else f"ground truth in {truth.known_poses} frames",
+        f"{counted(len(inputs), 'frame')} ({span}), {counted(len(inputs.observations.z), 'reading')}"
+        + (f" of {counted(len(set(ids)), 'landmark')}" if label is not None else ""),
+        "no known map" if inputs.map is None else f"a map of {counted(len(inputs.map.id), 'landmark')}",
+        "no ground truth" if truth.pose is None else f"ground truth in {counted(truth.known_poses, 'frame')}",
     ]
     if inputs.scans is not None:
-        lines.append(f"{len(inputs.scans.frame)} scans of {inputs.scans.ranges.shape[1]} beams")
+        lines.append(f"{counted(len(inputs.scans.frame), 'scan')} of {counted(inputs.scans.ranges.shape[1], 'beam')}")
     if truth.relations is not None:
-        lines.append(f"{len(truth.relations)} reference relations")
+        lines.append(counted(len(truth.relations), "reference relation"))
     if inputs.floored:
-        lines.append(f"{inputs.floored} singular increments got the covariance floor {inputs.covariance_floor:g}")
+        lines.append(
+            f"{counted(inputs.floored, 'singular increment')} got the covariance floor {inputs.covariance_floor:g}"
+        )
     return lines
 
 
@@ -83,11 +89,14 @@ def _convert(argv: Sequence[str] | None, prog: str) -> None:
         print(made)
         return
     from data.open_log.writer import write_folder
+    from data.questions.ask import ask
 
     write_folder(made, args.out)
     print(f"{made.name}: {', '.join(summary(made))}.")
     for note in made.notes:
         print(f"- {note}")
+    for question in ask(made):
+        print(f"question ({question.name}): {question.text}")
     print(f"written: {Path(args.out).absolute()}")
 
 

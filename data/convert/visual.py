@@ -6,6 +6,7 @@ import argparse
 from dataclasses import fields
 from typing import TYPE_CHECKING
 
+from data.terminal.words import counted
 from data.worlds.flags import add_flags
 
 if TYPE_CHECKING:
@@ -43,4 +44,5 @@ def convert(args: argparse.Namespace) -> str:
     gallery = Gallery(**{f.name: getattr(args, f.name) for f in fields(Gallery)})
     recording = Rendered(gallery, args.seed, frames=args.frames)
     write_lab(args.out, recording, form=args.form)
-    return f"{len(recording)} frames, {len(recording.references)} pictures; written: {args.out.absolute()}"
+    held = f"{counted(len(recording), 'frame')}, {counted(len(recording.references), 'picture')}"
+    return f"{held}; written: {args.out.absolute()}"

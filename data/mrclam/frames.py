@@ -11,6 +11,7 @@ from data.inputs import Increments, IntArray
 from data.motion import MAX_HOLD, VelocityModel, preintegrate
 from data.mrclam.readings import Readings
 from data.se2 import Array
+from data.terminal.words import counted
 from data.timeline import frame_times
 
 STALE = 0.05
@@ -65,7 +66,9 @@ def lay_out(
         inside = (nearest >= 0) & (nearest < len(time))
         stale = inside & (time[nearest.clip(0, len(time) - 1)] - readings.time > STALE)
         if stale.any():
-            notes.append(f"{int(stale.sum())} readings older than {STALE:g} s at the instant of their frame: dropped.")
+            notes.append(
+                f"{counted(int(stale.sum()), 'reading')} older than {STALE:g} s at the instant of their frame: dropped."
+            )
         readings, frame = readings.where(inside & ~stale), nearest[inside & ~stale]
     increments, gaps = preintegrate(motion, odometry.time, odometry.v, odometry.omega, time)
     if gaps:

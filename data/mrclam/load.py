@@ -27,6 +27,7 @@ from data.mrclam.readings import identify, misplaced, within
 from data.mrclam.tables import read_barcodes, read_landmarks, read_measurements, read_odometry, read_truth
 from data.se2 import Array
 from data.sensors import RangeBearing
+from data.terminal.words import counted
 from data.timeline import MAX_GAP, truth_at
 from data.truth import Truth
 
@@ -278,7 +279,7 @@ def _without_truth(
         return course, None, note
     at = course.time[fix.frame]
     note = (
-        f"No ground truth: the prior is a fit to {fix.readings} readings (rms {fix.rms:.2f} m), "
+        f"No ground truth: the prior is a fit to {counted(fix.readings, 'reading')} (rms {fix.rms:.2f} m), "
         f"and the log starts after them, {at:.3f} s after the first odometry row."
     )
     return course.after(fix.frame), fix.prior, note

@@ -23,6 +23,7 @@ from data.recordings.carmen_corrected import without_corrections
 from data.recordings.carmen_lines import HEAD, SCANS, CarmenLines, ScanLines, content_of, parse_carmen
 from data.recordings.laser import laser_inputs
 from data.se2 import Array, between, inverse
+from data.terminal.words import counted
 from data.truth import Truth
 
 ENDINGS = (".log", ".clf")
@@ -137,10 +138,10 @@ def _notes(lines: CarmenLines, frame: IntArray, kept: IntArray, stamp: Array) ->
         notes.append("Lines left out: " + ", ".join(f"{n} {kind}" for kind, n in sorted(lines.left_out.items())) + ".")
     early, dropped = int((frame < 0).sum()), len(frame) - len(kept)
     if early:
-        notes.append(f"{early} of {len(frame)} scans come before the first ODOM line and were left out.")
+        notes.append(f"{early} of {counted(len(frame), 'scan')} before the first ODOM line: left out.")
     if dropped > early:
         notes.append(
-            f"{dropped - early} of {len(frame)} scans follow another without an ODOM line between and were left out."
+            f"{dropped - early} of {counted(len(frame), 'scan')} after another without an ODOM line between: left out."
         )
     if (back := int((np.diff(stamp) <= 0.0).sum())) > 0:
         notes.append(f"{back} of {len(stamp)} stamps do not increase; line order counts.")

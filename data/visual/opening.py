@@ -10,6 +10,7 @@ import numpy as np
 
 from data.log import Log
 from data.pictures import Found, InView, VisualRecording
+from data.terminal.words import counted
 from data.visual.lab.folder import open_lab
 from data.visual.lab.units import unit_suspicion
 from data.visual.observations import cached, find_pictures, log_of
@@ -60,7 +61,7 @@ def open_rendered(name: str, camera: Camera, say: Say, cache: Path | None) -> Lo
     n = len(recording)
 
     def look() -> Found:
-        say(f"{name}: rendering {n} frames and looking for pictures")
+        say(f"{name}: rendering {counted(n, 'frame')} and looking for pictures")
         return find_pictures(recording)
 
     notes: list[str] = []
@@ -100,7 +101,7 @@ def open_lab_log(folder: Path, camera: Camera, say: Say) -> Log:
     )
 
     def look() -> Found:
-        say(f"{folder.name}: looking for pictures in {len(recording)} frames")
+        say(f"{folder.name}: looking for pictures in {counted(len(recording), 'frame')}")
         return find_pictures(recording)
 
     found, note = cached(folder, recording.digest(), look)

@@ -8,7 +8,8 @@ from dataclasses import replace
 from matplotlib.figure import Figure
 
 from eval.benchmarks.large import BARE, BARE_BATCH, Measured, slope
-from eval.figures.style import DOTTED, DOUBLE, Style, drawing, style_of
+from eval.figures.paper.look import page_width
+from eval.figures.style import DOTTED, Style, drawing, style_of
 
 PEERS = {BARE: ("isam2", "bare gtsam loop"), BARE_BATCH: ("batch", "bare gtsam batch")}
 """Whose peer each is, and what it is called."""
@@ -17,7 +18,7 @@ PEERS = {BARE: ("isam2", "bare gtsam loop"), BARE_BATCH: ("batch", "bare gtsam b
 def scaling_figure(found: Sequence[Measured]) -> Figure:
     """Wall time and peak memory above that of the log, over the number of frames, both axes logarithmic."""
     with drawing():
-        fig = Figure(figsize=(DOUBLE, 2.9))
+        fig = Figure(figsize=(page_width(), 3.5))
         panels: tuple[tuple[str, Callable[[Measured], float]], ...] = (
             ("wall time [s]", lambda m: m.seconds),
             ("memory beside the log [MB]", lambda m: max(m.peak_mb - m.log_mb, 1.0)),
@@ -33,7 +34,7 @@ def scaling_figure(found: Sequence[Measured]) -> Figure:
                     label=style.label + exponent,
                 )  # fmt: skip
             ax.set(xscale="log", yscale="log", xlabel="frames n [–]", ylabel=label)
-            ax.legend()
+            ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=2)  # below: lines fill the panel
         return fig
 
 

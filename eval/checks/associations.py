@@ -21,7 +21,7 @@ from eval.checks.finding import Finding
 from eval.replay.foreign.guard import ForeignError
 
 Method = Callable[[Expectation, float | None], IntArray]
-PROBLEMS = 60
+PROBLEMS = 30
 GATE = 0.99
 MANY_TO_ONE = (nn, ml, ml_ratio, jcbb_first)
 """Ours that let several observations take one landmark; others say so by an attribute `one_to_one = False`."""

@@ -46,12 +46,12 @@ def estimator_findings(estimator: str | Callable[..., Any]) -> list[Finding]:
     with threadpool_limits(1):
         for task in tasks:
             found += [
-                f._replace(check=f"{task}, {f.check}") for check in ESTIMATOR for f in _sheltered(check, text, task)
+                f._replace(check=f"{task}, {f.check}") for check in ESTIMATOR for f in sheltered(check, text, task)
             ]
     return found
 
 
-def _sheltered(check: Callable[[str, str], Iterator[Finding]], text: str, task: str) -> list[Finding]:
+def sheltered(check: Callable[[str, str], Iterator[Finding]], text: str, task: str) -> list[Finding]:
     """What a check finds; where foreign code crashes outside a run, that."""
     try:
         return list(check(text, task))

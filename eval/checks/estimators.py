@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from data.inputs import Inputs, Sightings
+from data.inputs import Inputs, Prior, Sightings
 from data.result import DISCARD, Run
 from data.se2 import Array, world_from_body, wrap_angle
 from eval.checks import worlds
@@ -20,8 +21,12 @@ from eval.replay.settings import Setup
 SETUP = Setup()
 TURNS = (math.pi, -2.0, 3.1)
 """rad. The headings of the arena's first second are 0 to 0.2: turned so, they cross the seam at once, or soon."""
-BODY = 0.5
-"""Relative difference (Frobenius) from which two position covariances are not the same."""
+LONG = np.diag([0.3, 0.03, 0.03]) ** 2
+"""Prior covariance [m^2, rad^2] that is ten times as long as wide, so that its direction shows."""
+LONG.setflags(write=False)
+BODY = 0.3
+"""Relative difference (Frobenius) from which two position covariances are not the same; a few hundred samples have
+0.1."""
 
 
 def inputs_for(log: Any, task: str) -> Inputs:
@@ -155,7 +160,8 @@ def determinism(text: str, task: str) -> Iterator[Finding]:
 def covariance(text: str, task: str) -> Iterator[Finding]:
     """The covariance is in the world frame: that of a path without readings is known."""
     log = worlds.silent(worlds.arena_log(), slice(0, worlds.FRAMES))
-    inputs = worlds.turned(inputs_for(log, task), 1.0)
+    inputs = inputs_for(log, task)
+    inputs = worlds.turned(replace(inputs, prior=Prior(inputs.prior.mean, LONG)), 1.0)
     run, right = step_by_step(text, inputs, task), dead_reckoning(inputs, task)
     name = "covariance in the world frame"
     if run.failure is not None:

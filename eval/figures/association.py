@@ -9,12 +9,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.transforms import ScaledTranslation
 
 from data.result import Run
-from eval.figures.style import DOUBLE, drawing, style_of
+from eval.figures.paper.look import NARROW, page_width, points
+from eval.figures.style import drawing, style_of
 from eval.referee.confusion import Confusion
 from eval.referee.score import Trial, confusion_of
 
+NUMBER = 22.0
+"""pt that a number of four digits takes, beside bars in a narrow figure."""
 OUTCOME_COLOURS = {"tp": "#0072B2", "tn": "#A9CBE3", "fp": "#D55E00", "fn": "#F0E442"}
 """Right is blue, wrong is warm; within each pair one is dark and one is light (Okabe and Ito's, and a tint)."""
 
@@ -86,7 +90,7 @@ def confusion_figure(title: str, shown: Sequence[Bar]) -> Figure:
 
 
 def _confusion_figure(title: str, shown: Sequence[Bar]) -> Figure:
-    fig = Figure(figsize=(DOUBLE, 1.35 + 0.2 * len(shown)))
+    fig = Figure(figsize=(page_width(), 1.35 + 0.2 * len(shown)))
     ax = fig.add_subplot()
     rows = np.arange(len(shown))
     left = np.zeros(len(shown))
@@ -119,8 +123,12 @@ def _confusion_figure(title: str, shown: Sequence[Bar]) -> Figure:
 
 def _numbers(ax: Axes, shown: Sequence[Bar]) -> None:
     """FP and FN of each bar, in columns to the right of it."""
-    for place, key in ((1.065, "fp"), (1.125, "fn")):
-        ax.text(place, 1.02, key.upper(), transform=ax.transAxes, ha="right", va="bottom", fontsize=7, weight="bold")
+    for column, (place, key) in enumerate(((1.065, "fp"), (1.125, "fn")), start=1):
+        above, beside = ax.transAxes, ax.get_yaxis_transform()
+        if page_width() < NARROW:  # there a share of the axes has no room for four digits
+            place, right = 1.0, ScaledTranslation(points(NUMBER) * column / 72.0, 0.0, ax.figure.dpi_scale_trans)
+            above, beside = above + right, beside + right
+        ax.text(place, 1.02, key.upper(), transform=above, ha="right", va="bottom", fontsize=points(7), weight="bold")
         for row, bar in enumerate(shown):
             text = str(getattr(bar.counts, key))
-            ax.text(place, row, text, transform=ax.get_yaxis_transform(), ha="right", va="center", fontsize=7)
+            ax.text(place, row, text, transform=beside, ha="right", va="center", fontsize=points(7))

@@ -14,8 +14,10 @@ from matplotlib.ticker import FuncFormatter
 from data.log import Log
 from data.result import Run
 from data.se2 import Array
+from data.terminal.words import counted
 from eval.figures.error import heading_of, panels, thinned, ticks, time_label
-from eval.figures.style import BAND_COLOUR, DOUBLE, LONG_HANDLE, drawing, style_of
+from eval.figures.paper.look import page_width
+from eval.figures.style import BAND_COLOUR, LONG_HANDLE, drawing, style_of
 from eval.referee.bounds import anees_band
 from eval.referee.consistency import mean_or_nan, nees
 from eval.referee.paths.given import log_of
@@ -62,7 +64,7 @@ def nees_figure(log: Log, runs: Sequence[Run]) -> Figure:
 def _nees_figure(log: Log, runs: Sequence[Run]) -> Figure:
     shown, remark = panels(runs)
     rows = max(len(shown), 1)
-    fig = Figure(figsize=(DOUBLE, 1.0 + 1.15 * rows))
+    fig = Figure(figsize=(page_width(), 1.0 + 1.15 * rows))
     axes = list(fig.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
     time = log.recorded.time
     lower, upper = anees_band(POSE_DOF, 1)
@@ -113,7 +115,7 @@ def anees_figure(
     `title` stands before the rest, e.g. scenario and task.
     """
     with drawing():
-        fig = Figure(figsize=(DOUBLE, 2.7 + 0.13 * ((len(average) + 3) // 2)))
+        fig = Figure(figsize=(page_width(), 2.7 + 0.13 * ((len(average) + 3) // 2)))
         ax = fig.add_subplot()
         lower, upper = anees_band(dof, runs)
         _band(ax, lower, upper, dof)
@@ -132,7 +134,7 @@ def anees_figure(
         ax.set(ylabel=f"average {quantity} NEES [–]", xlabel="frame" if time_is_index else "time [s]")
         if len(time) > 1:
             ax.set_xlim(time[0], time[-1])
-        what = f"average {quantity} NEES over {runs} runs, dof {dof}"
+        what = f"average {quantity} NEES over {counted(runs, 'run')}, dof {dof}"
         ax.set_title(f"{title}: {what}" if title else what[0].upper() + what[1:], loc="left")
         handles += _handles(dof, f"95 % band {lower:.2f} to {upper:.2f}: 5 % outside by design")
         fig.legend(handles=handles, loc="outside lower center", ncols=2, handlelength=LONG_HANDLE)

@@ -17,7 +17,8 @@ from data.inputs import Inputs, IntArray
 from data.log import Log
 from data.result import Run, Trajectory
 from data.se2 import Array, pose_error
-from eval.figures.style import DOUBLE, Series, drawing, series
+from eval.figures.paper.look import across, page_width, points
+from eval.figures.style import Series, drawing, series
 from eval.referee.paths.given import log_of
 from eval.referee.paths.match import match
 
@@ -78,8 +79,12 @@ def panels(runs: Sequence[Run], most: int = MOST_PANELS) -> tuple[list[Series], 
     """The series that get a panel of their own (dead reckoning only if it is alone), and a remark if not all fit."""
     shown = series(runs)
     estimates = [s for s in shown if s.run.estimator != "dead-reckoning"] or shown
-    left_out = [s.label for s in estimates[most:]]
-    return estimates[:most], f"\nnot shown: {', '.join(left_out)}" if left_out else ""
+    kept = estimates[:most]
+    if most == 2 < len(estimates):  # the first filter and the last smoother that had the same decisions
+        alike = [s for s in estimates if s.run.association == estimates[0].run.association]
+        kept = [alike[0], alike[-1]] if len(alike) > 1 else kept
+    left_out = [s.label for s in estimates if s not in kept]
+    return kept, f"\nnot shown: {', '.join(left_out)}" if left_out else ""
 
 
 def heading_of(s: Series) -> str:
@@ -117,7 +122,9 @@ def _note_outside(ax: Axes, curve: Array, limit: float, factor_unit: str) -> Non
     finite = np.abs(curve[np.isfinite(curve)])
     if len(finite) and finite.max() > limit:
         text = f"up to {finite.max():.3g} {factor_unit}"
-        ax.annotate(text, (0.98, 0.96), xycoords="axes fraction", ha="right", va="top", fontsize=6, color="#404040")
+        ax.annotate(
+            text, (0.98, 0.96), xycoords="axes fraction", ha="right", va="top", fontsize=points(6), color="#404040"
+        )
 
 
 def error_figure(log: Log, runs: Sequence[Run]) -> Figure:
@@ -130,9 +137,9 @@ def error_figure(log: Log, runs: Sequence[Run]) -> Figure:
 
 
 def _error_figure(log: Log, runs: Sequence[Run]) -> Figure:
-    shown, remark = panels(runs)
+    shown, remark = panels(runs, across(MOST_PANELS))
     columns = max(len(shown), 1)
-    fig = Figure(figsize=(DOUBLE, 5.0))
+    fig = Figure(figsize=(page_width(), 5.0))
     axes = fig.subplots(3, columns, sharex=True, sharey="row", squeeze=False)
     time = log.recorded.time
     own = [log_of(s.run, log) for s in shown]
@@ -188,7 +195,7 @@ def difference_figure(log: Log, runs: Sequence[Run], reference: Run) -> Figure:
 def _difference_figure(log: Log, runs: Sequence[Run], reference: Run) -> Figure:
     shown, remark = panels([r for r in runs if r is not reference])
     rows = max(len(shown), 1)
-    fig = Figure(figsize=(DOUBLE, 1.0 + 1.15 * rows))
+    fig = Figure(figsize=(page_width(), 1.0 + 1.15 * rows))
     axes = fig.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
     time, centre = log.recorded.time, reference.trajectory(reference.phases[-1]).pose
     for ax, s in zip(axes, shown, strict=False):

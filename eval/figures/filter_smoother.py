@@ -14,7 +14,8 @@ from data.log import Log
 from data.result import Run
 from data.se2 import Array, BoolArray
 from eval.figures.error import COORDINATES, common_reach, draw_band, reach, thinned, ticks, time_label
-from eval.figures.style import DOUBLE, Style, drawing, style_of
+from eval.figures.paper.look import page_width
+from eval.figures.style import Style, drawing, style_of
 from eval.referee.trust import Difference, difference
 
 
@@ -33,7 +34,7 @@ def _figure(log: Log, runs: Sequence[Run], smoother: Run) -> Figure:
     assert smoother.final is not None
     found = [difference(r.online, smoother.final) for r in runs if r.online is not None]
     styles = [style_of(r.estimator) for r in runs if r.online is not None]
-    fig = Figure(figsize=(DOUBLE, 4.6 + 0.13 * ((len(found) + 1) // 2)))
+    fig = Figure(figsize=(page_width(), 4.6 + 0.13 * ((len(found) + 1) // 2)))
     axes: Sequence[Axes] = fig.subplots(3, 1, sharex=True)
     time = log.recorded.time
     for i, (ax, (name, unit, factor)) in enumerate(zip(axes, COORDINATES, strict=True)):

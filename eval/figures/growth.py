@@ -14,7 +14,8 @@ from data.result import Run
 from data.se2 import Array
 from eval.figures.ellipses import SIGMAS, longest_axis
 from eval.figures.error import longest_sigma, ticks, time_label
-from eval.figures.style import DASHED, DOTTED, DOUBLE, SOLID, Line, colour_of_method, drawing, style_of
+from eval.figures.paper.look import page_width, points
+from eval.figures.style import DASHED, DOTTED, SOLID, Line, colour_of_method, drawing, style_of
 from eval.referee.score import Trial
 from eval.replay.again import landmark_sigmas
 
@@ -41,7 +42,7 @@ def state_figure(trial: Trial, beside: Sequence[Trial] = ()) -> Figure:
 
 
 def _state_figure(trial: Trial, beside: Sequence[Trial]) -> Figure:
-    fig = Figure(figsize=(DOUBLE, 2.7))
+    fig = Figure(figsize=(page_width(), 2.7))
     ax = fig.add_subplot()
     time = trial.log.recorded.time
     lines = []
@@ -66,7 +67,7 @@ def _state_figure(trial: Trial, beside: Sequence[Trial]) -> Figure:
     ax.yaxis.set_major_locator(ticks(6))
     ax.set_title(f"{trial.log.name}: state of the filters (3 for the pose, 2 for a landmark)", loc="left")
     handles = [drawn for _, drawn in sorted(lines, key=lambda pair: -pair[0])]
-    fig.legend(handles=handles, loc="outside right upper", title="length at the end", title_fontsize=7)
+    fig.legend(handles=handles, loc="outside right upper", title="length at the end", title_fontsize=points(7))
     return fig
 
 
@@ -96,7 +97,7 @@ def growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
 def _growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
     time = log.recorded.time
     over_time = next((s for s in (landmark_sigmas(log.recorded, r) for r in runs) if s is not None), None)
-    fig = Figure(figsize=(DOUBLE, 2.9 if over_time is None else 4.9))
+    fig = Figure(figsize=(page_width(), 2.9 if over_time is None else 4.9))
     grid = fig.add_gridspec(1 if over_time is None else 2, 2)
     robot, landmarks = fig.add_subplot(grid[0, 0]), fig.add_subplot(grid[0, 1])
     for i, run in enumerate(runs):

@@ -14,7 +14,8 @@ from matplotlib.ticker import MaxNLocator
 from association.scans.constraints import Loops
 from association.scans.occupancy import Grid
 from data.se2 import Array, BoolArray
-from eval.figures.style import DASHED, DOTTED, DOUBLE, SOLID, Line, drawing, settle, style_of
+from eval.figures.paper.look import page_width
+from eval.figures.style import DASHED, DOTTED, SOLID, Line, drawing, settle, style_of
 from eval.referee.laser.rows import KEPT
 
 UNKNOWN_GREY, FREE_GREY = 0.85, 1.0
@@ -32,7 +33,7 @@ FATES: dict[str, tuple[str, Line, float]] = {
 
 
 def map_picture(
-    grid: Grid, path: Array, *, name: str, estimator: str = "isam2", phase: str = "final", width: float = DOUBLE
+    grid: Grid, path: Array, *, name: str, estimator: str = "isam2", phase: str = "final", width: float | None = None
 ) -> Figure:
     """The occupancy grid, dark where occupied, and an estimated path (N, 3) on it; metres, equal aspect."""
     with drawing():
@@ -57,7 +58,7 @@ def map_picture(
         ]
         low, high = _shown(grid, path)
         title = f"{name}: occupancy grid, cells of {100.0 * grid.resolution:g} cm"
-        _on_paper(fig, ax, low, high, width, title, handles)
+        _on_paper(fig, ax, low, high, width or page_width(), title, handles)
         ax.grid(False)
         ax.set_facecolor(str(UNKNOWN_GREY))
     return fig
@@ -71,7 +72,7 @@ def loop_picture(
     name: str,
     false: BoolArray | None = None,
     estimator: str = "isam2",
-    width: float = DOUBLE,
+    width: float | None = None,
 ) -> Figure:
     """The pose graph at its end: key poses (K, 3) in a chain, a line for each loop closure in the colour of its fate.
 
@@ -104,7 +105,7 @@ def loop_picture(
             handles.append(Line2D([], [], color=colour, linestyle=line, linewidth=wide + 0.3, label=label))
         low, high = keys[:, :2].min(axis=0) - AROUND, keys[:, :2].max(axis=0) + AROUND
         title = f"{name}: pose graph of {style.label}, {len(loops)} loop closures looked at"
-        _on_paper(fig, ax, low, high, width, title, handles)
+        _on_paper(fig, ax, low, high, width or page_width(), title, handles)
     return fig
 
 

@@ -11,7 +11,9 @@ from data.inputs import CLUTTER, IntArray
 from data.log import Log
 from data.se2 import dead_reckoned
 from data.summary import granted_labels
-from eval.figures.style import DOTTED, DOUBLE, STYLES, TRUTH_COLOUR, drawing
+from data.terminal.words import counted
+from eval.figures.paper.look import page_width
+from eval.figures.style import DOTTED, STYLES, TRUTH_COLOUR, drawing
 
 SEEN_COLOUR = "#56B4E9"
 CLUTTER_COLOUR = "#D55E00"
@@ -45,7 +47,7 @@ def _log_figure(log: Log) -> Figure:
         xy = inputs.sensor.inverse(pose[o.frame[placed]], o.z[placed])[0]
         label = granted_labels(log)
         clutter = np.zeros(len(placed), bool) if label is None else label[placed] == CLUTTER
-        name = f"{len(placed)} of {len(o.frame)} observations, from {origin}"
+        name = f"{len(placed)} of {counted(len(o.frame), 'observation')}, from {origin}"
         dots: dict[str, Any] = {
             "marker": ".",
             "linestyle": "none",
@@ -58,7 +60,7 @@ def _log_figure(log: Log) -> Figure:
             ax.plot(*xy[clutter].T, color=CLUTTER_COLOUR, label=f"{clutter.sum()} of them clutter", zorder=2, **dots)
     landmarks = inputs.map if inputs.map is not None else truth.landmarks
     if landmarks is not None and len(landmarks.id):
-        name = f"{len(landmarks.id)} landmarks"
+        name = counted(len(landmarks.id), "landmark")
         ax.plot(*landmarks.xy.T, "k+", markersize=5.0, markeredgewidth=0.7, label=name, zorder=5)
     x, y, theta = inputs.prior.mean
     start: dict[str, Any] = {
@@ -70,9 +72,9 @@ def _log_figure(log: Log) -> Figure:
 
     ax.set(xlabel="x [m]", ylabel="y [m]")
     ax.set_aspect("equal")
-    ax.set_title(f"{log.name}: {len(inputs)} frames, as recorded", loc="left")
+    ax.set_title(f"{log.name}: {counted(len(inputs), 'frame')}, as recorded", loc="left")
     fig.legend(loc="outside lower left", ncols=3, markerscale=1.5)
     # the page is cut to the scene, so that equal aspect leaves no blank paper
     (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
-    fig.set_size_inches(DOUBLE, float(np.clip(DOUBLE * (top - bottom) / (right - left), 2.0, 6.5)) + 0.9)
+    fig.set_size_inches(page_width(), float(np.clip(page_width() * (top - bottom) / (right - left), 2.0, 6.5)) + 0.9)
     return fig

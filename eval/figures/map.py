@@ -18,7 +18,8 @@ from data.log import Log
 from data.result import Run
 from data.se2 import Array, dead_reckoned
 from eval.figures.ellipses import along_path, draw_ellipses, ellipses, longest_axis
-from eval.figures.style import DOTTED, DOUBLE, STYLES, TRUTH_COLOUR, Series, drawing, series, settle
+from eval.figures.paper.look import page_width, points
+from eval.figures.style import DOTTED, STYLES, TRUTH_COLOUR, Series, drawing, series, settle
 from eval.figures.view import View, enlargement, true_landmarks, view_of
 from eval.referee.paths.given import is_truth_alone
 
@@ -47,7 +48,7 @@ def map_figure(
     log: Log,
     runs: Sequence[Run],
     *,
-    width: float = DOUBLE,
+    width: float | None = None,
     surveyed: Surveyed | None = None,
     factor: int | None = None,
 ) -> Figure:
@@ -58,7 +59,7 @@ def map_figure(
     by how much ellipses are enlarged (None: as is needed).
     """
     with drawing():
-        return _map_figure(log, runs, width, surveyed, factor)
+        return _map_figure(log, runs, width or page_width(), surveyed, factor)
 
 
 def _map_figure(log: Log, runs: Sequence[Run], width: float, surveyed: Surveyed | None, factor: int | None) -> Figure:
@@ -150,7 +151,7 @@ def _landmark_ids(ax: Axes, number: IntArray, xy: Array, view: View) -> None:
     halo = [withStroke(linewidth=1.5, foreground="white")]
     for n, (x, y) in zip(number[inside].tolist(), xy[inside].tolist(), strict=True):
         ax.annotate(
-            str(n), (x, y), xytext=(3.0, 3.0), textcoords="offset points", fontsize=6, color="#404040",
+            str(n), (x, y), xytext=(3.0, 3.0), textcoords="offset points", fontsize=points(6), color="#404040",
             path_effects=halo, zorder=5.5,
         )  # fmt: skip
 

@@ -13,7 +13,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from eval.figures.error import ticks
-from eval.figures.style import DOUBLE, LONG_HANDLE, drawing, style_of
+from eval.figures.paper.look import page_width
+from eval.figures.style import LONG_HANDLE, drawing, style_of
 
 LOG_RATIO = 12.0
 """A column's axes become logarithmic where its values span more than this factor."""
@@ -53,7 +54,7 @@ def outlier_figure(table: pd.DataFrame, title: str) -> Figure:
         rates = sorted({float(r) for r in table["rate"]})
         rows = max(len(tasks), 1)
         columns = min(len(names) + 1, 4)
-        fig = Figure(figsize=(DOUBLE, 0.75 + 1.9 * rows + 0.13 * -(-(len(names) + 1) // columns)))
+        fig = Figure(figsize=(page_width(), 0.75 + 1.9 * rows + 0.13 * -(-(len(names) + 1) // columns)))
         axes = fig.subplots(rows, len(PANELS), sharex=True, squeeze=False)
         for row, task in zip(axes, tasks, strict=False):
             for ax, panel in zip(row, PANELS, strict=True):

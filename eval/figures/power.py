@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
-from eval.figures.style import DOUBLE, drawing
+from eval.figures.paper.look import across, page_width
+from eval.figures.style import drawing
 
 COLOURS = ("#0072B2", "#D55E00")
 """Of the test and of the other one (Okabe and Ito)."""
@@ -35,9 +36,10 @@ def power_figure(faults: Sequence[Seen], tests: tuple[str, str], level: float, t
         title: what was studied.
     """
     with drawing():
-        rows = max(-(-len(faults) // COLUMNS), 1)
-        fig = Figure(figsize=(DOUBLE, 0.7 + 1.35 * rows))
-        axes = fig.subplots(rows, COLUMNS, sharey=True, squeeze=False).ravel()
+        most = across(COLUMNS)
+        rows = max(-(-len(faults) // most), 1)
+        fig = Figure(figsize=(page_width(), 0.7 + 1.35 * rows))
+        axes = fig.subplots(rows, most, sharey=True, squeeze=False).ravel()
         for ax, f in zip(axes, faults, strict=False):
             place = range(len(f.sizes))
             ax.axhline(level, color="#505050", linewidth=0.6, linestyle="--", zorder=1.5)
@@ -54,7 +56,7 @@ def power_figure(faults: Sequence[Seen], tests: tuple[str, str], level: float, t
             ax.set_title(f.fault, loc="left")
         for ax in axes[len(faults) :]:
             ax.set_visible(False)
-        for ax in axes[::COLUMNS]:
+        for ax in axes[::most]:
             ax.set_ylabel("logs [%]")
         fig.suptitle(title, x=0.01, ha="left")
         handles, labels = axes[0].get_legend_handles_labels()

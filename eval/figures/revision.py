@@ -12,7 +12,8 @@ from data.inputs import IntArray
 from data.log import Log
 from data.result import Run
 from data.se2 import Array
-from eval.figures.style import DOUBLE, TRUTH_COLOUR, drawing, settle
+from eval.figures.paper.look import page_width, points
+from eval.figures.style import TRUTH_COLOUR, drawing, settle
 
 BEFORE, AFTER, PATH = "#D55E00", "#0072B2", "#808080"
 """Decisions that were given up, those that stand, and the robot's path."""
@@ -33,9 +34,10 @@ class Example:
     new: IntArray
 
 
-def revision_figure(log: Log, run: Run, one: Example, *, width: float = DOUBLE) -> Figure:
+def revision_figure(log: Log, run: Run, one: Example, *, width: float | None = None) -> Figure:
     """Two maps with one scale: as decided at first, along the path known then, and in the end."""
     with drawing():
+        width = width or page_width()
         assert run.online is not None  # who revises decides frame by frame
         last = run.online.pose if run.final is None else run.final.pose
         # landmarks that stay, seen by decisions that were never in doubt
@@ -100,7 +102,9 @@ def _panel(
             ax.plot(*np.stack([path[o.frame[i], :2], xy]).T, color=PATH, lw=0.4, zorder=1)
         for k in from_there.tolist():
             x, y = path[k, :2].tolist()
-            ax.annotate(f"frame {k}", (x, y), xytext=(4, -8), textcoords="offset points", fontsize=6, color=PATH)
+            ax.annotate(
+                f"frame {k}", (x, y), xytext=(4, -8), textcoords="offset points", fontsize=points(6), color=PATH
+            )
         shown.append(path[from_there, :2])
     given_up = decided < 0
     if given_up.any():
@@ -113,6 +117,6 @@ def _panel(
         to = held.get(n, own.mean(axis=0))
         for xy in own:
             ax.plot([xy[0], to[0]], [xy[1], to[1]], color=colour, lw=0.5, zorder=3)
-        ax.annotate(str(n), to, xytext=(3, 3), textcoords="offset points", color=colour, fontsize=6.5)
+        ax.annotate(str(n), to, xytext=(3, 3), textcoords="offset points", color=colour, fontsize=points(6.5))
         shown.append(np.atleast_2d(to))
     return np.concatenate([s for s in shown if len(s)])

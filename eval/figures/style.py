@@ -17,13 +17,13 @@ from matplotlib.figure import Figure
 from matplotlib.typing import RcKeyType
 
 from data.result import Run, Trajectory
+from eval.figures.paper.look import current, refit
+from eval.figures.paper.tex import translate
 from eval.referee.paths.given import GivenRun
 from eval.replay.foreign.places import place
 
 SINGLE = 3.4
 """in. Width of one column of a two-column paper."""
-DOUBLE = 7.0
-"""in. Width of both columns."""
 PNG_DPI = 200
 LONG_HANDLE = 3.8
 """Length of a legend's line [font sizes] that shows every line's pattern beside its marker."""
@@ -97,7 +97,7 @@ METHOD_COLOURS = {
 }  # fmt: skip
 """Ways of association, where lines tell these apart and not the estimators; independent tests warm, joint ones blue."""
 OTHERS = (
-    ("#800000", "*"), ("#0000E0", "h"), ("#00C060", "d"), ("#806080", "1"), ("#80C0E0", "2"), ("#406040", "3"),
+    ("#8000E0", "*"), ("#800000", "h"), ("#806080", "d"), ("#E00040", "1"), ("#E040E0", "2"), ("#C080C0", "3"),
 )  # fmt: skip
 """Colour and marker of names that are not ours, as far from ours and from each other as colours go (CIELAB, for all
 colour-blind readers): each with every one of these lines, so that so many names look different."""
@@ -172,7 +172,7 @@ def series(runs: Sequence[Run]) -> list[Series]:
 @contextmanager
 def drawing() -> Iterator[None]:
     """Our settings while a figure is built or saved, and nobody else's before or after."""
-    with matplotlib.rc_context(rc=RC):
+    with matplotlib.rc_context(rc=RC | current().settings()):
         yield
 
 
@@ -182,6 +182,7 @@ def settle(fig: Figure) -> None:
     With equal aspect, matplotlib's layout needs a second look to find room for the title, and would move everything a
     little each time the figure is drawn again.
     """
+    refit(fig)
     for _ in range(2):
         fig.draw_without_rendering()
     fig.set_layout_engine("none")
@@ -202,10 +203,24 @@ def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] = ("pdf", 
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     with drawing():
+        if current().usetex:
+            translate(fig, escape=True)
+        refit(fig)
         for suffix in formats:
             path = folder / f"{stem}.{suffix}"
             fig.savefig(path, dpi=PNG_DPI, metadata=clean[suffix])
             fig.set_layout_engine("none")  # one layout for all formats
             written.append(path)
+        if current().pgf is not None:
+            written.append(_save_pgf(fig, folder / f"{stem}.pgf"))
     fig.clear()
     return written
+
+
+def _save_pgf(fig: Figure, path: Path) -> Path:
+    """The figure for LaTeX to set with the fonts of the document; laid out by the widths that those have here."""
+    if not current().usetex:
+        translate(fig, escape=False)
+    with matplotlib.rc_context(rc={"axes.unicode_minus": False}):
+        fig.savefig(path, backend="pgf")
+    return path

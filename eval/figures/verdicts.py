@@ -13,8 +13,10 @@ from matplotlib.patches import Patch
 from scipy import stats
 
 from data.se2 import Array
+from data.terminal.words import counted
 from eval.figures.error import ticks
-from eval.figures.style import DASHED, DOUBLE, drawing, style_of
+from eval.figures.paper.look import across, page_width, points
+from eval.figures.style import DASHED, drawing, style_of
 from eval.referee.consistency import COVERAGE_LEVELS, coverage
 
 MOST_COLUMNS = 4
@@ -31,9 +33,9 @@ def run_end_figure(nees: Mapping[str, Array], dof: int, title: str) -> Figure:
     bin width. Runs without a NEES (NaN) are counted in the panel.
     """
     with drawing():
-        rows = max(math.ceil(len(nees) / MOST_COLUMNS), 1)
+        rows = max(math.ceil(len(nees) / across(MOST_COLUMNS)), 1)
         columns = max(math.ceil(len(nees) / rows), 1)
-        fig = Figure(figsize=(DOUBLE, 0.85 + 1.55 * rows))
+        fig = Figure(figsize=(page_width(), 0.85 + 1.55 * rows))
         axes = fig.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
         end = float(np.ceil(stats.chi2.ppf(LAST, dof)))
         bins = _bins(max((len(v) for v in nees.values()), default=0))
@@ -83,12 +85,12 @@ def _histogram(ax: Axes, name: str, values: Array, dof: int, edges: Array) -> No
         end + 0.6 * width, scale * beyond, 1.6 * width, align="edge", color="white", edgecolor=style.colour,
         hatch=BEYOND_HATCH, linewidth=0.8,
     )  # fmt: skip
-    ax.text(end + 1.4 * width, scale * beyond, f"{beyond}", ha="center", va="bottom", fontsize=7)
+    ax.text(end + 1.4 * width, scale * beyond, f"{beyond}", ha="center", va="bottom", fontsize=points(7))
     x = np.linspace(edges[0], end, 400)[1:]
     ax.plot(x, stats.chi2.pdf(x, dof), color=EXPECTED_COLOUR, linewidth=1.0)
     ax.set_xlim(0.0, end + 2.9 * width)
-    counted = f"{len(known)} runs" + (f"\n{len(values) - len(known)} without" if len(known) < len(values) else "")
-    ax.text(0.97, 0.95, counted, transform=ax.transAxes, ha="right", va="top", fontsize=7)
+    said = counted(len(known), "run") + (f"\n{len(values) - len(known)} without" if len(known) < len(values) else "")
+    ax.text(0.97, 0.95, said, transform=ax.transAxes, ha="right", va="top", fontsize=points(7))
     ax.set_title(style.label, loc="left")
 
 
@@ -100,7 +102,7 @@ def coverage_figure(nees: Mapping[str, Array], dof: int, title: str) -> Figure:
     legend says how many.
     """
     with drawing():
-        fig = Figure(figsize=(DOUBLE, 2.7 + 0.14 * math.ceil((len(nees) + 1) / MOST_COLUMNS)))
+        fig = Figure(figsize=(page_width(), 2.7 + 0.14 * math.ceil((len(nees) + 1) / MOST_COLUMNS)))
         ax = fig.add_subplot()
         place = np.arange(len(COVERAGE_LEVELS), dtype=float)
         nominal = 100.0 * np.array(COVERAGE_LEVELS)
@@ -112,7 +114,7 @@ def coverage_figure(nees: Mapping[str, Array], dof: int, title: str) -> Figure:
             known, style = values[np.isfinite(values)], style_of(name)
             offset = 0.8 * ((i + 0.5) / len(nees) - 0.5)
             left_out = f", {len(values) - len(known)} without" if len(known) < len(values) else ""
-            label = f"{style.label} ({len(known)} runs{left_out})"
+            label = f"{style.label} ({counted(len(known), 'run')}{left_out})"
             handles.append(Line2D([], [], color=style.colour, marker=style.marker, linestyle="none", label=label))
             if len(known) < 2:
                 continue

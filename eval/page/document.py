@@ -6,14 +6,17 @@ import base64
 import html
 import re
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import pandas as pd
 from markdown_it import MarkdownIt
 
-from eval.page.tables import FORMATS, markdown, write_table
+from eval.page.film import POLICY, Film, film_html, film_markdown
+from eval.page.tables import markdown
+from eval.page.written import Paper, write_table
 
 STYLE = """
 :root { color-scheme: light dark; --ink: #1b1b1b; --paper: #ffffff; --faint: #5c5c5c; --rule: #d0d0d0;
@@ -40,6 +43,7 @@ figure { margin: 1.5rem 0; }
 figcaption { color: var(--faint); font-size: 0.88rem; line-height: 1.45; max-width: 50rem; margin: 0.4rem 0; }
 figcaption b { color: var(--ink); }
 img { max-width: 100%; height: auto; background: #ffffff; border-radius: 4px; }
+video { max-width: 100%; height: auto; background: #ffffff; border-radius: 4px; }
 .formula { margin: 1.25rem 0; }
 .scroll { overflow-x: auto; }
 table { border-collapse: collapse; font-size: 0.86rem; line-height: 1.3; font-variant-numeric: tabular-nums;
@@ -55,6 +59,7 @@ tbody tr:nth-child(even) { background: var(--shade); }
   nav { display: none; }
   h2, h3, h4 { break-after: avoid; }
   figure, tr { break-inside: avoid; }
+  video { display: none; }
   .scroll { overflow: visible; }
   table { font-size: 7pt; }
   th, td { padding: 0.15rem 0.3rem; }
@@ -89,16 +94,43 @@ class Formula:
     latex: str
 
 
+class Wanted(Protocol):
+    """What is asked of tables: their formats, and what those for a paper are like (see `eval.page.written.Paper`)."""
+
+    @property
+    def formats(self) -> tuple[str, ...]:
+        """Of csv, md and tex."""
+
+    @property
+    def table_width(self) -> str:
+        """Of LaTeX tables: `column` or `page`."""
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Keys of the columns of LaTeX tables; none: as many as there is room for."""
+
+
 def written_table(
-    frame: pd.DataFrame, folder: Path, stem: str, caption: str, formats: Sequence[str] = FORMATS
+    frame: pd.DataFrame,
+    folder: Path,
+    stem: str,
+    caption: str,
+    wanted: Wanted,
+    *,
+    for_paper: pd.DataFrame | None = None,
+    fine_print: str = "",
 ) -> Table:
-    """Write a table as `folder/tables/stem.<format>`; the report links to its CSV if there is one."""
-    write_table(frame, folder / "tables", stem, caption, formats)
-    return Table(frame, caption, stem if "csv" in formats else None)
+    """Write a table as `folder/tables/stem.<format>`; the report links to its CSV if there is one.
+
+    `for_paper`: the same rows with more columns to choose from; `fine_print`: what the caption leaves to the text.
+    """
+    paper = Paper(wanted.table_width, wanted.columns)
+    write_table(frame, folder / "tables", stem, caption, wanted.formats, paper, for_paper, fine_print)
+    return Table(frame, caption, stem if "csv" in wanted.formats else None)
 
 
-Block = str | Table | Picture | Formula
-"""A paragraph or list in Markdown, a table, a figure, or equations."""
+Block = str | Table | Picture | Formula | Film
+"""A paragraph or list in Markdown, a table, a figure, equations, or a film."""
 
 
 @dataclass(frozen=True)
@@ -165,6 +197,8 @@ def report_markdown(report: Report) -> str:
             alt = re.sub(r"[\[\]\\]", "", item.block.alt)
             parts.append(f"![{alt}](figures/{item.block.stem}.png)")
             parts.append(f"**Figure {item.number}.** {item.block.caption}")
+        elif isinstance(item.block, Film):
+            parts.append(film_markdown(item.block))
         elif isinstance(item.block, Formula):
             parts.append(f"```math\n{item.block.latex}\n```")
         else:
@@ -228,6 +262,8 @@ def report_html(folder: Path, report: Report) -> str:
             body.append(_table_html(item.block, item.number, md))
         elif isinstance(item.block, Picture):
             body.append(_picture_html(item.block, item.number, folder, md))
+        elif isinstance(item.block, Film):
+            body.append(film_html(item.block, md))
         elif isinstance(item.block, Formula):
             body.append(f'<div class="formula">{_image_html(folder, item.block.stem, item.block.latex)}</div>')
         else:
@@ -235,6 +271,7 @@ def report_html(folder: Path, report: Report) -> str:
     first = next((i for i, part in enumerate(body) if part.startswith("<h2")), len(body))
     navigation = "\n".join(["<nav><ul>", *links, "</ul></nav>"]) if len(links) > 2 else ""
     policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+    policy += POLICY if any('class="film"' in part for part in body) else ""
     page = [
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',

@@ -16,11 +16,9 @@ from eval.plan.beside import maintained, shows_noise, sparser, with_depth_noise
 from eval.plan.experiment import Experiment, Work
 from eval.plan.flags.options import Options
 from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS
-from eval.plan.foreign import check_possible, check_scenario, load_all
+from eval.plan.foreign import check_possible, check_scenario, introduce_all, load_all
 from eval.plan.lab import lab_experiments
 from eval.plan.results import NOTHING, Asked, asked_results, truth_alone
-from eval.replay.foreign.places import introduce
-from eval.replay.foreign.spec import is_foreign, name_of
 from eval.replay.laser.backends import NAMES as BACK_ENDS
 from eval.replay.settings import Setup
 from eval.studies.scenario import Scenario
@@ -59,7 +57,7 @@ class Plan:
 def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
     """Open the logs and settle what is done; raises UsageError for what makes no sense together."""
     load_all(options.estimator, options.association)
-    introduce(name_of(text) for text in (*options.estimator, *options.association) if is_foreign(text))
+    introduce_all((*options.estimator, *options.association), options.result)
     if options.scenario:
         return _scenarios(options)
     for folder in options.data:
@@ -127,7 +125,7 @@ def _scenarios(options: Options) -> Plan:
         scenario = load_scenario(name)
         if options.estimator != ALL:
             scenario = scenario.only(options.estimator)
-        check_scenario(scenario)
+        skipped += check_scenario(scenario)
         if scenario.recorded:
             path = find_esde(folders)
             if path is None:
@@ -141,8 +139,7 @@ def _scenarios(options: Options) -> Plan:
     for name in every:
         if [folder_name(n) for n in every].count(folder_name(name)) > 1:
             raise UsageError(f"two scenarios are named {name!r}; rename one (the name stands in its file)")
-    members = [(*(m.name for m in s.members), *s.association) for s, _ in [*studies, *stored]]
-    introduce(name_of(text) for own in members for text in own if is_foreign(text))
+    introduce_all([text for s, _ in [*studies, *stored] for text in (*(m.name for m in s.members), *s.association)])
     return Plan((), tuple(studies), tuple(stored), tuple(skipped), tuple(validations))
 
 
@@ -168,7 +165,7 @@ def _tasks(log: Log, options: Options) -> Sequence[str]:
 def _work(log: Log, options: Options) -> tuple[Work, ...]:
     """Every estimator with every way of association asked for."""
     scans, seen = log.recorded.scans is not None, len(log.recorded.observations.frame) > 0
-    alone = SCAN if scans and not seen else "jcbb"
+    alone = SCAN if scans and not seen else HINDSIGHT
     associations = options.association or (("known",) if log.has_labels else (alone,))
     if SCAN in associations and not scans:
         raise UsageError(f"--association {SCAN}: log {log.name!r} has no laser scans")

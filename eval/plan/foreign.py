@@ -11,7 +11,8 @@ from eval.replay.foreign.guard import ForeignError
 from eval.replay.foreign.load import Loaded, load
 from eval.replay.foreign.make import lack, tasks_of
 from eval.replay.foreign.method import Method
-from eval.replay.foreign.spec import is_foreign, place_of
+from eval.replay.foreign.places import introduce
+from eval.replay.foreign.spec import is_foreign, name_of, place_of, shown
 from eval.replay.settings import Setup
 from eval.studies.scenario import Scenario
 
@@ -29,6 +30,19 @@ def load_all(estimators: Sequence[str], associations: Sequence[str]) -> None:
                 raise UsageError(f"{place_of(text).shown}: {fault}") from fault
 
 
+def introduce_all(texts: Iterable[str], results: Sequence[str] = ()) -> None:
+    """All names of a run that are not ours get looks of their own; `results`: as NAME=FILE.
+
+    Raises UsageError for a result that has the name of a foreign estimator.
+    """
+    named = {name_of(text): text for text in texts if is_foreign(text)}
+    handed_in = [text.partition("=")[0] for text in results]
+    for name in handed_in:
+        if name in named:
+            raise UsageError(f"--result {name}: {shown(named[name])} has that name, too; give one of them another")
+    introduce([*named, *handed_in])
+
+
 def check_possible(experiments: Iterable[Experiment]) -> None:
     """Raises UsageError for a foreign estimator that can do nothing of what is asked; what it can do is done."""
     asked = [
@@ -41,14 +55,15 @@ def check_possible(experiments: Iterable[Experiment]) -> None:
     _check(asked)
 
 
-def check_scenario(scenario: Scenario) -> None:
-    """The same for a study, all of whose members are loaded first."""
+def check_scenario(scenario: Scenario) -> list[str]:
+    """The same for a study, all of whose members are loaded first; returns what is left out, a sentence each."""
     names = tuple(m.name for m in scenario.members)
     load_all(names, scenario.association)
-    _check([
-        (n, task, a, scenario.setup) for n in names if is_foreign(n) for task in scenario.task
-        for a in scenario.association
-    ])  # fmt: skip
+    ways = [(task, a) for task in scenario.task for a in scenario.association]
+    asked = [(n, task, a, scenario.setup) for n in names if is_foreign(n) for task, a in ways]
+    _check(asked)
+    lacks = [(task, a, lack(n, task, a, setup)) for n, task, a, setup in asked]
+    return [f"{scenario.name}, {task}, {name_of(a)}: left out, {why}" for task, a, why in lacks if why is not None]
 
 
 def _check(asked: Sequence[tuple[str, str, str, Setup]]) -> None:

@@ -16,6 +16,7 @@ from data.results.bag import is_bag
 from data.results.kept import Beside, beside
 from data.results.path import FRAMES, GivenPath, Manner
 from data.results.reading import read_path
+from data.se2 import Array
 from eval.plan.flags.results import Reading, Results
 from eval.referee.paths.given import GivenRun, Kept, TruePath, given_run, truth_log, with_truth
 from eval.referee.score import Trial
@@ -130,19 +131,21 @@ def runs_of(result: Result, log: Log, task: str, truth: TruePath | None, reading
     for group in groups:
         run = given_run(result.name, task, group, log, truth, align=reading.align, gap=reading.truth_gap, kept=kept)
         if truth is not None and run.match is not None and not run.match.matched:
-            raise DataError(unmatched(next(iter(group.values())), truth))
+            why = "; the log has no stamps, t is the number of a frame" if log.recorded.time_is_index else ""
+            raise DataError(unmatched(next(iter(group.values())), truth) + why)
         yield run
 
 
 def unmatched(path: GivenPath, truth: TruePath) -> str:
     """The sentence about a result without any match."""
     known = truth.time[np.isfinite(truth.pose).all(axis=1)]
-    of = f"truth is known from {known[0]!r} to {known[-1]!r} s" if len(known) else "no true pose is known"
-    ours = f"{path.time[0]!r} to {path.time[-1]!r} s"
-    return (
-        f"{path.file}: none of its {len(path)} stamps, {ours}, has a truth: {of}".replace("np.float64", "")
-        + "; both clocks must be the same (no offset is guessed), and truths at most --truth-gap apart"
-    )
+    of = f"truth is known from {_span(known)}" if len(known) else "no true pose is known"
+    said = f"{path.file}: none of its {len(path)} stamps, {_span(path.time)}, has a truth: {of}"
+    return said + "; both clocks must be the same (no offset is guessed), and truths at most --truth-gap apart"
+
+
+def _span(time: Array) -> str:
+    return f"{float(time[0])!r} to {float(time[-1])!r} s"
 
 
 def _kept(result: Result, log: Log) -> Kept:

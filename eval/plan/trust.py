@@ -10,6 +10,7 @@ from typing import Any
 from data.errors import UsageError
 from data.log import Log
 from data.result import Run
+from data.terminal.words import counted
 from eval.plan.experiment import Experiment
 from eval.plan.flags.options import Options
 from eval.plan.unfinished import Unfinished
@@ -155,7 +156,7 @@ def _with_twins(
 
 def _noted(trust: Trust, note: str | None, group: Group, count: int) -> Trust:
     if note is None and group.twins and 0 < count < FEWEST:
-        note = f"{count} twins are too few for a verdict: at least {FEWEST} are needed"
+        note = f"{counted(count, 'twin is', 'twins are')} too few for a verdict: at least {FEWEST} are needed"
     return trust if note is None else replace(trust, notes=(*trust.notes, note))
 
 

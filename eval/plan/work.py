@@ -15,6 +15,7 @@ from joblib.externals.loky import ProcessPoolExecutor  # type: ignore[import-unt
 from threadpoolctl import threadpool_limits
 
 from data.errors import SlamrefError
+from eval.figures.paper.look import Look, current, looking
 from eval.plan.cluster import KILLED, Call, Lost, on_cluster
 from eval.plan.flags.options import Options
 from eval.replay.foreign.places import acquainted, introduced
@@ -41,8 +42,12 @@ def work(
     `apart`: one after the other, in a process of their own, which has all the memory. `lost` hears of each job that had
     not enough memory, with the reason; without it, that raises `OutOfMemoryError`.
     """
-    names = introduced()
-    calls = {i: (acquainted, (names, *call)) if names else call for i, (_, call) in enumerate(jobs)}
+    names, look = introduced(), current()
+    calls = {i: call for i, (_, call) in enumerate(jobs)}
+    if look != Look():
+        calls = {i: (_looking, (look, *call)) for i, call in calls.items()}
+    if names:
+        calls = {i: (acquainted, (names, *call)) for i, call in calls.items()}
     distant = far and options.scheduler is not None
     here = _one_at_a_time if apart else _together
     results = _on_cluster(str(options.scheduler), calls) if distant else here(calls, options.jobs)
@@ -54,6 +59,12 @@ def work(
             raise OutOfMemoryError(f"{result.why}; fewer processes (--jobs 1) or a shorter log need less")
         else:
             lost(owner, result.why)
+
+
+def _looking(look: Look, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+    """In a worker, whose figures look as they would in the process that asked."""
+    with looking(look):
+        return function(*arguments)
 
 
 def _on_cluster(address: str, calls: Mapping[int, Call]) -> Iterator[tuple[int, Any]]:

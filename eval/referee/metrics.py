@@ -69,6 +69,10 @@ def _error(column: str, heading: str, unit: str, about: str = "") -> Metric:
     return Metric(column, heading, unit, "smaller", about=about)
 
 
+def _relative(column: str, heading: str, unit: str, about: str) -> Metric:
+    return _error(column, heading, unit, f"RMS relative error (all pairs, docs/results-files.md): {about}")
+
+
 def _consistent(column: str, heading: str, expected: float, spelled: str, unit: str = "") -> Metric:
     return Metric(column, heading, unit, "nearer", expected, spelled=spelled)
 
@@ -129,12 +133,12 @@ OF_ESTIMATES = (
     _error("rmse_landmark_majority_m", "landmark RMSE, named by majority", "m"),
     _count("iterations", "iterations", spelled="iterations of the optimizer"),
     Metric("last_step_sigma", "last step", "sigmas", "smaller", form=".1e", spelled="Newton step left in the end"),
-    _error("rpe_frame_m", "relative error a frame", "m"),
-    _error("rpe_frame_deg", "relative turn error a frame", "deg"),
-    _error("rpe_1m_m", "relative error over 1 m", "m"),
-    _error("rpe_1m_deg", "relative turn error over 1 m", "deg"),
-    _error("rpe_10m_m", "relative error over 10 m", "m"),
-    _error("rpe_10m_deg", "relative turn error over 10 m", "deg"),
+    _relative("rpe_frame_m", "relative error a frame", "m", "translation, from a frame with truth to the next"),
+    _relative("rpe_frame_deg", "relative turn error a frame", "deg", "turn, from a frame with truth to the next"),
+    _relative("rpe_1m_m", "relative error over 1 m", "m", "translation, over 1 m of the true path"),
+    _relative("rpe_1m_deg", "relative turn error over 1 m", "deg", "turn, over 1 m of the true path"),
+    _relative("rpe_10m_m", "relative error over 10 m", "m", "translation, over 10 m of the true path"),
+    _relative("rpe_10m_deg", "relative turn error over 10 m", "deg", "turn, over 10 m of the true path"),
     _count("matched", "matched", spelled="poses of a result that the truth is known at"),
     _count("unmatched", "unmatched", spelled="poses of a result that the truth is not known at"),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import pandas as pd
@@ -24,6 +24,7 @@ from eval.referee.intervals import SEED, run_intervals
 from eval.referee.laser.rows import closure_counts, kept, relation_rows
 from eval.referee.lost import lost
 from eval.referee.metrics import RUN
+from eval.referee.notebook.shown import scores_html, trial_html
 from eval.referee.paths.given import GivenRun, log_of
 from eval.referee.paths.match import match
 from eval.referee.paths.rpe import rpe_columns
@@ -48,6 +49,9 @@ class Trial:
         """The run of an estimator, or None."""
         found = [r for r in self.runs if r.estimator == estimator and r.association == association]
         return found[0] if found else None
+
+    def _repr_html_(self) -> str:
+        return trial_html(self.log, self.task, self.runs)
 
 
 def confusion_of(run: Run, log: Log, phase: str) -> Confusion | None:
@@ -241,6 +245,9 @@ class Scores:
     differences: pd.DataFrame
     relations: pd.DataFrame
 
+    def _repr_html_(self) -> str:
+        return scores_html({f.name: getattr(self, f.name) for f in fields(self)})
+
 
 def score(trials: Sequence[Trial]) -> Scores:
     """Referee every run of every trial."""
@@ -259,9 +266,10 @@ def score(trials: Sequence[Trial]) -> Scores:
                     row = association_row(run, phase, trial.log)
                     if row is not None:
                         association.append(row)
+            if log_of(run, trial.log) is trial.log:  # relations are between frames of the log
+                relations += relation_rows(run, trial.log)
             if isinstance(run, GivenRun):
                 continue
-            relations += relation_rows(run, trial.log)
             frames = len(trial.log.recorded)
             timing.append({
                 "log": trial.log.name, "task": run.task, "estimator": run.estimator, "association": run.association,

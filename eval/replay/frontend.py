@@ -16,6 +16,7 @@ from association.truncated import Acceptance, acceptance, accepted_moments, trun
 from data.inputs import Frame, IntArray, Sightings
 from data.result import Event, MapState, Updated
 from data.se2 import Array
+from data.terminal.words import counted
 from ekf.filter import FilterOptions
 from ekf.localizer import EkfLocalizer
 from eval.replay.estimators import make_estimator
@@ -200,7 +201,7 @@ class FrontEnd:
         notes, s = self.estimator.notes() if isinstance(self.estimator, Adapter) else [], self.setup
         if self.incomplete:
             notes.append(
-                f"{self.association} ran out of its {BUDGET} nodes in {self.incomplete} frames; "
+                f"{self.association} ran out of its {BUDGET} nodes in {counted(self.incomplete, 'frame')}; "
                 "the best pairings found until then were used"
             )
         if self.slam and self.estimator.smooths and (s.forget_after is not None or s.deactivate_after is not None):
@@ -208,5 +209,7 @@ class FrontEnd:
         if self.parking is not None:
             notes += self.parking.notes()
         if self.map_management is not None and self.map_management.removed:
-            notes.append(f"{len(self.map_management.removed)} landmarks were removed from the map")
+            notes.append(
+                f"{counted(len(self.map_management.removed), 'landmark was', 'landmarks were')} removed from the map"
+            )
         return notes

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
 from eval.page.tables import drop_blank_columns, is_blank
 from eval.referee.metrics import OF_DECISIONS, RUN, heads, is_share, metric
 
-COMPARISON: Mapping[str, str] = {
+COMPARISON: dict[str, str] = {
     **heads((*RUN, "status")),
     **heads((
         "rmse_position_m", "rmse_time_m", "rmse_heading_deg", "max_position_m", "rmse_landmark_m", "rms_from_batch_m",
@@ -139,10 +139,11 @@ def _spread(values: pd.Series, errors: pd.Series) -> pd.Series:
     return pd.Series(texts, index=values.index, dtype=object)
 
 
-def comparison_table(metrics: pd.DataFrame) -> pd.DataFrame:
+def comparison_table(metrics: pd.DataFrame, more: Sequence[str] = ()) -> pd.DataFrame:
     """Rows of metrics.csv as a table to read: heads with units, shares in percent, columns without anything dropped.
 
-    Without news are also a status that is `ok` everywhere and a time-weighted RMSE that is the plain one in every row.
+    `more`: columns of metrics.csv that are shown as well, whatever they hold. Without news are also a status that is
+    `ok` everywhere and a time-weighted RMSE that is the plain one in every row.
     """
     made = metrics.astype(object).assign(
         bounds=_interval(metrics["nis_lower"], metrics["nis_upper"]),
@@ -153,7 +154,8 @@ def comparison_table(metrics: pd.DataFrame) -> pd.DataFrame:
         shown.remove("status")
     if _same(made["rmse_time_m"], made["rmse_position_m"]):
         shown.remove("rmse_time_m")
-    return _selected(made[shown], COMPARISON)
+    also = [c for c in more if c in metrics.columns and c not in shown]
+    return _selected(made[[*shown, *also]], COMPARISON | heads(also))
 
 
 def _same(values: pd.Series, others: pd.Series) -> bool:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from data.terminal.words import counted
 from eval.page.document import Block, Picture, Report, Section, write_report
 from eval.plan.cluster import Call
 from eval.plan.execute import Outcome
@@ -16,6 +17,7 @@ from eval.plan.flags.options import Options
 from eval.plan.provenance import command_of, provenance
 from eval.plan.unfinished import Unfinished
 from eval.plan.work import work
+from eval.player.write import played, write_player
 from eval.referee.consistency import MIN_RUNS
 from eval.referee.files import top
 from eval.referee.paths.given import GivenRun, is_truth_alone
@@ -158,10 +160,12 @@ def _publish_trials(
             jobs.append(((i, place), (partial(draw, quick=options.quick), (folder, trial, kind, others))))
     for i, trial in enumerate(trials):
         jobs.append(((i, -1), (publish_runs, (folder, options, trial))))
+    for group in () if options.no_plots else played(trials):
+        jobs.append(((trials.index(group[0]), -2), (write_player, (folder, group, options.setup))))
     made: dict[tuple[int, int], Picture] = {}
 
     def missing(owner: tuple[int, int], why: str) -> None:
-        what = "files of its runs" if owner[1] < 0 else "a picture"
+        what = {-1: "files of its runs", -2: "the player"}.get(owner[1], "a picture")
         lost.say(f"{trials[owner[0]].log.name}, {trials[owner[0]].task}: {what} missing", why)
 
     for done, (owner, picture) in enumerate(work(jobs, options, lost=missing), start=1):
@@ -237,8 +241,9 @@ def _source_section(trials: Sequence[Trial], options: Options) -> Section:
         if log.has_labels:
             labels += f" {gate_sentence(options, sensed=log.labels_are_sensed)}"
         notes.append(
-            f"* `{log.name}` ({kind}): {len(r)} frames, {len(r.observations.frame)} observations, sensor"
-            f" `{r.sensor.name}`, {log.truth.known_poses} frames with truth, {r.floored} increments raised to"
+            f"* `{log.name}` ({kind}): {counted(len(r), 'frame')}, {counted(len(r.observations.frame), 'observation')},"
+            f" sensor `{r.sensor.name}`, {counted(log.truth.known_poses, 'frame')} with truth,"
+            f" {counted(r.floored, 'increment')} raised to"
             f" the covariance floor.{labels}"
         )
     notes.append("* Versions, command and checksums of the inputs: `provenance.json`.")

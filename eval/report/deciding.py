@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from data.terminal.words import counted
 from eval.page.numbers import number
 from eval.page.tables import is_blank
 from eval.replay.names import steps
@@ -108,5 +109,5 @@ def _agreement(row: Row, rows: Sequence[Row], labelled: int | None) -> str:
     same = [r for r in rows if (r["estimator"], r["association"]) == (row["estimator"], row["association"])]
     size = value_of(same[-1], "landmarks") if same else math.nan
     if math.isfinite(size) and labelled is not None:
-        text += f"; its map has {int(size)} landmarks where the labels tell {labelled} apart"
+        text += f"; its map has {counted(int(size), 'landmark')} where the labels tell {labelled} apart"
     return text + "."

@@ -13,19 +13,21 @@ from eval.page.numbers import number
 from eval.page.tables import is_blank
 from eval.plan.flags.options import Options
 from eval.plan.tutorial import is_tutorial
+from eval.player.write import player_of
 from eval.referee.score import Scores, Trial
 from eval.report import comparison
 from eval.report.differences import CAPTION as DIFFERENCES_CAPTION
 from eval.report.differences import differences_table, missing_intervals
 from eval.report.doubt.minima import minima_statements
 from eval.report.doubt.naming import naming_statements
+from eval.report.films import films_of
 from eval.report.laser.pictures import GRID, LOOPS
 from eval.report.names import stem
 from eval.report.pictures import FILTER_SMOOTHER
 from eval.report.results.said import aligned_statement
 from eval.report.rows import rows_of as rows_by
 from eval.report.trust.sections import trust_section
-from eval.report.tutorial_table import CAPTION, logs_with_tutorials, tutorial_table
+from eval.report.tutorials.table import CAPTION, logs_with_tutorials, tutorial_table
 from eval.studies.trusted import Trust
 
 
@@ -61,16 +63,21 @@ def trial_sections(
         rows = rows_of(scores.metrics, trial)
         blocks: list[Block] = []
         others = beside(trial, trials)
-        table = comparison.comparison_table(pd.concat([rows, *(rows_of(scores.metrics, t) for t in others)]))
+        every = pd.concat([rows, *(rows_of(scores.metrics, t) for t in others)])
+        table, wide = comparison.comparison_table(every), comparison.comparison_table(every, options.columns)
         caption = f"{trial.log.name}, {trial.task}. {comparison.COMPARISON_CAPTION}{aligned_statement(trial)}"
-        blocks.append(written_table(table, folder, stem(trial, "comparison"), caption, options.formats))
+        blocks.append(written_table(table, folder, stem(trial, "comparison"), caption, options, for_paper=wide))
         blocks += [_beside_note(t, rows_of(scores.metrics, t)) for t in others]
         blocks += _differences(folder, options, trial, rows_of(scores.differences, trial))
         blocks += [p for p in pictures if p.stem not in {stem(trial, kind) for kind in ELSEWHERE}]
+        if options.animate:
+            blocks += [film for t in (trial, *others) for film in films_of(folder, t)]
         notes = [*trial.log.notes, *(f"{r.estimator}: {n}." for r in trial.runs for n in r.notes)]
         notes += [f"{text}." for text in minima_statements(trial)]
         if notes:
             blocks.append("\n".join(f"* {n}" for n in dict.fromkeys(notes)))
+        if (folder / player_of(trial.log.name)).is_file():
+            blocks.insert(0, f"[Play {trial.log.name} in the browser]({player_of(trial.log.name)}).")
         sections.append(Section(f"{trial.log.name}, {trial.task}", tuple(blocks)))
         sections += trust_section(folder, options, trial, pictures, trust)
     return sections
@@ -81,7 +88,7 @@ def _differences(folder: Path, options: Options, trial: Trial, rows: pd.DataFram
     if not len(rows):
         return []
     name, caption = stem(trial, "differences"), f"{trial.log.name}, {trial.task}. {DIFFERENCES_CAPTION}"
-    table = written_table(differences_table(rows), folder, name, caption, options.formats)
+    table = written_table(differences_table(rows), folder, name, caption, options)
     missing = missing_intervals(rows)
     return [table, missing] if missing else [table]
 
@@ -121,7 +128,8 @@ def association_sections(
         table = comparison.association_table(rows)
         name, what = stem(trial, "association"), f"{trial.log.name}, {trial.task}"
         caption = f"{what}: outcomes of the decisions, as explained above."
-        written = written_table(table, folder, name, caption, options.formats)
+        fine = comparison.ASSOCIATION_CAPTION
+        written = written_table(table, folder, name, caption, options, fine_print=fine)
         shown = (p for p in pictures if p.stem == name)
         named = naming_statements(trial, *(rows_by(rows_of(t, trial)) for t in (scores.metrics, scores.association)))
         notes = ["\n".join(f"* {n}" for n in named)] if named else []
@@ -132,7 +140,8 @@ def association_sections(
         )
         table = comparison.association_table(pd.concat(granted))
         caption = "Logs on which only known association was run: outcomes of the decisions."
-        blocks.append(written_table(table, folder, "association", caption, options.formats))
+        fine = comparison.ASSOCIATION_CAPTION
+        blocks.append(written_table(table, folder, "association", caption, options, fine_print=fine))
     return [Section(head, tuple(blocks)), *sections]
 
 
@@ -141,5 +150,5 @@ def tutorial_sections(folder: Path, options: Options, trials: Sequence[Trial], s
     blocks: list[Block] = []
     for log in logs_with_tutorials(trials):
         table, caption = tutorial_table(log, trials, scores), CAPTION.format(log=log)
-        blocks.append(written_table(table, folder, f"{folder_name(log)}-knowledge", caption, options.formats))
+        blocks.append(written_table(table, folder, f"{folder_name(log)}-knowledge", caption, options))
     return [Section("From labels and map to nothing", tuple(blocks))] if blocks else []

@@ -19,7 +19,6 @@ from eval.figures.style import save
 from eval.page.document import Picture
 from eval.page.numbers import number
 from eval.plan.flags.options import Options
-from eval.referee.paths.given import log_of
 from eval.referee.score import Trial, confusion_of
 from eval.referee.trust import SHARE
 from eval.report.laser.files import write_laser_files
@@ -29,6 +28,7 @@ from eval.report.results.said import aligned_statement
 from eval.report.run_files import write_run
 from eval.report.shown_runs import (
     finished,
+    for_fate,
     for_filter_smoother,
     for_growth,
     for_map,
@@ -47,10 +47,10 @@ def publish_runs(folder: Path, options: Options, trial: Trial) -> None:
         write_laser_files(folder, trial)
     for run in trial.runs:
         write_run(folder, trial, run, lab_text=options.lab_text)
-        if options.animate and run.failure is None:
-            from eval.figures.film import animate
+    if options.animate:
+        from eval.report.films import write_films
 
-            animate(log_of(run, trial.log), run, folder / "figures" / f"{stem(trial, run.estimator)}.mp4")
+        write_films(folder, options, trial)
 
 
 FILTER_SMOOTHER = "filter-smoother"
@@ -64,8 +64,13 @@ def kinds(trial: Trial, beside: Sequence[Trial] = (), *, quick: bool = False) ->
     found = ["map", *laser_kinds(trial)]
     if shown and trial.log.truth.known_poses:
         found += ["error", "nees"] if any(has_covariance(r) for r in shown) else ["error"]
-    elif reference is not None and reference.flaw is None and len(shown) > 1:
-        found.append("difference")
+    elif shown:
+        if reference is not None and reference.flaw is None and len(shown) > 1:
+            found.append("difference")
+        if any(has_covariance(r) for r in shown):
+            found.append("claims")
+        if for_fate(trial):
+            found.append("fate")
     if trial.beside is None and for_filter_smoother(trial) is not None:
         found.append(FILTER_SMOOTHER)
     if trial.task == "slam" and trial.log.truth.known_poses and for_growth(trial):
@@ -140,6 +145,22 @@ def _picture(trial: Trial, kind: str, beside: Sequence[Trial]) -> tuple[Figure, 
             f"{where}: error of each coordinate with the estimator's own ±3σ, which it rarely leaves if consistent."
             f"{left_out(trial, columns)}",
             f"Errors over time on {log.name} in x, y and heading, one column per estimator",
+        )
+    if kind == "claims":
+        claiming = for_panels([r for r in finished(trial) if has_covariance(r)])
+        return (
+            figures.claims_figure(log, claiming),
+            f"{where}: NIS in stretches of equal degrees of freedom with its 95 % bounds, and the standard deviations"
+            " that the estimators claim (position: along the least certain direction). The log has no true path."
+            f"{left_out(trial, claiming)}",
+            f"NIS and claimed standard deviations over time on {log.name}",
+        )
+    if kind == "fate":
+        fated = for_fate(trial)
+        return (
+            figures.fate_figure(log, fated),
+            f"{where}: every reading where the last path puts it, by what became of it.{left_out(trial, fated)}",
+            f"Map of {log.name} with paired, new, discarded and revised readings",
         )
     if kind == "nees":
         columns = for_panels([r for r in finished(trial) if has_covariance(r)])

@@ -97,7 +97,7 @@ def revision_section(folder: Path, options: Options, trials: Sequence[Trial]) ->
         pictures += [] if picture is None else [picture]
     if not rows:
         return []
-    table = written_table(pd.DataFrame(rows), folder, "revisions", CAPTION, options.formats)
+    table = written_table(pd.DataFrame(rows), folder, "revisions", CAPTION, options)
     return [Section("Decisions taken back", (table, *pictures), 3)]
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from association.decide import HINDSIGHT
 from data.result import Run
 from eval.figures.error import MOST_PANELS
 from eval.referee.errors import position_distance, rms
@@ -56,7 +57,7 @@ def _by_importance(runs: Sequence[Run], kinds: Sequence[tuple[int, int]]) -> lis
     Before them come those of estimators that are not ours, each once: who brought one wants to see it.
     """
     order = associations(runs)
-    theirs = sorted((r for r in runs if r.estimator not in ESTIMATORS), key=lambda r: order.index(r.association))
+    theirs = sorted((r for r in runs if r.estimator not in ESTIMATORS), key=lambda r: _place(order, r))
     chosen = list({r.estimator: r for r in reversed(theirs)}.values())[::-1]
     for kind, place in kinds:
         fitting = (r for r in runs if _kind(r) == kind and place < len(order) and r.association == order[place])
@@ -142,6 +143,19 @@ def for_panels(runs: Sequence[Run], most: int = MOST_PANELS, complete: Sequence[
         if sum(len(r.phases) for r in (*chosen, run)) <= (room if isinstance(run, GivenRun) else most):
             chosen.append(run)
     return _in_order(chosen)
+
+
+def for_fate(trial: Trial) -> list[Run]:
+    """For each way of association the last smoother, else the filter: decisions in hindsight first, labels last."""
+    deciding = [
+        r
+        for r in plausible(trial)
+        if r.association != "none"
+        and len(r.decisions) == len(trial.log.recorded.observations.frame) > 0
+        and log_of(r, trial.log) is trial.log
+    ]
+    ways = sorted(associations(deciding), key=lambda a: (a == "known") - (a == HINDSIGHT))
+    return [max((r for r in deciding if r.association == way), key=_kind) for way in ways]
 
 
 def for_growth(trial: Trial) -> list[Run]:

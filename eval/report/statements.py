@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 
+from data.terminal.words import counted
 from eval.page.numbers import number
 from eval.referee.consistency import CONSERVATIVE, CONSISTENT, INSIDE_3SIGMA, OVERCONFIDENT, TOO_FEW
 from eval.replay.plausible import IMPLAUSIBLE
@@ -38,7 +39,7 @@ def nis_statement(
         CONSISTENT: f"innovations as large as claimed {numbers}: nothing against the filter in this test",
     }[verdict]
     if rejected > 0:
-        text += f"; {rejected} observations were left out"
+        text += f"; {counted(rejected, 'observation was', 'observations were')} left out"
     if not known:
         text += "; conditional on the association decisions"
     return text
@@ -70,9 +71,9 @@ def verdict_statement(
 ) -> str:
     """A Monte Carlo verdict with its numbers, and how much the test could have seen."""
     if not math.isfinite(lower):
-        return f"{verdict} ({runs} runs, dof {dof})"
+        return f"{verdict} ({counted(runs, 'run')}, dof {dof})"
     interval = f"95 % interval {number(lower)}–{number(upper)}"
-    text = f"{verdict}: mean {number(mean)} where {dof} is expected, {interval}, {runs} runs"
+    text = f"{verdict}: mean {number(mean)} where {dof} is expected, {interval}, {counted(runs, 'run')}"
     if verdict == TOO_FEW:
         return text + "; too few runs to tell a right covariance from a wrong one"
     if verdict == CONSISTENT and math.isfinite(power):
@@ -85,7 +86,8 @@ def association_statement(tp: int, tn: int, fp: int, fn: int) -> str:
     total = tp + tn + fp + fn
     if total == 0:
         return "no observations to decide about"
-    right = f"of {total} observations {tp + tn} were decided rightly ({100 * (tp + tn) / total:.1f} %)"
+    share = 100 * (tp + tn) / total
+    right = f"of {counted(total, 'observation')} {counted(tp + tn, 'was', 'were')} decided rightly ({share:.1f} %)"
     return f"{right}, {fp} were paired with a wrong landmark, {fn} were not paired though their landmark was in the map"
 
 

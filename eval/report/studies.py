@@ -11,6 +11,7 @@ import pandas as pd
 from scipy import special
 
 from data.log import folder_name
+from data.terminal.words import counted
 from eval import figures
 from eval.figures.style import save
 from eval.page.document import Block, Picture, Section, Table, written_table
@@ -29,6 +30,8 @@ from eval.studies.reproduced import orderings, published_frame
 OUTLIERS = ("task", "estimator", "rate", "rmse_position_m", "rmse_lower", "rmse_upper", "nees_pose", "nees_lower",
             "nees_upper", "runs", "diverged")  # fmt: skip
 
+FINE_PRINT = {"-consistency": comparison.CONSISTENCY_CAPTION, "-coverage": comparison.COVERAGE_CAPTION}
+"""Of tables by how their names end: what the report says once for all of them."""
 MOST_LISTED = 20
 """Runs of a study that are listed one by one with what replays them."""
 Writer = Callable[[pd.DataFrame, str, str], Table]
@@ -39,7 +42,8 @@ def study_sections(folder: Path, options: Options, outcome: Outcome, judged: Seq
     """All that is said about the studies of a report; nothing where there is none."""
 
     def table(frame: pd.DataFrame, name: str, caption: str) -> Table:
-        return written_table(frame, folder, name, caption, options.formats)
+        fine = next((text for ending, text in FINE_PRINT.items() if name.endswith(ending)), "")
+        return written_table(frame, folder, name, caption, options, fine_print=fine)
 
     plots = None if options.no_plots or options.quick else folder / "figures"
     sections = [validation_section(study, found, table, plots) for study, found in outcome.validations]
@@ -79,7 +83,7 @@ def _study(study: Study, judged: Sequence[Judged], pictures: Sequence[Picture], 
     s = study.scenario
     declared = [f"`{name_of(m.name)}` ({', '.join(m.must_be_consistent)})" for m in s.members if m.must_be_consistent]
     blocks: list[Block] = [
-        f"{s.about} {len(study.seeds)} runs (seeds {study.seeds[0]} to {study.seeds[-1]}).",
+        f"{s.about} {counted(len(study.seeds), 'run')} (seeds {study.seeds[0]} to {study.seeds[-1]}).",
         f"Declared to be consistent: {', '.join(declared)}." if declared else "Nothing is declared to be consistent.",
     ]
     if s.cite:
@@ -112,7 +116,10 @@ def _diverged(study: Study) -> str:
     what = "diverged or are implausible" if any(": implausible, " in why for _, _, why in lost) else "diverged"
     shown = list(dict.fromkeys(notes))
     shown[MOST_LISTED:] = [f"* … and {len(shown) - MOST_LISTED} more"] if len(shown) > MOST_LISTED else []
-    return f"{len(lost)} runs {what}; they are in no average:\n\n" + "\n".join(shown)
+    return (
+        f"{counted(len(lost), 'run')} {what}; {'it is' if len(lost) == 1 else 'they are'} in no average:\n\n"
+        + "\n".join(shown)
+    )
 
 
 def _draw(folder: Path, options: Options, studies: Sequence[Study]) -> list[list[Picture]]:
@@ -158,7 +165,7 @@ def _picture(folder: Path, study: Study, task: str, association: str, kind: str)
         fig = figures.coverage_figure(ends, DOF["position"], what)
         caption = "share of the runs whose last position lies inside the ellipse of each level, with 95 % bounds."
     save(fig, folder / "figures", stem)
-    return Picture(stem, f"{what}, {runs} runs: {caption}", f"{kind} of {what}")
+    return Picture(stem, f"{what}, {counted(runs, 'run')}: {caption}", f"{kind} of {what}")
 
 
 def _published(outcome: Outcome, table: Writer) -> list[Section]:
@@ -206,11 +213,11 @@ def _outliers(folder: Path, options: Options, studies: Sequence[Study], table: W
     data = outlier_table(studies)
     caption = (
         f"{name}: position RMSE and mean pose NEES (expected {DOF['pose']}) with 95 % intervals over"
-        f" {len(studies[0].seeds)} runs, against the share of wrong labels."
+        f" {counted(len(studies[0].seeds), 'run')}, against the share of wrong labels."
     )
     if any(study.failures() for study in studies):
         caption += " Runs that diverged or are implausible are left out: of the others alone the mean is too small."
-    blocks: list[Block] = [f"{s.about} {len(studies[0].seeds)} runs at each rate.", table(
+    blocks: list[Block] = [f"{s.about} {counted(len(studies[0].seeds), 'run')} at each rate.", table(
         comparison.outliers_table(data), name, caption)]  # fmt: skip
     if not (options.no_plots or options.quick):
         save(figures.outlier_figure(data, name), folder / "figures", name)

@@ -12,10 +12,12 @@ import pandas as pd
 from data.log import Log
 from data.result import Run
 from data.se2 import Array
+from data.terminal.words import counted
 from eval.referee import consistency, errors
 from eval.referee.bounds import LEVEL
 from eval.referee.consistency import QUANTITIES, Verdict
 from eval.referee.score import CONSISTENCY, frame_of
+from eval.replay.foreign.make import able
 from eval.replay.plausible import IMPLAUSIBLE
 from eval.replay.run import compare
 from eval.studies.scenario import Scenario
@@ -88,7 +90,9 @@ def study_lines(study: Study) -> list[str]:
     for (task, estimator, association, _), found in doubtful.items():
         who = f"{study.scenario.name}, {task}: {estimator} ({association})"
         seed, why = found[0][0], found[0][1].replace(f"{IMPLAUSIBLE}, ", "")
-        lines.append(f"{who} is {IMPLAUSIBLE} in {len(found)} of {len(study.seeds)} runs; with seed {seed}, {why}")
+        lines.append(
+            f"{who} is {IMPLAUSIBLE} in {len(found)} of {counted(len(study.seeds), 'run')}; with seed {seed}, {why}"
+        )
     return lines
 
 
@@ -148,7 +152,8 @@ def one_run(scenario: Scenario, seed: int) -> Result:
         for task in scenario.task:
             for association in scenario.association:
                 inputs = log.inputs(labels=association == "known")
-                for run in compare(inputs, task, names, association, scenario.setup):
+                there = able(names, task, association, scenario.setup)
+                for run in compare(inputs, task, there, association, scenario.setup):
                     for phase in run.phases:
                         result[(task, run.estimator, run.association, phase)] = sample(run, phase, log, scenario)
     return result

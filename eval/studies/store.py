@@ -30,6 +30,8 @@ PACKAGES = (
 """All that a run may execute."""
 LIBRARIES = ("gtsam", "numba", "numpy", "pandas", "scipy")
 DIGITS = 10
+TICK = 0.02
+"""s. The time of a file is that of the last tick of the system's clock, which may be before the clock was read."""
 
 
 def code_digest() -> str:
@@ -69,7 +71,7 @@ def kept_folder(root: Path, called: str, content: str) -> Path:
 def kept_since(root: Path, begin: float) -> str:
     """For somebody who interrupts a study begun then [s since the epoch]: what of it is kept, and how to go on."""
     folder = root / ".studies"
-    done = sum(f.stat().st_mtime >= begin for f in folder.glob("*/[!.]*.*"))
+    done = sum(f.stat().st_mtime >= begin - TICK for f in folder.glob("*/[!.]*.*"))
     if not done:
         return "nothing was changed"
     runs = f"{counted(done, 'run')} done since the start {'is' if done == 1 else 'are'} kept in {folder}"

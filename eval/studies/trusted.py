@@ -13,6 +13,7 @@ from data.inputs import Inputs
 from data.log import Log
 from data.result import Run
 from data.se2 import Array, BoolArray
+from data.terminal.words import counted
 from eval.referee import attribution, battery, effects, residuals, trust
 from eval.referee.attribution import ESTIMATOR, NOISE, NOTHING, Finding
 from eval.referee.files.top import TRUST
@@ -133,7 +134,7 @@ def _failures(log: Log, real: Sample, twins: Sequence[Sample]) -> tuple[str, ...
     notes += [f"{name} failed ({why}), so nothing is measured of it" for name, why in real.failures.items()]
     for name in dict.fromkeys(name for s in twins for name in s.failures):
         count = sum(name in s.failures for s in twins)
-        notes.append(f"{name} failed in {count} of {len(twins)} twins, which do not count for it")
+        notes.append(f"{name} failed in {count} of {counted(len(twins), 'twin')}, which do not count for it")
     return tuple(notes)
 
 

@@ -17,6 +17,7 @@ from data.log import Log
 from data.result import MapState, PoseEstimate
 from data.se2 import Array, transform_points
 from data.sensors import RangeBearing, Sensor
+from data.terminal.words import counted
 from eval.figures.ellipses import ellipses
 from eval.figures.style import TRUTH_COLOUR, style_of
 from eval.figures.view import true_landmarks
@@ -114,8 +115,9 @@ def paint_map(
     if np.any(landmarks.covariance):
         outlines(ax, landmarks.xy, landmarks.covariance, style.colour)
         ax.plot(
-            *landmarks.xy.T, ".", color=style.colour, markersize=3.0, label=f"{len(landmarks.xy)} landmarks, numbered"
-        )
+            *landmarks.xy.T, ".", color=style.colour, markersize=3.0,
+            label=f"{counted(len(landmarks.xy), 'landmark')}, numbered",
+        )  # fmt: skip
         write_numbers(ax, landmarks.xy, [str(n) for n in landmarks.number], LANDMARK, 4.5, (1.5, 1.5))
     outlines(ax, now.mean[None, :2], now.covariance[None, :2, :2], "#202020", 5.0)
     mark_robot(ax, now.mean, style.colour, "robot")

@@ -18,6 +18,7 @@ from data.inputs import IntArray
 from data.log import Log
 from data.result import DISCARD, NEW, Run
 from data.se2 import Array
+from data.terminal.words import counted
 from data.truth import UNKNOWN_ID
 from eval.referee.confusion import OUTCOMES, Confusion, confuse
 from eval.referee.metrics import metric
@@ -219,6 +220,6 @@ def compatibility_text(e: Expectation, gate: float | None) -> str:
     each = (e.individual_distances() < gate_threshold(gate)).sum(axis=1)
     none, one, several = (int(mask.sum()) for mask in (each == 0, each == 1, each > 1))
     return (
-        f"{each.sum()} compatible pairs with {len(e.number)} landmarks; "
+        f"{counted(int(each.sum()), 'compatible pair')} with {counted(len(e.number), 'landmark')}; "
         f"observations with none {none}, with one {one}, with several {several}"
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from dataclasses import replace
 
+import gtsam
 import numpy as np
 import pytest
 
@@ -57,12 +58,24 @@ def test_relations_are_scored_by_row_and_by_time_for_every_phase(results):
 
 def test_map_and_loop_closures_are_written_without_plots_too(results):
     place = results / "runs" / "plan"
-    assert {p.name for p in place.iterdir() if p.is_file()} == {"map.png", "map.pgm", "map.yaml", "loops.csv"}
+    files = {"map.png", "map.pgm", "map.yaml", "loops.csv", "graph.g2o"}
+    assert {p.name for p in place.iterdir() if p.is_file()} == files
     assert (place / "loops.csv").read_text().splitlines()[0] == LOOPS
     loops = rows(place / "loops.csv")
     assert all(int(r["key1"]) < int(r["key2"]) for r in loops)
     assert any(r["accepted"] == "1" and r["final"] == "1" for r in loops)
     assert (place / "map.pgm").read_bytes().startswith(b"P5\n")
+
+
+def test_the_graph_of_key_poses_opens_in_gtsam_at_its_own_minimum(results):
+    place = results / "runs" / "plan"
+    graph, values = gtsam.readG2o(str(place / "graph.g2o"), False)
+    loops = sum(int(row["final"]) for row in rows(place / "loops.csv"))
+    assert graph.size() == values.size() - 1 + loops
+    graph = gtsam.NonlinearFactorGraph(graph)
+    graph.add(gtsam.NonlinearEqualityPose2(0, values.atPose2(0)))
+    best = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+    assert graph.error(values) == pytest.approx(graph.error(best), rel=1e-3)
 
 
 def test_sparser_graphs_stand_beside_and_the_report_says_what_the_gate_does(results):

@@ -6,6 +6,7 @@ import csv
 import importlib.util
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -17,10 +18,13 @@ from threadpoolctl import threadpool_limits
 
 from data.open_log.writer import write_folder
 from data.worlds.arena import Arena, simulate
+from eval.referee.files.of_runs import OF_LOGS, OF_RUNS, OTHERS
+from eval.referee.files.top import TIMING, TOP
 from eval.run_all import main
 
 ROOT = Path(__file__).parents[2]
 CHECKER = ROOT.parent / "shared" / "tools" / "check_results.py"
+ALL = (*TOP, *OF_RUNS, *OF_LOGS, *OTHERS)
 SAME_EVERY_TIME = {"timing.csv", "provenance.json", "run.log"}
 
 
@@ -68,6 +72,23 @@ def test_the_result_folder_keeps_its_contract(made, request):
     spec.loader.exec_module(checker)
     # the checker takes dead reckoning's association, which the contract calls `none`, for an unknown value
     assert [b for b in checker.check(out) if not b.endswith("association is 'none'; unknown is blank")] == []
+
+
+@pytest.mark.parametrize("made", ["report", "numbers"])
+def test_every_file_and_column_is_described(made, request):
+    """In docs/results-folder.md, which is written out of the same table."""
+    out = request.getfixturevalue(made)
+    described = {re.sub("<[^>]*>", "[^/]+", re.escape(f.path).replace(r"\<", "<")): f for f in ALL}
+    found = set()
+    for path in (p for p in out.rglob("*") if p.is_file()):
+        name = path.relative_to(out).as_posix()
+        exact = [f for f in ALL if f.path == name]
+        (file,) = exact or [f for pattern, f in described.items() if re.fullmatch(pattern, name)]
+        found.add(file.path)
+        if file.columns:
+            with path.open(encoding="utf-8", newline="") as f:
+                assert tuple(next(csv.reader(f))) == file.names
+    assert {f.path for f in (*TOP[:4], *OF_RUNS, TIMING)} <= found
 
 
 def test_every_estimator_and_phase_has_its_row_with_numbers(numbers):

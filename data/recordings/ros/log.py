@@ -14,6 +14,7 @@ from data.open_log.scans import with_returns
 from data.recordings.laser import laser_inputs
 from data.recordings.ros.bag import Bag
 from data.se2 import interpolate, inverse
+from data.terminal.words import counted
 from data.truth import Truth
 
 SIGMA = 0.01
@@ -52,11 +53,13 @@ def log_of(path: Path, bag: Bag) -> Log:
         note,
     ]
     if not inside.all():
-        notes.append(f"{int((~inside).sum())} of {len(inside)} scans are outside the span of the odometry: left out.")
+        notes.append(
+            f"{int((~inside).sum())} of {counted(len(inside), 'scan')} outside the span of the odometry: left out."
+        )
     after = np.clip(np.searchsorted(time, stamp), 1, len(time) - 1)
     far = int((time[after] - time[after - 1] > LONG).sum()) if len(time) > 1 else 0
     if far:
-        notes.append(f"{far} scans are where the odometry pauses for more than {LONG:g} s.")
+        notes.append(f"{counted(far, 'scan is', 'scans are')} where the odometry pauses for more than {LONG:g} s.")
     source = {"kind": "rosbag", "path": str(path.absolute()), "scan": bag.scan_topic, "odometry": bag.odometry_topic}
     if path.is_file():
         with path.open("rb") as file:

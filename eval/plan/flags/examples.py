@@ -24,6 +24,8 @@ examples:
   python -m eval.run_all --data ~/datasets                  every dataset found in a folder, two levels deep
   python -m eval.run_all --log my_log --estimator ekf,batch-cauchy --association known
   python -m eval.run_all --log arena:0 --task slam --estimator ekf,ekf-invariant,isam2,batch
+  python -m eval.run_all --log arena:0 --estimator ekf,mine=./mine.py:Filter --association known,./mine.py:nearest
+                                                            your own beside ours (docs/extending.md)
   python -m eval.run_all --log my_log --twins 100           trust without ground truth: p values, and whose fault it is
   python -m eval.run_all --log my_log --gate-known 0.999    leave labelled readings out that fit badly, or keep them
   python -m eval.run_all --log my_log --gate-known none     all, which is the default where no sensor read the labels
@@ -48,7 +50,11 @@ examples:
   python -m eval.run_all --log my_log --result a=a.tum --result b=bag:/odom --align se2 --cov-frame b=world
   python -m eval.run_all --truth gt.tum --truth-gap 0.2 --result a=a.csv     a truth alone: a referee for results
   python -m eval.run_all --truth gt.txt --result a=kitti.txt --times times.txt --axes camera    KITTI poses
-  python -m eval.run_all --log arena:0 --animate            a film of each estimator beside the figures
+  python -m eval.run_all --log arena:0 --table-width column --columns rmse_position_m,nees_pose,nis
+  python -m eval.run_all --log arena:0 --figure-width 3.4in --font Times --font-size 8    figures for a column
+  python -m eval.run_all --log arena:0 --figure-width 86mm --usetex --pgf      text set by LaTeX, which must be there
+  python -m eval.run_all --log arena:0 --animate            a film of each estimator and association
+  python -m eval.run_all --log victoria-park --estimator ekf --animate --speed 20    at 20 times real time
   python -m eval.run_all --config my_run.toml -v            the same keys from a file; flags win; a table
                                                             [corridor] (seed, people, range, ...) is a log, too
   python -m eval.run_all --log DIR --config tutorial-step1 --config tutorial-step3   (DIR made by data.convert mrclam)

@@ -143,3 +143,5 @@ def _check(o: Options) -> None:
         raise UsageError("-q and -v exclude each other")
     if o.animate and o.no_plots:
         raise UsageError("--animate makes pictures and --no-plots forbids them")
+    if o.speed is not None and not o.animate:
+        raise UsageError(f"--speed {o.speed:g}: is about films, which --animate makes")

@@ -100,7 +100,11 @@ OF_RUNS = (
     LAB_TEXT,
 )
 OF_LOGS = (
+    File(f"{LOG_FOLDER}/truth.tum", f"The true path, at the frames of the log: {TUM}.", when="logs with true poses"),
     LOOPS,
+    File(
+        f"{LOG_FOLDER}/graph.g2o", "Key poses, the motion between them and the loop closures kept, for g2o.", when=LASER
+    ),
     File(f"{LOG_FOLDER}/map.png", "The occupancy grid with the path.", when=LASER),
     File(f"{LOG_FOLDER}/map.pgm", "The occupancy grid for map servers.", when=LASER),
     File(f"{LOG_FOLDER}/map.yaml", "Where `map.pgm` lies and how it is meant.", when=LASER),
@@ -108,13 +112,18 @@ OF_LOGS = (
 OTHERS = (
     File("report.html", "The report, in one file."),
     File("report.md", "The same in Markdown."),
+    File(
+        "players/<log>.html",
+        "Every run on a log, frame by frame, in a browser: one file, which loads nothing.",
+        when="not with `--no-plots`",
+    ),
     File("tables/<name>.csv", "A table of the report, every digit, with the heads that people read."),
     File("tables/<name>.md", "The same in Markdown, rounded."),
     File("tables/<name>.tex", "The same in LaTeX, for a column or a page of a paper (`--table-width`, `--columns`)."),
     File("tables/notes.tex", "What the LaTeX tables mean: their fine print, one paragraph for each."),
     File("figures/<name>.pdf", "A figure, for a paper.", when="not with `--quick` or `--no-plots`"),
     File("figures/<name>.png", "The same as an image.", when="not with `--no-plots`"),
-    File("figures/<name>.mp4", "A film of a run.", when="with `--animate`"),
+    File("figures/<name>.webm", "A film of a run (VP8, plays in browsers).", when="with `--animate`"),
     File("figures/<name>.pgf", "A figure that LaTeX sets with the document's own fonts.", when="with `--pgf`"),
     File(
         "figures/lab-<name>.png",

@@ -57,7 +57,6 @@ def match(time: Array, truth_time: Array, truth: Array, gap: float = GAP) -> Mat
     NaN and outside the span of the truths, it is unknown.
     """
     n = len(time)
-    known = np.asarray(np.isfinite(truth).all(axis=1))
     found = np.full((n, 3), np.nan)
     if not len(truth_time):
         return Match(found, 0, n, 0, math.nan)
@@ -66,7 +65,7 @@ def match(time: Array, truth_time: Array, truth: Array, gap: float = GAP) -> Mat
     nearest = np.where(np.abs(truth_time[before] - time) < np.abs(truth_time[after] - time), before, after)
     same = np.abs(truth_time[nearest] - time) <= SAME
     found[same] = truth[nearest[same]]
-    within = ~same & (truth_time[before] < time) & (time < truth_time[after]) & known[before] & known[after]
+    within = ~same & (truth_time[before] < time) & (time < truth_time[after])
     within &= truth_time[after] - truth_time[before] <= gap + SAME
     found[within] = _between(truth_time, truth, before[within], after[within], time[within])
     matched = np.asarray(np.isfinite(found).all(axis=1))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Sequence
 from typing import Any
 
 from data.errors import UsageError
@@ -10,11 +11,12 @@ from ekf.filter import DEFAULT, FilterOptions
 from eval.replay.foreign.adapter import Adapter
 from eval.replay.foreign.guard import call
 from eval.replay.foreign.load import Loaded, load
+from eval.replay.foreign.spec import is_foreign
 from eval.replay.given import Given
 from eval.replay.names import TASKS
 from eval.replay.settings import Setup
 
-SIGNATURES = "(prior, sensor, options) does SLAM, one of (prior, sensor, map, options) localization"
+SIGNATURES = "one of (prior, sensor, options) does SLAM, of (prior, sensor, map, options) localization"
 HINDSIGHT = "jcbb-hindsight"
 VERBS = ("predict", "update", "estimate")
 """What it must have."""
@@ -55,7 +57,7 @@ def tasks_of(loaded: Loaded) -> tuple[str, ...]:
     count = sum(p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD) for p in parameters)
     if count not in (3, 4) or any(p.kind is p.KEYWORD_ONLY and p.default is p.empty for p in parameters):
         takes = f"({', '.join(p.name for p in parameters)})"
-        raise UsageError(f"{loaded.name}: its constructor takes {takes}; one of {SIGNATURES}; see docs/extending.md")
+        raise UsageError(f"{loaded.name}: its constructor takes {takes}; {SIGNATURES}; see docs/extending.md")
     return ("slam",) if count == 3 else ("localization",)
 
 
@@ -67,8 +69,8 @@ def lack(text: str, task: str, association: str, setup: Setup) -> str | None:
     loaded = load(text)
     tasks = tasks_of(loaded)
     if task not in tasks:
-        how = "its attribute tasks says so" if hasattr(loaded.thing, "tasks") else f"a constructor {SIGNATURES}"
-        return f"{loaded.name} does {tasks[0]} only ({how})"
+        how = "says its attribute tasks" if hasattr(loaded.thing, "tasks") else f"by its constructor: {SIGNATURES}"
+        return f"{loaded.name} does {tasks[0]} only, {how}"
     if not isinstance(loaded.thing, type):
         return None
     needed: dict[str, str] = {}
@@ -86,6 +88,11 @@ def lack(text: str, task: str, association: str, setup: Setup) -> str | None:
         if not callable(getattr(loaded.thing, verb, None)):
             return f"{loaded.name} has no `{verb}`, which {why} needs"
     return None
+
+
+def able(names: Sequence[str], task: str, association: str, setup: Setup) -> list[str]:
+    """Those of some names, ours among them, that lack nothing."""
+    return [n for n in names if not is_foreign(n) or lack(n, task, association, setup) is None]
 
 
 def require(text: str, task: str, association: str, setup: Setup) -> None:

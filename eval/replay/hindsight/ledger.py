@@ -32,6 +32,7 @@ from data.inputs import Frame, IntArray
 from data.result import DISCARD, NEW, Event, Updated
 from data.se2 import Array
 from data.sensors import Sensor
+from data.terminal.words import counted
 
 MERGED = "the same landmark as one initialized before"
 
@@ -260,11 +261,15 @@ class Ledger:
         if not self.events:
             return []
         undone = sum(e.old >= 0 for e in self.events)
-        return [f"{undone} pairings were undone in hindsight, {sum(e.new >= 0 for e in self.events)} made instead"]
+        again = sum(e.new >= 0 for e in self.events)
+        return [f"{counted(undone, 'pairing was', 'pairings were')} undone in hindsight, {again} made instead"]
 
     def merge_notes(self) -> list[str]:
         """The same of landmarks that were merged."""
         if not self.merged:
             return []
         first = self.merged[0][0]
-        return [f"{len(self.merged)} landmarks turned out to be ones initialized before (first in frame {first})"]
+        return [
+            f"{counted(len(self.merged), 'landmark')} turned out to have been initialized before"
+            f" (first in frame {first})"
+        ]

@@ -15,6 +15,7 @@ from association.expectation import Expectation
 from association.geometry.placement import Memory, Placed, drifted, place, too_uncertain
 from data.inputs import Increment
 from data.se2 import Array
+from data.terminal.words import counted
 from eval.replay.hindsight.ledger import Ledger
 from eval.replay.settings import Setup
 
@@ -63,4 +64,7 @@ class UncertainMotion:
         """What a reader of the results should know."""
         if not self.placed:
             return []
-        return [f"{self.placed} frames were placed by geometry: the motion into them was too uncertain to predict them"]
+        return [
+            f"{counted(self.placed, 'frame was', 'frames were')} placed by geometry:"
+            " the motion until then was too uncertain to predict from"
+        ]

@@ -13,6 +13,7 @@ from association.scans.laser_run import LaserRun
 from data.inputs import Increments, Inputs, Observations, floor_covariances
 from data.result import Failure, Innovations, Run
 from data.sensors import RelativePoint
+from data.terminal.words import counted
 from eval.replay.laser.backends import over_frames
 from eval.replay.laser.front_end import run_front_end
 from eval.replay.laser.parameters import LaserParameters
@@ -73,7 +74,10 @@ def at_all_frames(run: Run, corners: CornerLog, frames: int) -> LaserRun:
     if run.map is not None:
         given["map"] = replace(run.map, first_frame=of[np.maximum(run.map.first_frame, 0)])
     seen = len(corners.inputs.observations.frame)
-    given["notes"] = (*run.notes, f"{seen} corners in {len(of)} key scans, scan matching for odometry")
+    given["notes"] = (
+        *run.notes,
+        f"{counted(seen, 'corner')} in {counted(len(of), 'key scan')}, scan matching for odometry",
+    )
     return LaserRun(**given)
 
 

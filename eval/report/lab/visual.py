@@ -140,7 +140,7 @@ def _filter(folder: Path, options: Options, trial: Trial) -> Section:
                 )
             )
     caption = f"{log.name}, localization: position errors without alignment, and σ along the least certain direction."
-    blocks.append(written_table(pd.DataFrame(rows, dtype=object), folder, "lab-question-3", caption, options.formats))
+    blocks.append(written_table(pd.DataFrame(rows, dtype=object), folder, "lab-question-3", caption, options))
     blocks += [typeset(folder, "lab-update-model", UPDATE), UPDATE.about]
     return Section("Question 3: Where was the robot, and how sure is the filter of it?", tuple(blocks))
 

@@ -10,6 +10,7 @@ import pandas as pd
 from association.scans.constraints import Loops
 from association.scans.laser_run import LaserRun
 from association.scans.occupancy import Grid, occupancy_grid
+from data.graphs.g2o import MOTION, written
 from data.log import folder_name
 from data.se2 import Array
 from eval.figures.laser import map_picture
@@ -18,6 +19,8 @@ from eval.referee.files.of_runs import LOOPS
 from eval.referee.laser.rows import kept
 from eval.referee.score import Trial
 from eval.report.laser.map_files import write_map
+
+GRAPH = "graph.g2o"
 
 
 def mapping_run(trial: Trial) -> LaserRun | None:
@@ -44,7 +47,7 @@ def grid_of(trial: Trial, run: LaserRun) -> Grid:
 
 
 def write_laser_files(folder: Path, trial: Trial) -> None:
-    """`map.png`, `map.pgm`, `map.yaml` and `loops.csv` in `runs/<log>/`; nothing where no run matched scans."""
+    """`map.png`, `map.pgm`, `map.yaml`, `loops.csv`, `graph.g2o` in `runs/<log>/`; nothing if no run matched scans."""
     run = mapping_run(trial)
     if run is None or run.last is None or run.loops is None:
         return
@@ -55,6 +58,20 @@ def write_laser_files(folder: Path, trial: Trial) -> None:
     figure = map_picture(grid, run.last, name=trial.log.name, estimator=run.estimator, phase=phase_of(run))
     save(figure, place, "map", ("png",))
     LOOPS.write(loops_table(run.loops, run.weight), place)
+    (place / GRAPH).write_text(graph_of(run), encoding="utf-8")
+
+
+def graph_of(run: LaserRun) -> str:
+    """The key poses with the motion between them and the loop closures that kept their weight, as text for g2o."""
+    assert run.chain is not None
+    assert run.loops is not None
+    assert run.key_pose is not None
+    chain, loops = run.chain, run.loops
+    keys = range(len(run.key_pose))
+    edges = [(MOTION, k - 1, k, chain.motion[k], chain.covariance[k]) for k in keys[1:]]
+    for i in np.flatnonzero(kept(loops, run.weight, "final")).tolist():
+        edges.append((MOTION, int(loops.key1[i]), int(loops.key2[i]), loops.relative[i], loops.covariance[i]))
+    return written((keys, run.key_pose), ((), np.zeros((0, 2))), (0,), edges)
 
 
 def loops_table(loops: Loops, weight: Array | None) -> pd.DataFrame:

@@ -10,12 +10,15 @@ import pandas as pd
 
 from association.scans.laser_run import SCAN, LaserRun
 from data.log import Log
+from data.result import Run
+from data.terminal.words import counted
 from eval.page.document import Block, Picture, Section, written_table
 from eval.page.numbers import number
 from eval.plan.flags.options import Options
 from eval.referee.errors import position_distance, rms
 from eval.referee.laser.relations import ALL, CARTOGRAPHER, EXACT, KUEMMERLE, ROW, TIME, relation_errors
 from eval.referee.laser.rows import KEPT, paths_of
+from eval.referee.paths.given import GivenRun
 from eval.referee.score import Trial
 from eval.report.laser.files import mapping_run
 from eval.report.laser.pictures import GRID, LOOPS
@@ -88,15 +91,14 @@ def _relations(folder: Path, options: Options, trial: Trial) -> list[Block]:
     if not rows:
         return []
     caption = f"{trial.log.name}: {RELATIONS_CAPTION}"
-    blocks: list[Block] = [
-        written_table(pd.DataFrame(rows), folder, stem(trial, "relations"), caption, options.formats)
-    ]
+    blocks: list[Block] = [written_table(pd.DataFrame(rows), folder, stem(trial, "relations"), caption, options)]
     return [*blocks, PUBLISHED] if len(relations) == INTEL_RELATIONS else blocks
 
 
-def _relation_rows(run: object, log: Log) -> list[dict[str, object]]:
+def _relation_rows(run: Run, log: Log) -> list[dict[str, object]]:
     """A row per phase; the filter with its gate below the one without."""
-    if not isinstance(run, LaserRun) or run.failure is not None or log.truth.relations is None:
+    given = isinstance(run, GivenRun) and run.log is log
+    if not (given or isinstance(run, LaserRun)) or run.failure is not None or log.truth.relations is None:
         return []
     rows = []
     for phase, path in paths_of(run).items():
@@ -113,7 +115,7 @@ def _relation_rows(run: object, log: Log) -> list[dict[str, object]]:
         if other is not None:
             row["other order [m]"] = f"{other.trans_mean_m:.4f} ± {other.trans_std_m:.4f}"
         rows.append(row)
-    for twin, name in zip(run.with_gate or (), GATED, strict=False):
+    for twin, name in zip((run.with_gate or ()) if isinstance(run, LaserRun) else (), GATED, strict=False):
         rows += [{**row, "estimator": name} for row in _relation_rows(twin, log)]
     return rows
 
@@ -126,7 +128,8 @@ def _statements(trial: Trial, run: LaserRun) -> list[str]:
     log, keys = trial.log, len(run.chain.frame)
     scans = 0 if log.recorded.scans is None else len(log.recorded.scans.frame)
     said = [
-        f"{scans} scans in {len(log.recorded)} frames became {keys} key poses; {len(run.loops)} loop closures were"
+        f"{counted(scans, 'scan')} in {counted(len(log.recorded), 'frame')} became {counted(keys, 'key pose')};"
+        f" {counted(len(run.loops), 'loop closure was', 'loop closures were')}"
         f" looked at, {believed} believed, each together with another one that agrees with it."
     ]
     for other in trial.runs:
@@ -202,4 +205,4 @@ def _sizes(folder: Path, options: Options, trials: Sequence[Trial]) -> Block:
         row["seconds"] = number(run.seconds)
         rows.append(row)
     caption = f"{trials[0].log.name}: how sparse the graph may be (`--keyframe-distance`, `--least-information`)."
-    return written_table(pd.DataFrame(rows), folder, stem(trials[0], "graph-sizes"), caption, options.formats)
+    return written_table(pd.DataFrame(rows), folder, stem(trials[0], "graph-sizes"), caption, options)

@@ -111,7 +111,10 @@ def scores(s: Scored) -> dict[str, float]:
         "mean_position_m": float(d.mean()), "median_position_m": float(np.median(d)),
         "std_position_m": float(d.std()), "min_position_m": float(d.min()),
     }  # fmt: skip
-    names = [*FIRST, *(m.column for m in OF_ESTIMATES if m.column not in (*FIRST, *LEFT_OUT))]
+    row["rmse_heading_rad"] = math.radians(errors.heading_rmse_deg(pose, truth))
+    rest = [m.column for m in OF_ESTIMATES if m.column not in (*FIRST, *LEFT_OUT)]
+    rest.insert(rest.index("rmse_heading_deg") + 1, "rmse_heading_rad")
+    names = [*FIRST, *rest]
     values = {name: row.get(name) for name in names}
     return {name: float(v) for name, v in values.items() if isinstance(v, (int, float)) and math.isfinite(v)}
 

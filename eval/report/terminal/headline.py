@@ -153,10 +153,13 @@ def _fit(text: str, width: int, to_left: bool) -> str:
 def _remark(lines: Sequence[str]) -> str:
     """What the columns that are shown mean, in one line."""
     said = {
-        " rel ": "rel: mean of relations",
         "NEES": "expected: NEES 3, NIS 1",
-        "verdict": "verdict on NIS, of a study on NEES",
-        "wrong": "wrong: of all pairings",
+        " rel ": "rel: of relations",
+        "verdict": "verdict on NIS, over runs on NEES",
+        "wrong": "wrong: of pairings",
     }
     shown = " ".join(lines)
-    return f"({'; '.join(text for name, text in said.items() if name in shown)})"
+    texts = [text for name, text in said.items() if name in shown]
+    while len("; ".join(texts)) > WIDTH - 2:
+        texts.pop()
+    return f"({'; '.join(texts)})"

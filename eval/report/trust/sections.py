@@ -60,6 +60,6 @@ def trust_section(
             caption = f"{trial.log.name}, {trial.task}, association {trust.association}. {CAPTION}"
             caption += WITH_TWINS if trust.twins else WITHOUT
             name = stem(trial, f"trust-{trust.association}")
-            blocks.append(written_table(trust_frame(trust, terms=terms), folder, name, caption, options.formats))
+            blocks.append(written_table(trust_frame(trust, terms=terms), folder, name, caption, options))
     blocks += [p for p in pictures if p.stem == stem(trial, FILTER_SMOOTHER)]
     return [Section(f"{HEADING}: {trial.log.name}, {trial.task}", tuple(blocks), 3)] if blocks else []

@@ -19,7 +19,8 @@ from data.pictures import Detection
 from data.result import Run
 from data.se2 import Array
 from eval.figures.map import map_figure
-from eval.figures.style import DOUBLE, SINGLE, drawing
+from eval.figures.paper.look import across, page_width
+from eval.figures.style import SINGLE, drawing
 
 MOST_TILES = 12
 OUTLINE = "#F0E442"
@@ -50,12 +51,12 @@ def contact_sheet(
     tiles = [Tile(*image) for image in images]
     if not 0 < len(tiles) <= MOST_TILES:
         raise ValueError(f"{len(tiles)} frames for a contact sheet; from 1 to {MOST_TILES} fit")
-    columns = min(len(tiles), 2 if len(tiles) in (2, 4) else 3)
-    width = SINGLE if columns == 1 else DOUBLE
-    gap, across = 0.08, (width - 0.08 * (columns + 1)) / columns
-    captions = [_caption(tile, round(20.0 * across)) for tile in tiles]
+    columns = min(len(tiles), 2 if len(tiles) in (2, 4) else across(3))
+    width = SINGLE if columns == 1 else page_width()
+    gap, side = 0.08, (width - 0.08 * (columns + 1)) / columns
+    captions = [_caption(tile, round(20.0 * side)) for tile in tiles]
     rows = [range(k, min(k + columns, len(tiles))) for k in range(0, len(tiles), columns)]
-    shape = [across * tile.rgb.shape[0] / tile.rgb.shape[1] for tile in tiles]
+    shape = [side * tile.rgb.shape[0] / tile.rgb.shape[1] for tile in tiles]
     high = [max(shape[k] for k in row) for row in rows]
     below = [LINE * max(captions[k].count("\n") + 1 for k in row) + 0.06 for row in rows]
     head = fill(title, round(16.0 * width))
@@ -68,8 +69,8 @@ def contact_sheet(
         y = height - top
         for row, tall, under in zip(rows, high, below, strict=True):
             for column, k in enumerate(row):
-                x = gap + column * (across + gap)
-                ax = fig.add_axes((x / width, (y - shape[k]) / height, across / width, shape[k] / height))
+                x = gap + column * (side + gap)
+                ax = fig.add_axes((x / width, (y - shape[k]) / height, side / width, shape[k] / height))
                 _paint(ax, tiles[k])
                 for i, line in enumerate(captions[k].split("\n"), start=1):
                     fig.text(x / width, (y - tall - i * LINE) / height, line, va="baseline", fontsize=CAPTION)
@@ -104,7 +105,7 @@ def _paint(ax: Axes, tile: Tile) -> None:
 
 
 def plan_figure(
-    log: Log, runs: Sequence[Run], corners: Array, *, width: float = DOUBLE, factor: int | None = 1
+    log: Log, runs: Sequence[Run], corners: Array, *, width: float | None = None, factor: int | None = 1
 ) -> Figure:
     """The map figure with pictures in place of landmarks: corners (L, 4, 2) m as in `data.pictures.VisualSetup`.
 

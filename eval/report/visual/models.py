@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from eval.figures.paper.tex import tex_escape
 from eval.page.equations import Equation, Matrix, Where, latex
-from eval.page.tables import tex_escape
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from data.inputs import IntArray
 from data.log import Log, folder_name
 from data.pictures import Detection, Evidence, Found, InView
+from data.terminal.words import counted
 from data.visual.observations import COMMAND_SIGMA, true_pictures
 from eval.figures.style import save
 from eval.page.document import Block, Formula, Picture, Section, written_table
@@ -219,9 +220,9 @@ def _detections(folder: Path, options: Options, log: Log) -> Iterator[Block]:
         save(sheet, folder / "figures", name, ("png",))
         yield Picture(
             name,
-            f"`{log.name}`: {len(tiles)} of {len(found.time)} frames. Outlines: pictures found; dots: corners; the"
-            " number stands at the upper left one.",
-            f"{len(tiles)} frames of {log.name} with outlined pictures",
+            f"`{log.name}`: {len(tiles)} of {counted(len(found.time), 'frame')}. Outlines: pictures found;"
+            " dots: corners; the number stands at the upper left one.",
+            f"{counted(len(tiles), 'frame')} of {log.name} with outlined pictures",
         )
     frame = drop_blank_columns(detection_table(stats))
     caption = f"{log.name}: detections by picture, numbered from 0 in the order of the reference images."
@@ -231,12 +232,12 @@ def _detections(folder: Path, options: Options, log: Log) -> Iterator[Block]:
             " where this one is. Not judged: found where none is in view by that definition."
         )
     caption += " Not found: frames, by the reason."
-    yield written_table(frame, folder, name, caption, options.formats)
+    yield written_table(frame, folder, name, caption, options)
 
 
 def summary(stats: Sequence[PictureStatistics], found: Found) -> str:
     """All pictures together, in a paragraph."""
-    notes = [f"**Detections.** {len(found.frame)} in {len(found.time)} frames."]
+    notes = [f"**Detections.** {len(found.frame)} in {counted(len(found.time), 'frame')}."]
     in_view = sum(s.in_view or 0 for s in stats)
     if in_view:
         right, wrong = sum(s.found_in_view or 0 for s in stats), sum(s.wrong or 0 for s in stats)

@@ -13,7 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
-from eval.page.tables import column_text, drop_blank_columns, latex, markdown, tex_escape, write_table
+from eval.figures.paper.tex import tex_escape
+from eval.page.tables import column_text, drop_blank_columns, markdown
+from eval.page.written import write_table
 from eval.referee import score
 from eval.report import comparison
 
@@ -90,30 +92,6 @@ def test_latex_leaves_no_special_character_of_a_text_active(text):
     assert commands <= {"textbackslash", "textasciitilde", "textasciicircum", "dots", "circ", "times", "pm", "mu"}
 
 
-def test_latex_is_a_balanced_booktabs_table_with_as_many_cells_in_every_row():
-    tex = latex(FRAME, "arena-slam", "Errors of ekf_slam, 95 % bounds, σ & more")
-    plain = without_escapes(tex)
-    assert plain.count("{") == plain.count("}")
-    begun, ended = re.findall(r"\\begin\{(\w+)\}", tex), re.findall(r"\\end\{(\w+)\}", tex)
-    assert begun == ended[::-1] == ["table", "tabular"]
-    order = [tex.index(rule) for rule in (r"\toprule", r"\midrule", r"\bottomrule")]
-    assert order == sorted(order)
-    rows = [line for line in tex.splitlines() if line.endswith(r" \\")]
-    assert len(rows) == 4
-    assert {without_escapes(r).count("&") for r in rows} == {3}
-    assert r"\begin{tabular}{@{}lrrr@{}}" in tex
-    assert r"\caption{Errors of ekf\_slam, 95 \% bounds, $\sigma$ \& more}" in tex
-    assert r"\label{tab:arena-slam}" in tex
-    assert r"ekf\_slam & 0.0991 & 98.9 & 812 \\" in tex
-
-
-def test_a_unit_or_a_row_that_begins_with_a_bracket_is_no_option_of_the_line_break_before_it():
-    tex = latex(pd.DataFrame({"largest position error [m]": ["[0, 1]"]}), "s", "c")
-    assert r"\shortstack[l]{largest\\{}position\\{}error [m]}" in tex
-    assert "{}[0, 1]" in tex
-    assert not re.search(r"\\\\\s*\[", tex)
-
-
 def test_csv_keeps_every_digit_and_blanks(tmp_path):
     frame = pd.DataFrame({"name": ["a", "b"], "x [m]": [0.1 + 0.2, None], "n": [3, None]}, dtype=object)
     write_table(frame, tmp_path, "t", "caption", formats=("csv",))
@@ -128,6 +106,7 @@ def test_tables_are_written_in_the_formats_asked_for_and_the_same_bytes_twice(tm
     assert [p.name for p in first] == ["t.csv", "t.md", "t.tex"]
     assert [p.read_bytes() for p in first] == [p.read_bytes() for p in second]
     assert not any(b"\r" in p.read_bytes() for p in first)
+    assert (tmp_path / "a" / "notes.tex").read_bytes() == (tmp_path / "b" / "notes.tex").read_bytes()
     assert [p.name for p in write_table(FRAME, tmp_path / "c", "t", "caption", formats=("md",))] == ["t.md"]
     with pytest.raises(ValueError, match="table format 'xlsx'; known: csv, md, tex"):
         write_table(FRAME, tmp_path / "d", "t", "caption", formats=("xlsx",))

@@ -8,7 +8,7 @@ from eval.referee.confusion import OUTCOMES
 from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES, heads, metric
 from eval.referee.score import ASSOCIATION, COUNTED, METRICS, frame_of
 from eval.report.comparison import COMPARISON
-from eval.report.tutorial_table import COUNTS, HEADS
+from eval.report.tutorials.table import COUNTS, HEADS
 from eval.walk.text import STATISTICS
 
 UNITS = {"_m": "m", "_deg": "deg", "_m2": "m²", "_rad": "rad"}
@@ -24,7 +24,8 @@ def test_the_columns_of_the_files_are_the_contracts():
         "nis_expected", "nees_pose_median", "nees_left_out", "lost_frame", "lost_why", "rmse_position_lower",
         "rmse_position_upper", "nees_pose_lower", "nees_pose_upper", "log_score", "crps_x_m", "crps_y_m",
         "crps_heading_rad", "energy_score_m", "block_frames", "rmse_landmark_majority_m", "iterations",
-        "last_step_sigma",
+        "last_step_sigma", "rpe_frame_m", "rpe_frame_deg", "rpe_1m_m", "rpe_1m_deg", "rpe_10m_m", "rpe_10m_deg",
+        "matched", "unmatched",
     )  # fmt: skip
     assert ASSOCIATION == (
         "log", "task", "estimator", "association", "phase", "tp", "tn", "fp", "fn", "precision", "recall", "wrong",

@@ -39,6 +39,9 @@ VALUES = {
     "corner_noise": st.sampled_from(("lab", "depth")),
     "relations": PATHS,
     "config": st.sampled_from(("tutorial-step1", "tutorial-step3")),
+    **dict.fromkeys(("result", "truth", "cov", "times", "cov_frame"), PATHS),
+    "axes": st.sampled_from(("robot", "camera")),
+    "align": st.sampled_from(("none", "first", "se2")), "truth_gap": SPANS,
 }  # fmt: skip
 """Words for every row that takes a value and changes the numbers."""
 CHANGED = {
@@ -47,6 +50,8 @@ CHANGED = {
     "lag": "1e-07", "keyframe_distance": "0.8", "least_information": "0.2",
     "runs": "0", "seed": "7", "twins": "9", "camera_translation": "m", "camera_reading": "to-body",
     "corner_noise": "depth", "relations": "a b", "config": "tutorial-step1",
+    "result": "a=a b", "truth": "a b", "cov": "a=b", "times": "a b", "cov_frame": "local", "axes": "camera",
+    "align": "se2", "truth_gap": "0.2",
 }  # fmt: skip
 """For each of them one that is not the default."""
 NUMBERS = [row.name for row in TABLE.values() if row.numbers]

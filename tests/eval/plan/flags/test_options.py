@@ -52,6 +52,7 @@ def test_flags_and_config_keys_mean_the_same_and_flags_win(tmp_path):
     (["--jobs", "0"], "at least one"),
     (["-q", "-v"], "exclude each other"),
     (["--animate", "--no-plots"], "forbids"),
+    (["--speed", "2"], "which --animate makes"),
     (["--config", "nowhere.toml"], "no such file"),
     (["--new-gate", "1"], "between 0 and 1"),
     (["--new-gate", "-0.1"], "between 0 and 1"),

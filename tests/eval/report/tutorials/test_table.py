@@ -10,7 +10,7 @@ from data.worlds.arena import Arena, simulate
 from eval.plan.tutorial import ABOUT
 from eval.referee.score import Trial, score
 from eval.replay.run import compare
-from eval.report.tutorial_table import given, logs_with_tutorials, tutorial_table
+from eval.report.tutorials.table import given, logs_with_tutorials, tutorial_table
 
 STEPS = (("localization", "known"), ("localization", "ml"), ("slam", "known"), ("slam", "ml-ratio"))
 

@@ -1,0 +1,72 @@
+"""g2o graphs in the plane as open logs, and logs and runs as g2o graphs."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from data.convert.parsers import Add
+    from data.log import Log
+
+KINDS = ("g2o",)
+SUFFIX = ".g2o"
+EXAMPLES = """\
+examples:
+  python -m data.convert g2o victoria.g2o logs/victoria                  a graph becomes a log, landmarks labelled
+  python -m data.convert g2o truth.g2o logs/truth --true                 its vertices are the truth
+  python -m data.convert g2o arena:0 arena.g2o                           a log with labels becomes a graph
+  python -m data.convert g2o my_log my.g2o --run results/report/runs/my_log/slam-isam2-jcbb-hindsight
+"""
+TEXT = f"""\
+Both ways: a file {SUFFIX} as SOURCE becomes the log OUT; any log as SOURCE becomes the file OUT{SUFFIX}.
+
+A graph's VERTEX_SE2 are the frames in their order, EDGE_SE2 between neighbours the odometry, EDGE_SE2_XY readings of a
+point, EDGE_BEARING_SE2_XY readings whose range is unknown, VERTEX_XY's ids the labels. EDGE_SE2 between other poses
+(loop closures) become reference relations, by which results are scored; no estimator sees them. The first pose is held.
+"""
+
+
+def add_parsers(add: Add, *, parameters: bool) -> None:
+    """The parser of `g2o`; `parameters` is for kinds whose flags take long to load."""
+    sub = add("g2o", help="a g2o graph as a log, or a log or run as a graph", description=TEXT, epilog=EXAMPLES)
+    sub.add_argument("source", metavar="SOURCE", help=f"a {SUFFIX} file, or a log by path or name")
+    sub.add_argument("out", metavar="OUT", type=Path, help=f"log folder to write, or {SUFFIX} file")
+    sub.add_argument("--true", action="store_true", help="of a graph: its vertices are the true values")
+    sub.add_argument(
+        "--run", metavar="FOLDER", type=Path,
+        help="of a log: poses, map and pairings of this run in a report, runs/LOG/TASK-ESTIMATOR-ASSOCIATION (default: "
+        "dead reckoning and labels)",
+    )  # fmt: skip
+
+
+def convert(args: argparse.Namespace) -> Log | str:
+    """The log of the graph, or a sentence about the graph that was written."""
+    from data.errors import DataError, UsageError
+
+    if args.source.endswith(SUFFIX):
+        from data.graphs.as_log import log_of
+        from data.graphs.g2o import read_graph
+
+        if args.run is not None:
+            raise UsageError("--run: of a log that becomes a graph; SOURCE is a graph already")
+        return log_of(args.out.absolute().name, read_graph(Path(args.source)), true=args.true)
+    from data.graphs.of_run import graph_text, labelled, of_result
+    from data.logs import open_log
+
+    if args.out.suffix != SUFFIX:
+        raise UsageError(f"{args.out}: a log becomes a file {SUFFIX}, a graph (SOURCE{SUFFIX}) becomes a log")
+    if args.true:
+        raise UsageError("--true: of a graph that becomes a log")
+    log = open_log(args.source)
+    estimate = labelled(log) if args.run is None else of_result(log, args.run)
+    text = graph_text(log.recorded, estimate)
+    try:
+        args.out.write_text(text, encoding="utf-8", newline="")
+    except OSError as error:
+        raise DataError.at(args.out, f"cannot be written: {error.strerror}") from error
+    paired = int((estimate.of >= 0).sum())
+    left = len(estimate.of) - paired
+    sentence = f"{args.out}: {len(log.recorded)} poses, {len(estimate.landmark)} landmarks, {paired} readings"
+    return sentence + (f"; {left} readings of no landmark are not in it" if left else "")

@@ -1,0 +1,1 @@
+"""Pose graphs with landmarks in the text format of g2o."""

@@ -1,0 +1,1 @@
+"""How logs and runs show themselves in a notebook."""

@@ -1,0 +1,164 @@
+"""Figures for a paper: of a given width, in a given type; without a wish for one, everything is as it always is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.legend import Legend
+from matplotlib.text import Text
+
+DOUBLE = 7.0
+"""in. Width of both columns."""
+NARROW = 5.0
+"""in. Below, panels side by side are two at most."""
+USUAL_TYPE = 8.0
+"""pt, of titles and labels."""
+MARGIN = 0.06
+"""in, left free at the right edge."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """What is wished for: width [in] (None: as usual), fonts by preference, type size [pt], LaTeX, pgf."""
+
+    width: float | None = None
+    fonts: tuple[str, ...] = ()
+    mathematics: str | None = None
+    size: float = USUAL_TYPE
+    usetex: bool = False
+    pgf: str | None = None
+
+    def settings(self) -> dict[Any, Any]:
+        """What differs from the usual settings of matplotlib."""
+        made: dict[Any, Any] = {}
+        if self.fonts:
+            made["font.family"] = list(self.fonts)
+        if self.mathematics is not None:
+            made["mathtext.fontset"] = self.mathematics
+        if self.size != USUAL_TYPE:
+            made |= dict.fromkeys(("font.size", "axes.titlesize", "axes.labelsize"), self.size)
+            made |= dict.fromkeys(("legend.fontsize", "xtick.labelsize", "ytick.labelsize"), self.size - 1.0)
+            made["figure.titlesize"] = self.size + 0.5
+        if self.usetex:
+            made["text.usetex"] = True
+            made["axes.unicode_minus"] = False
+        if self.pgf is not None:
+            made["pgf.texsystem"] = self.pgf
+            made["pgf.rcfonts"] = False
+        return made
+
+
+USUAL = Look()
+_LOOK: ContextVar[Look] = ContextVar("look", default=USUAL)
+
+
+def current() -> Look:
+    """What is wished for now."""
+    return _LOOK.get()
+
+
+@contextmanager
+def looking(look: Look) -> Iterator[None]:
+    """Figures made within have this look."""
+    token = _LOOK.set(look)
+    try:
+        yield
+    finally:
+        _LOOK.reset(token)
+
+
+def page_width() -> float:
+    """In. Width of a figure."""
+    return current().width or DOUBLE
+
+
+def across(most: int) -> int:
+    """How many panels stand side by side."""
+    return most if page_width() >= NARROW else min(most, 2)
+
+
+def points(usual: float) -> float:
+    """Size [pt] of a text that is smaller or larger than the rest."""
+    return usual * current().size / USUAL_TYPE
+
+
+def refit(fig: Figure) -> None:
+    """Make room in a narrow figure: titles in several lines, legends in fewer columns, the page longer for both.
+
+    One with a layout of its own (`settle`) has seen to that itself.
+    """
+    if current().width is None or not isinstance(fig.get_layout_engine(), ConstrainedLayoutEngine):
+        return
+    fig.draw_without_rendering()
+    line = current().size * 1.25 / 72.0
+    added = 0.0
+    suptitle = fig._suptitle  # type: ignore[attr-defined]
+    if suptitle is not None and suptitle.get_text():
+        added += line * _wrap(suptitle, fig.bbox.width - suptitle.get_window_extent().x0 - MARGIN * fig.dpi)
+    rows: dict[float, float] = {}
+    for ax in fig.axes:
+        wrapped = line * _wrap_titles(ax, fig)
+        top = round(ax.get_position().y1, 3)
+        rows[top] = max(rows.get(top, 0.0), wrapped)
+    added += sum(rows.values())
+    for legend in list(fig.legends):
+        added += _relegend(fig, legend)
+    width, height = fig.get_size_inches()
+    fig.set_size_inches(width, height + added)
+
+
+def _wrap_titles(ax: Axes, fig: Figure) -> int:
+    """Lines more in the titles of a panel."""
+    box = ax.get_window_extent()
+    more = 0
+    for where, room in (("left", fig.bbox.width - box.x0 - MARGIN * fig.dpi), ("center", box.width)):
+        title: Text = {"left": ax._left_title, "center": ax.title}[where]  # type: ignore[attr-defined]
+        side = len({round(a.get_window_extent().x0) for a in fig.axes}) > 1
+        more = max(more, _wrap(title, box.width if side else room))
+    return more
+
+
+def _wrap(text: Text, room: float) -> int:
+    """Break a text between words so that no line is wider than `room` [pixels]; how many lines that is more."""
+    before = text.get_text()
+    if not before or text.get_window_extent().width <= room:
+        return 0
+    made: list[str] = []
+    for paragraph in before.split("\n"):
+        line = ""
+        for word in paragraph.split(" "):
+            longer = f"{line} {word}".strip()
+            text.set_text(longer)
+            if line and text.get_window_extent().width > room:
+                made.append(line)
+                line = word
+            else:
+                line = longer
+        made.append(line)
+    text.set_text("\n".join(made))
+    return len(made) - before.count("\n") - 1
+
+
+def _relegend(fig: Figure, legend: Legend) -> float:
+    """A legend below everything, in as many columns as there is room for; how much longer [in] the page has to be."""
+    handles, labels = list(legend.legend_handles), [t.get_text() for t in legend.get_texts()]
+    before, title = legend.get_window_extent().height, legend.get_title().get_text()
+    length = legend.handlelength
+    legend.remove()
+    for columns in (3, 2, 1):
+        made = fig.legend(
+            handles=[h for h in handles if h is not None], labels=labels, loc="outside lower center", ncols=columns,
+            handlelength=length, title=title or None,
+        )  # fmt: skip
+        fig.draw_without_rendering()
+        if columns == 1 or made.get_window_extent().width <= fig.bbox.width - MARGIN * fig.dpi:
+            break
+        made.remove()
+    return max(float(made.get_window_extent().height - before) / fig.dpi, 0.0)

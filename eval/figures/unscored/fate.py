@@ -1,0 +1,109 @@
+"""The map with what became of every reading: paired, a new landmark, discarded, or decided again later."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from data.log import Log
+from data.result import DISCARD, NEW, Run
+from data.se2 import Array, BoolArray, transform_points
+from eval.figures.paper.look import page_width
+from eval.figures.style import drawing, settle, style_of
+
+FATES = {
+    "paired": ("#9FC2DE", ".", 3.0, "paired with a landmark"),
+    "new": ("#009E73", "^", 3.5, "made a new landmark"),
+    "discarded": ("#D55E00", "x", 3.5, "discarded"),
+    "revised": ("#CC79A7", "D", 3.5, "decided again later"),
+}
+"""Colour, marker, size and words of each; drawn in this order, so that the rare ones are on top."""
+MOST = 2
+"""Maps beside each other."""
+HIGHEST = 4.5
+"""in, of a map."""
+EDGE = 0.04
+"""Share of the scene left free around it."""
+
+
+def fates(run: Run) -> dict[str, BoolArray]:
+    """Which readings (M,) had which fate; each has one: a reading that was decided again counts as that alone."""
+    revised = run.final_decisions != run.decisions
+    final = run.final_decisions
+    return {
+        "paired": (final >= 0) & ~revised,
+        "new": (final == NEW) & ~revised,
+        "discarded": (final == DISCARD) & ~revised,
+        "revised": revised,
+    }
+
+
+def fate_figure(log: Log, runs: Sequence[Run]) -> Figure:
+    """Readings in the world frame as each run's last path puts them, by what became of them; a map for each run.
+
+    Equal aspect, metres. The first `MOST` runs are drawn. No truth is used.
+    """
+    with drawing():
+        return _fate_figure(log, list(runs)[:MOST])
+
+
+def _fate_figure(log: Log, runs: Sequence[Run]) -> Figure:
+    places = [_world(log, run) for run in runs]
+    paths = [run.trajectory(run.phases[-1]).pose[:, :2] for run in runs]
+    low, high = _scene([*places, *paths])
+    w, h = high - low
+    across = (page_width() - 0.6) / max(len(runs), 1)
+    fig = Figure(figsize=(page_width(), float(np.clip(across * h / w, 1.5, HIGHEST)) + 1.0))
+    axes = fig.subplots(1, max(len(runs), 1), squeeze=False, sharey=True)[0]
+    for ax, run, xy, path in zip(axes, runs, places, paths, strict=False):
+        _draw(ax, run, xy, path)
+    for ax in axes:
+        ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", aspect="equal")
+    axes[0].set_ylabel("y [m]")
+    fig.suptitle(f"{log.name}: what became of the readings", x=0.01, ha="left")
+    handles = [
+        Line2D([], [], color=c, marker=m, markersize=s + 1.0, linestyle="none", label=text)
+        for name, (c, m, s, text) in FATES.items()
+        if any(fates(run)[name].any() for run in runs)
+    ]
+    handles.append(Line2D([], [], color="black", marker="+", markersize=5.0, linestyle="none", label="landmark"))
+    fig.legend(handles=handles, loc="outside lower center", ncols=5)
+    settle(fig)
+    return fig
+
+
+def _draw(ax: Axes, run: Run, xy: Array, path: Array) -> None:
+    ax.plot(*path.T, color=style_of(run.estimator).colour, linewidth=0.7, zorder=2)
+    fate = fates(run)
+    for name, (colour, marker, size, _) in FATES.items():
+        rows = fate[name]
+        ax.plot(
+            *xy[rows].T, color=colour, marker=marker, markersize=size, markeredgewidth=0.7, linestyle="none", zorder=3
+        )
+    if run.map is not None:
+        ax.plot(*run.map.xy.T, "k+", markersize=4.0, markeredgewidth=0.7, zorder=4)
+    counted = ", ".join(f"{int(rows.sum())} {name}" for name, rows in fate.items() if rows.any())
+    ax.set_title(f"{style_of(run.estimator).label}, {run.association}\n{counted}", loc="left")
+
+
+def _world(log: Log, run: Run) -> Array:
+    """Readings (M, 2) in the world frame, from the last path."""
+    o, sensor = log.recorded.observations, log.recorded.sensor
+    if len(o.frame) == 0:
+        return np.zeros((0, 2))
+    points, _ = sensor.body_points(o.z, o.R)
+    return transform_points(run.trajectory(run.phases[-1]).pose[o.frame], points)
+
+
+def _scene(parts: Sequence[Array]) -> tuple[Array, Array]:
+    """Corners that hold nearly all of it; a few far readings do not squash the rest."""
+    points = np.concatenate([p[np.isfinite(p).all(axis=1)] for p in parts] or [np.zeros((0, 2))])
+    if len(points) == 0:
+        return np.array([-1.0, -1.0]), np.array([1.0, 1.0])
+    low, high = np.quantile(points, [0.002, 0.998], axis=0)
+    margin = EDGE * max(float((high - low).max()), 1.0)
+    return low - margin, high + margin

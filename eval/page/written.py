@@ -1,0 +1,91 @@
+"""Tables written as files: CSV with every digit, Markdown rounded, LaTeX for a paper."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import pandas as pd
+
+from eval.page.paper import names
+from eval.page.paper.latex import sheet
+from eval.page.paper.notes import add_note
+from eval.page.tables import is_blank, markdown
+
+FORMATS = ("csv", "md", "tex")
+TITLES = {
+    "comparison": "Errors and consistency", "association": "Association outcomes",
+    "differences": "Filters against smoothers", "consistency": "Consistency over simulated runs",
+    "coverage": "Coverage of the last positions [%]", "relations": "Errors against reference relations",
+    "graph-sizes": "Sizes of the pose graph", "revisions": "Decisions taken back", "knowledge": "From labels to none",
+    "published": "Ours beside published numbers", "trust": "What the log says of itself",
+}  # fmt: skip
+"""Of a LaTeX table, by a part of its name."""
+LONGEST = 80
+"""Characters of the first sentence of a caption that stands in a paper."""
+
+
+class Paper(NamedTuple):
+    """How LaTeX tables are made: `width` is `column` or `page`; `columns` are keys of those wanted, none: by room."""
+
+    width: str = "page"
+    columns: tuple[str, ...] = ()
+
+
+def short_caption(stem: str, caption: str) -> str:
+    """A caption of a few words: what kind of table, on which log and task (the first sentence, if it is short)."""
+    title = next((t for part, t in TITLES.items() if part in stem.split("-") or stem.endswith(part)), "")
+    if "-trust-" in stem:
+        title = TITLES["trust"]
+    first = caption.partition(". ")[0].partition(": ")[0].rstrip(".").replace("`", "")
+    parts = [names.place(p) for p in first.split(", ")]
+    where = ", ".join(parts) if len(first) <= LONGEST else ""
+    return ": ".join(t for t in (title, where) if t) or stem
+
+
+def _without_place(caption: str) -> str:
+    """A caption without the log and task it begins with, so that tables of several logs share a note."""
+    first, _, rest = caption.partition(". ")
+    return rest if rest and len(first) <= LONGEST and ": " not in first else caption
+
+
+def write_table(
+    frame: pd.DataFrame,
+    folder: Path,
+    stem: str,
+    caption: str,
+    formats: Sequence[str] = FORMATS,
+    paper: Paper = Paper(),  # noqa: B008
+    for_paper: pd.DataFrame | None = None,
+    fine_print: str = "",
+) -> list[Path]:
+    """Write `folder/stem.csv|.md|.tex`. The caption heads the Markdown table; of the LaTeX one it is in `notes.tex`.
+
+    `for_paper`: the same rows with more columns to choose from; `fine_print`: what else the note says. Raises
+    ValueError for an unknown format.
+    """
+    unknown = sorted(set(formats) - set(FORMATS))
+    if unknown:
+        raise ValueError(f"table format {unknown[0]!r}; known: {', '.join(FORMATS)}")
+    folder.mkdir(parents=True, exist_ok=True)
+    plain = frame.astype(object).map(lambda v: "" if is_blank(v) else v)
+
+    def tex() -> str:
+        made = sheet(
+            frame if for_paper is None else for_paper, stem, short_caption(stem, caption), paper.width, paper.columns
+        )
+        add_note(folder, stem, f"{_without_place(caption)} {fine_print}".strip(), made.left_out, made.heads)
+        return made.tex
+
+    text = {
+        "csv": lambda: plain.to_csv(index=False, lineterminator="\n"),
+        "md": lambda: f"{caption}\n\n{markdown(frame)}",
+        "tex": tex,
+    }
+    written = []
+    for suffix in formats:
+        path = folder / f"{stem}.{suffix}"
+        path.write_text(text[suffix](), encoding="utf-8", newline="\n")
+        written.append(path)
+    return written

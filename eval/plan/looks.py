@@ -1,0 +1,54 @@
+"""From the flags to how figures look, with what this machine has: its fonts, and LaTeX if there is one."""
+
+from __future__ import annotations
+
+import shutil
+
+from matplotlib import font_manager
+
+from data.errors import UsageError
+from eval.figures.paper.look import Look
+from eval.plan.flags.options import Options
+from eval.plan.flags.paper import inches
+
+TIMES = ("times", "times new roman", "times roman")
+LIKE_TIMES = ("Times New Roman", "Times", "Nimbus Roman", "TeX Gyre Termes", "Liberation Serif", "STIXGeneral")
+"""The last one comes with matplotlib."""
+USUAL = "DejaVu Sans"
+NEEDED = ("latex", "dvipng")
+SYSTEMS = ("pdflatex", "xelatex", "lualatex")
+
+
+def require_latex(options: Options) -> None:
+    """Raise UsageError, before any work, where LaTeX is asked for and is not here."""
+    if options.usetex:
+        for program in NEEDED:
+            if shutil.which(program) is None:
+                raise UsageError(f"--usetex needs LaTeX, and there is no program {program!r} on this machine")
+    if options.pgf and _system() is None:
+        raise UsageError(f"--pgf needs LaTeX, and there is none of {', '.join(SYSTEMS)} on this machine")
+
+
+def look_of(options: Options) -> tuple[Look, str]:
+    """How figures look, and a sentence about a font that is not here (empty: all is as asked)."""
+    fonts, mathematics, said = _fonts(options.font)
+    width = None if options.figure_width is None else inches(options.figure_width)
+    pgf = _system() if options.pgf else None
+    return Look(width, fonts, mathematics, options.font_size, options.usetex, pgf), said
+
+
+def _system() -> str | None:
+    return next((s for s in SYSTEMS if shutil.which(s) is not None), None)
+
+
+def _fonts(name: str | None) -> tuple[tuple[str, ...], str | None, str]:
+    if name is None:
+        return (), None, ""
+    known = {f.name.lower(): f.name for f in font_manager.fontManager.ttflist}
+    times = name.lower() in TIMES
+    wanted = known.get(name.lower())
+    if wanted is not None:
+        return (wanted, USUAL), "stix" if times else None, ""
+    like = next((f for f in LIKE_TIMES if f.lower() in known), USUAL) if times else USUAL
+    said = f"--font {name}: not on this machine; figures have {like} instead"
+    return tuple(dict.fromkeys((like, USUAL))), "stix" if times else None, said

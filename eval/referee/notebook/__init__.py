@@ -1,0 +1,1 @@
+"""How what the referee knows shows itself in a notebook."""

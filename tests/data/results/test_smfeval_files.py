@@ -1,0 +1,146 @@
+"""Files as `smfeval` writes them: wide TUM, a file of covariances, and its SQUARE header with what it declares."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from smfeval.align import propagate_step
+from smfeval.format import Gauge, Representation, SquareHeader, TangentConvention, TangentOrder, WeightFormat
+from smfeval.io.header import write_header
+from smfeval.io.triangular import pack_lower_triangular
+from smfeval.io.writer import write_steps
+from smfeval.se3.lie import pose_matrix, se3_exp
+from smfeval.steps import EnsembleStep, GaussianStep
+
+from data.results.path import LEFT, LOCAL, WORLD, Manner
+from data.results.reading import read_path
+
+CONVENTIONS = {LOCAL: TangentConvention.RIGHT, LEFT: TangentConvention.LEFT}
+
+
+def steps(n=12, order=TangentOrder.TRANS_ROT):
+    """Tilted poses with full covariances; of order rotation first, the same ones written in that order."""
+    rng = np.random.default_rng(4)
+    swap = [0, 1, 2, 3, 4, 5] if order is TangentOrder.TRANS_ROT else [3, 4, 5, 0, 1, 2]
+    made = []
+    for k in range(n):
+        half = rng.normal(0.0, [0.05, 0.08, 1.0]) / 2.0
+        q = np.array([*half, 1.0])
+        root = 0.05 * rng.normal(size=(6, 6))
+        C = (root @ root.T)[np.ix_(swap, swap)]
+        made.append(GaussianStep(0.1 * k, rng.normal(0.0, 3.0, 3), q / np.linalg.norm(q), C))
+    return made
+
+
+def header(frame=LOCAL, order=TangentOrder.TRANS_ROT, **more):
+    kind = Representation.GAUSSIAN_SE3
+    common = ("SQUARE/0.3", kind, "world", "robot", Gauge.SE3, "seconds", "mine", "1")
+    return SquareHeader(*common, CONVENTIONS[frame], order, "axis_angle", **more)
+
+
+def square(path, made, head):
+    with path.open("w") as file:
+        write_header(file, head)
+        write_steps(file, made, head)
+    return str(path)
+
+
+def wide(path, made, columns=slice(None)):
+    rows = [[s.timestamp, *s.translation, *s.quat_xyzw, *pack_lower_triangular(s.covariance)] for s in made]
+    np.savetxt(path, np.array(rows)[:, columns], fmt="%.17g")
+    return str(path)
+
+
+@pytest.mark.parametrize("frame", [LOCAL, LEFT])
+def test_a_covariance_is_that_of_many_poses_drawn_with_it(frame, tmp_path):
+    made = steps(3)
+    path = read_path(square(tmp_path / "a", made, header(frame)), Manner())
+    rng = np.random.default_rng(0)
+    small = 1e-3  # first order
+    for k, step in enumerate(made):
+        T = pose_matrix(step.translation, step.quat_xyzw)
+        xi = small * rng.multivariate_normal(np.zeros(6), step.covariance, 4000)
+        each = [
+            T @ se3_exp(x, TangentOrder.TRANS_ROT) if frame == LOCAL else se3_exp(x, TangentOrder.TRANS_ROT) @ T
+            for x in xi
+        ]
+        flat = np.array([[E[0, 3], E[1, 3], math.atan2(E[1, 0], E[0, 0])] for E in each])
+        assert path.pose[k] == pytest.approx([T[0, 3], T[1, 3], math.atan2(T[1, 0], T[0, 0])], abs=1e-12)
+        sampled = np.cov(flat.T) / small**2
+        sigma = np.sqrt(np.diag(path.covariance[k]))
+        assert np.abs((sampled - path.covariance[k]) / np.outer(sigma, sigma)).max() < 0.1
+
+
+def test_wide_a_sidecar_and_a_header_say_the_same(tmp_path):
+    made = steps()
+    wanted = read_path(square(tmp_path / "square", made, header()))
+    plain = wide(tmp_path / "plain.tum", made, slice(0, 8))
+    side = wide(tmp_path / "side.cov", made, [0, *range(8, 29)])
+    assert wanted.frame == LOCAL
+    for path in (
+        read_path(wide(tmp_path / "wide.tum", made)),
+        read_path(plain, Manner(cov=tmp_path / "side.cov")),
+        read_path(
+            square(tmp_path / "other", steps(order=TangentOrder.ROT_TRANS), header(order=TangentOrder.ROT_TRANS))
+        ),
+    ):
+        assert path.pose == pytest.approx(wanted.pose, abs=1e-9)
+        assert path.covariance == pytest.approx(wanted.covariance, rel=1e-12, abs=1e-15)
+    assert side
+    assert read_path(plain).covariance is None
+
+
+def test_a_sidecar_declares_its_own_frame(tmp_path):
+    made = steps()
+    wide(tmp_path / "side", made, [0, *range(8, 29)])
+    text = (tmp_path / "side").read_text()
+    (tmp_path / "side").write_text("#%TANGENT_CONVENTION left_perturbation\n" + text)
+    path = read_path(wide(tmp_path / "plain.tum", made, slice(0, 8)), Manner(cov=tmp_path / "side"))
+    wanted = read_path(square(tmp_path / "square", made, header(LEFT)))
+    assert path.frame == LEFT
+    assert path.covariance == pytest.approx(wanted.covariance, rel=1e-12, abs=1e-15)
+
+
+def test_errors_added_in_the_worlds_axes_are_taken_as_they_are(tmp_path):
+    made = steps()
+    flat = [
+        GaussianStep(
+            s.timestamp, s.translation, np.array([0, 0, *s.quat_xyzw[2:]]) / np.hypot(*s.quat_xyzw[2:]), s.covariance
+        )
+        for s in made
+    ]
+    path = read_path(wide(tmp_path / "wide.tum", flat), Manner(frame=WORLD))
+    keep = np.ix_([0, 1, 5], [0, 1, 5])
+    assert path.covariance == pytest.approx(np.array([s.covariance[keep] for s in flat]), abs=1e-15)
+
+
+def test_turning_a_path_turns_its_covariance_as_smfeval_does(tmp_path):
+    """The NEES of errors does not change if truth and estimate are moved alike, whatever the frame."""
+    T = pose_matrix(np.array([3.0, -1.0, 0.0]), np.array([0.0, 0.0, np.sin(0.4), np.cos(0.4)]))
+    for frame in (LOCAL, LEFT):
+        made = steps()
+        moved = [propagate_step(s, T, 1.0, CONVENTIONS[frame], TangentOrder.TRANS_ROT) for s in made]
+        before = read_path(square(tmp_path / "a", made, header(frame))).covariance
+        after = read_path(square(tmp_path / "b", moved, header(frame))).covariance
+        J = np.eye(3)
+        J[:2, :2] = T[:2, :2]
+        assert after == pytest.approx(J @ before @ J.T, rel=1e-9, abs=1e-12)
+
+
+def test_samples_become_their_mean_and_covariance(tmp_path):
+    rng = np.random.default_rng(1)
+    x, y, h = rng.normal(1.0, 0.1, 500), rng.normal(2.0, 0.2, 500), rng.normal(np.pi, 0.05, 500)
+    weight = rng.uniform(0.5, 1.5, 500)
+    poses = np.column_stack([x, y, 0 * x, 0 * x, 0 * x, np.sin(h / 2), np.cos(h / 2)])
+    head = SquareHeader("SQUARE/0.3", Representation.ENSEMBLE_SE3, "w", "b", Gauge.SE3, "seconds", "pf", "1")
+    head.weighted, head.weight_format, head.weights_normalized = True, WeightFormat.LINEAR, False
+    path = read_path(
+        square(tmp_path / "pf", [EnsembleStep(0.5, poses, weight), EnsembleStep(1.5, poses, weight)], head)
+    )
+    assert path.time == pytest.approx([0.5, 1.5])
+    wanted = np.cov(np.column_stack([x, y, h]).T, aweights=weight)
+    assert path.covariance[0] == pytest.approx(wanted, abs=1e-3 * np.trace(wanted))
+    assert path.pose[0, :2] == pytest.approx([np.average(x, weights=weight), np.average(y, weights=weight)])
+    assert abs(abs(path.pose[0, 2]) - np.pi) < 0.02  # across the seam

@@ -1,0 +1,27 @@
+"""The tour runs from start to end, and shows what it shows in the repository."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.e2e.notebook import executed, load
+
+TOUR = Path(__file__).parents[2] / "docs" / "tour.ipynb"
+
+
+@pytest.mark.slow
+def test_the_tour_runs_and_shows_what_is_stored():
+    stored = load(TOUR)
+    fresh = executed(stored)
+    for before, now in zip(stored["cells"], fresh["cells"], strict=True):
+        shown = [[(o["output_type"], sorted(o.get("data", {})), o.get("text")) for o in c.get("outputs", [])]
+                 for c in (before, now)]  # fmt: skip
+        assert shown[0] == shown[1], before["id"]
+
+
+def test_every_cell_of_the_tour_has_been_run_in_order():
+    cells = [c for c in load(TOUR)["cells"] if c["cell_type"] == "code"]
+    assert [c["execution_count"] for c in cells] == list(range(1, len(cells) + 1))
+    assert sum(bool(c["outputs"]) for c in cells) >= len(cells) - 1

@@ -1,0 +1,198 @@
+"""Estimators and ways of association that are wrong in one way each."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from association.expectation import gate_threshold
+from association.singles import singles
+from data.se2 import world_from_body
+from ekf.localizer import EkfLocalizer
+from ekf.slam import EkfSlam
+
+
+class NoWrap(EkfLocalizer):
+    """Its heading is never wrapped, and read as if it were: the wrong sign at the seam."""
+
+    def estimate(self):
+        mean, P = super().estimate()
+        return np.array([mean[0], mean[1], abs(mean[2])]), P
+
+
+class BodyFrame(EkfLocalizer):
+    def estimate(self):
+        mean, P = super().estimate()
+        R = world_from_body(float(mean[2]))
+        return mean, R.T @ P @ R
+
+
+class Drifting(EkfLocalizer):
+    """Half of every turn is forgotten."""
+
+    def predict(self, increment):
+        super().predict(increment._replace(mean=increment.mean * np.array([1.0, 1.0, 0.5])))
+
+
+class Timid(EkfSlam):
+    def estimate(self):
+        mean, P = super().estimate()
+        return mean, 25.0 * P
+
+
+class Asymmetric(EkfSlam):
+    def estimate(self):
+        mean, P = super().estimate()
+        return mean, P + np.triu(np.full((3, 3), 1e-3), 1)
+
+
+class Writing(EkfSlam):
+    def update(self, sightings, decisions, **more):
+        done = super().update(sightings, decisions, **more)
+        sightings.z[:, 0] += 0.5
+        return done
+
+
+class Keeping(EkfSlam):
+    """It works in the prior's own array."""
+
+    def __init__(self, prior, sensor, options):
+        super().__init__(prior, sensor, options)
+        self.start = prior.mean
+
+    def predict(self, increment):
+        super().predict(increment)
+        self.start += increment.mean
+
+
+class Unseeded(EkfSlam):
+    def estimate(self):
+        mean, P = super().estimate()
+        return mean + 1e-6 * np.random.default_rng().normal(size=3), P
+
+
+class Sharing(EkfSlam):
+    """Its state is that of the class."""
+
+    seen = np.zeros(3)
+
+    def estimate(self):
+        Sharing.seen = Sharing.seen + 1e-9
+        mean, P = super().estimate()
+        return mean + self.seen, P
+
+
+class Shaken(EkfLocalizer):
+    """It takes what is discarded for pairings with the first landmark."""
+
+    def update(self, sightings, decisions, **more):
+        return super().update(sightings, np.where(decisions == -2, self.map.id[0], decisions), **more)
+
+
+class Empty(EkfSlam):
+    def update(self, sightings, decisions, **more):
+        assert sightings.z.max() > 0.0
+        return super().update(sightings, decisions, **more)
+
+
+class Swapped(EkfSlam):
+    """Its landmarks are numbered from the last."""
+
+    def landmarks(self):
+        state = super().landmarks()
+        return state._replace(number=state.number[::-1].copy())
+
+
+class Returning(EkfSlam):
+    """What was removed is in its map all the same."""
+
+    def landmarks(self):
+        state = super().landmarks()
+        if len(state.number) and state.number[0] != 0:
+            return tuple(np.concatenate([a[:1] * 0, a]) for a in state)
+        return state
+
+
+class Blurred(EkfSlam):
+    """Its joint covariance is not that of its parts."""
+
+    def expect(self, sightings):
+        from dataclasses import replace
+
+        e = super().expect(sightings)
+        return replace(e, HPHt=1.5 * e.HPHt)
+
+
+class Shifted(EkfSlam):
+    def expect(self, sightings):
+        from dataclasses import replace
+
+        e = super().expect(sightings)
+        return replace(e, z_hat=e.z_hat[::-1].copy())
+
+
+class Dead(EkfSlam):
+    def predict(self, increment):
+        raise OSError("flat battery")
+
+
+def first(expectation, gate):
+    """Takes the row for the number."""
+    d2 = expectation.individual_distances()
+    close = d2 < gate_threshold(gate)
+    return np.where(close.any(axis=1), close.argmax(axis=1) if d2.shape[1] else 0, -1)
+
+
+def unwrapped(expectation, gate):
+    off = expectation.z[:, None] - expectation.z_hat[None]
+    return np.where(np.abs(off[..., 1]).min(axis=1, initial=9.0) < 1.0, singles(expectation, gate), -1)
+
+
+def greedy(expectation, gate):
+    """Nearest neighbour that says nothing of pairing twice."""
+    d2 = expectation.individual_distances()
+    if not d2.size:
+        return np.full(len(d2), -1)
+    return np.where(d2.min(axis=1) < gate_threshold(gate), expectation.number[d2.argmin(axis=1)], -1)
+
+
+def allowed(expectation, gate):
+    return greedy(expectation, gate)
+
+
+allowed.one_to_one = False
+
+
+def fragile(expectation, gate):
+    expectation.individual_distances().min(axis=1)
+    return singles(expectation, gate)
+
+
+def ungated(expectation, gate):
+    return singles(expectation, math.sqrt(gate) if gate else None)
+
+
+def in_order(expectation, gate):
+    """Takes the first landmark inside the gate, whatever comes later."""
+    close = expectation.individual_distances() < gate_threshold(gate)
+    if not close.size:
+        return np.full(len(close), -1)
+    decisions, taken = np.full(len(close), -1), set()
+    for i, row in enumerate(close):
+        j = next((j for j in np.flatnonzero(row) if j not in taken), None)
+        if j is not None:
+            decisions[i] = expectation.number[j]
+            taken.add(j)
+    return decisions
+
+
+def writing(expectation, gate):
+    found = singles(expectation, gate)
+    expectation.z[:] = 0.0
+    return found
+
+
+def tossing(expectation, gate):
+    found = singles(expectation, gate)
+    return np.where(np.random.default_rng().random(len(found)) < 0.5, -1, found)

@@ -1,0 +1,101 @@
+"""Figures for a column: as wide as asked, nothing outside, no text on another; as usual where nothing is asked."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+from matplotlib.text import Text
+
+import slamref
+from data.errors import UsageError
+from eval import figures
+from eval.figures.paper.look import Look, across, looking, page_width
+from eval.figures.paper.tex import translate
+from eval.figures.style import drawing, save
+from eval.plan import looks
+from eval.plan.flags.options import read_options
+from eval.plan.flags.paper import inches
+
+COLUMN = Look(width=3.4, fonts=("STIXGeneral", "DejaVu Sans"), mathematics="stix")
+
+
+@pytest.fixture(scope="module")
+def runs():
+    log = slamref.open_log("arena:0:frames=40")
+    return log, slamref.compare(log.inputs(labels=True), "slam", ("dead-reckoning", "ekf", "isam2", "batch"))
+
+
+def texts(fig):
+    """Boxes of titles and legends, in pixels."""
+    fig.draw_without_rendering()
+    found = [t for ax in fig.axes for t in (ax.title, ax._left_title)] + [fig._suptitle]
+    shown = [t for t in found if t is not None and t.get_text()]
+    return [(t.get_text(), t.get_window_extent()) for t in shown] + [
+        ("legend", legend.get_window_extent()) for legend in fig.legends
+    ]
+
+
+@pytest.mark.parametrize("name", ["error_figure", "nees_figure", "map_figure"])
+def test_a_figure_for_a_column_has_room_for_every_title_and_legend(name, runs, tmp_path, monkeypatch):
+    log, made = runs
+    seen = {}
+    with looking(COLUMN), drawing():
+        fig = getattr(figures, name)(log, made)
+        monkeypatch.setattr(fig, "clear", lambda: None)
+        (path,) = save(fig, tmp_path, "f", ("png",))
+        seen = texts(fig)
+        page = fig.bbox
+    assert path.exists()
+    assert fig.get_size_inches()[0] == pytest.approx(3.4)
+    for text, box in seen:
+        assert box.x0 >= page.x0 - 1 and box.x1 <= page.x1 + 1, text  # noqa: PT018
+        assert box.y0 >= page.y0 - 1 and box.y1 <= page.y1 + 1, text  # noqa: PT018
+    for (a, one), (b, other) in itertools.combinations(seen, 2):
+        assert not one.overlaps(other), f"{a!r} is on {b!r}"
+
+
+def test_panels_side_by_side_are_two_at_most_in_a_column():
+    assert (page_width(), across(4)) == (7.0, 4)
+    with looking(COLUMN):
+        assert (page_width(), across(4)) == (3.4, 2)
+    assert page_width() == 7.0
+
+
+def test_lengths_have_units():
+    assert [inches(t) for t in ("3.4in", "8.636cm", "86.36mm", "252pt")] == pytest.approx(
+        [3.4, 3.4, 3.4, 3.487], abs=2e-3
+    )
+    for wrong, said in (("3.4", "a length with its unit"), ("3.4ft", "a length"), ("0.1in", "between 1.5in and 20in")):
+        with pytest.raises(UsageError, match=f"--figure-width {wrong}: {said}"):
+            read_options(["--figure-width", wrong])
+
+
+def test_a_font_that_is_not_here_is_replaced_and_that_is_said(monkeypatch):
+    look, said = looks.look_of(read_options(["--font", "Nowhere Grotesk"]))
+    assert look.fonts == ("DejaVu Sans",)
+    assert said == "--font Nowhere Grotesk: not on this machine; figures have DejaVu Sans instead"
+    fonts = [f for f in looks.font_manager.fontManager.ttflist if f.name in ("STIXGeneral", "DejaVu Sans")]
+    monkeypatch.setattr(looks.font_manager.fontManager, "ttflist", fonts)
+    look, said = looks.look_of(read_options(["--font", "Times"]))
+    assert (look.fonts[0], look.mathematics) == ("STIXGeneral", "stix")
+    assert said.endswith("figures have STIXGeneral instead")
+    assert looks.look_of(read_options([]))[0] == Look()
+
+
+def test_without_latex_the_flags_that_need_it_say_so_before_any_work(monkeypatch):
+    monkeypatch.setattr(looks.shutil, "which", lambda _: None)
+    with pytest.raises(UsageError, match=r"--usetex needs LaTeX, and there is no program 'latex' on this machine"):
+        looks.require_latex(read_options(["--usetex"]))
+    with pytest.raises(UsageError, match=r"--pgf needs LaTeX, and there is none of pdflatex, "):
+        looks.require_latex(read_options(["--pgf"]))
+
+
+def test_signs_become_commands_of_latex(runs):
+    log, made = runs
+    with drawing():
+        fig = figures.error_figure(log, made)
+        translate(fig, escape=True)
+    every = [t.get_text() for t in fig.findobj(Text) if t.get_text()]
+    assert any(r"$\pm$3$\sigma$" in t for t in every)
+    assert not any("σ" in t or "±" in t for t in every)

@@ -1,0 +1,115 @@
+"""Figures for logs without truth: NIS with its bounds, claimed sigmas, and what became of every reading."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from data.result import DISCARD, NEW, Innovations
+from eval.figures import claims_figure, fate_figure
+from eval.figures.unscored.claims import stretches_of
+from eval.figures.unscored.fate import fates
+from eval.referee.score import Trial
+from eval.report.pictures import draw, kinds
+from tests.eval.figures.looks import within
+from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error
+
+OFF = np.array([0.1, -0.1, 0.02])
+
+
+def with_innovations(run, nis, dof):
+    n = len(nis)
+    return replace(run, innovations=Innovations(np.asarray(nis, float), np.asarray(dof), np.zeros(n), np.zeros((4, 2))))
+
+
+def texts(fig):
+    return [t.get_text() for legend in fig.legends for t in legend.get_texts()]
+
+
+def test_stretches_have_equal_degrees_of_freedom_and_add_up_to_the_nis_of_the_table():
+    rng = np.random.default_rng(0)
+    dof = 2 * rng.integers(0, 4, 500)
+    nis = np.where(dof > 0, rng.chisquare(np.maximum(dof, 1)), np.nan)
+    time = np.arange(500.0)
+    found = stretches_of(time, with_innovations(run_with_error(OFF), nis, dof))
+    spent = [dof[(time > a) & (time <= b)].sum() for a, b in zip(found.edge[:-1], found.edge[1:], strict=True)]
+    spent[0] += dof[0]
+    assert max(spent) - min(spent) <= 2 * 6
+    assert (found.nis * spent).sum() == pytest.approx(np.nansum(nis))
+    # bounds by the law of a sum of squares, and honest innovations inside them
+    low, high = chi2.ppf([0.025, 0.975], spent[3]) / spent[3]
+    assert found.bounds[3] == pytest.approx([low, high], rel=0.02)
+    inside = (found.nis > found.bounds[:, 0]) & (found.nis < found.bounds[:, 1])
+    assert inside.mean() > 0.85
+
+
+def test_a_run_without_innovations_has_none_to_draw_and_says_so():
+    run = run_with_error(OFF)
+    assert stretches_of(np.arange(float(FRAMES)), run) is None
+    fig = claims_figure(circle_log(truth=False), [run])
+    assert "no innovations" in fig.axes[0].texts[0].get_text()
+
+
+def test_overconfident_innovations_leave_the_bounds_and_the_legend_counts_them():
+    dof = np.full(FRAMES, 4)
+    run = with_innovations(run_with_error(OFF), np.full(FRAMES, 40.0), dof)
+    fig = claims_figure(circle_log(truth=False), [run, run_with_error(OFF, estimator="batch", phases=("final",))])
+    stretches = stretches_of(circle_log().recorded.time, run)
+    assert stretches.nis == pytest.approx(np.full(len(stretches.nis), 10.0))
+    assert any(f"NIS inside in 0 of {len(stretches.nis)} stretches" in t for t in texts(fig))
+    honest = with_innovations(run_with_error(OFF), np.full(FRAMES, 4.0), dof)
+    told = texts(claims_figure(circle_log(truth=False), [honest]))
+    assert any(f"NIS inside in {len(stretches.nis)} of {len(stretches.nis)} stretches" in t for t in told)
+    # claimed sigmas as handmade: the position's, and the heading's in degrees
+    position = fig.axes[1].lines[0].get_ydata()
+    assert position == pytest.approx(np.full(len(position), SIGMA[:2].max()))
+
+
+def test_every_reading_has_one_fate():
+    run = replace(
+        run_with_error(OFF), decisions=np.array([NEW, 0, DISCARD, 0]), final_decisions=np.array([NEW, 0, DISCARD, 1])
+    )
+    found = fates(run)
+    assert {name: rows.tolist() for name, rows in found.items()} == {
+        "paired": [False, True, False, False],
+        "new": [True, False, False, False],
+        "discarded": [False, False, True, False],
+        "revised": [False, False, False, True],
+    }
+    fig = fate_figure(circle_log(truth=False), [run])
+    assert "1 paired, 1 new, 1 discarded, 1 revised" in fig.axes[0].get_title(loc="left")
+    # a reading stands where the path puts it
+    log = circle_log()
+    o, pose = log.recorded.observations, run.online.pose[1]
+    angle = pose[2] + o.z[1, 1]
+    expected = pose[:2] + o.z[1, 0] * np.array([np.cos(angle), np.sin(angle)])
+    paired = next(line for line in fig.axes[0].lines if line.get_marker() == ".")
+    assert np.ravel(paired.get_xydata()) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("runs", [1, 2])
+def test_nothing_is_cut(runs):
+    given = [
+        with_innovations(run_with_error(OFF, association=a), np.full(FRAMES, 4.0), np.full(FRAMES, 4))
+        for a in ("jcbb-hindsight", "known")[:runs]
+    ]
+    for fig in (claims_figure(circle_log(truth=False), given), fate_figure(circle_log(truth=False), given)):
+        fig.draw_without_rendering()
+        for part in [*fig.axes, *fig.legends]:
+            box = part.get_tightbbox() if part in fig.axes else part.get_window_extent()
+            assert within(box, fig.bbox)
+
+
+def test_they_are_drawn_where_there_is_no_truth_and_only_there(tmp_path):
+    run = with_innovations(run_with_error(OFF, association="jcbb-hindsight"), np.full(FRAMES, 4.0), np.full(FRAMES, 4))
+    blind = Trial(circle_log(truth=False), "slam", (run,))
+    assert {"claims", "fate"} <= set(kinds(blind))
+    assert not {"claims", "fate"} & set(kinds(Trial(circle_log(), "slam", (run,))))
+    assert not {"claims", "fate"} & set(kinds(blind, quick=True))
+    for kind in ("claims", "fate"):
+        picture = draw(tmp_path, blind, kind, quick=True)
+        assert blind.log.name in picture.caption
+        assert (tmp_path / "figures" / f"{picture.stem}.png").exists()

@@ -1,0 +1,168 @@
+"""Tables for a paper: as wide as said, by the metrics of the fonts and by pdflatex; names to read; fine print apart."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import matplotlib
+import pandas as pd
+import pytest
+
+from data.errors import UsageError
+from eval.figures.paper.tex import tex_escape
+from eval.page.paper import names
+from eval.page.paper.columns import check_columns
+from eval.page.paper.latex import sheet
+from eval.page.paper.widths import EM, WIDTHS, text_width
+from eval.page.written import Paper, short_caption, write_table
+
+AFM = Path(matplotlib.get_data_path()) / "fonts" / "afm"
+RUNS = [("dead-reckoning", "none", "online"), ("ekf", "jcbb", "online"), ("isam2", "jcbb-hindsight", "online"),
+        ("isam2", "jcbb-hindsight", "final"), ("batch-huber", "known", "final")]  # fmt: skip
+FRAME = pd.DataFrame(
+    [
+        {
+            "estimator": e, "association": a, "phase": p, "position RMSE [m]": 0.1234 * k,
+            "heading RMSE [deg]": 1.5 * k, "largest position error [m]": 0.77, "landmark RMSE [m]": 0.21,
+            "RMS from batch [m]": 0.05,
+            "pose NEES (expected 3)": 2.9, "NIS per dof (expected 1)": 1.01, "95 % bounds of NIS": "0.952–1.049",
+            "lag-1 correlation of innovations ± SE (expected 0)": "0.003 ± 0.022",
+            "inside 3σ (expected 98.9) [%]": 99.5, "accepted": 1606, "rejected": 12,
+        }
+        for k, (e, a, p) in enumerate(RUNS, start=1)
+    ]
+)  # fmt: skip
+
+
+def advance(font: str) -> dict[str, float]:
+    """em, of each ASCII letter, from the metric files of Adobe and of Computer Modern that come with matplotlib."""
+    found = re.findall(r"^C (\d+) ; WX ([\d.]+)", (AFM / font).read_text(encoding="latin-1"), re.M)
+    return {chr(int(code)): float(wide) / 1000.0 for code, wide in found}
+
+
+def test_the_widths_are_those_of_computer_modern_and_no_less_than_those_of_times():
+    plain = {c for c in map(chr, range(33, 127)) if c not in '"<>\\_{|}^`~-'}  # others are elsewhere in these fonts
+    modern, times = advance("cmr10.afm"), advance("ptmr8a.afm")
+    for c in sorted(plain):
+        assert text_width(c) == pytest.approx(EM["footnotesize"] * 17 / 16 * modern[c], rel=0.01), c
+    for word in ("estimator", "iSAM2, JCBB (online)", "0.952", "1606", "landmarks", "overconfident"):
+        assert text_width(word) > EM["footnotesize"] * sum(times.get(c, 0.0) for c in word)
+
+
+def tabular(tex: str) -> str:
+    return re.search(r"\\begin\{tabular\}.*\\end\{tabular\}", tex, re.S)[0]
+
+
+@pytest.mark.parametrize("width", ["column", "page"])
+def test_it_fits_and_says_what_was_left_out(width):
+    made = sheet(FRAME, "t", "Errors", width)
+    assert made.width <= WIDTHS[width]
+    assert "resizebox" not in made.tex
+    assert (r"\begin{table*}" in made.tex) == (width == "page")
+    heads = tabular(made.tex).split(r"\midrule")[0]
+    shown = heads.count("&") + 1
+    assert shown + len(made.left_out) == 13  # twelve numbers, and a name for the row
+    assert all(word in heads for word in ("RMSE", "NEES", "NIS"))
+    rows = [line for line in made.tex.splitlines() if line.endswith(r" \\")]
+    assert {re.sub(r"\\&", "", r).count("&") for r in rows} == {shown - 1}
+
+
+def test_rows_have_names_to_read():
+    body = tabular(sheet(FRAME, "t", "Errors", "page").tex)
+    for name in (
+        "dead reckoning &",
+        "EKF, JCBB &",
+        "iSAM2, JCBB, hindsight (online)",
+        "(final)",
+        "batch, Huber, known",
+    ):
+        assert name in body
+    assert [names.log(n) for n in ("victoria-park", "arena:0", "corridor:3:people+range=8", "my_log", "x:y")] == [
+        "Victoria Park", "arena 0", "corridor 3 (people, range 8)", "my_log", "x:y",
+    ]  # fmt: skip
+
+
+def test_what_is_the_same_in_every_row_is_said_once():
+    same = FRAME.assign(association="jcbb", log="arena:1")
+    made = sheet(same, "t", "Errors", "page")
+    assert made.common == ("arena 1", "association JCBB")
+    assert r"\caption{Errors (arena 1, association JCBB)}" in made.tex
+    assert "JCBB" not in tabular(made.tex)
+
+
+def test_the_columns_are_those_asked_for_in_their_order():
+    made = sheet(FRAME, "t", "Errors", "column", ("nis", "rmse_position_m", "tp"))
+    heads = tabular(made.tex).split(r"\midrule")[0]
+    assert heads.count("&") == 2
+    assert heads.index("NIS") < heads.index("RMSE")
+    assert made.left_out == ()
+    nothing = sheet(FRAME, "t", "Errors", "column", ("tp", "fp"))
+    assert nothing.tex == sheet(FRAME, "t", "Errors", "column").tex  # a table that has none of them is as always
+
+
+def test_columns_that_do_not_fit_are_kept_and_the_file_says_so():
+    wanted = ("rmse_position_m", "rmse_heading_deg", "max_position_m", "rmse_landmark_m", "rms_from_batch_m",
+              "nees_pose", "nis", "bounds", "innovation_lag1", "accepted")  # fmt: skip
+    made = sheet(FRAME, "t", "Errors", "column", wanted)
+    assert made.width > WIDTHS["column"]
+    assert "IS WIDER THAN 252 pt" in made.tex
+
+
+def test_a_column_that_no_table_has_is_an_error_with_a_hint():
+    check_columns(("rmse_position_m", "tp", "verdict"))
+    with pytest.raises(UsageError, match=r"--columns rmse_positon_m: no column .*; do you mean rmse_position_m"):
+        check_columns(("rmse_positon_m",))
+
+
+def test_latex_is_balanced_and_a_bracket_is_no_option_of_the_line_break_before_it():
+    odd = pd.DataFrame({"what_is & this": ["[0, 1]", "a_b"], "largest position error [m]": [0.5, None]}, dtype=object)
+    tex = sheet(odd, "t", "Errors of my_log, 95 % & σ").tex
+    plain = re.sub(r"\\[\\&%$#_{}]", "", tex)
+    assert plain.count("{") == plain.count("}")
+    assert r"\caption{Errors of my\_log, 95 \% \& $\sigma$}" in tex
+    assert "{}[0, 1]" in tex
+    assert not re.search(r"\\\\\s*\[", tex)
+    assert tex_escape("[m]") in tex
+
+
+def test_captions_are_short_and_tables_with_the_same_fine_print_share_a_note(tmp_path):
+    fine = "Errors in the world frame, no alignment."
+    assert short_caption("arena_0-slam-comparison", f"arena:0, slam. {fine}") == "Errors and consistency: arena 0, SLAM"
+    for log in ("arena:0", "arena:1"):
+        stem = f"{log.replace(':', '_')}-slam-comparison"
+        write_table(FRAME, tmp_path, stem, f"{log}, slam. {fine}", ("csv", "md", "tex"), Paper("page"))
+    notes = (tmp_path / "notes.tex").read_text()
+    assert notes.count(fine) == 1
+    assert r"\textbf{Tables~\ref{tab:arena_0-slam-comparison}, \ref{tab:arena_1-slam-comparison}.}" in notes
+    assert "NEES: pose NEES (expected 3)" in notes
+    assert fine in (tmp_path / "arena_0-slam-comparison.md").read_text()
+
+
+def measured(folder: Path, tex: list[str], packages: str) -> list[float]:
+    """Widths [pt] of tables as pdflatex sets them."""
+    boxes = [
+        rf"\setbox0\hbox{{\footnotesize\setlength{{\tabcolsep}}{{3pt}}{tabular(t)}}}\typeout{{W \the\wd0}}" for t in tex
+    ]
+    head = rf"\documentclass[10pt]{{article}}\usepackage[T1]{{fontenc}}\usepackage{{booktabs,array{packages}}}"
+    (folder / "w.tex").write_text(head + r"\begin{document}" + "\n".join(boxes) + r"x\end{document}", encoding="utf-8")
+    command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "w.tex"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-600:]
+    return [float(w) for w in re.findall(r"^W ([\d.]+)pt", done.stdout, re.M)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("packages", ["", ",times"])
+def test_pdflatex_finds_the_width_that_was_reckoned_with(packages, tmp_path):
+    if shutil.which("pdflatex") is None:
+        pytest.skip("no pdflatex on this machine to set the tables with")
+    made = [sheet(FRAME, "t", "Errors", width) for width in WIDTHS]
+    made.append(sheet(FRAME, "t", "Errors", "column", ("nis", "nees_pose")))
+    for wide, sheet_, room in zip(measured(tmp_path, [m.tex for m in made], packages), made, (252, 516, 252)):
+        assert wide <= room
+        assert wide <= sheet_.width + 0.6
+        if not packages:
+            assert wide == pytest.approx(sheet_.width, abs=0.6)

@@ -1,0 +1,158 @@
+"""`run_all --result`: a run of ours handed back has its numbers, others stand beside ours, a truth may be alone."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from eval.run_all import main
+
+HOW = ("nis", "nis_lower", "nis_upper", "nis_expected", "innovation_lag1", "innovation_lag1_se", "iterations")
+"""What a run says of the way it was made, and a path does not."""
+LOG = "arena:0"
+
+
+def run(out, *command):
+    assert main([*command, "--out", str(out), "--no-plots", "-q", "--jobs", "1", "--formats", "csv"]) == 0
+    return pd.read_csv(out / "metrics.csv"), pd.read_csv(out / "association.csv")
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory):
+    """A report on a log, whose runs are the results of others in the tests."""
+    out = tmp_path_factory.mktemp("results") / "first"
+    run(out, "--log", LOG, "--task", "slam", "--association", "jcbb-hindsight", "--estimator", "ekf,isam2")
+    return out
+
+
+@pytest.fixture(scope="module")
+def again(first):
+    """The same, with its own runs handed back, and the filter's path at half the frames and 20 ms late."""
+    runs = first / "runs/arena_0"
+    rows = np.loadtxt(runs / "slam-ekf-jcbb-hindsight/online.tum")[::2]
+    rows[:, 0] += 0.02
+    late = first.parent / "late.tum"
+    np.savetxt(late, rows, fmt="%.17g")
+    out = first.parent / "again"
+    tables = run(
+        out, "--log", LOG, "--task", "slam", "--association", "jcbb-hindsight", "--estimator", "ekf,isam2",
+        "--result", f"e={runs}/slam-ekf-jcbb-hindsight", "--result", f"i={runs}/slam-isam2-jcbb-hindsight",
+        "--result", f"late={late}", "--result", f"tum={runs}/slam-isam2-jcbb-hindsight/final.tum",
+    )  # fmt: skip
+    return out, *tables
+
+
+def test_our_own_folder_handed_back_has_the_same_numbers(again):
+    _, metrics, association = again
+    names = ["estimator", "association"]
+    metrics = metrics.drop(columns=[*HOW, "last_step_sigma", "matched", "unmatched"])
+    for table in (metrics, association):
+        for ours, theirs in (("ekf", "e"), ("isam2", "i")):
+            a, b = (table[table["estimator"] == n].drop(columns=names).astype(str) for n in (ours, theirs))
+            assert len(a)
+            assert a.to_numpy().tolist() == b.to_numpy().tolist()
+
+
+def test_runs_of_ours_are_the_same_with_results_beside_them(first, again):
+    out, *_ = again
+    for name in ("slam-ekf-jcbb-hindsight", "slam-isam2-jcbb-hindsight"):
+        files = sorted((first / "runs/arena_0" / name).iterdir())
+        assert files
+        for file in files:
+            assert file.read_bytes() == (out / "runs/arena_0" / name / file.name).read_bytes()
+    before, after = (pd.read_csv(f / "metrics.csv", dtype=str) for f in (first, out))
+    assert before.to_csv() == after[: len(before)].to_csv()
+
+
+def test_other_stamps_are_matched_by_interpolation_and_counted(again):
+    _, metrics, _ = again
+    row = metrics[metrics["estimator"] == "late"].iloc[0]
+    assert (row["association"], row["phase"]) == ("none", "final")
+    assert row["matched"] + row["unmatched"] == row["frames"] == 100
+    assert row["matched"] > 0
+    assert np.isnan(row["nees_pose"])  # without a covariance
+    ours = metrics[metrics["estimator"] == "ekf"].iloc[0]
+    assert row["rmse_position_m"] == pytest.approx(ours["rmse_position_m"], rel=0.5)
+
+
+def test_a_name_of_a_file_is_the_phase(again):
+    _, metrics, _ = again
+    assert metrics[metrics["estimator"] == "tum"]["phase"].tolist() == ["final"]
+    assert metrics[metrics["estimator"] == "e"]["phase"].tolist() == ["online"]
+    assert metrics[metrics["estimator"] == "i"]["phase"].tolist() == ["online", "final"]
+
+
+def test_the_report_says_what_was_matched_and_where_it_came_from(again):
+    out, *_ = again
+    text = (out / "report.md").read_text()
+    assert "poses matched with the truth" in text
+    assert "`late` (final): position RMSE" in text
+    said = json.loads((out / "provenance.json").read_text())["results"]
+    assert set(said) == {"e", "i", "late", "tum"}
+
+
+def test_every_log_has_its_truth_as_tum_and_a_truth_may_be_alone(first, tmp_path):
+    runs = first / "runs/arena_0"
+    truth = runs / "truth.tum"
+    a, b = f"a={runs}/slam-ekf-jcbb-hindsight/online.csv", f"b={runs}/slam-isam2-jcbb-hindsight/final.csv"
+    command = ("--truth", str(truth), "--align", "se2", "--result", a, "--result", b)
+    metrics, _ = run(tmp_path / "alone", *command)
+    assert metrics["log"].tolist() == ["arena_0"] * 2
+    assert metrics["estimator"].tolist() == ["a", "b"]
+    own = pd.read_csv(first / "metrics.csv").set_index(["estimator", "phase"])
+    assert metrics["rmse_position_m"].tolist() == pytest.approx(
+        [own.loc["ekf", "online"]["rmse_aligned_m"], own.loc["isam2", "final"]["rmse_aligned_m"]], rel=1e-9
+    )
+    assert "But aligned: a, b" in (tmp_path / "alone/report.md").read_text()
+
+
+@pytest.mark.parametrize(("command", "wanted"), [
+    (["--log", LOG, "--log", "arena:0", "--result", "a=b.tum"], "--result a=b.tum: belongs to one log"),
+    (["--result", "a=b.tum"], "on which log? one --log is needed, or --truth FILE alone"),
+    (["--truth", "b.tum"], "nothing to score"),
+    (["--log", LOG, "--result", "b.tum"], "NAME=FILE is needed"),
+    (["--log", LOG, "--result", "ekf=b.tum"], "ekf is one of our estimators"),
+    (["--log", LOG, "--result", "a=b.tum", "--result", "a=c.tum"], "two results are named a"),
+    (["--log", LOG, "--result", "a/b=b.tum"], "'a/b' is no name"),
+    (["--log", LOG, "--align", "se2"], "--align: for results; --result NAME=FILE is missing"),
+    (["--log", LOG, "--result", "a=x", "--result", "b=y", "--cov", "c"], "of which result? NAME=c is needed"),
+    (["--log", LOG, "--result", "a=x", "--cov-frame", "body"], "--cov-frame body: unknown; known: world, local, left"),
+    (["--scenario", "arena", "--truth", "b.tum"], "--truth and --scenario exclude each other"),
+    (["--log", LOG, "--result", "a=/nowhere.tum"], "/nowhere.tum: no such file"),
+])  # fmt: skip
+def test_what_makes_no_sense_is_one_line_and_status_2(command, wanted, tmp_path, capsys):
+    assert main([*command, "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert wanted in said
+    assert said.count("\n") == 1
+
+
+def test_decisions_about_another_log_are_refused(first, tmp_path, capsys):
+    runs = first / "runs/arena_0/slam-ekf-jcbb-hindsight"
+    command = ["--log", "arena:2", "--task", "slam", "--estimator", "ekf", "--result", f"e={runs}"]
+    assert main([*command, "--out", str(tmp_path / "out")]) == 2
+    assert "decisions.csv: " in capsys.readouterr().err
+
+
+def test_a_log_without_stamps_interpolates_nothing(tmp_path, capsys):
+    (tmp_path / "a.csv").write_text("t,x,y,theta\n0.5,0,0,0\n")
+    command = ["--log", "corridor:0", "--task", "slam", "--estimator", "ekf", "--result", f"a={tmp_path / 'a.csv'}"]
+    assert main([*command, "--out", str(tmp_path / "out")]) == 2
+    assert "t is the number of a frame" in capsys.readouterr().err
+
+
+def test_a_log_without_truth_says_so_and_has_the_distance_from_batch(tmp_path):
+    command = ["--log", "victoria-park", "--quick", "--estimator", "ekf,batch"]
+    run(tmp_path / "first", *command)
+    path = tmp_path / "first/runs/victoria-park/slam-ekf-known/online.tum"
+    (tmp_path / "own.tum").write_bytes(path.read_bytes())
+    metrics, _ = run(tmp_path / "second", *command, "--result", f"own={tmp_path / 'own.tum'}")
+    ours, theirs = (metrics[metrics["estimator"] == n].iloc[0] for n in ("ekf", "own"))
+    assert theirs["rms_from_batch_m"] == ours["rms_from_batch_m"]
+    assert np.isnan(theirs["rmse_position_m"])
+    assert np.isnan(theirs["matched"])
+    assert "only its distance from batch is measured" in (tmp_path / "second/report.md").read_text()
+    assert not (tmp_path / "second/runs/victoria-park/truth.tum").exists()

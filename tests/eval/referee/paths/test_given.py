@@ -1,0 +1,34 @@
+"""What a run that was handed in is taken for: who created which landmark, and on whose frames it stands."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from data.logs import open_log
+from data.result import DISCARD, NEW
+from data.results.path import GivenPath
+from eval.referee.paths.given import TruePath, created_by, given_run, log_of
+from eval.replay.run import compare
+
+
+def test_landmarks_are_numbered_in_the_order_of_their_creation_retracted_ones_too():
+    decisions = np.array([NEW, NEW, 0, DISCARD, NEW])
+    final = np.array([NEW, 0, 0, DISCARD, NEW])
+    assert created_by(decisions, final, "slam").tolist() == [0, 1, -1, -1, 2]
+    assert created_by(decisions, final, "localization").tolist() == [-1] * 5
+
+
+def test_it_is_the_numbering_of_our_own_runs_in_hindsight():
+    log = open_log("corridor:0:people")
+    (run,) = compare(log.inputs(), "slam", ("ekf",), "jcbb-hindsight")
+    assert (run.decisions != run.final_decisions).any()
+    assert created_by(run.decisions, run.final_decisions, "slam").tolist() == run.created.tolist()
+
+
+@pytest.mark.parametrize(("late", "on_its_frames"), [(0.0, True), (5e-7, True), (0.01, False)])
+def test_on_the_frames_of_the_log_it_is_a_run_of_the_log(late, on_its_frames):
+    log = open_log("arena:0")
+    path = GivenPath("a", "TUM", log.recorded.time + late, log.truth.pose)
+    run = given_run("a", "slam", {"final": path}, log, TruePath(log.recorded.time, log.truth.pose))
+    assert (log_of(run, log) is log) is on_its_frames

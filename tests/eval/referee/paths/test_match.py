@@ -1,0 +1,56 @@
+"""The truth at other stamps: exact where stamps agree, interpolated between near ones, unknown elsewhere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from eval.referee.paths.match import match
+
+TIME = np.array([0.0, 0.5, 1.0, 3.0, 3.5, 4.0, 4.5])
+TRUTH = np.array([
+    [0.0, 0.0, 3.0], [1.0, 0.0, 3.1], [2.0, 2.0, -3.1], [5.0, 2.0, 0.0], [np.nan] * 3, [6.0, 2.0, 0.2], [7.0, 2.0, 0.4],
+])  # fmt: skip
+
+
+def test_stamps_of_the_truth_take_it_bit_for_bit():
+    found = match(TIME, TIME, TRUTH)
+    assert found.truth.tobytes() == TRUTH.tobytes()
+    assert (found.matched, found.unmatched, found.interpolated) == (6, 1, 0)
+
+
+def test_microseconds_that_were_written_make_no_difference():
+    found = match(TIME + 4e-7, TIME, TRUTH)
+    assert (found.matched, found.interpolated) == (6, 0)  # the last one, too, which is beyond the span
+
+
+def test_between_two_truths_the_heading_goes_the_shorter_way():
+    found = match(np.array([0.75]), TIME, TRUTH)
+    assert found.truth[0] == pytest.approx([1.5, 1.0, np.pi], abs=1e-9) or found.truth[0, 2] == pytest.approx(-np.pi)
+    assert found.interpolated == 1
+
+
+@pytest.mark.parametrize("stamp", [-0.01, 4.51, 2.0, 3.2, 3.5, 3.7])
+def test_before_after_in_a_gap_and_beside_an_unknown_truth_nothing_is_made_up(stamp):
+    found = match(np.array([stamp]), TIME, TRUTH)
+    assert np.isnan(found.truth).all()
+    assert (found.matched, found.unmatched) == (0, 1)
+
+
+def test_the_gap_is_the_one_asked_for():
+    assert match(np.array([2.0]), TIME, TRUTH, 2.0).matched == 1
+    assert match(np.array([0.25]), TIME, TRUTH, 0.4).matched == 0
+
+
+def test_the_stated_error_is_that_of_interpolation_on_a_circle():
+    """Chords of a circle of 10 m, 0.1 rad each: the middle is off by the sagitta, r (1 - cos(0.05))."""
+    angle = 0.1 * np.arange(60)
+    truth = np.column_stack([10 * np.cos(angle), 10 * np.sin(angle), angle])
+    found = match(np.array([2.55]), 0.1 * np.arange(60), truth)
+    assert found.error == pytest.approx(10 * (1 - np.cos(0.05)), rel=0.01)
+    middle = np.array([10 * np.cos(2.55), 10 * np.sin(2.55)])
+    at = match(np.array([2.55]), 0.1 * np.arange(60), np.column_stack([truth[:, :2], 0 * angle]))
+    assert at.truth.shape == (1, 3)
+    assert np.hypot(*(match(np.array([2.55]), angle, truth).truth[0, :2] - middle)) == pytest.approx(
+        found.error, rel=0.01
+    )

@@ -1,0 +1,104 @@
+"""Estimators and ways of association as strangers write them, right and wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from association.singles import singles
+from data.result import Finished, Trajectory
+from data.se2 import compose
+from ekf.localizer import EkfLocalizer
+from ekf.slam import EkfSlam
+
+
+class Mine(EkfSlam):
+    pass
+
+
+class MineLocal(EkfLocalizer):
+    pass
+
+
+again = singles
+
+
+class Bare:
+    """As little as there can be: dead reckoning."""
+
+    def __init__(self, prior, sensor, *rest):
+        self.pose = prior.mean.copy()
+
+    def predict(self, increment):
+        self.pose = compose(self.pose, increment.mean)
+
+    def update(self, sightings, decisions):
+        pass
+
+    def estimate(self):
+        return self.pose
+
+
+class NoCovariance(EkfSlam):
+    def estimate(self):
+        return super().estimate().mean, None
+
+
+class Silent(EkfSlam):
+    """It says nothing of its innovations."""
+
+    def update(self, sightings, decisions, **more):
+        super().update(sightings, decisions, **more)
+
+
+class Smoothing(Mine):
+    """What it hands back at the end is a path, too."""
+
+    smooths = True
+
+    def __init__(self, *given):
+        super().__init__(*given)
+        self.path = []
+
+    def estimate(self):
+        found = super().estimate()
+        self.path.append(found)
+        return found
+
+    def finish(self):
+        path = Trajectory(np.array([p.mean for p in self.path]), np.array([p.covariance for p in self.path]))
+        return Finished(path, super().finish().map)
+
+
+class Crashing(EkfSlam):
+    def update(self, sightings, decisions, **more):
+        if self.created > 8:
+            raise RuntimeError("no room\nfor more")
+        return super().update(sightings, decisions, **more)
+
+
+class Unborn(EkfSlam):
+    def __init__(self, *given):
+        raise KeyError("constructor")
+
+
+class Writing(EkfSlam):
+    def update(self, sightings, decisions, **more):
+        sightings.z[:] += 1.0
+        return super().update(sightings, decisions, **more)
+
+
+def returning(what):
+    class Wrong(EkfSlam):
+        def estimate(self):
+            return what(super().estimate())
+
+    return Wrong
+
+
+def nearest_by_hand(expectation, gate):
+    """Reads nothing but the arrays; may pair twice."""
+    d2 = expectation.individual_distances()
+    if not d2.size:
+        return np.full(len(d2), -1)
+    best = d2.argmin(axis=1)
+    return np.where(d2.min(axis=1) < 9.21, expectation.number[best], -1)

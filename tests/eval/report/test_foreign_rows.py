@@ -1,0 +1,40 @@
+"""What the report says and shows of an estimator that is not ours: by what it has, as it is in no list of names."""
+
+from __future__ import annotations
+
+import pandas as pd
+
+from eval.referee.score import Trial, score
+from eval.report.answer import answer
+from eval.report.rows import filters_in, rows_of, smoothers_in
+from eval.report.shown_runs import associations, for_growth, for_map, for_panels
+from tests.eval.handmade import circle_log, run_with_error
+
+LOG = circle_log()
+
+
+def made(*runs):
+    return Trial(LOG, "slam", tuple(run_with_error(0.01 * (i + 1), **run) for i, run in enumerate(runs)))
+
+
+def test_who_has_a_final_row_is_a_smoother_and_who_has_none_a_filter():
+    trial = made({"estimator": "mine"}, {"estimator": "theirs", "phases": ("online", "final")}, {"estimator": "ekf"})
+    rows = rows_of(score([trial]).metrics)
+    assert [n for n in filters_in(rows) if n in ("mine", "theirs", "ekf")] == ["ekf", "mine"]
+    assert [n for n in smoothers_in(rows) if n in ("mine", "theirs", "ekf")] == ["theirs"]
+
+
+def test_the_answer_compares_a_foreign_filter_with_a_foreign_smoother():
+    trial = made({"estimator": "mine"}, {"estimator": "theirs", "phases": ("online", "final")})
+    said = answer(pd.DataFrame(score([trial]).metrics))
+    assert "the filter (mine, each pose from the data up to it)" in said
+    assert "the smoother (theirs, every pose from all data)" in said
+
+
+def test_who_brought_an_estimator_sees_it_in_the_figures():
+    names = ["ekf", "ekf-iterated", "isam2", "batch", "gnc", "mine"]
+    trial = made(*({"estimator": n, "association": a} for a in ("known", "nn", "jcbb", "way") for n in names))
+    for shown in (for_map(trial), for_panels(trial.runs), for_growth(trial)):
+        assert "mine" in {r.estimator for r in shown}
+        assert "ekf" in {r.estimator for r in shown}
+    assert associations(trial.runs) == ["known", "way", "jcbb", "nn"]

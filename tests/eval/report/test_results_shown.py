@@ -1,0 +1,69 @@
+"""Results that were handed in are in the pictures, with stamps of their own, whatever else was run."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from data.logs import open_log
+from data.results.path import GivenPath
+from data.truth import Truth
+from eval import figures
+from eval.referee.paths.given import TruePath, given_run
+from eval.referee.score import Trial, score
+from eval.replay.run import compare
+from eval.report.shown_runs import for_map, for_panels, worst
+
+LOG = open_log("arena:0")
+KNOWN = TruePath(LOG.recorded.time, LOG.truth.pose)
+
+
+@pytest.fixture(scope="module")
+def trial():
+    """Five phases of ours, and two results at a third of the frames, 30 ms late; one has no covariance."""
+    runs = [r for a in ("known", "nn") for r in compare(LOG.inputs(labels=True), "localization", ("ekf", "batch"), a)]
+    time, pose = LOG.recorded.time[:-1:3] + 0.03, LOG.truth.pose[:-1:3] + 0.05
+    certain = GivenPath("a.tum", "TUM", time, pose, np.tile(0.01 * np.eye(3), (len(time), 1, 1)), "local")
+    a = given_run("a", "localization", {"final": certain}, LOG, KNOWN)
+    b = given_run("b", "localization", {"online": GivenPath("b.tum", "TUM", time, pose)}, LOG, KNOWN, align="se2")
+    return Trial(LOG, "localization", (*runs, a, b))
+
+
+def names(runs):
+    return {r.estimator for r in runs}
+
+
+def test_what_was_handed_in_is_shown_with_some_of_ours(trial):
+    for chosen in (for_panels(trial.runs), for_panels(trial.runs, 3), for_map(trial), for_map(trial, 4)):
+        assert {"a", "b"} < names(chosen)
+    assert worst(trial).estimator in ("ekf", "batch")  # the others have other frames
+
+
+def test_every_picture_takes_its_own_stamps_and_truth(trial):
+    fig = figures.error_figure(LOG, for_panels(trial.runs))
+    titles = [ax.get_title() for ax in fig.axes[:4]]
+    assert "b, aligned (online)" in titles
+    line = next(ax for ax in fig.axes if ax.get_title() == "a (final)").lines[-1]
+    assert len(line.get_xdata()) == len(LOG.recorded.time[:-1:3])
+    assert figures.nees_figure(LOG, for_panels(trial.runs)).axes
+    assert figures.map_figure(LOG, for_map(trial)).axes
+
+
+def test_without_truth_it_stands_beside_batch_at_its_own_stamps(trial):
+    bare = replace(LOG, truth=Truth())
+    batch = trial.find("batch")
+    pose = batch.final.pose[:-1:3].copy()
+    pose[:, 0] += 0.5
+    late = GivenPath("c.tum", "TUM", LOG.recorded.time[:-1:3], pose)
+    c = given_run("c", "localization", {"final": late}, bare, None)
+    (_, row) = score([Trial(bare, "localization", (batch, c))]).metrics.to_dict("records")
+    assert row["rms_from_batch_m"] == pytest.approx(0.5, rel=1e-12)
+    drawn = figures.difference_figure(bare, [c], batch).axes[0].lines[-1].get_ydata()
+    assert drawn == pytest.approx(np.full(len(drawn), 0.5))
+
+
+def test_a_result_is_in_no_comparison_of_filter_and_smoother_frame_by_frame(trial):
+    table = score([trial]).differences
+    assert not (set(table["a"]) | set(table["b"])) & {"a", "b"}

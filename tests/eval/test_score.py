@@ -1,0 +1,135 @@
+"""`eval.score`: a name and a value a line, the numbers of metrics.csv, and verdicts on many runs."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import slamref
+from data.logs import open_log
+from eval.referee.consistency import nees, verdict
+from eval.referee.score import Trial, score
+from eval.replay.run import compare
+from eval.report.run_files import trajectory_table, write_run, write_tum
+from eval.score import main
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Folder of runs of an arena, and its rows of metrics.csv."""
+    folder = tmp_path_factory.mktemp("score")
+    log = open_log("arena:1")
+    trial = Trial(log, "slam", tuple(compare(log.inputs(labels=True), "slam", ("ekf", "batch"))))
+    for run in trial.runs:
+        write_run(folder, trial, run)
+    write_tum(folder / "truth.tum", log.recorded.time, log.truth.pose)
+    return folder, score([trial]).metrics
+
+
+def lines(capsys):
+    return {line.split()[0]: line.split(maxsplit=1)[1] for line in capsys.readouterr().out.splitlines()}
+
+
+def test_numbers_are_those_of_the_run_with_six_digits(made, capsys):
+    folder, metrics = made
+    for name, phase, row in (("ekf", "online", 0), ("batch", "final", 1)):
+        assert main([str(folder / f"runs/arena_1/slam-{name}-known/{phase}.csv"), str(folder / "truth.tum")]) == 0
+        said = lines(capsys)
+        assert next(iter(said)) == "rmse_position_m"
+        assert said["matched"] == "200"
+        shared = [c for c in said if c in metrics and c not in ("matched", "unmatched")]
+        assert {"nees_pose", "rpe_10m_m", "inside_3sigma", "log_score"} <= set(shared)
+        for column in shared:
+            assert float(said[column]) == pytest.approx(metrics[column][row], rel=5e-6, abs=1e-12), column
+
+
+def test_the_command_and_a_log_as_truth(made, capsys):
+    folder, _ = made
+    estimate = str(folder / "runs/arena_1/slam-ekf-known/online.tum")
+    assert slamref.main(["score", estimate, "arena:1"]) == 0
+    first = lines(capsys)
+    assert main([estimate, str(folder / "truth.tum")]) == 0
+    assert lines(capsys) == first
+    assert "nees_pose" not in first  # there is no covariance
+
+
+def test_alignment_is_only_done_if_asked(made, capsys):
+    folder, metrics = made
+    files = [str(folder / "runs/arena_1/slam-ekf-known/online.tum"), str(folder / "truth.tum")]
+    assert main([*files, "--align", "se2"]) == 0
+    captured = capsys.readouterr()
+    assert f"rmse_position_m {metrics['rmse_aligned_m'][0]:.6g}\n" in captured.out
+    assert "best rigid fit" in captured.err
+
+
+def test_another_clock_is_an_error_that_names_both_spans(made, tmp_path, capsys):
+    folder, _ = made
+    rows = np.loadtxt(folder / "truth.tum")
+    rows[:, 0] += 1000.0
+    np.savetxt(tmp_path / "late.tum", rows)
+    assert main([str(tmp_path / "late.tum"), str(folder / "truth.tum")]) == 2
+    said = capsys.readouterr().err
+    assert re.search(
+        r"late.tum: none of its 200 stamps, 1000.0 to 1099.5 s, has a truth: truth is known from 0.0 to", said
+    )
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(("files", "wanted"), [
+    (["a"], "1 file; ESTIMATE TRUTH are needed"),
+    (["a", "b", "c"], "3 files; which are truths?"),
+    (["a", "b", "c", "--truth", "d", "e"], "3 estimates and 2 truths"),
+    (["a", "b", "--align", "sim3"], "--align 'sim3': unknown; known: none, first, se2"),
+    (["/nowhere/a.tum", "/nowhere/b.tum"], "no such"),
+])  # fmt: skip
+def test_what_makes_no_sense_is_one_line_and_status_2(files, wanted, capsys):
+    assert main(files) == 2
+    said = capsys.readouterr().err
+    assert wanted in said
+    assert said.count("\n") == 1
+
+
+def simulated(folder, runs, claimed):
+    """Errors of 0.1 m and 0.02 rad, white, with a covariance claimed `claimed` times the true one."""
+    rng = np.random.default_rng(5)
+    time, P = np.arange(40.0), np.diag([0.01, 0.01, 0.0004])
+    means = []
+    for k in range(runs):
+        truth = np.column_stack([time, 0.1 * time, np.zeros(40)])
+        pose = truth + rng.multivariate_normal(np.zeros(3), P, 40)
+        covariance = np.tile(claimed * P, (40, 1, 1))
+        place = folder / f"{k:02d}"
+        place.mkdir()
+        from data.result import Trajectory
+
+        trajectory_table(time, Trajectory(pose, covariance)).to_csv(place / "est.csv", index=False)
+        pd.DataFrame(np.column_stack([time, truth]), columns=["t", "x", "y", "theta"]).to_csv(
+            place / "truth.csv", index=False
+        )
+        means.append(nees(pose, covariance, truth, "pose").mean())
+    files = sorted(str(f) for f in folder.glob("*/est.csv"))
+    return [*files, "--truth", *sorted(str(f) for f in folder.glob("*/truth.csv"))], np.array(means)
+
+
+@pytest.mark.parametrize(("claimed", "word"), [(1.0, "consistent"), (0.5, "overconfident"), (2.0, "conservative")])
+def test_many_runs_of_somebody_else_get_the_verdict_of_a_study(claimed, word, tmp_path, capsys):
+    command, means = simulated(tmp_path, 50, claimed)
+    assert main(command) == 0
+    said = lines(capsys)
+    v = verdict(means, 3)
+    assert v.word == word
+    assert said["nees_pose"].startswith(f"{v.mean:.6g} {word} (95 % interval ")
+    assert said["nees_pose"].endswith(f"3 expected, power {v.power:.2f} against 0.8 P)")
+    assert said["runs"] == "50"
+
+
+def test_few_runs_get_no_verdict(tmp_path, capsys):
+    command, _ = simulated(tmp_path, 5, 0.5)
+    assert main(command) == 0
+    captured = capsys.readouterr()
+    assert "nees_pose 6" in captured.out or "nees_pose 5" in captured.out
+    assert "not enough runs" in captured.out
+    assert "needs at least 50 runs" in captured.err

@@ -1,0 +1,213 @@
+"""g2o graphs and logs: what gtsam makes of a file, our batch makes of the log it becomes, and back again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+
+from data import se2
+from data.convert.__main__ import main
+from data.errors import DataError
+from data.graphs.as_log import log_of
+from data.graphs.g2o import read_graph
+from data.graphs.of_run import graph_text, labelled
+from data.log import Log
+from data.open_log.reader import load_folder
+from data.worlds.arena import Arena, simulate
+from eval.replay.run import compare
+
+WORLD = Arena(frames=30, landmarks=8)
+
+
+def numbers(line: str) -> list[float]:
+    return [float(f) for f in line.split()[1:]]
+
+
+def of_gtsam(path: Path) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    """gtsam's own reading of vertices and EDGE_SE2; landmark edges, which it does not read, by their definition."""
+    graph, values = gtsam.readG2o(str(path), False)
+    graph = gtsam.NonlinearFactorGraph(graph)
+    for line in path.read_text().splitlines():
+        tag, v = line.split()[0], numbers(line)
+        if tag == "FIX":
+            graph.add(gtsam.NonlinearEqualityPose2(int(v[0]), values.atPose2(int(v[0]))))
+        elif tag == "EDGE_SE2_XY":
+            information = np.array([[v[4], v[5]], [v[5], v[6]]])
+            model = gtsam.noiseModel.Gaussian.Information(information)
+            graph.add(gtsam.CustomFactor(model, [int(v[0]), int(v[1])], point_error(np.array(v[2:4]))))
+        elif tag == "EDGE_BEARING_SE2_XY":
+            model = gtsam.noiseModel.Isotropic.Sigma(1, v[3] ** -0.5)
+            graph.add(gtsam.BearingFactor2D(int(v[0]), int(v[1]), gtsam.Rot2(v[2]), model))
+    for line in path.read_text().splitlines():
+        if line.startswith("VERTEX_XY"):
+            i, x, y = numbers(line)
+            if not values.exists(int(i)):
+                values.insert(int(i), np.array([x, y]))
+    return graph, values
+
+
+def point_error(measured):
+    def error(this, values, jacobians):
+        pose, point = values.atPose2(this.keys()[0]), values.atPoint2(this.keys()[1])
+        Hx, Hl = np.zeros((2, 3), order="F"), np.zeros((2, 2), order="F")
+        seen = pose.transformTo(point, Hx, Hl)
+        if jacobians is not None:
+            jacobians[0], jacobians[1] = Hx, Hl
+        return seen - measured
+
+    return error
+
+
+def minimum(path: Path) -> gtsam.Values:
+    graph, values = of_gtsam(path)
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setRelativeErrorTol(1e-14)
+    parameters.setAbsoluteErrorTol(1e-14)
+    return gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
+
+
+def batch_of(log: Log):
+    return compare(log.inputs(labels=True).without_map(), "slam", ("batch",), "known")[0]
+
+
+@pytest.fixture
+def arena_graph(tmp_path: Path) -> Path:
+    log = simulate(WORLD, 3)
+    path = tmp_path / "arena.g2o"
+    path.write_text(graph_text(log.recorded, labelled(log)))
+    return path
+
+
+def test_our_batch_finds_the_minimum_that_gtsam_finds_in_the_file(arena_graph):
+    log = log_of("arena", read_graph(arena_graph))
+    run, expected = batch_of(log), minimum(arena_graph)
+    theirs = np.array([[p.x(), p.y(), p.theta()] for p in (expected.atPose2(k) for k in range(WORLD.frames))])
+    assert np.abs(se2.pose_error(run.final.pose, theirs)).max() < 1e-6
+    label = log.granted
+    founders = np.flatnonzero(run.created >= 0)
+    for number, xy in zip(run.map.number, run.map.xy, strict=True):
+        name = int(label[founders[run.created[founders] == number][0]])
+        assert xy == pytest.approx(expected.atPoint2(name), abs=1e-6)
+
+
+def test_bearings_alone_give_the_minimum_of_bearing_factors(arena_graph, tmp_path):
+    # the scale comes from the odometry
+    lines = []
+    for line in arena_graph.read_text().splitlines():
+        if line.startswith("EDGE_SE2_XY"):
+            i, j, x, y, *_ = numbers(line)
+            line = f"EDGE_BEARING_SE2_XY {int(i)} {int(j)} {float(np.arctan2(y, x))!r} 2500.0"
+        lines.append(line)
+    path = tmp_path / "bearings.g2o"
+    path.write_text("\n".join(lines))
+    log = log_of("bearings", read_graph(path))
+    assert "bearings without a range" in log.notes[0]
+    run, expected = batch_of(log), minimum(path)
+    theirs = np.array([[p.x(), p.y(), p.theta()] for p in (expected.atPose2(k) for k in range(WORLD.frames))])
+    # the ranges have a ten-thousandth of the information of one known to its own length
+    assert np.abs(se2.pose_error(run.final.pose, theirs)).max() < 2e-3
+    again = tmp_path / "again.g2o"
+    again.write_text(graph_text(log.recorded, labelled(log)))
+    tags = [line.split()[0] for line in again.read_text().splitlines()]
+    assert tags.count("EDGE_BEARING_SE2_XY") == sum(line.startswith("EDGE_BEARING") for line in lines)
+
+
+def test_a_graph_comes_back_as_it_was(arena_graph, tmp_path):
+    assert main(["g2o", str(arena_graph), str(tmp_path / "log")]) == 0
+    assert main(["g2o", str(tmp_path / "log"), str(tmp_path / "back.g2o")]) == 0
+    one, two = read_graph(arena_graph), read_graph(tmp_path / "back.g2o")
+    assert two.motion.measured == pytest.approx(one.motion.measured)
+    assert two.motion.covariance == pytest.approx(one.motion.covariance)
+    assert two.sighting.measured == pytest.approx(one.sighting.measured)
+    assert two.sighting.covariance == pytest.approx(one.sighting.covariance)
+    assert two.sighting.ends.tolist() == one.sighting.ends.tolist()
+
+
+def test_edges_written_from_the_later_pose_mean_the_same_motion(arena_graph, tmp_path):
+    expected = log_of("forward", read_graph(arena_graph)).recorded.increments
+    lines = []
+    for line in arena_graph.read_text().splitlines():
+        if line.startswith("EDGE_SE2 "):
+            i, j, x, y, a, *upper = numbers(line)
+            back = gtsam.Pose2(x, y, a).inverse()
+            information = np.zeros((3, 3))
+            information[np.triu_indices(3)] = upper
+            information += np.triu(information, 1).T
+            # the error at one end of a motion seen at the other: gtsam's adjoint map
+            A = gtsam.Pose2(x, y, a).AdjointMap()
+            P = A @ np.linalg.inv(information) @ A.T
+            turned = np.linalg.inv(P)[np.triu_indices(3)]
+            values = [float(v) for v in (back.x(), back.y(), back.theta(), *turned)]
+            line = f"EDGE_SE2 {int(j)} {int(i)} " + " ".join(map(repr, values))
+        lines.append(line)
+    path = tmp_path / "back.g2o"
+    path.write_text("\n".join(lines))
+    increments = log_of("back", read_graph(path)).recorded.increments
+    assert increments.mean == pytest.approx(expected.mean)
+    assert increments.covariance[1:] == pytest.approx(expected.covariance[1:], rel=1e-6, abs=1e-12)
+
+
+def test_loop_closures_become_relations_and_are_spoken_of(tmp_path):
+    chain = "".join(f"VERTEX_SE2 {7 + 2 * k} {k} 0 0\n" for k in range(4))
+    chain += "".join(f"EDGE_SE2 {7 + 2 * k} {9 + 2 * k} 1 0 0 100 0 0 100 0 400\n" for k in range(3))
+    path = tmp_path / "loop.g2o"
+    path.write_text(chain + "EDGE_SE2 7 13 3.1 0.2 0.1 50 0 0 50 0 80\nPARAMS_SE2OFFSET 0 0 0 0\nFIX 9\n")
+    assert main(["g2o", str(path), str(tmp_path / "log")]) == 0
+    log = load_folder(tmp_path / "log")
+    assert log.truth.relations.row1.tolist() == [0]
+    assert log.truth.relations.row2.tolist() == [3]
+    assert log.truth.relations.relative.tolist() == [[3.1, 0.2, 0.1]]
+    said = " ".join(log.notes)
+    assert "1 EDGE_SE2 besides the chain" in said
+    assert "1 PARAMS_SE2OFFSET left out" in said
+    assert "FIX 9" in said
+    assert log.recorded.increments.covariance[1] == pytest.approx(np.diag([0.01, 0.01, 0.0025]))
+
+
+def test_vertices_that_are_the_truth_score_the_log(arena_graph, tmp_path):
+    assert main(["g2o", str(arena_graph), str(tmp_path / "log"), "--true"]) == 0
+    log = load_folder(tmp_path / "log")
+    assert log.truth.known_poses == WORLD.frames
+    assert log.recorded.map is not None
+
+
+def test_a_run_of_a_report_becomes_a_graph_that_is_at_its_minimum(tmp_path):
+    from data.open_log.writer import write_folder
+    from eval.run_all import main as run
+
+    write_folder(simulate(WORLD, 4), tmp_path / "log")
+    out = tmp_path / "report"
+    words = ["--log", str(tmp_path / "log"), "--task", "slam", "--estimator", "batch", "--no-plots", "--out", str(out)]
+    assert run([*words, "--association", "jcbb"]) == 0
+    folder = out / "runs" / "log" / "slam-batch-jcbb"
+    assert main(["g2o", str(tmp_path / "log"), str(tmp_path / "run.g2o"), "--run", str(folder)]) == 0
+    graph, values = of_gtsam(tmp_path / "run.g2o")
+    # points instead of ranges and bearings: the same to first order
+    assert graph.error(values) == pytest.approx(graph.error(minimum(tmp_path / "run.g2o")), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n", "in space"),
+        ("VERTEX_SE2 0 0 0\n", "line 1: VERTEX_SE2 with 3 numbers; 4 are needed"),
+        ("VERTEX_SE2 0 0 0 x\n", "'x' is not a number"),
+        ("VERTEX_SE2 0.5 0 0 0\n", "'0.5' is not an id"),
+        ("VERTEX_SE2 0 0 0 0\nVERTEX_XY 0 1 1\n", "vertex 0 stands there twice"),
+        ("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n", "no EDGE_SE2 between the successive poses 0 and 1"),
+        ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 5 9 1 0 1 0 1\n", "line 2: no VERTEX_SE2 5"),
+        ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 0 9 1 0 1 2 1\n", "line 2: EDGE_SE2_XY: its information matrix is not"),
+        ("VERTEX_SE2 0 0 0 0\nEDGE_BEARING_SE2_XY 0 9 1 4\n", "no VERTEX_XY"),
+        ("hello\n", "no pose"),
+    ],
+)
+def test_what_is_wrong_in_a_file_is_one_line(text, said, tmp_path):
+    path = tmp_path / "bad.g2o"
+    path.write_text(text)
+    with pytest.raises(DataError) as caught:
+        log_of("bad", read_graph(path))
+    assert said in str(caught.value)
+    assert str(caught.value).startswith(str(path))
