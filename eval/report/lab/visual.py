@@ -13,18 +13,22 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 
 from data.log import folder_name
 from data.result import Run
 from data.se2 import Array, dead_reckoned
+from eval.figures.ellipses import along_path, draw_ellipses
 from eval.figures.error import error_figure, longest_sigma
-from eval.figures.style import save
+from eval.figures.map import map_figure
+from eval.figures.style import save, series
 from eval.page.document import Block, Picture, Section, written_table
 from eval.page.numbers import number
 from eval.plan.flags.options import Options
 from eval.referee.errors import position_distance, rms
 from eval.referee.score import Trial
-from eval.report.visual.figures import contact_sheet, plan_figure
+from eval.report.visual.figures import contact_sheet, draw_pictures, plan_figure
 from eval.report.visual.models import MOTION, OBSERVATION, UPDATE, models_latex
 from eval.report.visual.sections import constants, statistics_of, summary, tiles_of, typeset
 
@@ -68,7 +72,16 @@ def _motion(folder: Path, options: Options, trial: Trial) -> Section:
         said += f", with a standard deviation of {number(float(longest_sigma(run.trajectory('online'))[-1]))} m"
     blocks: list[Block] = [f"**{said}.**"]
     if not options.no_plots:
-        blocks.append(_plan(folder, options, trial, ("dead-reckoning",), "lab-motion", "dead reckoning alone"))
+        blocks.append(
+            _plan(
+                folder,
+                options,
+                trial,
+                ("dead-reckoning",),
+                "lab-motion",
+                "dead reckoning alone, 3σ ellipses in their size",
+            )
+        )
     blocks += [typeset(folder, "lab-motion-model", MOTION), f"{MOTION.about} {constants(log)}"]
     return Section("Question 1: How does the robot move, and how does its uncertainty grow?", tuple(blocks))
 
@@ -162,8 +175,20 @@ def _plan(
     log = trial.log
     assert log.evidence is not None  # a log made from images
     runs = [replace(r, final=None) if r.online is not None else r for n in names if (r := _run(trial, n)) is not None]
-    save(plan_figure(log, runs, log.evidence.setup.corners, factor=factor), folder / "figures", stem, _formats(options))
+    corners = log.evidence.setup.corners
+    if list(names) == ["dead-reckoning"] and runs:  # the map figure shows how sure estimators are, and that is none
+        figure = map_figure(log, runs, surveyed=lambda ax: [*draw_pictures(ax, corners), *_grown(ax, runs[0])])
+    else:
+        figure = plan_figure(log, runs, corners, factor=factor)
+    save(figure, folder / "figures", stem, _formats(options))
     return Picture(stem, f"`{log.name}`: {what}. World frame, no alignment.", f"Plan of {log.name}: {what}")
+
+
+def _grown(ax: Axes, run: Run) -> list[Line2D]:
+    """Ellipses along a dead-reckoned path, in their size; what the legend shows of them."""
+    mean, covariance = along_path(series([run])[0])
+    draw_ellipses(ax, mean, covariance, "#606060", 1.0, 3.5)
+    return [Line2D([], [], color="#606060", marker="o", markerfacecolor="none", linestyle="none", label="3σ ellipses")]
 
 
 def _path(run: Run) -> Array:
