@@ -174,11 +174,11 @@ def _maintenance(lab: Lab, setup: Setup) -> Drawn:
 def _update_time(folder: Path, lab: Lab, setup: Setup, tables: tuple[str, ...]) -> Drawn:
     both = maintained_pair(lab)
     assert both is not None  # asked for only where there is one
-    times = []
-    for s, maintain in zip(both, (False, True), strict=True):
-        label = f"{called(s.run)} {'with' if maintain else 'without'} maintenance"
-        own = replace(setup, maintain=maintain)
-        times.append((label, s.run.association, update_times(s.log, s.run.estimator, s.run.association, own)))
+    plain = both[0]
+    setups = [replace(setup, maintain=maintain) for maintain in (False, True)]
+    measured = update_times(plain.log, plain.run.estimator, plain.run.association, setups)
+    labels = [f"{called(plain.run)} {what} maintenance" for what in ("without", "with")]
+    times = [(label, plain.run.association, t) for label, t in zip(labels, measured, strict=True)]
     log = both[0].log
     rows = [
         [label, *(1e3 * f(t.update) for f in (np.median, np.max, np.sum)), 1e3 * np.sum(t.maintenance)]
