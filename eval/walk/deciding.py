@@ -32,8 +32,8 @@ def draw_decisions(
         lines(ax, p, [q for q in missed if q[1] >= 0], color=BAD, linewidth=0.9, linestyle=":", zorder=3.8)
     kinds = (("o", decisions >= 0, 3.0), ("*", decisions == NEW, 6.5), ("x", decisions < NEW, 4.5))
     for colour, group in ((GOOD, ~wrong), (BAD, wrong)):
-        for marker, kind, size in kinds:
-            ax.plot(*p.xy[kind & group].T, marker, color=colour, markersize=size, linestyle="none", zorder=5)
+        for marker, kind, large in kinds:
+            ax.plot(*p.xy[kind & group].T, marker, color=colour, markersize=large, linestyle="none", zorder=5)
     named = np.arange(len(wrong)) if all_numbers else np.flatnonzero(wrong)
     write_numbers(
         ax, p.xy[named], [str(i) for i in named], "#202020" if all_numbers else BAD, size if all_numbers else size + 1.0
