@@ -13,7 +13,8 @@ from matplotlib.ticker import MaxNLocator
 
 from data.inputs import IntArray
 from data.se2 import Array
-from eval.figures.style import DOUBLE, drawing
+from eval.figures.paper.look import page_width
+from eval.figures.style import drawing
 from eval.walk.deciding import draw_decisions, scene_of_wrong, wrong_of
 from eval.walk.marks import BAD, DASHES, DULL, FAINT, GOOD, HALO, LANDMARK, called, outlines, robot_axes, write_numbers
 from eval.walk.plane import Matching, Plane, lines, plane_of
@@ -36,8 +37,8 @@ def closer_figure(m: Matching, method: str) -> Figure:
         assert not isinstance(decided, str)  # the frame is one that this method updates with
         truth = m.truth.get(method)
         middle, half = _region(p, decided, scene_of_wrong(p, decided, truth))
-        fig = Figure(figsize=(DOUBLE, TALL), layout="none")
-        left, right = (fig.add_axes((x, 0.215, 0.415, 0.415 * DOUBLE / TALL)) for x in (0.085, 0.575))
+        fig = Figure(figsize=(page_width(), TALL), layout="none")
+        left, right = (fig.add_axes((x, 0.215, 0.415, 0.415 * page_width() / TALL)) for x in (0.085, 0.575))
         for ax in (left, right):
             _scene(ax, p, middle, half, wrong_of(truth) if ax is left else None)
         d2 = m.expectation.individual_distances()
@@ -65,10 +66,10 @@ def methods_figure(m: Matching, methods: Sequence[str]) -> Figure:
         p, first = plane_of(m), m.decisions[methods[0]]
         scene = None if isinstance(first, str) else scene_of_wrong(p, first, m.truth.get(methods[0]))
         middle, half = _region(p, np.empty(0, np.int64) if isinstance(first, str) else first, scene)
-        fig = Figure(figsize=(DOUBLE, FLAT), layout="none")
+        fig = Figure(figsize=(page_width(), FLAT), layout="none")
         wide = 0.925 / len(methods)
         for k, name in enumerate(methods):
-            ax = fig.add_axes((0.075 + k * wide, 0.27, wide - 0.03, (wide - 0.03) * DOUBLE / FLAT))
+            ax = fig.add_axes((0.075 + k * wide, 0.27, wide - 0.03, (wide - 0.03) * page_width() / FLAT))
             _scene(ax, p, middle, half, None)
             ax.tick_params(labelleft=k == 0)
             robot_axes(ax, left=k == 0)

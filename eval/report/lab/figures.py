@@ -15,7 +15,8 @@ from data.log import Log
 from data.result import Run
 from data.se2 import Array
 from eval.figures.error import ticks, time_label
-from eval.figures.style import DASHED, DOUBLE, SOLID, TRUTH_COLOUR, colour_of_method, drawing
+from eval.figures.paper.look import page_width
+from eval.figures.style import DASHED, SOLID, TRUTH_COLOUR, colour_of_method, drawing
 from eval.figures.view import true_landmarks
 from eval.referee.errors import landmark_true_ids, position_distance, rms
 from eval.referee.score import Trial
@@ -43,7 +44,7 @@ def called(run: Run) -> str:
 def people_figure(quiet: Sequence[Shown], busy: Sequence[Shown]) -> Figure:
     """Maps of some methods with people about, and their position error with people and without."""
     with drawing():
-        fig = Figure(figsize=(DOUBLE, 4.9))
+        fig = Figure(figsize=(page_width(), 4.9))
         grid = fig.add_gridspec(2, len(busy), height_ratios=(2.5, 1.0))
         for k, (without, s) in enumerate(zip(quiet, busy, strict=True)):
             ax = fig.add_subplot(grid[0, k])
@@ -70,7 +71,7 @@ def paths_figure(quiet: Sequence[Shown], busy: Sequence[Shown]) -> Figure:
     with drawing():
         columns = 3
         rows = -(-len(quiet) // columns)
-        fig = Figure(figsize=(DOUBLE, 0.5 + 2.6 * rows))
+        fig = Figure(figsize=(page_width(), 0.5 + 2.6 * rows))
         axes = fig.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
         for k, s in enumerate(quiet):
             ax = axes.flat[k]
@@ -93,7 +94,7 @@ def paths_figure(quiet: Sequence[Shown], busy: Sequence[Shown]) -> Figure:
 def maintenance_figure(plain: Shown, kept: Shown) -> Figure:
     """The map at the end without and with maintenance, what was removed, and the length of the state over time."""
     with drawing():
-        fig = Figure(figsize=(DOUBLE, 4.9))
+        fig = Figure(figsize=(page_width(), 4.9))
         grid = fig.add_gridspec(2, 2, height_ratios=(2.5, 1.0))
         for k, (s, what) in enumerate(((plain, "without maintenance"), (kept, "with maintenance"))):
             ax = fig.add_subplot(grid[0, k])
@@ -117,7 +118,7 @@ def maintenance_figure(plain: Shown, kept: Shown) -> Figure:
 def update_time_figure(log: Log, times: Sequence[tuple[str, str, Array]], repeats: int) -> Figure:
     """Measured time of each frame's update, by label and way of association: (N,) s each. Never the same twice."""
     with drawing():
-        fig = Figure(figsize=(DOUBLE, 2.3))
+        fig = Figure(figsize=(page_width(), 2.3))
         ax = fig.add_subplot()
         for k, (label, association, seconds) in enumerate(times):
             ms = 1e3 * seconds

@@ -14,7 +14,7 @@ from data.result import Run
 from eval.figures.error import error_figure
 from eval.figures.style import save
 from eval.page.document import Picture
-from eval.page.tables import write_table
+from eval.page.written import write_table
 from eval.referee.score import Trial
 from eval.replay.settings import Setup
 from eval.report.corridor.facts import Lab, look, pair_of, run_of

@@ -49,7 +49,7 @@ def _corridor(folder: Path, options: Options, lab: Lab, scores: Scores, lost: Un
         blocks: list[Block] = [
             f"**{question.short(lab, scores)}**",
             *(made[kind] for kind in question.pictures if kind in made),
-            written_table(numbers(question.table(lab), scores), folder, name, caption, options.formats),
+            written_table(numbers(question.table(lab), scores), folder, name, caption, options),
             paragraph,
         ]
         sections.append(Section(f"Question {n}: {question.heading}", tuple(blocks)))
