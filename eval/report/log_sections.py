@@ -12,7 +12,7 @@ from eval.page.document import Block, Picture, Section, written_table
 from eval.page.numbers import number
 from eval.page.tables import is_blank
 from eval.plan.flags.options import Options
-from eval.plan.tutorial import is_tutorial
+from eval.plan.tutorials.recording import is_tutorial
 from eval.referee.score import Scores, Trial
 from eval.report import comparison
 from eval.report.differences import CAPTION as DIFFERENCES_CAPTION

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from eval.replay.flag import flag, numbers, one_of, positive, positive_or_none, probability, switch, text, texts
+from eval.replay.flag import flag, numbers, one_of, positive, positive_or_none, probability, switch, text, texts, whole
 from eval.replay.names import ASSOCIATIONS, TASKS
 
 
@@ -23,7 +23,13 @@ class Variant:
         new_variance: m^2, variance of a new landmark, uncorrelated; None: exact augmentation.
         new_variance_per_square: the same as a share of the squared range.
         association: how it pairs; gate, new_gate: probabilities, None for no gate.
-        notes: what is not reproduced of the original, one sentence each.
+        start: s after the first ground-truth row; the log begins no earlier.
+        own_odometry, gapless, skip_led_by: see `data.mrclam.frames.Grid`.
+        filled_prior: all nine entries of the prior's covariance are its variance, not the three on the diagonal.
+        gain_before_prediction, running_minimum: faults of the programs, see `eval.plan.tutorials.programs`.
+        original: what the original program gives on `original_log`: sum of squared errors of position [m^2], and
+            position RMSE [m].
+        notes: what the original does otherwise than the algorithm it teaches, and what of it is not reproduced.
     """
 
     name: str = field(metadata=flag(text("a name")))
@@ -39,4 +45,13 @@ class Variant:
     association: str = field(default="known", metadata=flag(one_of(ASSOCIATIONS)))
     gate: float | None = field(default=None, metadata=flag(probability))
     new_gate: float | None = field(default=None, metadata=flag(probability))
+    start: float | None = field(default=None, metadata=flag(positive_or_none))
+    own_odometry: bool = field(default=False, metadata=flag(switch))
+    gapless: bool = field(default=False, metadata=flag(switch))
+    skip_led_by: int | None = field(default=None, metadata=flag(whole(0, "must not be negative")))
+    filled_prior: bool = field(default=False, metadata=flag(switch))
+    gain_before_prediction: bool = field(default=False, metadata=flag(switch))
+    running_minimum: bool = field(default=False, metadata=flag(switch))
+    original: tuple[float, float] | None = field(default=None, metadata=flag(numbers(2)))
+    original_log: str = field(default="", metadata=flag(text("a name")))
     notes: tuple[str, ...] = field(default=(), metadata=flag(texts))

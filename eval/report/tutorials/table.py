@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import pandas as pd
 
 from eval.page.tables import drop_blank_columns
-from eval.plan.tutorial import is_tutorial
+from eval.plan.tutorials.recording import is_tutorial
 from eval.referee.confusion import OUTCOMES
 from eval.referee.metrics import heads
 from eval.referee.score import Scores, Trial

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from data.worlds.arena import Arena, simulate
-from eval.plan.tutorial import ABOUT
+from eval.plan.tutorials.recording import ABOUT
 from eval.referee.score import Trial, score
 from eval.replay.run import compare
 from eval.report.tutorials.table import given, logs_with_tutorials, tutorial_table

@@ -13,13 +13,16 @@ from data.inputs import Prior
 from data.log import Log
 from data.motion import VelocityModel, VelocityNoise
 from data.mrclam.calibration import Calibration
+from data.mrclam.frames import Grid
 from data.mrclam.load import load_mrclam
 from data.result import Run
 from ekf.filter import FilterOptions
 from eval.plan.flags.variant import Variant
+from eval.plan.tutorials.programs import GainFromBefore, RunningMinimum
 from eval.referee.score import Trial
 from eval.replay.plausible import with_doubt
-from eval.replay.run import filter_known, step_by_step
+from eval.replay.frontend import FrontEnd
+from eval.replay.run import driven
 from eval.replay.settings import Setup
 
 ABOUT = "the same recording with a classic tutorial's numbers"
@@ -48,16 +51,17 @@ def variant_log(log: Log, variant: Variant) -> Log:
     changed = load_mrclam(
         source,
         int(str(s["robot"])),
-        start=_seconds(window["start"]),
+        start=_later(_seconds(window["start"]), variant.start),
         stop=_seconds(window["stop"]),
         landmarks=None if landmarks is None else Path(str(landmarks)),
         exclude_truth=_pairs(s.get("exclude_truth")),
-        grid=variant.grid,
+        grid=Grid(variant.grid, variant.own_odometry, variant.gapless, variant.skip_led_by),
         calibration=Calibration(),
         motion=VelocityModel(VelocityNoise("displacement", alphas=variant.alphas), variant.model),
         sigma=variant.sigma,
     )
-    prior = Prior(changed.recorded.prior.mean, variant.prior_variance * np.eye(3))
+    shape = np.ones((3, 3)) if variant.filled_prior else np.eye(3)
+    prior = Prior(changed.recorded.prior.mean, variant.prior_variance * shape)
     return replace(
         changed,
         name=f"{log.name}:{variant.name}",
@@ -76,12 +80,19 @@ def tutorial_run(log: Log, variant: Variant) -> Run:
         each=variant.each, new_variance=variant.new_variance, new_variance_per_square=variant.new_variance_per_square
     )
     with threadpool_limits(1):  # as in `eval.replay.run.compare`
-        if known:
-            run = filter_known(inputs, variant.task, options=options)
-        else:
-            setup = Setup(gate=variant.gate, new_gate=variant.new_gate)
-            run = step_by_step("ekf", inputs, variant.task, variant.association, setup, options=options)
+        setup = Setup(gate=variant.gate, new_gate=variant.new_gate, gate_known=None)
+        kind = RunningMinimum if variant.running_minimum else FrontEnd
+        front = kind("ekf", variant.association, inputs, setup, options)
+        if variant.gain_before_prediction:
+            assert inputs.map is not None
+            front.estimator = GainFromBefore(inputs.prior, inputs.sensor, inputs.map, options)
+        run = driven("ekf", front, inputs, variant.task, each=variant.each)
     return replace(with_doubt(run, inputs), notes=(*run.notes, *variant.notes))
+
+
+def _later(asked: float | None, variant: float | None) -> float | None:
+    """The later of two beginnings, each of which may be left open."""
+    return max((s for s in (asked, variant) if s is not None), default=None)
 
 
 def _seconds(value: object) -> float | None:
