@@ -91,7 +91,9 @@ def lay_out(
         led = np.zeros(len(frame), bool)
         if grid.skip_led_by is not None:
             led = readings.true_id[np.searchsorted(frame, frame)] == grid.skip_led_by
-            notes.append(f"{int(led.sum())} readings left out: the first of their frame is of landmark {grid.skip_led_by}.")
+            notes.append(
+                f"{int(led.sum())} readings left out: the first of their frame is of landmark {grid.skip_led_by}."
+            )
         readings, frame = readings.where(~led), frame[~led]
     increments, gaps = preintegrate(motion, odometry.time, odometry.v, odometry.omega, time)
     if gaps:

@@ -26,7 +26,7 @@ from eval.report.corridor.questions import lab_sections
 from eval.report.doubt.origin import origin_statement
 from eval.report.doubt.questions import questions_section, unused_statement
 from eval.report.laser.sections import against_relations, laser_sections
-from eval.report.log_sections import association_sections, beside, rows_of, trial_sections, tutorial_sections
+from eval.report.log_sections import association_sections, beside, rows_of, trial_sections
 from eval.report.pictures import draw, kinds, publish_runs
 from eval.report.results.said import results_statement
 from eval.report.revisions import revision_section
@@ -36,6 +36,7 @@ from eval.report.statements import failure_statement, gate_sentence
 from eval.report.studies import study_sections
 from eval.report.terminal.headline import headlines
 from eval.report.trust.sections import first_said
+from eval.report.tutorials.section import tutorial_sections
 from eval.report.visual.sections import visual_sections
 from eval.studies.montecarlo import Judged, consistency_table
 from eval.studies.reproduced import published_frame

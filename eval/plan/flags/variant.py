@@ -4,8 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from data.errors import UsageError
 from eval.replay.flag import flag, numbers, one_of, positive, positive_or_none, probability, switch, text, texts, whole
 from eval.replay.names import ASSOCIATIONS, TASKS
+
+
+def alphas_of(label: str, value: object) -> tuple[float, ...]:
+    """Four numbers, or six."""
+    found: tuple[float, ...] = numbers(6 if isinstance(value, (list, tuple)) and len(value) == 6 else 4)(label, value)
+    return found
 
 
 @dataclass(frozen=True)
@@ -16,7 +23,7 @@ class Variant:
         name: appended to the log's name.
         task: the one task it is about.
         grid: s, instants to which odometry and readings are brought.
-        model: motion model; alphas: displacement noise (see `data.motion.VelocityNoise`).
+        model: motion model; noise: the convention of its alphas (see `data.motion.VelocityNoise`).
         sigma: of range [m] and bearing [rad].
         prior_variance: of x, y [m^2] and heading [rad^2].
         each: one update per observation instead of one per frame.
@@ -36,9 +43,10 @@ class Variant:
     task: str = field(metadata=flag(one_of(TASKS)))
     grid: float = field(metadata=flag(positive))
     model: str = field(metadata=flag(one_of(("unicycle", "half_angle"))))
-    alphas: tuple[float, float, float, float] = field(metadata=flag(numbers(4)))
+    alphas: tuple[float, ...] = field(metadata=flag(alphas_of))
     sigma: tuple[float, float] = field(metadata=flag(numbers(2)))
     prior_variance: float = field(metadata=flag(positive))
+    noise: str = field(default="displacement", metadata=flag(one_of(("displacement", "textbook"))))
     each: bool = field(default=False, metadata=flag(switch))
     new_variance: float | None = field(default=None, metadata=flag(positive_or_none))
     new_variance_per_square: float | None = field(default=None, metadata=flag(positive_or_none))
@@ -55,3 +63,11 @@ class Variant:
     original: tuple[float, float] | None = field(default=None, metadata=flag(numbers(2)))
     original_log: str = field(default="", metadata=flag(text("a name")))
     notes: tuple[str, ...] = field(default=(), metadata=flag(texts))
+
+    def __post_init__(self) -> None:
+        if len(self.alphas) == 6 and self.noise != "textbook":
+            raise UsageError(f"{self.name}: six alphas go with noise = 'textbook', {self.noise!r} takes four")
+        if self.gain_before_prediction and (self.task, self.association) != ("localization", "known"):
+            raise UsageError(f"{self.name}: gain_before_prediction is for localization with labels")
+        if self.running_minimum and self.association != "ml-ratio":
+            raise UsageError(f"{self.name}: running_minimum is of the association ml-ratio")

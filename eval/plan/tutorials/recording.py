@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,8 +21,8 @@ from ekf.filter import FilterOptions
 from eval.plan.flags.variant import Variant
 from eval.plan.tutorials.programs import GainFromBefore, RunningMinimum
 from eval.referee.score import Trial
-from eval.replay.plausible import with_doubt
 from eval.replay.frontend import FrontEnd
+from eval.replay.plausible import with_doubt
 from eval.replay.run import driven
 from eval.replay.settings import Setup
 
@@ -57,7 +58,7 @@ def variant_log(log: Log, variant: Variant) -> Log:
         exclude_truth=_pairs(s.get("exclude_truth")),
         grid=Grid(variant.grid, variant.own_odometry, variant.gapless, variant.skip_led_by),
         calibration=Calibration(),
-        motion=VelocityModel(VelocityNoise("displacement", alphas=variant.alphas), variant.model),
+        motion=VelocityModel(VelocityNoise(variant.noise, alphas=variant.alphas), variant.model),
         sigma=variant.sigma,
     )
     shape = np.ones((3, 3)) if variant.filled_prior else np.eye(3)
@@ -66,6 +67,7 @@ def variant_log(log: Log, variant: Variant) -> Log:
         changed,
         name=f"{log.name}:{variant.name}",
         recorded=replace(changed.recorded, prior=prior),
+        source={**changed.source, **_original(s, variant)},
         notes=(*changed.notes, *variant.notes),
     )
 
@@ -88,6 +90,21 @@ def tutorial_run(log: Log, variant: Variant) -> Run:
             front.estimator = GainFromBefore(inputs.prior, inputs.sensor, inputs.map, options)
         run = driven("ekf", front, inputs, variant.task, each=variant.each)
     return replace(with_doubt(run, inputs), notes=(*run.notes, *variant.notes))
+
+
+def _original(source: Mapping[str, object], variant: Variant) -> dict[str, object]:
+    """The original program's numbers, if the log is the whole recording that it was run on."""
+    whole = source.get("start") is None and source.get("stop") is None
+    here = f"{source.get('dataset')}, robot {source.get('robot')}"
+    if variant.original is None or not whole or here != variant.original_log:
+        return {}
+    return {"original": list(variant.original)}
+
+
+def original_of(trial: Trial) -> tuple[float, float] | None:
+    """Sum of squared position errors [m^2] and RMSE [m] of the original program on a tutorial's recording, if known."""
+    given = trial.log.source.get("original")
+    return (float(given[0]), float(given[1])) if isinstance(given, list) else None
 
 
 def _later(asked: float | None, variant: float | None) -> float | None:
