@@ -137,8 +137,8 @@ class VelocityNoise:
     `displacement`: per sample (a1 |v| + a2 |omega|)^2 and (a3 |v| + a4 |omega|)^2, without the sample's length, and
     with the classic tutorials' mapping to the pose (along the chord; half sideways and once in heading).
     `density`: sigma per sqrt(s) of displacement [m] and rotation [rad].
-    `textbook`: variances a1 v^2 + a2 omega^2 of v and a3 v^2 + a4 omega^2 of omega, independent at each sample and mapped
-    through its length; with six alphas also a5 v^2 + a6 omega^2 of the rate of a final rotation, which turns the robot
+    `textbook`: variances a1 v^2 + a2 omega^2 of v and a3 v^2 + a4 omega^2 of omega, independent at each sample and
+    mapped through its length; with six alphas also a5 v^2 + a6 omega^2 of the rate of a final rotation, which turns the robot
     where it has arrived (Thrun, Burgard and Fox, Probabilistic Robotics, section 5.3, Tables 5.3 and 7.2).
     """
 

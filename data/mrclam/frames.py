@@ -91,9 +91,8 @@ def lay_out(
         led = np.zeros(len(frame), bool)
         if grid.skip_led_by is not None:
             led = readings.true_id[np.searchsorted(frame, frame)] == grid.skip_led_by
-            notes.append(
-                f"{int(led.sum())} readings left out: the first of their frame is of landmark {grid.skip_led_by}."
-            )
+            why = f"the first of their frame is of landmark {grid.skip_led_by}"
+            notes.append(f"{int(led.sum())} readings left out: {why}.")
         readings, frame = readings.where(~led), frame[~led]
     increments, gaps = preintegrate(motion, odometry.time, odometry.v, odometry.omega, time)
     if gaps:
@@ -114,7 +113,7 @@ def held_back(odometry: Odometry) -> Odometry:
 
 
 def _on_grid(odometry: Odometry, time: Array, grid: Grid) -> Odometry:
-    """Velocities for the time from each of the grid's instants (N,) to the next; none inside a gap, unless `gapless`."""
+    """Velocities from each of the grid's instants (N,) to the next; none inside a gap, unless `gapless`."""
     t = odometry.time
     after = np.searchsorted(t, time, side="left").clip(0, len(t) - 1)
     before = (np.searchsorted(t, time, side="right") - 1).clip(0)

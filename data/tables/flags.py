@@ -171,8 +171,8 @@ def _noise(given: Given, kind: str) -> VelocityNoise | TravelNoise:
         "density": "of v [m] and omega [rad], per square root of a second, as in 0.05,2deg",
         "velocity": "of v [m/s] and omega [rad/s], of each sample, as in 0.1,5deg",
         "displacement": "A1,A2,A3,A4: sigma_v = A1 |v| + A2 |omega|, sigma_omega = A3 |v| + A4 |omega|",
-        "textbook": "A1,A2,A3,A4[,A5,A6]: sigma_v^2 = A1 v^2 + A2 omega^2, sigma_omega^2 = A3 v^2 + A4 omega^2, and of a "
-        "final rotation A5 v^2 + A6 omega^2",
+        "textbook": "A1,A2,A3,A4[,A5,A6]: sigma_v^2 = A1 v^2 + A2 omega^2, sigma_omega^2 = A3 v^2 + A4 omega^2, "
+        "A5 v^2 + A6 omega^2 of a final rotation",
         "travel": "of the way [m] per sqrt(m) and per sqrt(rad), of the heading [rad] per sqrt(m) and per sqrt(rad); "
         f"{','.join(f'{n:g}' for n in TravelNoise())} was measured on a robot with wheels in an office",
     }[model]

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
 from eval.figures.paper.look import page_width, points
 from eval.figures.style import drawing, style_of
@@ -60,11 +61,14 @@ def _knowledge_figure(title: str, rows: Sequence[Known]) -> Figure:
             wrong.barh(y, 100.0 * row.wrong, height=0.7, color=style.colour, hatch="////" if row.tutorial else "",
                        edgecolor="#FFFFFF", linewidth=0.0)  # fmt: skip
     error.set_xscale("log")
+    error.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    error.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    error.xaxis.set_minor_locator(NullLocator())
     error.set_xlabel("position RMSE [m]")
     wrong.set_xlabel("wrong decisions, FP and FN [%]")
     wrong.set_xlim(0.0, max(100.0 * max((r.wrong or 0.0 for r in rows), default=0.0) * 1.05, 1.0))
     error.set_yticks(place, [r.label for r in rows])
-    error.set_ylim(float(place[-1]) + 0.8, 0.0)
+    error.set_ylim(float(place[-1]) + 0.8, -0.4)
     for ax in (error, wrong):
         ax.grid(axis="y", visible=False)
         ax.tick_params(axis="y", length=0)

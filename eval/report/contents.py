@@ -15,6 +15,7 @@ from eval.plan.cluster import Call
 from eval.plan.execute import Outcome
 from eval.plan.flags.options import Options
 from eval.plan.provenance import command_of, provenance
+from eval.plan.tutorials.recording import is_tutorial
 from eval.plan.unfinished import Unfinished
 from eval.plan.work import work
 from eval.referee.consistency import MIN_RUNS
@@ -226,12 +227,12 @@ def _labelled(trial: Trial) -> int | None:
 
 
 def _source_section(trials: Sequence[Trial], options: Options) -> Section:
-    notes = []
+    notes, tutorials = [], {t.log.name for t in trials if is_tutorial(t)}
     for log in {t.log.name: t.log for t in trials}.values():
         kind = log.source.get("kind", "open log folder")
         r = log.recorded
         labels = " Labels are sensed." if log.labels_are_sensed else ""
-        if log.has_labels:
+        if log.has_labels and log.name not in tutorials:  # those gate nothing
             labels += f" {gate_sentence(options, sensed=log.labels_are_sensed)}"
         notes.append(
             f"* `{log.name}` ({kind}): {counted(len(r), 'frame')}, {counted(len(r.observations.frame), 'observation')},"
