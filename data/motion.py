@@ -87,9 +87,9 @@ def _append(mean, cov, step_mean, step_cov):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _preintegrate(model, lateral, time, v, omega, rate, hold, beyond, lead, fastest, at, mean, cov):  # type: ignore[no-untyped-def]
-    """Loop of `preintegrate`; rate (K, 3): variances per second of D, A and the final rotation; hold (K,), beyond (K,): s that
-    sample k lasts and that pass after it without odometry; lead: s before the first; fastest (2,): largest
-    |v|, |omega|.
+    """Loop of `preintegrate`; rate (K, 3): variances per second of D, A and the final rotation; hold (K,), beyond (K,):
+    s that sample k lasts and that pass after it without odometry; lead: s before the first; fastest (2,): largest |v|,
+    |omega|.
     """
     n = len(time)
     k = max(np.searchsorted(time, at[0], side="right") - 1, 0)
@@ -138,8 +138,8 @@ class VelocityNoise:
     with the classic tutorials' mapping to the pose (along the chord; half sideways and once in heading).
     `density`: sigma per sqrt(s) of displacement [m] and rotation [rad].
     `textbook`: variances a1 v^2 + a2 omega^2 of v and a3 v^2 + a4 omega^2 of omega, independent at each sample and
-    mapped through its length; with six alphas also a5 v^2 + a6 omega^2 of the rate of a final rotation, which turns the robot
-    where it has arrived (Thrun, Burgard and Fox, Probabilistic Robotics, section 5.3, Tables 5.3 and 7.2).
+    mapped through its length; with six alphas also a5 v^2 + a6 omega^2 of the rate of a final rotation, which turns the
+    robot where it has arrived (Thrun, Burgard and Fox, Probabilistic Robotics, section 5.3, Tables 5.3 and 7.2).
     """
 
     kind: str
