@@ -13,9 +13,9 @@ from data.recordings.wheel_odometry import TravelNoise
 from data.se2 import Array
 from data.tables.columns import ROLES, Columns
 from data.tables.files import read_text
-from data.tables.log import FROM_TRUTH, Wanted
 from data.tables.motion import KINDS, Wheels, kind_of
 from data.tables.units import Units, quantity_with_unit
+from data.tables.wanted import FROM_TRUTH, Wanted
 from data.toml_table import load_toml
 
 POSE = ("length", "length", "angle")

@@ -16,10 +16,9 @@ from eval.plan.beside import maintained, shows_noise, sparser, with_depth_noise
 from eval.plan.experiment import Experiment, Work
 from eval.plan.flags.options import Options
 from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS
-from eval.plan.foreign import check_possible, check_scenario, load_all
+from eval.plan.foreign import check_possible, check_scenario, introduce_all, load_all
+from eval.plan.lab import lab_experiments
 from eval.plan.results import NOTHING, Asked, asked_results, truth_alone
-from eval.replay.foreign.places import introduce
-from eval.replay.foreign.spec import is_foreign, name_of
 from eval.replay.laser.backends import NAMES as BACK_ENDS
 from eval.replay.settings import Setup
 from eval.studies.scenario import Scenario
@@ -58,8 +57,7 @@ class Plan:
 def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
     """Open the logs and settle what is done; raises UsageError for what makes no sense together."""
     load_all(options.estimator, options.association)
-    names = [name_of(text) for text in (*options.estimator, *options.association) if is_foreign(text)]
-    introduce([*names, *(text.partition("=")[0] for text in options.result)])
+    introduce_all((*options.estimator, *options.association), options.result)
     if options.scenario:
         return _scenarios(options)
     for folder in options.data:
@@ -67,9 +65,12 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
             raise UsageError(f"--data {folder}: no such folder")
     if options.relations is not None and len(options.log) != 1:
         raise UsageError(f"--relations {options.relations}: belongs to one log; give it with one --log")
-    given = asked_results(options, options.log, options.data, names)
+    given = asked_results(options, options.log, options.data)
     alone = given.file is not None and not options.log
-    experiments = [] if options.log or alone else _default(options, say)
+    if options.lab is not None:
+        experiments = lab_experiments(options, options.lab, reading_of(options), say)
+    else:
+        experiments = [] if options.log or alone else _default(options, say)
     if alone:
         experiments = [Experiment(truth_alone(given), "slam", (), options.setup)]
     asked = [open_log(name, reading_of(options), say) for name in options.log]
@@ -101,7 +102,7 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
     check_possible(experiments)
     runs = options.runs
     if runs is None:
-        runs = 0 if options.log or alone else QUICK_RUNS if options.quick else DEFAULT_RUNS
+        runs = 0 if options.log or options.lab or alone else QUICK_RUNS if options.quick else DEFAULT_RUNS
     return Plan(tuple(experiments), ((load_scenario("arena"), runs),) if runs else (), given=given)
 
 
@@ -138,8 +139,7 @@ def _scenarios(options: Options) -> Plan:
     for name in every:
         if [folder_name(n) for n in every].count(folder_name(name)) > 1:
             raise UsageError(f"two scenarios are named {name!r}; rename one (the name stands in its file)")
-    members = [(*(m.name for m in s.members), *s.association) for s, _ in [*studies, *stored]]
-    introduce(name_of(text) for own in members for text in own if is_foreign(text))
+    introduce_all([text for s, _ in [*studies, *stored] for text in (*(m.name for m in s.members), *s.association)])
     return Plan((), tuple(studies), tuple(stored), tuple(skipped), tuple(validations))
 
 

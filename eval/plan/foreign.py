@@ -11,7 +11,8 @@ from eval.replay.foreign.guard import ForeignError
 from eval.replay.foreign.load import Loaded, load
 from eval.replay.foreign.make import lack, tasks_of
 from eval.replay.foreign.method import Method
-from eval.replay.foreign.spec import is_foreign, name_of, place_of
+from eval.replay.foreign.places import introduce
+from eval.replay.foreign.spec import is_foreign, name_of, place_of, shown
 from eval.replay.settings import Setup
 from eval.studies.scenario import Scenario
 
@@ -27,6 +28,19 @@ def load_all(estimators: Sequence[str], associations: Sequence[str]) -> None:
                 Method(load(text))
             except ForeignError as fault:
                 raise UsageError(f"{place_of(text).shown}: {fault}") from fault
+
+
+def introduce_all(texts: Iterable[str], results: Sequence[str] = ()) -> None:
+    """All names of a run that are not ours get looks of their own; `results`: as NAME=FILE.
+
+    Raises UsageError for a result that has the name of a foreign estimator.
+    """
+    named = {name_of(text): text for text in texts if is_foreign(text)}
+    handed_in = [text.partition("=")[0] for text in results]
+    for name in handed_in:
+        if name in named:
+            raise UsageError(f"--result {name}: {shown(named[name])} has that name, too; give one of them another")
+    introduce([*named, *handed_in])
 
 
 def check_possible(experiments: Iterable[Experiment]) -> None:

@@ -201,11 +201,8 @@ class Asked:
 NOTHING = Asked()
 
 
-def asked_results(reading: Results, logs: Sequence[str], folders: Sequence[str], taken: Sequence[str] = ()) -> Asked:
-    """What `--result` and `--truth` ask for, read; raises UsageError for what makes no sense together.
-
-    `taken`: names of estimators of others that run, too.
-    """
+def asked_results(reading: Results, logs: Sequence[str], folders: Sequence[str]) -> Asked:
+    """What `--result` and `--truth` ask for, read; raises UsageError for what makes no sense together."""
     for row in rows(Reading).values():
         if getattr(reading, row.name) != row.default and not (reading.result or reading.truth):
             raise UsageError(f"{row.option}: for results; --result NAME=FILE is missing")
@@ -219,8 +216,6 @@ def asked_results(reading: Results, logs: Sequence[str], folders: Sequence[str],
     if not logs and not reading.result:
         raise UsageError(f"{flag}: nothing to score; --result NAME=FILE is needed, or the --log it is the truth of")
     results = read_results(reading.result, reading)
-    for name in (r.name for r in results if r.name in taken):
-        raise UsageError(f"--result {name}=...: an estimator has that name; give it another")
     names = [r.name for r in results]
     file = None if reading.truth is None else true_path(reading.truth, names, reading)
     truth = None if file is None else TruePath(file.time, file.pose)

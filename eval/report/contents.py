@@ -18,6 +18,7 @@ from eval.plan.provenance import command_of, provenance
 from eval.plan.tutorials.recording import is_tutorial
 from eval.plan.unfinished import Unfinished
 from eval.plan.work import work
+from eval.player.write import played, write_player
 from eval.referee.consistency import MIN_RUNS
 from eval.referee.files import top
 from eval.referee.paths.given import GivenRun, is_truth_alone
@@ -26,6 +27,7 @@ from eval.report.answer import answer
 from eval.report.corridor.questions import lab_sections
 from eval.report.doubt.origin import origin_statement
 from eval.report.doubt.questions import questions_section, unused_statement
+from eval.report.lab.sections import hand_in
 from eval.report.laser.sections import against_relations, laser_sections
 from eval.report.log_sections import association_sections, beside, rows_of, trial_sections
 from eval.report.pictures import draw, kinds, publish_runs
@@ -92,7 +94,8 @@ def write_results(
     (folder / "runs").mkdir()
     write_truths(folder, outcome.trials)
     published = _publish_trials(folder, options, outcome.trials, lost, progress)
-    sections = questions_section(outcome.trials)
+    sections = hand_in(folder, options, outcome.trials, scores, lost)
+    sections += questions_section(outcome.trials)
     sections += trial_sections(folder, options, outcome.trials, scores, published, outcome.trust)
     sections += laser_sections(folder, options, outcome.trials, published)
     sections += visual_sections(folder, options, outcome.trials)
@@ -156,10 +159,12 @@ def _publish_trials(
             jobs.append(((i, place), (partial(draw, quick=options.quick), (folder, trial, kind, others))))
     for i, trial in enumerate(trials):
         jobs.append(((i, -1), (publish_runs, (folder, options, trial))))
+    for group in () if options.no_plots else played(trials):
+        jobs.append(((trials.index(group[0]), -2), (write_player, (folder, group, options.setup))))
     made: dict[tuple[int, int], Picture] = {}
 
     def missing(owner: tuple[int, int], why: str) -> None:
-        what = "files of its runs" if owner[1] < 0 else "a picture"
+        what = {-1: "files of its runs", -2: "the player"}.get(owner[1], "a picture")
         lost.say(f"{trials[owner[0]].log.name}, {trials[owner[0]].task}: {what} missing", why)
 
     for done, (owner, picture) in enumerate(work(jobs, options, lost=missing), start=1):

@@ -9,6 +9,7 @@ import pandas as pd
 
 from eval.page.document import Block, Picture, Section, written_table
 from eval.plan.flags.options import Options
+from eval.player.write import player_of
 from eval.referee.score import Scores, Trial
 from eval.report import comparison
 from eval.report.differences import CAPTION as DIFFERENCES_CAPTION
@@ -71,6 +72,8 @@ def trial_sections(
         notes += [f"{text}." for text in minima_statements(trial)]
         if notes:
             blocks.append("\n".join(f"* {n}" for n in dict.fromkeys(notes)))
+        if (folder / player_of(trial.log.name)).is_file():
+            blocks.insert(0, f"[Play {trial.log.name} in the browser]({player_of(trial.log.name)}).")
         sections.append(Section(f"{trial.log.name}, {trial.task}", tuple(blocks)))
         sections += trust_section(folder, options, trial, pictures, trust)
     return sections

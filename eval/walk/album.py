@@ -57,10 +57,10 @@ class Album:
         """A picture in the window `name` and, with a stem, as a file; nothing is painted for nobody."""
         if self.windows is None and (self.folder is None or stem is None):
             return
-        with drawing():
-            # a layout engine would draw everything twice, and the painters know where things stand
-            with rc_context({"figure.constrained_layout.use": False}):
-                figure = Figure() if self.windows is None else self.windows.figure(num=name, clear=True)
+        # a layout engine would draw everything twice, and the painters know where things stand; saving a figure puts
+        # back the one that the settings name, so they must not name any until all is done
+        with drawing(), rc_context({"figure.constrained_layout.use": False}):
+            figure = Figure() if self.windows is None else self.windows.figure(num=name, clear=True)
             paint(figure)
             if stem is not None:
                 self.write(f"{stem}.png", _png(figure))
@@ -72,7 +72,13 @@ class Album:
         """The same for a figure that exists already, as the file `name`; a window gets an image of it."""
         with drawing():
             png = _png(figure)
-        self.write(f"{name}.png", png)
+        self.show_image(name, png, name)
+
+    def show_image(self, name: str, png: bytes, stem: str) -> None:
+        """An image, as the file `stem` and in the window `name`."""
+        self.write(f"{stem}.png", png)
+        if self.windows is None:
+            return
         image = imread(io.BytesIO(png))
         self.show(name, lambda fig: fig.add_axes((0, 0, 1, 1), frameon=False).imshow(image), None)
 

@@ -123,3 +123,9 @@ def test_a_changed_file_is_another_study(here):
     assert content_digest(load_scenario("study.toml")) == before
     Path("things.py").write_text(THINGS + "\n", encoding="utf-8")
     assert content_digest(load_scenario("study.toml")) != before
+
+
+def test_a_result_with_the_name_of_a_foreign_estimator_is_an_error(capsys):
+    asked = ["--log", "arena:0", "--estimator", "m=./things.py:Mine", "--result", "m=est.tum"]
+    assert main([*asked, "--out", "r", "-q"]) == 2
+    assert "--result m: m=./things.py:Mine has that name, too" in capsys.readouterr().err

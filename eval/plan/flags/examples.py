@@ -16,6 +16,9 @@ examples:
   python -m eval.run_all --log visual:0:frames=40 --corner-noise depth
   python -m eval.run_all --log corridor:0:people+range=8    the corridor lab: people in the way, any constant changed
   python -m eval.run_all --log intel.log.gz --relations intel.relations.csv    a CARMEN laser log, scored by relations
+  python -m eval.run_all --lab corridor:3                   the corridor lab as a whole: its six questions answered
+  python -m eval.run_all --lab corridor:3+srho=0.05 --write-up     with another sensor, and a text to hand in
+  python -m eval.run_all --lab visual:0                     the visual lab: its three questions
   python -m eval.run_all --data ~/datasets                  every dataset found in a folder, two levels deep
   python -m eval.run_all --log my_log --estimator ekf,batch-cauchy --association known
   python -m eval.run_all --log arena:0 --task slam --estimator ekf,ekf-invariant,isam2,batch

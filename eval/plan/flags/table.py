@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 from eval.plan.flags.examples import EPILOG, PROG
+from eval.plan.flags.lab import LabFlags
 from eval.plan.flags.paper import Paper
 from eval.plan.flags.results import Results
 from eval.plan.flags.variant import Variant
@@ -83,7 +84,7 @@ class Selection:
 
 
 @dataclass(frozen=True)
-class Options(Paper, Setup, Results, Selection):
+class Options(Paper, Setup, Results, LabFlags, Selection):
     """What was asked for, the setup included; field names are the config file's keys (with `-` for `_`).
 
     Attributes:

@@ -105,6 +105,11 @@ OF_LOGS = (
 OTHERS = (
     File("report.html", "The report, in one file."),
     File("report.md", "The same in Markdown."),
+    File(
+        "players/<log>.html",
+        "Every run on a log, frame by frame, in a browser: one file, which loads nothing.",
+        when="not with `--no-plots`",
+    ),
     File("tables/<name>.csv", "A table of the report, every digit, with the heads that people read."),
     File("tables/<name>.md", "The same in Markdown, rounded."),
     File("tables/<name>.tex", "The same in LaTeX, for a column or a page of a paper (`--table-width`, `--columns`)."),

@@ -24,7 +24,8 @@ def test_the_columns_of_the_files_are_the_contracts():
         "nis_expected", "nees_pose_median", "nees_left_out", "lost_frame", "lost_why", "rmse_position_lower",
         "rmse_position_upper", "nees_pose_lower", "nees_pose_upper", "log_score", "crps_x_m", "crps_y_m",
         "crps_heading_rad", "energy_score_m", "block_frames", "rmse_landmark_majority_m", "iterations",
-        "last_step_sigma",
+        "last_step_sigma", "rpe_frame_m", "rpe_frame_deg", "rpe_1m_m", "rpe_1m_deg", "rpe_10m_m", "rpe_10m_deg",
+        "matched", "unmatched",
     )  # fmt: skip
     assert ASSOCIATION == (
         "log", "task", "estimator", "association", "phase", "tp", "tn", "fp", "fn", "precision", "recall", "wrong",
