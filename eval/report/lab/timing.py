@@ -46,4 +46,5 @@ def update_times(log: Log, estimator: str, association: str, setup: Setup, repea
         watch = _Stopwatch(len(inputs))
         step_by_step(estimator, inputs, "slam", association, setup, finish=False, observer=watch)
         measured.append(watch.seconds)
-    return np.min(measured, axis=0)
+    fastest: Array = np.min(measured, axis=0)
+    return fastest

@@ -9,8 +9,9 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from eval.figures.paper.tex import tex_escape
 from eval.page.document import Block, Formula, Picture, Section, Table
-from eval.page.tables import tex_escape
+from eval.page.film import Film
 from eval.referee.score import Scores, Trial
 from eval.report.names import stem
 from eval.report.rows import rows_of, value_of
@@ -21,12 +22,13 @@ PREAMBLE = r"""% Made by eval.run_all --write-up. In this folder: pdflatex write
 \usepackage[utf8]{inputenc}
 \IfFileExists{lmodern.sty}{\usepackage{lmodern}}{}
 \usepackage{amsmath,booktabs,graphicx}
-\usepackage[margin=20mm]{geometry}
+\usepackage[a4paper,hmargin=14mm,vmargin=18mm]{geometry} % tables are up to 516 pt wide
 \setlength{\parindent}{0pt}
 \setlength{\parskip}{4pt}
 \makeatletter
 % tables stand where they are input, and never float to another page
-\renewenvironment{table}[1][]{\par\begin{minipage}{\linewidth}\def\@captype{table}\scriptsize}{\end{minipage}\par\medskip}
+\renewenvironment{table}[1][]{\par\begin{minipage}{\linewidth}\def\@captype{table}}{\end{minipage}\par\medskip}
+\renewenvironment{table*}[1][]{\begin{table}}{\end{table}}
 \renewcommand{\@makecaption}[2]{{\footnotesize #1: #2\par}\smallskip}
 % a page is shrunk if it would be more than one
 \newsavebox{\onepage}
@@ -97,6 +99,8 @@ def _block(block: Block) -> str:
         )
     if isinstance(block, Formula):
         return f"\\[\n{block.latex}\n\\]"
+    if isinstance(block, Film):  # paper shows none
+        return ""
     lines = [line.removeprefix("* ") for line in block.split("\n")]
     return "\n\n".join(tex(line) for line in lines if line.strip()) + "\n"
 
