@@ -66,7 +66,20 @@ def test_the_command_lists_its_subcommands_in_a_line_each(asked):
     done = command(*asked)
     assert done.returncode == 0
     names = [line.split()[0] for line in done.stdout.split("\n") if line.startswith("  ")]
-    assert names == ["run", "step", "play", "twin", "convert", "inspect", "score", "check", "tune", "benchmark", "warm"]
+    assert names == [
+        "run",
+        "step",
+        "play",
+        "twin",
+        "convert",
+        "inspect",
+        "score",
+        "check",
+        "detect",
+        "tune",
+        "benchmark",
+        "warm",
+    ]
 
 
 def test_the_command_says_its_version():
