@@ -88,8 +88,8 @@ def _corner(ax: Axes, p: Plane) -> tuple[float, float, float, float]:
     """Place of an inset in a panel's own units: the corner with the fewest readings and named landmarks below it."""
     points = ax.transData.transform(np.concatenate([p.xy, p.landmarks[p.named], np.zeros((1, 2))]))
     unit = ax.transAxes.inverted().transform(points)
-    across, up = ax.get_window_extent().size.tolist()
-    wide = SHARE * min(1.0, up / across)
+    place = ax.get_window_extent()
+    wide = SHARE * min(1.0, float(place.height / place.width))
     corners = [(x, y) for y in (0.985 - SHARE, 0.015) for x in (0.985 - wide, 0.015)]
 
     def covered(corner: tuple[float, float]) -> int:

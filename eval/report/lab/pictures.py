@@ -185,7 +185,7 @@ def _update_time(folder: Path, lab: Lab, setup: Setup, tables: tuple[str, ...]) 
     write_table(pd.DataFrame(rows, columns=list(TIME_HEADS)), folder / "tables", stem(UPDATE_TIME), caption, tables)
     return (
         update_time_figure(log, times, REPEATS),
-        f"`{log.name}`: measured time of each frame's update, landmarks and maintenance included. Never the same twice.",
+        f"`{log.name}`: measured time of each frame's update, map maintenance included. Never the same twice.",
         f"Measured time of an update over the frames of {log.name}, without and with map maintenance",
     )
 

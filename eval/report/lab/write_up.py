@@ -1,6 +1,7 @@
 """`write-up.tex`: the report's tables and figures as a text to go on from, one page per answer and per log.
 
-It is compiled by pdflatex in the result folder (`pdflatex write-up.tex`), with packages that come with every TeX.
+It is compiled in the result folder (`pdflatex write-up.tex`, twice for the numbers of tables), with packages that
+come with every TeX.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ PREAMBLE = r"""% Made by eval.run_all --write-up. In this folder: pdflatex write
 \usepackage[T1]{fontenc}
 \usepackage[utf8]{inputenc}
 \IfFileExists{lmodern.sty}{\usepackage{lmodern}}{}
-\usepackage{amsmath,booktabs,graphicx}
+\usepackage{amsmath,array,booktabs,graphicx}
 \usepackage[a4paper,hmargin=14mm,vmargin=18mm]{geometry} % tables are up to 516 pt wide
 \setlength{\parindent}{0pt}
 \setlength{\parskip}{4pt}
@@ -77,6 +78,8 @@ def write_up(
     """Write the file: a page for each answer of a lab, then one for each log and task with its tables and figures."""
     pages = [_answer(section) for section in answers]
     pages += [_log(folder, trial, scores, sections) for trial in trials if trial.beside is None]
+    if (folder / "tables" / "notes.tex").exists():
+        pages.append(_page("What the tables mean", [r"\footnotesize\input{tables/notes.tex}"]))
     text = PREAMBLE + "\n".join(pages) + END
     (folder / "write-up.tex").write_text(text, encoding="utf-8", newline="\n")
 

@@ -106,8 +106,8 @@ UPDATE = Model(
     "update",
     "Update",
     "What was seen corrects what was predicted (the lab's equations 10 to 13): the innovation of all corners of a"
-    " frame, its gain, the pose and its covariance after it; quantities with a minus are predicted. S and H are those of the"
-    " observation model. Heading differences are wrapped, and in SLAM the corners are part of the state. Source:"
+    " frame, its gain, the pose and its covariance after it; quantities with a minus are predicted. S and H are those"
+    " of the observation model. Heading differences are wrapped, and in SLAM the corners are part of the state. Source:"
     " Probabilistic Robotics, table 3.3; code: ekf.updates.",
     (
         Equation(r"\nu", (r"\mathbf{z} - h(\mathbf{x}^{-}) \qquad (10)",)),
