@@ -11,7 +11,6 @@ from data.inputs import IntArray, read_only
 from data.result import Run
 from data.se2 import Array, BoolArray
 
-
 AS_THEN, AT_THE_END = "as then", "as at the end"
 
 
