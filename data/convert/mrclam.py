@@ -110,7 +110,7 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     group.add_argument(
         "--motion-alphas", type=number, nargs="+", metavar="A",
         help="displacement, four: sigma_v = A1 |v| + A2 |omega|, sigma_omega = A3 |v| + A4 |omega|; textbook, four or "
-        "six: sigma_v^2 = A1 v^2 + A2 omega^2, sigma_omega^2 = A3 v^2 + A4 omega^2, sigma_gamma^2 = A5 v^2 + A6 omega^2",
+        "six: sigma_v^2 = A1 v^2 + A2 omega^2, sigma_omega^2 = A3 v^2 + A4 omega^2, and a final rotation's with A5, A6",
     )  # fmt: skip
 
 

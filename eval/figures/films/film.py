@@ -159,8 +159,8 @@ def animate(
 
     `speed`: seconds of the log in a second of the film (frames, of a log without stamps); None: see
     `eval.figures.films.pace.pace_of`, with `max_seconds`. `history`: landmarks as they were; None: as they are at the
-    end of the run, from the frame on in which they were first seen, as in any other phase than `online`. `progress(done, total)` is called after each
-    picture. Raises SlamrefError if the file cannot be written.
+    end of the run, from the frame on in which they were first seen, as in any other phase than `online`.
+    `progress(done, total)` is called after each picture. Raises SlamrefError if the file cannot be written.
     """
     pace = pace_of(log.recorded, speed, fps, max_seconds)
     scene = _scene(log, run, phase or run.phases[0], pace, history)
