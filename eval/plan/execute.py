@@ -17,7 +17,7 @@ from eval.plan.flags.options import Options
 from eval.plan.flags.variant import Variant
 from eval.plan.results import with_results
 from eval.plan.trust import trusted
-from eval.plan.tutorial import ABOUT, tutorial_run, variant_log
+from eval.plan.tutorials.recording import ABOUT, tutorial_run, variant_log
 from eval.plan.unfinished import Unfinished, estimate, estimate_one, incomplete, wanted
 from eval.plan.validation import validated
 from eval.plan.work import work

@@ -15,6 +15,7 @@ from eval.plan.cluster import Call
 from eval.plan.execute import Outcome
 from eval.plan.flags.options import Options
 from eval.plan.provenance import command_of, provenance
+from eval.plan.tutorials.recording import is_tutorial
 from eval.plan.unfinished import Unfinished
 from eval.plan.work import work
 from eval.player.write import played, write_player
@@ -29,7 +30,7 @@ from eval.report.doubt.questions import questions_section, unused_statement
 from eval.report.lab.sections import hand_in
 from eval.report.lab.write_up import write_up
 from eval.report.laser.sections import against_relations, laser_sections
-from eval.report.log_sections import association_sections, beside, rows_of, trial_sections, tutorial_sections
+from eval.report.log_sections import association_sections, beside, rows_of, trial_sections
 from eval.report.pictures import draw, kinds, publish_runs
 from eval.report.results.said import results_statement
 from eval.report.revisions import revision_section
@@ -39,6 +40,7 @@ from eval.report.statements import failure_statement, gate_sentence
 from eval.report.studies import study_sections
 from eval.report.terminal.headline import headlines
 from eval.report.trust.sections import first_said
+from eval.report.tutorials.section import tutorial_sections
 from eval.report.visual.sections import visual_sections
 from eval.studies.montecarlo import Judged, consistency_table
 from eval.studies.reproduced import published_frame
@@ -233,12 +235,12 @@ def _labelled(trial: Trial) -> int | None:
 
 
 def _source_section(trials: Sequence[Trial], options: Options) -> Section:
-    notes = []
+    notes, tutorials = [], {t.log.name for t in trials if is_tutorial(t)}
     for log in {t.log.name: t.log for t in trials}.values():
         kind = log.source.get("kind", "open log folder")
         r = log.recorded
         labels = " Labels are sensed." if log.labels_are_sensed else ""
-        if log.has_labels:
+        if log.has_labels and log.name not in tutorials:  # those gate nothing
             labels += f" {gate_sentence(options, sensed=log.labels_are_sensed)}"
         notes.append(
             f"* `{log.name}` ({kind}): {counted(len(r), 'frame')}, {counted(len(r.observations.frame), 'observation')},"

@@ -1,4 +1,4 @@
-"""The report's sections on each log: its comparison, the decisions made on it, and the tutorials' treatment of it."""
+"""The report's sections on each log: its comparison, and the decisions made on it."""
 
 from __future__ import annotations
 
@@ -7,12 +7,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from data.log import folder_name
 from eval.page.document import Block, Picture, Section, written_table
-from eval.page.numbers import number
-from eval.page.tables import is_blank
 from eval.plan.flags.options import Options
-from eval.plan.tutorial import is_tutorial
 from eval.player.write import player_of
 from eval.referee.score import Scores, Trial
 from eval.report import comparison
@@ -27,7 +23,7 @@ from eval.report.pictures import FILTER_SMOOTHER
 from eval.report.results.said import aligned_statement
 from eval.report.rows import rows_of as rows_by
 from eval.report.trust.sections import trust_section
-from eval.report.tutorials.table import CAPTION, logs_with_tutorials, tutorial_table
+from eval.report.tutorials.section import beside_note
 from eval.studies.trusted import Trust
 
 
@@ -67,7 +63,7 @@ def trial_sections(
         table, wide = comparison.comparison_table(every), comparison.comparison_table(every, options.columns)
         caption = f"{trial.log.name}, {trial.task}. {comparison.COMPARISON_CAPTION}{aligned_statement(trial)}"
         blocks.append(written_table(table, folder, stem(trial, "comparison"), caption, options, for_paper=wide))
-        blocks += [_beside_note(t, rows_of(scores.metrics, t)) for t in others]
+        blocks += [beside_note(t, rows_of(scores.metrics, t)) for t in others]
         blocks += _differences(folder, options, trial, rows_of(scores.differences, trial))
         blocks += [p for p in pictures if p.stem not in {stem(trial, kind) for kind in ELSEWHERE}]
         if options.animate:
@@ -91,18 +87,6 @@ def _differences(folder: Path, options: Options, trial: Trial, rows: pd.DataFram
     table = written_table(differences_table(rows), folder, name, caption, options)
     missing = missing_intervals(rows)
     return [table, missing] if missing else [table]
-
-
-def _beside_note(trial: Trial, rows: pd.DataFrame) -> str:
-    """What the rows of a trial beside are; for a tutorial the sums of squares it prints, and what is not reproduced."""
-    notes = [f"`{trial.log.name}` is {trial.about}."]
-    if not is_tutorial(trial):
-        return notes[0]
-    for row in rows.to_dict("records"):
-        for column, what in (("sse_position_m2", "positions"), ("sse_landmark_m2", "landmarks")):
-            if not is_blank(row[column]):
-                notes.append(f"Sum of squared errors of {what}: {number(float(row[column]))} m².")
-    return " ".join([*notes, *trial.runs[0].notes])
 
 
 def association_sections(
@@ -143,12 +127,3 @@ def association_sections(
         fine = comparison.ASSOCIATION_CAPTION
         blocks.append(written_table(table, folder, "association", caption, options, fine_print=fine))
     return [Section(head, tuple(blocks)), *sections]
-
-
-def tutorial_sections(folder: Path, options: Options, trials: Sequence[Trial], scores: Scores) -> list[Section]:
-    """For each log with several tutorials beside it: one table over all its tasks."""
-    blocks: list[Block] = []
-    for log in logs_with_tutorials(trials):
-        table, caption = tutorial_table(log, trials, scores), CAPTION.format(log=log)
-        blocks.append(written_table(table, folder, f"{folder_name(log)}-knowledge", caption, options))
-    return [Section("From labels and map to nothing", tuple(blocks))] if blocks else []

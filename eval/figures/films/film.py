@@ -52,7 +52,8 @@ def _scene(log: Log, run: Run, phase: str, pace: Pace, history: History | None) 
     landmark_factor = enlargement(view, longest_axis(last.covariance))
     canvas, colour = canvas_of(view), bgr(style_of(run.estimator).colour)
     robot = 14.0 / canvas.scale
-    return _Scene(log, shown, pace, canvas, colour, robot, pose_factor, landmark_factor, history or last)
+    as_then = history if phase == "online" else None
+    return _Scene(log, shown, pace, canvas, colour, robot, pose_factor, landmark_factor, as_then or last)
 
 
 def _backdrop(scene: _Scene) -> Image:
@@ -136,8 +137,7 @@ def _header(scene: _Scene, k: int) -> Image:
         stamp += "   truth: black"
     of_landmarks = ""
     if len(scene.landmarks.frame):
-        when = "as then" if scene.landmarks.as_it_was else "as at the end"
-        of_landmarks = f", landmarks ({when}) x {scene.landmark_factor}"
+        of_landmarks = f", landmarks ({scene.landmarks.when}) x {scene.landmark_factor}"
     stamp += f"   3 sigma ellipses: robot x {scene.pose_factor}{of_landmarks}"
     write(image, stamp, (12, 44), GREY, 0.45)
     return image
@@ -159,8 +159,8 @@ def animate(
 
     `speed`: seconds of the log in a second of the film (frames, of a log without stamps); None: see
     `eval.figures.films.pace.pace_of`, with `max_seconds`. `history`: landmarks as they were; None: as they are at the
-    end of the run, from the frame on in which they were first seen. `progress(done, total)` is called after each
-    picture. Raises SlamrefError if the file cannot be written.
+    end of the run, from the frame on in which they were first seen, as in any other phase than `online`.
+    `progress(done, total)` is called after each picture. Raises SlamrefError if the file cannot be written.
     """
     pace = pace_of(log.recorded, speed, fps, max_seconds)
     scene = _scene(log, run, phase or run.phases[0], pace, history)

@@ -11,6 +11,8 @@ from data.inputs import IntArray, read_only
 from data.result import Run
 from data.se2 import Array, BoolArray
 
+AS_THEN, AT_THE_END = "as then", "as at the end"
+
 
 @dataclass(frozen=True, eq=False)
 class History:
@@ -20,7 +22,7 @@ class History:
         frame, number: (C,) after which frame, of which landmark.
         there: (C,) false where it left the map.
         xy: (C, 2) m, covariance: (C, 2, 2) m^2, world frame.
-        as_it_was: whether this is what was known at each instant; else landmarks stand where they are at the end.
+        when: of what instant this is, in words: `AS_THEN` or `AT_THE_END`.
     """
 
     frame: IntArray
@@ -28,7 +30,7 @@ class History:
     there: BoolArray
     xy: Array
     covariance: Array
-    as_it_was: bool = True
+    when: str = AS_THEN
 
     def __post_init__(self) -> None:
         read_only(self)
@@ -52,9 +54,9 @@ def at_the_end(run: Run) -> History:
     """The last map, each landmark from the frame on in which it was first seen."""
     if run.map is None:
         none = np.empty(0, np.int64)
-        return History(none, none, none.astype(bool), np.empty((0, 2)), np.empty((0, 2, 2)), False)
+        return History(none, none, none.astype(bool), np.empty((0, 2)), np.empty((0, 2, 2)), AT_THE_END)
     m = run.map
     usable = np.isfinite(m.xy).all(axis=1) & np.isfinite(m.covariance).all(axis=(1, 2)) & (m.first_frame >= 0)
     order = np.flatnonzero(usable)[np.argsort(m.first_frame[usable], kind="stable")]
     there = np.ones(len(order), bool)
-    return History(m.first_frame[order], m.number[order], there, m.xy[order], m.covariance[order], False)
+    return History(m.first_frame[order], m.number[order], there, m.xy[order], m.covariance[order], AT_THE_END)

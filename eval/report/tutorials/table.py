@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
 
 import pandas as pd
 
-from eval.page.tables import drop_blank_columns
-from eval.plan.tutorial import is_tutorial
+from eval.page.tables import drop_blank_columns, is_blank
+from eval.plan.tutorials.recording import is_tutorial, original_of
 from eval.referee.confusion import OUTCOMES
 from eval.referee.metrics import heads
 from eval.referee.score import Scores, Trial
@@ -16,6 +17,11 @@ CAPTION = (
     "Knowledge taken away, on the same recording: {log}. Given are the map, the labels, or neither; errors in the world"
     " frame without alignment. TP, TN, FP and FN count decisions about the observations, as they were online."
 )
+ORIGINAL = (
+    " Original: what the tutorial's own program gave on this recording with the corrected landmarks (Octave)."
+    " Σ e²: sum of squared position errors over the 50 Hz frames."
+)
+SQUARES = "Σ e² [m²]"
 HEADS = heads(("rmse_position_m", "rmse_heading_deg", "rmse_landmark_m", "landmarks"))
 COUNTS = heads(OUTCOMES)
 
@@ -32,7 +38,24 @@ def logs_with_tutorials(trials: Sequence[Trial]) -> list[str]:
     return [name for name in dict.fromkeys(beside) if beside.count(name) > 1]
 
 
-def tutorial_table(log: str, trials: Sequence[Trial], scores: Scores) -> pd.DataFrame:
+@dataclass(frozen=True)
+class Row:
+    """A run in the table: who, given what, its row of `metrics.csv`, and the counts of its decisions.
+
+    original: of a tutorial whose own program was run on this recording: sum of squares [m^2], position RMSE [m].
+    """
+
+    name: str
+    given: str
+    estimator: str
+    association: str
+    tutorial: bool
+    metrics: Mapping[Hashable, object]
+    counts: Mapping[str, int]
+    original: tuple[float, float] | None
+
+
+def rows_of(log: str, trials: Sequence[Trial], scores: Scores) -> list[Row]:
     """Rows of the tutorials beside a log in the order of their names, after each those of ours that are given as much.
 
     An estimator with two phases stands with its final one; dead reckoning uses no observations and is left out.
@@ -42,7 +65,7 @@ def tutorial_table(log: str, trials: Sequence[Trial], scores: Scores) -> pd.Data
         for r in scores.association.to_dict("records")
         if r["phase"] == "online"
     }
-    made: list[dict[str, object]] = []
+    made = []
     for trial in trials:
         if trial.log.name != log and not (trial.beside == log and is_tutorial(trial)):
             continue
@@ -56,14 +79,29 @@ def tutorial_table(log: str, trials: Sequence[Trial], scores: Scores) -> pd.Data
                 & (scores.metrics["estimator"] == key[2])
                 & (scores.metrics["association"] == key[3])
             ].to_dict("records")
-            last, scored = rows[-1], counts.get(key, {})
-            name = trial.log.name.removeprefix(f"{log}:")
-            made.append({
-                "run": name if is_tutorial(trial) else f"ours: {run.estimator} ({last['phase']})",
-                "given": given(run.task, run.association), "association": run.association,
-                **{head: last[c] for c, head in HEADS.items()}, **{head: scored.get(c) for c, head in COUNTS.items()},
-                "status": None if last["status"] == "ok" else last["status"],
-            })  # fmt: skip
+            last, tutorial = rows[-1], is_tutorial(trial)
+            decided = counts.get(key, {})
+            counted = {c: int(decided[c]) for c in OUTCOMES if not is_blank(decided.get(c))}
+            name = trial.log.name.removeprefix(f"{log}:") if tutorial else f"ours: {run.estimator} ({last['phase']})"
+            known = given(run.task, run.association)
+            original = original_of(trial) if tutorial else None
+            made.append(Row(name, known, run.estimator, run.association, tutorial, last, counted, original))
     order = ["map and labels", "map", "labels", "nothing"]
-    made.sort(key=lambda r: (order.index(str(r["given"])), str(r["run"]).startswith("ours")))
+    return sorted(made, key=lambda r: (order.index(r.given), not r.tutorial))
+
+
+def table_of(rows: Sequence[Row]) -> pd.DataFrame:
+    """The rows as a table."""
+    error, *others = HEADS
+    made = []
+    for row in rows:
+        rmse, squares = (None, None) if row.original is None else (row.original[1], row.original[0])
+        made.append({
+            "run": row.name, "given": row.given, "association": row.association,
+            HEADS[error]: row.metrics[error], "original RMSE [m]": rmse,
+            **{HEADS[c]: row.metrics[c] for c in others},
+            **({SQUARES: row.metrics["sse_position_m2"], "original Σ e² [m²]": squares} if row.tutorial else {}),
+            **{COUNTS[c]: row.counts.get(c) for c in OUTCOMES},
+            "status": None if row.metrics["status"] == "ok" else row.metrics["status"],
+        })  # fmt: skip
     return drop_blank_columns(pd.DataFrame(made, dtype=object))

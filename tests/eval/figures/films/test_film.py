@@ -10,7 +10,7 @@ from data.errors import SlamrefError
 from data.result import Failure
 from eval.figures.films.canvas import bgr, canvas_of
 from eval.figures.films.film import HEADER, animate
-from eval.figures.films.landmarks import History
+from eval.figures.films.landmarks import AT_THE_END, History, at_the_end
 from eval.figures.style import style_of
 from eval.figures.view import View
 from tests.eval.handmade import FRAMES, circle_log, run_with_error
@@ -84,10 +84,8 @@ def test_landmarks_stand_where_they_were_believed_to_be_at_each_instant(tmp_path
 
 
 def test_without_a_history_a_landmark_appears_when_it_is_first_seen_where_it_is_at_the_end():
-    from eval.figures.films.landmarks import at_the_end
-
     history = at_the_end(run_with_error(np.zeros(3)))
-    assert not history.as_it_was
+    assert history.when == AT_THE_END
     assert [len(rows) for rows in history.after(np.array([0, 5]))] == [1, 1]
     assert not len(at_the_end(run_with_error(np.zeros(3), mapped=False)).frame)
 
