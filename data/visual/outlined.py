@@ -24,7 +24,7 @@ def outlined(rgb: NDArray[np.uint8], found: Sequence[tuple[str, Array]]) -> byte
     """PNG of an image (H, W, 3) with each picture found: its name and corners (4, 2) px, the upper left one first."""
     times = max(1, -(-LEAST_WIDTH // rgb.shape[1]))
     size = (rgb.shape[1] * times, rgb.shape[0] * times)
-    image = np.ascontiguousarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
+    image: NDArray[np.uint8] = np.ascontiguousarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), np.uint8)
     if times > 1:
         image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_CUBIC), np.uint8)
     thick = max(1, round(max(size) / 640))

@@ -117,6 +117,8 @@ def _recorded(folder: Path, say: Callable[[str], None]) -> dict[tuple[bool, bool
 
 def _corridor(options: Options, logs: Sequence[Log]) -> list[Experiment]:
     own = options.estimator != DEFAULT_ESTIMATORS
+    if own and not {"ekf", "isam2"} & set(options.estimator):
+        raise UsageError(f"--estimator {','.join(options.estimator)}: the lab is answered from ekf, or else isam2")
     known = options.estimator if own else ("ekf", "batch")
     estimators = options.estimator if own else ("ekf",)
     setup = replace(options.setup, maintain=False)

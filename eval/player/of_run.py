@@ -9,7 +9,7 @@ import numpy as np
 from association.scans.laser_run import LaserRun
 from data.result import Run
 from data.se2 import Array, wrap_angle
-from eval.player.pack import Pack
+from eval.player.pack import FURTHEST, Pack
 from eval.player.watch import Watched, spread
 from eval.referee.along import along
 from eval.referee.score import Trial, confusion_of
@@ -73,13 +73,17 @@ def _add_decisions(pack: Pack, key: str, run: Run, trial: Trial) -> bool:
 
 
 def _add_watched(pack: Pack, key: str, w: Watched, run: Run) -> None:
-    """Changes of landmarks are differences from the same landmark's last one, which the page adds up."""
+    """Changes of landmarks are differences from the same landmark's last one, which the page adds up.
+
+    A landmark further off than integers reach (a thousand kilometres) is shown at that distance.
+    """
     if len(w.change_frame):
         pack.add(f"{key}change_frame", w.change_frame)
         pack.add(f"{key}change_number", w.change_number)
         pack.add(f"{key}change_there", w.change_there)
         values = np.column_stack([
-            np.round(w.change_xy / w.quantum), np.round(np.log(np.maximum(w.change_sigma, 1.0e-9)) / COARSE),
+            np.round(np.clip(w.change_xy / w.quantum, -FURTHEST, FURTHEST)),
+            np.round(np.log(np.maximum(w.change_sigma, 1.0e-9)) / COARSE),
             np.round(w.change_rho / ROUGH),
         ])  # fmt: skip
         pack.add_steps(f"{key}change", own_steps(w.change_number, values))

@@ -29,6 +29,8 @@ from data.se2 import Array
 
 LOG_STEP = 0.001
 """Of the logarithm: positive quantities are kept to 0.05 %."""
+FURTHEST = 2.0**30 - 1
+"""Integers, whose differences then have 32 bits."""
 LEAST = 1.0e-12
 """What is smaller than this is taken for it in a logarithm."""
 
@@ -44,7 +46,10 @@ class Pack:
         self._length = 0
 
     def add(self, name: str, values: Array | IntArray, scale: float = 1.0) -> None:
-        """Numbers (n,) or (n, c) to half a `scale`; NaN and infinity are missing, for the whole row."""
+        """Numbers (n,) or (n, c) to half a `scale`; NaN and infinity are missing, for the whole row.
+
+        Where some reach so far that integers do not (a path that went astray), all are kept to a coarser scale.
+        """
         self._put(name, np.asarray(values, float), scale, log=False)
 
     def add_log(self, name: str, values: Array, step: float = LOG_STEP) -> None:
@@ -65,16 +70,16 @@ class Pack:
     def _put(self, name: str, values: Array, scale: float, *, log: bool) -> None:
         columns = _columns(values)
         known = np.isfinite(columns).all(axis=1)
-        stored = np.round(_filled(columns, known) / scale)
-        if len(stored) and np.abs(stored).max() >= 2**31:
-            raise OverflowError(f"{name}: values up to {np.abs(columns[known]).max():g} at steps of {scale:g}")
+        filled = _filled(columns, known)
+        scale = max(scale, float(np.abs(filled).max(initial=0.0)) / FURTHEST)
+        stored = np.round(filled / scale)
         steps = np.diff(stored, axis=0, prepend=np.zeros((1, stored.shape[1]))).astype(np.int64)
         self._store(name, steps, {"scale": scale, "log": log, "steps": False, "missing": ranges(~known)})
 
     def _store(self, name: str, steps: IntArray, more: Mapping[str, Any]) -> None:
         most = int(np.abs(steps).max(initial=0))
         if most >= 2**31:
-            raise OverflowError(f"{name}: a step of {most}")
+            raise OverflowError(f"{name}: a step of {most}, more than 32 bits hold")
         size = 1 if most < 2**7 else 2 if most < 2**15 else 4
         integers = np.ascontiguousarray(steps.T).astype(f"<i{size}")
         content = integers.view(np.uint8).reshape(-1, size).T.tobytes() if integers.size else b""

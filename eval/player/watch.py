@@ -162,6 +162,8 @@ class Watch:
 
     def _write(self, frame: int, state: MapState) -> None:
         now = np.column_stack([state.xy, spread(state.covariance)])
+        sound = np.isfinite(now).all(axis=1)
+        now, state = now[sound], MapState(state.number[sound], state.xy[sound], state.covariance[sound])
         more = int(np.max(state.number, initial=-1)) + 1 - len(self._last)
         if more > 0:
             self._last = np.concatenate([self._last, np.full((more, 5), np.nan)])

@@ -28,6 +28,7 @@ from eval.report.corridor.questions import lab_sections
 from eval.report.doubt.origin import origin_statement
 from eval.report.doubt.questions import questions_section, unused_statement
 from eval.report.lab.sections import hand_in
+from eval.report.lab.write_up import write_up
 from eval.report.laser.sections import against_relations, laser_sections
 from eval.report.log_sections import association_sections, beside, rows_of, trial_sections
 from eval.report.pictures import draw, kinds, publish_runs
@@ -94,8 +95,8 @@ def write_results(
     (folder / "runs").mkdir()
     write_truths(folder, outcome.trials)
     published = _publish_trials(folder, options, outcome.trials, lost, progress)
-    sections = hand_in(folder, options, outcome.trials, scores, lost)
-    sections += questions_section(outcome.trials)
+    answers = hand_in(folder, options, outcome.trials, scores, lost)
+    sections = [*answers, *questions_section(outcome.trials)]
     sections += trial_sections(folder, options, outcome.trials, scores, published, outcome.trust)
     sections += laser_sections(folder, options, outcome.trials, published)
     sections += visual_sections(folder, options, outcome.trials)
@@ -104,11 +105,13 @@ def write_results(
     if outcome.trials:
         sections += association_sections(folder, options, outcome.trials, scores, published)
         sections += revision_section(folder, options, outcome.trials)
-        sections += lab_sections(outcome.trials, scores)
+        sections += lab_sections(outcome.trials, scores, answered_above=bool(answers))
     if outcome.trials or lost.said:
         sections.append(_failure_section(outcome.trials, lost.said))
     sections += [Section("How to read the numbers", (READING,)), _source_section(outcome.trials, options)]
     introduction = _introduction(outcome, scores, judged)
+    if options.write_up:
+        write_up(folder, outcome.trials, scores, answers, sections)
     write_report(
         folder,
         Report(

@@ -46,7 +46,7 @@ def publish_runs(folder: Path, options: Options, trial: Trial) -> None:
     if trial.beside is None:
         write_laser_files(folder, trial)
     for run in trial.runs:
-        write_run(folder, trial, run)
+        write_run(folder, trial, run, lab_text=options.lab_text)
     if options.animate:
         from eval.report.films import write_films
 
@@ -124,7 +124,8 @@ def _picture(trial: Trial, kind: str, beside: Sequence[Trial]) -> tuple[Figure, 
         return (
             figures.growth_figure(log, runs),
             f"{where}, association {runs[0].association}: standard deviation along the least certain direction, of the"
-            f" robot at each frame and of the landmarks after the last one.{_closure(log, runs)}",
+            f" robot at each frame and of the landmarks after the last one, and where shown at each frame: it shrinks"
+            f" at loop closure.{_closure(log, runs)}",
             f"Uncertainty of robot and landmarks on {log.name}",
         )
     if kind == FILTER_SMOOTHER:

@@ -37,7 +37,8 @@ def closer_figure(m: Matching, method: str) -> Figure:
         assert not isinstance(decided, str)  # the frame is one that this method updates with
         truth = m.truth.get(method)
         middle, half = _region(p, decided, scene_of_wrong(p, decided, truth))
-        fig = Figure(figsize=(page_width(), TALL), layout="none")
+        fig = Figure(figsize=(page_width(), TALL))
+        fig.set_layout_engine("none")
         left, right = (fig.add_axes((x, 0.215, 0.415, 0.415 * page_width() / TALL)) for x in (0.085, 0.575))
         for ax in (left, right):
             _scene(ax, p, middle, half, wrong_of(truth) if ax is left else None)
@@ -66,7 +67,8 @@ def methods_figure(m: Matching, methods: Sequence[str]) -> Figure:
         p, first = plane_of(m), m.decisions[methods[0]]
         scene = None if isinstance(first, str) else scene_of_wrong(p, first, m.truth.get(methods[0]))
         middle, half = _region(p, np.empty(0, np.int64) if isinstance(first, str) else first, scene)
-        fig = Figure(figsize=(page_width(), FLAT), layout="none")
+        fig = Figure(figsize=(page_width(), FLAT))
+        fig.set_layout_engine("none")
         wide = 0.925 / len(methods)
         for k, name in enumerate(methods):
             ax = fig.add_axes((0.075 + k * wide, 0.27, wide - 0.03, (wide - 0.03) * page_width() / FLAT))

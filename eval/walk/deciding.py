@@ -32,8 +32,8 @@ def draw_decisions(
         lines(ax, p, [q for q in missed if q[1] >= 0], color=BAD, linewidth=0.9, linestyle=":", zorder=3.8)
     kinds = (("o", decisions >= 0, 3.0), ("*", decisions == NEW, 6.5), ("x", decisions < NEW, 4.5))
     for colour, group in ((GOOD, ~wrong), (BAD, wrong)):
-        for marker, kind, size in kinds:
-            ax.plot(*p.xy[kind & group].T, marker, color=colour, markersize=size, linestyle="none", zorder=5)
+        for marker, kind, large in kinds:
+            ax.plot(*p.xy[kind & group].T, marker, color=colour, markersize=large, linestyle="none", zorder=5)
     named = np.arange(len(wrong)) if all_numbers else np.flatnonzero(wrong)
     write_numbers(
         ax, p.xy[named], [str(i) for i in named], "#202020" if all_numbers else BAD, size if all_numbers else size + 1.0
@@ -88,9 +88,8 @@ def _corner(ax: Axes, p: Plane) -> tuple[float, float, float, float]:
     """Place of an inset in a panel's own units: the corner with the fewest readings and named landmarks below it."""
     points = ax.transData.transform(np.concatenate([p.xy, p.landmarks[p.named], np.zeros((1, 2))]))
     unit = ax.transAxes.inverted().transform(points)
-    box = ax.get_position()
-    figure = ax.figure.get_size_inches()
-    wide = SHARE * min(1.0, box.height * figure[1] / (box.width * figure[0]))
+    place = ax.get_window_extent()
+    wide = SHARE * min(1.0, float(place.height / place.width))
     corners = [(x, y) for y in (0.985 - SHARE, 0.015) for x in (0.985 - wide, 0.015)]
 
     def covered(corner: tuple[float, float]) -> int:

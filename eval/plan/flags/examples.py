@@ -18,7 +18,9 @@ examples:
   python -m eval.run_all --log intel.log.gz --relations intel.relations.csv    a CARMEN laser log, scored by relations
   python -m eval.run_all --lab corridor:3                   the corridor lab as a whole: its six questions answered
   python -m eval.run_all --lab corridor:3+srho=0.05 --write-up     with another sensor, and a text to hand in
+  python -m eval.run_all --lab corridor:3 --lab-text        each run's steps as the lab's program prints them
   python -m eval.run_all --lab visual:0                     the visual lab: its three questions
+  python -m eval.run_all --lab visual:0 --ellipses auto     the plan's ellipses as large as is needed to see them
   python -m eval.run_all --data ~/datasets                  every dataset found in a folder, two levels deep
   python -m eval.run_all --log my_log --estimator ekf,batch-cauchy --association known
   python -m eval.run_all --log arena:0 --task slam --estimator ekf,ekf-invariant,isam2,batch

@@ -20,7 +20,7 @@ function errorSeries(run, component) {
 
 function consistencySeries(run) {
   const values = recording.head.truth ? path(run).nees : recording.column(run.key + "nis");
-  return values ? Array.from(values, (v) => (Number.isFinite(v) && v > 0 ? Math.max(v, 1e-4) : null)) : null;
+  return values && values.some(Number.isFinite) ? Array.from(values, (v) => (Number.isFinite(v) && v > 0 ? Math.max(v, 1e-4) : null)) : null;
 }
 
 function plotInto(place, title, unit, series, data, more) {

@@ -111,7 +111,7 @@ def find_lab(trials: Sequence[Trial], *, named: bool = True) -> Lab | None:
 
 
 THE_LABS = {"jcbb": ("jcbb-first", "jcbb")}
-"""What the lab calls JCBB keeps the first of equal solutions (`jcbb-first`); where it was not run `jcbb` stands for it."""
+"""What the lab calls JCBB keeps the first of equal solutions (`jcbb-first`); where that was not run, `jcbb` is it."""
 
 
 def run_of(trial: Trial | None, association: str) -> Run | None:

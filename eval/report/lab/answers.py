@@ -115,8 +115,8 @@ def _singles_in_a_line(lab: Lab, scores: Scores) -> str:
         return "NN or SINGLES did not get to its end; see Failures."
     a, b = look(nn, trial.log).counts, look(singles, trial.log).counts
     return (
-        f"{'Fewer' if b.fp < a.fp else 'No fewer'} wrong pairings ({b.fp} instead of {a.fp}), and {b.missed} observations"
-        f" of mapped points unused: RMSE {number(rmse(scores, trial, singles))} m instead of"
+        f"{'Fewer' if b.fp < a.fp else 'No fewer'} wrong pairings ({b.fp} instead of {a.fp}), and {b.missed}"
+        f" observations of mapped points unused: RMSE {number(rmse(scores, trial, singles))} m instead of"
         f" {number(rmse(scores, trial, nn))} m."
     )
 
@@ -142,8 +142,8 @@ def what_singles_does(lab: Lab, scores: Scores) -> tuple[str, bool]:
         fewer, better = counted["singles"].fp < counted["nn"].fp, errors["singles"] < errors["nn"]
         notes.append(
             "SINGLES pairs an observation only if it has one candidate and that candidate no other observation, so"
-            f" that where two points are as near as the prediction is uncertain nothing is paired: {counted['singles'].missed}"
-            " observations of points in the map go unused."
+            " that where two points are as near as the prediction is uncertain nothing is paired:"
+            f" {counted['singles'].missed} observations of points in the map go unused."
             + (
                 " What it does pair is right more often, and few right pairings correct the pose better than many of"
                 " which some are wrong."
@@ -185,8 +185,8 @@ def _jcbb_in_a_line(lab: Lab, scores: Scores) -> str:
     a, b = look(jcbb, trial.log).counts, look(nn, trial.log).counts
     return (
         "It accepts only pairings that agree with each other on where the robot is:"
-        f" {a.fp} wrong on `{trial.log.name}` where NN has {b.fp}, RMSE {number(rmse(scores, trial, jcbb))} m instead of"
-        f" {number(rmse(scores, trial, nn))} m."
+        f" {a.fp} wrong on `{trial.log.name}` where NN has {b.fp}, RMSE {number(rmse(scores, trial, jcbb))} m instead"
+        f" of {number(rmse(scores, trial, nn))} m."
     )
 
 
@@ -213,7 +213,8 @@ def without_odometry_by_all(lab: Lab, scores: Scores) -> tuple[str, bool]:
         if run is not None:
             c = look(run, trial.log).counts
             each.append(
-                f"{NAMES[method]} makes {plural(c.tp, 'right pairing')} and {c.fp} wrong ones, and leaves {c.missed} out"
+                f"{NAMES[method]} makes {plural(c.tp, 'right pairing')} and {c.fp} wrong ones, and leaves {c.missed}"
+                " out"
             )
     return f"{text} The others: {'; '.join(each)}." if each else text, known
 
@@ -222,7 +223,7 @@ def _maintenance_in_a_line(lab: Lab, scores: Scores) -> str:
     both = maintained_pair(lab)
     if both is None:
         return "No method got to its end both with and without maintenance."
-    plain, kept = both
+    _, kept = both
     sizes = [0 if s.run.map is None else len(s.run.map) for s in both]
     gone = 0 if kept.run.removed is None else int((kept.run.removed >= 0).sum())
     people = 0
@@ -230,10 +231,10 @@ def _maintenance_in_a_line(lab: Lab, scores: Scores) -> str:
         ids = landmark_true_ids(kept.run.created, kept.log.truth, np.flatnonzero(kept.run.removed >= 0))
         people = int((ids == CLUTTER).sum())
     a, b = (rmse(scores, s.trial, s.run) for s in both)
-    verdict = "no worse" if b <= WORSE * a else "worse"
+    verdict = "better" if b * WORSE < a else "about as good" if b <= WORSE * a else "worse"
     return (
-        f"It removes {plural(gone, 'landmark')} seen only once, {people} of them people: {sizes[1]} in the map instead of"
-        f" {sizes[0]}, and the path is {verdict} (RMSE {number(b)} m, {number(a)} m without)."
+        f"It removes {plural(gone, 'landmark')} seen only once, {people} of them people: {sizes[1]} in the map instead"
+        f" of {sizes[0]}, and the path is {verdict} (RMSE {number(b)} m, {number(a)} m without)."
     )
 
 

@@ -118,19 +118,19 @@ def maintenance_figure(plain: Shown, kept: Shown) -> Figure:
 def update_time_figure(log: Log, times: Sequence[tuple[str, str, Array]], repeats: int) -> Figure:
     """Measured time of each frame's update, by label and way of association: (N,) s each. Never the same twice."""
     with drawing():
-        fig = Figure(figsize=(page_width(), 2.3))
+        fig = Figure(figsize=(page_width(), 2.5))
         ax = fig.add_subplot()
         for k, (label, association, seconds) in enumerate(times):
             ms = 1e3 * seconds
             ax.step(
                 log.recorded.time, ms, where="post", color=colour_of_method(association),
                 linestyle=SOLID if k else DASHED, linewidth=1.1,
-                label=f"{label}: median {np.median(ms):.3f} ms, {np.sum(ms):.1f} ms over the run",
+                label=f"{label}: median {np.median(ms):.3f} ms, sum {np.sum(ms):.1f} ms",
             )  # fmt: skip
         ax.set(xlabel=time_label(log.recorded), ylabel="update of a frame [ms]", ylim=(0.0, None))
         ax.yaxis.set_major_locator(ticks(5))
         ax.set_title(f"{log.name}: measured, the fastest of {repeats} repetitions of each frame", loc="left")
-        fig.legend(loc="outside lower center", ncols=2)
+        fig.legend(loc="outside lower center", ncols=1)
         return fig
 
 

@@ -87,8 +87,8 @@ def _first_wrong(lab: Lab, setup: Setup) -> Drawn:
     )
     return (
         closer_figure(m, "nn"),
-        f"`{s.log.name}`, {what}, zoomed, seen from the robot. Left what is compatible, with d²; right what NN makes of it.",
-        f"Compatibility and matching of NN in frame {frame} of {s.log.name}, with numbers of observations and landmarks",
+        f"`{s.log.name}`, {what}, zoomed, seen from the robot: what is compatible, with d²; what NN makes of it.",
+        f"Compatibility and matching of NN in frame {frame} of {s.log.name}, observations and landmarks numbered",
     )
 
 
@@ -98,7 +98,7 @@ def _errors(lab: Lab, setup: Setup) -> Drawn:
     return (
         error_figure(log, [replace(s.run, final=None) for s in shown]),
         f"`{log.name}`: error of each coordinate with the filter's own ±3σ, by NN, SINGLES and JCBB.",
-        f"Errors over time on {log.name} in x, y and heading with 3 sigma bands: {', '.join(called(s.run) for s in shown)}",
+        f"Errors over time on {log.name} in x, y and heading with 3 sigma: {', '.join(called(s.run) for s in shown)}",
     )
 
 
@@ -125,8 +125,7 @@ def _methods(lab: Lab, setup: Setup) -> Drawn:
     frame = max(found, key=lambda k: (gained(found[k]), -k))
     return (
         methods_figure(found[frame], names),
-        f"`{s.log.name}`, the frame in which JCBB decides most better than NN, zoomed: what each method makes of the very"
-        " same map.",
+        f"`{s.log.name}`, the frame in which JCBB gains most over NN, zoomed: what each makes of the same map.",
         f"Decisions of NN, SINGLES and JCBB in frame {frame} of {s.log.name}, side by side",
     )
 
@@ -166,8 +165,8 @@ def _maintenance(lab: Lab, setup: Setup) -> Drawn:
     plain, kept = both
     return (
         maintenance_figure(plain, kept),
-        f"`{plain.log.name}`, {called(plain.run)}: map and state without and with maintenance; crosses: where a landmark"
-        " that was removed had been initialized.",
+        f"`{plain.log.name}`, {called(plain.run)}: map and state without and with maintenance; crosses: where removed"
+        " landmarks had been initialized.",
         f"Maps and length of the state on {plain.log.name} without and with map maintenance",
     )
 
@@ -186,7 +185,7 @@ def _update_time(folder: Path, lab: Lab, setup: Setup, tables: tuple[str, ...]) 
     write_table(pd.DataFrame(rows, columns=list(TIME_HEADS)), folder / "tables", stem(UPDATE_TIME), caption, tables)
     return (
         update_time_figure(log, times, REPEATS),
-        f"`{log.name}`: measured time of each frame's update, new landmarks and maintenance included; never the same twice.",
+        f"`{log.name}`: measured time of each frame's update, map maintenance included. Never the same twice.",
         f"Measured time of an update over the frames of {log.name}, without and with map maintenance",
     )
 
@@ -199,3 +198,13 @@ KINDS: dict[str, Callable[[Lab, Setup], Drawn]] = {
     "paths": _paths,
     "maintenance": _maintenance,
 }
+NEEDED: dict[str, Callable[[Lab], bool]] = {
+    "first-wrong": lambda lab: has(lab, ODOMETRY, "nn"),
+    "errors": lambda lab: any(has(lab, ODOMETRY, m) for m in ("nn", "singles", "jcbb")),
+    "people": lambda lab: any(has(lab, ODOMETRY, m) and has(lab, PEOPLE, m) for m in ("nn", "singles")),
+    "methods": lambda lab: any(has(lab, c, "jcbb") for c in (PEOPLE, ODOMETRY)),
+    "paths": lambda lab: BLIND_PEOPLE in lab.trials and BLIND in lab.trials and bool(_online(lab.trials[BLIND])),
+    "maintenance": lambda lab: maintained_pair(lab) is not None,
+    UPDATE_TIME: lambda lab: maintained_pair(lab) is not None,
+}
+"""What each picture needs: runs that got to their end."""

@@ -39,11 +39,12 @@ class _Stopwatch:
 
 
 def update_times(log: Log, estimator: str, association: str, setup: Setup, repeats: int = REPEATS) -> Array:
-    """Seconds (N,) that update, new landmarks and map maintenance of each frame take in SLAM: the fastest of `repeats`."""
+    """Seconds (N,) that update, new landmarks and maintenance of each frame take in SLAM: the fastest of `repeats`."""
     inputs = log.inputs(labels=association == "known").without_map()
     measured = []
     for _ in range(repeats):
         watch = _Stopwatch(len(inputs))
         step_by_step(estimator, inputs, "slam", association, setup, finish=False, observer=watch)
         measured.append(watch.seconds)
-    return np.min(measured, axis=0)
+    fastest: Array = np.min(measured, axis=0)
+    return fastest

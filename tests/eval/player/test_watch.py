@@ -129,6 +129,7 @@ def test_a_landmark_that_leaves_the_map_leaves_the_picture(corridor):
     last = len(corridor.recorded) - 1
     assert sorted(landmarks_at(w, last)) == run.map.number.tolist()
     assert not set(gone.tolist()) & set(landmarks_at(w, last))
+    assert sorted(w.change_number[w.change_there == 0]) == gone.tolist()  # each once
 
 
 def test_a_known_map_has_candidates_and_no_history():
