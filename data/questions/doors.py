@@ -41,12 +41,11 @@ def _mrclam(path: Path) -> list[str]:
     landmarks = "" if corrected is None else f" --landmarks {shlex.quote(str(corrected))}"
     who = f"robot{'s' * (len(robots) > 1)} {', '.join(map(str, robots))}"
     out = files.name.lower().replace("_dataset", "")
+    source = shlex.quote(str(path))
+    logs = {n: shlex.quote(f"logs/{out}-robot{n}") for n in robots}
     return [
         f"{name_of(path)} is a UTIAS MRCLAM dataset, {who}: no log yet. Make one of a robot:",
-        *(
-            f"  python -m data.convert mrclam {shlex.quote(str(path))} {shlex.quote(f'logs/{out}-robot{n}')} --robot {n}{landmarks}"
-            for n in robots
-        ),
+        *(f"  python -m data.convert mrclam {source} {log} --robot {n}{landmarks}" for n, log in logs.items()),
     ]
 
 
