@@ -13,6 +13,7 @@ from data.inputs import CLUTTER, Prior
 from data.motion import VelocityModel, VelocityNoise, preintegrate
 from data.mrclam import load as mrclam
 from data.mrclam.calibration import Calibration
+from data.mrclam.frames import Grid
 from data.timeline import truth_at
 from data.worlds.corridor import Corridor
 from data.worlds.corridor import simulate as simulate_corridor
@@ -90,7 +91,7 @@ def on_a_grid(real):
     """Frames 0.03 s apart, whatever was asked for."""
 
     def lay_out(readings, odometry, first, last, grid, motion):
-        return real(readings, odometry, first, last, 0.03, motion)
+        return real(readings, odometry, first, last, Grid(0.03), motion)
 
     return lay_out
 

@@ -83,7 +83,7 @@ def test_of_two_scans_without_odometry_between_the_first_stays_and_early_ones_go
     log = load("\n".join(lines))
     assert log.recorded.scans.ranges.tolist() == [[1.0]]
     assert "1 of 3 scans before the first ODOM line: left out." in log.notes
-    assert "1 of 3 scans follow another without an ODOM line between and were left out." in log.notes
+    assert "1 of 3 scans after another without an ODOM line between: left out." in log.notes
 
 
 def test_without_odom_lines_every_scan_is_a_frame_at_the_pose_of_its_line(load):
