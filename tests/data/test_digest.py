@@ -65,6 +65,7 @@ def test_a_run_of_a_study_executes_nothing_that_its_digest_does_not_cover():
     assert loaded - covered(store.PACKAGES) == set()
 
 
+@pytest.mark.slow
 def test_detections_come_from_nothing_that_their_digest_does_not_cover():
     loaded = executed(DETECTIONS)
     deciding = {"data/visual/features.py", "data/visual/rendering/stereo.py", "data/worlds/gallery.py"}

@@ -86,6 +86,7 @@ def rmse(log, run):
     return errors.rms(errors.position_distance(run.online.pose, log.truth.pose))
 
 
+@pytest.mark.slow
 def test_jcbb_pairs_nothing_wrong_and_is_as_good_as_the_labels_in_the_median(study):
     wrong, known, jcbb = [], [], []
     for log, runs in study:

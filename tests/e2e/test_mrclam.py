@@ -66,6 +66,7 @@ def score(log, run):
     return float(metrics_row(run, run.phases[-1], log, None)["rmse_position_m"])
 
 
+@pytest.mark.slow
 def test_tutorials_join_the_table_of_the_log_they_treat(shared_data, tmp_path):
     folder = tmp_path / "window"
     source = shared_data / "mrclam" / "MRCLAM_Dataset1.zip"

@@ -79,6 +79,7 @@ class TestThePublishedRecordings:
         assert robots(mrclam / "MRCLAM_Dataset1.zip") == [1, 2, 3, 4, 5]
         assert robots(mrclam / "MRCLAM_Dataset9.zip") == [3]
 
+    @pytest.mark.slow
     def test_dataset_1_as_published_has_landmarks_11_and_17_exchanged(
         self, mrclam: Path, published: Callable[..., Log]
     ) -> None:

@@ -36,6 +36,7 @@ def texts(fig):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["error_figure", "nees_figure", "map_figure"])
 def test_a_figure_for_a_column_has_room_for_every_title_and_legend(name, runs, tmp_path, monkeypatch):
     log, made = runs

@@ -16,6 +16,7 @@ def options(*arguments):
     return read_options([*arguments])
 
 
+@pytest.mark.slow
 def test_a_killed_process_and_an_array_too_large_take_nothing_else_with_them():
     jobs = [(i, (squared, (i,))) for i in range(3)]
     jobs += [("killed", (killed, (0,))), ("large", (too_large, (0,))), ("stays", (stays, ()))]

@@ -67,6 +67,7 @@ def blame(log, twins):
     return judged(log, "slam", "known", sample_of(log, "slam", "known", runs, smoother), twins, smoother).blame
 
 
+@pytest.mark.slow
 def test_wrong_labels_bend_the_map_and_still_nothing_else_is_found(arena):
     log, twins = arena
     bent = FAULTS["wrong-labels"].put_in(log, 0.05, np.random.default_rng(0))
@@ -78,6 +79,7 @@ def test_wrong_labels_bend_the_map_and_still_nothing_else_is_found(arena):
     assert wrong - 3 <= pairings.size <= wrong
 
 
+@pytest.mark.slow
 def test_beside_wrong_labels_a_systematic_error_is_found_with_its_size(arena):
     log, twins = arena
     bent = FAULTS["curvature"].put_in(log, 0.1, np.random.default_rng(0))

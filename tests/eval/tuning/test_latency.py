@@ -65,6 +65,7 @@ def test_the_noise_of_a_robot_of_constant_velocity_is_not_taken_for_a_latency(tm
     assert np.isnan(error)
 
 
+@pytest.mark.slow
 def test_a_latency_far_from_the_stated_one_is_found(tmp_path):
     folder = stamped_folder(tmp_path / "stamped", Stamped(latency=0.7, stated=(0.25, 0.25)))
     latency, error = fitted(folder, ("motion", "sensor", "latency"))["latency"]

@@ -90,6 +90,7 @@ def test_the_section_of_a_log_is_written_once_with_a_plan_for_each_task(tmp_path
     assert "φ = 90.0°" not in text  # the numbers are the log's sensor's, not the setup's
 
 
+@pytest.mark.slow
 def test_formulas_are_in_the_html_as_images_that_say_their_latex_and_in_markdown_as_latex(tmp_path):
     made = visual_sections(tmp_path, Options(quick=True), trials())
     write_report(tmp_path, Report("Title", "command", ("First.",), tuple(made)))
