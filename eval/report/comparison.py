@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
+from eval.page.document import FinePrint
 from eval.page.tables import drop_blank_columns, is_blank
 from eval.referee.metrics import OF_DECISIONS, RUN, heads, is_share, metric
 
@@ -65,32 +66,45 @@ OUTLIERS: Mapping[str, str] = {
 }
 
 COMPARISON_CAPTION = (
-    "Errors in the world frame, no alignment, all estimators with the same prior and the same inputs. Phase online:"
-    " each pose given the data up to its frame; final: every pose given all data, so a final row is expected to be the"
-    " more accurate one. NEES of one run describes and proves nothing; NIS per dof against its 95 % bounds (behind a"
-    " gate less than 1 is expected, and the bounds are lower), and the correlation of a landmark's innovations in"
-    " successive frames against 0, are tests, conditional on the association. Blank: unknown or not applicable."
-    " A status is shown where some run did not get to the end or is implausible, a time-weighted RMSE where it differs"
-    " from the plain one by more than 5 %."
+    "Errors in the world frame, no alignment, all with the same prior and inputs. Online: each pose given the data up"
+    " to its frame; final: given all data."
 )
-ASSOCIATION_CAPTION = (
+COMPARISON_FINE = FinePrint(
+    "Errors and consistency of one log",
+    "Phase online: each pose given the data up to its frame; final: every pose given all data, so a final row is"
+    " expected to be the more accurate one. The aligned RMSE is after the rigid motion that fits the true path best: SLAM"
+    " fixes its frame at the first pose, so what the heading errs in the first seconds turns the whole map and path, and"
+    " that part of the error is the gauge's, not the estimator's. NEES of one run describes and proves nothing; NIS per"
+    " dof against its 95 % bounds (behind a gate less than 1 is expected, and the bounds are lower), and the correlation"
+    " of a landmark's innovations in successive frames against 0, are tests, conditional on the association. Blank:"
+    " unknown or not applicable. A status is shown where some run did not get to the end or is implausible, a"
+    " time-weighted RMSE where it differs from the plain one by more than 5 %.",
+)
+ASSOCIATION_FINE = FinePrint(
+    "Decisions",
     "Outcomes of every observation's decision H against the truth GT. TP: H is a landmark and right; TN: both none;"
     " FP: H is a wrong landmark (GT another: wrong; GT none: spurious); FN: H none though GT is in the map (a second"
     " landmark initialized: duplicate; discarded: missed or deferred). Estimators with the same outcomes share a row; a"
-    " row for the final phase stands only where revised decisions turned out differently."
+    " row for the final phase stands only where revised decisions turned out differently.",
 )
 CONSISTENCY_CAPTION = (
+    "Mean NEES (NIS per dof for the quantity nis) over independent simulated runs, with Student's t 95 % interval."
+)
+CONSISTENCY_FINE = FinePrint(
+    "Consistency over simulated runs",
     "Mean over independent simulated runs of each run's mean NEES (NIS per dof for the quantity nis), with Student's t"
     " 95 % interval of that mean. Consistent: the interval holds the expected value;"
     " overconfident: wholly above; conservative: wholly below. Power: probability that this test, with as many runs and"
     " this spread, rejects a covariance claimed at 0.8 of the true one. Whiteness: correlation of a landmark's"
     " innovations in successive frames, expected 0; a covariance scaled as a whole leaves it 0, so it has no power"
-    " against that. NIS and whiteness of an estimator that decides for itself are conditional on its decisions."
+    " against that. NIS and whiteness of an estimator that decides for itself are conditional on its decisions.",
 )
-COVERAGE_CAPTION = (
+COVERAGE_CAPTION = "Share of the runs [%] whose last position lies inside the estimator's own ellipse of each level."
+COVERAGE_FINE = FinePrint(
+    "Coverage",
     "Share of the runs [%] whose last position lies inside the estimator's own ellipse of each level, with"
     " Clopper–Pearson 95 % bounds; marked where the level lies outside them (o: too few inside, overconfident;"
-    " c: too many, conservative)."
+    " c: too many, conservative).",
 )
 PUBLISHED_CAPTION = (
     "Our numbers beside published ones, with standard errors of the Monte Carlo means (of the difference: root of the"
