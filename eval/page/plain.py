@@ -21,7 +21,6 @@ from eval.page.blocks import (
     Section,
     Sketch,
     Table,
-    anchor,
     with_fine_print,
 )
 from eval.page.tables import markdown, markdown_escape
@@ -37,6 +36,11 @@ def report_markdown(report: Report) -> str:
     for section in with_fine_print(report):
         parts += _section(section, numbers)
     return "\n\n".join(parts) + "\n"
+
+
+def slug(heading: str) -> str:
+    """Address of a heading as the usual viewers of Markdown make it: punctuation left out, spaces as hyphens."""
+    return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
 
 
 def _section(section: Section, numbers: Numbers) -> list[str]:
@@ -74,7 +78,7 @@ def beneath(table: Table) -> tuple[pd.DataFrame, int]:
 
 
 def _link(block: Table | Picture) -> str:
-    return "" if block.fine is None else f" [{READING}](#{anchor(READING)})."
+    return "" if block.fine is None else f" [{READING}](#{slug(READING)})."
 
 
 def _overview(overview: Overview) -> str:
@@ -82,7 +86,7 @@ def _overview(overview: Overview) -> str:
     lines = [f"| {' | '.join(heads)} |", f"| {' | '.join('---' for _ in heads)} |"]
     for row in overview.rows:
         links = "".join(f" [{markdown_escape(text)}]({place})" for text, place in row.links)
-        name = f"[{markdown_escape(row.name)}](#{anchor(row.section)}){links}"
+        name = f"[{markdown_escape(row.name)}](#{slug(row.section)}){links}"
         lines.append(f"| {' | '.join([name, *(_cell(c) for c in row.cells)])} |")
     return "\n".join(lines)
 

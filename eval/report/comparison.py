@@ -14,8 +14,8 @@ from eval.referee.metrics import OF_DECISIONS, RUN, heads, is_share, metric
 COMPARISON: dict[str, str] = {
     **heads((*RUN, "status")),
     **heads((
-        "rmse_position_m", "rmse_time_m", "rmse_heading_deg", "max_position_m", "rmse_landmark_m", "rms_from_batch_m",
-        "nees_pose", "nis",
+        "rmse_position_m", "rmse_aligned_m", "rmse_time_m", "rmse_heading_deg", "max_position_m", "rmse_landmark_m",
+        "rms_from_batch_m", "nees_pose", "nis",
     )),
     "bounds": "95 % bounds of NIS",
     **heads(("innovation_lag1", "inside_3sigma", "accepted", "rejected", "matched", "unmatched")),
@@ -72,13 +72,13 @@ COMPARISON_CAPTION = (
 COMPARISON_FINE = FinePrint(
     "Errors and consistency of one log",
     "Phase online: each pose given the data up to its frame; final: every pose given all data, so a final row is"
-    " expected to be the more accurate one. The aligned RMSE is after the rigid motion that fits the true path best: SLAM"
-    " fixes its frame at the first pose, so what the heading errs in the first seconds turns the whole map and path, and"
-    " that part of the error is the gauge's, not the estimator's. NEES of one run describes and proves nothing; NIS per"
-    " dof against its 95 % bounds (behind a gate less than 1 is expected, and the bounds are lower), and the correlation"
-    " of a landmark's innovations in successive frames against 0, are tests, conditional on the association. Blank:"
-    " unknown or not applicable. A status is shown where some run did not get to the end or is implausible, a"
-    " time-weighted RMSE where it differs from the plain one by more than 5 %.",
+    " expected to be the more accurate one. The aligned RMSE is after the rigid motion that fits the true path best:"
+    " SLAM fixes its frame at the first pose, so what the heading errs in the first seconds turns the whole map and"
+    " path, and that part of the error is the gauge's, not the estimator's. NEES of one run describes and proves"
+    " nothing; NIS per dof against its 95 % bounds (behind a gate less than 1 is expected, and the bounds are lower),"
+    " and the correlation of a landmark's innovations in successive frames against 0, are tests, conditional on the"
+    " association. Blank: unknown or not applicable. A status is shown where some run did not get to the end or is"
+    " implausible, a time-weighted RMSE where it differs from the plain one by more than 5 %.",
 )
 ASSOCIATION_FINE = FinePrint(
     "Decisions",
@@ -153,11 +153,12 @@ def _spread(values: pd.Series, errors: pd.Series) -> pd.Series:
     return pd.Series(texts, index=values.index, dtype=object)
 
 
-def comparison_table(metrics: pd.DataFrame, more: Sequence[str] = ()) -> pd.DataFrame:
+def comparison_table(metrics: pd.DataFrame, more: Sequence[str] = (), *, aligned: bool = False) -> pd.DataFrame:
     """Rows of metrics.csv as a table to read: heads with units, shares in percent, columns without anything dropped.
 
     `more`: columns of metrics.csv that are shown as well, whatever they hold. Without news are also a status that is
-    `ok` everywhere and a time-weighted RMSE that is the plain one in every row.
+    `ok` everywhere and a time-weighted RMSE that is the plain one in every row. `aligned`: in SLAM, where the frame is
+    the first pose's, the aligned RMSE stands beside the plain one.
     """
     made = metrics.astype(object).assign(
         bounds=_interval(metrics["nis_lower"], metrics["nis_upper"]),
@@ -166,6 +167,8 @@ def comparison_table(metrics: pd.DataFrame, more: Sequence[str] = ()) -> pd.Data
     shown = [c for c in COMPARISON if c in made.columns]
     if (made["status"] == "ok").all():
         shown.remove("status")
+    if not aligned or not (made["task"] == "slam").any():
+        shown.remove("rmse_aligned_m")
     if _same(made["rmse_time_m"], made["rmse_position_m"]):
         shown.remove("rmse_time_m")
     also = [c for c in more if c in metrics.columns and c not in shown]

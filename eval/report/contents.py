@@ -27,8 +27,9 @@ from eval.report.doubt.origin import origin_statement
 from eval.report.doubt.questions import questions_section, unused_statement
 from eval.report.laser.sections import against_relations, laser_sections
 from eval.report.log_sections import association_sections, beside, rows_of, trial_sections, tutorial_sections
-from eval.report.overview.facts import facts_of
-from eval.report.overview.said import attribution_sections, compared, concluded
+from eval.report.overview.facts import Facts, facts_of
+from eval.report.overview.gauge import gauge_statement
+from eval.report.overview.said import attribution_sections, compared, concluded, in_short
 from eval.report.overview.table import overview
 from eval.report.pictures import draw, kinds, publish_runs
 from eval.report.results.said import results_statement
@@ -95,7 +96,7 @@ def write_results(
     published = _publish_trials(folder, options, outcome.trials, lost, progress)
     main = [t for t in outcome.trials if t.beside is None]
     facts = [facts_of(t, scores, outcome.trust) for t in main]
-    told = {(t.log.name, t.task): _told(t, outcome, scores) for t in main}
+    told = {(f.trial.log.name, f.trial.task): _told(f, outcome, scores) for f in facts}
     first = attribution_sections(facts)
     sections = questions_section(outcome.trials)
     sections += trial_sections(folder, options, outcome.trials, scores, published, outcome.trust, told)
@@ -115,7 +116,11 @@ def write_results(
     write_report(
         folder,
         Report(
-            "Filter or smoother: which estimate can be trusted?", command_of(options), introduction, tuple(sections), tuple(first)
+            "Filter or smoother: which estimate can be trusted?",
+            command_of(options),
+            introduction,
+            tuple(sections),
+            tuple(first),
         ),
     )
     (folder / "provenance.json").write_text(
@@ -201,15 +206,18 @@ def _failure_section(trials: Sequence[Trial], missing: Sequence[str]) -> Section
     return Section("Failures", tuple(blocks))
 
 
-def _told(trial: Trial, outcome: Outcome, scores: Scores) -> str:
-    """Filter and smoother on one log and task, in full."""
+def _told(f: Facts, outcome: Outcome, scores: Scores) -> tuple[Block, ...]:
+    """Filter and smoother on one log and task: at most three lines in front, in full below."""
+    trial = f.trial
     metrics, decided, differences = (
         rows_of(table, trial) for table in (scores.metrics, scores.association, scores.differences)
     )
     said = answer(metrics, decided, _labelled(trial), differences, first_said(trial, outcome.trust))
     theirs = results_statement(trial, report_rows(metrics))
     said = "" if theirs and is_truth_alone(trial.log) else said
-    return " ".join(s for s in (unused_statement(trial), against_relations(trial), said, theirs) if s)
+    text = " ".join(s for s in (against_relations(trial), said, theirs) if s)
+    front = " ".join(s for s in (in_short(f), unused_statement(trial), gauge_statement(f)) if s)
+    return (front, Folded("Filter and smoother in full", (text,))) if text else (front,)
 
 
 def _declared(judged: Sequence[Judged]) -> tuple[Block, ...]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 
 from data.log import folder_name
-from eval.page.document import Block, Folded, Picture, Section, folded, written_table
+from eval.page.document import Block, Folded, Picture, Section, written_table
 from eval.page.numbers import number
 from eval.page.tables import is_blank
 from eval.plan.flags.options import Options
@@ -42,7 +42,7 @@ def rows_of(frame: pd.DataFrame, trial: Trial) -> pd.DataFrame:
     return frame[(frame["log"] == trial.log.name) & (frame["task"] == trial.task)]
 
 
-IN_FULL, BESIDE, NOTES = "In full", "Rows that stand beside, and why", "Notes on the log and its runs"
+BESIDE, NOTES = "Rows that stand beside, and why", "Notes on the log and its runs"
 """What folded texts are called."""
 ELSEWHERE = ("association", FILTER_SMOOTHER, GRID, LOOPS)
 """Pictures that stand in a section of their own."""
@@ -55,11 +55,11 @@ def trial_sections(
     scores: Scores,
     published: Sequence[Sequence[Picture]],
     trust: Sequence[Trust] = (),
-    told: Mapping[tuple[str, str], str] | None = None,
+    told: Mapping[tuple[str, str], Sequence[Block]] | None = None,
 ) -> list[Section]:
     """A section per log and task, with what it says about itself; a tutorial's row stands in the table of its log.
 
-    `told`: filter and smoother in full, by log and task; it is folded under the table.
+    `told`: filter and smoother in words, by log and task; they stand under the table.
     """
     sections = []
     for trial, pictures in zip(trials, published, strict=True):
@@ -69,12 +69,13 @@ def trial_sections(
         blocks: list[Block] = []
         others = beside(trial, trials)
         every = pd.concat([rows, *(rows_of(scores.metrics, t) for t in others)])
-        table, wide = comparison.comparison_table(every), comparison.comparison_table(every, options.columns)
+        table = comparison.comparison_table(every, aligned=True)
+        wide = comparison.comparison_table(every, options.columns)
         caption = f"{trial.log.name}, {trial.task}. {comparison.COMPARISON_CAPTION}{aligned_statement(trial)}"
         name, fine = stem(trial, "comparison"), comparison.COMPARISON_FINE
         apart = tuple(i for i, status in enumerate(every["status"].tolist()) if status != "ok")
         blocks.append(written_table(table, folder, name, caption, options, for_paper=wide, fine=fine, apart=apart))
-        blocks += folded((told or {}).get((trial.log.name, trial.task), ""), IN_FULL)
+        blocks += (told or {}).get((trial.log.name, trial.task), ())
         beside_notes = [_beside_note(t, rows_of(scores.metrics, t)) for t in others]
         blocks += [Folded(BESIDE, tuple(beside_notes))] if beside_notes else []
         blocks += _differences(folder, options, trial, rows_of(scores.differences, trial))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -112,12 +113,17 @@ class Page:
         rows = []
         for row in overview.rows:
             links = "".join(f' <a class="more" href="{html.escape(to)}">{html.escape(t)}</a>' for t, to in row.links)
-            name = f'<a href="#{anchor(row.section)}">{html.escape(row.name)}</a>{links}'
+            name = f'<a href="#{anchor(row.section)}">{_breakable(row.name)}</a>{links}'
             cells = "".join(f"<td>{_cell(c)}</td>" for c in row.cells)
             rows.append(f'<tr><th scope="row">{name}</th>{cells}</tr>')
         table = f"<table>\n<thead><tr>{heads}</tr></thead>\n<tbody>\n" + "\n".join(rows) + "\n</tbody>\n</table>"
         caption = f"<figcaption>{self.md.renderInline(overview.caption)}</figcaption>"
         return f'<figure class="overview" id="{OVERVIEW}">{_scrolled(table, "Overview")}\n{caption}</figure>'
+
+
+def _breakable(name: str) -> str:
+    """A name that may be broken where its parts meet, and nowhere else."""
+    return re.sub(r"([:+/_])(?=\w)", r"\1<wbr>", html.escape(name))
 
 
 def _scrolled(table: str, name: str) -> str:

@@ -44,13 +44,15 @@ th, td { padding: 0.3rem 0.6rem; text-align: left; vertical-align: bottom; backg
 td { white-space: nowrap; }
 thead th { font-weight: 600; border-bottom: 1px solid var(--ink); min-width: 4.2rem; }
 tbody tr:nth-child(even) > * { background: var(--shade); }
-tr > :first-child { position: sticky; left: 0; z-index: 1; white-space: normal; min-width: 5.5rem; max-width: 38vw; }
+tr > :first-child { position: sticky; left: 0; z-index: 1; white-space: normal; min-width: min(8.5rem, 27vw);
+  max-width: 38vw; }
 .between td { color: var(--bad); white-space: normal; border-top: 1px solid var(--ink); position: static; }
 .apart td, .apart ~ tr td { color: var(--faint); }
 .overview table { font-size: 0.92rem; }
-.overview td, .overview tbody th { vertical-align: middle; border-top: 1px solid var(--rule); padding: 0.35rem 0.55rem; }
+.overview td, .overview tbody th { vertical-align: middle; border-top: 1px solid var(--rule);
+  padding: 0.35rem 0.55rem; }
 .overview thead th { vertical-align: bottom; min-width: 0; padding: 0.3rem 0.55rem; }
-.overview tbody th { font-weight: 600; max-width: 11rem; overflow-wrap: anywhere; }
+.overview tbody th { font-weight: 600; max-width: 12rem; overflow-wrap: break-word; }
 .overview .more { display: block; font-weight: 400; font-size: 0.85rem; }
 .overview small { display: block; color: var(--faint); font-size: 0.8rem; white-space: normal; max-width: 11rem;
   line-height: 1.25; }
@@ -60,7 +62,8 @@ tr > :first-child { position: sticky; left: 0; z-index: 1; white-space: normal; 
 @media (max-width: 40rem) {
   body { padding: 0.75rem 0.75rem 3rem; }
   h1 { font-size: 1.35rem; }
-  .overview tbody th, .overview thead th:first-child { max-width: 6.5rem; min-width: 5rem; }
+  .overview tbody th, .overview thead th:first-child { max-width: 7rem; min-width: 6.5rem; font-size: 0.85rem;
+    padding: 0.35rem; }
   .overview small { max-width: 9rem; }
 }
 @page { size: A4; margin: 14mm 12mm; }

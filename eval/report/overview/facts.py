@@ -11,6 +11,7 @@ from eval.referee.score import Scores, Trial
 from eval.replay.names import INCREMENTAL
 from eval.report.answer import chosen_association, pick
 from eval.report.deciding import extremes
+from eval.report.doubt.questions import is_unused
 from eval.report.rows import Row, filters_in, rows_of, smoothers_in, value_of
 from eval.report.trust.sections import of_trial
 from eval.studies.trusted import Trust
@@ -30,6 +31,7 @@ class Facts:
         related: whether the errors are those of relations.
         decided: best and worst way of deciding, rows of association.csv.
         trust: what the log says of itself; None: nothing.
+        unused: runs that paired next to nothing, (estimator, association).
     """
 
     trial: Trial
@@ -42,6 +44,11 @@ class Facts:
     related: bool
     decided: tuple[Row, Row] | None
     trust: Trust | None
+    unused: frozenset[tuple[str, str]] = frozenset()
+
+    def sound(self, row: Row | None) -> bool:
+        """Whether a row is there, got to the end, is plausible and not lost, and more than dead reckoning."""
+        return row is not None and sound(row) and (row["estimator"], row["association"]) not in self.unused
 
     @property
     def measured(self) -> bool:
@@ -50,9 +57,9 @@ class Facts:
 
     @property
     def failed(self) -> list[Row]:
-        """Rows of runs that did not get to the end, are implausible or lost, the last phase of each."""
+        """Rows of runs that did not get to the end, are implausible, lost or dead reckoning, at the last phase."""
         last = {(r["estimator"], r["association"]): r for r in self.rows}
-        return [r for r in last.values() if not sound(r)]
+        return [r for r in last.values() if not self.sound(r)]
 
     @property
     def runs(self) -> int:
@@ -60,9 +67,9 @@ class Facts:
         return len({(r["estimator"], r["association"]) for r in self.rows})
 
 
-def sound(row: Row | None) -> bool:
-    """Whether a row is there, got to the end, is plausible and not lost."""
-    return row is not None and row["status"] == "ok" and is_blank(row.get("lost_why"))
+def sound(row: Row) -> bool:
+    """Whether a run got to the end, is plausible and not lost."""
+    return row["status"] == "ok" and is_blank(row.get("lost_why"))
 
 
 def facts_of(trial: Trial, scores: Scores, trust: Sequence[Trust]) -> Facts:
@@ -80,7 +87,7 @@ def facts_of(trial: Trial, scores: Scores, trust: Sequence[Trust]) -> Facts:
     said = of_trial(trial, trust)[:1]
     return Facts(
         trial, tuple(rows), chosen, filtered, smoothed, newest, errors, related, extremes(rows, outcomes),
-        said[0] if said else None,
+        said[0] if said else None, frozenset((r.estimator, r.association) for r in trial.runs if is_unused(r)),
     )  # fmt: skip
 
 

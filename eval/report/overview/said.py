@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from data.terminal.words import counted
-from eval.page.document import Section, folded
+from eval.page.document import Block, Section, folded
 from eval.page.numbers import number
 from eval.report.overview.facts import Facts
-from eval.report.overview.verdict import EITHER, FILTER, NEITHER, SMOOTHER, whom_to_trust
+from eval.report.overview.verdict import CAUSE, EITHER, FILTER, NEITHER, SMOOTHER, whom_to_trust
 from eval.report.trust.phrases import terms_of
 from eval.report.trust.sections import HEADING
 from eval.report.trust.words import first_words
@@ -43,8 +42,11 @@ def concluded(facts: Sequence[Facts]) -> str:
     parts = []
     smoother = [f for f, word in words if word == SMOOTHER]
     if smoother:
-        ratios = [a / b for a, b in (f.errors for f in smoother) if b > 0.0 and math.isfinite(a)]
-        size = f" (RMSE {_range(ratios)} times smaller)" if len(ratios) == len(smoother) else ""
+        both = [f.errors for f in smoother if f.sound(f.filtered) and f.sound(f.smoothed)]
+        ratios = [a / b for a, b in both if b > 0.0]
+        size = f" (the filter's RMSE is {_range(ratios)} times as large)" if ratios else ""
+        gone = counted(len(smoother) - len(both), "row")
+        size += f", where the filter fails on {gone}" if len(both) < len(smoother) else ""
         where = "" if len(smoother) == len(facts) else f" on {_where(smoother)}"
         parts.append(f"for the path after the fact trust the smoother{where}{size}")
     for word, said in (
@@ -56,7 +58,7 @@ def concluded(facts: Sequence[Facts]) -> str:
     for f in facts:
         if not f.measured:
             causes.setdefault(whom_to_trust(f).word, []).append(f)
-    parts += [f"without truth, {_where(found)}: {word}" for word, found in causes.items()]
+    parts += [f"{_where(found)} without truth, {word}" for word, found in causes.items()]
     text = "; ".join(parts)
     return f"{text[:1].upper()}{text[1:]}." if text else ""
 
@@ -74,13 +76,20 @@ def _where(facts: Sequence[Facts]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
+def in_short(f: Facts) -> str:
+    """Whom to trust on one log and task, in a few words."""
+    mark = whom_to_trust(f)
+    word = mark.word.capitalize() if mark.word.startswith(CAUSE) else f"Trust: {mark.word}"
+    return f"{mark.symbol} **{word}**{f' ({mark.note})' if mark.note else ''}."
+
+
 def attribution_sections(facts: Sequence[Facts]) -> list[Section]:
     """What the logs without truth say of themselves, one paragraph each; none where all have one."""
-    blocks = []
+    blocks: list[Block] = []
     for f in facts:
         if f.measured or f.trust is None:
             continue
         mark, name = whom_to_trust(f), f"{f.trial.log.name}, {f.trial.task}"
         words = first_words(f.trust, terms=terms_of(f.trial.log.recorded), measured=False)
-        blocks += folded(f"**{name}: {mark.word}** ({mark.note}). {words}", f"More under “{HEADING}: {name}”", 900)
+        blocks += folded(f"**{name}, {mark.word}** ({mark.note}). {words}", f"More under “{HEADING}: {name}”", 900)
     return [Section(ATTRIBUTION, tuple(blocks))] if blocks else []

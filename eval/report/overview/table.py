@@ -11,16 +11,16 @@ from eval.page.document import Overview, OverviewRow, Sketch
 from eval.page.numbers import number
 from eval.referee.paths.given import GivenRun
 from eval.report.names import stem
-from eval.report.overview.facts import Facts, sound
+from eval.report.overview.facts import Facts
 from eval.report.overview.sketch import sketch
 from eval.report.overview.verdict import claims, whom_to_trust
 from eval.report.rows import Row, value_of
 
 HEADS = (
-    "log, task", "trust", "map", "filter", "smoother", "ratio", "filter's claims", "best association", "worst",
+    "log, task", "trust", "map", "filter [m]", "smoother [m]", "ratio", "filter's claims", "best association", "worst",
     "failed runs",
 )  # fmt: skip
-GIVEN = "handed in"
+GIVEN = "handed in [m]"
 CAPTION = (
     "Filter: online, smoother: final; position RMSE in metres, and the filter's over the smoother's. Without truth:"
     " NIS per dof, and the filter's RMS distance from the smoother. Association: FP / FN. Maps: truth grey, filter"
@@ -37,9 +37,8 @@ def overview(facts: Sequence[Facts], folder: Path, *, drawn: bool = True) -> Ove
     rows = []
     for f in facts:
         name = f"{f.trial.log.name}, {f.trial.task}"
-        cells = [
-            whom_to_trust(f), _sketch(f, folder, drawn), *_errors(f), _ratio(f), claims(f), *_associations(f), _failed(f)
-        ]
+        small, errors = _sketch(f, folder, drawn), _errors(f)
+        cells = [whom_to_trust(f), small, *errors, _ratio(f), claims(f), *_associations(f), _failed(f)]
         if given:
             cells.insert(4, _given(f))
         rows.append(OverviewRow(name, name, tuple(cells), _links(f, folder)))
@@ -67,7 +66,7 @@ def _errors(f: Facts) -> tuple[str, str]:
         if row is None:
             made.append("")
         elif math.isfinite(error):
-            made.append(f"{number(error)}\n{row['estimator']}{' (relations)' if f.related else ''}")
+            made.append(f"{number(error)}\n{row['estimator']}{' (relations)' if f.related else ''}{_flag(row)}")
         elif row["status"] not in ("ok", "implausible"):
             made.append(f"{row['status']}\n{row['estimator']}")
         else:
@@ -76,11 +75,15 @@ def _errors(f: Facts) -> tuple[str, str]:
     return made[0], made[1]
 
 
+def _flag(row: Row) -> str:
+    return "" if row["status"] == "ok" else f", {row['status']}"
+
+
 def _ratio(f: Facts) -> str:
     """The filter's error over the smoother's; without truth how far they are apart."""
     a, b = f.errors
     if math.isfinite(a) and math.isfinite(b):
-        return number(a / b) if b > 0.0 and sound(f.filtered) and sound(f.smoothed) else "–"
+        return number(a / b) if b > 0.0 and f.sound(f.filtered) and f.sound(f.smoothed) else "–"
     if f.filtered is None or f.smoothed is None:
         return ""
     apart = math.nan if f.trust is None else f.trust.real.apart.get(str(f.filtered["estimator"]), math.nan)

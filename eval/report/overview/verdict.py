@@ -11,10 +11,13 @@ from eval.referee.consistency import CONSISTENT, OVERCONFIDENT
 from eval.report.answer import LINEARIZATION
 from eval.report.deciding import SAME
 from eval.report.overview.cause import cause_word
-from eval.report.overview.facts import Facts, sound
+from eval.report.overview.facts import Facts
 from eval.report.rows import Row, value_of
 from eval.report.statements import nis_verdict
+from eval.studies.trusted import Trust
 
+CAUSE = "cause: "
+"""Before the word that a log without truth gets."""
 SMOOTHER, EITHER, FILTER, NEITHER = "smoother", "either", "filter", "neither"
 
 
@@ -22,7 +25,7 @@ def whom_to_trust(f: Facts) -> Mark:
     """The estimator to trust for the path; of a log without truth what is to blame."""
     if f.filtered is None and f.smoothed is None:
         return Mark("nothing ran", "none")
-    if not sound(f.filtered) or not sound(f.smoothed):
+    if not f.sound(f.filtered) or not f.sound(f.smoothed):
         return _one_left(f)
     if not f.measured:
         return cause_mark(f)
@@ -50,11 +53,11 @@ def _online(f: Facts, rmse: float) -> str:
 
 def _one_left(f: Facts) -> Mark:
     """Where one of the two did not run, or is not to be believed."""
-    gone = [r for r in (f.filtered, f.smoothed) if r is not None and not sound(r)]
+    gone = [r for r in (f.filtered, f.smoothed) if r is not None and not f.sound(r)]
     why = "; ".join(f"{r['estimator']} {_fate(r)}" for r in gone)
-    if sound(f.smoothed):
+    if f.sound(f.smoothed):
         return Mark(SMOOTHER, "fair", why or f"only {f.smoothed['estimator']} ran" if f.smoothed else why)
-    if sound(f.filtered) and f.filtered is not None:
+    if f.sound(f.filtered) and f.filtered is not None:
         if not gone:
             return Mark(f"only {f.filtered['estimator']}", "none", "no smoother ran")
         return Mark(FILTER, "fair", why)
@@ -62,7 +65,10 @@ def _one_left(f: Facts) -> Mark:
 
 
 def _fate(row: Row) -> str:
-    return str(row["status"]) if row["status"] != "ok" else f"lost from frame {value_of(row, 'lost_frame'):.0f}"
+    if row["status"] != "ok":
+        return str(row["status"])
+    frame = value_of(row, "lost_frame")
+    return f"lost from frame {frame:.0f}" if math.isfinite(frame) else "used next to no reading"
 
 
 def cause_mark(f: Facts) -> Mark:
@@ -70,10 +76,13 @@ def cause_mark(f: Facts) -> Mark:
     if f.trust is None:
         return Mark("unknown", "none", "no truth, and no smoother to compare with")
     word = cause_word(f.trust)
-    judged = f"{len(f.trust.twins)} twins" if f.trust.blame is not None else "a hint without twins"
     if word == NOTHING:
-        return Mark(word, "good", f"to object to ({judged}): trust the smoother" if f.smoothed else judged)
-    return Mark(word, "fair" if f.trust.blame is None else "bad", f"to blame ({judged}); smoother, not its sigmas")
+        return Mark(f"{CAUSE}{word}", "good", f"{_basis(f.trust)}: trust the smoother")
+    return Mark(f"{CAUSE}{word}", "fair", f"{_basis(f.trust)}: mind all sigmas; the smoother's path")
+
+
+def _basis(trust: Trust) -> str:
+    return "a hint, without twins" if trust.blame is None else f"from {len(trust.twins)} twins"
 
 
 def claims(f: Facts) -> Mark | None:

@@ -83,7 +83,7 @@ def test_a_monte_carlo_verdict_carries_interval_runs_and_power():
     assert "noticed with probability 0.99" in text
     few = verdict_statement(3.05, 2.0, 4.0, 3, 8, "not enough runs", 0.1)
     assert "too few runs to tell" in few
-    assert verdict_statement(math.nan, math.nan, math.nan, 3, 1, "not enough runs") == "not enough runs (1 runs, dof 3)"
+    assert verdict_statement(math.nan, math.nan, math.nan, 3, 1, "not enough runs") == "not enough runs (1 run, dof 3)"
 
 
 def test_the_three_sigma_share_is_compared_with_the_plane_not_the_line():
