@@ -17,6 +17,7 @@ COMPARISON: dict[str, str] = {
         "rmse_position_m", "rmse_aligned_m", "rmse_time_m", "rmse_heading_deg", "max_position_m", "rmse_landmark_m",
         "rms_from_batch_m", "nees_pose", "nis",
     )),
+    "rmse_aligned_m": "aligned position RMSE [m]",
     "bounds": "95 % bounds of NIS",
     **heads(("innovation_lag1", "inside_3sigma", "accepted", "rejected", "matched", "unmatched")),
 }  # fmt: skip

@@ -172,7 +172,7 @@ def report_html(folder: Path, report: Report) -> str:
         before,
         f'<p class="top">{" · ".join(top)}</p>' if top else "",
         after,
-        first,
+        f'<div class="first">{first}</div>' if first else "",
         "\n".join([f'<nav id="{CONTENTS}" aria-label="Contents"><ul>', *page.links, "</ul></nav>"]) if listed else "",
         f'<p class="made">Made by</p>\n<pre tabindex="0"><code>{html.escape(report.command)}</code></pre>',
         rest,

@@ -11,12 +11,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
-
-ImageArray = NDArray[np.generic]
+from cv2.typing import MatLike
 
 QUALITY, LOSSLESS = 60, 101
-"""Of WebP. At 60, lines drawn at two pixels for a page pixel show no difference (looked at) at half the lossless size."""
+"""Of WebP. At 60, lines drawn at two pixels for a page pixel look the same (compared) at half the lossless size."""
 FLAT = 2.0
 """A figure whose PNG is less than so many times as large has few colours, and lossless may be smaller still: bars."""
 THREADS = 2
@@ -50,7 +48,7 @@ def _image(path: Path) -> str:
     return f'<img {size} src="data:image/{kind};base64,{base64.b64encode(shown).decode()}"'
 
 
-def _webp(pixels: ImageArray, quality: int) -> bytes:
+def _webp(pixels: MatLike, quality: int) -> bytes:
     return cv2.imencode(".webp", pixels, [cv2.IMWRITE_WEBP_QUALITY, quality])[1].tobytes()
 
 

@@ -73,6 +73,7 @@ tr > :first-child { position: sticky; left: 0; z-index: 1; white-space: normal; 
   body { max-width: none; padding: 0; font-size: 10pt; }
   nav, .skip, .top { display: none; }
   section { break-before: page; }
+  .first section { break-before: auto; }
   h2 { margin-top: 0; border: 0; padding: 0; }
   h2, h3, h4, figcaption { break-after: avoid; }
   figure:not(.table), tr, .formula { break-inside: avoid; }
@@ -81,7 +82,9 @@ tr > :first-child { position: sticky; left: 0; z-index: 1; white-space: normal; 
   summary { display: none; }
   .scroll { overflow: visible; width: auto; }
   tr > :first-child { position: static; min-width: 0; }
-  table, .overview table { font-size: 6.5pt; }
+  table { font-size: 6.5pt; }
+  .overview table { font-size: 8pt; }
+  .overview small, .overview .more { font-size: 6.5pt; }
   th, td, .overview td, .overview tbody th { padding: 0.12rem 0.22rem; min-width: 0; }
   thead th { min-width: 0; }
   td { white-space: normal; overflow-wrap: break-word; }

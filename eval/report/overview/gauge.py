@@ -11,6 +11,9 @@ from eval.report.rows import Row, value_of
 MOSTLY = 1.5
 """So many times the aligned RMSE, the plain one is half due to the frame in variance (1.5 squared is 2.25)."""
 
+DIFFERENT = 0.1
+"""Relative change of the ratio of filter and smoother that is worth a word."""
+
 
 def gauge_statement(f: Facts) -> str:
     """The sentence; empty in localization, where the map fixes the frame, and where no error is known."""
@@ -26,7 +29,8 @@ def gauge_statement(f: Facts) -> str:
     )
     if a <= MOSTLY * a_fit and b <= MOSTLY * b_fit:
         return f"SLAM fixes its frame at the first pose; here that makes little difference: {sizes}."
-    ratio = f" (the ratio is then {number(a_fit / b_fit)}, not {number(a / b)})" if a > MOSTLY * a_fit else ""
+    other = abs(a_fit / b_fit / (a / b) - 1.0) > DIFFERENT
+    ratio = f" (the ratio is then {number(a_fit / b_fit)}, not {number(a / b)})" if other else ""
     return (
         "SLAM fixes its frame at the first pose, and the heading error of the first seconds turns the whole path:"
         f" {sizes}{ratio}."

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from data.terminal.words import counted
 from eval.page.document import Block, Section, folded
 from eval.page.numbers import number
+from eval.referee.paths.given import GivenRun
 from eval.report.overview.facts import Facts
 from eval.report.overview.verdict import CAUSE, EITHER, FILTER, NEITHER, SMOOTHER, whom_to_trust
 from eval.report.trust.phrases import terms_of
@@ -25,9 +26,11 @@ def compared(facts: Sequence[Facts]) -> str:
     logs = len({f.trial.log.name for f in facts})
     names = {side: _names(facts, side) for side in ("filtered", "smoothed")}
     who = [f"{kind} ({', '.join(n)})" for kind, n in zip(("filter", "smoother"), names.values(), strict=True) if n]
+    given = len({r.estimator for f in facts for r in f.trial.runs if isinstance(r, GivenRun)})
+    more = f", {counted(given, 'result')} handed in" if given else ""
     return (
-        f"{' and '.join(who).capitalize() or 'Estimators'} on identical inputs from {counted(logs, 'log')}, scored by"
-        " one referee."
+        f"{' and '.join(who).capitalize() or 'Estimators'} on identical inputs from {counted(logs, 'log')}{more},"
+        " scored by one referee."
     )
 
 
@@ -50,7 +53,7 @@ def concluded(facts: Sequence[Facts]) -> str:
         where = "" if len(smoother) == len(facts) else f" on {_where(smoother)}"
         parts.append(f"for the path after the fact trust the smoother{where}{size}")
     for word, said in (
-        (EITHER, "either on {}"), (FILTER, "the filter is closer on {}"), (NEITHER, "trust neither on {}"),
+        (EITHER, "trust either on {}"), (FILTER, "the filter is closer on {}"), (NEITHER, "trust neither on {}"),
     ):  # fmt: skip
         found = [f for f, w in words if w == word]
         parts += [said.format(_where(found))] if found else []
@@ -58,7 +61,7 @@ def concluded(facts: Sequence[Facts]) -> str:
     for f in facts:
         if not f.measured:
             causes.setdefault(whom_to_trust(f).word, []).append(f)
-    parts += [f"{_where(found)} without truth, {word}" for word, found in causes.items()]
+    parts += [f"no truth on {_where(found)}, {word}" for word, found in causes.items()]
     text = "; ".join(parts)
     return f"{text[:1].upper()}{text[1:]}." if text else ""
 

@@ -68,5 +68,5 @@ def test_prose_is_folded_and_at_most_three_lines_stand_in_front(blind):
 
 def test_the_aligned_error_stands_beside_the_plain_one_with_a_sentence_on_the_frame(blind):
     section = blind[1].partition("\n## arena:0, slam\n")[2].partition("\n## ")[0]
-    assert "| position RMSE [m] | position RMSE after the best fit [m] |" in section
+    assert "| position RMSE [m] | aligned position RMSE [m] |" in section
     assert "SLAM fixes its frame at the first pose" in section
