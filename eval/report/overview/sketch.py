@@ -71,4 +71,9 @@ def drawn(lines: Sequence[tuple[Array, tuple[str, float]]]) -> str:
         parts.append(f'<polyline points="{points}" stroke="{colour}" stroke-width="{width:g}"/>')
     box = f'width="{WIDTH:g}" height="{HEIGHT:g}" viewBox="0 0 {WIDTH:g} {HEIGHT:g}"'
     inside = f'<rect {box.split(" viewBox")[0]} fill="#ffffff"/><g fill="none" stroke-linejoin="round">'
-    return f'<svg xmlns="http://www.w3.org/2000/svg" {box}>{inside}{"".join(parts)}</g></svg>'
+    return f"<svg {box}>{inside}{''.join(parts)}</g></svg>"
+
+
+def as_file(svg: str) -> str:
+    """The picture as a file of its own, which needs the name of its language."""
+    return svg.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1) + "\n"

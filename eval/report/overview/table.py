@@ -12,7 +12,7 @@ from eval.page.numbers import number
 from eval.referee.paths.given import GivenRun
 from eval.report.names import stem
 from eval.report.overview.facts import Facts
-from eval.report.overview.sketch import sketch
+from eval.report.overview.sketch import as_file, sketch
 from eval.report.overview.verdict import claims, whom_to_trust
 from eval.report.rows import Row, value_of
 
@@ -49,7 +49,7 @@ def _sketch(f: Facts, folder: Path, drawn: bool) -> Sketch | None:
     small = sketch(f, stem(f.trial, "small") if drawn else None)
     if small is not None and small.stem is not None:
         (folder / "figures").mkdir(exist_ok=True)
-        (folder / "figures" / f"{small.stem}.svg").write_text(small.svg + "\n", encoding="utf-8", newline="\n")
+        (folder / "figures" / f"{small.stem}.svg").write_text(as_file(small.svg), encoding="utf-8", newline="\n")
     return small
 
 

@@ -49,7 +49,7 @@ def test_every_log_has_a_row_that_points_to_its_section(blind):
     rows = re.findall(r'<th scope="row"><a href="#([^"]+)">', blind[0])
     assert rows == ["blind-slam", "arena-0-slam", "corridor-0-people-slam"]
     assert all(f'<h2 id="{row}">' in blind[0] for row in rows)
-    assert blind[0].count('<svg xmlns="http://www.w3.org/2000/svg"') == 3
+    assert blind[0].count("<svg width=") == 3
 
 
 def test_a_row_tells_whom_to_trust_and_how_decisions_went(blind):
