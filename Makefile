@@ -17,7 +17,7 @@ unexport PYTHONHOME PYTHONPATH VIRTUAL_ENV PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv report test test-slow benchmark docs lock clean
+.PHONY: help venv report test test-slow test-browser benchmark docs lock clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z-]+):.*## (.*)/  \1\t\2/' | expand -t 14
@@ -37,6 +37,9 @@ test: .venv/.warm ## style, types, import rules, tests; PYTEST_ARGS='-k jcbb'
 
 test-slow: .venv/.warm ## the tests that take long
 	$(BIN)/python -m pytest -m slow $(PYTEST_ARGS)
+
+test-browser: .venv/.warm .venv/.browser ## the player in a real browser (Chromium on PATH)
+	$(BIN)/python -m pytest -m browser tests/browser $(PYTEST_ARGS)
 
 benchmark: .venv/.warm ## frames per second
 	$(BIN)/python -m eval.benchmark $(ARGS)
@@ -60,6 +63,10 @@ clean: ## remove .venv and every cache; results/ stays
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear .venv
 	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
+	@touch $@
+
+.venv/.browser: .venv/.installed
+	$(BIN)/python -m pip install --quiet --no-build-isolation -e '.[browser]'
 	@touch $@
 
 .venv/.warm: .venv/.installed $(KERNELS)

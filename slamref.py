@@ -66,11 +66,13 @@ HOMES = {
 COMMANDS = {
     "run": ("eval.run_all", "run filters and smoothers on identical inputs, referee them, write the report"),
     "step": ("eval.step", "walk through a log one Enter at a time"),
+    "play": ("eval.play", "write a page that plays a log in the browser"),
     "twin": ("eval.twin", "draw a log again as it says of itself, with a truth"),
     "convert": ("data.convert.__main__", "turn a recording or a simulation into an open log folder"),
     "inspect": ("eval.inspect", "print what a log holds and what is odd about it"),
     "score": ("eval.score", "score a trajectory that another program made against a truth"),
     "check": ("eval.check", "check your own estimator or way of association, a sentence for each check"),
+    "detect": ("eval.detect", "find reference pictures in a photo of your own"),
     "tune": ("eval.tune", "fit noise, biases and odometry scales to a labelled log"),
     "benchmark": ("eval.benchmark", "time the estimators beside their peers"),
     "warm": ("eval.warm", "compile every kernel once, into the cache"),

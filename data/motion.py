@@ -1,4 +1,4 @@
-"""Velocity (unicycle) motion: increments from (v, omega) samples, three noise conventions, preintegration.
+"""Velocity (unicycle) motion: increments from (v, omega) samples, four noise conventions, preintegration.
 
 Inside there is one form of control noise: a variance per second, of displacement D = v dt [m] and rotation
 A = omega dt [rad], that holds for the whole length of a sample; cutting a sample in two does not change the total.
@@ -18,7 +18,9 @@ from data.se2 import Array
 ARC = 0
 HALF_ANGLE = 1
 MODELS = {"unicycle": ARC, "half_angle": HALF_ANGLE}
-NOISES = ("velocity", "displacement", "density")
+NOISES = ("velocity", "displacement", "density", "textbook")
+WITH_ALPHAS = {"displacement": (4,), "textbook": (4, 6)}
+"""Conventions that take alphas instead of sigmas, and how many of them."""
 MAX_HOLD = 1.0
 """s. A sample holds at most this long (zero-order hold); what follows is a gap."""
 
@@ -85,9 +87,9 @@ def _append(mean, cov, step_mean, step_cov):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _preintegrate(model, lateral, time, v, omega, rate, hold, beyond, lead, fastest, at, mean, cov):  # type: ignore[no-untyped-def]
-    """Loop of `preintegrate`; rate (K, 2): variances per second of D and A; hold (K,), beyond (K,): s that
-    sample k lasts and that pass after it without odometry; lead: s before the first; fastest (2,): largest
-    |v|, |omega|.
+    """Loop of `preintegrate`; rate (K, 3): variances per second of D, A and the final rotation; hold (K,), beyond (K,):
+    s that sample k lasts and that pass after it without odometry; lead: s before the first; fastest (2,): largest |v|,
+    |omega|.
     """
     n = len(time)
     k = max(np.searchsorted(time, at[0], side="right") - 1, 0)
@@ -112,6 +114,7 @@ def _preintegrate(model, lateral, time, v, omega, rate, hold, beyond, lead, fast
                     G[0, 1], G[1, 1] = -0.5 * G[1, 0], 0.5 * G[0, 0]
                 M[0, 0], M[1, 1] = rate[k, 0] * dt, rate[k, 1] * dt
                 Q[:, :] = G @ M @ G.T
+                Q[2, 2] += rate[k, 2] * dt  # turns the robot where it has arrived: no sideways motion
             else:  # a gap: the robot may have moved, nobody knows where to
                 gap = beyond[k]
                 if t < time[0]:
@@ -128,31 +131,40 @@ def _preintegrate(model, lateral, time, v, omega, rate, hold, beyond, lead, fast
 
 @dataclass(frozen=True)
 class VelocityNoise:
-    """Control noise in one of three conventions.
+    """Control noise in one of four conventions.
 
     `velocity`: sigma of v [m/s] and omega [rad/s], independent at each sample, mapped through its length.
     `displacement`: per sample (a1 |v| + a2 |omega|)^2 and (a3 |v| + a4 |omega|)^2, without the sample's length, and
     with the classic tutorials' mapping to the pose (along the chord; half sideways and once in heading).
     `density`: sigma per sqrt(s) of displacement [m] and rotation [rad].
+    `textbook`: variances a1 v^2 + a2 omega^2 of v and a3 v^2 + a4 omega^2 of omega, independent at each sample and
+    mapped through its length; with six alphas also a5 v^2 + a6 omega^2 of the rate of a final rotation, which turns the
+    robot where it has arrived (Thrun, Burgard and Fox, Probabilistic Robotics, section 5.3, Tables 5.3 and 7.2).
     """
 
     kind: str
     sigma: tuple[float, float] = (0.0, 0.0)
-    alphas: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    alphas: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         if self.kind not in NOISES:
             raise ValueError(f"noise {self.kind!r}; known: {', '.join(NOISES)}")
+        if len(self.alphas) not in WITH_ALPHAS.get(self.kind, (4,)):
+            raise ValueError(f"{len(self.alphas)} alphas do not go with {self.kind} noise")
         if min(self.sigma) < 0 or min(self.alphas) < 0:
             raise ValueError("noise parameters must not be negative")
 
     def variance_per_second(self, v: Array, omega: Array, length: Array) -> Array:
-        """Variance per second (K, 2) of displacement and rotation, for samples of `length` (K,) s."""
-        if self.kind == "displacement":
-            a1, a2, a3, a4 = self.alphas
-            sigma = np.stack([a1 * np.abs(v) + a2 * np.abs(omega), a3 * np.abs(v) + a4 * np.abs(omega)], axis=-1)
+        """Variance per second (K, 3) of displacement, rotation and final rotation, for samples of `length` (K,) s."""
+        if self.kind in WITH_ALPHAS:
+            weights = np.zeros((3, 2))
+            weights.ravel()[: len(self.alphas)] = self.alphas
+            if self.kind == "textbook":
+                # as a velocity's: a sample's total is its variance times length^2
+                return np.stack([v**2, omega**2], axis=-1) @ weights.T * length[:, None]
+            sigma = np.stack([np.abs(v), np.abs(omega)], axis=-1) @ weights.T
             return sigma**2 / np.maximum(length, 1e-9)[:, None]
-        sigma = np.broadcast_to(np.asarray(self.sigma, float), (len(v), 2))
+        sigma = np.broadcast_to(np.array([*self.sigma, 0.0]), (len(v), 3))
         if self.kind == "velocity":
             # a sample's total is (sigma * length)^2, spread evenly over its length
             return sigma**2 * length[:, None]
@@ -173,15 +185,9 @@ class VelocityModel:
     def scaled(self, factor: float) -> VelocityModel:
         """The same model with every noise sigma multiplied by `factor`."""
         n = self.noise
-        a = n.alphas
-        return replace(
-            self,
-            noise=replace(
-                n,
-                sigma=(n.sigma[0] * factor, n.sigma[1] * factor),
-                alphas=(a[0] * factor, a[1] * factor, a[2] * factor, a[3] * factor),
-            ),
-        )
+        of_alphas = factor**2 if n.kind == "textbook" else factor  # there they are variances
+        sigma, alphas = (n.sigma[0] * factor, n.sigma[1] * factor), tuple(a * of_alphas for a in n.alphas)
+        return replace(self, noise=replace(n, sigma=sigma, alphas=alphas))
 
 
 def preintegrate(model: VelocityModel, time: Array, v: Array, omega: Array, at: Array) -> tuple[Increments, int]:

@@ -68,12 +68,16 @@ class Detection:
         pixels: (4, 2) its corners in the image, u to the right and v downwards, pixel centres at whole numbers.
         points: (4, 3) m, the same corners in the camera's frame, read off the stereo points.
         inliers: matched features that agree with one another.
+        reprojection: px, RMS distance of these from where the homography puts them; NaN: not kept.
+        corner_sigma: px, standard deviation of the least certain corner along its worst direction; NaN: not kept.
     """
 
     picture: int
     pixels: Array
     points: Array
     inliers: int
+    reprojection: float = float("nan")
+    corner_sigma: float = float("nan")
 
 
 class VisualRecording(Protocol):

@@ -196,6 +196,7 @@ class Run:
         last_step_sigma: largest component of the Newton step that it left, in standard deviations of that component;
             next to nothing at an optimum.
         doubt: it got to the end, but with a number that no honest run gives (`implausible`): from which frame, and why.
+        watched: what an observer of the replay wrote down, for those who know its kind; no part of the result.
     """
 
     estimator: str
@@ -219,6 +220,7 @@ class Run:
     iterations: int | None = None
     last_step_sigma: float | None = None
     doubt: Failure | None = None
+    watched: object | None = None
 
     def __post_init__(self) -> None:
         read_only(self)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from data.blocks import coordinates, coordinates_from, diagonal_blocks
+from data.blocks import coordinates, coordinates_from
 from data.inputs import IntArray, Prior, Sightings
 from data.result import MapState
 from data.se2 import Array
@@ -227,9 +227,9 @@ class Parkable(Filter):
         """The map as it is now, active and parked landmarks."""
         d, r = self.size, self._recent
         number, xy, blocks = self._parked.now(self._mean[d:r], self._P[d:r, d:r])
-        here = np.concatenate([np.arange(3, d), r + np.arange(2 * len(self._parked.recent))])
+        here = np.concatenate([np.arange(3, d), r + np.arange(2 * len(self._parked.recent))]).reshape(-1, 2)
         number = np.concatenate([self._number, self._parked.recent, number])
-        xy = np.concatenate([self._mean[here].reshape(-1, 2), xy])
-        blocks = np.concatenate([diagonal_blocks(self._P[np.ix_(here, here)]), blocks])
+        xy = np.concatenate([self._mean[here], xy])
+        blocks = np.concatenate([self._P[here[:, :, None], here[:, None, :]], blocks])
         order = np.argsort(number)
         return MapState(number[order], xy[order], blocks[order])

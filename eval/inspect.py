@@ -21,6 +21,7 @@ examples:
   python -m eval.inspect arena:0 --plot arena.png
   python -m eval.inspect corridor:0:people
   python -m eval.inspect path/to/my_log --plot my_log.pdf
+  python -m eval.inspect MRCLAM_Dataset1.zip         what to type to make a log of it; also for a .mat file
 
 exit status: 0 fine, 2 wrong usage or bad data"""
 
@@ -40,7 +41,8 @@ def _inspect_as_asked(argv: Sequence[str] | None, prog: str) -> None:
     parser.add_argument(
         "log",
         metavar="LOG",
-        help="an open log folder, a CARMEN log, or a name: victoria-park, arena:SEED, corridor:SEED[:KEYS]",
+        help="an open log folder, a CARMEN log, or a name: victoria-park, arena:SEED, corridor:SEED[:KEYS]; of a UTIAS "
+        "MRCLAM folder or zip, or a .mat file, the command is said that makes a log of it",
     )
     parser.add_argument("--plot", metavar="FILE", type=Path, help="write a picture of the log (.png or .pdf)")
     options = parser.parse_args(argv)
@@ -53,8 +55,15 @@ def _inspect(name: str, plot: Path | None) -> None:
         raise UsageError(f"--plot {plot}: a file name that ends in {' or '.join(PICTURES)} is needed")
     from data.logs import open_log
     from data.questions.ask import ask
+    from data.questions.doors import door
     from data.summary import summarize
 
+    answer = door(name)
+    if answer is not None:  # asked what this is: that is said, and it is no fault
+        if plot is not None:
+            raise UsageError(f"--plot {plot}: {name} is no log yet, there is nothing to draw")
+        print("\n".join(answer))
+        return
     log = open_log(name)
     lines = summarize(log)
     lines += [("question", f"{question.name}: {question.text}") for question in ask(log)]

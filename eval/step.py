@@ -46,6 +46,7 @@ examples:
   python -m eval.step --log corridor:0:people --gate 0.95 --new-gate 0.99 --maintain --run-through
   python -m eval.step --log arena:0 --task localization --frames 20     a known map; the first 20 frames
   python -m eval.step --log path/to/my_log --association gnn --in-view
+  python -m eval.step --log corridor:0 --association nn --new-gate 0.99 --run-through --lab-text
 
 At a pause: Enter goes on, r and Enter runs through to the end, q and Enter (or end of file, or Ctrl-C) stops.
 Pictures come in windows where matplotlib can open them (MPLBACKEND=Agg: never), and as PNG files with --save.
@@ -61,6 +62,7 @@ class Wish:
     save: Path | None
     run_through: bool
     frames: int | None
+    lab_text: bool
 
 
 def parser(prog: str = PROG) -> argparse.ArgumentParser:
@@ -76,6 +78,7 @@ def parser(prog: str = PROG) -> argparse.ArgumentParser:
     add("--save", metavar="DIR", type=Path, help="write the pictures and the text of all steps there")
     add("--run-through", action="store_true", help="do not pause (nor does it without a terminal)")
     add("--frames", metavar="N", help="only the first N frames")
+    add("--lab-text", action="store_true", help="print steps as the lab's program does: its words, numbers from 1")
     return p
 
 
@@ -94,7 +97,7 @@ def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
             raise UsageError(f"--{name} {','.join(names)}: one name is needed")
     if not steps(options.estimator[0]):
         raise UsageError(f"--estimator {options.estimator[0]}: does not work step by step; {', '.join(STEPPING)} do")
-    return Wish(options, given["save"], given["run_through"], _frames(given["frames"]))
+    return Wish(options, given["save"], given["run_through"], _frames(given["frames"]), given["lab_text"])
 
 
 def _frames(text: str | None) -> int | None:
@@ -132,6 +135,8 @@ def _step(wish: Wish) -> None:
     from eval.replay.run import step_by_step
     from eval.report.statements import gate_sentence
     from eval.walk.album import Album, open_windows
+    from eval.walk.lab_text import lab_block
+    from eval.walk.text import step_block
     from eval.walk.walk import StoppedError, Walk, end
 
     if is_foreign(o.estimator[0]) and (why := lack(o.estimator[0], task, association, o.setup)):
@@ -142,7 +147,13 @@ def _step(wish: Wish) -> None:
         inputs = inputs.without_map()
     if inputs.labels_are_sensed:
         print(gate_sentence(o, sensed=True))
-    walk = Walk(log, task, name_of(o.estimator[0]), album, pausing=not wish.run_through and sys.stdin.isatty())
+    pausing, block = not wish.run_through and sys.stdin.isatty(), lab_block if wish.lab_text else step_block
+    walk = Walk(log, task, name_of(o.estimator[0]), album, pausing=pausing, block=block)
+    if log.evidence is not None and album.wanted:
+        from data.visual.opening import Camera, open_recording
+        from data.visual.outlined import frame_pictures
+
+        walk.camera = frame_pictures(open_recording(o.log[0], Camera()), log.evidence.found)
     try:
         run = step_by_step(o.estimator[0], inputs, task, association, o.setup, observer=walk)
         end(log, with_doubt(run, inputs), album, walk)

@@ -37,7 +37,7 @@ NEAR = 3.0
 """Sigmas of a range. A reading that is shorter than so many is taken as a point, see `is_point`. In parks whose trees
 stand on the way, searches got stuck at the kink with 1 and none with 2; 3 spares a third of steps."""
 UNMEASURED = 10.0
-"""Ranges long. A sigma of the range from there on says that it was not measured: a bearing alone is no near point."""
+"""Ranges long, and m. A sigma of the range from there on says that it was not measured: a bearing is no near point."""
 HUBER, CAUCHY = 1.345, 1.0
 """Sigmas at which the losses bend: 95 % efficient on Gaussian noise, and usual."""
 KERNELS = {"huber": noise.mEstimator.Huber.Create(HUBER), "cauchy": noise.mEstimator.Cauchy.Create(CAUCHY)}
@@ -212,7 +212,7 @@ def is_point(sensor: Sensor, z: Array, R: Array) -> BoolArray:
     """
     if sensor.kind == RANGE_BEARING:
         sigma = np.sqrt(R[:, 0, 0])
-        near: BoolArray = (z[:, 0] < NEAR * sigma) & (sigma < UNMEASURED * z[:, 0])
+        near: BoolArray = (z[:, 0] < NEAR * sigma) & (sigma < UNMEASURED * np.maximum(z[:, 0], 1.0))
         return near
     return np.ones(len(z), np.bool_)
 

@@ -284,6 +284,10 @@ class Isam2Smoother(Smoother):
         own = diagonal_blocks(self._joint(number)[3:, 3:])
         return MapState(number, self._engine.points(number.tolist()), own)
 
+    def positions(self, numbers: IntArray) -> Array:
+        """Landmarks (n,) of SLAM where they are now (n, 2); asking changes nothing."""
+        return self._engine.points(numbers.tolist())
+
     def finish(self) -> Finished:
         """Final path and map with exact marginals: the optimum of all data, reached from the present estimate."""
         factors, values = self._flush()

@@ -89,11 +89,14 @@ def _convert(argv: Sequence[str] | None, prog: str) -> None:
         print(made)
         return
     from data.open_log.writer import write_folder
+    from data.questions.ask import ask
 
     write_folder(made, args.out)
     print(f"{made.name}: {', '.join(summary(made))}.")
     for note in made.notes:
         print(f"- {note}")
+    for question in ask(made):
+        print(f"question ({question.name}): {question.text}")
     print(f"written: {Path(args.out).absolute()}")
 
 

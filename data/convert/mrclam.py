@@ -99,16 +99,18 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
         help="exact arc, or the tutorials' chord at the middle heading",
     )
     group.add_argument(
-        "--motion-noise", choices=("velocity", "displacement", "density"),
-        help="convention of the odometry noise: per sample, per sample in proportion, or per square root of a second",
+        "--motion-noise", choices=("velocity", "displacement", "density", "textbook"),
+        help="convention of the odometry noise: per sample, per sample in proportion (the tutorials' or Probabilistic "
+        "Robotics'), or per square root of a second",
     )  # fmt: skip
     group.add_argument(
         "--motion-sigma", type=number, nargs=2, metavar=("V", "OMEGA"),
         help="velocity: m/s and rad/s; density: m and rad per square root of a second",
     )  # fmt: skip
     group.add_argument(
-        "--motion-alphas", type=number, nargs=4, metavar=("A1", "A2", "A3", "A4"),
-        help="displacement: sigma_v = A1 |v| + A2 |omega|, sigma_omega = A3 |v| + A4 |omega|",
+        "--motion-alphas", type=number, nargs="+", metavar="A",
+        help="displacement, four: sigma_v = A1 |v| + A2 |omega|, sigma_omega = A3 |v| + A4 |omega|; textbook, four or "
+        "six: sigma_v^2 = A1 v^2 + A2 omega^2, sigma_omega^2 = A3 v^2 + A4 omega^2, and a final rotation's with A5, A6",
     )  # fmt: skip
 
 
@@ -151,12 +153,12 @@ def convert(args: argparse.Namespace) -> Log:
 
 def _motion(args: argparse.Namespace, default: VelocityModel) -> VelocityModel:
     """The motion model with what the flags change; a new convention of noise needs its own numbers."""
-    from data.motion import VelocityModel, VelocityNoise
+    from data.motion import WITH_ALPHAS, VelocityModel, VelocityNoise
 
     kind = args.motion_noise or default.noise.kind
     if args.motion_noise is None and args.motion_alphas is not None:
         kind = "displacement"
-    wanted, other = ("motion_alphas", "motion_sigma") if kind == "displacement" else ("motion_sigma", "motion_alphas")
+    wanted, other = ("motion_alphas", "motion_sigma") if kind in WITH_ALPHAS else ("motion_sigma", "motion_alphas")
     numbers = getattr(args, wanted)
     if getattr(args, other) is not None:
         raise UsageError(
@@ -168,7 +170,10 @@ def _motion(args: argparse.Namespace, default: VelocityModel) -> VelocityModel:
             raise UsageError(
                 f"--{wanted.replace('_', '-')} {' '.join(f'{n:g}' for n in numbers)}: numbers from 0 up are needed"
             )
-        key = "alphas" if kind == "displacement" else "sigma"
+        if kind in WITH_ALPHAS and len(numbers) not in WITH_ALPHAS[kind]:
+            wanted_count = " or ".join(str(n) for n in WITH_ALPHAS[kind])
+            raise UsageError(f"--motion-alphas: {kind} noise takes {wanted_count} numbers, not {len(numbers)}")
+        key = "alphas" if kind in WITH_ALPHAS else "sigma"
         noise = VelocityNoise(kind, **{key: tuple(numbers)})
     elif kind != noise.kind:
         raise UsageError(f"--motion-noise {kind} needs --{wanted.replace('_', '-')}")

@@ -58,7 +58,10 @@ FLAGS = {
         "noise: for velocities sigma of v and omega per sqrt(s); else of the way per sqrt(m) and sqrt(rad) and of the "
         "heading per sqrt(m) and sqrt(rad); numbers may carry units: 5cm, 2deg",
     ),
-    "odometry-noise": ("MODEL", "for velocities: density (default), velocity (per sample), displacement (4 numbers)"),
+    "odometry-noise": (
+        "MODEL",
+        "for velocities: density (default), velocity (per sample), displacement (4 numbers), textbook (4 or 6)",
+    ),
     "observation-sigma": ("S1,S2", "noise of range and bearing, or of x and y, as in 0.1,2deg"),
     "track-width": ("M", "of wheel ticks: distance between the wheels"),
     "metres-per-tick": ("M[,M]", "of wheel ticks: for both, or left and right"),

@@ -22,7 +22,7 @@ from data.motion import VelocityModel
 from data.mrclam.calibration import FROZEN, Calibration
 from data.mrclam.files import Files, open_files, robot_file
 from data.mrclam.first_fix import first_fix
-from data.mrclam.frames import Course, Odometry, lay_out
+from data.mrclam.frames import Course, Grid, Odometry, held_back, lay_out
 from data.mrclam.readings import identify, misplaced, within
 from data.mrclam.tables import read_barcodes, read_landmarks, read_measurements, read_odometry, read_truth
 from data.se2 import Array
@@ -98,7 +98,7 @@ def load_mrclam(
     landmarks: Path | None = None,
     exclude_truth: Sequence[tuple[float, float]] = (),
     keep_robots: bool = False,
-    grid: float | None = None,
+    grid: Grid | float | None = None,
     calibration: Calibration = FROZEN,
     motion: VelocityModel | None = None,
     sigma: tuple[float, float] | None = None,
@@ -120,7 +120,7 @@ def load_mrclam(
         exclude_truth: stretches (from, to) [s] whose truth is bad and left out, ends included.
         keep_robots: keep sightings of the other robots, as clutter that moves.
         grid: s; resample to frames this far apart, as the classic tutorials do (0.02): odometry interpolated at each
-            frame and held until the next, readings moved to the nearest frame.
+            frame and held until the next, readings moved to the nearest frame; or a `Grid`, which may do otherwise.
         calibration: corrections and noise of odometry and camera.
         motion: replaces `calibration.motion`.
         sigma: (m, rad), replaces the calibration's noise of a reading, whatever its range.
@@ -130,6 +130,8 @@ def load_mrclam(
         DataError: anything missing or wrong in the files, with file and line; nothing in the window.
         UsageError: arguments that make no sense.
     """
+    if isinstance(grid, (int, float)):
+        grid = Grid(float(grid))
     _check(start, stop, exclude_truth, grid, prior_sigma)
     if motion is not None:
         calibration = replace(calibration, motion=motion)
@@ -143,6 +145,8 @@ def load_mrclam(
     origin = float((commands if rows is None else rows)[0, 0])
     velocities = calibration.velocities(commands[:, 1], commands[:, 2])
     odometry = Odometry(np.round(calibration.instants(_since(commands[:, 0], origin)), 6), *velocities)
+    if grid is not None and grid.gapless:
+        odometry = held_back(odometry)
     truth = None if rows is None else _TruePath(_since(rows[:, 0], origin), rows[:, 1:], tuple(exclude_truth))
     first, last, notes = _window(files, robot, odometry, truth, start, stop)
     seen_at = _since(measured[:, 0], origin, -calibration.latency)
@@ -183,7 +187,7 @@ def load_mrclam(
         "landmarks": None if landmarks is None else str(Path(landmarks).absolute()),
         "exclude_truth": [list(map(float, s)) for s in exclude_truth] or None,
         "keep_robots": keep_robots or None,
-        "grid": grid,
+        "grid": None if grid is None else grid.period,
     }
     provenance = {
         "kind": "mrclam",
@@ -209,7 +213,7 @@ def _check(
     start: float | None,
     stop: float | None,
     exclude_truth: Sequence[tuple[float, float]],
-    grid: float | None,
+    grid: Grid | None,
     prior_sigma: tuple[float, float],
 ) -> None:
     for name, value in (("start", start), ("stop", stop)):
@@ -220,8 +224,8 @@ def _check(
     for begin, end in exclude_truth:
         if not begin < end:
             raise UsageError(f"exclude truth {begin:g}:{end:g}: the end must come after the beginning")
-    if grid is not None and not 0.0 < grid <= MAX_GAP:
-        raise UsageError(f"grid {grid:g} s: more than 0 and at most {MAX_GAP:g} s is needed")
+    if grid is not None and not 0.0 < grid.period <= MAX_GAP:
+        raise UsageError(f"grid {grid.period:g} s: more than 0 and at most {MAX_GAP:g} s is needed")
     if not all(0.0 <= s < math.inf for s in prior_sigma):
         raise UsageError(f"prior sigma {prior_sigma}: numbers from 0 up are needed")
 

@@ -21,7 +21,8 @@ Format 1. Keys, with their defaults where they may be left out:
               max_range, sigma [m]      a range not below max_range is no return; noise of a range
               rotation, translation     as in [sensor]
     [motion]  model = "unicycle" or "half_angle", noise = "velocity" or "density" with sigma = [2 numbers],
-              or noise = "displacement" with alphas = [4 numbers]     needed with odometry.csv only;
+              or noise = "displacement" with alphas = [4 numbers], or noise = "textbook" with alphas = [4 or 6
+              numbers]     needed with odometry.csv only;
               without odometry, instead: prior = "forward" with step_mean, step_sigma, lateral_sigma [m] and turn_sigma
               [rad] per frame, or prior = "constant_velocity" with velocity, velocity_sigma, lateral_sigma [m/s],
               turn_rate and turn_rate_sigma [rad/s]; frames.csv then has the column t alone (see
@@ -40,7 +41,7 @@ import numpy as np
 
 from data.errors import DataError
 from data.inputs import Prior, Scanner
-from data.motion import MODELS, NOISES, VelocityModel, VelocityNoise
+from data.motion import MODELS, NOISES, WITH_ALPHAS, VelocityModel, VelocityNoise
 from data.open_log.motion_prior import PRIORS, MotionPrior
 from data.open_log.scans import KEYS, read_scanner
 from data.se2 import Array
@@ -168,12 +169,16 @@ def _sensor(table: TomlTable) -> tuple[Sensor, Array | None]:
 def _motion(table: TomlTable) -> VelocityModel:
     model = table.one_of("model", MODELS, "unicycle")
     kind = table.one_of("noise", NOISES)
-    wanted, other = ("alphas", "sigma") if kind == "displacement" else ("sigma", "alphas")
+    wanted, other = ("alphas", "sigma") if kind in WITH_ALPHAS else ("sigma", "alphas")
     if other in table:
         raise table.error(other, f"noise = {kind!r} takes {wanted}, not {other}")
-    if kind == "displacement":
-        a1, a2, a3, a4 = table.numbers("alphas", 4, "four numbers >= 0 are", not_negative).tolist()
-        return VelocityModel(VelocityNoise(kind, alphas=(a1, a2, a3, a4)), model)
+    if kind in WITH_ALPHAS:
+        given, counts = table.table.get("alphas"), WITH_ALPHAS[kind]
+        count = len(given) if isinstance(given, list) and len(given) in counts else counts[0]
+        what = f"{' or '.join({4: 'four', 6: 'six'}[n] for n in counts)} numbers >= 0 are"
+        return VelocityModel(
+            VelocityNoise(kind, alphas=tuple(table.numbers("alphas", count, what, not_negative))), model
+        )
     s1, s2 = table.numbers("sigma", 2, "two numbers >= 0 are", not_negative).tolist()
     return VelocityModel(VelocityNoise(kind, sigma=(s1, s2)), model)
 

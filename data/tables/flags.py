@@ -13,9 +13,9 @@ from data.recordings.wheel_odometry import TravelNoise
 from data.se2 import Array
 from data.tables.columns import ROLES, Columns
 from data.tables.files import read_text
-from data.tables.log import FROM_TRUTH, Wanted
 from data.tables.motion import KINDS, Wheels, kind_of
 from data.tables.units import Units, quantity_with_unit
+from data.tables.wanted import FROM_TRUTH, Wanted
 from data.toml_table import load_toml
 
 POSE = ("length", "length", "angle")
@@ -163,7 +163,7 @@ def _noise(given: Given, kind: str) -> VelocityNoise | TravelNoise:
     """Odometry noise; which numbers depends on the kind of odometry."""
     velocities = kind == "velocities"
     default = "density" if velocities else "travel"
-    known = ("density", "velocity", "displacement") if velocities else ("travel",)
+    known = ("density", "velocity", "displacement", "textbook") if velocities else ("travel",)
     model = str(given.get("odometry-noise", default))
     if model not in known:
         raise UsageError(f"--odometry-noise {model}: for {kind}: {', '.join(known)}")
@@ -171,6 +171,8 @@ def _noise(given: Given, kind: str) -> VelocityNoise | TravelNoise:
         "density": "of v [m] and omega [rad], per square root of a second, as in 0.05,2deg",
         "velocity": "of v [m/s] and omega [rad/s], of each sample, as in 0.1,5deg",
         "displacement": "A1,A2,A3,A4: sigma_v = A1 |v| + A2 |omega|, sigma_omega = A3 |v| + A4 |omega|",
+        "textbook": "A1,A2,A3,A4[,A5,A6]: sigma_v^2 = A1 v^2 + A2 omega^2, sigma_omega^2 = A3 v^2 + A4 omega^2, "
+        "A5 v^2 + A6 omega^2 of a final rotation",
         "travel": "of the way [m] per sqrt(m) and per sqrt(rad), of the heading [rad] per sqrt(m) and per sqrt(rad); "
         f"{','.join(f'{n:g}' for n in TravelNoise())} was measured on a robot with wheels in an office",
     }[model]
@@ -182,6 +184,9 @@ def _noise(given: Given, kind: str) -> VelocityNoise | TravelNoise:
     if model == "displacement":
         a1, a2, a3, a4 = _sigmas(text, ("",) * 4, "odometry-sigma", what).tolist()
         return VelocityNoise(model, alphas=(a1, a2, a3, a4))
+    if model == "textbook":
+        count = 6 if len(str(text).replace(",", " ").split()) == 6 else 4
+        return VelocityNoise(model, alphas=tuple(_sigmas(text, ("",) * count, "odometry-sigma", what).tolist()))
     sigma_v, sigma_omega = _sigmas(text, ("length", "angle"), "odometry-sigma", what).tolist()
     return VelocityNoise(model, sigma=(sigma_v, sigma_omega))
 

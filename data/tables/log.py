@@ -3,66 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from data import se2
 from data.errors import DataError, UsageError
-from data.inputs import CLUTTER, UNLABELLED, Inputs, IntArray, LandmarkMap, Observations, Prior, floor_covariances
+from data.inputs import Inputs, IntArray, LandmarkMap, Observations, Prior, floor_covariances
 from data.log import Log
-from data.motion import VelocityNoise
-from data.open_log.table import Table
-from data.recordings.wheel_odometry import FLOOR, TravelNoise
+from data.recordings.wheel_odometry import FLOOR
 from data.se2 import Array
 from data.sensors import RangeBearing, RelativePoint, Sensor
-from data.tables.columns import Columns, headings, shared
+from data.tables.columns import headings
 from data.tables.files import TextTable, read_text
-from data.tables.motion import Odometry, Wheels, kind_of, pose_columns, read_odometry
+from data.tables.motion import Odometry, kind_of, pose_columns, read_odometry, suspicious
+from data.tables.readings import Sightings, sightings, whole
+from data.tables.wanted import Wanted
 from data.timeline import MAX_GAP, frame_times, truth_at
-from data.truth import UNKNOWN_ID, Truth
+from data.truth import Truth
 
 LONGEST = 1e6
 """s. A log that lasts longer has stamps in another unit; keyframes would fill the memory."""
-FROM_TRUTH = "truth"
-"""The prior's mean is the first true pose."""
-
-
-@dataclass(frozen=True, eq=False)
-class Wanted:
-    """What was asked for, in SI units.
-
-    Attributes:
-        files: path by role (odometry, observations, map, truth).
-        columns: which column holds what, and units.
-        kind: of odometry; None: found by its columns.
-        wheels: of wheel ticks.
-        noise: of the odometry.
-        sigma: (2,) of a reading.
-        prior: mean (3,), "truth", or None: the frame of the log starts at the robot; prior_sigma (3,) or None.
-        map_pose: (3,) pose of the map's frame in the world; truth_pose: of the truth's.
-        every_row: every odometry row is a frame, not only those with readings.
-        max_range: m, view: rad, least and largest bearing; None: what is seen.
-        sensor_pose: (3,) of the sensor in the body frame.
-        sensed: a sensor read the labels.
-    """
-
-    files: Mapping[str, Path]
-    columns: Columns
-    kind: str | None
-    wheels: Wheels | None
-    noise: VelocityNoise | TravelNoise
-    sigma: Array
-    prior: Array | str | None
-    prior_sigma: Array | None
-    map_pose: Array
-    truth_pose: Array
-    every_row: bool
-    max_range: float | None
-    view: tuple[float, float] | None
-    sensor_pose: Array
-    sensed: bool
 
 
 def open_files(files: Mapping[str, Path]) -> dict[str, TextTable]:
@@ -81,7 +43,7 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Log:
     odometry = read_odometry(
         texts["odometry"], columns, kind_of(texts["odometry"], columns, wanted.kind), wanted.wheels
     )
-    seen = _sightings(texts["observations"], wanted, odometry)
+    seen = sightings(texts["observations"], wanted, odometry)
     notes = [*odometry.notes, *seen.notes]
     time, frame, seen = _frames(odometry, seen, wanted, notes)
     increments, counted = odometry.increments(time, wanted.noise)
@@ -92,9 +54,9 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Log:
         gaps = "gap" if counted == 1 else "gaps"
         notes.append(f"odometry: {counted} {gaps} longer than {MAX_GAP:g} s, where the robot may have moved unseen")
     known = _map(texts["map"], wanted) if "map" in texts else None
-    pose = _truth(texts["truth"], wanted, time, stamped=odometry.stamped) if "truth" in texts else None
+    pose = _truth(texts["truth"], wanted, time, notes, stamped=odometry.stamped) if "truth" in texts else None
     columns.check_used(list(dict.fromkeys(texts.values())))
-    labels = {key: _whole(seen.table, seen.texts[key], key) for key in ("true_id", "label") if key in seen.texts}
+    labels = {key: whole(seen.table, seen.texts[key], key) for key in ("true_id", "label") if key in seen.texts}
     sensor = _sensor(wanted, seen, notes)
     R = np.tile(np.diag(wanted.sigma**2), (len(frame), 1, 1))
     inputs = Inputs(
@@ -122,66 +84,7 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Log:
     )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class _Sightings:
-    """Readings in the order of their stamps: z (M, 2), t (M,) s or frame numbers, whether range and bearing."""
-
-    table: Table
-    texts: Mapping[str, list[str]]
-    z: Array
-    at: Array
-    polar: bool
-    notes: tuple[str, ...]
-
-    def part(self, rows: IntArray) -> _Sightings:
-        """Some of them, in this order."""
-        table = replace(
-            self.table, columns={q: v[rows] for q, v in self.table.columns.items()},
-            line=None if self.table.line is None else self.table.line[rows],
-        )  # fmt: skip
-        texts = {q: [fields[i] for i in rows.tolist()] for q, fields in self.texts.items()}
-        return replace(self, table=table, texts=texts, z=self.z[rows], at=self.at[rows])
-
-
-def _sightings(file: TextTable, wanted: Wanted, odometry: Odometry) -> _Sightings:
-    """The readings of a file: range and bearing, or x and y in the sensor's frame."""
-    columns = wanted.columns
-    polar = columns.find(file, "observations", "range") is not None
-    polar |= columns.find(file, "observations", "bearing") is not None
-    if not polar and not columns.has(file, "observations", ("x", "y")):
-        raise DataError.at(
-            file.path, f"no readings: {file.described()}; needed are range and bearing, or x and y in the body frame; "
-            "name them as in --columns range=DIST,bearing=ANGLE",
-        )  # fmt: skip
-    by_stamp = odometry.stamped and columns.find(file, "observations", "t") is not None
-    key = "t" if by_stamp else "frame"
-    if not by_stamp and columns.find(file, "observations", "frame") is None:
-        columns.require(file, "observations", ("t",) if odometry.stamped else ("frame",))
-    values = ("range", "bearing") if polar else ("x", "y")
-    table, texts, skipped = columns.table(file, "observations", (*values, key), texts=("true_id", "label"))
-    together = "observations" in shared(wanted.files)
-    notes = [f"{file.path.name}: {skipped} rows without a reading"] if skipped and not together else []
-    z = table.stack(values)
-    if polar:
-        table.require(z[:, 0] >= 0.0, "range", "{} is a negative range")
-    at = table.columns[key]
-    if not by_stamp:
-        rows = table.integers("frame", 0)
-        last = len(odometry.time) - 1
-        table.require(rows <= last, "frame", f"{{}} is out of range; the odometry has rows 0 to {last}")
-    found = _Sightings(table, texts, z, at, polar, tuple(notes))
-    back = int((np.diff(at) < 0.0).sum())
-    if back:
-        found = found.part(np.argsort(at, kind="stable").astype(np.int64))
-        found = replace(
-            found, notes=(*notes, f"{file.path.name}: {back} readings were stamped before the one above; sorted")
-        )
-    return found
-
-
-def _frames(
-    odometry: Odometry, seen: _Sightings, wanted: Wanted, notes: list[str]
-) -> tuple[Array, IntArray, _Sightings]:
+def _frames(odometry: Odometry, seen: Sightings, wanted: Wanted, notes: list[str]) -> tuple[Array, IntArray, Sightings]:
     """Time (N,) of the frames, the frame (M,) of each reading, and the readings that have odometry."""
     if "t" not in seen.table:
         return odometry.time, seen.at.astype(np.int64), seen
@@ -214,7 +117,7 @@ def _map(file: TextTable, wanted: Wanted) -> LandmarkMap:
     """Landmarks in the world frame; without ids they are numbered from 0 in the order of the file."""
     columns = wanted.columns
     table, texts, _ = columns.table(file, "map", ("x", "y"), texts=("id",))
-    ids = _whole(table, texts["id"], "id") if "id" in texts else np.arange(len(table), dtype=np.int64)
+    ids = whole(table, texts["id"], "id") if "id" in texts else np.arange(len(table), dtype=np.int64)
     order = np.argsort(ids, kind="stable")
     twice = np.flatnonzero(ids[order][1:] == ids[order][:-1])
     if len(twice):
@@ -225,7 +128,7 @@ def _map(file: TextTable, wanted: Wanted) -> LandmarkMap:
     return LandmarkMap(ids[order], se2.transform_points(wanted.map_pose, table.stack(("x", "y")))[order])
 
 
-def _truth(file: TextTable, wanted: Wanted, time: Array, *, stamped: bool) -> Array:
+def _truth(file: TextTable, wanted: Wanted, time: Array, notes: list[str], *, stamped: bool) -> Array:
     """True poses (N, 3) in the world frame at the frames, NaN where unknown."""
     columns = wanted.columns
     pose = pose_columns(file, columns, "truth")
@@ -236,6 +139,7 @@ def _truth(file: TextTable, wanted: Wanted, time: Array, *, stamped: bool) -> Ar
     table, _, _ = columns.table(file, "truth", wants, may_be_blank=pose)
     values = table.columns
     read = np.stack([values["x"], values["y"], headings(values)], axis=-1)
+    notes += suspicious(file, columns, read[:, 2], values["t"] if by_stamp else None, "truth")
     read[~np.isfinite(read).all(axis=1)] = np.nan
     world = se2.compose(wanted.truth_pose, read) if wanted.truth_pose.any() else read
     if not by_stamp:
@@ -249,22 +153,6 @@ def _truth(file: TextTable, wanted: Wanted, time: Array, *, stamped: bool) -> Ar
             f"{time[-1]:.15g} s: no frame has one within {MAX_GAP:g} s; units are stated as in --unit truth.t=ms",
         )  # fmt: skip
     return result
-
-
-def _whole(table: Table, fields: list[str], name: str) -> IntArray:
-    """Ids: whole numbers, blank for not known, -1 for clutter."""
-    blank = UNLABELLED if name == "label" else UNKNOWN_ID
-    ids = np.full(len(fields), blank, np.int64)
-    for i, field in enumerate(fields):
-        if field and field.lower() != "nan":
-            try:
-                value = float(field)
-                ids[i] = int(value)
-            except (ValueError, OverflowError):
-                value = 0.5
-            if value != ids[i] or ids[i] < CLUTTER:
-                raise table.error(i, name, f"{field!r} is not a whole number from -1 up (-1: clutter; blank: unknown)")
-    return ids
 
 
 def _prior(wanted: Wanted, pose: Array | None, known: LandmarkMap | None) -> Prior:
@@ -289,7 +177,7 @@ def _prior(wanted: Wanted, pose: Array | None, known: LandmarkMap | None) -> Pri
     return Prior(mean, np.diag(wanted.prior_sigma**2))
 
 
-def _sensor(wanted: Wanted, seen: _Sightings, notes: list[str]) -> Sensor:
+def _sensor(wanted: Wanted, seen: Sightings, notes: list[str]) -> Sensor:
     """The sensor, its field of view stated or as far as it was seen."""
     kind = RangeBearing if seen.polar else RelativePoint
     polar = kind().polar(seen.z)

@@ -12,6 +12,7 @@ from data.errors import DataError, UsageError
 from data.inputs import Increments
 from data.motion import VelocityModel, VelocityNoise, preintegrate
 from data.open_log.table import Table
+from data.questions.units import FASTEST, SHARE
 from data.recordings.wheel_odometry import TravelNoise, increments_of
 from data.se2 import Array
 from data.tables.columns import QUATERNION, Columns, headings
@@ -24,6 +25,8 @@ KINDS = {
     "ticks": ("left", "right"),
 }
 """Columns of each kind of odometry; steps are the motion since the row before, in the body frame there."""
+TURNS = 4.0 * np.pi
+"""rad. Headings beyond are the sum of many turns, or degrees."""
 STAMPED = ("velocities",)
 """Kinds that mean nothing without stamps."""
 
@@ -146,6 +149,7 @@ def read_odometry(file: TextTable, columns: Columns, kind: str, wheels: Wheels |
     if kind == "velocities":
         return Odometry(table, time, stamped, None, table.stack(("v", "omega")), tuple(notes))
     if kind == "poses":
+        notes += suspicious(file, columns, headings(values), time if stamped else None, "odometry")
         pose = np.stack([values["x"], values["y"], se2.wrap_angle(headings(values))], axis=-1)
     elif kind == "steps":
         steps = table.stack(KINDS["steps"])
@@ -159,6 +163,26 @@ def read_odometry(file: TextTable, columns: Columns, kind: str, wheels: Wheels |
             raise UsageError("wheel ticks need --track-width M (between the wheels) and --metres-per-tick M")
         pose = _rolled(table.stack(KINDS["ticks"]), wheels)
     return Odometry(table, time, stamped, pose, None, tuple(notes))
+
+
+def suspicious(file: TextTable, columns: Columns, heading: Array, time: Array | None, role: str) -> list[str]:
+    """A note about headings (K,) in radians that look like degrees: once wrapped, nobody could tell.
+
+    They go beyond two turns, and their steps (but those of whole turns) are those of a robot that turns faster than
+    `FASTEST`, or of more than 1 rad where there are no stamps `time` (K,).
+    """
+    if columns.units.factor(role, "theta") != 1.0 or not (np.abs(heading) > TURNS).any():
+        return []
+    step = np.abs(np.diff(heading))
+    there = np.isfinite(step) & (np.abs(step - 2.0 * np.pi) > 1.0) & (step > 0.0)
+    limit = 1.0 if time is None else FASTEST * np.diff(time)[there]
+    fast = step[there] > limit
+    if not len(fast) or fast.mean() <= SHARE:
+        return []
+    low, high = float(np.nanmin(heading)), float(np.nanmax(heading))
+    return [
+        f"{file.path.name}: headings from {low:.4g} to {high:.4g} rad: are they degrees? Then --unit {role}.theta=deg"
+    ]
 
 
 def _rolled(ticks: Array, wheels: Wheels) -> Array:

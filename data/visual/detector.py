@@ -223,9 +223,13 @@ class Detector:
         gap = np.linalg.norm(project(H, reference.place[pairs[0]]) - scene.place[pairs[1]], axis=1)
         if inliers < MIN_INLIERS or np.mean(gap < 2 * THRESHOLD) < MIN_INLIER_SHARE:
             return FEW_INLIERS
-        if corner_sigma(fit, self.corners[picture], pixels).max() > MAX_CORNER_SIGMA:
+        worst = float(corner_sigma(fit, self.corners[picture], pixels).max())
+        if worst > MAX_CORNER_SIGMA:
             return UNCERTAIN
-        return Detection(picture, pixels, np.full((CORNERS, 3), np.nan), inliers)
+        agreeing = reference.place[guided[0]][fit.inlier], scene.place[guided[1]][fit.inlier]
+        off = np.linalg.norm(project(H, agreeing[0]) - agreeing[1], axis=1)
+        rms = float(np.sqrt(np.mean(off**2)))
+        return Detection(picture, pixels, np.full((CORNERS, 3), np.nan), inliers, rms, worst)
 
     def _locate(self, detection: Detection, xyz: Points, camera: Pinhole | None) -> Detection | str:
         """The same detection with its corners in the camera's frame, or why stereo contradicts it."""

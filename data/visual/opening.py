@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from data.log import Log
-from data.pictures import Found, InView
+from data.pictures import Found, InView, VisualRecording
 from data.terminal.words import counted
 from data.visual.lab.folder import open_lab
 from data.visual.lab.units import unit_suspicion
@@ -42,6 +42,16 @@ def parse_name(name: str) -> tuple[Gallery, int, int | None]:
     """Parameters, seed and number of frames of `visual:SEED[:KEY=VALUE+...]`; `frames=N` looks at the first N only."""
     _, gallery, seed, counts = registry.parse(name)
     return gallery, seed, counts.get("frames")
+
+
+def open_recording(name: str, camera: Camera) -> VisualRecording:
+    """The images of `visual:SEED[...]`, or of a folder in the lab's format."""
+    if not name.startswith("visual:"):
+        return open_lab(
+            Path(name), translation_unit=camera.translation, reading=camera.reading, trust_pickle=camera.trust_pickle
+        )
+    gallery, seed, frames = parse_name(name)
+    return Rendered(gallery, seed, frames=frames)
 
 
 def open_rendered(name: str, camera: Camera, say: Say, cache: Path | None) -> Log:

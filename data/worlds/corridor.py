@@ -33,9 +33,9 @@ NEAREST = 1e-3
 """m. No range is measured below it: at zero range R is singular."""
 
 
-def _degrees(value: float) -> float:
+def _degrees(value: float, **more: object) -> float:
     """A field in radians whose value is written in degrees, in a log's name and as a flag."""
-    default: float = field(default=math.radians(value), metadata={"unit": "deg"})
+    default: float = field(default=math.radians(value), metadata={"unit": "deg", **more})
     return default
 
 
@@ -81,7 +81,7 @@ class Corridor:
     min_angle: float = _degrees(-90.0)
     max_angle: float = _degrees(90.0)
     srho: float = 0.01
-    sphi: float = _degrees(0.125)
+    sphi: float = _degrees(0.125, alias="stita")  # its name in the lab's program
     sx_move: float = 0.01
     sy_move: float = 0.01
     stheta_move: float = _degrees(2.0)

@@ -57,6 +57,9 @@ def add_flags(sub: argparse.ArgumentParser, simulator: str) -> None:
             default, unit, convert = f"{math.degrees(default):.12g}", "DEG", degrees
         text = f"{text} (default: {default})".strip().replace("%", "%%")
         sub.add_argument(flag, type=convert, default=f.default, metavar=unit, help=text)
+        if "alias" in f.metadata:  # understood, not advertised
+            alias = f"--{f.metadata['alias']}"
+            sub.add_argument(alias, type=convert, default=argparse.SUPPRESS, dest=f.name, help=argparse.SUPPRESS)
 
 
 def _attributes(docstring: str, names: Sequence[str]) -> dict[str, str]:

@@ -1,7 +1,7 @@
 """Names of simulated logs: `world:SEED[:KEY=VALUE+KEY+no-KEY+...]`; keys are the fields of the world's parameters.
 
-A switch is said by its name alone or with `no-` before it, `-` and `_` are the same, and a field kept in radians whose
-metadata say `unit: deg` is written in degrees.
+A switch is said by its name alone or with `no-` before it, `-` and `_` are the same, a field kept in radians whose
+metadata say `unit: deg` is written in degrees, and one whose metadata have an `alias` is understood by that, too.
 """
 
 from __future__ import annotations
@@ -51,6 +51,7 @@ def _halves(name: str, part: str, known: Mapping[str, Field[Any]], counts: tuple
     key = key.strip().replace("-", "_")
     if not equals:
         key, text = (key[3:], "off") if key.startswith("no_") else (key, "on")
+    key = next((name for name, f in known.items() if f.metadata.get("alias") == key), key)
     there = key in known or key in counts
     if not there or (not equals and not _is_switch(known.get(key))):
         switches = [_switch(f, on=not f.default) for f in known.values() if _is_switch(f)]

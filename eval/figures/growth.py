@@ -5,15 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from data.log import Log
 from data.result import Run
+from data.se2 import Array
 from eval.figures.ellipses import SIGMAS, longest_axis
 from eval.figures.error import longest_sigma, ticks, time_label
 from eval.figures.paper.look import page_width, points
 from eval.figures.style import DASHED, DOTTED, SOLID, Line, colour_of_method, drawing, style_of
 from eval.referee.score import Trial
+from eval.replay.again import landmark_sigmas
 
 LOOP = 0.3
 """A landmark seen again after this share of the run means that a loop was closed."""
@@ -84,15 +88,18 @@ def growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
     """Standard deviation, along its least certain direction, of the robot online and of each landmark in the last map.
 
     Landmarks stand in the order in which they were initialized. A vertical line marks the frame that closed a loop.
+    Below, where the first run is a filter whose log is small enough: every landmark's over time.
     """
     with drawing():
         return _growth_figure(log, runs)
 
 
 def _growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
-    fig = Figure(figsize=(page_width(), 2.9))
-    robot, landmarks = fig.subplots(1, 2)
     time = log.recorded.time
+    over_time = next((s for s in (landmark_sigmas(log.recorded, r) for r in runs) if s is not None), None)
+    fig = Figure(figsize=(page_width(), 2.9 if over_time is None else 4.9))
+    grid = fig.add_gridspec(1 if over_time is None else 2, 2)
+    robot, landmarks = fig.add_subplot(grid[0, 0]), fig.add_subplot(grid[0, 1])
     for i, run in enumerate(runs):
         style, sigma = style_of(run.estimator), longest_sigma(run.trajectory("online"))
         known = sigma[np.isfinite(sigma)]
@@ -111,6 +118,8 @@ def _growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
         robot.axvline(
             time[closed], color="#505050", linestyle=DOTTED, linewidth=1.0, label="first landmarks seen again"
         )
+    if over_time is not None:
+        _draw_over_time(fig.add_subplot(grid[1, :]), log, over_time, closed)
     robot.set(xlabel=time_label(log.recorded), ylabel="robot σ [m]", ylim=(0.0, None))
     landmarks.set(xlabel="landmark number [–]", ylabel="landmark σ [m]", ylim=(0.0, None))
     if len(time) > 1:
@@ -124,3 +133,18 @@ def _growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
     handles, _ = robot.get_legend_handles_labels()
     fig.legend(handles=handles, loc="outside lower center", ncols=1 if len(handles) > 3 else 2)
     return fig
+
+
+def _draw_over_time(ax: Axes, log: Log, sigma: Array, closed: int | None) -> None:
+    """Sigma (N, L) of every landmark after each frame, the colour its place in the order of initialization."""
+    time, count = log.recorded.time, sigma.shape[1]
+    colours = colormaps["viridis"](np.linspace(0.0, 0.9, max(count, 2)))
+    for n in range(count):
+        ax.plot(time, sigma[:, n], color=colours[n], linewidth=0.7)
+    if closed is not None:
+        ax.axvline(time[closed], color="#505050", linestyle=DOTTED, linewidth=1.0)
+    ax.set(xlabel=time_label(log.recorded), ylabel="landmark σ [m]", ylim=(0.0, None))
+    if len(time) > 1:
+        ax.set_xlim(time[0], time[-1])
+    ax.yaxis.set_major_locator(ticks(6))
+    ax.set_title("every landmark of the filter over time; dark: the first initialized, light: the last", loc="left")

@@ -45,18 +45,24 @@ def _label(s: Series) -> str:
 
 
 def map_figure(
-    log: Log, runs: Sequence[Run], *, width: float | None = None, surveyed: Surveyed | None = None
+    log: Log,
+    runs: Sequence[Run],
+    *,
+    width: float | None = None,
+    surveyed: Surveyed | None = None,
+    factor: int | None = None,
 ) -> Figure:
     """Paths, landmarks and 3 sigma ellipses of every run on one log; metres, equal aspect, `width` in inches.
 
     Ellipses too small to see are enlarged, all by one factor that the legend states. A path that runs away does not
-    squash the picture: it is cut, and the title names it. `surveyed` draws in place of the true landmarks.
+    squash the picture: it is cut, and the title names it. `surveyed` draws in place of the true landmarks; `factor` is
+    by how much ellipses are enlarged (None: as is needed).
     """
     with drawing():
-        return _map_figure(log, runs, width or page_width(), surveyed)
+        return _map_figure(log, runs, width or page_width(), surveyed, factor)
 
 
-def _map_figure(log: Log, runs: Sequence[Run], width: float, surveyed: Surveyed | None) -> Figure:
+def _map_figure(log: Log, runs: Sequence[Run], width: float, surveyed: Surveyed | None, factor: int | None) -> Figure:
     shown = series(runs)
     paths = {s.label: s.trajectory.pose[:, :2] for s in shown}
     if not (is_truth_alone(log) or any(r.estimator == "dead-reckoning" for r in runs)):
@@ -68,7 +74,8 @@ def _map_figure(log: Log, runs: Sequence[Run], width: float, surveyed: Surveyed 
     view = view_of(log, shown, paths, outlines)
     poses = [(s, *along_path(s)) for s in estimates]
     sizes = [longest_axis(P) for _, _, P in poses] + [longest_axis(m.covariance) for _, m in maps]
-    factor = enlargement(view, np.concatenate(sizes) if sizes else np.empty(0))
+    if factor is None:
+        factor = enlargement(view, np.concatenate(sizes) if sizes else np.empty(0))
 
     fig = Figure()
     ax = fig.add_subplot()

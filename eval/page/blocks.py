@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import pandas as pd
 
+from eval.page.film import Film
+
 READING = "How to read this"
 """Heading of the section that holds the fine print of all tables and figures, each text once."""
 LINES = 280
@@ -108,8 +110,8 @@ class Folded:
     blocks: tuple[Block, ...]
 
 
-Block = str | Table | Picture | Formula | Folded | Overview
-"""A paragraph or list in Markdown, a table, a figure, equations, something folded, or the overview."""
+Block = str | Table | Picture | Formula | Film | Folded | Overview
+"""A paragraph or list in Markdown, a table, a figure, equations, a film, something folded, or the overview."""
 
 
 @dataclass(frozen=True)

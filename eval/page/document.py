@@ -24,14 +24,15 @@ from eval.page.blocks import (
     anchor,
     folded,
 )
+from eval.page.film import Film
 from eval.page.plain import report_markdown
 from eval.page.web.html import report_html
 from eval.page.written import Paper, write_table
 
 __all__ = [
-    "READING", "Block", "FinePrint", "Folded", "Formula", "Mark", "Overview", "OverviewRow", "Picture", "Report",
-    "Section", "Sketch", "Table", "Wanted", "anchor", "folded", "report_html", "report_markdown", "write_report",
-    "written_table",
+    "READING", "Block", "Film", "FinePrint", "Folded", "Formula", "Mark", "Overview", "OverviewRow", "Picture",
+    "Report", "Section", "Sketch", "Table", "Wanted", "anchor", "folded", "report_html", "report_markdown",
+    "write_report", "written_table",
 ]  # fmt: skip
 
 

@@ -23,6 +23,7 @@ from eval.page.blocks import (
     Table,
     with_fine_print,
 )
+from eval.page.film import Film, film_markdown
 from eval.page.tables import markdown, markdown_escape
 
 
@@ -62,6 +63,8 @@ def _block(block: Block, numbers: Numbers) -> list[str]:
         return [f"![{alt}](figures/{block.stem}.png)", below]
     if isinstance(block, Formula):
         return [f"```math\n{block.latex}\n```"]
+    if isinstance(block, Film):
+        return [film_markdown(block)]
     if isinstance(block, Folded):
         inside = _blocks(block.blocks, numbers)
         return [f"<details><summary>{markdown_escape(block.summary)}</summary>", *inside, "</details>"]

@@ -18,7 +18,9 @@ HEAD = f"""\
 Every file that `slamref run` writes (default: `results/report`), and every column. SI units and radians, unless a name
 ends in a unit. In file names `:`, `+` and `/` of a log's name become `_`. A blank cell is unknown or does not apply,
 never zero. Columns may be appended in later versions, never reordered or renamed. Two runs with the same inputs and
-seed write the same bytes, except in `timing.csv`, `provenance.json`, `run.log` and the tables that quote a time.
+seed write the same bytes, except in `timing.csv`, `provenance.json`, `run.log`, the tables that quote a time, and with
+`--lab corridor:...` the figure of measured update times (`figures/lab-update-time.*`), its table, and `report.html`,
+which shows it.
 
 **Decisions.** A landmark number is ≥ 0: the order of creation in SLAM, the map's own id in localization. `-1` in a
 decision: the observation initialized a new landmark. `-2`: it was discarded. `-1` in a truth: the right landmark is

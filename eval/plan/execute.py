@@ -17,7 +17,7 @@ from eval.plan.flags.options import Options
 from eval.plan.flags.variant import Variant
 from eval.plan.results import with_results
 from eval.plan.trust import trusted
-from eval.plan.tutorial import ABOUT, tutorial_run, variant_log
+from eval.plan.tutorials.recording import ABOUT, tutorial_run, variant_log
 from eval.plan.unfinished import Unfinished, estimate, estimate_one, incomplete, wanted
 from eval.plan.validation import validated
 from eval.plan.work import work
@@ -66,9 +66,10 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
     A run of a study is kept on disk as soon as it is done, and taken from there if it was done before. What has not
     enough memory is tried again an estimator at a time, and then missing; the rest is as it would be.
     """
+    watched = not options.no_plots
     parts = [(i, p) for i, e in enumerate(plan.experiments) for w in e.work for p in w.parts()]
     jobs: list[tuple[Owner, Call]] = [
-        (("trial", i, k), (estimate, (plan.experiments[i], p))) for k, (i, p) in enumerate(parts)
+        (("trial", i, k), (estimate, (plan.experiments[i], p, watched))) for k, (i, p) in enumerate(parts)
     ]
     variants = [(e, v) for e in plan.experiments for v in options.variants if e.task == v.task and e.beside is None]
     jobs += [(("variant", i, 0), (_tutorial, (e.log, v))) for i, (e, v) in enumerate(variants)]
@@ -101,7 +102,9 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
             results.setdefault((kind, i), []).append(result)
         progress(done, len(jobs))
     again = [(owner, parts[owner[2]]) for owner in lost.jobs if owner[0] == "trial"]
-    one_by_one = [((i, p, n), (estimate_one, (plan.experiments[i], p, n))) for _, (i, p) in again for n in p.estimators]
+    one_by_one = [
+        ((i, p, n), (estimate_one, (plan.experiments[i], p, n, watched))) for _, (i, p) in again for n in p.estimators
+    ]
     gone = Unfinished(options)
     for (i, _, _), result in work(one_by_one, options, lost=gone, apart=True):
         results.setdefault(("trial", i), []).append(result)

@@ -17,6 +17,7 @@ from eval.plan.experiment import Experiment, Work
 from eval.plan.flags.options import Options
 from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS
 from eval.plan.foreign import check_possible, check_scenario, introduce_all, load_all
+from eval.plan.lab import lab_experiments
 from eval.plan.results import NOTHING, Asked, asked_results, truth_alone
 from eval.replay.laser.backends import NAMES as BACK_ENDS
 from eval.replay.settings import Setup
@@ -66,7 +67,10 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
         raise UsageError(f"--relations {options.relations}: belongs to one log; give it with one --log")
     given = asked_results(options, options.log, options.data)
     alone = given.file is not None and not options.log
-    experiments = [] if options.log or alone else _default(options, say)
+    if options.lab is not None:
+        experiments = lab_experiments(options, options.lab, reading_of(options), say)
+    else:
+        experiments = [] if options.log or alone else _default(options, say)
     if alone:
         experiments = [Experiment(truth_alone(given), "slam", (), options.setup)]
     asked = [open_log(name, reading_of(options), say) for name in options.log]
@@ -98,7 +102,7 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
     check_possible(experiments)
     runs = options.runs
     if runs is None:
-        runs = 0 if options.log or alone else QUICK_RUNS if options.quick else DEFAULT_RUNS
+        runs = 0 if options.log or options.lab or alone else QUICK_RUNS if options.quick else DEFAULT_RUNS
     return Plan(tuple(experiments), ((load_scenario("arena"), runs),) if runs else (), given=given)
 
 

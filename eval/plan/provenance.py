@@ -31,7 +31,8 @@ def command_of(options: Options) -> str:
     words = PROG.split()
     for row in rows(Options).values():
         value = getattr(options, row.name)
-        if row.numbers and (value != row.default or row.name in options.stated):
+        by_lab = row.name == "new_gate" and options.lab is not None  # a lab's default is another one
+        if row.numbers and (value != row.default or row.name in options.stated or by_lab):
             if row.name in ("estimator", "association"):
                 value = tuple(shown(text) for text in value)
             words += row.words(value)

@@ -10,23 +10,26 @@ from data.inputs import Inputs
 from data.result import Failure, Run
 from eval.plan.experiment import Experiment, Work
 from eval.plan.flags.options import Options
+from eval.player.watch import Watch
 from eval.replay.foreign.spec import name_of
 from eval.replay.names import BATCH, INCREMENTAL
 from eval.replay.nothing import no_run
 from eval.replay.run import compare
 
 
-def estimate(experiment: Experiment, part: Work) -> list[Run]:
-    """All estimators of a part of the work on one log."""
+def estimate(experiment: Experiment, part: Work, watched: bool = False) -> list[Run]:
+    """All estimators of a part of the work on one log; `watched`: what the player shows is written down on the way."""
     log, known = experiment.log, part.association == "known"
-    return compare(log.inputs(labels=known), experiment.task, part.estimators, part.association, experiment.setup)
+    watch = Watch if watched else None
+    inputs = log.inputs(labels=known)
+    return compare(inputs, experiment.task, part.estimators, part.association, experiment.setup, watch)
 
 
-def estimate_one(experiment: Experiment, part: Work, name: str) -> list[Run]:
+def estimate_one(experiment: Experiment, part: Work, name: str, watched: bool = False) -> list[Run]:
     """One estimator of a part: the same run as in `estimate`, from the same front end."""
     fronts = {"ekf-iterated"} if part.association == "known" else {"isam2"}
     kept = tuple(n for n in part.estimators if name in BATCH and n in fronts)
-    return estimate(experiment, Work(part.association, (*kept, name)))[-1:]
+    return estimate(experiment, Work(part.association, (*kept, name)), watched)[-1:]
 
 
 def incomplete(name: str, association: str, task: str, inputs: Inputs, why: str) -> Run:

@@ -24,6 +24,19 @@ class Observer(Protocol):
         ...
 
 
+class Writing(Observer, Protocol):
+    """An observer who writes something down, which stays with the run as `Run.watched`."""
+
+    @property
+    def seconds(self) -> float:
+        """Time spent on looking and writing, which is not the estimator's."""
+        ...
+
+    def left(self) -> object:
+        """What was written down, after the last frame."""
+        ...
+
+
 class Nobody:
     """Nobody looks on."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -33,7 +33,7 @@ from eval.replay.laser.comparison import compare_laser
 from eval.replay.laser.landmarks import at_all_frames, corner_log
 from eval.replay.names import BATCH, FILTERS
 from eval.replay.nothing import no_run
-from eval.replay.observer import Nobody, Observer
+from eval.replay.observer import Nobody, Observer, Writing
 from eval.replay.plausible import judged
 from eval.replay.recorder import Recorder
 from eval.replay.settings import Setup
@@ -185,6 +185,7 @@ def compare(
     estimators: Sequence[str | Thing],
     association: str | Thing = "known",
     setup: Setup = PLAIN,
+    watch: Callable[[Inputs], Writing] | None = None,
 ) -> list[Run]:
     """Estimators with one way of association on identical inputs; the runs come in the order of `estimators`.
 
@@ -199,6 +200,7 @@ def compare(
     are the landmarks.
     Labels are withheld from every method but `known`. Labels that a sensor read are gated where the setup does not say
     otherwise (`Setup.settled`).
+    `watch` makes an observer of each replay of point landmarks; what it writes down is the run's `watched`.
     """
     names, association = [text_of(e, "estimator") for e in estimators], text_of(association, "association")
     # sums over two threads round otherwise than over one: the same bytes for any number of processes and cores
@@ -209,10 +211,17 @@ def compare(
             log = corner_log(inputs, setup)
             runs = judged(_compare(log.inputs, task, names, association, setup), log.inputs)
             return [at_all_frames(run, log, len(inputs)) for run in runs]
-        return judged(_compare(inputs, task, names, association, setup), inputs)
+        return judged(_compare(inputs, task, names, association, setup, watch), inputs)
 
 
-def _compare(inputs: Inputs, task: str, estimators: Sequence[str], association: str, setup: Setup) -> list[Run]:
+def _compare(
+    inputs: Inputs,
+    task: str,
+    estimators: Sequence[str],
+    association: str,
+    setup: Setup,
+    watch: Callable[[Inputs], Writing] | None = None,
+) -> list[Run]:
     if task == "slam":
         inputs = inputs.without_map()
     if association != "known":
@@ -223,11 +232,16 @@ def _compare(inputs: Inputs, task: str, estimators: Sequence[str], association: 
     def ahead(name: str) -> Run:
         if name not in done:
             quick = name in FILTERS and association == "known" and not (setup.manages_map and task == "slam")
-            done[name] = (
-                filter_known(inputs, task, name=name, threshold=gate_threshold(setup.label_gate))
-                if quick
-                else step_by_step(name, inputs, task, association, setup)
-            )
+            threshold = gate_threshold(setup.label_gate)
+            run = filter_known(inputs, task, name=name, threshold=threshold) if quick else None
+            if run is None or watch is not None:  # what is compiled cannot be watched: the same steps once more
+                observer = None if watch is None else watch(inputs)
+                slow = step_by_step(name, inputs, task, association, setup, observer=observer or NOBODY)
+                if observer is not None:
+                    run = run or replace(slow, seconds=slow.seconds - observer.seconds)
+                    slow = replace(run, watched=observer.left())
+                run = slow
+            done[name] = run
         return done[name]
 
     def batch_of(name: str) -> Run:

@@ -15,8 +15,10 @@ from eval.plan.cluster import Call
 from eval.plan.execute import Outcome
 from eval.plan.flags.options import Options
 from eval.plan.provenance import command_of, provenance
+from eval.plan.tutorials.recording import is_tutorial
 from eval.plan.unfinished import Unfinished
 from eval.plan.work import work
+from eval.player.write import played, write_player
 from eval.referee.consistency import MIN_RUNS
 from eval.referee.files import top
 from eval.referee.paths.given import GivenRun, is_truth_alone
@@ -25,8 +27,10 @@ from eval.report.answer import answer
 from eval.report.corridor.questions import lab_sections
 from eval.report.doubt.origin import origin_statement
 from eval.report.doubt.questions import questions_section, unused_statement
+from eval.report.lab.sections import hand_in
+from eval.report.lab.write_up import write_up
 from eval.report.laser.sections import against_relations, laser_sections
-from eval.report.log_sections import association_sections, beside, rows_of, trial_sections, tutorial_sections
+from eval.report.log_sections import association_sections, beside, rows_of, trial_sections
 from eval.report.overview.facts import Facts, facts_of
 from eval.report.overview.gauge import gauge_statement
 from eval.report.overview.said import attribution_sections, compared, concluded, in_short
@@ -40,6 +44,7 @@ from eval.report.statements import failure_statement, gate_sentence
 from eval.report.studies import study_sections
 from eval.report.terminal.headline import headlines
 from eval.report.trust.sections import first_said
+from eval.report.tutorials.section import tutorial_sections
 from eval.report.visual.sections import visual_sections
 from eval.studies.montecarlo import Judged, consistency_table
 from eval.studies.reproduced import published_frame
@@ -97,7 +102,8 @@ def write_results(
     main = [t for t in outcome.trials if t.beside is None]
     facts = [facts_of(t, scores, outcome.trust) for t in main]
     told = {(f.trial.log.name, f.trial.task): _told(f, outcome, scores) for f in facts}
-    first = attribution_sections(facts)
+    answers = hand_in(folder, options, outcome.trials, scores, lost)
+    first = [*answers, *attribution_sections(facts)]
     sections = questions_section(outcome.trials)
     sections += trial_sections(folder, options, outcome.trials, scores, published, outcome.trust, told)
     sections += laser_sections(folder, options, outcome.trials, published)
@@ -107,12 +113,14 @@ def write_results(
     if outcome.trials:
         sections += association_sections(folder, options, outcome.trials, scores, published)
         sections += revision_section(folder, options, outcome.trials)
-        sections += lab_sections(outcome.trials, scores)
+        sections += lab_sections(outcome.trials, scores, answered_above=bool(answers))
     if outcome.trials or lost.said:
         sections.append(_failure_section(outcome.trials, lost.said))
     sections += [Section(READING, (BASICS,)), _source_section(outcome.trials, options)]
     shown = (overview(facts, folder, drawn=not options.no_plots),) if facts else ()
     introduction: tuple[Block, ...] = (f"{compared(facts)} {concluded(facts)}".strip(), *shown, *_declared(judged))
+    if options.write_up:
+        write_up(folder, outcome.trials, scores, answers, sections)
     write_report(
         folder,
         Report(
@@ -167,10 +175,12 @@ def _publish_trials(
             jobs.append(((i, place), (partial(draw, quick=options.quick), (folder, trial, kind, others))))
     for i, trial in enumerate(trials):
         jobs.append(((i, -1), (publish_runs, (folder, options, trial))))
+    for group in () if options.no_plots else played(trials):
+        jobs.append(((trials.index(group[0]), -2), (write_player, (folder, group, options.setup))))
     made: dict[tuple[int, int], Picture] = {}
 
     def missing(owner: tuple[int, int], why: str) -> None:
-        what = "files of its runs" if owner[1] < 0 else "a picture"
+        what = {-1: "files of its runs", -2: "the player"}.get(owner[1], "a picture")
         lost.say(f"{trials[owner[0]].log.name}, {trials[owner[0]].task}: {what} missing", why)
 
     for done, (owner, picture) in enumerate(work(jobs, options, lost=missing), start=1):
@@ -216,7 +226,7 @@ def _told(f: Facts, outcome: Outcome, scores: Scores) -> tuple[Block, ...]:
     theirs = results_statement(trial, report_rows(metrics))
     said = "" if theirs and is_truth_alone(trial.log) else said
     text = " ".join(s for s in (against_relations(trial), said, theirs) if s)
-    front = " ".join(s for s in (in_short(f), unused_statement(trial), gauge_statement(f)) if s)
+    front = " ".join(s for s in (in_short(f), unused_statement(trial) or gauge_statement(f)) if s)
     return (front, Folded("Filter and smoother in full", (text,))) if text else (front,)
 
 
@@ -242,12 +252,12 @@ def _labelled(trial: Trial) -> int | None:
 
 
 def _source_section(trials: Sequence[Trial], options: Options) -> Section:
-    notes = []
+    notes, tutorials = [], {t.log.name for t in trials if is_tutorial(t)}
     for log in {t.log.name: t.log for t in trials}.values():
         kind = log.source.get("kind", "open log folder")
         r = log.recorded
         labels = " Labels are sensed." if log.labels_are_sensed else ""
-        if log.has_labels:
+        if log.has_labels and log.name not in tutorials:  # those gate nothing
             labels += f" {gate_sentence(options, sensed=log.labels_are_sensed)}"
         notes.append(
             f"* `{log.name}` ({kind}): {counted(len(r), 'frame')}, {counted(len(r.observations.frame), 'observation')},"

@@ -1,4 +1,4 @@
-"""The report's sections on each log: its comparison, the decisions made on it, and the tutorials' treatment of it."""
+"""The report's sections on each log: its comparison, and the decisions made on it."""
 
 from __future__ import annotations
 
@@ -7,12 +7,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from data.log import folder_name
 from eval.page.document import Block, Folded, Picture, Section, written_table
-from eval.page.numbers import number
-from eval.page.tables import is_blank
 from eval.plan.flags.options import Options
-from eval.plan.tutorial import is_tutorial
 from eval.referee.score import Scores, Trial
 from eval.report import comparison
 from eval.report.differences import CAPTION as DIFFERENCES_CAPTION
@@ -20,13 +16,14 @@ from eval.report.differences import FINE as DIFFERENCES_FINE
 from eval.report.differences import differences_table, missing_intervals
 from eval.report.doubt.minima import minima_statements
 from eval.report.doubt.naming import naming_statements
+from eval.report.films import films_of
 from eval.report.laser.pictures import GRID, LOOPS
 from eval.report.names import stem
 from eval.report.pictures import FILTER_SMOOTHER
 from eval.report.results.said import aligned_statement
 from eval.report.rows import rows_of as rows_by
 from eval.report.trust.sections import trust_section
-from eval.report.tutorial_table import CAPTION, logs_with_tutorials, tutorial_table
+from eval.report.tutorials.section import beside_note
 from eval.studies.trusted import Trust
 
 
@@ -76,10 +73,12 @@ def trial_sections(
         apart = tuple(i for i, status in enumerate(every["status"].tolist()) if status != "ok")
         blocks.append(written_table(table, folder, name, caption, options, for_paper=wide, fine=fine, apart=apart))
         blocks += (told or {}).get((trial.log.name, trial.task), ())
-        beside_notes = [_beside_note(t, rows_of(scores.metrics, t)) for t in others]
+        beside_notes = [beside_note(t, rows_of(scores.metrics, t)) for t in others]
         blocks += [Folded(BESIDE, tuple(beside_notes))] if beside_notes else []
         blocks += _differences(folder, options, trial, rows_of(scores.differences, trial))
         blocks += [p for p in pictures if p.stem not in {stem(trial, kind) for kind in ELSEWHERE}]
+        if options.animate:
+            blocks += [film for t in (trial, *others) for film in films_of(folder, t)]
         notes = [*trial.log.notes, *(f"{r.estimator}: {n}." for r in trial.runs for n in r.notes)]
         notes += [f"{text}." for text in minima_statements(trial)]
         if notes:
@@ -97,18 +96,6 @@ def _differences(folder: Path, options: Options, trial: Trial, rows: pd.DataFram
     table = written_table(differences_table(rows), folder, name, caption, options, fine=DIFFERENCES_FINE)
     missing = missing_intervals(rows)
     return [table, Folded("Why intervals are missing", (missing,))] if missing else [table]
-
-
-def _beside_note(trial: Trial, rows: pd.DataFrame) -> str:
-    """What the rows of a trial beside are; for a tutorial the sums of squares it prints, and what is not reproduced."""
-    notes = [f"`{trial.log.name}` is {trial.about}."]
-    if not is_tutorial(trial):
-        return notes[0]
-    for row in rows.to_dict("records"):
-        for column, what in (("sse_position_m2", "positions"), ("sse_landmark_m2", "landmarks")):
-            if not is_blank(row[column]):
-                notes.append(f"Sum of squared errors of {what}: {number(float(row[column]))} m².")
-    return " ".join([*notes, *trial.runs[0].notes])
 
 
 def association_sections(
@@ -149,12 +136,3 @@ def association_sections(
         fine = comparison.ASSOCIATION_FINE
         blocks.append(written_table(table, folder, "association", caption, options, fine=fine))
     return [Section(head, tuple(blocks)), *sections]
-
-
-def tutorial_sections(folder: Path, options: Options, trials: Sequence[Trial], scores: Scores) -> list[Section]:
-    """For each log with several tutorials beside it: one table over all its tasks."""
-    blocks: list[Block] = []
-    for log in logs_with_tutorials(trials):
-        table, caption = tutorial_table(log, trials, scores), CAPTION.format(log=log)
-        blocks.append(written_table(table, folder, f"{folder_name(log)}-knowledge", caption, options))
-    return [Section("From labels and map to nothing", tuple(blocks))] if blocks else []

@@ -19,7 +19,6 @@ from eval.figures.style import save
 from eval.page.document import Picture
 from eval.page.numbers import number
 from eval.plan.flags.options import Options
-from eval.referee.paths.given import log_of
 from eval.referee.score import Trial, confusion_of
 from eval.referee.trust import SHARE
 from eval.report.laser.files import write_laser_files
@@ -47,11 +46,11 @@ def publish_runs(folder: Path, options: Options, trial: Trial) -> None:
     if trial.beside is None:
         write_laser_files(folder, trial)
     for run in trial.runs:
-        write_run(folder, trial, run)
-        if options.animate and run.failure is None:
-            from eval.figures.film import animate
+        write_run(folder, trial, run, lab_text=options.lab_text)
+    if options.animate:
+        from eval.report.films import write_films
 
-            animate(log_of(run, trial.log), run, folder / "figures" / f"{stem(trial, run.estimator)}.mp4")
+        write_films(folder, options, trial)
 
 
 FILTER_SMOOTHER = "filter-smoother"
@@ -125,7 +124,8 @@ def _picture(trial: Trial, kind: str, beside: Sequence[Trial]) -> tuple[Figure, 
         return (
             figures.growth_figure(log, runs),
             f"{where}, association {runs[0].association}: standard deviation along the least certain direction, of the"
-            f" robot at each frame and of the landmarks after the last one.{_closure(log, runs)}",
+            f" robot at each frame and of the landmarks after the last one, and where shown at each frame: it shrinks"
+            f" at loop closure.{_closure(log, runs)}",
             f"Uncertainty of robot and landmarks on {log.name}",
         )
     if kind == FILTER_SMOOTHER:

@@ -17,6 +17,8 @@ from eval.referee.errors import landmark_true_ids
 from eval.referee.files import of_runs
 from eval.referee.paths.given import GivenRun, log_of
 from eval.referee.score import Trial, confusion_of
+from eval.walk.lab_text import lab_block
+from eval.walk.text import run_text
 
 FILES = {"online": of_runs.ONLINE, "final": of_runs.FINAL}
 
@@ -52,7 +54,7 @@ def write_truths(folder: Path, trials: Sequence[Trial]) -> None:
             write_tum(place / "truth.tum", log.recorded.time, log.truth.pose)
 
 
-def write_run(folder: Path, trial: Trial, run: Run) -> None:
+def write_run(folder: Path, trial: Trial, run: Run, *, lab_text: bool = False) -> None:
     """Everything about one run below `folder/runs/<log>/<task>-<estimator>-<association>/`."""
     log = trial.log
     place = folder / "runs" / folder_name(log.name) / f"{run.task}-{run.estimator}-{run.association}"
@@ -69,6 +71,9 @@ def write_run(folder: Path, trial: Trial, run: Run) -> None:
         write_tum(place / f"{phase}.tum", time, trajectory.pose)
     _write_map(place, trial, run)
     _write_decisions(place, trial, run)
+    if lab_text and run.association not in ("none", SCAN):
+        text = run_text(log, run, run.phases[0], lab_block)
+        (place / of_runs.LAB_TEXT.name).write_text(f"{text}\n", encoding="utf-8", newline="\n")
 
 
 def _write_map(place: Path, trial: Trial, run: Run) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 from data import se2
 from data.errors import UsageError
 from data.inputs import Increments, Inputs, LabelledObservations, floor_covariances
-from data.motion import VelocityNoise, preintegrate
+from data.motion import WITH_ALPHAS, VelocityNoise, preintegrate
 from data.se2 import Array
 from data.sensors import RangeBearing
 from eval.tuning.odometry import Odometry, moved_later, smooth_velocity
@@ -120,8 +120,9 @@ def _motion_parameters(odometry: Odometry | None) -> list[tuple[str, str]]:
             ("motion_heading", "the same, heading and sideways"),
             ("motion_lateral", "the same, sideways, beyond that of heading"),
         ]
-    if odometry.model.noise.kind == "displacement":
-        return [(f"motion_alpha{i}", f"factor on alphas[{i - 1}]") for i in range(1, 5)]
+    noise = odometry.model.noise
+    if noise.kind in WITH_ALPHAS:
+        return [(f"motion_alpha{i}", f"factor on alphas[{i - 1}]") for i in range(1, len(noise.alphas) + 1)]
     return [("motion_v", "factor on sigma[0] of [motion]"), ("motion_omega", "factor on sigma[1] of [motion]")]
 
 
@@ -198,8 +199,8 @@ def _scaled(noise: VelocityNoise, value: Mapping[str, float]) -> VelocityNoise:
         noise.sigma[0] * math.exp(value.get("motion_v", 0.0)),
         noise.sigma[1] * math.exp(value.get("motion_omega", 0.0)),
     )
-    a1, a2, a3, a4 = (a * math.exp(value.get(f"motion_alpha{i}", 0.0)) for i, a in enumerate(noise.alphas, 1))
-    return replace(noise, sigma=sigma, alphas=(a1, a2, a3, a4))
+    alphas = tuple(a * math.exp(value.get(f"motion_alpha{i}", 0.0)) for i, a in enumerate(noise.alphas, 1))
+    return replace(noise, sigma=sigma, alphas=alphas)
 
 
 def _readings(model: Model, value: Mapping[str, float]) -> tuple[Array, Array]:

@@ -72,7 +72,13 @@ class Album:
         """The same for a figure that exists already, as the file `name`; a window gets an image of it."""
         with drawing():
             png = _png(figure)
-        self.write(f"{name}.png", png)
+        self.show_image(name, png, name)
+
+    def show_image(self, name: str, png: bytes, stem: str) -> None:
+        """An image, as the file `stem` and in the window `name`."""
+        self.write(f"{stem}.png", png)
+        if self.windows is None:
+            return
         image = imread(io.BytesIO(png))
         self.show(name, lambda fig: fig.add_axes((0, 0, 1, 1), frameon=False).imshow(image), None)
 

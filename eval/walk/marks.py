@@ -15,7 +15,13 @@ from eval.figures.ellipses import ellipses
 ONE, MANY = (7.0, 5.6), (10.5, 6.8)
 """in. Size of a figure with one picture, and with one per method."""
 GOOD, BAD, DULL, FAINT = "#0064A8", "#D55E00", "#606060", "#B0B0B0"
-TITLES = {"truth": "ground truth", "nn": "NN", "singles": "SINGLES", "ml": "ML", "jcbb": "JCBB", "gnn": "GNN"}
+LANDMARK = "#6A3D9A"
+"""Of a landmark's number; a reading's is black, a wrong one's like its mark."""
+TITLES = {
+    "truth": "ground truth", "nn": "NN", "singles": "SINGLES", "ml": "ML", "jcbb": "JCBB", "gnn": "GNN",
+    "jcbb-first": "JCBB", "jcbb-hindsight": "hindsight", "known": "by labels",
+}  # fmt: skip
+"""The lab's JCBB is `jcbb-first`; where `jcbb` stands beside it the titles have the names as they are."""
 SHOWN_WITHOUT_GATE = 0.99
 """Without a gate every pair is compatible; only those inside this one are drawn."""
 DASHES = (0, (3.0, 1.5))
@@ -56,11 +62,14 @@ def fit(ax: Axes, points: Array, margin: float = 0.06) -> None:
     ax.set_aspect("equal")
 
 
-def write_numbers(ax: Axes, xy: Array, texts: Sequence[str], colour: str, size: float) -> None:
-    """Texts beside points."""
+def write_numbers(
+    ax: Axes, xy: Array, texts: Sequence[str], colour: str, size: float, offset: tuple[float, float] = (3.0, 2.5)
+) -> None:
+    """Texts beside points, `offset` pt from them."""
+    across, up = "left" if offset[0] >= 0 else "right", "baseline" if offset[1] >= 0 else "top"
     for (x, y), text in zip(xy.tolist(), texts, strict=True):
         ax.annotate(
-            text, (x, y), xytext=(3.0, 2.5), textcoords="offset points", fontsize=size, color=colour,
+            text, (x, y), xytext=offset, textcoords="offset points", fontsize=size, color=colour, ha=across, va=up,
             path_effects=HALO, zorder=8, annotation_clip=True,
         )  # fmt: skip
 
@@ -68,3 +77,10 @@ def write_numbers(ax: Axes, xy: Array, texts: Sequence[str], colour: str, size: 
 def robot_axes(ax: Axes, left: bool = True, bottom: bool = True) -> None:
     """Labels of the axes of the robot frame."""
     ax.set(xlabel="x forward [m]" if bottom else "", ylabel="y left [m]" if left else "")
+
+
+def called(name: str, beside: Sequence[str] = ()) -> str:
+    """The title of a panel that shows a method; its own name where another of those beside has the same title."""
+    title = TITLES.get(name, name)
+    same = [n for n in (*beside, name) if TITLES.get(n, n) == title]
+    return name if len(set(same)) > 1 else title

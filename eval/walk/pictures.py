@@ -21,7 +21,7 @@ from data.terminal.words import counted
 from eval.figures.ellipses import ellipses
 from eval.figures.style import TRUTH_COLOUR, style_of
 from eval.figures.view import true_landmarks
-from eval.walk.marks import BAD, FAINT, GOOD, ONE, fit, mark_robot, outlines, robot_axes, write_numbers
+from eval.walk.marks import BAD, FAINT, GOOD, LANDMARK, ONE, fit, mark_robot, outlines, robot_axes, write_numbers
 
 
 def field_of_view(sensor: Sensor) -> Array | None:
@@ -103,7 +103,7 @@ def _seen(ax: Axes, log: Log, rows: slice, pose: Array, known: LandmarkMap | Non
 def paint_map(
     fig: Figure, log: Log, frame: int, estimator: str, path: Array, now: PoseEstimate, landmarks: MapState, title: str
 ) -> None:
-    """The estimate: path so far (k, 2), robot and landmarks, each with its 3 sigma ellipse in true size."""
+    """The estimate: path so far (k, 2), robot and numbered landmarks, each with its 3 sigma ellipse in true size."""
     ax = _picture(fig)
     style, known, truth = style_of(estimator), true_landmarks(log), log.truth.pose
     if known is not None:
@@ -114,7 +114,11 @@ def paint_map(
     ax.plot(*path.T, color=style.colour, linewidth=1.0, label="estimated path", zorder=3)
     if np.any(landmarks.covariance):
         outlines(ax, landmarks.xy, landmarks.covariance, style.colour)
-        ax.plot(*landmarks.xy.T, ".", color=style.colour, markersize=3.0, label=counted(len(landmarks.xy), "landmark"))
+        ax.plot(
+            *landmarks.xy.T, ".", color=style.colour, markersize=3.0,
+            label=f"{counted(len(landmarks.xy), 'landmark')}, numbered",
+        )  # fmt: skip
+        write_numbers(ax, landmarks.xy, [str(n) for n in landmarks.number], LANDMARK, 4.5, (1.5, 1.5))
     outlines(ax, now.mean[None, :2], now.covariance[None, :2, :2], "#202020", 5.0)
     mark_robot(ax, now.mean, style.colour, "robot")
     ax.set(xlabel="x [m]", ylabel="y [m]")

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from textwrap import fill
 from typing import NamedTuple
 
@@ -151,8 +151,12 @@ def totals(confusion: Confusion, steps: int) -> str:
     ])  # fmt: skip
 
 
-def run_text(log: Log, run: Run, phase: str = "online") -> str:
-    """All steps of a run that have observations, and the totals.
+Block = Callable[[int, TruthRow | None, IntArray, IntArray], str]
+"""Text of a step, as `step_block` makes one; empty where nothing is said."""
+
+
+def run_text(log: Log, run: Run, phase: str = "online", block: Block = step_block) -> str:
+    """All steps of a run that have observations, each by `block`, and the totals.
 
     `phase` is `online` or `final`: decisions as they were made, or after all revisions.
     """
@@ -166,8 +170,8 @@ def run_text(log: Log, run: Run, phase: str = "online") -> str:
     blocks = []
     for k in frames.tolist():
         rows = slice(int(inputs.start[k]), int(inputs.start[k + 1]))
-        blocks.append(step_block(k, row_of(confusion, rows), decisions[rows], created[rows]))
-    return "\n\n".join([*blocks, closing(log, run, phase)])
+        blocks.append(block(k, row_of(confusion, rows), decisions[rows], created[rows]))
+    return "\n\n".join([*filter(None, blocks), closing(log, run, phase)])
 
 
 def closing(log: Log, run: Run, phase: str = "online") -> str:

@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from association.expectation import Expectation, SingularInnovationError
 from data.inputs import Frame, IntArray
 from data.log import Log
-from data.result import DISCARD, NEW, Run
-from data.truth import CLUTTER
+from data.result import NEW, Run
 from eval.figures import error_figure
 from eval.figures.style import style_of
 from eval.replay.frontend import FrontEnd, Pairing
 from eval.walk.album import Album
-from eval.walk.matching import Matching, paint_compatibility, paint_matching
+from eval.walk.matching import paint_compatibility, paint_matching
 from eval.walk.pictures import paint_ground_truth, paint_map, paint_observations
-from eval.walk.text import closing, compatibility_text, judge_frame, pose_text, run_text, statistics, step_block
-
-COMPARED = ("nn", "singles", "ml", "jcbb")
-"""Methods shown side by side."""
+from eval.walk.problem import FrameSoFar, pose_problem, removed_so_far
+from eval.walk.text import Block, closing, compatibility_text, judge_frame, pose_text, run_text, statistics, step_block
 
 
 class StoppedError(Exception):
@@ -33,8 +29,12 @@ class StoppedError(Exception):
 class Walk:
     """Looks on while a log is replayed: prints, paints and waits for Enter (see `eval.replay.observer.Observer`)."""
 
-    def __init__(self, log: Log, task: str, estimator: str, album: Album, *, pausing: bool) -> None:
-        """Before the first frame."""
+    def __init__(
+        self, log: Log, task: str, estimator: str, album: Album, *, pausing: bool, block: Block = step_block
+    ) -> None:
+        """Before the first frame; `block` makes the text of a step."""
+        self.block = block
+        self.camera: Iterator[bytes] = iter(())  # an image for each frame, of a log made from images
         self.log, self.task, self.estimator, self.album, self.pausing = log, task, estimator, album, pausing
         m = len(log.recorded.observations.frame)
         self.decisions, self.created = np.full(m, -2, np.int64), np.full(m, -1, np.int64)
@@ -67,22 +67,24 @@ class Walk:
         """Names the step in every figure."""
         return f"{self.log.name}, step {self.k}"
 
-    def show(self, what: str, paint: Callable[[Figure], object], *, keep: bool = True) -> None:
-        """A picture of this step; `keep`: as a file, too."""
-        self.album.show(what, paint, f"step-{self.k:0{self.digits}d}-{what}" if keep else None)
+    def show(self, what: str, paint: Callable[[Figure], object]) -> None:
+        """A picture of this step."""
+        self.album.show(what, paint, f"step-{self.k:0{self.digits}d}-{what}")
 
     def moved(self, front: FrontEnd) -> None:
         """Move and observe."""
         self.k, self.printed = front.k, False
         r = self.log.recorded
         self.rows = slice(int(r.start[self.k]), int(r.start[self.k + 1]))
+        if (image := next(self.camera, None)) is not None:
+            self.album.show_image("camera", image, f"step-{self.k:0{self.digits}d}-camera")
         if self.log.truth.known_poses:
             self.show("ground-truth", lambda fig: paint_ground_truth(fig, self.log, self.k, self.title))
         if self.k > 0:
             x, y, theta = r.increments.mean[self.k].tolist()
             odometry = f"odometry {x:.3f} m, {y:.3f} m, {math.degrees(theta):.2f} deg"
             self.say("move", f"{odometry}; {pose_text(*front.estimator.estimate())}")
-            self._map(front, "prediction", keep=False)
+            self._map(front, "prediction")
             self.pause("move")
         seen = r.sightings(self.k)
         if len(seen.z):
@@ -99,7 +101,11 @@ class Walk:
             expectation = front.expect(frame.sightings)
         if expectation is not None and len(expectation.number) and wanted:
             self.say("compatibility", compatibility_text(expectation, front.setup.gate))
-            problem = self._problem(front, expectation, decisions) if self.album.wanted else None
+            problem = (
+                pose_problem(front, expectation, self._frame(front), f"{self.title} ({self.kind})")
+                if self.album.wanted
+                else None
+            )
             if problem is not None:
                 self.show("compatibility", lambda fig: paint_compatibility(fig, problem))
             self.pause("compatibility")
@@ -108,34 +114,10 @@ class Walk:
             self._print_step(front)
             self.pause("matching")
 
-    def _problem(self, front: FrontEnd, e: Expectation, decisions: IntArray) -> Matching:
-        """What every method makes of the same expectation."""
-        made: dict[str, IntArray | str] = {}
-        judged, right = {}, None
-        removed = self._removed(front)
-        this = judge_frame(self.log, self.task, self.rows, self.decisions, self.created, removed)
-        if this is not None and self.log.truth.landmark_of is not None:
-            right = this.ground_truth
-            stray = (self.log.truth.landmark_of[self.rows] == CLUTTER) | (self.task == "localization")
-            made["truth"] = np.where(right >= 0, right, np.where(stray, DISCARD, NEW))
-        for name in dict.fromkeys((*COMPARED, front.association)):
-            try:
-                made[name] = decisions if name == front.association else front.decide(e, name).decisions
-            except SingularInnovationError:
-                made[name] = "singular innovation covariance"
-                continue
-            every = self.decisions.copy()
-            every[self.rows] = made[name]
-            row = judge_frame(self.log, self.task, self.rows, every, self.created, removed)
-            if row is not None:
-                judged[name] = row
-        title = f"{self.title} ({self.kind})"
-        return Matching(title, e, self.log.recorded.sensor, front.setup.gate, made, front.association, judged, right)
-
-    def _removed(self, front: FrontEnd) -> IntArray | None:
-        """Frames after which landmarks left the map, so far."""
-        managed = front.map_management
-        return None if managed is None else managed.removal_frames(int(self.created.max(initial=-1)) + 1)
+    def _frame(self, front: FrontEnd) -> FrameSoFar:
+        """The frame that is decided about, with all that was decided before."""
+        removed = removed_so_far(front, self.created)
+        return FrameSoFar(self.log, self.task, self.rows, self.decisions, self.created, removed)
 
     def _print_step(self, front: FrontEnd) -> None:
         """The text of the step; new landmarks get the next numbers."""
@@ -145,8 +127,11 @@ class Walk:
         decisions = self.decisions[self.rows]
         new = decisions == NEW
         created = np.where(new, self.created.max(initial=-1) + np.cumsum(new), -1)
-        row = judge_frame(self.log, self.task, self.rows, self.decisions, self.created, self._removed(front))
-        print(step_block(self.k, row, decisions, created), end="\n\n", flush=True)
+        row = judge_frame(
+            self.log, self.task, self.rows, self.decisions, self.created, removed_so_far(front, self.created)
+        )
+        if text := self.block(self.k, row, decisions, created):
+            print(text, end="\n\n", flush=True)
 
     def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
         """Update, and the end of the step."""
@@ -154,7 +139,7 @@ class Walk:
             self._print_step(front)
         self.decisions[self.rows], self.created[self.rows] = decisions[self.rows], created[self.rows]
         self.path.append(front.estimator.estimate().mean[:2])
-        self._map(front, "estimate", keep=True)
+        self._map(front, "map")
         if self.rows.stop > self.rows.start:
             d = decisions[self.rows]
             used, new = int((d >= 0).sum()), int((created[self.rows] >= 0).sum())
@@ -165,16 +150,17 @@ class Walk:
             self.say("update", f"{counts}; {pose_text(*front.estimator.estimate())}{lost}")
             self.pause("update")
 
-    def _map(self, front: FrontEnd, what: str, *, keep: bool) -> None:
-        if self.album.windows is None and not (keep and self.album.folder is not None):
+    def _map(self, front: FrontEnd, what: str) -> None:
+        """The map as predicted or updated: two files, and one window where one replaces the other."""
+        if not self.album.wanted:
             return
         now, landmarks = front.estimator.estimate(), front.landmarks()
         path = np.array([*self.path, now.mean[:2]] if what == "prediction" else self.path)
-        title = f"{self.title} ({self.kind}, {front.association})"
-        self.show(
+        title = f"{self.title} ({self.kind}, {front.association})" + (", predicted" if what == "prediction" else "")
+        self.album.show(
             "map",
             lambda fig: paint_map(fig, self.log, self.k, self.estimator, path, now, landmarks, title),
-            keep=keep,
+            f"step-{self.k:0{self.digits}d}-{what}",
         )
 
 
@@ -184,7 +170,7 @@ def end(log: Log, run: Run, album: Album, walk: Walk) -> None:
     print(f"{closing(log, run)}\n\n{numbers}", flush=True)
     if not album.wanted:
         return
-    album.write("steps.txt", f"{run_text(log, run)}\n\n{numbers}\n".encode())
+    album.write("steps.txt", f"{run_text(log, run, block=walk.block)}\n\n{numbers}\n".encode())
     album.show_made("error", error_figure(log, [run]))
     if album.windows is not None:
         walk.pause("end")

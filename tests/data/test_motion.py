@@ -54,6 +54,7 @@ def test_series_and_closed_form_meet_where_they_change_over(edge):
 @pytest.mark.parametrize("noise", [
     VelocityNoise("velocity", (0.3, 0.2)), VelocityNoise("density", (0.3, 0.2)),
     VelocityNoise("displacement", alphas=(0.2, 0.03, 0.09, 0.08)),
+    VelocityNoise("textbook", alphas=(0.2, 0.03, 0.09, 0.08, 0.05, 0.04)),
 ])  # fmt: skip
 def test_cutting_a_sample_does_not_change_the_total_noise(noise):
     time, v, omega = np.array([0.0, 0.8, 1.6]), np.array([0.5, 1.0, 0.7]), np.zeros(3)
@@ -87,6 +88,33 @@ def test_tutorial_mapping_moves_half_a_metre_sideways_per_radian():
     V = np.array([[np.cos(h), -0.5 * np.sin(h)], [np.sin(h), 0.5 * np.cos(h)], [0, 1]])
     M = np.diag([(0.2 * 0.1 + 0.03 * 0.5) ** 2, (0.09 * 0.1 + 0.08 * 0.5) ** 2])
     assert np.allclose(cov, V @ M @ V.T, atol=1e-16)
+
+
+@pytest.mark.parametrize("alphas", [(0.2, 0.03, 0.09, 0.08), (0.2, 0.03, 0.09, 0.08, 0.5, 0.7)])
+@pytest.mark.parametrize(("v", "omega"), [(0.8, 0.0), (0.8, 1e-7), (-0.5, 0.4), (0.0, -1.3), (1.2, 3.0)])
+def test_textbook_noise_is_that_of_the_velocities_and_of_a_final_rotation(alphas, v, omega):
+    dt = 0.4
+
+    def moved(u):  # Probabilistic Robotics, Table 5.3, without drawing anything
+        arc = fine_integration(u[0], u[1], dt, 20_000)
+        return arc + np.array([0.0, 0.0, u[2] * dt])
+
+    u, h = np.array([v, omega, 0.0]), 1e-4
+    J = np.column_stack([(moved(u + d) - moved(u - d)) / (2.0 * h) for d in h * np.eye(3)])
+    a = np.array([*alphas, 0.0, 0.0])[:6]
+    M = np.diag([a[0] * v**2 + a[1] * omega**2, a[2] * v**2 + a[3] * omega**2, a[4] * v**2 + a[5] * omega**2])
+    model = VelocityModel(VelocityNoise("textbook", alphas=alphas))
+    increments, _ = preintegrate(model, np.array([0.0, dt]), np.full(2, v), np.full(2, omega), np.array([0.0, dt]))
+    assert np.abs(increments.mean[1] - moved(u)).max() < 1e-9
+    assert np.abs(increments.covariance[1] - J @ M @ J.T).max() < 1e-9
+    twice = preintegrate(model.scaled(2.0), np.array([0.0, dt]), np.full(2, v), np.full(2, omega), np.array([0.0, dt]))
+    assert np.allclose(twice[0].covariance[1], 4.0 * increments.covariance[1], rtol=1e-12)
+
+
+@pytest.mark.parametrize(("kind", "count"), [("displacement", 6), ("textbook", 5), ("textbook", 2), ("velocity", 6)])
+def test_a_number_of_alphas_that_means_nothing_is_refused(kind, count):
+    with pytest.raises(ValueError, match="alphas do not go with"):
+        VelocityNoise(kind, alphas=(0.1,) * count)
 
 
 @settings(max_examples=40, deadline=None)

@@ -10,7 +10,9 @@ import pytest
 from association.expectation import gate_threshold
 from data.convert.__main__ import main as convert
 from data.mrclam.load import load_mrclam
-from eval.referee.score import metrics_row
+from eval.plan.flags.options import read_options
+from eval.plan.tutorials.recording import original_of, tutorial_run, variant_log
+from eval.referee.score import Trial, metrics_row
 from eval.replay.batch import batch
 from eval.replay.run import compare, filter_known
 from eval.replay.settings import Setup
@@ -85,7 +87,7 @@ def test_tutorials_join_the_table_of_the_log_they_treat(shared_data, tmp_path):
         ("window:tutorial-step3", "slam"), ("window:tutorial-step4", "slam"),
     }  # fmt: skip
     one, three = rows["window:tutorial-step1", "localization"], rows["window:tutorial-step3", "slam"]
-    assert abs(int(one["frames"]) - 50 * (120 - 9.5)) < 5
+    assert abs(int(one["frames"]) - 50 * (120 - 11.98)) < 5
     for row in (one, three):
         assert row["status"] == "ok"
         assert float(row["sse_position_m2"]) == pytest.approx(
@@ -100,9 +102,29 @@ def test_tutorials_join_the_table_of_the_log_they_treat(shared_data, tmp_path):
     assert counts["window:tutorial-step2"]["tn"] == counts["window:tutorial-step2"]["fn"] == "0"  # every reading paired
     assert (out / "tables" / "window-knowledge.csv").exists()
     assert "From labels and map to nothing" in text
-    assert "running minimum" in text
-    assert "all nine entries" in text
-    assert "does not wrap" in text
+    assert (out / "figures" / "window-knowledge.png").exists() is False  # --no-plots
+    for named in (
+        "running minimum", "all nine entries", "does not wrap", "first 599 frames", "from before the prediction",
+        "whose first reading is of landmark 6", "reads the state one entry too early", "at its own instant",
+    ):  # fmt: skip
+        assert named in text
+    assert "The original program" not in text  # it was not run on this window
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("step", "lost"), [(1, False), (2, True), (3, False), (4, True)])
+def test_on_their_own_recording_the_tutorials_give_the_numbers_of_their_programs(shared_data, step, lost):
+    source, landmarks = (
+        shared_data / "mrclam" / name for name in ("MRCLAM_Dataset1.zip", "Landmark_Groundtruth.corrected.dat")
+    )
+    variant = read_options(["--config", f"tutorial-step{step}"]).variants[0]
+    log = variant_log(load_mrclam(source, 1, landmarks=landmarks), variant)
+    row = metrics_row(tutorial_run(log, variant), "online", log, None)
+    squares, rmse = original_of(Trial(log, variant.task, ()))
+    # their last frame has no ground truth and adds up to 15 m^2
+    assert float(row["sse_position_m2"]) == pytest.approx(squares, rel=0.002, abs=4.0)
+    assert float(row["rmse_position_m"]) == pytest.approx(rmse, abs=0.0006)
+    assert (rmse > 1.0) == lost
 
 
 def test_a_tutorial_needs_the_recording_it_was_made_from(shared_data, tmp_path, capsys):

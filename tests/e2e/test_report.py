@@ -74,6 +74,13 @@ def test_the_result_folder_keeps_its_contract(made, request):
     assert [b for b in checker.check(out) if not b.endswith("association is 'none'; unknown is blank")] == []
 
 
+def test_every_log_has_a_player_that_the_report_links_to_unless_there_are_no_plots(report, numbers):
+    assert (report / "players" / "my_log.html").stat().st_size > 50_000
+    assert 'href="players/my_log.html"' in (report / "report.html").read_text(encoding="utf-8")
+    assert "players/" not in (numbers / "report.html").read_text(encoding="utf-8")
+    assert not (numbers / "players").exists()
+
+
 @pytest.mark.parametrize("made", ["report", "numbers"])
 def test_every_file_and_column_is_described(made, request):
     """In docs/results-folder.md, which is written out of the same table."""

@@ -14,7 +14,8 @@ HEAVY = ("numpy", "scipy", "numba", "pandas", "gtsam", "matplotlib", "cv2", "job
 SOON = 0.3
 """s of processor time."""
 COMMANDS = {
-    "run": "eval.run_all", "step": "eval.step", "convert": "data.convert.__main__", "inspect": "eval.inspect",
+    "run": "eval.run_all", "step": "eval.step", "play": "eval.play", "convert": "data.convert.__main__",
+    "detect": "eval.detect", "inspect": "eval.inspect",
     "tune": "eval.tune", "twin": "eval.twin", "score": "eval.score", "check": "eval.check",
     "benchmark": "eval.benchmark", "warm": "eval.warm",
 }  # fmt: skip

@@ -22,7 +22,7 @@ from eval.walk.album import Album
 from eval.walk.text import run_text
 from eval.walk.walk import Walk
 
-STAGES = ("ground-truth", "observations", "compatibility", "matching", "map")
+STAGES = ("prediction", "ground-truth", "observations", "compatibility", "matching", "map")
 PNG_END = b"IEND\xaeB`\x82"
 
 
@@ -61,8 +61,8 @@ def test_a_run_through_writes_a_picture_of_every_stage_and_all_text(tmp_path, ca
     assert main([*arguments, "--save", str(tmp_path / "new" / "steps")]) == 0
     out, err = capsys.readouterr()
     expected = {f"step-{k:03d}-{stage}.png" for k in range(2) for stage in STAGES}
-    # the first cycle has nothing to match with
-    expected -= {"step-000-compatibility.png", "step-000-matching.png"}
+    # the first cycle has no motion, and nothing to match with
+    expected -= {f"step-000-{stage}.png" for stage in ("prediction", "compatibility", "matching")}
     assert whole(tmp_path / "new" / "steps") == expected | {"error.png", "steps.txt"}
     assert (tmp_path / "new" / "steps" / "steps.txt").read_text() == out
     assert "whole run: 24 observations in 2 steps" in out
@@ -173,7 +173,7 @@ def test_interrupt_and_end_of_file_at_a_pause_end_in_one_line_and_leave_whole_fi
     out, err = capsys.readouterr()
     assert len(asked) == at
     first = {f"step-000-{stage}.png" for stage in ("ground-truth", "observations")}
-    more = {f"step-001-{stage}.png" for stage in ("ground-truth", "observations", "compatibility")}
+    more = {f"step-001-{stage}.png" for stage in ("prediction", "ground-truth", "observations", "compatibility")}
     assert whole(tmp_path) == (first if at == 1 else first | {"step-000-map.png"} | more)
     said = err if status else out.rstrip().split("\n")[-1] + "\n"
     assert said.count("\n") == 1

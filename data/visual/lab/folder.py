@@ -122,7 +122,7 @@ def open_lab(
         notes.append(f"not images, left aside in {REFERENCES}/: {', '.join(others)}")
     return LabRecording(
         setup,
-        [_image(path) for path in images],
+        [read_image(path) for path in images],
         folder,
         translation_unit,
         reading,
@@ -200,8 +200,8 @@ def _natural(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name.casefold()) if part]
 
 
-def _image(path: Path) -> NDArray[np.uint8]:
-    """An image as RGB (H, W, 3)."""
+def read_image(path: Path) -> NDArray[np.uint8]:
+    """An image as RGB (H, W, 3) uint8. Raises DataError for a file that is none."""
     try:
         content = np.frombuffer(path.read_bytes(), np.uint8)
     except OSError as error:

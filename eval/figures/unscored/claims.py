@@ -25,6 +25,8 @@ WINDOWS = 40
 """Stretches that a log is cut into for its NIS; each has the same number of degrees of freedom, or nearly."""
 LEAST = 20
 """Degrees of freedom of a stretch: fewer have bounds so wide that nothing is ever outside."""
+BINS = 200
+"""Stretches told apart in a curve of sigmas, which are smooth."""
 LOG_ABOVE = 10.0
 """The axis of NIS becomes logarithmic where a stretch exceeds the upper bound this many times."""
 
@@ -86,7 +88,7 @@ def _claims_figure(log: Log, runs: Sequence[Run]) -> Figure:
             inside = (stretches.nis >= stretches.bounds[:, 0]) & (stretches.nis <= stretches.bounds[:, 1])
             label += f": NIS inside in {int(inside.sum())} of {len(inside)} stretches"
         for ax, curve in ((middle, longest_sigma(s.trajectory)), (low, np.degrees(sigmas(s.trajectory)[:, 2]))):
-            keep = thinned(curve)
+            keep = thinned(curve, BINS)
             ax.plot(own[keep], curve[keep], color=s.colour, linestyle=s.line, linewidth=0.9)
         handles.append(Line2D([], [], label=label, color=s.colour, linestyle=s.line, linewidth=0.9))
     _nis_axis(top, found)

@@ -28,12 +28,14 @@ from eval.page.blocks import (
     every_block,
     with_fine_print,
 )
+from eval.page.film import POLICY as OF_FILMS
+from eval.page.film import Film, film_html
 from eval.page.plain import beneath
 from eval.page.tables import markdown
 from eval.page.web.images import images, with_alt
 from eval.page.web.style import STYLE
 
-POLICY = "default-src 'none'; img-src data:; media-src 'self' file: data:; style-src 'unsafe-inline'"
+POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 OVERVIEW, CONTENTS = "overview", "contents"
 """Addresses of the first table and of the list of sections."""
 
@@ -80,6 +82,8 @@ class Page:
             return f"<figure>{image}\n{self._caption('Figure', block)}</figure>"
         if isinstance(block, Formula):
             return f'<div class="formula">{with_alt(self.pictures[block.stem], block.latex)}</div>'
+        if isinstance(block, Film):
+            return film_html(block, self.md)
         if isinstance(block, Folded):
             inside = self.blocks(block.blocks)
             return f"<details><summary>{self.md.renderInline(block.summary)}</summary>\n{inside}\n</details>"
@@ -162,10 +166,11 @@ def report_html(folder: Path, report: Report) -> str:
     listed = len(page.links) > 2
     top = [f'<a href="#{CONTENTS}">Contents</a>'] if listed else []
     top += [f'<a href="#{anchor(READING)}">{READING}</a>'] if anchor(READING) in page.used else []
+    films = OF_FILMS if any(isinstance(b, Film) for b in every_block(blocks)) else ""
     parts = [
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">',
+        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}{films}">',
         f"<title>{title}</title>\n<style>{STYLE}</style>\n</head>\n<body>",
         f'<a class="skip" href="#{OVERVIEW}">Skip to the overview</a>' if overview else "",
         f"<h1>{title}</h1>",

@@ -79,7 +79,7 @@ tr > :first-child { position: sticky; left: 0; z-index: 1; white-space: normal; 
   figure:not(.table), tr, .formula { break-inside: avoid; }
   img { max-height: 21cm; object-fit: contain; }
   details::details-content { content-visibility: visible; display: block; height: auto; }
-  summary { display: none; }
+  summary, video { display: none; }
   .scroll { overflow: visible; width: auto; }
   tr > :first-child { position: static; min-width: 0; }
   table { font-size: 6.5pt; }

@@ -16,6 +16,11 @@ examples:
   python -m eval.run_all --log visual:0:frames=40 --corner-noise depth
   python -m eval.run_all --log corridor:0:people+range=8    the corridor lab: people in the way, any constant changed
   python -m eval.run_all --log intel.log.gz --relations intel.relations.csv    a CARMEN laser log, scored by relations
+  python -m eval.run_all --lab corridor:3                   the corridor lab as a whole: its six questions answered
+  python -m eval.run_all --lab corridor:3+srho=0.05 --write-up     with another sensor, and a text to hand in
+  python -m eval.run_all --lab corridor:3 --lab-text        each run's steps as the lab's program prints them
+  python -m eval.run_all --lab visual:0                     the visual lab: its three questions
+  python -m eval.run_all --lab visual:0 --ellipses auto     the plan's ellipses as large as is needed to see them
   python -m eval.run_all --data ~/datasets                  every dataset found in a folder, two levels deep
   python -m eval.run_all --log my_log --estimator ekf,batch-cauchy --association known
   python -m eval.run_all --log arena:0 --task slam --estimator ekf,ekf-invariant,isam2,batch
@@ -48,7 +53,8 @@ examples:
   python -m eval.run_all --log arena:0 --table-width column --columns rmse_position_m,nees_pose,nis
   python -m eval.run_all --log arena:0 --figure-width 3.4in --font Times --font-size 8    figures for a column
   python -m eval.run_all --log arena:0 --figure-width 86mm --usetex --pgf      text set by LaTeX, which must be there
-  python -m eval.run_all --log arena:0 --animate            a film of each estimator beside the figures
+  python -m eval.run_all --log arena:0 --animate            a film of each estimator and association
+  python -m eval.run_all --log victoria-park --estimator ekf --animate --speed 20    at 20 times real time
   python -m eval.run_all --config my_run.toml -v            the same keys from a file; flags win; a table
                                                             [corridor] (seed, people, range, ...) is a log, too
   python -m eval.run_all --log DIR --config tutorial-step1 --config tutorial-step3   (DIR made by data.convert mrclam)

@@ -40,6 +40,8 @@ def options_of(given: Mapping[str, object]) -> Options:
         merged.update(keys)
     again = {"config": configs, "stated": tuple(merged)} if variants else {}
     merged.update((key, value) for key, value in given.items() if key != "config")
+    if merged.get("lab") and "new_gate" not in merged:
+        merged["new_gate"] = merged.get("gate", rows(Options)["gate"].default)  # the lab has one gate
     values = read_values(Options, merged, _label)
     options = Options(variants=tuple(variants), **again, **values)
     if "jobs" not in merged:
@@ -117,6 +119,14 @@ def _check(o: Options) -> None:
         raise UsageError("--quick and --full exclude each other")
     if o.full and (o.log or o.scenario):
         raise UsageError("--full is the default suite in full; it takes no --log and no --scenario")
+    if o.lab is not None:
+        for flag, stated in (
+            ("--log", o.log), ("--data", o.data), ("--scenario", o.scenario), ("--task", o.task),
+            ("--association", o.association), ("--full", o.full), ("--result", o.result), ("--truth", o.truth),
+            ("--config", o.variants), ("--runs", o.runs), ("--twins", o.twins),
+        ):  # fmt: skip
+            if stated:
+                raise UsageError(f"{flag} and --lab exclude each other: a lab states what is run on what, and how")
     if o.scenario:
         for flag, stated in (
             ("--log", o.log), ("--task", o.task), ("--association", o.association), ("--config", o.variants),
@@ -127,7 +137,11 @@ def _check(o: Options) -> None:
         for row in rows(Setup).values():
             if getattr(o, row.name) != row.default:
                 raise UsageError(f"{row.option} and --scenario exclude each other: [setup] in its file")
+    if o.write_up and "tex" not in o.formats:
+        raise UsageError(f"--write-up sets the tables in LaTeX, which --formats {','.join(o.formats)} leaves out")
     if o.quiet and o.verbose:
         raise UsageError("-q and -v exclude each other")
     if o.animate and o.no_plots:
         raise UsageError("--animate makes pictures and --no-plots forbids them")
+    if o.speed is not None and not o.animate:
+        raise UsageError(f"--speed {o.speed:g}: is about films, which --animate makes")

@@ -12,10 +12,11 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 from eval.plan.flags.examples import EPILOG, PROG
+from eval.plan.flags.lab import LabFlags
 from eval.plan.flags.paper import Paper
 from eval.plan.flags.results import Results
 from eval.plan.flags.variant import Variant
-from eval.replay.flag import Flag, flag, folder, names, one_of, rows, switch, text, texts, whole
+from eval.replay.flag import Flag, flag, folder, names, one_of, positive, rows, switch, text, texts, whole
 from eval.replay.foreign.spec import FORM, own_or_foreign
 from eval.replay.names import ASSOCIATIONS, ESTIMATORS, TASKS
 from eval.replay.settings import Setup
@@ -83,7 +84,7 @@ class Selection:
 
 
 @dataclass(frozen=True)
-class Options(Paper, Setup, Results, Selection):
+class Options(Paper, Setup, Results, LabFlags, Selection):
     """What was asked for, the setup included; field names are the config file's keys (with `-` for `_`).
 
     Attributes:
@@ -175,7 +176,17 @@ class Options(Paper, Setup, Results, Selection):
         metadata=flag(names(FORMATS), "LIST", "table formats of csv,md,tex (default: all)", numbers=False),
     )
     no_plots: bool = field(default=False, metadata=flag(switch, "", "tables only", numbers=False))
-    animate: bool = field(default=False, metadata=flag(switch, "", "an MP4 per log, task and estimator", numbers=False))
+    animate: bool = field(
+        default=False,
+        metadata=flag(switch, "", "a film (WebM) per log, task, estimator and association", numbers=False),
+    )
+    speed: float | None = field(
+        default=None,
+        metadata=flag(
+            positive, "FACTOR", "of the films: seconds of the log in one of the film, frames where it has no stamps "
+            "(default: real time, or the round factor with which it lasts no longer than a minute)", numbers=False,
+        ),
+    )  # fmt: skip
     config: tuple[str, ...] = field(
         default=(),
         metadata=flag(

@@ -83,6 +83,12 @@ LOOPS = File(
     when="laser logs, with scans that were matched",
 )
 LASER = "laser logs; from isam2's final phase, else from the first estimator"
+LAB_TEXT = File(
+    f"{RUN_FOLDER}/lab.txt",
+    "Each step as the lab's program prints it: right answer, hypothesis, which are correct; steps and landmarks count "
+    "from 1, 0 is none.",
+    when="with `--lab-text`",
+)
 TUM = "`t x y z qx qy qz qw` in each line, without a header; frames without a pose are left out"
 OF_RUNS = (
     ONLINE,
@@ -91,6 +97,7 @@ OF_RUNS = (
     File(f"{RUN_FOLDER}/final.tum", f"The same path for other tools: {TUM}."),
     LANDMARKS,
     DECISIONS,
+    LAB_TEXT,
 )
 OF_LOGS = (
     File(f"{LOG_FOLDER}/truth.tum", f"The true path, at the frames of the log: {TUM}.", when="logs with true poses"),
@@ -105,6 +112,11 @@ OF_LOGS = (
 OTHERS = (
     File("report.html", "The report, in one file."),
     File("report.md", "The same in Markdown."),
+    File(
+        "players/<log>.html",
+        "Every run on a log, frame by frame, in a browser: one file, which loads nothing.",
+        when="not with `--no-plots`",
+    ),
     File("tables/<name>.csv", "A table of the report, every digit, with the heads that people read."),
     File("tables/<name>.md", "The same in Markdown, rounded."),
     File("tables/<name>.tex", "The same in LaTeX, for a column or a page of a paper (`--table-width`, `--columns`)."),
@@ -114,8 +126,15 @@ OTHERS = (
     File(
         "figures/<name>.svg", "The small map of a log in the first table of the report.", when="not with `--no-plots`"
     ),
-    File("figures/<name>.mp4", "A film of a run.", when="with `--animate`"),
+    File("figures/<name>.webm", "A film of a run (VP8, plays in browsers).", when="with `--animate`"),
     File("figures/<name>.pgf", "A figure that LaTeX sets with the document's own fonts.", when="with `--pgf`"),
+    File(
+        "figures/lab-<name>.png",
+        "A figure of a lab's answers; `lab-update-time` shows measured times, so that it, its table and `report.html` "
+        "differ from run to run.",
+        when="with `--lab`",
+    ),
+    File("write-up.tex", "Answers, tables and figures, one page per log, for pdflatex.", when="with `--write-up`"),
     File("provenance.json", "Command, versions, seed, and the SHA-256 of every input."),
     File("run.log", "What the run said."),
 )

@@ -10,9 +10,10 @@ from data.result import Run
 from data.se2 import Array
 from data.truth import CLUTTER
 from eval.page.numbers import number
+from eval.plan.lab import switched_on
 from eval.referee.errors import landmark_true_ids, position_distance
 from eval.referee.score import Scores, Trial
-from eval.report.corridor.facts import Lab, furthest_from_start, look, run_of, switched_on, true_against_stated
+from eval.report.corridor.facts import Lab, furthest_from_start, look, pair_of, run_of, true_against_stated
 from eval.report.corridor.phrases import BLIND, NAMES, PEOPLE, WORSE, count_move, missing, move, plural, rmse
 
 
@@ -88,9 +89,9 @@ def what_maintenance_changes(lab: Lab, scores: Scores) -> tuple[str, bool]:
     for switches in (PEOPLE, *lab.maintained):
         plain, kept = lab.trials.get(switches), lab.maintained.get(switches)
         for method in ("jcbb", "nn", "singles"):
-            a, b = run_of(plain, method), run_of(kept, method)
-            if plain is not None and kept is not None and a is not None and b is not None:
-                return _maintained(plain, kept, a, b, scores), True
+            both = pair_of(plain, kept, method)
+            if plain is not None and kept is not None and both is not None:
+                return _maintained(plain, kept, *both, scores), True
     return missing(lab, PEOPLE, "jcbb", maintained=True), False
 
 

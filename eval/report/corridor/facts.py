@@ -12,6 +12,7 @@ from data.inputs import CLUTTER
 from data.log import Log
 from data.result import NEW, Run
 from data.se2 import Array, between, compose, wrap_angle
+from eval.plan.lab import switched_on
 from eval.referee.confusion import Confusion
 from eval.referee.errors import landmark_true_ids, position_distance, rms
 from eval.referee.score import Trial, confusion_of
@@ -65,20 +66,14 @@ class Pairings:
     off: float
 
 
-def is_corridor(trial: Trial) -> bool:
-    """Whether a trial is SLAM on a log of the lab, simulated or recorded, with the truth that its questions need."""
+def is_corridor(trial: Trial, *, named: bool = True) -> bool:
+    """Whether a trial is SLAM on a log of the lab, simulated or recorded, with the truth that its questions need.
+
+    `named`: only if the log says that it is of the corridor.
+    """
     t = trial.log.truth
-    named = trial.log.source.get("kind") == "corridor" or trial.log.name.startswith("corridor")
+    named = not named or trial.log.source.get("kind") == "corridor" or trial.log.name.startswith("corridor")
     return named and trial.task == "slam" and t.landmark_of is not None and t.known_poses == len(trial.log.recorded)
-
-
-def switched_on(log: Log) -> tuple[bool, bool]:
-    """Whether people were seen, and whether the wheels were read (no motion, or always the same, is stated if not)."""
-    people = log.truth.landmark_of is not None and bool(np.any(log.truth.landmark_of == CLUTTER))
-    made, mean = log.source.get("corridor"), log.recorded.increments.mean[1:]
-    if isinstance(made, Mapping) and "odometry" in made:
-        return people, bool(made["odometry"])
-    return people, bool(np.any(mean != mean[:1]))
 
 
 def has_prior(log: Log) -> bool:
@@ -91,16 +86,20 @@ PRIOR = ("step_mean", "step_sigma", "velocity", "velocity_sigma", "lateral_sigma
 """Constants of the corridor that do not make it another one: what is switched on, and what is stated of the motion."""
 
 
-def find_lab(trials: Sequence[Trial]) -> Lab | None:
-    """The corridor that was run with most of its switches; of several the first. None if there is no corridor."""
+def find_lab(trials: Sequence[Trial], *, named: bool = True) -> Lab | None:
+    """The corridor that was run with most of its switches; of several the first. None if there is no corridor.
+
+    `named` as of `is_corridor`; where it is not asked for, all logs are of one corridor.
+    """
     groups: dict[str, Lab] = {}
     for trial in trials:
-        if not is_corridor(trial):
+        if not is_corridor(trial, named=named):
             continue
         made = trial.log.source.get("corridor")
         left_out = (*SWITCHES, *PRIOR)
         constants = {k: v for k, v in made.items() if k not in left_out} if isinstance(made, Mapping) else {}
-        lab = groups.setdefault(f"{trial.log.source.get('seed')} {sorted(constants.items())}", Lab({}, {}))
+        own = f"{trial.log.source.get('seed')} {sorted(constants.items())}" if named else ""
+        lab = groups.setdefault(own, Lab({}, {}))
         if trial.beside is None and has_prior(trial.log):
             lab.primed.setdefault(switched_on(trial.log)[0], trial)
         elif trial.beside is None:
@@ -111,12 +110,28 @@ def find_lab(trials: Sequence[Trial]) -> Lab | None:
     return max(found, key=lambda lab: len(lab.trials), default=None)
 
 
+THE_LABS = {"jcbb": ("jcbb-first", "jcbb")}
+"""What the lab calls JCBB keeps the first of equal solutions (`jcbb-first`); where that was not run, `jcbb` is it."""
+
+
 def run_of(trial: Trial | None, association: str) -> Run | None:
-    """The finished run with that association: the filter's, or else the incremental smoother's."""
-    for estimator in ("ekf", "isam2"):
-        run = None if trial is None else trial.find(estimator, association)
-        if run is not None and run.failure is None:
-            return run
+    """The finished run with that association, or what the lab calls so: the filter's, or else iSAM2's."""
+    for name in THE_LABS.get(association, (association,)):
+        for estimator in ("ekf", "isam2"):
+            run = None if trial is None else trial.find(estimator, name)
+            if run is not None and run.failure is None:
+                return run
+    return None
+
+
+def pair_of(a: Trial | None, b: Trial | None, association: str) -> tuple[Run, Run] | None:
+    """The same for two trials, both runs with the very same way of association."""
+    for name in THE_LABS.get(association, (association,)):
+        for estimator in ("ekf", "isam2"):
+            runs = [None if t is None else t.find(estimator, name) for t in (a, b)]
+            found = [r for r in runs if r is not None and r.failure is None]
+            if len(found) == 2:
+                return found[0], found[1]
     return None
 
 

@@ -15,6 +15,7 @@ NAMES = {
     "nn": "NN",
     "singles": "SINGLES",
     "jcbb": "JCBB",
+    "jcbb-first": "JCBB",
     "known": "known association",
     "jcbb-hindsight": "JCBB in hindsight",
 }

@@ -29,11 +29,17 @@ from eval.report.corridor.phrases import (
 )
 
 
-def lab_sections(trials: Sequence[Trial], scores: Scores) -> list[Section]:
-    """The section with its questions; nothing where no corridor was run with what at least one of them needs."""
+def lab_sections(trials: Sequence[Trial], scores: Scores, *, answered_above: bool = False) -> list[Section]:
+    """The section with its questions; nothing where no corridor was run with what at least one of them needs.
+
+    `answered_above`: the questions stand elsewhere, and only what goes beyond them is said here.
+    """
     lab = find_lab(trials)
     if lab is None:
         return []
+    if answered_above:
+        beyond = [*ambiguity_sections(lab), *prior_sections(lab, scores)]
+        return [Section("More on the lab", ()), *beyond] if beyond else []
     questions: tuple[tuple[str, Callable[[Lab, Scores], tuple[str, bool]]], ...] = (
         ("Why does NN fail?", why_nn_fails),
         ("Why do people break NN and SINGLES?", why_people_break_it),

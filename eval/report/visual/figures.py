@@ -104,9 +104,14 @@ def _paint(ax: Axes, tile: Tile) -> None:
         )  # fmt: skip
 
 
-def plan_figure(log: Log, runs: Sequence[Run], corners: Array, *, width: float | None = None) -> Figure:
-    """The map figure with pictures in place of landmarks: corners (L, 4, 2) m as in `data.pictures.VisualSetup`."""
-    return map_figure(log, runs, width=width, surveyed=lambda ax: draw_pictures(ax, corners))
+def plan_figure(
+    log: Log, runs: Sequence[Run], corners: Array, *, width: float | None = None, factor: int | None = 1
+) -> Figure:
+    """The map figure with pictures in place of landmarks: corners (L, 4, 2) m as in `data.pictures.VisualSetup`.
+
+    Ellipses are drawn in their size, or `factor` times as large (None: as large as is needed to see them).
+    """
+    return map_figure(log, runs, width=width, surveyed=lambda ax: draw_pictures(ax, corners), factor=factor)
 
 
 def draw_pictures(ax: Axes, corners: Array) -> list[Line2D]:

@@ -102,7 +102,25 @@ OBSERVATION = Model(
         ),
     ),
 )  # fmt: skip
-MODELS = (MOTION, OBSERVATION)
+UPDATE = Model(
+    "update",
+    "Update",
+    "What was seen corrects what was predicted (the lab's equations 10 to 13): the innovation of all corners of a"
+    " frame, its gain, the pose and its covariance after it; quantities with a minus are predicted. S and H are those"
+    " of the observation model. Heading differences are wrapped, and in SLAM the corners are part of the state. Source:"
+    " Probabilistic Robotics, table 3.3; code: ekf.updates.",
+    (
+        Equation(r"\nu", (r"\mathbf{z} - h(\mathbf{x}^{-}) \qquad (10)",)),
+        Equation(
+            r"\mathbf{K}",
+            (r"\mathbf{P}^{-} \mathbf{H}^{\mathsf{T}} (\mathbf{H} \mathbf{P}^{-} \mathbf{H}^{\mathsf{T}}",
+             r" + \mathbf{R})^{-1} \qquad (11)"),
+        ),
+        Equation(r"\mathbf{x}^{+}", (r"\mathbf{x}^{-} + \mathbf{K} \nu \qquad (12)",)),
+        Equation(r"\mathbf{P}^{+}", (r"(\mathbf{I} - \mathbf{K} \mathbf{H}) \mathbf{P}^{-} \qquad (13)",)),
+    ),
+)  # fmt: skip
+MODELS = (MOTION, OBSERVATION, UPDATE)
 
 
 def models_latex(models: tuple[Model, ...] = MODELS) -> str:

@@ -27,7 +27,7 @@ from eval.referee.score import Trial
 from eval.report.names import stem
 from eval.report.shown_runs import for_map, left_out
 from eval.report.visual.figures import Tile, contact_sheet, plan_figure
-from eval.report.visual.models import MODELS, models_latex
+from eval.report.visual.models import MODELS, Model, models_latex
 
 
 @dataclass(frozen=True)
@@ -147,26 +147,32 @@ def visual_sections(folder: Path, options: Options, trials: Sequence[Trial]) -> 
     logs = {t.log.name: t.log for t in trials if t.log.evidence is not None and t.beside is None}
     sections = []
     for name, log in logs.items():
-        blocks = list(_models(folder, options, log))
+        blocks = [] if options.lab is not None else list(models(folder, options, log))
         blocks += [_plan(folder, options, t) for t in trials if t.log is log and not options.no_plots]
         blocks += _detections(folder, options, log)
         sections.append(Section(f"Pictures as landmarks: {name}", tuple(blocks)))
     return sections
 
 
-def _models(folder: Path, options: Options, log: Log) -> Iterator[Block]:
+def models(folder: Path, options: Options, log: Log) -> Iterator[Block]:
+    """Words and formulas of every model, and their constants on a log."""
     name = folder_name(log.name)
     if "tex" in options.formats:
         (folder / "tables").mkdir(parents=True, exist_ok=True)
         (folder / "tables" / f"{name}-models.tex").write_text(models_latex(), encoding="utf-8", newline="\n")
     for model in MODELS:
         yield f"**{model.title}.** {model.about}"
-        save(formula_figure(model.lines), folder / "figures", f"{name}-{model.name}", ("png",))
-        yield Formula(f"{name}-{model.name}", latex(model.lines))
-    yield _numbers(log)
+        yield typeset(folder, f"{name}-{model.name}", model)
+    yield constants(log)
 
 
-def _numbers(log: Log) -> str:
+def typeset(folder: Path, stem: str, model: Model) -> Formula:
+    """The formulas of a model, with the picture that shows them where no LaTeX is."""
+    save(formula_figure(model.lines), folder / "figures", stem, ("png",))
+    return Formula(stem, latex(model.lines))
+
+
+def constants(log: Log) -> str:
     """The models' constants on this log."""
     inputs = log.recorded
     sensor, R = inputs.sensor, inputs.observations.R
@@ -190,7 +196,9 @@ def _numbers(log: Log) -> str:
 def _plan(folder: Path, options: Options, trial: Trial) -> Picture:
     log, drawn, name = trial.log, for_map(trial), stem(trial, "plan")
     assert log.evidence is not None  # `visual_sections` asks for the plan of no other log
-    figure = plan_figure(log, drawn, log.evidence.setup.corners)
+    figure = plan_figure(
+        log, drawn, log.evidence.setup.corners, factor=None if options.lab is not None else options.ellipse_factor
+    )
     save(figure, folder / "figures", name, ("png",) if options.quick else ("pdf", "png"))
     truth = "" if log.truth.known_poses else " The true path is not known."
     return Picture(
@@ -205,7 +213,7 @@ def _detections(folder: Path, options: Options, log: Log) -> Iterator[Block]:
     evidence, name = log.evidence, f"{folder_name(log.name)}-detections"
     assert evidence is not None  # see `_plan`
     stats, found, tiles = statistics_of(evidence), evidence.found, tiles_of(evidence)
-    yield _summary(stats, found)
+    yield summary(stats, found)
     if tiles and not options.no_plots:
         # images are the whole figure: as PDF it would be many times as large and show no more
         sheet = contact_sheet(tiles, f"{log.name}: pictures found, with their numbers")
@@ -227,7 +235,7 @@ def _detections(folder: Path, options: Options, log: Log) -> Iterator[Block]:
     yield written_table(frame, folder, name, caption, options)
 
 
-def _summary(stats: Sequence[PictureStatistics], found: Found) -> str:
+def summary(stats: Sequence[PictureStatistics], found: Found) -> str:
     """All pictures together, in a paragraph."""
     notes = [f"**Detections.** {len(found.frame)} in {counted(len(found.time), 'frame')}."]
     in_view = sum(s.in_view or 0 for s in stats)

@@ -135,6 +135,16 @@ class TestMrclam:
         # the chord at the middle heading is as long as the arc
         np.testing.assert_allclose(np.hypot(*log.recorded.increments.mean[5, :2]), 0.02 * world.SPEED, rtol=1e-12)
 
+    def test_textbook_noise_takes_four_alphas_or_six(self, convert: Callable[..., Log]) -> None:
+        flags = "--uncalibrated", "--motion-noise", "textbook", "--motion-alphas", ".2", ".03", ".09", ".08"
+        span = np.diff(convert(*flags).recorded.time)
+        # samples of 0.1 s: variance of omega times 0.1^2 each
+        rate = 0.1 * (0.09 * world.SPEED**2 + 0.08 * world.TURN**2)
+        four, six = convert(*flags).recorded, convert(*flags, "0.5", "0.7").recorded
+        np.testing.assert_allclose(four.increments.covariance[1:, 2, 2], rate * span, rtol=1e-3)
+        rate += 0.1 * (0.5 * world.SPEED**2 + 0.7 * world.TURN**2)
+        np.testing.assert_allclose(six.increments.covariance[1:, 2, 2], rate * span, rtol=1e-3)
+
     def test_velocity_noise_takes_its_sigma(self, convert: Callable[..., Log]) -> None:
         log = convert("--uncalibrated", "--motion-noise", "velocity", "--motion-sigma", "0.1", "0.3")
         span = np.diff(log.recorded.time)
@@ -147,6 +157,8 @@ class TestMrclam:
             (["--sigma", "1", "1", "--sigma-range", "1"], "--sigma and --sigma-range contradict"),
             (["--motion-noise", "displacement"], "--motion-noise displacement needs --motion-alphas"),
             (["--motion-noise", "density", "--motion-alphas", "1", "1", "1", "1"], "--motion-alphas does not go with"),
+            (["--motion-noise", "textbook", "--motion-alphas", "1", "1"], "takes 4 or 6 numbers, not 2"),
+            (["--motion-noise", "displacement", "--motion-alphas", *"111111"], "takes 4 numbers, not 6"),
             (["--motion-sigma", "-1", "1"], "numbers from 0 up"),
             (["--motion-sigma", "inf", "1"], "numbers from 0 up"),
             (["--range-scale", "0"], "range_scale"),

@@ -82,7 +82,7 @@ def test_of_two_scans_without_odometry_between_the_first_stays_and_early_ones_go
     lines = [flaser([9.0], HERE, 0.0), odom(0, 0, 0, 1.0), flaser([1.0], HERE, 1.0), flaser([2.0], HERE, 1.1)]
     log = load("\n".join(lines))
     assert log.recorded.scans.ranges.tolist() == [[1.0]]
-    assert "1 of 3 scans come before the first ODOM line and were left out." in log.notes
+    assert "1 of 3 scans before the first ODOM line: left out." in log.notes
     assert "1 of 3 scans follow another without an ODOM line between and were left out." in log.notes
 
 

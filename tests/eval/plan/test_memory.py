@@ -36,10 +36,10 @@ def test_where_nobody_can_do_without_it_is_an_error_of_one_line():
 def isam2_needs_more(monkeypatch):
     """Every job with iSAM2 has not enough memory; processes of their own are this one."""
 
-    def hungry(experiment, part):
+    def hungry(experiment, part, watched=False):
         if "isam2" in part.estimators:
             raise MemoryError("Unable to allocate 9.2 GiB")
-        return estimate(experiment, part)
+        return estimate(experiment, part, watched)
 
     monkeypatch.setattr("eval.plan.execute.estimate", hungry)
     monkeypatch.setattr("eval.plan.unfinished.estimate", hungry)

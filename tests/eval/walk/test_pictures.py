@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from association.decide import decide
@@ -17,8 +18,10 @@ from data.truth import Truth
 from data.worlds.arena import Arena, simulate
 from eval.figures.style import drawing
 from eval.referee.confusion import OUTCOMES
-from eval.walk.matching import Matching, evidence, paint_compatibility, paint_matching
+from eval.walk.marks import BAD, LANDMARK
+from eval.walk.matching import evidence, paint_compatibility, paint_matching
 from eval.walk.pictures import field_of_view, paint_ground_truth, paint_map, paint_observations
+from eval.walk.plane import Matching
 from eval.walk.text import TruthRow
 
 PLAIN = RelativePoint(max_range=5.0)
@@ -48,6 +51,10 @@ def painted(paint, *arguments) -> Figure:
         paint(fig, *arguments)
         fig.draw_without_rendering()
     return fig
+
+
+def written(ax: Axes, colour: str) -> list[str]:
+    return [t.get_text() for t in ax.texts if t.get_color() == colour]
 
 
 def titles(fig: Figure) -> list[str]:
@@ -117,8 +124,26 @@ def test_matching_shows_all_methods_side_by_side_with_their_counts_and_marks_the
         "JCBB (updates): TP 1  TN 1  FP 1  FN 0",
     ]
     assert [ax.spines["left"].get_linewidth() > 1.5 for ax in fig.axes] == [False] * 4 + [True]
-    # the wrong one is numbered in every method's panel, all of them in the first
-    assert [[t.get_text() for t in ax.texts] for ax in fig.axes] == [["0", "1", "2"], *[["1"]] * 4]
+    # landmarks that somebody may be paired with are named; the wrong observation is in every method's panel, all of
+    # them in the first
+    assert [written(ax, LANDMARK) for ax in fig.axes] == [["3", "4", "5"]] * 5
+    assert [written(ax, "#202020") for ax in fig.axes] == [["0", "1", "2"], *[[]] * 4]
+    assert [written(ax, BAD) for ax in fig.axes] == [[], *[["1"]] * 4]
+
+
+def test_an_inset_enlarges_what_is_wrong_and_only_that():
+    fig = painted(paint_matching, problem())
+    insets = [[c for c in ax.child_axes if isinstance(c, Axes)] for ax in fig.axes]
+    assert [len(i) for i in insets] == [0, 1, 1, 1, 1]
+    inset = insets[1][0]
+    # observation 1 at x = 1.85 was paired with landmark 4 (x = 2) though 5 (x = 4) is right
+    low, high = inset.get_xlim()
+    assert low < 1.85
+    assert high > 4.0
+    assert high - low < np.ptp(fig.axes[1].get_xlim())
+    assert set(written(inset, LANDMARK)) == {"4", "5"}
+    right = problem(truth={})
+    assert not any(ax.child_axes for ax in painted(paint_matching, right).axes)
 
 
 def test_another_method_gets_a_panel_of_its_own_and_one_without_decisions_says_why():
@@ -196,7 +221,8 @@ def test_the_map_shows_landmarks_robot_and_path_of_the_estimate():
     landmarks = MapState(np.array([0, 4]), np.array([[3.0, 3.0], [5.0, 1.0]]), np.tile(0.09 * np.eye(2), (2, 1, 1)))
     fig = painted(paint_map, log, 3, "ekf", np.array([[0.0, 0.0], [1.0, 2.0]]), now, landmarks, "here")
     labels = fig.axes[0].get_legend_handles_labels()[1]
-    assert "2 landmarks" in labels
+    assert "2 landmarks, numbered" in labels
+    assert [t.get_text() for t in fig.axes[0].texts] == ["0", "4"]
     ellipses = [p.get_extents() for c in fig.axes[0].collections for p in c.get_paths()]
     assert any(box.width == pytest.approx(2 * 3 * 0.1, rel=0.01) for box in ellipses)  # the robot's, 3 sigma
     assert any(box.width == pytest.approx(2 * 3 * 0.3, rel=0.01) for box in ellipses)

@@ -69,7 +69,7 @@ def test_what_is_not_known_or_left_out_is_said(maker, tmp_path):
     log = load(maker.save(tmp_path))
     assert len(log.recorded) == 1
     assert "Where 'laser' is on 'base_link' is not in the bag: it is taken to be at its origin." in log.notes
-    assert "2 of 3 scans are outside the span of the odometry: left out." in log.notes
+    assert "2 of 3 scans outside the span of the odometry: left out." in log.notes
 
 
 def test_a_stamp_that_was_never_set_is_the_time_of_recording(maker, tmp_path):

@@ -28,7 +28,7 @@ PATHS = st.text("ab ';$\"-=é", min_size=1).filter(lambda t: t == t.strip())
 SPANS = st.floats(1e-9, 1e9).map(str)
 GATES = st.one_of(st.just("none"), st.floats(1e-9, 1 - 1e-9).map(str))
 VALUES = {
-    **dict.fromkeys(("log", "data", "scenario"), PATHS),
+    **dict.fromkeys(("log", "data", "scenario", "lab"), PATHS),
     "task": some(TASKS), "estimator": some(ESTIMATORS), "association": some(ASSOCIATIONS),
     **dict.fromkeys(("gate", "new_gate", "gate_known"), GATES),
     "least_information": GATES,
@@ -45,7 +45,8 @@ VALUES = {
 }  # fmt: skip
 """Words for every row that takes a value and changes the numbers."""
 CHANGED = {
-    "log": "a b", "data": "a b", "scenario": "a b", "task": "slam", "estimator": "ekf,batch", "association": "known,nn",
+    "log": "a b", "data": "a b", "scenario": "a b", "lab": "a b", "task": "slam", "estimator": "ekf,batch",
+    "association": "known,nn",
     "gate": "0.9", "new_gate": "0.9999999", "gate_known": "0.999", "forget_after": "12.5", "deactivate_after": "12.5",
     "lag": "1e-07", "keyframe_distance": "0.8", "least_information": "0.2",
     "runs": "0", "seed": "7", "twins": "9", "camera_translation": "m", "camera_reading": "to-body",

@@ -52,6 +52,7 @@ def test_flags_and_config_keys_mean_the_same_and_flags_win(tmp_path):
     (["--jobs", "0"], "at least one"),
     (["-q", "-v"], "exclude each other"),
     (["--animate", "--no-plots"], "forbids"),
+    (["--speed", "2"], "which --animate makes"),
     (["--config", "nowhere.toml"], "no such file"),
     (["--new-gate", "1"], "between 0 and 1"),
     (["--new-gate", "-0.1"], "between 0 and 1"),
@@ -107,6 +108,29 @@ def children_cpu() -> float:
     """s of processor time that finished subprocesses used, on a busy machine as on an idle one."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ("alphas = [1, 1, 1, 1, 1, 1]", "six alphas go with noise = 'textbook'"),
+        ("alphas = [1, 1, 1]", "a list of 4 numbers"),
+        ("alphas = [1, 1, 1, 1]\nrunning_minimum = true", "is of the association ml-ratio"),
+        ("alphas = [1, 1, 1, 1]\ngain_before_prediction = true", "is for localization with labels"),
+        ("alphas = [1, 1, 1, 1, 1, 1]\nnoise = 'textbook'", ""),
+    ],
+)
+def test_a_variant_that_contradicts_itself_is_refused(tmp_path, changed, message):
+    config = tmp_path / "mine.toml"
+    config.write_text(
+        "[variant]\nname = 'mine'\ntask = 'slam'\ngrid = 0.02\nmodel = 'half_angle'\nsigma = [1, 1]\n"
+        f"prior_variance = 0.1\n{changed}\n"
+    )
+    if not message:
+        assert read_options(["--config", str(config)]).variants[0].alphas == (1.0,) * 6
+        return
+    with pytest.raises(UsageError, match=message):
+        read_options(["--config", str(config)])
 
 
 def test_help_shows_an_example_of_every_flag_and_answers_at_once():

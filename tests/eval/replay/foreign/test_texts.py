@@ -80,9 +80,11 @@ def installed(monkeypatch, *points):
 
 def test_a_name_that_an_installed_package_adds_is_used_like_ours(monkeypatch):
     installed(
-        monkeypatch, ("slamref.estimators", "theirs", "ekf.slam:EkfSlam"), ("slamref.associations", "near", "a.b:c")
+        monkeypatch,
+        ("slamref.estimators", "theirs", "logging.handlers:QueueHandler"),
+        ("slamref.associations", "near", "a.b:c"),
     )
-    assert READ("--estimator", "ekf,theirs") == ("ekf", "theirs=ekf.slam:EkfSlam")
+    assert READ("--estimator", "ekf,theirs") == ("ekf", "theirs=logging.handlers:QueueHandler")
     assert own_or_foreign("association")("--association", "near") == ("near=a.b:c",)
     with pytest.raises(UsageError, match=r"x: unknown; known: .*gnc, theirs; or your own"):
         READ("--estimator", "x")

@@ -78,7 +78,7 @@ def test_merged_landmarks_give_all_their_sightings_to_the_older_one(runs):
     assert np.array_equal(revised(run.decisions, run.events), run.final_decisions)
     left = surviving(run.final_decisions, run.created)
     assert sorted(left[left >= 0]) == run.map.number.tolist()
-    assert any("turned out to be ones initialized before" in note for note in run.notes)
+    assert any("turned out to have been initialized before" in note for note in run.notes)
 
 
 def test_what_was_seen_in_one_frame_is_never_merged(world, runs):

@@ -76,7 +76,8 @@ def test_the_section_of_a_log_is_written_once_with_a_plan_for_each_task(tmp_path
     made = visual_sections(tmp_path, Options(), [*trials(), Trial(circle_log(), "slam", ())])
     assert [s.heading for s in made] == ["Pictures as landmarks: visual:1"]
     blocks = made[0].blocks
-    assert [b.stem for b in blocks if isinstance(b, Formula)] == ["visual_1-motion", "visual_1-observation"]
+    formulas = ["visual_1-motion", "visual_1-observation", "visual_1-update"]
+    assert [b.stem for b in blocks if isinstance(b, Formula)] == formulas
     assert [b.stem for b in blocks if isinstance(b, Picture)] == [
         "visual_1-localization-plan", "visual_1-slam-plan", "visual_1-detections",
     ]  # fmt: skip
@@ -93,7 +94,7 @@ def test_formulas_are_in_the_html_as_images_that_say_their_latex_and_in_markdown
     made = visual_sections(tmp_path, Options(quick=True), trials())
     write_report(tmp_path, Report("Title", "command", ("First.",), tuple(made)))
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert page.count('<div class="formula"><img ') == 2
+    assert page.count('<div class="formula"><img ') == 3
     assert "\\begin{bmatrix} 1 &amp; 0 &amp; -d_x \\sin\\theta" in page
     assert not re.search(r"https?://|<script", page)
     text = (tmp_path / "report.md").read_text(encoding="utf-8")
@@ -106,6 +107,7 @@ def test_formulas_are_shown_also_without_plots(tmp_path):
     assert sorted(p.name for p in (tmp_path / "figures").iterdir()) == [
         "visual_1-motion.png",
         "visual_1-observation.png",
+        "visual_1-update.png",
     ]
     assert [p.name for p in (tmp_path / "tables").iterdir()] == ["visual_1-detections.csv"]
     assert not any(isinstance(b, Picture) for b in made[0].blocks)

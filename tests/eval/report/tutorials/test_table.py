@@ -7,10 +7,10 @@ from dataclasses import replace
 import pytest
 
 from data.worlds.arena import Arena, simulate
-from eval.plan.tutorial import ABOUT
+from eval.plan.tutorials.recording import ABOUT
 from eval.referee.score import Trial, score
 from eval.replay.run import compare
-from eval.report.tutorial_table import given, logs_with_tutorials, tutorial_table
+from eval.report.tutorials.table import given, logs_with_tutorials, rows_of, table_of
 
 STEPS = (("localization", "known"), ("localization", "ml"), ("slam", "known"), ("slam", "ml-ratio"))
 
@@ -40,7 +40,7 @@ def test_what_is_given_is_named():
 
 
 def test_map_and_labels_are_taken_away_row_by_row_and_ours_stands_beside(trials):
-    table = tutorial_table("arena:0", trials, score(trials))
+    table = table_of(rows_of("arena:0", trials, score(trials)))
     assert table["given"].tolist() == [g for g in ("map and labels", "map", "labels", "nothing") for _ in range(3)]
     ours = ["ours: ekf (online)", "ours: batch (final)"]
     assert table["run"].tolist() == [name for i in range(1, 5) for name in (f"tutorial-step{i}", *ours)]

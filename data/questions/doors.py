@@ -1,0 +1,79 @@
+"""What is no log yet but can be made one: which recording a path holds, and the line to type."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+from data.errors import DataError, UsageError
+
+MOST = 8
+"""Names of variables that a message lists."""
+
+
+def door(name: str) -> list[str] | None:
+    """Sentences and commands about a UTIAS MRCLAM dataset or a MATLAB file; None for anything else.
+
+    Raises:
+        UsageError: a MATLAB file that none of the formats here has.
+        DataError: one that cannot be read.
+    """
+    path = Path(name)
+    if path.suffix.lower() == ".mat" and path.is_file():
+        return _mat(path)
+    if (path / "log.toml").exists():
+        return None
+    from data.mrclam.load import is_mrclam
+
+    return _mrclam(path) if is_mrclam(path) else None
+
+
+def _mrclam(path: Path) -> list[str]:
+    from data.mrclam.files import open_files
+    from data.mrclam.load import corrected_landmarks
+
+    files = open_files(path)
+    robots = files.robots()
+    try:
+        corrected = corrected_landmarks(path)
+    except DataError:  # said again, and better, when it is converted
+        corrected = None
+    landmarks = "" if corrected is None else f" --landmarks {shlex.quote(str(corrected))}"
+    who = f"robot{'s' * (len(robots) > 1)} {', '.join(map(str, robots))}"
+    out = files.name.lower().replace("_dataset", "")
+    source = shlex.quote(str(path))
+    logs = {n: shlex.quote(f"logs/{out}-robot{n}") for n in robots}
+    return [
+        f"{name_of(path)} is a UTIAS MRCLAM dataset, {who}: no log yet. Make one of a robot:",
+        *(f"  python -m data.convert mrclam {source} {log} --robot {n}{landmarks}" for n, log in logs.items()),
+    ]
+
+
+def _mat(path: Path) -> list[str]:
+    from data.recordings.esde import NEEDED
+    from data.visual.lab.folder import is_lab
+    from data.visual.lab.mat_stream import variables
+
+    names = [v.name for v in variables(path)]
+    folder = shlex.quote(str(path.absolute().parent))
+    if set(NEEDED) <= set(names):
+        return [
+            f"{name_of(path)} is a recorded run of a published study, which is replayed and not converted:",
+            f"  python -m eval.run_all --scenario esde-replay --data {folder}",
+        ]
+    if is_lab(path.absolute().parent):
+        out = shlex.quote(f"logs/{path.absolute().parent.name}")
+        return [
+            f"{name_of(path)} belongs to a recording of the visual lab; its folder is a log, and as an open log:",
+            f"  python -m data.convert lab {folder} {out}",
+        ]
+    listed = ", ".join(names[:MOST]) + (", ..." if len(names) > MOST else "")
+    raise UsageError(
+        f"{path}: a MATLAB file with {listed}, in none of the formats here; its numbers as CSV can be converted: "
+        "python -m data.convert table --help"
+    )
+
+
+def name_of(path: Path) -> str:
+    """What a path is called in a sentence."""
+    return path.absolute().name

@@ -1,0 +1,80 @@
+"""Camera images with what was found in them: outlines, corners and names of pictures, as encoded images."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from data.log import Log
+from data.pictures import Found, VisualRecording
+from data.se2 import Array
+
+YELLOW, BLACK = (66, 228, 240), (0, 0, 0)
+"""BGR. Okabe and Ito's yellow with a black edge stands out from light and dark images, in colour and in grey."""
+LEAST_WIDTH = 640
+"""px; smaller images are enlarged, so that names can be read."""
+SUBPIXEL = 4
+"""Bits behind the point of OpenCV's drawing coordinates."""
+
+
+def outlined(rgb: NDArray[np.uint8], found: Sequence[tuple[str, Array]]) -> bytes:
+    """PNG of an image (H, W, 3) with each picture found: its name and corners (4, 2) px, the upper left one first."""
+    times = max(1, -(-LEAST_WIDTH // rgb.shape[1]))
+    size = (rgb.shape[1] * times, rgb.shape[0] * times)
+    image: NDArray[np.uint8] = np.ascontiguousarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), np.uint8)
+    if times > 1:
+        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_CUBIC), np.uint8)
+    thick = max(1, round(max(size) / 640))
+    for name, corners in found:
+        at = ((corners + 0.5) * times - 0.5) * 2**SUBPIXEL
+        places = np.round(at).astype(np.int32)
+        for colour, width in ((BLACK, 3 * thick), (YELLOW, thick)):
+            cv2.polylines(image, [places[:, None]], True, colour, width, cv2.LINE_AA, SUBPIXEL)
+            for u, v in places.tolist():
+                cv2.circle(
+                    image, (u, v), (2 * thick + width // 2) << SUBPIXEL, colour, cv2.FILLED, cv2.LINE_AA, SUBPIXEL
+                )
+        _name(image, name, corners[0] * times, thick)
+    ok, data = cv2.imencode(".png", image)
+    assert ok
+    return bytes(data.tobytes())
+
+
+def _name(image: NDArray[np.uint8], name: str, corner: Array, thick: int) -> None:
+    """A name in a yellow box above a corner, or below it where the image ends."""
+    scale = 0.45 * thick
+    (wide, high), below = cv2.getTextSize(name, cv2.FONT_HERSHEY_SIMPLEX, scale, thick)
+    pad = 2 * thick
+    x = int(np.clip(corner[0], 0, max(image.shape[1] - wide - 2 * pad, 0)))
+    top = int(corner[1]) - high - below - 3 * pad
+    top = int(corner[1]) + 2 * pad if top < 0 else top
+    box = (x, top), (x + wide + 2 * pad, top + high + below + pad)
+    cv2.rectangle(image, *box, YELLOW, cv2.FILLED)
+    cv2.rectangle(image, *box, BLACK, thick)
+    at = (x + pad, top + high + pad)
+    cv2.putText(image, name, at, cv2.FONT_HERSHEY_SIMPLEX, scale, BLACK, thick, cv2.LINE_AA)
+
+
+def found_in(found: Found, frame: int) -> list[tuple[str, Array]]:
+    """Number and corners (4, 2) of each picture found in a frame."""
+    return [(str(found.picture[d]), found.pixels[d]) for d in np.flatnonzero(found.frame == frame)]
+
+
+def frame_pictures(recording: VisualRecording, found: Found) -> Iterator[bytes]:
+    """PNG of every frame of a recording, in order, with what was found in it."""
+    for k, frame in enumerate(recording.frames()):
+        yield outlined(frame.rgb, found_in(found, k))
+
+
+def frame_picture(log: Log, frame: int) -> bytes | None:
+    """PNG of a frame with what was found in it, of the few frames whose image a log keeps; None for the others."""
+    if log.evidence is None:
+        return None
+    image = dict(log.evidence.found.tiles).get(frame)
+    if image is None:
+        return None
+    rgb = cv2.imdecode(np.frombuffer(image, np.uint8), cv2.IMREAD_COLOR_RGB)
+    return None if rgb is None else outlined(np.asarray(rgb, np.uint8), found_in(log.evidence.found, frame))

@@ -1,0 +1,120 @@
+"""`python -m eval.play LOG`: one page that plays a log in the browser, with every estimate, decision and ellipse.
+
+Only the parser is imported at once, so that `--help` does not wait for the numerical libraries.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from data.errors import UsageError
+from data.terminal.ending import ended, told
+from eval.plan.flags.options import options_of
+from eval.plan.flags.table import Options, add_flags
+from eval.replay.flag import rows
+
+PROG = "python -m eval.play"
+TABLE = rows(Options)
+SHARED = (
+    replace(
+        TABLE["task"],
+        help="localization, slam (default: localization where there is a map, but slam in a corridor)",
+    ),
+    *(
+        TABLE[name]
+        for name in (
+            "estimator", "association", "gate", "new_gate", "gate_known", "in_view", "maintain", "forget_after",
+            "deactivate_after", "lag", "keyframe_distance",
+        )
+    ),
+)  # fmt: skip
+"""Flags that mean what they mean in `eval.run_all`."""
+EXAMPLES = """\
+examples:
+  python -m eval.play arena:0
+  python -m eval.play corridor:0:people --association nn,singles,jcbb,known --estimator ekf
+  python -m eval.play victoria-park --association jcbb --estimator ekf,batch --out park.html
+  python -m eval.play path/to/my_log --task slam --gate 0.95
+
+The page stands in the working directory as the log's name with .html, or where --out says; it loads nothing.
+
+exit status: 0 fine, 2 wrong usage or bad data, 130 interrupted"""
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What was asked for."""
+
+    options: Options
+    out: Path | None
+    frames: int | None
+
+
+def parser(prog: str = PROG) -> argparse.ArgumentParser:
+    """The flags."""
+    p = argparse.ArgumentParser(
+        prog=prog,
+        description="Write a page that plays a log in the browser.",
+        epilog=EXAMPLES.replace(PROG, prog),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    p.add_argument("log", metavar="LOG", help="as for --log of eval.run_all")
+    add_flags(p, SHARED)
+    p.add_argument("--frames", metavar="N", help="only the first N frames")
+    p.add_argument("--out", metavar="FILE", type=Path, help="the page (default: the log's name with .html)")
+    return p
+
+
+def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
+    """Flags, checked as those of `eval.run_all` are; raises UsageError for what makes no sense."""
+    given = vars(parser(prog).parse_args(argv))
+    frames, out = given["frames"], given["out"]
+    if frames is not None and (not frames.isascii() or not frames.isdigit() or int(frames) < 1):
+        raise UsageError(f"--frames {frames}: a whole number from 1 up is needed")
+    if out is not None and out.suffix.lower() not in (".html", ".htm"):
+        raise UsageError(f"--out {out}: the name of a page ends in .html")
+    stated: dict[str, object] = {"log": [given["log"]]}
+    stated |= {"task": "slam"} if given["log"].startswith("corridor:") else {}
+    stated |= {row.name: given[row.name] for row in SHARED if row.name in given}
+    options = options_of(stated)
+    return Wish(options, out, None if frames is None else int(frames))
+
+
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+    """The whole command, called `prog`; returns the exit status."""
+    return ended(lambda: _play(read(argv, prog)))
+
+
+def _play(wish: Wish) -> None:
+    from data.log import folder_name, shortened
+    from eval.plan.experiments import make_plan
+    from eval.plan.first_use import compile_if_needed
+    from eval.plan.unfinished import estimate, wanted
+    from eval.player.write import played, write_page
+    from eval.referee.score import Trial
+
+    compile_if_needed()
+    trials = []
+    for e in make_plan(wish.options, print).experiments:
+        if e.beside is not None:
+            continue
+        e = e if wish.frames is None else replace(e, log=shortened(e.log, wish.frames))
+        runs = {(r.association, r.estimator): r for w in e.work for r in estimate(e, w, watched=True)}
+        for run in runs.values():
+            if run.flaw is not None:
+                print(f"{run.estimator} ({run.association}) {run.status}: {run.flaw.text}")
+        trials.append(Trial(e.log, e.task, tuple(runs[key] for key in wanted(e.work))))
+    path = wish.out or Path(f"{folder_name(trials[0].log.name)}.html")
+    try:
+        write_page(path, played(trials)[0], wish.options.setup)
+    except OSError as fault:
+        raise UsageError(f"--out {path}: {told(fault)}") from fault
+    print(f"player: {path} ({path.stat().st_size / 1e6:.2f} MB)")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

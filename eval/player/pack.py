@@ -1,0 +1,137 @@
+"""Arrays packed for the page: quantized, as differences along time, in the smallest integers that hold them, deflated.
+
+A recording is a list of chunks. A chunk is a header (JSON) and its bytes (raw deflate, in the page as base64):
+
+    {"first": number of its first frame, "frames": how many, "arrays": [...], ...what the scene adds}
+
+Each entry of `arrays` has `name`, `columns`, `rows`, `at` (its first byte, after inflating), `size` (bytes of an
+integer: 1, 2 or 4), `scale`, `log` (values are the exponential of what is stored), `missing` (ranges of rows
+[from, to) without a value) and `steps` (the page is to leave the integers as they are). Bytes of an array: column after
+column, of each integer first all low bytes, then the next ones (similar bytes side by side deflate better). Integers
+are differences from the row before, those of the first row from zero. Arrays with the same bytes share them.
+
+So that a recording can grow while a robot drives, a chunk decodes by itself (differences begin anew), and rows are in
+the order of time: the arrays of one name of all chunks, one after the other, are that array of the whole recording.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import zlib
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from data.inputs import IntArray
+from data.se2 import Array
+
+LOG_STEP = 0.001
+"""Of the logarithm: positive quantities are kept to 0.05 %."""
+FURTHEST = 2.0**30 - 1
+"""Integers, whose differences then have 32 bits."""
+LEAST = 1.0e-12
+"""What is smaller than this is taken for it in a logarithm."""
+
+
+class Pack:
+    """A chunk in the making."""
+
+    def __init__(self, first: int, frames: int) -> None:
+        """Of so many frames from `first`."""
+        self.first, self.frames = first, frames
+        self._entries: list[dict[str, Any]] = []
+        self._parts: dict[bytes, int] = {}
+        self._length = 0
+
+    def add(self, name: str, values: Array | IntArray, scale: float = 1.0) -> None:
+        """Numbers (n,) or (n, c) to half a `scale`; NaN and infinity are missing, for the whole row.
+
+        Where some reach so far that integers do not (a path that went astray), all are kept to a coarser scale.
+        """
+        self._put(name, np.asarray(values, float), scale, log=False)
+
+    def add_log(self, name: str, values: Array, step: float = LOG_STEP) -> None:
+        """Numbers that are not negative, (n,) or (n, c), to half a `step` of their own size."""
+        with np.errstate(invalid="ignore"):
+            self._put(name, np.log(np.maximum(np.asarray(values, float), LEAST)), step, log=True)
+
+    def add_steps(self, name: str, values: Array | IntArray) -> None:
+        """Whole numbers (n,) or (n, c) that are differences already."""
+        plain = {"scale": 1.0, "log": False, "steps": True, "missing": []}
+        self._store(name, _columns(np.asarray(values, np.int64)), plain)
+
+    @property
+    def names(self) -> set[str]:
+        """Of all arrays so far."""
+        return {entry["name"] for entry in self._entries}
+
+    def _put(self, name: str, values: Array, scale: float, *, log: bool) -> None:
+        columns = _columns(values)
+        known = np.isfinite(columns).all(axis=1)
+        filled = _filled(columns, known)
+        scale = max(scale, float(np.abs(filled).max(initial=0.0)) / FURTHEST)
+        stored = np.round(filled / scale)
+        steps = np.diff(stored, axis=0, prepend=np.zeros((1, stored.shape[1]))).astype(np.int64)
+        self._store(name, steps, {"scale": scale, "log": log, "steps": False, "missing": ranges(~known)})
+
+    def _store(self, name: str, steps: IntArray, more: Mapping[str, Any]) -> None:
+        most = int(np.abs(steps).max(initial=0))
+        if most >= 2**31:
+            raise OverflowError(f"{name}: a step of {most}, more than 32 bits hold")
+        size = 1 if most < 2**7 else 2 if most < 2**15 else 4
+        integers = np.ascontiguousarray(steps.T).astype(f"<i{size}")
+        content = integers.view(np.uint8).reshape(-1, size).T.tobytes() if integers.size else b""
+        at = self._parts.setdefault(content, self._length)
+        self._length += len(content) if at == self._length else 0
+        entry = {"name": name, "columns": steps.shape[1], "rows": len(steps), "at": at, "size": size}
+        self._entries.append({**entry, **more})
+
+    def done(self, more: Mapping[str, object]) -> dict[str, Any]:
+        """The chunk: its header with `more`, and `data` as base64."""
+        deflate = zlib.compressobj(9, zlib.DEFLATED, -15)
+        packed = deflate.compress(b"".join(self._parts)) + deflate.flush()
+        header = {"first": self.first, "frames": self.frames, "arrays": self._entries}
+        return {**header, **more, "data": base64.b64encode(packed).decode()}
+
+
+def _columns(values: Any) -> Any:
+    """Numbers (n,) as (n, 1), those (n, c) as they are."""
+    return values[:, None] if values.ndim == 1 else values
+
+
+def _filled(values: Array, known: Any) -> Array:
+    """The same, unknown rows (n,) as the last known one before them, or zero."""
+    last = np.maximum.accumulate(np.where(known, np.arange(len(known)), -1)) if len(known) else np.empty(0, np.int64)
+    filled: Array = np.where((last >= 0)[:, None], values[np.maximum(last, 0)], 0.0)
+    return filled
+
+
+def ranges(which: Any) -> list[list[int]]:
+    """Where `which` (n,) holds, as ranges [from, to)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], which, [False]]).astype(np.int8)))
+    found: list[list[int]] = edges.reshape(-1, 2).tolist()
+    return found
+
+
+def text_of(chunk: Mapping[str, Any]) -> str:
+    """A chunk as JSON that can stand in a page."""
+    return json.dumps(chunk, separators=(",", ":"), ensure_ascii=True, allow_nan=False).replace("</", "<\\/")
+
+
+def unpacked(chunk: Mapping[str, Any]) -> dict[str, Array]:
+    """The arrays (rows, columns) of a chunk by name, as the page decodes them; NaN where missing."""
+    content = zlib.decompress(base64.b64decode(chunk["data"]), -15)
+    found = {}
+    for entry in chunk["arrays"]:
+        rows, columns, size = entry["rows"], entry["columns"], entry["size"]
+        planes = np.frombuffer(content, np.uint8, rows * columns * size, entry["at"]).reshape(size, -1)
+        integers = np.ascontiguousarray(planes.T).view(f"<i{size}").reshape(columns, rows)
+        values = integers.T if entry["steps"] else np.cumsum(integers.astype(np.int64), axis=1).T
+        values = values * entry["scale"]
+        values = np.exp(values) if entry["log"] else values.astype(float)
+        for begin, stop in entry["missing"]:
+            values[begin:stop] = np.nan
+        found[entry["name"]] = values
+    return found

@@ -1,0 +1,217 @@
+"""What an observer of a replay writes down for the player: landmarks as they were, and what could have been decided.
+
+Only changes of a landmark that can be seen are kept: a mean, or an end of its 3 sigma ellipse, moved by more than half
+a quantum. A filter is asked for its map after each frame in which it saw something; a smoother for means alone, as its
+marginals cost more than the whole run (a tenth of a second a frame in a corridor) and asking moves its bookkeeping.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from association.decide import METHODS
+from association.expectation import Expectation, SingularInnovationError, gate_threshold
+from data.inputs import Frame, Inputs, IntArray, read_only
+from data.result import MapState
+from data.se2 import Array, dead_reckoned
+from ekf.filter import Filter
+from ekf.slam import EkfSlam
+from eval.replay.frontend import FrontEnd, Pairing
+from graph.incremental import Isam2Smoother
+
+SIGMAS = 3.0
+FINEST, COARSEST = 1.0e-3, 1.0e-1
+"""m."""
+SHARE = 1.0e-4
+"""Of the path's extent: a fifth of a pixel on a large screen that shows all. 1 mm in a corridor, 1 cm in a park."""
+LOOKED_AT = 0.99999
+"""Candidates of an observation inside this gate are kept, ..."""
+MOST = 12
+"""... the nearest so many; the nearest one always, and the one it was paired with."""
+LARGE, SELDOM = 300, 10
+"""Above so many landmarks a map is written down after every so many frames only: writing it down costs as long as
+using it."""
+READ = 30_000
+"""Positions of landmarks that a smoother is asked for in all, each 10 to 20 microseconds."""
+LONG = 2000
+"""Frames. In a longer log no method is asked where labels decide: that would take longer than the run."""
+NOT_ASKED, SINGULAR = -3, -4
+"""In place of a decision: nobody was asked, or the method had none because a covariance is singular."""
+
+
+def quantum_of(inputs: Inputs) -> float:
+    """Size [m] of what can be seen: a power of ten, for a path of this extent by dead reckoning."""
+    path = dead_reckoned(inputs.prior.mean, inputs.increments.mean)[:, :2]
+    extent = float(np.ptp(path, axis=0).max(initial=0.0))
+    return float(np.clip(10.0 ** np.floor(np.log10(max(SHARE * extent, FINEST))), FINEST, COARSEST))
+
+
+@dataclass(frozen=True, eq=False)
+class Watched:
+    """What was written down. Sigmas are (sigma_x, sigma_y), rho their correlation.
+
+    Attributes:
+        quantum: m; smaller changes are left out.
+        every: landmarks were written down after every so many frames with observations; 0: never.
+        certain: with their covariances; else their sigmas are zero.
+        change_frame, change_number, change_there: (C,) in which frame which landmark changed; 0: it left the map.
+        change_xy, change_sigma, change_rho: (C, 2), (C, 2), (C,) in the world frame [m].
+        seen_frame, seen_number: (K,) candidates that some observation might have been of.
+        seen_xy, seen_sigma, seen_rho: (K, 2), (K, 2), (K,) where they were expected, in the robot's frame [m].
+        pair_row, pair_number, pair_d2: (P,) observation (row of the log), candidate, squared Mahalanobis distance.
+        methods: W names.
+        said: (M, W) what each decides on the same expectation.
+    """
+
+    quantum: float
+    every: int
+    certain: bool
+    change_frame: IntArray
+    change_number: IntArray
+    change_there: IntArray
+    change_xy: Array
+    change_sigma: Array
+    change_rho: Array
+    seen_frame: IntArray
+    seen_number: IntArray
+    seen_xy: Array
+    seen_sigma: Array
+    seen_rho: Array
+    pair_row: IntArray
+    pair_number: IntArray
+    pair_d2: Array
+    methods: tuple[str, ...]
+    said: IntArray
+
+    def __post_init__(self) -> None:
+        read_only(self)
+
+
+class Watch:
+    """Looks on while a log is replayed (see `eval.replay.observer.Observer`).
+
+    Attributes:
+        seconds: spent here, which are not the estimator's.
+    """
+
+    def __init__(self, inputs: Inputs) -> None:
+        """Before the first frame."""
+        self.quantum, self.sensor, self.seconds = quantum_of(inputs), inputs.sensor, 0.0
+        self._frames, self._seeing = len(inputs), int((np.diff(inputs.start) > 0).sum())
+        self._every, self._since, self._looked, self._certain = 0, 0, -1, True
+        self._last = np.full((0, 5), np.nan)
+        self._changes: list[Array] = []
+        self._seen: list[Array] = []
+        self._pairs: list[Array] = []
+        self._said = np.full((len(inputs.observations.frame), len(METHODS)), NOT_ASKED, np.int64)
+
+    def moved(self, front: FrontEnd) -> None:
+        """Nothing to write down."""
+
+    def decided(self, front: FrontEnd, frame: Frame, pairing: Pairing) -> None:
+        """Candidates, their distances, and what each method says; what an estimator cannot say for nothing is left."""
+        begin = time.perf_counter()
+        self._looked = front.k
+        e = pairing.expectation
+        # a filter's expectation is formed from its state and changes nothing; parked landmarks would have to come back
+        if e is None and isinstance(front.estimator, Filter) and not len(front.estimator.parked):
+            e = front.expect(frame.sightings)
+        if e is not None and len(e.number):
+            try:
+                self._compare(front, frame, e.by_age(), pairing.decisions)
+            except SingularInnovationError:
+                self._said[frame.first : frame.first + len(e.z)] = SINGULAR
+        self.seconds += time.perf_counter() - begin
+
+    def _compare(self, front: FrontEnd, frame: Frame, e: Expectation, decisions: IntArray) -> None:
+        d2 = e.individual_distances()
+        rank = d2.argsort(axis=1, kind="stable").argsort(axis=1, kind="stable")
+        kept = (rank == 0) | ((d2 < gate_threshold(LOOKED_AT)) & (rank < MOST))
+        kept |= e.number[None, :] == decisions[:, None]
+        kept &= np.isfinite(d2)
+        i, j = np.nonzero(kept)
+        self._pairs.append(np.column_stack([frame.first + i, e.number[j], d2[i, j]]))
+        some = np.flatnonzero(kept.any(axis=0))
+        xy, P = self.sensor.body_points(e.z_hat[some], e.HPHt[some])
+        self._seen.append(np.column_stack([np.full(len(some), frame.number), e.number[some], xy, spread(P)]))
+        if front.known is not None and self._frames > LONG:
+            return
+        for w, name in enumerate(METHODS):
+            rows = slice(frame.first, frame.first + len(decisions))
+            try:
+                self._said[rows, w] = front.decide(e, name).decisions
+            except SingularInnovationError:
+                self._said[rows, w] = SINGULAR
+
+    def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
+        """Landmarks of a filter, as they are after the frame."""
+        begin, estimator = time.perf_counter(), front.estimator
+        if isinstance(estimator, (EkfSlam, Isam2Smoother)) and front.slam:
+            filters = isinstance(estimator, EkfSlam)
+            size = estimator.created
+            seldom = (SELDOM if size > LARGE else 1) if filters else 1 + size * self._seeing // READ
+            self._every, self._certain = max(self._every, seldom), filters
+            self._since += self._looked == front.k
+            if self._since >= seldom or front.k == self._frames - 1:
+                self._since = 0
+                self._write(front.k, _state(estimator))
+        self.seconds += time.perf_counter() - begin
+
+    def _write(self, frame: int, state: MapState) -> None:
+        now = np.column_stack([state.xy, spread(state.covariance)])
+        sound = np.isfinite(now).all(axis=1)
+        now, state = now[sound], MapState(state.number[sound], state.xy[sound], state.covariance[sound])
+        more = int(np.max(state.number, initial=-1)) + 1 - len(self._last)
+        if more > 0:
+            self._last = np.concatenate([self._last, np.full((more, 5), np.nan)])
+        before = self._last[state.number]
+        moved = np.abs(now[:, :2] - before[:, :2]).max(axis=1)
+        widened = SIGMAS * np.abs(now[:, 2:4] - before[:, 2:4]).max(axis=1)
+        turned = SIGMAS * now[:, 2:4].max(axis=1) * np.abs(now[:, 4] - before[:, 4])
+        small = np.maximum(np.maximum(moved, widened), turned) <= 0.5 * self.quantum  # false with NaN: a new one
+        changed, number = now[~small], state.number[~small]
+        self._last[number] = changed
+        gone = np.isfinite(self._last[:, 0])
+        gone[state.number] = False
+        left = np.flatnonzero(gone)
+        if len(number):
+            one = np.ones(len(number))
+            self._changes.append(np.column_stack([frame * one, number, one, changed]))
+        if len(left):
+            zero = np.zeros(len(left))
+            self._changes.append(np.column_stack([zero + frame, left, zero, self._last[left]]))
+            self._last[left] = np.nan
+
+    def left(self) -> Watched:
+        """All of it, after the last frame."""
+        changes, seen, pairs = _table(self._changes, 8), _table(self._seen, 7), _table(self._pairs, 3)
+        whole = changes[:, :3].astype(np.int64)
+        return Watched(
+            self.quantum, self._every, self._certain, whole[:, 0], whole[:, 1], whole[:, 2],
+            changes[:, 3:5], changes[:, 5:7], changes[:, 7],
+            seen[:, 0].astype(np.int64), seen[:, 1].astype(np.int64), seen[:, 2:4], seen[:, 4:6], seen[:, 6],
+            pairs[:, 0].astype(np.int64), pairs[:, 1].astype(np.int64), pairs[:, 2], METHODS, self._said,
+        )  # fmt: skip
+
+
+def spread(covariance: Array) -> Array:
+    """(sigma_x, sigma_y, rho) (n, 3) of covariances whose first two coordinates are x and y."""
+    sigma = np.sqrt(np.maximum(covariance[:, [0, 1], [0, 1]], 0.0))
+    product = sigma[:, 0] * sigma[:, 1]
+    rho = np.divide(covariance[:, 0, 1], product, out=np.zeros(len(sigma)), where=product > 0.0)
+    return np.column_stack([sigma, np.clip(rho, -1.0, 1.0)])
+
+
+def _state(estimator: EkfSlam | Isam2Smoother) -> MapState:
+    """Its landmarks as they are; of a smoother without covariances."""
+    if isinstance(estimator, EkfSlam):
+        return estimator.landmarks()
+    smoother, number = estimator, estimator.numbers
+    return MapState(number, smoother.positions(number), np.zeros((len(number), 2, 2)))
+
+
+def _table(parts: list[Array], columns: int) -> Array:
+    return np.concatenate(parts) if parts else np.empty((0, columns))

@@ -1,0 +1,1 @@
+"""What the report says of the classic tutorials' treatment of a recording."""

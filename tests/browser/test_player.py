@@ -1,0 +1,296 @@
+"""The player in a real headless browser: opens from a file, plays, steps, shows the numbers of the result folder.
+
+`make test-browser`; needs the extra `browser` (Playwright) and a Chromium on PATH, and is skipped without.
+"""
+
+from __future__ import annotations
+
+import csv
+import shutil
+
+import numpy as np
+import pytest
+
+from association.decide import METHODS
+from data.logs import open_log
+from eval import play, run_all
+from eval.referee.confusion import OUTCOMES
+from eval.replay.observer import Nobody
+from eval.replay.run import step_by_step
+
+api = pytest.importorskip("playwright.sync_api", reason="the extra `browser` is not installed (make test-browser)")
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+pytestmark = [pytest.mark.browser, pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on PATH")]
+NAME = "corridor:0:people"
+WIDTHS = (1400, 1100, 400)
+FASTEST = 1000 / 30
+"""ms in which a frame must be drawn to play 30 of them in a second."""
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """The result folder of a corridor with people, nearest neighbour and joint compatibility."""
+    out = tmp_path_factory.mktemp("results") / "corridor"
+    wanted = ["--log", NAME, "--task", "slam", "--estimator", "ekf", "--association", "nn,jcbb", "--quick"]
+    assert run_all.main([*wanted, "--out", str(out), "-q", "--jobs", "1"]) == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def park(tmp_path_factory):
+    """The player of the longest log, three estimators."""
+    out = tmp_path_factory.mktemp("park") / "park.html"
+    assert play.main(["victoria-park", "--estimator", "dead-reckoning,ekf,isam2,batch", "--out", str(out)]) == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    with api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+class Opened:
+    """A page, and what it complained of or asked for."""
+
+    def __init__(self, browser, path, width=1400, dark=False):
+        self.page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme="dark" if dark else "light")
+        self.complaints, self.asked = [], []
+        self.page.on("console", lambda message: self.complaints.append(message.text))
+        self.page.on("pageerror", lambda fault: self.complaints.append(str(fault)))
+        self.page.on("request", lambda request: self.asked.append(request.url))
+        self.page.goto(path.as_uri())
+        self.page.wait_for_selector("html[data-ready]", timeout=60_000)
+        self.address = path.as_uri()
+
+    def js(self, text):
+        return self.page.evaluate(text)
+
+    def settle(self):
+        """Two frames later everything asked for is drawn."""
+        self.js("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+    def close(self):
+        """Nothing was complained of, and nothing but the file was asked for."""
+        self.page.close()
+        assert self.complaints == []
+        assert self.asked == [self.address]
+
+
+@pytest.fixture
+def corridor(chromium, results):
+    opened = Opened(chromium, results / "players" / "corridor_0_people.html")
+    yield opened
+    opened.close()
+
+
+def decisions_of(results, association):
+    with (results / "runs" / "corridor_0_people" / f"slam-ekf-{association}" / "decisions.csv").open() as f:
+        return list(csv.DictReader(f))
+
+
+def choose(opened, association):
+    """Show a run in detail."""
+    opened.page.select_option("#focus", label=f"EKF {association}")
+    opened.settle()
+
+
+def test_it_opens_with_the_run_that_decides_and_plays_to_the_end(corridor):
+    assert "jcbb" in corridor.page.locator("#focus option:checked").text_content()
+    corridor.page.select_option("#speed", "50")
+    corridor.page.click("#play")
+    assert corridor.page.locator("#play").text_content() == "Pause"
+    for _ in range(100):  # 43 s of the log at 50 times their speed, and what a busy machine takes
+        corridor.page.wait_for_timeout(200)
+        if corridor.page.locator("#play").text_content() == "Play":
+            break
+    assert corridor.js("[player.S.frame, player.S.playing]") == [43, False]
+
+
+def test_it_plays_in_real_time(corridor):
+    corridor.page.select_option("#speed", "10")
+    corridor.page.click("#play")
+    corridor.page.wait_for_timeout(1000)
+    corridor.page.click("#play")
+    assert 5 <= corridor.js("player.S.frame") <= 20  # frames are this log's seconds
+
+
+def test_keys_and_buttons_step_a_frame(corridor):
+    page = corridor.page
+    page.focus("#map")
+    for key, frame in (("ArrowRight", 1), ("ArrowRight", 2), ("ArrowLeft", 1), ("End", 43), ("Home", 0)):
+        page.keyboard.press(key)
+        assert corridor.js("player.S.frame") == frame, key
+    page.click("#forward")
+    page.click("#forward")
+    page.click("#back")
+    corridor.settle()
+    assert page.locator("#now").text_content().startswith("frame 1 of 43")
+    page.focus("#slider")
+    page.keyboard.press("ArrowRight")
+    assert corridor.js("player.S.frame") == 2
+
+
+def test_it_stops_at_each_wrong_decision_and_nowhere_else(corridor, results):
+    for association in ("nn", "jcbb"):
+        choose(corridor, association)
+        rows = decisions_of(results, association)
+        wrong = sorted({int(r["frame"]) for r in rows if r["outcome"] in ("fp", "fn")})
+        assert wrong
+        corridor.js("player.go(-1)")
+        first = [wrong[0]] if wrong[0] == 0 else []
+        found = []
+        for _ in wrong[len(first) :]:
+            corridor.page.click("#wrong-next")
+            found.append(corridor.js("player.S.frame"))
+        assert first + found == wrong
+        corridor.settle()
+        if found:
+            facts = corridor.page.locator("#facts-table").text_content()
+            assert "FP" in facts or "FN" in facts
+
+
+def test_every_decision_is_the_one_of_the_result_folder(corridor, results):
+    for association in ("nn", "jcbb"):
+        choose(corridor, association)
+        rows = decisions_of(results, association)
+        shown = corridor.js(
+            "(() => { const key = player.recording.head.runs[player.S.run].key;"
+            " const of = (n) => [...player.recording.column(key + n)];"
+            " return [of('decision'), of('outcome'), of('right')]; })()"
+        )
+        assert shown[0] == [int(r["decision"]) for r in rows]
+        assert [OUTCOMES[o] for o in shown[1]] == [r["outcome"] for r in rows]
+        assert shown[2] == [int(r["truth"]) for r in rows]
+
+
+class Expectations(Nobody):
+    """What the filter expected in one frame: squared distances and every method's decisions, by plain formulas."""
+
+    def __init__(self, frame):
+        self.frame, self.d2, self.said = frame, {}, {}
+
+    def decided(self, front, frame, pairing):
+        e = pairing.expectation
+        if frame.number == self.frame:
+            for i in range(len(e.z)):
+                for j, number in enumerate(e.number.tolist()):
+                    nu = e.z[i] - e.z_hat[j]
+                    self.d2[i, number] = float(nu @ np.linalg.solve(e.HPHt[j] + e.R[i], nu))
+            self.said = {name: front.decide(e, name).decisions.tolist() for name in METHODS}
+
+
+def test_a_click_on_an_observation_shows_its_candidates_and_what_each_method_says(corridor, results):
+    choose(corridor, "nn")
+    corridor.js("player.go(0)")
+    corridor.page.click("#wrong-next")
+    corridor.settle()
+    frame = corridor.js("player.S.frame")
+    oracle = Expectations(frame)
+    log = open_log(NAME)
+    step_by_step("ekf", log.inputs().without_map(), "slam", "nn", finish=False, observer=oracle)
+    first = log.recorded.start[frame]
+    rows = [r for r in decisions_of(results, "nn") if int(r["frame"]) == frame]
+    clicked = 0
+    for mark in corridor.js("player.marks()"):
+        others = [m for m in corridor.js("player.marks()") if m["row"] != mark["row"]]
+        if min((np.hypot(m["x"] - mark["x"], m["y"] - mark["y"]) for m in others), default=99) < 4:
+            continue  # on top of another one
+        corridor.page.locator("#map").click(position={"x": mark["x"], "y": mark["y"]})
+        corridor.settle()
+        i = mark["row"] - first
+        assert corridor.page.locator("#which").text_content() == f"Frame {frame}, observation {i}"
+        facts = corridor.page.locator("#facts-table").text_content()
+        decision = int(rows[i]["decision"])
+        assert rows[i]["outcome"].upper() in facts
+        assert ("new" if decision == -1 else "not used" if decision == -2 else f"landmark {decision}") in facts
+        shown = corridor.js(
+            "[...document.querySelectorAll('#candidates tbody tr')].map((r) => [+r.dataset.number, +r.dataset.d2,"
+            " r.cells[1].textContent, r.cells[2].textContent])"
+        )
+        nearest = sorted((d2, n) for (k, n), d2 in oracle.d2.items() if k == i)
+        assert shown[0][0] == nearest[0][1]
+        for number, d2, text, gate in shown:
+            assert d2 == pytest.approx(oracle.d2[i, number], rel=2e-4)
+            assert float(text) == pytest.approx(oracle.d2[i, number], rel=1e-3)
+            if abs(oracle.d2[i, number] - 9.21034) > 0.01:
+                assert gate == ("inside" if oracle.d2[i, number] < 9.21034 else "outside")
+        said = corridor.js(
+            "Object.fromEntries([...document.querySelectorAll('#methods tr')]"
+            ".map((r) => [r.dataset.method, +r.dataset.said]))"
+        )
+        assert said == {name: made[i] for name, made in oracle.said.items()}
+        clicked += 1
+    assert clicked >= 3
+
+
+def test_final_and_online_are_both_there_and_runs_come_and_go(chromium, park):
+    opened = Opened(chromium, park)
+    opened.js("player.go(3000)")
+    opened.page.select_option("#focus", label="iSAM2 known")
+    opened.page.check("input[name=phase][value=final]")
+    opened.settle()
+    assert opened.js("player.S.phase") == "final"
+    before = opened.js("document.querySelector('#map').toDataURL()")
+    opened.page.locator("#runs label", has_text="batch").locator("input").uncheck()
+    opened.settle()
+    assert opened.js("document.querySelector('#map').toDataURL()") != before
+    opened.close()
+
+
+def test_the_longest_log_is_small_and_is_drawn_fast_enough(chromium, park, results):
+    assert park.stat().st_size <= 8e6
+    assert (results / "players" / "corridor_0_people.html").stat().st_size <= 1e6
+    opened = Opened(chromium, park)
+    opened.js("player.go(4000)")
+    opened.settle()
+    cost = opened.js(
+        "(() => { const begin = performance.now(); for (let k = 4000; k < 4300; k++) { player.go(k); player.draw(); }"
+        " return (performance.now() - begin) / 300; })()"
+    )
+    assert cost < FASTEST
+    opened.close()
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("dark", [False, True])
+def test_nothing_is_cut_off_at_any_width(chromium, results, width, dark):
+    opened = Opened(chromium, results / "players" / "corridor_0_people.html", width, dark)
+    opened.page.click("#wrong-next")
+    opened.settle()
+    assert opened.js("document.documentElement.scrollWidth") <= width
+    assert opened.js("document.querySelector('#map').clientWidth") > 0.5 * min(width, 700)
+    assert opened.js("document.querySelectorAll('.uplot').length") == 2
+    paper = opened.js("getComputedStyle(document.body).backgroundColor")
+    assert (paper == "rgb(22, 24, 27)") == dark
+    opened.close()
+
+
+def test_wheel_drag_and_follow_move_the_map(corridor):
+    page, box = corridor.page, corridor.page.locator("#map").bounding_box()
+    before = corridor.js("[player.view.x, player.view.scale]")
+    page.mouse.move(box["x"] + 300, box["y"] + 200)
+    page.mouse.wheel(0, -300)
+    corridor.settle()
+    zoomed = corridor.js("[player.view.x, player.view.scale]")
+    assert zoomed[1] > 1.2 * before[1]
+    page.mouse.down()
+    page.mouse.move(box["x"] + 400, box["y"] + 200, steps=4)
+    page.mouse.up()
+    assert corridor.js("player.view.x") < zoomed[0]
+    page.check("#follow")
+    corridor.js("player.go(20)")
+    corridor.settle()
+    at = corridor.js("(() => { const p = player.pose(); return [p.x - player.view.x, p.y - player.view.y]; })()")
+    assert at == pytest.approx([0, 0])
+
+
+def test_the_canvas_has_the_pixels_of_the_screen(chromium, results):
+    page = chromium.new_page(viewport={"width": 800, "height": 700}, device_scale_factor=2)
+    page.goto((results / "players" / "corridor_0_people.html").as_uri())
+    page.wait_for_selector("html[data-ready]")
+    width, shown = page.evaluate("[document.querySelector('#map').width, document.querySelector('#map').clientWidth]")
+    assert width == pytest.approx(2 * shown, abs=5)
+    page.close()

@@ -1,0 +1,68 @@
+"""What is no log yet: the command is said that makes one of it, and it does."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from data.convert.__main__ import main as convert
+from data.questions.doors import door
+from eval.inspect import main
+from tests.data.mrclam import world
+
+
+def commands(text: str) -> list[list[str]]:
+    """The words after the module of each command in a text."""
+    return [shlex.split(line)[3:] for line in text.splitlines() if line.startswith("  python -m ")]
+
+
+def test_the_line_said_of_an_mrclam_folder_makes_a_log_that_is_then_inspected(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    source = world.save_folder(tmp_path / "my set", world.texts())
+    assert main([str(source)]) == 0
+    said = capsys.readouterr().out
+    assert "UTIAS MRCLAM dataset, robot" in said
+    arguments = commands(said)[0]
+    assert arguments[:2] == ["mrclam", str(source)]
+    assert convert(arguments) == 0
+    capsys.readouterr()
+    assert main([arguments[2]]) == 0
+    assert "frames" in capsys.readouterr().out
+    assert door(arguments[2]) is None
+
+
+def test_a_mat_file_of_the_visual_lab_is_told_by_its_folder(tmp_path: Path) -> None:
+    (tmp_path / "landmark").mkdir()
+    savemat(tmp_path / "log.mat", {"log": np.zeros(1)})
+    answer = door(str(tmp_path / "log.mat"))
+    assert answer is not None
+    assert commands("\n".join(answer)) == [["lab", str(tmp_path), f"logs/{tmp_path.name}"]]
+
+
+def test_a_mat_file_of_no_format_here_is_named_with_what_it_holds(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    savemat(tmp_path / "mine.mat", {"odom": np.zeros((3, 3)), "scan": np.zeros((3, 5))})
+    assert main([str(tmp_path / "mine.mat")]) == 2
+    said = capsys.readouterr().err
+    assert "odom, scan" in said
+    assert "data.convert table" in said
+    assert said.count("\n") == 1
+
+
+def test_what_is_no_log_cannot_be_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = world.save_folder(tmp_path / "set", world.texts())
+    assert main([str(source), "--plot", str(tmp_path / "a.png")]) == 2
+    assert "no log yet" in capsys.readouterr().err
+
+
+def test_anything_else_is_left_to_those_who_know(tmp_path: Path) -> None:
+    assert door("arena:0") is None
+    assert door(str(tmp_path)) is None
+    assert door(str(tmp_path / "nothing.mat")) is None

@@ -1,0 +1,151 @@
+"""What is wrong in somebody's files, or was not said, is one line with the place and what would be right."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data.convert.__main__ import main
+from data.open_log.reader import load_folder
+
+GOOD = "t,v,omega,range,bearing\n0,1,0,2,0.1\n1,1,0,2,0.2\n2,1,0,,\n3,1,0,3,-0.5\n"
+SIGMAS = ("--odometry-sigma", "0.1,0.1", "--observation-sigma", "0.1,0.1")
+Run = Callable[..., tuple[int, str]]
+
+
+@pytest.fixture
+def table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Run:
+    """`table(text, *words)`: exit status and what was said, of a file with that text (or bytes)."""
+
+    def run(text: str | bytes, *words: str) -> tuple[int, str]:
+        source = tmp_path / "robot.csv"
+        source.write_bytes(text if isinstance(text, bytes) else text.encode())
+        (tmp_path / "more.csv").write_text("t,x,y,theta\n0,0,0,0\n3,3,0,0\n")
+        status = main(["table", str(source), str(tmp_path / "out"), *words])
+        said = capsys.readouterr()
+        return status, said.err if status else said.out
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("text", "words", "said"),
+    [
+        (GOOD, ("--observation-sigma", "1,1"), "how noisy is the odometry?"),
+        (GOOD, ("--odometry-sigma", "1,1"), "how noisy is a reading?"),
+        (GOOD, ("--odometry-sigma", "1", "--observation-sigma", "1,1"), "2 numbers are needed"),
+        (GOOD, ("--odometry-sigma", "1,1", "--observation-sigma", "1,5furlong"), "unknown unit 'furlong'"),
+        (GOOD, ("--odometry-sigma", "1,-1", "--observation-sigma", "1,1"), "must be 0 or more"),
+        (GOOD, (*SIGMAS, "--columns", "t=stamp"), "--columns t=stamp: not used: no file has a column 'stamp'"),
+        (GOOD, (*SIGMAS, "--columns", "speed=v"), "unknown quantity 'speed'; known: t,"),
+        (GOOD, (*SIGMAS, "--columns", "odometry.t=stamp"), "no column 'stamp' (odometry.t); it has columns t, v,"),
+        (GOOD, (*SIGMAS, "--columns", "t"), "KEY=NAME is needed"),
+        (GOOD, (*SIGMAS, "--unit", "time=fortnight"), "unknown unit 'fortnight'; one of s, ms,"),
+        (GOOD, (*SIGMAS, "--unit", "v=km"), "of m, mm, cm, km, ft, in per s,"),
+        (GOOD, (*SIGMAS, "--odometry-kind", "legs"), "known: velocities, poses, steps, ticks"),
+        (GOOD, (*SIGMAS, "--truth", "{more}"), "where does the robot start in the frame of the truth?"),
+        (GOOD, (*SIGMAS, "--truth", "{more}", "--prior", "truth"), "how sure is --prior?"),
+        (GOOD, (*SIGMAS, "--prior", "truth", "--prior-sigma", "0,0,0"), "--prior truth: there is no --truth"),
+        (GOOD.replace("1,1,0,2", "1,1,0,x"), SIGMAS, "line 3, column range: 'x' is not a number"),
+        (GOOD.replace("1,1,0,2,0.2", "1,1,,2,0.2"), SIGMAS, "line 3, column omega: blank; a number is needed"),
+        (GOOD.replace("2,1,0,,", "2,1,0,"), SIGMAS, "line 4: 4 fields where 5 are needed"),
+        (GOOD.replace("0,1,0,2", "5,1,0,2"), SIGMAS, "line 3, column t: 1 follows 5.0; t must not decrease"),
+        (GOOD.replace("3,1,0,3", "3,1,0,-3"), SIGMAS, "column range: -3 is a negative range"),
+        (GOOD.replace("omega", "gyro"), SIGMAS, "no odometry: columns t, v, gyro"),
+        (GOOD.replace("bearing", "azimuth"), SIGMAS, "no column 'bearing' for bearing"),
+        (GOOD.replace("omega", "v"), SIGMAS, "two columns are named 'v'"),
+        ("", SIGMAS, "no rows"),
+        ("t,v,omega,range,bearing\n", SIGMAS, "a line of names and no rows"),
+        (b"PK\x03\x04\x00\x00", SIGMAS, "not a text file"),
+        ("t,v,omega,range,bearing\n0,1,0,2,0.1\n1e9,1,0,2,0.2\n", SIGMAS, "--unit time=ns"),
+    ],
+)  # fmt: skip
+def test_one_line_says_what_is_wrong(table, tmp_path, text, words, said):
+    status, message = table(text, *(w.replace("{more}", str(tmp_path / "more.csv")) for w in words))
+    assert status == 2
+    assert message.count("\n") == 1
+    assert said in message
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        GOOD.replace(",", ";"),
+        GOOD.replace(",", "\t"),
+        GOOD.replace(",,", ",nan,nan").replace(",", " "),
+        GOOD.replace(",", ";").replace(".", ","),
+        "\ufeff" + GOOD.replace("\n", "\r\n"),
+        "# made by a robot\n# " + GOOD,
+        "% t v omega range bearing\n" + GOOD.partition("\n")[2].replace(",,", ",nan,nan").replace(",", "  "),
+        '"t","v","omega","range","bearing"\n' + GOOD.partition("\n")[2],
+        GOOD.encode("utf-16"),
+        GOOD.replace("range", "range ").replace("0,1,0,2,0.1", " 0 , 1,0,2,0.1"),
+    ],
+)
+def test_any_way_of_writing_a_table_gives_the_same_log(table, tmp_path, text):
+    status, message = table(text, *SIGMAS)
+    assert status == 0, message
+    r = load_folder(tmp_path / "out").recorded
+    assert r.time.tolist() == [0.0, 1.0, 2.0, 3.0]
+    assert r.increments.mean[1].tolist() == [1.0, 0.0, 0.0]
+    assert r.observations.frame.tolist() == [0, 1, 3]
+    assert r.observations.z.tolist() == [[2.0, 0.1], [2.0, 0.2], [3.0, -0.5]]
+
+
+def test_a_file_without_names_has_columns_by_number(table, tmp_path):
+    text = GOOD.partition("\n")[2]
+    assert "columns 1 to 5, without names" in table(text, *SIGMAS)[1]
+    status, _ = table(text, *SIGMAS, "--columns", "t=1,v=2,omega=3,range=4,bearing=5")
+    assert status == 0
+    assert len(load_folder(tmp_path / "out").recorded) == 4
+
+
+def test_dates_are_stamps(table, tmp_path):
+    text = GOOD.replace("\n0,", "\n2024-05-01T12:00:00Z,").replace("\n1,", "\n2024-05-01T14:00:01+02:00,")
+    text = text.replace("\n2,", "\n2024-05-01 12:00:02,").replace("\n3,", "\n2024-05-01T12:00:03.000,")
+    assert table(text, *SIGMAS, "--unit", "time=iso")[0] == 0
+    assert np.diff(load_folder(tmp_path / "out").recorded.time).tolist() == [1.0, 1.0, 1.0]
+    assert "is not a date" in table(GOOD, *SIGMAS, "--unit", "time=iso")[1]
+
+
+def test_clockwise_bearings_are_turned_round(table, tmp_path):
+    assert table(GOOD, *SIGMAS, "--unit", "bearing=-rad")[0] == 0
+    assert load_folder(tmp_path / "out").recorded.observations.z[0].tolist() == [2.0, -0.1]
+
+
+def test_readings_as_points_seen_by_a_sensor_that_is_mounted_ahead(table, tmp_path):
+    text = "t,v,omega,px,py\n0,1,0,2,0.5\n1,1,0,1,0.5\n"
+    words = ("--columns", "observations.x=px,observations.y=py", "--sensor-pose", "0.5,0,0", *SIGMAS)
+    assert table(text, *words)[0] == 0
+    r = load_folder(tmp_path / "out").recorded
+    assert r.sensor.name == "relative_point"
+    # both rows show the same landmark, 2.5 m ahead of where the body was first
+    points, _ = r.sensor.body_points(r.observations.z, r.observations.R)
+    assert points[0].tolist() == [2.5, 0.5]
+    assert points[1].tolist() == [1.5, 0.5]
+
+
+def test_poses_with_quaternions_without_stamps(table, tmp_path):
+    a = 0.25
+    rows = f"0,0,0,0,0,1,0,2,0.1\n1,0,0,0,{float(np.sin(a / 2))!r},{float(np.cos(a / 2))!r},1,2,0.2\n"
+    words = ("--odometry-sigma", "0.05,0.05,0.075,0.045", "--observation-sigma", "0.1,0.1")
+    status, message = table("x,y,qx,qy,qz,qw,frame,range,bearing\n" + rows, *words)
+    assert status == 0, message
+    r = load_folder(tmp_path / "out").recorded
+    assert r.time_is_index
+    assert r.increments.mean[1] == pytest.approx([1.0, 0.0, a])
+
+
+def test_headings_that_look_like_degrees_are_asked_about(table):
+    rows = "".join(f"{k},{k},0,{10 * k},2,0.1\n" for k in range(100))
+    words = ("--odometry-sigma", "0.05,0.05,0.075,0.045", "--observation-sigma", "0.1,0.1")
+    assert "are they degrees?" in table("t,x,y,theta,range,bearing\n" + rows, *words)[1]
+    assert "are they degrees?" not in table("t,x,y,theta,range,bearing\n" + rows, *words, "--unit", "angle=deg")[1]
+
+
+def test_the_converter_asks_what_inspect_asks(table):
+    said = table(GOOD.replace("-0.5", "-50"), *SIGMAS)[1]
+    assert "question (bearing unit)" in said

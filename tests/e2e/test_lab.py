@@ -1,0 +1,73 @@
+"""A lab in one command, from end to end: answers with pictures, a text that LaTeX sets, and the same bytes again."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+
+import pytest
+
+from eval.run_all import main
+
+DIFFERENT = {"timing.csv", "provenance.json", "run.log", "report.html"}
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    """The corridor lab, twice."""
+    folders = []
+    for name in ("one", "two"):
+        out = tmp_path_factory.mktemp("lab") / name
+        assert main(["--lab", "corridor:3", "--write-up", "--lab-text", "-q", "--out", str(out), "--jobs", "2"]) == 0
+        folders.append(out)
+    return folders
+
+
+def test_six_answers_stand_in_order_at_the_top_each_with_a_picture_before_the_next(done):
+    text = (done[0] / "report.md").read_text()
+    heads = re.findall(r"^## (.*)$", text, re.M)
+    assert [h.split(":")[0] for h in heads[:6]] == [f"Question {n}" for n in range(1, 7)]
+    assert "Not answered" not in text
+    parts = re.split(r"^## ", text, flags=re.M)
+    for part in parts[1:7]:
+        (first, *_) = re.findall(r"!\[[^]]*\]\((figures/[^)]*)\)", part)
+        assert (done[0] / first).stat().st_size > 10_000
+
+
+def test_everything_but_measured_times_is_the_same_again(done):
+    one, two = ({p.relative_to(d): p for p in d.rglob("*") if p.is_file()} for d in done)
+    assert one.keys() == two.keys()
+    for name, path in one.items():
+        if name.name not in DIFFERENT and "lab-update-time" not in name.name:
+            assert path.read_bytes() == two[name].read_bytes(), name
+
+
+def test_each_run_leaves_its_steps_in_the_words_of_the_lab_s_program(done):
+    text = (done[0] / "runs" / "corridor_3" / "slam-ekf-nn" / "lab.txt").read_text()
+    assert text.count("GROUND  TRUTH: ") == text.count("MY HYPOTHESIS: ") == text.count("Correct (1/0)? ") == 43
+    assert "Step: 44\n" in text
+
+
+@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="no pdflatex on this machine")
+def test_the_write_up_compiles_with_one_page_for_each_answer_and_log(done):
+    for _ in range(2):
+        made = subprocess.run(
+            ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "write-up.tex"], cwd=done[0],
+            capture_output=True, text=True, check=False, errors="replace",
+        )  # fmt: skip
+        assert made.returncode == 0, made.stdout[-2000:]
+    assert "Overfull" not in made.stdout
+    # six answers, four logs, and what the tables mean
+    assert "(11 pages" in made.stdout
+
+
+def test_the_visual_lab_answers_three_questions_with_pictures(tmp_path):
+    out = tmp_path / "results"
+    assert main(["--lab", "visual:0:frames=20", "--quick", "-q", "--out", str(out)]) == 0
+    text = (out / "report.md").read_text()
+    parts = re.split(r"^## ", text, flags=re.M)
+    assert [p.split(":")[0] for p in parts[1:4]] == [f"Question {n}" for n in range(1, 4)]
+    assert all(re.search(r"!\[[^]]*\]\(figures/lab-", p) for p in parts[1:4])
+    assert all(f"({n})" in parts[3] for n in range(10, 14)), "the update equations have their numbers"

@@ -1,0 +1,152 @@
+"""Watching a replay changes nothing, and what is written down is what the estimator knew at each instant."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from association.decide import METHODS
+from data.log import shortened
+from data.logs import open_log
+from data.result import NEW
+from data.worlds.arena import Arena, simulate
+from eval.player.of_run import COARSE, own_steps
+from eval.player.watch import NOT_ASKED, Watch, quantum_of
+from eval.replay.observer import Nobody
+from eval.replay.run import compare, step_by_step
+from eval.replay.settings import Setup
+
+
+class Memory(Nobody):
+    """Remembers everything, at full precision."""
+
+    def __init__(self):
+        self.maps, self.d2, self.said = {}, {}, {}
+
+    def decided(self, front, frame, pairing):
+        e = pairing.expectation
+        for i in range(len(e.z)):
+            for j, number in enumerate(e.number.tolist()):
+                nu = e.z[i] - e.z_hat[j]
+                nu = front.given.sensor.residual(e.z[i], e.z_hat[j]) if front.given.sensor.kind == 0 else nu
+                self.d2[frame.first + i, number] = float(nu @ np.linalg.inv(e.HPHt[j] + e.R[i]) @ nu)
+        for name in METHODS if len(e.number) else ():
+            self.said[frame.number, name] = front.decide(e, name).decisions
+
+    def updated(self, front, decisions, created):
+        self.maps[front.k] = front.landmarks()
+
+
+@pytest.fixture(scope="module")
+def corridor():
+    return shortened(open_log("corridor:0:people"), 12)
+
+
+@pytest.fixture(scope="module")
+def watched(corridor):
+    memory = Memory()
+    step_by_step("ekf", corridor.inputs().without_map(), "slam", "jcbb", observer=memory)
+    return memory, compare(corridor.inputs(), "slam", ["ekf"], "jcbb", watch=Watch)[0]
+
+
+def landmarks_at(w, frame):
+    """By number, from the changes up to a frame: x, y, sigma_x, sigma_y, rho."""
+    now = {}
+    for i in np.flatnonzero(w.change_frame <= frame):
+        number = int(w.change_number[i])
+        now[number] = np.array([*w.change_xy[i], *w.change_sigma[i], w.change_rho[i]])
+        if not w.change_there[i]:
+            del now[number]
+    return now
+
+
+def test_landmarks_are_those_of_each_instant_to_half_a_quantum(watched):
+    memory, run = watched
+    w = run.watched
+    assert w.quantum == 1e-3
+    assert w.every == 1
+    for frame, state in memory.maps.items():
+        now = landmarks_at(w, frame)
+        assert sorted(now) == state.number.tolist()
+        for number, xy, P in zip(state.number.tolist(), state.xy, state.covariance, strict=True):
+            sigma = np.sqrt(np.diag(P))
+            assert np.abs(now[number][:2] - xy).max() <= 0.5 * w.quantum
+            assert 3 * np.abs(now[number][2:4] - sigma).max() <= 0.5 * w.quantum
+
+
+def test_only_what_can_be_seen_is_written_down(watched):
+    memory, run = watched
+    w = run.watched
+    assert len(w.change_frame) < sum(len(state.number) for state in memory.maps.values())
+    values = np.column_stack([w.change_xy, 3 * w.change_sigma, 3 * w.change_rho * w.change_sigma.max()])
+    for number in range(len(run.created[run.created >= 0])):
+        own = values[w.change_number == number]
+        assert (np.abs(np.diff(own, axis=0)).max(axis=1) > 0.49 * w.quantum).all()
+
+
+def test_distances_are_those_of_the_expectation_and_the_nearest_is_always_there(watched, corridor):
+    memory, run = watched
+    w = run.watched
+    for row, number, d2 in zip(w.pair_row.tolist(), w.pair_number.tolist(), w.pair_d2, strict=True):
+        assert d2 == pytest.approx(memory.d2[row, number], rel=1e-9)
+    for row in {row for row, _ in memory.d2}:
+        nearest = min((n for r, n in memory.d2 if r == row), key=lambda n: memory.d2[row, n])
+        assert nearest in w.pair_number[w.pair_row == row]
+    paired = np.flatnonzero(run.decisions >= 0)
+    assert set(zip(paired.tolist(), run.decisions[paired].tolist(), strict=True)) <= set(
+        zip(w.pair_row.tolist(), w.pair_number.tolist(), strict=True)
+    )
+
+
+def test_each_method_says_what_it_decides_on_the_same_expectation(watched, corridor):
+    memory, run = watched
+    w, start = run.watched, corridor.recorded.start
+    for (frame, name), said in memory.said.items():
+        assert w.said[start[frame] : start[frame + 1], METHODS.index(name)].tolist() == said.tolist()
+    assert (w.said[: start[1]] == NOT_ASKED).all()  # there was no map
+
+
+@pytest.mark.parametrize("association", ["known", "jcbb", "jcbb-hindsight"])
+@pytest.mark.parametrize("estimator", ["ekf", "isam2"])
+def test_watching_changes_no_number(corridor, estimator, association):
+    inputs = corridor.inputs(labels=association == "known")
+    plain, seen = (compare(inputs, "slam", [estimator], association, watch=w)[0] for w in (None, Watch))
+    for phase in plain.phases:
+        assert np.array_equal(plain.trajectory(phase).pose, seen.trajectory(phase).pose, equal_nan=True)
+        assert np.array_equal(plain.trajectory(phase).covariance, seen.trajectory(phase).covariance, equal_nan=True)
+    assert plain.decisions.tolist() == seen.decisions.tolist()
+    assert np.array_equal(plain.map.covariance, seen.map.covariance)
+    assert plain.watched is None
+    assert len(seen.watched.change_frame)
+    assert seen.watched.certain == (estimator == "ekf")
+
+
+def test_a_landmark_that_leaves_the_map_leaves_the_picture(corridor):
+    run = compare(corridor.inputs(), "slam", ["ekf"], "nn", Setup(maintain=True), Watch)[0]
+    w = run.watched
+    gone = np.flatnonzero(run.removed >= 0)
+    assert len(gone)
+    last = len(corridor.recorded) - 1
+    assert sorted(landmarks_at(w, last)) == run.map.number.tolist()
+    assert not set(gone.tolist()) & set(landmarks_at(w, last))
+    assert sorted(w.change_number[w.change_there == 0]) == gone.tolist()  # each once
+
+
+def test_a_known_map_has_candidates_and_no_history():
+    log = simulate(Arena(frames=20, landmarks=8), 3)
+    run = compare(log.inputs(labels=True), "localization", ["ekf"], "known", watch=Watch)[0]
+    assert not len(run.watched.change_frame)
+    assert len(run.watched.pair_row)
+    assert NEW not in run.watched.said
+
+
+def test_the_quantum_follows_the_extent_of_the_path():
+    assert quantum_of(open_log("corridor:0").recorded) == 1e-3
+    assert quantum_of(open_log("victoria-park").recorded) == 1e-2
+
+
+def test_steps_of_each_landmark_add_up_to_its_values():
+    number = np.array([4, 7, 4, 4, 7])
+    values = np.array([[1.0], [10.0], [3.0], [2.0], [11.0]])
+    assert own_steps(number, values)[:, 0].tolist() == [1.0, 10.0, 2.0, -1.0, 1.0]
+    assert 0 < COARSE < 0.02

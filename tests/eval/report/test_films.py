@@ -1,0 +1,39 @@
+"""Films of a report: one for each run, none written over another, each shown and linked."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from eval.page.document import Report, Section, write_report
+from eval.plan.flags.options import read_options
+from eval.referee.score import Trial
+from eval.report.films import films_of, write_films
+from tests.eval.handmade import circle_log, run_with_error
+
+ENDS = ["--animate", "--speed", "400"]
+"""Films of the circle with its first and last frame only."""
+
+
+def test_runs_that_differ_in_their_association_alone_get_a_film_each_and_the_report_shows_them(tmp_path):
+    log = circle_log(name="corridor:0")
+    runs = tuple(run_with_error(np.zeros(3), association=name) for name in ("known", "nn", "jcbb", "jcbb-first"))
+    trial = Trial(log, "slam", runs)
+    assert films_of(tmp_path, trial) == []
+    write_films(tmp_path, read_options(ENDS), trial)
+    names = [f"corridor_0-slam-ekf-{name}.webm" for name in ("known", "nn", "jcbb", "jcbb-first")]
+    assert sorted(f.name for f in (tmp_path / "figures").iterdir()) == sorted(names)
+    films = films_of(tmp_path, trial)
+    write_report(tmp_path, Report("Films", "command", ("",), (Section("Log", tuple(films)),)))
+    html, text = ((tmp_path / f"report.{kind}").read_text(encoding="utf-8") for kind in ("html", "md"))
+    for name in names:
+        assert f'src="figures/{name}"' in html
+        assert f'<a href="figures/{name}">' in html
+        assert f"(figures/{name})" in text
+    assert html.count("<video controls") == 4
+    assert "default-src 'none'" in html
+    assert "media-src 'self' file:" in html
+
+
+def test_a_page_without_films_may_load_nothing(tmp_path):
+    write_report(tmp_path, Report("None", "command", ("",), (Section("Log", ("Text.",)),)))
+    assert "media-src" not in (tmp_path / "report.html").read_text(encoding="utf-8")

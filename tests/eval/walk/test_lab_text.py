@@ -1,0 +1,49 @@
+"""Steps in the words of the lab's program: numbers from 1, 0 for none, and nothing of the first step."""
+
+from __future__ import annotations
+
+import csv
+
+import numpy as np
+import pytest
+
+from data.logs import open_log
+from eval.referee.confusion import OUTCOMES
+from eval.replay.run import compare
+from eval.replay.settings import Setup
+from eval.walk.lab_text import lab_block
+from eval.walk.text import TruthRow, run_text
+
+LAB = Setup(new_gate=0.99)
+
+
+def test_a_step_is_said_word_for_word():
+    truth = TruthRow(np.array([2, 11, -1, 4]), np.array([OUTCOMES.index(o) for o in ("tp", "fp", "tn", "fn")]))
+    text = lab_block(4, truth, np.array([2, 3, -1, -2]), np.array([-1, -1, 5, -1]))
+    assert text.split("\n") == [
+        "--------------------------------------------------------------",
+        "Step: 5",
+        "GROUND  TRUTH:  3  12   0   5  ",
+        "MY HYPOTHESIS:  3   4   0   0  ",
+        "Correct (1/0)?  1   0   1   0  ",
+    ]
+    assert lab_block(0, truth, np.array([-1]), np.array([0])) == ""
+    blind = lab_block(4, None, np.array([2, -2]), np.array([-1, -1]))
+    assert blind.split("\n")[1:] == ["Step: 5", "MY HYPOTHESIS:  3   0  "]
+
+
+@pytest.mark.parametrize("method", ["nn", "jcbb-first"])
+def test_hypotheses_are_those_that_the_lab_s_program_recorded(shared_data, method):
+    folder = shared_data / "lab_corridor" / "corridor_s0_people0_odo1"
+    log = open_log(str(folder))
+    run = compare(log.inputs(), "slam", ["ekf"], method, LAB)[0]
+    lines = run_text(log, run, block=lab_block).split("\n")
+    said = [int(n) for line in lines if line.startswith("MY HYPOTHESIS: ") for n in line.split(":")[1].split()]
+    correct = [int(n) for line in lines if line.startswith("Correct (1/0)? ") for n in line.split("?")[1].split()]
+    name = {"nn": "NN", "jcbb-first": "JCBB"}[method]
+    with (folder / "reference" / name / "hypotheses.csv").open(newline="") as f:
+        recorded = [(int(r["frame"]), int(r["h"])) for r in csv.DictReader(f)]
+    assert said == [h for frame, h in recorded if frame > 0]
+    with (folder / "reference" / name / "decisions.csv").open(newline="") as f:
+        right = sum(int(r["tp"]) + int(r["tn"]) for r in csv.DictReader(f) if int(r["frame"]) > 0)
+    assert sum(correct) == right
