@@ -25,6 +25,8 @@ from eval.replay.foreign.places import place
 SINGLE = 3.4
 """in. Width of one column of a two-column paper."""
 PNG_DPI = 200
+FAST: dict[str, dict[str, Any]] = {"png": {"pil_kwargs": {"compress_level": 3}}}
+"""How images are packed: 2 % larger than by default in two thirds of the time."""
 LONG_HANDLE = 3.8
 """Length of a legend's line [font sizes] that shows every line's pattern beside its marker."""
 
@@ -208,7 +210,7 @@ def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] = ("pdf", 
         refit(fig)
         for suffix in formats:
             path = folder / f"{stem}.{suffix}"
-            fig.savefig(path, dpi=PNG_DPI, metadata=clean[suffix])
+            fig.savefig(path, dpi=PNG_DPI, metadata=clean[suffix], **FAST.get(suffix, {}))
             fig.set_layout_engine("none")  # one layout for all formats
             written.append(path)
         if current().pgf is not None:

@@ -1,4 +1,4 @@
-"""Tables a person reads: rounded column by column, blank where nothing is known, and in Markdown."""
+"""Tables a person reads: rounded, blank where nothing is known, and in Markdown; for a paper column by column."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import pandas as pd
+
+from eval.page.numbers import number
 
 DIGITS = 3
 """Significant digits of a column's middle value."""
@@ -65,9 +67,28 @@ def _number(value: float, places: int) -> str:
     return text.replace("-", "−") if float(text) != 0.0 else text.lstrip("-")
 
 
+NOTHING = 1e-6
+"""A number that is closer to zero is a rounding error of arithmetic, and written as 0."""
+
+
+def cell_texts(column: Sequence[Any]) -> list[str]:
+    """A column as text to read: integers whole, other numbers with three significant digits each.
+
+    So no row loses digits to one that is a thousand times as large.
+    """
+    known = [v for v in column if not is_blank(v)]
+    if not is_numeric(column) or all(float(v).is_integer() for v in known):
+        return column_text(column)
+    return ["" if is_blank(v) else _significant(float(v)) for v in column]
+
+
+def _significant(value: float) -> str:
+    return "0" if abs(value) < NOTHING else number(value, DIGITS).replace("-", "−")
+
+
 def texts(frame: pd.DataFrame) -> list[list[str]]:
     """The body of a table as text, row by row."""
-    columns = [column_text(frame[c].tolist()) for c in frame.columns]
+    columns = [cell_texts(frame[c].tolist()) for c in frame.columns]
     return [list(row) for row in zip(*columns, strict=True)]
 
 

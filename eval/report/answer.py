@@ -31,7 +31,7 @@ LINEARIZED = (
 )
 
 
-def _pick(rows: Sequence[Row], names: Sequence[str], phase: str) -> Row | None:
+def pick(rows: Sequence[Row], names: Sequence[str], phase: str) -> Row | None:
     """The first of the named estimators, in their order, that has a row in the phase; one that got to the end first."""
     found = [r for name in names for r in rows if r["estimator"] == name and r["phase"] == phase]
     return min(found, key=lambda r: r["status"] != "ok", default=None)
@@ -78,7 +78,7 @@ def _compared(rows: Sequence[Row], differences: Sequence[Row], trusted: bool) ->
 
     `trusted`: what the log says of itself stands beside it, distance from the smoother and innovations included.
     """
-    filtered, smoothed = _pick(rows, filters_in(rows), "online"), _pick(rows, smoothers_in(rows), "final")
+    filtered, smoothed = pick(rows, filters_in(rows), "online"), pick(rows, smoothers_in(rows), "final")
     failed = [r for r in (filtered, smoothed) if r is not None and r["status"] not in ("ok", IMPLAUSIBLE)]
     if failed:
         names = " and ".join(f"{r['estimator']} ({r['status']})" for r in failed)
@@ -95,7 +95,7 @@ def _compared(rows: Sequence[Row], differences: Sequence[Row], trusted: bool) ->
     gone = _gone(filtered, smoothed)
     if gone:
         return " ".join([*gone, *_errors_of(filtered, smoothed)]), False
-    newest = _pick([r for r in rows if r["status"] == "ok"], INCREMENTAL, "online")
+    newest = pick([r for r in rows if r["status"] == "ok"], INCREMENTAL, "online")
     if not _errors_of(filtered, smoothed):
         return " ".join(_without_truth(filtered, smoothed, trusted)), True
     return " ".join(
@@ -119,7 +119,7 @@ def _gone(filtered: Row | None, smoothed: Row | None) -> list[str]:
     if not gone:
         return []
     advice = LOST_ADVICE.format("Neither path is" if len(gone) == 2 else "Its path is not")
-    if gone == [filtered] and filtered is not None and smoothed is not None and _fits(smoothed, filtered):
+    if gone == [filtered] and filtered is not None and smoothed is not None and fits(smoothed, filtered):
         advice = LINEARIZED.format(f"the smoother ({smoothed['estimator']})")
     return [*(_lost(r) for r in gone), advice]
 
@@ -130,7 +130,7 @@ def _lost(row: Row) -> str:
     return f"Lost: the {kind} ({row['estimator']}) does not know where it is from frame {frame} on ({row['lost_why']})."
 
 
-def _fits(smoothed: Row, filtered: Row) -> bool:
+def fits(smoothed: Row, filtered: Row) -> bool:
     """Whether prior, map and readings agree in a smoother's solution, or at least incomparably better than here."""
     nis = value_of(smoothed, "nis")
     return nis <= value_of(smoothed, "nis_upper") or FAR * nis < value_of(filtered, "nis")

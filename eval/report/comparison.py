@@ -7,15 +7,17 @@ from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
+from eval.page.document import FinePrint
 from eval.page.tables import drop_blank_columns, is_blank
 from eval.referee.metrics import OF_DECISIONS, RUN, heads, is_share, metric
 
 COMPARISON: dict[str, str] = {
     **heads((*RUN, "status")),
     **heads((
-        "rmse_position_m", "rmse_time_m", "rmse_heading_deg", "max_position_m", "rmse_landmark_m", "rms_from_batch_m",
-        "nees_pose", "nis",
+        "rmse_position_m", "rmse_aligned_m", "rmse_time_m", "rmse_heading_deg", "max_position_m", "rmse_landmark_m",
+        "rms_from_batch_m", "nees_pose", "nis",
     )),
+    "rmse_aligned_m": "aligned position RMSE [m]",
     "bounds": "95 % bounds of NIS",
     **heads(("innovation_lag1", "inside_3sigma", "accepted", "rejected", "matched", "unmatched")),
 }  # fmt: skip
@@ -65,32 +67,45 @@ OUTLIERS: Mapping[str, str] = {
 }
 
 COMPARISON_CAPTION = (
-    "Errors in the world frame, no alignment, all estimators with the same prior and the same inputs. Phase online:"
-    " each pose given the data up to its frame; final: every pose given all data, so a final row is expected to be the"
-    " more accurate one. NEES of one run describes and proves nothing; NIS per dof against its 95 % bounds (behind a"
-    " gate less than 1 is expected, and the bounds are lower), and the correlation of a landmark's innovations in"
-    " successive frames against 0, are tests, conditional on the association. Blank: unknown or not applicable."
-    " A status is shown where some run did not get to the end or is implausible, a time-weighted RMSE where it differs"
-    " from the plain one by more than 5 %."
+    "Errors in the world frame, no alignment, all with the same prior and inputs. Online: each pose given the data up"
+    " to its frame; final: given all data."
 )
-ASSOCIATION_CAPTION = (
+COMPARISON_FINE = FinePrint(
+    "Errors and consistency of one log",
+    "Phase online: each pose given the data up to its frame; final: every pose given all data, so a final row is"
+    " expected to be the more accurate one. The aligned RMSE is after the rigid motion that fits the true path best:"
+    " SLAM fixes its frame at the first pose, so what the heading errs in the first seconds turns the whole map and"
+    " path, and that part of the error is the gauge's, not the estimator's. NEES of one run describes and proves"
+    " nothing; NIS per dof against its 95 % bounds (behind a gate less than 1 is expected, and the bounds are lower),"
+    " and the correlation of a landmark's innovations in successive frames against 0, are tests, conditional on the"
+    " association. Blank: unknown or not applicable. A status is shown where some run did not get to the end or is"
+    " implausible, a time-weighted RMSE where it differs from the plain one by more than 5 %.",
+)
+ASSOCIATION_FINE = FinePrint(
+    "Decisions",
     "Outcomes of every observation's decision H against the truth GT. TP: H is a landmark and right; TN: both none;"
     " FP: H is a wrong landmark (GT another: wrong; GT none: spurious); FN: H none though GT is in the map (a second"
     " landmark initialized: duplicate; discarded: missed or deferred). Estimators with the same outcomes share a row; a"
-    " row for the final phase stands only where revised decisions turned out differently."
+    " row for the final phase stands only where revised decisions turned out differently.",
 )
 CONSISTENCY_CAPTION = (
+    "Mean NEES (NIS per dof for the quantity nis) over independent simulated runs, with Student's t 95 % interval."
+)
+CONSISTENCY_FINE = FinePrint(
+    "Consistency over simulated runs",
     "Mean over independent simulated runs of each run's mean NEES (NIS per dof for the quantity nis), with Student's t"
     " 95 % interval of that mean. Consistent: the interval holds the expected value;"
     " overconfident: wholly above; conservative: wholly below. Power: probability that this test, with as many runs and"
     " this spread, rejects a covariance claimed at 0.8 of the true one. Whiteness: correlation of a landmark's"
     " innovations in successive frames, expected 0; a covariance scaled as a whole leaves it 0, so it has no power"
-    " against that. NIS and whiteness of an estimator that decides for itself are conditional on its decisions."
+    " against that. NIS and whiteness of an estimator that decides for itself are conditional on its decisions.",
 )
-COVERAGE_CAPTION = (
+COVERAGE_CAPTION = "Share of the runs [%] whose last position lies inside the estimator's own ellipse of each level."
+COVERAGE_FINE = FinePrint(
+    "Coverage",
     "Share of the runs [%] whose last position lies inside the estimator's own ellipse of each level, with"
     " Clopper–Pearson 95 % bounds; marked where the level lies outside them (o: too few inside, overconfident;"
-    " c: too many, conservative)."
+    " c: too many, conservative).",
 )
 PUBLISHED_CAPTION = (
     "Our numbers beside published ones, with standard errors of the Monte Carlo means (of the difference: root of the"
@@ -139,11 +154,12 @@ def _spread(values: pd.Series, errors: pd.Series) -> pd.Series:
     return pd.Series(texts, index=values.index, dtype=object)
 
 
-def comparison_table(metrics: pd.DataFrame, more: Sequence[str] = ()) -> pd.DataFrame:
+def comparison_table(metrics: pd.DataFrame, more: Sequence[str] = (), *, aligned: bool = False) -> pd.DataFrame:
     """Rows of metrics.csv as a table to read: heads with units, shares in percent, columns without anything dropped.
 
     `more`: columns of metrics.csv that are shown as well, whatever they hold. Without news are also a status that is
-    `ok` everywhere and a time-weighted RMSE that is the plain one in every row.
+    `ok` everywhere and a time-weighted RMSE that is the plain one in every row. `aligned`: in SLAM, where the frame is
+    the first pose's, the aligned RMSE stands beside the plain one.
     """
     made = metrics.astype(object).assign(
         bounds=_interval(metrics["nis_lower"], metrics["nis_upper"]),
@@ -152,6 +168,8 @@ def comparison_table(metrics: pd.DataFrame, more: Sequence[str] = ()) -> pd.Data
     shown = [c for c in COMPARISON if c in made.columns]
     if (made["status"] == "ok").all():
         shown.remove("status")
+    if not aligned or not (made["task"] == "slam").any():
+        shown.remove("rmse_aligned_m")
     if _same(made["rmse_time_m"], made["rmse_position_m"]):
         shown.remove("rmse_time_m")
     also = [c for c in more if c in metrics.columns and c not in shown]

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from data.terminal.words import counted
-from eval.page.document import Block, Picture, Report, Section, write_report
+from eval.page.document import READING, Block, Folded, Picture, Report, Section, write_report
 from eval.plan.cluster import Call
 from eval.plan.execute import Outcome
 from eval.plan.flags.options import Options
@@ -31,6 +31,10 @@ from eval.report.lab.sections import hand_in
 from eval.report.lab.write_up import write_up
 from eval.report.laser.sections import against_relations, laser_sections
 from eval.report.log_sections import association_sections, beside, rows_of, trial_sections
+from eval.report.overview.facts import Facts, facts_of
+from eval.report.overview.gauge import gauge_statement
+from eval.report.overview.said import attribution_sections, compared, concluded, in_short
+from eval.report.overview.table import overview
 from eval.report.pictures import draw, kinds, publish_runs
 from eval.report.results.said import results_statement
 from eval.report.revisions import revision_section
@@ -46,7 +50,7 @@ from eval.studies.montecarlo import Judged, consistency_table
 from eval.studies.reproduced import published_frame
 from eval.studies.trusted import trust_table
 
-READING = """\
+BASICS = """\
 * **Identical inputs.** Filter and smoother get the same preintegrated increments, readings, covariances, prior and
   gauge; nothing is aligned to the truth, unless a column says so.
 * **Error** is estimate minus truth in the world frame, heading wrapped. **NEES** is its squared Mahalanobis distance
@@ -95,9 +99,13 @@ def write_results(
     (folder / "runs").mkdir()
     write_truths(folder, outcome.trials)
     published = _publish_trials(folder, options, outcome.trials, lost, progress)
+    main = [t for t in outcome.trials if t.beside is None]
+    facts = [facts_of(t, scores, outcome.trust) for t in main]
+    told = {(f.trial.log.name, f.trial.task): _told(f, outcome, scores) for f in facts}
     answers = hand_in(folder, options, outcome.trials, scores, lost)
-    sections = [*answers, *questions_section(outcome.trials)]
-    sections += trial_sections(folder, options, outcome.trials, scores, published, outcome.trust)
+    first = [*answers, *attribution_sections(facts)]
+    sections = questions_section(outcome.trials)
+    sections += trial_sections(folder, options, outcome.trials, scores, published, outcome.trust, told)
     sections += laser_sections(folder, options, outcome.trials, published)
     sections += visual_sections(folder, options, outcome.trials)
     sections += tutorial_sections(folder, options, outcome.trials, scores)
@@ -108,14 +116,19 @@ def write_results(
         sections += lab_sections(outcome.trials, scores, answered_above=bool(answers))
     if outcome.trials or lost.said:
         sections.append(_failure_section(outcome.trials, lost.said))
-    sections += [Section("How to read the numbers", (READING,)), _source_section(outcome.trials, options)]
-    introduction = _introduction(outcome, scores, judged)
+    sections += [Section(READING, (BASICS,)), _source_section(outcome.trials, options)]
+    shown = (overview(facts, folder, drawn=not options.no_plots),) if facts else ()
+    introduction: tuple[Block, ...] = (f"{compared(facts)} {concluded(facts)}".strip(), *shown, *_declared(judged))
     if options.write_up:
         write_up(folder, outcome.trials, scores, answers, sections)
     write_report(
         folder,
         Report(
-            "Filter or smoother: which estimate can be trusted?", command_of(options), introduction, tuple(sections)
+            "Filter or smoother: which estimate can be trusted?",
+            command_of(options),
+            introduction,
+            tuple(sections),
+            tuple(first),
         ),
     )
     (folder / "provenance.json").write_text(
@@ -203,29 +216,33 @@ def _failure_section(trials: Sequence[Trial], missing: Sequence[str]) -> Section
     return Section("Failures", tuple(blocks))
 
 
-def _introduction(outcome: Outcome, scores: Scores, judged: Sequence[Judged]) -> tuple[Block, ...]:
-    notes = ["The same logs, the same inputs, one referee."]
-    for trial in outcome.trials:
-        if trial.beside is None:
-            metrics, decided, differences = (
-                rows_of(table, trial) for table in (scores.metrics, scores.association, scores.differences)
-            )
-            said = answer(metrics, decided, _labelled(trial), differences, first_said(trial, outcome.trust))
-            theirs = results_statement(trial, report_rows(metrics))
-            said = "" if theirs and is_truth_alone(trial.log) else said
-            every = (unused_statement(trial), against_relations(trial), said, theirs)
-            said = " ".join(s for s in every if s)
-            notes.append(f"* **{trial.log.name}, {trial.task}.** {said}")
+def _told(f: Facts, outcome: Outcome, scores: Scores) -> tuple[Block, ...]:
+    """Filter and smoother on one log and task: at most three lines in front, in full below."""
+    trial = f.trial
+    metrics, decided, differences = (
+        rows_of(table, trial) for table in (scores.metrics, scores.association, scores.differences)
+    )
+    said = answer(metrics, decided, _labelled(trial), differences, first_said(trial, outcome.trust))
+    theirs = results_statement(trial, report_rows(metrics))
+    said = "" if theirs and is_truth_alone(trial.log) else said
+    text = " ".join(s for s in (against_relations(trial), said, theirs) if s)
+    front = " ".join(s for s in (in_short(f), unused_statement(trial) or gauge_statement(f)) if s)
+    return (front, Folded("Filter and smoother in full", (text,))) if text else (front,)
+
+
+def _declared(judged: Sequence[Judged]) -> tuple[Block, ...]:
+    """How the verdicts that scenarios declare came out."""
     declared = [j for j in judged if j.declared and j.verdict.runs >= MIN_RUNS]
-    if declared:
-        off = [j for j in declared if j.verdict.word != "consistent" or j.diverged]
-        which = ", ".join(f"{j.key[1]} {j.quantity} ({j.key[0]}, {j.key[3]}: {j.verdict.word})" for j in off)
-        notes.append(
-            f"* **Consistency.** Of {len(declared)} verdicts declared to be consistent, {len(declared) - len(off)} are"
-            f"{f'; not {which}' if off else ''}. Each is a 95 % test, so one in twenty fails by chance; the exit status"
-            " uses a family-wise test at 0.1 %."
-        )
-    return (notes[0], "\n".join(notes[1:])) if len(notes) > 1 else (notes[0],)
+    if not declared:
+        return ()
+    off = [j for j in declared if j.verdict.word != "consistent" or j.diverged]
+    which = [f"{j.key[1]} {j.quantity} ({j.key[0]}, {j.key[3]}: {j.verdict.word})" for j in off]
+    said = f"**Simulated runs.** Of {len(declared)} verdicts declared to be consistent, {len(declared) - len(off)} are."
+    more = [f"Not: {', '.join(which)}."] if which else []
+    more.append(
+        "Each is a 95 % test, so one in twenty fails by chance; the exit status uses a family-wise test at 0.1 %."
+    )
+    return (said, Folded("Which, and what that means", (" ".join(more),)))
 
 
 def _labelled(trial: Trial) -> int | None:

@@ -23,11 +23,8 @@ def f1(row: Row) -> float:
     return 2.0 * tp / (2.0 * tp + wrong) if tp + wrong > 0 else math.nan
 
 
-def best_and_worst(rows: Sequence[Row], outcomes: Sequence[Row], labelled: int | None) -> str:
-    """How the methods that decide for themselves did: the best and the worst, or against labels in a log without path.
-
-    Only runs that got to the end and are plausible count: the others' decisions end with them.
-    """
+def deciding_rows(rows: Sequence[Row], outcomes: Sequence[Row]) -> list[Row]:
+    """Outcomes of the runs that decided for themselves, got to the end and are plausible, in their last phase."""
     ended = {(r["estimator"], r["association"]) for r in rows if r["status"] == "ok"}
     filters = filters_in(rows)
     deciding = [
@@ -40,12 +37,32 @@ def best_and_worst(rows: Sequence[Row], outcomes: Sequence[Row], labelled: int |
     # batch smoothers take the decisions of another run, which speaks for itself where it is there
     own = [r for r in deciding if steps(str(r["estimator"]))] or deciding
     own = [r for r in own if math.isfinite(f1(r))]
+    return own
+
+
+def extremes(rows: Sequence[Row], outcomes: Sequence[Row]) -> tuple[Row, Row] | None:
+    """The best way of deciding, by F1, of those with a usable path (of all, where none has one), and the worst."""
+    own = deciding_rows(rows, outcomes)
+    if not own:
+        return None
+    usable = [r for r in own if _usable(r, rows)] or own
+    return max(usable, key=quality), min(own, key=quality)
+
+
+def quality(row: Row) -> tuple[float, float]:
+    """By which ways of deciding are ordered."""
+    return f1(row), -value_of(row, "fp") - value_of(row, "fn")
+
+
+def best_and_worst(rows: Sequence[Row], outcomes: Sequence[Row], labelled: int | None) -> str:
+    """How the methods that decide for themselves did: the best and the worst, or against labels in a log without path.
+
+    Only runs that got to the end and are plausible count: the others' decisions end with them.
+    """
+    own = deciding_rows(rows, outcomes)
     if not own:
         return ""
     path = any(math.isfinite(value_of(r, "rmse_position_m")) for r in rows)
-
-    def quality(row: Row) -> tuple[float, float]:
-        return f1(row), -value_of(row, "fp") - value_of(row, "fn")
 
     best, worst = max(own, key=quality), min(own, key=quality)
     if not path:

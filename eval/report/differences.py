@@ -7,18 +7,20 @@ from collections.abc import Sequence
 
 import pandas as pd
 
+from eval.page.document import FinePrint
 from eval.page.numbers import number
 from eval.page.tables import drop_blank_columns, is_blank
 from eval.report.rows import Row, rows_of, value_of
 
 CHANCE = 0.05
 """A larger p is called chance, and so is a difference whose interval holds zero: near the edge the two may differ."""
-CAPTION = (
-    "Which is better on this log: filter (online) minus smoother (final), on the same frames; RMSE positive: the"
-    " smoother is closer to the truth. Intervals and p of no difference: stationary bootstrap with blocks of the mean"
-    " length given. They are about stretches of this log and not about other logs: in SLAM what the whole map errs is"
-    " not in them. The fewer blocks, the more they are too narrow (coverage: docs/verdicts.md). Blank: the log is worth"
-    " too few independent frames."
+CAPTION = "Which is better on this log: filter (online) minus smoother (final), on the same frames."
+FINE = FinePrint(
+    "Filters against smoothers",
+    "RMSE difference positive: the smoother is closer to the truth. Intervals and p of no difference: stationary"
+    " bootstrap with blocks of the mean length given. They are about stretches of this log and not about other logs: in"
+    " SLAM what the whole map errs is not in them. The fewer blocks, the more they are too narrow (coverage:"
+    " docs/verdicts.md). Blank: the log is worth too few independent frames.",
 )
 
 

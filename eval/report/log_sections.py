@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
 
-from eval.page.document import Block, Picture, Section, written_table
+from eval.page.document import Block, Folded, Picture, Section, written_table
 from eval.plan.flags.options import Options
-from eval.player.write import player_of
 from eval.referee.score import Scores, Trial
 from eval.report import comparison
 from eval.report.differences import CAPTION as DIFFERENCES_CAPTION
+from eval.report.differences import FINE as DIFFERENCES_FINE
 from eval.report.differences import differences_table, missing_intervals
 from eval.report.doubt.minima import minima_statements
 from eval.report.doubt.naming import naming_statements
@@ -39,6 +39,8 @@ def rows_of(frame: pd.DataFrame, trial: Trial) -> pd.DataFrame:
     return frame[(frame["log"] == trial.log.name) & (frame["task"] == trial.task)]
 
 
+BESIDE, NOTES = "Rows that stand beside, and why", "Notes on the log and its runs"
+"""What folded texts are called."""
 ELSEWHERE = ("association", FILTER_SMOOTHER, GRID, LOOPS)
 """Pictures that stand in a section of their own."""
 
@@ -50,8 +52,12 @@ def trial_sections(
     scores: Scores,
     published: Sequence[Sequence[Picture]],
     trust: Sequence[Trust] = (),
+    told: Mapping[tuple[str, str], Sequence[Block]] | None = None,
 ) -> list[Section]:
-    """A section per log and task, with what it says about itself; a tutorial's row stands in the table of its log."""
+    """A section per log and task, with what it says about itself; a tutorial's row stands in the table of its log.
+
+    `told`: filter and smoother in words, by log and task; they stand under the table.
+    """
     sections = []
     for trial, pictures in zip(trials, published, strict=True):
         if trial.beside is not None:
@@ -60,10 +66,15 @@ def trial_sections(
         blocks: list[Block] = []
         others = beside(trial, trials)
         every = pd.concat([rows, *(rows_of(scores.metrics, t) for t in others)])
-        table, wide = comparison.comparison_table(every), comparison.comparison_table(every, options.columns)
+        table = comparison.comparison_table(every, aligned=True)
+        wide = comparison.comparison_table(every, options.columns)
         caption = f"{trial.log.name}, {trial.task}. {comparison.COMPARISON_CAPTION}{aligned_statement(trial)}"
-        blocks.append(written_table(table, folder, stem(trial, "comparison"), caption, options, for_paper=wide))
-        blocks += [beside_note(t, rows_of(scores.metrics, t)) for t in others]
+        name, fine = stem(trial, "comparison"), comparison.COMPARISON_FINE
+        apart = tuple(i for i, status in enumerate(every["status"].tolist()) if status != "ok")
+        blocks.append(written_table(table, folder, name, caption, options, for_paper=wide, fine=fine, apart=apart))
+        blocks += (told or {}).get((trial.log.name, trial.task), ())
+        beside_notes = [beside_note(t, rows_of(scores.metrics, t)) for t in others]
+        blocks += [Folded(BESIDE, tuple(beside_notes))] if beside_notes else []
         blocks += _differences(folder, options, trial, rows_of(scores.differences, trial))
         blocks += [p for p in pictures if p.stem not in {stem(trial, kind) for kind in ELSEWHERE}]
         if options.animate:
@@ -71,9 +82,7 @@ def trial_sections(
         notes = [*trial.log.notes, *(f"{r.estimator}: {n}." for r in trial.runs for n in r.notes)]
         notes += [f"{text}." for text in minima_statements(trial)]
         if notes:
-            blocks.append("\n".join(f"* {n}" for n in dict.fromkeys(notes)))
-        if (folder / player_of(trial.log.name)).is_file():
-            blocks.insert(0, f"[Play {trial.log.name} in the browser]({player_of(trial.log.name)}).")
+            blocks.append(Folded(NOTES, ("\n".join(f"* {n}" for n in dict.fromkeys(notes)),)))
         sections.append(Section(f"{trial.log.name}, {trial.task}", tuple(blocks)))
         sections += trust_section(folder, options, trial, pictures, trust)
     return sections
@@ -84,9 +93,9 @@ def _differences(folder: Path, options: Options, trial: Trial, rows: pd.DataFram
     if not len(rows):
         return []
     name, caption = stem(trial, "differences"), f"{trial.log.name}, {trial.task}. {DIFFERENCES_CAPTION}"
-    table = written_table(differences_table(rows), folder, name, caption, options)
+    table = written_table(differences_table(rows), folder, name, caption, options, fine=DIFFERENCES_FINE)
     missing = missing_intervals(rows)
-    return [table, missing] if missing else [table]
+    return [table, Folded("Why intervals are missing", (missing,))] if missing else [table]
 
 
 def association_sections(
@@ -100,7 +109,7 @@ def association_sections(
     head = "Data association"
     if not len(scores.association):
         return [Section(head, ("No log states which landmark each observation shows, so decisions cannot be scored.",))]
-    blocks: list[Block] = [comparison.ASSOCIATION_CAPTION]
+    blocks: list[Block] = []
     sections, granted = [], []
     for trial, pictures in zip(trials, published, strict=True):
         if trial.beside is not None:
@@ -111,9 +120,9 @@ def association_sections(
             continue
         table = comparison.association_table(rows)
         name, what = stem(trial, "association"), f"{trial.log.name}, {trial.task}"
-        caption = f"{what}: outcomes of the decisions, as explained above."
-        fine = comparison.ASSOCIATION_CAPTION
-        written = written_table(table, folder, name, caption, options, fine_print=fine)
+        caption = f"{what}: outcomes of the decisions, estimators with the same ones share a row."
+        fine = comparison.ASSOCIATION_FINE
+        written = written_table(table, folder, name, caption, options, fine=fine)
         shown = (p for p in pictures if p.stem == name)
         named = naming_statements(trial, *(rows_by(rows_of(t, trial)) for t in (scores.metrics, scores.association)))
         notes = ["\n".join(f"* {n}" for n in named)] if named else []
@@ -124,6 +133,6 @@ def association_sections(
         )
         table = comparison.association_table(pd.concat(granted))
         caption = "Logs on which only known association was run: outcomes of the decisions."
-        fine = comparison.ASSOCIATION_CAPTION
-        blocks.append(written_table(table, folder, "association", caption, options, fine_print=fine))
+        fine = comparison.ASSOCIATION_FINE
+        blocks.append(written_table(table, folder, "association", caption, options, fine=fine))
     return [Section(head, tuple(blocks)), *sections]

@@ -30,7 +30,7 @@ from eval.studies.reproduced import orderings, published_frame
 OUTLIERS = ("task", "estimator", "rate", "rmse_position_m", "rmse_lower", "rmse_upper", "nees_pose", "nees_lower",
             "nees_upper", "runs", "diverged")  # fmt: skip
 
-FINE_PRINT = {"-consistency": comparison.CONSISTENCY_CAPTION, "-coverage": comparison.COVERAGE_CAPTION}
+FINE_PRINT = {"-consistency": comparison.CONSISTENCY_FINE, "-coverage": comparison.COVERAGE_FINE}
 """Of tables by how their names end: what the report says once for all of them."""
 MOST_LISTED = 20
 """Runs of a study that are listed one by one with what replays them."""
@@ -42,8 +42,8 @@ def study_sections(folder: Path, options: Options, outcome: Outcome, judged: Seq
     """All that is said about the studies of a report; nothing where there is none."""
 
     def table(frame: pd.DataFrame, name: str, caption: str) -> Table:
-        fine = next((text for ending, text in FINE_PRINT.items() if name.endswith(ending)), "")
-        return written_table(frame, folder, name, caption, options, fine_print=fine)
+        fine = next((text for ending, text in FINE_PRINT.items() if name.endswith(ending)), None)
+        return written_table(frame, folder, name, caption, options, fine=fine)
 
     plots = None if options.no_plots or options.quick else folder / "figures"
     sections = [validation_section(study, found, table, plots) for study, found in outcome.validations]
@@ -72,8 +72,6 @@ def _reading(studies: Sequence[Study]) -> Iterator[Block]:
         " prior's mean is drawn from the prior. Only what a scenario declares to be consistent decides the exit status,"
         " in pose, position and heading, by Holm's procedure over all declared verdicts at 0.1 %."
     )
-    yield f"**Verdicts.** {comparison.CONSISTENCY_CAPTION}"
-    yield f"**Coverage.** {comparison.COVERAGE_CAPTION}"
     few = [s.scenario.name for s in studies if len(s.seeds) < MIN_RUNS]
     if few:
         yield f"With fewer than {MIN_RUNS} runs there is no verdict: a wrong covariance would pass too often."

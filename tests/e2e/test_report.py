@@ -131,7 +131,7 @@ def test_the_report_shows_pictures_and_needs_no_network(report):
     html = (report / "report.html").read_text()
     drawn = {path.stem for path in (report / "figures").glob("*.png")}
     assert {f"my_log-slam-{kind}" for kind in ("map", "error", "nees", "growth")} < drawn
-    assert html.count("data:image/png;base64,") == len(drawn)
+    assert html.count("data:image/webp;base64,") + html.count("data:image/png;base64,") == len(drawn)
     assert "http://" not in html
     assert "https://" not in html
     text = (report / "report.md").read_text()

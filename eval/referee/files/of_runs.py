@@ -123,6 +123,9 @@ OTHERS = (
     File("tables/notes.tex", "What the LaTeX tables mean: their fine print, one paragraph for each."),
     File("figures/<name>.pdf", "A figure, for a paper.", when="not with `--quick` or `--no-plots`"),
     File("figures/<name>.png", "The same as an image.", when="not with `--no-plots`"),
+    File(
+        "figures/<name>.svg", "The small map of a log in the first table of the report.", when="not with `--no-plots`"
+    ),
     File("figures/<name>.webm", "A film of a run (VP8, plays in browsers).", when="with `--animate`"),
     File("figures/<name>.pgf", "A figure that LaTeX sets with the document's own fonts.", when="with `--pgf`"),
     File(

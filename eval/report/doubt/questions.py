@@ -102,6 +102,11 @@ def questions_section(trials: Sequence[Trial]) -> list[Section]:
     return [Section("Questions", (TEXT, "\n".join(dict.fromkeys(lines))))] if lines else []
 
 
+def is_unused(run: Run) -> bool:
+    """Whether an estimate is dead reckoning under another name, as next to no reading was paired."""
+    return run.association != "none" and run.failure is None and bool(_unused(run))
+
+
 def unused_statement(trial: Trial) -> str:
     """For the headline: who used next to nothing, and how much; empty if nobody."""
     said = [

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from eval.figures.paper.tex import tex_escape
-from eval.page.document import Block, Formula, Picture, Section, Table
+from eval.page.document import Block, Folded, Formula, Overview, Picture, Section, Table
 from eval.page.film import Film
 from eval.referee.score import Scores, Trial
 from eval.report.names import stem
@@ -102,7 +102,9 @@ def _block(block: Block) -> str:
         )
     if isinstance(block, Formula):
         return f"\\[\n{block.latex}\n\\]"
-    if isinstance(block, Film):  # paper shows none
+    if isinstance(block, Folded):
+        return "\n\n".join(_block(b) for b in block.blocks)
+    if isinstance(block, Film | Overview):  # paper shows none
         return ""
     lines = [line.removeprefix("* ") for line in block.split("\n")]
     return "\n\n".join(tex(line) for line in lines if line.strip()) + "\n"

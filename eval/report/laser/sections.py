@@ -12,7 +12,7 @@ from association.scans.laser_run import SCAN, LaserRun
 from data.log import Log
 from data.result import Run
 from data.terminal.words import counted
-from eval.page.document import Block, Picture, Section, written_table
+from eval.page.document import Block, FinePrint, Picture, Section, folded, written_table
 from eval.page.numbers import number
 from eval.plan.flags.options import Options
 from eval.referee.errors import position_distance, rms
@@ -24,11 +24,13 @@ from eval.report.laser.files import mapping_run
 from eval.report.laser.pictures import GRID, LOOPS
 from eval.report.names import stem
 
-RELATIONS_CAPTION = (
-    "errors against the reference relations, mean ± standard deviation. A relation is tied to frames by its *row* in"
+RELATIONS_CAPTION = "errors against the reference relations, mean ± standard deviation."
+RELATIONS_FINE = FinePrint(
+    "Reference relations",
+    "A relation is tied to frames by its *row* in"
     " the log, or by its *time* stamp, which in bursts of stamps is another frame; *exact*: relations whose frames are"
     " sure. Errors are (a⁻¹b)·rel⁻¹; the last column has rel⁻¹·(a⁻¹b) instead (all, by row). Of the filter, *final* is"
-    " the path of its last state, in which every key pose stayed."
+    " the path of its last state, in which every key pose stayed.",
 )
 PUBLISHED = (
     "Published for this log: Cartographer 0.0229 ± 0.0239 m (Hess et al., ICRA 2016), graph mapping 0.031 ± 0.026 m"
@@ -53,7 +55,7 @@ def laser_sections(
             continue
         beside = [t for t in trials if t.beside == trial.log.name and mapping_run(t) is not None]
         blocks: list[Block] = list(_relations(folder, options, trial))
-        blocks.append("\n".join(f"* {s}" for s in _statements(trial, run)))
+        blocks += folded("\n".join(f"* {s}" for s in _statements(trial, run)), "The graph, the gate and time")
         blocks += [p for p in pictures if p.stem in (stem(trial, GRID), stem(trial, LOOPS))]
         if beside:
             blocks.append(_sizes(folder, options, [trial, *beside]))
@@ -91,7 +93,8 @@ def _relations(folder: Path, options: Options, trial: Trial) -> list[Block]:
     if not rows:
         return []
     caption = f"{trial.log.name}: {RELATIONS_CAPTION}"
-    blocks: list[Block] = [written_table(pd.DataFrame(rows), folder, stem(trial, "relations"), caption, options)]
+    name = stem(trial, "relations")
+    blocks: list[Block] = [written_table(pd.DataFrame(rows), folder, name, caption, options, fine=RELATIONS_FINE)]
     return [*blocks, PUBLISHED] if len(relations) == INTEL_RELATIONS else blocks
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from eval.page.document import Block, Picture, Section, written_table
+from eval.page.document import Block, FinePrint, Picture, Section, folded, written_table
 from eval.plan.flags.options import Options
 from eval.referee.score import Trial
 from eval.report.names import stem
@@ -18,10 +18,13 @@ from eval.report.trust.words import first_words, paragraphs
 from eval.studies.trusted import Trust
 
 HEADING = "Trust without ground truth"
-CAPTION = (
-    "What the log says of itself, no truth used: P_f and P_s are the covariances of the online and of the smoothed"
-    " pose, d is their difference. All statistics: trust.csv; definitions: docs/verdicts.md."
+CAPTION = "What the log says of itself, no truth used."
+FINE = FinePrint(
+    "What a log says of itself",
+    "P_f and P_s are the covariances of the online and of the smoothed pose, d is their difference. All statistics:"
+    " trust.csv; definitions: docs/verdicts.md.",
 )
+MORE = "More of what the log says of itself"
 WITH_TWINS = " First what lies outside what the twins show (family-wise p at most 0.05)."
 WITHOUT = " Standard errors are those of the noise as stated; without twins there is no p value."
 
@@ -54,12 +57,13 @@ def trust_section(
     for trust in told:
         if len(told) > 1 or len(associations(trial.runs)) > 1:
             blocks.append(f"With association `{trust.association}`:")
-        words = paragraphs(trust, terms=terms, labels=labels)
-        blocks += [words] if words else []
+        front, *more = folded(paragraphs(trust, terms=terms, labels=labels), MORE) or ("",)
+        blocks += [front] if front else []
         if shown(trust):
             caption = f"{trial.log.name}, {trial.task}, association {trust.association}. {CAPTION}"
             caption += WITH_TWINS if trust.twins else WITHOUT
-            name = stem(trial, f"trust-{trust.association}")
-            blocks.append(written_table(trust_frame(trust, terms=terms), folder, name, caption, options))
+            name, frame = stem(trial, f"trust-{trust.association}"), trust_frame(trust, terms=terms)
+            blocks.append(written_table(frame, folder, name, caption, options, fine=FINE))
+        blocks += more
     blocks += [p for p in pictures if p.stem == stem(trial, FILTER_SMOOTHER)]
     return [Section(f"{HEADING}: {trial.log.name}, {trial.task}", tuple(blocks), 3)] if blocks else []

@@ -6,6 +6,8 @@ import base64
 import re
 from html.parser import HTMLParser
 
+import cv2
+import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.figure import Figure
@@ -67,7 +69,7 @@ def test_html_is_well_formed_and_needs_nothing_from_outside(folder):
     assert page.open == []
     assert page.all("script") == page.all("link") == page.all("iframe") == []
     loaded = [a[k] for _, a in page.tags for k in ("src", "data", "poster", "srcset") if k in a]
-    assert all(source.startswith("data:image/png;base64,") for source in loaded)
+    assert all(re.match(r"data:image/(png|webp);base64,", source) for source in loaded)
     assert len(loaded) == 1
     assert not re.search(r"@import|url\(|https?://", text)
     assert {
@@ -78,7 +80,12 @@ def test_html_is_well_formed_and_needs_nothing_from_outside(folder):
 
 def test_html_holds_the_figure_itself_with_its_description_and_page_size(folder):
     image = Page((folder / "report.html").read_text(encoding="utf-8")).all("img")[0]
-    assert base64.b64decode(image["src"].split(",")[1]) == (folder / "figures" / "map.png").read_bytes()
+    shown = base64.b64decode(image["src"].split(",")[1])
+    drawn = (folder / "figures" / "map.png").read_bytes()
+    assert len(shown) <= len(drawn)
+    pixels = [cv2.imdecode(np.frombuffer(b, np.uint8), cv2.IMREAD_COLOR).astype(int) for b in (shown, drawn)]
+    assert pixels[0].shape == pixels[1].shape
+    assert np.abs(pixels[0] - pixels[1]).max() < 96
     assert image["alt"] == 'Paths "seen" from above'
     # 2 in at 200 pixels per inch, two for a page pixel
     assert (image["width"], image["height"]) == ("200", "100")
@@ -94,8 +101,9 @@ def test_text_from_outside_stays_text(folder):
 def test_headings_have_addresses_of_their_own_that_the_contents_point_to(folder):
     page = Page((folder / "report.html").read_text(encoding="utf-8"))
     ids = [a["id"] for _, a in page.tags if "id" in a]
-    assert ids == ["log-arena-0", "map", "log-arena-0-2", "provenance"]
+    assert ids == ["contents", "log-arena-0", "map", "log-arena-0-2", "provenance"]
     assert [a["href"] for a in page.all("a") if a["href"].startswith("#")] == [
+        "#contents",
         "#log-arena-0",
         "#log-arena-0-2",
         "#provenance",

@@ -58,12 +58,17 @@ def test_a_column_is_rounded_as_a_whole_and_unknown_is_blank(column, expected):
     assert column_text(column) == expected
 
 
+def test_no_row_loses_digits_to_one_that_is_far_worse():
+    frame = pd.DataFrame({"RMSE": [0.0082612, 0.022711, 31.3249, 2.1e9, 3e-11]}, dtype=object)
+    assert [row[0] for row in cells_of(markdown(frame))[1:]] == ["0.00826", "0.0227", "31.3", "2.10e+09", "0"]
+
+
 def test_markdown_shows_the_rounded_cells_with_numbers_to_the_right():
     text = markdown(FRAME)
     assert cells_of(text) == [
         ["estimator", "position RMSE [m]", "inside 3σ [%]", "accepted"],
         ["ekf_slam", "0.0991", "98.9", "812"],
-        ["batch | final", "0.0862", "100.0", "840"],
+        ["batch | final", "0.0862", "100", "840"],
         ["gnc", "", "", ""],
     ]
     assert text.splitlines()[1] == "| --- | ---: | ---: | ---: |"

@@ -26,7 +26,7 @@ def test_decisions_and_questions_follow_the_logs(report):
         "### Decisions: corridor:0:people, slam",
         "## The lab's questions", "### Why does NN fail?", "### Why do people break NN and SINGLES?",
         "### Why does JCBB cope better?", "### What happens without odometry?", "### What does map maintenance change?",
-        "## Failures", "## How to read the numbers", "## Logs and settings",
+        "## Failures", "## How to read this", "## Logs and settings",
     ]  # fmt: skip
 
 

@@ -94,7 +94,8 @@ def test_questions_stand_in_inspect_on_the_terminal_in_the_log_and_in_the_report
     assert "observations used" in said
     assert "question (lost, prior)" in (out / "run.log").read_text()
     report = (out / "report.md").read_text()
-    headline = next(line for line in report.splitlines() if line.startswith("* **lost, localization.**"))
-    assert "0 of" in headline
-    assert "observations used" in headline
+    row = next(line for line in report.splitlines() if line.startswith("| [lost, localization]"))
+    assert "✗ **neither** (ekf lost from frame 0)" in row
+    section = report.partition("## lost, localization")[2]
+    assert "ekf (nn): 0 of" in section[: section.index("<details>")]
     assert "## Questions" in report

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from data.result import Trajectory
-from eval.page.document import Table
+from eval.page.document import Folded, Table
 from eval.plan.flags.options import Options
 from eval.referee.attribution import NOISE
 from eval.referee.score import Trial
@@ -82,9 +82,11 @@ def test_a_section_has_words_table_and_figure(tmp_path):
     trust = blamed(TURN, cause=NOISE, objected=2)
     picture = draw(tmp_path, TRIAL, FILTER_SMOOTHER, quick=True)
     (section,) = trust_section(tmp_path, Options(), TRIAL, [picture], [trust])
-    words, table, shown = section.blocks
+    words, table, more, shown = section.blocks
     assert section.heading == "Trust without ground truth: home, slam"
-    assert words.startswith("* **Cause: the noise model.**")
+    assert words.startswith("**Cause: the noise model.**")
+    assert isinstance(more, Folded)
+    assert len(words) < 450
     assert isinstance(table, Table)
     assert (tmp_path / "tables" / "home-slam-trust-known.csv").exists()
     assert shown is picture

@@ -1,0 +1,209 @@
+"""What a report is made of: tables, figures, equations, folded text, the overview, and sections that hold them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import pandas as pd
+
+from eval.page.film import Film
+
+READING = "How to read this"
+"""Heading of the section that holds the fine print of all tables and figures, each text once."""
+LINES = 280
+"""Characters of a caption or a paragraph that stands in front: two lines of 1100 pixels."""
+
+
+@dataclass(frozen=True)
+class FinePrint:
+    """What a caption leaves to the section `READING`: a title of a few words, and the text (Markdown)."""
+
+    title: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table with its caption (Markdown); `stem` names it in `tables/` if it was written there.
+
+    `fine` is what the caption leaves out; `apart` are the places of rows that stand beneath the others, as their
+    numbers are in no comparison.
+    """
+
+    frame: pd.DataFrame
+    caption: str
+    stem: str | None = None
+    fine: FinePrint | None = None
+    apart: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure saved as `figures/<stem>.png`, its caption (Markdown), and what it shows for those who cannot see it."""
+
+    stem: str
+    caption: str
+    alt: str
+    fine: FinePrint | None = None
+
+
+@dataclass(frozen=True)
+class Formula:
+    """Equations: LaTeX as in math mode, and `figures/<stem>.png` that shows the same where no LaTeX is."""
+
+    stem: str
+    latex: str
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A word with a symbol and a colour, so that neither is needed: tone is `good`, `fair`, `bad` or `none`."""
+
+    word: str
+    tone: str
+    note: str = ""
+
+    @property
+    def symbol(self) -> str:
+        """Of its tone."""
+        return {"good": "✓", "fair": "▲", "bad": "✗", "none": "–"}[self.tone]
+
+
+@dataclass(frozen=True)
+class Sketch:
+    """A small picture, as SVG with what it shows; `figures/<stem>.svg` holds it, too, if it was written there."""
+
+    svg: str
+    alt: str
+    stem: str | None = None
+
+
+Cell = str | Mark | Sketch | None
+
+
+@dataclass(frozen=True)
+class OverviewRow:
+    """One log and task: its name, which points to the section of that heading, links (text, file), and its cells."""
+
+    name: str
+    section: str
+    cells: tuple[Cell, ...]
+    links: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class Overview:
+    """The first table of a report: a head for the names and one for each cell, the rows, and what they mean."""
+
+    heads: tuple[str, ...]
+    rows: tuple[OverviewRow, ...]
+    caption: str
+
+
+@dataclass(frozen=True)
+class Folded:
+    """Blocks that are shown on demand, below a line that says what they are."""
+
+    summary: str
+    blocks: tuple[Block, ...]
+
+
+Block = str | Table | Picture | Formula | Film | Folded | Overview
+"""A paragraph or list in Markdown, a table, a figure, equations, a film, something folded, or the overview."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading of level 2 to 4 and what stands below it, in order."""
+
+    heading: str
+    blocks: tuple[Block, ...]
+    level: int = 2
+
+
+@dataclass(frozen=True)
+class Report:
+    """A whole report: title, the command that makes it again, first screen, sections.
+
+    `first`: sections that stand right below the first screen, before the contents and the command.
+    """
+
+    title: str
+    command: str
+    introduction: tuple[Block, ...]
+    sections: tuple[Section, ...]
+    first: tuple[Section, ...] = ()
+
+
+class Numbers:
+    """Counts tables and figures from 1, in reading order."""
+
+    def __init__(self) -> None:
+        self.tables = self.figures = 0
+
+    def of(self, block: Table | Picture) -> int:
+        """The number of the next table or figure."""
+        if isinstance(block, Table):
+            self.tables += 1
+            return self.tables
+        self.figures += 1
+        return self.figures
+
+
+def anchor(heading: str) -> str:
+    """Address of a heading within the page."""
+    return re.sub(r"[^a-z0-9]+", "-", heading.lower()).strip("-") or "section"
+
+
+def every_block(blocks: Sequence[Block]) -> Iterator[Block]:
+    """All blocks in reading order, those that are folded, too."""
+    for block in blocks:
+        yield block
+        if isinstance(block, Folded):
+            yield from every_block(block.blocks)
+
+
+def fine_print(report: Report) -> tuple[FinePrint, ...]:
+    """What the captions of a report leave out, each text once, in reading order."""
+    sections = (*report.first, *report.sections)
+    blocks = [*report.introduction, *(b for s in sections for b in s.blocks)]
+    found = (b.fine for b in every_block(blocks) if isinstance(b, Table | Picture))
+    return tuple(dict.fromkeys(f for f in found if f is not None))
+
+
+def with_fine_print(report: Report) -> tuple[Section, ...]:
+    """The sections, with the fine print at the end of the one that is called `READING` (made if there is none)."""
+    said = [f"**{f.title}.** {f.text}" for f in fine_print(report)]
+    if not said:
+        return report.sections
+    if not any(s.heading == READING for s in report.sections):
+        return (*report.sections, Section(READING, tuple(said)))
+    return tuple(
+        Section(s.heading, (*s.blocks, *said), s.level) if s.heading == READING else s for s in report.sections
+    )
+
+
+def cut(text: str, most: int = LINES) -> tuple[str, str]:
+    """A text's first sentences of at most so many characters (the first one at least), and the rest."""
+    if len(text) <= most:
+        return text, ""
+    ends = [m.end() for m in re.finditer(r"(?<=[\w)*`²%°])[.!?](?=\s+[^\Wa-z_]|\s+[*`])", text)]
+    fitting = [e for e in ends if e <= most] or ends[:1]
+    if not fitting:
+        return text, ""
+    return text[: fitting[-1]].rstrip(), text[fitting[-1] :].strip()
+
+
+def folded(text: str, summary: str, most: int = 420) -> tuple[Block, ...]:
+    """A text or list with its first sentences (of three lines at most) in front and the rest folded."""
+    if len(text) <= most:
+        return (text,) if text else ()
+    if text.startswith("* "):
+        lines = text.split("\n* ")
+        front, rest = cut(lines[0].removeprefix("* ").strip(), most)
+        kept = [rest] if rest else []
+        return (front, Folded(summary, ("\n".join(f"* {line}" for line in [*kept, *lines[1:]]),)))
+    front, rest = cut(text, most)
+    return (front, Folded(summary, (rest,))) if rest else (front,)

@@ -1,0 +1,1 @@
+"""The first screen: one table over all logs and tasks, and two sentences above it."""

@@ -1,0 +1,129 @@
+"""Words of the first screen from rows made by hand: whom to trust, whose fault, and what of an error is the frame's."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from data.log import Log
+from data.truth import Truth
+from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, NOTHING, Finding
+from eval.referee.score import Trial
+from eval.referee.trust import Measured
+from eval.report.overview.cause import cause_word
+from eval.report.overview.facts import Facts
+from eval.report.overview.gauge import gauge_statement
+from eval.report.overview.said import compared, concluded
+from eval.report.overview.sketch import drawn
+from eval.report.overview.verdict import claims, whom_to_trust
+from eval.studies.sampled import Sample
+from eval.studies.trusted import Blame, Trust
+from tests.eval.handmade import circle_log
+
+EKF = {"estimator": "ekf", "association": "known", "phase": "online", "status": "ok", "nis": 1.0, "nis_lower": 0.9,
+       "nis_upper": 1.1, "rmse_position_m": 0.404, "rmse_aligned_m": 0.112}  # fmt: skip
+BATCH = EKF | {"estimator": "batch", "phase": "final", "rmse_position_m": 0.048, "rmse_aligned_m": 0.044}
+LOG = circle_log(name="home")
+BLIND = Log("blind", LOG.recorded, Truth())
+
+
+def facts(filtered=EKF, smoothed=BATCH, log=LOG, trust=None, newest=None, unused=frozenset()):
+    rows = tuple(r for r in (filtered, smoothed) if r is not None)
+    errors = tuple(math.nan if r is None else r["rmse_position_m"] for r in (filtered, smoothed))
+    trial = Trial(log, "slam", ())
+    return Facts(trial, rows, "known", filtered, smoothed, newest, errors, False, None, trust, unused)
+
+
+@pytest.mark.parametrize(
+    ("filtered", "smoothed", "word", "tone"),
+    [
+        (EKF, BATCH, "smoother", "good"),
+        (EKF, BATCH | {"rmse_position_m": 0.401}, "either", "good"),
+        (EKF | {"rmse_position_m": 0.01}, BATCH, "filter", "fair"),
+        (EKF | {"status": "implausible"}, BATCH, "smoother", "fair"),
+        (EKF, BATCH | {"status": "diverged"}, "filter", "fair"),
+        (EKF | {"lost_why": "0 used", "lost_frame": 7}, BATCH | {"status": "diverged"}, "neither", "bad"),
+        (EKF, None, "only ekf", "none"),
+        (None, None, "nothing ran", "none"),
+    ],
+)
+def test_the_word_follows_the_errors_and_who_got_to_the_end(filtered, smoothed, word, tone):
+    mark = whom_to_trust(facts(filtered, smoothed))
+    assert (mark.word, mark.tone) == (word, tone)
+
+
+def test_an_estimate_that_used_no_reading_is_not_to_be_trusted():
+    both = frozenset({("ekf", "known"), ("batch", "known")})
+    mark = whom_to_trust(facts(unused=both))
+    assert mark.word == "neither"
+    assert "ekf used next to no reading" in mark.note
+
+
+@pytest.mark.parametrize(
+    ("nis", "word", "tone"), [(1.0, "consistent", "good"), (1.6, "overconfident", "bad"), (0.5, "conservative", "fair")]
+)
+def test_what_the_filter_claims_is_a_word_a_colour_and_a_number(nis, word, tone):
+    mark = claims(facts(EKF | {"nis": nis}))
+    assert mark is not None
+    assert (mark.word, mark.tone, mark.note) == (word, tone, f"NIS {nis:.2f}" if nis >= 1 else f"NIS {nis:.3f}")
+
+
+def trust(cause=None, *findings, measured=None, objected=()):
+    blame = None if cause is None else Blame(cause, tuple(findings), tuple(objected), 40, 0.01, {})
+    return Trust("blind", "slam", "known", Sample(measured or {}), (), (), blame)
+
+
+@pytest.mark.parametrize(
+    ("said", "word"),
+    [
+        (trust(NOTHING), "nothing"),
+        (trust(ASSOCIATIONS, Finding(ASSOCIATIONS, "pairings", "readings", 9)), "associations"),
+        (trust(ESTIMATOR, Finding(ESTIMATOR, "linearization", "ekf", 1.6)), "estimator"),
+        (trust(NOISE, Finding(NOISE, "systematic", "odometry_theta_turn", 0.1)), "odometry"),
+        (trust(NOISE, Finding(NOISE, "systematic", "z2_constant", 0.1)), "sensor"),
+        (trust(NOISE, Finding(NOISE, "sigma", "odometry_x", 2.0)), "odometry"),
+        (trust(NOISE, Finding(NOISE, "tails", "readings", 12)), "sensor"),
+        (trust(NOISE, objected=[("batch", "residual_odometry_x_lag1")]), "odometry"),
+        (trust(measured={("batch", "slope_z1_constant"): Measured(0.4, 0.0, 0.01)}), "sensor"),
+        (trust(measured={("batch", "slope_z1_constant"): Measured(0.02, 0.0, 0.01)}), "nothing"),
+        (trust(measured={("batch", "residual_odometry_theta_spread"): Measured(1.8)}), "odometry"),
+    ],
+)
+def test_the_cause_is_one_word_also_without_twins(said, word):
+    assert cause_word(said) == word
+    f = facts(EKF | {"rmse_position_m": math.nan}, BATCH | {"rmse_position_m": math.nan}, BLIND, said)
+    assert whom_to_trust(f).word == f"cause: {word}"
+    assert concluded([f]) == f"No truth on blind, cause: {word}."
+
+
+def test_the_sentences_say_what_was_compared_and_how_much_better_where_both_got_there():
+    bad = facts(EKF | {"status": "implausible"})
+    assert compared([facts()]).startswith("Filter (ekf) and smoother (batch) on identical inputs from 1 log, scored")
+    assert concluded([facts()]) == (
+        "For the path after the fact trust the smoother (the filter's RMSE is 8.42 times as large)."
+    )
+    assert concluded([facts(), bad]).endswith("8.42 times as large), where the filter fails on 1 row.")
+
+
+def test_the_error_of_the_frame_is_told_from_that_of_the_path():
+    text = gauge_statement(facts())
+    assert "`ekf` has 0.112 m instead of 0.404 m and `batch` 0.0440 m instead of 0.0480 m" in text
+    assert "(the ratio is then 2.55, not 8.42)" in text
+    same = gauge_statement(facts(EKF | {"rmse_aligned_m": 0.4}))
+    assert "makes little difference" in same
+    assert gauge_statement(replace(facts(), trial=Trial(LOG, "localization", ()))) == ""
+
+
+def test_a_small_map_shows_every_path_inside_its_frame_and_is_the_same_each_time():
+    way = np.column_stack([np.linspace(0, 5, 400), np.linspace(0, 40, 400)])
+    far = np.vstack([way, [[1e7, 1e7]], [[np.nan, np.nan]]])
+    svg = drawn([(way, ("#000", 1.0)), (far, ("#111", 1.0))])
+    assert svg == drawn([(way, ("#000", 1.0)), (far, ("#111", 1.0))])
+    assert svg.count("<polyline") == 2
+    first = [tuple(map(float, p.split(","))) for p in svg.split('points="')[1].split('"')[0].split()]
+    assert all(0.0 <= x <= 96.0 and 0.0 <= y <= 60.0 for x, y in first)
+    assert max(x for x, _ in first) - min(x for x, _ in first) > 80.0  # lying, as the picture is wide
+    assert drawn([(np.full((3, 2), np.nan), ("#000", 1.0))]) == ""
