@@ -88,7 +88,7 @@ OF_ESTIMATES = (
     _error("rmse_position_m", "position RMSE", "m", "RMSE of the position over frames with truth, no alignment"),
     _error("rmse_heading_deg", "heading RMSE", "deg"),
     _error("max_position_m", "largest position error", "m"),
-    _error("rmse_aligned_m", "position RMSE after the best fit", "m"),
+    _error("rmse_aligned_m", "aligned position RMSE", "m", "position RMSE after the best fit of rotation and shift"),
     _error("rmse_landmark_m", "landmark RMSE", "m", "RMSE of the landmarks of the last map, no alignment"),
     _error("rms_from_batch_m", "RMS from batch", "m", "RMS distance from the path of `batch` with `known`"),
     _consistent("nees_pose", "pose NEES", 3.0, "mean pose NEES"),

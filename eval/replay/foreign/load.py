@@ -100,7 +100,8 @@ def digests(texts: tuple[str, ...]) -> tuple[str, ...]:
 
 def _of_file(path: Path) -> ModuleType:
     """The module of a file, which may import those beside it."""
-    content = hashlib.sha256(path.read_bytes()).hexdigest()
+    source = path.read_bytes()
+    content = hashlib.sha256(source).hexdigest()
     known = _FILES.get((str(path), content))
     if known is not None:
         return known
@@ -113,7 +114,8 @@ def _of_file(path: Path) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # dataclasses look themselves up there
     try:
-        spec.loader.exec_module(module)
+        # not by the loader: it takes bytecode of a file of the same length changed within a second for this one's
+        exec(compile(source, str(path), "exec"), module.__dict__)
     except BaseException:
         del sys.modules[name]
         raise
