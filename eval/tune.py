@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from data.errors import DataError, UsageError
 from data.terminal.ending import ended
-from data.terminal.words import counted
+from data.terminal.words import counted, in_columns
 from eval.replay.flag import probability_or_auto
 from eval.replay.settings import SENSED_GATE, Setup
 
@@ -279,7 +279,7 @@ def _report(log: Log, tuning: Tuning) -> list[str]:
             rows.append((p.name, f"{value:.4g}", f"{error:.2g}" if math.isfinite(error) else word, p.unit, p.about))
         elif tuning.theta[i]:
             rows.append((p.name, f"{value:.4g}", "", p.unit, p.about))
-    lines += [*_table(rows), ""]
+    lines += [*in_columns(rows), ""]
     body = [("", "log-likelihood", "dof", "NIS/dof", "95 % bounds", "lag-1 correlation")]
     for title, s in tuning.scores.items():
         if isinstance(s, str):
@@ -287,16 +287,10 @@ def _report(log: Log, tuning: Tuning) -> list[str]:
             continue
         bounds, r = f"{s.lower:.3f} to {s.upper:.3f}", f"{s.lag1:+.3f} ± {s.lag1_error:.3f}"
         body.append((title, f"{s.log_likelihood:.1f}", str(s.dof), f"{s.nis:.3f}", bounds, r))
-    lines += [*_table(body), ""]
+    lines += [*in_columns(body), ""]
     for title, (position, heading) in tuning.errors.items():
         lines.append(f"RMSE {title}: position {position:.4g} m, heading {heading:.3g} deg")
     return [*lines, *(f"- {note}" for note in tuning.log.notes[len(log.notes) :])]
-
-
-def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
-    """Columns side by side."""
-    width = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return ["  ".join(cell.ljust(w) for cell, w in zip(row, width, strict=True)).rstrip() for row in rows]
 
 
 if __name__ == "__main__":

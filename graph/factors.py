@@ -26,7 +26,6 @@ Factor = gtsam.NonlinearFactor
 
 EXACT = 1e-6
 """m, rad. A direction in which the prior's sigma is smaller gets this one; all three smaller: the pose is held exactly.
-
 gtsam has no noise that is exact in an arbitrary direction. The covariances of batch and finish do not depend on this.
 """
 BEACON = 1e7
@@ -210,11 +209,9 @@ def is_point(sensor: Sensor, z: Array, R: Array) -> BoolArray:
     Where the landmark may as well stand on the robot, its bearing has no derivative there, and a smoother could get
     stuck at that kink or leave it for the other end of the world.
     """
-    if sensor.kind == RANGE_BEARING:
-        sigma = np.sqrt(R[:, 0, 0])
-        near: BoolArray = (z[:, 0] < NEAR * sigma) & (sigma < UNMEASURED * np.maximum(z[:, 0], 1.0))
-        return near
-    return np.ones(len(z), np.bool_)
+    sigma = np.sqrt(R[:, 0, 0])
+    near: BoolArray = (z[:, 0] < NEAR * sigma) & (sigma < UNMEASURED * np.maximum(z[:, 0], 1.0))
+    return near if sensor.kind == RANGE_BEARING else np.ones(len(z), np.bool_)
 
 
 def measured(sensor: Sensor, z: Array, R: Array, frame: IntArray) -> tuple[BoolArray, Array, Array]:

@@ -15,7 +15,7 @@ from data.logs import find_logs, open_log
 from data.questions.ask import CHECKS, ask
 from data.worlds.arena import Arena, simulate
 
-RECORDINGS = Path("/work/shared/data")
+RECORDINGS = Path(__file__).parents[4] / "shared" / "data"
 QUICK = [
     *(f"{world}:{seed}" for world in ("arena", "linear", "corridor") for seed in (0, 1)), "circle:0:frames=200",
     "corridor:0:people", "corridor:0:no-odometry", "corridor:0:people+no-odometry", "corridor:0:no-odometry+forward",
