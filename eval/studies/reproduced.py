@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 
+from data.terminal.words import in_columns
 from eval.referee.score import frame_of
 from eval.studies.montecarlo import Key, Study
 from eval.studies.published import COLUMNS, Estimate, Ordering, mean_of, rms_of, row_of
@@ -79,8 +80,7 @@ def lines(rows: Sequence[Mapping[str, object]]) -> list[str]:
             str(r["scenario"]), str(r["estimator"]), str(r["quantity"]), _pair(r["ours"], r["se_ours"]),
             _pair(r["published"], r["se_published"]), f"{float(str(r['difference_in_se'])):+.2f}",
         ))  # fmt: skip
-    widths = [max(len(row[i]) for row in table) for i in range(len(table[0]))]
-    return ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in table]
+    return in_columns(table)
 
 
 def _pair(value: object, se: object) -> str:
