@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.e2e.notebook import executed, load
+from tests.e2e.docs.notebook import executed, load
 
-TOUR = Path(__file__).parents[2] / "docs" / "tour.ipynb"
+TOUR = Path(__file__).parents[3] / "docs" / "tour.ipynb"
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from data.worlds.arena import Arena, simulate
 from eval.inspect import main as inspect
 from eval.run_all import main as run
 
-DOCS = Path(__file__).parents[2] / "docs" / "logs.md"
+DOCS = Path(__file__).parents[3] / "docs" / "logs.md"
 COMMANDS = {"data.convert": convert, "eval.inspect": inspect, "eval.run_all": run}
 
 

@@ -1,6 +1,6 @@
 """Runs a notebook's code cells one after the other, without Jupyter, and gathers what each shows.
 
-`python tests/e2e/notebook.py docs/tour.ipynb` runs it and stores the outputs, as "Run all" and "Save" would.
+`python tests/e2e/docs/notebook.py docs/tour.ipynb` runs it and stores the outputs, as "Run all" and "Save" would.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from data.worlds.arena import Arena, simulate
 from eval.replay.run import compare
 from tests.eval.replay.foreign.things import Bare
 
-PAGE = Path(__file__).parents[2] / "docs" / "extending.md"
+PAGE = Path(__file__).parents[3] / "docs" / "extending.md"
 PYTHON = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
 EXAMPLES = {found[1]: code for code in PYTHON if (found := re.match(r"# (\w+\.py)\n", code))}
 (COMMANDS,) = re.findall(r"```sh\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)

@@ -10,7 +10,7 @@ import pytest
 
 import slamref
 
-TEXT = (Path(__file__).parents[2] / "docs" / "results-files.md").read_text(encoding="utf-8")
+TEXT = (Path(__file__).parents[3] / "docs" / "results-files.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow

@@ -11,10 +11,10 @@ import pandas as pd
 import pytest
 
 import slamref
-from tests.e2e.test_extending import EXAMPLES
-from tests.e2e.test_own_log import write_files
+from tests.e2e.docs.test_extending import EXAMPLES
+from tests.e2e.docs.test_own_log import write_files
 
-PAGE = Path(__file__).parents[2] / "docs" / "stories.md"
+PAGE = Path(__file__).parents[3] / "docs" / "stories.md"
 STORIES = dict(re.findall(r"```sh (\w+)\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL))
 
 
