@@ -9,7 +9,7 @@ BIN := .venv/bin
 PACKAGES := association data ekf eval graph
 
 # A caller of a compiled kernel does not notice a change in another file, so all kernels are compiled anew when one changes.
-KERNELS := $(shell grep -lsr --include=*.py numba $(wildcard $(PACKAGES))) $(wildcard eval/warm.py)
+KERNELS := $(shell grep -lsr --include=*.py numba $(wildcard $(PACKAGES))) $(wildcard eval/warm.py eval/plan/warming.py)
 
 export MPLBACKEND := Agg
 # Without bytecode, every process and test worker would compile everything again.
