@@ -59,6 +59,7 @@ def covered(packages: tuple[str, ...]) -> set[str]:
     return {f.relative_to(ROOT).as_posix() for f in sources(*packages)}
 
 
+@pytest.mark.slow
 def test_a_run_of_a_study_executes_nothing_that_its_digest_does_not_cover():
     loaded = executed(STUDY)
     assert {"eval/replay/hindsight/mapper.py", "graph/incremental.py", "data/worlds/arena.py"} <= loaded

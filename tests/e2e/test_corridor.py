@@ -69,7 +69,11 @@ def test_least_joint_distance_and_labels_do_on_the_recorded_runs_what_independen
     assert found[LOGS[1], "known"] == [437, 88, 0, 0]
 
 
-@pytest.fixture(scope="module", params=[FEW, pytest.param(MANY, marks=pytest.mark.slow)], ids=["few", "many"])
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(FEW, marks=pytest.mark.slow), pytest.param(MANY, marks=pytest.mark.slow)],
+    ids=["few", "many"],
+)
 def study(request):
     """(log, runs by (estimator, association)) of seeds without people."""
     result = []
@@ -86,7 +90,6 @@ def rmse(log, run):
     return errors.rms(errors.position_distance(run.online.pose, log.truth.pose))
 
 
-@pytest.mark.slow
 def test_jcbb_pairs_nothing_wrong_and_is_as_good_as_the_labels_in_the_median(study):
     wrong, known, jcbb = [], [], []
     for log, runs in study:

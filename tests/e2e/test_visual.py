@@ -29,6 +29,7 @@ def report(lab):
     return out
 
 
+@pytest.mark.slow
 def test_a_lab_folder_is_localized_and_mapped(report):
     table = pd.read_csv(report / "metrics.csv")
     assert set(table["task"]) == {"localization", "slam"}
@@ -38,6 +39,7 @@ def test_a_lab_folder_is_localized_and_mapped(report):
     assert (slam["landmarks"] % 4 == 0).all()
 
 
+@pytest.mark.slow
 def test_the_report_holds_models_plan_contact_sheet_and_statistics(report):
     figures = {f.name for f in (report / "figures").iterdir()}
     assert {"my_lab-motion.png", "my_lab-observation.png", "my_lab-detections.png"} <= figures
