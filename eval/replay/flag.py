@@ -88,24 +88,19 @@ def number(label: str, value: object) -> float:
         raise UsageError(f"{label} {value}: a number is needed") from None
 
 
-def probability(label: str, value: object) -> float | None:
-    """A gate: between 0 and 1, or `none`."""
+def probability(label: str, value: object, what: str = "probability") -> float | None:
+    """A gate: between 0 and 1, or `none`; `what` it is called in messages."""
     if value == "none":
         return None
     p = number(label, value)
     if not 0.0 < p < 1.0:
-        raise UsageError(f"{label} {p:g}: a probability between 0 and 1 (both excluded), or none")
+        raise UsageError(f"{label} {p:g}: a {what} between 0 and 1 (both excluded), or none")
     return p
 
 
 def share_or_none(label: str, value: object) -> float | None:
     """A share between 0 and 1, or `none`."""
-    if value == "none":
-        return None
-    p = number(label, value)
-    if not 0.0 < p < 1.0:
-        raise UsageError(f"{label} {p:g}: a share between 0 and 1 (both excluded), or none")
-    return p
+    return probability(label, value, "share")
 
 
 def probability_or_auto(label: str, value: object) -> float | Literal["auto"] | None:
