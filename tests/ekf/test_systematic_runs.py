@@ -1,4 +1,4 @@
-"""Filters with systematic errors as states: the same by every way of running them, and the plain filter at the limit."""
+"""Filters with systematic errors as states: the same by every way of running them; the plain filter at the limit."""
 
 from __future__ import annotations
 
