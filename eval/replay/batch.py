@@ -57,7 +57,7 @@ def batch(name: str, inputs: Inputs, front: Run, other: Callable[[], Run] | None
     return Run(
         name, front.association, front.task, None, result.trajectory, state, front.decisions, final,
         front.created, None, result.total_nis, None, seconds, None, tuple(notes), front.removed, gated=front.gated,
-        iterations=result.iterations, last_step_sigma=result.last_step,
+        iterations=result.iterations, last_step_sigma=result.last_step, errors_final=result.systematic,
     )  # fmt: skip
 
 
@@ -99,7 +99,7 @@ def _left_out(decisions: IntArray, initialized: IntArray, accepted: BoolArray) -
 
 
 def start_at(inputs: Inputs, front: Run, initialized: IntArray) -> Start:
-    """A front end's path, and its map; a landmark that it dropped stands where it was initialized.
+    """A front end's path, map and systematic errors; a landmark that it dropped stands where it was initialized.
 
     `initialized` (M,): number of the landmark that an observation initialized, -1 for none.
     """
@@ -112,7 +112,8 @@ def start_at(inputs: Inputs, front: Run, initialized: IntArray) -> Start:
             places[initialized[i]] = inputs.sensor.inverse(pose, o.z[i : i + 1])[0][0]
         held = front.map.number < len(places)
         places[front.map.number[held]] = front.map.xy[held]
-    return Start(front.online.pose, places)
+    errors = front.errors_online
+    return Start(front.online.pose, places, None if errors is None else errors.mean)
 
 
 def _failed(name: str, front: Run, failure: Failure, frames: int, seconds: float) -> Run:
