@@ -212,8 +212,8 @@ def without_odometry_by_all(lab: Lab, scores: Scores) -> tuple[str, bool]:
         if run is not None:
             c = look(run, trial.log).counts
             each.append(
-                f"{NAMES[method]} makes {plural(c.tp, 'right pairing')} and {plural(c.fp, 'wrong one')}, and leaves {c.missed}"
-                " out"
+                f"{NAMES[method]} makes {plural(c.tp, 'right pairing')} and {plural(c.fp, 'wrong one')}, and leaves"
+                f" {c.missed} out"
             )
     return f"{text} The others: {'; '.join(each)}." if each else text, known
 

@@ -89,12 +89,6 @@ def test_rows_in_no_comparison_stand_beneath_the_others(pages):
     assert text.index("| batch | 0.0500") < text.index("| lost | 9.00e+07")
 
 
-def test_on_paper_every_section_begins_a_page_but_a_single_one_below_the_overview(pages):
-    style = pages[0] if isinstance(pages, tuple) else str(pages)
-    assert "section { break-before: page; }" in style
-    assert ".first > section:only-child { break-before: auto; }" in style
-
-
 def test_fine_print_stands_once_and_captions_point_to_it(pages):
     html, text, _ = pages
     assert html.count("What all errors mean.") == text.count("What all errors mean.") == 1
