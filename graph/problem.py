@@ -79,6 +79,12 @@ class Calibrated:
         for j, k in enumerate(np.searchsorted(self.of, np.arange(self.knots)).tolist()):
             values.insert(drift_key(j), units[k, [self.drift_at]])
 
+    def remove(self, values: gtsam.Values) -> None:
+        """The errors out of `values`."""
+        keys = [CONSTANTS] if len(self.constant) else []
+        for key in [*keys, *(drift_key(j) for j in range(self.knots))]:
+            values.erase(key)
+
     def motion(self, errors: Array) -> list[gtsam.BetweenFactorPose2]:
         """The increments as factors in the frame, under errors (N, p). Raises DataError for a singular one."""
         mean, covariance, _ = corrected_all(
@@ -161,6 +167,31 @@ class Problem:
             for k, (f, R) in enumerate(zip(self.motion, roots, strict=True))
         ]
         return replace(self, motion=motion)
+
+    def held(self, errors: Array) -> Problem:
+        """The same in its frame with the systematic errors held at `errors` (N, p)."""
+        c = self.calibrated
+        assert c is not None
+        there = c.frame.poses_in(self.prior.mean[None], errors[:1])
+        back = np.linalg.inv(c.frame.poses_out(there, errors[:1])[1][0, :, :3])
+        prior = Prior(there[0], back @ self.prior.covariance @ back.T)
+        sighted = self.sighted
+        if self.known_map and c.frame.range_at >= 0:
+            xy = c.frame.points_in(np.array([s.xy for s in sighted]).reshape(-1, 2), errors[-1])[0]
+            sighted = [displaced(s, at) for s, at in zip(sighted, xy, strict=True)]
+        return Problem(prior, c.motion(errors), sighted, self.known_map)
+
+
+def displaced(sighted: Sighted, xy: Array) -> Sighted:
+    """An observation of a known landmark that is elsewhere, at xy (2,)."""
+    if sighted.key is not None:
+        return replace(sighted, xy=xy, pin=gtsam.PriorFactorPoint2(sighted.key, xy, noise.Constrained.All(2)))
+    (factor,) = sighted.measured
+    assert isinstance(factor, gtsam.KnownLandmarkFactorPose2)
+    assert sighted.xy is not None
+    point = sighted.xy - factor.evaluateError(gtsam.Pose2())
+    moved = gtsam.KnownLandmarkFactorPose2(X(sighted.frame), xy, point, factor.noiseModel())
+    return replace(sighted, xy=xy, measured=[moved])
 
 
 def _loosened(covariance: Array, share: float) -> Array:

@@ -1,8 +1,8 @@
 """Increments under systematic errors, linearized: whitened residuals of gtsam's between factors, with exact Jacobians.
 
-The residual is Log(m(b)^-1 X^-1 Y) for poses X, Y and the corrected increment m(b), whitened with the covariance of m(b)
-at the end pose. Its noise is turned and scaled by the sensor's errors, and what that does to the residual is part of
-the Jacobian: left out, a range error grows without bound, as larger noise makes any residual cheap.
+The residual is Log(m(b)^-1 X^-1 Y) for poses X, Y and the corrected increment m(b), whitened with the covariance of
+m(b) at the end pose. Its noise is turned and scaled by the sensor's errors; what that does to the residual is part of
+the Jacobian, or the range error would come out wrong by as much as all squared residuals together ask for.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ def _logarithm(theta):  # type: ignore[no-untyped-def]
 def linearize_increments(  # type: ignore[no-untyped-def]
     pose, motion, root, errors, place, mount, residual, before, after, by_errors
 ):
-    """Fill in whitened residuals (n, 3) and Jacobians to the pose before and after (n, 3, 3), body frame of each, and to
-    the errors (n, 3, p), of `motion` (n, 3) from pose k to k + 1 of `pose` (n + 1, 3), each under `errors` (n, p).
+    """Fill in whitened residuals (n, 3) and Jacobians: to the pose before and after (n, 3, 3), body frame of each, and
+    to the errors (n, 3, p); of `motion` (n, 3) from pose k to k + 1 of `pose` (n + 1, 3), each under `errors` (n, p).
 
-    `root` (n, 3, 3): R with R'R the information of the odometry's own noise; `place` (p,) as of `data.motion.systematic`
-    and `mount` (3,) as of `correct`.
+    `root` (n, 3, 3): R with R'R the information of the odometry's own noise; `place` (p,) and `mount` (3,) as of
+    `data.motion.systematic`.
     """
     n, p = errors.shape
     all_errors, m, A, G = np.zeros(7), np.zeros(3), np.zeros((3, 7)), np.zeros((3, 3))
