@@ -20,7 +20,7 @@ from data.inputs import Increment
 from data.se2 import Array
 from graph.calibration.factors import motion_factors
 from graph.calibration.increments import Linear, linearize
-from graph.calibration.variables import Errors
+from graph.calibration.variables import Errors, constants_key
 from graph.engine import Engine
 from graph.factors import SINGULAR, Factor, pose2, root_information
 from graph.problem import drift_key
@@ -38,6 +38,7 @@ class Motion:
 
     Attributes:
         knot: of the drift, the newest one.
+        oldest: first frame in the graph: increments up to it are no factors any more.
     """
 
     def __init__(self, errors: Errors) -> None:
@@ -47,8 +48,7 @@ class Motion:
         self._mean, self._covariance, self._roots = [np.zeros(3)], [np.zeros((3, 3))], list[Array]()
         self._linear, self._knots, self._handles = list[Linear](), list[int](), list[int]()
         self._updates, self._looked, self._known = 0, 0, np.zeros(len(errors.place))
-        self._oldest = 0
-        """Increments that are no factors any more."""
+        self.oldest = 0
         self._first_knot = 0
 
     @property
@@ -90,15 +90,15 @@ class Motion:
 
     def knot_of(self, frame: int) -> int:
         """Whose drift the increment into a frame of the graph has (0 of frame 0)."""
-        return self._knots[max(frame - 1 - self._oldest, 0)] if self._knots else self.knot
+        return self._knots[max(frame - 1 - self.oldest, 0)] if self._knots else self.knot
 
     def forget(self, oldest: int) -> range:
         """Frame `oldest` is the first one in the graph now; knots that no increment in it has any more."""
         self._whole()
-        gone, first = oldest - self._oldest, self._first_knot
+        gone, first = oldest - self.oldest, self._first_knot
         self._linear = [linear.rows(np.arange(gone, len(linear.residual))) for linear in self._linear]
         del self._knots[:gone], self._handles[:gone]
-        self._oldest = oldest
+        self.oldest = oldest
         self._first_knot = self._knots[0] if self._knots else self.knot
         return range(first, self._first_knot)
 
@@ -118,8 +118,8 @@ class Motion:
         self._looked, self._known = self._updates, b
         self._whole()
         path, errors = self._present(engine)
-        rows = slice(self._oldest + 1, self._oldest + 1 + len(self._handles))
-        mean, roots = np.array(self._mean[rows]), np.array(self._roots[self._oldest : rows.stop - 1])
+        rows = slice(self.oldest + 1, self.oldest + 1 + len(self._handles))
+        mean, roots = np.array(self._mean[rows]), np.array(self._roots[self.oldest : rows.stop - 1])
         exact, linear = self._linearized(mean, roots, errors, path), self._linear[0]
         residuals, stated = exact.at(exact.pose, errors), linear.at(exact.pose, errors)
         w = np.sqrt(np.einsum("ni,ni->n", *[residuals - stated] * 2))
@@ -129,7 +129,7 @@ class Motion:
         n = len(w)
         which = np.flatnonzero((w > 0.5 * OFF / np.sqrt(n)) | (_sigmas(g, P) > 0.5 * OFF / n))
         factors = motion_factors(self._errors, rows.start, exact, self._knots, which, _values(rows.start - 1, path))
-        handles = engine.add(factors, gtsam.Values(), [self._handles[i] for i in which.tolist()])
+        handles = engine.add(factors, gtsam.Values(), [self._handles[i] for i in which.tolist()], [X(rows.stop - 1)])
         for i, handle in zip(which.tolist(), handles, strict=True):
             self._handles[i] = handle
         for mine, new in zip(linear, exact, strict=True):
@@ -148,7 +148,7 @@ class Motion:
         path = gtsam.utilities.extractPose2(values)[-len(self._handles) - 1 :]
         units = np.empty((len(self._handles), len(e.place)))
         if len(e.constant):
-            units[:, e.constant] = values.atVector(e.keys(0)[0])
+            units[:, e.constant] = values.atVector(constants_key(self.oldest + len(self._handles)))
         if e.drift >= 0:
             first = self._knots[0]
             knots = range(first, self._knots[-1] + 1)
