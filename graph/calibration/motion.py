@@ -27,6 +27,8 @@ from graph.problem import drift_key
 
 OFF = 0.3
 """Standard deviations by which linear factors may put an estimate off, at most."""
+OFF_CLOSELY = 0.003
+"""The same where it is asked for."""
 LOOKED = 0.1
 """Of all updates so far: after so many it is looked again how far off they are; ..."""
 MOVED = 0.5
@@ -107,10 +109,10 @@ class Motion:
         if len(self._linear) > 1:
             self._linear = [Linear(*(np.concatenate(rows) for rows in zip(*self._linear, strict=True)))]
 
-    def renew(self, engine: Engine, b: Array, P: Array, now: bool) -> bool:
+    def renew(self, engine: Engine, b: Array, P: Array, now: bool, off: float = OFF) -> bool:
         """Linearize anew what puts estimates off; whether that was necessary.
 
-        It is looked `now`, or else when it is time to. `b` (p,), `P` (p, p): the errors as known now.
+        It is looked `now`, or else when it is time to; `off`: as `OFF`. `b` (p,), `P` (p, p): the errors as known now.
         """
         self._updates += 1
         if not self._handles or not (now or self._due(b, P)):
@@ -124,10 +126,10 @@ class Motion:
         residuals, stated = exact.at(exact.pose, errors), linear.at(exact.pose, errors)
         w = np.sqrt(np.einsum("ni,ni->n", *[residuals - stated] * 2))
         g = np.einsum("nip,ni->np", exact.by_errors, residuals) - np.einsum("nip,ni->np", linear.by_errors, stated)
-        if max(np.sqrt(w @ w), _sigmas(g.sum(0), P)) < OFF:
+        if max(np.sqrt(w @ w), _sigmas(g.sum(0), P)) < off:
             return False
         n = len(w)
-        which = np.flatnonzero((w > 0.5 * OFF / np.sqrt(n)) | (_sigmas(g, P) > 0.5 * OFF / n))
+        which = np.flatnonzero((w > 0.5 * off / np.sqrt(n)) | (_sigmas(g, P) > 0.5 * off / n))
         factors = motion_factors(self._errors, rows.start, exact, self._knots, which, _values(rows.start - 1, path))
         handles = engine.add(factors, gtsam.Values(), [self._handles[i] for i in which.tolist()], [X(rows.stop - 1)])
         for i, handle in zip(which.tolist(), handles, strict=True):

@@ -20,7 +20,7 @@ from data.result import MapState, PoseEstimate, Systematics
 from data.se2 import Array, world_from_body
 from graph.calibration.advance import advance, forget
 from graph.calibration.factors import first_factors, knot_factor, link_factor
-from graph.calibration.motion import Motion
+from graph.calibration.motion import OFF, OFF_CLOSELY, Motion
 from graph.calibration.variables import Errors, constants_key
 from graph.engine import Engine
 from graph.factors import Factor, Sighted, is_exact, pose2
@@ -182,15 +182,18 @@ class CalibratedEnd(OpenEnd):
         """The engine's handles on the factors of `join_graph`."""
         self._motion_log.hold(handles[self._before :])
 
-    def read(self, engine: Engine) -> None:
-        """The graph has a new estimate of anchor and errors: the newest pose follows from it."""
+    def read(self, engine: Engine, *, closely: bool = False) -> None:
+        """The graph has a new estimate of anchor and errors: the newest pose follows from it.
+
+        `closely`: increments are linearized anew wherever they put an estimate off by a little.
+        """
         pose = engine.settle(self.keys[0], pose2(self.mean))
-        jumped = engine.jumped(pose2(self.mean), pose)
+        now, off = closely or engine.jumped(pose2(self.mean), pose), OFF_CLOSELY if closely else OFF
         self._take(engine, pose)
         for _ in range(MOST):
-            if not self._motion_log.renew(engine, self.b, self.whole[3:, 3:], jumped):
+            if not self._motion_log.renew(engine, self.b, self.whole[3:, 3:], now, off):
                 break
-            pose, jumped = engine.settle(self.keys[0], pose), True
+            pose, now = engine.settle(self.keys[0], pose), True
             self._take(engine, pose)
         self._again()
 
@@ -274,3 +277,15 @@ class CalibratedEnd(OpenEnd):
         calibrated = Calibrated(self._errors.systematic, self.frame, Increments(mean, covariance))
         motion = calibrated.motion(np.zeros((len(mean), len(self.b))))
         return Problem(self.prior, motion, sighted, known_map, calibrated)
+
+    def start(self, values: gtsam.Values, problem: Problem) -> gtsam.Values:
+        """Where the search for the optimum starts: the present estimate, known landmarks exactly where errors put them.
+
+        The first copy of the constants is that of the problem.
+        """
+        if self.frame.range_at >= 0 and problem.known_map:
+            b = self._errors.read_from(values)
+            for s in problem.sighted:
+                if s.key is not None and s.xy is not None:
+                    values.update(s.key, self.frame.points_in(s.xy[None], b)[0][0])
+        return values

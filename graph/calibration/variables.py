@@ -78,6 +78,12 @@ class Errors:
         found[self.order] = np.concatenate([engine.vector(key) for key in self.keys(frame, knot)])
         return found * self.systematic.sigma
 
+    def read_from(self, values: gtsam.Values) -> Array:
+        """The errors (p,) of the first increment."""
+        found = np.empty(len(self.place))
+        found[self.order] = np.concatenate([values.atVector(key) for key in self.keys(0, 0)])
+        return found * self.systematic.sigma
+
     def terms(self, J: Array, frame: int, knot: int) -> list[tuple[int, Array]]:
         """A Jacobian (m, p) to the errors in prior sigmas, in terms of their variables."""
         found = [(constants_key(frame), J[:, self.constant])] if len(self.constant) else []

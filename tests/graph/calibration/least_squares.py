@@ -49,13 +49,16 @@ def solve(inputs, number, path, landmarks):
         odometry = b * [name not in ("range", "bearing") for name in s.names]
         moved = corrected_all(*_arrays(inputs.increments), odometry, places(s), np.zeros(3)).mean[1:]
         step = se2.pose_error(se2.between(poses[:-1], poses[1:]), moved)
-        stays = np.exp(-ended / s.length)
+        stays = np.exp(-ended / s.length) if K else np.empty(0)
         walk = x[q : q + K]
         z = read_wrongly(
-            inputs.sensor, inputs.sensor.predict(poses[o.frame], xy[number]), s.names, dict(zip(s.names, b[-1], strict=True))
+            inputs.sensor,
+            inputs.sensor.predict(poses[o.frame], xy[number]),
+            s.names,
+            dict(zip(s.names, b[-1], strict=True)),
         )
         return np.concatenate([
-            x[:q], walk[:1], (walk[1:] - stays[: max(K - 1, 0)] * walk[:-1]) / np.sqrt(1.0 - stays[: max(K - 1, 0)] ** 2),
+            x[:q], walk[:1], (walk[1:] - stays * walk[:-1]) / np.sqrt(1.0 - stays ** 2),
             first @ se2.pose_error(poses[0], inputs.prior.mean), np.einsum("nij,nj->ni", white, step).ravel(),
             np.einsum("nij,nj->ni", seen, inputs.sensor.residual(o.z, z)).ravel(),
         ])  # fmt: skip
@@ -69,7 +72,9 @@ def solve(inputs, number, path, landmarks):
     of_errors = np.empty((len(order),) * 2)
     of_errors[np.ix_(order, order)] = C[np.ix_(at, at)] * np.outer(s.sigma[order], s.sigma[order])
     newest, rest = q + K + 3 * (n - 1), q + K + 3 * n
-    of_map = np.array([C[rest + 2 * i : rest + 2 * i + 2, rest + 2 * i : rest + 2 * i + 2] for i in range(len(xy) * slam)])
+    of_map = np.array(
+        [C[rest + 2 * i : rest + 2 * i + 2, rest + 2 * i : rest + 2 * i + 2] for i in range(len(xy) * slam)]
+    )
     return Solution(poses[-1], C[newest : newest + 3, newest : newest + 3], b[-1], of_errors, xy, of_map)
 
 

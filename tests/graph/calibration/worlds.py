@@ -47,7 +47,9 @@ def erring(systematic, sensor, *, frames=40, landmarks=8, noise=0.3, seed=0, see
     z = read_wrongly(sensor, sensor.predict(path[frame], xy[label]), systematic.names, TRUE)
     near = sensor.polar(z)[:, 0] < sensor.max_range
     frame, label, z = frame[near], label[near], z[near]
-    R = np.array([[0.01, 0.001], [0.001, 0.0009]] if isinstance(sensor, RangeBearing) else [[0.02, 0.006], [0.006, 0.01]])
+    R = np.array(
+        [[0.01, 0.001], [0.001, 0.0009]] if isinstance(sensor, RangeBearing) else [[0.02, 0.006], [0.006, 0.01]]
+    )
     z = z + noise * rng.multivariate_normal(np.zeros(2), R, len(z))
     start = path[0] + noise * rng.multivariate_normal(np.zeros(3), P0)
     inputs = Inputs(
