@@ -36,29 +36,15 @@ class CalibratedRows:
         self._problem, self._of = problem, problem.calibrated
         c = problem.calibrated
         self.constants = len(c.constant)
-        self.first_of = np.maximum(np.searchsorted(c.of, np.arange(c.knots)), 1).astype(np.int64)
+        self.first_of = first_frames(c.of, c.knots)
         self._root = root_information(c.increments.covariance[1:])[0]
         self._prior = prior_factor(problem.prior)
-        # drift j - stays * drift j - 1 ~ N(0, anew), in units of the drift's sigma; nothing stays of before the first
-        stays, anew = np.array([(0.0, 1.0), *(forgotten(e, c.systematic.length) for e in c.ended)]).T
-        self._own, self._earlier = 1.0 / np.sqrt(anew), -stays / np.sqrt(anew)
+        self._own, self._earlier = drift_rows(c.ended, c.systematic.length)
         self._world = np.array([s.xy for s in problem.sighted]).reshape(-1, 2) if problem.known_map else None
 
     def extended(self, variable: IntArray, height: IntArray, dim: IntArray) -> tuple[IntArray, IntArray, IntArray]:
         """Variables (B, 3), heights (B,) and dimensions (V,) of `Rows` with the drift; the same without one."""
-        count = len(self.first_of)
-        if not count:
-            return variable, height, dim
-        first, knot = len(dim), np.full(len(variable), -1)
-        knot[1 : len(self._of.of)] = first + self._of.of[1:]
-        chain = np.full((count, 3), -1)
-        chain[:, 0] = first + np.arange(count)
-        chain[1:, 1] = chain[:-1, 0]
-        return (
-            np.concatenate([np.column_stack([variable, knot]), chain]),
-            np.concatenate([height, np.ones(count, np.int64)]),
-            np.concatenate([dim, np.ones(count, np.int64)]),
-        )
+        return with_drift(variable, height, dim, self._of.of, self._of.knots)
 
     def fill(self, A: Array, b: Array, values: gtsam.Values) -> tuple[Array, Array]:
         """Rows of the increments and of the drift, and the columns of the constant errors, in place.
@@ -172,6 +158,41 @@ class CalibratedRows:
         """The known landmarks (M,) of the observations, in the frame."""
         assert self._world is not None
         return self._of.frame.points_in(self._world, errors[-1])[0]
+
+
+def first_frames(of: IntArray, knots: int) -> IntArray:
+    """First frame (K,) that the drift of each knot leads to; `of` (N,) as of `data.motion.systematic.knots`."""
+    return np.maximum(np.searchsorted(of, np.arange(knots)), 1).astype(np.int64)
+
+
+def with_drift(
+    variable: IntArray, height: IntArray, dim: IntArray, of: IntArray, knots: int
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Variables (B, 3), heights (B,) and dimensions (V,) of `Rows` with a drift of so many knots as last variables.
+
+    It enters the blocks of the increments, 1 to N - 1; those of its prior come last. The same without a knot.
+    """
+    if not knots:
+        return variable, height, dim
+    drift, enters, chain = len(dim) + np.arange(knots), np.full(len(variable), -1), np.full((knots, 3), -1)
+    enters[1 : len(of)] = drift[of[1:]]
+    chain[:, 0], chain[1:, 1] = drift, drift[:-1]
+    one = np.ones(knots, np.int64)
+    return (
+        np.concatenate([np.column_stack([variable, enters]), chain]),
+        np.concatenate([height, one]),
+        np.concatenate([dim, one]),
+    )
+
+
+def drift_rows(ended: Array, length: float) -> tuple[Array, Array]:
+    """Coefficients (K,) of each knot's drift and of the one before in its whitened prior, drifts in sigmas.
+
+    drift j - stays * drift j - 1 ~ N(0, anew); nothing stays of what was before the first. `ended` (K - 1,) and
+    `length` as of `data.motion.systematic`.
+    """
+    stays, anew = np.array([(0.0, 1.0), *(forgotten(metres, length) for metres in ended)]).T
+    return 1.0 / np.sqrt(anew), -stays / np.sqrt(anew)
 
 
 def _poses(values: gtsam.Values) -> Array:
