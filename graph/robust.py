@@ -140,4 +140,6 @@ def _as_start(result: Smoothed, start: Start) -> Start:
 def _squares(problem: Problem, at: Start) -> Array:
     """Squared whitened residual of every sighting."""
     values = start_values(problem, at)
+    if problem.calibrated is not None:
+        problem = problem.held(problem.calibrated.errors(values))
     return np.array([2.0 * sum(f.error(values) for f in s.measured) for s in problem.sighted], float)

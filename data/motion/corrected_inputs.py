@@ -33,7 +33,7 @@ def corrected_inputs(inputs: Inputs, systematics: Systematics) -> Inputs:
     increments = inputs.increments
     found = corrected_all(increments.mean, increments.covariance, of_odometry, np.arange(len(ERRORS)), np.zeros(3))
     # the noise is one of what was stated
-    carried = np.linalg.inv(stated_all(found.mean, of_odometry)[1])
+    carried = np.linalg.inv(stated_all(found.mean, of_odometry, increments.mean[:, 2] > 0.0)[1])
     o = inputs.observations
     size, bearing = 1.0 + errors[o.frame, RANGE], errors[o.frame, BEARING]
     z, J = o.z.copy(), np.zeros((len(o.z), 2, 2))

@@ -11,13 +11,16 @@ import numba
 import numpy as np
 
 from data.motion.systematic import BEARING, CURVATURE, DRIFT, LEFT, RANGE, RIGHT, SCALE
-from data.se2 import Array
+from data.se2 import Array, BoolArray
 from data.sensors import wrap_angle
 
 
 @numba.njit(cache=True)
-def stated(way, errors, mount, m, by_way, by_errors):  # type: ignore[no-untyped-def]
+def stated(way, errors, mount, leftwards, m, by_way, by_errors):  # type: ignore[no-untyped-def]
     """What an odometry with all errors (7,) would state, without noise, of the way (3,) of the sensor at `mount` (3,).
+
+    `leftwards`: the odometry does state a turn to the left, so that its error is the one for these. Whether the way is
+    one may change with every step of a search, which would get stuck at the kink where straight is.
 
     Fills in m (3,) and its Jacobians (3, 3) to the way and (3, 7) to the errors, all additive.
     """
@@ -34,7 +37,7 @@ def stated(way, errors, mount, m, by_way, by_errors):  # type: ignore[no-untyped
     D = math.copysign(math.hypot(ux, uy), ux)
     Dx, Dy = (ux / D, uy / D) if D != 0.0 else (1.0, 0.0)
     d = D / scale
-    side = LEFT if turn - slope * d > 0.0 else RIGHT
+    side = LEFT if leftwards else RIGHT
     more = 1.0 + errors[side]
     t = (turn - slope * d) / more
     half = 0.5 * (turn - t)
@@ -61,14 +64,14 @@ def stated(way, errors, mount, m, by_way, by_errors):  # type: ignore[no-untyped
 
 
 @numba.njit(cache=True)
-def _stated_all(way, errors, mount, m, by_way, by_errors):  # type: ignore[no-untyped-def]
+def _stated_all(way, errors, mount, leftwards, m, by_way, by_errors):  # type: ignore[no-untyped-def]
     for k in range(len(way)):
-        stated(way[k], errors[k], mount, m[k], by_way[k], by_errors[k])
+        stated(way[k], errors[k], mount, leftwards[k], m[k], by_way[k], by_errors[k])
 
 
-def stated_all(way: Array, errors: Array) -> tuple[Array, Array, Array]:
+def stated_all(way: Array, errors: Array, leftwards: BoolArray) -> tuple[Array, Array, Array]:
     """The same of the robot's own ways (n, 3) under errors (n, 7): (n, 3), Jacobians (n, 3, 3) and (n, 3, 7)."""
     n = len(way)
     found = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3, 7))
-    _stated_all(np.array(way, float, order="C"), np.array(errors, float, order="C"), np.zeros(3), *found)
+    _stated_all(np.array(way, float, order="C"), np.array(errors, float, order="C"), np.zeros(3), leftwards, *found)
     return found

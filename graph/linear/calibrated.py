@@ -40,6 +40,7 @@ class CalibratedRows:
         self._root = root_information(c.increments.covariance[1:])[0]
         self._prior = prior_factor(problem.prior)
         self._own, self._earlier = drift_rows(c.ended, c.systematic.length)
+        self._last: tuple[gtsam.Values, Array, Array] | None = None
         self._world = np.array([s.xy for s in problem.sighted]).reshape(-1, 2) if problem.known_map else None
 
     def extended(self, variable: IntArray, height: IntArray, dim: IntArray) -> tuple[IntArray, IntArray, IntArray]:
@@ -53,7 +54,7 @@ class CalibratedRows:
         pose and to the constant errors in sigmas.
         """
         c, n = self._of, len(self._of.of)
-        errors, pose = c.errors(values), _poses(values)
+        pose, errors = self._state(values)
         residual, after, before, by_errors = self._increments(pose, errors)
         by_errors *= c.systematic.sigma
         A[1:n, :, :3], A[1:n, :, 3:6] = after, before
@@ -72,6 +73,12 @@ class CalibratedRows:
             rows, at = slice(n, n + len(seen)), 1 + int(np.searchsorted(c.constant, c.frame.range_at))
             b[rows, :, at] -= np.einsum("mij,mj->mi", A[rows, :, :2], body)
         return self._first(errors[0], pose[0])
+
+    def _state(self, values: gtsam.Values) -> tuple[Array, Array]:
+        """Poses (N, 3), which gtsam has in the order of their keys, and errors (N, p); read out once."""
+        if self._last is None or self._last[0] is not values:
+            self._last = values, np.ascontiguousarray(gtsam.utilities.extractPose2(values)), self._of.errors(values)
+        return self._last[1:]
 
     def _increments(self, pose: Array, errors: Array) -> tuple[Array, Array, Array, Array]:
         """Residuals (N - 1, 3), Jacobians (N - 1, 3, 3) to the poses after and before, and (N - 1, 3, p) to errors."""
@@ -112,14 +119,15 @@ class CalibratedRows:
 
     def robot(self, values: gtsam.Values) -> gtsam.Values:
         """The robot's first pose in the world, as values."""
-        out, _ = self._of.frame.poses_out(_poses(values)[:1], self._of.errors(values)[:1])
+        pose, errors = self._state(values)
+        out, _ = self._of.frame.poses_out(pose[:1], errors[:1])
         first = gtsam.Values()
         first.insert(X(0), pose2(out[0]))
         return first
 
     def cost(self, values: gtsam.Values) -> float:
         """Half the sum of squares of increments, drift and priors; see `graph.linear.rows.Linearizer.cost`."""
-        residual, *_ = self._increments(_poses(values), self._of.errors(values))
+        residual, *_ = self._increments(*self._state(values))
         total = float(np.sum(residual**2))
         if self.constants:
             total += float(np.sum(values.atVector(CONSTANTS) ** 2))
@@ -151,7 +159,7 @@ class CalibratedRows:
         sighted = self._problem.sighted
         if self._world is None or self._of.frame.range_at < 0 or all(s.key is not None for s in sighted):
             return None
-        xy = self._landmarks(self._of.errors(values))
+        xy = self._landmarks(self._state(values)[1])
         return [displaced(s, at).measured for s, at in zip(sighted, xy, strict=True)]
 
     def _landmarks(self, errors: Array) -> Array:
@@ -193,8 +201,3 @@ def drift_rows(ended: Array, length: float) -> tuple[Array, Array]:
     """
     stays, anew = np.array([(0.0, 1.0), *(forgotten(metres, length) for metres in ended)]).T
     return 1.0 / np.sqrt(anew), -stays / np.sqrt(anew)
-
-
-def _poses(values: gtsam.Values) -> Array:
-    """All poses (N, 3): gtsam has them in the order of their keys."""
-    return np.ascontiguousarray(gtsam.utilities.extractPose2(values))

@@ -50,7 +50,9 @@ def estimated_errors(inputs: Inputs, found: Systematics, path: Array, frame: Int
     of_odometry = every.copy()
     of_odometry[:, [RANGE, BEARING]] = 0.0
     # the errors act on the way as smoothed (see `graph.linear.increments`); the log is corrected by too little
-    _, by_way, by_errors = stated_all(between(path[:-1], path[1:]), of_odometry[1:])
+    _, by_way, by_errors = stated_all(
+        between(path[:-1], path[1:]), of_odometry[1:], inputs.increments.mean[1:, 2] > 0.0
+    )
     motion, readings = np.zeros((len(path), 3, len(place))), np.zeros((len(frame), 2, len(place)))
     motion[1:] = (np.linalg.inv(by_way) @ by_errors)[:, :, place] * sigma
     motion[:, :, place >= RANGE] = 0.0

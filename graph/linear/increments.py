@@ -69,7 +69,7 @@ def linearize_increments(  # type: ignore[no-untyped-def]
         c, s = math.cos(pose[k, 2]), math.sin(pose[k, 2])
         wx, wy = pose[k + 1, 0] - pose[k, 0], pose[k + 1, 1] - pose[k, 1]
         way[0], way[1], way[2] = c * wx + s * wy, c * wy - s * wx, pose[k + 1, 2] - pose[k, 2]
-        stated(way, all_errors, mount, m, H, A)
+        stated(way, all_errors, mount, motion[k, 2] > 0.0, m, H, A)
         # what that is more than was stated, (tx, ty, theta), its logarithm (x, y, theta), and that one's Jacobian
         theta: float = wrap_angle(m[2] - motion[k, 2])
         c, s = math.cos(motion[k, 2]), math.sin(motion[k, 2])

@@ -55,7 +55,7 @@ def test_what_would_be_stated_of_a_corrected_increment_is_the_increment(mount):
     for k in range(N):
         every = np.zeros(7)
         every[place] = errors[k]
-        stated(there.mean[k], every, mount, m, np.empty((3, 3)), np.empty((3, 7)))
+        stated(there.mean[k], every, mount, motion[k, 2] > 0.0, m, np.empty((3, 3)), np.empty((3, 7)))
         assert np.abs(pose_error(m, motion[k])).max() < 1e-12
 
 
