@@ -74,7 +74,7 @@ def erring(sensor, task, systematic, seed=0, size=1.0, **world):
 def stated_by_hand(way, e):
     """What an odometry without noise says of the ways (n, 3): the inverse of `corrected_by_hand`, by iteration."""
     m = way.copy()
-    for _ in range(25):
+    for _ in range(12):
         m = m - se2.pose_error(corrected_by_hand(m, e), way)
     return m
 
