@@ -144,8 +144,8 @@ def make_estimator(
     if name in OPTIONS:
         options = options or OPTIONS[name]
         if given.map is not None:
-            return EkfLocalizer(given.prior, given.sensor, given.map, options)
-        return EkfSlam(given.prior, given.sensor, options)
+            return EkfLocalizer(given.prior, given.sensor, given.map, options, given.systematic)
+        return EkfSlam(given.prior, given.sensor, options, given.systematic)
     if name == "isam2":
         return Isam2Smoother(given.prior, given.sensor, given.map)
     if name == "fixed-lag":

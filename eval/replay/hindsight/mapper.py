@@ -1,7 +1,8 @@
 """SLAM without labels, decisions in hindsight: the nine steps of `docs/hindsight.md`, in their order.
 
-A filter decides that estimates the odometry's systematic errors along with the map (`ekf.calibrating`), because
-decisions need to know how far it may have drifted; every estimator gets the decisions, none gets the filter's estimate.
+A filter decides that estimates systematic errors along with the map (`ekf.systematic`), whether the estimators do or
+not, because decisions need to know how far odometry may have drifted; every estimator gets the decisions, none gets the
+filter's estimate.
 See `eval.replay.hindsight.mapping_frontend` for how an estimator lives with what is decided.
 """
 
@@ -14,10 +15,10 @@ import numpy as np
 from association.candidates import in_view
 from association.evidence.scales import widest
 from association.expectation import Expectation
-from data.inputs import Frame, IntArray, Sightings
+from data.inputs import Frame, IntArray, Sightings, Systematic
 from data.result import Event
 from data.se2 import Array
-from ekf.calibrating import CalibratingSlam
+from ekf.slam import EkfSlam
 from eval.replay.given import Given
 from eval.replay.hindsight.density import pair
 from eval.replay.hindsight.duplicates import Duplicates
@@ -26,6 +27,9 @@ from eval.replay.hindsight.kidnapping import Kidnapping
 from eval.replay.hindsight.ledger import Ledger
 from eval.replay.hindsight.uncertain_motion import UncertainMotion
 from eval.replay.settings import Setup
+
+TIGHT = Systematic(("scale", "curvature", "left", "right", "drift"), np.array([0.02, 2e-3, 0.05, 0.05, 1e-3]), 50.0)
+"""Errors of odometry that the filter estimates where the run has none: what remains of a robot that was calibrated."""
 
 
 class Mapped(NamedTuple):
@@ -67,7 +71,7 @@ class HindsightMapper:
     def __init__(self, given: Given, setup: Setup) -> None:
         """Before the first frame."""
         self.setup = setup
-        self.filter = CalibratingSlam(given.prior, given.sensor)
+        self.filter = EkfSlam(given.prior, given.sensor, systematic=given.systematic or TIGHT)
         self.ledger = Ledger(given.sensor)
         self.motion = UncertainMotion(self.ledger, setup)
         self.gates = LearnedGates(self.ledger)
