@@ -16,9 +16,9 @@ from eval.plan.calibrate.named import named, wanders
 from eval.replay.foreign.spec import name_of
 from eval.replay.run import compare
 from eval.replay.settings import Setup
-from eval.studies.sampled import Sample, one_twin, sample_of, smoother_of
+from eval.studies.sampled import Sample, sample_of, smoother_of, twin_sample
 from eval.studies.trusted import FEWEST, Trust, judged
-from eval.studies.twins import inputs_of, source_of
+from eval.studies.twins import Source, inputs_of, source_of, twin
 
 FRONT = ("ekf", "batch")
 """What decides where labels are withheld, and the smoother whose residuals are looked at."""
@@ -65,6 +65,14 @@ def _examined(log: Log, task: str, association: str, setup: Setup, runs: Sequenc
             except UsageError as fault:
                 notes = (str(fault),)
             else:
-                twins = [one_twin(source, seed) for seed in range(FEWEST)]
+                twins = [_twin(source, seed) for seed in range(FEWEST)]
         trust = judged(rest, task, name_of(association), real, twins, smoother)
         return replace(trust, notes=(*trust.notes, *notes)), smoother
+
+
+def _twin(source: Source, seed: int) -> Sample:
+    """What a twin's smoother says, under the twin's own labels."""
+    log = twin(source, seed)
+    inputs = inputs_of(log, source.task, source.association)
+    (smoother,) = compare(inputs, source.task, ("batch",), source.association, source.setup)
+    return twin_sample(source, log, (smoother,), smoother)
