@@ -167,8 +167,7 @@ class Filter:
     def _inside(self) -> Array:
         """Jacobian (3, 3) of the pose in the state to that in the world, at the present estimates."""
         _, J = self._frame.poses_out(self._mean[None, :3], self._mean[None, 3 : self.base])
-        inside: Array = np.linalg.inv(J[0, :, :3])
-        return inside
+        return np.asarray(np.linalg.inv(J[0, :, :3]), np.float64)
 
     def estimate(self) -> PoseEstimate:
         """The newest pose with its world-frame covariance (copies)."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -12,8 +10,8 @@ from data.inputs import Increment, LandmarkMap, Prior, Sightings, Systematic
 from data.motion.sensor_frame import sensor_frame
 from data.motion.systematic import BETWEEN_KNOTS, corrected, places
 from data.result import NEW
-from data.sensors import RangeBearing, RelativePoint
-from ekf.filter import DEFAULT, FilterOptions
+from data.sensors import RangeBearing
+from ekf.filter import DEFAULT
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 
