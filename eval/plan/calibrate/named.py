@@ -32,14 +32,14 @@ OF_MOTION = {
 def named(found: Sequence[str], *, wandering: bool, inputs: Inputs) -> tuple[str, ...]:
     """Errors of a log, in their order, for what the battery found; none where it found nothing that has a name here.
 
-    `wandering`: whether the odometry's curvature comes and goes. In SLAM the scales of odometry and of ranges are one,
-    and the odometry's is taken.
+    `wandering`: whether the odometry's curvature comes and goes. In SLAM nobody can tell the scale of the odometry from
+    that of the ranges; the odometry's is taken, as sensors are mostly the better rulers.
     """
     bearing = "z2_constant" if isinstance(inputs.sensor, RangeBearing) else "z2_range"
     of = {**OF_MOTION, bearing: ("bearing",)}
     names = {name for f in found for name in of.get(f, ())} | ({"drift"} if wandering else set())
-    if inputs.map is None and "scale" in names:
-        names -= {"range"}
+    if inputs.map is None and "range" in names:
+        names = names - {"range"} | {"scale"}
     return tuple(name for name in ERRORS if name in names)
 
 

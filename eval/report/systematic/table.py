@@ -1,4 +1,4 @@
-"""Systematic errors as a table: what was known before, what filter and smoothers make of each, and whether it is told."""
+"""Systematic errors as a table: what was known before, what filter and smoothers make of each, and which are told."""
 
 from __future__ import annotations
 
