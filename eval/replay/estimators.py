@@ -147,7 +147,7 @@ def make_estimator(
             return EkfLocalizer(given.prior, given.sensor, given.map, options, given.systematic)
         return EkfSlam(given.prior, given.sensor, options, given.systematic)
     if name == "isam2":
-        return Isam2Smoother(given.prior, given.sensor, given.map)
+        return Isam2Smoother(given.prior, given.sensor, given.map, systematic=given.systematic)
     if name == "fixed-lag":
-        return FixedLagSmoother(given.prior, given.sensor, given.map, lag=lag)
+        return FixedLagSmoother(given.prior, given.sensor, given.map, lag=lag, systematic=given.systematic)
     raise UsageError(f"{name!r} does not work step by step; {', '.join(STEPPING[:-1])} and {STEPPING[-1]} do")

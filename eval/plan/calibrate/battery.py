@@ -36,8 +36,7 @@ def before(log: Log, task: str, association: str, setup: Setup) -> tuple[Trust, 
     if trust.blame is None or smoother is None or smoother.final is None:
         return trust, ()
     inputs = inputs_of(plain, task, association)
-    found = [f.name for f in trust.blame.findings if f.kind == "systematic"]
-    return trust, named(found, wandering=wanders(inputs, smoother.final.pose), inputs=inputs)
+    return trust, named(trust.blame.findings, wandering=wanders(inputs, smoother.final.pose), inputs=inputs)
 
 
 def after(log: Log, task: str, association: str, setup: Setup, runs: Sequence[Run]) -> Trust:

@@ -12,6 +12,7 @@ from data.inputs import ERRORS, Inputs
 from data.motion.systematic import BETWEEN_KNOTS
 from data.se2 import Array
 from data.sensors import RangeBearing
+from eval.referee.attribution import Finding
 
 LENGTH = 50.0
 """m; over this distance the drift is forgotten, see `data.inputs.Systematic`."""
@@ -29,15 +30,17 @@ OF_MOTION = {
 """By the battery's name `<component>_<regressor>`. Odometry askew to the way driven is a sensor that is."""
 
 
-def named(found: Sequence[str], *, wandering: bool, inputs: Inputs) -> tuple[str, ...]:
+def named(found: Sequence[Finding], *, wandering: bool, inputs: Inputs) -> tuple[str, ...]:
     """Errors of a log, in their order, for what the battery found; none where it found nothing that has a name here.
 
+    Of errors that the log cannot tell apart, the battery's own choice, or if that has no name here the first that has.
     `wandering`: whether the odometry's curvature comes and goes. In SLAM nobody can tell the scale of the odometry from
     that of the ranges; the odometry's is taken, as sensors are mostly the better rulers.
     """
     bearing = "z2_constant" if isinstance(inputs.sensor, RangeBearing) else "z2_range"
     of = {**OF_MOTION, bearing: ("bearing",)}
-    names = {name for f in found for name in of.get(f, ())} | ({"drift"} if wandering else set())
+    said = [next((n for n in (f.name, *f.other) if n in of), "") for f in found if f.kind == "systematic"]
+    names = {name for f in said for name in of.get(f, ())} | ({"drift"} if wandering else set())
     if inputs.map is None and "range" in names:
         names = names - {"range"} | {"scale"}
     return tuple(name for name in ERRORS if name in names)
