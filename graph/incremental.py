@@ -298,4 +298,4 @@ class Isam2Smoother(Smoother):
         problem = self._end.problem(self._observed.plainly, self.map is not None)
         found = optimize(problem, self._engine.values())
         total = (2.0 * found.error, problem.dof) if self.loss == "gaussian" else None
-        return Finished(found.trajectory, found.map, total, found.iterations, found.last_step)
+        return Finished(found.trajectory, found.map, total, found.iterations, found.last_step, found.systematic)
