@@ -56,7 +56,7 @@ def errors_table(systematic: Systematic, runs: Sequence[Run], truth: Truth) -> p
                 row[_head(run)] = with_sigma(float(errors.mean[-1, i]), float(errors.sigma[-1, i]))
         if truth.errors is not None:
             t = truth.errors
-            row["true"] = number(float(t.mean[-1, t.names.index(name)]), 3) if name in t.names else "0"
+            row["true"] = number(float(t.mean[-1, t.names.index(name)]), 3).replace("-", "−") if name in t.names else "0"
         if said is not None:
             row["told"] = "yes" if told(systematic, said)[i] else "the log cannot tell it"
         rows.append(row)
