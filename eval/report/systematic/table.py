@@ -55,12 +55,17 @@ def errors_table(systematic: Systematic, runs: Sequence[Run], truth: Truth) -> p
             if errors is not None:
                 row[_head(run)] = with_sigma(float(errors.mean[-1, i]), float(errors.sigma[-1, i]))
         if truth.errors is not None:
-            t = truth.errors
-            row["true"] = number(float(t.mean[-1, t.names.index(name)]), 3).replace("-", "−") if name in t.names else "0"
+            row["true"] = _true(name, truth.errors)
         if said is not None:
             row["told"] = "yes" if told(systematic, said)[i] else "the log cannot tell it"
         rows.append(row)
     return pd.DataFrame(rows)
+
+
+def _true(name: str, errors: Systematics) -> str:
+    """The true error at the last frame; zero where the world has none."""
+    value = float(errors.mean[-1, errors.names.index(name)]) if name in errors.names else 0.0
+    return number(value).replace("-", "−")
 
 
 def _head(run: Run) -> str:
