@@ -53,15 +53,14 @@ class EkfLocalizer(Filter):
         """Where (2,) in the world, and within what radius [m], the landmarks of `within` must be."""
         P, a = self._P, self._errors.range_at
         radius = reading_radius(self.sensor, P[:3, :3], sightings, self.within)
-        if a < 0:
+        if a < 0 or not math.isfinite(radius):
             return self._mean[:2], radius
-        # around the sensor. Seen from there a range r is (1 + range) r, and as uncertain by the range error as r
-        # times its sigma; what that is correlated with cannot make it more than the sum of both
-        least = 1.0 + self._mean[a] - math.sqrt(self.within * P[a, a])
+        # a landmark that stands r from the sensor in the world and q from the origin is expected at (1 + range) r, and
+        # that is uncertain by at most the sum of what the pose and what q, at most r and the sensor's own way, bring
+        size, sigmas = 1.0 + self._mean[a], math.sqrt(self.within * P[a, a])
         centre = self._frame.points_out(self._mean[None, :2], self._mean[3 : self.base])[0][0]
-        pose = self._mean[:2] - self._errors.origin
-        swing = math.hypot(*pose) / (1.0 + self._mean[a]) * math.sqrt(self.within * P[a, a])
-        return centre, (radius + swing) / least if least > 0.0 else math.inf
+        swing = math.hypot(*(centre - self._errors.origin)) * sigmas
+        return centre, (radius + swing) / (size - sigmas) if size > sigmas else math.inf
 
     def _look(self, state: Array, at: IntArray, known: Array, z_hat: Array, blocks: Array) -> None:
         if self._errors.range_at < 0:

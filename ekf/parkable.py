@@ -227,5 +227,5 @@ class Parkable(Filter):
         cross = np.concatenate([self._P[here.ravel(), b], self._parked.D[based] @ self._P[d:r, b]])
         order = np.argsort(number)
         found = MapState(number[order], xy[order], blocks[order])
-        cross = cross.reshape(len(number), 2, -1)[order]
+        cross = cross.reshape(len(number), 2, self.base - 3)[order]
         return systematic.landmarks(found, cross, self._mean[b], self._P[b, b], self._frame)

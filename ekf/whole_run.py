@@ -99,7 +99,7 @@ def run_filter(
         count, b = (d - base) // 2, slice(3, base)
         blocks = diagonal_blocks(P[base:d, base:d])
         found = MapState(np.arange(count, dtype=np.int64), mean[base:d].reshape(count, 2).copy(), blocks)
-        found = systematic.landmarks(found, P[base:d, b].reshape(count, 2, -1), mean[b], P[b, b], frame)
+        found = systematic.landmarks(found, P[base:d, b].reshape(count, 2, base - 3), mean[b], P[b, b], frame)
     return FilterRun(
         *systematic.poses(state, variance, frame), stats[:, 0], stats[:, 2].astype(np.int64), stats[:, 1], size, white,
         decided, found, failure, systematic.of_frames(of, state, variance),
