@@ -15,7 +15,7 @@ from data.se2 import Array, world_from_body
 from data.sensors import Sensor
 from graph.calibration.increments import Linear
 from graph.calibration.variables import Errors
-from graph.factors import EXACT, Factor, Sighted, noise, pose2, prior_factor, root_information, sight_landmarks
+from graph.factors import Factor, Sighted, noise, pose2, prior_factor, root_information, sight_landmarks
 from graph.problem import drift_key
 
 PINNED = 1e-4
@@ -74,7 +74,7 @@ def first_factors(errors: Errors, prior: Prior) -> tuple[list[Factor], gtsam.Val
     B = world_from_body(mean[2])
     K = P[:3, 3:] / sigma**2
     variance, axes = np.linalg.eigh(B.T @ (P[:3, :3] - K @ P[3:, :3]) @ B)
-    given = axes @ np.diag(np.maximum(variance, EXACT**2)) @ axes.T
+    given = axes @ np.diag(np.maximum(variance, PINNED**2)) @ axes.T
     root = root_information(given[None])[0][0]
     pose = linear_factor([(X(0), root), *errors.terms(-root @ B.T @ K, 0)], np.zeros(3), values)
     return [pose, *alone], values
