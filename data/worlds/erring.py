@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 
 from data.errors import UsageError
-from data.inputs import ERRORS, Increments
+from data.inputs import ERRORS, Increments, Systematic
 from data.motion.systematic import CURVATURE, DRIFT, LEFT, RIGHT, SCALE
 from data.result import Systematics
 from data.se2 import Array, wrap_angle
 from data.sensors import RangeBearing, Sensor
 
-LENGTH = 50.0
-"""m; over this distance the drift is forgotten to 1/e, as `data.inputs.Systematic` takes it to be."""
+LARGEST = 0.5
+"""Share by which a world may err: whoever writes 0.9 or 1.1 means a factor."""
 STREAM = 0xD41F7
 """Sets the drift's random numbers apart from all others of the same seed."""
 OF_SENSOR = {"range": "range_error", "bearing": "bearing_error"}
@@ -63,8 +63,10 @@ def check_erring(world: str, values: Erring) -> None:
             raise UsageError(f"{where}; a finite number is needed")
         if name == "drift" and value < 0.0:
             raise UsageError(f"{where}; must not be negative")
-        if name in ("scale", "left", "right", "range_error") and not abs(value) < 1.0:
-            raise UsageError(f"{where}; an error between -1 and 1 is needed, 0 is none (a factor of 0.9 is -0.1)")
+        if name in ("scale", "left", "right", "range_error") and not abs(value) <= LARGEST:
+            raise UsageError(
+                f"{where}; an error from -{LARGEST} to {LARGEST} is needed, 0 is none (a factor of 0.9 is -0.1)"
+            )
 
 
 def described(values: Any) -> dict[str, Any]:
@@ -95,7 +97,7 @@ def reported(values: Erring, increments: Increments, seed: int) -> tuple[Increme
 def _wandering(distance: Array, rng: np.random.Generator) -> Array:
     """An Ornstein-Uhlenbeck process (N,) of unit variance, at the end of each of the distances (N,) [m]."""
     drawn = rng.standard_normal(len(distance))
-    stays = np.exp(-distance / LENGTH)
+    stays = np.exp(-distance / Systematic.length)
     value = np.empty(len(distance))
     value[0] = drawn[0]
     for k in range(1, len(value)):

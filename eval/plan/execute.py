@@ -11,6 +11,7 @@ from itertools import chain
 from typing import Any
 
 from data.log import Log
+from eval.plan.calibrate.battery import with_systematic
 from eval.plan.calibrate.calibration import Calibration, examine, settle
 from eval.plan.cluster import Call
 from eval.plan.experiments import Plan
@@ -59,7 +60,7 @@ class Outcome:
 
 
 def _tutorial(log: Log, variant: Variant) -> Trial:
-    changed = variant_log(log, variant)
+    changed = variant_log(with_systematic(log, None), variant)
     return Trial(changed, variant.task, (tutorial_run(changed, variant),), log.name, ABOUT)
 
 

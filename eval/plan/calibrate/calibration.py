@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+from association.scans.laser_run import SCAN
 from data.errors import UsageError
 from data.inputs import Systematic
 from data.log import Log
@@ -46,7 +47,9 @@ class Calibration:
 
 
 def check_calibrated(log: Log, options: Options) -> None:
-    """Refuse to calibrate a laser log."""
+    """Refuse to calibrate by scans."""
+    if options.calibrate and SCAN in options.association:
+        raise UsageError(f"--calibrate and --association {SCAN} exclude each other: errors are told by landmarks")
     if options.calibrate and log.recorded.scans is not None and not len(log.recorded.observations.frame):
         raise UsageError(SCANNED.format(log.name))
 
@@ -94,7 +97,7 @@ def examine(
         e, trial = experiments[place[c.log, c.task]], trials[place[c.log, c.task]]
         runs = [r for r in trial.runs if r.association == name_of(c.association) and r.flaw is None]
         ready = runs if any(r.estimator == "batch" for r in runs) else []
-        jobs.append((k, (after, (e.log, c.task, c.association, replace(e.setup), ready))))
+        jobs.append((k, (after, (e.log, c.task, c.association, e.setup, ready))))
     at = [place[c.log, c.task] for c in calibrations]
     missing = _missing(experiments, lost)
     found = dict(work(jobs, options, lost=lambda k, why: missing(at[k], why)))

@@ -8,14 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from data import se2
-from data.inputs import ERRORS, Inputs
+from data.inputs import ERRORS, Inputs, Systematic
 from data.motion.systematic import BETWEEN_KNOTS
 from data.se2 import Array
 from data.sensors import RangeBearing
 from eval.referee.attribution import Finding
 
-LENGTH = 50.0
-"""m; over this distance the drift is forgotten, see `data.inputs.Systematic`."""
 WANDERS = 3.0
 """Standard errors by which successive stretches must err alike: 1 in 700 logs that do not drift has as much."""
 FEWEST = 10
@@ -62,11 +60,11 @@ def wanders(inputs: Inputs, path: Array) -> bool:
     step = inputs.increments.mean[1:]
     distance = np.copysign(np.hypot(step[:, 0], step[:, 1]), step[:, 0])
     weight = np.divide(distance, variance, out=np.zeros(len(step)), where=variance > 0.0)
-    stretch = (np.cumsum(np.abs(distance)) / (BETWEEN_KNOTS * LENGTH)).astype(np.int64)
+    stretch = (np.cumsum(np.abs(distance)) / (BETWEEN_KNOTS * Systematic.length)).astype(np.int64)
     score = np.bincount(stretch, weight * se2.wrap_angle(off[:, 2]))
     information = np.bincount(stretch, weight * distance)
     told = information > 0.0
-    if told.sum() < FEWEST:
+    if told.sum() < FEWEST or not score.any():
         return False
     score, information = score[told], information[told]
     left = (score - score.sum() / information.sum() * information) / np.sqrt(information)

@@ -86,7 +86,7 @@ def test_a_world_without_errors_says_so_and_its_source_stays_as_it_was():
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("arena:0:scale=1.1", "a factor of 0.9 is -0.1"),
+        ("arena:0:scale=0.9", "a factor of 0.9 is -0.1"),
         ("park:0:drift=-1", "not be negative"),
         ("corridor:0:no-odometry+curvature=0.1", "no effect with no-odometry"),
         ("circle:0:curvature=0.1", "not known"),

@@ -69,6 +69,7 @@ def test_flags_and_config_keys_mean_the_same_and_flags_win(tmp_path):
     (["--calibrate", "auto,scale"], "auto: unknown"),
     (["--calibrate="], "a name is needed"),
     (["--calibrate", "--scenario", "arena"], "exclude each other"),
+    (["--calibrate", "--lab", "corridor:3"], "--calibrate and --lab exclude each other"),
 ])  # fmt: skip
 def test_nonsense_is_refused_by_name(arguments, words):
     with pytest.raises(UsageError, match=words):
