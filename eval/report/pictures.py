@@ -39,7 +39,7 @@ from eval.report.shown_runs import (
     same,
     worst,
 )
-from eval.report.systematic.table import last_words
+from eval.report.systematic.table import SYSTEMATIC, last_words
 
 
 def publish_runs(folder: Path, options: Options, trial: Trial) -> None:
@@ -55,7 +55,6 @@ def publish_runs(folder: Path, options: Options, trial: Trial) -> None:
 
 
 FILTER_SMOOTHER = "filter-smoother"
-SYSTEMATIC = "systematic"
 QUICK = ("map", GRID, "error", "difference", "association", SYSTEMATIC)
 """All that a quick report shows."""
 

@@ -14,8 +14,7 @@ from eval.referee.attribution import ESTIMATOR
 from eval.referee.score import Trial
 from eval.replay.foreign.spec import name_of
 from eval.report.names import stem
-from eval.report.pictures import SYSTEMATIC
-from eval.report.systematic.table import best, errors_table, last_words, told
+from eval.report.systematic.table import SYSTEMATIC, best, errors_table, last_words, told
 from eval.report.trust.findings import sentences
 from eval.report.trust.phrases import Terms, terms_of
 from eval.studies.trusted import Trust

@@ -13,6 +13,8 @@ from data.truth import Truth
 from eval.page.numbers import number
 from eval.replay.names import BATCH
 
+SYSTEMATIC = "systematic"
+"""Kind of the picture of these errors, and end of the names of their files."""
 UNTOLD = 0.9
 """Share of the prior's sigma that is left of an error that the log cannot tell: data then have less to say of it than a
 quarter of what was known before (1/0.9² - 1)."""
