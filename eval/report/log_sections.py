@@ -19,12 +19,11 @@ from eval.report.doubt.minima import minima_statements
 from eval.report.doubt.naming import naming_statements
 from eval.report.films import films_of
 from eval.report.laser.pictures import GRID, LOOPS
-from eval.report.names import stem
+from eval.report.names import SYSTEMATIC, stem
 from eval.report.pictures import FILTER_SMOOTHER
 from eval.report.results.said import aligned_statement
 from eval.report.rows import rows_of as rows_by
 from eval.report.systematic.sections import systematic_section
-from eval.report.systematic.table import SYSTEMATIC
 from eval.report.trust.sections import trust_section
 from eval.report.tutorials.section import beside_note
 from eval.studies.trusted import Trust

@@ -23,7 +23,7 @@ from eval.referee.score import Trial, confusion_of
 from eval.referee.trust import SHARE
 from eval.report.laser.files import write_laser_files
 from eval.report.laser.pictures import GRID, LOOPS, laser_kinds, laser_picture
-from eval.report.names import stem
+from eval.report.names import SYSTEMATIC, stem
 from eval.report.results.said import aligned_statement
 from eval.report.run_files import write_run
 from eval.report.shown_runs import (
@@ -39,7 +39,6 @@ from eval.report.shown_runs import (
     same,
     worst,
 )
-from eval.report.systematic.table import SYSTEMATIC, last_words
 
 
 def publish_runs(folder: Path, options: Options, trial: Trial) -> None:
@@ -205,7 +204,7 @@ def _filter_smoother(trial: Trial, where: str) -> tuple[Figure, str, str]:
 
 def _calibrated(trial: Trial) -> list[Run]:
     """Runs that estimated systematic errors along, with the first way of association that has some."""
-    there = [r for r in finished(trial) if last_words(r) is not None and r.association != "none"]
+    there = [r for r in finished(trial) if r.errors is not None and r.association != "none"]
     return [r for r in there if r.association == there[0].association]
 
 

@@ -13,8 +13,8 @@ from eval.plan.flags.options import Options
 from eval.referee.attribution import ESTIMATOR
 from eval.referee.score import Trial
 from eval.replay.foreign.spec import name_of
-from eval.report.names import stem
-from eval.report.systematic.table import SYSTEMATIC, best, errors_table, last_words, told
+from eval.report.names import SYSTEMATIC, stem
+from eval.report.systematic.table import best, errors_table, told
 from eval.report.trust.findings import sentences
 from eval.report.trust.phrases import Terms, terms_of
 from eval.studies.trusted import Trust
@@ -38,7 +38,7 @@ FINE = FinePrint(
 def shown(trial: Trial, calibration: Calibration) -> list[Run]:
     """Runs of a trial that estimated errors along, under the association that the battery is about."""
     own = name_of(calibration.association)
-    return [r for r in trial.runs if last_words(r) is not None and r.flaw is None and r.association == own]
+    return [r for r in trial.runs if r.errors is not None and r.flaw is None and r.association == own]
 
 
 def of_trial(trial: Trial, calibrations: Sequence[Calibration]) -> Calibration | None:
@@ -77,7 +77,7 @@ def words(trial: Trial, c: Calibration, runs: Sequence[Run]) -> list[str]:
     listed = ", ".join(f"`{name}`" for name in c.systematic.names)
     lines = [f"Estimated along by filter and smoother alike: {listed}. {WHY[c.why]}"]
     judge = best(runs)
-    errors = None if judge is None else last_words(judge)
+    errors = None if judge is None else judge.errors
     if judge is None or errors is None:
         lines.append("No run got to its end, so nothing is said of them.")
     else:

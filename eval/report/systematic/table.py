@@ -13,16 +13,9 @@ from data.truth import Truth
 from eval.page.numbers import number
 from eval.replay.names import BATCH
 
-SYSTEMATIC = "systematic"
-"""Kind of the picture of these errors, and end of the names of their files."""
 UNTOLD = 0.9
 """Share of the prior's sigma that is left of an error that the log cannot tell: data then have less to say of it than a
 quarter of what was known before (1/0.9² - 1)."""
-
-
-def last_words(run: Run) -> Systematics | None:
-    """What a run makes of the errors in the end; None if it estimated none."""
-    return run.errors_final if run.errors_final is not None else run.errors_online
 
 
 def told(systematic: Systematic, errors: Systematics) -> tuple[bool, ...]:
@@ -33,7 +26,7 @@ def told(systematic: Systematic, errors: Systematics) -> tuple[bool, ...]:
 
 def best(runs: Sequence[Run]) -> Run | None:
     """The run whose word on the errors counts: batch's, else that of another smoother, else the first filter's."""
-    there = [r for r in runs if last_words(r) is not None]
+    there = [r for r in runs if r.errors is not None]
     there.sort(key=lambda r: (r.estimator != "batch", r.errors_final is None, r.estimator not in BATCH))
     return there[0] if there else None
 
@@ -44,7 +37,7 @@ def errors_table(systematic: Systematic, runs: Sequence[Run], truth: Truth) -> p
     The drift's are those at the last frame.
     """
     judge = best(runs)
-    said = None if judge is None else last_words(judge)
+    said = None if judge is None else judge.errors
     rows = []
     for i, name in enumerate(systematic.names):
         row: dict[str, object] = {
@@ -53,7 +46,7 @@ def errors_table(systematic: Systematic, runs: Sequence[Run], truth: Truth) -> p
             "known before": f"0 ± {number(float(systematic.sigma[i]), 2)}",
         }
         for run in runs:
-            errors = last_words(run)
+            errors = run.errors
             if errors is not None:
                 row[_head(run)] = with_sigma(float(errors.mean[-1, i]), float(errors.sigma[-1, i]))
         if truth.errors is not None:
