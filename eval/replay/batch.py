@@ -99,7 +99,7 @@ def _left_out(decisions: IntArray, initialized: IntArray, accepted: BoolArray) -
 
 
 def start_at(inputs: Inputs, front: Run, initialized: IntArray) -> Start:
-    """A front end's path, map and systematic errors; a landmark that it dropped stands where it was initialized.
+    """A front end's path, and its map; a landmark that it dropped stands where it was initialized.
 
     `initialized` (M,): number of the landmark that an observation initialized, -1 for none.
     """
@@ -112,8 +112,10 @@ def start_at(inputs: Inputs, front: Run, initialized: IntArray) -> Start:
             places[initialized[i]] = inputs.sensor.inverse(pose, o.z[i : i + 1])[0][0]
         held = front.map.number < len(places)
         places[front.map.number[held]] = front.map.xy[held]
-    errors = front.errors_online
-    return Start(front.online.pose, places, None if errors is None else errors.mean)
+    # the errors as the front end knows them in the end; knots of the drift that it has forgotten are the last one's
+    known = front.errors_final or front.errors_online
+    errors = None if known is None else np.broadcast_to(known.mean[-1], known.mean.shape)
+    return Start(front.online.pose, places, errors)
 
 
 def _failed(name: str, front: Run, failure: Failure, frames: int, seconds: float) -> Run:

@@ -54,6 +54,11 @@ class Estimator(Protocol):
         ...
 
     @property
+    def errors(self) -> tuple[Array, Array] | None:
+        """Systematic errors (p,) as they are known now and their covariance (p, p); None: none are estimated."""
+        ...
+
+    @property
     def parked(self) -> IntArray:
         """Numbers (b,) of landmarks that are in the map but not in the state, ascending."""
         ...

@@ -71,6 +71,11 @@ class Stretches:
         self._now.merge(merged, kept)
 
     @property
+    def errors(self) -> tuple[Array, Array] | None:
+        """Systematic errors as the present smoother knows them."""
+        return self._now.errors
+
+    @property
     def parked(self) -> IntArray:
         """No landmark is parked: (0,)."""
         return self._now.parked
