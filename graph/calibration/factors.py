@@ -22,6 +22,7 @@ PINNED = 1e-4
 """m. Sigma of a known landmark in the sensor's frame, where it depends on the errors and no prior can hold it exactly.
 Beside readings of 0.01 m it adds a ten-thousandth to their variance; and its weight is 1e4 times theirs at most, while
 Cholesky breaks down at 1e10."""
+UNIT = {n: noise.Unit.Create(n) for n in (1, 2, 3)}
 
 
 def linear_factor(terms: list[tuple[int, Array]], b: Array, point: gtsam.Values) -> Factor:
@@ -30,7 +31,7 @@ def linear_factor(terms: list[tuple[int, Array]], b: Array, point: gtsam.Values)
     A `JacobianFactor` of more than three variables has no constructor in Python; a `GaussianConditional`, which is one,
     has.
     """
-    whole = gtsam.GaussianConditional(terms, 1, b, noise.Unit.Create(len(b)))
+    whole = gtsam.GaussianConditional(terms, 1, b, UNIT[len(b)])
     return gtsam.LinearContainerFactor(gtsam.JacobianFactor(whole), point)
 
 
@@ -43,10 +44,10 @@ def motion_factors(
     """
     point = errors.zero(range(min(knots), max(knots) + 1))
     point.insert(path)
-    found = []
+    by_errors, b, found = linear.by_errors * errors.systematic.sigma, -linear.residual, list[Factor]()
     for i in which.tolist():
         terms = [(X(first + i - 1), linear.before[i]), (X(first + i), linear.after[i])]
-        found.append(linear_factor(terms + errors.terms(linear.by_errors[i], knots[i]), -linear.residual[i], point))
+        found.append(linear_factor(terms + errors.terms(by_errors[i], knots[i]), b[i], point))
     return found
 
 
@@ -76,7 +77,7 @@ def first_factors(errors: Errors, prior: Prior) -> tuple[list[Factor], gtsam.Val
     variance, axes = np.linalg.eigh(B.T @ (P[:3, :3] - K @ P[3:, :3]) @ B)
     given = axes @ np.diag(np.maximum(variance, PINNED**2)) @ axes.T
     root = root_information(given[None])[0][0]
-    pose = linear_factor([(X(0), root), *errors.terms(-root @ B.T @ K, 0)], np.zeros(3), values)
+    pose = linear_factor([(X(0), root), *errors.terms(-root @ B.T @ K * sigma, 0)], np.zeros(3), values)
     return [pose, *alone], values
 
 
@@ -97,7 +98,7 @@ def sight_pinned(
         assert s.key is not None
         point = errors.zero(range(1))
         point.insert(s.key, zero[i])
-        terms = [(s.key, np.eye(2) / PINNED), *errors.terms(-J[i] / PINNED, 0)[:1]]
+        terms = [(s.key, np.eye(2) / PINNED), *errors.terms(-J[i] / PINNED * errors.systematic.sigma, 0)[:1]]
         pin = linear_factor(terms, np.zeros(2), point)
         result.append(replace(s, number=int(number[i]), pin=pin, xy=there[i]))
     return result

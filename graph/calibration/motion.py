@@ -25,10 +25,12 @@ from graph.engine import Engine
 from graph.factors import SINGULAR, Factor, pose2, root_information
 from graph.problem import drift_key
 
-OFF = 0.1
+OFF = 0.3
 """Standard deviations by which linear factors may put an estimate off, at most."""
-LOOKED = 50
-"""Updates after which it is looked again how far off they are; at once where a loop was closed."""
+LOOKED = 0.1
+"""Of all updates so far: after so many it is looked again how far off they are; ..."""
+MOVED = 0.5
+"""... and at once where a constant error moved by so many of its standard deviations, or a loop was closed."""
 
 
 class Motion:
@@ -44,7 +46,7 @@ class Motion:
         self.knot = 0
         self._mean, self._covariance, self._roots = [np.zeros(3)], [np.zeros((3, 3))], list[Array]()
         self._linear, self._knots, self._handles = list[Linear](), list[int](), list[int]()
-        self._updates = 0
+        self._updates, self._looked, self._known = 0, 0, np.zeros(len(errors.place))
         self._oldest = 0
         """Increments that are no factors any more."""
         self._first_knot = 0
@@ -105,23 +107,21 @@ class Motion:
         if len(self._linear) > 1:
             self._linear = [Linear(*(np.concatenate(rows) for rows in zip(*self._linear, strict=True)))]
 
-    def renew(self, engine: Engine, P: Array, now: bool) -> bool:
-        """Linearize anew what puts estimates off; whether that was necessary. `P` (p, p): covariance of the errors.
+    def renew(self, engine: Engine, b: Array, P: Array, now: bool) -> bool:
+        """Linearize anew what puts estimates off; whether that was necessary.
 
-        It is looked `now`, or else when it is time to.
+        It is looked `now`, or else when it is time to. `b` (p,), `P` (p, p): the errors as known now.
         """
         self._updates += 1
-        if not self._handles or not (now or self._updates >= LOOKED):
+        if not self._handles or not (now or self._due(b, P)):
             return False
-        self._updates = 0
+        self._looked, self._known = self._updates, b
         self._whole()
-        path, b = self._present(engine)
+        path, errors = self._present(engine)
         rows = slice(self._oldest + 1, self._oldest + 1 + len(self._handles))
-        exact = self._linearized(
-            np.array(self._mean[rows]), np.array(self._roots[self._oldest : rows.stop - 1]), b, path
-        )
-        pose, linear = exact.pose, self._linear[0]
-        residuals, stated = exact.at(pose, b), linear.at(pose, b)
+        mean, roots = np.array(self._mean[rows]), np.array(self._roots[self._oldest : rows.stop - 1])
+        exact, linear = self._linearized(mean, roots, errors, path), self._linear[0]
+        residuals, stated = exact.at(exact.pose, errors), linear.at(exact.pose, errors)
         w = np.sqrt(np.einsum("ni,ni->n", *[residuals - stated] * 2))
         g = np.einsum("nip,ni->np", exact.by_errors, residuals) - np.einsum("nip,ni->np", linear.by_errors, stated)
         if max(np.sqrt(w @ w), _sigmas(g.sum(0), P)) < OFF:
@@ -135,6 +135,12 @@ class Motion:
         for mine, new in zip(linear, exact, strict=True):
             mine[which] = new[which]
         return True
+
+    def _due(self, b: Array, P: Array) -> bool:
+        """Whether it is time to look."""
+        c = self._errors.constant
+        moved = np.abs(b - self._known)[c] > MOVED * np.sqrt(np.diag(P))[c]
+        return bool(moved.any()) or self._updates - self._looked >= LOOKED * self._updates
 
     def _present(self, engine: Engine) -> tuple[Array, Array]:
         """Poses (n + 1, 3) and errors (n, p) as the graph has them."""

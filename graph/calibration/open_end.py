@@ -27,6 +27,9 @@ from graph.open_end import Left, OpenEnd
 from graph.problem import Calibrated, Problem, drift_key
 from graph.window import Window
 
+MOST = 2
+"""Times that increments are linearized anew in one frame."""
+
 
 class CalibratedEnd(OpenEnd):
     """As `OpenEnd`, with the errors as they are known.
@@ -46,6 +49,8 @@ class CalibratedEnd(OpenEnd):
         self._since, self._ended = 0.0, list[float]()
         """m since the last knot; of each increment since the anchor, the m that a new knot before it ended, or 0."""
         self._path_b = list[Array]()
+        self._units = np.zeros_like(self.whole)
+        self._units[3 + errors.order, 3 + np.arange(len(self.b))] = errors.systematic.sigma[errors.order]
         self._from_here()
 
     def _from_here(self) -> None:
@@ -66,6 +71,8 @@ class CalibratedEnd(OpenEnd):
 
     def estimate(self) -> PoseEstimate:
         """The newest pose of the robot."""
+        if self.frame.same:
+            return super().estimate()
         pose, J = self.frame.poses_out(self.mean[None], self.b[None])
         P = J[0] @ self.whole @ J[0].T
         return PoseEstimate(pose[0], 0.5 * (P + P.T))
@@ -134,10 +141,8 @@ class CalibratedEnd(OpenEnd):
 
     def _raw(self, heading: float) -> Array:
         """Jacobian of anchor (world) and errors to their variables: its body frame, prior sigmas, another order."""
-        e = self._errors
-        J = np.zeros_like(self.whole)
+        J = self._units.copy()
         J[:3, :3] = world_from_body(heading)
-        J[3 + e.order, 3 + np.arange(len(e.order))] = e.systematic.sigma[e.order]
         return J
 
     def join_graph(self, values: gtsam.Values) -> tuple[list[Factor], float]:
@@ -175,11 +180,12 @@ class CalibratedEnd(OpenEnd):
         """The graph has a new estimate of anchor and errors: the newest pose follows from it."""
         pose = engine.settle(self.keys[0], pose2(self.mean))
         jumped = engine.jumped(pose2(self.mean), pose)
+        self._take(engine, pose)
         for _ in range(MOST):
-            self._take(engine, pose)
-            if not self._motion_log.renew(engine, self.whole[3:, 3:], jumped):
+            if not self._motion_log.renew(engine, self.b, self.whole[3:, 3:], jumped):
                 break
             pose, jumped = engine.settle(self.keys[0], pose), True
+            self._take(engine, pose)
         self._again()
 
     def _take(self, engine: Engine, pose: gtsam.Pose2) -> None:
@@ -259,7 +265,3 @@ class CalibratedEnd(OpenEnd):
         calibrated = Calibrated(self._errors.systematic, self.frame, Increments(mean, covariance))
         motion = calibrated.motion(np.zeros((len(mean), len(self.b))))
         return Problem(self.prior, motion, sighted, known_map, calibrated)
-
-
-MOST = 3
-"""Times that increments are linearized anew in one frame."""

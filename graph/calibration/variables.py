@@ -70,11 +70,10 @@ class Errors:
         return found * self.systematic.sigma
 
     def terms(self, J: Array, knot: int) -> list[tuple[int, Array]]:
-        """A Jacobian (m, p) to the errors in terms of their variables."""
-        scaled = J * self.systematic.sigma
-        found = [(CONSTANTS, scaled[:, self.constant])] if len(self.constant) else []
+        """A Jacobian (m, p) to the errors in prior sigmas in terms of their variables."""
+        found = [(CONSTANTS, J[:, self.constant])] if len(self.constant) else []
         if self.drift >= 0:
-            found.append((drift_key(knot), scaled[:, self.drift : self.drift + 1]))
+            found.append((drift_key(knot), J[:, self.drift : self.drift + 1]))
         return found
 
 
