@@ -53,7 +53,7 @@ def in_sigmas(difference, covariance):
 
 @pytest.mark.parametrize(("names", "sensor", "task"), CASES)
 def test_newest_pose_errors_and_map_are_those_of_dense_least_squares(names, sensor, task):
-    """To 0.06 sigma, 3 % of covariance: residuals of increments and prior are logarithms in gtsam, here additive."""
+    """To 0.06 sigma, 3 % of covariance (10 % of that of the errors): residuals of increments and prior are logarithms in gtsam, here additive."""
     inputs, path, xy = erring(to_estimate(*names), sensor, frames=16, noise=0.05)
     inputs = for_task(inputs, task)
     decisions, created = known_decisions(inputs)
@@ -72,7 +72,7 @@ def test_newest_pose_errors_and_map_are_those_of_dense_least_squares(names, sens
         covariance / np.outer(scale, scale), oracle.pose_covariance / np.outer(scale, scale), atol=0.03
     )
     scale = np.sqrt(np.diag(oracle.errors_covariance))
-    np.testing.assert_allclose(B / np.outer(scale, scale), oracle.errors_covariance / np.outer(scale, scale), atol=0.03)
+    np.testing.assert_allclose(B / np.outer(scale, scale), oracle.errors_covariance / np.outer(scale, scale), atol=0.1)
     if task == "slam":
         state = s.landmarks()
         for xy, C, theirs, D in zip(state.xy, state.covariance, oracle.xy, oracle.xy_covariance, strict=True):
