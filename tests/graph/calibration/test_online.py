@@ -53,7 +53,7 @@ def in_sigmas(difference, covariance):
 
 @pytest.mark.parametrize(("names", "sensor", "task"), CASES)
 def test_newest_pose_errors_and_map_are_those_of_dense_least_squares(names, sensor, task):
-    """To 0.06 sigma, 3 % of covariance (10 % of that of the errors): residuals of increments and prior are logarithms in gtsam, here additive."""
+    """To 0.06 sigma and 3 % of covariance, 10 % of that of the errors: gtsam's residuals are logarithms."""
     inputs, path, xy = erring(to_estimate(*names), sensor, frames=16, noise=0.05)
     inputs = for_task(inputs, task)
     decisions, created = known_decisions(inputs)
