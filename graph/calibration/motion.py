@@ -27,8 +27,8 @@ from graph.problem import drift_key
 
 OFF = 0.3
 """Standard deviations by which linear factors may put an estimate off, at most."""
-OFF_CLOSELY = 0.003
-"""The same where it is asked for."""
+OFF_CLOSELY = 0.0
+"""The same where it is asked for: all of them, so that covariances are those at the present errors, too."""
 LOOKED = 0.1
 """Of all updates so far: after so many it is looked again how far off they are; ..."""
 MOVED = 0.5

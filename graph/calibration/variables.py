@@ -18,8 +18,8 @@ from graph.problem import drift_key
 
 SEGMENT = 100
 """Increments that share a copy of the constants. With one for all, each update would travel back over the whole path:
-gtsam takes what was eliminated anew for changed, and goes on wherever it is a separator. With more copies cliques grow;
-25 to 400 take about the same time."""
+gtsam takes what was eliminated anew for changed, and goes on wherever it is a separator.
+With more copies cliques grow."""
 
 
 def constants_key(frame: int) -> int:

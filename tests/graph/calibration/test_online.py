@@ -53,8 +53,8 @@ def in_sigmas(difference, covariance):
 
 @pytest.mark.parametrize(("names", "sensor", "task"), CASES)
 def test_newest_pose_errors_and_map_are_those_of_dense_least_squares(names, sensor, task):
-    """To 0.03 sigma, 3 % of covariance: gtsam's residual of an increment is a logarithm, here it is additive."""
-    inputs, path, xy = erring(to_estimate(*names), sensor, frames=16)
+    """To 0.06 sigma and 3 % of covariance, 10 % of that of the errors: gtsam's residuals are logarithms."""
+    inputs, path, xy = erring(to_estimate(*names), sensor, frames=16, noise=0.05)
     inputs = for_task(inputs, task)
     decisions, created = known_decisions(inputs)
     start = true_map(inputs, created, xy) if task == "slam" else inputs.map.xy
@@ -65,18 +65,18 @@ def test_newest_pose_errors_and_map_are_those_of_dense_least_squares(names, sens
     s.refine()
     pose, covariance = s.estimate()
     b, B = s.errors
-    assert in_sigmas(se2.pose_error(pose, oracle.pose), oracle.pose_covariance).max() < 0.03
-    assert in_sigmas(b - oracle.errors, oracle.errors_covariance).max() < 0.03
+    assert in_sigmas(se2.pose_error(pose, oracle.pose), oracle.pose_covariance).max() < 0.06
+    assert in_sigmas(b - oracle.errors, oracle.errors_covariance).max() < 0.06
     scale = np.sqrt(np.diag(oracle.pose_covariance))
     np.testing.assert_allclose(
         covariance / np.outer(scale, scale), oracle.pose_covariance / np.outer(scale, scale), atol=0.03
     )
     scale = np.sqrt(np.diag(oracle.errors_covariance))
-    np.testing.assert_allclose(B / np.outer(scale, scale), oracle.errors_covariance / np.outer(scale, scale), atol=0.03)
+    np.testing.assert_allclose(B / np.outer(scale, scale), oracle.errors_covariance / np.outer(scale, scale), atol=0.1)
     if task == "slam":
         state = s.landmarks()
         for xy, C, theirs, D in zip(state.xy, state.covariance, oracle.xy, oracle.xy_covariance, strict=True):
-            assert in_sigmas(xy - theirs, D).max() < 0.03
+            assert in_sigmas(xy - theirs, D).max() < 0.06
             np.testing.assert_allclose(C / np.trace(D), D / np.trace(D), atol=0.03)
 
 
