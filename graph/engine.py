@@ -74,18 +74,26 @@ class Engine:
             found.insert((kind, np.full(size, np.inf if kind in self.linear else self.threshold)))
         return found
 
-    def add(self, factors: Sequence[Factor], values: gtsam.Values, instead_of: Sequence[int] = ()) -> list[int]:
+    def add(
+        self,
+        factors: Sequence[Factor],
+        values: gtsam.Values,
+        instead_of: Sequence[int] = (),
+        last: Sequence[int] | None = None,
+    ) -> list[int]:
         """Add factors and start values of their new variables; returns a handle for each factor.
 
-        `instead_of`: handles on factors that are removed in the same update.
+        `instead_of`: handles on factors that are removed in the same update. `last`: variables that are eliminated
+        after all others; without, those of the factors are.
         """
         handles = list(range(len(self._factors), len(self._factors) + len(factors)))
         slots = [self._slot[h] for h in instead_of]
         for h in instead_of:
             self._factors[h] = None
         self._factors += factors
+        order = None if last is None else _order(last)
         try:
-            self._slot += self.isam.update(graph_of(factors), values, slots).getNewFactorsIndices()
+            self._slot += self.isam.update(graph_of(factors), values, slots, order).getNewFactorsIndices()
         except RuntimeError as fault:
             self._recover(fault)
         return handles
@@ -122,10 +130,7 @@ class Engine:
         nothing did: were the one variable that jumps deep in the tree, the next step would not find it.
         """
         empty = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        last = None
-        if root is not None:
-            last = gtsam.KeyGroupMap()
-            last.insert2(root, 1)
+        last = None if root is None else _order([root])
         try:
             self.isam.update(*empty, [], last, None, None, True)
         except RuntimeError as fault:
@@ -217,3 +222,11 @@ class Engine:
         match = re.search(r"variable\s+(\d+)", str(fault))
         name = self.name(int(match.group(1))) if match else "a variable"
         return UnderConstrained(f"{name} is not determined by the data so far")
+
+
+def _order(last: Sequence[int]) -> gtsam.KeyGroupMap:
+    """Places in the order of elimination: `last` after all others."""
+    found = gtsam.KeyGroupMap()
+    for key in last:
+        found.insert2(key, 1)
+    return found

@@ -62,8 +62,7 @@ class Isam2Smoother(Smoother):
         self.threshold, self.skip = threshold, skip
         self.frame, self.created = 0, 0
         self._end = OpenEnd(prior)
-        errors = None if systematic is None else errors_of(systematic, sensor, prior)
-        if errors is not None:
+        if errors := None if systematic is None else errors_of(systematic, sensor, prior):
             self._end, self.sensor = CalibratedEnd(prior, errors), errors.frame.sensor(sensor)
         self._observed = Observed(self.sensor, known, loss, errors)
         self._drift, self._near = Drift(), expected.Near()
@@ -229,10 +228,10 @@ class Isam2Smoother(Smoother):
             self._engine.use_qr()
         return factors, values
 
-    def _read(self) -> None:
+    def _read(self, *, closely: bool = False) -> None:
         """The newest pose from the engine."""
         before = self._end.mean
-        self._end.read(self._engine)
+        self._end.read(self._engine, closely=closely)
         self._near.corrected(self._end.mean[:2] - before[:2])
 
     def remove(self, numbers: IntArray) -> None:
@@ -270,7 +269,7 @@ class Isam2Smoother(Smoother):
         for _ in range(updates):
             self._engine.update()
         if self._end.anchor >= 0:
-            self._read()
+            self._read(closely=True)
 
     def landmarks(self) -> MapState:
         """The map as it is now, in SLAM; `finish` gives the final one. A given map has no covariance."""
@@ -296,6 +295,6 @@ class Isam2Smoother(Smoother):
         """Final path and map with exact marginals: the optimum of all data, reached from the present estimate."""
         self._complete()
         problem = self._end.problem(self._observed.plainly, self.map is not None)
-        found = optimize(problem, self._engine.values())
+        found = optimize(problem, self._end.start(self._engine.values(), problem))
         total = (2.0 * found.error, problem.dof) if self.loss == "gaussian" else None
         return Finished(found.trajectory, found.map, total, found.iterations, found.last_step, found.systematic)

@@ -134,8 +134,11 @@ class OpenEnd:
     def hold(self, handles: Sequence[int]) -> None:
         """The engine's handles on the factors of `join_graph`."""
 
-    def read(self, engine: Engine) -> None:
-        """The graph has a new estimate of the anchor: the newest pose follows from it."""
+    def read(self, engine: Engine, *, closely: bool = False) -> None:
+        """The graph has a new estimate of the anchor: the newest pose follows from it.
+
+        `closely`: with factors that are linearized beforehand, if there are any, as near to the present as can be.
+        """
         pose = engine.settle(self.keys[0], pose2(self.mean))
         B = world_from_body(pose.theta())
         P = B @ engine.covariance(self.keys) @ B.T
@@ -176,3 +179,7 @@ class OpenEnd:
     def problem(self, sighted: Sequence[Sighted], known_map: bool) -> Problem:
         """All of the run as a problem."""
         return Problem(self.prior, self._motion, sighted, known_map)
+
+    def start(self, values: gtsam.Values, problem: Problem) -> gtsam.Values:
+        """Where the search for the optimum starts: the present estimate."""
+        return values

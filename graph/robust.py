@@ -36,6 +36,9 @@ def gnc(
     threshold = gate_threshold(probability)
     problem = build(inputs, decisions, created)
     used = np.flatnonzero(np.where(created >= 0, created, decisions) >= 0)
+    if problem.calibrated is not None:
+        # held at wrong errors, right readings look wrong
+        start = _as_start(smooth(inputs, decisions, created, start, loss="huber"), start)
     start, believed = _graduate(problem, start, probability, qr=is_delicate(inputs))
     # block-coordinate descent on the truncated cost, from gtsam's choice: its weights need not be those of its
     # solution, and it judges the two scalars of a relative point apart
@@ -137,4 +140,6 @@ def _as_start(result: Smoothed, start: Start) -> Start:
 def _squares(problem: Problem, at: Start) -> Array:
     """Squared whitened residual of every sighting."""
     values = start_values(problem, at)
+    if problem.calibrated is not None:
+        problem = problem.held(problem.calibrated.errors(values))
     return np.array([2.0 * sum(f.error(values) for f in s.measured) for s in problem.sighted], float)

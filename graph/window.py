@@ -39,9 +39,15 @@ class Window(Engine):
         # linear factors that hold about the present linearization point, which is not theirs in a new ISAM2 object
         self._linear: list[int] = []
 
-    def add(self, factors: Sequence[Factor], values: gtsam.Values, instead_of: Sequence[int] = ()) -> list[int]:
+    def add(
+        self,
+        factors: Sequence[Factor],
+        values: gtsam.Values,
+        instead_of: Sequence[int] = (),
+        last: Sequence[int] | None = None,
+    ) -> list[int]:
         """As `Engine.add`."""
-        handles = super().add(factors, values, instead_of)
+        handles = super().add(factors, values, instead_of, last)
         self._handle.update((self._slot[h], h) for h in handles)
         return handles
 

@@ -22,6 +22,8 @@ PINNED = 1e-4
 """m. Sigma of a known landmark in the sensor's frame, where it depends on the errors and no prior can hold it exactly.
 Beside readings of 0.01 m it adds a ten-thousandth to their variance; and its weight is 1e4 times theirs at most, while
 Cholesky breaks down at 1e10."""
+LINKED = 1e-3
+"""Prior sigmas by which copies of the constants may differ from one to the next: a hundred of them, a thousandth."""
 UNIT = {n: noise.Unit.Create(n) for n in (1, 2, 3)}
 
 
@@ -42,13 +44,21 @@ def motion_factors(
 
     `knots`: whose drift each has; `path`: values with the poses that all were linearized at.
     """
-    point = errors.zero(range(min(knots), max(knots) + 1))
+    keys = {key for i in which.tolist() for key in errors.keys(first + i, knots[i])}
+    point = errors.zero(keys)
     point.insert(path)
     by_errors, b, found = linear.by_errors * errors.systematic.sigma, -linear.residual, list[Factor]()
     for i in which.tolist():
-        terms = [(X(first + i - 1), linear.before[i]), (X(first + i), linear.after[i])]
-        found.append(linear_factor(terms + errors.terms(by_errors[i], knots[i]), b[i], point))
+        k = first + i
+        terms = [(X(k - 1), linear.before[i]), (X(k), linear.after[i]), *errors.terms(by_errors[i], k, knots[i])]
+        found.append(linear_factor(terms, b[i], point))
     return found
+
+
+def link_factor(errors: Errors, old: int, new: int) -> Factor:
+    """Two copies of the constants are the same."""
+    n = len(errors.constant)
+    return gtsam.BetweenFactorVector(old, new, np.zeros(n), noise.Isotropic.Sigma(n, LINKED))
 
 
 def knot_factor(errors: Errors, knot: int, ended: float) -> Factor:
@@ -56,15 +66,16 @@ def knot_factor(errors: Errors, knot: int, ended: float) -> Factor:
     stays, anew = forgotten(ended, errors.systematic.length)
     sigma = np.sqrt(anew)
     terms = [(drift_key(knot), np.array([[-stays / sigma]])), (drift_key(knot + 1), np.array([[1.0 / sigma]]))]
-    return linear_factor(terms, np.zeros(1), errors.zero(range(knot, knot + 2)))
+    return linear_factor(terms, np.zeros(1), errors.zero(key for key, _ in terms))
 
 
 def first_factors(errors: Errors, prior: Prior) -> tuple[list[Factor], gtsam.Values]:
     """The prior of the first pose and the errors, with start values; `prior` is the robot's, in its own frame."""
-    values = errors.zero(range(1))
+    values = errors.zero(errors.keys(0, 0))
+    size = errors.sizes
     alone = [
-        gtsam.PriorFactorVector(key, np.zeros(size), noise.Unit.Create(size))
-        for key, size in zip(errors.keys(0), errors.sizes.values(), strict=True)
+        gtsam.PriorFactorVector(key, np.zeros(n), noise.Unit.Create(n))
+        for key, n in zip(errors.keys(0, 0), size.values(), strict=True)
     ]
     sigma = errors.systematic.sigma
     mean, P = errors.frame.prior_in(prior, sigma)
@@ -77,7 +88,7 @@ def first_factors(errors: Errors, prior: Prior) -> tuple[list[Factor], gtsam.Val
     variance, axes = np.linalg.eigh(B.T @ (P[:3, :3] - K @ P[3:, :3]) @ B)
     given = axes @ np.diag(np.maximum(variance, PINNED**2)) @ axes.T
     root = root_information(given[None])[0][0]
-    pose = linear_factor([(X(0), root), *errors.terms(-root @ B.T @ K * sigma, 0)], np.zeros(3), values)
+    pose = linear_factor([(X(0), root), *errors.terms(-root @ B.T @ K * sigma, 0, 0)], np.zeros(3), values)
     return [pose, *alone], values
 
 
@@ -96,9 +107,10 @@ def sight_pinned(
     result = []
     for i, s in enumerate(found):
         assert s.key is not None
-        point = errors.zero(range(1))
+        frame = int(frames[i])
+        point = errors.zero(errors.keys(frame, 0)[:1])
         point.insert(s.key, zero[i])
-        terms = [(s.key, np.eye(2) / PINNED), *errors.terms(-J[i] / PINNED * errors.systematic.sigma, 0)[:1]]
+        terms = [(s.key, np.eye(2) / PINNED), *errors.terms(-J[i] / PINNED * errors.systematic.sigma, frame, 0)[:1]]
         pin = linear_factor(terms, np.zeros(2), point)
         result.append(replace(s, number=int(number[i]), pin=pin, xy=there[i]))
     return result

@@ -20,13 +20,15 @@ from data.inputs import Increment
 from data.se2 import Array
 from graph.calibration.factors import motion_factors
 from graph.calibration.increments import Linear, linearize
-from graph.calibration.variables import Errors
+from graph.calibration.variables import Errors, constants_key
 from graph.engine import Engine
 from graph.factors import SINGULAR, Factor, pose2, root_information
 from graph.problem import drift_key
 
 OFF = 0.3
 """Standard deviations by which linear factors may put an estimate off, at most."""
+OFF_CLOSELY = 0.003
+"""The same where it is asked for."""
 LOOKED = 0.1
 """Of all updates so far: after so many it is looked again how far off they are; ..."""
 MOVED = 0.5
@@ -38,6 +40,7 @@ class Motion:
 
     Attributes:
         knot: of the drift, the newest one.
+        oldest: first frame in the graph: increments up to it are no factors any more.
     """
 
     def __init__(self, errors: Errors) -> None:
@@ -47,8 +50,7 @@ class Motion:
         self._mean, self._covariance, self._roots = [np.zeros(3)], [np.zeros((3, 3))], list[Array]()
         self._linear, self._knots, self._handles = list[Linear](), list[int](), list[int]()
         self._updates, self._looked, self._known = 0, 0, np.zeros(len(errors.place))
-        self._oldest = 0
-        """Increments that are no factors any more."""
+        self.oldest = 0
         self._first_knot = 0
 
     @property
@@ -90,15 +92,15 @@ class Motion:
 
     def knot_of(self, frame: int) -> int:
         """Whose drift the increment into a frame of the graph has (0 of frame 0)."""
-        return self._knots[max(frame - 1 - self._oldest, 0)] if self._knots else self.knot
+        return self._knots[max(frame - 1 - self.oldest, 0)] if self._knots else self.knot
 
     def forget(self, oldest: int) -> range:
         """Frame `oldest` is the first one in the graph now; knots that no increment in it has any more."""
         self._whole()
-        gone, first = oldest - self._oldest, self._first_knot
+        gone, first = oldest - self.oldest, self._first_knot
         self._linear = [linear.rows(np.arange(gone, len(linear.residual))) for linear in self._linear]
         del self._knots[:gone], self._handles[:gone]
-        self._oldest = oldest
+        self.oldest = oldest
         self._first_knot = self._knots[0] if self._knots else self.knot
         return range(first, self._first_knot)
 
@@ -107,10 +109,10 @@ class Motion:
         if len(self._linear) > 1:
             self._linear = [Linear(*(np.concatenate(rows) for rows in zip(*self._linear, strict=True)))]
 
-    def renew(self, engine: Engine, b: Array, P: Array, now: bool) -> bool:
+    def renew(self, engine: Engine, b: Array, P: Array, now: bool, off: float = OFF) -> bool:
         """Linearize anew what puts estimates off; whether that was necessary.
 
-        It is looked `now`, or else when it is time to. `b` (p,), `P` (p, p): the errors as known now.
+        It is looked `now`, or else when it is time to; `off`: as `OFF`. `b` (p,), `P` (p, p): the errors as known now.
         """
         self._updates += 1
         if not self._handles or not (now or self._due(b, P)):
@@ -118,18 +120,18 @@ class Motion:
         self._looked, self._known = self._updates, b
         self._whole()
         path, errors = self._present(engine)
-        rows = slice(self._oldest + 1, self._oldest + 1 + len(self._handles))
-        mean, roots = np.array(self._mean[rows]), np.array(self._roots[self._oldest : rows.stop - 1])
+        rows = slice(self.oldest + 1, self.oldest + 1 + len(self._handles))
+        mean, roots = np.array(self._mean[rows]), np.array(self._roots[self.oldest : rows.stop - 1])
         exact, linear = self._linearized(mean, roots, errors, path), self._linear[0]
         residuals, stated = exact.at(exact.pose, errors), linear.at(exact.pose, errors)
         w = np.sqrt(np.einsum("ni,ni->n", *[residuals - stated] * 2))
         g = np.einsum("nip,ni->np", exact.by_errors, residuals) - np.einsum("nip,ni->np", linear.by_errors, stated)
-        if max(np.sqrt(w @ w), _sigmas(g.sum(0), P)) < OFF:
+        if max(np.sqrt(w @ w), _sigmas(g.sum(0), P)) < off:
             return False
         n = len(w)
-        which = np.flatnonzero((w > 0.5 * OFF / np.sqrt(n)) | (_sigmas(g, P) > 0.5 * OFF / n))
+        which = np.flatnonzero((w > 0.5 * off / np.sqrt(n)) | (_sigmas(g, P) > 0.5 * off / n))
         factors = motion_factors(self._errors, rows.start, exact, self._knots, which, _values(rows.start - 1, path))
-        handles = engine.add(factors, gtsam.Values(), [self._handles[i] for i in which.tolist()])
+        handles = engine.add(factors, gtsam.Values(), [self._handles[i] for i in which.tolist()], [X(rows.stop - 1)])
         for i, handle in zip(which.tolist(), handles, strict=True):
             self._handles[i] = handle
         for mine, new in zip(linear, exact, strict=True):
@@ -148,7 +150,7 @@ class Motion:
         path = gtsam.utilities.extractPose2(values)[-len(self._handles) - 1 :]
         units = np.empty((len(self._handles), len(e.place)))
         if len(e.constant):
-            units[:, e.constant] = values.atVector(e.keys(0)[0])
+            units[:, e.constant] = values.atVector(constants_key(self.oldest + len(self._handles)))
         if e.drift >= 0:
             first = self._knots[0]
             knots = range(first, self._knots[-1] + 1)

@@ -7,6 +7,7 @@ the robot's in the world.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 
 import gtsam
 import numpy as np
@@ -18,9 +19,9 @@ from data.motion.systematic import forgotten, knot
 from data.result import MapState, PoseEstimate, Systematics
 from data.se2 import Array, world_from_body
 from graph.calibration.advance import advance, forget
-from graph.calibration.factors import first_factors, knot_factor
-from graph.calibration.motion import Motion
-from graph.calibration.variables import Errors
+from graph.calibration.factors import first_factors, knot_factor, link_factor
+from graph.calibration.motion import OFF, OFF_CLOSELY, Motion
+from graph.calibration.variables import Errors, constants_key
 from graph.engine import Engine
 from graph.factors import Factor, Sighted, is_exact, pose2
 from graph.open_end import Left, OpenEnd
@@ -62,7 +63,7 @@ class CalibratedEnd(OpenEnd):
     @property
     def keys(self) -> list[int]:
         """Variables of the graph that the newest pose follows from."""
-        return [int(X(self.anchor)), *self._errors.keys(self._motion_log.knot)]
+        return [int(X(self.anchor)), *self._errors.keys(self.anchor, self._motion_log.knot)]
 
     @property
     def errors(self) -> tuple[Array, Array]:
@@ -163,6 +164,11 @@ class CalibratedEnd(OpenEnd):
                 log.knot += 1
                 values.insert(drift_key(log.knot), b[[e.drift]] / e.systematic.sigma[e.drift])
             knots.append(log.knot)
+        if len(e.constant):
+            copies = list(dict.fromkeys(constants_key(first - 1 + i) for i in range(len(knots) + 1)))
+            for old, new in pairwise(copies):
+                found.append(link_factor(e, old, new))
+                values.insert(new, self._anchor[1][e.constant] / e.systematic.sigma[e.constant])
         self._before = len(found)
         path = np.array([self._anchor[0], *self._path])
         for k, pose in enumerate(path[1:], first):
@@ -176,21 +182,24 @@ class CalibratedEnd(OpenEnd):
         """The engine's handles on the factors of `join_graph`."""
         self._motion_log.hold(handles[self._before :])
 
-    def read(self, engine: Engine) -> None:
-        """The graph has a new estimate of anchor and errors: the newest pose follows from it."""
+    def read(self, engine: Engine, *, closely: bool = False) -> None:
+        """The graph has a new estimate of anchor and errors: the newest pose follows from it.
+
+        `closely`: increments are linearized anew wherever they put an estimate off by a little.
+        """
         pose = engine.settle(self.keys[0], pose2(self.mean))
-        jumped = engine.jumped(pose2(self.mean), pose)
+        now, off = closely or engine.jumped(pose2(self.mean), pose), OFF_CLOSELY if closely else OFF
         self._take(engine, pose)
         for _ in range(MOST):
-            if not self._motion_log.renew(engine, self.b, self.whole[3:, 3:], jumped):
+            if not self._motion_log.renew(engine, self.b, self.whole[3:, 3:], now, off):
                 break
-            pose, jumped = engine.settle(self.keys[0], pose), True
+            pose, now = engine.settle(self.keys[0], pose), True
             self._take(engine, pose)
         self._again()
 
     def _take(self, engine: Engine, pose: gtsam.Pose2) -> None:
         """The anchor as the graph has it."""
-        self.b = self._errors.read(engine, self._motion_log.knot)
+        self.b = self._errors.read(engine, self.anchor, self._motion_log.knot)
         self.mean = np.array([pose.x(), pose.y(), pose.theta()])
         T, J = self._raw(self.mean[2]), self._free(engine.covariance(self.keys))
         self.whole = T @ J @ T.T
@@ -233,12 +242,12 @@ class CalibratedEnd(OpenEnd):
     def _leaving(self, window: Window, frame: int) -> Left:
         e, n = self._errors, len(self.whole)
         key, knot = int(X(frame)), self._motion_log.knot_of(frame)
-        pose, b = window.pose(key), e.read(window, knot)
+        pose, b = window.pose(key), e.read(window, frame, knot)
         if self.frame.same:
             C, of_pose = window.covariance([key]), pose
-            spread = np.concatenate([np.sqrt(np.diag(window.covariance([k]))) for k in e.keys(knot)])
+            spread = np.concatenate([np.sqrt(np.diag(window.covariance([k]))) for k in e.keys(frame, knot)])
         else:
-            J = window.covariance([key, *e.keys(knot)])
+            J = window.covariance([key, *e.keys(frame, knot)])
             T = self._raw(pose[2])
             out, D = self.frame.poses_out(pose[None], b[None])
             of_pose, D = out[0], world_from_body(out[0, 2]).T @ D[0] @ T
@@ -249,8 +258,11 @@ class CalibratedEnd(OpenEnd):
 
     def forget(self, oldest: int) -> list[int]:
         """Frame `oldest` becomes the first one in the graph: knots of the drift that leave it."""
+        first = self._motion_log.oldest + 1
         gone = self._motion_log.forget(oldest)
-        return [drift_key(knot) for knot in gone if self._errors.drift >= 0]
+        copies = dict.fromkeys(constants_key(k) for k in range(first, oldest + 2) if len(self._errors.constant))
+        stays = constants_key(min(oldest + 1, self.anchor))
+        return [*(drift_key(k) for k in gone if self._errors.drift >= 0), *(c for c in copies if c < stays)]
 
     def history(self, left: Sequence[Left]) -> Systematics | None:
         """Systematic errors by frame: the constants as known last, the drift as it was when a frame left."""
@@ -265,3 +277,15 @@ class CalibratedEnd(OpenEnd):
         calibrated = Calibrated(self._errors.systematic, self.frame, Increments(mean, covariance))
         motion = calibrated.motion(np.zeros((len(mean), len(self.b))))
         return Problem(self.prior, motion, sighted, known_map, calibrated)
+
+    def start(self, values: gtsam.Values, problem: Problem) -> gtsam.Values:
+        """Where the search for the optimum starts: the present estimate, known landmarks exactly where errors put them.
+
+        The first copy of the constants is that of the problem.
+        """
+        if self.frame.range_at >= 0 and problem.known_map:
+            b = self._errors.read_from(values)
+            for s in problem.sighted:
+                if s.key is not None and s.xy is not None:
+                    values.update(s.key, self.frame.points_in(s.xy[None], b)[0][0])
+        return values

@@ -36,29 +36,16 @@ class CalibratedRows:
         self._problem, self._of = problem, problem.calibrated
         c = problem.calibrated
         self.constants = len(c.constant)
-        self.first_of = np.maximum(np.searchsorted(c.of, np.arange(c.knots)), 1).astype(np.int64)
+        self.first_of = first_frames(c.of, c.knots)
         self._root = root_information(c.increments.covariance[1:])[0]
         self._prior = prior_factor(problem.prior)
-        # drift j - stays * drift j - 1 ~ N(0, anew), in units of the drift's sigma; nothing stays of before the first
-        stays, anew = np.array([(0.0, 1.0), *(forgotten(e, c.systematic.length) for e in c.ended)]).T
-        self._own, self._earlier = 1.0 / np.sqrt(anew), -stays / np.sqrt(anew)
+        self._own, self._earlier = drift_rows(c.ended, c.systematic.length)
+        self._last: tuple[gtsam.Values, Array, Array] | None = None
         self._world = np.array([s.xy for s in problem.sighted]).reshape(-1, 2) if problem.known_map else None
 
     def extended(self, variable: IntArray, height: IntArray, dim: IntArray) -> tuple[IntArray, IntArray, IntArray]:
         """Variables (B, 3), heights (B,) and dimensions (V,) of `Rows` with the drift; the same without one."""
-        count = len(self.first_of)
-        if not count:
-            return variable, height, dim
-        first, knot = len(dim), np.full(len(variable), -1)
-        knot[1 : len(self._of.of)] = first + self._of.of[1:]
-        chain = np.full((count, 3), -1)
-        chain[:, 0] = first + np.arange(count)
-        chain[1:, 1] = chain[:-1, 0]
-        return (
-            np.concatenate([np.column_stack([variable, knot]), chain]),
-            np.concatenate([height, np.ones(count, np.int64)]),
-            np.concatenate([dim, np.ones(count, np.int64)]),
-        )
+        return with_drift(variable, height, dim, self._of.of, self._of.knots)
 
     def fill(self, A: Array, b: Array, values: gtsam.Values) -> tuple[Array, Array]:
         """Rows of the increments and of the drift, and the columns of the constant errors, in place.
@@ -67,7 +54,7 @@ class CalibratedRows:
         pose and to the constant errors in sigmas.
         """
         c, n = self._of, len(self._of.of)
-        errors, pose = c.errors(values), _poses(values)
+        pose, errors = self._state(values)
         residual, after, before, by_errors = self._increments(pose, errors)
         by_errors *= c.systematic.sigma
         A[1:n, :, :3], A[1:n, :, 3:6] = after, before
@@ -86,6 +73,12 @@ class CalibratedRows:
             rows, at = slice(n, n + len(seen)), 1 + int(np.searchsorted(c.constant, c.frame.range_at))
             b[rows, :, at] -= np.einsum("mij,mj->mi", A[rows, :, :2], body)
         return self._first(errors[0], pose[0])
+
+    def _state(self, values: gtsam.Values) -> tuple[Array, Array]:
+        """Poses (N, 3), which gtsam has in the order of their keys, and errors (N, p); read out once."""
+        if self._last is None or self._last[0] is not values:
+            self._last = values, np.ascontiguousarray(gtsam.utilities.extractPose2(values)), self._of.errors(values)
+        return self._last[1:]
 
     def _increments(self, pose: Array, errors: Array) -> tuple[Array, Array, Array, Array]:
         """Residuals (N - 1, 3), Jacobians (N - 1, 3, 3) to the poses after and before, and (N - 1, 3, p) to errors."""
@@ -126,14 +119,15 @@ class CalibratedRows:
 
     def robot(self, values: gtsam.Values) -> gtsam.Values:
         """The robot's first pose in the world, as values."""
-        out, _ = self._of.frame.poses_out(_poses(values)[:1], self._of.errors(values)[:1])
+        pose, errors = self._state(values)
+        out, _ = self._of.frame.poses_out(pose[:1], errors[:1])
         first = gtsam.Values()
         first.insert(X(0), pose2(out[0]))
         return first
 
     def cost(self, values: gtsam.Values) -> float:
         """Half the sum of squares of increments, drift and priors; see `graph.linear.rows.Linearizer.cost`."""
-        residual, *_ = self._increments(_poses(values), self._of.errors(values))
+        residual, *_ = self._increments(*self._state(values))
         total = float(np.sum(residual**2))
         if self.constants:
             total += float(np.sum(values.atVector(CONSTANTS) ** 2))
@@ -165,7 +159,7 @@ class CalibratedRows:
         sighted = self._problem.sighted
         if self._world is None or self._of.frame.range_at < 0 or all(s.key is not None for s in sighted):
             return None
-        xy = self._landmarks(self._of.errors(values))
+        xy = self._landmarks(self._state(values)[1])
         return [displaced(s, at).measured for s, at in zip(sighted, xy, strict=True)]
 
     def _landmarks(self, errors: Array) -> Array:
@@ -174,6 +168,36 @@ class CalibratedRows:
         return self._of.frame.points_in(self._world, errors[-1])[0]
 
 
-def _poses(values: gtsam.Values) -> Array:
-    """All poses (N, 3): gtsam has them in the order of their keys."""
-    return np.ascontiguousarray(gtsam.utilities.extractPose2(values))
+def first_frames(of: IntArray, knots: int) -> IntArray:
+    """First frame (K,) that the drift of each knot leads to; `of` (N,) as of `data.motion.systematic.knots`."""
+    return np.maximum(np.searchsorted(of, np.arange(knots)), 1).astype(np.int64)
+
+
+def with_drift(
+    variable: IntArray, height: IntArray, dim: IntArray, of: IntArray, knots: int
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Variables (B, 3), heights (B,) and dimensions (V,) of `Rows` with a drift of so many knots as last variables.
+
+    It enters the blocks of the increments, 1 to N - 1; those of its prior come last. The same without a knot.
+    """
+    if not knots:
+        return variable, height, dim
+    drift, enters, chain = len(dim) + np.arange(knots), np.full(len(variable), -1), np.full((knots, 3), -1)
+    enters[1 : len(of)] = drift[of[1:]]
+    chain[:, 0], chain[1:, 1] = drift, drift[:-1]
+    one = np.ones(knots, np.int64)
+    return (
+        np.concatenate([np.column_stack([variable, enters]), chain]),
+        np.concatenate([height, one]),
+        np.concatenate([dim, one]),
+    )
+
+
+def drift_rows(ended: Array, length: float) -> tuple[Array, Array]:
+    """Coefficients (K,) of each knot's drift and of the one before in its whitened prior, drifts in sigmas.
+
+    drift j - stays * drift j - 1 ~ N(0, anew); nothing stays of what was before the first. `ended` (K - 1,) and
+    `length` as of `data.motion.systematic`.
+    """
+    stays, anew = np.array([(0.0, 1.0), *(forgotten(metres, length) for metres in ended)]).T
+    return 1.0 / np.sqrt(anew), -stays / np.sqrt(anew)

@@ -1,8 +1,10 @@
-"""Increments under systematic errors, linearized: whitened residuals of gtsam's between factors, with exact Jacobians.
+"""Increments under systematic errors, linearized: whitened residuals of what odometry stated, with exact Jacobians.
 
-The residual is Log(m(b)^-1 X^-1 Y) for poses X, Y and the corrected increment m(b), whitened with the covariance of
-m(b) at the end pose. Its noise is turned and scaled by the sensor's errors; what that does to the residual is part of
-the Jacobian, or the range error would come out wrong by as much as all squared residuals together ask for.
+The residual is Log(m^-1 g(X^-1 Y, b)) for poses X, Y: of what the odometry stated, m, against what it would have stated
+of that way without noise, g (`data.motion.stated`). Without errors it is that of gtsam's between factor. The errors
+act on the way as smoothed: acting on the one stated they would share its noise, and a scale would come out too small by
+the noise's share of the squared motion, however long the log (Fuller, "Measurement Error Models", 1987, section 1.1).
+Nor does the whitening depend on the errors: a large range error would make any residual cheap.
 """
 
 from __future__ import annotations
@@ -12,7 +14,8 @@ import math
 import numba
 import numpy as np
 
-from data.motion.systematic import BEARING, RANGE, correct
+from data.motion.stated import stated
+from data.sensors import wrap_angle
 
 SMALL = 1e-3
 """rad. Of turns below, the functions of the logarithm are taken by their series, good to 1e-15 there."""
@@ -29,6 +32,23 @@ def _logarithm(theta):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
+def _product(left, right, out):  # type: ignore[no-untyped-def]
+    """Left @ right, (3, 3) each, into `out`."""
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = left[i, 0] * right[0, j] + left[i, 1] * right[1, j] + left[i, 2] * right[2, j]
+
+
+@numba.njit(cache=True)
+def _adjoint(x, y, theta, out):  # type: ignore[no-untyped-def]
+    """Of the inverse of the pose (x, y, theta), into `out` (3, 3): moves before it, as moves after it."""
+    c, s = math.cos(theta), math.sin(theta)
+    out[0, 0], out[0, 1], out[0, 2] = c, s, s * x - c * y
+    out[1, 0], out[1, 1], out[1, 2] = -s, c, c * x + s * y
+    out[2, 0], out[2, 1], out[2, 2] = 0.0, 0.0, 1.0
+
+
+@numba.njit(cache=True)
 def linearize_increments(  # type: ignore[no-untyped-def]
     pose, motion, root, errors, place, mount, residual, before, after, by_errors
 ):
@@ -39,56 +59,46 @@ def linearize_increments(  # type: ignore[no-untyped-def]
     `data.motion.systematic`.
     """
     n, p = errors.shape
-    all_errors, m, A, G = np.zeros(7), np.zeros(3), np.zeros((3, 7)), np.zeros((3, 3))
-    B, back, J, Ad = np.eye(3), np.eye(3), np.empty((3, 3)), np.eye(3)
+    all_errors, way, m, A = np.zeros(7), np.zeros(3), np.zeros(3), np.zeros((3, 7))
+    H, B, J, Ad = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
+    W, K = np.zeros((3, 3)), np.zeros((3, 3))
+    B[2, 2] = J[2, 2] = 1.0
     for k in range(n):
         for j in range(p):
             all_errors[place[j]] = errors[k, j]
-        correct(motion[k], all_errors, mount, m, A, G)
-        # the way by the poses, and what it is more than the increment
         c, s = math.cos(pose[k, 2]), math.sin(pose[k, 2])
         wx, wy = pose[k + 1, 0] - pose[k, 0], pose[k + 1, 1] - pose[k, 1]
-        hx, hy, ht = c * wx + s * wy, c * wy - s * wx, pose[k + 1, 2] - pose[k, 2]
-        theta = ht - m[2]
-        theta -= 2.0 * math.pi * math.floor((theta + math.pi) / (2.0 * math.pi))
-        c, s = math.cos(m[2]), math.sin(m[2])
-        tx, ty = c * (hx - m[0]) + s * (hy - m[1]), c * (hy - m[1]) - s * (hx - m[0])
+        way[0], way[1], way[2] = c * wx + s * wy, c * wy - s * wx, pose[k + 1, 2] - pose[k, 2]
+        stated(way, all_errors, mount, motion[k, 2] > 0.0, m, H, A)
+        # what that is more than was stated, (tx, ty, theta), its logarithm (x, y, theta), and that one's Jacobian
+        theta: float = wrap_angle(m[2] - motion[k, 2])
+        c, s = math.cos(motion[k, 2]), math.sin(motion[k, 2])
+        wx, wy = m[0] - motion[k, 0], m[1] - motion[k, 1]
+        tx, ty = c * wx + s * wy, c * wy - s * wx
         a, kappa = _logarithm(theta)
         x, y = a * tx + 0.5 * theta * ty, a * ty - 0.5 * theta * tx
-        # additive in the body frame before, in the odometry's own axes
-        B[0, 0], B[0, 1], B[1, 0], B[1, 1] = c, -s, s, c
-        own = np.linalg.inv(G)
-        to_own = own @ B
-        turned = np.array([-s * x - c * y, c * x - s * y, 0.0])  # derivative of B (x, y, theta) by the angle
-        plain = np.array([c * x - s * y, s * x + c * y, theta])
-        u = own @ plain
-        W = root[k] @ to_own
-        # right Jacobian of the logarithm: 1 + ad / 2 + kappa ad^2
         J[0, 0], J[0, 1], J[0, 2] = 1.0 - kappa * theta * theta, -0.5 * theta, 0.5 * y + kappa * theta * x
         J[1, 0], J[1, 1], J[1, 2] = 0.5 * theta, 1.0 - kappa * theta * theta, -0.5 * x + kappa * theta * y
-        J[2, 0], J[2, 1], J[2, 2] = 0.0, 0.0, 1.0
-        WJ = W @ J
-        residual[k] = root[k] @ u
-        after[k] = WJ
+        # whitened in the body frame before: by the logarithm, by m, by the way, by the poses
+        B[0, 0], B[0, 1], B[1, 0], B[1, 1] = c, -s, s, c
+        _product(root[k], B, W)
+        for i in range(3):
+            residual[k, i] = W[i, 0] * x + W[i, 1] * y + W[i, 2] * theta
+        _product(W, J, K)
+        c, s = math.cos(m[2]), math.sin(m[2])
+        B[0, 0], B[0, 1], B[1, 0], B[1, 1] = c, s, -s, c
+        _product(K, B, W)
+        for i in range(3):
+            for j in range(p):
+                e = place[j]
+                by_errors[k, i, j] = W[i, 0] * A[0, e] + W[i, 1] * A[1, e] + W[i, 2] * A[2, e]
+        _product(W, H, K)
+        c, s = math.cos(way[2]), math.sin(way[2])
+        B[0, 0], B[0, 1], B[1, 0], B[1, 1] = c, -s, s, c
+        _product(K, B, after[k])
         # what moves the pose before moves the way the other way, as seen from the pose after
-        c, s = math.cos(ht), math.sin(ht)
-        Ad[0, 0], Ad[0, 1], Ad[1, 0], Ad[1, 1] = c, s, -s, c
-        Ad[0, 2], Ad[1, 2] = s * hx - c * hy, c * hx + s * hy
-        before[k] = -WJ @ Ad
-        # the same of the increment, seen from the end of the residual
-        c, s = math.cos(theta), math.sin(theta)
-        Ad[0, 0], Ad[0, 1], Ad[1, 0], Ad[1, 1] = c, s, -s, c
-        Ad[0, 2], Ad[1, 2] = s * tx - c * ty, c * tx + s * ty
-        back[:2, :2] = B[:2, :2].T
-        of_mean = -WJ @ Ad @ back
-        # G turns with the mount: its last column by the turn
-        of_turn = np.array([G[1, 2], -G[0, 2], 0.0])
-        size = 1.0 + all_errors[RANGE]
-        for j in range(p):
-            e = place[j]
-            change = own @ (turned * A[2, e]) + own @ (of_turn * (u[2] * A[2, e]))
-            if e == RANGE:
-                change -= own @ np.array([plain[0], plain[1], 0.0]) / size
-            elif e == BEARING:
-                change -= own @ np.array([-plain[1], plain[0], 0.0])
-            by_errors[k, :, j] = of_mean @ np.ascontiguousarray(A[:, e]) + root[k] @ change
+        _adjoint(way[0], way[1], way[2], Ad)
+        _product(after[k], Ad, K)
+        for i in range(3):
+            for j in range(3):
+                before[k, i, j] = -K[i, j]

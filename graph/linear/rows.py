@@ -14,7 +14,7 @@ from data.se2 import Array, world_from_body
 from graph.factors import graph_of, pose2
 from graph.linear.calibrated import CalibratedRows
 from graph.linear.elimination import Rows
-from graph.linear.ordering import chain, ordering
+from graph.linear.ordering import NO_DRIFT, ordering
 from graph.linear.solution import Solution
 from graph.linear.symbolic import Structure, structure
 from graph.problem import CONSTANTS, Problem
@@ -72,11 +72,8 @@ class Linearizer:
         else:
             sightings, _ = self._sightings([s.measured for s in problem.sighted])
             self._chunks, self._graph = [*self._chunked(problem.motion, 1, 3), *sightings], problem.graph()
-        if self.calibrated is not None and len(self.calibrated.first_of) and problem.known_map:
-            order = chain(n, self.calibrated.first_of)
-        else:
-            order = ordering(self._variable, n, len(self._dim))
-        self.structure: Structure = structure(self._variable, order)
+        drift = NO_DRIFT if self.calibrated is None else self.calibrated.first_of
+        self.structure: Structure = structure(self._variable, ordering(self._variable, n, len(self._dim), drift))
 
     def _sightings(
         self, measured: Sequence[Sequence[gtsam.NonlinearFactor]]
