@@ -199,7 +199,6 @@ def test_an_errors_square_is_in_units_of_its_own_variance_against_the_truth_at_t
     ("name", "estimator"),
     [
         *(("erring-arena", e) for e in ("ekf", "batch")),
-        *(("erring-park", e) for e in ("ekf", "batch")),
         *(("erring-corridor", e) for e in ("ekf-iterated", "batch")),
     ],
 )
