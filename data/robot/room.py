@@ -129,4 +129,7 @@ def cast(room: Room, poses: Array, half_angle: float = CONE_HALF_ANGLE) -> Echo:
 
 def clearance(room: Room, point: Array) -> float:
     """Distance [m] from a point (2,) or pose (3,) to the nearest wall."""
-    return float(cast(room, np.array([[point[0], point[1], 0.0]]), math.pi).distance[0])
+    a, b = room.segments[:, 0] - point[:2], room.segments[:, 1] - point[:2]
+    e = b - a
+    share = np.clip(-np.sum(a * e, axis=1) / np.sum(e * e, axis=1), 0.0, 1.0)
+    return float(np.sqrt(np.sum((a + share[:, None] * e) ** 2, axis=1).min()))
