@@ -55,19 +55,16 @@ class Exchange:
 
     def _received(self, record: Record) -> list[Packet]:
         packets = self._stream.feed(record.t, record.data)
-        for _ in packets[1:]:
-            self._late()
-        if packets:
-            if self._asked is None or record.t - self._asked > ANSWER_TIMEOUT:
-                self._late()
-            else:
-                self._unanswered = 0
-            self._asked = None
         used: list[Packet] = []
         for packet in packets:
             if used and used[-1].t == packet.t:
+                self._late()
                 packet = replace(packet, joined=packet.joined and used.pop().joined)
             used.append(packet)
+        if used:
+            if self._asked is None or record.t - self._asked > ANSWER_TIMEOUT:
+                self._late()
+            self._asked, self._unanswered = None, 0
         return used
 
     def _late(self) -> None:

@@ -36,8 +36,8 @@ BRAKING = 0.1
 """s to bring a wheel from its fastest to rest; nothing changes a wheel's speed quicker."""
 ACCELERATION = FASTEST_WHEEL / BRAKING
 """m/s^2 of a rim."""
-PATIENCE = WATCHDOG - BRAKING
-"""s without a command after which the firmware brakes, so as to stand at `WATCHDOG`."""
+PATIENCE = WATCHDOG - BRAKING - 2.0 * STEP
+"""s without a command after which the firmware brakes, so as to stand at `WATCHDOG`; either end may be in a step."""
 METRES_PER_TICK = 2.0 * math.pi * WHEEL_RADIUS / TICKS_PER_TURN
 SHORTEST_RANGE = 0.02
 """m. Nearer echoes come while the sonar still sends."""

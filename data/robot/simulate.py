@@ -134,7 +134,8 @@ def parser() -> argparse.ArgumentParser:
         type=_number(0.0, 3600.0),
         default=0.0,
         metavar="SECONDS",
-        help="how long the line stands still about once a minute (once in 6000 bytes); what is sent meanwhile is late",
+        help="how long a direction stands still, about once a minute (once in 6000 bytes): answers come late, commands"
+        " are lost",
     )
     top.add_argument(
         "--speed", type=_number(0.01, 1000.0), default=1.0, metavar="X", help="robot seconds in a second (default: 1)"

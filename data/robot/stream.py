@@ -25,6 +25,7 @@ from data.robot.packets import ANSWER_BYTES, FRAME_BYTES, PERIOD, Answer, decode
 
 PAUSE = 0.1
 """s. Bytes of an answer come within an adapter's 16 ms, answers are 0.2 s apart; the middle."""
+FRAME_SIZE = ANSWER_BYTES + FRAME_BYTES
 ENOUGH, ALONE = 2, 3
 CHAIN = 3
 """Answers that go with each other when odometry began anew."""
@@ -191,7 +192,7 @@ class Framed:
     """Packets of a stream of frames: the checksum says which bytes are an answer, the robot's motion is asked as well.
 
     Attributes:
-        faults: `garbage`, pieces that are no frame; `shifted` and `short` are not told apart here.
+        faults: pieces that are no frame, by name: `short`, less than one; `garbage`, others, or not possible.
     """
 
     def __init__(self) -> None:
@@ -209,7 +210,8 @@ class Framed:
         found: list[Packet] = []
         while True:
             used, content = next_frame(self._bytes, ANSWER_BYTES)
-            self.faults[GARBAGE] += used > (0 if content is None else ANSWER_BYTES + FRAME_BYTES)
+            if junk := used - FRAME_SIZE * (content is not None):
+                self.faults[SHORT if junk < FRAME_SIZE else GARBAGE] += 1
             del self._bytes[:used]
             if content is None:
                 return found
@@ -226,11 +228,10 @@ class Framed:
             row = row[-1:]
         joined = False
         if self._last is not None:
-            if came_from(self._last[1], answer, t - self._last[0], held_up=False):
+            # the checksum vouches for the bytes, so an answer that was held up need not wait for others like it
+            if came_from(self._last[1], answer, t - self._last[0], held_up=True):
                 joined, row = True, row[-1:]
-            elif len(row) == CHAIN:
-                joined = came_from(self._last[1], row[0][1], row[0][0] - self._last[0], held_up=True)
-            else:
+            elif len(row) < CHAIN:
                 self.faults[GARBAGE] += len(self._refused) + 1 - len(row)
                 self._refused = row
                 return []

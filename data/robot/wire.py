@@ -34,8 +34,8 @@ class Faults:
     Attributes:
         drop: probability that a byte is lost.
         flip: probability that one of its bits is turned over.
-        stall: s that the line stands still, both ways, once in `BETWEEN_STALLS` bytes; what is sent
-            meanwhile comes late.
+        stall: s that a direction stands still, once in `BETWEEN_STALLS` bytes. Answers of that time come late. Commands
+            are lost: a robot that obeyed one of seconds ago would drive long after whoever sent it was gone.
     """
 
     drop: float = 0.0
@@ -92,7 +92,7 @@ class Wire:
         self._rng = {"to": rng.spawn(1)[0], "from": rng.spawn(1)[0]}
         self._to_robot: deque[tuple[float, int]] = deque()
         self._from_robot: deque[tuple[float, int]] = deque()
-        self._still_until = -math.inf
+        self._still_until = {"to": -math.inf, "from": -math.inf}
 
     def write(self, t: float, data: bytes) -> None:
         """Bytes from the program at time t [s]."""
@@ -128,11 +128,12 @@ class Wire:
         for byte in data:
             chance = rng.random(3)
             if faults.stall and chance[0] * BETWEEN_STALLS < 1.0:
-                self._still_until = at + faults.stall
-            at = max(at + BYTE_TIME, self._still_until)
-            if chance[1] < faults.drop:
+                self._still_until[way] = at + faults.stall
+            at += BYTE_TIME
+            if chance[1] < faults.drop or (way == "to" and at < self._still_until[way]):
                 unharmed = False
                 continue
+            at = max(at, self._still_until[way])
             flipped = byte
             if chance[2] < faults.flip:
                 flipped ^= 1 << int(rng.integers(8))
