@@ -6,7 +6,8 @@ no reading counts twice, so errors of observations are independent of each other
 
 A wall's end sends its echo through the whole cone, 26 cm wide at a metre, and an arc about a point is a line at an
 angle to any sonar that passes. It is the first a sonar hears of a wall and the last, so readings count only when the
-cone has swept its own width since it began to hear the wall, and again before it ceases.
+cone has swept its own width since it began to hear the wall, and again before it ceases. What the first packet hears has not
+just begun.
 
 Readings of several packets are joined by odometry, whose errors the estimator meets again in its motion model. The
 covariance holds their part in the line (`_of_odometry`), not that they are correlated with the motion's: so `LONGEST`
@@ -34,6 +35,8 @@ FEWEST = 5
 """Readings of a line: two fix it, three are left to doubt it."""
 LONGEST = 0.8
 """m of way of either wheel since the oldest reading of a line."""
+OLDEST = 64
+"""Packets that are kept, however slowly it drives: 16 s."""
 VAGUEST = 0.05
 """rad, standard deviation of alpha of an observation."""
 MISSES = 2
@@ -85,6 +88,7 @@ class _Run:
         self._used = -1  # number of the packet up to which readings are used up
         self._doubtful: tuple[int, float, Array] | None = None
         self._silent = 0
+        self._began = 0.0  # what of `swept` is a wall's end
 
     def add(self, packet: int, distance: float, sensor: Array) -> None:
         """The next reading, inf where nothing was heard; one that does not go on from the last waits for a second."""
@@ -97,6 +101,7 @@ class _Run:
         new, doubtful = (packet, distance, sensor), self._doubtful
         self._doubtful = None
         if not self.readings:
+            self._began = 0.0 if packet else -math.inf
             self.readings = [_Reading(packet, distance, sensor, 0.0)]
         elif self._goes_on(self.readings[-1], new):
             last = self.readings[-1]
@@ -106,7 +111,7 @@ class _Run:
         elif doubtful is None:
             self._doubtful = new
         elif self._goes_on(_Reading(*doubtful, 0.0), new):
-            self.readings = [_Reading(*doubtful, 0.0)]
+            self._began, self.readings = 0.0, [_Reading(*doubtful, 0.0)]
             self.add(*new)
         else:
             self._doubtful = new
@@ -119,11 +124,15 @@ class _Run:
 
     def complete(self, oldest: int) -> list[_Reading]:
         """Readings not used up, of packets from `oldest` on, that are not of the wall's ends."""
-        now = self.readings[-1].swept if self.readings else 0.0
+        if not self.readings:
+            return []
+        last = self.readings[-1]
+        oldest = max(oldest, self._used + 1)
+        self.readings = [r for r in self.readings if r.packet >= oldest] or [last]
         return [
             r
             for r in self.readings
-            if r.packet > self._used and r.packet >= oldest and min(r.swept, now - r.swept) >= CONE_WIDTH * r.distance
+            if r.packet >= oldest and min(r.swept - self._began, last.swept - r.swept) >= CONE_WIDTH * r.distance
         ]
 
     def use_up(self, packet: int) -> None:
@@ -166,10 +175,10 @@ class WallObserver:
         return Seen(z, R, np.array(rows, np.int64))
 
     def _forget(self) -> None:
-        """Drop packets from more than `LONGEST` ago."""
+        """Drop packets from more than `LONGEST` or `OLDEST` ago."""
         ways = _wheel_ways(np.array(self._odometry))
         ago = np.cumsum(ways[::-1], axis=0).max(axis=1)[::-1]
-        for _ in range(int(np.sum(ago > LONGEST))):
+        for _ in range(max(int(np.sum(ago > LONGEST)), len(self._odometry) - OLDEST)):
             self._odometry.popleft()
             self._first += 1
 
@@ -186,9 +195,8 @@ class WallObserver:
             return None
         J = w[:, None] * geometry(sensors, ranges, line.alpha)
         information = J.T @ geometry(sensors, ranges, line.alpha)
-        # few residuals tell little of their own size: never surer than the sonar is
+        # by the sonar's sigma, not by the residuals: so few tell little of their own size
         sonar = self._sigma**2 * np.linalg.inv(information)
-        sonar *= max(1.0, float(line.cov[1, 1] / sonar[1, 1]))
         if not sonar[1, 1] < VAGUEST**2:
             return None
         gain = np.asarray(np.linalg.solve(information, J.T), float)
