@@ -6,8 +6,8 @@ no reading counts twice, so errors of observations are independent of each other
 
 A wall's end sends its echo through the whole cone, 26 cm wide at a metre, and an arc about a point is a line at an
 angle to any sonar that passes. It is the first a sonar hears of a wall and the last, so readings count only when the
-cone has swept its own width since it began to hear the wall, and again before it ceases. What the first packet hears has not
-just begun.
+cone has swept its own width since it began to hear the wall, and again before it ceases. What the first packet
+hears has not just begun.
 
 Readings of several packets are joined by odometry, whose errors the estimator meets again in its motion model. The
 covariance holds their part in the line (`_of_odometry`), not that they are correlated with the motion's: so `LONGEST`

@@ -1,7 +1,7 @@
 """The speed loop of one wheel: PI with anti-windup on the encoder's speed, and the motor it drives.
 
-The motor is a first-order lag from duty to speed, with friction; a load of up to all it has can hold it. The loop's zero
-cancels the motor's lag, so without a load the wheel follows as a lag of `RESPONSE` (pole cancellation; Astrom and
+The motor is a first-order lag from duty to speed, with friction; a load of up to all it has can hold it. The loop's
+zero cancels the motor's lag, so without a load the wheel follows as a lag of `RESPONSE` (pole cancellation; Astrom and
 Hagglund, PID Controllers, section 4.4).
 """
 

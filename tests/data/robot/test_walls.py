@@ -22,7 +22,7 @@ from data.robot.walls import (
     sensor_poses,
     visible,
 )
-from data.se2 import compose, transform_points, wrap_angle
+from data.se2 import compose, wrap_angle
 
 OFF = (-0.38, -0.2, -0.1, 0.0, 0.05, 0.13, 0.3)
 """rad, of the wall's normal from the sonar's axis."""
@@ -74,21 +74,21 @@ def test_a_line_beyond_the_origin_is_told_with_rho_above_zero():
         assert (line.rho, line.alpha) == pytest.approx((1.0, math.pi / 2), abs=1e-6)
 
 
-def test_the_frame_does_not_matter(rng=np.random.default_rng(3)):
-    sensors, ranges, _ = passing(0.1, rng)
-    pose = np.array([0.3, -0.2, 0.4])
-    here, there = fit_weighted(sensors, ranges), fit_weighted(compose(pose, sensors), ranges)
-    foot = here.rho * np.array([[math.cos(here.alpha), math.sin(here.alpha)]])
-    moved = transform_points(pose, foot)[0]
-    assert moved @ (math.cos(there.alpha), math.sin(there.alpha)) == pytest.approx(there.rho, abs=1e-7)
-    assert wrap_angle(there.alpha - here.alpha - pose[2]) == pytest.approx(0.0, abs=1e-7)
-    turn = np.array([[1.0, math.sin(here.alpha + 0.4) * 0 + _along(pose, there.alpha)], [0.0, 1.0]])
-    assert there.cov == pytest.approx(turn @ here.cov @ turn.T, rel=1e-5, abs=1e-12)
-
-
-def _along(pose, alpha):
-    """Change of rho by alpha when a line is moved by a pose: how far the origin goes along the line."""
-    return -math.sin(alpha) * pose[0] + math.cos(alpha) * pose[1]
+@pytest.mark.parametrize("beyond", [False, True], ids=["origin before the wall", "origin beyond it"])
+def test_the_frame_does_not_matter(beyond):
+    """A line moved by a pose is the line fitted to sensors moved by it, with the covariance moved by the Jacobian."""
+    sensors, ranges, _ = passing(0.1, np.random.default_rng(3))
+    here = fit_weighted(sensors, ranges)
+    heading, way = 0.4, (-5.0 if beyond else -0.3)
+    alpha = here.alpha + heading
+    pose = np.array([way * math.cos(alpha) + 0.2, way * math.sin(alpha), heading])
+    there = fit_weighted(compose(pose, sensors), ranges)
+    side = -1.0 if beyond else 1.0
+    rho = here.rho + pose[0] * math.cos(alpha) + pose[1] * math.sin(alpha)
+    assert there.rho == pytest.approx(side * rho, abs=1e-7)
+    assert wrap_angle(there.alpha - alpha - (math.pi if beyond else 0.0)) == pytest.approx(0.0, abs=1e-7)
+    J = np.array([[side, side * (pose[1] * math.cos(alpha) - pose[0] * math.sin(alpha))], [0.0, 1.0]])
+    assert there.cov == pytest.approx(J @ here.cov @ J.T, rel=1e-4, abs=1e-12)
 
 
 def test_the_weighted_fit_is_the_minimum_of_welschs_loss():
