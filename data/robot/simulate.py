@@ -25,6 +25,8 @@ TRUTH_PERIOD = 0.05
 """s of robot time between rows of the truth."""
 LONGEST_WAIT = 0.05
 """s of real time after which the robot's time goes on though no byte came."""
+TERMINALS = "/dev/"
+"""Where pseudo-terminals have their names."""
 EXAMPLE = """\
 example:
   python -m data.robot.simulate --world walls:0 --link /tmp/robot &
@@ -39,7 +41,8 @@ class Terminal:
         """Open it.
 
         Raises:
-            UsageError: the path cannot become a link; one that leads nowhere is replaced.
+            UsageError: the path cannot become a link. One to a terminal, or to where there was one, is replaced: a
+                simulator that was killed leaves it behind, and numbers of terminals are given out again.
         """
         self._path = path
         self.master, self._slave = os.openpty()
@@ -47,7 +50,7 @@ class Terminal:
         os.set_blocking(self.master, False)
         self._device = os.ttyname(self._slave)
         try:
-            if path.is_symlink() and not path.exists():
+            if path.is_symlink() and os.readlink(path).startswith(TERMINALS):
                 path.unlink()
             path.symlink_to(self._device)
         except FileExistsError:

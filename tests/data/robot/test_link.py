@@ -12,7 +12,7 @@ from data.errors import UsageError
 from data.robot.body import FASTEST, LONGEST_RANGE
 from data.robot.exchange import FAULTS, Exchange
 from data.robot.link import Link
-from data.robot.packets import PERIOD, command_of, decode_answer
+from data.robot.packets import PERIOD, command_of, decode_answer, encode_command
 from data.robot.recording import RECEIVED, SENT, Record
 from data.robot.wire import Faults
 from tests.data.robot.line import StandingClock, WirePort, linked, wander
@@ -58,13 +58,35 @@ def test_on_a_line_that_is_well_every_answer_is_used_within_its_period(framed):
     assert sum(not p.joined for p in packets) == 1
 
 
+def sending(link, clock):
+    """When commands are sent, a list that fills."""
+    times, keep = [], link._keep
+    link._keep = lambda kind, data=b"": (times.append(clock.now()) if kind == SENT else None) or keep(kind, data)
+    return times
+
+
 def test_commands_go_out_a_period_apart_whatever_comes_back():
-    link, _, clock = linked(Faults(drop=0.3))
-    times = []
-    link._keep, keep = lambda kind, data=b"": times.append((kind, clock.now())) or keep(kind, data), link._keep
+    link, wire, clock = linked(Faults(drop=0.3))
+    times = sending(link, clock)
     for _ in range(40):
         link.step(AHEAD)
-    assert np.diff([t for kind, t in times if kind == SENT]) == pytest.approx(PERIOD, abs=1e-6)
+        if wire.sent:  # the last answer once more, in the middle of the period
+            wire._from_robot.extend((clock.now() + 0.1, byte) for byte in wire.sent[-1][0])
+    assert np.diff(times) == pytest.approx(PERIOD, abs=1e-6)
+    assert link.exchange.faults["late"] > 0
+
+
+def test_what_is_done_between_two_steps_delays_a_command_and_not_those_after_it():
+    link, _, clock = linked()
+    times = sending(link, clock)
+    for busy in (0.0, 0.1, 0.3, 0.0, 0.0, 2.0, 0.0, 0.0):
+        link.step(AHEAD)
+        clock.sleep(busy)
+    periods = np.diff(times) / PERIOD
+    assert periods[[0, 1, 4]] == pytest.approx(1.0)
+    assert periods[2] + periods[3] == pytest.approx(2.0)
+    assert periods[5] > 8.0  # held up for long: nothing is made up for
+    assert periods[6] == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("framed", [False, True])
@@ -170,3 +192,15 @@ def test_in_every_fault_the_robot_stands_a_second_after_the_last_command(faults,
         at = wire.robot.pose.copy()
         wire.advance(last + 20.0)
         np.testing.assert_array_equal(wire.robot.pose, at)
+
+
+def test_the_robot_takes_the_first_byte_after_a_pause_for_the_first_of_a_command():
+    _, wire, clock = linked()
+    for begun in (b"\x2c", b"\x2c\x01\x00"):
+        wire.write(clock.now(), begun)
+        clock.sleep(PERIOD)
+        wire.write(clock.now(), encode_command(AHEAD))
+        clock.sleep(PERIOD)
+        wire.advance(clock.now())
+        assert wire.robot.wheels == pytest.approx((0.3, 0.3))
+    assert len(wire.sent) == 2

@@ -80,14 +80,16 @@ def test_a_byte_of_dirt_before_an_answer_is_a_shift_and_a_spoiled_answer_is_garb
     assert +stream.faults == Counter(shifted=1, garbage=1)
 
 
-@pytest.mark.parametrize("field", range(8))
-def test_an_answer_with_one_value_out_of_range_is_not_used(field):
+@pytest.mark.parametrize("kind", [Unframed, Framed])
+@pytest.mark.parametrize("field", range(0, 8, 3))
+def test_an_answer_with_one_value_out_of_range_is_not_used(field, kind):
     said = answers(0, 5.0)
+    wrap = framed if kind is Framed else bytes
     distances = list(said[7].distances)
     for value in (4001, -1):
         distances[field] = value
         spoiled = [*said[:7], said[7]._replace(distances=tuple(distances)), *said[8:]]
-        assert used(heard(Unframed(), map(encode_answer, spoiled))) == said[:7] + said[8:]
+        assert used(heard(kind(), (wrap(encode_answer(a)) for a in spoiled))) == said[:7] + said[8:]
 
 
 @pytest.mark.parametrize("change", [{"x": 400}, {"y": -400}, {"heading": 2000}])
@@ -124,6 +126,45 @@ def test_an_answer_held_up_in_two_halves_is_used_when_its_end_is_known():
     assert stream.feed(2.2, pieces[8][10:]) == []
     out += stream.feed(2.4, pieces[9])
     assert [p.answer for p in out] == said[:10]
+
+
+def test_a_first_answer_between_two_pauses_is_used_though_the_next_is_short():
+    pieces = [encode_answer(a) for a in answers(0, 1.0)]
+    assert used(heard(Unframed(), [pieces[0], pieces[1][:5]])) == answers(0, 1.0)[:1]
+
+
+def shifted_by(answers_, x):
+    return [a._replace(x=overflowed(a.x + x)) for a in answers_]
+
+
+@pytest.mark.parametrize("kind", [Unframed, Framed])
+def test_a_robot_that_drove_on_while_an_answer_was_held_up_is_followed(kind):
+    """0.4 m between two stamps is more than a period's and less than what it drives until its watchdog stops it."""
+    said = answers(0, 5.0).copy()
+    said[10:] = shifted_by(said[10:], 400)
+    wrap = framed if kind is Framed else bytes
+    by_piece = heard(kind(), [wrap(encode_answer(a)) for a in said])
+    assert used(by_piece) == said
+    assert [len(by_piece[i]) for i in range(10, 14)] == ([0, 0, 3, 1] if kind is Unframed else [1] * 4)
+    assert [p.joined for packets in by_piece for p in packets] == [False] + [True] * 19
+
+
+def test_of_two_places_the_one_that_the_robot_can_have_come_to_is_taken():
+    """Behind a short answer of a burst, the shifted answers of a robot at rest go with each other as well."""
+    said = [Answer((500,) * 8, 700, 2000, 300)] * 12
+    pieces = [encode_answer(a) for a in said]
+    by_piece = heard(Unframed(), [*pieces[:5], pieces[5][2:] + b"".join(pieces[6:10]), *pieces[10:]])
+    assert used(by_piece) == said[:11]
+
+
+@pytest.mark.parametrize("away", [400, 5000])
+def test_an_answer_is_not_put_together_from_a_stray_byte_and_the_rest_of_one_where_nothing_else_speaks_for_it(away):
+    said = answers(0, 5.0).copy()
+    said[10:] = shifted_by(said[10:], away)
+    pieces = [encode_answer(a) for a in said]
+    pieces[9:11] = [bytes([pieces[10][0] & 0x0F]), pieces[10][1:]]
+    by_piece = heard(Unframed(), pieces)
+    assert used(by_piece) == said[:9] + said[11:]
 
 
 def test_only_pauses_tell_where_an_answer_begins_while_the_robot_stands_at_its_origin():
