@@ -36,6 +36,7 @@ FASTEST_FOLLOWING = 0.8
 FRAMES = 6
 """Packets for a line: 1.25 s, 0.27 m."""
 FEWEST = 4
+"""Readings of a sonar for a line; one of them may be wrong."""
 VAGUEST = 0.1
 """rad, standard deviation of the angle of a line that is followed."""
 BESIDE_ROWS = (RIGHT - 1, RIGHT, RIGHT + 1)

@@ -38,11 +38,11 @@ LONGEST = 0.8
 OLDEST = 64
 """Packets that are kept, however slowly it drives: 16 s."""
 VAGUEST = 0.05
-"""rad, standard deviation of alpha of an observation."""
+"""rad, standard deviation of alpha by the sonars' noise; the fewest readings, 5.5 cm apart, give 0.03."""
 MISSES = 2
 """Packets in a row without an echo that end what a sonar collects; a single echo is missed now and then."""
 GOOD = 0.7
-"""Weight of the readings, on average, of a line that they are taken for: one gross outlier in five, or two in eight."""
+"""Weight of the readings, on average, of a line they are taken for; good ones weigh 0.9, so one in five is lost."""
 RESIDUAL = 2.0
 """Sigmas; readings that spread more about their line are not of one wall."""
 CONE_WIDTH = 2.0 * math.tan(CONE_HALF_ANGLE)

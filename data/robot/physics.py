@@ -1,7 +1,7 @@
 """How the simulated robot moves and what its sonars hear, in steps of its own time.
 
-The same generator, room and commands with their times give the same path and answers. Wheels turn as they are told,
-within what they can; the ground does not follow exactly (slip), the encoders do. A wall holds the body, not the wheels.
+The same generator, room and commands with their times give the same path and answers. Each wheel's loop brings it to
+the speed it is told; the ground does not follow exactly (slip), the encoders do. A wall holds the body, not the wheels.
 """
 
 from __future__ import annotations
@@ -28,14 +28,13 @@ from data.robot.body import (
 from data.robot.motion import Heard, Packet, Unwrapper
 from data.robot.packets import PERIOD, WATCHDOG, Answer, Command, command_of, overflowed
 from data.robot.room import Room, cast, clearance
+from data.robot.speed_loop import SpeedLoop, turned
 from data.se2 import Array, compose, wrap_angle
 
 STEP = 0.01
 """s of a step of motion; the firmware reads its encoders as often."""
 BRAKING = 0.1
-"""s to bring a wheel from its fastest to rest; nothing changes a wheel's speed quicker."""
-ACCELERATION = FASTEST_WHEEL / BRAKING
-"""m/s^2 of a rim."""
+"""s in which its loop brings a wheel from its fastest to rest (`data.robot.speed_loop`)."""
 PATIENCE = WATCHDOG - BRAKING - 2.0 * STEP
 """s without a command after which the firmware brakes, so as to stand at `WATCHDOG`; either end may be in a step."""
 METRES_PER_TICK = 2.0 * math.pi * WHEEL_RADIUS / TICKS_PER_TURN
@@ -79,6 +78,7 @@ class Robot:
         self._ground, self._sound = rng.spawn(2)
         self.pose = np.array(room.start, float)
         self.wheels = (0.0, 0.0)
+        self._loops = (SpeedLoop(), SpeedLoop())
         self._wanted = (0.0, 0.0)
         self._told = -math.inf
         self._steps = 0
@@ -107,9 +107,9 @@ class Robot:
     def _step(self) -> None:
         wanted = self._wanted if self.time - self._told < PATIENCE - 1e-9 else (0.0, 0.0)
         self._steps += 1
-        change = ACCELERATION * STEP
         before = self.wheels
-        left, right = (now + _within(goal - now, change) for now, goal in zip(before, wanted, strict=True))
+        told = zip(self._loops, before, wanted, strict=True)
+        left, right = (turned(now, loop.duty(goal, now, STEP), STEP) for loop, now, goal in told)
         self.wheels = (left, right)
         if left == right == 0.0 and before == (0.0, 0.0):
             return

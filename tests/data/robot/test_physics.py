@@ -32,9 +32,13 @@ def test_wheels_and_body_speeds_undo_each_other():
 
 
 def test_it_drives_straight_turns_in_place_and_along_an_arc():
-    """Getting up to speed v takes v / 4 s, so v^2 / 8 m are lacking; the slower wheel is there first."""
-    assert driven([(0.4, 0.0)] * 8)[0].pose == pytest.approx([0.8 - 0.02, 0.0, 0.0], abs=1e-9)
-    assert driven([(0.0, 1.0)] * 4)[0].pose == pytest.approx([0.0, 0.0, 1.0 - 0.125 / 8], abs=1e-3)
+    """A wheel's loop lags by 0.05 to 0.1 s: that much way, and turn, is lacking; a stop would bring none of it back."""
+    x, y, theta = driven([(0.4, 0.0)] * 8)[0].pose
+    assert 0.4 * (2.0 - 0.1) < x < 0.4 * (2.0 - 0.05)
+    assert (y, theta) == pytest.approx((0.0, 0.0), abs=1e-9)
+    x, y, theta = driven([(0.0, 1.0)] * 4)[0].pose
+    assert (x, y) == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert 1.0 - 0.1 < theta < 1.0 - 0.04
     robot, _ = driven([(0.2, 0.5)] * 8)
     turned = robot.pose[2]
     assert robot.pose[:2] == pytest.approx([0.4 * math.sin(turned), 0.4 * (1 - math.cos(turned))], abs=6e-3)
@@ -65,7 +69,7 @@ def test_it_stands_a_second_after_the_last_command_and_not_much_before(told, com
     robot = Robot(LARGE, np.random.default_rng(0))
     robot.command(told, command_of(*command))
     robot.advance(told + 0.85)
-    assert max(map(abs, robot.wheels)) == pytest.approx(0.4)
+    assert max(map(abs, robot.wheels)) == pytest.approx(0.4, rel=1e-3)
     robot.advance(told + 1.0)
     at = robot.pose.copy()
     assert robot.wheels == (0.0, 0.0)
