@@ -131,6 +131,7 @@ class WallFollower:
         """What is near on the right when there is no line yet, or on a turn no more: the normal is the sonar's axis."""
         if len(self._ranges) < 2:
             return None
-        near = [(float(max(self._ranges[-1][row], self._ranges[-2][row])), row) for row in BESIDE_ROWS]
-        distance, row = min(near)
+        # whichever sonar it was before: at 22.5 degrees between two, the wall is heard by one and the other in turns
+        distance, row = min((float(self._ranges[-1][row]), row) for row in BESIDE_ROWS)
+        distance = max(distance, min(float(self._ranges[-2][row]) for row in BESIDE_ROWS))
         return (distance + RADIUS, float(SONARS[row, 2])) if distance < NEAR else None

@@ -44,6 +44,14 @@ def test_it_stops_and_turns_left_at_a_wall_ahead_but_not_for_one_short_reading()
     assert omega > 0.0
 
 
+def test_a_wall_that_two_sonars_hear_in_turns_is_turned_away_from():
+    follower = WallFollower()
+    for k in range(8):
+        v, omega = follower(heard((6 + k % 2, 0.3), k=k))
+    assert v > 0.0
+    assert omega > 0.2
+
+
 def test_it_comes_to_its_distance_along_a_wall():
     corridor = Room(np.array([[[-5.0, 0.0], [40.0, 0.0]]]), np.array([0.0, 1.0, 0.0]))
     way = drive(corridor, WallFollower(), 40.0, np.random.default_rng(0), QUIET)
