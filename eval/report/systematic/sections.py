@@ -22,8 +22,8 @@ from eval.studies.trusted import Trust
 HEADING = "Systematic errors"
 WHY = {
     ASKED: "These were asked for.",
-    NAMED: "These are the ones that the log's battery of trust names, before any calibration.",
-    ALL: "The log's battery of trust names none, so all are looked for, with tight priors.",
+    NAMED: "These are the ones that a score test of the residuals of plain estimators names.",
+    ALL: "A score test of the residuals of plain estimators names none, so all are looked for, with tight priors.",
 }
 CAPTION = "Systematic errors as estimated along by filter and smoother: estimate ± σ at the last frame."
 FINE = FinePrint(
