@@ -102,6 +102,7 @@ def said(trust: Trust | None, terms: Terms) -> str:
     twins = counted(len(trust.twins), "twin")
     if not b.objected:
         return f"none of {b.tested} statistics is outside what {twins} show."
-    text = f"{len(b.objected)} of {b.tested} statistics are outside what {twins} show (family-wise p at most 0.05)"
+    verb = "is" if len(b.objected) == 1 else "are"
+    text = f"{len(b.objected)} of {b.tested} statistics {verb} outside what {twins} show (family-wise p at most 0.05)"
     found = sentences([f for f in b.findings if f.cause != ESTIMATOR], terms)
     return f"{text}: {'; '.join(found)}." if found else f"{text}; none of the errors that have a name explains them."
