@@ -41,6 +41,8 @@ OF_MOTION = {
 """By the hypothesis' name `<component>_<regressor>`. Odometry askew to the way driven is a sensor that is."""
 ACTING = ("scale", "curvature", "left", "right")
 """Errors that do more to an increment than one of the battery's effects."""
+TURNED = 2.0
+"""Mean square of a log's turns to one side, in variances of their noise, if there are any: of noise alone it is 1."""
 LESS_WELL = ("odometry_x_distance", "odometry_theta_distance", "odometry_theta_turn")
 """Of the battery's effects, those whose place is taken by errors that act as `data.motion.systematic` has it."""
 
@@ -55,7 +57,7 @@ def names_of(inputs: Inputs, smoother: Run) -> tuple[str, ...]:
     # a noise that is larger than stated makes every score larger
     spread = residuals.typical(residuals.smoothed_residuals(inputs, path, used))
     found = systematic_errors(scored, spread, threshold, len(ERRORS))
-    return named(found, wandering=wanders(inputs, path), inputs=inputs)
+    return tuple(n for n in named(found, wandering=wanders(inputs, path), inputs=inputs) if turned(inputs, n))
 
 
 def hypotheses(inputs: Inputs, path: Array, used: Used) -> list[Effect]:
@@ -88,8 +90,23 @@ def named(found: Sequence[Finding], *, wandering: bool, inputs: Inputs) -> tuple
 
 
 def every(inputs: Inputs) -> tuple[str, ...]:
-    """All errors that a log may have; in SLAM without the ranges' scale, of which only the odometry's share is seen."""
-    return tuple(name for name in ERRORS if inputs.map is not None or name != "range")
+    """All errors that a log may have; in SLAM without the ranges' scale, of which only the odometry's share is seen.
+
+    Of turns, only to sides to which the robot turned.
+    """
+    return tuple(name for name in ERRORS if (inputs.map is not None or name != "range") and turned(inputs, name))
+
+
+def turned(inputs: Inputs, name: str) -> bool:
+    """Whether the robot turned to the side that an error is of (True for others), by more than noise makes of straight.
+
+    The sign of noise chooses the side, so that an error of -1 would explain all of it: nothing is to be asked of it.
+    """
+    if name not in ("left", "right"):
+        return True
+    turn, variance = inputs.increments.mean[1:, 2], inputs.increments.covariance[1:, 2, 2]
+    side = turn > 0.0 if name == "left" else turn < 0.0
+    return bool(np.sum(turn[side] ** 2) > TURNED * np.sum(variance[side]))
 
 
 def wanders(inputs: Inputs, path: Array) -> bool:

@@ -10,7 +10,7 @@ import pytest
 from data.result import Failure
 from data.worlds.registry import named_log
 from eval.plan.calibrate.battery import plainly
-from eval.plan.calibrate.named import every, hypotheses, named, names_of, wanders
+from eval.plan.calibrate.named import every, hypotheses, named, names_of, turned, wanders
 from eval.referee.attribution import NOISE, Finding
 from eval.referee.residuals import used_by
 from eval.replay.run import compare
@@ -85,10 +85,28 @@ def test_a_log_names_its_errors_without_any_twin(keys, expected):
     assert plainly(named_log(f"arena:1{keys}"), "localization", "known", Setup())[1] == expected
 
 
+def test_what_one_log_in_twenty_shows_by_chance_is_not_named(monkeypatch):
+    log = named_log("arena:115")  # its turns to the left err by 3.2 standard errors
+    names = []
+    for share in (0.05, 0.01):
+        monkeypatch.setattr("eval.plan.calibrate.named.WRONGLY", share)
+        names.append(plainly(log, "localization", "known", Setup())[1])
+    assert names == [("left", "right"), ()]
+
+
 def test_without_a_smoother_nothing_is_named():
     log = named_log("arena:0:frames=20")
     (run,) = compare(log.inputs(labels=True), "localization", ("dead-reckoning",))
     assert names_of(log.inputs(), replace(run, failure=Failure("diverged", 3, "no"))) == ()
+
+
+def test_nothing_is_asked_of_turns_that_are_noise():
+    park, arena = (named_log(name).inputs() for name in ("park:0:frames=1000", "arena:0"))
+    assert [turned(park, n) for n in ("left", "right", "scale")] == [True, False, True]
+    assert turned(arena, "left")
+    assert turned(arena, "right")
+    assert "right" not in every(park)
+    assert "right" not in plainly(named_log("park:0:frames=400+left=-0.2"), "localization", "known", Setup())[1]
 
 
 @pytest.mark.parametrize("seed", range(3))
