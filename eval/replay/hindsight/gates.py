@@ -46,14 +46,14 @@ class LearnedGates:
         """
         ledger, sensor, reach = self.ledger, self.ledger.sensor, self.ledger.range
         stated, nearest = settled(e, decisions, new_gate), e.individual_distances()
-        crowded = beside(e, stated, new_gate)
+        waiting = (decisions == NEW) & (stated != NEW) | beside(e, stated, new_gate)
         paired = stated[stated >= 0].tolist()
         self._pairings += len(paired)
         inside, outside = sum(ledger.gated_elsewhere(n, True) for n in paired), 0
         for i in np.flatnonzero(stated < 0).tolist():
             xy, _, Gz = sensor.inverse(pose, e.z[i : i + 1])
             sighting = Sighting(xy[0], Gz[0] @ e.R[i] @ Gz[0].T, ledger.travelled)
-            if (decisions[i] == NEW != stated[i] or crowded[i]) and self._tentative.see(sighting, self._pairings, reach):
+            if waiting[i] and self._tentative.see(sighting, self._pairings, reach):
                 stated[i] = NEW
             if stated[i] == NEW:
                 # what was in doubt there was not of the landmark next to it

@@ -135,7 +135,6 @@ def test_what_is_left_beside_a_landmark_that_was_seen_is_another_one():
     assert not beside(e, np.array([DISCARD, DISCARD]), NEW_GATE).any()  # neither landmark was seen
 
 
-
 def usual(rate, looks=10_000):
     """Landmarks in view seen with a rate, each time independently."""
     seen, missed = round(looks * rate), round(looks * (1.0 - rate))
