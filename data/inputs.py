@@ -92,6 +92,52 @@ class LabelledObservations(Observations):
     sensed: bool = False
 
 
+ERRORS = {
+    "scale": "1",
+    "curvature": "rad/m",
+    "left": "1",
+    "right": "1",
+    "drift": "rad/m",
+    "range": "1",
+    "bearing": "rad",
+}
+"""The systematic errors that can be estimated, and their units; `data.motion.systematic` says what each does."""
+
+
+@dataclass(frozen=True, eq=False)
+class Systematic:
+    """Systematic errors that are to be estimated with everything else, a priori zero.
+
+    Attributes:
+        names: (p,) keys of `ERRORS`, in their order.
+        sigma: (p,) standard deviations before anything is known; of the drift, at any time.
+        length: m; over this distance the drift is forgotten to 1/e. All others are constant.
+    """
+
+    names: tuple[str, ...]
+    sigma: Array
+    length: float = 50.0
+
+    def __post_init__(self) -> None:
+        read_only(self)
+        if not self.names or list(self.names) != [n for n in ERRORS if n in self.names]:
+            raise ValueError(
+                f"systematic errors {self.names}: they are some of {', '.join(ERRORS)}, each once, in this order"
+            )
+        if self.sigma.shape != (len(self.names),) or not (self.sigma > 0.0).all() or not self.length > 0.0:
+            raise ValueError("each systematic error has one sigma > 0, and the length of the drift is > 0")
+
+    @property
+    def drifts(self) -> bool:
+        """Whether one of them is the drift."""
+        return "drift" in self.names
+
+    @property
+    def of_sensor(self) -> bool:
+        """Whether some of them are the sensor's."""
+        return "range" in self.names or "bearing" in self.names
+
+
 class Frame(NamedTuple):
     """One instant, all that is known of it when it comes: what a front end is handed, from a log or from a live robot.
 
@@ -196,6 +242,7 @@ class Inputs:
         covariance_floor: smallest eigenvalue allowed in an increment's covariance.
         floored: how many increments got the floor.
         scans: of a laser log.
+        systematic: errors of odometry and sensor that every estimator estimates along (None: there are none).
         start: (N + 1,) offsets; the observations of frame k are rows start[k]:start[k + 1].
     """
 
@@ -209,6 +256,7 @@ class Inputs:
     covariance_floor: float = 1e-10
     floored: int = 0
     scans: Scans | None = None
+    systematic: Systematic | None = None
     start: IntArray = field(init=False)
 
     def __post_init__(self) -> None:

@@ -106,6 +106,7 @@ class Found:
         tiles: a few frames as encoded images, with their numbers, to look at.
         focal: px, focal length that the stereo points imply.
         pixel_noise: px, sigma of a corner in the image. depth_noise: 1/m, k in its sigma_z = k z^2; NaN: unknown.
+        small: frames, all or every so many, as small encoded images with their numbers, to play.
     """
 
     time: Array
@@ -121,6 +122,7 @@ class Found:
     focal: float
     pixel_noise: float
     depth_noise: float
+    small: tuple[tuple[int, bytes], ...] = ()
 
     @property
     def rejected(self) -> dict[str, int]:

@@ -51,11 +51,19 @@ class Updated(NamedTuple):
     moments: tuple[float, float] | None = None
 
 
+class Systematics(NamedTuple):
+    """Systematic errors as estimated, by frame: names (p,), mean (N, p) and standard deviation sigma (N, p)."""
+
+    names: tuple[str, ...]
+    mean: Array
+    sigma: Array
+
+
 class Finished(NamedTuple):
     """The end of a run: final trajectory (None for a filter), last map (None in localization), and (sum of NIS, dof).
 
     A smoother's sum is the minimum of its cost, see `Run.total_nis`; None where it has none to offer. `iterations` and
-    `last_step_sigma` as of `Run`.
+    `last_step_sigma` as of `Run`. `systematic`: a smoother's last word on the systematic errors, if it estimates any.
     """
 
     final: Trajectory | None
@@ -63,6 +71,7 @@ class Finished(NamedTuple):
     total_nis: tuple[float, int] | None = None
     iterations: int | None = None
     last_step_sigma: float | None = None
+    systematic: Systematics | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,6 +205,8 @@ class Run:
         last_step_sigma: largest component of the Newton step that it left, in standard deviations of that component;
             next to nothing at an optimum.
         doubt: it got to the end, but with a number that no honest run gives (`implausible`): from which frame, and why.
+        errors_online, errors_final: systematic errors as each frame knew them, and after all data (None: none were
+            estimated).
         watched: what an observer of the replay wrote down, for those who know its kind; no part of the result.
     """
 
@@ -220,6 +231,8 @@ class Run:
     iterations: int | None = None
     last_step_sigma: float | None = None
     doubt: Failure | None = None
+    errors_online: Systematics | None = None
+    errors_final: Systematics | None = None
     watched: object | None = None
 
     def __post_init__(self) -> None:

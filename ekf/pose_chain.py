@@ -14,7 +14,7 @@ import numba
 import numpy as np
 
 from data.inputs import IntArray, Prior
-from data.motion import carried
+from data.motion.velocity import carried
 from data.result import Failure
 from data.se2 import Array, BoolArray, wrap_angle
 from data.sensors import wrap_angle as wrapped

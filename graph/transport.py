@@ -5,7 +5,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from data.motion import carried
+from data.motion.velocity import carried
 from data.se2 import Array
 from data.sensors import wrap_angle
 

@@ -14,7 +14,7 @@ from data.worlds.flags import number
 if TYPE_CHECKING:
     from data.convert.parsers import Add
     from data.log import Log
-    from data.motion import VelocityModel
+    from data.motion.velocity import VelocityModel
 
 KINDS = ("mrclam",)
 EXAMPLES = """\
@@ -153,7 +153,7 @@ def convert(args: argparse.Namespace) -> Log:
 
 def _motion(args: argparse.Namespace, default: VelocityModel) -> VelocityModel:
     """The motion model with what the flags change; a new convention of noise needs its own numbers."""
-    from data.motion import WITH_ALPHAS, VelocityModel, VelocityNoise
+    from data.motion.velocity import WITH_ALPHAS, VelocityModel, VelocityNoise
 
     kind = args.motion_noise or default.noise.kind
     if args.motion_noise is None and args.motion_alphas is not None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from data.errors import UsageError
-from data.motion import MAX_HOLD, VelocityModel, VelocityNoise
+from data.motion.velocity import MAX_HOLD, VelocityModel, VelocityNoise
 from data.se2 import Array
 
 MOTION = VelocityModel(VelocityNoise("density", (0.03, 0.06)))

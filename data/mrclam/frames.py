@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from data.inputs import Increments, IntArray
-from data.motion import MAX_HOLD, VelocityModel, preintegrate
+from data.motion.velocity import MAX_HOLD, VelocityModel, preintegrate
 from data.mrclam.readings import Readings
 from data.se2 import Array
 from data.terminal.words import counted

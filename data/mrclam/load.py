@@ -18,7 +18,7 @@ import numpy as np
 from data.errors import DataError, UsageError
 from data.inputs import CLUTTER, Increments, Inputs, LandmarkMap, Observations, Prior, floor_covariances
 from data.log import Log
-from data.motion import VelocityModel
+from data.motion.velocity import VelocityModel
 from data.mrclam.calibration import FROZEN, Calibration
 from data.mrclam.files import Files, open_files, robot_file
 from data.mrclam.first_fix import first_fix

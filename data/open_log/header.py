@@ -41,7 +41,7 @@ import numpy as np
 
 from data.errors import DataError
 from data.inputs import Prior, Scanner
-from data.motion import MODELS, NOISES, WITH_ALPHAS, VelocityModel, VelocityNoise
+from data.motion.velocity import MODELS, NOISES, WITH_ALPHAS, VelocityModel, VelocityNoise
 from data.open_log.motion_prior import PRIORS, MotionPrior
 from data.open_log.scans import KEYS, read_scanner
 from data.se2 import Array

@@ -15,7 +15,7 @@ import numpy as np
 
 from data.errors import UsageError
 from data.inputs import Increments
-from data.motion import ARC, step
+from data.motion.velocity import ARC, step
 from data.se2 import Array
 
 

@@ -26,7 +26,7 @@ import numpy as np
 from data.errors import DataError
 from data.inputs import UNLABELLED, Increments, Inputs, IntArray, Observations, Scans, floor_covariances
 from data.log import Log
-from data.motion import VelocityModel, preintegrate
+from data.motion.velocity import VelocityModel, preintegrate
 from data.open_log.csv_table import read_table
 from data.open_log.header import Header, read_header
 from data.open_log.landmarks import read_landmarks

@@ -6,7 +6,7 @@ import numpy as np
 
 from data.inputs import Inputs
 from data.log import Log
-from data.motion import carried
+from data.motion.velocity import carried
 from data.questions.question import Question
 from data.se2 import BoolArray, compose, wrap_angle
 

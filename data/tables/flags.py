@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from data.errors import DataError, UsageError
-from data.motion import VelocityNoise
+from data.motion.velocity import VelocityNoise
 from data.recordings.wheel_odometry import TravelNoise
 from data.se2 import Array
 from data.tables.columns import ROLES, Columns

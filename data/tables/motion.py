@@ -10,7 +10,7 @@ import numpy as np
 from data import se2
 from data.errors import DataError, UsageError
 from data.inputs import Increments
-from data.motion import VelocityModel, VelocityNoise, preintegrate
+from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
 from data.open_log.table import Table
 from data.questions.units import FASTEST, SHARE
 from data.recordings.wheel_odometry import TravelNoise, increments_of

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from data.motion import VelocityNoise
+from data.motion.velocity import VelocityNoise
 from data.recordings.wheel_odometry import TravelNoise
 from data.se2 import Array
 from data.tables.columns import Columns

@@ -23,7 +23,7 @@ from data.digest import program_digest
 from data.errors import UsageError
 from data.inputs import Increments, Inputs, LandmarkMap, Observations, floor_covariances
 from data.log import Log
-from data.motion import VelocityModel, VelocityNoise, preintegrate
+from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
 from data.pictures import CORNERS, Evidence, Found, InView, VisualRecording, VisualSetup
 from data.se2 import Array
 from data.sensors import RelativePoint
@@ -40,6 +40,8 @@ ENOUGH = 20
 NOISES = ("lab", "depth")
 TILES = 12
 """Frames kept to look at."""
+MOST_SMALL, SMALL_WIDTH = 500, 240
+"""Frames kept to play, and their width [px]."""
 PACKAGES = ("data",)
 """Code that decides what is found: the world, its images or their format, the detector, and all that these stand on."""
 LIBRARIES = ("numba", "numpy", "opencv-python-headless", "scipy")
@@ -53,8 +55,9 @@ def find_pictures(recording: VisualRecording, progress: Callable[[int, int], Non
     time, commands, rows = [], [], []
     refused = [Counter[str]() for _ in recording.references]
     candidates: list[tuple[int, int, bytes]] = []
+    small: list[tuple[int, bytes]] = []
     n = len(recording)
-    every = max(1, n // (4 * TILES))
+    every, every_small = max(1, n // (4 * TILES)), -(-n // MOST_SMALL)
     for k, (f, seen) in enumerate(detector.detect_each(recording.frames())):
         time.append(f.time)
         commands.append((f.v, f.omega))
@@ -62,7 +65,10 @@ def find_pictures(recording: VisualRecording, progress: Callable[[int, int], Non
             refused[picture][reason] += 1
         rows += [(k, d) for d in seen.detections]
         if k % every == 0:
-            candidates.append((len(seen.detections), k, _encoded(f.rgb)))
+            candidates.append((len(seen.detections), k, _encoded(f.rgb, 80)))
+        if k % every_small == 0:
+            size = (SMALL_WIDTH, max(1, round(f.rgb.shape[0] * SMALL_WIDTH / f.rgb.shape[1])))
+            small.append((k, _encoded(cv2.resize(f.rgb, size, interpolation=cv2.INTER_AREA), 60)))
         if progress is not None:
             progress(k + 1, n)
     with_some = [c for c in candidates if c[0]] or candidates
@@ -85,11 +91,12 @@ def find_pictures(recording: VisualRecording, progress: Callable[[int, int], Non
         focal=focal,
         pixel_noise=pixel_noise,
         depth_noise=depth_noise,
+        small=tuple(small),
     )
 
 
-def _encoded(rgb: Any) -> bytes:
-    ok, data = cv2.imencode(".jpg", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 80])
+def _encoded(rgb: Any, quality: int) -> bytes:
+    ok, data = cv2.imencode(".jpg", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
     assert ok
     return bytes(data.tobytes())
 
@@ -233,16 +240,17 @@ def cached(folder: Path, key: str, find: Callable[[], Found]) -> tuple[Found, st
     return found, None
 
 
-NOISE = ("focal", "pixel_noise", "depth_noise")
 ARRAYS = ("time", "v", "omega", "frame", "picture", "inliers", "pixels", "points")
 
 
 def _save(path: Path, found: Found) -> None:
     arrays: dict[str, Any] = {name: getattr(found, name) for name in ARRAYS}
     arrays |= {f"tile_{k}": np.frombuffer(image, np.uint8) for k, image in found.tiles}
+    arrays |= {f"small_{k}": np.frombuffer(image, np.uint8) for k, image in found.small}
     others = [
         [dict(each) for each in found.refused],
         [k for k, _ in found.tiles],
+        [k for k, _ in found.small],
         found.focal,
         found.pixel_noise,
         found.depth_noise,
@@ -255,9 +263,14 @@ def _save(path: Path, found: Found) -> None:
 def _load(path: Path) -> Found | None:
     try:
         with path.open("rb") as file, np.load(file) as kept:
-            refused, numbers, *noise = json.loads(kept["others"].tobytes())
-            tiles = tuple((k, kept[f"tile_{k}"].tobytes()) for k in numbers)
-            arrays = {name: kept[name] for name in ARRAYS}
-            return Found(**arrays, refused=tuple(refused), tiles=tiles, **dict(zip(NOISE, noise, strict=True)))
+            refused, *numbers, focal, pixel_noise, depth_noise = json.loads(kept["others"].tobytes())
+            tiles, small = (
+                tuple((k, kept[f"{kind}_{k}"].tobytes()) for k in which)
+                for kind, which in zip(("tile", "small"), numbers, strict=True)
+            )
+            return Found(
+                **{name: kept[name] for name in ARRAYS}, refused=tuple(refused), tiles=tiles, small=small,
+                focal=focal, pixel_noise=pixel_noise, depth_noise=depth_noise,
+            )  # fmt: skip
     except (OSError, zipfile.BadZipFile, KeyError, ValueError, EOFError):
         return None

@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from data.log import Log
 from data.pictures import Found, VisualRecording
 from data.se2 import Array
 
@@ -67,14 +66,3 @@ def frame_pictures(recording: VisualRecording, found: Found) -> Iterator[bytes]:
     """PNG of every frame of a recording, in order, with what was found in it."""
     for k, frame in enumerate(recording.frames()):
         yield outlined(frame.rgb, found_in(found, k))
-
-
-def frame_picture(log: Log, frame: int) -> bytes | None:
-    """PNG of a frame with what was found in it, of the few frames whose image a log keeps; None for the others."""
-    if log.evidence is None:
-        return None
-    image = dict(log.evidence.found.tiles).get(frame)
-    if image is None:
-        return None
-    rgb = cv2.imdecode(np.frombuffer(image, np.uint8), cv2.IMREAD_COLOR_RGB)
-    return None if rgb is None else outlined(np.asarray(rgb, np.uint8), found_in(log.evidence.found, frame))

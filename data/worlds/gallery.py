@@ -16,7 +16,7 @@ import numpy as np
 from data import se2
 from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior, floor_covariances, read_only
 from data.log import Log
-from data.motion import VelocityModel, VelocityNoise, preintegrate
+from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
 from data.pictures import CORNERS, VisualSetup
 from data.se2 import Array
 from data.truth import Truth

@@ -143,7 +143,7 @@ def anees_figure(
 
 def _short(value: float) -> str:
     """Three digits, without exponents up to a million."""
-    return f"{value:,.0f}" if 1000.0 <= abs(value) < 1e6 else f"{value:.3g}"
+    return f"{value:.0f}" if 1000.0 <= abs(value) < 1e6 else f"{value:.3g}"
 
 
 def _share_outside(values: Array, lower: float, upper: float) -> float:

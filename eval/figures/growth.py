@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from data.log import Log
 from data.result import Run
@@ -15,7 +16,7 @@ from data.se2 import Array
 from eval.figures.ellipses import SIGMAS, longest_axis
 from eval.figures.error import longest_sigma, ticks, time_label
 from eval.figures.paper.look import page_width, points
-from eval.figures.style import DASHED, DOTTED, SOLID, Line, colour_of_method, drawing, style_of
+from eval.figures.style import DASHDOT, DASHED, DOTTED, SOLID, Line, colour_of_method, drawing, style_of
 from eval.referee.score import Trial
 from eval.replay.again import landmark_sigmas
 
@@ -45,7 +46,7 @@ def _state_figure(trial: Trial, beside: Sequence[Trial]) -> Figure:
     fig = Figure(figsize=(page_width(), 2.7))
     ax = fig.add_subplot()
     time = trial.log.recorded.time
-    lines = []
+    lines: list[tuple[int, Line2D]] = []
     for t in (trial, *beside):
         extra = t.log.name.removeprefix(trial.log.name).strip(":+ ")
         for run in sized(t):
@@ -56,16 +57,17 @@ def _state_figure(trial: Trial, beside: Sequence[Trial]) -> Figure:
             end = int(run.state_size[run.state_size > 0][-1]) if np.any(run.state_size > 0) else 0
             name = run.association if run.estimator == "ekf" else f"{run.association}, {style_of(run.estimator).label}"
             label = f"{name}{f', {extra}' if extra and t is not trial else ''}: {end}"
-            line: Line = SOLID if t is trial else DASHED
             label += "" if run.doubt is None else f", {run.status} at frame {run.doubt.frame}"
             colour = colour_of_method(run.association)
+            same = sum(drawn.get_color() == colour for _, drawn in lines)
+            line: Line = (SOLID, DOTTED, DASHDOT)[min(same, 2)] if t is trial else DASHED
             (drawn,) = ax.step(time, size, where="post", color=colour, linestyle=line, linewidth=1.1, label=label)
             lines.append((end, drawn))
     ax.set(xlabel=time_label(trial.log.recorded), ylabel="length of the state [–]", ylim=(0.0, None))
     if len(time) > 1:
         ax.set_xlim(time[0], time[-1])
     ax.yaxis.set_major_locator(ticks(6))
-    ax.set_title(f"{trial.log.name}: state of the filters (3 for the pose, 2 for a landmark)", loc="left")
+    ax.set_title(f"{trial.log.name}:\nstate of the filters (3 for the pose, 2 for a landmark)", loc="left")
     handles = [drawn for _, drawn in sorted(lines, key=lambda pair: -pair[0])]
     fig.legend(handles=handles, loc="outside right upper", title="length at the end", title_fontsize=points(7))
     return fig

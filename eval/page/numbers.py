@@ -11,4 +11,5 @@ def number(value: float, digits: int = 3) -> str:
         return f"{value:g}"
     if not 1e-4 <= abs(value) < 1e6:
         return f"{value:.{digits - 1}e}"
-    return f"{value:.{max(digits - 1 - math.floor(math.log10(abs(value))), 0)}f}"
+    rounded = float(f"{value:.{digits - 1}e}")  # 99.96 has the digits of 100
+    return f"{value:.{max(digits - 1 - math.floor(math.log10(abs(rounded))), 0)}f}"

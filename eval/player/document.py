@@ -11,7 +11,9 @@ from typing import Any
 
 from eval.player.pack import text_of
 
-SCRIPTS = ("decode", "history", "view", "marks", "state", "map", "controls", "inspect", "matching", "plots", "main")
+SCRIPTS = (
+    "decode", "history", "view", "marks", "state", "map", "controls", "inspect", "matching", "camera", "plots", "main",
+)  # fmt: skip
 """In the order of loading."""
 NOTES = (
     "Candidates, gates and what other methods say are recorded while a run is made: of filters always, of smoothers"

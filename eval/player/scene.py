@@ -12,6 +12,7 @@ from association.scans.laser_run import LaserRun
 from data.log import Log
 from data.se2 import wrap_angle
 from eval.figures.style import series, style_of
+from eval.player.camera import add_camera
 from eval.player.laser import add_loops, dashes
 from eval.player.of_run import add_run
 from eval.player.pack import Pack
@@ -36,6 +37,7 @@ def scene(trials: Sequence[Trial], setup: Setup) -> dict[str, Any]:
     pack = Pack(0, len(log.recorded))
     quantum = quantum_of(log.recorded)
     _add_log(pack, log, quantum)
+    camera = add_camera(pack, log)
     runs, left_out = list[dict[str, Any]](), list[str]()
     for trial in trials:
         styles = {(s.run.estimator, s.run.association): s.line for s in series([r for t in trials for r in t.runs])}
@@ -65,7 +67,7 @@ def scene(trials: Sequence[Trial], setup: Setup) -> dict[str, Any]:
         "gates": [_percent(setup.gate), _percent(setup.new_gate)],
         "band": [gate_threshold(p, 3) for p in (0.025, 0.975)],
         "labels": log.label is not None or log.labels_are_sensed, "laser": log.recorded.scans is not None,
-        "truth": bool(log.truth.known_poses),
+        "truth": bool(log.truth.known_poses), "camera": camera,
     })  # fmt: skip
 
 

@@ -50,10 +50,12 @@ def differences_table(rows: pd.DataFrame) -> pd.DataFrame:
 def missing_intervals(rows: pd.DataFrame) -> str:
     """Why intervals are missing from the table, a sentence for each reason; empty if none is."""
     whys: dict[tuple[str, str], list[str]] = {}
+    several = rows["association"].nunique() > 1
     for row in rows_of(rows):
+        pair = f"{row['a']} and {row['b']}" + (f" ({row['association']})" if several else "")
         for name, what in (("rmse_position", "RMSE"), ("nees_pose", "NEES")):
             if not is_blank(row[f"{name}_why"]):
-                whys.setdefault((what, str(row[f"{name}_why"])), []).append(f"{row['a']} and {row['b']}")
+                whys.setdefault((what, str(row[f"{name}_why"])), []).append(pair)
     return "\n".join(f"* {what} of {', '.join(pairs)}: no interval; {why}." for (what, why), pairs in whys.items())
 
 

@@ -11,6 +11,7 @@ import pandas as pd
 
 from data.log import folder_name
 from data.result import DISCARD, NEW, Event, Run
+from data.terminal.words import counted
 from eval.figures.revision import Example, revision_figure
 from eval.figures.style import save
 from eval.page.document import Picture, Section, written_table
@@ -111,11 +112,11 @@ def _picture(folder: Path, options: Options, trial: Trial) -> Picture | None:
         return None
     name = f"{folder_name(trial.log.name)}-{trial.task}-revision"
     save(revision_figure(trial.log, run, one), folder / "figures", name, ("png",) if options.quick else ("pdf", "png"))
-    numbers = len(np.unique(one.old[one.old >= 0]))
+    numbers = counted(len(np.unique(one.old[one.old >= 0])), "landmark")
     return Picture(
         name,
         f"`{trial.log.name}`, {trial.task}, {run.estimator}: what frame {one.frame} revised ({one.why}):"
-        f" {len(one.rows)} sightings of {numbers} landmarks. Left: sightings where the path known then puts them, with"
+        f" {counted(len(one.rows), 'sighting')} of {numbers}. Left: sightings where the path known then puts them, with"
         " the decisions made then; right: the same with the decisions and the path in the end. Where nothing was"
         " decided instead, lines lead to the poses it was seen from, with their frames.",
         f"Sightings on {trial.log.name} before and after frame {one.frame} revised the decisions about them",

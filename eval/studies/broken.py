@@ -13,7 +13,7 @@ import numpy as np
 
 from data.errors import UsageError
 from data.inputs import Increment, Increments, Inputs, IntArray, Sightings
-from data.motion import carried
+from data.motion.velocity import carried
 from data.result import Run, Trajectory, Updated
 from data.se2 import Array
 from ekf.filter import Filter

@@ -19,7 +19,7 @@ import numpy as np
 from data import se2
 from data.errors import UsageError
 from data.inputs import Increments, Inputs, LabelledObservations, floor_covariances
-from data.motion import WITH_ALPHAS, VelocityNoise, preintegrate
+from data.motion.velocity import WITH_ALPHAS, VelocityNoise, preintegrate
 from data.se2 import Array
 from data.sensors import RangeBearing
 from eval.tuning.odometry import Odometry, moved_later, smooth_velocity

@@ -19,7 +19,7 @@ import numpy as np
 from data import se2
 from data.errors import DataError
 from data.inputs import Increments
-from data.motion import MAX_HOLD, VelocityModel
+from data.motion.velocity import MAX_HOLD, VelocityModel
 from data.open_log.csv_table import read_table
 from data.open_log.header import read_header
 from data.open_log.reader import HEADER, ODOMETRY

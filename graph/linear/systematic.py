@@ -124,7 +124,8 @@ def _chain(inputs: Inputs, path: Array) -> tuple[Array, Array, Array]:
     """Jacobians F to the pose before and B to the increment (N, 3, 3), and where the data put each pose (N, 3).
 
     The last is a deviation from `path`, of the prior in row 0, of the stated increment in the others. F turns the way
-    as smoothed, not as stated: there, with the noise as smoothed, is the optimum (`data.motion.carried` at that way).
+    as smoothed, not as stated: there, with the noise as smoothed, is the optimum (`data.motion.velocity.carried` at
+    that way).
     """
     n = len(path)
     c, s = np.cos(path[:-1, 2]), np.sin(path[:-1, 2])

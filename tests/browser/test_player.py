@@ -6,84 +6,20 @@
 from __future__ import annotations
 
 import csv
-import shutil
 
 import numpy as np
 import pytest
 
 from association.decide import METHODS
 from data.logs import open_log
-from eval import play, run_all
 from eval.referee.confusion import OUTCOMES
 from eval.replay.observer import Nobody
 from eval.replay.run import step_by_step
+from tests.browser.opened import NAME, Opened
 
-api = pytest.importorskip("playwright.sync_api", reason="the extra `browser` is not installed (make test-browser)")
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-pytestmark = [pytest.mark.browser, pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on PATH")]
-NAME = "corridor:0:people"
-WIDTHS = (1400, 1100, 400)
+pytestmark = pytest.mark.browser
 FASTEST = 1000 / 30
 """ms in which a frame must be drawn to play 30 of them in a second."""
-
-
-@pytest.fixture(scope="module")
-def results(tmp_path_factory):
-    """The result folder of a corridor with people, nearest neighbour and joint compatibility."""
-    out = tmp_path_factory.mktemp("results") / "corridor"
-    wanted = ["--log", NAME, "--task", "slam", "--estimator", "ekf", "--association", "nn,jcbb", "--quick"]
-    assert run_all.main([*wanted, "--out", str(out), "-q", "--jobs", "1"]) == 0
-    return out
-
-
-@pytest.fixture(scope="module")
-def park(tmp_path_factory):
-    """The player of the longest log, three estimators."""
-    out = tmp_path_factory.mktemp("park") / "park.html"
-    assert play.main(["victoria-park", "--estimator", "dead-reckoning,ekf,isam2,batch", "--out", str(out)]) == 0
-    return out
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    with api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield browser
-        browser.close()
-
-
-class Opened:
-    """A page, and what it complained of or asked for."""
-
-    def __init__(self, browser, path, width=1400, dark=False):
-        self.page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme="dark" if dark else "light")
-        self.complaints, self.asked = [], []
-        self.page.on("console", lambda message: self.complaints.append(message.text))
-        self.page.on("pageerror", lambda fault: self.complaints.append(str(fault)))
-        self.page.on("request", lambda request: self.asked.append(request.url))
-        self.page.goto(path.as_uri())
-        self.page.wait_for_selector("html[data-ready]", timeout=60_000)
-        self.address = path.as_uri()
-
-    def js(self, text):
-        return self.page.evaluate(text)
-
-    def settle(self):
-        """Two frames later everything asked for is drawn."""
-        self.js("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
-
-    def close(self):
-        """Nothing was complained of, and nothing but the file was asked for."""
-        self.page.close()
-        assert self.complaints == []
-        assert self.asked == [self.address]
-
-
-@pytest.fixture
-def corridor(chromium, results):
-    opened = Opened(chromium, results / "players" / "corridor_0_people.html")
-    yield opened
-    opened.close()
 
 
 def decisions_of(results, association):
@@ -254,20 +190,6 @@ def test_the_longest_log_is_small_and_is_drawn_fast_enough(chromium, park, resul
     opened.close()
 
 
-@pytest.mark.parametrize("width", WIDTHS)
-@pytest.mark.parametrize("dark", [False, True])
-def test_nothing_is_cut_off_at_any_width(chromium, results, width, dark):
-    opened = Opened(chromium, results / "players" / "corridor_0_people.html", width, dark)
-    opened.page.click("#wrong-next")
-    opened.settle()
-    assert opened.js("document.documentElement.scrollWidth") <= width
-    assert opened.js("document.querySelector('#map').clientWidth") > 0.5 * min(width, 700)
-    assert opened.js("document.querySelectorAll('.uplot').length") == 2
-    paper = opened.js("getComputedStyle(document.body).backgroundColor")
-    assert (paper == "rgb(22, 24, 27)") == dark
-    opened.close()
-
-
 def test_wheel_drag_and_follow_move_the_map(corridor):
     page, box = corridor.page, corridor.page.locator("#map").bounding_box()
     before = corridor.js("[player.view.x, player.view.scale]")
@@ -285,12 +207,3 @@ def test_wheel_drag_and_follow_move_the_map(corridor):
     corridor.settle()
     at = corridor.js("(() => { const p = player.pose(); return [p.x - player.view.x, p.y - player.view.y]; })()")
     assert at == pytest.approx([0, 0])
-
-
-def test_the_canvas_has_the_pixels_of_the_screen(chromium, results):
-    page = chromium.new_page(viewport={"width": 800, "height": 700}, device_scale_factor=2)
-    page.goto((results / "players" / "corridor_0_people.html").as_uri())
-    page.wait_for_selector("html[data-ready]")
-    width, shown = page.evaluate("[document.querySelector('#map').width, document.querySelector('#map').clientWidth]")
-    assert width == pytest.approx(2 * shown, abs=5)
-    page.close()

@@ -10,7 +10,7 @@ import numpy as np
 
 from data import se2
 from data.inputs import CLUTTER, Prior
-from data.motion import VelocityModel, VelocityNoise, preintegrate
+from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
 from data.mrclam import load as mrclam
 from data.mrclam.calibration import Calibration
 from data.mrclam.frames import Grid
@@ -139,6 +139,7 @@ def however_it_is_cut():
 
 GAP = Check("the true motion over a gap lies in its ellipse", across_a_gap)
 CUT = Check("cutting a sample leaves the total variance", however_it_is_cut)
+PREINTEGRATE = "data.motion.velocity._preintegrate"
 NO_GROWTH = {"fastest[0] ** 2 * gap * dt": "1e-10", "fastest[1] ** 2 * gap * dt": "1e-10"}
 SQUARED_PIECES = {"rate[k, 0] * dt, rate[k, 1] * dt": "rate[k, 0] / hold[k] * dt**2, rate[k, 1] / hold[k] * dt**2"}
 
@@ -188,8 +189,8 @@ FAULTS = (
     Fault(21, "MRCLAM: two landmarks exchanged in the survey", SURVEY_FITS,
           replaced("data.mrclam.load.read_landmarks", two_landmarks_exchanged), match="seen where 20 should be"),
     Fault(21, "MRCLAM: bad ground truth not left out", BAD_TRUTH, bad_stretches_forgotten),
-    Fault(22, "covariance that does not grow over a gap", GAP, changed("data.motion._preintegrate", NO_GROWTH)),
-    Fault(24, "(sigma dt)^2 for each piece of a sample", CUT, changed("data.motion._preintegrate", SQUARED_PIECES)),
+    Fault(22, "covariance that does not grow over a gap", GAP, changed(PREINTEGRATE, NO_GROWTH)),
+    Fault(24, "(sigma dt)^2 for each piece of a sample", CUT, changed(PREINTEGRATE, SQUARED_PIECES)),
     Fault(25, "corridor: R from the true range", FROM_THE_READING, changed("data.worlds.corridor._observe",
     FROM_THE_TRUTH)),
 )  # fmt: skip

@@ -58,7 +58,16 @@ tr > :first-child { position: sticky; left: 0; z-index: 1; white-space: normal; 
   line-height: 1.25; }
 .mark { font-weight: 700; white-space: nowrap; }
 .good { color: var(--good); } .fair { color: var(--fair); } .bad { color: var(--bad); } .none { color: var(--faint); }
+.overview td:last-child { min-width: 6.5rem; }
 .sketch svg { display: block; background: #ffffff; border-radius: 3px; }
+@media (max-width: 75rem) {
+  table { font-size: 0.78rem; }
+  th, td { padding: 0.3rem 0.4rem; }
+  thead th { min-width: 3.4rem; }
+  .overview table { font-size: 0.85rem; }
+  .overview td, .overview tbody th, .overview thead th { padding: 0.35rem 0.35rem; }
+  .overview small { max-width: 9.6rem; }
+}
 @media (max-width: 40rem) {
   body { padding: 0.75rem 0.75rem 3rem; }
   h1 { font-size: 1.35rem; }
@@ -73,7 +82,7 @@ tr > :first-child { position: sticky; left: 0; z-index: 1; white-space: normal; 
   body { max-width: none; padding: 0; font-size: 10pt; }
   nav, .skip, .top { display: none; }
   section { break-before: page; }
-  .first section { break-before: auto; }
+  .first > section:only-child { break-before: auto; }
   h2 { margin-top: 0; border: 0; padding: 0; }
   h2, h3, h4, figcaption { break-after: avoid; }
   figure:not(.table), tr, .formula { break-inside: avoid; }

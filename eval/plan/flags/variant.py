@@ -23,7 +23,7 @@ class Variant:
         name: appended to the log's name.
         task: the one task it is about.
         grid: s, instants to which odometry and readings are brought.
-        model: motion model; noise: the convention of its alphas (see `data.motion.VelocityNoise`).
+        model: motion model; noise: the convention of its alphas (see `data.motion.velocity.VelocityNoise`).
         sigma: of range [m] and bearing [rad].
         prior_variance: of x, y [m^2] and heading [rad^2].
         each: one update per observation instead of one per frame.

@@ -11,7 +11,7 @@ from association.decide import Decided
 from association.expectation import Expectation
 from association.likelihood import ALPHA, RATIO
 from data.inputs import Increment, IntArray, Sightings
-from data.motion import carried
+from data.motion.velocity import carried
 from data.result import DISCARD, NEW
 from data.se2 import Array, BoolArray, wrap_angle
 from ekf.localizer import EkfLocalizer

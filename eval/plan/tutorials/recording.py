@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 from data.errors import UsageError
 from data.inputs import Prior
 from data.log import Log
-from data.motion import VelocityModel, VelocityNoise
+from data.motion.velocity import VelocityModel, VelocityNoise
 from data.mrclam.calibration import Calibration
 from data.mrclam.frames import Grid
 from data.mrclam.load import load_mrclam

@@ -35,7 +35,7 @@ function toWrong(direction) {
 function draw() {
   const begin = performance.now();
   dirty = false;
-  drawMap(); showNow(); inspect();
+  drawMap(); showNow(); inspect(); drawCamera();
   spent += performance.now() - begin; drawn += 1;
 }
 

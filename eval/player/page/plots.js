@@ -1,5 +1,6 @@
 // Error with its 3 sigma and NEES (without truth: 3 sigma and NIS) over time, with a cursor at the present frame.
 let plots = [];
+const WHOLE = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000, 20000, 50000]; // of frames there is no half
 const COMPONENTS = [["x", 0, "m", 1], ["y", 1, "m", 1], ["heading", 2, "°", 180 / Math.PI]];
 
 function wrapped(angle) { return Math.atan2(Math.sin(angle), Math.cos(angle)); }
@@ -25,12 +26,18 @@ function consistencySeries(run) {
 
 function plotInto(place, title, unit, series, data, more) {
   const axis = { stroke: ink(), grid: { stroke: DARK.matches ? "#33373d" : "#e4e4e4", width: 1 }, ticks: { stroke: faint(), width: 1 }, font: "11px system-ui, sans-serif" };
-  const unitOfTime = recording.head.indexed ? "frame" : "time [s]";
+  let logarithmic = {};
+  const indexed = recording.head.indexed, unitOfTime = indexed ? "frame" : "time [s]";
+  const whole = indexed ? { incrs: WHOLE } : {};
+  if (more.y) { // decades alone, also those below a thousandth
+    const decades = (_, at) => at.map((v) => (v > 0 && Math.abs(Math.log10(v) % 1) < 1e-9 ? v : null));
+    logarithmic = { filter: decades, values: (_, at) => at.map((v) => (v === null ? "" : String(+v.toPrecision(3)))), grid: { ...axis.grid, filter: decades }, ticks: { ...axis.ticks, filter: decades } };
+  }
   const plot = new uPlot({
     width: Math.max(place.clientWidth, 200), height: 170, title: "", legend: { show: true, live: false },
     cursor: { y: false, drag: { x: true, y: false }, points: { show: false } },
     scales: { x: { time: false }, ...more },
-    axes: [{ ...axis, label: unitOfTime, labelSize: 18, size: 32 }, { ...axis, label: `${title}${unit ? ` [${unit}]` : ""}`, labelSize: 16, size: 58, space: 22 }],
+    axes: [{ ...axis, ...whole, label: unitOfTime, labelSize: 18, size: 32 }, { ...axis, ...logarithmic, label: `${title}${unit ? ` [${unit}]` : ""}`, labelSize: 16, size: 58, space: 22 }],
     series: [{ label: unitOfTime }, ...series],
   }, data, place);
   const cursor = document.createElement("div");

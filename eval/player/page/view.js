@@ -1,4 +1,5 @@
 // A canvas with a world on it: metres to pixels and back, pan and zoom by mouse, wheel, fingers and keys.
+const ROOM = 24;
 class View {
   constructor(canvas, changed) {
     this.canvas = canvas; this.changed = changed;
@@ -24,11 +25,12 @@ class View {
     return true;
   }
 
-  /** Show a box {x0, y0, x1, y1} with a margin. */
+  /** Show a box {x0, y0, x1, y1} with a margin in which marks at its edge and their numbers have room. */
   fit(box) {
     this.home = box; this.touched = false;
     const w = Math.max(box.x1 - box.x0, 1e-3), h = Math.max(box.y1 - box.y0, 1e-3);
-    this.scale = 0.92 * Math.min(this.width / w, this.height / h);
+    const inner = (size) => Math.max(Math.min(0.92 * size, size - 2 * ROOM), 1);
+    this.scale = Math.min(inner(this.width) / w, inner(this.height) / h);
     this.x = (box.x0 + box.x1) / 2; this.y = (box.y0 + box.y1) / 2;
   }
 

@@ -180,9 +180,9 @@ def _what_a_prior_changes(primed: Trial, bare: Trial | None, scores: Scores) -> 
         if run.failure is not None or run.association == "none":
             continue
         without = None if bare is None else bare.find(run.estimator, run.association)
-        line = f"{run.estimator} with {NAMES.get(run.association, run.association)} {_errors(scores, primed, run)} m"
+        line = f"{run.estimator} with {NAMES.get(run.association, run.association)} {_errors(scores, primed, run)}"
         if bare is not None and without is not None and without.failure is None:
-            line += f" ({_errors(scores, bare, without)} m without)"
+            line += f" ({_errors(scores, bare, without)} without)"
         rows.append(line)
     if not rows:
         return ""
@@ -202,6 +202,6 @@ def _what_a_prior_changes(primed: Trial, bare: Trial | None, scores: Scores) -> 
 
 
 def _errors(scores: Scores, trial: Trial, run: Run) -> str:
-    """Position RMSE of each phase of a run, and its status if it is implausible."""
-    mark = "" if run.doubt is None else f" ({run.status})"
-    return " / ".join(number(rmse(scores, trial, run, phase)) for phase in run.phases) + mark
+    """Position RMSE [m] of each phase of a run, and its status if it is implausible."""
+    mark = "" if run.doubt is None else f", {run.status}"
+    return " / ".join(number(rmse(scores, trial, run, phase)) for phase in run.phases) + f" m{mark}"

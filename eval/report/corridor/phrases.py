@@ -56,7 +56,7 @@ def share(value: float) -> str:
 
 def move(before: float, after: float) -> str:
     """A change of a number, in words."""
-    if before == after:
+    if number(before) == number(after):
         return f"stays at {number(after)}"
     return f"{'rises' if after > before else 'falls'} from {number(before)} to {number(after)}"
 

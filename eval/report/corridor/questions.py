@@ -139,7 +139,12 @@ def why_people_break_it(lab: Lab, scores: Scores) -> tuple[str, bool]:
             f"**{NAMES[method]}** pairs {b.clutter_paired} of them, {b.clutter_again} with a landmark initialized on a"
             f" person and {b.clutter_paired - b.clutter_again} with one of a point, and initializes"
             f" {plural(b.clutter_initializing, 'landmark')} on others."
-            + (f" {plural(b.ghost, 'observation')} of points are paired with people's landmarks." if b.ghost else "")
+            + (
+                f" {plural(b.ghost, 'observation')} of points {'is' if b.ghost == 1 else 'are'} paired with people's"
+                " landmarks."
+                if b.ghost
+                else ""
+            )
             + f" FP {count_change(a.counts.fp, b.counts.fp)}, recall is {share(a.counts.recall)} without people and"
             f" {share(b.counts.recall)} with them, the position RMSE {move(before, after)} m."
         )

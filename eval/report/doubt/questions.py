@@ -98,8 +98,12 @@ def said_before(trials: Sequence[Trial]) -> list[tuple[str, Question]]:
 def questions_section(trials: Sequence[Trial]) -> list[Section]:
     """A section with all of them; none where there is nothing to ask."""
     said = [*said_before(trials), *said_after(trials)]
-    lines = [f"* **{question.name}** ({who}): {question.text}." for who, question in said]
+    lines = [f"* **{question.name}** ({who}): {_ended(question.text)}" for who, question in said]
     return [Section("Questions", (TEXT, "\n".join(dict.fromkeys(lines))))] if lines else []
+
+
+def _ended(text: str) -> str:
+    return text if text.endswith("?") else f"{text}."
 
 
 def is_unused(run: Run) -> bool:

@@ -21,7 +21,7 @@ from eval.referee.errors import landmark_true_ids
 from eval.referee.score import Scores, Trial
 from eval.report.corridor.conditions import what_maintenance_changes, without_odometry
 from eval.report.corridor.facts import Lab, look, run_of
-from eval.report.corridor.phrases import BLIND, NAMES, ODOMETRY, PEOPLE, WORSE, plural, rmse
+from eval.report.corridor.phrases import BLIND, NAMES, ODOMETRY, PEOPLE, WORSE, move, plural, rmse
 from eval.report.corridor.questions import why_jcbb_copes, why_nn_fails, why_people_break_it
 from eval.report.lab.pictures import BLIND_PEOPLE, UPDATE_TIME, has, maintained_pair
 
@@ -172,8 +172,7 @@ def _people_in_a_line(lab: Lab, scores: Scores) -> str:
             run = run_of(lab.trials[switches], method)
             assert run is not None  # `has` says so
             errors.append(rmse(scores, lab.trials[switches], run))
-        word = "rises" if errors[1] > errors[0] else "falls"
-        parts.append(f"{NAMES[method]}'s RMSE {word} from {number(errors[0])} to {number(errors[1])} m")
+        parts.append(f"{NAMES[method]}'s RMSE {move(*errors)} m")
     return f"With people about {' and '.join(parts)}." if parts else "Neither NN nor SINGLES got to its end."
 
 
@@ -213,8 +212,8 @@ def without_odometry_by_all(lab: Lab, scores: Scores) -> tuple[str, bool]:
         if run is not None:
             c = look(run, trial.log).counts
             each.append(
-                f"{NAMES[method]} makes {plural(c.tp, 'right pairing')} and {c.fp} wrong ones, and leaves {c.missed}"
-                " out"
+                f"{NAMES[method]} makes {plural(c.tp, 'right pairing')} and {plural(c.fp, 'wrong one')}, and leaves"
+                f" {c.missed} out"
             )
     return f"{text} The others: {'; '.join(each)}." if each else text, known
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 from data.terminal.words import counted
@@ -50,18 +51,18 @@ def concluded(facts: Sequence[Facts]) -> str:
         size = f" (the filter's RMSE is {_range(ratios)} times as large)" if ratios else ""
         gone = counted(len(smoother) - len(both), "row")
         size += f", where the filter fails on {gone}" if len(both) < len(smoother) else ""
-        where = "" if len(smoother) == len(facts) else f" on {_where(smoother)}"
+        where = "" if len(smoother) == len(facts) else f" on {_where(smoother, facts)}"
         parts.append(f"for the path after the fact trust the smoother{where}{size}")
     for word, said in (
         (EITHER, "trust either on {}"), (FILTER, "the filter is closer on {}"), (NEITHER, "trust neither on {}"),
     ):  # fmt: skip
         found = [f for f, w in words if w == word]
-        parts += [said.format(_where(found))] if found else []
+        parts += [said.format(_where(found, facts))] if found else []
     causes: dict[str, list[Facts]] = {}
     for f in facts:
         if not f.measured:
             causes.setdefault(whom_to_trust(f).word, []).append(f)
-    parts += [f"no truth on {_where(found)}, {word}" for word, found in causes.items()]
+    parts += [f"no truth on {_where(found, facts)}, {word}" for word, found in causes.items()]
     text = "; ".join(parts)
     return f"{text[:1].upper()}{text[1:]}." if text else ""
 
@@ -71,9 +72,10 @@ def _range(ratios: Sequence[float]) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _where(facts: Sequence[Facts]) -> str:
-    tasks = {f.trial.task for f in facts}
-    names = [f"{f.trial.log.name}{f' ({f.trial.task})' if len(tasks) > 1 else ''}" for f in facts]
+def _where(facts: Sequence[Facts], of: Sequence[Facts]) -> str:
+    """Logs by name, with the task of those that have several rows."""
+    rows = Counter(f.trial.log.name for f in of)
+    names = [f"{f.trial.log.name}{f' ({f.trial.task})' if rows[f.trial.log.name] > 1 else ''}" for f in facts]
     if len(names) > MOST:
         return f"{len(names)} rows"
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -1,7 +1,7 @@
 """The visual log's motion and observation models with their Jacobians, as formulas to be typeset.
 
-They stand once, as the LaTeX of their entries. What they say is computed by `data.motion.step`, `data.se2.compose` and
-`data.sensors.measure`; a test evaluates the entries below and compares them with those.
+They stand once, as the LaTeX of their entries. What they say is computed by `data.motion.velocity.step`,
+`data.se2.compose` and `data.sensors.measure`; a test evaluates the entries below and compares them with those.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ MOTION = Model(
     " composed with the pose; the heading is then wrapped to ±180°. As ω goes to zero, a goes to 1, b and a' go to 0"
     " and b' to 1/2, and the arc becomes a straight line; the program takes these limits by series. F is the Jacobian"
     " with respect to the pose, G the one with respect to the command, and the noise of v and ω is independent at each"
-    " command. Source: Probabilistic Robotics, section 5.3; code: data.motion.step, data.se2.compose.",
+    " command. Source: Probabilistic Robotics, section 5.3; code: data.motion.velocity.step, data.se2.compose.",
     (
         Equation(r"\mathbf{x}_{k+1}", (r"f(\mathbf{x}_k, \mathbf{u}_k) = ", NEXT_POSE)),
         COMMAND_TERMS,

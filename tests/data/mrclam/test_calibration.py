@@ -12,7 +12,7 @@ import pytest
 from data import se2
 from data.errors import UsageError
 from data.log import Log
-from data.motion import VelocityModel, VelocityNoise
+from data.motion.velocity import VelocityModel, VelocityNoise
 from data.mrclam.calibration import FROZEN, Calibration
 from data.mrclam.load import corrected_landmarks
 from tests.data.mrclam import world

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from data.inputs import UNLABELLED, floor_covariances
-from data.motion import VelocityModel, VelocityNoise, preintegrate
+from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
 from data.open_log.writer import write_folder
 from data.sensors import RangeBearing, RelativePoint
 from data.truth import CLUTTER, UNKNOWN_ID

@@ -143,11 +143,16 @@ def test_a_picture_taken_for_another_is_a_wrong_pairing():
 def same(a: Found, b: Found) -> bool:
     arrays = ("time", "v", "omega", "frame", "picture", "inliers", "pixels", "points")
     equal = all(np.array_equal(getattr(a, n), getattr(b, n)) for n in arrays)
-    return equal and (a.refused, a.tiles, a.focal, a.depth_noise) == (b.refused, b.tiles, b.focal, b.depth_noise)
+    return (
+        equal
+        and a.small == b.small
+        and ((a.refused, a.tiles, a.focal, a.depth_noise) == (b.refused, b.tiles, b.focal, b.depth_noise))
+    )
 
 
 def test_what_was_found_is_kept_by_content(tmp_path):
     found = replace(made(40, noise=0.002), refused=({"too few inliers": 3}, {}), tiles=((2, b"jpeg"),))
+    found = replace(found, small=((0, b"small"), (3, b"one")))
     looked = []
 
     def look():

@@ -129,6 +129,18 @@ def test_the_legend_of_states_gives_the_length_at_the_end_largest_first():
     assert lines["jcbb, maintain: 7"] == [7.0, 9.0, 9.0, 9.0, 7.0]
 
 
+def test_filters_with_one_way_of_association_are_told_apart_and_the_legend_stands_beside_the_title():
+    log = lab_log(name="corridor:0:people+no-odometry+forward")
+    both = Trial(log, "slam", (lab_run(log, "known"), lab_run(log, "known", estimator="ekf-iterated")))
+    fig = state_figure(both)
+    first, second = fig.axes[0].lines
+    assert first.get_color() == second.get_color()
+    assert first.get_linestyle() != second.get_linestyle()
+    fig.draw_without_rendering()
+    title = next(t for t in (fig.axes[0].title, fig.axes[0]._left_title) if t.get_text())
+    assert not title.get_window_extent().overlaps(fig.legends[0].get_window_extent())
+
+
 def test_a_loop_is_closed_when_a_landmark_is_seen_after_a_good_part_of_the_run():
     log = circle_log()
     run = run_with_error(np.zeros(3))

@@ -78,3 +78,5 @@ def test_reasons_for_missing_intervals_are_said_once_each():
         "* NEES of ekf and batch, ekf and isam2: no interval; 40 frames are too few."
     )
     assert missing_intervals(frame_of([ROW], DIFFERENCES)) == ""
+    decided = frame_of([ROW | SILENT, ROW | SILENT | {"association": "jcbb"}], DIFFERENCES)
+    assert missing_intervals(decided).startswith("* RMSE of ekf and batch (known), ekf and batch (jcbb): no interval")

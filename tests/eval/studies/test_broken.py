@@ -10,7 +10,7 @@ from scipy import stats
 
 from data.errors import UsageError
 from data.inputs import Increment
-from data.motion import carried
+from data.motion.velocity import carried
 from data.result import NEW
 from data.worlds.arena import Arena, simulate
 from ekf.localizer import EkfLocalizer

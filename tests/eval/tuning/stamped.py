@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from data.motion import VelocityModel, VelocityNoise, preintegrate
+from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
 from data.sensors import RangeBearing
 
 DT, EVERY = 0.05, 8

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from data.inputs import Increments
-from data.motion import VelocityModel, VelocityNoise, preintegrate
+from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
 from data.worlds.arena import simulate
 from eval.tuning.fit import AT_BOUND, FITTED, HELD, fit, middle, pairings, score
 from eval.tuning.model import GROUPS, apply, make_model, vector

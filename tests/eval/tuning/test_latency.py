@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from data.inputs import Increments
-from data.motion import VelocityModel, VelocityNoise, preintegrate
+from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
 from data.open_log.reader import load_folder
 from eval.tune import tune
 from eval.tuning.fit import fit, pairings

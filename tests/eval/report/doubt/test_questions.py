@@ -47,6 +47,8 @@ def test_a_map_with_several_landmarks_for_one_cone_is_asked_about():
     assert len(run.map) > 2 * cones
     assert question.name == "landmarks"
     assert question.text.startswith(f"{len(run.map)} landmarks")
+    (section,) = questions_section([Trial(arena(), "slam", (run,))])
+    assert section.blocks[1].endswith("do better?")
 
 
 @pytest.mark.parametrize("association", ["known", "jcbb", "jcbb-hindsight"])

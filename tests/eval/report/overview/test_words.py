@@ -108,6 +108,13 @@ def test_the_sentences_say_what_was_compared_and_how_much_better_where_both_got_
     assert concluded([facts(), bad]).endswith("8.42 times as large), where the filter fails on 1 row.")
 
 
+def test_rows_of_one_log_are_told_apart_by_their_task():
+    closer = replace(facts(EKF | {"rmse_position_m": 0.01}), trial=Trial(LOG, "localization", ()))
+    said = concluded([facts(), closer])
+    assert "trust the smoother on home (slam) (the" in said
+    assert said.endswith("the filter is closer on home (localization).")
+
+
 def test_the_error_of_the_frame_is_told_from_that_of_the_path():
     text = gauge_statement(facts())
     assert "`ekf` has 0.112 m instead of 0.404 m and `batch` 0.0440 m instead of 0.0480 m" in text

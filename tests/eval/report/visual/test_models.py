@@ -12,7 +12,7 @@ import pytest
 
 from data import se2
 from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
-from data.motion import ARC, VelocityModel, VelocityNoise, preintegrate, step
+from data.motion.velocity import ARC, VelocityModel, VelocityNoise, preintegrate, step
 from data.sensors import RelativePoint
 from ekf import kernels
 from eval.page.equations import Equation, Matrix, Where, formula_figure, latex

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from data import se2
-from data.motion import ARC, HALF_ANGLE, VelocityModel, VelocityNoise, preintegrate, sinc, sinc_slope, step
+from data.motion.velocity import ARC, HALF_ANGLE, VelocityModel, VelocityNoise, preintegrate, sinc, sinc_slope, step
 
 NOISELESS = VelocityModel(VelocityNoise("density"))
 

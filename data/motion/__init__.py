@@ -1,0 +1,1 @@
+"""How a robot moves: increments from velocities, and the systematic errors that odometry makes."""
