@@ -15,6 +15,9 @@ from data.sensors import Sensor
 from ekf.calibrating import CalibratingSlam
 from ekf.slam import EkfSlam
 
+STRONG = 5.0
+"""Logarithm of the odds that are very strong evidence, 150 to 1 (Kass and Raftery, "Bayes factors", Journal of the
+American Statistical Association 90, 1995)."""
 DECIDED = 14.0
 """Logarithm of the odds at which the less likely model is dropped: by Wald's inequality the right one is, in one log of
 exp(DECIDED)."""
@@ -35,8 +38,8 @@ class TwoModels:
 
     @property
     def believed(self) -> EkfSlam:
-        """The filter whose model is more likely; that with systematic errors as long as nothing speaks for either."""
-        return self._erring if self.log_odds >= 0.0 else self._stated
+        """The filter with systematic errors, which odometry mostly has, until there is strong evidence against them."""
+        return self._stated if self.log_odds < -STRONG else self._erring
 
     def predict(self, increment: Increment) -> None:
         """Move by an increment."""
