@@ -105,6 +105,7 @@ def shortened(log: Log, n: int) -> Log:
         pose=None if t.pose is None else t.pose[:n],
         landmark_of=None if t.landmark_of is None else t.landmark_of[:m],
         relations=_first_relations(t.relations, n),
+        errors=None if t.errors is None else t.errors._replace(mean=t.errors.mean[:n], sigma=t.errors.sigma[:n]),
     )
     label = None if log.label is None else log.label[:m]
     return replace(

@@ -249,6 +249,11 @@ class Run:
         return "ok" if self.flaw is None else self.flaw.status
 
     @property
+    def errors(self) -> Systematics | None:
+        """The last word on the systematic errors: after all data, else online; None: none were estimated."""
+        return self.errors_final if self.errors_final is not None else self.errors_online
+
+    @property
     def phases(self) -> tuple[str, ...]:
         """The phases this run has a trajectory for."""
         return tuple(p for p in ("online", "final") if getattr(self, p) is not None)

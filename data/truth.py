@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from data.inputs import CLUTTER, IntArray, LandmarkMap, read_only
+from data.result import Systematics
 from data.se2 import Array
 
 UNKNOWN_ID = -2
@@ -48,12 +49,14 @@ class Truth:
         landmarks: true landmark positions by id.
         landmark_of: (M,) true id per observation, `CLUTTER` for none, `UNKNOWN_ID` where not known.
         relations: reference relations of a laser log.
+        errors: systematic errors that a simulated robot has, by frame (sigma is zero).
     """
 
     pose: Array | None = None
     landmarks: LandmarkMap | None = None
     landmark_of: IntArray | None = None
     relations: Relations | None = None
+    errors: Systematics | None = None
 
     def __post_init__(self) -> None:
         read_only(self)

@@ -1,8 +1,8 @@
 """EKF-SLAM over a whole log with decisions that were made beforehand, most of a large map parked at any time.
 
 As `ekf.whole_run`, with the compressed filter of `ekf.parking`: the log is cut into epochs; in each one the state holds
-the pose and the landmarks that the epoch will see, all others are parked. No landmark comes back within an epoch, so
-the carried y is as long as the active part at its beginning, and
+the robot (pose and systematic errors) and the landmarks that the epoch will see, all others are parked. No landmark
+comes back within an epoch, so the carried y is as long as the active part at its beginning, and
 
     x_B += C y,    P_BB += C P_yy C',    P_BA = C P_yA          (C = P_BA at the beginning)
 
@@ -18,9 +18,10 @@ import numpy as np
 
 from data.blocks import coordinates
 from data.inputs import Inputs, IntArray
+from data.motion.sensor_frame import sensor_frame
 from data.result import NEW, MapState
 from data.se2 import Array
-from ekf import kernels
+from ekf import kernels, systematic
 from ekf.filter import DEFAULT, FilterOptions
 from ekf.kernels import NEWEST
 from ekf.parking import root, symmetric, whitened
@@ -114,11 +115,11 @@ def worthwhile(inputs: Inputs, decisions: IntArray, options: FilterOptions = DEF
 
 @dataclass
 class Whole:
-    """The map between two epochs: mean (2n,), P, cross-covariance with the pose (2n, 3), first estimates (2n,)."""
+    """The map between two epochs: mean (2n,), P, cross-covariance with the robot (2n, 3 + p), first estimates (2n,)."""
 
     mean: Array
     P: Triangle
-    pose: Array
+    robot: Array
     first: Array
 
 
@@ -134,32 +135,40 @@ def run_in_epochs(
     n, o = len(inputs), inputs.observations
     number, total = numbers_of(decisions)
     decided, white = np.array(decisions, np.int64), np.full((len(o.z), 2), np.nan)
-    pose, covariance = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
+    of = inputs.systematic
+    frame = sensor_frame(of, inputs.sensor, inputs.prior)
+    errors, sensor = systematic.as_states(of, frame), frame.sensor(inputs.sensor)
+    base = 3 + len(errors.place)
+    pose, covariance = np.full((n, base), np.nan), np.full((n, base, base), np.nan)
     stats, size = np.zeros((n, 3)), np.zeros(n, np.int64)
-    out = pose, covariance, stats, size, white
-    whole = Whole(np.zeros(2 * total), Triangle(), np.zeros((2 * total, 3)), np.zeros(2 * total))
-    robot = np.array(inputs.prior.mean, float), np.array(inputs.prior.covariance, float), robot_first(inputs)
+    whole = Whole(np.zeros(2 * total), Triangle(), np.zeros((2 * total, base)), np.zeros(2 * total))
+    mean, P = systematic.begin(inputs.prior, of, frame)
+    robot = np.array(mean, float), np.array(P, float), np.array(mean, float)
     created, failure = 0, None
-    how = options.each, options.augment_variance(0.0), options.rule
+    how = options.each, options.augment_variance(0.0), options.rule_with(base - 3)
     slot_of = np.zeros(total, np.int64)
     for epoch in epochs:
         rows = slice(inputs.start[epoch.begin], inputs.start[epoch.end])
         new = int((decisions[rows] == NEW).sum())
         state = begun(whole, robot, epoch, created, new, options.first_estimates)
         slot_of[epoch.active] = np.arange(len(epoch.active))
-        slot_of[created : created + new] = (state.d - 3) // 2 + np.arange(new)
+        slot_of[created : created + new] = (state.d - base) // 2 + np.arange(new)
         decided[rows] = np.where(decisions[rows] >= 0, slot_of[np.maximum(number[rows], 0)], decisions[rows])
         frames = slice(epoch.begin, epoch.end)
         motion, M = inputs.increments.mean[frames], inputs.increments.covariance[frames]
         if epoch.begin:
-            kernels.predict(state.mean, state.P, state.d, motion[0], M[0], state.first)
+            step = state.mean, state.P, state.d, motion[0], M[0], state.first
+            if of is None:
+                kernels.predict(*step)
+            else:
+                systematic.predict_with_errors(*step, errors)
         d, status, stopped = run(
-            inputs.sensor.kind, inputs.sensor.extrinsic, state.mean, state.P, state.d, motion, M,
+            sensor.kind, sensor.extrinsic, state.mean, state.P, state.d, motion, M,
             inputs.start[epoch.begin : epoch.end + 1], o.z, o.R, decided, np.empty((0, 2)), how, float(threshold),
-            state.first, (pose[frames], covariance[frames], stats[frames], size[frames], white),
+            state.first, errors, (pose[frames], covariance[frames], stats[frames], size[frames], white),
         )  # fmt: skip
         reached = epoch.end if status == kernels.OK else epoch.begin + int(stopped) + 1
-        size[epoch.begin : reached] += 3 + 2 * created - state.d
+        size[epoch.begin : reached] += base + 2 * created - state.d
         new = (d - state.d) // 2
         with np.errstate(all="ignore"):  # a filter that failed may hold anything
             robot = ended(whole, state, epoch, created, new)
@@ -170,19 +179,17 @@ def run_in_epochs(
             break
     decided = np.where(decided >= 0, decisions, decided)
     blocks = whole.P.blocks()[:created]
-    state_map = MapState(np.arange(created), whole.mean[: 2 * created].reshape(-1, 2).copy(), blocks)
+    found = MapState(np.arange(created), whole.mean[: 2 * created].reshape(-1, 2).copy(), blocks)
+    cross = whole.robot[: 2 * created, 3:].reshape(created, 2, base - 3)
     return FilterRun(
-        out[0], out[1], stats[:, 0], stats[:, 2].astype(np.int64), stats[:, 1], size, white, decided, state_map, failure
-    )
-
-
-def robot_first(inputs: Inputs) -> Array:
-    """The pose's first estimate before the first frame."""
-    return np.array(inputs.prior.mean, float)
+        *systematic.poses(pose, covariance, frame), stats[:, 0], stats[:, 2].astype(np.int64), stats[:, 1], size, white,
+        decided, systematic.landmarks(found, cross, robot[0][3:], robot[1][3:, 3:], frame), failure,
+        systematic.of_frames(of, pose, covariance),
+    )  # fmt: skip
 
 
 class State(NamedTuple):
-    """Buffers of an epoch: pose, active landmarks, y and (if that is odd) nothing, then room for new landmarks.
+    """Buffers of an epoch: robot, active landmarks, y and (if that is odd) nothing, then room for new landmarks.
 
     d: length without the new ones; y: length of y; C: (2b, y), D of `ekf.parking`; of active
     landmarks its rows mean nothing.
@@ -197,21 +204,22 @@ class State(NamedTuple):
 
 
 Robot = tuple[Array, Array, Array]
-"""Mean (3,), covariance (3, 3) and first estimate (3,) of the pose."""
+"""Mean (3 + p,), covariance (3 + p, 3 + p) and first estimate (3 + p,) of pose and systematic errors."""
 
 
 def begun(whole: Whole, robot: Robot, epoch: Epoch, created: int, new: int, first_estimates: bool) -> State:
     """The state at the beginning of an epoch that will initialize `new` landmarks."""
     at = coordinates(epoch.active)
-    a = 3 + len(at)
+    base = len(robot[0])
+    a = base + len(at)
     y = 0 if epoch.all_active else a
     d = a + y + y % 2
     mean, P = np.zeros(d + 2 * new), np.zeros((d + 2 * new, d + 2 * new))
-    C = np.concatenate([whole.pose[: 2 * created], whole.P.columns(at)], axis=1)
-    mean[:3], mean[3:a] = robot[0], whole.mean[at]
-    P[:3, :3], P[3:a, :a] = robot[1], C[at]
-    P[:a, 3:a] = P[3:a, :a].T
-    P[3:a, 3:a] = symmetric(C[at, 3:])
+    C = np.concatenate([whole.robot[: 2 * created], whole.P.columns(at)], axis=1)
+    mean[:base], mean[base:a] = robot[0], whole.mean[at]
+    P[:base, :base], P[base:a, :a] = robot[1], C[at]
+    P[:a, base:a] = P[base:a, :a].T
+    P[base:a, base:a] = symmetric(C[at, base:])
     D = C[:, :0]
     if y:
         L = root(P[:a, :a])
@@ -220,14 +228,15 @@ def begun(whole: Whole, robot: Robot, epoch: Epoch, created: int, new: int, firs
     first = NEWEST
     if first_estimates:
         first = mean.copy()
-        first[:3], first[3:a] = robot[2], whole.first[at]
+        first[:base], first[base:a] = robot[2], whole.first[at]
     return State(mean, P, first, d, y, D)
 
 
 def ended(whole: Whole, state: State, epoch: Epoch, created: int, new: int) -> Robot:
     """Bring the map up to date after an epoch that initialized `new` landmarks; the robot."""
     at = coordinates(epoch.active)
-    a, end = 3 + len(at), state.d + 2 * new
+    base = whole.robot.shape[1]
+    a, end = base + len(at), state.d + 2 * new
     after = 2 * (created + new)
     whole.P.grow(after)
     y = slice(a, a + state.y)
@@ -240,12 +249,12 @@ def ended(whole: Whole, state: State, epoch: Epoch, created: int, new: int) -> R
         whole.mean[:after] += C @ state.mean[y]
         whole.P.add_product(C @ state.P[y, y], C)
         cross = C @ state.P[y, held]
-    cross[rows] = state.P[np.ix_(held[3:], held)]
-    whole.mean[rows] = state.mean[held[3:]]
-    whole.P.put(rows, cross[:, 3:])
-    whole.pose[:after] = cross[:, :3]
-    robot_first = state.mean[:3].copy()
+    cross[rows] = state.P[np.ix_(held[base:], held)]
+    whole.mean[rows] = state.mean[held[base:]]
+    whole.P.put(rows, cross[:, base:])
+    whole.robot[:after] = cross[:, :base]
+    first = state.mean[:base].copy()
     if len(state.first):
-        whole.first[rows] = state.first[held[3:]]
-        robot_first = state.first[:3].copy()
-    return state.mean[:3].copy(), state.P[:3, :3].copy(), robot_first
+        whole.first[rows] = state.first[held[base:]]
+        first = state.first[:base].copy()
+    return state.mean[:base].copy(), state.P[:base, :base].copy(), first

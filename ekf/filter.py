@@ -8,11 +8,12 @@ import numpy as np
 
 from association.expectation import Expectation
 from data.blocks import coordinates_from
-from data.inputs import Increment, IntArray, Prior, Sightings
+from data.inputs import Increment, IntArray, Prior, Sightings, Systematic
+from data.motion.sensor_frame import sensor_frame
 from data.result import PoseEstimate
 from data.se2 import Array, BoolArray, wrap_angle
 from data.sensors import Sensor
-from ekf import kernels, updates
+from ekf import kernels, systematic, updates
 
 
 class FilterDivergedError(Exception):
@@ -48,7 +49,11 @@ class FilterOptions:
     @property
     def rule(self) -> tuple[int, int]:
         """How the correction is found and applied, as the kernels take it."""
-        return updates.INVARIANT if self.invariant else updates.ADDITIVE, self.iterations
+        return self.rule_with(0)
+
+    def rule_with(self, errors: int) -> tuple[int, int]:
+        """The same for a state with so many systematic errors between pose and landmarks."""
+        return updates.INVARIANT + errors if self.invariant else updates.ADDITIVE, self.iterations
 
     def augment_variance(self, distance: float) -> float:
         """Variance of a new landmark at a distance [m], as the kernels take it: negative for the exact augmentation."""
@@ -69,21 +74,33 @@ class Filter:
     The state is the leading `size` entries. The `_carried` entries behind it go through every step with it but are no
     part of it (see `ekf.parking`; only a SLAM filter with parked landmarks has any).
 
+    With systematic errors, these are states behind the pose. Where the sensor's are among them, everything inside,
+    expectations included, is in the sensor's frame; poses and maps that are handed in and out are in the world.
+
     Attributes:
         smooths: False: a filter does not revise its past.
-        size: length of the state, parked landmarks aside.
+        sensor: in the frame of the state.
+        size: length of the state, errors included, parked landmarks aside.
+        base: where the landmarks begin, behind pose and errors.
     """
 
     smooths = False
 
-    def __init__(self, prior: Prior, sensor: Sensor, options: FilterOptions, capacity: int = 3) -> None:
-        """Start at the prior. `capacity` is the number of states to have room for."""
-        self.sensor, self.options = sensor, options
-        self._kind, self._extrinsic = sensor.kind, sensor.extrinsic
+    def __init__(
+        self, prior: Prior, sensor: Sensor, options: FilterOptions, errors: Systematic | None, landmarks: int = 0
+    ) -> None:
+        """Start at the prior. `landmarks`: how many to have room for."""
+        self._frame, self._systematic = sensor_frame(errors, sensor, prior), errors
+        self._errors = systematic.as_states(errors, self._frame)
+        self.sensor, self.options = self._frame.sensor(sensor), options
+        self._kind, self._extrinsic = self.sensor.kind, self.sensor.extrinsic
+        self.base = self.size = 3 + len(self._errors.place)
+        self._rule = options.rule_with(len(self._errors.place))
+        capacity, start = self.base + 2 * landmarks, slice(0, self.base)
         self._mean, self._P = np.zeros(capacity), np.zeros((capacity, capacity))
-        self._mean[:3], self._P[:3, :3] = prior.mean, prior.covariance
+        self._mean[start], self._P[start, start] = systematic.begin(prior, errors, self._frame)
         self._first = self._mean.copy() if options.first_estimates else kernels.NEWEST
-        self.size, self._carried = 3, 0
+        self._carried = 0
         self._version = 0
 
     @property
@@ -91,10 +108,25 @@ class Filter:
         """How much of the buffers is in use."""
         return self.size + self._carried
 
+    def _grow(self, extra: int) -> None:
+        """Room for `extra` more landmarks; capacity at least doubles, so growing is rare."""
+        need, old = self._used + 2 * extra, len(self._mean)
+        if need > old:
+            capacity = max(need, 2 * old)
+            mean, P = np.zeros(capacity), np.zeros((capacity, capacity))
+            mean[:old], P[:old, :old] = self._mean, self._P
+            self._mean, self._P = mean, P
+            if len(self._first):
+                self._first = np.concatenate([self._first, np.zeros(capacity - old)])
+
     def predict(self, increment: Increment) -> None:
         """Move by an increment."""
         self._version += 1
-        kernels.predict(self._mean, self._P, self._used, increment.mean, increment.covariance, self._first)
+        state = self._mean, self._P, self._used, increment.mean, increment.covariance, self._first
+        if self._systematic is None:
+            kernels.predict(*state)
+        else:
+            systematic.predict_with_errors(*state, self._errors)
 
     def stamp(self, time: float) -> None:
         """The present frame's time, which a filter need not know."""
@@ -127,15 +159,33 @@ class Filter:
     def inflate(self, covariance: Array) -> None:
         """The last motion is not to be believed: so much covariance (3, 3), world frame, is added to the pose's."""
         self._version += 1
+        if not self._frame.same:
+            inside = self._inside()
+            covariance = inside @ covariance @ inside.T
         self._P[:3, :3] += covariance
+
+    def _inside(self) -> Array:
+        """Jacobian (3, 3) of the pose in the state to that in the world, at the present estimates."""
+        _, J = self._frame.poses_out(self._mean[None, :3], self._mean[None, 3 : self.base])
+        return np.asarray(np.linalg.inv(J[0, :, :3]), np.float64)
 
     def estimate(self) -> PoseEstimate:
         """The newest pose with its world-frame covariance (copies)."""
-        return PoseEstimate(self._mean[:3].copy(), self._P[:3, :3].copy())
+        if self._frame.same:
+            return PoseEstimate(self._mean[:3].copy(), self._P[:3, :3].copy())
+        b = slice(0, self.base)
+        pose, covariance = systematic.poses(self._mean[None, b], self._P[None, b, b], self._frame)
+        return PoseEstimate(pose[0], covariance[0])
+
+    @property
+    def errors(self) -> tuple[Array, Array] | None:
+        """Systematic errors (p,) and their covariance (p, p), in the order of their names (copies); None: no such."""
+        b = slice(3, self.base)
+        return None if self._systematic is None else (self._mean[b].copy(), self._P[b, b].copy())
 
     @property
     def mean(self) -> Array:
-        """The whole state vector (d,), a copy."""
+        """The whole state vector (d,), a copy: pose, errors, landmarks."""
         return self._mean[: self.size].copy()
 
     @property
@@ -151,6 +201,8 @@ class Filter:
         if len(self._first):
             raise ValueError("a filter with first estimates linearizes nowhere else")
         state = self._mean[: self._used].copy()
+        if not self._frame.same:
+            pose = self._frame.poses_in(pose[None], state[None, 3 : self.base])[0]
         state[:2], state[2] = pose[:2], state[2] + wrap_angle(float(pose[2]) - float(state[2]))
         return state
 
@@ -166,9 +218,9 @@ class Filter:
         version, state = self._version, self._mean
         if pose is not None:
             state = self._state_at(pose)
-        kernels.expect(self._kind, self._extrinsic, state, self._P, at, known, z_hat, blocks, self._first)
+        self._look(state, at, known, z_hat, blocks)
         if pose is not None:
-            xy = np.where(at[:, None] >= 0, state[np.maximum(at, 0)[:, None] + np.arange(2)], known)
+            xy = np.where(at[:, None] >= 0, state[np.maximum(at, 0)[:, None] + np.arange(2)], self._seen_at(known))
             z_hat += self.sensor.jacobians(state[:3], xy)[0] @ (self._mean[:3] - state[:3])
 
         def joint(indices: IntArray) -> Array:
@@ -176,19 +228,12 @@ class Filter:
                 raise RuntimeError("the filter has moved on since this expectation was formed")
             chosen = np.asarray(indices, np.int64)
             k = len(chosen)
-            # only pose and chosen landmarks enter: gathered, the cost does not grow with the map
-            here = at[chosen]
-            held = here >= 0
-            index = np.concatenate([np.arange(3), coordinates_from(here[held])])
-            d = len(index)
-            moved = np.full(k, -1, np.int64)
-            moved[held] = np.arange(3, d, 2)
+            mean, P, first, moved = self._gathered(state, at[chosen], known[chosen])
+            d = len(mean)
             PHt, S = np.empty((d, 2 * k)), np.empty((2 * k, 2 * k))
             zero = np.zeros((k, 2))
-            mean = state[index]
-            first = self._first[index] if len(self._first) else self._first
             kernels.innovate(
-                self._kind, self._extrinsic, mean, mean, self._P[np.ix_(index, index)], d, moved, known[chosen],
+                self._kind, self._extrinsic, mean, mean, P, d, moved, known[chosen],
                 zero, np.zeros((k, 2, 2)), np.empty(2 * k), PHt, S, first,
             )  # fmt: skip
             return S
@@ -203,6 +248,25 @@ class Filter:
             number, z_hat, blocks, frames[0], sightings.z, sightings.R, frames[1], self.sensor.residual, joint,
             None if len(self._first) else elsewhere,
         )  # fmt: skip
+
+    def _look(self, state: Array, at: IntArray, known: Array, z_hat: Array, blocks: Array) -> None:
+        """Expected measurements z_hat (n, 2) and their covariances (n, 2, 2) of candidates; see `_expect`."""
+        kernels.expect(self._kind, self._extrinsic, state, self._P, at, known, z_hat, blocks, self._first)
+
+    def _seen_at(self, known: Array) -> Array:
+        """Where known landmarks (n, 2) stand in the frame of the state."""
+        return known
+
+    def _gathered(self, state: Array, at: IntArray, known: Array) -> tuple[Array, Array, Array, IntArray]:
+        """Mean, covariance and first estimates of the pose and the landmarks at offsets `at` (k,), and these' offsets
+        there: what enters a joint innovation, so that the cost does not grow with the map.
+        """
+        held = at >= 0
+        index = np.concatenate([np.arange(3), coordinates_from(at[held])])
+        moved = np.full(len(at), -1, np.int64)
+        moved[held] = np.arange(3, len(index), 2)
+        first = self._first[index] if len(self._first) else self._first
+        return state[index], self._P[np.ix_(index, index)], first, moved
 
     def _correct(
         self,
@@ -221,7 +285,7 @@ class Filter:
         if len(rows):
             rest = (
                 self._mean, self._P, self._used, at, known, sightings.z[rows], sightings.R[rows], threshold, keep,
-                stats, white, self.options.rule, self._first,
+                stats, white, self._rule, self._first,
             )  # fmt: skip
             if pose is not None:
                 status = updates.update_from(self._kind, self._extrinsic, self._state_at(pose), *rest)

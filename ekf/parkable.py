@@ -5,41 +5,33 @@ from __future__ import annotations
 import numpy as np
 
 from data.blocks import coordinates, coordinates_from
-from data.inputs import IntArray, Prior, Sightings
+from data.inputs import IntArray, Prior, Sightings, Systematic
 from data.result import MapState
 from data.se2 import Array
 from data.sensors import Sensor
+from ekf import systematic
 from ekf.filter import DEFAULT, Filter, FilterOptions
 from ekf.nearby import MARGIN, NOBODY, may_be_read, surroundings
 from ekf.parking import LONGEST, Parked
 
 
 class Parkable(Filter):
-    """Buffers of pose, active landmarks, y and recent landmarks, in this order.
+    """Buffers of pose, systematic errors, active landmarks, y and recent landmarks, in this order.
 
     A landmark number is the order of creation and is never reused; `self._number[i]` is the number in slot i, whose
-    coordinates stand at 3 + 2 i of the state. Numbers ascend with the slots. Parked landmarks have no slot: they stay
+    coordinates stand at base + 2 i. Numbers ascend with the slots. Parked landmarks have no slot: they stay
     in the map but cost nothing until they are restored.
     """
 
-    def __init__(self, prior: Prior, sensor: Sensor, options: FilterOptions = DEFAULT) -> None:
-        """Start at the prior with an empty map."""
-        super().__init__(prior, sensor, options, capacity=3 + 2 * 16)
+    def __init__(
+        self, prior: Prior, sensor: Sensor, options: FilterOptions = DEFAULT, systematic: Systematic | None = None
+    ) -> None:
+        """Start at the prior with an empty map; `systematic`: errors to estimate along."""
+        super().__init__(prior, sensor, options, systematic, landmarks=16)
         self._number = np.empty(0, np.int64)
         self._offset: dict[int, int] = {}
         self._parked, self._around = Parked(), NOBODY
         self.created = 0
-
-    def _grow(self, extra: int) -> None:
-        """Room for `extra` more landmarks; capacity at least doubles, so growing is rare."""
-        need, old = self._used + 2 * extra, len(self._mean)
-        if need > old:
-            capacity = max(need, 2 * old)
-            mean, P = np.zeros(capacity), np.zeros((capacity, capacity))
-            mean[:old], P[:old, :old] = self._mean, self._P
-            self._mean, self._P = mean, P
-            if len(self._first):
-                self._first = np.concatenate([self._first, np.zeros(capacity - old)])
 
     def _shrink(self) -> None:
         """Give back buffers that are far too large, as they are once most of a map is parked."""
@@ -58,7 +50,7 @@ class Parkable(Filter):
     def _renumber(self, number: IntArray) -> None:
         """The landmarks of the state, slot by slot."""
         self._number = number
-        self._offset = {int(n): 3 + 2 * i for i, n in enumerate(number)}
+        self._offset = {int(n): self.base + 2 * i for i, n in enumerate(number)}
 
     @property
     def _recent(self) -> int:
@@ -85,7 +77,7 @@ class Parkable(Filter):
         p, d, r = self._parked, self.size, self._recent
         number = np.concatenate([np.flatnonzero(p.based), p.recent])
         xy = np.concatenate([p.xy(self._mean[d:r]), self._mean[r : self._used][: 2 * len(p.recent)].reshape(-1, 2)])
-        return xy[np.argsort(number)]
+        return self._frame.points_out(xy[np.argsort(number)], self._mean[3 : self.base])[0]
 
     def parked_within(self, sightings: Sightings, within: float) -> IntArray:
         """Parked landmarks (r,) that may be within a squared Mahalanobis distance of some reading; no other one is."""
@@ -123,7 +115,7 @@ class Parkable(Filter):
             return
         self._version += 1
         out = np.isin(self._number, away)
-        moved = 3 + coordinates(np.flatnonzero(out))
+        moved = self.base + coordinates(np.flatnonzero(out))
         self._select(np.concatenate([np.delete(np.arange(self._used), moved), moved]))
         self.size -= len(moved)
         self._carried += len(moved)
@@ -145,7 +137,7 @@ class Parkable(Filter):
         again = np.isin(parked.recent, back)
         place = r + coordinates(np.arange(len(again))).reshape(-1, 2)
         number = np.concatenate([self._number, parked.recent[again]])
-        slots = [np.arange(3, d).reshape(-1, 2), place[again]]
+        slots = [np.arange(self.base, d).reshape(-1, 2), place[again]]
         grown = np.empty(0, np.int64)
         old = back[~np.isin(back, parked.recent)]
         if len(old):
@@ -167,8 +159,8 @@ class Parkable(Filter):
         parked.changed()
         order = np.argsort(number)
         rows = np.concatenate(slots)[order].ravel()
-        self._select(np.concatenate([np.arange(3), rows, np.arange(d, r), grown, place[~again].ravel()]))
-        self.size = 3 + len(rows)
+        self._select(np.concatenate([np.arange(self.base), rows, np.arange(d, r), grown, place[~again].ravel()]))
+        self.size = self.base + len(rows)
         self._carried += len(grown) - 2 * int(again.sum())
         self._renumber(number[order])
         self._tidy()
@@ -225,11 +217,15 @@ class Parkable(Filter):
 
     def landmarks(self) -> MapState:
         """The map as it is now, active and parked landmarks."""
-        d, r = self.size, self._recent
+        d, r, b = self.size, self._recent, slice(3, self.base)
+        based = coordinates(np.flatnonzero(self._parked.based))
         number, xy, blocks = self._parked.now(self._mean[d:r], self._P[d:r, d:r])
-        here = np.concatenate([np.arange(3, d), r + np.arange(2 * len(self._parked.recent))]).reshape(-1, 2)
+        here = np.concatenate([np.arange(self.base, d), r + np.arange(2 * len(self._parked.recent))]).reshape(-1, 2)
         number = np.concatenate([self._number, self._parked.recent, number])
         xy = np.concatenate([self._mean[here], xy])
         blocks = np.concatenate([self._P[here[:, :, None], here[:, None, :]], blocks])
+        cross = np.concatenate([self._P[here.ravel(), b], self._parked.D[based] @ self._P[d:r, b]])
         order = np.argsort(number)
-        return MapState(number[order], xy[order], blocks[order])
+        found = MapState(number[order], xy[order], blocks[order])
+        cross = cross.reshape(len(number), 2, self.base - 3)[order]
+        return systematic.landmarks(found, cross, self._mean[b], self._P[b, b], self._frame)

@@ -1,4 +1,4 @@
-"""EKF-SLAM: 3 + 2n states, landmarks added with their full cross-covariance, removable and parkable at any time."""
+"""EKF-SLAM: landmarks behind pose and errors, added with their full cross-covariance, removable and parkable."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class EkfSlam(Parkable):
 
     def expect(self, sightings: Sightings) -> Expectation:
         """What the filter expects of every active landmark. Valid until the next `predict` or `update`."""
-        at = 3 + 2 * np.arange(len(self._number), dtype=np.int64)
+        at = self.base + 2 * np.arange(len(self._number), dtype=np.int64)
         return self._expect(sightings, self._number, at, np.zeros((len(self._number), 2)))
 
     def update(
@@ -85,20 +85,25 @@ class EkfSlam(Parkable):
         if gone.sum() + parked.sum() != len(set(np.asarray(numbers).tolist())):
             raise ValueError(f"cannot remove {np.asarray(numbers).tolist()}: not all are in the map")
         self._version += 1
-        stay = np.concatenate([[True, True, True], np.repeat(~gone, 2), np.ones(self._carried, np.bool_)])
+        stay = np.concatenate([np.ones(self.base, np.bool_), np.repeat(~gone, 2), np.ones(self._carried, np.bool_)])
         self._select(np.flatnonzero(stay))
         self.size -= 2 * int(gone.sum())
         self._renumber(self._number[~gone])
         if parked.any():
             self._leave(self.parked[parked])
 
+    @property
+    def xy(self) -> Array:
+        """Means (a, 2) of the active landmarks, in the frame of the state (copies)."""
+        return self._mean[self.base : self.size].reshape(-1, 2).copy()
+
     def position(self, numbers: IntArray) -> tuple[Array, Array]:
-        """Means (2n,) and joint covariance (2n, 2n) of active landmarks."""
+        """Means (2n,) and joint covariance (2n, 2n) of active landmarks, in the frame of the state."""
         at = self._at(numbers)
         return self._mean[at], self._P[np.ix_(at, at)]
 
     def places(self, numbers: IntArray) -> tuple[Array, Array]:
-        """Means (n, 2) of active landmarks, and each one's variance of x plus that of y (n,)."""
+        """The same of each by itself: means (n, 2), and the variance of x plus that of y (n,)."""
         at = self._at(numbers).reshape(-1, 2)
         return self._mean[at], self._P[at, at].sum(axis=1)
 

@@ -1,6 +1,6 @@
 """EKF-SLAM under two models of the odometry, as stated and with systematic errors: the one that predicts better counts.
 
-Whether odometry errs in system (`ekf.calibrating`) is not known beforehand. Where it does, taking it at its word closes
+Whether odometry errs in system (`ekf.systematic`) is not known beforehand. Where it does, taking it at its word closes
 no loop; where it does not, five errors that may be there widen every gate, and loops are closed at wrong places. Both
 filters get the same decisions, and the likelihood of their innovations is the evidence for each, as in a sequential
 probability ratio test (Wald, "Sequential tests of statistical hypotheses", Annals of Mathematical Statistics 16, 1945).
@@ -8,11 +8,10 @@ probability ratio test (Wald, "Sequential tests of statistical hypotheses", Anna
 
 from __future__ import annotations
 
-from data.inputs import Increment, IntArray, Prior, Sightings
+from data.inputs import Increment, IntArray, Prior, Sightings, Systematic
 from data.result import Updated
 from data.se2 import Array
 from data.sensors import Sensor
-from ekf.calibrating import CalibratingSlam
 from ekf.slam import EkfSlam
 
 STRONG = 5.0
@@ -30,10 +29,10 @@ class TwoModels:
         log_odds: of systematic errors against odometry as stated, by the innovations so far.
     """
 
-    def __init__(self, prior: Prior, sensor: Sensor) -> None:
-        """Start at the prior with empty maps."""
-        self._stated, self._erring = EkfSlam(prior, sensor), CalibratingSlam(prior, sensor)
-        self._kept: list[EkfSlam] = [self._stated, self._erring]
+    def __init__(self, prior: Prior, sensor: Sensor, systematic: Systematic, *, doubted: bool = True) -> None:
+        """Start at the prior with empty maps. `doubted`: whether there are errors is not known; else they are."""
+        self._stated, self._erring = EkfSlam(prior, sensor), EkfSlam(prior, sensor, systematic=systematic)
+        self._kept = [self._stated, self._erring] if doubted else [self._erring]
         self.log_odds = 0.0
 
     @property

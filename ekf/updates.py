@@ -12,8 +12,10 @@ from ekf.kernels import NEWEST, NOT_PSD, OK, gate, healthy, innovate
 
 ADDITIVE = 0
 """Correction: mean += K nu."""
-INVARIANT = 1
-"""Correction: pose and landmarks are moved together by exp(xi), the right-invariant error of SE_(1+n)(2)."""
+INVARIANT = 3
+"""Correction: pose and landmarks are moved together by exp(xi), the right-invariant error of SE_(1+n)(2).
+
+This or more: the row of the state where the landmarks begin; what stands before them is corrected additively."""
 
 BY_ROWS = (64, 800)
 """States; in between the update of P goes by whole rows. Fewer do not fill them, more of them do not stay in cache."""
@@ -73,8 +75,8 @@ def correct(mean, P, d, nu, PHt, S, stats, retraction):  # type: ignore[no-untyp
         if retraction == ADDITIVE:
             mean[r] += shift[r]
     subtract(P, d, PHt)
-    if retraction == INVARIANT:
-        move(mean, P, d, shift)
+    if retraction != ADDITIVE:
+        move(mean, P, d, shift, retraction)
     mean[2] = wrap_angle(mean[2])
     stats[0] += nis
     stats[1] -= 0.5 * (nis + log_det + n * math.log(2.0 * math.pi))
@@ -118,8 +120,9 @@ def subtract(P, d, W):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def move(mean, P, d, shift):  # type: ignore[no-untyped-def]
-    """Move pose and landmarks by exp(xi) for the additive correction `shift` (d,), and take P along.
+def move(mean, P, d, shift, base):  # type: ignore[no-untyped-def]
+    """Move pose and landmarks by exp(xi) for the additive correction `shift` (d,), and take P along;
+    landmarks begin at `base`, and what stands between pose and landmarks is corrected as it is.
 
     xi_theta = shift_theta; for every point x, rho = shift_x - J x xi_theta and x <- R(xi_theta) x + V(xi_theta) rho
     (Brossard, Barrau and Bonnabel, IEEE Sensors Journal 19(4), 2019). P is the additive covariance in the world frame
@@ -138,12 +141,14 @@ def move(mean, P, d, shift):  # type: ignore[no-untyped-def]
         u, v = shift[r] + y * angle, shift[r + 1] - x * angle
         step[r] = c * x - s * y + a * u - b * v - x
         step[r + 1] = s * x + c * y + b * u + a * v - y
-        r = 3 if r == 0 else r + 2
+        r = base if r == 0 else r + 2
     column = np.zeros(d)
     r = 0
     while r < d:
         column[r], column[r + 1] = -step[r + 1], step[r]
-        r = 3 if r == 0 else r + 2
+        r = base if r == 0 else r + 2
+    for r in range(3, base):
+        step[r] = shift[r]
     for i in range(d):
         for j in range(d):
             P[i, j] += column[i] * P[2, j]
@@ -211,7 +216,8 @@ def update_from(  # type: ignore[no-untyped-def]
 ):
     """An update whose first linearization is at the state `start` (d,), which may be `mean` itself.
 
-    `rule` = retraction of the correction, and how often to linearize at most (1: at `start` only).
+    `rule` = retraction of the correction (`ADDITIVE`, `INVARIANT` or more), and how often to linearize at most (1: at
+    `start` only).
 
     `stats` (3,) collects NIS, log-likelihood and degrees of freedom; `white` (k, 2) gets each innovation in units of
     its own standard deviation, NaN where it was not used. `first`: see `ekf.kernels`; not together with iterations.

@@ -12,11 +12,13 @@ import numpy as np
 
 from data.blocks import diagonal_blocks
 from data.inputs import Inputs, IntArray
-from data.result import DISCARD, NEW, MapState
+from data.motion.sensor_frame import sensor_frame
+from data.result import DISCARD, NEW, MapState, Systematics
 from data.se2 import Array
-from ekf import kernels
+from ekf import kernels, systematic
 from ekf.filter import DEFAULT, FilterOptions
 from ekf.kernels import NEWEST, OK, augment, healthy, predict
+from ekf.systematic import hold_known, predict_with_errors
 from ekf.updates import update, update_each
 
 
@@ -25,6 +27,7 @@ class FilterRun(NamedTuple):
 
     `white` (M, 2) as in `Innovations`. `decisions` (M,) are the given ones, gated pairings turned into `DISCARD`;
     `failure` is (frame, why) or None: the rows after it are NaN.
+    `errors`: the systematic ones, where the inputs have any.
     """
 
     pose: Array
@@ -37,6 +40,7 @@ class FilterRun(NamedTuple):
     decisions: IntArray
     map: MapState | None
     failure: tuple[int, str] | None
+    errors: Systematics | None = None
 
 
 def run_filter(
@@ -63,54 +67,67 @@ def run_filter(
         if np.any(decided[paired] < 0):
             raise ValueError("decisions name a landmark the map does not have")
         decided[~paired] = DISCARD
-    capacity = 3 + 2 * int((decided == NEW).sum())
+    of = inputs.systematic
+    frame = sensor_frame(of, inputs.sensor, inputs.prior)
+    errors, sensor = systematic.as_states(of, frame), frame.sensor(inputs.sensor)
+    base = 3 + len(errors.place)
+    room = int((decided == NEW).sum())
+    if errors.range_at >= 0 and not slam:
+        room = int(np.bincount(inputs.observations.frame[decided >= 0]).max(initial=0))
+    capacity = base + 2 * room
     mean, P = np.zeros(capacity), np.zeros((capacity, capacity))
-    mean[:3], P[:3, :3] = inputs.prior.mean, inputs.prior.covariance
-    pose, covariance = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
+    mean[:base], P[:base, :base] = systematic.begin(inputs.prior, of, frame)
+    state, variance = np.full((n, base), np.nan), np.full((n, base, base), np.nan)
     stats, size = np.zeros((n, 3)), np.zeros(n, np.int64)
     first = mean.copy() if options.first_estimates else NEWEST
     o = inputs.observations
     white = np.full((len(o.z), 2), np.nan)
-    how = options.each, options.augment_variance(0.0), options.rule
-    d, status, frame = run(
-        inputs.sensor.kind, inputs.sensor.extrinsic, mean, P, 3, inputs.increments.mean, inputs.increments.covariance,
-        inputs.start, o.z, o.R, decided, known, how, float(threshold), first,
-        (pose, covariance, stats, size, white),
+    how = options.each, options.augment_variance(0.0), options.rule_with(base - 3)
+    d, status, stopped = run(
+        sensor.kind, sensor.extrinsic, mean, P, base, inputs.increments.mean, inputs.increments.covariance,
+        inputs.start, o.z, o.R, decided, known, how, float(threshold), first, errors,
+        (state, variance, stats, size, white),
     )  # fmt: skip
     failure = None
     if status != kernels.OK:
-        failure = (int(frame), kernels.FAILURES[status])
-        pose[frame:], covariance[frame:] = np.nan, np.nan
+        failure = (int(stopped), kernels.FAILURES[status])
+        state[stopped:], variance[stopped:] = np.nan, np.nan
     if inputs.map is not None:
         decided = np.where(decided >= 0, inputs.map.id[np.maximum(decided, 0)], DISCARD)
-    state = None
+    found = None
     if slam:
-        count = (d - 3) // 2
-        blocks = diagonal_blocks(P[3:d, 3:d])
-        state = MapState(np.arange(count, dtype=np.int64), mean[3:d].reshape(count, 2).copy(), blocks)
+        count, b = (d - base) // 2, slice(3, base)
+        blocks = diagonal_blocks(P[base:d, base:d])
+        found = MapState(np.arange(count, dtype=np.int64), mean[base:d].reshape(count, 2).copy(), blocks)
+        found = systematic.landmarks(found, P[base:d, b].reshape(count, 2, base - 3), mean[b], P[b, b], frame)
     return FilterRun(
-        pose, covariance, stats[:, 0], stats[:, 2].astype(np.int64), stats[:, 1], size, white, decided, state, failure
-    )
+        *systematic.poses(state, variance, frame), stats[:, 0], stats[:, 2].astype(np.int64), stats[:, 1], size, white,
+        decided, found, failure, systematic.of_frames(of, state, variance),
+    )  # fmt: skip
 
 
 @numba.njit(cache=True)
 def run(  # type: ignore[no-untyped-def]
-    kind, extrinsic, mean, P, d, motion, M, start, z, R, decision, known, how, threshold, first, out
+    kind, extrinsic, mean, P, d, motion, M, start, z, R, decision, known, how, threshold, first, errors, out
 ):
     """A whole log with decisions made beforehand: what the step-by-step filter does, without leaving compiled code.
 
     `decision` (M,): SLAM (known empty): landmark number, `NEW` or `DISCARD`; localization: row of `known` (L, 2) or
     `DISCARD`. Rejected pairings become `DISCARD` in place. `how` = each, variance of a new landmark, rule; `first` as
-    in `ekf.kernels`; `out` = pose (N, 3), covariance (N, 3, 3), stats (N, 3), state_size (N,), white (M, 2). Returns
-    (d, status, frame of the failure).
+    in `ekf.kernels`; `errors` as in `ekf.systematic`; `out` = pose and errors (N, 3 + p), their covariance
+    (N, 3 + p, 3 + p), stats (N, 3), state_size (N,), white (M, 2). Returns (d, status, frame of the failure).
     """
     each, variance, rule = how
     pose, covariance, stats, size, white = out
     slam = len(known) == 0
-    n = len(motion)
+    n, base = len(motion), 3 + len(errors.place)
+    held = not slam and errors.range_at >= 0
     for f in range(n):
         if f > 0:
-            predict(mean, P, d, motion[f], M[f], first)
+            if base > 3:
+                predict_with_errors(mean, P, d, motion[f], M[f], first, errors)
+            else:
+                predict(mean, P, d, motion[f], M[f], first)
         begin, end = start[f], start[f + 1]
         paired = 0
         for i in range(begin, end):
@@ -126,17 +143,21 @@ def run(  # type: ignore[no-untyped-def]
                     rows[k], zs[k], Rs[k] = i, z[i], R[i]
                     at[k] = -1
                     if slam:
-                        at[k] = 3 + 2 * decision[i]
+                        at[k] = base + 2 * decision[i]
                     else:
                         xy[k] = known[decision[i]]
                     k += 1
+            used = d
+            if held:  # known landmarks are states while the update lasts
+                hold_known(mean, P, d, xy, first, errors)
+                at[:], used = d + 2 * np.arange(paired), d + 2 * paired
             if each:
                 status = update_each(
-                    kind, extrinsic, mean, P, d, at, xy, zs, Rs, threshold, keep, stats[f], own, rule, first
+                    kind, extrinsic, mean, P, used, at, xy, zs, Rs, threshold, keep, stats[f], own, rule, first
                 )
             else:
                 status = update(
-                    kind, extrinsic, mean, P, d, at, xy, zs, Rs, threshold, keep, stats[f], own, rule, first
+                    kind, extrinsic, mean, P, used, at, xy, zs, Rs, threshold, keep, stats[f], own, rule, first
                 )
             for k in range(paired):
                 white[rows[k]] = own[k]
@@ -149,8 +170,8 @@ def run(  # type: ignore[no-untyped-def]
                     d += 2
         if status == OK:
             status = healthy(mean, P)
-        pose[f] = mean[:3]
-        covariance[f] = P[:3, :3]
+        pose[f] = mean[:base]
+        covariance[f] = P[:base, :base]
         size[f] = d
         if status != OK:
             return d, status, f

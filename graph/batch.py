@@ -10,18 +10,23 @@ import numpy as np
 
 from data.errors import UsageError
 from data.inputs import Inputs, IntArray
-from data.result import MapState, Trajectory
+from data.motion.sensor_frame import sensor_frame
+from data.result import MapState, Systematics, Trajectory
 from data.se2 import Array
 from graph.factors import LOSSES, between_factors, sight_known, sight_landmarks
 from graph.optimum import optimize, suspect
-from graph.problem import Problem
+from graph.problem import Calibrated, Problem
 
 
 class Start(NamedTuple):
-    """Where the search starts: poses (N, 3) and landmark positions (L, 2), row = landmark number."""
+    """Where the search starts: poses (N, 3) and landmark positions (L, 2), row = landmark number.
+
+    errors (N, p): systematic errors by frame, where some are estimated; None: from zero.
+    """
 
     pose: Array
     landmark: Array
+    errors: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -38,6 +43,7 @@ class Smoothed:
         last_step: sigmas, largest component of the Newton step that was left: near zero at an optimum.
         cost: twice the sum of all losses; without a robust loss the chi-square.
         suspect: the cost is so high that there may be a lower minimum elsewhere.
+        systematic: the systematic errors, where `inputs.systematic` says that they are estimated along.
     """
 
     trajectory: Trajectory
@@ -48,6 +54,7 @@ class Smoothed:
     last_step: float
     cost: float
     suspect: bool
+    systematic: Systematics | None = None
 
     @property
     def total_nis(self) -> tuple[float, int] | None:
@@ -71,7 +78,7 @@ def smooth(inputs: Inputs, decisions: IntArray, created: IntArray, start: Start,
     chi_square = 2.0 * found.error if loss == "gaussian" else float("nan")
     return Smoothed(
         found.trajectory, found.map, chi_square, problem.dof, found.iterations, found.last_step, 2.0 * found.error,
-        suspect(found.error, problem),
+        suspect(found.error, problem), found.systematic,
     )  # fmt: skip
 
 
@@ -81,20 +88,26 @@ def start_values(problem: Problem, start: Start) -> gtsam.Values:
     if missing or start.pose.shape != (len(problem.motion) + 1, 3) or not np.isfinite(start.pose).all():
         what = f"no position for landmark {missing[0]}" if missing else "not a finite pose for every frame"
         raise ValueError(f"start: {what}")
-    return problem.values(start.pose, {int(n): start.landmark[n] for n in problem.numbers})
+    return problem.values(start.pose, {int(n): start.landmark[n] for n in problem.numbers}, start.errors)
 
 
 def build(inputs: Inputs, decisions: IntArray, created: IntArray, loss: str = "gaussian") -> Problem:
     """The factors of a log under given decisions."""
-    motion, _ = between_factors(1, inputs.increments.mean[1:], inputs.increments.covariance[1:])
+    calibrated, sensor = None, inputs.sensor
+    if inputs.systematic is None:
+        motion, _ = between_factors(1, inputs.increments.mean[1:], inputs.increments.covariance[1:])
+    else:
+        frame = sensor_frame(inputs.systematic, inputs.sensor, inputs.prior)
+        calibrated, sensor = Calibrated(inputs.systematic, frame, inputs.increments), frame.sensor(inputs.sensor)
+        motion = calibrated.motion(np.zeros((len(inputs), len(inputs.systematic.names))))
     number = np.where(created >= 0, created, decisions)
     used = np.flatnonzero(number >= 0)
     o = inputs.observations
-    seen = (inputs.sensor, o.z[used], o.R[used], o.frame[used], number[used])
+    seen = (sensor, o.z[used], o.R[used], o.frame[used], number[used])
     if inputs.map is None:
-        return Problem(inputs.prior, motion, sight_landmarks(*seen, loss), known_map=False)
+        return Problem(inputs.prior, motion, sight_landmarks(*seen, loss), False, calibrated)
     xy = inputs.map.xy[_rows_of(inputs, number[used])]
-    return Problem(inputs.prior, motion, sight_known(*seen, xy, 0, loss), known_map=True)
+    return Problem(inputs.prior, motion, sight_known(*seen, xy, 0, loss), True, calibrated)
 
 
 def _rows_of(inputs: Inputs, ids: IntArray) -> IntArray:

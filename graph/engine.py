@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TypeVar
 
 import gtsam
@@ -14,6 +14,9 @@ from data.se2 import Array
 from graph.factors import Factor, UnderConstrained, graph_of, name_of
 
 Answer = TypeVar("Answer")
+
+SIZES = {"x": 3, "l": 2}
+"""Of poses and landmarks."""
 
 WILDFIRE = 0.2
 """In thresholds: a change smaller than this does not travel further back into the past."""
@@ -30,19 +33,30 @@ class Engine:
     QR solves (sums of information that differ by 1e10: a robot at rest). So QR takes over on request, or then.
     """
 
-    def __init__(self, threshold: float, skip: int, *, qr: bool, name: Callable[[int], str] = name_of) -> None:
+    def __init__(
+        self,
+        threshold: float,
+        skip: int,
+        *,
+        qr: bool,
+        name: Callable[[int], str] = name_of,
+        linear: Mapping[str, int] | None = None,
+    ) -> None:
         """`threshold` [m, rad]: what moved further is relinearized, at every `skip`-th update; `name` words a key.
 
         With `skip` 1 all variables are looked at, otherwise only the newest and those connected to one that moved.
+        `linear`: sizes of further variables, by the character of their keys, in which all factors are linear: they are
+        never relinearized.
         """
         self.threshold, self.skip, self.qr, self.name = threshold, skip, qr, name
+        self.linear = dict(linear or {})
         self._factors: list[Factor | None] = []
         self._slot: list[int] = []
         self.isam = self._fresh()
 
     def _fresh(self) -> gtsam.ISAM2:
         parameters = gtsam.ISAM2Params()
-        parameters.setRelinearizeThreshold(self.threshold)
+        parameters.setRelinearizeThreshold(self._thresholds() if self.linear else self.threshold)
         parameters.relinearizeSkip = self.skip
         # search only where the newest part of the tree moved: halves the time, but can leave the past behind
         parameters.enablePartialRelinearizationCheck = self.skip > 1
@@ -52,12 +66,34 @@ class Engine:
         parameters.setOptimizationParams(steps)
         return gtsam.ISAM2(parameters)
 
-    def add(self, factors: Sequence[Factor], values: gtsam.Values) -> list[int]:
-        """Add factors and start values of their new variables; returns a handle for each factor."""
+    def _thresholds(self) -> gtsam.ISAM2ThresholdMap:
+        """What moved further than this is relinearized, by kind of variable."""
+        sizes = {**SIZES, **self.linear}
+        found = gtsam.ISAM2ThresholdMap()
+        for kind, size in sizes.items():
+            found.insert((kind, np.full(size, np.inf if kind in self.linear else self.threshold)))
+        return found
+
+    def add(
+        self,
+        factors: Sequence[Factor],
+        values: gtsam.Values,
+        instead_of: Sequence[int] = (),
+        last: Sequence[int] | None = None,
+    ) -> list[int]:
+        """Add factors and start values of their new variables; returns a handle for each factor.
+
+        `instead_of`: handles on factors that are removed in the same update. `last`: variables that are eliminated
+        after all others; without, those of the factors are.
+        """
         handles = list(range(len(self._factors), len(self._factors) + len(factors)))
+        slots = [self._slot[h] for h in instead_of]
+        for h in instead_of:
+            self._factors[h] = None
         self._factors += factors
+        order = None if last is None else _order(last)
         try:
-            self._slot += self.isam.update(graph_of(factors), values).getNewFactorsIndices()
+            self._slot += self.isam.update(graph_of(factors), values, slots, order).getNewFactorsIndices()
         except RuntimeError as fault:
             self._recover(fault)
         return handles
@@ -76,12 +112,16 @@ class Engine:
         """Estimate of the newest pose, after more updates if it jumped away from `before`."""
         pose = self._ask(lambda: self.isam.calculateEstimatePose2(key))
         for _ in range(EXTRA):
-            if np.abs(before.localCoordinates(pose)).max() < JUMP * self.threshold:
+            if not self.jumped(before, pose):
                 break
             before = pose
             self.update(key)
             pose = self._ask(lambda: self.isam.calculateEstimatePose2(key))
         return pose
+
+    def jumped(self, before: gtsam.Pose2, pose: gtsam.Pose2) -> bool:
+        """Whether the newest pose moved so far that a loop must have been closed."""
+        return bool(np.abs(before.localCoordinates(pose)).max() >= JUMP * self.threshold)
 
     def update(self, root: int | None = None) -> None:
         """One more step towards the optimum: relinearize all that moved further than the threshold.
@@ -90,10 +130,7 @@ class Engine:
         nothing did: were the one variable that jumps deep in the tree, the next step would not find it.
         """
         empty = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        last = None
-        if root is not None:
-            last = gtsam.KeyGroupMap()
-            last.insert2(root, 1)
+        last = None if root is None else _order([root])
         try:
             self.isam.update(*empty, [], last, None, None, True)
         except RuntimeError as fault:
@@ -109,6 +146,10 @@ class Engine:
         """Landmark positions (n, 2)."""
         found = self._ask(lambda: [self.isam.calculateEstimatePoint2(L(n)) for n in numbers])
         return np.array(found, float).reshape(-1, 2)
+
+    def vector(self, key: int) -> Array:
+        """Estimate of a vector."""
+        return np.asarray(self._ask(lambda: self.isam.calculateEstimateVector(key)), float)
 
     def covariance(self, keys: Sequence[int]) -> Array:
         """Joint covariance of variables in the order asked for, poses in their body frames."""
@@ -130,7 +171,7 @@ class Engine:
         system that is indeterminate; that happens in large joint marginals, with QR as well. A block of a covariance
         is the same whatever else was asked for.
         """
-        size = np.array([3 if gtsam.symbolChr(k) == ord("x") else 2 for k in keys])
+        size = np.array([{**SIZES, **self.linear}[chr(gtsam.symbolChr(k))] for k in keys])
         end = np.cumsum(size)
         whole = np.zeros((end[-1], end[-1]))
         for left_out in range(3):
@@ -181,3 +222,11 @@ class Engine:
         match = re.search(r"variable\s+(\d+)", str(fault))
         name = self.name(int(match.group(1))) if match else "a variable"
         return UnderConstrained(f"{name} is not determined by the data so far")
+
+
+def _order(last: Sequence[int]) -> gtsam.KeyGroupMap:
+    """Places in the order of elimination: `last` after all others."""
+    found = gtsam.KeyGroupMap()
+    for key in last:
+        found.insert2(key, 1)
+    return found

@@ -76,8 +76,11 @@ def form(
     xy: Array,
     sightings: Sightings,
     at: Array | None = None,
+    inside: Callable[[Array], Array] | None = None,
 ) -> Expectation:
     """Expectation over landmarks `number` (n,) at xy (n, 2), seen from `pose` (3,), linearized there or `at` (3,).
+
+    `inside`: what becomes of a robot's pose where all of this is; None: nothing.
 
     `covariance`, world frame: (3 + 2n, 3 + 2n) of pose and landmarks, or (3, 3) of the pose where they are known.
     """
@@ -110,7 +113,7 @@ def form(
         return 0.5 * (S + S.T)
 
     def elsewhere(at: Array) -> Expectation:
-        return form(sensor, pose, covariance, number, xy, sightings, at)
+        return form(sensor, pose, covariance, number, xy, sightings, at if inside is None else inside(at), inside)
 
     return Expectation(
         number, z_hat, blocks, zeros[:n], sightings.z, sightings.R, zeros[:m], sensor.residual, joint, elsewhere

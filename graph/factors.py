@@ -285,7 +285,7 @@ def sight_known(
     for row, (f, n, point, h, root, at) in enumerate(seen, first_row):
         model = with_loss(noise.Gaussian.SqrtInformation(root), loss)
         if point:
-            result.append(Sighted(f, n, None, [gtsam.KnownLandmarkFactorPose2(X(f), at, h, model)]))
+            result.append(Sighted(f, n, None, [gtsam.KnownLandmarkFactorPose2(X(f), at, h, model)], xy=at))
         else:
             factor = gtsam.BearingRangeFactor2D(X(f), L(row), gtsam.Rot2(h[0]), h[1], model)
             result.append(Sighted(f, n, L(row), [factor], gtsam.PriorFactorPoint2(L(row), at, _HELD), at))

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Iterable
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
-from data.inputs import Increment, IntArray, LandmarkMap, Prior, Sightings
+from data.inputs import Increment, IntArray, LandmarkMap, Prior, Sightings, Systematic
 from data.result import Finished, Trajectory
-from data.se2 import Array
 from data.sensors import Sensor
 from graph.incremental import SKIP, THRESHOLD, Isam2Smoother
+from graph.open_end import Left
 from graph.optimum import in_world
 from graph.window import Window
 
@@ -45,6 +44,7 @@ class FixedLagSmoother(Isam2Smoother):
         slack: float = SLACK,
         threshold: float = THRESHOLD,
         skip: int = SKIP,
+        systematic: Systematic | None = None,
     ) -> None:
         """Start at the prior; with a map localize in it, without do SLAM.
 
@@ -54,13 +54,14 @@ class FixedLagSmoother(Isam2Smoother):
         """
         if not lag >= 0.0 or not slack >= 0.0:
             raise ValueError(f"lag {lag} and slack {slack} must not be negative")
-        super().__init__(prior, sensor, known, threshold=threshold, skip=skip)
+        super().__init__(prior, sensor, known, threshold=threshold, skip=skip, systematic=systematic)
         self.time, self.lag, self.slack = [0.0], lag, slack
-        self._window = Window(threshold, skip, qr=self._engine.qr, name=self._observed.name)
+        engine = self._engine
+        self._window = Window(threshold, skip, qr=engine.qr, name=engine.name, linear=engine.linear)
         self._engine = self._window
         # first frame, and first copy of a known landmark, that are still in the window
         self._oldest, self._first_copy = 0, 0
-        self._left: list[tuple[Array, Array]] = []
+        self._left: list[Left] = []
 
     def predict(self, increment: Increment) -> None:
         """Move by an increment; the graph grows only when something is seen."""
@@ -83,20 +84,15 @@ class FixedLagSmoother(Isam2Smoother):
     def _forget(self, oldest: int) -> None:
         """Marginalize the poses of all frames before `oldest`, with the copies of landmarks seen from them."""
         frames = range(self._oldest, oldest)
-        self._left += self._poses(frames)
-        keys = [X(k) for k in frames]
+        self._left += self._end.leaving(self._window, frames)
+        keys = [*(X(k) for k in frames), *self._end.forget(oldest)]
         while self.map is not None and self._observed.sighted[self._first_copy].frame < oldest:
             key = self._observed.sighted[self._first_copy].key
             keys += [] if key is None else [key]
             self._first_copy += 1
-        self._window.marginalize(keys, self._anchor_key)
+        self._window.marginalize(keys, self._end.keys)
         self._oldest = oldest
-        self._motion.clear()
         self._read()
-
-    def _poses(self, frames: Iterable[int]) -> list[tuple[Array, Array]]:
-        """Pose and body-frame covariance of frames in the window."""
-        return [(self._window.pose(X(k)), self._window.covariance([X(k)])) for k in frames]
 
     def amend(self, frames: IntArray, sightings: Sightings, decisions: IntArray) -> None:
         """As `Isam2Smoother.amend`, for frames in the window; what older ones saw cannot be taken back any more."""
@@ -113,7 +109,7 @@ class FixedLagSmoother(Isam2Smoother):
         super().remove(numbers)
         held = [L(n) for n in gone if self._window.holds(L(n))]
         if held:
-            self._window.marginalize(held, self._anchor_key)
+            self._window.marginalize(held, self._end.keys)
             self._read()
 
     def merge(self, merged: IntArray, kept: IntArray) -> None:
@@ -124,7 +120,7 @@ class FixedLagSmoother(Isam2Smoother):
         self._window.add([gtsam.BetweenFactorPoint2(L(a), L(b), none, same) for a, b in pairs.items()], gtsam.Values())
         self.refine()
         self._observed.take_back(list(pairs))
-        self._window.marginalize([L(n) for n in sorted(pairs)], self._anchor_key)
+        self._window.marginalize([L(n) for n in sorted(pairs)], self._end.keys)
         self._read()
 
     def finish(self) -> Finished:
@@ -132,11 +128,9 @@ class FixedLagSmoother(Isam2Smoother):
 
         Motion since the last sighting joins the window; nothing is optimized that was not during the run.
         """
-        factors, values = self._flush()
-        if factors:
-            self._window.add(factors, values)
-            self._read()
-        pose, body = zip(*self._left, *self._poses(range(self._oldest, self.frame + 1)), strict=True)
-        path = np.array(pose)
-        final = Trajectory(path, in_world(path, np.array(body)))
-        return Finished(final, None if self.map is not None else self.landmarks())
+        self._complete()
+        left = [*self._left, *self._end.leaving(self._window, range(self._oldest, self.frame + 1))]
+        path = np.array([each.pose for each in left])
+        final = Trajectory(path, in_world(path, np.array([each.covariance for each in left])))
+        found = None if self.map is not None else self.landmarks()
+        return Finished(final, found, systematic=self._end.history(left))

@@ -8,29 +8,22 @@ from __future__ import annotations
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import L, X
+from gtsam.symbol_shorthand import L
 
 from association.candidates import SIGMAS, Drift, Places, in_view, may_be_in_view, view_radius
 from association.expectation import Expectation
-from data import se2
-from data.blocks import diagonal_blocks
-from data.inputs import Increment, IntArray, LandmarkMap, Prior, Sightings
+from data.inputs import Increment, IntArray, LandmarkMap, Prior, Sightings, Systematic
 from data.result import NEW, Finished, MapState, PoseEstimate, Updated
 from data.se2 import Array, BoolArray
 from data.sensors import Sensor
 from graph import expected
+from graph.calibration.open_end import CalibratedEnd
+from graph.calibration.variables import errors_of
 from graph.engine import Engine
-from graph.factors import (
-    Factor,
-    Sighted,
-    is_exact,
-    pose2,
-    prior_factor,
-)
+from graph.factors import Factor, Sighted
 from graph.observed import Observed
 from graph.open_end import OpenEnd
 from graph.optimum import optimize
-from graph.problem import Problem
 from graph.smoother import Smoother
 
 THRESHOLD = 0.05
@@ -59,23 +52,25 @@ class Isam2Smoother(Smoother):
         threshold: float = THRESHOLD,
         skip: int = SKIP,
         loss: str = "gaussian",
+        systematic: Systematic | None = None,
     ) -> None:
-        """Start at the prior; with a map localize in it, without do SLAM. `loss` as in `graph.batch.smooth`."""
+        """Start at the prior; with a map localize in it, without do SLAM. `loss` as in `graph.batch.smooth`.
+
+        `systematic`: errors of odometry and sensor to be estimated along.
+        """
         self.prior, self.sensor, self.map, self.loss = prior, sensor, known, loss
         self.threshold, self.skip = threshold, skip
         self.frame, self.created = 0, 0
         self._end = OpenEnd(prior)
-        self._motion: list[gtsam.BetweenFactorPose2] = []
-        self._observed = Observed(sensor, known, loss)
+        if errors := None if systematic is None else errors_of(systematic, sensor, prior):
+            self._end, self.sensor = CalibratedEnd(prior, errors), errors.frame.sensor(sensor)
+        self._observed = Observed(self.sensor, known, loss, errors)
         self._drift, self._near = Drift(), expected.Near()
         self._places = Places(np.empty((0, 2)) if known is None else known.xy)
         low = np.linalg.eigvalsh(prior.covariance)
-        self._engine = Engine(threshold, skip, qr=bool(low[0] < DELICATE < low[-1]), name=self._observed.name)
-
-    @property
-    def _anchor_key(self) -> int:
-        """Variable of the newest pose in the graph."""
-        return int(X(self._end.anchor))
+        linear = None if errors is None else errors.sizes
+        qr = bool(low[0] < DELICATE < low[-1])
+        self._engine = Engine(threshold, skip, qr=qr, name=self._observed.name, linear=linear)
 
     def predict(self, increment: Increment) -> None:
         """Move by an increment; the graph grows only when something is seen."""
@@ -90,7 +85,12 @@ class Isam2Smoother(Smoother):
 
     def estimate(self) -> PoseEstimate:
         """The newest pose with its world-frame covariance (copies)."""
-        return PoseEstimate(self._end.mean.copy(), self._end.P.copy())
+        return self._end.estimate()
+
+    @property
+    def errors(self) -> tuple[Array, Array] | None:
+        """Newest mean (p,) and covariance (p, p) of the systematic errors; None where none are estimated."""
+        return self._end.errors
 
     @property
     def numbers(self) -> IntArray:
@@ -100,8 +100,9 @@ class Isam2Smoother(Smoother):
     def expect(self, sightings: Sightings) -> Expectation:
         """What it expects of the landmarks in view: sensor range and angles, widened by 3 sigma and 5 degrees."""
         if self.map is not None:
-            known = self._places.around(self._end.mean[:2], view_radius(self.sensor, self._end.P))
-            candidates = self.map.id[known], self.map.xy[known]
+            known = self._places.around(*self._end.reach(view_radius(self.sensor, self._end.P)))
+            xy, joint = self._end.known(self.map.xy[known])
+            candidates = self.map.id[known], xy
         else:
             number = self.numbers
             sigma, heading = self._drift.sigmas(number, self._end.P)
@@ -110,28 +111,25 @@ class Isam2Smoother(Smoother):
             around, xy = self._near.around(number, self._end.mean[:2], radius, self._engine.points)
             near = may_be_in_view(self.sensor, self._end.mean, xy, sigma[around], heading[around])
             candidates = number[around][near], xy[near]
-        joint = self._joint(candidates[0])
+            joint = self._joint(candidates[0])
         pose = self._end.mean
         every = expected.form(self.sensor, pose, joint, *candidates, sightings)
         keep = in_view(self.sensor, every.z_hat, every.HPHt)
         if self.map is None:
             self._drift.expect(self.sensor, candidates[0], every.z_hat, every.HPHt)
+        if len(joint) > len(pose):
             joint = joint[np.ix_(*[np.concatenate([np.ones(3, np.bool_), np.repeat(keep, 2)])] * 2)]
-        return expected.form(self.sensor, pose, joint, candidates[0][keep], candidates[1][keep], sightings)
+        number, xy = candidates[0][keep], candidates[1][keep]
+        return expected.form(self.sensor, pose, joint, number, xy, sightings, inside=self._end.inside)
 
     def _joint(self, number: IntArray) -> Array:
-        """World-frame covariance of the newest pose and landmarks; in localization of the pose alone."""
-        if self.map is not None or not len(number):
-            return self._end.P
-        keys = [self._anchor_key, *(L(n) for n in number.tolist())]
-        J = self._engine.covariance(keys)
-        if self._end.anchor == 0 and is_exact(self.prior):
-            J[:3], J[:, :3] = 0.0, 0.0  # gtsam's joint marginal takes a hard constraint for a variance of about 1
-        self._drift.know(number, np.sqrt(np.diag(J)[3:].reshape(-1, 2).sum(1)))
-        F, Q = self._end.since_anchor
-        J[:3] = F @ J[:3]
-        J[:, :3] = J[:, :3] @ F.T
-        J[:3, :3] += Q
+        """World-frame covariance of the newest pose and landmarks of SLAM."""
+        return self._end.carried(self._anchored(number)) if len(number) else self._end.P
+
+    def _anchored(self, number: IntArray) -> Array:
+        """Covariance of the newest pose in the graph (and systematic errors) and landmarks, as the graph has them."""
+        J = self._engine.covariance([*self._end.keys, *(L(n) for n in number.tolist())])
+        self._drift.know(number, np.sqrt(np.diag(J)[-2 * len(number) :].reshape(-1, 2).sum(1)))
         return J
 
     def update(
@@ -148,7 +146,7 @@ class Isam2Smoother(Smoother):
         The newest pose starts at the prediction, or `at` (3,). Where there is no threshold and no `innovations` are
         asked for, none are formed: NIS and likelihood are NaN, dof 0.
         """
-        used = decisions >= 0
+        used, at = decisions >= 0, None if at is None else self._end.inside(at)
         if unknown := self._observed.missing(decisions[used]):
             raise ValueError(f"no landmark has number {unknown[0]}")
         nis, dof, likelihood = np.nan, 0, np.nan
@@ -172,8 +170,11 @@ class Isam2Smoother(Smoother):
         """Take pairings with d^2 not below the threshold out of `used`; NIS, dof and log-likelihood of the others."""
         rows = np.flatnonzero(used)
         number, which = np.unique(decisions[rows], return_inverse=True)
-        xy = self._engine.points(number.tolist()) if self.map is None else self.map.positions(number)
-        e = expected.form(self.sensor, self._end.mean, self._joint(number), number, xy, sightings, at)
+        if self.map is not None:
+            xy, joint = self._end.known(self.map.positions(number))
+        else:
+            xy, joint = self._engine.points(number.tolist()), self._joint(number)
+        e = expected.form(self.sensor, self._end.mean, joint, number, xy, sightings, at)
         nu, R = self.sensor.residual(sightings.z[rows], e.z_hat[which]), sightings.R[rows]
         distance = np.einsum("mi,mi->m", nu, np.linalg.solve(e.HPHt[which] + R, nu[..., None])[..., 0])
         keep = distance < threshold
@@ -183,7 +184,7 @@ class Isam2Smoother(Smoother):
     def _extend(self, sightings: Sightings, number: IntArray) -> None:
         """Add the motion since the anchor and these sightings to the graph, and read the newest pose."""
         motion, values = self._flush()
-        seen = self._observed.factors(sightings, np.full(len(number), self.frame), number)
+        seen = self._observed.factors(sightings, np.full(len(number), self.frame), number, self._end.errors)
         if self.map is None:
             self._initialize(sightings, number, values)
             self._drift.see(self.sensor, sightings, number, self._end.P)
@@ -199,8 +200,10 @@ class Isam2Smoother(Smoother):
 
     def _add(self, motion: list[Factor], seen: list[Sighted], values: gtsam.Values, *, late: bool = False) -> None:
         """Give factors to the engine; those of a landmark, or of a frame in a known map, can be taken back."""
-        factors = motion + self._observed.add(seen, values, late=late)
-        self._observed.hold(seen, self._engine.add(factors, values)[len(motion) :])
+        handles = self._engine.add([*motion, *self._observed.add(seen, values, late=late)], values)
+        if motion:
+            self._end.hold(handles[: len(motion)])
+        self._observed.hold(seen, handles[len(motion) :])
 
     def amend(self, frames: IntArray, sightings: Sightings, decisions: IntArray) -> None:
         """In a known map: take what frames (m,) up to now saw (m) for other landmarks than before.
@@ -212,31 +215,23 @@ class Isam2Smoother(Smoother):
         if former:
             self._engine.drop(former)
         motion, values = self._flush()
-        seen = self._observed.factors(Sightings(sightings.z[take], sightings.R[take]), frames[take], decisions[take])
+        again_seen = Sightings(sightings.z[take], sightings.R[take])
+        seen = self._observed.factors(again_seen, frames[take], decisions[take], self._end.errors)
         self._add(motion, seen, values, late=True)
         self.refine()
 
     def _flush(self) -> tuple[list[Factor], gtsam.Values]:
         """Factors and start values of the motion since the anchor (and the prior), which becomes part of the graph."""
-        factors: list[Factor] = []
         values = gtsam.Values()
-        if self._end.anchor < 0:
-            self._end.anchor = 0
-            factors.append(prior_factor(self.prior))
-            values.insert(X(0), pose2(self.prior.mean))
-        motion, pivot = self._end.join_graph(values)
+        factors, pivot = self._end.join_graph(values)
         if pivot < DELICATE:
             self._engine.use_qr()
-        self._motion += motion
-        return factors + motion, values
+        return factors, values
 
-    def _read(self) -> None:
-        """The anchor's pose and covariance from the engine; the newest pose follows by the motion since."""
+    def _read(self, *, closely: bool = False) -> None:
+        """The newest pose from the engine."""
         before = self._end.mean
-        pose = self._engine.settle(self._anchor_key, pose2(before))
-        B = se2.world_from_body(pose.theta())
-        P = B @ self._engine.covariance([self._anchor_key]) @ B.T
-        self._end.renew(np.array([pose.x(), pose.y(), pose.theta()]), 0.5 * (P + P.T))
+        self._end.read(self._engine, closely=closely)
         self._near.corrected(self._end.mean[:2] - before[:2])
 
     def remove(self, numbers: IntArray) -> None:
@@ -274,27 +269,32 @@ class Isam2Smoother(Smoother):
         for _ in range(updates):
             self._engine.update()
         if self._end.anchor >= 0:
-            self._read()
+            self._read(closely=True)
 
     def landmarks(self) -> MapState:
         """The map as it is now, in SLAM; `finish` gives the final one. A given map has no covariance."""
         if self.map is not None:
             return MapState(self.map.id, self.map.xy, np.zeros((len(self.map.id), 2, 2)))
         number = self.numbers
-        own = diagonal_blocks(self._joint(number)[3:, 3:])
-        return MapState(number, self._engine.points(number.tolist()), own)
+        if not len(number):
+            return MapState(number, np.empty((0, 2)), np.empty((0, 2, 2)))
+        return self._end.map_of(number, self._engine.points(number.tolist()), self._anchored(number))
 
     def positions(self, numbers: IntArray) -> Array:
         """Landmarks (n,) of SLAM where they are now (n, 2); asking changes nothing."""
-        return self._engine.points(numbers.tolist())
+        return self._end.points(self._engine.points(numbers.tolist()))
+
+    def _complete(self) -> None:
+        """Motion since the last sighting joins the graph."""
+        motion, values = self._flush()
+        if motion:
+            self._add(motion, [], values)
+            self._read()
 
     def finish(self) -> Finished:
         """Final path and map with exact marginals: the optimum of all data, reached from the present estimate."""
-        factors, values = self._flush()
-        if factors:
-            self._engine.add(factors, values)
-            self._read()
-        problem = Problem(self.prior, self._motion, self._observed.sighted, self.map is not None)
-        found = optimize(problem, self._engine.values())
+        self._complete()
+        problem = self._end.problem(self._observed.plainly, self.map is not None)
+        found = optimize(problem, self._end.start(self._engine.values(), problem))
         total = (2.0 * found.error, problem.dof) if self.loss == "gaussian" else None
-        return Finished(found.trajectory, found.map, total, found.iterations, found.last_step)
+        return Finished(found.trajectory, found.map, total, found.iterations, found.last_step, found.systematic)

@@ -15,12 +15,13 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
-from data.result import MapState, Trajectory
+from data.result import MapState, Systematics, Trajectory
 from data.se2 import Array
 from graph.factors import UnderConstrained
 from graph.linear.elimination import Rows, Triangle, eliminate
-from graph.linear.marginals import marginals, means
 from graph.linear.rows import Linearizer
+from graph.linear.solution import Solution, covariances, solve
+from graph.linear.turned import turned_out
 from graph.problem import Problem
 
 STEP = 1e-6
@@ -64,6 +65,7 @@ class Optimum:
         error: half the cost; without a robust loss half the chi-square.
         iterations: steps in all.
         last_step: sigmas, largest component of the step that was left.
+        systematic: the systematic errors, where they were estimated along.
     """
 
     trajectory: Trajectory
@@ -71,6 +73,7 @@ class Optimum:
     error: float
     iterations: int
     last_step: float
+    systematic: Systematics | None = None
 
 
 def suspect(error: float, problem: Problem) -> bool:
@@ -79,14 +82,14 @@ def suspect(error: float, problem: Problem) -> bool:
 
 
 class _Found(NamedTuple):
-    """Where a search ended: estimate, half the cost, steps made, sigmas of the step left; linearized and eliminated."""
+    """Where a search ended: estimate, half the cost, steps made; linearized, eliminated, and the step left."""
 
     values: gtsam.Values
     error: float
     iterations: int
-    left: float
     rows: Rows
     triangle: Triangle
+    solution: Solution
 
 
 def optimize(problem: Problem, start: gtsam.Values) -> Optimum:
@@ -96,34 +99,31 @@ def optimize(problem: Problem, start: gtsam.Values) -> Optimum:
         UnderConstrained: naming a variable that the data leave free.
         NotConvergedError: no optimum was reached.
     """
-    graph = problem.graph()
     linearizer = Linearizer(problem)
-    best = _descend(linearizer, graph, start)
+    best = _descend(linearizer, start)
     iterations = best.iterations
     short = CONVERGED * math.sqrt(3 * len(linearizer.structure.variable))
-    if best.left > short or suspect(best.error, problem):
+    if best.solution.length > short or suspect(best.error, problem):
         for share in SLACK:
-            loose = problem.loosened(share)
-            first = _descend(Linearizer(loose), loose.graph(), start, enough=1.0)
-            second = _descend(linearizer, graph, first.values)
+            first = _descend(Linearizer(problem.loosened(share)), start, enough=1.0)
+            second = _descend(linearizer, first.values)
             iterations += first.iterations + second.iterations
             if second.error < best.error * (1.0 - ERROR_ROUNDING):
                 best = second
     return _optimum(problem, linearizer, best, iterations)
 
 
-def _descend(
-    linearizer: Linearizer, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *, enough: float = STEP
-) -> _Found:
+def _descend(linearizer: Linearizer, values: gtsam.Values, *, enough: float = STEP) -> _Found:
     """Gauss-Newton steps, each cut down until the cost falls, until one is short `enough` or leads no further down."""
-    error, before, first = graph.error(values), math.inf, 1.0
+    error, before, first = linearizer.cost(values), math.inf, 1.0
     rounding = ROUNDING * math.sqrt(3 * len(linearizer.structure.variable))
     for step in range(MOST + 1):
         rows = linearizer(values)
         triangle = eliminate(rows, linearizer.structure)
         if triangle.free >= 0:
-            raise UnderConstrained(f"{_name(linearizer, triangle.free)} is not determined by the observations")
-        left = float(np.sqrt(np.einsum("vic,vic->", triangle.d, triangle.d)))
+            raise UnderConstrained(f"{linearizer.name(triangle.free)} is not determined by the observations")
+        solution = solve(rows, linearizer.structure, triangle, linearizer.constants(values))
+        left = solution.length
         if left < enough or SHRANK * before < left < rounding or step == MOST:
             break
         # beyond what the cost can resolve, a step that grew went too far: large residuals bend the valley
@@ -131,11 +131,11 @@ def _descend(
             first *= 0.5
         elif left < 0.1 * before:
             first = min(1.0, 2.0 * first)
-        delta = _delta(linearizer, rows, triangle, values)
+        delta = linearizer.tangent(solution, values)
         share, moved, moved_error = first, values, math.inf
         while share > SHORTEST:
-            moved = values.retract(_vector(linearizer, share * delta))
-            moved_error = graph.error(moved)
+            moved = linearizer.moved(values, share * delta, share * solution.constants)
+            moved_error = linearizer.cost(moved)
             limit = error - ARMIJO * share * (1.0 - 0.5 * share) * left**2 + ERROR_ROUNDING * (1.0 + error)
             if moved_error <= limit:
                 break
@@ -143,51 +143,38 @@ def _descend(
         else:
             break
         values, error, before = moved, moved_error, left
-    return _Found(values, error, step, left, rows, triangle)
-
-
-def _delta(linearizer: Linearizer, rows: Rows, triangle: Triangle, values: gtsam.Values) -> Array:
-    """The step (V, 3) in tangent coordinates."""
-    delta = means(rows, linearizer.structure, triangle)[:, :, 0]
-    start, _, root = linearizer.first(values)
-    delta[0] = start + root @ delta[0]
-    return delta
-
-
-def _vector(linearizer: Linearizer, delta: Array) -> gtsam.VectorValues:
-    """A step as gtsam takes it."""
-    vector = gtsam.VectorValues()
-    for k, row in enumerate(delta[: linearizer.frames]):
-        vector.insert(X(k), row)
-    for number, row in zip(linearizer.numbers.tolist(), delta[linearizer.frames :, :2], strict=True):
-        vector.insert(L(number), row)
-    return vector
+    return _Found(values, error, step, rows, triangle, solution)
 
 
 def _optimum(problem: Problem, linearizer: Linearizer, found: _Found, iterations: int) -> Optimum:
     """Where a search ended, with covariances. Raises `NotConvergedError` where that is no optimum."""
     n = linearizer.frames
-    covariance = marginals(found.rows, linearizer.structure, found.triangle)
+    covariance = covariances(found.rows, linearizer.structure, found.triangle, found.solution)
     root = linearizer.first(found.values)[2]
     covariance[0] = root @ covariance[0] @ root.T
-    delta = _delta(linearizer, found.rows, found.triangle, found.values)
+    delta = linearizer.tangent(found.solution, found.values)
     sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), TINY**2))
     share = np.abs(delta) / sigma
-    last_step = float(share.max())
+    of_errors = np.abs(found.solution.constants) / np.sqrt(np.diag(found.solution.covariance))
+    last_step = float(max(share.max(), of_errors.max(initial=0.0)))
     if not last_step < CONVERGED:
         variable = int(share.max(axis=1).argmax())
-        weakest = int(sigma[:, :2].max(axis=1).argmax())
+        weakest = int(sigma[: n + len(linearizer.numbers), :2].max(axis=1).argmax())
         raise NotConvergedError(
             f"the optimization did not converge: after {iterations} steps {last_step:.2g} sigma are left at "
-            f"{_name(linearizer, variable)}, cost {2.0 * found.error:.6g} for {problem.dof} degrees of freedom; "
-            f"weakest is {_name(linearizer, weakest)}, sigma {sigma[weakest, :2].max():.3g} m"
+            f"{linearizer.name(variable)}, cost {2.0 * found.error:.6g} for {problem.dof} degrees of freedom; "
+            f"weakest is {linearizer.name(weakest)}, sigma {sigma[weakest, :2].max():.3g} m"
             f"{_on_the_robot(problem, found.values)}"
         )
     pose = poses_of(found.values, n)
     state = None
     if not problem.known_map:
         xy = np.array([found.values.atPoint2(L(k)) for k in linearizer.numbers.tolist()]).reshape(-1, 2)
-        state = MapState(linearizer.numbers, xy, covariance[n:, :2, :2].copy())
+        state = MapState(linearizer.numbers, xy, covariance[n : n + len(xy), :2, :2].copy())
+    c = problem.calibrated
+    if c is not None:
+        path, state, systematic = turned_out(c, c.errors(found.values), found.solution, pose, covariance, state)
+        return Optimum(path, state, found.error, iterations, last_step, systematic)
     return Optimum(Trajectory(pose, in_world(pose, covariance[:n])), state, found.error, iterations, last_step)
 
 
@@ -199,12 +186,6 @@ def _on_the_robot(problem: Problem, values: gtsam.Values) -> str:
             if gap < ON_THE_ROBOT:
                 return f"; landmark {s.number} has come to lie {gap:.1g} m from the robot at frame {s.frame}"
     return ""
-
-
-def _name(linearizer: Linearizer, variable: int) -> str:
-    """A variable in words."""
-    n = linearizer.frames
-    return f"pose of frame {variable}" if variable < n else f"landmark {linearizer.numbers[variable - n]}"
 
 
 def poses_of(values: gtsam.Values, n: int) -> Array:

@@ -3,15 +3,94 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
-from data.inputs import IntArray, Prior
+from data.inputs import Increments, IntArray, Prior, Systematic
+from data.motion.sensor_frame import SensorFrame
+from data.motion.systematic import corrected_all, knots, places
 from data.se2 import Array
-from graph.factors import Sighted, graph_of, noise, pose2, prior_factor, root_information
+from graph.factors import Sighted, between_factors, graph_of, noise, pose2, prior_factor, root_information
+
+CONSTANTS = gtsam.symbol("c", 0)
+"""Key of all constant systematic errors, a vector in units of their prior sigmas."""
+
+
+def drift_key(knot: int) -> int:
+    """Key of the drift of a knot, a vector (1,) in units of its sigma."""
+    return int(gtsam.symbol("d", knot))
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """Systematic errors that are estimated along with a path of N poses; p of them, q constant ones.
+
+    Attributes:
+        systematic: which, and their priors.
+        frame: in which the poses and landmarks of the problem are.
+        increments: of the log, as odometry states them.
+        place: (p,) where each error stands among all.
+        constant: (q,) which of them are constant; `drift_at`: which one drifts, -1: none.
+        of: (N,) knot of the drift into each frame; ended: (K - 1,) m that each knot but the last held.
+    """
+
+    systematic: Systematic
+    frame: SensorFrame
+    increments: Increments
+    place: IntArray = field(init=False)
+    constant: IntArray = field(init=False)
+    drift_at: int = field(init=False)
+    of: IntArray = field(init=False)
+    ended: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        names = self.systematic.names
+        of, ended = knots(self.systematic, self.increments.mean)
+        derived = {
+            "place": places(self.systematic), "of": of, "ended": ended,
+            "constant": np.array([i for i, n in enumerate(names) if n != "drift"], np.int64),
+            "drift_at": names.index("drift") if self.systematic.drifts else -1,
+        }  # fmt: skip
+        for name, value in derived.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def knots(self) -> int:
+        """How many the drift has, 0 without one."""
+        return len(self.ended) + 1 if self.drift_at >= 0 else 0
+
+    def errors(self, values: gtsam.Values) -> Array:
+        """The errors (N, p) into each frame, in their units."""
+        found = np.empty((len(self.of), len(self.place)))
+        if len(self.constant):
+            found[:, self.constant] = values.atVector(CONSTANTS)
+        if self.drift_at >= 0:
+            found[:, self.drift_at] = np.array([values.atVector(drift_key(j))[0] for j in range(self.knots)])[self.of]
+        return found * self.systematic.sigma
+
+    def insert(self, values: gtsam.Values, errors: Array) -> None:
+        """Errors (N, p) as start values; the drift of a knot is that of its first frame."""
+        units = errors / self.systematic.sigma
+        if len(self.constant):
+            values.insert(CONSTANTS, units[-1, self.constant])
+        for j, k in enumerate(np.searchsorted(self.of, np.arange(self.knots)).tolist()):
+            values.insert(drift_key(j), units[k, [self.drift_at]])
+
+    def remove(self, values: gtsam.Values) -> None:
+        """The errors out of `values`."""
+        keys = [CONSTANTS] if len(self.constant) else []
+        for key in [*keys, *(drift_key(j) for j in range(self.knots))]:
+            values.erase(key)
+
+    def motion(self, errors: Array) -> list[gtsam.BetweenFactorPose2]:
+        """The increments as factors in the frame, under errors (N, p). Raises DataError for a singular one."""
+        mean, covariance, _ = corrected_all(
+            self.increments.mean, self.increments.covariance, errors, self.place, self.frame.mount
+        )
+        return between_factors(1, mean[1:], covariance[1:])[0]
 
 
 @dataclass(frozen=True)
@@ -19,19 +98,22 @@ class Problem:
     """A log as factors.
 
     Attributes:
-        prior: on the pose of frame 0.
+        prior: on the robot's pose of frame 0.
         motion: [k - 1] leads into frame k.
         sighted: the observations in use, ascending by frame.
         known_map: the landmarks are known, so that none is estimated.
+        calibrated: systematic errors that are estimated along. Poses and landmarks are then in its frame, `sighted` as
+            of the sensor there (with known landmarks where the map has them), and `motion` is that under no errors.
     """
 
     prior: Prior
     motion: Sequence[gtsam.BetweenFactorPose2]
     sighted: Sequence[Sighted]
     known_map: bool
+    calibrated: Calibrated | None = None
 
     def graph(self) -> gtsam.NonlinearFactorGraph:
-        """Everything, as gtsam takes it."""
+        """Everything, as gtsam takes it; systematic errors as zero."""
         return graph_of([prior_factor(self.prior), *self.motion, *(f for s in self.sighted for f in s.factors)])
 
     @property
@@ -41,34 +123,83 @@ class Problem:
 
     @property
     def dof(self) -> int:
-        """Degrees of freedom of the chi-square: two for each observation, less two for each landmark."""
+        """Degrees of freedom of the chi-square: two for each observation, less two for each landmark.
+
+        A systematic error does not count: it is an unknown with a residual of its own, that of its prior.
+        """
         return 2 * len(self.sighted) - 2 * len(self.numbers)
 
-    def values(self, pose: Array, landmark: dict[int, Array]) -> gtsam.Values:
-        """Start values from poses (N, 3) and landmark positions (2,) by number."""
+    def values(self, pose: Array, landmark: dict[int, Array], errors: Array | None = None) -> gtsam.Values:
+        """Start values from poses (N, 3) and landmark positions (2,) by number, those of the robot in the world.
+
+        `errors` (N, p): where systematic errors start; without, at zero.
+        """
         values = gtsam.Values()
+        known = {s.key: s.xy for s in self.sighted if s.xy is not None and s.key is not None}
+        if self.calibrated is not None:
+            if errors is None:
+                errors = np.zeros((len(pose), len(self.calibrated.place)))
+            frame = self.calibrated.frame
+            pose = frame.poses_in(pose, errors)
+            landmark = {n: frame.points_in(xy[None], errors[-1])[0][0] for n, xy in landmark.items()}
+            known = {key: frame.points_in(xy[None], errors[-1])[0][0] for key, xy in known.items()}
+            self.calibrated.insert(values, errors)
         for k, row in enumerate(pose):
             values.insert(X(k), pose2(row))
         for n in self.numbers.tolist():
             values.insert(L(n), landmark[n])
-        for s in self.sighted:
-            if s.xy is not None and s.key is not None:
-                values.insert(s.key, s.xy)
+        for key, xy in known.items():
+            values.insert(key, xy)
         return values
 
     def loosened(self, share: float) -> Problem:
         """The same with increments known nowhere better than to a `share` of the sigma of their worst direction."""
+        if self.calibrated is not None:
+            covariance = _loosened(self.calibrated.increments.covariance, share)
+            calibrated = replace(self.calibrated, increments=replace(self.calibrated.increments, covariance=covariance))
+            motion = calibrated.motion(np.zeros((len(covariance), len(calibrated.place))))
+            return replace(self, motion=motion, calibrated=calibrated)
         root = np.array([_gaussian(f).R() for f in self.motion])
         inverse = np.linalg.inv(root)
-        covariance = inverse @ inverse.transpose(0, 2, 1)
-        worst = np.linalg.eigvalsh(covariance[:, :2, :2])[:, -1]
-        covariance[:, :2, :2] += share**2 * worst[:, None, None] * np.eye(2)
-        roots, _ = root_information(covariance)
+        roots, _ = root_information(_loosened(inverse @ inverse.transpose(0, 2, 1), share))
         motion = [
             gtsam.BetweenFactorPose2(X(k), X(k + 1), f.measured(), noise.Gaussian.SqrtInformation(R))
             for k, (f, R) in enumerate(zip(self.motion, roots, strict=True))
         ]
         return replace(self, motion=motion)
+
+    def held(self, errors: Array) -> Problem:
+        """The same in its frame with the systematic errors held at `errors` (N, p)."""
+        c = self.calibrated
+        assert c is not None
+        there = c.frame.poses_in(self.prior.mean[None], errors[:1])
+        back = np.linalg.inv(c.frame.poses_out(there, errors[:1])[1][0, :, :3])
+        prior = Prior(there[0], back @ self.prior.covariance @ back.T)
+        sighted = self.sighted
+        if self.known_map and c.frame.range_at >= 0:
+            xy = c.frame.points_in(np.array([s.xy for s in sighted]).reshape(-1, 2), errors[-1])[0]
+            sighted = [displaced(s, at) for s, at in zip(sighted, xy, strict=True)]
+        return Problem(prior, c.motion(errors), sighted, self.known_map)
+
+
+def displaced(sighted: Sighted, xy: Array) -> Sighted:
+    """An observation of a known landmark that is elsewhere, at xy (2,)."""
+    if sighted.key is not None:
+        return replace(sighted, xy=xy, pin=gtsam.PriorFactorPoint2(sighted.key, xy, noise.Constrained.All(2)))
+    (factor,) = sighted.measured
+    assert isinstance(factor, gtsam.KnownLandmarkFactorPose2)
+    assert sighted.xy is not None
+    point = sighted.xy - factor.evaluateError(gtsam.Pose2())
+    moved = gtsam.KnownLandmarkFactorPose2(X(sighted.frame), xy, point, factor.noiseModel())
+    return replace(sighted, xy=xy, measured=[moved])
+
+
+def _loosened(covariance: Array, share: float) -> Array:
+    """Covariances (n, 3, 3) of increments, their positions no better than to a `share` of the worst sigma."""
+    covariance = covariance.copy()
+    worst = np.linalg.eigvalsh(covariance[:, :2, :2])[:, -1]
+    covariance[:, :2, :2] += share**2 * worst[:, None, None] * np.eye(2)
+    return covariance
 
 
 def _gaussian(factor: gtsam.NoiseModelFactor) -> gtsam.noiseModel.Gaussian:

@@ -36,6 +36,9 @@ def gnc(
     threshold = gate_threshold(probability)
     problem = build(inputs, decisions, created)
     used = np.flatnonzero(np.where(created >= 0, created, decisions) >= 0)
+    if problem.calibrated is not None:
+        # held at wrong errors, right readings look wrong
+        start = _as_start(smooth(inputs, decisions, created, start, loss="huber"), start)
     start, believed = _graduate(problem, start, probability, qr=is_delicate(inputs))
     # block-coordinate descent on the truncated cost, from gtsam's choice: its weights need not be those of its
     # solution, and it judges the two scalars of a relative point apart
@@ -67,12 +70,20 @@ def is_delicate(inputs: Inputs) -> bool:
 def _graduate(problem: Problem, start: Start, probability: float, *, qr: bool) -> tuple[Start, BoolArray]:
     """The solution of gtsam, and which sightings have a weight above one half there: all their factors.
 
+    Systematic errors stay as they are at the start: what is believed then is judged again while they are estimated.
+
     What gtsam 4.3's GncOptimizer gets wrong, and what is done about it: it gives hard constraints the information zero,
     that is, it drops them without a word (here they have a sigma of `EXACT`); and it stops where the cost hardly
     changes, which may be before a weight has (here only weights of 0 and 1 stop it, or its 100 iterations). Its control
     parameter starts from the residuals at `start`, not from those of the first least-squares solution as in the paper
     (so a good start is not given away; nothing is done).
     """
+    values, calibrated = start_values(problem, start), problem.calibrated
+    errors = np.empty((0, 0))
+    if calibrated is not None:
+        errors = calibrated.errors(values)
+        problem = problem.held(errors)
+        calibrated.remove(values)
     believed: list[Factor] = [_soft_prior(problem.prior), *problem.motion]
     believed += [
         gtsam.PriorFactorPoint2(s.key, s.xy, noise.Isotropic.Sigma(2, EXACT))
@@ -86,7 +97,7 @@ def _graduate(problem: Problem, start: Start, probability: float, *, qr: bool) -
     parameters.setKnownInliers(range(len(believed)))
     parameters.setRelativeCostTol(0.0)
     graph = graph_of([*believed, *(f for s in problem.sighted for f in s.measured)])
-    optimizer = gtsam.GncLMOptimizer(graph, start_values(problem, start), parameters)
+    optimizer = gtsam.GncLMOptimizer(graph, values, parameters)
     count = np.array([len(s.measured) for s in problem.sighted], np.int64)
     # one quantile for all: two independent scalars both pass theirs as often as the pair would pass its own; where only
     # the nearest readings are points, theirs is the pair's until they are judged together
@@ -96,7 +107,13 @@ def _graduate(problem: Problem, start: Start, probability: float, *, qr: bool) -
     weight = optimizer.getWeights()[len(believed) :]
     first = np.cumsum(count) - count
     smallest = np.minimum.reduceat(weight, first) if len(count) else weight
-    return _start_of(problem, values, start), smallest > 0.5
+    found = _start_of(problem, values, start)
+    if calibrated is not None:
+        pose = calibrated.frame.poses_out(found.pose, errors)[0]
+        there = problem.numbers
+        found.landmark[there] = calibrated.frame.points_out(found.landmark[there], errors[-1])[0]
+        found = Start(pose, found.landmark, errors)
+    return found, smallest > 0.5
 
 
 def _soft_prior(prior: Prior) -> Factor:
@@ -117,10 +134,12 @@ def _as_start(result: Smoothed, start: Start) -> Start:
     landmark = start.landmark.copy()
     if result.map is not None:
         landmark[result.map.number] = result.map.xy
-    return Start(result.trajectory.pose, landmark)
+    return Start(result.trajectory.pose, landmark, None if result.systematic is None else result.systematic.mean)
 
 
 def _squares(problem: Problem, at: Start) -> Array:
     """Squared whitened residual of every sighting."""
     values = start_values(problem, at)
+    if problem.calibrated is not None:
+        problem = problem.held(problem.calibrated.errors(values))
     return np.array([2.0 * sum(f.error(values) for f in s.measured) for s in problem.sighted], float)

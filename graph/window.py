@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import gtsam
 import numpy as np
@@ -24,16 +24,30 @@ class Window(Engine):
     every update, and a pose can be read before it goes.
     """
 
-    def __init__(self, threshold: float, skip: int, *, qr: bool, name: Callable[[int], str] = name_of) -> None:
+    def __init__(
+        self,
+        threshold: float,
+        skip: int,
+        *,
+        qr: bool,
+        name: Callable[[int], str] = name_of,
+        linear: Mapping[str, int] | None = None,
+    ) -> None:
         """As `Engine`."""
-        super().__init__(threshold, skip, qr=qr, name=name)
+        super().__init__(threshold, skip, qr=qr, name=name, linear=linear)
         self._handle: dict[int, int] = {}
         # linear factors that hold about the present linearization point, which is not theirs in a new ISAM2 object
         self._linear: list[int] = []
 
-    def add(self, factors: Sequence[Factor], values: gtsam.Values) -> list[int]:
-        """Add factors and start values of their new variables; returns a handle for each factor."""
-        handles = super().add(factors, values)
+    def add(
+        self,
+        factors: Sequence[Factor],
+        values: gtsam.Values,
+        instead_of: Sequence[int] = (),
+        last: Sequence[int] | None = None,
+    ) -> list[int]:
+        """As `Engine.add`."""
+        handles = super().add(factors, values, instead_of, last)
         self._handle.update((self._slot[h], h) for h in handles)
         return handles
 
@@ -50,8 +64,8 @@ class Window(Engine):
         p = self._ask(lambda: self.isam.calculateEstimatePose2(key))
         return np.array([p.x(), p.y(), p.theta()])
 
-    def marginalize(self, keys: Sequence[int], last: int) -> None:
-        """Let go of variables; `last` stays the last one in the order of elimination.
+    def marginalize(self, keys: Sequence[int], last: Sequence[int]) -> None:
+        """Let go of variables; `last` stay the last ones in the order of elimination.
 
         What hangs on those that go keeps its linearization point from now on, so it gets the newest one before.
         """
@@ -75,11 +89,12 @@ class Window(Engine):
         if hard:
             self._eliminate_first([], last)
 
-    def _eliminate_first(self, keys: Sequence[int], last: int) -> None:
+    def _eliminate_first(self, keys: Sequence[int], last: Sequence[int]) -> None:
         """Make leaves of these variables: eliminate everything anew, with them first."""
         every = self.isam.getLinearizationPoint().keys()
         place = gtsam.KeyGroupMap()
-        place.insert2(last, min(LAST, len(every) - 1))  # CCOLAMD takes no place beyond the number of variables
+        for key in last:
+            place.insert2(key, min(LAST, len(every) - 1))  # CCOLAMD takes no place beyond the number of variables
         for key in keys:
             place.insert2(key, FIRST)
         for key in every:

@@ -2,8 +2,8 @@
 
 They are read as `constants.NAME` where they are used. Probabilities of gates are chi-square probabilities, 2 dof unless
 said otherwise; "ranges" are ranges of the sensor. Compiled kernels get them as arguments: a kernel in the cache would
-not notice that a constant was changed. The self-calibrating filter (`ekf.calibrating`) and the pose hypotheses
-(`ekf.hypotheses`) keep the constants of their models themselves.
+not notice that a constant was changed. The errors of odometry that the deciding filter estimates
+(`eval.replay.hindsight.mapper`) and the pose hypotheses (`ekf.hypotheses`) have their constants beside them.
 """
 
 from __future__ import annotations

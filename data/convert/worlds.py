@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict, fields, replace
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING
 
+from data.worlds.erring import described
 from data.worlds.flags import add_flags
 from data.worlds.registry import SIMULATORS, parameters_of, simulate
 
@@ -31,4 +32,4 @@ def convert(args: argparse.Namespace) -> Log:
     kind = parameters_of(args.kind)
     values = kind(**{f.name: getattr(args, f.name) for f in fields(kind)})
     log = simulate(args.kind, values, args.seed)
-    return replace(log, source={**log.source, args.kind: asdict(values)})
+    return replace(log, source={**log.source, args.kind: described(values)})

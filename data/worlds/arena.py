@@ -19,10 +19,11 @@ from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
 from data.se2 import Array
 from data.sensors import RangeBearing, RelativePoint, Sensor
 from data.truth import Truth
+from data.worlds.erring import Erring, as_read, check_erring, reported
 
 
 @dataclass(frozen=True)
-class Arena:
+class Arena(Erring):
     """Parameters of the world; the defaults are mild enough for linearization to be harmless.
 
     Attributes:
@@ -67,6 +68,7 @@ class Arena:
     clutter: float = 0.0
 
     def __post_init__(self) -> None:
+        check_erring("arena", self)
         for name in ("landmarks", "frames"):
             if getattr(self, name) < 1:
                 raise UsageError(f"arena: {name} = {getattr(self, name)}; at least 1 is needed")
@@ -106,6 +108,7 @@ def simulate(arena: Arena, seed: int, name: str | None = None) -> Log:
     landmarks = centre + map_rng.uniform(-0.5 * arena.side, 0.5 * arena.side, (arena.landmarks, 2))
     frame_time = arena.period * np.arange(arena.frames, dtype=np.float64)
     truth, increments, floored = _drive(arena, frame_time, odometry_rng)
+    increments, errors = reported(arena, increments, seed)
     sensor = arena.model()
     frame, z, true_id = _observe(arena, sensor, truth, landmarks, sensor_rng)
     R = np.tile(np.diag(np.square(arena.sigma())), (len(z), 1, 1))
@@ -122,7 +125,12 @@ def simulate(arena: Arena, seed: int, name: str | None = None) -> Log:
         known,
         floored=floored,
     )
-    return Log(name or f"arena:{seed}", inputs, Truth(truth, known, true_id), source={"kind": "arena", "seed": seed})
+    return Log(
+        name or f"arena:{seed}",
+        inputs,
+        Truth(truth, known, true_id, errors=errors),
+        source={"kind": "arena", "seed": seed},
+    )
 
 
 def _drive(arena: Arena, frame_time: Array, rng: np.random.Generator) -> tuple[Array, Increments, int]:
@@ -155,7 +163,7 @@ def _observe(
         reported = rng.random(len(landmarks)) < arena.detection
         near = sensor.polar(exact)[:, 0] < arena.min_range
         seen = np.flatnonzero(sensor.in_view(exact) & reported & ~near)
-        z = exact[seen] + sigma * rng.standard_normal((len(seen), 2))
+        z = as_read(arena, sensor, exact[seen]) + sigma * rng.standard_normal((len(seen), 2))
         false = rng.poisson(arena.clutter)
         low = (arena.min_range / arena.max_range) ** 2
         r = arena.max_range * np.sqrt(rng.uniform(low, 1.0, false))

@@ -12,7 +12,7 @@ was.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from data.se2 import Array
 from data.sensors import RelativePoint
 from data.truth import Truth
 from data.worlds import corridor_plan as world
+from data.worlds.erring import Erring, as_read, check_erring, described, reported
 from data.worlds.names import name_of, written
 
 SLACK = 1e-9
@@ -40,7 +41,7 @@ def _degrees(value: float, **more: object) -> float:
 
 
 @dataclass(frozen=True)
-class Corridor:
+class Corridor(Erring):
     """Parameters of the lab, with its own numbers as defaults. Angles: radians here, degrees in names and flags.
 
     Attributes:
@@ -102,6 +103,7 @@ class Corridor:
     sa_people: float = 0.01
 
     def __post_init__(self) -> None:
+        check_erring("corridor", self)
         for f in fields(self):
             value = getattr(self, f.name)
             if f.name in ("frames", "crowd") and value < 1:
@@ -125,6 +127,8 @@ class Corridor:
         primed = self.forward or self.constant_velocity
         if key in ("crowd", "sv_people", "sa_people"):
             return "" if self.people else "without people"
+        if key in ("scale", "curvature", "left", "right", "drift"):
+            return "" if self.odometry else "with no-odometry"
         if key in ("forward", "constant_velocity") or key.endswith("_blind"):
             if self.odometry:
                 return "with odometry; add no-odometry"
@@ -162,6 +166,7 @@ def simulate(corridor: Corridor, seed: int, name: str | None = None) -> Log:
     )
     truth, turned = world.path(corridor.frames)
     increments, floored = _odometry(corridor, turned, odometry_rng)
+    increments, errors = reported(corridor, increments, seed)
     c, sensor, prior, known = corridor, corridor.model(), corridor.prior(), world.points()
     crowd = world.walks(c.frames, c.crowd if c.people else 0, c.sv_people, c.sa_people, walk_rng)
     frame, true_id, z, R = [], [], [], []
@@ -186,8 +191,8 @@ def simulate(corridor: Corridor, seed: int, name: str | None = None) -> Log:
     return Log(
         name or name_of("corridor", corridor, seed),
         inputs,
-        Truth(truth, known, np.concatenate(true_id)),
-        source={"kind": "corridor", "seed": seed, "corridor": asdict(corridor)},
+        Truth(truth, known, np.concatenate(true_id), errors=errors),
+        source={"kind": "corridor", "seed": seed, "corridor": described(corridor)},
         notes=() if prior is None else (note_of(prior),),
     )
 
@@ -216,7 +221,7 @@ def _observe(
     exact = sensor.predict(pose, points)
     noise = np.array([corridor.srho, corridor.sphi]) * rng.standard_normal((len(points), 2))
     seen = np.flatnonzero(sensor.in_view(exact, margin_range=-SLACK, margin_angle=SLACK))
-    polar = sensor.polar(exact[seen])
+    polar = sensor.polar(as_read(corridor, sensor, exact[seen]))
     r = np.maximum(polar[:, 0] * (1.0 + noise[seen, 0]), NEAREST)
     b = polar[:, 1] + noise[seen, 1]
     direction = np.stack([np.cos(b), np.sin(b)], axis=-1)

@@ -6,7 +6,7 @@ import argparse
 import math
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +41,10 @@ def add_flags(sub: argparse.ArgumentParser, simulator: str) -> None:
     sub.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
     sub.add_argument("--seed", type=seed, default=0, metavar="N", help="seed of every random number (default: 0)")
     parameters = parameters_of(simulator)
-    described = _attributes(parameters.__doc__ or "", [f.name for f in fields(parameters)])
+    names = [f.name for f in fields(parameters)]
+    described: dict[str, str] = {}
+    for kind in reversed([k for k in parameters.__mro__ if is_dataclass(k)]):  # worlds that err share what they err by
+        described |= _attributes(kind.__doc__ or "", names)
     for f in fields(parameters):
         flag, text = f"--{f.name.replace('_', '-')}", described.get(f.name, "")
         if isinstance(f.default, bool):
@@ -49,10 +52,10 @@ def add_flags(sub: argparse.ArgumentParser, simulator: str) -> None:
             sub.add_argument(flag, action=argparse.BooleanOptionalAction, default=f.default, help=text)
             continue
         # a parameter that may be left out is a number, and says what it is then
-        kind: type[Any] = float if f.default is None else type(f.default)
+        number_of: type[Any] = float if f.default is None else type(f.default)
         default: Any = f.metadata.get("default", f.default)
-        unit = kind.__name__.upper()
-        convert: Callable[[str], object] = number if kind is float else kind
+        unit = number_of.__name__.upper()
+        convert: Callable[[str], object] = number if number_of is float else number_of
         if f.metadata.get("unit") == "deg":
             default, unit, convert = f"{math.degrees(default):.12g}", "DEG", degrees
         text = f"{text} (default: {default})".strip().replace("%", "%%")

@@ -24,6 +24,7 @@ from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
 from data.se2 import Array
 from data.sensors import RangeBearing
 from data.truth import Truth
+from data.worlds.erring import Erring, as_read, check_erring, reported
 from data.worlds.parameters import check_parameters
 
 RADIUS, TURN = 5, 8
@@ -35,7 +36,7 @@ HEADINGS = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
 
 @dataclass(frozen=True)
-class Park:
+class Park(Erring):
     """Parameters of the world; the size of the park and its number of trees follow from the length of the drive.
 
     Attributes:
@@ -76,6 +77,7 @@ class Park:
     prior_sigma_heading: float = 0.02
 
     def __post_init__(self) -> None:
+        check_erring("park", self)
         check_parameters(
             "park",
             self,
@@ -123,6 +125,7 @@ def simulate(park: Park, seed: int, name: str | None = None) -> Log:
     model = VelocityModel(VelocityNoise("density", (park.sigma_v, park.sigma_omega)))
     increments, _ = preintegrate(model, time, noisy_v, noisy_omega, time)
     covariance, floored = floor_covariances(increments.covariance, FLOOR)
+    increments, errors = reported(park, Increments(increments.mean, covariance), seed)
     trees = _trees(park, map_rng)
     sensor = park.sensor()
     frame, z, true_id = _observe(park, sensor, truth, trees, sensor_rng)
@@ -134,13 +137,18 @@ def simulate(park: Park, seed: int, name: str | None = None) -> Log:
     inputs = Inputs(
         Prior(mean, np.diag(sigma**2)),
         time,
-        Increments(increments.mean, covariance),
+        increments,
         Observations(frame, z, R),
         sensor,
         known,
         floored=floored,
     )
-    return Log(name or f"park:{seed}", inputs, Truth(truth, known, true_id), source={"kind": "park", "seed": seed})
+    return Log(
+        name or f"park:{seed}",
+        inputs,
+        Truth(truth, known, true_id, errors=errors),
+        source={"kind": "park", "seed": seed},
+    )
 
 
 def _route(park: Park, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -202,5 +210,5 @@ def _observe(
     reported = rng.random(len(tree)) < park.detection
     noise = rng.standard_normal((len(tree), 2)) * np.array([park.sigma_range, park.sigma_bearing])
     seen = sensor.in_view(exact) & (exact[:, 0] >= park.min_range) & reported
-    z = exact[seen] + noise[seen]
+    z = as_read(park, sensor, exact[seen]) + noise[seen]
     return frame[seen], np.stack([np.maximum(z[:, 0], 0.0), se2.wrap_angle(z[:, 1])], 1), tree[seen]

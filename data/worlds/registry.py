@@ -42,10 +42,14 @@ SIMULATORS: Mapping[str, World] = {
     "arena": World(
         "data.worlds.arena",
         "Arena",
-        "arena:0",
+        "arena:0 or arena:0:scale=-0.1+curvature=0.02",
         "a simulated world whose noise is known",
         "A simulated robot among point landmarks, every noise known; the same seed gives the same log.",
-        "example:\n  python -m data.convert arena logs/arena-0 --seed 0 --frames 500 --sensor relative_point",
+        """\
+examples:
+  python -m data.convert arena logs/arena-0 --seed 0 --frames 500 --sensor relative_point
+  python -m data.convert arena logs/off --curvature 0.02 --scale -0.1    odometry that errs systematically
+""",
     ),
     "circle": World(
         "data.worlds.circle",

@@ -13,10 +13,12 @@ from eval.figures.outliers import outlier_figure
 from eval.figures.power import Seen, power_figure
 from eval.figures.unscored.claims import claims_figure
 from eval.figures.unscored.fate import fate_figure
+from eval.figures.unscored.systematic import systematic_figure
 from eval.figures.verdicts import coverage_figure, run_end_figure
 
 __all__ = [
     "Seen", "anees_figure", "claims_figure", "confusion_figure", "coverage_figure", "difference_figure", "error_figure",
     "fate_figure", "filter_smoother_figure", "growth_figure", "loop_picture", "map_figure", "map_picture",
     "nees_figure", "outlier_figure", "power_figure", "run_end_figure", "state_figure",
+    "systematic_figure",
 ]  # fmt: skip

@@ -6,11 +6,13 @@ The numbers are the same for any number of processes, and on a cluster.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
 
 from data.log import Log
+from eval.plan.calibrate.battery import with_systematic
+from eval.plan.calibrate.calibration import Calibration, examine, settle
 from eval.plan.cluster import Call
 from eval.plan.experiments import Plan
 from eval.plan.flags.options import Options
@@ -43,6 +45,7 @@ class Outcome:
         skipped: what could not be done, a sentence each.
         trust: what each log says about itself, with each way of association.
         validations: studies of the battery, each with what came out for every log.
+        calibrations: logs whose systematic errors were estimated along.
         missing: what had not enough memory, a sentence each; everything else is whole.
     """
 
@@ -52,11 +55,12 @@ class Outcome:
     skipped: tuple[str, ...] = ()
     trust: tuple[Trust, ...] = ()
     validations: tuple[tuple[Validation, tuple[Examined, ...]], ...] = ()
+    calibrations: tuple[Calibration, ...] = ()
     missing: tuple[str, ...] = ()
 
 
 def _tutorial(log: Log, variant: Variant) -> Trial:
-    changed = variant_log(log, variant)
+    changed = variant_log(with_systematic(log, None), variant)
     return Trial(changed, variant.task, (tutorial_run(changed, variant),), log.name, ABOUT)
 
 
@@ -66,6 +70,9 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
     A run of a study is kept on disk as soon as it is done, and taken from there if it was done before. What has not
     enough memory is tried again an estimator at a time, and then missing; the rest is as it would be.
     """
+    lost = Unfinished(options)
+    settled, calibrations = settle(plan.experiments, options, lost)
+    plan = replace(plan, experiments=settled)
     watched = not options.no_plots
     parts = [(i, p) for i, e in enumerate(plan.experiments) for w in e.work for p in w.parts()]
     jobs: list[tuple[Owner, Call]] = [
@@ -86,7 +93,6 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
             else:
                 kept[i, seed] = found
     results: dict[tuple[str, int], list[Any]] = {}
-    lost = Unfinished(options)
     far = [job for job in jobs if job[0][0] == "study"]
     near = [job for job in jobs if job[0][0] != "study"]
     finishing = (
@@ -116,6 +122,7 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
             runs[run.association, run.estimator] = run
             lost.say(f"{e.log.name}, {e.task}: no run of {name} with association {part.association}", why)
         trials.append(Trial(e.log, e.task, tuple(runs[key] for key in wanted(e.work)), e.beside, e.about))
+    calibrations = examine(calibrations, plan.experiments, trials, options, lost)
     # before the variants, which share a log's name with its trial
     said = trusted(plan.experiments, trials, options, lost, lambda more, of: progress(len(jobs) + more, len(jobs) + of))
     tested = validated(plan.validations, options, lost, lambda more, of: progress(len(jobs) + more, len(jobs) + of))
@@ -137,5 +144,5 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
     published = [row for _, rows in replayed for row in rows] + [row for s in finished for row in published_rows(s)]
     return Outcome(
         (*trials, *(t for t, _ in replayed)), tuple(finished), tuple(published), plan.skipped, said, tested,
-        tuple(lost.said),
+        calibrations, tuple(lost.said),
     )  # fmt: skip

@@ -13,6 +13,7 @@ from data.log import Log, folder_name, shortened
 from data.logs import Reading, find_logs, open_log
 from data.recordings.esde import NAME, find_esde
 from eval.plan.beside import maintained, shows_noise, sparser, with_depth_noise
+from eval.plan.calibrate.calibration import check_calibrated
 from eval.plan.experiment import Experiment, Work
 from eval.plan.flags.options import Options
 from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS
@@ -82,6 +83,7 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
             raise UsageError(f"--data {folder}: no dataset found")
         asked += found
     for log in asked:
+        check_calibrated(log, options)
         experiments += [
             Experiment(_cut(log, options), task, _work(log, options), _setup(log, options))
             for task in _tasks(log, options)

@@ -57,7 +57,7 @@ def batch(name: str, inputs: Inputs, front: Run, other: Callable[[], Run] | None
     return Run(
         name, front.association, front.task, None, result.trajectory, state, front.decisions, final,
         front.created, None, result.total_nis, None, seconds, None, tuple(notes), front.removed, gated=front.gated,
-        iterations=result.iterations, last_step_sigma=result.last_step,
+        iterations=result.iterations, last_step_sigma=result.last_step, errors_final=result.systematic,
     )  # fmt: skip
 
 
@@ -112,7 +112,10 @@ def start_at(inputs: Inputs, front: Run, initialized: IntArray) -> Start:
             places[initialized[i]] = inputs.sensor.inverse(pose, o.z[i : i + 1])[0][0]
         held = front.map.number < len(places)
         places[front.map.number[held]] = front.map.xy[held]
-    return Start(front.online.pose, places)
+    # the errors as the front end knows them in the end; knots of the drift that it has forgotten are the last one's
+    known = front.errors_final or front.errors_online
+    errors = None if known is None else np.broadcast_to(known.mean[-1], known.mean.shape)
+    return Start(front.online.pose, places, errors)
 
 
 def _failed(name: str, front: Run, failure: Failure, frames: int, seconds: float) -> Run:

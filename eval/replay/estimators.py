@@ -54,6 +54,11 @@ class Estimator(Protocol):
         ...
 
     @property
+    def errors(self) -> tuple[Array, Array] | None:
+        """Systematic errors (p,) as they are known now and their covariance (p, p); None: none are estimated."""
+        ...
+
+    @property
     def parked(self) -> IntArray:
         """Numbers (b,) of landmarks that are in the map but not in the state, ascending."""
         ...
@@ -144,10 +149,10 @@ def make_estimator(
     if name in OPTIONS:
         options = options or OPTIONS[name]
         if given.map is not None:
-            return EkfLocalizer(given.prior, given.sensor, given.map, options)
-        return EkfSlam(given.prior, given.sensor, options)
+            return EkfLocalizer(given.prior, given.sensor, given.map, options, given.systematic)
+        return EkfSlam(given.prior, given.sensor, options, given.systematic)
     if name == "isam2":
-        return Isam2Smoother(given.prior, given.sensor, given.map)
+        return Isam2Smoother(given.prior, given.sensor, given.map, systematic=given.systematic)
     if name == "fixed-lag":
-        return FixedLagSmoother(given.prior, given.sensor, given.map, lag=lag)
+        return FixedLagSmoother(given.prior, given.sensor, given.map, lag=lag, systematic=given.systematic)
     raise UsageError(f"{name!r} does not work step by step; {', '.join(STEPPING[:-1])} and {STEPPING[-1]} do")

@@ -28,6 +28,7 @@ class Flag:
         numbers: whether the estimators' numbers depend on it, so that it belongs to the command that makes them again.
         repeatable: given once for each value.
         short: one letter.
+        bare: the value of a flag that is given without one; empty: a value is needed.
         name, default: of the field.
     """
 
@@ -37,6 +38,7 @@ class Flag:
     numbers: bool = True
     repeatable: bool = False
     short: str = ""
+    bare: str = ""
     name: str = ""
     default: Any = None
 

@@ -64,7 +64,7 @@ class FrontEnd:
         self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
     ) -> None:
         """Before the first frame."""
-        self.given, self.setup = Beginning(given.prior, given.sensor, given.map), setup
+        self.given, self.setup = Beginning(given.prior, given.sensor, given.map, given.systematic), setup
         self.association = name_of(association)
         self._method = Method(load(association)) if is_foreign(association) else association
         self.estimator = make_estimator(estimator, given, options, lag=setup.lag)

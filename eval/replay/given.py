@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import NamedTuple, Protocol
 
-from data.inputs import LandmarkMap, Prior
+from data.inputs import LandmarkMap, Prior, Systematic
 from data.sensors import Sensor
 
 
 class Given(Protocol):
-    """Prior, sensor and, for localization, the map. `data.inputs.Inputs` has them, and so has a live robot."""
+    """Prior, sensor, for localization the map, and errors to estimate. `Inputs` has them, and so has a robot."""
 
     @property
     def prior(self) -> Prior:
@@ -26,6 +26,11 @@ class Given(Protocol):
         """Known landmarks; None: SLAM."""
         ...
 
+    @property
+    def systematic(self) -> Systematic | None:
+        """Errors of odometry and sensor that are estimated along; None: there are none."""
+        ...
+
 
 class Beginning(NamedTuple):
     """Just that, without a log; fields as in `Given`."""
@@ -33,3 +38,4 @@ class Beginning(NamedTuple):
     prior: Prior
     sensor: Sensor
     map: LandmarkMap | None = None
+    systematic: Systematic | None = None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from data.inputs import Frame, IntArray
+from data.inputs import Frame, IntArray, Systematic
 from data.result import (
     CHI_SQUARE,
     DISCARD,
@@ -12,6 +12,7 @@ from data.result import (
     Finished,
     Innovations,
     Run,
+    Systematics,
     Trajectory,
     Updated,
     map_estimate,
@@ -29,14 +30,17 @@ class Recorder:
         created: (M,) landmark that each observation initialized, -1 for none.
     """
 
-    def __init__(self, frames: int, observations: int) -> None:
-        """Before the first of so many frames, with so many observations in all."""
+    def __init__(self, frames: int, observations: int, systematic: Systematic | None = None) -> None:
+        """Before the first of so many frames, with so many observations in all; `systematic`: errors estimated."""
         n, m = frames, observations
         self._pose, self._covariance = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
         self._nis, self._dof, self._likelihood = np.full(n, np.nan), np.zeros(n, np.int64), np.full(n, np.nan)
         self._moments = np.zeros(2)
         self._size, self._white = np.zeros(n, np.int64), np.full((m, 2), np.nan)
         self._frame = np.full(m, -1, np.int64)
+        p = 0 if systematic is None else len(systematic.names)
+        self._systematic, self._errors, self._known = systematic, np.full((n, p), np.nan), False
+        self._errors_sigma = self._errors.copy()
         self.decisions, self.created = np.full(m, DISCARD, np.int64), np.full(m, -1, np.int64)
 
     def update(self, frame: Frame, decisions: IntArray, done: Updated) -> None:
@@ -57,6 +61,10 @@ class Recorder:
         """A frame is over."""
         self._pose[front.k], self._covariance[front.k] = front.estimator.estimate()
         self._size[front.k] = front.state_size
+        errors = front.estimator.errors
+        if errors is not None:
+            self._known = True
+            self._errors[front.k], self._errors_sigma[front.k] = errors[0], np.sqrt(np.maximum(np.diag(errors[1]), 0.0))
 
     def run(
         self, name: str, task: str, front: FrontEnd, finished: Finished, failure: Failure | None, seconds: float
@@ -84,7 +92,14 @@ class Recorder:
             name, front.association, task, Trajectory(self._pose, self._covariance), finished.final, state,
             self.decisions, final, self.created, innovations, total, size, seconds, failure, tuple(front.notes()),
             removed, events, self._gated(), finished.iterations, finished.last_step_sigma,
+            errors_online=self._errors_online(), errors_final=finished.systematic,
         )  # fmt: skip
+
+    def _errors_online(self) -> Systematics | None:
+        """Errors by frame, of an estimator that estimates any."""
+        if self._systematic is None or not self._known:
+            return None
+        return Systematics(self._systematic.names, self._errors, self._errors_sigma)
 
     def _gated(self) -> tuple[float, float]:
         """Mean and variance per degree of freedom to expect of the NIS."""

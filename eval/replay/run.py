@@ -47,7 +47,7 @@ def dead_reckoning(inputs: Inputs, task: str) -> Run:
     """Prediction alone: the path composed from the increments, its covariance growing."""
     begin = time.perf_counter()
     nothing = np.full(len(inputs.observations.frame), DISCARD, np.int64)
-    run = run_filter(inputs, nothing)
+    run = run_filter(inputs if inputs.systematic is None else replace(inputs, systematic=None), nothing)
     return Run(
         "dead-reckoning", "none", task, Trajectory(run.pose, run.covariance), None, None, nothing, nothing,
         np.full(len(nothing), -1, np.int64), state_size=run.state_size, seconds=time.perf_counter() - begin,
@@ -88,7 +88,7 @@ def filter_known(
     return Run(
         name, "known", task, Trajectory(result.pose, result.covariance), None, state, decided,
         decided, created, Innovations(result.nis, result.dof, result.log_likelihood, result.white), total,
-        result.state_size, seconds, failure, gated=(mean / 2, variance / 2),
+        result.state_size, seconds, failure, gated=(mean / 2, variance / 2), errors_online=result.errors,
     )  # fmt: skip
 
 
@@ -136,7 +136,7 @@ def driven(
 ) -> Run:
     """A front end before its first frame, driven over a whole log; arguments as of `step_by_step`."""
     begin = time.perf_counter()
-    record = Recorder(len(inputs), len(inputs.observations.frame))
+    record = Recorder(len(inputs), len(inputs.observations.frame), inputs.systematic)
     failure, finished = None, Finished(None, None)
     try:
         for k in range(len(inputs)):

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from data.errors import UsageError
+from data.motion.priors import AUTO, read_errors
 from eval.replay.flag import flag, positive, positive_or_none, probability, probability_or_auto, share_or_none, switch
 
 SENSED_GATE = 0.9999
@@ -32,6 +33,8 @@ class Setup:
         keyframe_distance: m between the key poses of a laser log.
         least_information: share of a key scan in what is known of the places it sees, below which its key pose leaves
             the graph.
+        calibrate: systematic errors that are estimated with everything else, `NAME[=SIGMA]`, or `auto`: those that the
+            battery of trust finds, else all; empty: none.
     """
 
     gate: float | None = field(
@@ -84,6 +87,16 @@ class Setup:
         metadata=flag(
             share_or_none, "SHARE", "laser logs: key poses whose scans have less than this share in what is known of "
             "the places they see leave the graph (default: none)",
+        ),
+    )  # fmt: skip
+
+    calibrate: tuple[str, ...] = field(
+        default=(),
+        metadata=flag(
+            read_errors, "NAMES", "filters and smoothers estimate systematic errors of odometry and sensor along: "
+            "NAME[=SIGMA],... of scale, curvature, left, right, drift, range, bearing (SIGMA: known so well before); "
+            "alone or auto: those that the log's battery of trust finds, else all with tight priors",
+            bare=AUTO,
         ),
     )  # fmt: skip
 

@@ -105,7 +105,9 @@ def write_results(
     answers = hand_in(folder, options, outcome.trials, scores, lost)
     first = [*answers, *attribution_sections(facts)]
     sections = questions_section(outcome.trials)
-    sections += trial_sections(folder, options, outcome.trials, scores, published, outcome.trust, told)
+    sections += trial_sections(
+        folder, options, outcome.trials, scores, published, outcome.trust, told, outcome.calibrations
+    )
     sections += laser_sections(folder, options, outcome.trials, published)
     sections += visual_sections(folder, options, outcome.trials)
     sections += tutorial_sections(folder, options, outcome.trials, scores)

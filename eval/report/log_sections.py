@@ -8,6 +8,7 @@ from pathlib import Path
 import pandas as pd
 
 from eval.page.document import Block, Folded, Picture, Section, written_table
+from eval.plan.calibrate.calibration import Calibration
 from eval.plan.flags.options import Options
 from eval.referee.score import Scores, Trial
 from eval.report import comparison
@@ -18,10 +19,11 @@ from eval.report.doubt.minima import minima_statements
 from eval.report.doubt.naming import naming_statements
 from eval.report.films import films_of
 from eval.report.laser.pictures import GRID, LOOPS
-from eval.report.names import stem
+from eval.report.names import SYSTEMATIC, stem
 from eval.report.pictures import FILTER_SMOOTHER
 from eval.report.results.said import aligned_statement
 from eval.report.rows import rows_of as rows_by
+from eval.report.systematic.sections import systematic_section
 from eval.report.trust.sections import trust_section
 from eval.report.tutorials.section import beside_note
 from eval.studies.trusted import Trust
@@ -41,7 +43,7 @@ def rows_of(frame: pd.DataFrame, trial: Trial) -> pd.DataFrame:
 
 BESIDE, NOTES = "Rows that stand beside, and why", "Notes on the log and its runs"
 """What folded texts are called."""
-ELSEWHERE = ("association", FILTER_SMOOTHER, GRID, LOOPS)
+ELSEWHERE = ("association", FILTER_SMOOTHER, SYSTEMATIC, GRID, LOOPS)
 """Pictures that stand in a section of their own."""
 
 
@@ -53,6 +55,7 @@ def trial_sections(
     published: Sequence[Sequence[Picture]],
     trust: Sequence[Trust] = (),
     told: Mapping[tuple[str, str], Sequence[Block]] | None = None,
+    calibrations: Sequence[Calibration] = (),
 ) -> list[Section]:
     """A section per log and task, with what it says about itself; a tutorial's row stands in the table of its log.
 
@@ -84,6 +87,7 @@ def trial_sections(
         if notes:
             blocks.append(Folded(NOTES, ("\n".join(f"* {n}" for n in dict.fromkeys(notes)),)))
         sections.append(Section(f"{trial.log.name}, {trial.task}", tuple(blocks)))
+        sections += systematic_section(folder, options, trial, pictures, calibrations)
         sections += trust_section(folder, options, trial, pictures, trust)
     return sections
 

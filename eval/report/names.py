@@ -5,6 +5,9 @@ from __future__ import annotations
 from data.log import folder_name
 from eval.referee.score import Trial
 
+SYSTEMATIC = "systematic"
+"""Picture and table of the systematic errors that were estimated along."""
+
 
 def stem(trial: Trial, what: str) -> str:
     """Name of a trial's file, without suffix."""

@@ -23,7 +23,7 @@ from eval.referee.score import Trial, confusion_of
 from eval.referee.trust import SHARE
 from eval.report.laser.files import write_laser_files
 from eval.report.laser.pictures import GRID, LOOPS, laser_kinds, laser_picture
-from eval.report.names import stem
+from eval.report.names import SYSTEMATIC, stem
 from eval.report.results.said import aligned_statement
 from eval.report.run_files import write_run
 from eval.report.shown_runs import (
@@ -54,7 +54,7 @@ def publish_runs(folder: Path, options: Options, trial: Trial) -> None:
 
 
 FILTER_SMOOTHER = "filter-smoother"
-QUICK = ("map", GRID, "error", "difference", "association")
+QUICK = ("map", GRID, "error", "difference", "association", SYSTEMATIC)
 """All that a quick report shows."""
 
 
@@ -73,6 +73,8 @@ def kinds(trial: Trial, beside: Sequence[Trial] = (), *, quick: bool = False) ->
             found.append("fate")
     if trial.beside is None and for_filter_smoother(trial) is not None:
         found.append(FILTER_SMOOTHER)
+    if trial.beside is None and _calibrated(trial):
+        found.append(SYSTEMATIC)
     if trial.task == "slam" and trial.log.truth.known_poses and for_growth(trial):
         found.append("growth")
     if state_is_informative(trial, beside):
@@ -130,6 +132,8 @@ def _picture(trial: Trial, kind: str, beside: Sequence[Trial]) -> tuple[Figure, 
         )
     if kind == FILTER_SMOOTHER:
         return _filter_smoother(trial, where)
+    if kind == SYSTEMATIC:
+        return _systematic(trial, where)
     if kind == "map":
         drawn = for_map(trial)
         return (
@@ -195,6 +199,24 @@ def _filter_smoother(trial: Trial, where: str) -> tuple[Figure, str, str]:
         " away); along a run it is strongly correlated. Marked: largest excursion in sigmas."
         + (f" Not shown, as other decisions were made: {names}." if names else ""),
         f"Online less smoothed estimates on {trial.log.name} in x, y and heading",
+    )
+
+
+def _calibrated(trial: Trial) -> list[Run]:
+    """Runs that estimated systematic errors along, with the first way of association that has some."""
+    there = [r for r in finished(trial) if r.errors is not None and r.association != "none"]
+    return [r for r in there if r.association == there[0].association]
+
+
+def _systematic(trial: Trial, where: str) -> tuple[Figure, str, str]:
+    runs, systematic = _calibrated(trial), trial.log.recorded.systematic
+    assert systematic is not None  # or nothing was estimated
+    return (
+        figures.systematic_figure(trial.log, systematic, runs),
+        f"{where}, association {runs[0].association}: systematic errors as estimated along, ±3σ; grey what was known"
+        " before. Online an estimate is of the data up to its frame; what stays inside the grey band is told by the"
+        " prior, not by the log.",
+        f"Systematic errors over time on {trial.log.name} as {', '.join(r.estimator for r in runs)} estimate them",
     )
 
 

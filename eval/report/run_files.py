@@ -10,7 +10,7 @@ import pandas as pd
 
 from association.scans.laser_run import SCAN, LaserRun
 from data.log import folder_name
-from data.result import Run, Trajectory
+from data.result import Run, Systematics, Trajectory
 from data.se2 import Array
 from eval.referee.confusion import OUTCOMES
 from eval.referee.errors import landmark_true_ids
@@ -32,7 +32,7 @@ def trajectory_table(time: Array, trajectory: Trajectory) -> pd.DataFrame:
     """One row per frame: time, pose, upper triangle of the world-frame covariance."""
     rows, cols = np.triu_indices(3)
     values = np.column_stack([time, trajectory.pose, trajectory.covariance[:, rows, cols]])
-    return pd.DataFrame({name: _blank(values[:, i]) for i, name in enumerate(of_runs.FINAL.names)})
+    return pd.DataFrame({name: _blank(values[:, i]) for i, name in enumerate(c.name for c in of_runs.PATH)})
 
 
 def write_tum(path: Path, time: Array, pose: Array) -> None:
@@ -67,6 +67,7 @@ def write_run(folder: Path, trial: Trial, run: Run, *, lab_text: bool = False) -
             likelihood = run.innovations.log_likelihood if run.innovations is not None else np.full(len(time), np.nan)
             table["log_likelihood"] = _blank(likelihood)
             table["state_size"] = run.state_size if run.state_size is not None else None
+        _append(table, run.errors_online if phase == "online" else run.errors_final)
         FILES[phase].write(table, place)
         write_tum(place / f"{phase}.tum", time, trajectory.pose)
     _write_map(place, trial, run)
@@ -74,6 +75,13 @@ def write_run(folder: Path, trial: Trial, run: Run, *, lab_text: bool = False) -
     if lab_text and run.association not in ("none", SCAN):
         text = run_text(log, run, run.phases[0], lab_block)
         (place / of_runs.LAB_TEXT.name).write_text(f"{text}\n", encoding="utf-8", newline="\n")
+
+
+def _append(table: pd.DataFrame, errors: Systematics | None) -> None:
+    """Systematic errors that were estimated along, behind the other columns."""
+    for i, name in enumerate(() if errors is None else errors.names):
+        assert errors is not None
+        table[name], table[f"sigma_{name}"] = _blank(errors.mean[:, i]), _blank(errors.sigma[:, i])
 
 
 def _write_map(place: Path, trial: Trial, run: Run) -> None:

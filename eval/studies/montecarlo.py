@@ -9,8 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 
+from data.inputs import ERRORS
 from data.log import Log
-from data.result import Run
+from data.result import Run, Systematics
 from data.se2 import Array
 from data.terminal.words import counted
 from eval.referee import consistency, errors
@@ -27,6 +28,8 @@ Key = tuple[str, str, str, str]
 """(task, estimator, association, phase)"""
 Result = dict[Key, "Sample"]
 """What one run of a scenario gives."""
+COVERED = 0.95
+"""Share of runs whose systematic error is to be inside the interval claimed for it."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +40,7 @@ class Sample:
         means: mean over the run of the NEES (pose, position, heading, landmarks), `nis` per dof as a
             share of what the gates let expect (1 where nothing was gated), and `whiteness`, the
             lag-1 correlation of the innovations.
-        ends: NEES at the last frame.
+        ends: NEES at the last frame; `error_...`: that of a systematic error that was estimated along.
         squares: mean squared error of `position` [m^2] and `heading` [rad^2].
         published: NEES averaged as the scenario's published numbers are.
         nees_pose: (N,) pose NEES of every frame that counts, NaN before.
@@ -133,7 +136,8 @@ def sample(run: Run, phase: str, log: Log, scenario: Scenario) -> Sample:
     p = scenario.published
     return Sample(
         means,
-        {q: float(v[-1]) for q, v in each.items()},
+        {q: float(v[-1]) for q, v in each.items()}
+        | _errors(run.errors_online if phase == "online" else run.errors_final, truth.errors),
         {
             "position": errors.rms(errors.position_distance(t.pose, truth.pose)) ** 2,
             "heading": math.radians(errors.heading_rmse_deg(t.pose, truth.pose)) ** 2,
@@ -141,6 +145,17 @@ def sample(run: Run, phase: str, log: Log, scenario: Scenario) -> Sample:
         {q: p.average(v, len(QUANTITIES[q]), first) for q, v in each.items()} if p is not None else {},
         np.concatenate([np.full(min(first, len(t.pose)), np.nan), each["pose"][first:]]),
     )
+
+
+def _errors(found: Systematics | None, truth: Systematics | None) -> dict[str, float]:
+    """Squared error at the last frame of each systematic error, in units of its variance; a world that has none errs by
+    zero.
+    """
+    if found is None:
+        return {}
+    true = {} if truth is None else dict(zip(truth.names, truth.mean[-1].tolist(), strict=True))
+    off = [m - true.get(name, 0.0) for name, m in zip(found.names, found.mean[-1].tolist(), strict=True)]
+    return {f"error_{n}": (o / s) ** 2 for n, o, s in zip(found.names, off, found.sigma[-1].tolist(), strict=True)}
 
 
 def one_run(scenario: Scenario, seed: int) -> Result:
@@ -210,6 +225,10 @@ def verdicts(good: Sequence[Sample]) -> list[tuple[str, Verdict]]:
     if len(ends) and np.isfinite(ends).all():
         for p in consistency.COVERAGE_LEVELS:
             found.append((f"coverage_{100 * p:.0f}", consistency.coverage(ends, DOF["position"], p)))
+    for name in ERRORS:
+        squares = np.array([s.ends.get(f"error_{name}", math.nan) for s in good])
+        if len(squares) and np.isfinite(squares).all():
+            found.append((f"covers_{name}", consistency.coverage(squares, 1, COVERED)))
     return found
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from data.errors import UsageError
 from data.log import Log
+from data.motion.priors import systematic
 from data.worlds import registry
 from eval.replay.foreign.spec import name_of
 from eval.replay.settings import Setup
@@ -91,10 +92,23 @@ class Scenario:
         world = self.world(changed)
         log = registry.simulate(self.kind, world, seed, f"{self.name}:{seed}")
         log = replace(log, source={**log.source, "kind": f"scenario {self.name}", self.kind: asdict(world)})
+        if self.setup.calibrate:
+            log = replace(log, recorded=replace(log.recorded, systematic=systematic(self.setup.calibrate)))
         return with_wrong_labels(log, self.wrong, seed) if self.wrong else log
 
     def parts(self) -> tuple[Scenario, ...]:
-        """An outlier study as one scenario for each rate; any other scenario as it is."""
+        """An outlier study as one scenario for each rate; one whose estimators calibrate also with plain ones, of which
+        nothing is demanded; any other scenario as it is.
+        """
+        if self.setup.calibrate and not self.part:
+            plain = replace(
+                self,
+                name=f"{self.name}:plain",
+                members=tuple(replace(m, must_be_consistent=()) for m in self.members),
+                setup=replace(self.setup, calibrate=()),
+                part=True,
+            )
+            return (plain, replace(self, name=f"{self.name}:calibrated", part=True))
         if not self.rates:
             return (self,)
         return tuple(

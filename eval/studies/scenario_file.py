@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import fields
 
 from data.errors import UsageError
+from data.motion.priors import AUTO, PRIORS
 from data.toml_table import Fault, TomlTable, finite, load_toml, not_negative
 from data.worlds.registry import SIMULATORS, parameters_of
 from eval.replay.flag import read_values, rows
@@ -176,6 +177,8 @@ def _member(estimators: TomlTable, name: str, task: tuple[str, ...], kind: str) 
 def _setup(table: TomlTable) -> Setup:
     setup = Setup(**read_values(Setup, table.table, lambda row: f"[setup] {row.name} ="))
     check_gates(setup.gate, setup.new_gate, ("gate =", "[setup] new_gate ="))
+    if setup.calibrate == (AUTO,):
+        raise UsageError(f"[setup] calibrate = {AUTO}: a scenario names the errors, of {', '.join(PRIORS)}")
     return setup
 
 

@@ -34,7 +34,8 @@ class Rows(NamedTuple):
     """Whitened rows of a least-squares problem in V variables, in B blocks of up to three.
 
     variable: (B, 2) the two variables of a block, -1 for none in the second place; A: (B, 3, 6) their coefficients,
-    three columns each; b: (B, 3, c) right-hand sides; height: (B,) rows in use; dim: (V,) 2 or 3 columns in use.
+    three columns each; b: (B, 3, c) right-hand sides; height: (B,) rows in use; dim: (V,) 1 to 3 columns in use.
+    Where some blocks have a third variable, of one column: (B, 3), -1 for none, and (B, 3, 7).
     """
 
     variable: IntArray
@@ -142,7 +143,7 @@ def _eliminate(  # type: ignore[no-untyped-def]
         r = 0
         for i in range(first[v], first[v + 1]):
             k = block[i]
-            for q in range(2):
+            for q in range(variables.shape[1]):
                 if variables[k, q] >= 0:
                     to = place[variables[k, q]]
                     for row in range(height[k]):

@@ -11,14 +11,14 @@ from graph.linear.symbolic import Structure
 
 
 def means(rows: Rows, s: Structure, t: Triangle) -> Array:
-    """Solution (V, 3, c) of the least-squares problem, for each right-hand side; of dimension 2 the third is 0."""
+    """Solution (V, 3, c) of the least-squares problem, for each right-hand side; beyond a variable's dimension 0."""
     x = np.zeros((len(rows.dim), 3, t.d.shape[2]))
     _substitute(s.variable, s.start, s.separator, rows.dim[s.variable], t.R, t.S, t.at_S, t.d, x)
     return x
 
 
 def marginals(rows: Rows, s: Structure, t: Triangle) -> Array:
-    """Marginal covariances (V, 3, 3); of dimension 2 the last row and column are 0."""
+    """Marginal covariances (V, 3, 3); beyond a variable's dimension 0."""
     covariance = np.zeros((len(rows.dim), 3, 3))
     dim = rows.dim[s.variable]
     _covariances(s.variable, s.parent, s.children, s.start, s.separator, dim, t.R, t.S, t.at_S, covariance)

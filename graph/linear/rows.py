@@ -7,15 +7,17 @@ from typing import NamedTuple
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import X
+from gtsam.symbol_shorthand import L, X
 
 from data.inputs import IntArray, Prior
 from data.se2 import Array, world_from_body
-from graph.factors import pose2
+from graph.factors import graph_of, pose2
+from graph.linear.calibrated import CalibratedRows
 from graph.linear.elimination import Rows
-from graph.linear.ordering import ordering
+from graph.linear.ordering import NO_DRIFT, ordering
+from graph.linear.solution import Solution
 from graph.linear.symbolic import Structure, structure
-from graph.problem import Problem
+from graph.problem import CONSTANTS, Problem
 
 CHUNK = 20000
 """Factors that gtsam linearizes at once: its triplets take 24 bytes a number."""
@@ -38,13 +40,20 @@ class Linearizer:
 
     Variables: poses 0 ... N - 1, then the landmarks to be estimated. Blocks: the prior, the increments, the
     observations. The prior is taken exactly, however singular: variable 0 stands for what moves the first pose, see
-    `first`.
+    `first`. Systematic errors: their drifts are variables behind the landmarks, with blocks behind the observations;
+    each constant one has a right-hand side, what a unit of it adds to the residuals.
+
+    Attributes:
+        frames, numbers: N; the landmarks to be estimated.
+        calibrated: the part of the systematic errors, None without any.
+        structure: of the elimination.
     """
 
     def __init__(self, problem: Problem) -> None:
         """Ready to linearize."""
         self.prior = problem.prior
         self.frames, self.numbers = len(problem.motion) + 1, problem.numbers
+        self.calibrated = None if problem.calibrated is None else CalibratedRows(problem)
         n, m = self.frames, len(problem.sighted)
         frame = np.array([s.frame for s in problem.sighted], np.int64)
         variable = np.full((n + m, 2), -1)
@@ -57,12 +66,24 @@ class Linearizer:
         self._variable = variable
         self._height = np.repeat(np.array([3, 2], np.int64), [n, m])
         self._dim = np.repeat(np.array([3, 2], np.int64), [n, len(self.numbers)])
-        self._chunks = [*self._chunked(problem.motion, 1, 3)]
-        step = CHUNK // 2
-        for first in range(0, m, step):
-            part = problem.sighted[first : first + step]
-            self._chunks += self._chunked([f for s in part for f in s.measured], n + first, 2)
-        self.structure: Structure = structure(variable, ordering(variable, n, len(self._dim)))
+        if self.calibrated is not None:
+            self._variable, self._height, self._dim = self.calibrated.extended(variable, self._height, self._dim)
+            self._chunks, self._graph = self._sightings([s.measured for s in problem.sighted])
+        else:
+            sightings, _ = self._sightings([s.measured for s in problem.sighted])
+            self._chunks, self._graph = [*self._chunked(problem.motion, 1, 3), *sightings], problem.graph()
+        drift = NO_DRIFT if self.calibrated is None else self.calibrated.first_of
+        self.structure: Structure = structure(self._variable, ordering(self._variable, n, len(self._dim), drift))
+
+    def _sightings(
+        self, measured: Sequence[Sequence[gtsam.NonlinearFactor]]
+    ) -> tuple[list[_Chunk], gtsam.NonlinearFactorGraph]:
+        """The factors of all observations, in chunks and together."""
+        chunks, step = list[_Chunk](), CHUNK // 2
+        for first in range(0, len(measured), step):
+            part = [f for factors in measured[first : first + step] for f in factors]
+            chunks += self._chunked(part, self.frames + first, 2)
+        return chunks, graph_of(f for factors in measured for f in factors)
 
     def _chunked(self, factors: Sequence[gtsam.NonlinearFactor], block: int, height: int) -> list[_Chunk]:
         """Factors whose residuals fill blocks of so many rows, from `block` on."""
@@ -92,8 +113,10 @@ class Linearizer:
         return np.where(pose, index, landmark), np.where(pose, 3, 2)
 
     def __call__(self, values: gtsam.Values) -> Rows:
-        """The rows around `values`, right-hand sides (B, 3, 1)."""
-        A, b = np.zeros((len(self._variable), 3, 6)), np.zeros((len(self._variable), 3, 1))
+        """The rows around `values`, right-hand sides (B, 3, 1 + q) with q constant systematic errors."""
+        B, q = len(self._variable), 0 if self.calibrated is None else self.calibrated.constants
+        A, b = np.zeros((B, 3, 6 + self._variable.shape[1] - 2)), np.zeros((B, 3, 1 + q))
+        self._renew(values)
         for part, row, column in self._chunks:
             triplets = part.linearize(values).sparseJacobian_()
             r, c = triplets[0].astype(np.int64) - 1, triplets[1].astype(np.int64) - 1
@@ -106,25 +129,81 @@ class Linearizer:
             second = variable != self._variable[block[left], 0]
             A[block[left], row[r[left], 1], 3 * second + component] = value[left]
         start, z, root = self.first(values)
-        put_prior(self._variable, A, b, start, z, root)
+        by_errors = None
+        if self.calibrated is not None:
+            J, by_errors = self.calibrated.fill(A, b, values)
+            start, root = J @ start, J @ root
+        put_prior(self._variable, A, b, start, z, root, by_errors)
         return Rows(self._variable, A, b, self._height, self._dim)
 
     def first(self, values: gtsam.Values) -> tuple[Array, Array, Array]:
         """The first pose's tangent coordinates as start + U w, where z + w ~ N(0, I): start, z (3,) and U (3, 3).
 
-        The start is zero unless the present estimate contradicts what the prior knows exactly.
+        The start is zero unless the present estimate contradicts what the prior knows exactly. With systematic errors
+        it is the robot's pose in the world.
         """
-        return _prior_in_tangent(self.prior, values)
+        return _prior_in_tangent(self.prior, values if self.calibrated is None else self.calibrated.robot(values))
+
+    def constants(self, values: gtsam.Values) -> Array:
+        """The constant systematic errors (q,) in sigmas."""
+        none = self.calibrated is None or not self.calibrated.constants
+        return np.empty(0) if none else values.atVector(CONSTANTS)
+
+    def tangent(self, solution: Solution, values: gtsam.Values) -> Array:
+        """Its step (V, 3) in tangent coordinates, of the first pose, too."""
+        delta = solution.step.copy()
+        start, _, root = self.first(values)
+        delta[0] = start + root @ delta[0]
+        return delta
+
+    def cost(self, values: gtsam.Values) -> float:
+        """Half the sum of the squared whitened residuals, or of the losses."""
+        self._renew(values)
+        error = float(self._graph.error(values))
+        return error if self.calibrated is None else error + self.calibrated.cost(values)
+
+    def moved(self, values: gtsam.Values, delta: Array, constants: Array) -> gtsam.Values:
+        """Values a step further: delta (V, 3) in tangent coordinates, `constants` (q,) in units of their sigmas."""
+        vector = gtsam.VectorValues()
+        for k, row in enumerate(delta[: self.frames]):
+            vector.insert(X(k), row)
+        landmarks = delta[self.frames : self.frames + len(self.numbers), :2]
+        for number, row in zip(self.numbers.tolist(), landmarks, strict=True):
+            vector.insert(L(number), row)
+        if self.calibrated is None:
+            return values.retract(vector)
+        return self.calibrated.moved(values, vector, delta[0], delta[self.frames + len(self.numbers) :, 0], constants)
+
+    def name(self, variable: int) -> str:
+        """A variable in words."""
+        n, m = self.frames, len(self.numbers)
+        if variable < n:
+            return f"pose of frame {variable}"
+        if variable < n + m:
+            return f"landmark {self.numbers[variable - n]}"
+        assert self.calibrated is not None
+        return f"the drift from frame {self.calibrated.first_of[variable - n - m]} on"
+
+    def _renew(self, values: gtsam.Values) -> None:
+        """Factors that hold a known landmark, where the errors of `values` put it."""
+        measured = None if self.calibrated is None else self.calibrated.measured(values)
+        if measured is not None:
+            self._chunks, self._graph = self._sightings(measured)
 
 
-def put_prior(variable: IntArray, A: Array, b: Array, start: Array, z: Array, root: Array) -> None:
+def put_prior(
+    variable: IntArray, A: Array, b: Array, start: Array, z: Array, root: Array, by_errors: Array | None = None
+) -> None:
     """Variable 0, the first pose, becomes w where the pose is start + U w and z + w ~ N(0, I), in place.
 
     `variable` (B, 2), A (B, 3, 6), b (B, 3, c) as of `Rows`; block 0 is that of the prior. U: `root` (3, 3).
+    `by_errors` (3, c - 1): what a unit of what each further right-hand side stands for moves the first pose by, too.
     """
     for k in np.flatnonzero((variable == 0).any(axis=1)):
         q = 3 * int(variable[k, 0] != 0)
         b[k, :, 0] -= A[k, :, q : q + 3] @ start
+        if by_errors is not None:
+            b[k, :, 1:] += A[k, :, q : q + 3] @ by_errors
         A[k, :, q : q + 3] = A[k, :, q : q + 3] @ root
     A[0, :, :3], b[0, :, 0] = np.eye(3), -z
 

@@ -27,7 +27,7 @@ class Structure(NamedTuple):
 
 
 def structure(variable: IntArray, order: IntArray) -> Structure:
-    """Symbolic elimination, in the order (V,), of blocks of the variables (B, 2), as of `Rows`.
+    """Symbolic elimination, in the order (V,), of blocks of the variables (B, 2) or (B, 3), as of `Rows`.
 
     The order is rearranged to a postorder of the elimination tree, which changes nothing else.
     """
@@ -52,15 +52,17 @@ def structure(variable: IntArray, order: IntArray) -> Structure:
 
 @numba.njit(cache=True)
 def _separators(ends, size):  # type: ignore[no-untyped-def]
-    """Parent and separator of each position, from blocks between positions `ends` (B, 2), the lesser first."""
+    """Parent and separator of each position, from blocks of positions `ends` (B, k), the least first."""
     count = np.zeros(size + 1, np.int64)
+    others = ends.shape[1] - 1
     for i in range(len(ends)):
-        count[ends[i, 0] + 1] += 1
+        count[ends[i, 0] + 1] += others
     first = np.cumsum(count)
-    later, fill = np.empty(len(ends), np.int64), first.copy()
+    later, fill = np.empty(others * len(ends), np.int64), first.copy()
     for i in range(len(ends)):
-        later[fill[ends[i, 0]]] = ends[i, 1]
-        fill[ends[i, 0]] += 1
+        for q in range(others):
+            later[fill[ends[i, 0]]] = ends[i, 1 + q]
+            fill[ends[i, 0]] += 1
     parent, mark = np.full(size, -1), np.full(size, -1)
     child, sibling = np.full(size, -1), np.full(size, -1)
     start, out, used = np.zeros(size + 1, np.int64), np.empty(4 * size + 16, np.int64), 0

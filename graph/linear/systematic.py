@@ -3,7 +3,8 @@
 Every hypothetical error has one unknown size, zero under the null hypothesis. Around the smoothed solution the sizes
 are regression coefficients beside path and map: eliminating those from a column for each leaves what they cannot
 explain, which gives the derivative of the log-likelihood, path and map profiled out, and its covariance (Rao, "Large
-sample tests of statistical hypotheses concerning several parameters", Proc. Cambridge Phil. Soc. 44, 1948).
+sample tests of statistical hypotheses concerning several parameters", Proc. Cambridge Phil. Soc. 44, 1948). Systematic
+errors that the smoother estimated, with their priors, are profiled out like path and map.
 """
 
 from __future__ import annotations
@@ -13,10 +14,14 @@ from typing import NamedTuple
 import numpy as np
 
 from data.inputs import Inputs, IntArray
+from data.motion.corrected_inputs import corrected_inputs
+from data.result import Systematics
 from data.se2 import Array, compose, pose_error
 from graph.factors import UnderConstrained, root_information
+from graph.linear.calibrated import first_frames, with_drift
 from graph.linear.elimination import Rows, eliminate
-from graph.linear.ordering import ordering
+from graph.linear.estimated import Estimated, estimated_errors, without_errors
+from graph.linear.ordering import NO_DRIFT, ordering
 from graph.linear.rows import put_prior
 from graph.linear.symbolic import structure
 
@@ -62,7 +67,13 @@ class Score(NamedTuple):
 
 
 def systematic(
-    inputs: Inputs, number: IntArray, path: Array, landmarks: Array, motion: Array, readings: Array
+    inputs: Inputs,
+    number: IntArray,
+    path: Array,
+    landmarks: Array,
+    motion: Array,
+    readings: Array,
+    found: Systematics | None = None,
 ) -> Score:
     """Score of p hypothetical errors phi, linearized at a smoothed path.
 
@@ -79,45 +90,70 @@ def systematic(
         readings: (M, 2, p) in the sensor's units by unit of each error. A column that is made of distances, turns or
             ranges takes them from the smoothed solution: taken as measured, they and the residuals have noise in
             common, and an error of scale would be found where there is none (in the arena by 7 sigma).
+        found: the systematic errors that were estimated along with path and map, those of `inputs.systematic`. `motion`
+            and `readings` are then of the log less these errors. What is hypothesized comes on top of them, so that
+            one that is estimated, too, shows as far as its prior held it back.
 
     Raises:
         UnderConstrained: naming a landmark, by its row, or a pose that the data leave free.
         LinAlgError: the covariance of an observation is not positive definite.
     """
     n, p = len(path), motion.shape[2]
+    stated = inputs
+    if found is not None:
+        inputs = corrected_inputs(inputs, found)
     used = np.flatnonzero(number >= 0)
     frame, row = inputs.observations.frame[used], number[used]
     m = len(used)
     seen, slot = np.unique(row, return_inverse=True)
     size = n if inputs.map is not None else n + len(seen)
+    z_hat, Hx, Hl = inputs.sensor.linearize(path[frame], landmarks[row])
+    along = None if found is None else estimated_errors(stated, found, path, frame, z_hat)
+    readings = readings[used]
+    if along is not None:
+        motion = np.concatenate([motion, along.motion], axis=2)
+        readings = np.concatenate([readings, along.readings], axis=2)
     variable = np.full((n + m, 2), -1)
     variable[:n, 0], variable[1:n, 1] = np.arange(n), np.arange(n - 1)
     variable[n:, 0] = frame
-    A, b = np.zeros((n + m, 3, 6)), np.zeros((n + m, 3, 1 + p))
+    A, b = np.zeros((n + m, 3, 6)), np.zeros((n + m, 3, 1 + motion.shape[2]))
     F, B, moved = _chain(inputs, path)
     # whitened increments; the first pose is what the prior puts it at, plus U z with z ~ N(0, I)
-    white = root_information(inputs.increments.covariance[1:])[0] @ B[1:].transpose(0, 2, 1)
+    of_motion = white = root_information(inputs.increments.covariance[1:])[0] @ B[1:].transpose(0, 2, 1)
     A[1:n, :, :3], A[1:n, :, 3:] = white, -white @ F[1:]
     b[1:n, :, 0] = np.einsum("nij,nj->ni", white, moved[1:])
     b[1:n, :, 1:] = -white @ B[1:] @ motion[1:]
-    z_hat, Hx, Hl = inputs.sensor.linearize(path[frame], landmarks[row])
     white = np.linalg.inv(np.linalg.cholesky(inputs.observations.R[used]))
     A[n:, :2, :3] = white @ Hx
     b[n:, :2, 0] = np.einsum("mij,mj->mi", white, inputs.sensor.residual(inputs.observations.z[used], z_hat))
-    b[n:, :2, 1:] = -white @ readings[used]
+    b[n:, :2, 1:] = -white @ readings
     if inputs.map is None:
         variable[n:, 1] = n + slot
         A[n:, :2, 3:5] = white @ Hl
     variance, axes = np.linalg.eigh(inputs.prior.covariance)
     root = axes * np.sqrt(np.maximum(variance, 0.0))
     put_prior(variable, A, b, moved[0], np.zeros(3), root)
-    dim = np.where(np.arange(size) < n, 3, 2)
-    rows = Rows(variable, A, b, np.repeat(np.array([3, 2]), [n, m]), dim)
-    triangle = eliminate(rows, structure(variable, ordering(variable, n, size)))
+    rows = Rows(variable, A, b, np.repeat(np.array([3, 2]), [n, m]), np.where(np.arange(size) < n, 3, 2))
+    drift = NO_DRIFT
+    if along is not None and len(along.own):
+        rows, drift = _with_drift(rows, along, of_motion @ B[1:]), first_frames(along.of, len(along.own))
+    triangle = eliminate(rows, structure(rows.variable, ordering(rows.variable, n, len(rows.dim), drift)))
     if triangle.free >= 0:
         name = f"pose of frame {triangle.free}" if triangle.free < n else f"landmark in row {seen[triangle.free - n]}"
         raise UnderConstrained(f"{name} is not determined by the observations")
-    return _score(np.einsum("bij,bij->j", b, b), triangle.left)
+    left = triangle.left if along is None else without_errors(triangle.left, along.now)
+    return _score(np.einsum("bij,bij->j", b[:, :, : 1 + p], b[:, :, : 1 + p]), left)
+
+
+def _with_drift(rows: Rows, along: Estimated, white: Array) -> Rows:
+    """The same with the knots' drifts as further variables; `white` (N - 1, 3, 3) turns and whitens increments."""
+    n, count = len(along.of), len(along.own)
+    variable, height, dim = with_drift(rows.variable, rows.height, rows.dim, along.of, count)
+    A, b = np.zeros((len(variable), 3, 7)), np.zeros((len(variable), *rows.b.shape[1:]))
+    A[:-count, :, :6], b[:-count] = rows.A, rows.b
+    A[1:n, :, 6] = np.einsum("nij,nj->ni", white, along.by_drift[1:])
+    A[-count:, 0, 0], A[-count:, 0, 3], b[-count:, 0, 0] = along.own, along.earlier, -along.steps
+    return Rows(variable, A, b, height, dim)
 
 
 def _chain(inputs: Inputs, path: Array) -> tuple[Array, Array, Array]:

@@ -88,7 +88,7 @@ class FixedLagPoseGraph(PoseGraph):
         keys = range(self._oldest, stay)
         pose = np.array([self._window.pose(X(k)) for k in keys])
         self._left += list(zip(pose, self._world(pose, keys), strict=True))
-        self._window.marginalize([X(k) for k in keys], int(X(self.keys - 1)))
+        self._window.marginalize([X(k) for k in keys], [X(self.keys - 1)])
         self._oldest = stay
 
     def _world(self, pose: Array, keys: range) -> Array:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from association.known import known_decisions
+from data.inputs import Systematic
 from data.result import DISCARD
 from data.worlds.registry import named_log
 from ekf import epochs
@@ -61,6 +64,21 @@ def test_epochs_change_nothing(park, options, threshold):
         assert (run.decisions != decisions).sum() > 20, "gated while landmarks were parked"
     active = np.array([len(e.active) for e in found])
     assert np.sum(active < 0.3 * len(run.map.number)) > 10, "most of the map is parked most of the time"
+
+
+@pytest.mark.parametrize("options", [FilterOptions(), FilterOptions(first_estimates=True)], ids=["plain", "fej"])
+@pytest.mark.parametrize("names", [("scale", "drift"), ("left", "drift", "range", "bearing"), ("curvature",)])
+def test_epochs_change_nothing_where_systematic_errors_are_estimated(park, options, names):
+    inputs, decisions = park
+    of = Systematic(names, np.full(len(names), 0.01), 20.0)
+    inputs = replace(inputs, systematic=of, sensor=replace(inputs.sensor, translation=(0.1, -0.05)))
+    run = run_in_epochs(inputs, decisions, plan(decisions, inputs.start).epochs, options=options)
+    plain = run_filter(inputs, decisions, options=options)
+    assert_same_run(run, plain)
+    assert run.errors.names == names
+    np.testing.assert_allclose(run.errors.mean, plain.errors.mean, atol=1e-11)
+    np.testing.assert_allclose(run.errors.sigma, plain.errors.sigma, rtol=1e-9)
+    assert np.all(plain.errors.sigma[-1] < plain.errors.sigma[0])
 
 
 def test_epochs_of_any_length_give_the_same(park, monkeypatch):

@@ -37,12 +37,13 @@ def group(xi, points):
 def test_pose_and_landmarks_move_by_the_exponential_and_the_covariance_goes_along(seed, angle):
     rng = np.random.default_rng(seed)
     n = int(rng.integers(0, 4))
-    d = 3 + 2 * n
+    base = 3 + int(rng.integers(0, 4))
+    d = base + 2 * n
     mean, shift = rng.normal(0.0, 5.0, d), rng.normal(0.0, 0.3, d)
     shift[2] = angle
     root = rng.normal(0.0, 1.0, (d, d))
     P = root @ root.T
-    index = [np.array([0, 1]), *(np.array([3, 4]) + 2 * i for i in range(n))]
+    index = [np.array([0, 1]), *(np.array([base, base + 1]) + 2 * i for i in range(n))]
     points = np.array([mean[i] for i in index])
     rho = np.array([shift[i] - angle * J @ mean[i] for i in index])
     expected = group((angle, rho), points)
@@ -50,9 +51,10 @@ def test_pose_and_landmarks_move_by_the_exponential_and_the_covariance_goes_alon
     for i, before, after in zip(index, points, expected, strict=True):
         N[i, 2] += J @ (after - before)
     moved, Q = mean.copy(), P.copy()
-    updates.move(moved, Q, d, shift)
+    updates.move(moved, Q, d, shift, base)
     np.testing.assert_allclose(np.array([moved[i] for i in index]), expected, atol=1e-11)
     assert moved[2] == mean[2] + angle
+    np.testing.assert_allclose(moved[3:base], mean[3:base] + shift[3:base], atol=1e-14)  # errors are no points
     np.testing.assert_allclose(Q, N @ P @ N.T, atol=1e-9 * np.abs(P).max())
     np.testing.assert_array_equal(Q, Q.T)
 

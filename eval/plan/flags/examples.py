@@ -27,6 +27,8 @@ examples:
   python -m eval.run_all --log arena:0 --estimator ekf,mine=./mine.py:Filter --association known,./mine.py:nearest
                                                             your own beside ours (docs/extending.md)
   python -m eval.run_all --log my_log --twins 100           trust without ground truth: p values, and whose fault it is
+  python -m eval.run_all --log my_log --calibrate           its odometry errs: estimate how, beside path and map
+  python -m eval.run_all --log arena:0:curvature=0.02 --calibrate curvature,scale=0.05
   python -m eval.run_all --log my_log --gate-known 0.999    leave labelled readings out that fit badly, or keep them
   python -m eval.run_all --log my_log --gate-known none     all, which is the default where no sensor read the labels
   python -m eval.run_all --log my_log --gate-known 0.9999 --no-gate-smoothers    the smoothers keep them

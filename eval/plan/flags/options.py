@@ -123,7 +123,7 @@ def _check(o: Options) -> None:
         for flag, stated in (
             ("--log", o.log), ("--data", o.data), ("--scenario", o.scenario), ("--task", o.task),
             ("--association", o.association), ("--full", o.full), ("--result", o.result), ("--truth", o.truth),
-            ("--config", o.variants), ("--runs", o.runs), ("--twins", o.twins),
+            ("--config", o.variants), ("--runs", o.runs), ("--twins", o.twins), ("--calibrate", o.calibrate),
         ):  # fmt: skip
             if stated:
                 raise UsageError(f"{flag} and --lab exclude each other: a lab states what is run on what, and how")

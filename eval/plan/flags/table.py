@@ -226,6 +226,10 @@ def add_flags(p: argparse.ArgumentParser, wanted: Iterable[Flag]) -> None:
                 *options, dest=row.name, action="store_const", const=not row.default, default=argparse.SUPPRESS,
                 help=row.help,
             )  # fmt: skip
+        elif row.bare:
+            p.add_argument(
+                *options, nargs="?", const=row.bare, metavar=row.metavar, default=argparse.SUPPRESS, help=row.help
+            )
         else:
             p.add_argument(
                 *options, action="append" if row.repeatable else "store", metavar=row.metavar,

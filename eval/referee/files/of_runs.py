@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from data.inputs import ERRORS
 from eval.referee.files.described import Column, File, count, text
 
 LOG_FOLDER = "runs/<log>"
@@ -29,6 +30,16 @@ PATH = (
     Column("theta", "heading, counter-clockwise from the world's x axis", "rad"),
     *covariance("xyt", "the pose's error, additive, in the world frame"),
 )
+ESTIMATED = tuple(
+    column
+    for name, unit in ERRORS.items()
+    for column in (
+        Column(name, "this systematic error, as estimated along (`--calibrate`)", "" if unit == "1" else unit),
+        Column(f"sigma_{name}", "its standard deviation", "" if unit == "1" else unit),
+    )
+)
+"""Each of those that are estimated; they stand behind all others."""
+OPTIONAL = tuple(c.name for c in ESTIMATED)
 ONLINE = File(
     f"{RUN_FOLDER}/online.csv",
     "What was known at each instant, one row for each frame; not of batch smoothers.",
@@ -36,9 +47,16 @@ ONLINE = File(
         *PATH,
         Column("log_likelihood", "of the innovations used in the frame; blank where none are formed"),
         count("state_size", "length of the estimator's state vector after the frame"),
+        *ESTIMATED,
     ),
+    OPTIONAL,
 )
-FINAL = File(f"{RUN_FOLDER}/final.csv", "The path given all data, one row for each frame; not of filters.", PATH)
+FINAL = File(
+    f"{RUN_FOLDER}/final.csv",
+    "The path given all data, one row for each frame; not of filters.",
+    (*PATH, *ESTIMATED),
+    OPTIONAL,
+)
 LANDMARKS = File(
     f"{RUN_FOLDER}/landmarks.csv",
     "The last map; in SLAM only.",

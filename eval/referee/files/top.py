@@ -43,7 +43,8 @@ CONSISTENCY = File(
         text(
             "quantity",
             "`pose`, `position`, `heading`, `landmarks`: NEES; `nis`: NIS per degree of freedom; `whiteness`:"
-            " correlation of successive innovations; `coverage_50`, ...: share of last positions inside that ellipse",
+            " correlation of successive innovations; `coverage_50`, ...: share of last positions inside that ellipse;"
+            " `covers_scale`, ...: share of runs whose systematic error is inside the 95 % interval claimed for it",
         ),
         Column("dof", "degrees of freedom of the quantity, which is its expected mean"),
         count("runs", "runs that count"),

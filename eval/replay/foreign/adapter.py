@@ -49,6 +49,11 @@ class Adapter:
         return int(getattr(self.inner, "size", 0))
 
     @property
+    def errors(self) -> None:
+        """It is not asked to estimate systematic errors."""
+        return None
+
+    @property
     def parked(self) -> IntArray:
         """Numbers (b,) of the parked landmarks; none where it cannot park."""
         return np.asarray(getattr(self.inner, "parked", NONE), np.int64)

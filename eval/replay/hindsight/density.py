@@ -70,6 +70,5 @@ def dense(e: Expectation, slam: EkfSlam, ledger: Ledger, setup: Setup) -> BoolAr
 
 def density(slam: EkfSlam, reach: float) -> float:
     """Landmarks per square metre around the robot, as far as the sensor reaches [m]."""
-    mean = slam.mean
-    near = np.hypot(*(mean[3:].reshape(-1, 2) - mean[:2]).T) < reach
+    near = np.hypot(*(slam.xy - slam.mean[:2]).T) < reach
     return max(1, int(near.sum())) / (math.pi * reach**2) if reach > 0.0 else 0.0

@@ -63,19 +63,21 @@ class Kidnapping:
         ledger, slam, kidnapped = self.ledger, filters.believed, None
         sure = ledger.certain()
         if self._alarm(len(decisions), int(np.isin(decisions, sure).sum())):
-            kidnapped = anywhere(slam.mean[3:].reshape(-1, 2), ledger.range)
+            kidnapped = anywhere(slam.xy, ledger.range)
             filters.inflate(kidnapped)
             ledger.begin_epoch()
         if self.lost and np.trace(slam.estimate().covariance[:2, :2]) < (constants.FOUND_AGAIN * ledger.range) ** 2:
             self._recover()  # by a constellation
         if not self.lost:
             return Relocated(decisions, None, kidnapped)
-        found = self._search(frame, LandmarkMap(sure, slam.position(sure)[0].reshape(-1, 2)))
+        known = slam.landmarks()
+        held = np.isin(known.number, sure)
+        found = self._search(frame, LandmarkMap(known.number[held], known.xy[held]))
         if found is not None:
             return Relocated(*found, kidnapped)
         e = slam.expect(frame.sightings)
-        known = e.only(clear(e, dense(e, slam, ledger, self.setup), ledger))
-        return Relocated(jcbb_hindsight(known, self.setup.gate, self.setup.new_gate)[0], None, kidnapped)
+        few = e.only(clear(e, dense(e, slam, ledger, self.setup), ledger))
+        return Relocated(jcbb_hindsight(few, self.setup.gate, self.setup.new_gate)[0], None, kidnapped)
 
     def _alarm(self, seen: int, paired: int) -> bool:
         """Whether this frame raises the alarm; `seen`: observations, `paired`: with certain landmarks.

@@ -9,7 +9,7 @@ import numpy as np
 
 from association.expectation import Expectation
 from data.inputs import Increment, IntArray, Prior, Sightings
-from data.result import Finished, MapState, PoseEstimate, Trajectory, Updated
+from data.result import Finished, MapState, PoseEstimate, Systematics, Trajectory, Updated
 from data.se2 import Array
 from eval.replay.estimators import Estimator
 
@@ -71,6 +71,11 @@ class Stretches:
         self._now.merge(merged, kept)
 
     @property
+    def errors(self) -> tuple[Array, Array] | None:
+        """Systematic errors as the present smoother knows them."""
+        return self._now.errors
+
+    @property
     def parked(self) -> IntArray:
         """No landmark is parked: (0,)."""
         return self._now.parked
@@ -106,7 +111,10 @@ class Stretches:
             assert ended.final is not None  # smoothers have one
             kept = self._frame - self._first
             path = Trajectory(ended.final.pose[:kept], ended.final.covariance[:kept])
-            self._done.append(ended._replace(final=path))
+            errors = ended.systematic
+            if errors is not None:
+                errors = errors._replace(mean=errors.mean[:kept], sigma=errors.sigma[:kept])
+            self._done.append(ended._replace(final=path, systematic=errors))
         self._first, self._given = self._frame, self._frame + 1
         self._now = self._begin(Prior(mean, covariance))
         self._now.stamp(self._time)
@@ -116,6 +124,11 @@ class Stretches:
         parts = [*self._done, self._now.finish()]
         paths = [p.final for p in parts if p.final is not None]
         totals = [p.total_nis for p in parts if p.total_nis is not None]
+        errors = [p.systematic for p in parts if p.systematic is not None]
         final = Trajectory(np.concatenate([p.pose for p in paths]), np.concatenate([p.covariance for p in paths]))
         total = (sum(t[0] for t in totals), sum(t[1] for t in totals)) if len(totals) == len(parts) else None
-        return Finished(final, None, total)
+        found = None
+        if errors:
+            mean, sigma = (np.concatenate(rows) for rows in zip(*(e[1:] for e in errors), strict=True))
+            found = Systematics(errors[0].names, mean, sigma)
+        return Finished(final, None, total, systematic=found)

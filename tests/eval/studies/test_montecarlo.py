@@ -159,3 +159,60 @@ def test_all_declared_estimators_are_consistent_over_100_arenas():
     for j in judged:
         if j.quantity in QUANTITIES:
             assert j.verdict.word == "consistent", j
+
+
+def erring(name, runs, estimator="ekf"):
+    plain, calibrated = (
+        replace(part.only((estimator,)), task=("localization",)) for part in load_scenario(name).parts()
+    )
+    return [study_of(s, range(runs), [one_run(s, k) for k in range(runs)]) for s in (plain, calibrated)]
+
+
+def verdict_of(study, quantity="pose"):
+    return next(j.verdict for j in judge(study) if j.quantity == quantity)
+
+
+def test_wheels_that_err_spoil_a_plain_filter_and_not_one_that_knows_that_they_may():
+    plain, calibrated = erring("erring-arena", 10)
+    off, fine = ([s.means["pose"] for s in study.samples[KEY]] for study in (plain, calibrated))
+    assert np.mean(off) > 4.5
+    assert 2.4 < np.mean(fine) < 3.6
+    inside = [s.ends["error_scale"] < 9.0 for s in calibrated.samples[KEY]]
+    assert all(inside)
+    assert not any(name.startswith("error_") for s in plain.samples[KEY] for name in s.ends)
+    names = [j.quantity for j in judge(calibrated) if j.quantity.startswith("covers_")]
+    assert names == [f"covers_{n}" for n in ("scale", "curvature", "left", "right", "drift")]
+
+
+def test_an_errors_square_is_in_units_of_its_own_variance_against_the_truth_at_the_last_frame():
+    (_, calibrated), name = load_scenario("erring-corridor").parts(), "curvature"
+    log = calibrated.simulate(3)
+    (run,) = compare(log.inputs(labels=True), "localization", ("ekf",))
+    found = sample(run, "online", log, calibrated)
+    i = run.errors_online.names.index(name)
+    off = (run.errors_online.mean[-1, i] - 0.05) / run.errors_online.sigma[-1, i]
+    assert found.ends[f"error_{name}"] == pytest.approx(off**2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "estimator"),
+    [
+        *(("erring-arena", e) for e in ("ekf", "batch")),
+        *(("erring-corridor", e) for e in ("ekf-iterated", "batch")),
+    ],
+)
+def test_who_knows_that_its_odometry_may_err_is_consistent_and_who_does_not_is_rejected(name, estimator):
+    plain, calibrated = erring(name, 50, estimator)
+    assert verdict_of(plain).word == "overconfident"
+    assert verdict_of(calibrated).word == "consistent"
+    covered = [j for j in judge(calibrated) if j.quantity.startswith("covers_")]
+    assert covered
+    assert all(j.verdict.p_value > 0.001 for j in covered)
+
+
+@pytest.mark.slow
+def test_where_nothing_errs_looking_for_errors_costs_less_than_three_percent():
+    plain, calibrated = erring("erring-not", 50)
+    rms = [np.sqrt(np.mean([s.squares["position"] for s in study.samples[KEY]])) for study in (plain, calibrated)]
+    assert rms[1] < 1.03 * rms[0]

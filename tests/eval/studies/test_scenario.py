@@ -141,3 +141,39 @@ def test_wrong_labels_are_as_many_as_asked_never_right_and_nested():
     np.testing.assert_array_equal(with_wrong_labels(log, 0.0, 4).label, true_id)
     clutter = replace(log, truth=replace(log.truth, landmark_of=np.full_like(true_id, -1)))
     assert set(with_wrong_labels(clutter, 0.5, 4).label) == {-1}
+
+
+ERRING = """
+about = "a small arena that errs"
+runs = 2
+task = ["localization"]
+
+[world]
+kind = "arena"
+frames = 60
+curvature = 0.05
+
+[setup]
+calibrate = ["curvature", "scale=0.02"]
+
+[estimators]
+ekf = { must_be = "consistent", task = ["localization"] }
+"""
+
+
+def test_a_study_of_estimators_that_calibrate_runs_plain_ones_too_and_demands_nothing_of_them(written):
+    plain, calibrated = load_scenario(written(ERRING)).parts()
+    assert (plain.name, calibrated.name) == ("small:plain", "small:calibrated")
+    assert (plain.declared("localization", "ekf"), calibrated.declared("localization", "ekf")) == (False, True)
+    assert plain.parts() == (plain,)
+    assert plain.simulate(0).recorded.systematic is None
+    found = calibrated.simulate(0).recorded.systematic
+    assert (found.names, found.sigma.tolist()) == (("scale", "curvature"), [0.02, 0.05])
+    np.testing.assert_array_equal(
+        plain.simulate(0).recorded.increments.mean, calibrated.simulate(0).recorded.increments.mean
+    )
+
+
+def test_a_scenario_names_its_errors(written):
+    with pytest.raises(UsageError, match="a scenario names the errors, of scale"):
+        load_scenario(written(ERRING.replace('["curvature", "scale=0.02"]', '"auto"')))

@@ -42,6 +42,7 @@ VALUES = {
     **dict.fromkeys(("result", "truth", "cov", "times", "cov_frame"), PATHS),
     "axes": st.sampled_from(("robot", "camera")),
     "align": st.sampled_from(("none", "first", "se2")), "truth_gap": SPANS,
+    "calibrate": st.one_of(st.just("auto"), some(("scale", "curvature=0.02", "left", "drift=1e-3", "bearing"))),
 }  # fmt: skip
 """Words for every row that takes a value and changes the numbers."""
 CHANGED = {
@@ -52,7 +53,7 @@ CHANGED = {
     "runs": "0", "seed": "7", "twins": "9", "camera_translation": "m", "camera_reading": "to-body",
     "corner_noise": "depth", "relations": "a b", "config": "tutorial-step1",
     "result": "a=a b", "truth": "a b", "cov": "a=b", "times": "a b", "cov_frame": "local", "axes": "camera",
-    "align": "se2", "truth_gap": "0.2",
+    "align": "se2", "truth_gap": "0.2", "calibrate": "curvature=0.02,scale",
 }  # fmt: skip
 """For each of them one that is not the default."""
 NUMBERS = [row.name for row in TABLE.values() if row.numbers]

@@ -13,7 +13,7 @@ from data.errors import UsageError
 from eval.plan.flags.options import read_options
 from eval.plan.flags.table import parser, shipped
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 
 
 def test_flags_and_config_keys_mean_the_same_and_flags_win(tmp_path):
@@ -63,6 +63,13 @@ def test_flags_and_config_keys_mean_the_same_and_flags_win(tmp_path):
     (["--full", "--quick"], "exclude each other"),
     (["--deactivate-after", "60", "--estimator", "ekf-invariant"], "moves all landmarks together"),
     (["--full", "--log", "arena:0"], "takes no --log"),
+    (["--calibrate", "colour"], "known: scale, curvature"),
+    (["--calibrate", "scale,scale=0.1"], "scale is named twice"),
+    (["--calibrate", "scale=0"], "positive number"),
+    (["--calibrate", "auto,scale"], "auto: unknown"),
+    (["--calibrate="], "a name is needed"),
+    (["--calibrate", "--scenario", "arena"], "exclude each other"),
+    (["--calibrate", "--lab", "corridor:3"], "--calibrate and --lab exclude each other"),
 ])  # fmt: skip
 def test_nonsense_is_refused_by_name(arguments, words):
     with pytest.raises(UsageError, match=words):
@@ -151,3 +158,16 @@ def test_help_imports_nothing_heavy():
     code += f"print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(("arguments", "config", "expected"), [
+    (["--calibrate"], "calibrate = true", ("auto",)),
+    (["--calibrate", "auto"], "calibrate = 'auto'", ("auto",)),
+    (["--calibrate", "left,scale=0.05"], "calibrate = ['left', 'scale=0.05']", ("scale=0.05", "left")),
+    ([], "calibrate = false", ()),
+])  # fmt: skip
+def test_errors_to_be_calibrated_are_named_or_left_to_the_log(tmp_path, arguments, config, expected):
+    file = tmp_path / "run.toml"
+    file.write_text(config)
+    assert read_options([*arguments, "--no-plots"]).calibrate == expected
+    assert read_options(["--config", str(file)]).calibrate == expected

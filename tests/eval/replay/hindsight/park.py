@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from data import se2
-from data.inputs import Increments, Inputs, Observations, Prior
+from data.inputs import Increment, Increments, Inputs, Observations, Prior
+from data.motion.systematic import CURVATURE, LEFT, RIGHT, SCALE, corrected
 from data.sensors import RelativePoint
-from ekf.calibrating import systematic
 
-ERRORS = np.array([0.0, 0.0015, 0.04, 0.01, 0.0])
+PLACE = np.array([SCALE, CURVATURE, LEFT, RIGHT])
+ERRORS = np.array([0.0, 0.0015, 0.04, 0.01])
 M = np.diag([0.02, 0.01, 0.004]) ** 2
 R = 0.3**2 * np.eye(2)
 
@@ -24,7 +25,8 @@ def park(seed, *, rounds=2.2, trees=90, seen=0.25, radius=55.0):
     for k in range(1, frames):
         step = np.array([1.0, 0.0, turn[k]])
         truth.append(se2.compose(truth[-1], step))
-        mean.append(step - systematic(step) @ ERRORS + rng.multivariate_normal(np.zeros(3), M))
+        A = corrected(Increment(step, M), np.zeros(4), PLACE, np.zeros(3)).A
+        mean.append(step - A @ ERRORS + rng.multivariate_normal(np.zeros(3), M))
     truth = np.array(truth)
     xy = np.empty((0, 2))
     while len(xy) < trees:

@@ -1,0 +1,204 @@
+"""The serial link: a command every 0.25 s, the answer awaited, all of it recorded; a device that goes is opened again.
+
+Whatever comes or does not come, `Link.step` returns in its time and raises nothing: it is a fault, counted by name.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import termios
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+from data.errors import UsageError
+from data.robot.exchange import Exchange
+from data.robot.motion import Packet
+from data.robot.packets import (
+    ANSWER_BYTES,
+    ANSWER_TIMEOUT,
+    BAUD,
+    FRAME_BYTES,
+    PERIOD,
+    Command,
+    encode_command,
+    framed,
+)
+from data.robot.recording import GONE, OPENED, RECEIVED, SENT, Record, Recording, to_microseconds
+
+REST = 0.03
+"""s that the rest of an answer is waited for once its first byte is there: 22 bytes take 0.023 s."""
+BROKEN = (OSError, termios.error)
+"""What a device that is gone raises; pyserial's own error is an OSError."""
+
+
+class Clock:
+    """Time since the clock was made [s]; `speed` robot seconds pass in one."""
+
+    def __init__(self, speed: float = 1.0) -> None:
+        """The clock stands at 0 now."""
+        self.speed = speed
+        self._start = time.monotonic()
+
+    def now(self) -> float:
+        """Robot time [s]."""
+        return (time.monotonic() - self._start) * self.speed
+
+    def sleep(self, seconds: float) -> None:
+        """Let robot time [s] pass."""
+        if seconds > 0.0:
+            time.sleep(seconds / self.speed)
+
+
+class Port(Protocol):
+    """An open serial device, as pyserial has it; `timeout` is real time [s]."""
+
+    timeout: float | None
+
+    @property
+    def in_waiting(self) -> int:
+        """Bytes that have come and were not read."""
+
+    def read(self, size: int, /) -> bytes:
+        """Up to so many bytes; fewer after the timeout."""
+
+    def write(self, data: bytes, /) -> int | None:
+        """Send."""
+
+    def close(self) -> None:
+        """Let go of the device."""
+
+
+def open_serial(device: str) -> Port:
+    """The device at 9600 8N1, for this process alone; what it sent before is thrown away."""
+    from serial import Serial
+
+    port = Serial(device, BAUD, timeout=ANSWER_TIMEOUT, write_timeout=PERIOD, exclusive=True)
+    port.reset_input_buffer()
+    opened: Port = port
+    return opened
+
+
+class Link:
+    """A link to the robot; `with` closes it.
+
+    Attributes:
+        exchange: what became of commands and answers, faults included.
+    """
+
+    def __init__(
+        self,
+        device: str,
+        clock: Clock,
+        recording: Recording | None = None,
+        *,
+        with_frames: bool = False,
+        open_port: Callable[[str], Port] = open_serial,
+    ) -> None:
+        """Open the device.
+
+        Raises:
+            UsageError: it cannot be opened. Later it may go and come.
+        """
+        self.exchange = Exchange(framed=with_frames)
+        self._device, self._clock, self._recording, self._open_port = device, clock, recording, open_port
+        self._framed = with_frames
+        self._size = ANSWER_BYTES + FRAME_BYTES * with_frames
+        self._stamp = 0.0
+        self._next = clock.now()
+        self._port: Port | None = None
+        try:
+            self._port = open_port(device)
+        except BROKEN as error:
+            raise UsageError(f"{device}: cannot be opened as a serial line: {_reason(error)}") from None
+        self._keep(OPENED)
+
+    def step(self, command: Command) -> list[Packet]:
+        """Wait for the next period, send a command, wait for its answer at most until the period's end.
+
+        Returns:
+            The packets that came, oldest first: one as a rule, none if the answer is not there in time, several if some
+            came late.
+        """
+        packets = self._listen(self._next, first=False)
+        if self._clock.now() - self._next > PERIOD:  # held up: the periods begin anew, nothing is made up for
+            self._next = self._clock.now()
+        self._next += PERIOD
+        if self._port is None:
+            self._reopen()
+        data = encode_command(command)
+        self._send(framed(data) if self._framed else data)
+        return packets + self._listen(self._next, first=True)
+
+    def _listen(self, until: float, *, first: bool) -> list[Packet]:
+        """What comes until a time; `first`: no longer than to the first packets."""
+        packets: list[Packet] = []
+        while (left := until - self._clock.now()) > 0.0 and not (first and packets):
+            if self._port is None:
+                self._clock.sleep(left)
+                break
+            data = self._read(self._port, left)
+            if data:
+                packets += self._keep(RECEIVED, data)
+        return packets
+
+    def _read(self, port: Port, left: float) -> bytes:
+        """Bytes that belong together, as far as they come; none if nothing does, or the device is gone."""
+        try:
+            port.timeout = left / self._clock.speed
+            data = port.read(1)
+            if data:
+                port.timeout = REST / self._clock.speed
+                data += port.read(max(self._size - 1, port.in_waiting))
+        except BROKEN:
+            self._gone()
+            return b""
+        return data
+
+    def _send(self, data: bytes) -> None:
+        if self._port is None:
+            return
+        try:
+            self._port.write(data)
+        except BROKEN:
+            self._gone()
+            return
+        self._keep(SENT, data)
+
+    def _gone(self) -> None:
+        if self._port is not None:
+            with contextlib.suppress(*BROKEN):  # gone is gone
+                self._port.close()
+            self._port = None
+            self._keep(GONE)
+
+    def _reopen(self) -> None:
+        try:
+            self._port = self._open_port(self._device)
+        except BROKEN:
+            return
+        self._keep(OPENED)
+
+    def _keep(self, kind: bytes, data: bytes = b"") -> list[Packet]:
+        """Record it, on disk before anything is made of it; times of records increase."""
+        self._stamp = to_microseconds(max(self._clock.now(), self._stamp + 1e-6))
+        record = Record(kind, self._stamp, data)
+        if self._recording is not None:
+            self._recording.append(record)
+        return self.exchange.consume(record)
+
+    def close(self) -> None:
+        """Let go of the device; the robot stops by itself."""
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+
+    def __enter__(self) -> Link:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _reason(error: BaseException) -> str:
+    return getattr(error, "strerror", None) or str(error) or type(error).__name__

@@ -1,0 +1,210 @@
+"""How the simulated robot moves and what its sonars hear, in steps of its own time.
+
+The same generator, room and commands with their times give the same path and answers. Each wheel's loop brings it to
+the speed it is told; the ground does not follow exactly (slip), the encoders do. A wall holds the body, not the wheels.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from data.robot.body import (
+    CONE_HALF_ANGLE,
+    FASTEST_WHEEL,
+    LONGEST_RANGE,
+    RADIUS,
+    SONARS,
+    TICKS_PER_TURN,
+    TIMEOUT_MM,
+    WHEEL_BASE,
+    WHEEL_RADIUS,
+    wheel_speeds,
+)
+from data.robot.motion import Heard, Packet, Unwrapper
+from data.robot.packets import PERIOD, WATCHDOG, Answer, Command, command_of, overflowed
+from data.robot.room import Room, cast, clearance
+from data.robot.speed_loop import SpeedLoop, turned
+from data.se2 import Array, compose, wrap_angle
+
+STEP = 0.01
+"""s of a step of motion; the firmware reads its encoders as often."""
+BRAKING = 0.1
+"""s in which its loop brings a wheel from its fastest to rest (`data.robot.speed_loop`)."""
+PATIENCE = WATCHDOG - BRAKING - 2.0 * STEP
+"""s without a command after which the firmware brakes, so as to stand at `WATCHDOG`; either end may be in a step."""
+METRES_PER_TICK = 2.0 * math.pi * WHEEL_RADIUS / TICKS_PER_TURN
+SHORTEST_RANGE = 0.02
+"""m. Nearer echoes come while the sonar still sends."""
+
+
+@dataclass(frozen=True)
+class Physics:
+    """What is not as it should be; the defaults are those of `python -m data.robot.simulate`.
+
+    Attributes:
+        slip: m per square root of a metre of a wheel's way, standard deviation, each wheel for itself; 0.005 turns
+            the body by 1.6 degrees on a metre, which is what hobby wheels do on a smooth floor.
+        range_sigma: m, standard deviation of a distance.
+        mirror: rad. A wall met at a larger angle from its normal sends the sound away: nothing is seen. 15 degrees at
+            the cone's edge are 22.5 at its axis, so eight sonars round the body just see every wall (`body.SONARS`).
+        dropout: share of echoes that are missed.
+        crosstalk: share of readings that are the echo of another sonar's ping: too early, any distance below the own.
+    """
+
+    slip: float = 0.005
+    range_sigma: float = 0.005
+    mirror: float = math.radians(15.0)
+    dropout: float = 0.01
+    crosstalk: float = 0.01
+
+
+class Robot:
+    """The simulated body with its wheels, encoders, sonars and watchdog, at rest at the start of its room.
+
+    Attributes:
+        pose: (3,) true pose [m, m, rad], world frame, heading wrapped.
+        wheels: speeds [m/s] of the left and the right rim.
+        time: s, up to which it has moved.
+    """
+
+    def __init__(self, room: Room, rng: np.random.Generator, physics: Physics | None = None) -> None:
+        """Motion and sonars draw from generators of their own, so how often it is asked does not change its path."""
+        self.room, self.physics = room, physics or Physics()
+        self._ground, self._sound = rng.spawn(2)
+        self.pose = np.array(room.start, float)
+        self.wheels = (0.0, 0.0)
+        self._loops = (SpeedLoop(), SpeedLoop())
+        self._wanted = (0.0, 0.0)
+        self._told = -math.inf
+        self._steps = 0
+        self._turned = [0.0, 0.0]
+        self._ticks = [0, 0]
+        self._odometry = [0.0, 0.0, 0.0]
+        self._free = 0.0
+
+    @property
+    def time(self) -> float:
+        """Of the last step [s]."""
+        return self._steps * STEP
+
+    def command(self, t: float, command: Command) -> None:
+        """Obey from time t [s] on; speeds beyond the wheels' fastest are brought down to it, each wheel for itself."""
+        self.advance(t)
+        left, right = wheel_speeds(command.speed / 1000.0, command.turn / 1000.0)
+        self._wanted = (_within(left, FASTEST_WHEEL), _within(right, FASTEST_WHEEL))
+        self._told = t
+
+    def advance(self, t: float) -> None:
+        """Move on to the last step not after t [s]; a time that has passed changes nothing."""
+        for _ in range(math.floor(t / STEP + 1e-9) - self._steps):
+            self._step()
+
+    def _step(self) -> None:
+        wanted = self._wanted if self.time - self._told < PATIENCE - 1e-9 else (0.0, 0.0)
+        self._steps += 1
+        before = self.wheels
+        told = zip(self._loops, before, wanted, strict=True)
+        left, right = (turned(now, loop.duty(goal, now, STEP), STEP) for loop, now, goal in told)
+        self.wheels = (left, right)
+        if left == right == 0.0 and before == (0.0, 0.0):
+            return
+        ways = [0.5 * (a + b) * STEP for a, b in zip(before, self.wheels, strict=True)]
+        noise = self._ground.standard_normal(2)
+        true = [w + self.physics.slip * math.sqrt(abs(w)) * float(n) for w, n in zip(ways, noise, strict=True)]
+        self._encode(ways)
+        self._move(0.5 * (true[0] + true[1]), (true[1] - true[0]) / WHEEL_BASE)
+
+    def _encode(self, ways: list[float]) -> None:
+        """Count whole ticks and carry the firmware's odometry on with them."""
+        counted = []
+        for i in (0, 1):
+            self._turned[i] += ways[i]
+            ticks = math.floor(self._turned[i] / METRES_PER_TICK)
+            counted.append((ticks - self._ticks[i]) * METRES_PER_TICK)
+            self._ticks[i] = ticks
+        forward, turn = 0.5 * (counted[0] + counted[1]), (counted[1] - counted[0]) / WHEEL_BASE
+        x, y, heading = self._odometry
+        middle = heading + 0.5 * turn
+        self._odometry = [x + forward * math.cos(middle), y + forward * math.sin(middle), heading + turn]
+
+    def _move(self, forward: float, turn: float) -> None:
+        """Move the body unless a wall is in the way; how far the walls are is asked only when they may be reached."""
+        x, y, theta = self.pose.tolist()
+        middle = theta + 0.5 * turn
+        to = (x + forward * math.cos(middle), y + forward * math.sin(middle))
+        self._free -= abs(forward)
+        if self._free <= 0.0:
+            self._free = clearance(self.room, np.array(to)) - RADIUS
+            if self._free <= 0.0:
+                self._free = 0.0
+                here = clearance(self.room, self.pose)
+                if clearance(self.room, np.array(to)) < here:
+                    to = (x, y)
+        self.pose = np.array([to[0], to[1], wrap_angle(theta + turn)])
+
+    def answer(self, t: float) -> Answer:
+        """What the firmware answers at time t [s]: distances as of now, odometry in whole mm and mrad, overflowed."""
+        self.advance(t)
+        x, y, heading = (overflowed(round(1000.0 * value)) for value in self._odometry)
+        return Answer(tuple(self._distances()), x, y, heading)
+
+    def _distances(self) -> list[int]:
+        p = self.physics
+        echo = cast(self.room, compose(self.pose, SONARS), CONE_HALF_ANGLE)
+        missed, early, where = self._sound.random((3, len(SONARS)))
+        heard: Array = echo.distance + p.range_sigma * self._sound.standard_normal(len(SONARS))
+        heard[(echo.incidence > p.mirror) | (missed < p.dropout)] = np.inf
+        heard = np.clip(heard, SHORTEST_RANGE, LONGEST_RANGE)
+        heard = np.where(early < p.crosstalk, SHORTEST_RANGE + where * (heard - SHORTEST_RANGE), heard)
+        return [min(round(1000.0 * d), TIMEOUT_MM) for d in heard.tolist()]
+
+
+class Drive(NamedTuple):
+    """A drive without a line.
+
+    Attributes:
+        packets: N, one a period from time 0 on.
+        commands: (N, 2) speed [m/s] and turn rate [rad/s] as whole mm/s and mrad/s, given after each packet.
+        poses: (N, 3) true poses [m, m, rad] at the packets' times, world frame.
+    """
+
+    packets: list[Packet]
+    commands: Array
+    poses: Array
+
+
+def drive(
+    room: Room,
+    policy: Callable[[Packet], tuple[float, float]],
+    seconds: float,
+    rng: np.random.Generator,
+    physics: Physics | None = None,
+) -> Drive:
+    """Drive through a room as fast as it can be computed: what the link does on a line that is always well.
+
+    Args:
+        room: where.
+        policy: speed [m/s] and turn rate [rad/s] to command after a packet.
+        seconds: how long; N = seconds / PERIOD.
+        rng: of slip and sonars.
+        physics: of the robot; the default ones if None.
+    """
+    robot, unwrapper = Robot(room, rng, physics), Unwrapper()
+    packets, commands, poses = [], [], []
+    for k in range(round(seconds / PERIOD)):
+        t = k * PERIOD
+        packets.append(unwrapper.packet(Heard(t, robot.answer(t), 1.0), joined=True))
+        poses.append(robot.pose)
+        command = command_of(*policy(packets[-1]))
+        commands.append(command)
+        robot.command(t, command)
+    return Drive(packets, np.array(commands, float).reshape(-1, 2) / 1000.0, np.array(poses).reshape(-1, 3))
+
+
+def _within(value: float, limit: float) -> float:
+    return min(max(value, -limit), limit)

@@ -1,0 +1,137 @@
+"""What went over a line, kept as it goes: a folder with `log.toml` and `packets.bin`, whole up to the last record.
+
+`packets.bin` is `MAGIC` and records, one behind the other, low byte first:
+
+    1 byte    kind: S command sent, R bytes received, O device opened, G device gone
+    2 bytes   uint16, length of the data
+    8 bytes   int64, time since the link began [us]; each record's is greater than the one's before
+    data
+    4 bytes   CRC-32 of all that
+
+Every record is one write to the system: a process that is killed leaves whole records and at most the beginning of one.
+"""
+
+from __future__ import annotations
+
+import binascii
+import struct
+from pathlib import Path
+from typing import NamedTuple
+
+import tomli_w
+
+from data.errors import DataError, UsageError
+from data.open_log.header import FORMAT
+from data.toml_table import load_toml
+
+HEADER, PACKETS = "log.toml", "packets.bin"
+MAGIC = b"robot 1\n"
+SENT, RECEIVED, OPENED, GONE = b"S", b"R", b"O", b"G"
+SOURCE = "robot link"
+_HEAD = struct.Struct("<cHq")
+_CHECK = struct.Struct("<I")
+
+
+class Record(NamedTuple):
+    """What happened on the line: kind, time [s, a whole number of us], bytes."""
+
+    kind: bytes
+    t: float
+    data: bytes = b""
+
+
+class Recorded(NamedTuple):
+    """A recording as it was read.
+
+    Attributes:
+        records: in the order of their times.
+        framed: whether the line carried frames.
+        cut: bytes at the end that are the beginning of a record; 0 of a log that was closed.
+    """
+
+    records: list[Record]
+    framed: bool
+    cut: int
+
+
+def to_microseconds(t: float) -> float:
+    """A time [s] as a record holds it."""
+    return round(t * 1e6) / 1e6
+
+
+class Recording:
+    """A recording that is being written; `with` closes it."""
+
+    def __init__(self, folder: Path, *, framed: bool = False) -> None:
+        """Make the folder with both files.
+
+        Raises:
+            UsageError: there is a log already; nothing recorded is ever written over.
+        """
+        if (folder / HEADER).exists() or (folder / PACKETS).exists():
+            raise UsageError(f"{folder}: holds a log already; name another folder")
+        folder.mkdir(parents=True, exist_ok=True)
+        self.folder = folder
+        # unbuffered: a record is with the system when `append` returns
+        self._file = (folder / PACKETS).open("xb", buffering=0)
+        self._file.write(MAGIC)
+        with (folder / HEADER).open("wb") as file:
+            tomli_w.dump(
+                {"format": FORMAT, "name": folder.absolute().name, "source": {"kind": SOURCE, "framed": framed}}, file
+            )
+
+    def append(self, record: Record) -> None:
+        """Write a record through to the system."""
+        head = _HEAD.pack(record.kind, len(record.data), round(record.t * 1e6)) + record.data
+        self._file.write(head + _CHECK.pack(binascii.crc32(head)))
+
+    def close(self) -> None:
+        """No more records."""
+        self._file.close()
+
+    def __enter__(self) -> Recording:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def read_recording(folder: Path) -> Recorded:
+    """A recording, finished, cut off, or still being written.
+
+    Raises:
+        DataError: it is none, or damaged before its end.
+    """
+    header = folder / HEADER
+    contents = load_toml(header, lambda what: DataError.at(header, what), "no such file; a recording has one")
+    source = contents.get("source")
+    if not isinstance(source, dict) or source.get("kind") != SOURCE or not isinstance(source.get("framed"), bool):
+        raise DataError.at(header, f"not the recording of a link; [source] kind = {SOURCE!r} and framed are needed")
+    path = folder / PACKETS
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise DataError.at(path, f"cannot be read: {error.strerror}") from None
+    if not data.startswith(MAGIC) and not MAGIC.startswith(data):
+        raise DataError.at(path, f"begins with {data[: len(MAGIC)]!r}; {MAGIC!r} is needed")
+    records, end = _records(path, data)
+    return Recorded(records, source["framed"], len(data) - end)
+
+
+def _records(path: Path, data: bytes) -> tuple[list[Record], int]:
+    """All whole records and where the last one ends."""
+    records: list[Record] = []
+    at = min(len(MAGIC), len(data))
+    while len(data) >= at + _HEAD.size:
+        kind, length, microseconds = _HEAD.unpack_from(data, at)
+        middle = at + _HEAD.size + length
+        end = middle + _CHECK.size
+        if end > len(data):
+            break
+        if _CHECK.unpack_from(data, middle)[0] != binascii.crc32(data[at:middle]):
+            if end == len(data):  # a system that stopped may leave the length of a file before its contents
+                break
+            raise DataError.at(path, f"the record at byte {at} is damaged; {len(records)} before it are whole")
+        records.append(Record(kind, microseconds / 1e6, data[at + _HEAD.size : middle]))
+        at = end
+    return records, at

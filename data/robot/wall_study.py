@@ -1,0 +1,138 @@
+"""Weighted fit against RANSAC: bias and spread of a wall from the same readings, with more and more outliers.
+
+    python -m data.robot.wall_study [TRIALS]
+
+prints the table of `study`. A robot passes a wall of random distance and direction; outliers are echoes of another
+sonar's ping, too early by any amount, as in `data.robot.physics`.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import NamedTuple
+
+import numpy as np
+
+from data.robot.body import CONE_HALF_ANGLE, LONGEST_RANGE, RIGHT, SONARS
+from data.robot.walls import (
+    MIRROR,
+    SIGMA,
+    Line,
+    echo_points,
+    fit_ransac,
+    fit_weighted,
+    predicted_ranges,
+    total_least_squares,
+)
+from data.se2 import Array, compose, wrap_angle
+
+SHARES = (0.0, 0.1, 0.2, 0.3, 0.4)
+"""Of outliers among the readings."""
+READINGS = 20
+PASSED = 1.0
+"""m, way of the robot over which they are taken."""
+DISTANCES = (0.4, 2.0)
+"""m."""
+
+
+class Row(NamedTuple):
+    """What T fits were worth.
+
+    Attributes:
+        method: "weighted", "ransac" or "axis" (least squares through points on the sonars' axes, for the cone's bias).
+        share: of outliers.
+        bias: (2,) mean error of rho and alpha [m, rad].
+        spread: (2,) standard deviation of the errors [m, rad].
+        rmse: (2,) root mean squared error [m, rad].
+        lost: share of fits whose errors are beyond 10 sigma of a reading in the middle of the wall, or its angle.
+        nees: mean of the squared errors over their covariance, 2 dof, without the lost.
+    """
+
+    method: str
+    share: float
+    bias: Array
+    spread: Array
+    rmse: Array
+    lost: float
+    nees: float
+
+
+def passing(share: float, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """A wall passed on the right: sensors (N, 3), ranges (N,), true (rho, alpha), in the last body frame.
+
+    The normal is at most the cone and `MIRROR` off the sonar's axis; the readings nearest the share, drawn at random,
+    are outliers.
+    """
+    x = np.linspace(-PASSED, 0.0, READINGS)
+    sensors = compose(np.stack([x, 0.0 * x, 0.0 * x], axis=-1), SONARS[RIGHT])
+    while True:
+        alpha = float(SONARS[RIGHT, 2] + rng.uniform(-1.0, 1.0) * (CONE_HALF_ANGLE + MIRROR))
+        rho = float(rng.uniform(*DISTANCES))
+        ranges = predicted_ranges(sensors, rho, alpha)
+        if ranges.min() > 0.1 and ranges.max() < LONGEST_RANGE:
+            break
+    ranges = ranges + SIGMA * rng.standard_normal(READINGS)
+    wrong = rng.permutation(READINGS)[: round(share * READINGS)]
+    ranges[wrong] *= rng.random(len(wrong))
+    return sensors, ranges, np.array([rho, alpha])
+
+
+def on_axis(sensors: Array, ranges: Array) -> Line:
+    """Least squares through the points on the sonars' axes."""
+    points, ones = echo_points(sensors, ranges, sensors[:, 2]), np.ones(len(ranges))
+    rho, alpha = (float(v) for v in total_least_squares(points, ones, sensors))
+    return Line(rho, wrap_angle(alpha), np.full((2, 2), np.inf), ones, 0.0 * ones)
+
+
+def study(trials: int, rng: np.random.Generator, shares: tuple[float, ...] = SHARES) -> list[Row]:
+    """A row per method and share of outliers; the methods see the same readings."""
+    rows = []
+    for share in shares:
+        errors: dict[str, list[Array]] = {"weighted": [], "ransac": []}
+        nees: dict[str, list[float]] = {"weighted": [], "ransac": []}
+        if share == 0.0:
+            errors["axis"], nees["axis"] = [], []
+        for _ in range(trials):
+            sensors, ranges, truth = passing(share, rng)
+            lines = {"weighted": fit_weighted(sensors, ranges), "ransac": fit_ransac(sensors, ranges, rng)}
+            if "axis" in errors:
+                lines["axis"] = on_axis(sensors, ranges)
+            for method, line in lines.items():
+                error = np.array([line.rho - truth[0], wrap_angle(line.alpha - truth[1])])
+                errors[method].append(error)
+                finite = np.isfinite(line.cov).all()
+                nees[method].append(float(error @ np.linalg.solve(line.cov, error)) if finite else math.nan)
+        rows += [_row(method, share, np.array(errors[method]), np.array(nees[method])) for method in errors]
+    return rows
+
+
+def _row(method: str, share: float, errors: Array, nees: Array) -> Row:
+    # a line through readings over PASSED, 10 sigma off at their ends
+    lost = (np.abs(errors[:, 1]) > 20.0 * SIGMA / PASSED) | (np.abs(errors[:, 0]) > 20.0 * SIGMA)
+    kept = nees[~lost & np.isfinite(nees)]
+    return Row(
+        method,
+        share,
+        errors.mean(axis=0),
+        errors.std(axis=0),
+        np.sqrt(np.mean(errors**2, axis=0)),
+        float(lost.mean()),
+        float(kept.mean()) if len(kept) else math.nan,
+    )
+
+
+def table(rows: list[Row]) -> str:
+    """The rows as text: mm and mrad."""
+    lines = ["outliers  method    bias mm  mrad  spread mm   mrad    RMSE mm   mrad   lost   NEES(2)"]
+    for r in rows:
+        b, s, e = 1000.0 * r.bias, 1000.0 * r.spread, 1000.0 * r.rmse
+        lines.append(
+            f"{r.share:7.0%}   {r.method:8}{b[0]:9.2f}{b[1]:6.2f}{s[0]:11.2f}{s[1]:7.2f}{e[0]:11.2f}{e[1]:7.2f}"
+            f"{r.lost:7.1%}{r.nees:9.2f}"
+        )
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.stdout.write(table(study(int(sys.argv[1]) if len(sys.argv) > 1 else 300, np.random.default_rng(0))) + "\n")

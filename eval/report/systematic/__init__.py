@@ -1,0 +1,1 @@
+"""The report's sections on systematic errors that were estimated along."""

@@ -1,0 +1,1 @@
+"""Systematic errors of odometry and sensor as variables of the online smoothers."""

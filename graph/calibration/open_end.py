@@ -1,0 +1,291 @@
+"""The open end of a graph with systematic errors: newest pose and errors, composed since the newest pose in it.
+
+All poses and covariances are in the sensor's frame, and so is the graph; what is handed out, or comes in as a pose, is
+the robot's in the world.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import X
+
+from data.blocks import diagonal_blocks
+from data.inputs import Increment, Increments, IntArray, Prior
+from data.motion.systematic import forgotten, knot
+from data.result import MapState, PoseEstimate, Systematics
+from data.se2 import Array, world_from_body
+from graph.calibration.advance import advance, forget
+from graph.calibration.factors import first_factors, knot_factor, link_factor
+from graph.calibration.motion import OFF, OFF_CLOSELY, Motion
+from graph.calibration.variables import Errors, constants_key
+from graph.engine import Engine
+from graph.factors import Factor, Sighted, is_exact, pose2
+from graph.open_end import Left, OpenEnd
+from graph.problem import Calibrated, Problem, drift_key
+from graph.window import Window
+
+MOST = 2
+"""Times that increments are linearized anew in one frame."""
+
+
+class CalibratedEnd(OpenEnd):
+    """As `OpenEnd`, with the errors as they are known.
+
+    Attributes:
+        b: (p,) the errors, the drift that of the newest knot.
+        whole: (3 + p, 3 + p) covariance of newest pose and errors, world frame, in the sensor's frame.
+    """
+
+    def __init__(self, prior: Prior, errors: Errors) -> None:
+        """At the prior."""
+        super().__init__(prior)
+        self._errors, self.frame = errors, errors.frame
+        mean, self.whole = errors.frame.prior_in(prior, errors.systematic.sigma)
+        self.mean, self.b = mean[:3], mean[3:]
+        self._motion_log = Motion(errors)
+        self._since, self._ended = 0.0, list[float]()
+        """m since the last knot; of each increment since the anchor, the m that a new knot before it ended, or 0."""
+        self._path_b = list[Array]()
+        self._units = np.zeros_like(self.whole)
+        self._units[3 + errors.order, 3 + np.arange(len(self.b))] = errors.systematic.sigma[errors.order]
+        self._from_here()
+
+    def _from_here(self) -> None:
+        """The newest pose is the anchor."""
+        n = len(self.whole)
+        self._anchor, self._F, self._gathered = (self.mean, self.b, self.whole), np.eye(n), np.zeros((n, n))
+        self.P = self.whole[:3, :3]
+
+    @property
+    def keys(self) -> list[int]:
+        """Variables of the graph that the newest pose follows from."""
+        return [int(X(self.anchor)), *self._errors.keys(self.anchor, self._motion_log.knot)]
+
+    @property
+    def errors(self) -> tuple[Array, Array]:
+        """Newest mean (p,) and covariance (p, p) of the errors."""
+        return self.b.copy(), self.whole[3:, 3:].copy()
+
+    def estimate(self) -> PoseEstimate:
+        """The newest pose of the robot."""
+        if self.frame.same:
+            return super().estimate()
+        pose, J = self.frame.poses_out(self.mean[None], self.b[None])
+        P = J[0] @ self.whole @ J[0].T
+        return PoseEstimate(pose[0], 0.5 * (P + P.T))
+
+    def move(self, increment: Increment) -> None:
+        """One increment further."""
+        ended = 0.0
+        if self._errors.drift >= 0:
+            ended, self._since = knot(self._since, increment.mean, self._errors.step)
+        self._ended.append(ended)
+        super().move(increment)
+
+    def _advance(self, increment: Increment) -> None:
+        """The newest pose, the errors and their covariance by one increment."""
+        e, ended = self._errors, self._ended[len(self._path)]
+        if ended > 0.0:
+            stays, anew = forgotten(ended, e.systematic.length)
+            self.b, self.whole, self._F, self._gathered = (
+                np.array(a) for a in (self.b, self.whole, self._F, self._gathered)
+            )
+            fresh = anew * e.systematic.sigma[e.drift] ** 2
+            forget(self.b, self.whole, self._F, self._gathered, e.drift, stays, fresh)
+        mean, M = np.array(increment.mean), np.array(increment.covariance)
+        self.mean, self.whole, self._F, self._gathered = advance(
+            self.mean, self.b, self.whole, self._F, self._gathered, mean, M, e.place, e.frame.mount
+        )
+        self.P = self.whole[:3, :3]
+        self._path.append(self.mean)
+        self._path_b.append(self.b)
+
+    def inflate(self, covariance: Array) -> None:
+        """So much covariance (3, 3), alike in all directions, is added to the last increment's."""
+        if not self._increments:
+            raise ValueError("there was no motion since the last sighting")
+        mean, stated = self._increments[-1]
+        self._increments[-1] = Increment(mean, stated + covariance)
+        self._again()
+
+    def _again(self) -> None:
+        """All increments since the anchor once more."""
+        (self.mean, self.b, self.whole), self._path, self._path_b = self._anchor, [], []
+        self._from_here()
+        for increment in self._increments:
+            self._advance(increment)
+
+    def inside(self, pose: Array) -> Array:
+        """A pose (3,) of the robot as it is in the graph."""
+        there: Array = self.frame.poses_in(pose[None], self.b[None])[0]
+        return there
+
+    def carried(self, J: Array) -> Array:
+        """Joint covariance of the newest pose and landmarks (there) from that of the variables `keys` and landmarks."""
+        n = len(self.whole)
+        T, J = self._F[:3] @ self._raw(self._anchor[0][2]), self._free(J)
+        found = np.empty((len(J) - n + 3,) * 2)
+        across = T @ J[:n]
+        found[:3, :3] = across[:, :n] @ T.T + self._gathered[:3, :3]
+        found[:3, 3:], found[3:, :3], found[3:, 3:] = across[:, n:], across[:, n:].T, J[n:, n:]
+        return found
+
+    def _free(self, J: Array) -> Array:
+        """Joint covariance of the anchor and others, as it is where a hard constraint holds the anchor."""
+        if self.anchor == 0 and self.frame.same and is_exact(self.prior):
+            J[:3], J[:, :3] = 0.0, 0.0  # gtsam's joint marginal takes it for a variance of about 1
+        return J
+
+    def _raw(self, heading: float) -> Array:
+        """Jacobian of anchor (world) and errors to their variables: its body frame, prior sigmas, another order."""
+        J = self._units.copy()
+        J[:3, :3] = world_from_body(heading)
+        return J
+
+    def join_graph(self, values: gtsam.Values) -> tuple[list[Factor], float]:
+        """Factors of the increments (and the prior), start values added to `values`: the newest pose is the anchor."""
+        e, log = self._errors, self._motion_log
+        found = list[Factor]()
+        if self.anchor < 0:
+            self.anchor = 0
+            found, start = first_factors(e, self.prior)
+            values.insert(start)
+        self._before = len(found)
+        if not self._increments:
+            return found, np.inf
+        first, knots = self.anchor + 1, list[int]()
+        for ended, b in zip(self._ended, self._path_b, strict=True):
+            if ended > 0.0:
+                found.append(knot_factor(e, log.knot, ended))
+                log.knot += 1
+                values.insert(drift_key(log.knot), b[[e.drift]] / e.systematic.sigma[e.drift])
+            knots.append(log.knot)
+        if len(e.constant):
+            copies = list(dict.fromkeys(constants_key(first - 1 + i) for i in range(len(knots) + 1)))
+            for old, new in pairwise(copies):
+                found.append(link_factor(e, old, new))
+                values.insert(new, self._anchor[1][e.constant] / e.systematic.sigma[e.constant])
+        self._before = len(found)
+        path = np.array([self._anchor[0], *self._path])
+        for k, pose in enumerate(path[1:], first):
+            values.insert(X(k), pose2(pose))
+        factors, pivot = log.extend(first, self._increments, knots, path, np.array(self._path_b))
+        self.anchor += len(self._increments)
+        self._increments, self._path, self._path_b, self._ended = [], [], [], []
+        return found + factors, pivot
+
+    def hold(self, handles: Sequence[int]) -> None:
+        """The engine's handles on the factors of `join_graph`."""
+        self._motion_log.hold(handles[self._before :])
+
+    def read(self, engine: Engine, *, closely: bool = False) -> None:
+        """The graph has a new estimate of anchor and errors: the newest pose follows from it.
+
+        `closely`: increments are linearized anew wherever they put an estimate off by a little.
+        """
+        pose = engine.settle(self.keys[0], pose2(self.mean))
+        now, off = closely or engine.jumped(pose2(self.mean), pose), OFF_CLOSELY if closely else OFF
+        self._take(engine, pose)
+        for _ in range(MOST):
+            if not self._motion_log.renew(engine, self.b, self.whole[3:, 3:], now, off):
+                break
+            pose, now = engine.settle(self.keys[0], pose), True
+            self._take(engine, pose)
+        self._again()
+
+    def _take(self, engine: Engine, pose: gtsam.Pose2) -> None:
+        """The anchor as the graph has it."""
+        self.b = self._errors.read(engine, self.anchor, self._motion_log.knot)
+        self.mean = np.array([pose.x(), pose.y(), pose.theta()])
+        T, J = self._raw(self.mean[2]), self._free(engine.covariance(self.keys))
+        self.whole = T @ J @ T.T
+        self.whole = 0.5 * (self.whole + self.whole.T)
+        self._anchor = self.mean, self.b, self.whole
+
+    def points(self, xy: Array) -> Array:
+        """Points (n, 2) of the world from those of the graph."""
+        return self.frame.points_out(xy, self.b)[0]
+
+    def reach(self, radius: float) -> tuple[Array, float]:
+        """Where the newest pose (2,) is on a known map, and a radius [m] around it there."""
+        point, scale, _ = self.frame.points_out(self.mean[None, :2], self.b)
+        return point[0], scale * radius
+
+    def known(self, xy: Array) -> tuple[Array, Array]:
+        """Known landmarks (n, 2) as they are there; covariance of the newest pose, and of them if not known."""
+        if self.frame.range_at < 0 or not len(xy):
+            return xy, self.P
+        there, J = self.frame.points_in(xy, self.b)
+        T = np.eye(3 + 2 * len(xy), len(self.whole))
+        T[3:, 3:] = J.reshape(2 * len(xy), -1)
+        return there, T @ self.whole @ T.T
+
+    def map_of(self, number: IntArray, xy: Array, J: Array) -> MapState:
+        """Landmarks (n,) of the graph, at xy (n, 2) there; J: joint covariance of the variables `keys` and them."""
+        e, n = self._errors, len(self.whole)
+        out, scale, D = self.frame.points_out(xy, self.b)
+        C = scale**2 * diagonal_blocks(J[n:, n:])
+        if self.frame.range_at >= 0:
+            D = D[:, :, e.order] * e.systematic.sigma[e.order]
+            across = scale * D @ J[3:n, n:].reshape(n - 3, -1, 2).transpose(1, 0, 2)
+            C += across + across.transpose(0, 2, 1) + D @ J[3:n, 3:n] @ D.transpose(0, 2, 1)
+        return MapState(number, out, C)
+
+    def leaving(self, window: Window, frames: Iterable[int]) -> list[Left]:
+        """Poses of frames in a window, which may leave it."""
+        return [self._leaving(window, k) for k in frames]
+
+    def _leaving(self, window: Window, frame: int) -> Left:
+        e, n = self._errors, len(self.whole)
+        key, knot = int(X(frame)), self._motion_log.knot_of(frame)
+        pose, b = window.pose(key), e.read(window, frame, knot)
+        if self.frame.same:
+            C, of_pose = window.covariance([key]), pose
+            spread = np.concatenate([np.sqrt(np.diag(window.covariance([k]))) for k in e.keys(frame, knot)])
+        else:
+            J = window.covariance([key, *e.keys(frame, knot)])
+            T = self._raw(pose[2])
+            out, D = self.frame.poses_out(pose[None], b[None])
+            of_pose, D = out[0], world_from_body(out[0, 2]).T @ D[0] @ T
+            C, spread = D @ J @ D.T, np.sqrt(np.diag(J)[3:])
+        sigma = np.empty(n - 3)
+        sigma[e.order] = spread
+        return Left(of_pose, C, (b, sigma * e.systematic.sigma))
+
+    def forget(self, oldest: int) -> list[int]:
+        """Frame `oldest` becomes the first one in the graph: knots of the drift that leave it."""
+        first = self._motion_log.oldest + 1
+        gone = self._motion_log.forget(oldest)
+        copies = dict.fromkeys(constants_key(k) for k in range(first, oldest + 2) if len(self._errors.constant))
+        stays = constants_key(min(oldest + 1, self.anchor))
+        return [*(drift_key(k) for k in gone if self._errors.drift >= 0), *(c for c in copies if c < stays)]
+
+    def history(self, left: Sequence[Left]) -> Systematics | None:
+        """Systematic errors by frame: the constants as known last, the drift as it was when a frame left."""
+        e = self._errors
+        found = np.array([each.errors for each in left])
+        found[:, :, e.constant] = found[-1:, :, e.constant]
+        return Systematics(e.systematic.names, found[:, 0], found[:, 1])
+
+    def problem(self, sighted: Sequence[Sighted], known_map: bool) -> Problem:
+        """All of the run as a problem."""
+        mean, covariance = self._motion_log.raw
+        calibrated = Calibrated(self._errors.systematic, self.frame, Increments(mean, covariance))
+        motion = calibrated.motion(np.zeros((len(mean), len(self.b))))
+        return Problem(self.prior, motion, sighted, known_map, calibrated)
+
+    def start(self, values: gtsam.Values, problem: Problem) -> gtsam.Values:
+        """Where the search for the optimum starts: the present estimate, known landmarks exactly where errors put them.
+
+        The first copy of the constants is that of the problem.
+        """
+        if self.frame.range_at >= 0 and problem.known_map:
+            b = self._errors.read_from(values)
+            for s in problem.sighted:
+                if s.key is not None and s.xy is not None:
+                    values.update(s.key, self.frame.points_in(s.xy[None], b)[0][0])
+        return values

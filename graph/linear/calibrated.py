@@ -1,0 +1,203 @@
+"""Systematic errors in a linearized problem: the increments' rows, the columns of the errors, the rows of their priors.
+
+The drift of a knot is a variable like a pose. The constant errors are too few and too far-reaching for that: they are
+further right-hand sides (see `graph.linear.solution`), what a prior sigma of each adds to the residuals. All is in the
+sensor's frame (`data.motion.sensor_frame`), but for the first pose, which the prior knows in the world: it is there
+what moves the robot's own pose, and a column for the errors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import X
+
+from data.inputs import IntArray
+from data.motion.systematic import forgotten
+from data.se2 import Array, compose, world_from_body
+from graph.factors import pose2, prior_factor, root_information
+from graph.linear.increments import linearize_increments
+from graph.problem import CONSTANTS, Problem, displaced, drift_key
+
+
+class CalibratedRows:
+    """The part of the systematic errors.
+
+    Attributes:
+        constants: q, how many are constant.
+        first_of: (K,) first frame that each knot's drift leads to, empty without a drift.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        """Ready to linearize."""
+        assert problem.calibrated is not None
+        self._problem, self._of = problem, problem.calibrated
+        c = problem.calibrated
+        self.constants = len(c.constant)
+        self.first_of = first_frames(c.of, c.knots)
+        self._root = root_information(c.increments.covariance[1:])[0]
+        self._prior = prior_factor(problem.prior)
+        self._own, self._earlier = drift_rows(c.ended, c.systematic.length)
+        self._last: tuple[gtsam.Values, Array, Array] | None = None
+        self._world = np.array([s.xy for s in problem.sighted]).reshape(-1, 2) if problem.known_map else None
+
+    def extended(self, variable: IntArray, height: IntArray, dim: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+        """Variables (B, 3), heights (B,) and dimensions (V,) of `Rows` with the drift; the same without one."""
+        return with_drift(variable, height, dim, self._of.of, self._of.knots)
+
+    def fill(self, A: Array, b: Array, values: gtsam.Values) -> tuple[Array, Array]:
+        """Rows of the increments and of the drift, and the columns of the constant errors, in place.
+
+        Returns Jacobians (3, 3) and (3, q) of the first pose's tangent coordinates in the frame to those of the robot's
+        pose and to the constant errors in sigmas.
+        """
+        c, n = self._of, len(self._of.of)
+        pose, errors = self._state(values)
+        residual, after, before, by_errors = self._increments(pose, errors)
+        by_errors *= c.systematic.sigma
+        A[1:n, :, :3], A[1:n, :, 3:6] = after, before
+        b[1:n, :, 0], b[1:n, :, 1:] = -residual, by_errors[:, :, c.constant]
+        if c.knots:
+            A[1:n, :, 6] = by_errors[:, :, c.drift_at]
+            A[-c.knots :, 0, 0], A[-c.knots :, 0, 3] = self._own, self._earlier
+            b[-c.knots :, 0, 0] = -self._drifts(values)
+        if c.frame.range_at >= 0 and self._world is not None:
+            # only the way from pose to landmark is seen: what moves the landmark moves the pose the other way
+            seen = np.array([s.frame for s in self._problem.sighted], np.int64)
+            shift = (self._world - c.frame.origin) * c.systematic.sigma[c.frame.range_at]
+            turn = pose[seen, 2]
+            body = np.stack([np.cos(turn) * shift[:, 0] + np.sin(turn) * shift[:, 1],
+                             np.cos(turn) * shift[:, 1] - np.sin(turn) * shift[:, 0]], 1)  # fmt: skip
+            rows, at = slice(n, n + len(seen)), 1 + int(np.searchsorted(c.constant, c.frame.range_at))
+            b[rows, :, at] -= np.einsum("mij,mj->mi", A[rows, :, :2], body)
+        return self._first(errors[0], pose[0])
+
+    def _state(self, values: gtsam.Values) -> tuple[Array, Array]:
+        """Poses (N, 3), which gtsam has in the order of their keys, and errors (N, p); read out once."""
+        if self._last is None or self._last[0] is not values:
+            self._last = values, np.ascontiguousarray(gtsam.utilities.extractPose2(values)), self._of.errors(values)
+        return self._last[1:]
+
+    def _increments(self, pose: Array, errors: Array) -> tuple[Array, Array, Array, Array]:
+        """Residuals (N - 1, 3), Jacobians (N - 1, 3, 3) to the poses after and before, and (N - 1, 3, p) to errors."""
+        c, n = self._of, len(pose) - 1
+        residual, after, before = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3, 3))
+        by_errors = np.empty((n, 3, len(c.place)))
+        motion = c.increments.mean[1:]
+        linearize_increments(
+            pose, motion, self._root, errors[1:], c.place, c.frame.mount, residual, before, after, by_errors
+        )
+        return residual, after, before, by_errors
+
+    def _drifts(self, values: gtsam.Values) -> Array:
+        """Whitened steps of the drift (K,) from knot to knot, the first from zero."""
+        drift = np.array([values.atVector(drift_key(j))[0] for j in range(self._of.knots)])
+        steps: Array = self._own * drift
+        steps[1:] += self._earlier[1:] * drift[:-1]
+        return steps
+
+    def _first(self, errors: Array, pose: Array) -> tuple[Array, Array]:
+        c = self._of
+        J, by_constants = np.eye(3), np.zeros((3, self.constants))
+        if c.frame.same:
+            return J, by_constants
+        size = 1.0
+        sigma = c.systematic.sigma
+        bearing = 0.0
+        if c.frame.bearing_at >= 0:
+            bearing = errors[c.frame.bearing_at]
+            by_constants[2, np.searchsorted(c.constant, c.frame.bearing_at)] = -sigma[c.frame.bearing_at]
+        if c.frame.range_at >= 0:
+            size += errors[c.frame.range_at]
+            away = world_from_body(pose[2])[:2, :2].T @ (pose[:2] - c.frame.origin) / size
+            by_constants[:2, np.searchsorted(c.constant, c.frame.range_at)] = sigma[c.frame.range_at] * away
+        sensor = compose(c.frame.mount, np.array([0.0, 0.0, -bearing]))
+        J = np.diag([size, size, 1.0]) @ pose2(sensor).inverse().AdjointMap()
+        return J, by_constants
+
+    def robot(self, values: gtsam.Values) -> gtsam.Values:
+        """The robot's first pose in the world, as values."""
+        pose, errors = self._state(values)
+        out, _ = self._of.frame.poses_out(pose[:1], errors[:1])
+        first = gtsam.Values()
+        first.insert(X(0), pose2(out[0]))
+        return first
+
+    def cost(self, values: gtsam.Values) -> float:
+        """Half the sum of squares of increments, drift and priors; see `graph.linear.rows.Linearizer.cost`."""
+        residual, *_ = self._increments(*self._state(values))
+        total = float(np.sum(residual**2))
+        if self.constants:
+            total += float(np.sum(values.atVector(CONSTANTS) ** 2))
+        if self._of.knots:
+            total += float(np.sum(self._drifts(values) ** 2))
+        return 0.5 * total + float(self._prior.error(self.robot(values)))
+
+    def moved(
+        self, values: gtsam.Values, vector: gtsam.VectorValues, first: Array, drifts: Array, constants: Array
+    ) -> gtsam.Values:
+        """A step further: `vector` of poses and landmarks but for the first pose, where the robot moves by `first`."""
+        for j, drift in enumerate(drifts):
+            vector.insert(drift_key(j), np.array([drift]))
+        if self.constants:
+            vector.insert(CONSTANTS, constants)
+        pose = self.robot(values).atPose2(X(0)).retract(first)
+        moved = values.retract(vector)
+        errors = self._of.errors(moved)
+        robot = np.array([[pose.x(), pose.y(), pose.theta()]])
+        moved.update(X(0), pose2(self._of.frame.poses_in(robot, errors[:1])[0]))
+        if self._world is not None and self._of.frame.range_at >= 0:
+            for s, xy in zip(self._problem.sighted, self._landmarks(errors), strict=True):
+                if s.key is not None:
+                    moved.update(s.key, xy)
+        return moved
+
+    def measured(self, values: gtsam.Values) -> list[Sequence[gtsam.NonlinearFactor]] | None:
+        """The factors of all observations at the errors of `values`, None where they never change."""
+        sighted = self._problem.sighted
+        if self._world is None or self._of.frame.range_at < 0 or all(s.key is not None for s in sighted):
+            return None
+        xy = self._landmarks(self._state(values)[1])
+        return [displaced(s, at).measured for s, at in zip(sighted, xy, strict=True)]
+
+    def _landmarks(self, errors: Array) -> Array:
+        """The known landmarks (M,) of the observations, in the frame."""
+        assert self._world is not None
+        return self._of.frame.points_in(self._world, errors[-1])[0]
+
+
+def first_frames(of: IntArray, knots: int) -> IntArray:
+    """First frame (K,) that the drift of each knot leads to; `of` (N,) as of `data.motion.systematic.knots`."""
+    return np.maximum(np.searchsorted(of, np.arange(knots)), 1).astype(np.int64)
+
+
+def with_drift(
+    variable: IntArray, height: IntArray, dim: IntArray, of: IntArray, knots: int
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Variables (B, 3), heights (B,) and dimensions (V,) of `Rows` with a drift of so many knots as last variables.
+
+    It enters the blocks of the increments, 1 to N - 1; those of its prior come last. The same without a knot.
+    """
+    if not knots:
+        return variable, height, dim
+    drift, enters, chain = len(dim) + np.arange(knots), np.full(len(variable), -1), np.full((knots, 3), -1)
+    enters[1 : len(of)] = drift[of[1:]]
+    chain[:, 0], chain[1:, 1] = drift, drift[:-1]
+    one = np.ones(knots, np.int64)
+    return (
+        np.concatenate([np.column_stack([variable, enters]), chain]),
+        np.concatenate([height, one]),
+        np.concatenate([dim, one]),
+    )
+
+
+def drift_rows(ended: Array, length: float) -> tuple[Array, Array]:
+    """Coefficients (K,) of each knot's drift and of the one before in its whitened prior, drifts in sigmas.
+
+    drift j - stays * drift j - 1 ~ N(0, anew); nothing stays of what was before the first. `ended` (K - 1,) and
+    `length` as of `data.motion.systematic`.
+    """
+    stays, anew = np.array([(0.0, 1.0), *(forgotten(metres, length) for metres in ended)]).T
+    return 1.0 / np.sqrt(anew), -stays / np.sqrt(anew)
