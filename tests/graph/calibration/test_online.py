@@ -68,7 +68,7 @@ def test_newest_pose_errors_and_map_are_those_of_dense_least_squares(names, sens
             np.testing.assert_allclose(C / np.trace(D), D / np.trace(D), atol=CLOSE)
 
 
-@pytest.mark.parametrize("task", ["slam", "localization"])
+@pytest.mark.parametrize("task", ["slam", pytest.param("localization", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "sensor", [POLAR, pytest.param(CARTESIAN_OFF, marks=pytest.mark.slow)], ids=["polar", "points"]
 )
@@ -113,7 +113,9 @@ def test_prediction_carries_pose_and_errors_together():
     assert Isam2Smoother(inputs.prior, inputs.sensor).errors is None
 
 
-@pytest.mark.parametrize(("names", "task"), [(ALL, "slam"), (("scale", "drift"), "localization")])
+@pytest.mark.parametrize(
+    ("names", "task"), [pytest.param(ALL, "slam", marks=pytest.mark.slow), (("scale", "drift"), "localization")]
+)
 def test_with_an_infinite_lag_the_fixed_lag_smoother_is_isam2_and_with_a_short_one_near_it(names, task):
     inputs, *_ = erring(to_estimate(*names), POLAR)
     inputs = for_task(inputs, task)
