@@ -32,7 +32,7 @@ from tests.graph.driving import drive, for_task
 WHAT = {"odometry": ODOMETRY, "drift": ("scale", "curvature", "drift"), "bearing": ("bearing",), "all": ALL}
 SENSORS = {"polar": POLAR, "points": CARTESIAN, "polar, off": POLAR_OFF, "points, off": CARTESIAN_OFF}
 CLOSE = 0.005
-"""Sigmas of the mean, and share of a covariance: the prior in a sensor's frame is linear in the errors."""
+"""Sigmas of the mean, and share of a covariance; largest seen: 0.0036, of a landmark, with all errors."""
 CASES = [
     pytest.param(names, sensor, task, id=f"{what}, {kind}, {task}", marks=() if fast else pytest.mark.slow)
     for what, names in WHAT.items()
