@@ -23,14 +23,6 @@ from data.result import MapState, Systematics
 from data.se2 import Array
 from ekf.kernels import look, predict
 
-NEWEST_SHARE = 0.15
-"""Of the newest increment in the turn that the errors of turns act on, a mean over the last seven or so (as if the turn
-rate were constant, each turn's noise being its measure of time). Were it the turn as odometry states it, it would share
-the increment's noise, and the error of turns would come out too small by the noise's share of the squared turn, however
-long the log (Fuller, "Measurement Error Models", 1987, section 1.1). In 16 parks of 500 frames whose turns err by 5 %
-the squared error of curvature, left and right is 88, 43 and 103 variances without the mean, and with a share of 0.3 10,
-9, 12, of 0.15 0.8, 2.6, 1.2, of 0.08 2.2, 1.8, 0.8; in arenas, where turns change faster, 0.4 to 3.2 in any case."""
-
 
 class Errors(NamedTuple):
     """The errors of a run as the kernels take them.
@@ -38,7 +30,7 @@ class Errors(NamedTuple):
     place: (p,) where each stands among all errors; mount: (3,) as of `data.motion.systematic.correct`.
     drift_at: row of the drift in the state, -1: none; drift: (3,) its variance, its length [m], metres between knots.
     range_at: row of the range error, -1: none; origin: (2,) m, what it scales the world about.
-    since: (1,) m since the last knot; lately: (2,) turn of late and its variance; a prediction advances both.
+    since: (1,) m since the last knot; a prediction advances it.
     """
 
     place: IntArray
@@ -48,13 +40,12 @@ class Errors(NamedTuple):
     range_at: int
     origin: Array
     since: Array
-    lately: Array
 
 
 def as_states(systematic: Systematic | None, frame: SensorFrame) -> Errors:
     """Before the first increment; None: there are no errors."""
     if systematic is None:
-        return Errors(np.empty(0, np.int64), np.zeros(3), -1, np.ones(3), -1, np.zeros(2), np.zeros(1), np.zeros(2))
+        return Errors(np.empty(0, np.int64), np.zeros(3), -1, np.ones(3), -1, np.zeros(2), np.zeros(1))
     drift_at, drift = -1, np.ones(3)
     if systematic.drifts:
         drift_at = systematic.names.index("drift")
@@ -62,7 +53,7 @@ def as_states(systematic: Systematic | None, frame: SensorFrame) -> Errors:
         drift = np.array([systematic.sigma[drift_at] ** 2, length, BETWEEN_KNOTS * length])
         drift_at += 3
     range_at = 3 + frame.range_at if frame.range_at >= 0 else -1
-    return Errors(places(systematic), frame.mount, drift_at, drift, range_at, frame.origin, np.zeros(1), np.zeros(2))
+    return Errors(places(systematic), frame.mount, drift_at, drift, range_at, frame.origin, np.zeros(1))
 
 
 def begin(prior: Prior, systematic: Systematic | None, frame: SensorFrame) -> tuple[Array, Array]:
@@ -70,14 +61,6 @@ def begin(prior: Prior, systematic: Systematic | None, frame: SensorFrame) -> tu
     if systematic is None:
         return prior.mean, prior.covariance
     return frame.prior_in(prior, systematic.sigma)
-
-
-@numba.njit(cache=True)
-def turn_of_late(turn, variance, lately):  # type: ignore[no-untyped-def]
-    """The turn [rad] to expect of the last increments, which this one joins: see `NEWEST_SHARE`."""
-    lately[0] = (1.0 - NEWEST_SHARE) * lately[0] + turn
-    lately[1] = (1.0 - NEWEST_SHARE) * lately[1] + variance
-    return variance * lately[0] / lately[1] if lately[1] > 0.0 else turn
 
 
 @numba.njit(cache=True)
@@ -99,7 +82,7 @@ def predict_with_errors(mean, P, d, motion, M, first, errors):  # type: ignore[n
     every, corrected, A, G = np.zeros(7), np.empty(3), np.empty((3, 7)), np.empty((3, 3))
     for q in range(p):
         every[errors.place[q]] = mean[3 + q]
-    correct(motion, turn_of_late(motion[2], M[2, 2], errors.lately), every, errors.mount, corrected, A, G)
+    correct(motion, every, errors.mount, corrected, A, G)
     c, s = math.cos(mean[2]), math.sin(mean[2])
     D = np.empty((3, p))
     for q in range(p):

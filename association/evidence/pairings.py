@@ -18,7 +18,7 @@ from association.jcbb import BUDGET, search
 from data.blocks import diagonal_blocks, of_points
 from data.inputs import IntArray
 from data.result import DISCARD, NEW
-from data.se2 import Array
+from data.se2 import Array, BoolArray
 
 
 class Alone(NamedTuple):
@@ -107,11 +107,28 @@ def settled(e: Expectation, decisions: IntArray, new_gate: float | None) -> IntA
     """Decisions (m,) with `DISCARD` for what is unpaired and inside `new_gate` of a landmark, given the pairings."""
     decisions = decisions.copy()
     left = np.flatnonzero(decisions == NEW)
-    threshold = gate_threshold(new_gate)
-    # believing the pairings makes an expectation more certain: only what is inside without them can be inside with them
-    near = e.individual_distances()[left] < threshold
-    candidates = np.flatnonzero(near.any(axis=0))
-    if len(candidates):
-        close = near[:, candidates] & (given(e, decisions, candidates).individual_distances()[left] < threshold)
-        decisions[left[close.any(axis=1)]] = DISCARD
+    decisions[left[_close(e, decisions, left, new_gate).any(axis=1)]] = DISCARD
     return decisions
+
+
+def beside(e: Expectation, decisions: IntArray, new_gate: float | None) -> BoolArray:
+    """Observations (m,) that are discarded only for landmarks which another observation of the frame is paired with.
+
+    No landmark is seen twice in a frame: where such an observation is no clutter, two landmarks stand there.
+    """
+    left = np.flatnonzero(decisions == DISCARD)
+    close = _close(e, decisions, left, new_gate)
+    found = np.zeros(len(decisions), np.bool_)
+    found[left] = close.any(axis=1) & ~close[:, ~np.isin(e.number, decisions)].any(axis=1)
+    return found
+
+
+def _close(e: Expectation, decisions: IntArray, rows: IntArray, gate: float | None) -> BoolArray:
+    """Whether observations `rows` (k,) are inside the gate of each candidate (k, n), given the pairings."""
+    threshold = gate_threshold(gate)
+    # believing the pairings makes an expectation more certain: only what is inside without them can be inside with them
+    close: BoolArray = e.individual_distances()[rows] < threshold
+    candidates = np.flatnonzero(close.any(axis=0))
+    if len(candidates):
+        close[:, candidates] &= given(e, decisions, candidates).individual_distances()[rows] < threshold
+    return close

@@ -47,17 +47,17 @@ def places(systematic: Systematic) -> IntArray:
 
 
 @numba.njit(cache=True)
-def correct(motion, turned, errors, mount, mean, A, G):  # type: ignore[no-untyped-def]
+def correct(motion, errors, mount, mean, A, G):  # type: ignore[no-untyped-def]
     """The corrected increment `mean` (3,) of odometry's `motion` (3,) under all errors (7,).
 
     Also A (3, 7), its Jacobian to the errors, and G (3, 3), to the odometry's additive noise. `mount` (3,): pose of the
-    sensor on the robot, zero to stay in the robot's own frame. `turned`: the turn that the errors of turns act on.
+    sensor on the robot, zero to stay in the robot's own frame.
     """
     x, y, t = motion[0], motion[1], motion[2]
     d = math.hypot(x, y)
     if x < 0.0:
         d = -d
-    positive, negative = max(turned, 0.0), min(turned, 0.0)
+    positive, negative = max(t, 0.0), min(t, 0.0)
     e = d * (errors[CURVATURE] + errors[DRIFT]) + errors[LEFT] * positive + errors[RIGHT] * negative
     ch, sh = math.cos(0.5 * e), math.sin(0.5 * e)
     rx, ry = ch * x - sh * y, sh * x + ch * y
@@ -93,7 +93,7 @@ def _correct_all(motion, noise, errors, place, mount, mean, covariance, A):  # t
     for k in range(len(motion)):
         for j in range(len(place)):
             all_errors[place[j]] = errors[k, j]
-        correct(motion[k], motion[k, 2], all_errors, mount, mean[k], whole, G)
+        correct(motion[k], all_errors, mount, mean[k], whole, G)
         covariance[k] = G @ noise[k] @ G.T
         for j in range(len(place)):
             A[k, :, j] = whole[:, place[j]]

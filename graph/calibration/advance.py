@@ -31,7 +31,7 @@ def advance(mean, b, P, F, Q, motion, M, place, mount):  # type: ignore[no-untyp
     errors, moved, A, G = np.zeros(7), np.zeros(3), np.zeros((3, 7)), np.zeros((3, 3))
     for j in range(p):
         errors[place[j]] = b[j]
-    correct(motion, motion[2], errors, mount, moved, A, G)
+    correct(motion, errors, mount, moved, A, G)
     wx, wy, Fx, B = carried(mean[2], moved)
     J = np.eye(3 + p)
     J[:3, :3] = Fx

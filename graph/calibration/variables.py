@@ -16,7 +16,7 @@ from data.sensors import Sensor
 from graph.engine import Engine
 from graph.problem import drift_key
 
-SEGMENT = 100
+SEGMENT = 300
 """Increments that share a copy of the constants. With one for all, each update would travel back over the whole path:
 gtsam takes what was eliminated anew for changed, and goes on wherever it is a separator.
 With more copies cliques grow."""

@@ -42,7 +42,8 @@ def pair(e: Expectation, slam: EkfSlam, ledger: Ledger, scales: Scales, setup: S
     if not len(e.number) or not len(e.z):
         return found
     unclear = dense(e, slam, ledger, setup)
-    if (found.decisions >= 0).sum() >= constants.TOGETHER or not unclear.any():
+    # what leaves no doubt was seen on the way here, and does not tell where in the old map the robot is
+    if np.isin(found.decisions, e.number[unclear]).sum() >= constants.TOGETHER or not unclear.any():
         return found
     if ledger.travelled - ledger.epoch.begun > constants.WINDOW_SPAN * ledger.range:
         ledger.begin_epoch()

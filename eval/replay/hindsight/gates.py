@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from association.evidence.pairings import settled
-from association.evidence.scales import Scales, counted, relearned
+from association.evidence.pairings import beside, settled
+from association.evidence.scales import Scales, counted, relearned, widest
 from association.evidence.tentative import Sighting, Tentative
 from association.expectation import Expectation
 from data.inputs import IntArray
@@ -46,13 +46,16 @@ class LearnedGates:
         """
         ledger, sensor, reach = self.ledger, self.ledger.sensor, self.ledger.range
         stated, nearest = settled(e, decisions, new_gate), e.individual_distances()
+        waiting = (decisions == NEW) & (stated != NEW)
+        if widest(self.scales) == 1.0:  # where less noise is there than was stated, three sightings agree too easily
+            waiting |= beside(e, stated, new_gate)
         paired = stated[stated >= 0].tolist()
         self._pairings += len(paired)
         inside, outside = sum(ledger.gated_elsewhere(n, True) for n in paired), 0
         for i in np.flatnonzero(stated < 0).tolist():
             xy, _, Gz = sensor.inverse(pose, e.z[i : i + 1])
             sighting = Sighting(xy[0], Gz[0] @ e.R[i] @ Gz[0].T, ledger.travelled)
-            if decisions[i] == NEW != stated[i] and self._tentative.see(sighting, self._pairings, reach):
+            if waiting[i] and self._tentative.see(sighting, self._pairings, reach):
                 stated[i] = NEW
             if stated[i] == NEW:
                 # what was in doubt there was not of the landmark next to it

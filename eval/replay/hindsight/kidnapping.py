@@ -18,7 +18,7 @@ from association.geometry.relocalize import relocalize
 from data.inputs import Frame, Increment, IntArray, LandmarkMap
 from data.result import DISCARD
 from data.se2 import Array
-from ekf.slam import EkfSlam
+from ekf.two_models import TwoModels
 from eval.replay.hindsight.density import clear, dense
 from eval.replay.hindsight.ledger import Ledger
 from eval.replay.settings import Setup
@@ -58,13 +58,13 @@ class Kidnapping:
         if self.lost:
             self._scan = moved(self._scan, increment)
 
-    def decide(self, slam: EkfSlam, frame: Frame, decisions: IntArray) -> Relocated:
+    def decide(self, filters: TwoModels, frame: Frame, decisions: IntArray) -> Relocated:
         """Decisions (m,) about a frame after what the ledger judged of them; the filter gets to know if it is lost."""
-        ledger, kidnapped = self.ledger, None
+        ledger, slam, kidnapped = self.ledger, filters.believed, None
         sure = ledger.certain()
         if self._alarm(len(decisions), int(np.isin(decisions, sure).sum())):
             kidnapped = anywhere(slam.xy, ledger.range)
-            slam.inflate(kidnapped)
+            filters.inflate(kidnapped)
             ledger.begin_epoch()
         if self.lost and np.trace(slam.estimate().covariance[:2, :2]) < (constants.FOUND_AGAIN * ledger.range) ** 2:
             self._recover()  # by a constellation

@@ -141,7 +141,8 @@ class Ledger:
         _, _, Gz = self.sensor.inverse(pose, z)
         for q, (i, n) in enumerate(zip(judged.rows.tolist(), judged.number.tolist(), strict=True)):
             judgement = None
-            if len(judged.rows) > constants.JUDGED_BY:
+            # a reading at zero range has no direction: it says nothing about where the landmark went
+            if len(judged.rows) > constants.JUDGED_BY and np.linalg.det(Gz[i]) != 0.0:
                 judgement = Judgement(judged.alone.innovation[q], judged.alone.information[q], Gz[i])
             record, elsewhere = self.records[n], self._look(n, pose, seen=True)
             record.evidence = sighted(record.evidence, judgement, elsewhere)

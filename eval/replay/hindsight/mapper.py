@@ -19,6 +19,7 @@ from data.inputs import Frame, IntArray, Sightings, Systematic
 from data.result import Event
 from data.se2 import Array
 from ekf.slam import EkfSlam
+from ekf.two_models import TwoModels
 from eval.replay.given import Given
 from eval.replay.hindsight.density import pair
 from eval.replay.hindsight.duplicates import Duplicates
@@ -64,7 +65,7 @@ class HindsightMapper:
     Landmark numbers are in the order of creation, as in every estimator that gets the decisions.
 
     Attributes:
-        filter: what decides.
+        filters: what decides.
         ledger: its landmarks, and what was revised.
         motion: whether a frame can be predicted.
         gates: the noise that there is, by which it decides.
@@ -75,18 +76,23 @@ class HindsightMapper:
     def __init__(self, given: Given, setup: Setup) -> None:
         """Before the first frame."""
         self.setup = setup
-        self.filter = EkfSlam(given.prior, given.sensor, systematic=given.systematic or TIGHT)
+        self.filters = TwoModels(given.prior, given.sensor, given.systematic or TIGHT, doubted=given.systematic is None)
         self.ledger = Ledger(given.sensor)
         self.motion = UncertainMotion(self.ledger, setup)
         self.gates = LearnedGates(self.ledger)
         self.kidnapping = Kidnapping(self.ledger, setup)
         self.duplicates = Duplicates(self.ledger)
 
+    @property
+    def filter(self) -> EkfSlam:
+        """The one that is believed."""
+        return self.filters.believed
+
     def move(self, frame: Frame) -> None:
         """Step 1, predict: the next frame comes; the first one has no motion."""
         self.ledger.move(frame)
         if frame.increment is not None:
-            self.filter.predict(frame.increment)
+            self.filters.predict(frame.increment)
             self.motion.move(frame.increment)
             self.kidnapping.move(frame.increment)
 
@@ -97,7 +103,7 @@ class HindsightMapper:
         if placed is None:
             decisions, complete = self._pair(e)  # 3, 4
             self.ledger.judge(e, decisions)  # 5
-            decisions, at, kidnapped = self.kidnapping.decide(self.filter, frame, decisions)  # 6
+            decisions, at, kidnapped = self.kidnapping.decide(self.filters, frame, decisions)  # 6
             decided = Mapped(decisions, complete, at, kidnapped)
         else:
             self.ledger.judge(placed.expectation, placed.decisions, placed.believed)  # 5
@@ -123,7 +129,7 @@ class HindsightMapper:
 
     def _update(self, frame: Frame, decided: Mapped) -> None:
         """Step 7, update the filter with the decisions, initialize landmarks, and note what was seen."""
-        done = self.filter.update(frame.sightings, decided.decisions, at=decided.at)
+        done = self.filters.update(frame.sightings, decided.decisions, at=decided.at)
         pose = self.filter.estimate().mean
         self.ledger.see(frame, decided.decisions, done, pose)
         self.motion.see(pose, bool(done.used.any()))
@@ -134,7 +140,7 @@ class HindsightMapper:
         pairs = self.kidnapping.duplicates() or self.duplicates.find(self.filter, widest(self.gates.scales))  # 9
         merged, kept = np.array(pairs, np.int64).reshape(-1, 2).T
         if len(merged):
-            self.filter.merge(merged, kept)
+            self.filters.merge(merged, kept)
             self.ledger.merge(pairs)
         return Revision(retracted, merged, kept)
 
@@ -149,7 +155,7 @@ class HindsightMapper:
 
     def _remove(self, numbers: IntArray) -> IntArray:
         if len(numbers):
-            self.filter.remove(numbers)
+            self.filters.remove(numbers)
         return numbers
 
     @property

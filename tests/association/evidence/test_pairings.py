@@ -15,7 +15,7 @@ from association.evidence.landmarks import (
     sighted,
     verdict,
 )
-from association.evidence.pairings import alone, given, jcbb_hindsight, prune
+from association.evidence.pairings import alone, beside, given, jcbb_hindsight, prune
 from association.expectation import Expectation, SingularInnovationError, gate_threshold
 from association.jcbb import jcbb
 from data.result import DISCARD, NEW
@@ -122,6 +122,17 @@ def test_without_a_gate_nothing_is_undone():
 def test_without_candidates_everything_is_new():
     e = Expectation.from_arrays(np.ones((2, 2)), np.empty((0, 2)), np.empty((0, 0)), np.tile(EYE, (2, 1, 1)))
     assert jcbb_hindsight(e, GATE, NEW_GATE)[0].tolist() == [NEW, NEW]
+
+
+def test_what_is_left_beside_a_landmark_that_was_seen_is_another_one():
+    """Of landmarks at 0 and 3 m, both readings are at the first; a third landmark near both leaves it open."""
+    z = np.array([[5.0, 0.0], [5.03, 0.0]])
+    for third, left in (([5.0, 3.0], True), ([5.04, 0.03], False)):
+        z_hat = np.array([[5.0, 0.0], third])
+        e = Expectation.from_arrays(z, z_hat, 0.01**2 * np.eye(4), np.tile(0.01**2 * EYE, (2, 1, 1)))
+        assert beside(e, np.array([0, DISCARD]), NEW_GATE).tolist() == [False, left]
+    assert not beside(e, np.array([0, 1]), NEW_GATE).any()
+    assert not beside(e, np.array([DISCARD, DISCARD]), NEW_GATE).any()  # neither landmark was seen
 
 
 def usual(rate, looks=10_000):

@@ -11,7 +11,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from data import se2
-from data.motion.systematic import corrected_all, knots, places
+from data.inputs import ERRORS
+from data.motion.systematic import knots
+from tests.graph.calibrating import logarithm, stated_by_hand
 from tests.graph.calibration.worlds import read_wrongly
 
 
@@ -46,9 +48,10 @@ def solve(inputs, number, path, landmarks):
 
     def residuals(x):
         b, poses, xy = parts(x)
-        odometry = b * [name not in ("range", "bearing") for name in s.names]
-        moved = corrected_all(*_arrays(inputs.increments), odometry, places(s), np.zeros(3)).mean[1:]
-        step = se2.pose_error(se2.between(poses[:-1], poses[1:]), moved)
+        errors = {name: b[1:, s.names.index(name)] if name in s.names else np.zeros(n - 1) for name in ERRORS}
+        measured = inputs.increments.mean[1:]
+        step = logarithm(se2.between(measured, stated_by_hand(se2.between(poses[:-1], poses[1:]), errors)))
+        step[:, :2] = np.einsum("nij,nj->ni", [se2.rotation(t) for t in measured[:, 2]], step[:, :2])
         stays = np.exp(-ended / s.length) if K else np.empty(0)
         walk = x[q : q + K]
         z = read_wrongly(
@@ -76,7 +79,3 @@ def solve(inputs, number, path, landmarks):
         [C[rest + 2 * i : rest + 2 * i + 2, rest + 2 * i : rest + 2 * i + 2] for i in range(len(xy) * slam)]
     )
     return Solution(poses[-1], C[newest : newest + 3, newest : newest + 3], b[-1], of_errors, xy, of_map)
-
-
-def _arrays(increments):
-    return increments.mean, increments.covariance

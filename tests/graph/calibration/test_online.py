@@ -16,6 +16,7 @@ from graph.batch import Start, smooth
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
 from tests.graph.calibration.least_squares import solve
+from tests.graph.calibration.running import calibrated, in_sigmas, true_map
 from tests.graph.calibration.worlds import (
     ALL,
     CARTESIAN,
@@ -30,31 +31,21 @@ from tests.graph.driving import drive, for_task
 
 WHAT = {"odometry": ODOMETRY, "drift": ("scale", "curvature", "drift"), "bearing": ("bearing",), "all": ALL}
 SENSORS = {"polar": POLAR, "points": CARTESIAN, "polar, off": POLAR_OFF, "points, off": CARTESIAN_OFF}
+CLOSE = 0.005
+"""Sigmas of the mean, and share of a covariance; largest seen: 0.0036, of a landmark, with all errors."""
 CASES = [
     pytest.param(names, sensor, task, id=f"{what}, {kind}, {task}", marks=() if fast else pytest.mark.slow)
     for what, names in WHAT.items()
     for kind, sensor in SENSORS.items()
     for task in ("slam", "localization")
-    for fast in [(what, kind, task) in {("drift", "polar", "slam"), ("all", "points, off", "localization")}]
+    for fast in [(what, kind, task) == ("drift", "points, off", "localization")]
 ]
-
-
-def calibrated(inputs, **options):
-    return Isam2Smoother(inputs.prior, inputs.sensor, inputs.map, systematic=inputs.systematic, **options)
-
-
-def true_map(inputs, created, xy):
-    return xy[inputs.observations.label[np.argsort(created)[np.count_nonzero(created < 0) :]]]
-
-
-def in_sigmas(difference, covariance):
-    return np.abs(difference) / np.sqrt(np.diag(covariance))
 
 
 @pytest.mark.parametrize(("names", "sensor", "task"), CASES)
 def test_newest_pose_errors_and_map_are_those_of_dense_least_squares(names, sensor, task):
-    """To 0.06 sigma and 3 % of covariance, 10 % of that of the errors: gtsam's residuals are logarithms."""
-    inputs, path, xy = erring(to_estimate(*names), sensor, frames=16, noise=0.05)
+    """With small noise where bearings are carried from the sensor to the robot, to first order in it."""
+    inputs, path, xy = erring(to_estimate(*names), sensor, frames=24, noise=0.05 if sensor is POLAR_OFF else 0.3)
     inputs = for_task(inputs, task)
     decisions, created = known_decisions(inputs)
     start = true_map(inputs, created, xy) if task == "slam" else inputs.map.xy
@@ -65,22 +56,19 @@ def test_newest_pose_errors_and_map_are_those_of_dense_least_squares(names, sens
     s.refine()
     pose, covariance = s.estimate()
     b, B = s.errors
-    assert in_sigmas(se2.pose_error(pose, oracle.pose), oracle.pose_covariance).max() < 0.06
-    assert in_sigmas(b - oracle.errors, oracle.errors_covariance).max() < 0.06
-    scale = np.sqrt(np.diag(oracle.pose_covariance))
-    np.testing.assert_allclose(
-        covariance / np.outer(scale, scale), oracle.pose_covariance / np.outer(scale, scale), atol=0.03
-    )
-    scale = np.sqrt(np.diag(oracle.errors_covariance))
-    np.testing.assert_allclose(B / np.outer(scale, scale), oracle.errors_covariance / np.outer(scale, scale), atol=0.1)
+    assert in_sigmas(se2.pose_error(pose, oracle.pose), oracle.pose_covariance).max() < CLOSE
+    assert in_sigmas(b - oracle.errors, oracle.errors_covariance).max() < CLOSE
+    for mine, theirs in ((covariance, oracle.pose_covariance), (B, oracle.errors_covariance)):
+        scale = np.sqrt(np.diag(theirs))
+        np.testing.assert_allclose(mine / np.outer(scale, scale), theirs / np.outer(scale, scale), atol=CLOSE)
     if task == "slam":
         state = s.landmarks()
         for xy, C, theirs, D in zip(state.xy, state.covariance, oracle.xy, oracle.xy_covariance, strict=True):
-            assert in_sigmas(xy - theirs, D).max() < 0.06
-            np.testing.assert_allclose(C / np.trace(D), D / np.trace(D), atol=0.03)
+            assert in_sigmas(xy - theirs, D).max() < CLOSE
+            np.testing.assert_allclose(C / np.trace(D), D / np.trace(D), atol=CLOSE)
 
 
-@pytest.mark.parametrize("task", ["slam", "localization"])
+@pytest.mark.parametrize("task", ["slam", pytest.param("localization", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "sensor", [POLAR, pytest.param(CARTESIAN_OFF, marks=pytest.mark.slow)], ids=["polar", "points"]
 )
@@ -125,7 +113,9 @@ def test_prediction_carries_pose_and_errors_together():
     assert Isam2Smoother(inputs.prior, inputs.sensor).errors is None
 
 
-@pytest.mark.parametrize(("names", "task"), [(ALL, "slam"), (("scale", "drift"), "localization")])
+@pytest.mark.parametrize(
+    ("names", "task"), [pytest.param(ALL, "slam", marks=pytest.mark.slow), (("scale", "drift"), "localization")]
+)
 def test_with_an_infinite_lag_the_fixed_lag_smoother_is_isam2_and_with_a_short_one_near_it(names, task):
     inputs, *_ = erring(to_estimate(*names), POLAR)
     inputs = for_task(inputs, task)

@@ -7,7 +7,7 @@ import pytest
 
 from data.inputs import Increments, Inputs, Observations, Prior
 from data.result import NEW, revised, surviving
-from data.sensors import RelativePoint
+from data.sensors import RangeBearing, RelativePoint
 from eval.replay.batch import batch
 from eval.replay.hindsight.ledger import MERGED
 from eval.replay.hindsight.mapper import TIGHT
@@ -157,6 +157,43 @@ def test_two_points_seen_in_one_frame_stay_two_however_near():
     run = step_by_step("ekf", standing(12, 0.05, lambda k: both), "slam", METHOD)
     assert run.map.number.tolist() == [0, 1]
     assert not run.events
+
+
+def test_a_point_that_comes_in_view_beside_another_is_a_landmark_of_its_own():
+    """It stands 1 m from one that is known well by then, inside the gate of new landmarks; both are seen ever after."""
+    both = np.array([[5.0, 0.0], [6.0, 0.2], [8.0, 6.0]])
+    run = step_by_step("ekf", standing(30, 0.05, lambda k: both[[0, 2]] if k < 5 else both), "slam", METHOD)
+    assert len(run.map) == 3
+    np.testing.assert_allclose(run.map.xy[np.argsort(run.map.xy[:, 0])], both, atol=0.05)
+    late = np.where(run.created >= 0, run.created, run.final_decisions)[-3:]
+    assert len(set(late.tolist())) == 3
+
+
+def test_what_was_seen_on_the_way_does_not_choose_among_old_landmarks():
+    """Four new ones are followed after a slip of some metres; then comes a reading that the old one would explain."""
+    old, new = np.array([[6.0, 0.0]]), np.array([[35.0, 4.0 * j] for j in (-3, -1, 1, 3)])
+    other = np.array([[7.5, 1.0]])
+    inputs = standing(12, 0.0, lambda k: old if k < 5 else new if k < 9 else np.vstack([new, other]))
+    inputs.increments.covariance.flags.writeable = True
+    inputs.increments.covariance[5] = np.diag([36.0, 36.0, 1e-8])
+    run = step_by_step("ekf", inputs, "slam", METHOD)
+    number = np.where(run.created >= 0, run.created, run.decisions)
+    assert number[-15:].tolist() == [1, 2, 3, 4, 5] * 3
+
+
+def test_a_reading_at_no_range_at_all_is_a_reading():
+    """Landmarks may stand where the robot drives: the range is zero then, and the bearing is of nothing."""
+    near, frames = np.array([[0.0, 0.3], [6.0, 0.0], [6.0, 4.0], [6.0, -4.0]]), 6
+    sensor = RangeBearing(max_range=20.0)
+    z = np.concatenate([sensor.predict(np.zeros((4, 3)), near)] * frames)
+    z[[8, 16], 0] = 0.0
+    noise = np.tile(np.diag([0.2, 0.05]) ** 2, (len(z), 1, 1))
+    still = Increments(np.zeros((frames, 3)), np.tile(1e-6 * np.eye(3), (frames, 1, 1)))
+    seen = Observations(np.repeat(np.arange(frames), 4), z, noise)
+    inputs = Inputs(Prior(np.zeros(3), np.zeros((3, 3))), np.arange(frames, dtype=float), still, seen, sensor, None)
+    run = step_by_step("ekf", inputs, "slam", METHOD)
+    assert run.failure is None
+    assert run.final_decisions[[8, 16]].tolist() == [0, 0]
 
 
 @pytest.mark.parametrize(("step", "stays"), [(0.0, True), (0.6, False)])

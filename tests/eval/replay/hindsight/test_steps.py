@@ -41,7 +41,7 @@ def test_the_mapper_takes_them_in_order():
     order = [f.name for f in mapper.body if isinstance(f, ast.FunctionDef)]
     assert [name for name in order if name in ("move", "decide", "revise")] == ["move", "decide", "revise"]
     text = ast.get_source_segment((HINDSIGHT / "mapper.py").read_text(encoding="utf-8"), mapper)
-    calls = ["filter.predict", "motion.place", "self._pair(", "ledger.judge", "kidnapping.decide", "self._update("]
+    calls = ["filters.predict", "motion.place", "self._pair(", "ledger.judge", "kidnapping.decide", "self._update("]
     calls += ["ledger.contradicted", "duplicates.find"]
     assert [text.index(call) for call in calls] == sorted(text.index(call) for call in calls)
 
