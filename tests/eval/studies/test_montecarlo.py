@@ -210,7 +210,7 @@ def test_who_knows_that_its_odometry_may_err_is_consistent_and_who_does_not_is_r
     assert failed_declarations(judged) == []
     parameters = [j for j in judged if j.quantity.startswith("covers_")]
     covered = {j.quantity.removeprefix("covers_"): j.verdict.p_value for j in parameters}
-    # filters multiply errors of turns by the turn of late, and miss those of turns that begin (docs/results.md)
+    # of a filter errors of turns act on the turn as stated, and share its noise (docs/results.md)
     due = ("scale", "left") if name == "erring-corridor" else ("scale", "drift")
     assert all(p > 0.001 for n, p in covered.items() if estimator == "batch" or n in due)
     assert set(due) <= set(covered)
