@@ -21,12 +21,15 @@ def all_errors(systematics: Systematics) -> Array:
     return found
 
 
-def corrected_inputs(inputs: Inputs, systematics: Systematics) -> Inputs:
+def corrected_inputs(inputs: Inputs, systematics: Systematics | None) -> Inputs:
     """The inputs as they would be without errors of these sizes, and nothing left to estimate of them.
 
     Increments are the robot's own; readings are turned and shortened; noise goes along with both. What a smoother that
-    estimated the errors made of the log is, but for squares of the noise, the optimum of these inputs as well.
+    estimated the errors made of the log is, but for squares of the noise, the optimum of these inputs as well. None:
+    none were found, and the inputs stay as they are.
     """
+    if systematics is None:
+        return inputs
     errors = all_errors(systematics)
     of_odometry = errors.copy()
     of_odometry[:, [RANGE, BEARING]] = 0.0

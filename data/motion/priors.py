@@ -1,6 +1,6 @@
 """What is known of systematic errors before a log is read: standard deviations, wide and tight, and how they are named.
 
-Wide ones are for errors that somebody suspects, a person or the battery of trust: as large as robots have been seen to
+Wide ones are for errors that somebody suspects, a person or the log: as large as robots have been seen to
 err. Tight ones are for all errors at once where nothing is suspected: what a robot keeps that was calibrated with a
 tape measure and a turn on the spot, so that little is lost where there is no error. Imports nothing heavy.
 """
@@ -36,7 +36,7 @@ PRIORS = {
 }
 """By name, in the order of `data.inputs.ERRORS`. The drift's is its size at any time; it is forgotten over 50 m."""
 AUTO = "auto"
-"""Instead of names: those that the battery of trust finds, else all."""
+"""Instead of names: those that the log names, else all."""
 
 
 def read_errors(label: str, value: object) -> tuple[str, ...]:

@@ -11,7 +11,6 @@ from data.errors import UsageError
 from data.log import Log
 from data.result import Run
 from data.terminal.words import counted
-from eval.plan.calibrate.corrected import less_errors
 from eval.plan.experiment import Experiment
 from eval.plan.flags.options import Options
 from eval.plan.unfinished import Unfinished
@@ -39,7 +38,6 @@ Progress = Callable[[int, int], None]
 class Group:
     """All runs of a log and task with one way of association; `twins` of how many estimators (none: no twins).
 
-    `log` is less the systematic errors that were estimated along, if any were.
     `association` and `twins` are as given to `compare`, the names in `runs` as in tables.
     """
 
@@ -104,8 +102,7 @@ def _groups(e: Experiment, trial: Trial, options: Options) -> list[Group]:
             twins = ("ekf",) if association == "known" and "ekf" in filters else ()
         if not _count(options) or e.beside is not None:
             twins = ()
-        log = less_errors(e.log, runs) if e.setup.calibrate else e.log
-        groups.append(Group(log, e.task, association, e.setup, runs, twins))
+        groups.append(Group(e.log, e.task, association, e.setup, runs, twins))
     return [g for g in groups if any(steps(r.estimator) for r in g.runs)]
 
 

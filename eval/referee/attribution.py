@@ -65,15 +65,18 @@ def component_of(name: str) -> str:
     return "_".join(name.split("_")[:2]) if name.startswith("odometry") else name.split("_")[0]
 
 
-def systematic_errors(scored: Scored, factors: Mapping[str, float], threshold: float) -> list[Finding]:
+def systematic_errors(
+    scored: Scored, factors: Mapping[str, float], threshold: float, most: int = MOST
+) -> list[Finding]:
     """Systematic errors found one after the other, each beside those before; all sizes as they are together.
 
-    `factors`: of the stated sigma of each component, by which a score counts less; `threshold`: in sigmas.
+    `factors`: of the stated sigma of each component, by which a score counts less; `threshold`: in sigmas; `most`: no
+    more than that.
     """
     weight = np.array([1.0 / max(1.0, factors.get(component_of(n), 1.0)) for n in scored.names])
     chosen: list[int] = []
     gains: list[float] = []
-    for _ in range(MOST):
+    for _ in range(most):
         left = scored.score.beside(np.array(chosen, np.int64)) if chosen else scored.score
         z = left.sigmas * weight
         best = int(np.argmax(np.abs(z))) if len(z) else -1

@@ -17,6 +17,7 @@ import numpy as np
 
 from data import se2
 from data.inputs import Inputs, IntArray
+from data.result import Systematics
 from data.se2 import Array
 from data.sensors import RangeBearing
 from eval.referee.residuals import Used
@@ -129,12 +130,18 @@ class Scored:
         return covariance @ self.score.score[chosen], np.sqrt(np.diag(covariance))
 
 
-def scored(inputs: Inputs, path: Array, used: Used) -> Scored:
-    """What the data say about each systematic error, at a smoothed path (N, 3)."""
-    found = effects(inputs, path, used)
-    motion, readings = _columns(inputs, found)
-    score = systematic(inputs, used.number, path, used.landmarks, motion, readings)
-    return Scored(tuple(e.name for e in found), score)
+def scored(inputs: Inputs, path: Array, used: Used, along: Systematics | None = None) -> Scored:
+    """What the data say about each systematic error at a smoothed path (N, 3), beside errors estimated `along`."""
+    return score_of(inputs, path, used, effects(inputs, path, used), along)
+
+
+def score_of(
+    inputs: Inputs, path: Array, used: Used, hypotheses: Sequence[Effect], along: Systematics | None = None
+) -> Scored:
+    """The same of given hypothetical errors."""
+    motion, readings = _columns(inputs, hypotheses)
+    score = systematic(inputs, used.number, path, used.landmarks, motion, readings, along)
+    return Scored(tuple(e.name for e in hypotheses), score)
 
 
 def without(inputs: Inputs, path: Array, used: Used, sizes: Mapping[str, float]) -> Inputs:

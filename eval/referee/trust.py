@@ -16,6 +16,7 @@ from scipy import optimize, special
 
 from data import se2
 from data.inputs import Inputs
+from data.motion.corrected_inputs import corrected_inputs
 from data.result import Run, Trajectory
 from data.se2 import Array, BoolArray
 from eval.referee import effects, residuals
@@ -169,14 +170,15 @@ class Smoothed:
 
 
 def of_smoother(run: Run, inputs: Inputs) -> Smoothed:
-    """All that a batch smoother's run says."""
+    """All that a batch smoother's run says, of the log less the systematic errors that it estimated."""
     assert run.final is not None
     path = run.final.pose
     result = _nis(run, "final")
     used = residuals.used_by(run, inputs)
-    found = residuals.smoothed_residuals(inputs, path, used)
-    for name, value in residuals.summaries(found, inputs, used).items():
+    rest = corrected_inputs(inputs, run.errors_final)
+    found = residuals.smoothed_residuals(rest, path, used)
+    for name, value in residuals.summaries(found, rest, used).items():
         result[name] = Measured(value, 0.0 if name.endswith("_mean") else math.nan)
-    for name, (value, error) in effects.scored(inputs, path, used).slopes().items():
+    for name, (value, error) in effects.scored(inputs, path, used, run.errors_final).slopes().items():
         result[f"slope_{name}"] = Measured(value, 0.0, error)
     return Smoothed(result, residuals.typical(found), int(np.sum(found.squared > residuals.OUTLYING)))

@@ -33,8 +33,8 @@ class Setup:
         keyframe_distance: m between the key poses of a laser log.
         least_information: share of a key scan in what is known of the places it sees, below which its key pose leaves
             the graph.
-        calibrate: systematic errors that are estimated with everything else, `NAME[=SIGMA]`, or `auto`: those that the
-            battery of trust finds, else all; empty: none.
+        calibrate: systematic errors that are estimated with everything else, `NAME[=SIGMA]`, or `auto`: those that a
+            log's residuals name, else all; empty: none.
     """
 
     gate: float | None = field(
@@ -95,7 +95,7 @@ class Setup:
         metadata=flag(
             read_errors, "NAMES", "filters and smoothers estimate systematic errors of odometry and sensor along: "
             "NAME[=SIGMA],... of scale, curvature, left, right, drift, range, bearing (SIGMA: known so well before); "
-            "alone or auto: those that the log's battery of trust finds, else all with tight priors",
+            "alone or auto: those that the log's residuals name, else all with tight priors",
             bare=AUTO,
         ),
     )  # fmt: skip

@@ -13,6 +13,7 @@ import numpy as np
 
 from data.inputs import Increments, Inputs, Observations
 from data.log import Log
+from data.motion.corrected_inputs import corrected_inputs
 from data.result import Run
 from eval.referee import attribution, effects, residuals
 from eval.replay.batch import batch
@@ -55,10 +56,11 @@ def calibrated(
         used = residuals.used_by(smoother, inputs)
         source = source_of(replace(log, recorded=_recorded(log, inputs)), smoother, (), setup)
         usual = [_typical(source, seed) for seed in range(number * TWINS, (number + 1) * TWINS)]
-        found = residuals.smoothed_residuals(inputs, smoother.final.pose, used)
+        rest = corrected_inputs(inputs, smoother.errors_final)
+        found = residuals.smoothed_residuals(rest, smoother.final.pose, used)
         factors = attribution.factors_of(residuals.typical(found, outliers=True), usual)
         wrong = {f.name: f.size for f in attribution.noise_errors(factors, usual, attribution.THRESHOLD)}
-        scored = effects.scored(inputs, smoother.final.pose, used)
+        scored = effects.scored(inputs, smoother.final.pose, used, smoother.errors_final)
         chosen = np.array([i for i, name in enumerate(scored.names) if name in names], np.int64)
         sizes, errors = scored.together(chosen)
         taken = {scored.names[i]: float(s) for i, s, e in zip(chosen, sizes, errors, strict=True) if abs(s) > e}
@@ -81,7 +83,8 @@ def _typical(source: Source, seed: int) -> dict[str, float]:
     if smoother.flaw is not None or smoother.final is None:
         return {}
     used = residuals.used_by(smoother, inputs)
-    return residuals.typical(residuals.smoothed_residuals(inputs, smoother.final.pose, used), outliers=True)
+    rest = corrected_inputs(inputs, smoother.errors_final)
+    return residuals.typical(residuals.smoothed_residuals(rest, smoother.final.pose, used), outliers=True)
 
 
 def _recorded(log: Log, inputs: Inputs) -> Inputs:

@@ -11,6 +11,7 @@ import pandas as pd
 
 from data.inputs import Inputs
 from data.log import Log
+from data.motion.corrected_inputs import corrected_inputs
 from data.result import Run
 from data.se2 import Array, BoolArray
 from data.terminal.words import counted
@@ -192,8 +193,9 @@ def _noise(made: Trust, inputs: Inputs, smoother: Run, threshold: float) -> list
     outliers, less, fitted, left_out = _outliers(made, inputs, smoother)
     used = residuals.used_by(fitted, less)
     kept, path = _without(used, left_out), _path(fitted)
-    factors = attribution.factors_of(_typical(less, path, kept), typical)
-    systematic = attribution.systematic_errors(effects.scored(less, path, kept), factors, threshold)
+    factors = attribution.factors_of(_typical(less, fitted, kept), typical)
+    scored = effects.scored(less, path, kept, fitted.errors_final)
+    systematic = attribution.systematic_errors(scored, factors, threshold)
     if systematic:
         sizes = {f.name: f.size for f in systematic}
         corrected = effects.without(less, path, used, sizes)
@@ -201,7 +203,7 @@ def _noise(made: Trust, inputs: Inputs, smoother: Run, threshold: float) -> list
         if again.flaw is None:
             outliers, less, fitted, left_out = _outliers(made, effects.without(inputs, path, used, sizes), again)
             kept = _without(residuals.used_by(fitted, less), left_out)
-            factors = attribution.factors_of(_typical(less, _path(fitted), kept), typical)
+            factors = attribution.factors_of(_typical(less, fitted, kept), typical)
     return outliers + systematic + attribution.noise_errors(factors, typical, threshold)
 
 
@@ -219,8 +221,9 @@ def _outliers(made: Trust, inputs: Inputs, smoother: Run) -> tuple[list[Finding]
     if robust.flaw is not None:
         robust = smoother
     path, used = _path(robust), residuals.used_by(robust, inputs)
-    factors = attribution.factors_of(_typical(inputs, path, used), [s.typical for s in made.twins])
-    scaled = with_noise(inputs, {name: max(1.0, factors.get(name, 1.0)) for name in residuals.COMPONENTS[3:]})
+    factors = attribution.factors_of(_typical(inputs, robust, used), [s.typical for s in made.twins])
+    rest = corrected_inputs(inputs, robust.errors_final)
+    scaled = with_noise(rest, {name: max(1.0, factors.get(name, 1.0)) for name in residuals.COMPONENTS[3:]})
     found = residuals.smoothed_residuals(scaled, path, used)
     outlying, elsewhere, excess = residuals.misfits(scaled, path, used, found)
     findings = attribution.outlier_errors(outlying, elsewhere, usual, excess)
@@ -234,8 +237,9 @@ def _outliers(made: Trust, inputs: Inputs, smoother: Run) -> tuple[list[Finding]
     return (findings, less, again, left_out) if again.flaw is None else (findings, inputs, smoother, nothing)
 
 
-def _typical(inputs: Inputs, path: Array, used: Used) -> dict[str, float]:
-    return residuals.typical(residuals.smoothed_residuals(inputs, path, used))
+def _typical(inputs: Inputs, smoother: Run, used: Used) -> dict[str, float]:
+    rest = corrected_inputs(inputs, smoother.errors_final)
+    return residuals.typical(residuals.smoothed_residuals(rest, _path(smoother), used))
 
 
 def _without(used: Used, left_out: BoolArray) -> Used:

@@ -20,6 +20,7 @@ from data import se2
 from data.errors import UsageError
 from data.inputs import CLUTTER, Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import Log
+from data.motion.corrected_inputs import corrected_inputs
 from data.result import Run
 from data.se2 import Array
 from data.sensors import RangeBearing
@@ -39,7 +40,8 @@ class Source:
     """What twins are drawn from and how they are estimated.
 
     Attributes:
-        log: the real one; of its truth nothing is used.
+        log: the real one, less the systematic errors that the smoother estimated along: twins have none, and estimate
+            them all the same, as well known as before. Of its truth nothing is used.
         task, association, estimators, setup: as the real log is run; `batch` is always among the estimators.
         path: (N, 3) of the batch smoother. landmarks: of its map (localization: the given one).
         landmark_of: (M,) id of the landmark each reading was paired with, `CLUTTER` where none.
@@ -80,6 +82,9 @@ def source_of(
         what = "failed" if smoother.doubt is None else f"is {smoother.status}"
         raise UsageError(f"no twins of {log.name}: batch, which they would be drawn from, {what} ({why})")
     used = residuals.used_by(smoother, inputs)
+    if smoother.errors_final is not None:
+        less = corrected_inputs(log.recorded, smoother.errors_final)
+        log = replace(log, recorded=replace(less, systematic=log.recorded.systematic))
     if not (used.number >= 0).any():
         raise UsageError(f"no twins of {log.name}: batch used no reading, so nothing is known beside the odometry")
     landmarks = LandmarkMap(used.identity, used.landmarks)

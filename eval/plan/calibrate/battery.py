@@ -1,4 +1,4 @@
-"""The battery of trust of one log under plain estimators, and under those that estimate its systematic errors along."""
+"""The errors that a log names under plain estimators, and its battery of trust with and without them."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from data.errors import UsageError
 from data.inputs import Systematic
 from data.log import Log
 from data.result import Run
-from eval.plan.calibrate.corrected import less_errors
-from eval.plan.calibrate.named import named, wanders
+from eval.plan.calibrate.named import names_of
 from eval.replay.foreign.spec import name_of
 from eval.replay.run import compare
 from eval.replay.settings import Setup
@@ -29,44 +28,36 @@ def with_systematic(log: Log, systematic: Systematic | None) -> Log:
     return replace(log, recorded=replace(log.recorded, systematic=systematic))
 
 
-def before(log: Log, task: str, association: str, setup: Setup) -> tuple[Trust, tuple[str, ...]]:
-    """The battery of a log under plain estimators, and the errors that it names."""
-    plain = with_systematic(log, None)
-    trust, smoother = _examined(plain, task, association, setup, ())
-    if trust.blame is None or smoother is None or smoother.final is None:
-        return trust, ()
-    inputs = inputs_of(plain, task, association)
-    return trust, named(trust.blame.findings, wandering=wanders(inputs, smoother.final.pose), inputs=inputs)
+def plainly(log: Log, task: str, association: str, setup: Setup) -> tuple[tuple[Run, ...], tuple[str, ...]]:
+    """A log under plain estimators, and the errors that it names."""
+    with threadpool_limits(1):
+        inputs = inputs_of(with_systematic(log, None), task, association)
+        runs = compare(inputs, task, FRONT, association, setup)
+        smoother = smoother_of(runs, inputs)
+        return tuple(runs), () if smoother is None else names_of(inputs, smoother)
 
 
-def after(log: Log, task: str, association: str, setup: Setup, runs: Sequence[Run]) -> Trust:
-    """The battery of a log less the errors that its smoother estimated along; `runs`: those there are already.
+def examined(log: Log, task: str, association: str, setup: Setup, runs: Sequence[Run]) -> Trust:
+    """The battery of a log, less the errors that its estimators estimate along; `runs`: those there are already.
 
-    Its twins have no errors, and estimate them all the same with the same priors.
+    Residuals of batch and as many twins as a verdict needs, of batch alone under its own decisions. Twins have no
+    errors, and estimate them all the same with the same priors.
     """
-    return _examined(log, task, association, setup, runs)[0]
-
-
-def _examined(log: Log, task: str, association: str, setup: Setup, runs: Sequence[Run]) -> tuple[Trust, Run | None]:
-    """Residuals of batch and as many twins as a verdict needs, of batch alone under its own decisions."""
     with threadpool_limits(1):
         inputs = inputs_of(log, task, association)
-        smoother = smoother_of(runs, inputs) if runs else None
-        if smoother is None:
-            smoother = smoother_of(compare(inputs, task, FRONT, association, setup), inputs)
-        rest = log if smoother is None else less_errors(log, [smoother])
-        real = sample_of(rest, task, association, (), smoother)
+        smoother = smoother_of(runs or compare(inputs, task, FRONT, association, setup), inputs)
+        real = sample_of(log, task, association, (), smoother)
         twins: list[Sample] = []
         notes: tuple[str, ...] = ()
         if smoother is not None:
             try:
-                source = source_of(rest, smoother, (), setup, "known")
+                source = source_of(log, smoother, (), setup, "known")
             except UsageError as fault:
                 notes = (str(fault),)
             else:
                 twins = [_twin(source, seed) for seed in range(FEWEST)]
-        trust = judged(rest, task, name_of(association), real, twins, smoother)
-        return replace(trust, notes=(*trust.notes, *notes)), smoother
+        trust = judged(log, task, name_of(association), real, twins, smoother)
+        return replace(trust, notes=(*trust.notes, *notes))
 
 
 def _twin(source: Source, seed: int) -> Sample:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from association.scans.laser_run import SCAN
 from data.errors import UsageError
 from data.inputs import Systematic
 from data.log import Log
 from data.motion.priors import AUTO, systematic, written
-from eval.plan.calibrate.battery import after, before, with_systematic
+from data.result import Run
+from eval.plan.calibrate.battery import examined, plainly, with_systematic
 from eval.plan.calibrate.named import every
 from eval.plan.experiment import Experiment
 from eval.plan.flags.options import Options
@@ -18,11 +20,12 @@ from eval.plan.unfinished import Unfinished
 from eval.plan.work import work
 from eval.referee.score import Trial
 from eval.replay.foreign.spec import name_of
+from eval.replay.settings import Setup
 from eval.studies.trusted import Trust
 from eval.studies.twins import inputs_of
 
 ASKED, NAMED, ALL = "asked", "named", "all"
-"""Why these errors: a person named them, the battery did, or nobody, so that all are looked for with tight priors."""
+"""Why these errors: a person named them, the log did, or nobody, so that all are looked for with tight priors."""
 SCANNED = "--calibrate: log {!r} is a laser log, whose scans are matched; it has no landmarks to calibrate by"
 
 
@@ -34,6 +37,7 @@ class Calibration:
         log, task, association: which, and the way of association whose decisions the battery is about.
         systematic: the errors, and how well they are known before.
         why: `ASKED`, `NAMED` or `ALL`.
+        plain: runs of plain estimators, as far as the log was asked for names.
         before, after: the battery under plain estimators and under these (None: not enough memory).
     """
 
@@ -42,6 +46,7 @@ class Calibration:
     association: str
     systematic: Systematic
     why: str
+    plain: tuple[Run, ...] = ()
     before: Trust | None = None
     after: Trust | None = None
 
@@ -65,13 +70,13 @@ def settle(
     if not wanted:
         return tuple(experiments), ()
     first = {i: experiments[i].work[0].association for i in wanted if experiments[i].work}
-    plain = {i: replace(experiments[i].setup, calibrate=()) for i in first}
-    jobs = [(i, (before, (experiments[i].log, experiments[i].task, first[i], plain[i]))) for i in first]
+    asked = [(i, experiments[i]) for i in first if experiments[i].setup.calibrate == (AUTO,)]
+    jobs = [(i, (plainly, (e.log, e.task, first[i], _plain(e.setup)))) for i, e in asked]
     found = dict(work(jobs, options, lost=_missing(experiments, lost)))
     settled, made = list(experiments), []
     for i, association in first.items():
         e = experiments[i]
-        trust, names = found.get(i, (None, ()))
+        plain, names = found.get(i, ((), ()))
         stated, why = e.setup.calibrate, ASKED
         if stated == (AUTO,):
             inputs = inputs_of(e.log, e.task, association)
@@ -79,7 +84,7 @@ def settle(
         errors = systematic(stated)
         settled[i] = replace(e, log=with_systematic(e.log, errors), setup=replace(e.setup, calibrate=stated))
         if e.beside is None:
-            made.append(Calibration(e.log.name, e.task, association, errors, why, trust))
+            made.append(Calibration(e.log.name, e.task, association, errors, why, plain))
     return tuple(settled), tuple(made)
 
 
@@ -90,18 +95,25 @@ def examine(
     options: Options,
     lost: Unfinished,
 ) -> tuple[Calibration, ...]:
-    """The same with what the battery says of each log less its errors."""
+    """The same with what the battery says of each log, and of the log less its errors."""
     place = {(e.log.name, e.task): i for i, e in enumerate(experiments) if e.beside is None}
-    jobs = []
+    jobs: list[tuple[tuple[int, str], Any]] = []
     for k, c in enumerate(calibrations):
         e, trial = experiments[place[c.log, c.task]], trials[place[c.log, c.task]]
         runs = [r for r in trial.runs if r.association == name_of(c.association) and r.flaw is None]
         ready = runs if any(r.estimator == "batch" for r in runs) else []
-        jobs.append((k, (after, (e.log, c.task, c.association, e.setup, ready))))
+        plain = with_systematic(e.log, None), c.task, c.association, _plain(e.setup), c.plain
+        jobs.append(((k, "before"), (examined, plain)))
+        jobs.append(((k, "after"), (examined, (e.log, c.task, c.association, e.setup, ready))))
     at = [place[c.log, c.task] for c in calibrations]
     missing = _missing(experiments, lost)
-    found = dict(work(jobs, options, lost=lambda k, why: missing(at[k], why)))
-    return tuple(replace(c, after=found.get(k)) for k, c in enumerate(calibrations))
+    found = dict(work(jobs, options, lost=lambda owner, why: missing(at[owner[0]], why)))
+    both = [(found.get((k, "before")), found.get((k, "after"))) for k in range(len(calibrations))]
+    return tuple(replace(c, before=b, after=a, plain=()) for c, (b, a) in zip(calibrations, both, strict=True))
+
+
+def _plain(setup: Setup) -> Setup:
+    return replace(setup, calibrate=())
 
 
 def _missing(experiments: Sequence[Experiment], lost: Unfinished) -> Callable[[int, str], None]:

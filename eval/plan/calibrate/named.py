@@ -1,4 +1,8 @@
-"""Which systematic errors a log's battery of trust names, in the words of `data.inputs.ERRORS`."""
+"""Which systematic errors a log names under plain estimators, by the score test of its residuals; no twins are needed.
+
+An error of `data.inputs.ERRORS` is named if the data ask for it beyond what chance makes the largest of all hypotheses
+ask for (Bonferroni). Hypotheses that are none of these errors, as delays, stand beside them and may explain it all.
+"""
 
 from __future__ import annotations
 
@@ -6,47 +10,103 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from scipy import special
 
 from data import se2
 from data.inputs import ERRORS, Inputs, Systematic
+from data.motion.stated import stated_all
 from data.motion.systematic import BETWEEN_KNOTS
+from data.result import Run
 from data.se2 import Array
 from data.sensors import RangeBearing
-from eval.referee.attribution import Finding
+from eval.referee import effects, residuals
+from eval.referee.attribution import Finding, systematic_errors
+from eval.referee.effects import Effect
+from eval.referee.residuals import Used
 
 WANDERS = 3.0
 """Standard errors by which successive stretches must err alike: 1 in 700 logs that do not drift has as much."""
 FEWEST = 10
 """Stretches, below which their correlation is nobody's witness."""
+WRONGLY = 0.01
+"""Of logs without errors, the share at most in which an error is named."""
 OF_MOTION = {
-    "odometry_x_distance": ("scale",),
-    "odometry_theta_distance": ("curvature",),
-    "odometry_theta_turn": ("left", "right"),
-    "odometry_y_distance": ("bearing",),
-    "z1_range": ("range",),
+    "odometry_x_scale": "scale",
+    "odometry_theta_curvature": "curvature",
+    "odometry_theta_left": "left",
+    "odometry_theta_right": "right",
+    "odometry_y_distance": "bearing",
+    "z1_range": "range",
 }
-"""By the battery's name `<component>_<regressor>`. Odometry askew to the way driven is a sensor that is."""
+"""By the hypothesis' name `<component>_<regressor>`. Odometry askew to the way driven is a sensor that is."""
+ACTING = ("scale", "curvature", "left", "right")
+"""Errors that do more to an increment than one of the battery's effects."""
+TURNED = 2.0
+"""Mean square of a log's turns to one side, in variances of their noise, if there are any: of noise alone it is 1."""
+LESS_WELL = ("odometry_x_distance", "odometry_theta_distance", "odometry_theta_turn")
+"""Of the battery's effects, those whose place is taken by errors that act as `data.motion.systematic` has it."""
+
+
+def names_of(inputs: Inputs, smoother: Run) -> tuple[str, ...]:
+    """Errors of a log, in their order, that a plain batch smoother's residuals name; none where they name none."""
+    if smoother.flaw is not None or smoother.final is None:
+        return ()
+    path, used = smoother.final.pose, residuals.used_by(smoother, inputs)
+    scored = effects.score_of(inputs, path, used, hypotheses(inputs, path, used))
+    threshold = -float(special.ndtri(0.5 * WRONGLY / max(len(scored.names), 1)))
+    # a noise that is larger than stated makes every score larger
+    spread = residuals.typical(residuals.smoothed_residuals(inputs, path, used))
+    found = systematic_errors(scored, spread, threshold, len(ERRORS))
+    return tuple(n for n in named(found, wandering=wanders(inputs, path), inputs=inputs) if turned(inputs, n))
+
+
+def hypotheses(inputs: Inputs, path: Array, used: Used) -> list[Effect]:
+    """The battery's effects, with the odometry's errors exactly as they act (left and right turns apart)."""
+    found = [e for e in effects.effects(inputs, path, used) if e.name not in LESS_WELL]
+    way = se2.between(path[:-1], path[1:])
+    column = np.zeros((len(path), 3, len(ERRORS)))
+    # of the way as smoothed: as measured, its noise is that of the residuals
+    column[1:] = stated_all(way, np.zeros((len(way), len(ERRORS))), way[:, 2] > 0.0)[2]
+    own = [(name, column[:, :, list(ERRORS).index(error)]) for name, error in OF_MOTION.items() if error in ACTING]
+    return [Effect(name, motion=c) for name, c in own if c.any()] + found
 
 
 def named(found: Sequence[Finding], *, wandering: bool, inputs: Inputs) -> tuple[str, ...]:
-    """Errors of a log, in their order, for what the battery found; none where it found nothing that has a name here.
+    """Errors, in their order, for what was found; none where nothing was found that has a name here.
 
-    Of errors that the log cannot tell apart, the battery's own choice, or if that has no name here the first that has.
+    Of errors that the log cannot tell apart, the one chosen, or if that has no name here the first that has.
     `wandering`: whether the odometry's curvature comes and goes. In SLAM nobody can tell the scale of the odometry from
-    that of the ranges; the odometry's is taken, as sensors are mostly the better rulers.
+    that of the ranges; the odometry's is taken, as sensors are mostly the better rulers. A wheelbase that is off spoils
+    turns to both sides, so one of them names both.
     """
     bearing = "z2_constant" if isinstance(inputs.sensor, RangeBearing) else "z2_range"
-    of = {**OF_MOTION, bearing: ("bearing",)}
+    of = {**OF_MOTION, bearing: "bearing"}
     said = [next((n for n in (f.name, *f.other) if n in of), "") for f in found if f.kind == "systematic"]
-    names = {name for f in said for name in of.get(f, ())} | ({"drift"} if wandering else set())
+    names = {of[f] for f in said if f} | ({"drift"} if wandering else set())
+    names |= {"left", "right"} if names & {"left", "right"} else set()
     if inputs.map is None and "range" in names:
         names = names - {"range"} | {"scale"}
     return tuple(name for name in ERRORS if name in names)
 
 
 def every(inputs: Inputs) -> tuple[str, ...]:
-    """All errors that a log may have; in SLAM without the ranges' scale, of which only the odometry's share is seen."""
-    return tuple(name for name in ERRORS if inputs.map is not None or name != "range")
+    """All errors that a log may have; in SLAM without the ranges' scale, of which only the odometry's share is seen.
+
+    Of turns, only to sides to which the robot turned.
+    """
+    return tuple(name for name in ERRORS if (inputs.map is not None or name != "range") and turned(inputs, name))
+
+
+def turned(inputs: Inputs, name: str) -> bool:
+    """Whether the robot turned to the side that an error is of (True for others), by more than noise makes of straight.
+
+    The sign of noise chooses the side, so that an error of -1 would explain all of it: nothing is to be asked of it.
+    """
+    if name not in ("left", "right"):
+        return True
+    turn, variance = inputs.increments.mean[1:, 2], inputs.increments.covariance[1:, 2, 2]
+    side = turn > 0.0 if name == "left" else turn < 0.0
+    return bool(np.sum(turn[side] ** 2) > TURNED * np.sum(variance[side]))
 
 
 def wanders(inputs: Inputs, path: Array) -> bool:

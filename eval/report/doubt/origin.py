@@ -6,6 +6,7 @@ import numpy as np
 
 from data import se2
 from data.inputs import IntArray
+from data.motion.corrected_inputs import corrected_inputs
 from data.result import Run, surviving
 from data.se2 import Array
 from data.sensors import RangeBearing
@@ -31,7 +32,7 @@ def origin_statement(run: Run, trial: Trial) -> str:
     k, what = jumped
     used = used_by(run, inputs)
     path = run.trajectory(run.phases[-1]).pose
-    squared = smoothed_residuals(inputs, path, used).squared
+    squared = smoothed_residuals(corrected_inputs(inputs, run.errors), path, used).squared
     rows = np.arange(inputs.start[k], inputs.start[k + 1])
     rows = rows[used.number[rows] >= 0]
     text = f"it probably began in frame {k}, where {what}"

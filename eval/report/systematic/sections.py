@@ -22,8 +22,8 @@ from eval.studies.trusted import Trust
 HEADING = "Systematic errors"
 WHY = {
     ASKED: "These were asked for.",
-    NAMED: "These are the ones that the log's battery of trust names, before any calibration.",
-    ALL: "The log's battery of trust names none, so all are looked for, with tight priors.",
+    NAMED: "These are the ones that a score test of the residuals of plain estimators names.",
+    ALL: "A score test of the residuals of plain estimators names none, so all are looked for, with tight priors.",
 }
 CAPTION = "Systematic errors as estimated along by filter and smoother: estimate ± σ at the last frame."
 FINE = FinePrint(
@@ -102,6 +102,7 @@ def said(trust: Trust | None, terms: Terms) -> str:
     twins = counted(len(trust.twins), "twin")
     if not b.objected:
         return f"none of {b.tested} statistics is outside what {twins} show."
-    text = f"{len(b.objected)} of {b.tested} statistics are outside what {twins} show (family-wise p at most 0.05)"
+    verb = "is" if len(b.objected) == 1 else "are"
+    text = f"{len(b.objected)} of {b.tested} statistics {verb} outside what {twins} show (family-wise p at most 0.05)"
     found = sentences([f for f in b.findings if f.cause != ESTIMATOR], terms)
     return f"{text}: {'; '.join(found)}." if found else f"{text}; none of the errors that have a name explains them."

@@ -200,15 +200,20 @@ def test_an_errors_square_is_in_units_of_its_own_variance_against_the_truth_at_t
     [
         *(("erring-arena", e) for e in ("ekf", "batch")),
         *(("erring-corridor", e) for e in ("ekf-iterated", "batch")),
+        ("erring-park", "ekf-iterated"),
     ],
 )
 def test_who_knows_that_its_odometry_may_err_is_consistent_and_who_does_not_is_rejected(name, estimator):
     plain, calibrated = erring(name, 50, estimator)
     assert verdict_of(plain).word == "overconfident"
-    assert verdict_of(calibrated).word == "consistent"
-    covered = [j for j in judge(calibrated) if j.quantity.startswith("covers_")]
-    assert covered
-    assert all(j.verdict.p_value > 0.001 for j in covered)
+    judged = judge(calibrated)
+    assert failed_declarations(judged) == []
+    parameters = [j for j in judged if j.quantity.startswith("covers_")]
+    covered = {j.quantity.removeprefix("covers_"): j.verdict.p_value for j in parameters}
+    # filters multiply errors of turns by the turn of late, and miss those of turns that begin (docs/results.md)
+    due = ("scale", "left") if name == "erring-corridor" else ("scale", "drift")
+    assert all(p > 0.001 for n, p in covered.items() if estimator == "batch" or n in due)
+    assert set(due) <= set(covered)
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Which errors are estimated: those asked for, else those that the battery names, else all."""
+"""Which errors are estimated: those asked for, else those that the log names, else all."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ LOG = named_log("arena:0:frames=20")
 
 
 def settled(monkeypatch, asked, names=()):
-    """An experiment and its calibration as settled, where the battery names these."""
-    monkeypatch.setattr(calibration, "before", lambda log, task, association, setup: (None, names))
+    """An experiment and its calibration as settled, where the log names these."""
+    monkeypatch.setattr(calibration, "plainly", lambda log, task, association, setup: ((), names))
     options = options_of({"calibrate": asked, "jobs": 1})
     e = Experiment(LOG, "slam", (Work("known", ("ekf",)),), options.setup)
     (found,), made = settle([e], options, Unfinished(options))
@@ -40,13 +40,13 @@ def test_errors_that_are_asked_for_are_estimated_with_the_sigma_stated(monkeypat
     assert e.log.inputs(labels=True).systematic is e.log.recorded.systematic
 
 
-def test_errors_that_the_battery_names_are_estimated_with_wide_priors(monkeypatch):
+def test_errors_that_the_log_names_are_estimated_with_wide_priors(monkeypatch):
     e, (made,) = settled(monkeypatch, "auto", names=("left", "right"))
     assert made.why == NAMED
     assert e.setup.calibrate == ("left=0.1", "right=0.1")
 
 
-def test_where_the_battery_names_none_all_are_estimated_with_tight_priors(monkeypatch):
+def test_where_the_log_names_none_all_are_estimated_with_tight_priors(monkeypatch):
     _, (made,) = settled(monkeypatch, "auto")
     assert made.why == ALL
     assert made.systematic.names == tuple(n for n in PRIORS if n != "range")  # SLAM
@@ -77,7 +77,7 @@ def test_a_log_that_errs_is_objected_to_before_and_not_after(tmp_path, monkeypat
     arguments = ["--log", "arena:0:curvature=0.05", "--task", "slam", "--calibrate", "--estimator", "ekf,isam2,batch"]
     assert main([*arguments, "--no-plots", "-q", "--jobs", "1", "--out", "r"]) == 0
     report = Path("r/report.md").read_text(encoding="utf-8")
-    assert "battery of trust names, before any calibration" in report
+    assert "that a score test of the residuals of plain estimators names" in report
     assert "**Battery after** (errors estimated along): none of" in report
     for name, phase in (("ekf", "online"), ("isam2", "online"), ("isam2", "final"), ("batch", "final")):
         (file,) = Path("r/runs").glob(f"*/slam-{name}-known/{phase}.csv")

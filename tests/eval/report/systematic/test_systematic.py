@@ -74,7 +74,7 @@ def test_estimates_have_the_decimals_of_their_sigma(value, sigma, text):
 def test_words_say_why_these_and_which_are_not_told(trial):
     said = words(trial, Calibration(trial.log.name, trial.task, "known", ERRORS, NAMED), trial.runs)
     assert "`scale`, `curvature`" in said[0]
-    assert "battery of trust names" in said[0]
+    assert "score test of the residuals" in said[0]
     assert said[1].startswith("This log cannot tell `curvature`")
     assert "names none" in words(trial, Calibration("", "", "known", ERRORS, ALL), trial.runs)[0]
 
