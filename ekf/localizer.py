@@ -30,6 +30,7 @@ class EkfLocalizer(Filter):
         sensor: Sensor,
         known: LandmarkMap,
         options: FilterOptions = DEFAULT,
+        *,
         systematic: Systematic | None = None,
     ) -> None:
         """Start at the prior with a map taken as exact; `systematic`: errors to estimate along."""

@@ -24,7 +24,7 @@ class Parkable(Filter):
     """
 
     def __init__(
-        self, prior: Prior, sensor: Sensor, options: FilterOptions = DEFAULT, systematic: Systematic | None = None
+        self, prior: Prior, sensor: Sensor, options: FilterOptions = DEFAULT, *, systematic: Systematic | None = None
     ) -> None:
         """Start at the prior with an empty map; `systematic`: errors to estimate along."""
         super().__init__(prior, sensor, options, systematic, landmarks=16)

@@ -6,7 +6,6 @@ import argparse
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING
 
-from data.worlds.erring import described
 from data.worlds.flags import add_flags
 from data.worlds.registry import SIMULATORS, parameters_of, simulate
 
@@ -29,6 +28,8 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
 
 def convert(args: argparse.Namespace) -> Log:
     """The log that the flags describe; its source holds every parameter."""
+    from data.worlds.erring import described
+
     kind = parameters_of(args.kind)
     values = kind(**{f.name: getattr(args, f.name) for f in fields(kind)})
     log = simulate(args.kind, values, args.seed)

@@ -149,8 +149,8 @@ def make_estimator(
     if name in OPTIONS:
         options = options or OPTIONS[name]
         if given.map is not None:
-            return EkfLocalizer(given.prior, given.sensor, given.map, options, given.systematic)
-        return EkfSlam(given.prior, given.sensor, options, given.systematic)
+            return EkfLocalizer(given.prior, given.sensor, given.map, options, systematic=given.systematic)
+        return EkfSlam(given.prior, given.sensor, options, systematic=given.systematic)
     if name == "isam2":
         return Isam2Smoother(given.prior, given.sensor, given.map, systematic=given.systematic)
     if name == "fixed-lag":

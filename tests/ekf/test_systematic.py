@@ -118,8 +118,11 @@ def known(xy):
 
 def filters(xy, of, options=DEFAULT):
     return {
-        "slam": (EkfSlam(PRIOR, MOUNTED, options, of), None),
-        "localization": (EkfLocalizer(PRIOR, MOUNTED, known(xy), options, of), {i: i for i in range(len(xy))}),
+        "slam": (EkfSlam(PRIOR, MOUNTED, options, systematic=of), None),
+        "localization": (
+            EkfLocalizer(PRIOR, MOUNTED, known(xy), options, systematic=of),
+            {i: i for i in range(len(xy))},
+        ),
     }
 
 

@@ -40,11 +40,11 @@ def arena():
 def stepped(inputs, options=DEFAULT, threshold=np.inf):
     """The step-by-step filter over a log: (pose, covariance, errors (N, p), sigmas (N, p), white, filter)."""
     decisions, _ = known_decisions(inputs)
-    arguments = options, inputs.systematic
+    of = inputs.systematic
     if inputs.map is None:
-        f = EkfSlam(inputs.prior, inputs.sensor, *arguments)
+        f = EkfSlam(inputs.prior, inputs.sensor, options, systematic=of)
     else:
-        f = EkfLocalizer(inputs.prior, inputs.sensor, inputs.map, *arguments)
+        f = EkfLocalizer(inputs.prior, inputs.sensor, inputs.map, options, systematic=of)
     rows = []
     for k in range(len(inputs)):
         if k:
@@ -138,7 +138,7 @@ def localizer(seed=0, count=400, options=DEFAULT):
     sensor = RangeBearing(max_range=12.0, **MOUNTED)
     xy = rng.uniform(-60.0, 60.0, (count, 2))
     prior = Prior(np.array([3.0, -2.0, 0.5]), np.diag([0.3, 0.2, 0.05]) ** 2)
-    f = EkfLocalizer(prior, sensor, LandmarkMap(np.arange(count), xy), options, ALL)
+    f = EkfLocalizer(prior, sensor, LandmarkMap(np.arange(count), xy), options, systematic=ALL)
     pose = prior.mean
     for _ in range(10):
         step = np.array([0.5, 0.0, 0.1])

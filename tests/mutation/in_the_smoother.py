@@ -62,7 +62,7 @@ FAULTS = (
     Fault(9, "body-frame marginals of the batch smoother", BATCH_NEES,
           replaced("graph.optimum.in_world", lambda real: lambda pose, covariance: covariance), match="overconfident"),
     Fault(9, "body-frame marginals of iSAM2", SAME_LAST_POSE,
-          replaced("data.se2.world_from_body", lambda real: lambda theta: np.eye(3))),
+          replaced("graph.open_end.world_from_body", lambda real: lambda theta: np.eye(3))),
     Fault(10, "joint marginal in the order of its keys", SAME_EXPECTATION,
           replaced("graph.engine.Engine.covariance", covariance_in_order_of_keys),
           by=(AssertionError, np.linalg.LinAlgError)),
