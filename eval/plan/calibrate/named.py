@@ -57,7 +57,9 @@ def names_of(inputs: Inputs, smoother: Run) -> tuple[str, ...]:
     # a noise that is larger than stated makes every score larger
     spread = residuals.typical(residuals.smoothed_residuals(inputs, path, used))
     found = systematic_errors(scored, spread, threshold, len(ERRORS))
-    return tuple(n for n in named(found, wandering=wanders(inputs, path), inputs=inputs) if turned(inputs, n))
+    # in SLAM a filter's heading would become too uncertain to linearize about: the smoother gains by it, filters lose
+    wandering = inputs.map is not None and wanders(inputs, path)
+    return tuple(n for n in named(found, wandering=wandering, inputs=inputs) if turned(inputs, n))
 
 
 def hypotheses(inputs: Inputs, path: Array, used: Used) -> list[Effect]:
