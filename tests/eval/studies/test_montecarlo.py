@@ -200,7 +200,6 @@ def test_an_errors_square_is_in_units_of_its_own_variance_against_the_truth_at_t
     [
         *(("erring-arena", e) for e in ("ekf", "batch")),
         *(("erring-corridor", e) for e in ("ekf-iterated", "batch")),
-        ("erring-park", "ekf-iterated"),
     ],
 )
 def test_who_knows_that_its_odometry_may_err_is_consistent_and_who_does_not_is_rejected(name, estimator):
