@@ -5,12 +5,12 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from data.inputs import Increments, Inputs, Observations, Prior
+from data.inputs import Increments, Inputs, Observations, Prior, Systematic
 from data.result import NEW, revised, surviving
 from data.sensors import RangeBearing, RelativePoint
 from eval.replay.batch import batch
 from eval.replay.hindsight.ledger import MERGED
-from eval.replay.hindsight.mapper import TIGHT
+from eval.replay.hindsight.mapper import TIGHT, beside_tight
 from eval.replay.hindsight.mapping_frontend import MappingFrontEnd
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
@@ -204,3 +204,10 @@ def test_what_is_hidden_from_one_place_is_missed_once(step, stays):
     run = step_by_step("ekf", standing(25, step, lambda k: points if k < 5 else points[:8]), "slam", METHOD)
     assert set(range(8)) <= set(run.map.number.tolist())
     assert (8 in run.map.number) is stays
+
+
+def test_who_decides_keeps_its_own_errors_beside_those_of_the_run():
+    both = beside_tight(Systematic(("curvature", "bearing"), np.array([0.05, 0.1])))
+    assert both.names == ("scale", "curvature", "left", "right", "drift", "bearing")
+    assert both.sigma.tolist() == [0.02, 0.05, 0.05, 0.05, 1.25e-3, 0.1]
+    assert beside_tight(None) is TIGHT
