@@ -58,7 +58,7 @@ def test_the_camera_shows_each_frame_with_the_corners_found(chromium, pictures, 
     opened = Opened(chromium, pictures)
     for frame in (0, 7):
         opened.js(f"player.go({frame})")
-        opened.page.wait_for_function(f"document.querySelector('#image-note').textContent.includes('frame {frame}:')")
+        opened.page.locator("#image-note", has_text=f"frame {frame}:").wait_for()
         of = np.flatnonzero(found.frame == frame)
         note = opened.page.locator("#image-note").text_content()
         assert note.endswith(f" {', '.join(str(p) for p in found.picture[of])} found.")
