@@ -1,4 +1,8 @@
-"""Measurement models of a point landmark: range and bearing, or the point in the sensor's frame.
+"""Measurement models of a landmark: a point by range and bearing or by its place in the sensor's frame, or a wall.
+
+A point landmark is (x, y); a wall is the straight line n(alpha) . x = rho, n = (cos alpha, sin alpha), by its signed
+distance rho [m] from the origin and the direction alpha [rad] of its normal; (-rho, alpha + pi) is the same line. Both
+are two numbers and so is every measurement.
 
 The formulas stand once, compiled, for one observation (`measure`, `invert`, `residual`); the filters' kernels call
 them and the sensor classes below loop them over arrays. Frames: w world, b body, s sensor, p_s = R p_b + T.
@@ -18,6 +22,7 @@ from data.se2 import Array, BoolArray
 
 RANGE_BEARING = 0
 RELATIVE_POINT = 1
+LINE = 2
 
 MIN_RANGE = 1e-6
 """m. A landmark closer to the sensor has no direction: its Jacobians are zero, so it carries no information."""
@@ -26,11 +31,49 @@ wrap_angle = numba.njit(cache=True)(se2.wrap_angle)
 
 
 @numba.njit(cache=True)
+def _measure_line(extrinsic, pose, line, z_hat, Hx, Hl):  # type: ignore[no-untyped-def]
+    """`measure` for a wall: z = (distance, direction of the normal towards the wall).
+
+    phi = alpha - theta + rotation, d = rho - n(alpha) . p + n(phi) . T. Beyond the wall d is negative, and the normal
+    towards it is the other one: z = (-d, phi + pi).
+    """
+    c, s = math.cos(line[1]), math.sin(line[1])
+    phi = line[1] - pose[2] + extrinsic[0]
+    arm = math.cos(phi) * extrinsic[2] - math.sin(phi) * extrinsic[1]  # d (n(phi) . T) / d phi
+    d = line[0] - c * pose[0] - s * pose[1] + math.cos(phi) * extrinsic[1] + math.sin(phi) * extrinsic[2]
+    side = 1.0 if d >= 0.0 else -1.0
+    z_hat[0] = side * d
+    z_hat[1] = wrap_angle(phi if d >= 0.0 else phi + math.pi)
+    Hx[0, 0], Hx[0, 1], Hx[0, 2] = -side * c, -side * s, -side * arm
+    Hx[1, 0], Hx[1, 1], Hx[1, 2] = 0.0, 0.0, -1.0
+    Hl[0, 0], Hl[0, 1] = side, side * (s * pose[0] - c * pose[1] + arm)
+    Hl[1, 0], Hl[1, 1] = 0.0, 1.0
+
+
+@numba.njit(cache=True)
+def _invert_line(extrinsic, pose, z, line, Gx, Gz):  # type: ignore[no-untyped-def]
+    """`invert` for a wall: alpha = phi + theta - rotation, rho = d + n(alpha) . p - n(phi) . T."""
+    alpha = z[1] + pose[2] - extrinsic[0]
+    c, s = math.cos(alpha), math.sin(alpha)
+    turn = c * pose[1] - s * pose[0]  # d (n(alpha) . p) / d alpha
+    arm = math.cos(z[1]) * extrinsic[2] - math.sin(z[1]) * extrinsic[1]
+    line[0] = z[0] + c * pose[0] + s * pose[1] - math.cos(z[1]) * extrinsic[1] - math.sin(z[1]) * extrinsic[2]
+    line[1] = wrap_angle(alpha)
+    Gx[0, 0], Gx[0, 1], Gx[0, 2] = c, s, turn
+    Gx[1, 0], Gx[1, 1], Gx[1, 2] = 0.0, 0.0, 1.0
+    Gz[0, 0], Gz[0, 1] = 1.0, turn - arm
+    Gz[1, 0], Gz[1, 1] = 0.0, 1.0
+
+
+@numba.njit(cache=True)
 def measure(kind, extrinsic, pose, landmark, z_hat, Hx, Hl):  # type: ignore[no-untyped-def]
     """Expected measurement z_hat (2,), Jacobians Hx (2, 3) to the world-frame pose and Hl (2, 2) to the landmark.
 
     Probabilistic Robotics, section 6.6 and Table 7.2; `extrinsic` is (rotation, Tx, Ty) of p_s = R p_b + T.
     """
+    if kind == LINE:
+        _measure_line(extrinsic, pose, landmark, z_hat, Hx, Hl)
+        return
     c, s = math.cos(pose[2]), math.sin(pose[2])
     ce, se = math.cos(extrinsic[0]), math.sin(extrinsic[0])
     dx, dy = landmark[0] - pose[0], landmark[1] - pose[1]
@@ -67,6 +110,9 @@ def measure(kind, extrinsic, pose, landmark, z_hat, Hx, Hl):  # type: ignore[no-
 @numba.njit(cache=True)
 def invert(kind, extrinsic, pose, z, landmark, Gx, Gz):  # type: ignore[no-untyped-def]
     """Landmark (2,) that would give z, Jacobians Gx (2, 3) to the pose and Gz (2, 2) to the measurement."""
+    if kind == LINE:
+        _invert_line(extrinsic, pose, z, landmark, Gx, Gz)
+        return
     c, s = math.cos(pose[2]), math.sin(pose[2])
     ce, se = math.cos(extrinsic[0]), math.sin(extrinsic[0])
     if kind == RANGE_BEARING:
@@ -94,9 +140,15 @@ def invert(kind, extrinsic, pose, z, landmark, Gx, Gz):  # type: ignore[no-untyp
 
 @numba.njit(cache=True)
 def residual(kind, z, z_hat, out):  # type: ignore[no-untyped-def]
-    """Innovation z - z_hat (2,); the only place that wraps a measured angle."""
+    """Innovation z - z_hat (2,); the only place that wraps a measured angle.
+
+    Of a wall, (d, phi) and (-d, phi + pi) are one measurement: the one whose normal is nearer counts.
+    """
     out[0] = z[0] - z_hat[0]
-    out[1] = wrap_angle(z[1] - z_hat[1]) if kind == RANGE_BEARING else z[1] - z_hat[1]
+    out[1] = z[1] - z_hat[1] if kind == RELATIVE_POINT else wrap_angle(z[1] - z_hat[1])
+    if kind == LINE and abs(out[1]) > 0.5 * math.pi:
+        out[0] = -z[0] - z_hat[0]
+        out[1] = wrap_angle(out[1] - math.pi)
 
 
 @numba.njit(cache=True)
@@ -120,7 +172,7 @@ def _pair(pose: Array, other: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Sensor:
-    """A sensor that sees point landmarks; use `RangeBearing` or `RelativePoint`.
+    """A sensor that sees landmarks; use `RangeBearing`, `RelativePoint` or `Line`.
 
     Attributes:
         max_range: m; min_angle, max_angle: rad in the sensor frame. They describe the field of view; an observation
@@ -137,6 +189,8 @@ class Sensor:
     kind: ClassVar[int]
     name: ClassVar[str]
     units: ClassVar[tuple[str, str]]
+    sees_points: ClassVar[bool] = True
+    """Whether a landmark is a point (x, y); else a wall (rho, alpha)."""
 
     @property
     def extrinsic(self) -> Array:
@@ -168,21 +222,35 @@ class Sensor:
         return landmark, Gx, Gz
 
     def body_points(self, z: Array, covariance: Array) -> tuple[Array, Array]:
-        """Measurements (m, 2) with covariances (m, 2, 2) as points of the body frame with theirs, to first order."""
-        points, _, Gz = self.inverse(np.zeros(3), z)
+        """Measurements (m, 2) with covariances (m, 2, 2) as points of the body frame with theirs, to first order.
+
+        The point of a wall is the one nearest to the sensor.
+        """
+        points, _, Gz = self._polar_sensor().inverse(np.zeros(3), z)
         return points, Gz @ covariance @ Gz.transpose(0, 2, 1)
 
     def residual(self, z: Array, z_hat: Array) -> Array:
         """Innovation z - z_hat, angles wrapped to (-pi, pi]; broadcasts over leading axes."""
-        difference: Array = np.asarray(z, float) - np.asarray(z_hat, float)
-        if self.kind == RANGE_BEARING:
+        z, z_hat = np.asarray(z, float), np.asarray(z_hat, float)
+        difference: Array = z - z_hat
+        if self.kind != RELATIVE_POINT:
             difference[..., 1] = se2.wrap_angle(difference[..., 1])
+        if self.kind == LINE:
+            other = np.abs(difference[..., 1]) > 0.5 * math.pi
+            difference[..., 0] = np.where(other, -z[..., 0] - z_hat[..., 0], difference[..., 0])
+            difference[..., 1] = se2.wrap_angle(difference[..., 1] - math.pi * other)
         return difference
+
+    def _polar_sensor(self) -> Sensor:
+        """The sensor of points, with this one's extrinsic, that a measurement is plotted by."""
+        if self.sees_points:
+            return self
+        return RangeBearing(rotation=self.rotation, translation=self.translation)
 
     def polar(self, z: Array) -> Array:
         """Range [m] and bearing [rad] in the sensor frame (m, 2) of measurements (m, 2)."""
         z = np.asarray(z, float)
-        if self.kind == RANGE_BEARING:
+        if self.kind != RELATIVE_POINT:
             return z
         return np.stack([np.hypot(z[..., 0], z[..., 1]), np.arctan2(z[..., 1], z[..., 0])], axis=-1)
 
@@ -209,3 +277,12 @@ class RelativePoint(Sensor):
     kind = RELATIVE_POINT
     name = "relative_point"
     units = ("m", "m")
+
+
+class Line(Sensor):
+    """z = (distance m, direction rad of the normal towards the wall, counter-clockwise from the sensor's x axis)."""
+
+    kind = LINE
+    name = "line"
+    units = ("m", "rad")
+    sees_points = False

@@ -10,7 +10,8 @@ Format 1. Keys, with their defaults where they may be left out:
     labels_are_sensed = false           ids come from the sensor, e.g. barcodes
     notes = []                          sentences for the reader
     [prior]   mean = [x, y, theta]      and sigma = [3 numbers] or covariance = [[3], [3], [3]]
-    [sensor]  kind = "range_bearing" or "relative_point"
+    [sensor]  kind = "range_bearing", "relative_point" or "line" (z1 = distance [m], z2 = direction of a wall's normal in
+                                        the sensor frame [rad]; landmarks.csv then holds id, rho, alpha as id, x, y)
               sigma = [2 numbers]       default noise; needed if observations.csv has no r11, r12, r22
               max_range = inf           m
               min_angle = -pi, max_angle = pi, or field_of_view (the full opening angle)   rad
@@ -45,7 +46,7 @@ from data.motion.velocity import MODELS, NOISES, WITH_ALPHAS, VelocityModel, Vel
 from data.open_log.motion_prior import PRIORS, MotionPrior
 from data.open_log.scans import KEYS, read_scanner
 from data.se2 import Array
-from data.sensors import RangeBearing, RelativePoint, Sensor
+from data.sensors import Line, RangeBearing, RelativePoint, Sensor
 from data.toml_table import TomlTable, finite, load_toml, not_negative, positive
 
 FORMAT = 1
@@ -67,7 +68,7 @@ KNOWN = {
     ),
 }
 """Keys of each table."""
-SENSORS: dict[str, Callable[..., Sensor]] = {s.name: s for s in (RangeBearing, RelativePoint)}
+SENSORS: dict[str, Callable[..., Sensor]] = {s.name: s for s in (RangeBearing, RelativePoint, Line)}
 
 
 @dataclass(frozen=True)

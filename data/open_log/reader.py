@@ -35,7 +35,7 @@ from data.open_log.relations import read_relations
 from data.open_log.scans import read_scans
 from data.open_log.table import Table
 from data.se2 import Array
-from data.sensors import RangeBearing
+from data.sensors import RelativePoint
 from data.timeline import MAX_GAP, frame_times, truth_at
 from data.truth import CLUTTER, UNKNOWN_ID, Truth
 
@@ -200,7 +200,7 @@ def _sightings(path: Path, header: Header, key: str) -> _Sightings:
     table = read_table(path, (key, "z1", "z2"), (*NOISE, *ids, other), may_be_blank=(*ids, other))
     table.require_finite((key, "z1", "z2"))
     table.require_finite([n for n in ids if n in table], blank=True)
-    if isinstance(header.sensor, RangeBearing):
+    if not isinstance(header.sensor, RelativePoint):
         table.require(table.columns["z1"] >= 0.0, "z1", "{} is a negative range")
     return _Sightings(
         table,

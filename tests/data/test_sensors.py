@@ -1,4 +1,4 @@
-"""Both sensors predict, linearize and invert alike, wrap bearings once, and stay finite at the robot's own position."""
+"""Every sensor predicts, linearizes and inverts alike, wrap bearings once, and stay finite at the robot's own position."""
 
 from __future__ import annotations
 
@@ -10,13 +10,15 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from data.se2 import wrap_angle
-from data.sensors import MIN_RANGE, RangeBearing, RelativePoint
+from data.sensors import LINE, MIN_RANGE, Line, RangeBearing, RelativePoint, residual
 
 SENSORS = [
     RangeBearing(),
     RelativePoint(),
     RangeBearing(rotation=0.4, translation=(0.2, -0.1)),
     RelativePoint(rotation=-1.5, translation=(0.0, 0.3)),
+    Line(),
+    Line(rotation=0.4, translation=(0.2, -0.1)),
 ]
 angle = st.floats(-math.pi, math.pi)
 coordinate = st.floats(-20, 20)
@@ -38,10 +40,44 @@ def test_jacobians_meet_central_differences_and_inverse_undoes_predict(sensor, x
         numeric = sensor.residual(sensor.predict(pose, landmark + d), sensor.predict(pose, landmark - d))[0] / (2 * h)
         assert np.abs(Hl[0, :, i] - numeric).max() < 1e-6
     back, Gx, Gz = sensor.inverse(pose, z)
-    assert np.abs(back - landmark).max() < 1e-10
+    if sensor.sees_points:
+        assert np.abs(back - landmark).max() < 1e-10
+    else:
+        assert np.abs(sensor.residual(back, landmark)).max() < 1e-10, "a wall, like its measurement, has two names"
+        z, Hx, Hl = sensor.linearize(pose, back)
     # l = g(x, z) inverts z = h(x, l): Hl Gz = I and Hx + Hl Gx = 0
     assert np.allclose(Hl[0] @ Gz[0], np.eye(2), atol=1e-9)
     assert np.allclose(Hx[0] + Hl[0] @ Gx[0], 0, atol=1e-8)
+
+
+@settings(max_examples=100, deadline=None)
+@given(coordinate, coordinate, angle, st.floats(0.5, 9), angle, st.floats(-8, 8), st.floats(-8, 8))
+def test_a_wall_is_where_its_points_are(x, y, theta, d, phi, along, other):
+    # two points of a wall as the robot sees it; in the world they lie on rho, alpha
+    body = [[d * math.cos(phi) - t * math.sin(phi), d * math.sin(phi) + t * math.cos(phi)] for t in (along, other)]
+    (rho, alpha), *_ = (row[0] for row in Line().inverse(np.array([x, y, theta]), np.array([[d, phi]])))
+    for bx, by in body:
+        px = x + bx * math.cos(theta) - by * math.sin(theta)
+        py = y + bx * math.sin(theta) + by * math.cos(theta)
+        assert abs(px * math.cos(alpha) + py * math.sin(alpha) - rho) < 1e-9
+    for name in ([rho, alpha], [-rho, alpha + math.pi]):
+        z = Line().predict(np.array([x, y, theta]), np.array([name]))
+        assert np.allclose(z[0], [d, wrap_angle(phi)], atol=1e-9) or abs(abs(wrap_angle(phi)) - math.pi) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("z", "z_hat", "expected"),
+    [
+        ([0.20, 0.1], [0.15, 0.3], [0.05, -0.2]),
+        ([0.02, 0.1], [0.01, 0.1 - math.pi], [-0.03, 0.0]),
+        ([2.0, math.pi - 0.1], [2.0, -math.pi + 0.1], [0.0, -0.2]),
+    ],
+)
+def test_the_innovation_of_a_wall_does_not_depend_on_which_side_it_is_named_from(z, z_hat, expected):
+    out = np.empty(2)
+    residual(LINE, np.array(z), np.array(z_hat), out)
+    assert np.allclose(out, expected)
+    assert np.allclose(Line().residual(np.array(z), np.array(z_hat)), expected)
 
 
 @pytest.mark.parametrize("heading", [0.3, np.pi - 1e-9, -np.pi + 1e-9])
