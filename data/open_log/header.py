@@ -10,8 +10,8 @@ Format 1. Keys, with their defaults where they may be left out:
     labels_are_sensed = false           ids come from the sensor, e.g. barcodes
     notes = []                          sentences for the reader
     [prior]   mean = [x, y, theta]      and sigma = [3 numbers] or covariance = [[3], [3], [3]]
-    [sensor]  kind = "range_bearing", "relative_point" or "line" (z1 = distance [m], z2 = direction of a wall's normal in
-                                        the sensor frame [rad]; landmarks.csv then holds id, rho, alpha as id, x, y)
+    [sensor]  kind = "range_bearing", "relative_point" or "line" (z1 = distance [m], z2 = direction [rad] of a wall's
+                                        normal in the sensor frame; landmarks.csv then holds rho, alpha as x, y)
               sigma = [2 numbers]       default noise; needed if observations.csv has no r11, r12, r22
               max_range = inf           m
               min_angle = -pi, max_angle = pi, or field_of_view (the full opening angle)   rad

@@ -26,8 +26,8 @@ SONARS: Array = _ring(8)
 """Poses (8, 3) of the sonars on the body [m, m, rad], counter-clockwise from the one ahead.
 
 Steps of 45 degrees all round: whatever the heading, one sonar points within 22.5 degrees of a wall's normal, which is
-where a smooth wall stops to send an echo back (see `data.robot.physics`). A ring that is denser ahead would lose the
-walls beside and behind, from which a position along a corridor comes.
+where a smooth wall stops to send an echo back (see `data.robot.simulated.physics`). A ring that is denser ahead would
+lose the walls beside and behind, from which a position along a corridor comes.
 """
 SONARS.setflags(write=False)
 AHEAD, LEFT, BEHIND, RIGHT = 0, 2, 4, 6

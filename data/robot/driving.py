@@ -1,8 +1,8 @@
 """Driving along walls by the sonars alone: which speed and turn rate to command for the packets that came.
 
 A policy is called as `policy(packet)` and returns the speed [m/s] and turn rate [rad/s], counter-clockwise, to command
-next: what `data.robot.physics.drive` takes, and what a link's packets go to. `WallFollower` keeps the wall on its
-right.
+next: what `data.robot.simulated.physics.drive` takes, and what a link's packets go to. `WallFollower` keeps the wall
+on its right.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections import deque
 import numpy as np
 
 from data.robot.body import AHEAD, RADIUS, RIGHT, SONARS
-from data.robot.motion import Packet
+from data.robot.traffic.motion import Packet
 from data.robot.walls import fit_weighted, sensor_poses, visible
 from data.se2 import Array, wrap_angle
 

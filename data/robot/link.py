@@ -12,8 +12,6 @@ from collections.abc import Callable
 from typing import Protocol
 
 from data.errors import UsageError
-from data.robot.exchange import Exchange
-from data.robot.motion import Packet
 from data.robot.packets import (
     ANSWER_BYTES,
     ANSWER_TIMEOUT,
@@ -24,7 +22,9 @@ from data.robot.packets import (
     encode_command,
     framed,
 )
-from data.robot.recording import GONE, OPENED, RECEIVED, SENT, Record, Recording, to_microseconds
+from data.robot.traffic.exchange import Exchange
+from data.robot.traffic.motion import Packet
+from data.robot.traffic.recording import GONE, OPENED, RECEIVED, SENT, Record, Recording, to_microseconds
 
 REST = 0.03
 """s that the rest of an answer is waited for once its first byte is there: 22 bytes take 0.023 s."""

@@ -25,12 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data.robot.body import CONE_HALF_ANGLE, SONARS, WHEEL_BASE
-from data.robot.motion import Packet
+from data.robot.traffic.motion import Packet
 from data.robot.walls import MIRROR, SIGMA, Line, echo_points, fit_weighted, geometry, visible
 from data.se2 import Array, between, compose, wrap_angle
 
 SLIP = 0.005
-"""m per square root of a metre of a wheel's way: that of the simulated robot (`data.robot.physics`)."""
+"""m per square root of a metre of a wheel's way: that of the simulated robot (`data.robot.simulated.physics`)."""
 FEWEST = 5
 """Readings of a line: two fix it, three are left to doubt it."""
 LONGEST = 0.8

@@ -19,7 +19,7 @@ from data.terminal.ending import ended
 
 if TYPE_CHECKING:
     from data.robot.link import Clock
-    from data.robot.wire import Wire
+    from data.robot.simulated.wire import Wire
 
 TRUTH_PERIOD = 0.05
 """s of robot time between rows of the truth."""
@@ -178,9 +178,9 @@ def _simulate(argv: Sequence[str] | None) -> None:
     import numpy as np
 
     from data.robot.link import Clock
-    from data.robot.physics import Robot
-    from data.robot.room import room
-    from data.robot.wire import Faults, Wire
+    from data.robot.simulated.physics import Robot
+    from data.robot.simulated.room import room
+    from data.robot.simulated.wire import Faults, Wire
 
     body, line = np.random.default_rng(args.seed).spawn(2)
     wire = Wire(Robot(room(seed), body), Faults(args.drop, args.flip, args.stall), line, with_frames=args.framed)

@@ -3,7 +3,7 @@
     python -m data.robot.wall_study [TRIALS]
 
 prints the table of `study`. A robot passes a wall of random distance and direction; outliers are echoes of another
-sonar's ping, too early by any amount, as in `data.robot.physics`.
+sonar's ping, too early by any amount, as in `data.robot.simulated.physics`.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from data.robot.body import CONE_HALF_ANGLE, SONARS
 from data.se2 import Array, BoolArray, between, compose, wrap_angle
 
 SIGMA = 0.005
-"""m, standard deviation of a distance: that of the simulated sonars (`data.robot.physics`)."""
+"""m, standard deviation of a distance: that of the simulated sonars (`data.robot.simulated.physics`)."""
 MIRROR = math.radians(15.0)
 """rad between an echo's way and the wall's normal; met at a larger angle, a smooth wall sends the sound elsewhere."""
 WELSCH = 2.985

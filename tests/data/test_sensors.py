@@ -1,4 +1,4 @@
-"""Every sensor predicts, linearizes and inverts alike, wrap bearings once, and stay finite at the robot's own position."""
+"""Every sensor predicts, linearizes and inverts alike, wraps angles once, and stays finite at its own position."""
 
 from __future__ import annotations
 

@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from data.robot.link import Link
-from data.robot.physics import Robot
-from data.robot.room import room
-from data.robot.wire import Faults, Wire
+from data.robot.simulated.physics import Robot
+from data.robot.simulated.room import room
+from data.robot.simulated.wire import Faults, Wire
 
 CALM = Faults()
 

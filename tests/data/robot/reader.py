@@ -11,7 +11,7 @@ from pathlib import Path
 
 from data.robot.link import Clock, Link
 from data.robot.packets import command_of
-from data.robot.recording import Recording
+from data.robot.traffic.recording import Recording
 
 
 class Telling(Recording):

@@ -9,10 +9,10 @@ import pytest
 
 from data.robot.body import RADIUS, SONARS
 from data.robot.driving import SPEED, WANTED, WallFollower
-from data.robot.motion import Packet
 from data.robot.packets import PERIOD, Answer
-from data.robot.physics import Physics, drive
-from data.robot.room import Room, clearance, room
+from data.robot.simulated.physics import Physics, drive
+from data.robot.simulated.room import Room, clearance, room
+from data.robot.traffic.motion import Packet
 
 QUIET = Physics(slip=0.0, range_sigma=0.0, dropout=0.0, crosstalk=0.0)
 

@@ -10,11 +10,11 @@ import pytest
 
 from data.errors import UsageError
 from data.robot.body import FASTEST, LONGEST_RANGE
-from data.robot.exchange import FAULTS, Exchange
 from data.robot.link import Link
 from data.robot.packets import PERIOD, command_of, decode_answer, encode_command
-from data.robot.recording import RECEIVED, SENT, Record
-from data.robot.wire import Faults
+from data.robot.simulated.wire import Faults
+from data.robot.traffic.exchange import FAULTS, Exchange
+from data.robot.traffic.recording import RECEIVED, SENT, Record
 from tests.data.robot.line import StandingClock, WirePort, linked, wander
 
 AHEAD = command_of(0.3, 0.0)

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from data.robot.motion import Heard, Unwrapper, possible, reachable
 from data.robot.packets import Answer, overflowed
+from data.robot.traffic.motion import Heard, Unwrapper, possible, reachable
 
 FAR = (4000,) * 8
 

@@ -10,11 +10,11 @@ import pytest
 from data.robot import observe
 from data.robot.body import CONE_HALF_ANGLE, SONARS, WHEEL_BASE
 from data.robot.driving import WallFollower
-from data.robot.motion import Packet
 from data.robot.observe import WallObserver
 from data.robot.packets import PERIOD, Answer
-from data.robot.physics import Physics, drive
-from data.robot.room import Room, cast, room
+from data.robot.simulated.physics import Physics, drive
+from data.robot.simulated.room import Room, cast, room
+from data.robot.traffic.motion import Packet
 from data.robot.walls import MIRROR
 from data.se2 import between, compose, wrap_angle
 

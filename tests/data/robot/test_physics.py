@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from data.robot import physics
 from data.robot.body import FASTEST, RADIUS, SONARS, WHEEL_BASE, body_speeds, wheel_speeds
 from data.robot.packets import PERIOD, Command, command_of
-from data.robot.physics import Physics, Robot, drive
-from data.robot.room import Room, cast, clearance, room
+from data.robot.simulated import physics
+from data.robot.simulated.physics import Physics, Robot, drive
+from data.robot.simulated.room import Room, cast, clearance, room
 from data.se2 import compose
 from tests.data.robot.line import wander
 

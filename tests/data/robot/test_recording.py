@@ -7,10 +7,10 @@ import tomllib
 import pytest
 
 from data.errors import DataError, UsageError
-from data.robot.exchange import Exchange, decoded
 from data.robot.packets import command_of
-from data.robot.recording import GONE, MAGIC, OPENED, RECEIVED, SENT, Record, Recording, read_recording
-from data.robot.wire import Faults
+from data.robot.simulated.wire import Faults
+from data.robot.traffic.exchange import Exchange, decoded
+from data.robot.traffic.recording import GONE, MAGIC, OPENED, RECEIVED, SENT, Record, Recording, read_recording
 from tests.data.robot.line import linked
 
 RECORDS = [

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from data.robot.body import RADIUS
-from data.robot.room import GAP, cast, clearance, room
+from data.robot.simulated.room import GAP, cast, clearance, room
 
 
 def by_beams(segments, pose, half_angle, beams=4001):

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 from data.errors import UsageError
-from data.robot.exchange import decoded
 from data.robot.link import Clock, Link
 from data.robot.packets import command_of
-from data.robot.recording import Recording, read_recording
 from data.robot.simulate import Terminal
+from data.robot.traffic.exchange import decoded
+from data.robot.traffic.recording import Recording, read_recording
 
 ROOT = Path(__file__).parents[3]
 

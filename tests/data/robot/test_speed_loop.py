@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from data.robot.body import FASTEST_WHEEL
-from data.robot.speed_loop import FRICTION, FULL_SPEED, LAG, RESPONSE, SpeedLoop, turned
+from data.robot.simulated.speed_loop import FRICTION, FULL_SPEED, LAG, RESPONSE, SpeedLoop, turned
 
 DT = 0.01
 

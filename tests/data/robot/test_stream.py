@@ -9,11 +9,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from data.robot.motion import possible, reachable
 from data.robot.packets import Answer, encode_answer, framed, overflowed
-from data.robot.physics import drive
-from data.robot.room import room
-from data.robot.stream import Framed, Unframed
+from data.robot.simulated.physics import drive
+from data.robot.simulated.room import room
+from data.robot.traffic.motion import possible, reachable
+from data.robot.traffic.stream import Framed, Unframed
 from tests.data.robot.line import wander
 
 PERIOD = 0.25

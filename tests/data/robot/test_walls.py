@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from data.robot.body import CONE_HALF_ANGLE, RIGHT, SONARS
-from data.robot.room import Room, cast
+from data.robot.simulated.room import Room, cast
 from data.robot.wall_study import passing, study, table
 from data.robot.walls import (
     MIRROR,

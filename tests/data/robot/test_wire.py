@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.robot import wire as wires
+from data.robot.simulated import wire as wires
 from data.robot.packets import BYTE_TIME, Command, encode_command
-from data.robot.physics import Robot
-from data.robot.room import room
-from data.robot.wire import Faults, Wire
+from data.robot.simulated.physics import Robot
+from data.robot.simulated.room import room
+from data.robot.simulated.wire import Faults, Wire
 
 AHEAD, REST = encode_command(Command(300, 0)), encode_command(Command(0, 0))
 

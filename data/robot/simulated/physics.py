@@ -25,16 +25,16 @@ from data.robot.body import (
     WHEEL_RADIUS,
     wheel_speeds,
 )
-from data.robot.motion import Heard, Packet, Unwrapper
 from data.robot.packets import PERIOD, WATCHDOG, Answer, Command, command_of, overflowed
-from data.robot.room import Room, cast, clearance
-from data.robot.speed_loop import SpeedLoop, turned
+from data.robot.simulated.room import Room, cast, clearance
+from data.robot.simulated.speed_loop import SpeedLoop, turned
+from data.robot.traffic.motion import Heard, Packet, Unwrapper
 from data.se2 import Array, compose, wrap_angle
 
 STEP = 0.01
 """s of a step of motion; the firmware reads its encoders as often."""
 BRAKING = 0.1
-"""s in which its loop brings a wheel from its fastest to rest (`data.robot.speed_loop`)."""
+"""s in which its loop brings a wheel from its fastest to rest (`data.robot.simulated.speed_loop`)."""
 PATIENCE = WATCHDOG - BRAKING - 2.0 * STEP
 """s without a command after which the firmware brakes, so as to stand at `WATCHDOG`; either end may be in a step."""
 METRES_PER_TICK = 2.0 * math.pi * WHEEL_RADIUS / TICKS_PER_TURN

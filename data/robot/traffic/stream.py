@@ -20,8 +20,8 @@ import itertools
 from collections import Counter
 from typing import NamedTuple, Protocol
 
-from data.robot.motion import Heard, Packet, Unwrapper, came_from, possible, reachable
 from data.robot.packets import ANSWER_BYTES, FRAME_BYTES, PERIOD, Answer, decode_answer, next_frame
+from data.robot.traffic.motion import Heard, Packet, Unwrapper, came_from, possible, reachable
 
 PAUSE = 0.1
 """s. Bytes of an answer come within an adapter's 16 ms, answers are 0.2 s apart; the middle."""

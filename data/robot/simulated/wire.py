@@ -19,7 +19,7 @@ from data.robot.packets import (
     framed,
     next_frame,
 )
-from data.robot.physics import Robot
+from data.robot.simulated.physics import Robot
 
 COMMAND_PAUSE = 0.05
 """s after which the firmware takes a byte for the first of a command; a command is 4 ms long."""

@@ -6,15 +6,15 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import replace
 
-from data.robot.motion import Packet
 from data.robot.packets import ANSWER_TIMEOUT
-from data.robot.recording import GONE, RECEIVED, SENT, Record
-from data.robot.stream import GARBAGE, SHIFTED, SHORT, Framed, Stream, Unframed
+from data.robot.traffic.motion import Packet
+from data.robot.traffic.recording import GONE, RECEIVED, SENT, Record
+from data.robot.traffic.stream import GARBAGE, SHIFTED, SHORT, Framed, Stream, Unframed
 
 LOST, LATE, DEVICE_GONE = "lost", "late", "device gone"
 FAULTS = (LOST, LATE, SHORT, SHIFTED, GARBAGE, DEVICE_GONE)
 """lost: nothing came after a command. late: an answer after its time; it is used, unless a newer one came with it.
-short, shifted, garbage: see `data.robot.stream.Unframed`. device gone: the line broke off."""
+short, shifted, garbage: see `data.robot.traffic.stream.Unframed`. device gone: the line broke off."""
 
 
 class Exchange:
