@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.robot.simulated import wire as wires
 from data.robot.packets import BYTE_TIME, Command, encode_command
+from data.robot.simulated import wire as wires
 from data.robot.simulated.physics import Robot
 from data.robot.simulated.room import room
 from data.robot.simulated.wire import Faults, Wire
