@@ -87,9 +87,20 @@ def _open_folder(path: Path, reading: Reading, say: Callable[[str], None]) -> Lo
             from data.visual.opening import open_lab_log
 
             return open_lab_log(path, _camera(reading), say)
+    return _with_header(path, reading.relations)
+
+
+def _with_header(path: Path, relations: Path | None = None) -> Log:
+    """A folder with a `log.toml`: an open log, or the recording of a robot's link."""
+    from data.robot.log import is_recording, load_recording
+
+    if is_recording(path):
+        if relations is not None:
+            raise UsageError(f"--relations {relations}: for a log with scans, not for the recording {path}")
+        return load_recording(path)
     from data.open_log.reader import load_folder
 
-    return load_folder(path, reading.relations)
+    return load_folder(path, relations)
 
 
 def find_logs(folder: Path, say: Callable[[str], None]) -> Iterator[Callable[[], Log]]:
@@ -105,7 +116,6 @@ def find_logs(folder: Path, say: Callable[[str], None]) -> Iterator[Callable[[],
 
 def _search(folder: Path, depth: int, say: Callable[[str], None]) -> Iterator[Callable[[], Log]]:
     from data.mrclam.load import is_mrclam
-    from data.open_log.reader import load_folder
     from data.recordings.carmen import RELATIONS, is_carmen, load_carmen, relations_beside
 
     inside = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
@@ -121,7 +131,7 @@ def _search(folder: Path, depth: int, say: Callable[[str], None]) -> Iterator[Ca
         if path.name.endswith(RELATIONS):
             continue
         if path.is_dir() and (path / "log.toml").exists():
-            yield lambda path=path: load_folder(path)  # type: ignore[misc]
+            yield lambda path=path: _with_header(path)  # type: ignore[misc]
         elif is_mrclam(path):
             yield from _mrclam(path, say)
         elif path.is_dir() and depth > 1:

@@ -52,7 +52,7 @@ def write_folder(log: Log, path: str | PathLike[str]) -> None:
     _require_replaceable(target)
     try:
         with whole_folder(target) as partial:
-            for name, text in _files(log, target.name).items():
+            for name, text in contents(log, target.name).items():
                 (partial / name).write_text(text, encoding="utf-8", newline="")
             if log.recorded.scans is not None:
                 (partial / SCANS).write_bytes(scans_content(log.recorded.scans))
@@ -75,8 +75,8 @@ def _require_replaceable(target: Path) -> None:
         raise DataError.at(target, f"holds {other[0]!r}, which is not part of a log; choose another name or move it")
 
 
-def _files(log: Log, name: str) -> dict[str, str]:
-    """Contents by file name."""
+def contents(log: Log, name: str) -> dict[str, str]:
+    """Contents by file name, of a log under a name; scans aside."""
     inputs, truth = log.recorded, log.truth
     increments, observations = inputs.increments, inputs.observations
     files = {HEADER: tomli_w.dumps(_header(log, name))}

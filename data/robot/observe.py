@@ -172,6 +172,7 @@ class WallObserver:
                 run.use_up(readings[-1].packet)
         z = np.array([[line.rho, line.alpha] for line in lines]).reshape(-1, 2)
         R = np.array([line.cov for line in lines]).reshape(-1, 2, 2)
+        R = 0.5 * (R + R.transpose(0, 2, 1))
         return Seen(z, R, np.array(rows, np.int64))
 
     def _forget(self) -> None:

@@ -108,6 +108,15 @@ examples:
         " the same seed gives the same log.",
         "example:\n  python -m data.convert park logs/park-0 --seed 0 --frames 8240 --spacing 4.5",
     ),
+    "walls": World(
+        "data.robot.world",
+        "Walls",
+        "walls:0 or walls:3:room=0",
+        "a small robot with sonars along the walls of a room, simulated",
+        "A simulated robot with eight sonars and wheel encoders follows the walls of a room, which are the landmarks;"
+        " the same seed gives the same log.",
+        "example:\n  python -m data.convert walls logs/walls-0 --seed 0 --frames 2400",
+    ),
     "visual": World("data.worlds.gallery", "Gallery", "visual:0", counts=("frames",)),
 }
 

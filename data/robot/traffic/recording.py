@@ -14,7 +14,9 @@ Every record is one write to the system: a process that is killed leaves whole r
 from __future__ import annotations
 
 import binascii
+import math
 import struct
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,6 +30,7 @@ HEADER, PACKETS = "log.toml", "packets.bin"
 MAGIC = b"robot 1\n"
 SENT, RECEIVED, OPENED, GONE = b"S", b"R", b"O", b"G"
 SOURCE = "robot link"
+NOISE = ("slip", "sonar_sigma")
 _HEAD = struct.Struct("<cHq")
 _CHECK = struct.Struct("<I")
 
@@ -47,11 +50,16 @@ class Recorded(NamedTuple):
         records: in the order of their times.
         framed: whether the line carried frames.
         cut: bytes at the end that are the beginning of a record; 0 of a log that was closed.
+        noise: slip of the wheels [m per square root of a metre] and sigma of a sonar's distance [m], as they were told;
+            empty: not told.
+        source: `[source]` of the header.
     """
 
     records: list[Record]
     framed: bool
     cut: int
+    noise: tuple[float, ...]
+    source: Mapping[str, object]
 
 
 def to_microseconds(t: float) -> float:
@@ -62,8 +70,8 @@ def to_microseconds(t: float) -> float:
 class Recording:
     """A recording that is being written; `with` closes it."""
 
-    def __init__(self, folder: Path, *, framed: bool = False) -> None:
-        """Make the folder with both files.
+    def __init__(self, folder: Path, *, framed: bool = False, noise: tuple[float, ...] = ()) -> None:
+        """Make the folder with both files; arguments as of `Recorded`.
 
         Raises:
             UsageError: there is a log already; nothing recorded is ever written over.
@@ -76,9 +84,8 @@ class Recording:
         self._file = (folder / PACKETS).open("xb", buffering=0)
         self._file.write(MAGIC)
         with (folder / HEADER).open("wb") as file:
-            tomli_w.dump(
-                {"format": FORMAT, "name": folder.absolute().name, "source": {"kind": SOURCE, "framed": framed}}, file
-            )
+            source = {"kind": SOURCE, "framed": framed, **dict(zip(NOISE, noise, strict=False))}
+            tomli_w.dump({"format": FORMAT, "name": folder.absolute().name, "source": source}, file)
 
     def append(self, record: Record) -> None:
         """Write a record through to the system."""
@@ -107,6 +114,9 @@ def read_recording(folder: Path) -> Recorded:
     source = contents.get("source")
     if not isinstance(source, dict) or source.get("kind") != SOURCE or not isinstance(source.get("framed"), bool):
         raise DataError.at(header, f"not the recording of a link; [source] kind = {SOURCE!r} and framed are needed")
+    noise = tuple(source[key] for key in NOISE if key in source)
+    if len(noise) == 1 or not all(isinstance(v, float | int) and 0.0 <= v < math.inf for v in noise):
+        raise DataError.at(header, f"[source] {' and '.join(NOISE)}: two numbers from 0 up, or neither")
     path = folder / PACKETS
     try:
         data = path.read_bytes()
@@ -115,7 +125,7 @@ def read_recording(folder: Path) -> Recorded:
     if not data.startswith(MAGIC) and not MAGIC.startswith(data):
         raise DataError.at(path, f"begins with {data[: len(MAGIC)]!r}; {MAGIC!r} is needed")
     records, end = _records(path, data)
-    return Recorded(records, source["framed"], len(data) - end)
+    return Recorded(records, source["framed"], len(data) - end, noise, source)
 
 
 def _records(path: Path, data: bytes) -> tuple[list[Record], int]:

@@ -31,13 +31,13 @@ def folder(tmp_path):
 
 
 def test_a_log_is_read_as_it_was_appended(folder):
-    assert read_recording(folder) == (RECORDS, False, 0)
+    assert read_recording(folder)[:3] == (RECORDS, False, 0)
 
 
 def test_a_record_is_on_disk_when_append_returns(tmp_path):
     with Recording(tmp_path / "log", framed=True) as recording:
         for n, record in enumerate(RECORDS):
-            assert read_recording(tmp_path / "log") == (RECORDS[:n], True, 0)
+            assert read_recording(tmp_path / "log")[:3] == (RECORDS[:n], True, 0)
             recording.append(record)
 
 
@@ -46,7 +46,7 @@ def test_cut_off_at_any_byte_it_holds_all_records_before(folder):
     seen = set()
     for size in range(0, len(whole), 5):
         (folder / "packets.bin").write_bytes(whole[:size])
-        records, _, cut = read_recording(folder)
+        records, _, cut, *_ = read_recording(folder)
         assert records == RECORDS[: len(records)]
         used = len(MAGIC) + sum(15 + len(r.data) for r in records)
         assert cut == max(size - used, 0) < 15 + 22
@@ -62,7 +62,7 @@ def test_damage_before_the_end_is_said_with_its_place_and_at_the_end_is_cut_off(
     with pytest.raises(DataError, match=r"packets.bin: the record at byte 42 is damaged; 2 before it are whole"):
         read_recording(folder)
     path.write_bytes(whole[:-1] + b"\x00" if whole[-1] else whole[:-1] + b"\x01")
-    assert read_recording(folder) == (RECORDS[:-1], False, 15)
+    assert read_recording(folder)[:3] == (RECORDS[:-1], False, 15)
 
 
 def test_the_header_says_what_it_is_from_the_start(tmp_path):
@@ -103,7 +103,7 @@ def test_a_log_replays_to_the_same_packets_and_faults_as_when_it_was_made_also_c
         live = []
         while clock.now() < 20.0:
             live += link.step(command_of(0.3, 0.6))
-    records, as_said, _ = read_recording(tmp_path / "log")
+    records, as_said, *_ = read_recording(tmp_path / "log")
     packets, faults = decoded(records, framed=as_said)
     assert list(map(repr, packets)) == list(map(repr, live))
     assert faults == link.exchange.faults

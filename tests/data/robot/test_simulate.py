@@ -73,7 +73,7 @@ def test_a_link_through_pyserial_to_a_robot_on_a_terminal_and_its_log(tmp_path):
         process.terminate()
         assert process.wait(10) == 0
     assert not path.is_symlink()
-    records, framed, cut = read_recording(log)
+    records, framed, cut, *_ = read_recording(log)
     again, faults = decoded(records, framed=framed)
     assert list(map(repr, again)) == list(map(repr, packets))
     assert (cut, faults) == (0, link.exchange.faults)
@@ -147,7 +147,7 @@ def test_the_reader_killed_50_times_leaves_a_log_whole_to_the_last_record_and_a_
             said += reader.stdout.read()
             reader.stdout.close()
             kept = int(said.split(b"\n")[-2]) if b"\n" in said else 0
-            records, framed, cut = read_recording(log)
+            records, framed, cut, *_ = read_recording(log)
             assert kept <= len(records) <= kept + 1  # killed between writing and saying so
             assert cut == 0
             packets, _ = decoded(records, framed=framed)
