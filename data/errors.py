@@ -25,7 +25,12 @@ class DataError(SlamrefError):
             place += f": line {line}"
         if column is not None:
             place += f", column {column}" if line is not None else f": column {column}"
-        return cls(f"{place}: {what}")
+        return cls(printable(f"{place}: {what}"))
+
+
+def printable(text: str) -> str:
+    """The same in one line, whatever a file or its name holds: other characters escaped."""
+    return text if text.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 class UsageError(SlamrefError):

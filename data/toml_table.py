@@ -6,6 +6,7 @@ What is wrong is raised by `fault`, a function that makes the error out of a sen
 from __future__ import annotations
 
 import math
+import re
 import tomllib
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
@@ -19,13 +20,18 @@ Fault = Callable[[str], SlamrefError]
 Known = Mapping[str, Collection[str]]
 SHOWN = 60
 """Characters of a value that a message shows."""
+DEEPEST = 100
+"""Parts of a dotted key; tomllib takes memory by the square of their number."""
+_DEEP = re.compile(rb"(?:\.[\w\"'\t -]{1,64}){%d}" % DEEPEST)
 
 
 def load_toml(path: Path, fault: Fault, missing: str = "no such file") -> dict[str, object]:
     """Contents of a file; `missing` says it where there is none."""
     try:
-        with path.open("rb") as file:
-            return tomllib.load(file)
+        content = path.read_bytes()
+        if _DEEP.search(content):
+            raise fault(f"not valid TOML here: a key of more than {DEEPEST} parts")
+        return tomllib.loads(content.decode())
     except FileNotFoundError:
         raise fault(missing) from None
     except OSError as error:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from data.errors import DataError
+from data.open_log.archive import open_archive
 
 BARCODES, LANDMARKS = "Barcodes.dat", "Landmark_Groundtruth.dat"
 ROBOT_FILE = re.compile(r"Robot([1-9][0-9]*)_(Groundtruth|Odometry|Measurement)\.dat")
@@ -105,7 +106,7 @@ def _open_folder(source: Path) -> Files:
 def _open_zip(source: Path) -> Files:
     try:
         content = source.read_bytes()
-        archive = zipfile.ZipFile(source)
+        archive = open_archive(source, whole=True)
     except (OSError, zipfile.BadZipFile, NotImplementedError, ValueError) as error:
         raise DataError.at(source, f"not a readable zip file or folder: {error}") from None
     members = {PurePosixPath(n): n for n in archive.namelist() if not n.endswith("/")}

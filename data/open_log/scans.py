@@ -7,8 +7,8 @@ ranges  (S, B) numbers [m]      of each beam; 0 or NaN: nothing came back, and s
 from __future__ import annotations
 
 import io
+import math
 import zipfile
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from data.errors import LARGEST, DataError
 from data.inputs import Scanner, Scans
+from data.open_log.archive import BROKEN, open_archive
 from data.se2 import Array
 from data.toml_table import TomlTable, finite, positive
 
@@ -49,14 +50,7 @@ def read_scans(path: Path, scanner: Scanner, frames: int) -> Scans:
         DataError: not such a file (object arrays are not read), arrays missing, unknown or of the wrong shape or type,
             frames out of range or not ascending, or a range that is negative or infinite.
     """
-    arrays = _arrays(path)
-    for name in (FRAME, RANGES):
-        if name not in arrays:
-            raise DataError.at(path, f"no such array; found {', '.join(arrays) or 'none'}", column=name)
-    for name in arrays:
-        if name not in (FRAME, RANGES):
-            raise DataError.at(path, f"unknown array; known: {FRAME}, {RANGES}", column=name)
-    frame, ranges = arrays[FRAME], arrays[RANGES]
+    frame, ranges = _arrays(path)
     if frame.dtype.kind not in "iu" or frame.ndim != 1:
         raise DataError.at(path, f"{_kind(frame)}; whole numbers (S,) are needed", column=FRAME)
     if ranges.dtype.kind not in "fiu" or ranges.ndim != 2 or ranges.shape[1] == 0 or len(ranges) != len(frame):
@@ -84,19 +78,39 @@ def scans_content(scans: Scans) -> bytes:
     return buffer.getvalue()
 
 
-def _arrays(path: Path) -> dict[str, NDArray[np.generic]]:
-    """Arrays of an npz file by name; no code of the file is run."""
+def _arrays(path: Path) -> tuple[NDArray[np.generic], NDArray[np.generic]]:
+    """Frame and ranges; no code of the file is run, and no array is made that the file does not hold."""
     try:
-        content = np.load(io.BytesIO(path.read_bytes()), allow_pickle=False)
-        if not isinstance(content, np.lib.npyio.NpzFile):
+        if path.read_bytes()[:6] == np.lib.format.MAGIC_PREFIX:
             raise DataError.at(path, "one array; an npz file with frame and ranges is needed")
-        with content:
-            return {name: content[name] for name in content.files}
+        with open_archive(path, whole=True) as archive:
+            names = [n.removesuffix(".npy") for n in archive.namelist()]
+            for name in (FRAME, RANGES):
+                if name not in names:
+                    raise DataError.at(path, f"no such array; found {', '.join(names)[:80] or 'none'}", column=name)
+            for name in names:
+                if name not in (FRAME, RANGES):
+                    raise DataError.at(path, f"unknown array; known: {FRAME}, {RANGES}", column=name[:40])
+            return _array(archive, FRAME), _array(archive, RANGES)
     except OSError as error:
         raise DataError.at(path, f"cannot be read: {error.strerror or error}") from None
-    except (ValueError, EOFError, KeyError, NotImplementedError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
+    except BROKEN as error:
         what = " ".join(str(error).split())[:80]
         raise DataError.at(path, f"not an npz file of plain arrays ({what}); numpy.savez writes one") from None
+
+
+def _array(archive: zipfile.ZipFile, name: str) -> NDArray[np.generic]:
+    """An array of an archive, its size compared with what its header says before there is room made for it."""
+    content = io.BytesIO(archive.read(f"{name}.npy"))
+    version = np.lib.format.read_magic(content)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read(content)
+    left = len(content.getbuffer()) - content.tell()
+    if not dtype.hasobject and math.prod(shape) * dtype.itemsize != left:
+        raise ValueError(f"{name} of shape {shape} is {math.prod(shape) * dtype.itemsize} bytes, and {left} are there")
+    content.seek(0)
+    found: NDArray[np.generic] = np.lib.format.read_array(content, allow_pickle=False)
+    return found
 
 
 def _kind(array: NDArray[np.generic]) -> str:

@@ -66,7 +66,7 @@ def _landmarks(path: Path) -> MapEstimate:
         wide[:, :2, :2] = P
         require_covariances(wide, str(path), lambda k: f"line {k + FIRST_ROW}")
     number = _whole(path, "landmark", c["landmark"], 0)
-    again = np.flatnonzero(np.bincount(number, minlength=1)[number] > 1) if n else np.empty(0, int)
+    again = np.setdiff1d(np.arange(n), np.unique(number, return_index=True)[1])
     if len(again):
         k = int(again[-1])
         raise DataError.at(path, f"{number[k]} is there twice", line=k + FIRST_ROW, column="landmark")

@@ -69,7 +69,8 @@ def numbers(text: Text, columns: Sequence[str], *, more: bool = False) -> Array:
             if not is_number(field):
                 raise DataError.at(text.path, f"{field[:40]!r} is not a number", line=line, column=name)
             if not math.isfinite(float(field)) or (abs(float(field)) > LARGEST and name != "timestamp [ns]"):
-                raise DataError.at(text.path, f"{field}; a finite number in SI units is needed", line=line, column=name)
+                what = f"{field[:40]}; a finite number in SI units is needed"
+                raise DataError.at(text.path, what, line=line, column=name)
     return np.array([[float(f) for f in fields[:k]] for fields in text.fields])
 
 

@@ -52,11 +52,13 @@ def read_plane(text: Text, manner: Manner) -> GivenPath:
                 raise DataError.at(text.path, f"{field[:40]!r} is not a number", line=line, column=names[column])
             value = float(field) if field else np.nan
             if np.isinf(value) or abs(value) > LARGEST:
-                what = f"{field}; a number in SI units is needed, or blank where unknown"
+                what = f"{field[:40]}; a number in SI units is needed, or blank where unknown"
                 raise DataError.at(text.path, what, line=line, column=names[column])
             rows[k, j] = value
         if not np.isfinite(rows[k, 0]):
             raise DataError.at(text.path, "no stamp; a number is needed", line=line, column="t")
+    if not len(rows):
+        raise DataError.at(text.path, "a header and no pose; at least one is needed")
     time = rows[:, 0]
     require_order(Text(text.path, text.fields[1:], text.line[1:], (), True), time)
     keep = in_order(time)

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import math
 import pickle
-import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -19,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data.errors import DataError
+from data.open_log.archive import BROKEN, open_archive
 
 Record: TypeAlias = "dict[str, NDArray[Any] | Mapping[str, Any]]"
 NEEDS_TRUST = (
@@ -97,7 +96,7 @@ class NpzLog:
         self.path = path
         self._layouts: dict[str, _Layout] = {}
         self._whole: dict[str, NDArray[Any]] = {}
-        with _reading(path), zipfile.ZipFile(path) as archive:
+        with _reading(path), open_archive(path, whole=False) as archive:
             inside = [n.removesuffix(".npy") for n in archive.namelist() if n.endswith(".npy")]
             self.fields = tuple(name for name in wanted if name in inside)
             for name in self.fields:
@@ -132,7 +131,7 @@ class NpzLog:
         """The frames' fields by name."""
         with ExitStack() as stack:
             stack.enter_context(_reading(self.path))
-            archive = stack.enter_context(zipfile.ZipFile(self.path))
+            archive = stack.enter_context(open_archive(self.path, whole=False))
             streams: list[Iterator[Any]] = []
             for name in self.fields:
                 if name in self._whole:
@@ -156,7 +155,7 @@ def npy_fields(path: Path) -> tuple[str, ...] | None:
 
 def npz_arrays(path: Path) -> tuple[str, ...]:
     """Names of an archive's arrays; DataError if it is none."""
-    with _reading(path), zipfile.ZipFile(path) as archive:
+    with _reading(path), open_archive(path, whole=False) as archive:
         return tuple(n.removesuffix(".npy") for n in archive.namelist() if n.endswith(".npy"))
 
 
@@ -165,8 +164,8 @@ def _reading(path: Path) -> Iterator[None]:
     """Whatever is wrong with a file's bytes becomes a DataError."""
     try:
         yield
-    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
-        raise DataError.at(path, f"damaged: {error}") from error
+    except BROKEN as error:
+        raise DataError.at(path, f"damaged: {' '.join(str(error).split())[:200]}") from error
     except OSError as error:
         raise DataError.at(path, f"cannot be read: {error.strerror}") from error
 

@@ -34,7 +34,7 @@ def assert_sound(log: Log) -> None:
     ):
         assert covariance.shape == (count, d, d)
         assert np.isfinite(covariance).all()
-        assert np.array_equal(covariance, covariance.transpose(0, 2, 1))
+        assert np.allclose(covariance, covariance.transpose(0, 2, 1), rtol=1e-9, atol=0.0)
         assert (np.linalg.eigvalsh(covariance) >= -2e-12 * np.trace(covariance, axis1=1, axis2=2)[:, None]).all()
     assert (
         np.linalg.det(o.R / np.sqrt(o.R[:, [0, 1], [0, 1]][:, :, None] * o.R[:, [0, 1], [0, 1]][:, None, :])) > 0

@@ -1,0 +1,190 @@
+"""What is fuzzed: valid inputs of every reader, how they are read, and what a right load keeps."""
+
+from __future__ import annotations
+
+import gzip
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from data.graphs.g2o import read_graph
+from data.logs import open_log
+from data.mrclam.load import load_mrclam
+from data.results.kept import beside
+from data.results.reading import read_path
+from data.robot.packets import command_of
+from data.robot.traffic.recording import Recording
+from data.visual.lab.folder import open_lab
+from eval.studies.scenario_file import load_scenario
+from eval.studies.shipped import path_of
+from tests.data.conftest import small_files
+from tests.data.mrclam import world
+from tests.data.open_log.test_corruption import assert_sound
+from tests.data.open_log.test_scans import GOOD
+from tests.data.recordings.carmen_text import SMALL
+from tests.data.robot.line import linked
+from tests.data.visual.lab.handmade import lab
+from tests.faults.mutations import BYTES, MAT, NPY, TABLE, TOML, Fault, Files, zipped
+
+
+class Reader(NamedTuple):
+    """A reader under test.
+
+    Attributes:
+        inputs: valid inputs, each a folder's files by their names; made once.
+        read: reads a folder.
+        check: raises AssertionError if what was read is not sound.
+    """
+
+    inputs: Callable[[], list[Files]]
+    read: Callable[[Path], Any]
+    check: Callable[[Any], None]
+
+
+def faults_of(name: str) -> list[Fault]:
+    """What may be wrong in a file, by its name."""
+    ending = name.rpartition(".")[2]
+    if ending == "toml":
+        return TOML
+    if ending == "npy":
+        return NPY
+    if ending == "npz":
+        return [zipped(lambda _: NPY), *BYTES]
+    if ending == "zip":
+        return [zipped(lambda _: TABLE), *BYTES]
+    if ending == "mat":
+        return MAT
+    return BYTES if ending in ("gz", "bin", "png") else TABLE
+
+
+def encoded(files: dict[str, str]) -> Files:
+    return {name: text.encode() for name, text in files.items()}
+
+
+def files_of(folder: Path) -> Files:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def made(make: Callable[[Path], object]) -> Files:
+    """Files that a function writes into a folder."""
+    with tempfile.TemporaryDirectory() as folder:
+        make(Path(folder))
+        return files_of(Path(folder))
+
+
+def open_logs() -> list[Files]:
+    kinds = [(source, sensor) for source in ("frames", "odometry") for sensor in ("range_bearing", "relative_point")]
+    line = small_files("frames", "range_bearing")
+    line["log.toml"] = line["log.toml"].replace("range_bearing", "line")
+    return [*(encoded(small_files(*kind)) for kind in kinds), encoded(line), dict(GOOD)]
+
+
+def datasets() -> list[Files]:
+    folder = encoded(world.texts())
+    return [folder, made(lambda path: world.save_zip(path / "set.zip", world.texts()))]
+
+
+def read_dataset(folder: Path) -> Any:
+    archive = folder / "set.zip"
+    return load_mrclam(archive if archive.exists() else folder, 1)
+
+
+def lab_folders(form: str) -> Callable[[], list[Files]]:
+    return lambda: [made(lambda path: lab(path / "lab", form=form))]
+
+
+def read_lab(folder: Path) -> Any:
+    recording = open_lab(folder / "lab")
+    return recording, list(recording.frames())
+
+
+def sound_frames(found: Any) -> None:
+    recording, frames = found
+    assert len(frames) == len(recording)
+    times = [f.time for f in frames]
+    assert np.isfinite(times).all()
+    assert (np.diff(times) > 0).all()
+    for f in frames:
+        assert np.isfinite([f.v, f.omega]).all()
+        assert f.rgb.dtype == np.uint8
+        assert f.rgb.shape[:2] == f.xyz.shape[:2]
+    assert np.isfinite(recording.setup.corners).all()
+
+
+def carmen() -> list[Files]:
+    text = SMALL.encode()
+    return [{"small.log": text}, {"small.log.gz": gzip.compress(text, mtime=0)}]
+
+
+def read_carmen(folder: Path) -> Any:
+    return open_log(str(next(p for p in sorted(folder.iterdir()))))
+
+
+TUM = "# t x y z qx qy qz qw\n" + "".join(f"{k / 10} {k} {-k} 0 0 0 {np.sin(k)} {np.cos(k)}\n" for k in range(9))
+KITTI = "".join(f"1 0 0 {k} 0 1 0 {-k} 0 0 1 0\n" for k in range(9))
+UPPER = "1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1"
+PLANE = "t,x,y,theta,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt\n" + "".join(f"{k},{k},0,0.1,1,0,0,1,0,1\n" for k in range(9))
+LANDMARKS = "landmark,x,y,c_xx,c_xy,c_yy,first_frame,times_seen\n0,1,2,1,0,1,0,3\n1,4,2,1,0.1,1,1,2\n"
+DECISIONS = "frame,observation,decision,final\n0,0,-1,-1\n1,0,0,0\n1,1,-1,-1\n2,0,-2,0\n"
+
+
+def results() -> list[Files]:
+    return [
+        encoded({"path.tum": TUM}),
+        encoded({"path.tum": "".join(f"{k} {k} 0 0 0 0 0 1 {UPPER}\n" for k in range(5))}),
+        encoded({"online.csv": PLANE, "landmarks.csv": LANDMARKS, "decisions.csv": DECISIONS}),
+    ]
+
+
+def read_result(folder: Path) -> Any:
+    name = next((n for n in ("path.tum", "online.csv") if (folder / n).exists()), "online.csv")
+    return read_path(str(folder / name)), beside(folder)
+
+
+def sound_path(found: Any) -> None:
+    path = found[0]
+    assert len(path.pose) >= 1
+    assert not np.isinf(path.pose).any()
+    assert path.covariance is None or np.isfinite(path.covariance).all()
+    if path.time is not None:
+        assert (np.diff(path.time) > 0).all()
+
+
+def scenarios() -> list[Files]:
+    return [{"scenario.toml": path_of(name).read_bytes()} for name in ("arena", "circle", "corridor", "visual")]
+
+
+def recordings() -> list[Files]:
+    def drive(path: Path, framed: bool) -> None:
+        with Recording(path / "log", framed=framed) as recording:
+            link, _, clock = linked(framed=framed, recording=recording)
+            while clock.now() < 4.0:
+                link.step(command_of(0.2, 0.3))
+
+    return [made(lambda path, framed=framed: drive(path, framed)) for framed in (False, True)]
+
+
+G2O = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0.1\nVERTEX_XY 2 2 1\nEDGE_SE2 0 1 1 0 0.1 10 0 0 10 0 90\n" + (
+    "EDGE_SE2_XY 0 2 2 1 5 0 5\nEDGE_SE2_XY 1 2 1 1 5 0 5\n"
+)
+
+
+def nothing(found: Any) -> None:
+    """What was read is checked where it is used."""
+
+
+READERS = {
+    "open log": Reader(open_logs, lambda folder: open_log(str(folder)), assert_sound),
+    "MRCLAM": Reader(datasets, read_dataset, assert_sound),
+    "MAT": Reader(lambda: [*lab_folders("log.mat")(), *lab_folders("plain.mat")()], read_lab, sound_frames),
+    "npy": Reader(lab_folders("log.npy"), read_lab, sound_frames),
+    "npz": Reader(lab_folders("log.npz"), read_lab, sound_frames),
+    "CARMEN": Reader(carmen, read_carmen, assert_sound),
+    "results": Reader(results, read_result, sound_path),
+    "TOML of a scenario": Reader(scenarios, lambda folder: load_scenario(str(folder / "scenario.toml")), nothing),
+    "recording of a robot": Reader(recordings, lambda folder: open_log(str(folder / "log")), assert_sound),
+    "g2o": Reader(lambda: [{"graph.g2o": G2O.encode()}], lambda folder: read_graph(folder / "graph.g2o"), nothing),
+}
