@@ -8,6 +8,10 @@ LARGEST = 1e15
 """No quantity in SI units is larger; beyond, squares and products overflow and whole numbers are not exact."""
 
 
+LONGEST = 800
+"""Characters of a message; keys, names and values come from files."""
+
+
 class SlamrefError(Exception):
     """Base of every error that ends a command with one clear line and exit status 2."""
 
@@ -29,7 +33,9 @@ class DataError(SlamrefError):
 
 
 def printable(text: str) -> str:
-    """The same in one line, whatever a file or its name holds: other characters escaped."""
+    """The same in one line of bearable length, whatever a file or its name holds: other characters are escaped."""
+    if len(text) > LONGEST:
+        text = f"{text[: LONGEST // 2]} ... {text[-LONGEST // 2 :]}"
     return text if text.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 

@@ -1,0 +1,136 @@
+"""Faults that broken files once met, each in its smallest form."""
+
+from __future__ import annotations
+
+import io
+import tracemalloc
+import zipfile
+
+import numpy as np
+import pytest
+
+from data.errors import DataError
+from data.logs import open_log
+from data.mrclam.load import load_mrclam
+from data.results.kept import beside
+from data.results.reading import read_path
+from data.visual.lab.folder import open_lab
+from tests.data.conftest import small_files
+from tests.data.open_log.test_scans import GOOD
+from tests.data.visual.lab.handmade import lab
+from tests.faults.mutations import bomb_entry, npy_header
+
+
+def save(folder, files):
+    folder.mkdir()
+    for name, content in files.items():
+        (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    return folder
+
+
+def peak(read, *args):
+    """Bytes at most in use while `read` refuses, and what it says."""
+    tracemalloc.start()
+    try:
+        with pytest.raises(DataError) as error:
+            read(*args)
+        return tracemalloc.get_traced_memory()[1], str(error.value)
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.fixture
+def laser(tmp_path):
+    """`laser(scans)`: a laser log with these bytes as its scans."""
+
+    def make(scans):
+        return str(save(tmp_path / "laser", {**GOOD, "scans.npz": scans}))
+
+    return make
+
+
+def archive(entries, method=zipfile.ZIP_DEFLATED):
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", method) as z:
+        for name, content in entries.items():
+            z.writestr(name, content)
+    return buffer.getvalue()
+
+
+def test_a_key_of_many_parts_takes_no_gigabytes(tmp_path):
+    folder = save(tmp_path / "log", {"log.toml": "deep" + ".a" * 20_000 + " = 1\n"})
+    most, said = peak(open_log, str(folder))
+    assert "a key of more than 100 parts" in said
+    assert most < 4 << 20
+
+
+def test_decimals_in_a_row_are_no_key(tmp_path):
+    files = small_files("frames", "range_bearing")
+    files["log.toml"] += "numbers = [" + "0.25, " * 500 + "]\n"
+    assert open_log(str(save(tmp_path / "log", files))).source["numbers"][-1] == 0.25
+
+
+def test_an_array_that_says_it_is_larger_than_it_is_gets_no_room(laser):
+    false = npy_header((10**9, 360), "<f8") + bytes(100)
+    frame = io.BytesIO()
+    np.save(frame, np.arange(3))
+    most, said = peak(open_log, laser(archive({"frame.npy": frame.getvalue(), "ranges.npy": false})))
+    assert "100 are there" in said
+    assert most < 4 << 20
+
+
+def test_a_bomb_is_not_inflated(laser, tmp_path):
+    bomb = bomb_entry("frame.npy", npy_header((1 << 25,), "<f8"))
+    most, said = peak(open_log, laser(archive({"ranges.npy": b""})[:0] + bomb))
+    assert "no such array" in said or "inflate" in said
+    (tmp_path / "set.zip").write_bytes(bomb_entry("Barcodes.dat", b""))
+    most_of_set, said = peak(load_mrclam, tmp_path / "set.zip", 1)
+    assert "would inflate from" in said
+    assert max(most, most_of_set) < 4 << 20
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
+def test_other_compressions_are_named(laser, tmp_path, method):
+    _, said = peak(open_log, laser(archive({"frame.npy": b"1"}, method)))
+    assert f"compressed by method {method}" in said
+    (tmp_path / "lab").mkdir()
+    folder = lab(tmp_path / "lab", form="log.npz")
+    (folder / "log.npz").write_bytes(archive({"rgb.npy": b"1"}, method))
+    assert f"compressed by method {method}" in peak(open_lab, folder)[1]
+
+
+def test_the_header_of_an_array_may_be_cut_anywhere(tmp_path):
+    (tmp_path / "lab").mkdir()
+    folder = lab(tmp_path / "lab", form="log.npy")
+    head = b"{'descr': [('rgb', '<f8'"
+    (folder / "log.npy").write_bytes(b"\x93NUMPY\x01\x00" + bytes([len(head), 0]) + head)
+    assert "log.npy: damaged" in peak(open_lab, folder)[1]
+
+
+def test_a_result_without_a_pose_and_a_number_of_many_digits_are_said_in_few_words(tmp_path):
+    (tmp_path / "a.csv").write_text("t,x,y,theta\n")
+    assert "a header and no pose" in peak(read_path, str(tmp_path / "a.csv"))[1]
+    (tmp_path / "b.tum").write_text("0 0 0 0 0 0 0 1\n1 " + "9" * 100_000 + " 0 0 0 0 0 1\n")
+    assert len(peak(read_path, str(tmp_path / "b.tum"))[1]) < 300
+
+
+def test_a_landmark_of_a_great_number_needs_no_room_for_all_before(tmp_path):
+    (tmp_path / "landmarks.csv").write_text("landmark,x,y\n1000000000000000,1,2\n3,1,2\n")
+    assert beside(tmp_path).landmarks.number.tolist() == [1000000000000000, 3]
+    (tmp_path / "landmarks.csv").write_text("landmark,x,y\n5,1,2\n3,1,2\n5,1,1\n")
+    assert "line 4, column landmark: 5 is there twice" in peak(beside, tmp_path)[1]
+
+
+def test_a_message_is_one_line_whatever_a_file_is_called(tmp_path):
+    for name in ("one", "two\nlines\x1b[31m"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "Barcodes.dat").write_text("# no rows\n")
+    _, said = peak(load_mrclam, tmp_path, 1)
+    assert said.isprintable()
+    assert r"two\nlines\x1b[31m" in said
+
+
+def test_a_message_is_short_whatever_a_key_is_called(tmp_path):
+    files = small_files("frames", "range_bearing")
+    files["log.toml"] += "A" * 100_000 + " = 1\n[prior" + "B" * 100_000 + "]\n"
+    assert len(peak(open_log, str(save(tmp_path / "log", files)))[1]) < 1000
