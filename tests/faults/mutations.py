@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import lzma
 import struct
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -186,7 +187,7 @@ def npy(content: bytes, rng: Rng) -> bytes:
     try:
         version = np.lib.format.read_magic(stream)
         shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
-    except ValueError:
+    except (ValueError, SyntaxError, TypeError, tokenize.TokenError):  # a fault before has changed the header
         return flipped(content, rng)
     rest = content[stream.tell() :]
     descr: object = dtype.descr if dtype.names else dtype.str

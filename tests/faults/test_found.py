@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import io
+import struct
 import tracemalloc
 import zipfile
+import zlib
 
 import numpy as np
 import pytest
@@ -105,6 +107,18 @@ def test_the_header_of_an_array_may_be_cut_anywhere(tmp_path):
     head = b"{'descr': [('rgb', '<f8'"
     (folder / "log.npy").write_bytes(b"\x93NUMPY\x01\x00" + bytes([len(head), 0]) + head)
     assert "log.npy: damaged" in peak(open_lab, folder)[1]
+
+
+def test_an_image_of_few_bytes_and_many_pixels_gets_no_room(tmp_path):
+    (tmp_path / "lab").mkdir()
+    folder = lab(tmp_path / "lab", form="log.npy")
+    image = next((folder / "landmark").iterdir())
+    content = image.read_bytes()
+    for side in (8_000, 12_000, 30_000):
+        head = content[12:16] + struct.pack(">II", side, side) + content[24:29]
+        image.write_bytes(content[:12] + head + struct.pack(">I", zlib.crc32(head)) + content[33:])
+        with pytest.raises(DataError, match=r"more than 5e\+07 pixels|at most 5e\+07 are read"):
+            open_lab(folder)
 
 
 def test_a_result_without_a_pose_and_a_number_of_many_digits_are_said_in_few_words(tmp_path):

@@ -11,7 +11,9 @@ The two files are told by what is in them, whatever they are called; one .mat ma
 from __future__ import annotations
 
 import hashlib
+import io
 import re
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +22,7 @@ from typing import TypeVar
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from data.errors import DataError
 from data.pictures import VisualFrame, VisualSetup
@@ -34,6 +37,8 @@ T = TypeVar("T")
 __all__ = ["LabRecording", "is_lab", "open_lab", "unit_suspicion", "write_lab"]
 
 LOG_VARIABLE = "log"
+MOST_PIXELS = 5e7
+"""Of a reference image; the largest cameras have as many."""
 IMAGES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm"})
 
 
@@ -200,13 +205,25 @@ def _natural(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name.casefold()) if part]
 
 
+def _require_bearable(path: Path, content: bytes) -> None:
+    """Raise DataError for an image that says it has more pixels than `MOST_PIXELS`; there need not be any in it."""
+    try:
+        with warnings.catch_warnings(action="error"), Image.open(io.BytesIO(content)) as image:
+            width, height = image.size
+    except (OSError, ValueError, SyntaxError, Warning, Image.DecompressionBombError):
+        raise DataError.at(path, f"not an image that can be read, or one of more than {MOST_PIXELS:g} pixels") from None
+    if width * height > MOST_PIXELS:
+        raise DataError.at(path, f"{width} x {height} pixels; at most {MOST_PIXELS:g} are read")
+
+
 def read_image(path: Path) -> NDArray[np.uint8]:
     """An image as RGB (H, W, 3) uint8. Raises DataError for a file that is none."""
     try:
-        content = np.frombuffer(path.read_bytes(), np.uint8)
+        content = path.read_bytes()
     except OSError as error:
         raise DataError.at(path, f"cannot be read: {error.strerror}") from error
-    image = cv2.imdecode(content, cv2.IMREAD_COLOR) if content.size else None
+    _require_bearable(path, content)
+    image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
     if image is None:
         raise DataError.at(path, "not an image that can be read")
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)

@@ -1,0 +1,114 @@
+"""Worlds, estimators, methods and options in all pairs: each run ends well or says in one line why it cannot."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from eval.replay.names import ASSOCIATIONS, ESTIMATORS
+from eval.run_all import main
+from tests.faults.covering import pairwise
+
+WORLDS = (
+    "arena:{}:frames=90", "arena:{}:frames=60+sensor=relative_point+clutter=0.1", "arena:{}:frames=60+landmarks=3",
+    "arena:{}:frames=80+curvature=0.03+scale=-0.1", "park:{}:frames=120", "corridor:{}:frames=60",
+    "corridor:{}:people+no-odometry+frames=50", "circle:{}:frames=100+turn_rate=0.1", "linear:{}:frames=60",
+    "walls:{}:frames=160", "floorplan:{}:frames=80",
+)  # fmt: skip
+FACTORS = {
+    "world": WORLDS,
+    "--task": ("localization", "slam"),
+    "--estimator": (*ESTIMATORS, ",".join(ESTIMATORS)),
+    "--association": ASSOCIATIONS,
+    "--gate": ("", "none", "0.9"),
+    "--new-gate": ("", "none", "0.999"),
+    "--gate-known": ("", "none", "0.99"),
+    "--in-view": ("", "on"),
+    "--maintain": ("", "on"),
+    "--forget-after": ("", "4"),
+    "--deactivate-after": ("", "2"),
+    "--lag": ("", "3"),
+    "--calibrate": ("", "auto", "scale,curvature", "left,right=0.1", "range,bearing", "drift"),
+}
+SWITCHES = ("--in-view", "--maintain")
+RUNS = 200
+NEVER_BLANK = ("frames", "observations", "rmse_position_m")
+
+
+def sensible(row):
+    """The combination without what is refused for its log or task, so that nothing is hidden behind a refusal."""
+    found = dict(row)
+    if row["--task"] == "localization":
+        found |= dict.fromkeys(("--maintain", "--forget-after", "--deactivate-after"), "")
+    if "ekf-fej" in row["--estimator"]:
+        found["--deactivate-after"] = ""
+    if row["world"].startswith("floorplan"):
+        found["--calibrate"] = ""
+    elif row["--association"] == "scan":
+        found["--association"] = "jcbb"
+    return found
+
+
+def arguments(row, seed):
+    """The command line of a combination; every tenth as it fell."""
+    row = sensible(row) if seed % 10 else row
+    found = ["--log", row["world"].format(seed)]
+    for name, value in row.items():
+        if name.startswith("--") and value:
+            found += [name] if name in SWITCHES else [name, value]
+    return found
+
+
+def checked(folder):
+    """Estimators that came to an end, of those in the tables; fails where a status is `ok` and a number is missing."""
+    metrics = pd.read_csv(folder / "metrics.csv")
+    assert len(metrics)
+    assert set(metrics["status"]) <= {"ok", "diverged", "incomplete", "implausible"}
+    fine = metrics[metrics["status"] == "ok"]
+    for name in NEVER_BLANK:
+        assert fine[name].notna().all(), name
+    assert np.isfinite(fine["rmse_position_m"]).all()
+    assert (fine["rmse_position_m"] >= 0).all()
+    for path in folder.rglob("online.csv"):
+        run = pd.read_csv(path)
+        known = metrics["estimator"] == path.parent.name.split("_")[0]
+        if (metrics[known]["status"] == "ok").all():
+            assert np.isfinite(run[["t", "x", "y", "theta"]]).all(axis=None), path
+            assert (run[["c_xx", "c_yy", "c_tt"]] >= 0).all(axis=None), path
+    return set(fine["estimator"])
+
+
+@pytest.fixture(scope="module")
+def rows():
+    """Two hundred combinations in which all pairs occur."""
+    rng = np.random.default_rng(20)
+    found = pairwise(FACTORS, rng)
+    assert len(found) <= RUNS
+    while len(found) < RUNS:
+        found.append({name: levels[int(rng.integers(len(levels)))] for name, levels in FACTORS.items()})
+    return found
+
+
+def test_all_pairs_occur(rows):
+    names = list(FACTORS)
+    for i, a in enumerate(names):
+        for b in names[i + 1 :]:
+            assert {(r[a], r[b]) for r in rows} == {(x, y) for x in FACTORS[a] for y in FACTORS[b]}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("k", range(RUNS))
+def test_a_combination_ends_well_or_says_why_not(rows, k, tmp_path, capsys):
+    asked = arguments(rows[k], 1000 + k)
+    status = main([*asked, "--out", str(tmp_path / "out"), "--no-plots"])
+    said = capsys.readouterr().err
+    assert "Traceback" not in said
+    if status == 2:
+        last = said.strip().splitlines()[-1]
+        assert "error" in said, asked
+        assert len(last) < 400
+        assert not (tmp_path / "out").exists()
+    else:
+        assert status in (0, 1)
+        checked(tmp_path / "out")
