@@ -6,14 +6,23 @@ from os import PathLike
 
 LARGEST = 1e15
 """No quantity in SI units is larger; beyond, squares and products overflow and whole numbers are not exact."""
-
-
 LONGEST = 800
 """Characters of a message; keys, names and values come from files."""
 
 
+def printable(text: str) -> str:
+    """The same, its middle left out where it is too long, other characters escaped."""
+    if len(text) > LONGEST:
+        text = f"{text[: LONGEST // 2]} ... {text[-LONGEST // 2 :]}"
+    return text if text.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
 class SlamrefError(Exception):
     """Base of every error that ends a command with one clear line and exit status 2."""
+
+    def __init__(self, message: str = "") -> None:
+        """Keep the message in one line of bearable length, whatever a file or its name holds."""
+        super().__init__(printable(message))
 
 
 class DataError(SlamrefError):
@@ -29,14 +38,7 @@ class DataError(SlamrefError):
             place += f": line {line}"
         if column is not None:
             place += f", column {column}" if line is not None else f": column {column}"
-        return cls(printable(f"{place}: {what}"))
-
-
-def printable(text: str) -> str:
-    """The same in one line of bearable length, whatever a file or its name holds: other characters are escaped."""
-    if len(text) > LONGEST:
-        text = f"{text[: LONGEST // 2]} ... {text[-LONGEST // 2 :]}"
-    return text if text.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+        return cls(f"{place}: {what}")
 
 
 class UsageError(SlamrefError):
