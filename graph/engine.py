@@ -18,6 +18,8 @@ Answer = TypeVar("Answer")
 SIZES = {"x": 3, "l": 2}
 """Of poses and landmarks."""
 
+FURTHER = 10.0
+"""In thresholds: what other variables than poses and landmarks are relinearized by."""
 WILDFIRE = 0.2
 """In thresholds: a change smaller than this does not travel further back into the past."""
 JUMP = 10.0
@@ -71,7 +73,7 @@ class Engine:
         sizes = {**SIZES, **self.linear}
         found = gtsam.ISAM2ThresholdMap()
         for kind, size in sizes.items():
-            found.insert((kind, np.full(size, np.inf if kind in self.linear else self.threshold)))
+            found.insert((kind, np.full(size, (FURTHER if kind in self.linear else 1.0) * self.threshold)))
         return found
 
     def add(
@@ -150,6 +152,19 @@ class Engine:
     def vector(self, key: int) -> Array:
         """Estimate of a vector."""
         return np.asarray(self._ask(lambda: self.isam.calculateEstimateVector(key)), float)
+
+    def newest(self, keys: Sequence[int]) -> tuple[Array, Array]:
+        """How far variables are from where they are linearized (n,), and their joint covariance (n, n).
+
+        Poses in their body frames. What is next to the root of the tree is found without looking at the rest of it.
+        """
+
+        def found() -> tuple[Array, Array]:
+            R, d = self.isam.jointBayesNet(keys, gtsam.EliminateQR).matrix()
+            inverse = np.linalg.inv(R)
+            return inverse @ np.ravel(d), inverse @ inverse.T
+
+        return self._ask(found)
 
     def covariance(self, keys: Sequence[int]) -> Array:
         """Joint covariance of variables in the order asked for, poses in their body frames."""
@@ -230,3 +245,4 @@ def _order(last: Sequence[int]) -> gtsam.KeyGroupMap:
     for key in last:
         found.insert2(key, 1)
     return found
+
