@@ -66,7 +66,10 @@ class Engine:
         steps = gtsam.ISAM2GaussNewtonParams()
         steps.setWildfireThreshold(WILDFIRE * self.threshold)
         parameters.setOptimizationParams(steps)
-        return gtsam.ISAM2(parameters)
+        isam = gtsam.ISAM2(parameters)
+        # while somebody holds this reference, gtsam hands it to factors in Python, instead of a copy for each
+        self.point = isam.getLinearizationPoint()
+        return isam
 
     def _thresholds(self) -> gtsam.ISAM2ThresholdMap:
         """What moved further than this is relinearized, by kind of variable."""

@@ -184,7 +184,7 @@ class CalibratedEnd(OpenEnd):
     def _take(self, engine: Engine) -> gtsam.Pose2:
         """The anchor and the errors as the graph has them."""
         change, J = engine.newest(self.keys)
-        point = engine.isam.getLinearizationPoint()
+        point = engine.point
         pose = point.atPose2(self.keys[0]).retract(change[:3])
         at = np.concatenate([point.atVector(key) for key in self.keys[1:]]) + change[3:]
         self._motion_log.now[:] = at[: len(self._motion_log.now)]
