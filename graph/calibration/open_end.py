@@ -21,11 +21,15 @@ from graph.calibration.advance import advance, forget
 from graph.calibration.factors import first_factors, knot_factor
 from graph.calibration.motion import Motion
 from graph.calibration.variables import Errors
-from graph.engine import EXTRA, Engine
+from graph.engine import EXTRA, JUMP, Engine
 from graph.factors import Factor, Sighted, is_exact, pose2
 from graph.open_end import Left, OpenEnd
 from graph.problem import Calibrated, Problem, drift_key
 from graph.window import Window
+
+YOUNG = 0.1
+"""Of all updates so far: after so many the path is linearized anew, while that is more often than it is anyway. Errors
+are learnt in the first frames, by as many sigmas as ever after, and there it costs little."""
 
 
 class CalibratedEnd(OpenEnd):
@@ -48,6 +52,7 @@ class CalibratedEnd(OpenEnd):
         self._path_b = list[Array]()
         self._units = np.zeros_like(self.whole)
         self._units[3 + errors.order, 3 + np.arange(len(self.b))] = errors.systematic.sigma[errors.order]
+        self._updates, self._looked = 0, 0
         self._from_here()
 
     def _from_here(self) -> None:
@@ -172,14 +177,24 @@ class CalibratedEnd(OpenEnd):
         self._again()
 
     def _settle(self, engine: Engine, before: gtsam.Pose2) -> None:
-        """As `Engine.settle`, with all that the newest pose and the errors are read from at once."""
-        pose = self._take(engine)
+        """As `Engine.settle`, with all that the newest pose and the errors are read from at once.
+
+        After a jump it goes on until the pose stays: the loop says something new of the errors, and they of the path.
+        """
+        self._updates += 1
+        pose, far = self._take(engine), JUMP
         for _ in range(EXTRA):
-            if not engine.jumped(before, pose):
+            if not (self._due(engine.skip) or engine.jumped(before, pose, far)):
                 break
-            before = pose
+            self._looked = self._updates
+            before, far = pose, 1.0
             engine.update(self.keys[0])
             pose = self._take(engine)
+
+    def _due(self, skip: int) -> bool:
+        """Whether the path is to be linearized anew at once, and not with every `skip`-th update."""
+        often = YOUNG * self._updates
+        return often < skip and self._updates - self._looked >= often
 
     def _take(self, engine: Engine) -> gtsam.Pose2:
         """The anchor and the errors as the graph has them."""
