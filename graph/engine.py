@@ -142,6 +142,14 @@ class Engine:
         except RuntimeError as fault:
             self._recover(fault)
 
+    def linearize_all(self, root: int) -> None:
+        """One more step, with everything linearized where it is now; `root` as of `update`."""
+        parameters = self.isam.params()
+        kept = self._thresholds() if self.linear else self.threshold
+        parameters.setRelinearizeThreshold(0.0)
+        self.update(root)
+        parameters.setRelinearizeThreshold(kept)
+
     def use_qr(self) -> None:
         """From now on QR, slower and safe."""
         if not self.qr:

@@ -27,9 +27,10 @@ from graph.open_end import Left, OpenEnd
 from graph.problem import Calibrated, Problem, drift_key
 from graph.window import Window
 
-YOUNG = 0.1
-"""Of all updates so far: after so many the path is linearized anew, while that is more often than it is anyway. Errors
-are learnt in the first frames, by as many sigmas as ever after, and there it costs little."""
+ANEW = 0.1
+"""Of all updates so far: after so many everything is linearized anew, however little it moved. What an error changes of
+an increment is taken at the poses, and there the noise of odometry would bias it: without, errors of turns are 1.5 sigma
+off in the arena, with it 0.03, with twice as much 0.2, and on Victoria Park 6 % faster."""
 
 
 class CalibratedEnd(OpenEnd):
@@ -184,17 +185,16 @@ class CalibratedEnd(OpenEnd):
         self._updates += 1
         pose, far = self._take(engine), JUMP
         for _ in range(EXTRA):
-            if not (self._due(engine.skip) or engine.jumped(before, pose, far)):
+            due = self._updates - self._looked >= ANEW * self._updates
+            if not (due or engine.jumped(before, pose, far)):
                 break
-            self._looked = self._updates
             before, far = pose, 1.0
-            engine.update(self.keys[0])
+            if due:
+                self._looked = self._updates
+                engine.linearize_all(self.keys[0])
+            else:
+                engine.update(self.keys[0])
             pose = self._take(engine)
-
-    def _due(self, skip: int) -> bool:
-        """Whether the path is to be linearized anew at once, and not with every `skip`-th update."""
-        often = YOUNG * self._updates
-        return often < skip and self._updates - self._looked >= often
 
     def _take(self, engine: Engine) -> gtsam.Pose2:
         """The anchor and the errors as the graph has them."""
