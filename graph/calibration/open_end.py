@@ -29,8 +29,8 @@ from graph.window import Window
 
 ANEW = 0.1
 """Of all updates so far: after so many everything is linearized anew, however little it moved. What an error changes of
-an increment is taken at the poses, and there the noise of odometry would bias it: without, errors of turns are 1.5 sigma
-off in the arena, with it 0.03, with twice as much 0.2, and on Victoria Park 6 % faster."""
+an increment is taken at the poses, and there the noise of odometry would bias it: without, errors of turns are 1.5
+sigma off in the arena, with it 0.03, with twice as much 0.2 (Victoria Park 6 % faster)."""
 
 
 class CalibratedEnd(OpenEnd):
