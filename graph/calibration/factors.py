@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import gtsam
@@ -13,7 +12,6 @@ from data.inputs import IntArray, Prior, Sightings
 from data.motion.systematic import forgotten
 from data.se2 import Array, world_from_body
 from data.sensors import Sensor
-from graph.calibration.increments import Linear
 from graph.calibration.variables import Errors
 from graph.factors import Factor, Sighted, noise, pose2, prior_factor, root_information, sight_landmarks
 from graph.problem import drift_key
@@ -22,9 +20,6 @@ PINNED = 1e-4
 """m. Sigma of a known landmark in the sensor's frame, where it depends on the errors and no prior can hold it exactly.
 Beside readings of 0.01 m it adds a ten-thousandth to their variance; and its weight is 1e4 times theirs at most, while
 Cholesky breaks down at 1e10."""
-LINKED = 1e-3
-"""Prior sigmas by which copies of the constants may differ from one to the next: over a hundred of them, a hundredth.
-With a tenth of it Cholesky breaks down on Victoria Park."""
 UNIT = {n: noise.Unit.Create(n) for n in (1, 2, 3)}
 
 
@@ -38,30 +33,6 @@ def linear_factor(terms: list[tuple[int, Array]], b: Array, point: gtsam.Values)
     return gtsam.LinearContainerFactor(gtsam.JacobianFactor(whole), point)
 
 
-def motion_factors(
-    errors: Errors, first: int, linear: Linear, knots: Sequence[int], which: IntArray, path: gtsam.Values
-) -> list[Factor]:
-    """Increments `which` (m,) of those linearized, the first of which leads into frame `first`.
-
-    `knots`: whose drift each has; `path`: values with the poses that all were linearized at.
-    """
-    keys = {key for i in which.tolist() for key in errors.keys(first + i, knots[i])}
-    point = errors.zero(keys)
-    point.insert(path)
-    by_errors, b, found = linear.by_errors * errors.systematic.sigma, -linear.residual, list[Factor]()
-    for i in which.tolist():
-        k = first + i
-        terms = [(X(k - 1), linear.before[i]), (X(k), linear.after[i]), *errors.terms(by_errors[i], k, knots[i])]
-        found.append(linear_factor(terms, b[i], point))
-    return found
-
-
-def link_factor(errors: Errors, old: int, new: int) -> Factor:
-    """Two copies of the constants are the same."""
-    n = len(errors.constant)
-    return gtsam.BetweenFactorVector(old, new, np.zeros(n), noise.Isotropic.Sigma(n, LINKED))
-
-
 def knot_factor(errors: Errors, knot: int, ended: float) -> Factor:
     """What a knot's drift says about that of the next one, after so many metres."""
     stays, anew = forgotten(ended, errors.systematic.length)
@@ -72,11 +43,11 @@ def knot_factor(errors: Errors, knot: int, ended: float) -> Factor:
 
 def first_factors(errors: Errors, prior: Prior) -> tuple[list[Factor], gtsam.Values]:
     """The prior of the first pose and the errors, with start values; `prior` is the robot's, in its own frame."""
-    values = errors.zero(errors.keys(0, 0))
+    values = errors.zero(errors.keys(0))
     size = errors.sizes
     alone = [
         gtsam.PriorFactorVector(key, np.zeros(n), noise.Unit.Create(n))
-        for key, n in zip(errors.keys(0, 0), size.values(), strict=True)
+        for key, n in zip(errors.keys(0), size.values(), strict=True)
     ]
     sigma = errors.systematic.sigma
     mean, P = errors.frame.prior_in(prior, sigma)
@@ -89,7 +60,7 @@ def first_factors(errors: Errors, prior: Prior) -> tuple[list[Factor], gtsam.Val
     variance, axes = np.linalg.eigh(B.T @ (P[:3, :3] - K @ P[3:, :3]) @ B)
     given = axes @ np.diag(np.maximum(variance, PINNED**2)) @ axes.T
     root = root_information(given[None])[0][0]
-    pose = linear_factor([(X(0), root), *errors.terms(-root @ B.T @ K * sigma, 0, 0)], np.zeros(3), values)
+    pose = linear_factor([(X(0), root), *errors.terms(-root @ B.T @ K * sigma, 0)], np.zeros(3), values)
     return [pose, *alone], values
 
 
@@ -108,10 +79,9 @@ def sight_pinned(
     result = []
     for i, s in enumerate(found):
         assert s.key is not None
-        frame = int(frames[i])
-        point = errors.zero(errors.keys(frame, 0)[:1])
+        point = errors.zero(errors.keys(0)[:1])
         point.insert(s.key, zero[i])
-        terms = [(s.key, np.eye(2) / PINNED), *errors.terms(-J[i] / PINNED * errors.systematic.sigma, frame, 0)[:1]]
+        terms = [(s.key, np.eye(2) / PINNED), *errors.terms(-J[i] / PINNED * errors.systematic.sigma, 0)[:1]]
         pin = linear_factor(terms, np.zeros(2), point)
         result.append(replace(s, number=int(number[i]), pin=pin, xy=there[i]))
     return result

@@ -14,17 +14,7 @@ from data.motion.systematic import BETWEEN_KNOTS, places
 from data.se2 import Array
 from data.sensors import Sensor
 from graph.engine import Engine
-from graph.problem import drift_key
-
-SEGMENT = 300
-"""Increments that share a copy of the constants. With one for all, each update would travel back over the whole path:
-gtsam takes what was eliminated anew for changed, and goes on wherever it is a separator.
-With more copies cliques grow."""
-
-
-def constants_key(frame: int) -> int:
-    """The copy of the constants that the increment into a frame has; the first is that of the problem as a whole."""
-    return int(gtsam.symbol("c", max(frame - 1, 0) // SEGMENT))
+from graph.problem import CONSTANTS, drift_key
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,9 +51,9 @@ class Errors:
         found = {"c": len(self.constant), "d": int(self.drift >= 0)}
         return {name: size for name, size in found.items() if size}
 
-    def keys(self, frame: int, knot: int) -> list[int]:
-        """Their variables in the increment into a frame, while the drift is that of a knot."""
-        return [constants_key(frame)] * bool(len(self.constant)) + [drift_key(knot)] * (self.drift >= 0)
+    def keys(self, knot: int) -> list[int]:
+        """Their variables while the drift is that of a knot."""
+        return [CONSTANTS] * bool(len(self.constant)) + [drift_key(knot)] * (self.drift >= 0)
 
     def zero(self, keys: Iterable[int]) -> gtsam.Values:
         """Some of the variables at zero, from where they count."""
@@ -72,21 +62,21 @@ class Errors:
             values.insert(key, np.zeros(sizes[chr(gtsam.symbolChr(key))]))
         return values
 
-    def read(self, engine: Engine, frame: int, knot: int) -> Array:
-        """The errors (p,) as the graph has them, in the increment into a frame with the drift of a knot."""
+    def read(self, engine: Engine, knot: int) -> Array:
+        """The errors (p,) as the graph has them, with the drift of a knot."""
         found = np.empty(len(self.place))
-        found[self.order] = np.concatenate([engine.vector(key) for key in self.keys(frame, knot)])
+        found[self.order] = np.concatenate([engine.vector(key) for key in self.keys(knot)])
         return found * self.systematic.sigma
 
     def read_from(self, values: gtsam.Values) -> Array:
         """The errors (p,) of the first increment."""
         found = np.empty(len(self.place))
-        found[self.order] = np.concatenate([values.atVector(key) for key in self.keys(0, 0)])
+        found[self.order] = np.concatenate([values.atVector(key) for key in self.keys(0)])
         return found * self.systematic.sigma
 
-    def terms(self, J: Array, frame: int, knot: int) -> list[tuple[int, Array]]:
+    def terms(self, J: Array, knot: int) -> list[tuple[int, Array]]:
         """A Jacobian (m, p) to the errors in prior sigmas, in terms of their variables."""
-        found = [(constants_key(frame), J[:, self.constant])] if len(self.constant) else []
+        found = [(CONSTANTS, J[:, self.constant])] if len(self.constant) else []
         if self.drift >= 0:
             found.append((drift_key(knot), J[:, self.drift : self.drift + 1]))
         return found

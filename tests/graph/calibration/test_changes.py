@@ -1,4 +1,4 @@
-"""What happens to systematic errors where the graph changes: loops closed late, pairings amended, many copies."""
+"""What happens to systematic errors where the graph changes: late loops, pairings amended, a drift."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from data.inputs import LabelledObservations, Sightings
 from data.result import DISCARD
 from ekf.slam import EkfSlam
 from graph.batch import Start, smooth
-from graph.calibration import variables
 from tests.graph.calibration.running import calibrated, in_sigmas, true_map
 from tests.graph.calibration.worlds import ALL, CARTESIAN, ODOMETRY, POLAR, POLAR_OFF, erring, to_estimate, truncated
 from tests.graph.driving import TIGHT, drive, for_task
@@ -106,8 +105,7 @@ def test_an_update_may_start_at_any_pose_of_the_robot():
 
 
 @pytest.mark.parametrize("task", ["slam", pytest.param("localization", marks=pytest.mark.slow)])
-def test_many_copies_of_the_constants_are_one(task, monkeypatch):
-    monkeypatch.setattr(variables, "SEGMENT", 5)
+def test_constants_and_drift_are_those_of_batch(task):
     inputs, path, xy = erring(to_estimate(*ODOMETRY, "drift"), CARTESIAN)
     inputs = for_task(inputs, task)
     decisions, _ = known_decisions(inputs)
