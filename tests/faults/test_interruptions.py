@@ -52,7 +52,7 @@ def contents(folder):
     return {
         str(p.relative_to(folder)): p.read_bytes()
         for p in sorted(folder.rglob("*"))
-        if p.is_file() and p.name not in ("timing.csv", "provenance.json", "report.html", "report.md")
+        if p.is_file() and p.name not in ("timing.csv", "provenance.json", "run.log", "report.html", "report.md")
     }
 
 
