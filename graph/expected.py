@@ -6,9 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from association.candidates import SIGMAS, Drift, Places, may_be_in_view
 from association.expectation import Expectation
 from data.blocks import coordinates, diagonal_blocks
-from data.inputs import IntArray, Sightings
+from data.inputs import Increment, IntArray, LandmarkMap, Sightings
 from data.se2 import Array, pose_error
 from data.sensors import Sensor
 
@@ -66,6 +67,58 @@ class Near:
             return False
         self._number, self._xy = number, np.concatenate([self._xy, look(number[old:].tolist())])
         return True
+
+
+class Candidates:
+    """Landmarks that may be in view, without a joint covariance of all; of walls, which are few, all may be."""
+
+    def __init__(self, sensor: Sensor, known: LandmarkMap | None) -> None:
+        """Nothing seen, nothing driven."""
+        self.sensor, self.map = sensor, known
+        self._drift, self._near = Drift(), Near()
+        self._places = Places(np.empty((0, 2)) if known is None else known.xy)
+
+    def move(self, increment: Increment) -> None:
+        """The robot moved."""
+        self._drift.move(increment)
+
+    def corrected(self, step: Array) -> None:
+        """The newest pose was corrected by (2,) [m]."""
+        self._near.corrected(step)
+
+    def see(self, sightings: Sightings, number: IntArray, P: Array) -> None:
+        """Landmarks (m,) of SLAM were seen from a pose of covariance P (3, 3)."""
+        if self.sensor.sees_points:
+            self._drift.see(self.sensor, sightings, number, P)
+
+    def know(self, number: IntArray, J: Array) -> None:
+        """J: joint covariance in the world of others and, last, landmarks (n,) of SLAM."""
+        if self.sensor.sees_points:
+            self._drift.know(number, np.sqrt(np.diag(J)[-2 * len(number) :].reshape(-1, 2).sum(1)))
+
+    def expect(self, number: IntArray, z_hat: Array, HPHt: Array) -> None:
+        """Landmarks (n,) of SLAM are expected at z_hat (n, 2), with covariances (n, 2, 2)."""
+        if self.sensor.sees_points:
+            self._drift.expect(self.sensor, number, z_hat, HPHt)
+
+    def known(self, point: Array, radius: float) -> tuple[IntArray, Array]:
+        """Ids (n,) and places (n, 2) of known landmarks at most a radius [m] from a point (2,)."""
+        assert self.map is not None
+        rows = self._places.around(point, radius if self.sensor.sees_points else np.inf)
+        return self.map.id[rows], self.map.xy[rows]
+
+    def of_slam(
+        self, number: IntArray, pose: Array, P: Array, look: Callable[[list[int]], Array]
+    ) -> tuple[IntArray, Array]:
+        """Landmarks among (n,), and their places (m, 2), from a pose (3,) of covariance P; `look` as of `Near`."""
+        if not self.sensor.sees_points:
+            return number, look(number.tolist())
+        sigma, heading = self._drift.sigmas(number, P)
+        lever = np.hypot(*self.sensor.translation)
+        radius = self.sensor.max_range + lever + SIGMAS * (sigma + lever * heading)
+        around, xy = self._near.around(number, pose[:2], radius, look)
+        near = may_be_in_view(self.sensor, pose, xy, sigma[around], heading[around])
+        return number[around][near], xy[near]
 
 
 def form(
