@@ -50,7 +50,7 @@ class Engine:
 
         With `skip` 1 all variables are looked at, otherwise only the newest and those connected to one that moved.
         `linear`: sizes of further variables, by the character of their keys, in which all factors are linear: they are
-        never relinearized. `walls`: the landmarks are walls, see `graph.walls.poses`.
+        never relinearized. `walls`: the landmarks are walls to be estimated, see `graph.walls.poses`.
         """
         self.threshold, self.skip, self.qr, self.name = threshold, skip, qr, name
         self.linear, self.walls = dict(linear or {}), walls

@@ -72,7 +72,7 @@ class Isam2Smoother(Smoother):
         low = np.linalg.eigvalsh(prior.covariance)
         linear = None if errors is None else errors.sizes
         qr = bool(low[0] < DELICATE < low[-1])
-        walls = not sensor.sees_points
+        walls = known is None and not sensor.sees_points
         self._engine = Engine(threshold, skip, qr=qr, name=self._observed.name, linear=linear, walls=walls)
 
     def predict(self, increment: Increment) -> None:

@@ -167,8 +167,8 @@ def sight_walls(
     for i, (f, n) in enumerate(zip(frame.tolist(), number.tolist(), strict=True)):
         z, R, wall, own = seen.z[i], seen.R[i], None, list[Factor]()
         if n not in alpha:
-            wall = _first(sensor, pose[i], z)
-            alpha[n], own = wall.theta(), [_along(n, wall)]
+            wall = placed(sensor.inverse(pose[i], z[None])[0][0], pose[i, :2])
+            alpha[n], own = wall.theta(), [along(n, wall)]
         body = _body_point(sensor, z, R)
         at = gtsam.Pose2(*pose[i].tolist()).transformFrom(body)
         point = None if np.hypot(*body) < CENTRED else (point_key(first_row + i), at)
@@ -208,14 +208,13 @@ def sight_known_walls(
     return result
 
 
-def _first(sensor: Sensor, pose: Array, z: Array) -> gtsam.Pose2:
-    """The wall that a reading from a pose (3,) would see, at the point of it that is nearest to the sensor."""
-    there = sensor.inverse(pose, z[None])[0][0]
-    rho, alpha = about(there, pose[:2])[0].tolist()
-    return gtsam.Pose2(pose[0] + rho * math.cos(alpha), pose[1] + rho * math.sin(alpha), alpha)
+def placed(line: Array, near: Array) -> gtsam.Pose2:
+    """A wall (rho, alpha) as a pose on it, nearest to a point (2,)."""
+    rho, alpha = about(line, near)[0].tolist()
+    return gtsam.Pose2(near[0] + rho * math.cos(alpha), near[1] + rho * math.sin(alpha), alpha)
 
 
-def _along(number: int, wall: gtsam.Pose2) -> Factor:
+def along(number: int, wall: gtsam.Pose2) -> Factor:
     """The prior that holds a wall's pose along the wall."""
     root = _FREE.copy()
     root[1, 1] = 1.0 / ALONG
