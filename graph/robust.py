@@ -39,13 +39,12 @@ def gnc(
     """
     threshold = gate_threshold(probability)
     problem = build(inputs, decisions, created)
-    used = np.flatnonzero(np.where(created >= 0, created, decisions) >= 0)
+    number = np.where(created >= 0, created, decisions)
+    used = np.flatnonzero(number >= 0)
     if problem.calibrated is not None:
         # held at wrong errors, right readings look wrong
         start = _as_start(smooth(inputs, decisions, created, start, loss="huber"), start)
-    walls = (
-        None if inputs.sensor.sees_points else _walls(inputs, used, np.where(created >= 0, created, decisions), start)
-    )
+    walls = None if inputs.sensor.sees_points else _walls(inputs, used, number, start)
     start, believed = _graduate(problem, start, probability, walls, qr=is_delicate(inputs))
     # block-coordinate descent on the truncated cost, from gtsam's choice: its weights need not be those of its
     # solution, and it judges the two scalars of a relative point apart
