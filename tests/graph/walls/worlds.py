@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -13,6 +15,7 @@ from data.result import MapState
 from data.robot.simulated.room import room
 from data.sensors import Line
 from graph.batch import Start, smooth
+from tests.graph.driving import for_task
 from tests.graph.worlds import MOTION_SIGMA, OFF_CENTRE, order_of_creation
 
 SENSORS = {"centred": Line(max_range=8.0), "off centre": Line(max_range=8.0, **OFF_CENTRE)}
@@ -56,25 +59,27 @@ def least_squares_solution(inputs, decisions, created, start, walls):
     n, slam = len(inputs), inputs.map is None
     o, number = inputs.observations, np.where(created >= 0, created, decisions)
     used = np.flatnonzero(number >= 0)
-    white = [np.linalg.cholesky(np.linalg.inv(C)).T for C in inputs.increments.covariance[1:]]
+    measured = inputs.increments.mean[1:]
+    turned = np.array([se2.world_from_body(turn) for turn in measured[:, 2]])
+    white = np.linalg.cholesky(np.linalg.inv(inputs.increments.covariance[1:])).transpose(0, 2, 1) @ turned
+    turned_0 = se2.world_from_body(inputs.prior.mean[2])
     white_z = np.linalg.cholesky(np.linalg.inv(o.R[used])).transpose(0, 2, 1)
     white_0 = np.linalg.cholesky(np.linalg.inv(inputs.prior.covariance)).T
 
     def residuals(x):
         pose = x[: 3 * n].reshape(n, 3)
         lines = x[3 * n :].reshape(-1, 2)[number[used]] if slam else inputs.map.positions(number[used])
-        moved = se2.between(pose[:-1], pose[1:])
         # gtsam's residual: the logarithm of what was measured and what is
-        gone = [logarithm(se2.between(m, p)) for m, p in zip(inputs.increments.mean[1:], moved)]
-        turn = inputs.increments.mean[1:, 2]
-        motion = [W @ se2.world_from_body(t) @ g for W, t, g in zip(white, turn, gone)]
-        first = white_0 @ se2.world_from_body(inputs.prior.mean[2]) @ logarithm(se2.between(inputs.prior.mean, pose[0]))
+        gone = logarithm(se2.between(measured, se2.between(pose[:-1], pose[1:])))
+        first = white_0 @ turned_0 @ logarithm(se2.between(inputs.prior.mean[None], pose[:1]))[0]
         z_hat = inputs.sensor.predict(pose[o.frame[used]], lines)
         nu = inputs.sensor.residual(o.z[used], z_hat)
         # of the other name the distance counts the other way, and so does its error
         renamed = np.abs(se2.wrap_angle(o.z[used, 1] - z_hat[:, 1])) > 0.5 * np.pi
         nu[renamed, 0] *= -1.0
-        return np.concatenate([first, np.concatenate(motion), np.einsum("mij,mj->mi", white_z, nu).ravel()])
+        return np.concatenate(
+            [first, np.einsum("kij,kj->ki", white, gone).ravel(), np.einsum("mij,mj->mi", white_z, nu).ravel()]
+        )
 
     x0 = np.concatenate([start.ravel(), walls.ravel() if slam else []])
     found = least_squares(residuals, x0, jac="3-point", method="trf", xtol=1e-15, ftol=1e-15, gtol=1e-12, x_scale="jac")
@@ -82,16 +87,21 @@ def least_squares_solution(inputs, decisions, created, start, walls):
     return found.x[: 3 * n].reshape(n, 3), found.x[3 * n :].reshape(-1, 2), C, 2.0 * found.cost
 
 
+@cache
+def exactly(name, task):
+    """Inputs of a short run with a sensor, the batch solution, decisions, and what `least_squares_solution` finds."""
+    inputs, truth = walled(SENSORS[name], frames=20)
+    inputs = for_task(inputs, task)
+    result, (decisions, created, walls) = solved(inputs, truth)
+    return inputs, result, decisions, least_squares_solution(inputs, decisions, created, truth, walls)
+
+
 def logarithm(pose):
-    """Of SE(2), of a pose (3,)."""
-    x, y, theta = pose
-    theta = se2.wrap_angle(theta)
-    a = 1.0 if abs(theta) < 1e-9 else 0.5 * theta / np.tan(0.5 * theta)
-    return np.array([a * x + 0.5 * theta * y, a * y - 0.5 * theta * x, theta])
-
-
-SLIP, BASE, RATE = 0.005, 0.235, 4
-"""Of the simulated robot: m of wheel slip after a metre; m between the wheels; frames a second."""
+    """Of SE(2), of poses (n, 3)."""
+    x, y, theta = pose[:, 0], pose[:, 1], se2.wrap_angle(pose[:, 2])
+    small = np.abs(theta) < 1e-9
+    a = np.where(small, 1.0, 0.5 * theta / np.tan(0.5 * np.where(small, 1.0, theta)))
+    return np.stack([a * x + 0.5 * theta * y, a * y - 0.5 * theta * x, theta], 1)
 
 
 def in_order(inputs, created):
@@ -127,6 +137,10 @@ def differ(a, b):
     a, b = (np.asarray(each).reshape(-1, *np.shape(each)[-2:]) for each in (a, b))
     sigma = np.sqrt(np.diagonal(b, axis1=1, axis2=2))
     return float(np.abs((a - b) / (sigma[:, :, None] * sigma[:, None, :])).max(initial=0.0))
+
+
+SLIP, BASE, RATE = 0.005, 0.235, 4
+"""Of the simulated robot: m of wheel slip after a metre; m between the wheels; frames a second."""
 
 
 def drive_in_a_room(seed, *, seconds=300, sensor=None, R=R_ROOM, every=4, reach=4.0):
