@@ -45,7 +45,7 @@ def gnc(
         # held at wrong errors, right readings look wrong
         start = _as_start(smooth(inputs, decisions, created, start, loss="huber"), start)
     walls = None if inputs.sensor.sees_points else _walls(inputs, used, number, start)
-    start, believed = _graduate(problem, start, probability, walls, qr=is_delicate(inputs))
+    start, believed = _graduate(problem, start, probability, qr=is_delicate(inputs), walls=walls)
     # block-coordinate descent on the truncated cost, from gtsam's choice: its weights need not be those of its
     # solution, and it judges the two scalars of a relative point apart
     before = np.inf
@@ -102,7 +102,7 @@ def _walls(inputs: Inputs, used: IntArray, number: IntArray, start: Start) -> _W
 
 
 def _graduate(
-    problem: Problem, start: Start, probability: float, walls: _Walls | None, *, qr: bool
+    problem: Problem, start: Start, probability: float, *, qr: bool, walls: _Walls | None = None
 ) -> tuple[Start, BoolArray]:
     """The solution of gtsam, and which sightings have a weight above one half there: all their factors.
 

@@ -126,7 +126,7 @@ def test_where_all_readings_are_right_graduated_non_convexity_has_the_batch_solu
     result, (decisions, created, walls) = solved(inputs, truth)
     start, number = Start(truth, walls), np.where(created >= 0, created, decisions)
     own = robust._walls(inputs, np.flatnonzero(number >= 0), number, start)
-    found, believed = robust._graduate(build(inputs, decisions, created), start, 0.99999, own, qr=False)
+    found, believed = robust._graduate(build(inputs, decisions, created), start, 0.99999, qr=False, walls=own)
     assert believed.all()
     assert np.abs(se2.pose_error(found.pose, result.trajectory.pose)).max() < 1e-3
     if task == "slam":
