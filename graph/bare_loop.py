@@ -21,8 +21,10 @@ def bare_isam2(inputs: Inputs, decisions: IntArray, created: IntArray, *, every_
 
     As in our own loop, frames that see nothing join the next update, unless `every_frame` asks for one each. Factors
     are made beforehand, all at once; the parameters and the choice of QR are ours. No recovery, no gate, no
-    bookkeeping.
+    bookkeeping. Raises ValueError for a sensor of walls.
     """
+    if not inputs.sensor.sees_points:
+        raise ValueError("the bare loop knows landmarks that are points alone")
     problem = build(inputs, decisions, created)
     isam = Engine(THRESHOLD, SKIP, qr=is_delicate(inputs)).isam
     pose, covariance = np.empty((len(inputs), 3)), np.empty((len(inputs), 3, 3))

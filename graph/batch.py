@@ -16,10 +16,11 @@ from data.se2 import Array
 from graph.factors import LOSSES, between_factors, sight_known, sight_landmarks
 from graph.optimum import optimize, suspect
 from graph.problem import Calibrated, Problem
+from graph.walls.exact import refuse, sight_lines
 
 
 class Start(NamedTuple):
-    """Where the search starts: poses (N, 3) and landmark positions (L, 2), row = landmark number.
+    """Where the search starts: poses (N, 3) and landmarks (L, 2), points or walls, row = landmark number.
 
     errors (N, p): systematic errors by frame, where some are estimated; None: from zero.
     """
@@ -94,6 +95,7 @@ def start_values(problem: Problem, start: Start) -> gtsam.Values:
 def build(inputs: Inputs, decisions: IntArray, created: IntArray, loss: str = "gaussian") -> Problem:
     """The factors of a log under given decisions."""
     calibrated, sensor = None, inputs.sensor
+    refuse(inputs.systematic, sensor)
     if inputs.systematic is None:
         motion, _ = between_factors(1, inputs.increments.mean[1:], inputs.increments.covariance[1:])
     else:
@@ -104,6 +106,11 @@ def build(inputs: Inputs, decisions: IntArray, created: IntArray, loss: str = "g
     used = np.flatnonzero(number >= 0)
     o = inputs.observations
     seen = (sensor, o.z[used], o.R[used], o.frame[used], number[used])
+    if not sensor.sees_points:
+        about = inputs.prior.mean[:2]
+        known = None if inputs.map is None else inputs.map.xy[_rows_of(inputs, number[used])]
+        sighted = sight_lines(*seen, about, loss, known)
+        return Problem(inputs.prior, motion, sighted, inputs.map is not None, calibrated, about)
     if inputs.map is None:
         return Problem(inputs.prior, motion, sight_landmarks(*seen, loss), False, calibrated)
     xy = inputs.map.xy[_rows_of(inputs, number[used])]

@@ -12,11 +12,14 @@ from gtsam.symbol_shorthand import L
 
 from data.se2 import Array
 from graph.factors import Factor, UnderConstrained, graph_of, name_of
+from graph.walls.poses import lines_of
 
 Answer = TypeVar("Answer")
 
 SIZES = {"x": 3, "l": 2}
 """Of poses and landmarks."""
+WALL_SIZES = {"l": 3, "p": 2}
+"""Where the landmarks are walls: of them, and of the points of the robot that they are seen from."""
 
 FURTHER = 4.0
 """In thresholds: what moved further than this of variables in which factors are almost linear is relinearized. With a
@@ -44,15 +47,18 @@ class Engine:
         qr: bool,
         name: Callable[[int], str] = name_of,
         linear: Mapping[str, int] | None = None,
+        walls: bool = False,
     ) -> None:
         """`threshold` [m, rad]: what moved further is relinearized, at every `skip`-th update; `name` words a key.
 
         With `skip` 1 all variables are looked at, otherwise only the newest and those connected to one that moved.
         `linear`: sizes of further variables, by the character of their keys, in which all factors are almost linear:
         they are relinearized where they moved `FURTHER`.
+        `walls`: the landmarks are walls to be estimated, see `graph.walls.poses`.
         """
         self.threshold, self.skip, self.qr, self.name = threshold, skip, qr, name
-        self.linear = dict(linear or {})
+        self.linear, self.walls = dict(linear or {}), walls
+        self._sizes = {**SIZES, **(WALL_SIZES if walls else {}), **self.linear}
         self._factors: list[Factor | None] = []
         self._slot: list[int] = []
         self.isam = self._fresh()
@@ -74,9 +80,8 @@ class Engine:
 
     def _thresholds(self) -> gtsam.ISAM2ThresholdMap:
         """What moved further than this is relinearized, by kind of variable."""
-        sizes = {**SIZES, **self.linear}
         found = gtsam.ISAM2ThresholdMap()
-        for kind, size in sizes.items():
+        for kind, size in self._sizes.items():
             found.insert((kind, np.full(size, (FURTHER if kind in self.linear else 1.0) * self.threshold)))
         return found
 
@@ -156,10 +161,36 @@ class Engine:
             self.qr = True
             self._rebuild()
 
+    def pose(self, key: int, joining: gtsam.Values | None = None) -> Array:
+        """Estimate of a pose (3,), or where it starts that is only about to join."""
+        if joining is not None and joining.exists(key):
+            p = joining.atPose2(key)
+        else:
+            p = self._ask(lambda: self.isam.calculateEstimatePose2(key))
+        return np.array([p.x(), p.y(), p.theta()])
+
     def points(self, numbers: Sequence[int]) -> Array:
-        """Landmark positions (n, 2)."""
+        """Landmarks (n, 2): positions, or (rho, alpha) of walls."""
+        if self.walls:
+            return lines_of(self._poses(numbers))[0]
         found = self._ask(lambda: [self.isam.calculateEstimatePoint2(L(n)) for n in numbers])
         return np.array(found, float).reshape(-1, 2)
+
+    def _poses(self, numbers: Sequence[int]) -> list[gtsam.Pose2]:
+        """Walls as they are in the graph."""
+        return self._ask(lambda: [self.isam.calculateEstimatePose2(L(n)) for n in numbers])
+
+    def with_landmarks(self, keys: Sequence[int], numbers: Sequence[int]) -> Array:
+        """Joint covariance of variables, poses in their body frames, and landmarks as of `points`."""
+        J = self.covariance([*keys, *(L(n) for n in numbers)])
+        if not self.walls:
+            return J
+        first = len(J) - 3 * len(numbers)
+        T = np.zeros((first + 2 * len(numbers), len(J)))
+        T[:first, :first] = np.eye(first)
+        for i, each in enumerate(lines_of(self._poses(numbers))[1]):
+            T[first + 2 * i : first + 2 * i + 2, first + 3 * i : first + 3 * i + 3] = each
+        return T @ J @ T.T
 
     def vector(self, key: int) -> Array:
         """Estimate of a vector."""
@@ -198,7 +229,7 @@ class Engine:
         system that is indeterminate; that happens in large joint marginals, with QR as well. A block of a covariance
         is the same whatever else was asked for.
         """
-        size = np.array([{**SIZES, **self.linear}[chr(gtsam.symbolChr(k))] for k in keys])
+        size = np.array([self._sizes[chr(gtsam.symbolChr(k))] for k in keys])
         end = np.cumsum(size)
         whole = np.zeros((end[-1], end[-1]))
         for left_out in range(3):

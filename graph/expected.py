@@ -6,9 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from association.candidates import MARGIN, SIGMAS, Drift, Places, may_be_in_view
 from association.expectation import Expectation
 from data.blocks import coordinates, diagonal_blocks
-from data.inputs import IntArray, Sightings
+from data.inputs import Increment, IntArray, LandmarkMap, Sightings
 from data.se2 import Array, pose_error
 from data.sensors import Sensor
 
@@ -17,6 +18,9 @@ LOOKED = 50
 STEADY = 1.0
 """m. They are looked up at once where the newest pose was corrected by so much in sum, or a landmark near it moved by
 half of that: a loop was closed."""
+
+UNKNOWN = 1e12
+"""m^2, rad^2. Stands in for the variances of a wall that were never asked for."""
 
 
 class Near:
@@ -66,6 +70,76 @@ class Near:
             return False
         self._number, self._xy = number, np.concatenate([self._xy, look(number[old:].tolist())])
         return True
+
+
+class Candidates:
+    """Landmarks that may be in view, without a joint covariance of all. Those of a known map of walls are few: all."""
+
+    def __init__(self, sensor: Sensor, known: LandmarkMap | None) -> None:
+        """Nothing seen, nothing driven."""
+        self.sensor, self.map = sensor, known
+        self._drift, self._near = Drift(), Near()
+        self._places = Places(np.empty((0, 2)) if known is None else known.xy)
+        self._walls = np.empty((0, 2, 2))
+        """By number, covariance of walls when it was asked for last: more data can only make it smaller."""
+
+    def move(self, increment: Increment) -> None:
+        """The robot moved."""
+        self._drift.move(increment)
+
+    def corrected(self, step: Array) -> None:
+        """The newest pose was corrected by (2,) [m]."""
+        self._near.corrected(step)
+
+    def see(self, sightings: Sightings, number: IntArray, P: Array) -> None:
+        """Landmarks (m,) of SLAM were seen from a pose of covariance P (3, 3)."""
+        if self.sensor.sees_points:
+            self._drift.see(self.sensor, sightings, number, P)
+
+    def know(self, number: IntArray, J: Array) -> None:
+        """J: joint covariance in the world of others and, last, landmarks (n,) of SLAM."""
+        if self.sensor.sees_points:
+            self._drift.know(number, np.sqrt(np.diag(J)[-2 * len(number) :].reshape(-1, 2).sum(1)))
+        elif len(number):
+            self._room(number)
+            self._walls[number] = diagonal_blocks(J[-2 * len(number) :, -2 * len(number) :])
+
+    def _room(self, number: IntArray) -> None:
+        """Room for the covariances of walls (n,)."""
+        more = int(number.max(initial=-1)) + 1 - len(self._walls)
+        self._walls = np.concatenate([self._walls, np.tile(UNKNOWN * np.eye(2), (max(more, 0), 1, 1))])
+
+    def expect(self, number: IntArray, z_hat: Array, HPHt: Array) -> None:
+        """Landmarks (n,) of SLAM are expected at z_hat (n, 2), with covariances (n, 2, 2)."""
+        if self.sensor.sees_points:
+            self._drift.expect(self.sensor, number, z_hat, HPHt)
+
+    def known(self, point: Array, radius: float) -> tuple[IntArray, Array]:
+        """Ids (n,) and places (n, 2) of known landmarks at most a radius [m] from a point (2,)."""
+        assert self.map is not None
+        rows = self._places.around(point, radius if self.sensor.sees_points else np.inf)
+        return self.map.id[rows], self.map.xy[rows]
+
+    def of_slam(
+        self, number: IntArray, pose: Array, P: Array, look: Callable[[list[int]], Array]
+    ) -> tuple[IntArray, Array]:
+        """Landmarks among (n,), and their places (m, 2), from a pose (3,) of covariance P; `look` as of `Near`."""
+        if not self.sensor.sees_points:
+            lines = look(number.tolist())
+            self._room(number)
+            z_hat, Hx, Hl = self.sensor.linearize(pose, lines)
+            # of a sum, whatever the correlation
+            sigma = np.sqrt(np.einsum("nqi,ij,nqj->nq", Hx, P, Hx))
+            sigma += np.sqrt(np.einsum("nqi,nij,nqj->nq", Hl, self._walls[number], Hl))
+            angle = np.minimum(SIGMAS * sigma[:, 1] + MARGIN, np.pi)
+            near = self.sensor.in_view(z_hat, margin_range=SIGMAS * sigma[:, 0], margin_angle=angle)
+            return number[near], lines[near]
+        sigma, heading = self._drift.sigmas(number, P)
+        lever = np.hypot(*self.sensor.translation)
+        radius = self.sensor.max_range + lever + SIGMAS * (sigma + lever * heading)
+        around, xy = self._near.around(number, pose[:2], radius, look)
+        near = may_be_in_view(self.sensor, pose, xy, sigma[around], heading[around])
+        return number[around][near], xy[near]
 
 
 def form(

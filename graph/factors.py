@@ -19,7 +19,8 @@ from gtsam.symbol_shorthand import L, X
 from data.errors import DataError, SlamrefError
 from data.inputs import IntArray, Prior
 from data.se2 import Array, BoolArray, world_from_body
-from data.sensors import RANGE_BEARING, Sensor
+from data.sensors import Sensor
+from graph.readings import bearing_range, is_point, relative_point
 
 noise = gtsam.noiseModel
 Factor = gtsam.NonlinearFactor
@@ -32,11 +33,6 @@ BEACON = 1e7
 """m. Distance of the beacons that stand for the coordinates of a relative point; see `coordinate_factors`."""
 SINGULAR = 1e-13
 """m^2, rad^2. An increment that is known better than this in some direction has no information matrix to speak of."""
-NEAR = 3.0
-"""Sigmas of a range. A reading that is shorter than so many is taken as a point, see `is_point`. In parks whose trees
-stand on the way, searches got stuck at the kink with 1 and none with 2; 3 spares a third of steps."""
-UNMEASURED = 10.0
-"""Ranges long, and m. A sigma of the range from there on says that it was not measured: a bearing is no near point."""
 HUBER, CAUCHY = 1.345, 1.0
 """Sigmas at which the losses bend: 95 % efficient on Gaussian noise, and usual."""
 KERNELS = {"huber": noise.mEstimator.Huber.Create(HUBER), "cauchy": noise.mEstimator.Cauchy.Create(CAUCHY)}
@@ -79,8 +75,18 @@ class Sighted:
         """All of them."""
         return self.measured if self.pin is None else [*self.measured, self.pin]
 
-    def renumbered(self, number: int) -> Sighted:
-        """The same observation (SLAM) taken for another landmark."""
+    @property
+    def alone(self) -> list[int]:
+        """Variables that no other observation has: the copy of a known landmark."""
+        return [] if self.key is None or self.xy is None else [self.key]
+
+    @property
+    def starts(self) -> list[tuple[int, Array | gtsam.Pose2]]:
+        """Start values of the variables that come with it."""
+        return [] if self.key is None or self.xy is None else [(self.key, self.xy)]
+
+    def renumbered(self, number: int, *, opposite: bool = False) -> Sighted:
+        """The same observation (SLAM) taken for another landmark; `opposite` is for walls alone."""
         keys = [X(self.frame), L(number)]
         return replace(self, number=number, key=L(number), measured=[f.rekey(keys) for f in self.measured])
 
@@ -173,45 +179,6 @@ def between_factors(first_frame: int, mean: Array, covariance: Array) -> tuple[l
 def with_loss(model: gtsam.noiseModel.Base, loss: str) -> gtsam.noiseModel.Base:
     """The noise model under a robust kernel: Huber, Cauchy, or none."""
     return model if loss == "gaussian" else noise.Robust.Create(KERNELS[loss], model)
-
-
-def bearing_range(sensor: Sensor, z: Array, R: Array) -> tuple[Array, Array]:
-    """[bearing, range] (m, 2) in the body frame, gtsam's order, with covariances (m, 2, 2).
-
-    A rotated sensor only shifts the bearing; one mounted off the robot's centre is converted through the point, to
-    first order in the noise.
-    """
-    if sensor.translation == (0.0, 0.0):
-        return np.stack([z[:, 1] - sensor.rotation, z[:, 0]], 1), R[:, ::-1, ::-1]
-    p, _, G = sensor.inverse(np.zeros(3), z)
-    r = np.hypot(p[:, 0], p[:, 1])
-    A = np.stack([np.stack([-p[:, 1], p[:, 0]], 1) / r[:, None] ** 2, p / r[:, None]], 1) @ G
-    return np.stack([np.arctan2(p[:, 1], p[:, 0]), r], 1), A @ R @ A.transpose(0, 2, 1)
-
-
-def relative_point(sensor: Sensor, z: Array, R: Array) -> tuple[Array, Array]:
-    """Point (m, 2) in the body frame with covariances (m, 2, 2): exact for a sensor of points.
-
-    Of ranges and bearings to first order in their noise, and the bearing's at the true range, whose square is on the
-    average larger than the reading's by the range's variance.
-    """
-    points, C = sensor.body_points(z, R)
-    if sensor.kind == RANGE_BEARING:
-        b = z[:, 1] + sensor.rotation
-        across = np.stack([-np.sin(b), np.cos(b)], 1)
-        C = C + (R[:, 0, 0] * R[:, 1, 1])[:, None, None] * across[:, :, None] * across[:, None, :]
-    return points, C
-
-
-def is_point(sensor: Sensor, z: Array, R: Array) -> BoolArray:
-    """Which observations z (m, 2), R (m, 2, 2) become relative points: all of a sensor of points, and the nearest.
-
-    Where the landmark may as well stand on the robot, its bearing has no derivative there, and a smoother could get
-    stuck at that kink or leave it for the other end of the world.
-    """
-    sigma = np.sqrt(R[:, 0, 0])
-    near: BoolArray = (z[:, 0] < NEAR * sigma) & (sigma < UNMEASURED * np.maximum(z[:, 0], 1.0))
-    return near if sensor.kind == RANGE_BEARING else np.ones(len(z), np.bool_)
 
 
 def measured(sensor: Sensor, z: Array, R: Array, frame: IntArray) -> tuple[BoolArray, Array, Array]:

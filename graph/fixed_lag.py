@@ -57,10 +57,10 @@ class FixedLagSmoother(Isam2Smoother):
         super().__init__(prior, sensor, known, threshold=threshold, skip=skip, systematic=systematic)
         self.time, self.lag, self.slack = [0.0], lag, slack
         engine = self._engine
-        self._window = Window(threshold, skip, qr=engine.qr, name=engine.name, linear=engine.linear)
+        self._window = Window(threshold, skip, qr=engine.qr, name=engine.name, linear=engine.linear, walls=engine.walls)
         self._engine = self._window
-        # first frame, and first copy of a known landmark, that are still in the window
-        self._oldest, self._first_copy = 0, 0
+        self._oldest = 0
+        """First frame that is still in the window."""
         self._left: list[Left] = []
 
     def predict(self, increment: Increment) -> None:
@@ -86,10 +86,7 @@ class FixedLagSmoother(Isam2Smoother):
         frames = range(self._oldest, oldest)
         self._left += self._end.leaving(self._window, frames)
         keys = [*(X(k) for k in frames), *self._end.forget(oldest)]
-        while self.map is not None and self._observed.sighted[self._first_copy].frame < oldest:
-            key = self._observed.sighted[self._first_copy].key
-            keys += [] if key is None else [key]
-            self._first_copy += 1
+        keys += self._observed.alone(frames)
         self._window.marginalize(keys, self._end.keys)
         self._oldest = oldest
         self._read()
@@ -115,12 +112,11 @@ class FixedLagSmoother(Isam2Smoother):
     def merge(self, merged: IntArray, kept: IntArray) -> None:
         """Landmarks `merged` (k,) are the same as `kept` (k,): an observation of no difference, as in a filter."""
         pairs = self._pairs_to_merge(merged, kept)
-        same = gtsam.noiseModel.Isotropic.Sigma(2, JOINED)
-        none = np.zeros(2)
-        self._window.add([gtsam.BetweenFactorPoint2(L(a), L(b), none, same) for a, b in pairs.items()], gtsam.Values())
+        self._window.add(self._window.same(pairs, JOINED), gtsam.Values())
         self.refine()
+        gone = [L(n) for n in sorted(pairs)] + self._observed.alone(range(self._oldest, self.frame + 1), list(pairs))
         self._observed.take_back(list(pairs))
-        self._window.marginalize([L(n) for n in sorted(pairs)], self._end.keys)
+        self._window.marginalize(gone, self._end.keys)
         self._read()
 
     def finish(self) -> Finished:

@@ -6,11 +6,12 @@ next frame that sees something, so every frame is a variable and the estimate is
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import L
 
-from association.candidates import SIGMAS, Drift, Places, in_view, may_be_in_view, view_radius
+from association.candidates import in_view, view_radius
 from association.expectation import Expectation
 from data.inputs import Increment, IntArray, LandmarkMap, Prior, Sightings, Systematic
 from data.result import NEW, Finished, MapState, PoseEstimate, Updated
@@ -25,6 +26,7 @@ from graph.observed import Observed
 from graph.open_end import OpenEnd
 from graph.optimum import optimize
 from graph.smoother import Smoother
+from graph.walls.exact import refuse
 
 THRESHOLD = 0.05
 """m, rad. Relinearize what moved further than this, ..."""
@@ -58,6 +60,7 @@ class Isam2Smoother(Smoother):
 
         `systematic`: errors of odometry and sensor to be estimated along.
         """
+        refuse(systematic, sensor)
         self.prior, self.sensor, self.map, self.loss = prior, sensor, known, loss
         self.threshold, self.skip = threshold, skip
         self.frame, self.created = 0, 0
@@ -65,23 +68,23 @@ class Isam2Smoother(Smoother):
         if errors := None if systematic is None else errors_of(systematic, sensor, prior):
             self._end, self.sensor = CalibratedEnd(prior, errors), errors.frame.sensor(sensor)
         self._observed = Observed(self.sensor, known, loss, errors)
-        self._drift, self._near = Drift(), expected.Near()
-        self._places = Places(np.empty((0, 2)) if known is None else known.xy)
+        self._candidates = expected.Candidates(self.sensor, known)
         low = np.linalg.eigvalsh(prior.covariance)
         linear = None if errors is None else errors.sizes
         qr = bool(low[0] < DELICATE < low[-1])
-        self._engine = Engine(threshold, skip, qr=qr, name=self._observed.name, linear=linear)
+        walls = known is None and not sensor.sees_points
+        self._engine = Engine(threshold, skip, qr=qr, name=self._observed.name, linear=linear, walls=walls)
 
     def predict(self, increment: Increment) -> None:
         """Move by an increment; the graph grows only when something is seen."""
         self.frame += 1
         self._end.move(increment)
-        self._drift.move(increment)
+        self._candidates.move(increment)
 
     def inflate(self, covariance: Array) -> None:
         """The last motion is not to be believed: so much covariance (3, 3), alike in all directions, is added to it."""
         self._end.inflate(covariance)
-        self._drift.move(Increment(np.zeros(3), covariance))
+        self._candidates.move(Increment(np.zeros(3), covariance))
 
     def estimate(self) -> PoseEstimate:
         """The newest pose with its world-frame covariance (copies)."""
@@ -100,23 +103,18 @@ class Isam2Smoother(Smoother):
     def expect(self, sightings: Sightings) -> Expectation:
         """What it expects of the landmarks in view: sensor range and angles, widened by 3 sigma and 5 degrees."""
         if self.map is not None:
-            known = self._places.around(*self._end.reach(view_radius(self.sensor, self._end.P)))
-            xy, joint = self._end.known(self.map.xy[known])
-            candidates = self.map.id[known], xy
+            number, xy = self._candidates.known(*self._end.reach(view_radius(self.sensor, self._end.P)))
+            xy, joint = self._end.known(xy)
+            candidates = number, xy
         else:
-            number = self.numbers
-            sigma, heading = self._drift.sigmas(number, self._end.P)
-            lever = np.hypot(*self.sensor.translation)
-            radius = self.sensor.max_range + lever + SIGMAS * (sigma + lever * heading)
-            around, xy = self._near.around(number, self._end.mean[:2], radius, self._engine.points)
-            near = may_be_in_view(self.sensor, self._end.mean, xy, sigma[around], heading[around])
-            candidates = number[around][near], xy[near]
+            look = self._engine.points
+            candidates = self._candidates.of_slam(self.numbers, self._end.mean, self._end.P, look)
             joint = self._joint(candidates[0])
         pose = self._end.mean
         every = expected.form(self.sensor, pose, joint, *candidates, sightings)
         keep = in_view(self.sensor, every.z_hat, every.HPHt)
         if self.map is None:
-            self._drift.expect(self.sensor, candidates[0], every.z_hat, every.HPHt)
+            self._candidates.expect(candidates[0], every.z_hat, every.HPHt)
         if len(joint) > len(pose):
             joint = joint[np.ix_(*[np.concatenate([np.ones(3, np.bool_), np.repeat(keep, 2)])] * 2)]
         number, xy = candidates[0][keep], candidates[1][keep]
@@ -128,8 +126,8 @@ class Isam2Smoother(Smoother):
 
     def _anchored(self, number: IntArray) -> Array:
         """Covariance of the newest pose in the graph (and systematic errors) and landmarks, as the graph has them."""
-        J = self._engine.covariance([*self._end.keys, *(L(n) for n in number.tolist())])
-        self._drift.know(number, np.sqrt(np.diag(J)[-2 * len(number) :].reshape(-1, 2).sum(1)))
+        J = self._engine.with_landmarks(self._end.keys, number.tolist())
+        self._candidates.know(number, J)
         return J
 
     def update(
@@ -184,21 +182,16 @@ class Isam2Smoother(Smoother):
     def _extend(self, sightings: Sightings, number: IntArray) -> None:
         """Add the motion since the anchor and these sightings to the graph, and read the newest pose."""
         motion, values = self._flush()
-        seen = self._observed.factors(sightings, np.full(len(number), self.frame), number, self._end.errors)
+        seen = self._observed.sight(
+            sightings, np.full(len(number), self.frame), number, self._end, self._engine, values
+        )
         if self.map is None:
-            self._initialize(sightings, number, values)
-            self._drift.see(self.sensor, sightings, number, self._end.P)
+            self._observed.start(sightings, number, self._end.mean, values)
+            self._candidates.see(sightings, number, self._end.P)
         self._add(motion, seen, values)
         self._read()
 
-    def _initialize(self, sightings: Sightings, number: IntArray, values: gtsam.Values) -> None:
-        """Start values of the landmarks that are new, seen from the newest pose."""
-        new = dict.fromkeys(self._observed.missing(number))
-        for n in new:
-            i = int(np.flatnonzero(number == n)[0])
-            values.insert(L(n), self.sensor.inverse(self._end.mean, sightings.z[i : i + 1])[0][0])
-
-    def _add(self, motion: list[Factor], seen: list[Sighted], values: gtsam.Values, *, late: bool = False) -> None:
+    def _add(self, motion: list[Factor], seen: Sequence[Sighted], values: gtsam.Values, *, late: bool = False) -> None:
         """Give factors to the engine; those of a landmark, or of a frame in a known map, can be taken back."""
         handles = self._engine.add([*motion, *self._observed.add(seen, values, late=late)], values)
         if motion:
@@ -216,7 +209,7 @@ class Isam2Smoother(Smoother):
             self._engine.drop(former)
         motion, values = self._flush()
         again_seen = Sightings(sightings.z[take], sightings.R[take])
-        seen = self._observed.factors(again_seen, frames[take], decisions[take], self._end.errors)
+        seen = self._observed.sight(again_seen, frames[take], decisions[take], self._end, self._engine, values)
         self._add(motion, seen, values, late=True)
         self.refine()
 
@@ -232,7 +225,7 @@ class Isam2Smoother(Smoother):
         """The newest pose from the engine."""
         before = self._end.mean
         self._end.read(self._engine, closely=closely)
-        self._near.corrected(self._end.mean[:2] - before[:2])
+        self._candidates.corrected(self._end.mean[:2] - before[:2])
 
     def remove(self, numbers: IntArray) -> None:
         """Drop landmarks with all their sightings, as if they had never been seen."""
@@ -250,7 +243,7 @@ class Isam2Smoother(Smoother):
         Their factors are removed, and put in again with the other landmark.
         """
         other = self._pairs_to_merge(merged, kept)
-        moved = [s.renumbered(other[s.number]) for s in self._observed.sighted if s.number in other]
+        moved = self._observed.renumbered(other, self._engine)
         self._engine.drop(self._observed.take_back(list(other)))
         self._add([], moved, gtsam.Values(), late=True)
         self.refine()
@@ -294,7 +287,8 @@ class Isam2Smoother(Smoother):
     def finish(self) -> Finished:
         """Final path and map with exact marginals: the optimum of all data, reached from the present estimate."""
         self._complete()
-        problem = self._end.problem(self._observed.plainly, self.map is not None)
-        found = optimize(problem, self._end.start(self._engine.values(), problem))
+        values = self._engine.values()
+        problem = self._observed.problem(self._end, values)
+        found = optimize(problem, self._end.start(values, problem))
         total = (2.0 * found.error, problem.dof) if self.loss == "gaussian" else None
         return Finished(found.trajectory, found.map, total, found.iterations, found.last_step, found.systematic)

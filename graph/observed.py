@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
+from dataclasses import replace
 
 import gtsam
 import numpy as np
 from gtsam import symbolIndex
+from gtsam.symbol_shorthand import L, X
 
 from data.inputs import IntArray, LandmarkMap, Sightings
 from data.se2 import Array
 from data.sensors import Sensor
 from graph.calibration.factors import sight_pinned
 from graph.calibration.variables import Errors
+from graph.engine import Engine
 from graph.factors import Factor, Sighted, name_of, sight_known, sight_landmarks
+from graph.open_end import OpenEnd
+from graph.problem import Problem
+from graph.walls.exact import sight_lines
+from graph.walls.poses import SightedWall, as_vectors, sight_known_walls, sight_walls
 
 
 class Observed:
@@ -45,12 +53,36 @@ class Observed:
 
     def name(self, key: int) -> str:
         """A variable in words; the copies of known landmarks are numbered by observation."""
-        return next((f"landmark {s.number}" for s in self.sighted if self.map and s.key == key), name_of(key))
+        return next((f"landmark {s.number}" for s in self.sighted if key in s.alone), name_of(key))
 
-    def factors(
-        self, sightings: Sightings, frames: IntArray, number: IntArray, errors: tuple[Array, Array] | None = None
+    def sight(
+        self,
+        seen: Sightings,
+        frames: IntArray,
+        number: IntArray,
+        end: OpenEnd,
+        engine: Engine,
+        joining: gtsam.Values,
+    ) -> Sequence[Sighted]:
+        """Observations (m) of landmarks (m,) from frames (m,), not taken in yet; the newest of the frames may only be
+        `joining` the graph.
+        """
+        if self.sensor.sees_points:
+            return self._points(seen, frames, number, end.errors)
+        self._copies += len(number)
+        row = self._copies - len(number)
+        pose = np.array([engine.pose(X(k), joining) for k in frames.tolist()]).reshape(-1, 3)
+        if self.map is not None:
+            lines = self.map.positions(number)
+            return sight_known_walls(self.sensor, seen, frames, number, pose, lines, row, self.loss)
+        there = [n for n in dict.fromkeys(number.tolist()) if n in self._handles]
+        old = dict(zip(there, engine.points(there), strict=True))
+        return sight_walls(self.sensor, seen, frames, number, pose, old, row, self.loss)
+
+    def _points(
+        self, sightings: Sightings, frames: IntArray, number: IntArray, errors: tuple[Array, Array] | None
     ) -> list[Sighted]:
-        """Observations (m) of landmarks (m,) from frames (m,), not taken in yet; `errors` as known now."""
+        """Observations of points; `errors` as known now."""
         if self.map is None:
             return sight_landmarks(self.sensor, *sightings, frames, number, self.loss)
         xy = self.map.positions(number)
@@ -63,10 +95,46 @@ class Observed:
         pinned = sight_pinned(self._errors, self.sensor, sightings, frames, number, xy, row, self.loss, errors[0])
         return pinned
 
-    @property
-    def plainly(self) -> list[Sighted]:
-        """All that is taken in, known landmarks where the map has them."""
-        return [self._plain.get(symbolIndex(s.key), s) if s.key is not None else s for s in self.sighted]
+    def start(self, seen: Sightings, number: IntArray, pose: Array, values: gtsam.Values) -> None:
+        """Start values of the points that are new, seen from a pose (3,); walls bring theirs along."""
+        for n in dict.fromkeys(self.missing(number) if self.sensor.sees_points else []):
+            i = int(np.flatnonzero(number == n)[0])
+            values.insert(L(n), self.sensor.inverse(pose, seen.z[i : i + 1])[0][0])
+
+    def renumbered(self, other: dict[int, int], engine: Engine) -> list[Sighted]:
+        """The observations (SLAM) of some landmarks, taken for the others that they are said to be."""
+        moved = [s for s in self.sighted if s.number in other]
+        turned = set[int]()
+        if not self.sensor.sees_points:
+            a, b = engine.points([*other])[:, 1], engine.points([*other.values()])[:, 1]
+            turned = {n for n, opposite in zip(other, np.cos(a - b) < 0.0, strict=True) if opposite}
+        return [s.renumbered(other[s.number], opposite=s.number in turned) for s in moved]
+
+    def problem(self, end: OpenEnd, values: gtsam.Values) -> Problem:
+        """All of the run as a problem, where known landmarks are where the map has them; `values` become its own."""
+        if self.sensor.sees_points:
+            plain = [self._plain.get(symbolIndex(s.key), s) if s.key is not None else s for s in self.sighted]
+            return end.problem(plain, self.map is not None)
+        about = end.prior.mean[:2]
+        problem = replace(end.problem(self._lines(about), self.map is not None), about=about)
+        as_vectors(values, problem.numbers, about)
+        return problem
+
+    def _lines(self, about: Array) -> list[Sighted]:
+        """Walls as factors of a problem that counts distances from a point (2,)."""
+        walls = [s for s in self.sighted if isinstance(s, SightedWall)]
+        if not walls:
+            return []
+        z, R = np.array([s.z for s in walls]), np.array([s.R for s in walls])
+        frame, number = np.array([[s.frame, s.number] for s in walls]).T
+        known = None if self.map is None else self.map.positions(number)
+        return sight_lines(self.sensor, z, R, frame, number, about, self.loss, known)
+
+    def alone(self, frames: range, numbers: Sequence[int] | None = None) -> list[int]:
+        """Variables that single observations from some frames (of some landmarks alone) have to themselves."""
+        first, end = (bisect_left(self.sighted, f, key=lambda s: s.frame) for f in (frames.start, frames.stop))
+        of = self.sighted[first:end]
+        return [key for s in of if numbers is None or s.number in numbers for key in s.alone]
 
     def add(self, seen: Sequence[Sighted], values: gtsam.Values, *, late: bool = False) -> list[Factor]:
         """Take observations in, start values of their own variables into `values`; returns their factors.
@@ -77,8 +145,8 @@ class Observed:
         if late:
             self.sighted.sort(key=lambda s: s.frame)
         for s in seen:
-            if s.key is not None and s.xy is not None:
-                values.insert(s.key, s.xy)
+            for key, start in s.starts:
+                values.insert(key, start)
         return [f for s in seen for f in s.factors]
 
     def hold(self, seen: Sequence[Sighted], handles: Sequence[int]) -> None:

@@ -23,6 +23,7 @@ from graph.linear.rows import Linearizer
 from graph.linear.solution import Solution, covariances, solve
 from graph.linear.turned import turned_out
 from graph.problem import Problem
+from graph.walls.exact import about_origin
 
 STEP = 1e-6
 """sigma. A step ends the search that is smaller, as a root sum of squares over all directions."""
@@ -170,7 +171,10 @@ def _optimum(problem: Problem, linearizer: Linearizer, found: _Found, iterations
     state = None
     if not problem.known_map:
         xy = np.array([found.values.atPoint2(L(k)) for k in linearizer.numbers.tolist()]).reshape(-1, 2)
-        state = MapState(linearizer.numbers, xy, covariance[n : n + len(xy), :2, :2].copy())
+        spread = covariance[n : n + len(xy), :2, :2].copy()
+        if problem.about is not None:
+            xy, spread = about_origin(xy, spread, problem.about)
+        state = MapState(linearizer.numbers, xy, spread)
     c = problem.calibrated
     if c is not None:
         path, state, systematic = turned_out(c, c.errors(found.values), found.solution, pose, covariance, state)
@@ -181,7 +185,7 @@ def _optimum(problem: Problem, linearizer: Linearizer, found: _Found, iterations
 def _on_the_robot(problem: Problem, values: gtsam.Values) -> str:
     """A likely reason in words: a landmark that was drawn to where it was seen from, where no bearing has a slope."""
     for s in problem.sighted:
-        if s.key is not None:
+        if s.key is not None and problem.about is None:
             gap = float(np.hypot(*(values.atPoint2(s.key) - values.atPose2(X(s.frame)).translation())))
             if gap < ON_THE_ROBOT:
                 return f"; landmark {s.number} has come to lie {gap:.1g} m from the robot at frame {s.frame}"

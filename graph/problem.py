@@ -14,6 +14,7 @@ from data.motion.sensor_frame import SensorFrame
 from data.motion.systematic import corrected_all, knots, places
 from data.se2 import Array
 from graph.factors import Sighted, between_factors, graph_of, noise, pose2, prior_factor, root_information
+from graph.walls.exact import about
 
 CONSTANTS = gtsam.symbol("c", 0)
 """Key of all constant systematic errors, a vector in units of their prior sigmas."""
@@ -104,6 +105,7 @@ class Problem:
         known_map: the landmarks are known, so that none is estimated.
         calibrated: systematic errors that are estimated along. Poses and landmarks are then in its frame, `sighted` as
             of the sensor there (with known landmarks where the map has them), and `motion` is that under no errors.
+        about: (2,) where the landmarks are walls: a point that their distances in the graph are counted from.
     """
 
     prior: Prior
@@ -111,6 +113,7 @@ class Problem:
     sighted: Sequence[Sighted]
     known_map: bool
     calibrated: Calibrated | None = None
+    about: Array | None = None
 
     def graph(self) -> gtsam.NonlinearFactorGraph:
         """Everything, as gtsam takes it; systematic errors as zero."""
@@ -130,7 +133,7 @@ class Problem:
         return 2 * len(self.sighted) - 2 * len(self.numbers)
 
     def values(self, pose: Array, landmark: dict[int, Array], errors: Array | None = None) -> gtsam.Values:
-        """Start values from poses (N, 3) and landmark positions (2,) by number, those of the robot in the world.
+        """Start values from poses (N, 3) and landmarks (2,) by number, those of the robot in the world.
 
         `errors` (N, p): where systematic errors start; without, at zero.
         """
@@ -144,6 +147,8 @@ class Problem:
             landmark = {n: frame.points_in(xy[None], errors[-1])[0][0] for n, xy in landmark.items()}
             known = {key: frame.points_in(xy[None], errors[-1])[0][0] for key, xy in known.items()}
             self.calibrated.insert(values, errors)
+        if self.about is not None:
+            landmark = {n: about(line, self.about)[0] for n, line in landmark.items()}
         for k, row in enumerate(pose):
             values.insert(X(k), pose2(row))
         for n in self.numbers.tolist():
@@ -179,7 +184,7 @@ class Problem:
         if self.known_map and c.frame.range_at >= 0:
             xy = c.frame.points_in(np.array([s.xy for s in sighted]).reshape(-1, 2), errors[-1])[0]
             sighted = [displaced(s, at) for s, at in zip(sighted, xy, strict=True)]
-        return Problem(prior, c.motion(errors), sighted, self.known_map)
+        return Problem(prior, c.motion(errors), sighted, self.known_map, about=self.about)
 
 
 def displaced(sighted: Sighted, xy: Array) -> Sighted:

@@ -6,18 +6,22 @@ with truncated least squares: minimize the sum of min(d^2, c^2), d^2 the squared
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import NamedTuple
+
 import gtsam
 import numpy as np
 
 from association.expectation import gate_threshold
-from data.inputs import Inputs, IntArray, Prior
+from data.inputs import Inputs, IntArray, Prior, Sightings
 from data.result import DISCARD
 from data.se2 import Array, BoolArray
 from graph.batch import Smoothed, Start, build, smooth, start_values
-from graph.factors import EXACT, Factor, graph_of, is_exact, noise, prior_factor
+from graph.factors import EXACT, Factor, Sighted, graph_of, is_exact, noise, prior_factor
 from graph.incremental import DELICATE
 from graph.optimum import poses_of
 from graph.problem import Problem
+from graph.walls.poses import along, lines_of, placed, sight_known_walls, sight_walls
 
 
 def gnc(
@@ -35,11 +39,13 @@ def gnc(
     """
     threshold = gate_threshold(probability)
     problem = build(inputs, decisions, created)
-    used = np.flatnonzero(np.where(created >= 0, created, decisions) >= 0)
+    number = np.where(created >= 0, created, decisions)
+    used = np.flatnonzero(number >= 0)
     if problem.calibrated is not None:
         # held at wrong errors, right readings look wrong
         start = _as_start(smooth(inputs, decisions, created, start, loss="huber"), start)
-    start, believed = _graduate(problem, start, probability, qr=is_delicate(inputs))
+    walls = None if inputs.sensor.sees_points else _walls(inputs, used, number, start)
+    start, believed = _graduate(problem, start, probability, qr=is_delicate(inputs), walls=walls)
     # block-coordinate descent on the truncated cost, from gtsam's choice: its weights need not be those of its
     # solution, and it judges the two scalars of a relative point apart
     before = np.inf
@@ -67,7 +73,37 @@ def is_delicate(inputs: Inputs) -> bool:
     return bool(prior[0] < DELICATE < prior[-1] or motion.min(initial=np.inf) < DELICATE)
 
 
-def _graduate(problem: Problem, start: Start, probability: float, *, qr: bool) -> tuple[Start, BoolArray]:
+class _Walls(NamedTuple):
+    """Observations of walls as factors of gtsam's own, what else is believed, and start values of their variables."""
+
+    sighted: list[Sighted]
+    believed: list[Factor]
+    values: gtsam.Values
+
+
+def _walls(inputs: Inputs, used: IntArray, number: IntArray, start: Start) -> _Walls:
+    """Observations `used` (m,) of walls `number` (M,): gtsam's optimizers cannot use the factors of the problem."""
+    o, values, believed = inputs.observations, gtsam.Values(), list[Factor]()
+    seen, frame, of = Sightings(o.z[used], o.R[used]), o.frame[used], number[used]
+    pose = start.pose[frame]
+    if inputs.map is not None:
+        found = sight_known_walls(inputs.sensor, seen, frame, of, pose, inputs.map.positions(of), 0)
+    else:
+        found = sight_walls(inputs.sensor, seen, frame, of, pose, dict(enumerate(start.landmark)), 0)
+        for n, first in zip(*np.unique(of, return_index=True), strict=True):
+            wall = placed(start.landmark[n], pose[first, :2])
+            believed.append(along(int(n), wall))
+            values.insert(gtsam.symbol("l", int(n)), wall)
+    for s in found:
+        believed += s.measured[2:]
+        for key, at in s.starts:
+            values.insert(key, at)
+    return _Walls([replace(s, measured=s.measured[:2]) for s in found], believed, values)
+
+
+def _graduate(
+    problem: Problem, start: Start, probability: float, *, qr: bool, walls: _Walls | None = None
+) -> tuple[Start, BoolArray]:
     """The solution of gtsam, and which sightings have a weight above one half there: all their factors.
 
     Systematic errors stay as they are at the start: what is believed then is judged again while they are estimated.
@@ -84,7 +120,12 @@ def _graduate(problem: Problem, start: Start, probability: float, *, qr: bool) -
         errors = calibrated.errors(values)
         problem = problem.held(errors)
         calibrated.remove(values)
-    believed: list[Factor] = [_soft_prior(problem.prior), *problem.motion]
+    if walls is not None:
+        for n in problem.numbers.tolist():
+            values.erase(gtsam.symbol("l", n))
+        values.insert(walls.values)
+        problem = replace(problem, sighted=walls.sighted)
+    believed: list[Factor] = [_soft_prior(problem.prior), *problem.motion, *([] if walls is None else walls.believed)]
     believed += [
         gtsam.PriorFactorPoint2(s.key, s.xy, noise.Isotropic.Sigma(2, EXACT))
         for s in problem.sighted
@@ -124,8 +165,11 @@ def _soft_prior(prior: Prior) -> Factor:
 def _start_of(problem: Problem, values: gtsam.Values, start: Start) -> Start:
     """Values as a start; landmarks that are not in the problem stay as they were."""
     landmark = start.landmark.copy()
-    for n in problem.numbers.tolist():
-        landmark[n] = values.atPoint2(gtsam.symbol("l", n))
+    keys = [gtsam.symbol("l", n) for n in problem.numbers.tolist()]
+    if problem.about is None:
+        landmark[problem.numbers] = np.array([values.atPoint2(key) for key in keys]).reshape(-1, 2)
+    else:
+        landmark[problem.numbers] = lines_of([values.atPose2(key) for key in keys])[0]
     return Start(poses_of(values, len(problem.motion) + 1), landmark)
 
 

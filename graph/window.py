@@ -6,10 +6,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import gtsam
 import numpy as np
+from gtsam.symbol_shorthand import L
 
-from data.se2 import Array
 from graph.engine import Engine
 from graph.factors import Factor, name_of
+from graph.walls.poses import same_wall
 
 FIRST, MIDDLE, LAST = 0, 1, 2
 """Places in the order of elimination."""
@@ -32,9 +33,10 @@ class Window(Engine):
         qr: bool,
         name: Callable[[int], str] = name_of,
         linear: Mapping[str, int] | None = None,
+        walls: bool = False,
     ) -> None:
         """As `Engine`."""
-        super().__init__(threshold, skip, qr=qr, name=name, linear=linear)
+        super().__init__(threshold, skip, qr=qr, name=name, linear=linear, walls=walls)
         self._handle: dict[int, int] = {}
         # linear factors that hold about the present linearization point, which is not theirs in a new ISAM2 object
         self._linear: list[int] = []
@@ -59,10 +61,13 @@ class Window(Engine):
         """Whether a variable is there."""
         return bool(self.isam.valueExists(key))
 
-    def pose(self, key: int) -> Array:
-        """Estimate of a pose (3,)."""
-        p = self._ask(lambda: self.isam.calculateEstimatePose2(key))
-        return np.array([p.x(), p.y(), p.theta()])
+    def same(self, pairs: Mapping[int, int], sigma: float) -> list[Factor]:
+        """Landmarks are the others named here, but for a standard deviation [m] in each direction."""
+        if self.walls:
+            of = dict(zip([*pairs, *pairs.values()], self._poses([*pairs, *pairs.values()]), strict=True))
+            return [same_wall(a, b, (of[a], of[b]), sigma) for a, b in pairs.items()]
+        model = gtsam.noiseModel.Isotropic.Sigma(2, sigma)
+        return [gtsam.BetweenFactorPoint2(L(a), L(b), np.zeros(2), model) for a, b in pairs.items()]
 
     def marginalize(self, keys: Sequence[int], last: Sequence[int]) -> None:
         """Let go of variables; `last` stay the last ones in the order of elimination.

@@ -1,0 +1,249 @@
+"""Walls in iSAM2: poses, and sightings as factors of gtsam's own, which it linearizes anew without calling Python.
+
+A wall is a pose W on it whose x axis is the wall's normal. Where along the wall it is, no measurement says: a prior of
+its own holds it there, and changes nothing else. The direction of a reading is a difference of headings; its distance
+is that to a beacon far behind the wall, as for relative points (`graph.factors.coordinate_factors`). A factor between
+the poses would be one, but couples the place along the wall to the error of the direction: its rows are those of the
+logarithm, which turns the residual by half of that error.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import L, X
+
+from data.inputs import IntArray, Sightings
+from data.se2 import Array, wrap_angle
+from data.sensors import Sensor
+from graph.factors import BEACON, Factor, Sighted, coordinate_factors, noise, with_loss
+from graph.walls.exact import about, roots
+
+SHARE = 0.3
+"""Of a distance's sigma: that of the point of the robot that it is measured from, where that is not its origin. The
+rest is the range's; so the sum is right, and no weight is much larger than the others."""
+ALONG = 1.0
+"""m. Sigma of the prior that holds a wall's pose along the wall."""
+CENTRED = 1e-9
+"""m. A point of the robot nearer to its origin is its origin."""
+JOINED = 1e-4
+"""rad; standard deviation of the difference of two walls that are one."""
+_HELD = noise.Constrained.All(2)
+_FREE = np.zeros((3, 3))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SightedWall(Sighted):
+    """One observation of a wall as factors of gtsam's own.
+
+    Attributes:
+        sensor: that measured it; z: (2,), R: (2, 2), in its frame.
+        loss: as in `graph.batch.smooth`.
+        name: 0 where the wall's normal is the one measured, 1 where it is the opposite one.
+        foot: (2,) m, world: a point of a known wall near where it was seen from.
+        point: variable and start value (2,) of the robot's point that the distance is measured from, if it has one.
+        wall: start value of the wall, where this is its first observation.
+    """
+
+    sensor: Sensor
+    z: Array
+    R: Array
+    loss: str
+    name: int
+    foot: Array | None = None
+    point: tuple[int, Array] | None = None
+    wall: gtsam.Pose2 | None = None
+
+    @property
+    def starts(self) -> list[tuple[int, Array | gtsam.Pose2]]:
+        """Start values of the variables that come with it."""
+        found = super().starts
+        found += [] if self.point is None else [self.point]
+        return found if self.wall is None or self.key is None else [*found, (self.key, self.wall)]
+
+    @property
+    def alone(self) -> list[int]:
+        """Variables that no other observation has."""
+        return super().alone + ([] if self.point is None else [self.point[0]])
+
+    def renumbered(self, number: int, *, opposite: bool = False) -> SightedWall:
+        """The same observation (SLAM) taken for another wall; `opposite`: one whose normal is the opposite one."""
+        row = 0 if self.point is None else gtsam.symbolIndex(self.point[0])
+        other = replace(self, number=number, key=L(number), name=self.name ^ opposite, wall=None)
+        return replace(other, measured=_slam_factors(other, row))
+
+
+def _direction(s: SightedWall) -> float:
+    """Of the wall's normal, in the body frame."""
+    return float(s.z[1]) - s.sensor.rotation + s.name * math.pi
+
+
+def _body_point(sensor: Sensor, z: Array, R: Array) -> Array:
+    """The point (2,) of the body whose distance from the wall is independent of the error of the direction.
+
+    For independent errors it is the sensor's place, for others one along the wall from there.
+    """
+    rotation, tx, ty = sensor.extrinsic.tolist()
+    c, s = math.cos(rotation), math.sin(rotation)
+    phi, off = float(z[1]) - rotation, float(R[0, 1] / R[1, 1])
+    return np.array([-c * tx - s * ty - off * math.sin(phi), s * tx - c * ty + off * math.cos(phi)])
+
+
+def _sigmas(R: Array) -> tuple[float, float]:
+    """Of the distance given the direction, and of the direction."""
+    return math.sqrt(R[0, 0] - R[0, 1] ** 2 / R[1, 1]), math.sqrt(R[1, 1])
+
+
+def _signed(s: SightedWall) -> float:
+    """The distance along the wall's normal."""
+    return -float(s.z[0]) if s.name else float(s.z[0])
+
+
+def _slam_factors(s: SightedWall, row: int) -> list[Factor]:
+    """Direction and distance of a wall W; the robot's point is variable `row`, where it is not its origin."""
+    sigma, sigma_phi = _sigmas(s.R)
+    turn = _FREE.copy()
+    turn[2, 2] = 1.0 / sigma_phi
+    model = with_loss(noise.Gaussian.SqrtInformation(turn), s.loss)
+    found: list[Factor] = [gtsam.BetweenFactorPose2(X(s.frame), L(s.number), gtsam.Pose2(0, 0, _direction(s)), model)]
+    beacon, far = gtsam.Pose2(BEACON, 0.0, 0.0), BEACON + _signed(s)
+    if s.point is None:
+        model = with_loss(noise.Isotropic.Sigma(1, sigma), s.loss)
+        return [*found, gtsam.RangeFactorWithTransformPose2(L(s.number), X(s.frame), far, model, beacon)]
+    model = with_loss(noise.Isotropic.Sigma(1, sigma * math.sqrt(1.0 - SHARE**2)), s.loss)
+    key = point_key(row)
+    found.append(gtsam.RangeFactorWithTransform2D(L(s.number), key, far, model, beacon))
+    root = np.eye(2) / (SHARE * sigma)
+    return found + coordinate_factors(X(s.frame), key, _body_point(s.sensor, s.z, s.R), root, "gaussian")
+
+
+def _known_factors(s: SightedWall, xy: Array, alpha: float) -> list[Factor]:
+    """Direction and distance of a known wall, whose beacon (2,) is L(row)."""
+    sigma, sigma_phi = _sigmas(s.R)
+    heading = gtsam.Rot2(alpha - _direction(s))
+    assert s.key is not None
+    point = gtsam.Pose2(0.0, _body_point(s.sensor, s.z, s.R))
+    turn = with_loss(noise.Isotropic.Sigma(1, sigma_phi), s.loss)
+    model = with_loss(noise.Isotropic.Sigma(1, sigma), s.loss)
+    far = BEACON + _signed(s)
+    return [
+        gtsam.PoseRotationPrior2D(X(s.frame), heading, turn),
+        gtsam.RangeFactorWithTransform2D(X(s.frame), s.key, far, model, point),
+    ]
+
+
+def point_key(row: int) -> int:
+    """Variable of the robot's point that the distance of an observation is measured from."""
+    return int(gtsam.symbol("p", row))
+
+
+def _name(alpha: float, theta: float, sensor: Sensor, z: Array) -> int:
+    """0 where a normal of direction alpha is the one measured from heading theta, 1 where its opposite is."""
+    turn = math.remainder(alpha - theta + sensor.rotation - float(z[1]), math.tau)
+    return int(abs(turn) > 0.5 * math.pi)
+
+
+def sight_walls(
+    sensor: Sensor,
+    seen: Sightings,
+    frame: IntArray,
+    number: IntArray,
+    pose: Array,
+    lines: Mapping[int, Array],
+    first_row: int,
+    loss: str = "gaussian",
+) -> list[SightedWall]:
+    """SLAM: observations (m) of walls `number` (m,) from frames (m,) at about `pose` (m, 3).
+
+    `lines`: (rho, alpha) by number of walls that are there; others start at their first observation. The robot's points
+    are variables p(first_row), ...
+    """
+    result, alpha = [], {n: float(line[1]) for n, line in lines.items()}
+    roots(seen.R, frame)
+    for i, (f, n) in enumerate(zip(frame.tolist(), number.tolist(), strict=True)):
+        z, R, wall, own = seen.z[i], seen.R[i], None, list[Factor]()
+        if n not in alpha:
+            wall = placed(sensor.inverse(pose[i], z[None])[0][0], pose[i, :2])
+            alpha[n], own = wall.theta(), [along(n, wall)]
+        body = _body_point(sensor, z, R)
+        at = gtsam.Pose2(*pose[i].tolist()).transformFrom(body)
+        point = None if np.hypot(*body) < CENTRED else (point_key(first_row + i), at)
+        s = SightedWall(
+            f, n, L(n), [], sensor=sensor, z=z, R=R, loss=loss, name=_name(alpha[n], pose[i, 2], sensor, z),
+            point=point, wall=wall,
+        )  # fmt: skip
+        result.append(replace(s, measured=_slam_factors(s, first_row + i) + own))
+    return result
+
+
+def sight_known_walls(
+    sensor: Sensor,
+    seen: Sightings,
+    frame: IntArray,
+    number: IntArray,
+    pose: Array,
+    lines: Array,
+    first_row: int,
+    loss: str = "gaussian",
+) -> list[SightedWall]:
+    """Localization: observations (m) of known walls (m, 2) from frames (m,) at about `pose` (m, 3).
+
+    Each has a beacon L(first_row), ... of its own far behind the wall, that is held.
+    """
+    result = []
+    roots(seen.R, frame)
+    for i, (f, n) in enumerate(zip(frame.tolist(), number.tolist(), strict=True)):
+        normal = np.array([math.cos(lines[i, 1]), math.sin(lines[i, 1])])
+        beacon = pose[i, :2] + (float(about(lines[i], pose[i, :2])[0, 0]) + BEACON) * normal
+        key = L(first_row + i)
+        s = SightedWall(
+            f, n, key, [], gtsam.PriorFactorPoint2(key, beacon, _HELD), beacon, sensor=sensor, z=seen.z[i],
+            R=seen.R[i], loss=loss, name=_name(float(lines[i, 1]), pose[i, 2], sensor, seen.z[i]),
+        )  # fmt: skip
+        result.append(replace(s, measured=_known_factors(s, beacon, float(lines[i, 1]))))
+    return result
+
+
+def placed(line: Array, near: Array) -> gtsam.Pose2:
+    """A wall (rho, alpha) as a pose on it, nearest to a point (2,)."""
+    rho, alpha = about(line, near)[0].tolist()
+    return gtsam.Pose2(near[0] + rho * math.cos(alpha), near[1] + rho * math.sin(alpha), alpha)
+
+
+def along(number: int, wall: gtsam.Pose2) -> Factor:
+    """The prior that holds a wall's pose along the wall."""
+    root = _FREE.copy()
+    root[1, 1] = 1.0 / ALONG
+    return gtsam.PriorFactorPose2(L(number), wall, noise.Gaussian.SqrtInformation(root))
+
+
+def same_wall(merged: int, kept: int, pose: Sequence[gtsam.Pose2], sigma: float) -> Factor:
+    """Two walls at about these two poses are the same, with a standard deviation [m] of their distance."""
+    between = pose[0].between(pose[1])
+    opposite = abs(between.theta()) > 0.5 * math.pi
+    along = gtsam.Pose2(0.0, between.y(), math.pi if opposite else 0.0)
+    root = np.diag([1.0 / sigma, 0.0, 1.0 / JOINED])
+    return gtsam.BetweenFactorPose2(L(merged), L(kept), along, noise.Gaussian.SqrtInformation(root))
+
+
+def lines_of(poses: Sequence[gtsam.Pose2]) -> tuple[Array, Array]:
+    """Walls as lines (n, 2), [rho, alpha] about the origin, with Jacobians (n, 2, 3) to their tangent coordinates."""
+    found = np.array([[p.x(), p.y(), p.theta()] for p in poses], float).reshape(-1, 3)
+    c, s = np.cos(found[:, 2]), np.sin(found[:, 2])
+    J = np.zeros((len(found), 2, 3))
+    J[:, 0, 0] = J[:, 1, 2] = 1.0
+    J[:, 0, 2] = c * found[:, 1] - s * found[:, 0]
+    lines = np.stack([c * found[:, 0] + s * found[:, 1], wrap_angle(found[:, 2])], 1)
+    return lines, J
+
+
+def as_vectors(values: gtsam.Values, numbers: IntArray, point: Array) -> None:
+    """Walls (n,) among values, poses, become what they are in a `Problem`: vectors, about a point (2,)."""
+    lines, _ = lines_of([values.atPose2(L(n)) for n in numbers.tolist()])
+    for n, line in zip(numbers.tolist(), about(lines, point), strict=True):
+        values.erase(L(n))
+        values.insert(L(n), line)
