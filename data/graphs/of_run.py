@@ -58,6 +58,8 @@ def of_result(log: Log, folder: Path) -> Estimate:
         DataError: a file is missing, or is of another log.
     """
     inputs = log.recorded
+    if not inputs.sensor.sees_points:
+        raise UsageError(f"log {log.name!r} has walls as landmarks; g2o has no vertex for a wall")
     path = next((p for p in (folder / "final.csv", folder / "online.csv") if p.exists()), None)
     if path is None:
         raise DataError.at(folder, "neither final.csv nor online.csv: the folder of one run in a report is needed")

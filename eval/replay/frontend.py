@@ -80,7 +80,9 @@ class FrontEnd:
         if self.slam and (kept.manages_map or self.revises_map):
             self.map_management = MapManagement(kept)
             if kept.deactivate_after is not None:
-                self.parking = Parking(self.estimator, self.map_management, given.sensor)
+                known_or_foreign = association == "known" or is_foreign(association)
+                within = math.inf if known_or_foreign else horizon(association, setup.gate, setup.new_gate)
+                self.parking = Parking(self.estimator, self.map_management, given.sensor, within)
         self.parking = self.parking or automatic_parking(self.estimator, association, setup)
         self.known = KnownAssociation(given.map) if association == "known" else None
         gated = self.known is not None and (setup.gate_smoothers or not self.estimator.smooths)

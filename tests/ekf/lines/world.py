@@ -22,56 +22,53 @@ REACH = 4.0
 SHARE = 0.17
 """Of the frames in which a wall is in view, those that read it: once in 1.5 s."""
 R = np.array([[0.007**2, 0.5 * 0.007 * 0.02], [0.5 * 0.007 * 0.02, 0.02**2]])
+CORNER = 0.8
 
 
 @dataclass(frozen=True)
 class World:
-    """Origin (x, y) m of the world's frame in the room, seconds it lasts, sigmas of the prior, how fast wheels slip."""
+    """Where its origin is in the room [m], s that it lasts, sigmas of the first pose [m, rad], how wheels slip."""
 
     origin: tuple[float, float] = (0.0, 0.0)
-    turned: float = 0.0
     seconds: float = 300.0
     prior: tuple[float, float] = (0.01, 0.01)
     slip: float = Physics().slip
 
 
-def walls(world: World = World()):
-    """Segments (W, 2, 2) and lines (W, 2) of rho, alpha, all about the world's origin."""
-    c, s = math.cos(world.turned), math.sin(world.turned)
-    segments = (room(0).segments - np.array(world.origin)) @ np.array([[c, s], [-s, c]])
+ROOM = World()
+
+
+def walls(world=ROOM):
+    """Segments (W, 2, 2) and lines (W, 2) of rho, alpha, about the world's origin."""
+    segments = room(0).segments - np.array(world.origin)
     way = segments[:, 1] - segments[:, 0]
     alpha = np.arctan2(-way[:, 0], way[:, 1])
     rho = np.cos(alpha) * segments[:, 0, 0] + np.sin(alpha) * segments[:, 0, 1]
     return segments, np.stack([rho, alpha], 1)
 
 
-def path(world: World, rng):
-    """True poses (N, 3): round the room a metre from its walls, round the corners on an arc, either way round."""
-    r, x0, x1, y0, y1 = 0.8, 1.0, 9.0, 0.9, 5.1
-    sides = [x1 - x0 - 2 * r, y1 - y0 - 2 * r] * 2
-    pose, poses, left, corner = np.array([x0 + r, y0, 0.0]), [], sides[0], False
-    k = 0
+def path(world, clockwise):
+    """True poses (N, 3): round the room a metre from its walls, round the corners on an arc."""
+    sides = [8.0 - 2.0 * CORNER, 4.2 - 2.0 * CORNER] * 2
+    pose, poses, side, left, corner = np.array([1.0 + CORNER, 0.9, 0.0]), [], 0, sides[0], False
     for _ in range(int(world.seconds / PERIOD)):
         poses.append(pose)
         way = SPEED * PERIOD
         while way > 0.0:
             step = min(way, left)
-            turn = step / r if corner else 0.0
-            s = step * np.sinc(turn / 2.0 / np.pi)
-            pose = compose(pose, np.array([s * math.cos(turn / 2), s * math.sin(turn / 2), turn]))
+            turn = step / CORNER if corner else 0.0
+            chord = step * np.sinc(0.5 * turn / math.pi)
+            pose = compose(pose, np.array([chord * math.cos(0.5 * turn), chord * math.sin(0.5 * turn), turn]))
             way, left = way - step, left - step
             if left <= 1e-12:
-                corner = not corner
-                k += not corner
-                left = 0.5 * math.pi * r if corner else sides[k % 4]
+                side, corner = side + corner, not corner
+                left = 0.5 * math.pi * CORNER if corner else sides[side % 4]
     poses = np.array(poses)
-    if rng.random() < 0.5:  # mirrored: the other way round
+    if clockwise:
         poses = poses * [1.0, -1.0, -1.0] + [0.0, 6.0, 0.0]
-        if False:
-            pass
-    c, s = math.cos(world.turned), math.sin(world.turned)
-    xy = (poses[:, :2] - np.array(world.origin)) @ np.array([[c, s], [-s, c]]).T.T
-    return np.column_stack([xy, wrap_angle(poses[:, 2] - world.turned)])
+    poses -= [*world.origin, 0.0]
+    poses[:, 2] = wrap_angle(poses[:, 2])
+    return poses
 
 
 def odometry(truth, slip, rng):
@@ -79,12 +76,12 @@ def odometry(truth, slip, rng):
     mean, covariance = np.zeros_like(truth), np.zeros((len(truth), 3, 3))
     for k in range(1, len(truth)):
         turn = float(wrap_angle(truth[k, 2] - truth[k - 1, 2]))
-        way = float(np.hypot(*(truth[k, :2] - truth[k - 1, :2]))) / np.sinc(turn / 2.0 / np.pi)
+        way = float(np.hypot(*(truth[k, :2] - truth[k - 1, :2]))) / np.sinc(0.5 * turn / math.pi)
         wheels = np.array([way - 0.5 * WHEEL_BASE * turn, way + 0.5 * WHEEL_BASE * turn])
         wheels = wheels + slip * np.sqrt(np.abs(wheels)) * rng.standard_normal(2)
         way, turn = 0.5 * wheels.sum(), (wheels[1] - wheels[0]) / WHEEL_BASE
-        c, s, a = math.cos(turn / 2), math.sin(turn / 2), np.sinc(turn / 2.0 / np.pi)
-        da = 0.0 if abs(turn) < 1e-6 else (math.cos(turn / 2) - a) / turn
+        c, s, a = math.cos(0.5 * turn), math.sin(0.5 * turn), np.sinc(0.5 * turn / math.pi)
+        da = (c - a) / turn if abs(turn) > 1e-6 else 0.0
         mean[k] = way * a * c, way * a * s, turn
         J = np.array([[a * c, way * (da * c - 0.5 * a * s)], [a * s, way * (da * s + 0.5 * a * c)], [0.0, 1.0]])
         J = J @ np.array([[0.5, 0.5], [-1.0 / WHEEL_BASE, 1.0 / WHEEL_BASE]])
@@ -94,46 +91,42 @@ def odometry(truth, slip, rng):
 
 
 def in_view(pose, segments, lines):
-    """Walls (W,) whose foot is on the segment, within reach, and not behind another wall."""
-    n = np.stack([np.cos(lines[:, 1]), np.sin(lines[:, 1])], 1)
-    d = lines[:, 0] - n @ pose[:2]
-    foot = pose[:2] + d[:, None] * n
-    a, b = segments[:, 0], segments[:, 1]
-    along = ((foot - a) * (b - a)).sum(1) / ((b - a) ** 2).sum(1)
+    """Walls (W,) whose foot is on the segment, within reach, with no other wall in between."""
+    normal = np.stack([np.cos(lines[:, 1]), np.sin(lines[:, 1])], 1)
+    d = lines[:, 0] - normal @ pose[:2]
+    foot = pose[:2] + d[:, None] * normal
+    a, way = segments[:, 0], segments[:, 1] - segments[:, 0]
+    length = (way**2).sum(1)
+    along = ((foot - a) * way).sum(1) / length
     seen = (along > 0.0) & (along < 1.0) & (np.abs(d) < REACH)
     for w in np.flatnonzero(seen):
-        side = (pose[:2] - a) @ n[w] - 0.0
-        other = (n @ (foot[w] - pose[:2])) / np.where(np.abs(d) < 1e-12, 1e-12, d)  # > 1: beyond the other line
-        t = 1.0 / np.where(np.abs(other) < 1e-12, 1e-12, other)
-        hit = pose[:2] + t[:, None] * (foot[w] - pose[:2])
-        at = ((hit - a) * (b - a)).sum(1) / ((b - a) ** 2).sum(1)
-        blocked = (t > 0.0) & (t < 1.0 - 1e-9) & (at >= 0.0) & (at <= 1.0)
-        seen[w] = not blocked.any()
-        del side
+        towards = normal @ (foot[w] - pose[:2])
+        t = d / np.where(np.abs(towards) < 1e-9, 1e-12, towards)  # where on the way there the other lines are met
+        at = ((pose[:2] + t[:, None] * (foot[w] - pose[:2]) - a) * way).sum(1) / length
+        seen[w] = not ((t > 0.0) & (t < 1.0 - 1e-9) & (at >= 0.0) & (at <= 1.0)).any()
     return seen
 
 
-def line_log(seed, world: World = World()):
-    """A log of the world, with the map and the true wall of every reading."""
-    rngs = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4)]
+def line_log(seed, world=ROOM):
+    """A log of the world, with its map and the true wall of every reading; the same noise wherever the origin is."""
+    turns, ground, sonar, start = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4))
     segments, lines = walls(world)
-    truth = path(world, rngs[0])
-    increments, floored = odometry(truth, world.slip, rngs[1])
+    truth = path(world, turns.random() < 0.5)
+    increments, floored = odometry(truth, world.slip, ground)
     L, sensor = np.linalg.cholesky(R), Line(max_range=REACH)
-    frame, z, which = [], [], []
+    frame, z, wall = [], [], []
     for k, pose in enumerate(truth):
         for w in np.flatnonzero(in_view(pose, segments, lines)):
-            if rngs[2].random() < SHARE:
+            if sonar.random() < SHARE:
                 frame.append(k)
-                which.append(w)
-                z.append(sensor.predict(pose, lines[w : w + 1])[0] + L @ rngs[2].standard_normal(2))
+                wall.append(w)
+                z.append(sensor.predict(pose, lines[w : w + 1])[0] + L @ sonar.standard_normal(2))
     z = np.array(z)
     z[:, 1] = wrap_angle(z[:, 1])
     sigma = np.array([world.prior[0], world.prior[0], world.prior[1]])
-    mean = truth[0] + sigma * rngs[3].standard_normal(3)
     known = LandmarkMap(np.arange(len(lines)), lines)
     inputs = Inputs(
-        Prior(mean, np.diag(sigma**2)), PERIOD * np.arange(len(truth)), increments,
-        Observations(np.array(frame), z, np.tile(R, (len(z), 1, 1))), sensor, known, floored=floored,
+        Prior(truth[0] + sigma * start.standard_normal(3), np.diag(sigma**2)), PERIOD * np.arange(len(truth)),
+        increments, Observations(np.array(frame), z, np.tile(R, (len(z), 1, 1))), sensor, known, floored=floored,
     )  # fmt: skip
-    return Log(f"walls:{seed}", inputs, Truth(truth, known, np.array(which)))
+    return Log(f"walls:{seed}", inputs, Truth(truth, known, np.array(wall)))
