@@ -73,7 +73,7 @@ def frame_of(
     """The frame that a filter works in. Raises ValueError for what it cannot do with walls (see `lack`)."""
     if sensor.sees_points:
         return sensor_frame(systematic, sensor, prior)
-    why = lack(options, systematic)
+    why = lack(options, systematic, slam=slam)
     if why is not None:
         raise ValueError(why)
     if not slam:
@@ -81,11 +81,11 @@ def frame_of(
     return WallFrame(np.zeros(3), np.array(prior.mean[:2]), -1, -1)
 
 
-def lack(options: FilterOptions, systematic: Systematic | None) -> str | None:
+def lack(options: FilterOptions, systematic: Systematic | None, *, slam: bool) -> str | None:
     """What a filter with these options and errors cannot do with walls, in a sentence; None if nothing."""
-    if options.invariant:
+    if slam and options.invariant:
         return "the invariant correction moves landmarks as points; walls need another filter"
-    if options.new_variance is not None or options.new_variance_per_square is not None:
+    if slam and (options.new_variance is not None or options.new_variance_per_square is not None):
         return "a new wall has a distance and a direction, which have no variance in common"
     if systematic is not None and systematic.of_sensor:
         return "errors of range and bearing are those of points; of walls, errors of odometry can be estimated"

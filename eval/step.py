@@ -142,8 +142,7 @@ def _step(wish: Wish) -> None:
 
     if is_foreign(o.estimator[0]) and (why := lack(o.estimator[0], task, association, o.setup)):
         raise UsageError(f"--estimator {name_of(o.estimator[0])}: {why}")
-    sensor = log.recorded.sensor
-    if not is_foreign(o.estimator[0]) and (why := lack_with_walls(o.estimator[0], association, sensor, None)):
+    if not is_foreign(o.estimator[0]) and (why := lack_with_walls(o.estimator[0], task, association, log.recorded)):
         raise UsageError(f"log {log.name!r} has walls: {why}")
     album = Album(wish.save, open_windows())
     inputs = log.inputs(labels=association == "known")

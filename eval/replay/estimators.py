@@ -9,10 +9,9 @@ import numpy as np
 from association.decide import HINDSIGHT
 from association.expectation import Expectation
 from data.errors import UsageError
-from data.inputs import Increment, IntArray, Sightings, Systematic
+from data.inputs import Increment, IntArray, Sightings
 from data.result import Finished, MapState, PoseEstimate, Updated
 from data.se2 import Array
-from data.sensors import Sensor
 from ekf import walls
 from ekf.filter import DEFAULT, FilterOptions
 from ekf.localizer import EkfLocalizer
@@ -167,15 +166,15 @@ NO_HINDSIGHT_OF_WALLS = f"{HINDSIGHT} knows landmarks as points, walls can be pa
 
 
 def lack_with_walls(
-    name: str, association: str, sensor: Sensor, systematic: Systematic | None, options: FilterOptions | None = None
+    name: str, task: str, association: str, given: Given, options: FilterOptions | None = None
 ) -> str | None:
     """Why an estimator with a way of association cannot do with walls, if the sensor sees them; None if it can.
 
     `options` stand in for those that go with the name of a filter.
     """
-    if sensor.sees_points:
+    if given.sensor.sees_points:
         return None
     if association == HINDSIGHT:
         return NO_HINDSIGHT_OF_WALLS
     own = options or OPTIONS.get(name)
-    return None if own is None else walls.lack(own, systematic)
+    return None if own is None else walls.lack(own, given.systematic, slam=task == "slam")

@@ -165,7 +165,7 @@ def front_end(
     name: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
 ) -> FrontEnd:
     """What decides and updates frame by frame, before the first frame. Raises CannotError for what walls forbid."""
-    why = lack_with_walls(name, association, given.sensor, given.systematic, options)
+    why = lack_with_walls(name, "slam" if given.map is None else "localization", association, given, options)
     if why is not None:
         raise CannotError(why)
     kind = FrontEnd
@@ -235,7 +235,7 @@ def _compare(
     def ahead(name: str) -> Run:
         if name not in done:
             quick = name in FILTERS and association == "known" and not (setup.manages_map and task == "slam")
-            quick = quick and lack_with_walls(name, association, inputs.sensor, inputs.systematic) is None
+            quick = quick and lack_with_walls(name, task, association, inputs) is None
             threshold = gate_threshold(setup.label_gate)
             run = filter_known(inputs, task, name=name, threshold=threshold) if quick else None
             if run is None or watch is not None:  # what is compiled cannot be watched: the same steps once more

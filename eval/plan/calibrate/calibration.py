@@ -57,11 +57,9 @@ def check_calibrated(log: Log, options: Options) -> None:
         raise UsageError(f"--calibrate and --association {SCAN} exclude each other: errors are told by landmarks")
     if options.calibrate and log.recorded.scans is not None and not len(log.recorded.observations.frame):
         raise UsageError(SCANNED.format(log.name))
-    if options.calibrate and options.calibrate != (AUTO,) and not log.recorded.sensor.sees_points:
-        if systematic(options.calibrate).of_sensor:
-            raise UsageError(
-                f"--calibrate: errors of range and bearing are those of points; log {log.name!r} has walls"
-            )
+    named = options.calibrate and options.calibrate != (AUTO,)
+    if named and not log.recorded.sensor.sees_points and systematic(options.calibrate).of_sensor:
+        raise UsageError(f"--calibrate: log {log.name!r} has walls; range and bearing are errors of points")
 
 
 def settle(
