@@ -60,6 +60,10 @@ class WallFrame(SensorFrame):
         covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
         return MapState(map_.number, self._moved(map_.xy, self.origin), covariance)
 
+    def sensor(self, sensor: Sensor) -> Sensor:
+        """The sensor as it is: the robot's frame is its own."""
+        return sensor
+
     @staticmethod
     def _moved(walls: Array, by: Array) -> Array:
         """Walls (n, 2) about a point that stands at -by."""

@@ -107,13 +107,13 @@ def in_view(pose, segments, lines):
     return seen
 
 
-def line_log(seed, world=ROOM):
+def line_log(seed, world=ROOM, sensor=None):
     """A log of the world, with its map and the true wall of every reading; the same noise wherever the origin is."""
     turns, ground, sonar, start = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4))
     segments, lines = walls(world)
     truth = path(world, turns.random() < 0.5)
     increments, floored = odometry(truth, world.slip, ground)
-    L, sensor = np.linalg.cholesky(R), Line(max_range=REACH)
+    L, sensor = np.linalg.cholesky(R), sensor or Line(max_range=REACH)
     frame, z, wall = [], [], []
     for k, pose in enumerate(truth):
         for w in np.flatnonzero(in_view(pose, segments, lines)):
