@@ -11,7 +11,7 @@ from matplotlib.collections import PolyCollection
 from data.errors import UsageError
 from data.graphs.of_run import graph_text, labelled
 from data.inputs import LandmarkMap, Systematic
-from data.result import MapEstimate
+from data.result import DISCARD, MapEstimate
 from data.se2 import pose_error
 from data.truth import Truth
 from eval.figures import fate_figure, map_figure
@@ -19,6 +19,7 @@ from eval.figures.log import log_figure
 from eval.figures.view import chords
 from eval.plan.calibrate.named import every
 from eval.player.scene import scene
+from eval.referee.lost import lost
 from eval.referee.score import Trial, association_row, metrics_row
 from eval.replay.parking import Parking
 from eval.replay.plausible import doubt
@@ -94,6 +95,12 @@ def test_a_wall_has_no_position_to_be_scored(log, run):
     assert "lost_frame" not in row
 
 
+def test_a_wall_that_is_not_seen_any_more_may_have_ended(log, run):
+    late = log.recorded.observations.frame > 250
+    unseen = replace(run, decisions=np.where(late, DISCARD, run.decisions))
+    assert lost(unseen, log.recorded) is None
+
+
 def test_a_far_origin_of_the_world_is_no_reason_for_doubt():
     log = line_log(3, World(origin=(3000.0, 3000.0), seconds=30.0))
     for task in ("slam", "localization"):
@@ -115,10 +122,10 @@ def test_walls_that_leave_the_state_come_back_before_they_are_paired(log, monkey
     setup = Setup(gate=0.9999)
     plain = step_by_step("ekf", log.recorded.without_map(), "slam", "jcbb", setup)
     parked = step_by_step("ekf", log.recorded.without_map(), "slam", "jcbb", replace(setup, deactivate_after=5.0))
-    assert max(every_time) < len(plain.map), "not all of them at once"
+    assert 0 < sum(every_time) <= 3 * len(plain.map), "not all of them in every frame"
     np.testing.assert_array_equal(parked.decisions, plain.decisions)
     np.testing.assert_allclose(parked.online.pose, plain.online.pose, atol=1e-7)
-    assert parked.state_size.min() < plain.state_size[parked.state_size.argmin()] or sum(every_time)
+    assert parked.state_size.sum() < 0.9 * plain.state_size.sum()
 
 
 def test_a_chord_is_what_a_rectangle_holds_of_a_straight_line():
@@ -137,8 +144,8 @@ def test_a_chord_is_what_a_rectangle_holds_of_a_straight_line():
 def test_the_map_shows_walls_as_lines_across_it_and_no_ellipses_of_them(log, run):
     ax = map_figure(log, [run]).axes[0]
     (x0, x1), (y0, y1) = ax.get_xlim(), ax.get_ylim()
-    assert x0 < 0.0 < 10.0 < x1 < 14.0
-    assert y0 < 0.0 < 6.0 < y1 < 10.0
+    assert -2.0 < x0 < 0.0 < 10.0 < x1 < 12.0
+    assert -2.0 < y0 < 0.0 < 6.0 < y1 < 8.0
     drawn = [line.get_xydata() for line in ax.lines if len(line.get_xdata()) == 2]
     for rho, alpha in walls()[1]:
         off = [np.abs(d @ [np.cos(alpha), np.sin(alpha)] - rho).max() for d in drawn]

@@ -61,9 +61,8 @@ def test_walls_are_consistent_over_fifty_seeds(name, task, association):
 
 
 @pytest.mark.slow
-def test_the_plain_filter_is_overconfident_where_the_way_is_long_and_first_estimates_are_not():
-    """A hall of four times the size would say so as well; here the heading is less certain at the start."""
-    world = World(prior=(0.01, 0.1), slip=0.01)
+def test_in_a_hall_of_four_times_the_size_only_first_estimates_are_consistent():
+    world = World(size=4.0, seconds=1200.0)
     plain, first = (run_means(range(50), "slam", name, world=world)[0] for name in ("ekf", "ekf-fej"))
     assert verdict(plain, 3).word == OVERCONFIDENT
     assert verdict(first, 3).word == CONSISTENT

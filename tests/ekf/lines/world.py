@@ -27,12 +27,15 @@ CORNER = 0.8
 
 @dataclass(frozen=True)
 class World:
-    """Where its origin is in the room [m], s that it lasts, sigmas of the first pose [m, rad], how wheels slip."""
+    """Where its origin is in the room [m], s that it lasts, sigmas of the first pose [m, rad], how wheels slip, and how
+    many times as large as the room it is.
+    """
 
     origin: tuple[float, float] = (0.0, 0.0)
     seconds: float = 300.0
     prior: tuple[float, float] = (0.01, 0.01)
     slip: float = Physics().slip
+    size: float = 1.0
 
 
 ROOM = World()
@@ -40,7 +43,7 @@ ROOM = World()
 
 def walls(world=ROOM):
     """Segments (W, 2, 2) and lines (W, 2) of rho, alpha, about the world's origin."""
-    segments = room(0).segments - np.array(world.origin)
+    segments = world.size * room(0).segments - np.array(world.origin)
     way = segments[:, 1] - segments[:, 0]
     alpha = np.arctan2(-way[:, 0], way[:, 1])
     rho = np.cos(alpha) * segments[:, 0, 0] + np.sin(alpha) * segments[:, 0, 1]
@@ -53,7 +56,7 @@ def path(world, clockwise):
     pose, poses, side, left, corner = np.array([1.0 + CORNER, 0.9, 0.0]), [], 0, sides[0], False
     for _ in range(int(world.seconds / PERIOD)):
         poses.append(pose)
-        way = SPEED * PERIOD
+        way = SPEED * PERIOD / world.size
         while way > 0.0:
             step = min(way, left)
             turn = step / CORNER if corner else 0.0
@@ -66,7 +69,7 @@ def path(world, clockwise):
     poses = np.array(poses)
     if clockwise:
         poses = poses * [1.0, -1.0, -1.0] + [0.0, 6.0, 0.0]
-    poses -= [*world.origin, 0.0]
+    poses = poses * [world.size, world.size, 1.0] - [*world.origin, 0.0]
     poses[:, 2] = wrap_angle(poses[:, 2])
     return poses
 
@@ -90,7 +93,7 @@ def odometry(truth, slip, rng):
     return Increments(mean, covariance), floored
 
 
-def in_view(pose, segments, lines):
+def in_view(pose, segments, lines, reach=REACH):
     """Walls (W,) whose foot is on the segment, within reach, with no other wall in between."""
     normal = np.stack([np.cos(lines[:, 1]), np.sin(lines[:, 1])], 1)
     d = lines[:, 0] - normal @ pose[:2]
@@ -98,7 +101,7 @@ def in_view(pose, segments, lines):
     a, way = segments[:, 0], segments[:, 1] - segments[:, 0]
     length = (way**2).sum(1)
     along = ((foot - a) * way).sum(1) / length
-    seen = (along > 0.0) & (along < 1.0) & (np.abs(d) < REACH)
+    seen = (along > 0.0) & (along < 1.0) & (np.abs(d) < reach)
     for w in np.flatnonzero(seen):
         towards = normal @ (foot[w] - pose[:2])
         t = d / np.where(np.abs(towards) < 1e-9, 1e-12, towards)  # where on the way there the other lines are met
@@ -113,10 +116,10 @@ def line_log(seed, world=ROOM, sensor=None):
     segments, lines = walls(world)
     truth = path(world, turns.random() < 0.5)
     increments, floored = odometry(truth, world.slip, ground)
-    L, sensor = np.linalg.cholesky(R), sensor or Line(max_range=REACH)
+    L, sensor = np.linalg.cholesky(R), sensor or Line(max_range=REACH * world.size)
     frame, z, wall = [], [], []
     for k, pose in enumerate(truth):
-        for w in np.flatnonzero(in_view(pose, segments, lines)):
+        for w in np.flatnonzero(in_view(pose, segments, lines, REACH * world.size)):
             if sonar.random() < SHARE:
                 frame.append(k)
                 wall.append(w)
