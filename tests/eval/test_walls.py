@@ -11,7 +11,7 @@ from matplotlib.collections import PolyCollection
 from data.errors import UsageError
 from data.graphs.of_run import graph_text, labelled
 from data.inputs import LandmarkMap, Systematic
-from data.result import DISCARD, MapEstimate
+from data.result import MapEstimate
 from data.se2 import pose_error
 from data.truth import Truth
 from eval.figures import fate_figure, map_figure
@@ -19,7 +19,7 @@ from eval.figures.log import log_figure
 from eval.figures.view import chords
 from eval.plan.calibrate.named import every
 from eval.player.scene import scene
-from eval.referee.lost import lost
+from eval.referee import lost
 from eval.referee.score import Trial, association_row, metrics_row
 from eval.replay.parking import Parking
 from eval.replay.plausible import doubt
@@ -95,10 +95,9 @@ def test_a_wall_has_no_position_to_be_scored(log, run):
     assert "lost_frame" not in row
 
 
-def test_a_wall_that_is_not_seen_any_more_may_have_ended(log, run):
-    late = log.recorded.observations.frame > 250
-    unseen = replace(run, decisions=np.where(late, DISCARD, run.decisions))
-    assert lost(unseen, log.recorded) is None
+def test_nobody_expects_to_see_a_wall_beyond_its_ends(log, run, monkeypatch):
+    monkeypatch.setattr(lost, "old_sightings", lambda run, inputs: pytest.fail("a wall was expected to be in view"))
+    assert lost.lost(run, log.recorded) is None
 
 
 def test_a_far_origin_of_the_world_is_no_reason_for_doubt():
