@@ -8,7 +8,7 @@ it does not. So EKF-SLAM works in the world moved to the first pose, and hands p
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
@@ -18,8 +18,24 @@ from data.result import MapState
 from data.se2 import Array, wrap_angle
 from data.sensors import Sensor
 
-if TYPE_CHECKING:
-    from ekf.filter import FilterOptions
+
+class Options(Protocol):
+    """What of `ekf.filter.FilterOptions` is asked here."""
+
+    @property
+    def invariant(self) -> bool:
+        """Whether pose and landmarks are moved together."""
+        ...
+
+    @property
+    def new_variance(self) -> float | None:
+        """Of a new landmark, if it is stated."""
+        ...
+
+    @property
+    def new_variance_per_square(self) -> float | None:
+        """The same as a share of its squared distance."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +88,7 @@ class WallFrame(SensorFrame):
 
 
 def frame_of(
-    systematic: Systematic | None, sensor: Sensor, prior: Prior, options: FilterOptions, *, slam: bool
+    systematic: Systematic | None, sensor: Sensor, prior: Prior, options: Options, *, slam: bool
 ) -> SensorFrame:
     """The frame that a filter works in. Raises ValueError for what it cannot do with walls (see `lack`)."""
     if sensor.sees_points:
@@ -85,7 +101,7 @@ def frame_of(
     return WallFrame(np.zeros(3), np.array(prior.mean[:2]), -1, -1)
 
 
-def lack(options: FilterOptions, systematic: Systematic | None, *, slam: bool) -> str | None:
+def lack(options: Options, systematic: Systematic | None, *, slam: bool) -> str | None:
     """What a filter with these options and errors cannot do with walls, in a sentence; None if nothing."""
     if slam and options.invariant:
         return "the invariant correction moves landmarks as points; walls need another filter"

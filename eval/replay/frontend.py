@@ -9,17 +9,18 @@ from typing import NamedTuple
 import numpy as np
 
 from association.candidates import in_view
-from association.decide import Decided, decide, horizon
+from association.decide import HINDSIGHT, Decided, decide, horizon
 from association.expectation import Expectation, gate_threshold
 from association.jcbb import BUDGET
 from association.truncated import Acceptance, acceptance, accepted_moments, truncated_square
+from data.errors import UsageError
 from data.inputs import Frame, IntArray, Sightings
 from data.result import Event, MapState, Updated
 from data.se2 import Array
 from data.terminal.words import counted
 from ekf.filter import FilterOptions
 from ekf.localizer import EkfLocalizer
-from eval.replay.estimators import make_estimator
+from eval.replay.estimators import NO_HINDSIGHT_OF_WALLS, make_estimator
 from eval.replay.foreign.adapter import Adapter
 from eval.replay.foreign.load import load
 from eval.replay.foreign.method import Method, locked
@@ -63,7 +64,9 @@ class FrontEnd:
     def __init__(
         self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
     ) -> None:
-        """Before the first frame."""
+        """Before the first frame. Raises UsageError for walls that are to be paired in hindsight."""
+        if association == HINDSIGHT and not given.sensor.sees_points:
+            raise UsageError(NO_HINDSIGHT_OF_WALLS)
         self.given, self.setup = Beginning(given.prior, given.sensor, given.map, given.systematic), setup
         self.association = name_of(association)
         self._method = Method(load(association)) if is_foreign(association) else association
