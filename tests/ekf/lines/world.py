@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -110,20 +111,28 @@ def in_view(pose, segments, lines, reach=REACH):
     return seen
 
 
+@cache
+def seen_on_the_way(world, clockwise):
+    """True poses (N, 3), and the walls in view of each frame; the same for every seed."""
+    segments, lines = walls(world)
+    truth = path(world, clockwise)
+    return truth, [np.flatnonzero(in_view(pose, segments, lines, REACH * world.size)) for pose in truth]
+
+
 def line_log(seed, world=ROOM, sensor=None):
     """A log of the world, with its map and the true wall of every reading; the same noise wherever the origin is."""
     turns, ground, sonar, start = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4))
-    segments, lines = walls(world)
-    truth = path(world, turns.random() < 0.5)
+    lines = walls(world)[1]
+    truth, views = seen_on_the_way(world, bool(turns.random() < 0.5))
     increments, floored = odometry(truth, world.slip, ground)
     L, sensor = np.linalg.cholesky(R), sensor or Line(max_range=REACH * world.size)
     frame, z, wall = [], [], []
-    for k, pose in enumerate(truth):
-        for w in np.flatnonzero(in_view(pose, segments, lines, REACH * world.size)):
+    for k, view in enumerate(views):
+        for w in view:
             if sonar.random() < SHARE:
                 frame.append(k)
                 wall.append(w)
-                z.append(sensor.predict(pose, lines[w : w + 1])[0] + L @ sonar.standard_normal(2))
+                z.append(sensor.predict(truth[k], lines[w : w + 1])[0] + L @ sonar.standard_normal(2))
     z = np.array(z)
     z[:, 1] = wrap_angle(z[:, 1])
     sigma = np.array([world.prior[0], world.prior[0], world.prior[1]])
