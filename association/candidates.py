@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from data.inputs import Increment, IntArray, Sightings
 from data.se2 import Array, BoolArray
-from data.sensors import MIN_RANGE, RANGE_BEARING, Sensor
+from data.sensors import MIN_RANGE, RANGE_BEARING, RELATIVE_POINT, Sensor
 
 SIGMAS = 3.0
 """The field of view is widened by so many sigmas of the expectation, ..."""
@@ -23,7 +23,7 @@ FEW = 100
 def polar_sigma(sensor: Sensor, z_hat: Array, HPHt: Array) -> Array:
     """Sigmas (n, 2) of range [m] and bearing [rad] of expected measurements (n, 2) with covariances (n, 2, 2)."""
     variance = np.diagonal(HPHt, axis1=1, axis2=2)
-    if sensor.kind != RANGE_BEARING:
+    if sensor.kind == RELATIVE_POINT:
         r = np.maximum(np.hypot(z_hat[:, 0], z_hat[:, 1]), MIN_RANGE)
         u = z_hat / r[:, None]
         along = np.einsum("ni,nij,nj->n", u, HPHt, u)
@@ -40,7 +40,7 @@ def in_view(sensor: Sensor, z_hat: Array, HPHt: Array) -> BoolArray:
 
 
 def may_be_in_view(sensor: Sensor, pose: Array, xy: Array, sigma: Array, heading: Array) -> BoolArray:
-    """A superset of `in_view` that needs no joint covariance.
+    """A superset of `in_view` that needs no joint covariance; of walls it is all.
 
     Args:
         sensor: with its field of view.
@@ -49,6 +49,8 @@ def may_be_in_view(sensor: Sensor, pose: Array, xy: Array, sigma: Array, heading
         sigma: (n,) m, bounds of the landmarks' uncertainty relative to the robot.
         heading: (n,) rad, bounds of that of the robot's heading.
     """
+    if not sensor.sees_points:
+        return np.ones(len(xy), np.bool_)
     z_hat = sensor.predict(pose, xy)
     total = sigma + math.hypot(*sensor.translation) * heading
     r = np.maximum(sensor.polar(z_hat)[:, 0], MIN_RANGE)
@@ -57,7 +59,9 @@ def may_be_in_view(sensor: Sensor, pose: Array, xy: Array, sigma: Array, heading
 
 
 def view_radius(sensor: Sensor, P: Array) -> float:
-    """Farther than this [m] from a robot of covariance P (3, 3) no known landmark is `in_view`."""
+    """Farther than this [m] from a robot of covariance P (3, 3) no known landmark is `in_view`; a wall is nowhere."""
+    if not sensor.sees_points:
+        return math.inf
     lever = math.hypot(*sensor.translation)
     return sensor.max_range + lever + SIGMAS * (math.sqrt(P[0, 0] + P[1, 1]) + lever * math.sqrt(P[2, 2])) + 1e-9
 
@@ -66,8 +70,10 @@ def reading_radius(sensor: Sensor, P: Array, sightings: Sightings, within: float
     """Farther than this [m] from a robot of covariance P (3, 3) no known landmark is within a squared distance.
 
     A reading z and an expectation within a squared Mahalanobis distance g have |range(z) - range| <= sqrt(g S) with S
-    the variance of the expected range and of the noise (Cauchy-Schwarz).
+    the variance of the expected range and of the noise (Cauchy-Schwarz). A wall is at no place: infinite.
     """
+    if not sensor.sees_points:
+        return math.inf
     gate, lever = math.sqrt(within), math.hypot(*sensor.translation)
     R = sightings.R
     noise = R[:, 0, 0] if sensor.kind == RANGE_BEARING else np.trace(R, axis1=1, axis2=2)
@@ -94,7 +100,7 @@ class Drift:
 
     The lesser of two: what was known of the landmark when it was last seen or expected, and odometry alone since then
     (all else that was measured can only make it smaller), and its own uncertainty in the world plus the robot's. Far
-    from the start the second is useless, after a long way the first.
+    from the start the second is useless, after a long way the first. Of points, not of walls.
     """
 
     def __init__(self) -> None:

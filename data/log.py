@@ -74,7 +74,7 @@ class Log:
             reckoned = dead_reckoned(r.prior.mean, r.increments.mean)
             paths = [card.Path("dead reckoning", reckoned[:, :2], card.GREY)]
         known = truth.landmarks if truth.landmarks is not None else r.map
-        points = [] if known is None else [card.Points("landmarks", known.xy, card.GREY)]
+        points = [] if known is None or not r.sensor.sees_points else [card.Points("landmarks", known.xy, card.GREY)]
         span = "no stamps" if r.time_is_index else f"{r.time[-1] - r.time[0]:.1f} s"
         facts = [
             ("frames", f"{len(r)} ({span})"), ("observations", str(len(r.observations.frame))),

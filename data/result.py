@@ -208,6 +208,7 @@ class Run:
         errors_online, errors_final: systematic errors as each frame knew them, and after all data (None: none were
             estimated).
         watched: what an observer of the replay wrote down, for those who know its kind; no part of the result.
+        walls: the landmarks are no points (x, y) but walls (rho, alpha).
     """
 
     estimator: str
@@ -234,6 +235,7 @@ class Run:
     errors_online: Systematics | None = None
     errors_final: Systematics | None = None
     watched: object | None = None
+    walls: bool = False
 
     def __post_init__(self) -> None:
         read_only(self)
@@ -271,7 +273,7 @@ class Run:
 
         drawn = {"online": card.WARM, "final": card.COOL}
         paths = [card.Path(p, self.trajectory(p).pose[:, :2], drawn[p]) for p in self.phases]
-        points = [] if self.map is None else [card.Points("map", self.map.xy, card.BLACK)]
+        points = [] if self.map is None or self.walls else [card.Points("map", self.map.xy, card.BLACK)]
         facts = [
             ("task", self.task), ("association", self.association), ("status", self.status),
             ("frames", str(len(self.trajectory(self.phases[0]).pose)) if self.phases else "0"),

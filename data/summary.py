@@ -230,6 +230,8 @@ def _landmarks(log: Log) -> list[Line]:
     (x0, y0), (x1, y1) = xy.min(axis=0), xy.max(axis=0)
     use = "given map" if true is None else ("map and truth" if known is not None else "truth only")
     text = f"{len(xy)} ({use}), ids {landmarks.id.min()} to {landmarks.id.max()}, "
+    if not log.recorded.sensor.sees_points:
+        return [("landmarks", f"{text}walls, rho {x0:.4g} to {x1:.4g} m")]
     text += f"x {x0:.4g} to {x1:.4g} m, y {y0:.4g} to {y1:.4g} m"
     if len(xy) > 1:
         distance = np.asarray(cKDTree(xy).query(xy, k=2)[0])

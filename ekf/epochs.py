@@ -18,7 +18,6 @@ import numpy as np
 
 from data.blocks import coordinates
 from data.inputs import Inputs, IntArray
-from data.motion.sensor_frame import sensor_frame
 from data.result import NEW, MapState
 from data.se2 import Array
 from ekf import kernels, systematic
@@ -26,6 +25,7 @@ from ekf.filter import DEFAULT, FilterOptions
 from ekf.kernels import NEWEST
 from ekf.parking import root, symmetric, whitened
 from ekf.triangle import Triangle
+from ekf.walls import frame_of
 from ekf.whole_run import FilterRun, run
 
 LEAST = 300
@@ -136,7 +136,7 @@ def run_in_epochs(
     number, total = numbers_of(decisions)
     decided, white = np.array(decisions, np.int64), np.full((len(o.z), 2), np.nan)
     of = inputs.systematic
-    frame = sensor_frame(of, inputs.sensor, inputs.prior)
+    frame = frame_of(of, inputs.sensor, inputs.prior, options, slam=True)
     errors, sensor = systematic.as_states(of, frame), frame.sensor(inputs.sensor)
     base = 3 + len(errors.place)
     pose, covariance = np.full((n, base), np.nan), np.full((n, base, base), np.nan)

@@ -9,11 +9,11 @@ import numpy as np
 from association.expectation import Expectation
 from data.blocks import coordinates_from
 from data.inputs import Increment, IntArray, Prior, Sightings, Systematic
-from data.motion.sensor_frame import sensor_frame
 from data.result import PoseEstimate
 from data.se2 import Array, BoolArray, wrap_angle
 from data.sensors import Sensor
 from ekf import kernels, systematic, updates
+from ekf.walls import frame_of
 
 
 class FilterDivergedError(Exception):
@@ -75,7 +75,8 @@ class Filter:
     part of it (see `ekf.parking`; only a SLAM filter with parked landmarks has any).
 
     With systematic errors, these are states behind the pose. Where the sensor's are among them, everything inside,
-    expectations included, is in the sensor's frame; poses and maps that are handed in and out are in the world.
+    expectations included, is in the sensor's frame, and in SLAM with walls about the first pose (`ekf.walls`); poses
+    and maps that are handed in and out are in the world.
 
     Attributes:
         smooths: False: a filter does not revise its past.
@@ -89,8 +90,8 @@ class Filter:
     def __init__(
         self, prior: Prior, sensor: Sensor, options: FilterOptions, errors: Systematic | None, landmarks: int = 0
     ) -> None:
-        """Start at the prior. `landmarks`: how many to have room for."""
-        self._frame, self._systematic = sensor_frame(errors, sensor, prior), errors
+        """Start at the prior. `landmarks`: how many to have room for; none of them are states in a known map."""
+        self._frame, self._systematic = frame_of(errors, sensor, prior, options, slam=landmarks > 0), errors
         self._errors = systematic.as_states(errors, self._frame)
         self.sensor, self.options = self._frame.sensor(sensor), options
         self._kind, self._extrinsic = self.sensor.kind, self.sensor.extrinsic

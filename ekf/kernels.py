@@ -16,7 +16,7 @@ import math
 import numba
 import numpy as np
 
-from data.sensors import invert, measure, residual, wrap_angle
+from data.sensors import LINE, invert, measure, residual, wrap_angle
 
 NEWEST = np.empty(0)
 """First estimates of a filter that has none: Jacobians at the newest estimates."""
@@ -144,7 +144,10 @@ def augment(kind, extrinsic, mean, P, d, z, R, variance, first):  # type: ignore
     mean[d], mean[d + 1] = landmark[0], landmark[1]
     if len(first):
         first[d], first[d + 1] = landmark[0], landmark[1]
-        Gx[0, 2], Gx[1, 2] = first[1] - landmark[1], landmark[0] - first[0]
+        if kind == LINE:
+            Gx[0, 2] = Gx[0, 0] * first[1] - Gx[0, 1] * first[0]
+        else:
+            Gx[0, 2], Gx[1, 2] = first[1] - landmark[1], landmark[0] - first[0]
     if variance >= 0.0:
         for q in range(2):
             for j in range(d + 2):

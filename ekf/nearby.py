@@ -10,7 +10,7 @@ the pose x0 that the robot had then are both constant, so
 distance g has |range(z) - range(l)| <= sqrt(g S) with S the variance of the expected range and of the noise
 (Cauchy-Schwarz). Landmarks too far away for that are left out block by block, by the boxes around them; of the others
 mean and cross-covariance with the pose are formed, and the squared distance with P_ll as it was at t0, which is too
-small if anything.
+small if anything. Walls are at no place: none of them is left out by where it is.
 """
 
 from __future__ import annotations

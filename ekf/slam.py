@@ -13,7 +13,7 @@ from ekf.parkable import Parkable
 from ekf.parking import symmetric
 
 JOINED = 1e-4
-"""m; standard deviation of the difference of two landmarks that are one."""
+"""m, of a wall also rad; standard deviation of the difference of two landmarks that are one."""
 
 
 class EkfSlam(Parkable):
@@ -115,14 +115,19 @@ class EkfSlam(Parkable):
         self._version += 1
         e, a, b = self._used, self._at(merged), self._at(kept)
         P, mean = self._P[:e, :e], self._mean[:e]
-        PHt = P[:, a] - P[:, b]
-        S = PHt[a] - PHt[b] + JOINED**2 * np.eye(len(a))
+        apart, sign = mean[a] - mean[b], np.ones(len(a))
+        if not self.sensor.sees_points:
+            apart = self.sensor.residual(mean[a].reshape(-1, 2), mean[b].reshape(-1, 2)).ravel()
+            turned = np.cos(mean[a[1::2]] - mean[b[1::2]]) < 0.0  # the same wall with the other normal
+            sign[0::2] = np.where(turned, -1.0, 1.0)
+        PHt = sign * P[:, a] - P[:, b]
+        S = sign[:, None] * PHt[a] - PHt[b] + JOINED**2 * np.eye(len(a))
         gain = np.linalg.solve(S, PHt.T).T
-        mean -= gain @ (mean[a] - mean[b])
+        mean -= gain @ apart
         mean[2] = wrap_angle(float(mean[2]))
         # Joseph's form: what is certain of the difference afterwards must not be rounding
         P -= gain @ PHt.T
-        PHt = P[:, a] - P[:, b]
+        PHt = sign * P[:, a] - P[:, b]
         P -= PHt @ gain.T
         P += JOINED**2 * gain @ gain.T
         P[:] = symmetric(P)

@@ -22,6 +22,7 @@ from data.motion.systematic import BETWEEN_KNOTS, correct, forgotten, knot, plac
 from data.result import MapState, Systematics
 from data.se2 import Array
 from ekf.kernels import look, predict
+from ekf.walls import WallFrame
 
 
 class Errors(NamedTuple):
@@ -59,7 +60,7 @@ def as_states(systematic: Systematic | None, frame: SensorFrame) -> Errors:
 def begin(prior: Prior, systematic: Systematic | None, frame: SensorFrame) -> tuple[Array, Array]:
     """Mean (3 + p,) and covariance (3 + p, 3 + p) of pose and errors before the first frame."""
     if systematic is None:
-        return prior.mean, prior.covariance
+        return frame.poses_in(prior.mean[None], np.empty((1, 0)))[0], prior.covariance
     return frame.prior_in(prior, systematic.sigma)
 
 
@@ -159,10 +160,12 @@ def of_frames(systematic: Systematic | None, state: Array, P: Array) -> Systemat
 
 
 def landmarks(map_: MapState, cross: Array, errors: Array, P_bb: Array, frame: SensorFrame) -> MapState:
-    """The map in the world of the one in the sensor's frame.
+    """The map in the world of the one in the filter's frame.
 
     `cross` (n, 2, p): its covariance with the errors, of mean `errors` (p,) and covariance P_bb (p, p).
     """
+    if isinstance(frame, WallFrame):
+        return frame.walls_out(map_)
     if frame.range_at < 0:
         return map_
     xy, size, J = frame.points_out(map_.xy, errors)

@@ -12,7 +12,6 @@ import numpy as np
 
 from data.blocks import diagonal_blocks
 from data.inputs import Inputs, IntArray
-from data.motion.sensor_frame import sensor_frame
 from data.result import DISCARD, NEW, MapState, Systematics
 from data.se2 import Array
 from ekf import kernels, systematic
@@ -20,6 +19,7 @@ from ekf.filter import DEFAULT, FilterOptions
 from ekf.kernels import NEWEST, OK, augment, healthy, predict
 from ekf.systematic import hold_known, predict_with_errors
 from ekf.updates import update, update_each
+from ekf.walls import frame_of
 
 
 class FilterRun(NamedTuple):
@@ -68,7 +68,7 @@ def run_filter(
             raise ValueError("decisions name a landmark the map does not have")
         decided[~paired] = DISCARD
     of = inputs.systematic
-    frame = sensor_frame(of, inputs.sensor, inputs.prior)
+    frame = frame_of(of, inputs.sensor, inputs.prior, options, slam=slam)
     errors, sensor = systematic.as_states(of, frame), frame.sensor(inputs.sensor)
     base = 3 + len(errors.place)
     room = int((decided == NEW).sum())

@@ -129,6 +129,7 @@ def _step(wish: Wish) -> None:
         raise UsageError(f"--association known: log {log.name!r} has no labels (true_id or label in observations.csv)")
     if wish.frames is not None:
         log = shortened(log, wish.frames)
+    from eval.replay.estimators import lack_with_walls
     from eval.replay.foreign.make import lack
     from eval.replay.foreign.spec import is_foreign, name_of
     from eval.replay.plausible import with_doubt
@@ -141,6 +142,8 @@ def _step(wish: Wish) -> None:
 
     if is_foreign(o.estimator[0]) and (why := lack(o.estimator[0], task, association, o.setup)):
         raise UsageError(f"--estimator {name_of(o.estimator[0])}: {why}")
+    if not is_foreign(o.estimator[0]) and (why := lack_with_walls(o.estimator[0], task, association, log.recorded)):
+        raise UsageError(f"log {log.name!r} has walls: {why}")
     album = Album(wish.save, open_windows())
     inputs = log.inputs(labels=association == "known")
     if task == "slam":

@@ -53,7 +53,7 @@ def _twin_as_asked(argv: Sequence[str] | None, prog: str) -> None:
     parser.add_argument(
         "--association", metavar="NAME",
         help=f"who pairs the readings: of {', '.join(ASSOCIATIONS)}, or your own (default: known where LOG has labels, "
-        "else jcbb-hindsight)",
+        "else jcbb-hindsight, of walls jcbb)",
     )  # fmt: skip
     options = parser.parse_args(argv)
     from eval.plan.first_use import compile_if_needed
@@ -76,6 +76,7 @@ def _run(options: argparse.Namespace) -> str:
     from data.logs import open_log
     from data.open_log.writer import write_folder
     from eval.plan.foreign import load_all
+    from eval.replay.estimators import FOR_WALLS
     from eval.replay.foreign.spec import one_settled
     from eval.replay.run import compare
     from eval.replay.settings import Setup
@@ -86,7 +87,7 @@ def _run(options: argparse.Namespace) -> str:
     task = options.task or ("slam" if log.recorded.map is None else "localization")
     if task == "localization" and log.recorded.map is None:
         raise UsageError(f"--task localization: log {log.name!r} has no map; only slam makes sense")
-    association = "known" if log.has_labels else HINDSIGHT
+    association = "known" if log.has_labels else HINDSIGHT if log.recorded.sensor.sees_points else FOR_WALLS
     if options.association is not None:
         association = one_settled("--association", options.association, "association")
         load_all((), (association,))

@@ -98,7 +98,10 @@ def graph_text(inputs: Inputs, estimate: Estimate) -> str:
 
     Readings become points in the body frame (to first order, where they are ranges and bearings), or bearings alone
     where the range is as good as unknown. The first pose is fixed, and of a known map its landmarks.
+    Raises UsageError where landmarks are walls.
     """
+    if not inputs.sensor.sees_points:
+        raise UsageError("the log's landmarks are walls; g2o has no vertex for a wall")
     n, o = len(inputs), inputs.observations
     numbers = sorted(set(estimate.of[estimate.of >= 0].tolist()))
     vertex = {number: n + k for k, number in enumerate(numbers)}

@@ -11,7 +11,7 @@ from data.motion.stated import stated_all
 from data.motion.systematic import BEARING, RANGE, corrected_all
 from data.result import Systematics
 from data.se2 import Array, wrap_angle
-from data.sensors import RANGE_BEARING
+from data.sensors import RELATIVE_POINT
 
 
 def all_errors(systematics: Systematics) -> Array:
@@ -40,7 +40,7 @@ def corrected_inputs(inputs: Inputs, systematics: Systematics | None) -> Inputs:
     o = inputs.observations
     size, bearing = 1.0 + errors[o.frame, RANGE], errors[o.frame, BEARING]
     z, J = o.z.copy(), np.zeros((len(o.z), 2, 2))
-    if inputs.sensor.kind == RANGE_BEARING:
+    if inputs.sensor.kind != RELATIVE_POINT:
         z[:, 0], z[:, 1] = z[:, 0] / size, wrap_angle(z[:, 1] - bearing)
         J[:, 0, 0], J[:, 1, 1] = 1.0 / size, 1.0
     else:

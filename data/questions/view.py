@@ -9,6 +9,7 @@ from data.log import Log
 from data.motion.velocity import carried
 from data.questions.question import Question
 from data.se2 import BoolArray, compose, wrap_angle
+from data.sensors import RELATIVE_POINT
 
 BEYOND = 0.01
 """Share of readings past the stated field of view by more than `MARGIN`; noise at its edge gives 3e-5."""
@@ -33,7 +34,7 @@ def reach(log: Log) -> list[Question]:
     if len(o.z) < FEWEST:
         return []
     polar = sensor.polar(o.z)
-    sigma = np.sqrt(np.trace(o.R, axis1=1, axis2=2)) if sensor.kind else np.sqrt(o.R[:, 0, 0])
+    sigma = np.sqrt(np.trace(o.R, axis1=1, axis2=2)) if sensor.kind == RELATIVE_POINT else np.sqrt(o.R[:, 0, 0])
     found = []
     past = polar[:, 0] > sensor.max_range + MARGIN * sigma
     if past.mean() > BEYOND:
@@ -46,7 +47,8 @@ def reach(log: Log) -> list[Question]:
             )
         )
     middle, half = 0.5 * (sensor.min_angle + sensor.max_angle), 0.5 * (sensor.max_angle - sensor.min_angle)
-    sigma = sigma / np.maximum(polar[:, 0], 1e-6) if sensor.kind else np.sqrt(o.R[:, 1, 1])
+    cartesian = sensor.kind == RELATIVE_POINT
+    sigma = sigma / np.maximum(polar[:, 0], 1e-6) if cartesian else np.sqrt(o.R[:, 1, 1])
     aside = np.abs(wrap_angle(polar[:, 1] - middle)) > half + MARGIN * sigma
     if aside.mean() > BEYOND:
         low, high = np.degrees([sensor.min_angle, sensor.max_angle])
@@ -70,9 +72,12 @@ def prior(log: Log) -> list[Question]:
         return []
     x, y, theta = inputs.prior.mean
     (x0, y0), (x1, y1) = inputs.map.xy.min(axis=0), inputs.map.xy.max(axis=0)
+    there = f"x {x0:.4g} to {x1:.4g} m, y {y0:.4g} to {y1:.4g} m"
+    if not inputs.sensor.sees_points:
+        there = f"walls, rho {x0:.4g} to {x1:.4g} m"
     text = (
         f"from the prior ({x:.4g}, {y:.4g}) m, {np.degrees(theta):.4g} deg, {int(hit.sum())} of the first {len(hit)} "
-        f"readings fit a landmark of the map (x {x0:.4g} to {x1:.4g} m, y {y0:.4g} to {y1:.4g} m)"
+        f"readings fit a landmark of the map ({there})"
     )
     if log.truth.pose is not None and np.isfinite(log.truth.pose[0]).all():
         tx, ty, heading = log.truth.pose[0]

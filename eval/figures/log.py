@@ -9,11 +9,12 @@ from matplotlib.figure import Figure
 
 from data.inputs import CLUTTER, IntArray
 from data.log import Log
-from data.se2 import dead_reckoned
+from data.se2 import dead_reckoned, transform_points
 from data.summary import granted_labels
 from data.terminal.words import counted
 from eval.figures.paper.look import page_width
 from eval.figures.style import DOTTED, STYLES, TRUTH_COLOUR, drawing
+from eval.figures.view import draw_walls
 
 SEEN_COLOUR = "#56B4E9"
 CLUTTER_COLOUR = "#D55E00"
@@ -44,7 +45,10 @@ def _log_figure(log: Log) -> Figure:
     o = inputs.observations
     placed: IntArray = np.flatnonzero(np.all(np.isfinite(pose[o.frame]), axis=1))
     if len(placed):
-        xy = inputs.sensor.inverse(pose[o.frame[placed]], o.z[placed])[0]
+        if inputs.sensor.sees_points:
+            xy = inputs.sensor.inverse(pose[o.frame[placed]], o.z[placed])[0]
+        else:  # where the wall is nearest to the sensor
+            xy = transform_points(pose[o.frame[placed]], inputs.sensor.body_points(o.z[placed], o.R[placed])[0])
         label = granted_labels(log)
         clutter = np.zeros(len(placed), bool) if label is None else label[placed] == CLUTTER
         name = f"{len(placed)} of {counted(len(o.frame), 'observation')}, from {origin}"
@@ -61,7 +65,10 @@ def _log_figure(log: Log) -> Figure:
     landmarks = inputs.map if inputs.map is not None else truth.landmarks
     if landmarks is not None and len(landmarks.id):
         name = counted(len(landmarks.id), "landmark")
-        ax.plot(*landmarks.xy.T, "k+", markersize=5.0, markeredgewidth=0.7, label=name, zorder=5)
+        if inputs.sensor.sees_points:
+            ax.plot(*landmarks.xy.T, "k+", markersize=5.0, markeredgewidth=0.7, label=name, zorder=5)
+        else:
+            draw_walls(ax, landmarks.xy, "black", label=name, zorder=1)
     x, y, theta = inputs.prior.mean
     start: dict[str, Any] = {
         "marker": (3, 0, float(np.degrees(theta)) - 90.0),

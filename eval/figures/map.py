@@ -20,11 +20,13 @@ from data.se2 import Array, dead_reckoned
 from eval.figures.ellipses import along_path, draw_ellipses, ellipses, longest_axis
 from eval.figures.paper.look import page_width, points
 from eval.figures.style import DOTTED, STYLES, TRUTH_COLOUR, Series, drawing, series, settle
-from eval.figures.view import View, enlargement, true_landmarks, view_of
+from eval.figures.view import View, draw_walls, enlargement, true_landmarks, view_of
 from eval.referee.paths.given import is_truth_alone
 
 MOST_IDS = 30
 LONG_LABEL = 24
+GREY = "#606060"
+"""What the legend shows of every estimator."""
 Surveyed = Callable[[Axes], Sequence[Line2D]]
 """Draws what was surveyed on a map, and returns what the legend shows of it."""
 
@@ -70,15 +72,17 @@ def _map_figure(log: Log, runs: Sequence[Run], width: float, surveyed: Surveyed 
         paths = {STYLES["dead-reckoning"].label: reckoned[:, :2], **paths}
     estimates = _with_ellipses(shown)
     maps = [(s, s.run.map) for s in estimates if s.run.map is not None and len(s.run.map)]
-    outlines = {f"map of {s.label}": ellipses(m.xy, m.covariance) for s, m in maps}
+    points_seen = log.recorded.sensor.sees_points
+    outlines = {f"map of {s.label}": ellipses(m.xy, m.covariance) for s, m in maps if points_seen}
     view = view_of(log, shown, paths, outlines)
     poses = [(s, *along_path(s)) for s in estimates]
-    sizes = [longest_axis(P) for _, _, P in poses] + [longest_axis(m.covariance) for _, m in maps]
+    sizes = [longest_axis(P) for _, _, P in poses] + [longest_axis(m.covariance) for _, m in maps if points_seen]
     if factor is None:
         factor = enlargement(view, np.concatenate(sizes) if sizes else np.empty(0))
 
     fig = Figure()
     ax = fig.add_subplot()
+    ax.set(xlim=(view.low[0], view.high[0]), ylim=(view.low[1], view.high[1]), xlabel="x [m]", ylabel="y [m]")
     handles: list[Line2D | Patch] = []
 
     if log.truth.known_poses and log.truth.pose is not None:
@@ -91,22 +95,31 @@ def _map_figure(log: Log, runs: Sequence[Run], width: float, surveyed: Surveyed 
         handles += ax.plot(*path.T, color=colour, linestyle=line, linewidth=1.0, label=name, zorder=3)
 
     known = true_landmarks(log)
+    name = "true landmarks" if log.truth.landmarks is not None else "landmarks (given map)"
     if surveyed is not None:
         handles += surveyed(ax)
+    elif known is not None and len(known.id) and not points_seen:
+        handles += _walls(ax, known.id, known.xy, view, "black", name, MOST_IDS)
     elif known is not None and len(known.id):
-        name = "true landmarks" if log.truth.landmarks is not None else "landmarks (given map)"
         handles += ax.plot(*known.xy.T, "k+", markersize=6.0, markeredgewidth=1.0, label=name, zorder=4)
         if len(known.id) <= MOST_IDS:
             _landmark_ids(ax, known.id, known.xy, view)
     for s, m in maps:
+        numbered = known is None and len(m) <= MOST_IDS and s is maps[0][0]
+        if not points_seen:
+            _walls(ax, m.number, m.xy, view, s.colour, "", MOST_IDS if numbered else 0)
+            continue
         ax.plot(*m.xy.T, "o", color=s.colour, markersize=2.0, zorder=4)
         draw_ellipses(ax, m.xy, m.covariance, s.colour, factor, 3.5)
-        if known is None and len(m) <= MOST_IDS and s is maps[0][0]:
+        if numbered:
             _landmark_ids(ax, m.number, m.xy, view)
     for s, mean, covariance in poses:
         draw_ellipses(ax, mean, covariance, s.colour, factor, 5.0)
     others = [s for s in shown if s.run.estimator != "dead-reckoning" and s.run.flaw is None]
-    handles += _ellipse_handles(bool(maps), any(len(m) for _, m, _ in poses), factor, len(estimates) < len(others))
+    drawn = bool(maps) and points_seen, any(len(m) for _, m, _ in poses)
+    handles += _ellipse_handles(*drawn, factor, len(estimates) < len(others))
+    if maps and not points_seen:
+        handles.append(Line2D([], [], color=GREY, linewidth=0.7, label="estimated landmarks"))
 
     start = log.recorded.prior.mean
     marker = (3, 0, float(np.degrees(start[2])) - 90.0)
@@ -115,7 +128,6 @@ def _map_figure(log: Log, runs: Sequence[Run], width: float, surveyed: Surveyed 
         label="start", zorder=6,
     )  # fmt: skip
 
-    ax.set(xlim=(view.low[0], view.high[0]), ylim=(view.low[1], view.high[1]), xlabel="x [m]", ylabel="y [m]")
     ax.set_aspect("equal")
     for axis in (ax.xaxis, ax.yaxis):
         axis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 5, 10]))
@@ -146,6 +158,14 @@ def _title(log: Log, runs: Sequence[Run], view: View, characters: int) -> str:
     return "\n".join(fill(line, characters) for line in title.split("\n"))
 
 
+def _walls(ax: Axes, number: IntArray, walls: Array, view: View, colour: str, name: str, most_ids: int) -> list[Line2D]:
+    """Walls (n, 2) of rho, alpha, numbered in the middle if they are few; what the legend shows of them."""
+    rows, ends = draw_walls(ax, walls, colour)
+    if 0 < len(number) <= most_ids:
+        _landmark_ids(ax, number[rows], ends.mean(axis=1), view)
+    return [Line2D([], [], color=colour, linewidth=0.7, label=name)] if name and len(rows) else []
+
+
 def _landmark_ids(ax: Axes, number: IntArray, xy: Array, view: View) -> None:
     inside = np.all((xy >= view.low) & (xy <= view.high), axis=1)
     halo = [withStroke(linewidth=1.5, foreground="white")]
@@ -159,11 +179,10 @@ def _landmark_ids(ax: Axes, number: IntArray, xy: Array, view: View) -> None:
 def _ellipse_handles(maps: bool, poses: bool, factor: int, only_some: bool) -> list[Line2D | Patch]:
     larger = "" if factor == 1 else f", drawn {factor} times larger"
     which = "\n(first filter and smoother)" if only_some else ""
-    grey = "#606060"
     found: list[Line2D | Patch] = []
     if maps:
-        dot = Line2D([], [], color=grey, marker="o", markersize=2.5, linestyle="none", label="estimated landmarks")
+        dot = Line2D([], [], color=GREY, marker="o", markersize=2.5, linestyle="none", label="estimated landmarks")
         found.append(dot)
     if maps or poses:
-        found.append(Patch(facecolor="#D8D8D8", edgecolor=grey, linewidth=0.6, label=f"3σ ellipses{larger}{which}"))
+        found.append(Patch(facecolor="#D8D8D8", edgecolor=GREY, linewidth=0.6, label=f"3σ ellipses{larger}{which}"))
     return found

@@ -6,10 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.axes import Axes
 
-from data.inputs import LandmarkMap
+from data.inputs import IntArray, LandmarkMap
 from data.log import Log
-from data.se2 import Array
+from data.se2 import Array, transform_points
 from eval.figures.style import Series
 
 MARGIN = 0.05
@@ -56,13 +57,48 @@ def _anchor(log: Log, shown: Sequence[Series]) -> Array:
     if stand_in is not None and log.truth.known_poses < 0.5 * len(log.recorded):
         points.append(stand_in.trajectory.pose[:, :2])
     path = _box(np.concatenate(points))
-    if known is not None:
+    if not log.recorded.sensor.sees_points:
+        seen_from = truth if truth is not None else None if stand_in is None else stand_in.trajectory.pose
+        points.append(np.empty((0, 2)) if seen_from is None else _feet(log, seen_from))
+    elif known is not None:
         points.append(known.xy)
     elif stand_in is not None and stand_in.run.map is not None and path is not None:
         # landmarks further from the path than it is long are mistakes, not the scene
         xy, reach = stand_in.run.map.xy, max(float((path[1] - path[0]).max()), 1.0)
         points.append(xy[np.all((xy > path[0] - reach) & (xy < path[1] + reach), axis=1)])
     return np.concatenate(points)
+
+
+def _feet(log: Log, path: Array) -> Array:
+    """Where the walls that were read are nearest to the sensor (M, 2), seen from a path (N, 3)."""
+    o = log.recorded.observations
+    return transform_points(path[o.frame], log.recorded.sensor.body_points(o.z, o.R)[0]).reshape(-1, 2)
+
+
+def chords(walls: Array, low: Array, high: Array) -> tuple[IntArray, Array]:
+    """Rows (k,) of the walls (n, 2) of rho, alpha that cross a rectangle, and their ends in it (k, 2, 2) [m]."""
+    rows, ends = list[int](), list[Array]()
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    for i, (rho, alpha) in enumerate(walls.tolist()):
+        normal = np.array([np.cos(alpha), np.sin(alpha)])
+        along, foot = np.array([-normal[1], normal[0]]), (rho - normal @ middle) * normal
+        slope = np.where(np.abs(along) < 1e-12, 1e-12, along)
+        t = np.sort(np.stack([(-half - foot) / slope, (half - foot) / slope]), axis=0)
+        begin, end = float(t[0].max()), float(t[1].min())
+        if begin < end:
+            rows.append(i)
+            ends.append(middle + foot + np.array([[begin], [end]]) * along)
+    return np.array(rows, np.int64), np.array(ends).reshape(-1, 2, 2)
+
+
+def draw_walls(ax: Axes, walls: Array, colour: str, *, label: str = "", zorder: float = 2.5) -> tuple[IntArray, Array]:
+    """Walls (n, 2) of rho, alpha as straight lines across the picture as it is; gives what `chords` does."""
+    (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
+    rows, ends = chords(walls, np.array([left, bottom]), np.array([right, top]))
+    for i, chord in enumerate(ends):
+        text = "" if i else label
+        ax.plot(*chord.T, color=colour, linewidth=0.7, label=text, zorder=zorder, scalex=False, scaley=False)
+    return rows, ends
 
 
 def view_of(log: Log, shown: Sequence[Series], paths: Mapping[str, Array], maps: Mapping[str, Array]) -> View:

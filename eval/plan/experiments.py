@@ -20,6 +20,7 @@ from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS
 from eval.plan.foreign import check_possible, check_scenario, introduce_all, load_all
 from eval.plan.lab import lab_experiments
 from eval.plan.results import NOTHING, Asked, asked_results, truth_alone
+from eval.replay.estimators import FOR_WALLS, NO_HINDSIGHT_OF_WALLS
 from eval.replay.laser.backends import NAMES as BACK_ENDS
 from eval.replay.settings import Setup
 from eval.studies.scenario import Scenario
@@ -167,12 +168,15 @@ def _tasks(log: Log, options: Options) -> Sequence[str]:
 def _work(log: Log, options: Options) -> tuple[Work, ...]:
     """Every estimator with every way of association asked for."""
     scans, seen = log.recorded.scans is not None, len(log.recorded.observations.frame) > 0
-    alone = SCAN if scans and not seen else HINDSIGHT
+    walls = not log.recorded.sensor.sees_points
+    alone = SCAN if scans and not seen else FOR_WALLS if walls else HINDSIGHT
     associations = options.association or (("known",) if log.has_labels else (alone,))
     if SCAN in associations and not scans:
         raise UsageError(f"--association {SCAN}: log {log.name!r} has no laser scans")
     if "known" in associations and not log.has_labels:
         raise UsageError(f"--association known: log {log.name!r} has no labels (true_id or label in observations.csv)")
+    if HINDSIGHT in associations and walls:
+        raise UsageError(f"--association {HINDSIGHT}: log {log.name!r} has walls; {NO_HINDSIGHT_OF_WALLS}")
     strange = [e for e in options.estimator if e not in BACK_ENDS]
     if SCAN in associations and strange:
         raise UsageError(f"--estimator {strange[0]}: log {log.name!r} is a laser log; of these, {', '.join(BACK_ENDS)}")

@@ -67,8 +67,13 @@ def scene(trials: Sequence[Trial], setup: Setup) -> dict[str, Any]:
         "gates": [_percent(setup.gate), _percent(setup.new_gate)],
         "band": [gate_threshold(p, 3) for p in (0.025, 0.975)],
         "labels": log.label is not None or log.labels_are_sensed, "laser": log.recorded.scans is not None,
-        "truth": bool(log.truth.known_poses), "camera": camera,
+        "truth": bool(log.truth.known_poses), "camera": camera, "walls": _seen_from(log),
     })  # fmt: skip
+
+
+def _seen_from(log: Log) -> float:
+    """How far away [m] a wall was read, where landmarks are walls; 0 where they are points."""
+    return 0.0 if log.recorded.sensor.sees_points else float(log.recorded.observations.z[:, 0].max(initial=1.0))
 
 
 def _threshold(probability: float | None) -> float | None:

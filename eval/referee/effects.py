@@ -19,7 +19,7 @@ from data import se2
 from data.inputs import Inputs, IntArray
 from data.result import Systematics
 from data.se2 import Array
-from data.sensors import RangeBearing
+from data.sensors import RELATIVE_POINT
 from eval.referee.residuals import Used
 from graph.linear.systematic import Score, systematic
 
@@ -80,7 +80,7 @@ def _readings(inputs: Inputs, path: Array, used: Used) -> dict[str, Array]:
     polar = sensor.polar(z)
     reach, one, zero = polar[:, 0], np.ones(len(rows)), np.zeros(len(rows))
     columns = {"z1_constant": np.stack([one, zero], 1), "z2_constant": np.stack([zero, one], 1)}
-    if isinstance(sensor, RangeBearing):
+    if sensor.kind != RELATIVE_POINT:
         columns |= {"z1_range": np.stack([reach, zero], 1), "z2_range": np.stack([zero, reach], 1)}
     else:
         columns |= {"z1_range": z.copy(), "z2_range": np.stack([-z[:, 1], z[:, 0]], 1)}
@@ -153,7 +153,7 @@ def without(inputs: Inputs, path: Array, used: Used, sizes: Mapping[str, float])
     mean = increments.mean - motion @ size
     mean[:, 2] = se2.wrap_angle(mean[:, 2])
     z = o.z - readings @ size
-    if isinstance(inputs.sensor, RangeBearing):
+    if inputs.sensor.kind != RELATIVE_POINT:
         z = np.column_stack([np.abs(z[:, 0]), se2.wrap_angle(z[:, 1])])
     return replace(inputs, increments=replace(increments, mean=mean), observations=replace(o, z=z))
 

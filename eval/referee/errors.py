@@ -13,6 +13,7 @@ import numpy as np
 from data import se2
 from data.inputs import IntArray
 from data.se2 import Array
+from data.sensors import Sensor
 from data.truth import Truth
 
 
@@ -80,8 +81,8 @@ def landmark_true_ids(created: IntArray, truth: Truth, numbers: IntArray) -> Int
     return ids[numbers]
 
 
-def landmark_errors(xy: Array, true_id: IntArray, truth: Truth) -> Array:
-    """Position error (L, 2) of each mapped landmark, NaN where its true position is not known."""
-    if truth.landmarks is None:
+def landmark_errors(xy: Array, true_id: IntArray, truth: Truth, sensor: Sensor) -> Array:
+    """Position error (L, 2) of each mapped landmark, NaN where its true position is not known, and of walls."""
+    if truth.landmarks is None or not sensor.sees_points:
         return np.full((len(xy), 2), np.nan)
     return xy - truth.landmarks.positions(true_id)

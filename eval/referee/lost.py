@@ -77,6 +77,8 @@ def _unseen(run: Run, inputs: Inputs) -> Lost | None:
     """A stretch of SLAM in which the landmarks that should be in view are hardly ever seen."""
     if inputs.map is not None or run.map is None or run.online is None:
         return None
+    if not inputs.sensor.sees_points:  # whether a wall is in view depends on where it ends
+        return None
     could, did, looked = old_sightings(run, inputs)
     if not could.sum():
         return None

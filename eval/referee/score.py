@@ -122,7 +122,7 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Alo
         row["matched"], row["unmatched"] = run.match.matched, run.match.unmatched
     if run.map is not None and len(run.map):
         ids = errors.landmark_true_ids(run.created, log.truth, run.map.number)
-        off = np.hypot(*errors.landmark_errors(run.map.xy, ids, log.truth).T)
+        off = np.hypot(*errors.landmark_errors(run.map.xy, ids, log.truth, log.recorded.sensor).T)
         row["rmse_landmark_m"] = errors.rms(off)
         if np.isfinite(off).any():
             row["sse_landmark_m2"] = float(np.nansum(off**2))
@@ -163,7 +163,8 @@ def _by_majority(run: Run, phase: str, log: Log) -> Array:
     named = majority(number, own, created >= 0)
     padded = np.full(max(len(named), int(run.map.number.max()) + 1), CLUTTER, np.int64)
     padded[: len(named)] = named
-    off: Array = np.hypot(*errors.landmark_errors(run.map.xy, padded[run.map.number], log.truth).T)
+    ids = padded[run.map.number]
+    off: Array = np.hypot(*errors.landmark_errors(run.map.xy, ids, log.truth, log.recorded.sensor).T)
     return off
 
 
@@ -205,9 +206,11 @@ def _agreement(run: Run, phase: str, log: Log) -> float | None:
 
 
 def _near(run: Run, phase: str, log: Log) -> float | None:
-    """Share of the pairings with a landmark that truly stands within `WITHIN` of the right one; None without truth."""
+    """Share of the pairings with a landmark that truly stands within `WITHIN` of the right one; None without truth, and
+    of walls.
+    """
     own, places = log.truth.landmark_of, log.truth.landmarks
-    if own is None or places is None:
+    if own is None or places is None or not log.recorded.sensor.sees_points:
         return None
     decisions = run.decisions if phase == "online" else run.final_decisions
     taken = decisions.copy()

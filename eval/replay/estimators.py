@@ -6,11 +6,13 @@ from typing import Protocol
 
 import numpy as np
 
+from association.decide import HINDSIGHT
 from association.expectation import Expectation
 from data.errors import UsageError
 from data.inputs import Increment, IntArray, Sightings
 from data.result import Finished, MapState, PoseEstimate, Updated
 from data.se2 import Array
+from ekf import walls
 from ekf.filter import DEFAULT, FilterOptions
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
@@ -156,3 +158,23 @@ def make_estimator(
     if name == "fixed-lag":
         return FixedLagSmoother(given.prior, given.sensor, given.map, lag=lag, systematic=given.systematic)
     raise UsageError(f"{name!r} does not work step by step; {', '.join(STEPPING[:-1])} and {STEPPING[-1]} do")
+
+
+FOR_WALLS = "jcbb"
+"""The way of association of walls without labels, where nobody says otherwise."""
+NO_HINDSIGHT_OF_WALLS = f"{HINDSIGHT} knows landmarks as points, walls can be paired by {FOR_WALLS}"
+
+
+def lack_with_walls(
+    name: str, task: str, association: str, given: Given, options: FilterOptions | None = None
+) -> str | None:
+    """Why an estimator with a way of association cannot do with walls, if the sensor sees them; None if it can.
+
+    `options` stand in for those that go with the name of a filter.
+    """
+    if given.sensor.sees_points:
+        return None
+    if association == HINDSIGHT:
+        return NO_HINDSIGHT_OF_WALLS
+    own = options or OPTIONS.get(name)
+    return None if own is None else walls.lack(own, given.systematic, slam=task == "slam")

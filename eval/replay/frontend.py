@@ -9,17 +9,18 @@ from typing import NamedTuple
 import numpy as np
 
 from association.candidates import in_view
-from association.decide import Decided, decide, horizon
+from association.decide import HINDSIGHT, Decided, decide, horizon
 from association.expectation import Expectation, gate_threshold
 from association.jcbb import BUDGET
 from association.truncated import Acceptance, acceptance, accepted_moments, truncated_square
+from data.errors import UsageError
 from data.inputs import Frame, IntArray, Sightings
 from data.result import Event, MapState, Updated
 from data.se2 import Array
 from data.terminal.words import counted
 from ekf.filter import FilterOptions
 from ekf.localizer import EkfLocalizer
-from eval.replay.estimators import make_estimator
+from eval.replay.estimators import NO_HINDSIGHT_OF_WALLS, make_estimator
 from eval.replay.foreign.adapter import Adapter
 from eval.replay.foreign.load import load
 from eval.replay.foreign.method import Method, locked
@@ -63,7 +64,9 @@ class FrontEnd:
     def __init__(
         self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
     ) -> None:
-        """Before the first frame."""
+        """Before the first frame. Raises UsageError for walls that are to be paired in hindsight."""
+        if association == HINDSIGHT and not given.sensor.sees_points:
+            raise UsageError(NO_HINDSIGHT_OF_WALLS)
         self.given, self.setup = Beginning(given.prior, given.sensor, given.map, given.systematic), setup
         self.association = name_of(association)
         self._method = Method(load(association)) if is_foreign(association) else association
@@ -80,7 +83,9 @@ class FrontEnd:
         if self.slam and (kept.manages_map or self.revises_map):
             self.map_management = MapManagement(kept)
             if kept.deactivate_after is not None:
-                self.parking = Parking(self.estimator, self.map_management, given.sensor)
+                known_or_foreign = association == "known" or is_foreign(association)
+                within = math.inf if known_or_foreign else horizon(association, setup.gate, setup.new_gate)
+                self.parking = Parking(self.estimator, self.map_management, given.sensor, within)
         self.parking = self.parking or automatic_parking(self.estimator, association, setup)
         self.known = KnownAssociation(given.map) if association == "known" else None
         gated = self.known is not None and (setup.gate_smoothers or not self.estimator.smooths)

@@ -8,6 +8,8 @@ asked, as it is faster and nothing else changes (`AutomaticParking`).
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from association.candidates import Drift, may_be_in_view
@@ -33,9 +35,11 @@ class Parking:
         restored: how many landmarks came back, counted each time.
     """
 
-    def __init__(self, estimator: Estimator, management: MapManagement, sensor: Sensor) -> None:
-        """Nothing parked."""
-        self.estimator, self.management, self.sensor = estimator, management, sensor
+    def __init__(
+        self, estimator: Estimator, management: MapManagement, sensor: Sensor, within: float = math.inf
+    ) -> None:
+        """Nothing parked. No method looks at landmarks beyond the squared distance `within` of every reading."""
+        self.estimator, self.management, self.sensor, self.within = estimator, management, sensor, within
         self.largest, self.restored = 0, 0
         self._drift = Drift()
 
@@ -49,9 +53,12 @@ class Parking:
         return self.estimator.size
 
     def offer(self, sightings: Sightings) -> None:
-        """Restore what may be in view, before anything is expected."""
+        """Restore what may be in view, of walls what some reading might be of, before anything is expected."""
         parked = self.estimator.parked
-        if len(parked):
+        if len(parked) and not self.sensor.sees_points:  # where a wall is tells little of whether it is in view
+            slam = self.estimator
+            self._restore(slam.parked_within(sightings, self.within) if isinstance(slam, EkfSlam) else parked)
+        elif len(parked):
             pose, covariance = self.estimator.estimate()
             bounds = self._drift.sigmas(parked, covariance)
             self._restore(parked[may_be_in_view(self.sensor, pose, self.estimator.parked_xy(), *bounds)])

@@ -41,7 +41,9 @@ LEFT_OUT = 0.1
 
 def judged(runs: Sequence[Run], inputs: Inputs) -> list[Run]:
     """The runs on these inputs, each with its doubt if there is one, and with what may be doubted in its notes."""
-    return [replace(run, notes=(*run.notes, *suspicions(run, inputs))) for run in (with_doubt(r, inputs) for r in runs)]
+    walls = not inputs.sensor.sees_points
+    doubted = [with_doubt(r, inputs) for r in runs]
+    return [replace(r, notes=(*r.notes, *suspicions(r, inputs)), walls=walls) for r in doubted]
 
 
 def suspicions(run: Run, inputs: Inputs) -> Iterator[str]:
@@ -149,7 +151,8 @@ def _reach(inputs: Inputs) -> Array:
     way = np.cumsum(step + SIGMAS * _longest(inputs.increments.covariance))
     way += SIGMAS * float(_longest(inputs.prior.covariance[None])[0])
     if inputs.map is not None and len(inputs.map.id):  # a robot that was moved is found again anywhere in its map
-        way += float(_distance(inputs.map.xy, inputs).max())
+        corner = 1.0 if inputs.sensor.sees_points else math.sqrt(2.0)
+        way += corner * float(_landmark_distance(inputs.map.xy, inputs).max())
     return way
 
 
@@ -163,6 +166,20 @@ def _distance(xy: Array, inputs: Inputs) -> Array:
     """Distances (n,) from where the prior says that the robot was."""
     distance: Array = np.hypot(xy[:, 0] - inputs.prior.mean[0], xy[:, 1] - inputs.prior.mean[1])
     return distance
+
+
+def _landmark_distance(landmarks: Array, inputs: Inputs) -> Array:
+    """Distances (n,) of landmarks (n, 2), points or walls, from there."""
+    if inputs.sensor.sees_points:
+        return _distance(landmarks, inputs)
+    return _from_walls(landmarks, inputs.prior.mean)
+
+
+def _from_walls(walls: Array, pose: Array) -> Array:
+    """Distances (n,) of walls (n, 2) from a pose (3,), or one for each (n, 3)."""
+    rho, alpha = walls.T
+    away: Array = np.abs(rho - np.cos(alpha) * pose[..., 0] - np.sin(alpha) * pose[..., 1])
+    return away
 
 
 def sight(inputs: Inputs) -> float:
@@ -195,7 +212,7 @@ def _landmarks(run: Run, inputs: Inputs, reach: Array) -> Iterator[Failure]:
     if inputs.map is not None or m is None or not len(m):
         return
     seen, first = sight(inputs), np.maximum(m.first_frame, 0)
-    away = _distance(m.xy, inputs)
+    away = _landmark_distance(m.xy, inputs)
     beyond = ~(away <= MARGIN * reach[-1] + seen)
     if beyond.any():
         k = int(first[beyond].min())
@@ -211,7 +228,9 @@ def _landmarks(run: Run, inputs: Inputs, reach: Array) -> Iterator[Failure]:
     slot = order[np.searchsorted(m.number, number, sorter=order)]
     nearest = np.full(len(m), np.inf)
     frame = inputs.observations.frame[rows]
-    np.minimum.at(nearest, slot, np.hypot(*(xy - run.final.pose[frame, :2]).T))
+    at = run.final.pose[frame]
+    near = np.hypot(*(xy - at[:, :2]).T) if inputs.sensor.sees_points else _from_walls(xy, at)
+    np.minimum.at(nearest, slot, near)
     unseen = np.isfinite(nearest) & (nearest > seen)
     if unseen.any():
         k = int(first[unseen].min())
@@ -228,7 +247,7 @@ def _covariances(run: Run, inputs: Inputs, reach: Array) -> Iterator[Failure]:
     """Doubt larger than all of the world, and than dead reckoning's, which knows less than anybody else."""
     largest = MARGIN * (float(reach[-1]) + sight(inputs))
     sigmas = {f"{phase} position": _longest(run.trajectory(phase).covariance) for phase in run.phases}
-    if run.map is not None and inputs.map is None:
+    if run.map is not None and inputs.map is None and inputs.sensor.sees_points:
         sigmas["landmark"] = _longest(run.map.covariance)
     for name, sigma in sigmas.items():
         if not (sigma > largest).any():

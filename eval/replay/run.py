@@ -20,7 +20,7 @@ from ekf.epochs import run_in_epochs, worthwhile
 from ekf.filter import FilterDivergedError, FilterOptions
 from ekf.whole_run import FilterRun, run_filter
 from eval.replay.batch import batch
-from eval.replay.estimators import OPTIONS
+from eval.replay.estimators import OPTIONS, lack_with_walls
 from eval.replay.foreign.guard import ForeignError
 from eval.replay.foreign.load import Thing, text_of
 from eval.replay.foreign.make import CannotError, require
@@ -164,7 +164,10 @@ def driven(
 def front_end(
     name: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
 ) -> FrontEnd:
-    """What decides and updates frame by frame, before the first frame."""
+    """What decides and updates frame by frame, before the first frame. Raises CannotError for what walls forbid."""
+    why = lack_with_walls(name, "slam" if given.map is None else "localization", association, given, options)
+    if why is not None:
+        raise CannotError(why)
     kind = FrontEnd
     if association == HINDSIGHT:
         kind = MappingFrontEnd if given.map is None else LocalizingFrontEnd
@@ -232,6 +235,7 @@ def _compare(
     def ahead(name: str) -> Run:
         if name not in done:
             quick = name in FILTERS and association == "known" and not (setup.manages_map and task == "slam")
+            quick = quick and lack_with_walls(name, task, association, inputs) is None
             threshold = gate_threshold(setup.label_gate)
             run = filter_known(inputs, task, name=name, threshold=threshold) if quick else None
             if run is None or watch is not None:  # what is compiled cannot be watched: the same steps once more

@@ -17,7 +17,7 @@ from data.errors import UsageError
 from data.inputs import Increments, IntArray
 from data.log import Log
 from data.se2 import Array, between, interpolate, pose_error, rotation, wrap_angle
-from data.sensors import RANGE_BEARING
+from data.sensors import RELATIVE_POINT
 from eval.studies.scenario import with_wrong_labels
 
 NOISE, ASSOCIATIONS = "noise", "associations"
@@ -72,14 +72,14 @@ def odometry_noise(log: Log, size: float, rng: np.random.Generator) -> Log:
 def range_scale(log: Log, size: float, rng: np.random.Generator) -> Log:
     """The sensor says that everything is farther away by the share `size`."""
     z = log.recorded.observations.z.copy()
-    z[:, : 1 if log.recorded.sensor.kind == RANGE_BEARING else 2] *= 1.0 + size
+    z[:, : 1 if log.recorded.sensor.kind != RELATIVE_POINT else 2] *= 1.0 + size
     return _said_by_sensor(log, z)
 
 
 def bearing_bias(log: Log, size: float, rng: np.random.Generator) -> Log:
     """The sensor is turned by `size` [rad] on its mount: what it says is turned as much."""
     z = log.recorded.observations.z.copy()
-    if log.recorded.sensor.kind == RANGE_BEARING:
+    if log.recorded.sensor.kind != RELATIVE_POINT:
         z[:, 1] = wrap_angle(z[:, 1] + size)
     else:
         z = z @ rotation(size).T
@@ -97,7 +97,7 @@ def latency(log: Log, size: float, rng: np.random.Generator) -> Log:
     moved = pose_error(_at(truth, r.time, r.time[frame] - size), _at(truth, r.time, r.time[frame]))
     exact, late = (r.sensor.predict(pose, landmarks) for pose in (truth[frame], truth[frame] + moved))
     z[rows] += r.sensor.residual(late, exact)
-    if r.sensor.kind == RANGE_BEARING:
+    if r.sensor.kind != RELATIVE_POINT:
         z[:, 1] = wrap_angle(z[:, 1])
     return _said_by_sensor(log, z)
 
@@ -123,7 +123,7 @@ def heavy_tails(log: Log, size: float, rng: np.random.Generator) -> Log:
         factor = np.sqrt((size - 2.0) / rng.chisquare(size, len(rows)))
     noise = r.sensor.residual(z[rows], r.sensor.predict(_true_poses(log)[r.observations.frame[rows]], landmarks))
     z[rows] += (factor - 1.0)[:, None] * noise
-    if r.sensor.kind == RANGE_BEARING:
+    if r.sensor.kind != RELATIVE_POINT:
         z[:, 1] = wrap_angle(z[:, 1])
     return _said_by_sensor(log, z)
 
@@ -179,6 +179,6 @@ def _said_by_odometry(log: Log, mean: Array) -> Log:
 def _said_by_sensor(log: Log, z: Array) -> Log:
     """The log with observations z (M, 2), their covariances as stated; no range falls below `NEAREST`."""
     r = log.recorded
-    if r.sensor.kind == RANGE_BEARING:
+    if r.sensor.kind != RELATIVE_POINT:
         z[:, 0] = np.maximum(z[:, 0], np.minimum(r.observations.z[:, 0], NEAREST))
     return replace(log, recorded=replace(r, observations=replace(r.observations, z=z)))

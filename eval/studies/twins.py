@@ -23,7 +23,7 @@ from data.log import Log
 from data.motion.corrected_inputs import corrected_inputs
 from data.result import Run
 from data.se2 import Array
-from data.sensors import RangeBearing
+from data.sensors import RELATIVE_POINT
 from data.truth import Truth
 from eval.referee import residuals
 from eval.replay.foreign.load import digests
@@ -114,7 +114,7 @@ def twin(source: Source, seed: int) -> Log:
     if len(seen):
         exact = r.sensor.predict(path[o.frame[seen]], source.landmarks.positions(source.landmark_of[seen]))
         z[seen] = exact + np.einsum("mij,mj->mi", _root(o.R[seen]), noise[seen])
-        if isinstance(r.sensor, RangeBearing):
+        if r.sensor.kind != RELATIVE_POINT:
             z[seen, 0] = np.abs(z[seen, 0])  # a range is not negative
             z[seen, 1] = se2.wrap_angle(z[seen, 1])
     recorded = replace(

@@ -20,7 +20,7 @@ from data.sensors import RangeBearing, Sensor
 from data.terminal.words import counted
 from eval.figures.ellipses import ellipses
 from eval.figures.style import TRUTH_COLOUR, style_of
-from eval.figures.view import true_landmarks
+from eval.figures.view import draw_walls, true_landmarks
 from eval.walk.marks import BAD, FAINT, GOOD, LANDMARK, ONE, fit, mark_robot, outlines, robot_axes, write_numbers
 
 
@@ -49,10 +49,13 @@ def _scene(log: Log) -> Array:
     """Points that the pictures of the world always show, so that they stay in place from step to step."""
     known, truth = true_landmarks(log), log.truth.pose
     points = [np.atleast_2d(log.recorded.prior.mean[:2])]
-    if known is not None:
+    if known is not None and log.recorded.sensor.sees_points:
         points.append(known.xy)
     if truth is not None:
         points.append(truth[:, :2])
+    if not log.recorded.sensor.sees_points:
+        reach, path = float(log.recorded.observations.z[:, 0].max(initial=0.0)), points[-1]
+        points += [path - reach, path + reach]
     return np.concatenate(points)
 
 
@@ -66,7 +69,7 @@ def paint_ground_truth(fig: Figure, log: Log, frame: int, title: str) -> None:
     known, truth, inputs = true_landmarks(log), log.truth.pose, log.recorded
     rows = slice(int(inputs.start[frame]), int(inputs.start[frame + 1]))
     shown: list[Array] = [_scene(log)]
-    if known is not None:
+    if known is not None and inputs.sensor.sees_points:
         ax.plot(*known.xy.T, "k+", markersize=5.0, markeredgewidth=0.8, label="true landmarks", zorder=4)
     if truth is not None and np.isfinite(truth[frame]).all():
         ax.plot(*truth[: frame + 1, :2].T, color=TRUTH_COLOUR, linewidth=1.0, label="true path", zorder=3)
@@ -82,6 +85,8 @@ def paint_ground_truth(fig: Figure, log: Log, frame: int, title: str) -> None:
     ax.set(xlabel="x [m]", ylabel="y [m]")
     ax.set_title(f"{title}: ground truth", loc="left")
     fit(ax, np.concatenate(shown))
+    if known is not None and not inputs.sensor.sees_points:
+        draw_walls(ax, known.xy, "black", label="true landmarks", zorder=1)
     _legend_below(fig, ax)
 
 
@@ -89,14 +94,19 @@ def _seen(ax: Axes, log: Log, rows: slice, pose: Array, known: LandmarkMap | Non
     """Mark the landmarks observed, and where observations of nothing in the map come from."""
     if log.truth.landmark_of is None:
         return
+    sensor = log.recorded.sensor
     who = log.truth.landmark_of[rows]
     ring: dict[str, Any] = {"linestyle": "none", "markerfacecolor": "none", "markersize": 7.0, "zorder": 5}
+    if not sensor.sees_points:
+        feet = sensor.body_points(log.recorded.observations.z[rows], log.recorded.observations.R[rows])[0]
+        ax.plot(*transform_points(pose, feet).T, "o", markeredgecolor=GOOD, label=f"{len(feet)} observed", **ring)
+        return
     if known is not None:
         seen = known.xy[np.isin(known.id, who)]
         ax.plot(*seen.T, "o", markeredgecolor=GOOD, label=f"{len(seen)} observed", **ring)
     stray = log.recorded.observations.z[rows][who == CLUTTER]
     if len(stray):
-        xy = log.recorded.sensor.inverse(pose, stray)[0]
+        xy = sensor.inverse(pose, stray)[0]
         ax.plot(*xy.T, "s", markeredgecolor=BAD, label=f"{len(stray)} of no landmark", **ring)
 
 
@@ -106,13 +116,14 @@ def paint_map(
     """The estimate: path so far (k, 2), robot and numbered landmarks, each with its 3 sigma ellipse in true size."""
     ax = _picture(fig)
     style, known, truth = style_of(estimator), true_landmarks(log), log.truth.pose
-    if known is not None:
+    points = log.recorded.sensor.sees_points
+    if known is not None and points:
         name = "true landmarks" if np.any(landmarks.covariance) or log.truth.landmarks is not None else "given map"
         ax.plot(*known.xy.T, "+", color=FAINT, markersize=5.0, label=name, zorder=1)
     if truth is not None:
         ax.plot(*truth[: frame + 1, :2].T, color=FAINT, linewidth=1.6, label="true path", zorder=1)
     ax.plot(*path.T, color=style.colour, linewidth=1.0, label="estimated path", zorder=3)
-    if np.any(landmarks.covariance):
+    if np.any(landmarks.covariance) and points:
         outlines(ax, landmarks.xy, landmarks.covariance, style.colour)
         ax.plot(
             *landmarks.xy.T, ".", color=style.colour, markersize=3.0,
@@ -124,7 +135,12 @@ def paint_map(
     ax.set(xlabel="x [m]", ylabel="y [m]")
     ax.set_title(f"{title}: map with 3σ ellipses", loc="left")
     box = ellipses(now.mean[None, :2], now.covariance[None, :2, :2])[0]
-    fit(ax, np.concatenate([_scene(log), path, landmarks.xy, box]))
+    fit(ax, np.concatenate([_scene(log), path, landmarks.xy if points else path, box]))
+    if not points:
+        if known is not None:
+            draw_walls(ax, known.xy, FAINT, label="true landmarks", zorder=1)
+        rows, ends = draw_walls(ax, landmarks.xy, style.colour, label=counted(len(landmarks.xy), "landmark"))
+        write_numbers(ax, ends.mean(axis=1), [str(n) for n in landmarks.number[rows]], LANDMARK, 4.5, (1.5, 1.5))
     _legend_below(fig, ax, 5)
 
 

@@ -9,10 +9,15 @@ from hypothesis import strategies as st
 from data import se2
 from data.inputs import Increment, Prior, Sightings
 from data.result import NEW
-from data.sensors import RangeBearing, RelativePoint
+from data.sensors import Line, RangeBearing, RelativePoint
 from ekf.slam import EkfSlam
 
-SENSORS = [RangeBearing(), RangeBearing(rotation=0.3, translation=(0.4, -0.2)), RelativePoint(translation=(0.5, 0.0))]
+SENSORS = [
+    RangeBearing(),
+    RangeBearing(rotation=0.3, translation=(0.4, -0.2)),
+    RelativePoint(translation=(0.5, 0.0)),
+    Line(translation=(0.3, 0.1)),
+]
 
 
 @settings(max_examples=20, deadline=None)

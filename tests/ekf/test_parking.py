@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import event, given, settings
@@ -12,7 +14,7 @@ from data import se2
 from data.inputs import Increment, Prior, Sightings
 from data.recordings.victoria_park import load_victoria_park
 from data.result import DISCARD, NEW
-from data.sensors import RangeBearing, RelativePoint
+from data.sensors import Line, RangeBearing, RelativePoint
 from ekf import kernels
 from ekf.filter import FilterOptions
 from ekf.slam import EkfSlam
@@ -59,7 +61,7 @@ def some_of(rng, numbers, share):
 @settings(max_examples=50, deadline=None)
 @given(
     seed=st.integers(0, 10**6),
-    sensor=st.sampled_from([RangeBearing(rotation=0.3, translation=(0.2, -0.1)), RelativePoint()]),
+    sensor=st.sampled_from([RangeBearing(rotation=0.3, translation=(0.2, -0.1)), RelativePoint(), Line(rotation=0.2)]),
     threshold=st.sampled_from([np.inf, 3.0]),
     options=st.builds(FilterOptions, each=st.booleans(), new_variance=st.sampled_from([None, None, 4.0])),
     parking=st.sampled_from([0.1, 0.7]),
@@ -68,6 +70,8 @@ def test_a_filter_that_parks_equals_one_that_never_does(seed, sensor, threshold,
     rng = np.random.default_rng(seed)
     places = rng.uniform(-10, 10, (20, 2))
     truth = PRIOR.mean.copy()
+    if not sensor.sees_points:
+        options = replace(options, new_variance=None)
     f, full = EkfSlam(PRIOR, sensor, options), EkfSlam(PRIOR, sensor, options)
     place_of, parked = {}, set()
     for _ in range(30):

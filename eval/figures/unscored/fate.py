@@ -14,6 +14,7 @@ from data.result import DISCARD, NEW, Run
 from data.se2 import Array, BoolArray, transform_points
 from eval.figures.paper.look import page_width
 from eval.figures.style import drawing, settle, style_of
+from eval.figures.view import draw_walls
 
 FATES = {
     "paired": ("#9FC2DE", ".", 3.0, "paired with a landmark"),
@@ -60,7 +61,8 @@ def _fate_figure(log: Log, runs: Sequence[Run]) -> Figure:
     fig = Figure(figsize=(page_width(), float(np.clip(across * h / w, 1.5, HIGHEST)) + 1.0))
     axes = fig.subplots(1, max(len(runs), 1), squeeze=False, sharey=True)[0]
     for ax, run, xy, path in zip(axes, runs, places, paths, strict=False):
-        _draw(ax, run, xy, path)
+        ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+        _draw(ax, run, xy, path, log.recorded.sensor.sees_points)
     for ax in axes:
         ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", aspect="equal")
     axes[0].set_ylabel("y [m]")
@@ -70,13 +72,16 @@ def _fate_figure(log: Log, runs: Sequence[Run]) -> Figure:
         for name, (c, m, s, text) in FATES.items()
         if any(fates(run)[name].any() for run in runs)
     ]
-    handles.append(Line2D([], [], color="black", marker="+", markersize=5.0, linestyle="none", label="landmark"))
+    if log.recorded.sensor.sees_points:
+        handles.append(Line2D([], [], color="black", marker="+", markersize=5.0, linestyle="none", label="landmark"))
+    else:
+        handles.append(Line2D([], [], color="black", linewidth=0.7, label="landmark"))
     fig.legend(handles=handles, loc="outside lower center", ncols=5)
     settle(fig)
     return fig
 
 
-def _draw(ax: Axes, run: Run, xy: Array, path: Array) -> None:
+def _draw(ax: Axes, run: Run, xy: Array, path: Array, points: bool) -> None:
     ax.plot(*path.T, color=style_of(run.estimator).colour, linewidth=0.7, zorder=2)
     fate = fates(run)
     for name, (colour, marker, size, _) in FATES.items():
@@ -84,8 +89,10 @@ def _draw(ax: Axes, run: Run, xy: Array, path: Array) -> None:
         ax.plot(
             *xy[rows].T, color=colour, marker=marker, markersize=size, markeredgewidth=0.7, linestyle="none", zorder=3
         )
-    if run.map is not None:
+    if run.map is not None and points:
         ax.plot(*run.map.xy.T, "k+", markersize=4.0, markeredgewidth=0.7, zorder=4)
+    elif run.map is not None:
+        draw_walls(ax, run.map.xy, "black", zorder=4)
     counted = ", ".join(f"{int(rows.sum())} {name}" for name, rows in fate.items() if rows.any())
     ax.set_title(f"{style_of(run.estimator).label}, {run.association}\n{counted}", loc="left")
 

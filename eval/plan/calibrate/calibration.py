@@ -52,11 +52,14 @@ class Calibration:
 
 
 def check_calibrated(log: Log, options: Options) -> None:
-    """Refuse to calibrate by scans."""
+    """Refuse to calibrate by scans, and the sensor by walls."""
     if options.calibrate and SCAN in options.association:
         raise UsageError(f"--calibrate and --association {SCAN} exclude each other: errors are told by landmarks")
     if options.calibrate and log.recorded.scans is not None and not len(log.recorded.observations.frame):
         raise UsageError(SCANNED.format(log.name))
+    named = options.calibrate and options.calibrate != (AUTO,)
+    if named and not log.recorded.sensor.sees_points and systematic(options.calibrate).of_sensor:
+        raise UsageError(f"--calibrate: log {log.name!r} has walls; range and bearing are errors of points")
 
 
 def settle(

@@ -43,6 +43,8 @@ ACTING = ("scale", "curvature", "left", "right")
 """Errors that do more to an increment than one of the battery's effects."""
 TURNED = 2.0
 """Mean square of a log's turns to one side, in variances of their noise, if there are any: of noise alone it is 1."""
+OF_SENSOR = {"range", "bearing"}
+"""Errors that points tell, walls not."""
 LESS_WELL = ("odometry_x_distance", "odometry_theta_distance", "odometry_theta_turn")
 """Of the battery's effects, those whose place is taken by errors that act as `data.motion.systematic` has it."""
 
@@ -88,15 +90,18 @@ def named(found: Sequence[Finding], *, wandering: bool, inputs: Inputs) -> tuple
     names |= {"left", "right"} if names & {"left", "right"} else set()
     if inputs.map is None and "range" in names:
         names = names - {"range"} | {"scale"}
+    if not inputs.sensor.sees_points:
+        names -= OF_SENSOR
     return tuple(name for name in ERRORS if name in names)
 
 
 def every(inputs: Inputs) -> tuple[str, ...]:
     """All errors that a log may have; in SLAM without the ranges' scale, of which only the odometry's share is seen.
 
-    Of turns, only to sides to which the robot turned.
+    Of turns, only to sides to which the robot turned; with walls, of the odometry only.
     """
-    return tuple(name for name in ERRORS if (inputs.map is not None or name != "range") and turned(inputs, name))
+    left_out = OF_SENSOR if not inputs.sensor.sees_points else {"range"} if inputs.map is None else set()
+    return tuple(name for name in ERRORS if name not in left_out and turned(inputs, name))
 
 
 def turned(inputs: Inputs, name: str) -> bool:

@@ -78,7 +78,7 @@ class Selection:
         metadata=flag(
             own_or_foreign("association"), "LIST",
             f"of {', '.join(ASSOCIATIONS)}, or your own (default: known where the log has labels, scan where it "
-            "has laser scans alone, else jcbb-hindsight)",
+            "has laser scans alone, else jcbb-hindsight, of walls jcbb)",
         ),
     )  # fmt: skip
 

@@ -59,7 +59,7 @@ FINAL = File(
 )
 LANDMARKS = File(
     f"{RUN_FOLDER}/landmarks.csv",
-    "The last map; in SLAM only.",
+    "The last map; in SLAM only. Of walls x and y are rho [m] and alpha [rad].",
     (
         count("landmark", "landmark number: the order of creation, never given twice"),
         Column("x", "in the world frame", "m"),

@@ -48,3 +48,13 @@ def moved_map(T: Array, m: MapEstimate) -> MapEstimate:
     """The map likewise."""
     R = se2.rotation(float(T[2]))
     return MapEstimate(m.number, se2.transform_points(T, m.xy), R @ m.covariance @ R.T, m.first_frame, m.times_seen)
+
+
+def moved_walls(T: Array, m: MapEstimate) -> MapEstimate:
+    """The same of walls: alpha turns with the map, rho changes by the way along the normal."""
+    alpha = m.xy[:, 1] + T[2]
+    c, s = np.cos(alpha), np.sin(alpha)
+    walls = np.stack([m.xy[:, 0] + c * T[0] + s * T[1], se2.wrap_angle(alpha)], axis=1)
+    J = np.tile(np.eye(2), (len(walls), 1, 1))
+    J[:, 0, 1] = c * T[1] - s * T[0]
+    return MapEstimate(m.number, walls, J @ m.covariance @ J.transpose(0, 2, 1), m.first_frame, m.times_seen)

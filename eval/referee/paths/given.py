@@ -15,7 +15,7 @@ from data.results.space import projection
 from data.se2 import Array
 from data.sensors import RangeBearing
 from data.truth import Truth
-from eval.referee.paths.align import ABOUT, NONE, alignment, moved, moved_map
+from eval.referee.paths.align import ABOUT, NONE, alignment, moved, moved_map, moved_walls
 from eval.referee.paths.match import GAP, SAME, Match, match
 
 GIVEN = "given"
@@ -132,7 +132,8 @@ def given_run(
     notes += [s for s in (projection(last), *last.notes) if s]
     if T is not None:
         made = {phase: moved(T, path) for phase, path in made.items()}
-        landmarks = None if landmarks is None else moved_map(T, landmarks)
+        move = moved_map if log.recorded.sensor.sees_points else moved_walls
+        landmarks = None if landmarks is None else move(T, landmarks)
         notes.append(f"{ABOUT[align]}; its covariance is turned with it")
     notes += _gone(kept, task)
     m = len(log.recorded.observations.frame)

@@ -23,7 +23,7 @@ VERBS = ("predict", "update", "estimate")
 
 
 class CannotError(Exception):
-    """A foreign estimator lacks what this run needs of it; the others go on."""
+    """An estimator lacks what this run needs of it; the others go on."""
 
 
 def estimator(text: str, given: Given, options: FilterOptions | None = None) -> Adapter:

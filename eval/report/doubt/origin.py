@@ -89,8 +89,12 @@ def _pairing(run: Run, trial: Trial, used: Used, path: Array, i: int) -> str:
     recorded = trial.log.recorded
     o, frame = recorded.observations, int(recorded.observations.frame[i])
     landmark = int(used.identity[used.number[i]])
-    put = recorded.sensor.inverse(path[frame], o.z[i : i + 1])[0][0]
-    off = float(np.hypot(*(used.landmarks[used.number[i]] - put)))
+    there = used.landmarks[used.number[i]]
+    if recorded.sensor.sees_points:
+        put = recorded.sensor.inverse(path[frame], o.z[i : i + 1])[0][0]
+        off = float(np.hypot(*(there - put)))
+    else:
+        off = abs(float(recorded.sensor.residual(o.z[i], recorded.sensor.predict(path[frame], there)[0])[0]))
     paired = f"was paired{_in_truth(run, trial, landmark, i)} with"
     how = "initialized" if surviving(run.final_decisions, run.created)[i] >= 0 else paired
     return (

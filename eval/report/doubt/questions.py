@@ -54,7 +54,7 @@ def _unused(run: Run) -> list[Question]:
 
 def _crowded(run: Run, inputs: Inputs) -> list[Question]:
     """Most landmarks stand on top of another one that was never seen beside them."""
-    if run.task != "slam" or run.map is None or 2 * len(run.map) < FEWEST:
+    if run.task != "slam" or run.map is None or 2 * len(run.map) < FEWEST or not inputs.sensor.sees_points:
         return []
     o, places = inputs.observations, run.map
     _, spread = inputs.sensor.body_points(o.z, o.R)

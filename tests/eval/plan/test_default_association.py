@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import pytest
 
+from data.errors import UsageError
 from data.logs import open_log
 from data.open_log.writer import write_folder
 from eval.plan.experiments import make_plan
 from eval.plan.flags.options import read_options
+from tests.ekf.lines.world import World, line_log
 
 
 def said(text: str) -> None:
@@ -31,3 +33,30 @@ def test_the_default_association_follows_what_the_log_has(tmp_path, name, labels
     write_folder(log, tmp_path / "log")
     plan = make_plan(read_options(["--log", str(tmp_path / "log")], "run"), said)
     assert {work.association for work in plan.experiments[0].work} == {expected}
+
+
+@pytest.fixture
+def walls(tmp_path):
+    log = line_log(0, World(seconds=10.0))
+    write_folder(replace(log, truth=replace(log.truth, landmark_of=None)), tmp_path / "walls")
+    return ["--log", str(tmp_path / "walls"), "--estimator", "ekf"]
+
+
+def test_walls_without_labels_are_paired_by_jcbb(walls):
+    plan = make_plan(read_options(walls, "run"), said)
+    assert {work.association for work in plan.experiments[0].work} == {"jcbb"}
+
+
+def test_walls_are_not_paired_in_hindsight(walls):
+    with pytest.raises(UsageError, match="walls can be paired by jcbb"):
+        make_plan(read_options([*walls, "--association", "jcbb-hindsight"], "run"), said)
+
+
+@pytest.mark.parametrize(("errors", "refused"), [("curvature,bearing", True), ("range", True), ("scale", False)])
+def test_errors_of_the_sensor_are_not_calibrated_by_walls(walls, errors, refused):
+    options = read_options([*walls, "--calibrate", errors], "run")
+    if not refused:
+        assert make_plan(options, said).experiments
+        return
+    with pytest.raises(UsageError, match="--calibrate: log 'walls' has walls"):
+        make_plan(options, said)

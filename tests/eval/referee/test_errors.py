@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from data.inputs import LandmarkMap
+from data.sensors import Line, RangeBearing
 from data.truth import Truth
 from eval.referee import errors
 
@@ -60,6 +61,7 @@ def test_landmarks_are_compared_by_the_true_id_of_their_founding_observation():
     created = np.array([0, 1, -1, 2, 3])
     ids = errors.landmark_true_ids(created, truth, np.array([0, 1, 2, 3]))
     assert ids.tolist() == [8, 3, -1, 99]
-    off = errors.landmark_errors(np.array([[2.0, 3], [1, 1], [0, 0], [9, 9]]), ids, truth)
+    off = errors.landmark_errors(np.array([[2.0, 3], [1, 1], [0, 0], [9, 9]]), ids, truth, RangeBearing())
     assert off[:2].tolist() == [[0, 1], [0, 0]]
     assert np.isnan(off[2:]).all(), "clutter and ids without a surveyed position have no error"
+    assert np.isnan(errors.landmark_errors(np.array([[2.0, 3]]), ids[:1], truth, Line())).all(), "nor have walls"

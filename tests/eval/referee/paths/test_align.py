@@ -8,7 +8,7 @@ import pytest
 from data import se2
 from data.result import MapEstimate, Trajectory
 from eval.referee.consistency import nees
-from eval.referee.paths.align import alignment, moved, moved_map
+from eval.referee.paths.align import alignment, moved, moved_map, moved_walls
 
 RNG = np.random.default_rng(2)
 TRUTH = np.column_stack([np.cumsum(RNG.uniform(0.1, 1.0, 40)), np.sin(np.arange(40)), RNG.uniform(-3, 3, 40)])
@@ -54,3 +54,18 @@ def test_a_map_is_moved_with_its_path():
     assert m.xy == pytest.approx(se2.compose(MOTION, TRUTH[:5])[:, :2])
     R = se2.rotation(2.5)
     assert m.covariance[3] == pytest.approx(R @ C[3] @ R.T)
+
+
+def test_a_map_of_walls_is_moved_as_the_points_on_them():
+    number, walls = np.arange(3), np.array([[2.0, 0.3], [-1.0, 2.0], [0.0, -3.0]])
+    C = 1e-4 * np.tile(np.array([[4.0, 1.0], [1.0, 2.0]]), (3, 1, 1))
+    m = moved_walls(MOTION, MapEstimate(number, walls, C, number, number))
+    for (rho, alpha), (rho2, alpha2) in zip(walls, m.xy, strict=True):
+        normal = np.array([np.cos(alpha), np.sin(alpha)])
+        points = rho * normal + np.outer([-3.0, 5.0], [-normal[1], normal[0]])
+        there = se2.transform_points(MOTION, points)
+        assert there @ [np.cos(alpha2), np.sin(alpha2)] == pytest.approx(rho2)
+    drawn = walls[1] + np.random.default_rng(0).multivariate_normal(np.zeros(2), C[1], 20000)
+    many = np.arange(len(drawn))
+    elsewhere = moved_walls(MOTION, MapEstimate(many, drawn, np.tile(C[1], (len(drawn), 1, 1)), many, many))
+    assert np.cov(elsewhere.xy.T) == pytest.approx(m.covariance[1], rel=0.05)

@@ -1,0 +1,214 @@
+"""Walls in the filter: dense filters with numerical Jacobians as oracle; the same wherever the world's origin is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from association.known import known_decisions
+from data.inputs import Increment, LandmarkMap, Prior, Sightings, Systematic
+from data.result import NEW
+from data.se2 import wrap_angle
+from data.sensors import Line
+from ekf.epochs import Epoch, run_in_epochs
+from ekf.filter import FilterOptions
+from ekf.localizer import EkfLocalizer
+from ekf.slam import JOINED, EkfSlam
+from ekf.whole_run import run_filter
+from eval.replay.run import filter_known, step_by_step
+from tests.ekf.lines.dense import Dense, about
+from tests.ekf.lines.world import World, line_log, walls
+
+ASKEW = Line(max_range=4.0, rotation=0.4, translation=(0.1, -0.05))
+ELSEWHERE = World(origin=(30.0, -20.0), seconds=60.0)
+FEJ = FilterOptions(first_estimates=True)
+
+
+@pytest.fixture(scope="module")
+def log():
+    return line_log(1, ELSEWHERE, ASKEW)
+
+
+def frames(inputs):
+    o = inputs.observations
+    for k in range(len(inputs)):
+        rows = slice(inputs.start[k], inputs.start[k + 1])
+        yield inputs.increment(k) if k else None, o.z[rows], o.R[rows], o.label[rows].tolist()
+
+
+def assert_pose(estimate, x, P):
+    np.testing.assert_allclose(estimate.mean[:2], x[:2], atol=1e-7)
+    assert abs(wrap_angle(estimate.mean[2] - x[2])) < 1e-7
+    np.testing.assert_allclose(estimate.covariance, P[:3, :3], atol=1e-9)
+
+
+@pytest.mark.parametrize("first", [False, True])
+def test_slam_is_a_dense_filter_about_the_first_pose(log, first):
+    inputs = log.inputs(labels=True).without_map()
+    origin = inputs.prior.mean[:2]
+    f = EkfSlam(inputs.prior, inputs.sensor, FilterOptions(first_estimates=first))
+    dense = Dense(Prior(inputs.prior.mean - [*origin, 0.0], inputs.prior.covariance), inputs.sensor, first=first)
+    number: dict[int, int] = {}
+    for motion, z, R, ids in frames(inputs):
+        if motion is not None:
+            f.predict(motion)
+            dense.predict(*motion)
+        done = f.update(Sightings(z, R), np.array([number.get(i, NEW) for i in ids], np.int64))
+        number.update((i, int(n)) for i, n in zip(ids, done.created, strict=True) if n >= 0)
+        dense.update(z, R, ids)
+        assert_pose(f.estimate(), dense.x + [*origin, *np.zeros(len(dense.x) - 2)], dense.P)
+    at = [slice(s, s + 2) for s in sorted(dense.slot.values())]
+    own = np.array([dense.x[s] for s in at]), np.array([dense.P[s, s] for s in at])
+    lines, covariance = about(*own, origin)
+    found = f.finish().map
+    assert len(found.number) >= 5
+    np.testing.assert_allclose(found.xy[:, 0], lines[:, 0], atol=1e-6)
+    np.testing.assert_allclose(wrap_angle(found.xy[:, 1] - lines[:, 1]), 0.0, atol=1e-7)
+    np.testing.assert_allclose(found.covariance, covariance, rtol=1e-5, atol=1e-9)
+
+
+def test_localization_is_a_dense_filter_in_the_known_map(log):
+    inputs = log.inputs(labels=True)
+    f = EkfLocalizer(inputs.prior, inputs.sensor, inputs.map)
+    dense = Dense(inputs.prior, inputs.sensor, known=inputs.map.xy)
+    for motion, z, R, ids in frames(inputs):
+        if motion is not None:
+            f.predict(motion)
+            dense.predict(*motion)
+        f.update(Sightings(z, R), np.array(ids, np.int64))
+        dense.update(z, R, ids)
+        assert_pose(f.estimate(), dense.x, dense.P)
+
+
+@pytest.mark.parametrize("name", ["ekf", "ekf-iterated", "ekf-fej"])
+def test_a_world_with_its_origin_elsewhere_is_the_same_world(name):
+    here, there = (line_log(2, World(origin=o, seconds=60.0)) for o in ((0.0, 0.0), (-80.0, 50.0)))
+    shift = np.array([80.0, -50.0, 0.0])
+    a, b = (filter_known(log.inputs(labels=True).without_map(), "slam", name=name) for log in (here, there))
+    np.testing.assert_allclose(b.online.pose, a.online.pose + shift, atol=1e-7)
+    np.testing.assert_allclose(b.online.covariance, a.online.covariance, atol=1e-9)
+    expected, _ = about(a.map.xy, a.map.covariance, shift[:2])
+    np.testing.assert_allclose(b.map.xy, expected, atol=1e-6)
+
+
+def test_walls_end_up_where_they_are():
+    log = line_log(1, World(seconds=120.0, slip=0.001))
+    run = filter_known(log.inputs(labels=True).without_map(), "slam")
+    first = np.flatnonzero(run.created >= 0)
+    off = log.recorded.sensor.residual(run.map.xy[run.created[first]], walls()[1][log.truth.landmark_of[first]])
+    assert len(off) >= 8
+    assert np.abs(off).max() < 0.1
+
+
+@pytest.mark.parametrize("name", ["ekf", "ekf-iterated", "ekf-fej"])
+def test_whole_run_and_step_by_step_are_one_filter(log, name):
+    inputs = log.inputs(labels=True)
+    for task, view in (("localization", inputs), ("slam", inputs.without_map())):
+        whole, steps = filter_known(view, task, name=name), step_by_step(name, view, task)
+        np.testing.assert_array_equal(whole.online.pose, steps.online.pose)
+        np.testing.assert_array_equal(whole.online.covariance, steps.online.covariance)
+        if task == "slam":
+            np.testing.assert_array_equal(whole.map.xy, steps.map.xy)
+            np.testing.assert_array_equal(whole.map.covariance, steps.map.covariance)
+
+
+def test_one_update_per_reading_is_nearly_one_update_per_frame(log):
+    inputs = log.inputs(labels=True).without_map()
+    stacked, each = (filter_known(inputs, "slam", options=FilterOptions(each=e)) for e in (False, True))
+    np.testing.assert_allclose(each.online.pose, stacked.online.pose, atol=0.05)
+    assert np.abs(each.online.pose - stacked.online.pose).max() > 1e-9
+
+
+@pytest.mark.parametrize("options", [FilterOptions(), FEJ])
+def test_epochs_change_nothing(log, options):
+    inputs = log.inputs(labels=True).without_map()
+    decisions, _ = known_decisions(inputs)
+    whole = run_filter(inputs, decisions, options=options)
+    number = np.where(decisions == NEW, np.cumsum(decisions == NEW) - 1, decisions)
+    cuts, epochs = [0, 70, 120, len(inputs)], []
+    for begin, end in pairwise(cuts):
+        mapped = int((decisions[: inputs.start[begin]] == NEW).sum())
+        seen = np.unique(number[inputs.start[begin] : inputs.start[end]])
+        epochs.append(Epoch(begin, end, seen[(seen >= 0) & (seen < mapped)], False))
+    parts = run_in_epochs(inputs, decisions, epochs, options=options)
+    np.testing.assert_allclose(parts.pose, whole.pose, atol=1e-8)
+    np.testing.assert_allclose(parts.map.xy, whole.map.xy, atol=1e-8)
+    np.testing.assert_allclose(parts.map.covariance, whole.map.covariance, rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_two_estimates_of_one_wall_become_one_whichever_normals_they_have(turned):
+    f = EkfSlam(Prior(np.array([0.0, 0.0, 0.2]), np.diag([0.01, 0.01, 0.01]) ** 2), Line())
+    R = np.array([[1.0, 0.5], [0.5, 1.0]]) * 1e-4
+    z = np.array([[1.0, 1.0], [0.001, 2.0], [0.002, wrap_angle(2.01 + turned * np.pi)]])
+    f.update(Sightings(z, np.tile(R, (3, 1, 1))), np.full(3, NEW))
+    mean, P = f.mean, f.covariance
+    H = np.zeros((2, 9))
+    H[:, 5:7] = -np.eye(2)
+    H[:, 7:] = np.diag([-1.0 if turned else 1.0, 1.0])
+    apart = np.array([-0.003 if turned else 0.001, 0.01])
+    K = P @ H.T @ np.linalg.inv(H @ P @ H.T + JOINED**2 * np.eye(2))
+    f.merge(np.array([2]), np.array([1]))
+    np.testing.assert_allclose(f.mean, (mean - K @ apart)[:7], atol=1e-9)
+    np.testing.assert_allclose(f.covariance, (P - K @ H @ P)[:7, :7], atol=1e-9)
+
+
+def test_heading_is_never_surer_than_the_prior_with_first_estimates():
+    rng = np.random.default_rng(3)
+    world = World(seconds=60.0, prior=(0.01, 0.3), slip=0.02)
+    log = line_log(int(rng.integers(100)), world)
+    inputs = log.inputs(labels=True).without_map()
+    plain, fej = (filter_known(inputs, "slam", name=n).online.covariance[:, 2, 2] for n in ("ekf", "ekf-fej"))
+    assert fej.min() > 0.3**2 * (1.0 - 1e-9)
+    assert plain.min() < 0.3**2 * 0.99
+
+
+def test_odometry_that_errs_is_found_by_walls():
+    log = line_log(4, World(seconds=120.0, slip=0.001))
+    r = log.inputs(labels=True)
+    mean = r.increments.mean.copy()
+    mean[:, 2] += 0.05 * np.hypot(*mean[:, :2].T)
+    r = replace(r, increments=replace(r.increments, mean=mean), systematic=Systematic(("curvature",), np.array([0.1])))
+    for task, view in (("slam", r.without_map()), ("localization", r)):
+        run = filter_known(view, task)
+        assert abs(run.errors_online.mean[-1, 0]) == pytest.approx(0.05, abs=4.0 * run.errors_online.sigma[-1, 0])
+        assert run.errors_online.sigma[-1, 0] < 0.01
+
+
+@pytest.mark.parametrize(
+    "options",
+    [FilterOptions(invariant=True), FilterOptions(new_variance=1.0), FilterOptions(new_variance_per_square=0.01)],
+)
+def test_what_is_of_points_is_refused_to_walls_in_slam_but_not_in_a_known_map(log, options):
+    inputs = log.inputs(labels=True)
+    with pytest.raises(ValueError, match="wall"):
+        EkfSlam(inputs.prior, inputs.sensor, options)
+    with pytest.raises(ValueError, match="wall"):
+        run_filter(inputs.without_map(), known_decisions(inputs.without_map())[0], options=replace(
+            options, new_variance_per_square=None, new_variance=1.0
+        ))  # fmt: skip
+    EkfLocalizer(inputs.prior, inputs.sensor, inputs.map, options)
+
+
+@pytest.mark.parametrize("name", ["range", "bearing"])
+def test_errors_of_the_sensor_are_refused_to_walls(log, name):
+    inputs = log.inputs(labels=True)
+    errors = Systematic((name,), np.array([0.1]))
+    with pytest.raises(ValueError, match="walls"):
+        EkfSlam(inputs.prior, inputs.sensor, systematic=errors)
+    with pytest.raises(ValueError, match="walls"):
+        EkfLocalizer(inputs.prior, inputs.sensor, inputs.map, systematic=errors)
+
+
+def test_a_wall_of_a_large_map_is_a_candidate_wherever_its_numbers_are():
+    lines = np.stack([np.linspace(-300.0, 300.0, 400), np.linspace(-3.0, 3.0, 400)], 1)
+    pose = np.array([200.0, 100.0, 0.4])
+    f = EkfLocalizer(Prior(pose, 1e-4 * np.eye(3)), Line(), LandmarkMap(np.arange(400), lines))
+    f.within = 9.2
+    f.predict(Increment(np.zeros(3), 1e-6 * np.eye(3)))
+    near = int(np.argmin(np.abs(Line().predict(pose, lines)[:, 0])))
+    z = Line().predict(pose, lines[near : near + 1])
+    assert near in f.expect(Sightings(z, 1e-4 * np.eye(2)[None])).number
