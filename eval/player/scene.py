@@ -67,7 +67,7 @@ def scene(trials: Sequence[Trial], setup: Setup) -> dict[str, Any]:
         "gates": [_percent(setup.gate), _percent(setup.new_gate)],
         "band": [gate_threshold(p, 3) for p in (0.025, 0.975)],
         "labels": log.label is not None or log.labels_are_sensed, "laser": log.recorded.scans is not None,
-        "truth": bool(log.truth.known_poses), "camera": camera,
+        "truth": bool(log.truth.known_poses), "camera": camera, "walls": not log.recorded.sensor.sees_points,
     })  # fmt: skip
 
 
