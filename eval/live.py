@@ -8,16 +8,15 @@ from __future__ import annotations
 import argparse
 import gc
 import math
-import signal
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data.errors import UsageError
-from data.terminal.ending import ended, unread
+from data.terminal.ending import INTERRUPTED, WRONG, ended, unread
 from eval.plan.flags.options import options_of
 from eval.plan.flags.table import Options, add_flags
 from eval.replay.flag import rows
@@ -144,7 +143,7 @@ def say(text: str) -> None:
 
 
 def _live(wish: Wish) -> int:
-    from eval.online.presses import Presses, interrupt
+    from eval.online.presses import Presses
 
     say("getting ready ...")
     with ExitStack() as stack:
@@ -156,19 +155,17 @@ def _live(wish: Wish) -> int:
         for note in log.notes:
             say(note)
         say(f"log: {wish.out}")
-        if presses.count > 1:
-            say("no report: interrupted again")
-            return 130
-        # from here on Ctrl-C ends the report, and SIGTERM does, too
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, interrupt)
-        try:
-            from eval import run_all
+        status = INTERRUPTED
+        if presses.count < 2:
+            # from here on Ctrl-C ends the report, and SIGTERM does, too
+            presses.heed()
+            with suppress(KeyboardInterrupt):
+                from eval import run_all
 
-            return run_all.main(report_words(wish))
-        except KeyboardInterrupt:
-            say("no report: interrupted again")
-            return 130
+                status = run_all.main(report_words(wish))
+        if status in (INTERRUPTED, WRONG):
+            say(f"no report; the log is whole: {wish.out}")
+        return status
 
 
 def _drive(wish: Wish, presses: Presses, stack: ExitStack) -> None:
@@ -192,6 +189,8 @@ def _drive(wish: Wish, presses: Presses, stack: ExitStack) -> None:
     load_all(o.estimator, o.association)
     compile_if_needed()
     rehearse(o.estimator, association, o.setup)
+    if presses.count:
+        raise KeyboardInterrupt
     noise = Noise(
         USUAL.slip if wish.slip is None else wish.slip,
         USUAL.sonar_sigma if wish.sonar_sigma is None else wish.sonar_sigma,

@@ -16,11 +16,17 @@ class Presses:
 
     def __init__(self) -> None:
         """None yet."""
-        self.count = 0
+        self.count, self._heeded = 0, False
         self._before: dict[int, object] = {}
 
     def _press(self, number: int, frame: FrameType | None) -> None:
         self.count += 1
+        if self._heeded:
+            raise KeyboardInterrupt
+
+    def heed(self) -> None:
+        """From now on both end at once whatever is done."""
+        self._heeded = True
 
     def __enter__(self) -> Presses:
         if threading.current_thread() is threading.main_thread():  # only that one may
@@ -32,8 +38,3 @@ class Presses:
     ) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)  # type: ignore[arg-type]
-
-
-def interrupt(number: int, frame: FrameType | None) -> None:
-    """A signal that ends at once whatever is done."""
-    raise KeyboardInterrupt
