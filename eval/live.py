@@ -31,9 +31,9 @@ WITHOUT_LABELS = tuple(name for name in ASSOCIATIONS if name not in ("known", "s
 SHARED = (
     replace(TABLE["estimator"], help=f"of {', '.join(STEPPING)}, or your own (default: ekf)"),
     replace(TABLE["association"], metavar="NAME", help=f"of {', '.join(WITHOUT_LABELS)}, or your own (default: jcbb)"),
-    *(TABLE[name] for name in ("gate", "new_gate", "in_view", "maintain", "forget_after", "deactivate_after", "lag")),
+    *(TABLE[name] for name in ("gate", "new_gate", "in_view", "forget_after", "deactivate_after", "lag")),
 )
-"""Flags that mean what they mean in `eval.run_all`."""
+"""Flags that mean what they mean in `eval.run_all`. `--maintain` is none: a wall is seen in one frame of five."""
 DEFAULTS = {"estimator": "ekf", "association": "jcbb"}
 REPORT = "-report"
 EXAMPLES = """\
@@ -44,7 +44,7 @@ examples:
   python -m eval.live --link /dev/ttyUSB0 --framed --slip 0.01 --sonar-sigma 0.01 --out drive2
   python -m eval.live --link /dev/ttyUSB0 --drive none --no-page --out drive3
   python -m eval.live --link /tmp/robot --estimator fixed-lag --lag 20 --out drive4 --seconds 300
-  python -m eval.live --link /tmp/robot --deactivate-after 60 --maintain --out drive5 --estimates now.csv --port 8000
+  python -m eval.live --link /tmp/robot --deactivate-after 60 --out drive5 --estimates now.csv --port 8000
   python -m eval.run_all --log drive --task slam --association jcbb    the same estimates, and more estimators
 
 exit status: 0 fine, 2 wrong usage, no answer of the robot, or no report, 130 interrupted in the report (the log is
@@ -175,9 +175,10 @@ def _drive(wish: Wish, presses: Presses, stack: ExitStack) -> None:
     from data.robot.frames import USUAL, Noise
     from data.robot.link import Clock, Link
     from data.robot.traffic.recording import Recording
-    from eval.online.drive import Looking, at_rest, drive, follower, rehearse
+    from eval.online.drive import Looking, at_rest, drive, follower
     from eval.online.estimates import Estimates
     from eval.online.feed import Feed
+    from eval.online.rehearsal import rehearse
     from eval.online.server import Server
     from eval.online.session import Session, Taken
     from eval.plan.first_use import compile_if_needed

@@ -6,25 +6,18 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-import numpy as np
-
 from data.robot.driving import WallFollower
 from data.robot.link import Clock
 from data.robot.packets import PERIOD, WATCHDOG, Command, command_of
-from data.robot.simulated.physics import drive as simulated_drive
-from data.robot.simulated.room import room
 from data.robot.traffic.motion import Packet
 from eval.online.feed import MINUTE, Feed
 from eval.online.session import Session, Step, Taken
 from eval.online.shown import header
 from eval.online.status import Latencies, estimator_words, status_line
-from eval.replay.settings import Setup
 
 REST = Command(0, 0)
 SECOND = 1.0
 """s of real time from line to line."""
-REHEARSED = 15.0
-"""s of a simulated drive before the real one."""
 
 Policy = Callable[[Packet], tuple[float, float]]
 
@@ -141,10 +134,3 @@ class Looking:
             self._say(line)
         if self._feed is not None:
             self._feed.publish(maps, header(self._name, s.estimating, line))
-
-
-def rehearse(names: Sequence[str], association: str, setup: Setup) -> None:
-    """A short simulated drive, so that nothing is loaded or compiled any more while the robot waits."""
-    session = Session(names, association, setup)
-    for packet in simulated_drive(room(0), WallFollower(), REHEARSED, np.random.default_rng(0)).packets:
-        session.take(packet)

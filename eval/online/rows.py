@@ -16,7 +16,7 @@ from data.robot.frames import SENSOR
 from data.se2 import Array, wrap_angle
 from eval.online.session import Taken
 from eval.player.of_run import ANGLE, COARSE, RHO, ROUGH, own_steps
-from eval.player.pack import Pack, text_of
+from eval.player.pack import FURTHEST, Pack, text_of
 from eval.player.watch import MapChanges, spread
 
 QUANTUM = 1.0e-3
@@ -107,7 +107,8 @@ def _add_changes(pack: Pack, key: str, changes: Array) -> None:
     for name, column in (("frame", 0), ("number", 1), ("there", 2)):
         pack.add(f"{key}change_{name}", changes[:, column])
     sigma = np.round(np.log(np.maximum(changes[:, 5:7], 1.0e-9)) / COARSE)
-    values = np.column_stack([np.round(changes[:, 3:5] / QUANTUM), sigma, np.round(changes[:, 7] / ROUGH)])
+    place = np.clip(np.round(changes[:, 3:5] / QUANTUM), -FURTHEST, FURTHEST)
+    values = np.column_stack([place, sigma, np.round(changes[:, 7] / ROUGH)])
     pack.add_steps(f"{key}change", own_steps(changes[:, 1].astype(np.int64), values))
 
 

@@ -70,7 +70,7 @@ def test_killed_at_any_moment_fifty_times(tmp_path, seed):
 
 @pytest.mark.slow  # a report takes seconds
 def test_interrupted_it_leaves_the_whole_log_and_a_report(tmp_path):
-    with simulator(tmp_path, *FAST) as (link, truth), started(tmp_path, link, *FAST, "--maintain") as process:
+    with simulator(tmp_path, *FAST) as (link, truth), started(tmp_path, link, *FAST, "--gate", "0.95") as process:
         process.until("walls 1")
         process.signal(signal.SIGINT)
         assert process.status() == 0, process.said
@@ -83,7 +83,7 @@ def test_interrupted_it_leaves_the_whole_log_and_a_report(tmp_path):
     read, packets = load_folder(tmp_path / "log"), open_log(str(tmp_path / "log"))
     assert read.recorded.observations.z.tobytes() == packets.recorded.observations.z.tobytes()
     command = (tmp_path / "log-report" / "report.md").read_text()
-    assert "--maintain" in command
+    assert "--gate 0.95" in command
     assert "--association jcbb" in command
 
 
