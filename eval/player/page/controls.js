@@ -52,6 +52,7 @@ function focused() {
   if (run.decides && run.task === "slam") {
     if (phaseOf(run) === "final") said.push("Landmarks are those of the last map.");
     else if (run.history && !run.certain) said.push(`Landmarks as they were, every ${run.every} frames with observations, without ellipses: a smoother's marginals take longer than the run.`);
+    else if (recording.head.walls && recording.head.now !== undefined) said.push("Walls as they were each second; changes below 1 mm or mrad are left out.");
     else if (run.history) said.push(`Landmarks as they were after each frame${run.every > 1 ? ` (of so large a map after every ${run.every} with observations)` : ""}; changes below ${1000 * recording.head.quantum} mm are left out.`);
     else said.push("Where landmarks were at each instant was not recorded; here each stands where it was in the end.");
   }
