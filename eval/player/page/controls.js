@@ -37,7 +37,7 @@ function fillLegend() {
     OUTCOMES.forEach((o, i) => parts.push(`<span><b style="color:${shade(o.colour)}">${mark[o.mark]} ${o.name}</b> ${o.about} (${count[i]})</span>`));
   } else if (run.decides) parts.push(`<span>● observations; which landmark each shows is not known</span>`);
   for (const look of run.loops || []) parts.push(`<span><b style="color:${shade(look.colour)}">―</b> loop closure ${look.name}</span>`);
-  if (recording.head.truth) parts.push(`<span><b style="color:${ink()}">―</b> truth, with a hollow robot; + true landmarks</span>`);
+  if (recording.head.truth) parts.push(`<span><b style="color:${ink()}">―</b> truth, with a hollow robot; ${recording.head.walls ? "grey lines: true walls" : "+ true landmarks"}</span>`);
   $$("legend").innerHTML = parts.join(" ");
 }
 
