@@ -211,12 +211,14 @@ def _drive(wish: Wish, presses: Presses, stack: ExitStack) -> None:
     gc.freeze()
     with ExitStack() as driving:
         driving.enter_context(threadpool_limits(1))  # as a replay's sums are formed
-        if wish.estimates is not None:
-            tellers.append(driving.enter_context(Estimates(wish.estimates, o.estimator)).add)
         recording = driving.enter_context(Recording(wish.out, framed=wish.framed, noise=tuple(noise)))
         clock = Clock(wish.speed)
         try:
             link = driving.enter_context(Link(str(wish.link), clock, recording, with_frames=wish.framed))
+            if wish.estimates is not None:
+                tellers.append(
+                    driving.enter_context(Estimates(wish.estimates, [each.name for each in session.estimating])).add
+                )
         except UsageError:
             recording.discard()
             raise

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from data.errors import UsageError
 from data.inputs import Frame, IntArray
 from data.result import DISCARD, MapState, Updated
 from data.robot.frames import SENSOR, USUAL, Framing, Noise, prior
@@ -20,6 +21,8 @@ from data.se2 import Array
 from ekf.slam import EkfSlam
 from eval.player.watch import map_now
 from eval.replay.foreign.guard import ForeignError
+from eval.replay.foreign.make import CannotError, require
+from eval.replay.foreign.spec import is_foreign, name_of
 from eval.replay.given import Beginning
 from eval.replay.run import DIVERGED, front_end, through
 from eval.replay.settings import Setup
@@ -59,14 +62,24 @@ class Estimating:
     """One estimator on line.
 
     Attributes:
-        name: as it was asked for.
+        name: as it stands in tables.
         failure: why it ended; empty: it goes on.
     """
 
     def __init__(self, name: str, association: str, setup: Setup) -> None:
-        """Before the first frame."""
-        self.name, self.failure = name, ""
-        self.front = front_end(name, association, ROBOT, setup.settled(sensed=False))
+        """Before the first frame.
+
+        Raises:
+            UsageError: it is somebody else's, and cannot do what is asked, or failed at once.
+        """
+        self.name, self.failure = name_of(name), ""
+        setup = setup.settled(sensed=False)
+        try:
+            if is_foreign(name):
+                require(name, "slam", association, setup)
+            self.front = front_end(name, association, ROBOT, setup)
+        except (CannotError, ForeignError) as stop:
+            raise UsageError(f"--estimator {self.name}: {stop}") from None
 
     def take(self, frame: Frame) -> Step | None:
         """The next frame; None if it has ended, now or before."""

@@ -8,7 +8,6 @@ from eval.figures.style import style_of
 from eval.online.rows import QUANTUM, key_of
 from eval.online.session import Estimating
 from eval.player.laser import dashes
-from eval.replay.foreign.spec import name_of
 
 
 def header(name: str, estimating: Sequence[Estimating], status: str) -> dict[str, object]:
@@ -22,9 +21,9 @@ def header(name: str, estimating: Sequence[Estimating], status: str) -> dict[str
 
 
 def _run(number: int, each: Estimating) -> dict[str, object]:
-    association, style = each.front.association, style_of(name_of(each.name))
+    association, style = each.front.association, style_of(each.name)
     return {
-        "estimator": name_of(each.name), "association": association, "phases": ["online"],
+        "estimator": each.name, "association": association, "phases": ["online"],
         "status": "ended" if each.failure else "ok", "why": each.failure, "decides": True, "scored": False,
         "history": True, "every": 1, "certain": not each.front.estimator.smooths, "candidates": False, "nis": True,
         "nis_expected": 1.0, "key": key_of(number), "name": f"{style.label} {association}", "colour": style.colour,

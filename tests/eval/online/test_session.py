@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from data.errors import UsageError
 from ekf.filter import FilterDivergedError
 from eval.online.session import Session
 from eval.replay.settings import Setup
@@ -64,3 +65,9 @@ def test_frames_without_walls_count_too():
         session.take(packet)
     assert session.frames == 20
     assert session.observations < 20
+
+
+def test_somebody_elses_estimator_that_cannot_do_it_is_one_line(tmp_path):
+    (tmp_path / "mine.py").write_text("class Filter:\n    pass\n")
+    with pytest.raises(UsageError, match="Filter: no method 'predict'"):
+        Session((f"Filter={tmp_path}/mine.py:Filter",), "jcbb", Setup())
