@@ -27,10 +27,15 @@ if TYPE_CHECKING:
 
 PROG = "python -m eval.live"
 TABLE = rows(Options)
-WITHOUT_LABELS = tuple(name for name in ASSOCIATIONS if name not in ("known", "scan"))
+UNFIT = {
+    "known": "nobody labels walls",
+    "scan": "sonars make no scans",
+    "jcbb-hindsight": "knows landmarks as points, not as walls",
+}
+FIT = tuple(name for name in ASSOCIATIONS if name not in UNFIT)
 SHARED = (
     replace(TABLE["estimator"], help=f"of {', '.join(STEPPING)}, or your own (default: ekf)"),
-    replace(TABLE["association"], metavar="NAME", help=f"of {', '.join(WITHOUT_LABELS)}, or your own (default: jcbb)"),
+    replace(TABLE["association"], metavar="NAME", help=f"of {', '.join(FIT)}, or your own (default: jcbb)"),
     *(TABLE[name] for name in ("gate", "new_gate", "in_view", "forget_after", "deactivate_after", "lag")),
 )
 """Flags that mean what they mean in `eval.run_all`. `--maintain` is none: a wall is seen in one frame of five."""
@@ -101,8 +106,8 @@ def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
     options = options_of(shared)
     if len(options.association) != 1:
         raise UsageError(f"--association {','.join(options.association)}: one name is needed")
-    if options.association[0] in ("known", "scan"):
-        raise UsageError(f"--association {options.association[0]}: nobody labels walls; {', '.join(WITHOUT_LABELS)} do")
+    if why := UNFIT.get(options.association[0]):
+        raise UsageError(f"--association {options.association[0]}: {why}; {', '.join(FIT)} do")
     for name in options.estimator:
         if not steps(name):
             raise UsageError(f"--estimator {name}: does not work step by step; {', '.join(STEPPING)} do")

@@ -145,6 +145,7 @@ def test_a_device_that_is_not_there_leaves_nothing(tmp_path, capsys):
 
 @pytest.mark.parametrize(("words", "why"), [
     (["--association", "known"], "--association known: nobody labels walls"),
+    (["--association", "jcbb-hindsight"], "--association jcbb-hindsight: knows landmarks as points"),
     (["--association", "nn,jcbb"], "--association nn,jcbb: one name is needed"),
     (["--estimator", "batch"], "--estimator batch: does not work step by step"),
     (["--speed", "0"], "--speed 0: a number from 0.01 to 1000 is needed"),
