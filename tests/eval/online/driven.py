@@ -11,6 +11,7 @@ import sys
 import time
 import traceback
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ import numpy as np
 from data.logs import open_log
 from data.robot import simulate
 from data.robot.driving import WallFollower
+from data.robot.packets import PERIOD
 from data.robot.simulated.physics import drive
 from data.robot.simulated.room import room
 from data.robot.simulated.wire import Faults
@@ -33,9 +35,15 @@ FORK = multiprocessing.get_context("fork")
 BAD = Faults(0.002, 0.001, 0.0)
 
 
-def packets(seconds, seed=0):
+@cache
+def _longest():
+    return drive(room(0), WallFollower(), 135.0, np.random.default_rng(0)).packets
+
+
+def packets(seconds):
     """Of a drive along the walls."""
-    return drive(room(0), WallFollower(), seconds, np.random.default_rng(seed)).packets
+    assert seconds <= 135.0
+    return _longest()[: round(seconds / PERIOD)]
 
 
 def online(folder, seconds, names=("ekf",), association="jcbb", setup=None, *, faults=BAD, look=lambda t: None):

@@ -22,7 +22,7 @@ NAMES = ("ekf", "ekf-iterated")
 @pytest.fixture(scope="module")
 def taken():
     session = Session(NAMES, "jcbb", Setup())
-    return [(session.take(packet), [e.map() for e in session.estimating]) for packet in packets(150.0)], session
+    return [(session.take(packet), [e.map() for e in session.estimating]) for packet in packets(135.0)], session
 
 
 def fed(taken, every=4):
@@ -58,7 +58,7 @@ def test_small_chunks_large_chunks_and_one_chunk_are_the_same(taken):
     late = json.loads(feed.published.since(None))["chunks"]
     small, large = decoded(page), decoded(late)
     whole = unpacked(json.loads(chunk_of(part_of([one for one, _ in frames], [np.empty((0, 8))] * 2), {})))
-    assert len(page) == 150
+    assert len(page) == 135
     assert [c["frames"] for c in late[:2]] == [MINUTE, MINUTE]
     assert small.keys() == large.keys() == whole.keys()
     for name, values in small.items():
@@ -93,7 +93,7 @@ def test_what_is_kept_is_bounded_and_the_rest_goes_on_from_its_beginning(taken, 
     feed, _ = fed(taken)
     monkeypatch.setattr(feeding, "MOST", len(feed.published.large[0].text) + 10)
     feed, page = fed(taken)
-    assert len(page) == 150, "a page that keeps up misses nothing"
+    assert len(page) == 135, "a page that keeps up misses nothing"
     p = feed.published
     assert len(p.large) == 1
     assert p.begin == MINUTE

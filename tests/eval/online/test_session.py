@@ -31,7 +31,7 @@ def test_estimates_decisions_and_new_walls_are_those_of_the_replay(tmp_path, nam
 def test_asking_for_the_map_changes_nothing(tmp_path):
     plain = Session(("ekf",), "jcbb", Setup(deactivate_after=5.0))
     asked = Session(("ekf",), "jcbb", Setup(deactivate_after=5.0))
-    for packet in packets(60.0):
+    for packet in packets(40.0):
         a, b = plain.take(packet).steps[0], asked.take(packet).steps[0]
         asked.estimating[0].map()
         assert estimate_bits(a.mean, a.covariance) == estimate_bits(b.mean, b.covariance)
