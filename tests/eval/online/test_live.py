@@ -14,6 +14,8 @@ from data.logs import open_log
 from data.open_log.reader import load_folder
 from data.robot.traffic.recording import GONE, OPENED, read_recording
 from eval import live
+from eval.replay.run import compare
+from eval.replay.settings import Setup
 from tests.eval.online.driven import (
     replayed,
     replayed_bits,
@@ -70,7 +72,8 @@ def test_killed_at_any_moment_fifty_times(tmp_path, seed):
 
 @pytest.mark.slow  # a report takes seconds
 def test_interrupted_it_leaves_the_whole_log_and_a_report(tmp_path):
-    with simulator(tmp_path, *FAST) as (link, truth), started(tmp_path, link, *FAST, "--gate", "0.95") as process:
+    words = ["--gate", "0.95", "--estimates", tmp_path / "now.csv"]
+    with simulator(tmp_path, *FAST) as (link, truth), started(tmp_path, link, *FAST, *words) as process:
         process.until("walls 1")
         process.signal(signal.SIGINT)
         assert process.status() == 0, process.said
@@ -82,6 +85,8 @@ def test_interrupted_it_leaves_the_whole_log_and_a_report(tmp_path):
     }  # fmt: skip
     read, packets = load_folder(tmp_path / "log"), open_log(str(tmp_path / "log"))
     assert read.recorded.observations.z.tobytes() == packets.recorded.observations.z.tobytes()
+    (run,) = compare(packets.inputs(), "slam", ["ekf"], "jcbb", Setup(gate=0.95))
+    assert list(written_bits(tmp_path / "now.csv", "ekf").values()) == replayed_bits(run), "as run_all makes it"
     command = (tmp_path / "log-report" / "report.md").read_text()
     assert "--gate 0.95" in command
     assert "--association jcbb" in command
