@@ -66,6 +66,7 @@ HOMES = {
 COMMANDS = {
     "run": ("eval.run_all", "run filters and smoothers on identical inputs, referee them, write the report"),
     "step": ("eval.step", "walk through a log one Enter at a time"),
+    "live": ("eval.live", "run filters and smoothers on line while a small robot drives, recorded, with a page"),
     "play": ("eval.play", "write a page that plays a log in the browser"),
     "twin": ("eval.twin", "draw a log again as it says of itself, with a truth"),
     "convert": ("data.convert.__main__", "turn a recording or a simulation into an open log folder"),

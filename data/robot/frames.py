@@ -68,6 +68,9 @@ class Framing:
         if increment is not None:
             self.at_rest += bool(increment.covariance[0, 0] == FLOOR)
         seen = self._walls.observe(packet)
+        # as the arrays of `Inputs` are: compiled functions make a difference
+        for array in (seen.z, seen.R, *(() if increment is None else increment)):
+            array.setflags(write=False)
         number, first = self.count, self.observations
         self.count, self.observations = number + 1, first + len(seen.z)
         return Frame(number, packet.t, increment, Sightings(seen.z, seen.R), None, first)

@@ -1,4 +1,7 @@
-"""The page itself: one file with style, scripts and data inside, which opens from a disk and asks for nothing."""
+"""The page itself: one file with style, scripts and data inside, which opens from a disk and asks for nothing.
+
+The live page is the same one without data, which asks who served it for chunks (`eval.online`).
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,8 @@ from typing import Any
 from eval.player.pack import text_of
 
 SCRIPTS = (
-    "decode", "history", "view", "marks", "state", "map", "controls", "inspect", "matching", "camera", "plots", "main",
+    "decode", "history", "view", "marks", "state", "map", "walls", "controls", "inspect", "matching", "camera", "plots",
+    "main",
 )  # fmt: skip
 """In the order of loading."""
 NOTES = (
@@ -23,8 +27,28 @@ NOTES = (
 )
 
 
+LIVE_NOTES = (
+    "Walls are straight lines without ends; the thick part is where the robot has seen one, the band its 3σ. They are"
+    " as they were each second; changes below 1 mm or mrad are left out.",
+    "The page follows the newest frame. Stepping back, the slider or a plot leaves it; the button Live returns to it.",
+    "Hours into a drive a page that is opened begins with what is still kept; the recording on disk has all.",
+)
+POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'"
+
+
 def document(name: str, chunks: Sequence[Mapping[str, Any]]) -> str:
     """The page of a log, with its recording in one or more chunks."""
+    inside = [f'<script type="application/json" class="chunk">{text_of(c)}</script>' for c in chunks]
+    return _page(name, f"{name}: player", inside, NOTES, "file", POLICY)
+
+
+def live_document(name: str) -> str:
+    """The page of a drive that goes on, which asks for `chunks` and `chunks/FRAME` beside its own address."""
+    return _page(name, f"{name}: live", [], LIVE_NOTES, "live", f"{POLICY}; connect-src 'self'")
+
+
+def _page(name: str, title: str, inside: Sequence[str], notes: Sequence[str], begin: str, policy: str) -> str:
+    """`begin`: the script that brings the recording."""
     here = files("eval.player")
     page, vendor = here / "page", here / "vendor"
 
@@ -35,13 +59,14 @@ def document(name: str, chunks: Sequence[Mapping[str, Any]]) -> str:
     # the first line of the library names its address, which a page that loads nothing need not have
     plotting = re.sub(r"^/\*!.*?\*/\s*", "", read(vendor, "uPlot.iife.min.js"))
     return Template(read(page, "player.html")).substitute(
-        title=html.escape(f"{name}: player"),
+        title=html.escape(title),
         name=html.escape(name),
+        policy=policy,
         style=read(vendor, "uPlot.min.css") + read(page, "player.css"),
-        notes="\n".join(f"<li>{html.escape(note)}</li>" for note in NOTES),
-        chunks="\n".join(f'<script type="application/json" class="chunk">{text_of(c)}</script>' for c in chunks),
+        notes="\n".join(f"<li>{html.escape(note)}</li>" for note in notes),
+        chunks="\n".join(inside),
         uplot=read(vendor, "VERSION").split()[1].rstrip(","),
         licence=read(vendor, "LICENSE").strip(),
         plotting=plotting,
-        scripts="\n".join(read(page, f"{script}.js") for script in SCRIPTS),
+        scripts="\n".join(read(page, f"{script}.js") for script in (*SCRIPTS, begin)),
     )

@@ -90,6 +90,42 @@ class Watched:
         read_only(self)
 
 
+class MapChanges:
+    """What can be seen of a map's changes since it was looked at last."""
+
+    def __init__(self, quantum: float) -> None:
+        """Of an empty map; `quantum` as in `Watched`."""
+        self._quantum = quantum
+        self._last = np.full((0, 5), np.nan)
+
+    def since(self, frame: int, state: MapState, *, whole: bool = False) -> Array:
+        """Changes (C, 8) up to a frame: frame, number, there, then x, y, sigma_x, sigma_y, rho as it is now.
+
+        A landmark that left the map is not `there`, and stands where it was. `whole`: all that are there have changed.
+        """
+        now = np.column_stack([state.xy, spread(state.covariance)])
+        sound = np.isfinite(now).all(axis=1)
+        now, present = now[sound], state.number[sound]
+        more = int(np.max(present, initial=-1)) + 1 - len(self._last)
+        if more > 0:
+            self._last = np.concatenate([self._last, np.full((more, 5), np.nan)])
+        before = self._last[present]
+        moved = np.abs(now[:, :2] - before[:, :2]).max(axis=1)
+        widened = SIGMAS * np.abs(now[:, 2:4] - before[:, 2:4]).max(axis=1)
+        turned = SIGMAS * now[:, 2:4].max(axis=1) * np.abs(now[:, 4] - before[:, 4])
+        small = np.maximum(np.maximum(moved, widened), turned) <= 0.5 * self._quantum  # false with NaN: a new one
+        small &= not whole
+        changed, number = now[~small], present[~small]
+        self._last[number] = changed
+        gone = np.isfinite(self._last[:, 0])
+        gone[present] = False
+        left = np.flatnonzero(gone)
+        here = np.column_stack([np.full(len(number), frame), number, np.ones(len(number)), changed])
+        away = np.column_stack([np.full(len(left), frame), left, np.zeros(len(left)), self._last[left]])
+        self._last[left] = np.nan
+        return np.concatenate([here, away])
+
+
 class Watch:
     """Looks on while a log is replayed (see `eval.replay.observer.Observer`).
 
@@ -102,7 +138,7 @@ class Watch:
         self.quantum, self.sensor, self.seconds = quantum_of(inputs), inputs.sensor, 0.0
         self._frames, self._seeing = len(inputs), int((np.diff(inputs.start) > 0).sum())
         self._every, self._since, self._looked, self._certain = 0, 0, -1, True
-        self._last = np.full((0, 5), np.nan)
+        self._map = MapChanges(self.quantum)
         self._changes: list[Array] = []
         self._seen: list[Array] = []
         self._pairs: list[Array] = []
@@ -157,33 +193,8 @@ class Watch:
             self._since += self._looked == front.k
             if self._since >= seldom or front.k == self._frames - 1:
                 self._since = 0
-                self._write(front.k, _state(estimator))
+                self._changes.append(self._map.since(front.k, map_now(estimator)))
         self.seconds += time.perf_counter() - begin
-
-    def _write(self, frame: int, state: MapState) -> None:
-        now = np.column_stack([state.xy, spread(state.covariance)])
-        sound = np.isfinite(now).all(axis=1)
-        now, state = now[sound], MapState(state.number[sound], state.xy[sound], state.covariance[sound])
-        more = int(np.max(state.number, initial=-1)) + 1 - len(self._last)
-        if more > 0:
-            self._last = np.concatenate([self._last, np.full((more, 5), np.nan)])
-        before = self._last[state.number]
-        moved = np.abs(now[:, :2] - before[:, :2]).max(axis=1)
-        widened = SIGMAS * np.abs(now[:, 2:4] - before[:, 2:4]).max(axis=1)
-        turned = SIGMAS * now[:, 2:4].max(axis=1) * np.abs(now[:, 4] - before[:, 4])
-        small = np.maximum(np.maximum(moved, widened), turned) <= 0.5 * self.quantum  # false with NaN: a new one
-        changed, number = now[~small], state.number[~small]
-        self._last[number] = changed
-        gone = np.isfinite(self._last[:, 0])
-        gone[state.number] = False
-        left = np.flatnonzero(gone)
-        if len(number):
-            one = np.ones(len(number))
-            self._changes.append(np.column_stack([frame * one, number, one, changed]))
-        if len(left):
-            zero = np.zeros(len(left))
-            self._changes.append(np.column_stack([zero + frame, left, zero, self._last[left]]))
-            self._last[left] = np.nan
 
     def left(self) -> Watched:
         """All of it, after the last frame."""
@@ -205,8 +216,8 @@ def spread(covariance: Array) -> Array:
     return np.column_stack([sigma, np.clip(rho, -1.0, 1.0)])
 
 
-def _state(estimator: EkfSlam | Isam2Smoother) -> MapState:
-    """Its landmarks as they are; of a smoother without covariances."""
+def map_now(estimator: EkfSlam | Isam2Smoother) -> MapState:
+    """Its landmarks as they are, asked so that nothing changes; of a smoother without covariances."""
     if isinstance(estimator, EkfSlam):
         return estimator.landmarks()
     smoother, number = estimator, estimator.numbers

@@ -14,8 +14,8 @@ from association.expectation import SingularInnovationError, gate_threshold
 from association.known import known_decisions
 from association.scans.laser_run import SCAN
 from association.truncated import truncated_square
-from data.inputs import Frame, Inputs
-from data.result import DISCARD, Failure, Finished, Innovations, Run, Trajectory, map_estimate
+from data.inputs import Frame, Inputs, IntArray
+from data.result import DISCARD, Failure, Finished, Innovations, Run, Trajectory, Updated, map_estimate
 from ekf.epochs import run_in_epochs, worthwhile
 from ekf.filter import FilterDivergedError, FilterOptions
 from ekf.whole_run import FilterRun, run_filter
@@ -41,6 +41,8 @@ from graph.factors import UnderConstrained
 
 PLAIN = Setup()
 NOBODY = Nobody()
+DIVERGED = (FilterDivergedError, UnderConstrained, SingularInnovationError)
+"""What an estimator of ours raises when it cannot go on."""
 
 
 def dead_reckoning(inputs: Inputs, task: str) -> Run:
@@ -140,25 +142,39 @@ def driven(
     failure, finished = None, Finished(None, None)
     try:
         for k in range(len(inputs)):
-            frame = inputs.frame(k)
-            front.move(frame)  # predict
-            observer.moved(front)
-            for part in _parts(frame, each):
-                pairing = front.associate(part)  # expect and decide
-                observer.decided(front, part, pairing)
-                done = front.update(part, pairing)  # with all pairings, then new landmarks
-                record.update(part, pairing.decisions, done)
-            front.tidy()  # landmarks leave the map
+            through(front, inputs.frame(k), record.update, each=each, observer=observer)
             observer.updated(front, record.decisions, record.created)
             record.estimate(front)
         if finish:
             front.close()
             finished = front.estimator.finish()
-    except (FilterDivergedError, UnderConstrained, SingularInnovationError) as stop:
+    except DIVERGED as stop:
         failure = Failure("diverged", front.k, str(stop))
     except ForeignError as stop:
         failure = Failure("diverged", max(front.k, 0), str(stop), stop.trace)
     return record.run(name_of(name), task, front, finished, failure, time.perf_counter() - begin)
+
+
+def through(
+    front: FrontEnd,
+    frame: Frame,
+    used: Callable[[Frame, IntArray, Updated], None],
+    *,
+    each: bool = False,
+    observer: Observer = NOBODY,
+) -> None:
+    """One frame through a front end, from a log or while a robot drives; afterwards the estimator has its estimate.
+
+    `used` is told of (each part of) the frame with its decisions and what the update did with them.
+    """
+    front.move(frame)  # predict
+    observer.moved(front)
+    for part in _parts(frame, each):
+        pairing = front.associate(part)  # expect and decide
+        observer.decided(front, part, pairing)
+        done = front.update(part, pairing)  # with all pairings, then new landmarks
+        used(part, pairing.decisions, done)
+    front.tidy()  # landmarks leave the map
 
 
 def front_end(

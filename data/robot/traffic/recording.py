@@ -96,6 +96,14 @@ class Recording:
         """No more records."""
         self._file.close()
 
+    def discard(self) -> None:
+        """Remove both files, and the folder if nothing else is in it: nothing came of it."""
+        self.close()
+        for name in (PACKETS, HEADER):
+            (self.folder / name).unlink()
+        if not any(self.folder.iterdir()):
+            self.folder.rmdir()
+
     def __enter__(self) -> Recording:
         return self
 

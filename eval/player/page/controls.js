@@ -37,7 +37,7 @@ function fillLegend() {
     OUTCOMES.forEach((o, i) => parts.push(`<span><b style="color:${shade(o.colour)}">${mark[o.mark]} ${o.name}</b> ${o.about} (${count[i]})</span>`));
   } else if (run.decides) parts.push(`<span>● observations; which landmark each shows is not known</span>`);
   for (const look of run.loops || []) parts.push(`<span><b style="color:${shade(look.colour)}">―</b> loop closure ${look.name}</span>`);
-  if (recording.head.truth) parts.push(`<span><b style="color:${ink()}">―</b> truth, with a hollow robot; + true landmarks</span>`);
+  if (recording.head.truth) parts.push(`<span><b style="color:${ink()}">―</b> truth, with a hollow robot; ${recording.head.walls ? "grey lines: true walls" : "+ true landmarks"}</span>`);
   $$("legend").innerHTML = parts.join(" ");
 }
 
@@ -52,6 +52,7 @@ function focused() {
   if (run.decides && run.task === "slam") {
     if (phaseOf(run) === "final") said.push("Landmarks are those of the last map.");
     else if (run.history && !run.certain) said.push(`Landmarks as they were, every ${run.every} frames with observations, without ellipses: a smoother's marginals take longer than the run.`);
+    else if (recording.head.walls && recording.head.now !== undefined) said.push("Walls as they were each second; changes below 1 mm or mrad are left out.");
     else if (run.history) said.push(`Landmarks as they were after each frame${run.every > 1 ? ` (of so large a map after every ${run.every} with observations)` : ""}; changes below ${1000 * recording.head.quantum} mm are left out.`);
     else said.push("Where landmarks were at each instant was not recorded; here each stands where it was in the end.");
   }

@@ -22,15 +22,18 @@ function decodedColumn(bytes, entry, column) {
   return values;
 }
 
-/** A recording: `head` is the first chunk's header, `frames` how many there are, `of(name)` the columns of an array. */
+/** A recording: `head` is the first chunk's header, `first` the number of its first frame, `frames` how many there are,
+ * `of(name)` the columns of an array, `begins.get(name)` the rows with which its chunks begin. */
 class Recording {
-  constructor() { this.head = null; this.frames = 0; this.arrays = new Map(); }
+  constructor() { this.head = null; this.first = 0; this.frames = 0; this.arrays = new Map(); this.begins = new Map(); }
 
   /** The next chunk; its rows come after those of the chunks before. */
   async append(chunk) {
     const bytes = await inflated(chunk.data);
     for (const entry of chunk.arrays) {
       const old = this.arrays.get(entry.name), columns = [];
+      if (!old) this.begins.set(entry.name, new Set());
+      this.begins.get(entry.name).add(old ? old[0].length : 0);
       for (let c = 0; c < entry.columns; c++) {
         const more = decodedColumn(bytes, entry, c);
         if (!old) { columns.push(more); continue; }
@@ -40,8 +43,8 @@ class Recording {
       }
       this.arrays.set(entry.name, columns);
     }
-    this.frames = chunk.first + chunk.frames;
-    this.head = this.head || chunk;
+    if (!this.head) { this.head = chunk; this.first = chunk.first; }
+    this.frames = chunk.first + chunk.frames - this.first;
   }
 
   of(name) { return this.arrays.get(name) || null; }

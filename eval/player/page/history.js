@@ -6,13 +6,14 @@ function landmarkHistory(recording, key, quantum) {
   const number = recording.column(key + "change_number");
   if (!number) return null;
   const frame = recording.column(key + "change_frame"), there = recording.column(key + "change_there");
-  const steps = recording.of(key + "change"), found = new Map();
+  const steps = recording.of(key + "change"), begins = recording.begins.get(key + "change"), found = new Map();
   for (let i = 0; i < number.length; i++) {
+    if (begins.has(i)) for (const own of found.values()) own.sum.fill(0);  // differences begin anew
     let own = found.get(number[i]);
     if (!own) found.set(number[i], own = { sum: [0, 0, 0, 0, 0], frames: [], states: [] });
     for (let c = 0; c < 5; c++) own.sum[c] += steps[c][i];
     const s = own.sum;
-    own.frames.push(frame[i]);
+    own.frames.push(frame[i] - recording.first);
     own.states.push({ number: number[i], x: s[0] * quantum, y: s[1] * quantum, sx: Math.exp(s[2] * COARSE),
       sy: Math.exp(s[3] * COARSE), rho: s[4] * ROUGH, there: there[i] === 1 });
   }

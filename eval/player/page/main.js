@@ -1,4 +1,4 @@
-// The page comes to life: chunks are read, controls wired, frames played.
+// The page comes to life: controls wired, frames played.
 const $$ = (id) => document.getElementById(id);
 let dirty = true, drawn = 0, spent = 0;
 
@@ -56,15 +56,15 @@ function tick(now) {
 
 function showNow() {
   const head = recording.head, unit = head.indexed ? "" : `, ${timeOf(S.frame).toFixed(2)} s`;
-  const text = `frame ${S.frame} of ${recording.frames - 1}${unit}`;
+  const text = `frame ${recording.first + S.frame} of ${recording.first + recording.frames - 1}${unit}`;
   $$("now").textContent = text;
   $$("slider").value = S.frame;
   $$("slider").setAttribute("aria-valuetext", text);
   moveCursors();
 }
 
-async function begin() {
-  for (const element of document.querySelectorAll("script.chunk")) await recording.append(JSON.parse(element.textContent));
+/** The recording has its first frames: show it. */
+function opened() {
   if (!recording.head.runs.length) { $$("facts").textContent = "No run of this log can be played."; return; }
   mapView = new View($$("map"), changed);
   mapView.clicked = pick;
@@ -78,4 +78,3 @@ async function begin() {
     cost: () => ({ drawn, milliseconds: spent / Math.max(drawn, 1) }), view: mapView };
   document.documentElement.dataset.ready = "true";
 }
-begin();

@@ -11,12 +11,12 @@ function worldBox() {
       box.y0 = Math.min(box.y0, ys[i]); box.y1 = Math.max(box.y1, ys[i]);
     }
   };
-  const reach = recording.head.walls || 0;  // m that walls were seen from; 0: landmarks are points
-  for (const name of reach ? ["truth"] : ["truth", "true_xy", "map_xy"]) { const a = recording.of(name); if (a) take(a[0], a[1]); }
+  const walls = recording.head.walls;
+  if (walls && path(focus()).xy) { const seen = seenFrom(focus()); take(seen.x, seen.y); }
+  for (const name of walls ? ["truth"] : ["truth", "true_xy", "map_xy"]) { const a = recording.of(name); if (a) take(a[0], a[1]); }
   if (!recording.of("truth")) for (const run of runs()) if (S.shown.has(run.key)) { const p = path(run); if (p.xy) take(...p.xy); }
   const own = recording.of(focus().key + "map_xy");
-  if (own && !reach && !recording.of("true_xy")) take(own[0], own[1]);
-  box.x0 -= reach; box.x1 += reach; box.y0 -= reach; box.y1 += reach;
+  if (own && !walls && !recording.of("true_xy")) take(own[0], own[1]);
   return box.x0 <= box.x1 ? box : { x0: -1, y0: -1, x1: 1, y1: 1 };
 }
 
@@ -41,7 +41,7 @@ function drawTruth(c, view) {
   const xy = recording.of("true_xy"), truth = recording.of("truth");
   c.strokeStyle = faint(); c.lineWidth = 1; c.setLineDash([]);
   for (let i = 0; xy && i < xy[0].length; i++) {
-    if (recording.head.walls) { drawWall(c, view, xy[0][i], xy[1][i]); continue; }
+    if (recording.head.walls) { wallLine(c, view, xy[0][i], xy[1][i]); continue; }
     const x = view.px(xy[0][i]), y = view.py(xy[1][i]);
     c.beginPath(); c.moveTo(x - 4, y); c.lineTo(x + 4, y); c.moveTo(x, y - 4); c.lineTo(x, y + 4); c.stroke();
   }
@@ -77,12 +77,10 @@ function drawRobot(c, view, run, size) {
 }
 
 function drawObserved(c, view, run, pose) {
-  const colour = shade(run.colour), walls = recording.head.walls > 0;
-  const now = landmarksNow().map((l) => (walls ? { ...l, ...wallFoot(view, l.x, l.y), rho: l.x, alpha: l.y } : l));
-  const places = new Map(walls ? [] : now.map((l) => [l.number, l]));
+  const colour = shade(run.colour), now = landmarksNow(), places = new Map(now.map((l) => [l.number, l]));
   c.setLineDash([]);
-  for (const l of now) {
-    if (walls) { c.strokeStyle = colour; c.lineWidth = 1; drawWall(c, view, l.rho, l.alpha); continue; }
+  if (recording.head.walls) drawWalls(c, view, now, colour, run, new Set(decided(run).decision.slice(...rowsIn(S.frame))));
+  else for (const l of now) {
     const x = view.px(l.x), y = view.py(l.y);
     if (x < -200 || y < -200 || x > view.width + 200 || y > view.height + 200) continue;
     c.strokeStyle = colour; c.lineWidth = 1;
@@ -90,11 +88,11 @@ function drawObserved(c, view, run, pose) {
     c.fillStyle = colour; c.fillRect(x - 1.5, y - 1.5, 3, 3);
   }
   const d = decided(run), [from, to] = rowsIn(S.frame);
-  if (S.numbers) writeNumbers(c, view, now, colour, new Set(d.decision.slice(from, to)));
+  if (S.numbers && !recording.head.walls) writeNumbers(c, view, now, colour, new Set(d.decision.slice(from, to)));
   if (!pose) return;
   for (let row = from; row < to; row++) {
     const seen = seenPoint(row, pose), outcome = outcomeOf(d, row), tint = shade(outcome.colour);
-    const x = view.px(seen.x), y = view.py(seen.y), paired = places.get(d.decision[row]);
+    const x = view.px(seen.x), y = view.py(seen.y), paired = recording.head.walls ? null : places.get(d.decision[row]);
     if (S.rays) {
       c.strokeStyle = tint; c.lineWidth = row === S.row ? 2.5 : 1.3; c.setLineDash(outcome.dash);
       c.beginPath(); c.moveTo(view.px(pose.x), view.py(pose.y)); c.lineTo(x, y); c.stroke();

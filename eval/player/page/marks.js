@@ -48,20 +48,6 @@ function ellipse(c, view, x, y, sx, sy, rho) {
   return true;
 }
 
-/** Of the straight line of rho and alpha, the point nearest to the middle of the canvas. */
-function wallFoot(view, rho, alpha) {
-  const co = Math.cos(alpha), si = Math.sin(alpha), away = rho - co * view.x - si * view.y;
-  return { x: view.x + away * co, y: view.y + away * si };
-}
-
-/** That line, across the canvas. */
-function drawWall(c, view, rho, alpha) {
-  const foot = wallFoot(view, rho, alpha), far = view.width + view.height;
-  const x = view.px(foot.x), y = view.py(foot.y), u = far * Math.sin(alpha), v = far * Math.cos(alpha);
-  if (!(Math.abs(x) < 1e5 && Math.abs(y) < 1e5)) return;
-  c.beginPath(); c.moveTo(x - u, y - v); c.lineTo(x + u, y + v); c.stroke();
-}
-
 function robot(c, view, x, y, theta, size, fill, stroke) {
   const px = view.px(x), py = view.py(y), co = Math.cos(theta), si = Math.sin(theta);
   c.beginPath();

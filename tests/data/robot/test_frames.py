@@ -97,3 +97,16 @@ def test_frames_put_together_give_the_same_frames_again():
         steps = compose(steps, mean)
     end = between(driven.packets[0].odometry, driven.packets[-1].odometry)
     assert np.allclose([*steps[:2], np.cos(steps[2])], [*end[:2], np.cos(end[2])], atol=1e-9)
+
+
+def test_a_frame_cannot_be_written_into_as_those_of_a_log():
+    driven, framing = drive(room(0), WallFollower(), 10.0, np.random.default_rng(0)), Framing()
+    frames = [framing.frame(p) for p in driven.packets]
+    again = inputs_of(frames, framing.at_rest)
+    for frame in frames:
+        ours, theirs = ([*f.sightings, *(f.increment or ())] for f in (frame, again.frame(frame.number)))
+        for a, b in zip(ours, theirs, strict=True):
+            assert not a.flags.writeable
+            assert not b.flags.writeable
+            assert a.flags.c_contiguous
+            assert b.flags.c_contiguous

@@ -111,3 +111,12 @@ def test_a_log_replays_to_the_same_packets_and_faults_as_when_it_was_made_also_c
     exchange, half = Exchange(framed=framed), len(records) // 2
     first = [p for r in records[:half] for p in exchange.consume(r)]
     assert list(map(repr, first)) == list(map(repr, live[: len(first)]))
+
+
+def test_a_recording_that_came_to_nothing_leaves_nothing_of_its_own(tmp_path):
+    Recording(tmp_path / "alone").discard()
+    assert not (tmp_path / "alone").exists()
+    (tmp_path / "beside").mkdir()
+    (tmp_path / "beside" / "notes.txt").write_text("mine")
+    Recording(tmp_path / "beside").discard()
+    assert [f.name for f in (tmp_path / "beside").iterdir()] == ["notes.txt"]

@@ -1,0 +1,256 @@
+"""`python -m eval.live`: filters and smoothers on line while a small robot drives, recorded so that it can be replayed.
+
+Only the parser is imported at once, so that `--help` does not wait for the numerical libraries.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import math
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from data.errors import UsageError
+from data.terminal.ending import INTERRUPTED, WRONG, ended, unread
+from eval.plan.flags.options import options_of
+from eval.plan.flags.table import Options, add_flags
+from eval.replay.flag import rows
+from eval.replay.names import ASSOCIATIONS, STEPPING, steps
+
+if TYPE_CHECKING:
+    from eval.online.presses import Presses
+
+PROG = "python -m eval.live"
+TABLE = rows(Options)
+UNFIT = {
+    "known": "nobody labels walls",
+    "scan": "sonars make no scans",
+    "jcbb-hindsight": "knows landmarks as points, not as walls",
+}
+FIT = tuple(name for name in ASSOCIATIONS if name not in UNFIT)
+SHARED = (
+    replace(TABLE["estimator"], help=f"of {', '.join(STEPPING)}, or your own (default: ekf)"),
+    replace(TABLE["association"], metavar="NAME", help=f"of {', '.join(FIT)}, or your own (default: jcbb)"),
+    *(TABLE[name] for name in ("gate", "new_gate", "in_view", "forget_after", "deactivate_after", "lag")),
+)
+"""Flags that mean what they mean in `eval.run_all`. `--maintain` is none: a wall is seen in one frame of five."""
+DEFAULTS = {"estimator": "ekf", "association": "jcbb"}
+REPORT = "-report"
+EXAMPLES = """\
+examples:
+  python -m data.robot.simulate --world walls:0 --link /tmp/robot &    a simulated robot
+  python -m eval.live --link /tmp/robot --out drive                    Ctrl-C ends it, with a report in drive-report
+  python -m eval.live --link /dev/ttyUSB0 --estimator ekf,isam2 --out drive1
+  python -m eval.live --link /dev/ttyUSB0 --framed --slip 0.01 --sonar-sigma 0.01 --out drive2
+  python -m eval.live --link /dev/ttyUSB0 --drive none --no-page --out drive3
+  python -m eval.live --link /tmp/robot --estimator fixed-lag --lag 20 --out drive4 --seconds 300
+  python -m eval.live --link /tmp/robot --deactivate-after 60 --out drive5 --estimates now.csv --port 8000
+  python -m eval.run_all --log drive --task slam --association jcbb    the same estimates, and more estimators
+
+exit status: 0 fine, 2 wrong usage, no answer of the robot, or no report, 130 interrupted in the report (the log is
+whole)"""
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What was asked for."""
+
+    options: Options
+    given: dict[str, object]
+    link: Path
+    out: Path
+    walls: bool
+    framed: bool
+    slip: float | None
+    sonar_sigma: float | None
+    speed: float
+    seconds: float | None
+    port: int
+    page: bool
+    estimates: Path | None
+
+
+def parser(prog: str = PROG) -> argparse.ArgumentParser:
+    """The flags."""
+    p = argparse.ArgumentParser(
+        prog=prog,
+        description="Drive a small robot and say where it is: filters and smoothers on line, recorded, with a page.",
+        epilog=EXAMPLES.replace(PROG, prog),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = p.add_argument
+    add("--link", metavar="DEVICE", type=Path, required=True, help="serial device of the robot")
+    add("--out", metavar="LOG", type=Path, required=True, help="folder of the recording; there must be none yet")
+    add_flags(p, SHARED)
+    add("--drive", choices=("walls", "none"), default="walls", help="follow the wall on the right (default), or rest")
+    add("--framed", action="store_true", help="packets between a marker and a checksum, both ways")
+    add("--slip", metavar="M", help="of a wheel, m per square root of a metre of its way (default: 0.005)")
+    add("--sonar-sigma", metavar="M", help="standard deviation of a distance, m (default: 0.005)")
+    add("--speed", metavar="X", default="1", help="robot seconds in a second, of a simulated robot (default: 1)")
+    add("--seconds", metavar="S", help="end after so much of the robot's time (default: with Ctrl-C)")
+    add("--port", metavar="N", default="0", help="of the page on this machine (default: one that is free)")
+    add("--no-page", dest="page", action="store_false", help="no page")
+    add("--estimates", metavar="FILE", type=Path, help="CSV to write every estimate to at once")
+    return p
+
+
+def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
+    """Flags, checked as those of `eval.run_all` are; raises UsageError for what makes no sense."""
+    given = vars(parser(prog).parse_args(argv))
+    shared = DEFAULTS | {row.name: given[row.name] for row in SHARED if row.name in given}
+    options = options_of(shared)
+    if len(options.association) != 1:
+        raise UsageError(f"--association {','.join(options.association)}: one name is needed")
+    if why := UNFIT.get(options.association[0]):
+        raise UsageError(f"--association {options.association[0]}: {why}; {', '.join(FIT)} do")
+    for name in options.estimator:
+        if not steps(name):
+            raise UsageError(f"--estimator {name}: does not work step by step; {', '.join(STEPPING)} do")
+
+    def number(name: str, least: float, most: float = math.inf) -> float | None:
+        text = given[name]
+        try:
+            value = None if text is None else float(text)
+        except ValueError:
+            value = math.nan
+        if value is not None and not least <= value <= most:
+            limits = f"from {least:g}" + (" up" if math.isinf(most) else f" to {most:g}")
+            raise UsageError(f"--{name.replace('_', '-')} {text}: a number {limits} is needed")
+        return value
+
+    port = number("port", 0.0, 65535.0)
+    if port is None or not port.is_integer():
+        raise UsageError(f"--port {given['port']}: a whole number from 0 to 65535 is needed")
+    return Wish(
+        options, shared, given["link"], given["out"], given["drive"] == "walls", given["framed"], number("slip", 0.0),
+        number("sonar_sigma", 1e-6), number("speed", 0.01, 1000.0) or 1.0, number("seconds", 0.0), int(port),
+        given["page"], given["estimates"],
+    )  # fmt: skip
+
+
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+    """The whole command, called `prog`; returns the exit status."""
+    return ended(lambda: _live(read(argv, prog)))
+
+
+def say(text: str) -> None:
+    """A line on the terminal; the robot is driven to the end all the same where nobody reads on."""
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        if not unread():
+            raise
+
+
+def _live(wish: Wish) -> int:
+    from eval.online.presses import Presses
+
+    say("getting ready ...")
+    with ExitStack() as stack:
+        presses = stack.enter_context(Presses())
+        _drive(wish, presses, stack)
+        from data.robot.log import complete
+
+        log = complete(wish.out)
+        for note in log.notes:
+            say(note)
+        say(f"log: {wish.out}")
+        status = INTERRUPTED
+        if presses.count < 2:
+            # from here on Ctrl-C ends the report, and SIGTERM does, too
+            presses.heed()
+            with suppress(KeyboardInterrupt):
+                from eval import run_all
+
+                status = run_all.main(report_words(wish))
+        if status in (INTERRUPTED, WRONG):
+            say(f"no report; the log is whole: {wish.out}")
+        return status
+
+
+def _drive(wish: Wish, presses: Presses, stack: ExitStack) -> None:
+    """Until Ctrl-C or the time is over; afterwards the recording is closed and the page, which stays, has it all."""
+    from threadpoolctl import threadpool_limits
+
+    from data.robot.frames import USUAL, Noise
+    from data.robot.link import Clock, Link
+    from data.robot.traffic.recording import Recording
+    from eval.online.drive import Looking, at_rest, drive, follower
+    from eval.online.estimates import Estimates
+    from eval.online.feed import Feed
+    from eval.online.rehearsal import rehearse
+    from eval.online.server import Server
+    from eval.online.session import Session, Taken
+    from eval.plan.first_use import compile_if_needed
+    from eval.plan.foreign import load_all
+    from eval.player.document import live_document
+
+    o, name = wish.options, wish.out.absolute().name
+    association = o.association[0]
+    load_all(o.estimator, o.association)
+    compile_if_needed()
+    rehearse(o.estimator, association, o.setup)
+    if presses.count:
+        raise KeyboardInterrupt
+    noise = Noise(
+        USUAL.slip if wish.slip is None else wish.slip,
+        USUAL.sonar_sigma if wish.sonar_sigma is None else wish.sonar_sigma,
+    )
+    feed = Feed(len(o.estimator)) if wish.page else None
+    if feed is not None:
+        server = stack.enter_context(Server(wish.port, live_document(name).encode(), lambda: feed.published))
+    tellers: list[Callable[[Taken], None]] = []
+
+    def told(taken: Taken) -> None:
+        for teller in tellers:
+            teller(taken)
+
+    session = Session(o.estimator, association, o.setup, noise, told)
+    # what is there by now stays; collecting it again and again would hold up a frame
+    gc.collect()
+    gc.freeze()
+    with ExitStack() as driving:
+        driving.enter_context(threadpool_limits(1))  # as a replay's sums are formed
+        recording = driving.enter_context(Recording(wish.out, framed=wish.framed, noise=tuple(noise)))
+        clock = Clock(wish.speed)
+        try:
+            link = driving.enter_context(Link(str(wish.link), clock, recording, with_frames=wish.framed))
+            if wish.estimates is not None:
+                tellers.append(
+                    driving.enter_context(Estimates(wish.estimates, [each.name for each in session.estimating])).add
+                )
+        except UsageError:
+            recording.discard()
+            raise
+        looking = Looking(name, session, lambda: link.exchange.faults, say, feed=feed, speed=wish.speed)
+        tellers.append(looking.told)
+        if feed is not None:
+            say(f"page: {server.address}")
+        say(f"recording to {wish.out}; Ctrl-C ends the drive")
+        end = math.inf if wish.seconds is None else wish.seconds
+        drive(
+            link, clock, session, follower() if wish.walls else at_rest,
+            lambda: presses.count > 0 or clock.now() >= end, looking.look, looking.latencies,
+        )  # fmt: skip
+        looking.say(clock.now())
+    if feed is not None:
+        feed.end()
+    say(f"{session.frames} frames, {session.observations} walls seen")
+
+
+def report_words(wish: Wish) -> list[str]:
+    """The words of `eval.run_all` that make the report of the log by the same estimators."""
+    words = ["--log", str(wish.out), "--task", "slam", "--out", f"{wish.out}{REPORT}"]
+    for row in SHARED:
+        if row.name in wish.given:
+            words += row.words(getattr(wish.options, row.name))
+    return words
+
+
+if __name__ == "__main__":
+    sys.exit(main())

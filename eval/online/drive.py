@@ -1,0 +1,136 @@
+"""The loop of a drive: a command, its answer, the estimates; and what is looked at beside, once a second."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from data.robot.driving import WallFollower
+from data.robot.link import Clock
+from data.robot.packets import PERIOD, WATCHDOG, Command, command_of
+from data.robot.traffic.motion import Packet
+from eval.online.feed import MINUTE, Feed
+from eval.online.session import Session, Step, Taken
+from eval.online.shown import header
+from eval.online.status import Latencies, estimator_words, status_line
+
+REST = Command(0, 0)
+SECOND = 1.0
+"""s of real time from line to line."""
+
+Policy = Callable[[Packet], tuple[float, float]]
+
+
+class Stepping(Protocol):
+    """What `data.robot.link.Link` is to the loop."""
+
+    def step(self, command: Command, /) -> list[Packet]:
+        """Wait for the next period, send a command, return what came."""
+
+
+def at_rest(packet: Packet) -> tuple[float, float]:
+    """The policy of `--drive none`."""
+    return 0.0, 0.0
+
+
+def follower() -> Policy:
+    """That of `--drive walls`."""
+    return WallFollower()
+
+
+def drive(
+    link: Stepping,
+    clock: Clock,
+    session: Session,
+    policy: Policy,
+    stop: Callable[[], bool],
+    look: Callable[[float], None] = lambda t: None,
+    latencies: Latencies | None = None,
+) -> None:
+    """Drive until told to stop, then tell the robot to rest; every packet that came is taken.
+
+    A robot that is not heard for `WATCHDOG` is told to rest, too: nobody knows what is before it. `look` is called
+    after each period with the robot's time [s].
+    """
+    command, heard = REST, clock.now()
+
+    def take(packets: Sequence[Packet]) -> None:
+        for packet in packets:
+            session.take(packet)
+        # of several the newest one counts: an answer without a marker may be held back until the next one confirms it
+        if packets and latencies is not None:
+            latencies.add((clock.now() - packets[-1].t) / clock.speed)
+
+    try:
+        while not stop():
+            packets = link.step(command)
+            take(packets)
+            for packet in packets:
+                command, heard = command_of(*policy(packet)), packet.t
+            if clock.now() - heard > WATCHDOG:
+                command = REST
+            look(clock.now())
+    finally:
+        last = link.step(REST)
+    take(last)
+
+
+class Looking:
+    """Says how things stand and feeds the page, once a second.
+
+    Attributes:
+        latencies: of all estimates so far.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        session: Session,
+        faults: Callable[[], dict[str, int]],
+        say: Callable[[str], None],
+        *,
+        feed: Feed | None = None,
+        speed: float = 1.0,
+    ) -> None:
+        """`say` gets the lines, `faults` counts those of the link; `speed` as of the clock."""
+        self.latencies = Latencies()
+        self._name, self._session, self._faults, self._say, self._feed = name, session, faults, say, feed
+        self._period = PERIOD / speed
+        self._newest: list[Step | None] = [None] * len(session.estimating)
+        self._ended: set[int] = set()
+        self._at = time.monotonic()
+
+    def told(self, taken: Taken) -> None:
+        """A frame was taken."""
+        self._newest = [new or old for new, old in zip(taken.steps, self._newest, strict=True)]
+        if self._feed is not None:
+            self._feed.add(taken)
+
+    def look(self, t: float) -> None:
+        """A period is over, at robot time t [s]."""
+        now = time.monotonic()
+        if now - self._at >= SECOND:
+            self._at += SECOND * int((now - self._at) / SECOND)
+            self.say(t)
+        elif self._feed is not None and self._feed.waiting >= MINUTE:
+            self.say(t, aloud=False)
+
+    def say(self, t: float, *, aloud: bool = True) -> None:
+        """The line, and the page's next chunk."""
+        s = self._session
+        for number, each in enumerate(s.estimating):
+            if each.failure and number not in self._ended:
+                self._ended.add(number)
+                self._say(f"{each.name} ended {each.failure}; the others and the recording go on")
+        maps = [each.map() for each in s.estimating]
+        words = [
+            estimator_words(each.name, step, None if m is None else len(m.number), each.failure)
+            for each, step, m in zip(s.estimating, self._newest, maps, strict=True)
+        ]
+        line = status_line(t, words, self._faults(), self.latencies, self._period)
+        if aloud:
+            self.latencies.begin()
+            self._say(line)
+        if self._feed is not None:
+            self._feed.publish(maps, header(self._name, s.estimating, line))

@@ -1,0 +1,6 @@
+// The recording stands in the page.
+async function begin() {
+  for (const element of document.querySelectorAll("script.chunk")) await recording.append(JSON.parse(element.textContent));
+  opened();
+}
+begin();

@@ -1,0 +1,67 @@
+// The recording comes while the robot drives: new chunks are asked for each second, and the newest frame is shown.
+const EVERY = 1000, LATER = 3000;  // ms from answer to question; where nobody answers
+let following = true, shown = 0, plotted = 0, plotting = 0, connected = true;
+
+/** Whoever goes elsewhere is left there. */
+function follow(on) {
+  following = on;
+  $$("live").setAttribute("aria-pressed", on);
+  if (on) { play(false); newest(); }
+}
+
+function newest() { go(recording.frames - 1); shown = S.frame; }
+
+/** What came after the frames that are there; true where it ended. */
+async function fetched() {
+  const from = recording.head ? `chunks/${recording.first + recording.frames}` : "chunks";
+  const answer = await fetch(from, { cache: "no-store" });
+  if (answer.status === 410) { location.reload(); return new Promise(() => {}); }  // kept no more: begin anew
+  if (!answer.ok) throw new Error(answer.statusText);
+  const { ended, chunks } = await answer.json(), begun = recording.head !== null;
+  for (const chunk of chunks) await recording.append(chunk);
+  if (!recording.head) return ended;
+  if (chunks.length) recording.head.runs.forEach((run, i) => Object.assign(run, { status: chunks.at(-1).runs[i].status, why: chunks.at(-1).runs[i].why }));
+  if (!begun) { opened(); prepare(); }
+  if (chunks.length) grown(chunks.at(-1));
+  return ended;
+}
+
+function prepare() {
+  for (const radio of document.querySelectorAll("input[name=phase]")) radio.parentElement.hidden = true;
+  for (const name of ["wrong-back", "wrong-next"]) $$(name).hidden = true;
+  $$("live").hidden = false;
+  $$("live").addEventListener("click", () => follow(true));
+}
+
+/** More frames than before. */
+function grown(chunk) {
+  histories.clear();
+  $$("slider").max = recording.frames - 1;
+  if (!mapView.touched && !S.follow) mapView.fit(worldBox());
+  if (following && S.frame !== shown) follow(false);
+  if (following) newest();
+  const begin = performance.now();
+  if (begin - plotted > 20 * plotting) {  // a long plot takes its time: no more than a twentieth of all
+    fillRuns(); makePlots();
+    plotted = performance.now(); plotting = plotted - begin;
+  }
+  inspect.last = 0; changed();
+  says(chunk.now);
+}
+
+function says(text) { $$("facts").textContent = text; }
+
+async function ask() {
+  let wait = EVERY;
+  try {
+    const ended = await fetched();
+    connected = true;
+    if (ended) { says(`The drive has ended. ${recording.frames} frames.`); return; }
+    if (!recording.head) says("Waiting for the robot's first answer.");
+  } catch (fault) {
+    if (connected) says("No connection: the drive has ended, or is held up.");
+    connected = false; wait = LATER;
+  }
+  setTimeout(ask, wait);
+}
+ask();

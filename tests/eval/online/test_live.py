@@ -1,0 +1,167 @@
+"""`slamref live` as a process: killed at any moment, interrupted once and twice, its device gone and back."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from data.logs import open_log
+from data.open_log.reader import load_folder
+from data.robot.traffic.recording import GONE, OPENED, read_recording
+from eval import live
+from eval.replay.run import compare
+from eval.replay.settings import Setup
+from tests.eval.online.driven import (
+    replayed,
+    replayed_bits,
+    simulator,
+    started,
+    true_path,
+    wait,
+    written_bits,
+)
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals and fork as Linux has them")
+FAST = ["--speed", "5"]
+SLACK = 0.15
+"""s of real time between what the simulator writes down and what is read of it here."""
+
+
+def killed(folder, random, speed):
+    """Killed at a random moment; when the robot stood still after it [s of its time], which may be none."""
+    with simulator(folder, "--speed", speed) as (link, truth):
+        with started(folder, link, "--speed", speed, "--estimates", folder / "now.csv", "--port", 0) as process:
+            wait(lambda: len(path := true_path(truth)) > 0 and np.ptp(path[:, 1]) > 0.02)
+            time.sleep(random.uniform(0.0, 1.5) / speed)
+            process.signal(signal.SIGKILL)
+            process.status()
+            at = true_path(truth)[-1, 0]
+        wait(lambda: true_path(truth)[-1, 0] > at + 1.0 + SLACK * speed + 0.5)
+        path = true_path(truth)
+    moving = np.flatnonzero(np.any(np.diff(path[:, 1:], axis=0) != 0.0, axis=1))
+    return path[moving[-1] + 1, 0] - at
+
+
+def check_killed(folder, random, speed):
+    stopped = killed(folder, random, speed)
+    assert stopped <= 1.0 + SLACK * speed
+    written = written_bits(folder / "now.csv", "ekf")
+    log = open_log(str(folder / "log"))
+    # what was recorded last may not have been estimated yet
+    assert len(written) <= len(log.recorded) <= len(written) + 2
+    again = replayed_bits(replayed(folder / "log", "ekf"))
+    assert [written[k] for k in range(len(written))] == again[: len(written)]
+    return stopped
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_killed_at_any_moment_the_robot_stops_and_the_log_replays_to_the_bit(tmp_path, seed):
+    check_killed(tmp_path, np.random.default_rng(seed), 5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(100, 150))
+def test_killed_at_any_moment_fifty_times(tmp_path, seed):
+    check_killed(tmp_path, np.random.default_rng(seed), 1)
+
+
+@pytest.mark.slow  # a report takes seconds
+def test_interrupted_it_leaves_the_whole_log_and_a_report(tmp_path):
+    words = ["--gate", "0.95", "--estimates", tmp_path / "now.csv"]
+    with simulator(tmp_path, *FAST) as (link, truth), started(tmp_path, link, *FAST, *words) as process:
+        process.until("walls 1")
+        process.signal(signal.SIGINT)
+        assert process.status() == 0, process.said
+        path = true_path(truth)
+    assert np.ptp(path[:, 1]) > 0.1
+    assert "report: " in process.said
+    assert {f.name for f in (tmp_path / "log").iterdir()} == {
+        "log.toml", "packets.bin", "frames.csv", "observations.csv",
+    }  # fmt: skip
+    read, packets = load_folder(tmp_path / "log"), open_log(str(tmp_path / "log"))
+    assert read.recorded.observations.z.tobytes() == packets.recorded.observations.z.tobytes()
+    (run,) = compare(packets.inputs(), "slam", ["ekf"], "jcbb", Setup(gate=0.95))
+    assert list(written_bits(tmp_path / "now.csv", "ekf").values()) == replayed_bits(run), "as run_all makes it"
+    command = (tmp_path / "log-report" / "report.md").read_text()
+    assert "--gate 0.95" in command
+    assert "--association jcbb" in command
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+def test_interrupted_again_in_the_report_the_log_is_whole_and_there_is_no_report(tmp_path, number):
+    with simulator(tmp_path, *FAST) as (link, _), started(tmp_path, link, *FAST, "--no-page") as process:
+        process.until("ekf x")
+        process.signal(signal.SIGTERM)
+        process.until("log: ")
+        process.signal(number)
+        assert process.status() == 130, process.said
+    assert len(load_folder(tmp_path / "log").recorded) > 1
+    assert not [f for f in tmp_path.iterdir() if "report" in f.name], "neither whole nor half"
+    assert "no report; the log is whole: " in process.said
+    assert "Traceback" not in process.said
+
+
+def test_a_device_that_goes_and_comes_back_is_a_fault_and_the_drive_goes_on(tmp_path):
+    words = ["--estimates", tmp_path / "now.csv", "--speed", 5]
+    with simulator(tmp_path, *FAST) as (link, _):
+        process = started(tmp_path, link, *words)
+        running = process.__enter__()
+        running.until("ekf x")
+    try:
+        running.until("device gone 1")
+        with simulator(tmp_path, *FAST):
+            frames = len(written_bits(tmp_path / "now.csv", "ekf"))
+            wait(lambda: len(written_bits(tmp_path / "now.csv", "ekf")) > frames + 20)
+            running.signal(signal.SIGINT)
+            running.until("log: ")
+            running.signal(signal.SIGINT)
+            running.status()
+    finally:
+        process.__exit__(None, None, None)
+    kinds = [r.kind for r in read_recording(tmp_path / "log").records]
+    assert kinds.count(GONE) == 1
+    assert kinds.count(OPENED) == 2
+    written = written_bits(tmp_path / "now.csv", "ekf")
+    assert [written[k] for k in range(len(written))] == replayed_bits(replayed(tmp_path / "log", "ekf"))
+
+
+def test_told_to_rest_it_rests_and_ends_by_itself(tmp_path):
+    words = [*FAST, "--drive", "none", "--seconds", 4, "--no-page", "--framed"]
+    with simulator(tmp_path, *FAST, "--framed") as (link, truth), started(tmp_path, link, *words) as process:
+        process.until("log: ")
+        process.signal(signal.SIGINT)
+        process.status()
+        assert np.ptp(true_path(truth)[:, 1]) == 0.0
+    assert read_recording(tmp_path / "log").framed
+    assert len(open_log(str(tmp_path / "log")).recorded) >= 10
+    assert "page" not in process.said
+
+
+def test_a_device_that_is_not_there_leaves_nothing(tmp_path, capsys):
+    assert live.main(["--link", str(tmp_path / "robot"), "--out", str(tmp_path / "log"), "--no-page"]) == 2
+    assert "cannot be opened as a serial line" in capsys.readouterr().err
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize(("words", "why"), [
+    (["--association", "known"], "--association known: nobody labels walls"),
+    (["--association", "jcbb-hindsight"], "--association jcbb-hindsight: knows landmarks as points"),
+    (["--association", "nn,jcbb"], "--association nn,jcbb: one name is needed"),
+    (["--estimator", "batch"], "--estimator batch: does not work step by step"),
+    (["--speed", "0"], "--speed 0: a number from 0.01 to 1000 is needed"),
+    (["--slip", "much"], "--slip much: a number from 0 up is needed"),
+    (["--port", "1.5"], "--port 1.5: a whole number from 0 to 65535 is needed"),
+    (["--seconds", "nan"], "--seconds nan: a number from 0 up is needed"),
+    (["--gate", "2"], "--gate 2: a probability"),
+])  # fmt: skip
+def test_what_makes_no_sense_is_one_line(tmp_path, capsys, words, why):
+    assert live.main(["--link", "robot", "--out", str(tmp_path / "log"), *words]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"error: {why}")
+    assert said.count("\n") == 1
+    assert os.listdir(tmp_path) == []
