@@ -152,6 +152,22 @@ def residual(kind, z, z_hat, out):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
+def name_as_read(kind, z, z_hat, Hx, Hl):  # type: ignore[no-untyped-def]
+    """Give a wall's expectation and its Jacobians the name that the reading z has, in place.
+
+    Where it is not sure on which side of a wall the robot is, `measure` may name the other one; the noise of z is that
+    of its own name, in which the error of the distance has its own sign.
+    """
+    if kind == LINE and abs(wrap_angle(z[1] - z_hat[1])) > 0.5 * math.pi:
+        z_hat[0] = -z_hat[0]
+        z_hat[1] = wrap_angle(z_hat[1] + math.pi)
+        for j in range(3):
+            Hx[0, j] = -Hx[0, j]
+        for j in range(2):
+            Hl[0, j] = -Hl[0, j]
+
+
+@numba.njit(cache=True)
 def _measure_all(kind, extrinsic, pose, landmarks, z_hat, Hx, Hl):  # type: ignore[no-untyped-def]
     for i in range(len(landmarks)):
         measure(kind, extrinsic, pose[i], landmarks[i], z_hat[i], Hx[i], Hl[i])

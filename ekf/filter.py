@@ -232,10 +232,9 @@ class Filter:
             mean, P, first, moved = self._gathered(state, at[chosen], known[chosen])
             d = len(mean)
             PHt, S = np.empty((d, 2 * k)), np.empty((2 * k, 2 * k))
-            zero = np.zeros((k, 2))
             kernels.innovate(
                 self._kind, self._extrinsic, mean, mean, P, d, moved, known[chosen],
-                zero, np.zeros((k, 2, 2)), np.empty(2 * k), PHt, S, first,
+                z_hat[chosen], np.zeros((k, 2, 2)), np.empty(2 * k), PHt, S, first,
             )  # fmt: skip
             return S
 

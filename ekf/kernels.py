@@ -16,7 +16,7 @@ import math
 import numba
 import numpy as np
 
-from data.sensors import LINE, invert, measure, residual, wrap_angle
+from data.sensors import LINE, invert, measure, name_as_read, residual, wrap_angle
 
 NEWEST = np.empty(0)
 """First estimates of a filter that has none: Jacobians at the newest estimates."""
@@ -82,6 +82,7 @@ def innovate(kind, extrinsic, mean, base, P, d, at, known, z, R, nu, PHt, S, fir
     for i in range(k):
         a = at[i]
         look(kind, extrinsic, mean, a, known[i], first, z_hat, Hx, Hl)
+        name_as_read(kind, z[i], z_hat, Hx, Hl)
         residual(kind, z[i], z_hat, nu[2 * i : 2 * i + 2])
         H[i, :, :3] = Hx
         H[i, :, 3:] = Hl
@@ -117,7 +118,9 @@ def look(kind, extrinsic, mean, a, known, first, z_hat, Hx, Hl):  # type: ignore
     """`measure` a landmark: at offset `a` of the state, or `known` (2,) where a < 0; Jacobians at `first` if given."""
     measure(kind, extrinsic, mean, known if a < 0 else mean[a : a + 2], z_hat, Hx, Hl)
     if len(first):
-        measure(kind, extrinsic, first, known if a < 0 else first[a : a + 2], np.empty(2), Hx, Hl)
+        at_first = np.empty(2)
+        measure(kind, extrinsic, first, known if a < 0 else first[a : a + 2], at_first, Hx, Hl)
+        name_as_read(kind, z_hat, at_first, Hx, Hl)
 
 
 @numba.njit(cache=True)

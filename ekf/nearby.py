@@ -24,7 +24,7 @@ import numpy as np
 from association.candidates import reading_radius
 from data.inputs import Sightings
 from data.se2 import Array, BoolArray
-from data.sensors import Sensor, measure, residual
+from data.sensors import LINE, Sensor, measure, residual
 from ekf.parking import Parked
 
 BLOCK = 64
@@ -129,8 +129,10 @@ def _search(  # type: ignore[no-untyped-def]
             HPHt = Hx @ np.ascontiguousarray(P[:3, :3]) @ Hx.T + mixed + mixed.T + Hl @ own[n] @ Hl.T
             for i in range(len(z)):
                 residual(kind, z[i], z_hat, nu)
+                # the noise of a wall's reading is that of its own name
+                side = -1.0 if kind == LINE and math.cos(z[i, 1] - z_hat[1]) < 0.0 else 1.0
                 a, c = HPHt[0, 0] + R[i, 0, 0], HPHt[1, 1] + R[i, 1, 1]
-                off = 0.5 * (HPHt[0, 1] + HPHt[1, 0] + R[i, 0, 1] + R[i, 1, 0])
+                off = 0.5 * (HPHt[0, 1] + HPHt[1, 0] + side * (R[i, 0, 1] + R[i, 1, 0]))
                 det = a * c - off * off
                 if not det > 0.0 or c * nu[0] ** 2 - 2.0 * off * nu[0] * nu[1] + a * nu[1] ** 2 <= within * det:
                     found[n] = True

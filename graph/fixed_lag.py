@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from array import array
 from bisect import bisect_left
+from collections.abc import Sequence
 
 import gtsam
 import numpy as np
@@ -61,7 +63,8 @@ class FixedLagSmoother(Isam2Smoother):
         self._engine = self._window
         self._oldest = 0
         """First frame that is still in the window."""
-        self._left: list[Left] = []
+        self._left = array("d")
+        """Of each frame that left: pose (3), covariance (3, 3), errors and their sigmas (2, p); 100 bytes or so."""
 
     def predict(self, increment: Increment) -> None:
         """Move by an increment; the graph grows only when something is seen."""
@@ -84,10 +87,11 @@ class FixedLagSmoother(Isam2Smoother):
     def _forget(self, oldest: int) -> None:
         """Marginalize the poses of all frames before `oldest`, with the copies of landmarks seen from them."""
         frames = range(self._oldest, oldest)
-        self._left += self._end.leaving(self._window, frames)
+        self._keep(self._end.leaving(self._window, frames))
         keys = [*(X(k) for k in frames), *self._end.forget(oldest)]
         keys += self._observed.alone(frames)
         self._window.marginalize(keys, self._end.keys)
+        self._observed.forget(oldest, self._window.alive)
         self._oldest = oldest
         self._read()
 
@@ -125,8 +129,16 @@ class FixedLagSmoother(Isam2Smoother):
         Motion since the last sighting joins the window; nothing is optimized that was not during the run.
         """
         self._complete()
-        left = [*self._left, *self._end.leaving(self._window, range(self._oldest, self.frame + 1))]
-        path = np.array([each.pose for each in left])
-        final = Trajectory(path, in_world(path, np.array([each.covariance for each in left])))
+        self._keep(self._end.leaving(self._window, range(self._oldest, self.frame + 1)))
+        kept = np.array(self._left).reshape(self.frame + 1, -1)
+        self._oldest = self.frame + 1
+        path, covariance = kept[:, :3].copy(), kept[:, 3:12].reshape(-1, 3, 3)
         found = None if self.map is not None else self.landmarks()
-        return Finished(final, found, systematic=self._end.history(left))
+        errors = self._end.history(kept[:, 12:].reshape(len(kept), 2, -1))
+        return Finished(Trajectory(path, in_world(path, covariance)), found, systematic=errors)
+
+    def _keep(self, left: Sequence[Left]) -> None:
+        """Poses as they were when they left."""
+        for each in left:
+            for part in (each.pose, each.covariance, *(each.errors or ())):
+                self._left.extend(part.ravel().tolist())

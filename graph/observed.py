@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import gtsam
@@ -135,6 +135,18 @@ class Observed:
         first, end = (bisect_left(self.sighted, f, key=lambda s: s.frame) for f in (frames.start, frames.stop))
         of = self.sighted[first:end]
         return [key for s in of if numbers is None or s.number in numbers for key in s.alone]
+
+    def forget(self, oldest: int, alive: Callable[[int], bool]) -> None:
+        """Observations from frames before `oldest` have left the graph; `alive` says it of a handle."""
+        first = bisect_left(self.sighted, oldest, key=lambda s: s.frame)
+        gone, self.sighted = self.sighted[:first], self.sighted[first:]
+        if self.map is not None:
+            for frame in {s.frame for s in gone}:
+                self._handles.pop(frame, None)
+            return
+        for number in {s.number for s in gone}:
+            if number in self._handles:
+                self._handles[number] = [h for h in self._handles[number] if alive(h)]
 
     def add(self, seen: Sequence[Sighted], values: gtsam.Values, *, late: bool = False) -> list[Factor]:
         """Take observations in, start values of their own variables into `values`; returns their factors.

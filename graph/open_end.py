@@ -172,8 +172,8 @@ class OpenEnd:
         self._motion.clear()
         return []
 
-    def history(self, left: Sequence[Left]) -> Systematics | None:
-        """Systematic errors of frames that left: none."""
+    def history(self, left: Array) -> Systematics | None:
+        """Systematic errors of frames that left, from these and their sigmas (N, 2, p) then: none."""
         return None
 
     def problem(self, sighted: Sequence[Sighted], known_map: bool) -> Problem:

@@ -57,6 +57,10 @@ class Window(Engine):
         """Remove those factors that did not go with a variable; a variable that loses its last one goes with them."""
         super().drop([h for h in handles if self._factors[h] is not None])
 
+    def alive(self, handle: int) -> bool:
+        """Whether a factor is there: it goes with its variables."""
+        return self._factors[handle] is not None
+
     def holds(self, key: int) -> bool:
         """Whether a variable is there."""
         return bool(self.isam.valueExists(key))

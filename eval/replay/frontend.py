@@ -11,6 +11,7 @@ import numpy as np
 from association.candidates import in_view
 from association.decide import HINDSIGHT, Decided, decide, horizon
 from association.expectation import Expectation, gate_threshold
+from association.faces import Faces, named_as_read
 from association.jcbb import BUDGET
 from association.truncated import Acceptance, acceptance, accepted_moments, truncated_square
 from data.errors import UsageError
@@ -87,6 +88,7 @@ class FrontEnd:
                 within = math.inf if known_or_foreign else horizon(association, setup.gate, setup.new_gate)
                 self.parking = Parking(self.estimator, self.map_management, given.sensor, within)
         self.parking = self.parking or automatic_parking(self.estimator, association, setup)
+        self.faces = Faces(given.sensor) if self.slam and not given.sensor.sees_points else None
         self.known = KnownAssociation(given.map) if association == "known" else None
         gated = self.known is not None and (setup.gate_smoothers or not self.estimator.smooths)
         self._threshold = gate_threshold(setup.label_gate) if gated else math.inf
@@ -121,6 +123,10 @@ class FrontEnd:
         if self.parking is not None:
             self.parking.offer(sightings)
         e = self.estimator.expect(sightings)
+        if not self.given.sensor.sees_points:
+            e = named_as_read(e, self.given.sensor)
+        if self.faces is not None and len(e.number):
+            e = e.only(np.flatnonzero(self.faces.offered(*self.estimator.estimate(), e.number, e.z_hat)))
         return e.only(np.flatnonzero(in_view(self.given.sensor, e.z_hat, e.HPHt))) if self.setup.in_view else e
 
     def decide(self, expectation: Expectation, method: str | None = None) -> Decided:
@@ -149,6 +155,8 @@ class FrontEnd:
             self.known.initialized(frame, done.created)
         numbers = np.where(done.used, pairing.decisions, done.created)
         seen = np.flatnonzero(numbers >= 0)
+        if self.faces is not None:
+            self.faces.see(self.estimator.estimate().mean, numbers[seen], frame.sightings.z[seen])
         if self.map_management is not None:
             self.map_management.see(numbers[seen])
         if self.parking is not None:

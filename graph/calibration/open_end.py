@@ -268,10 +268,9 @@ class CalibratedEnd(OpenEnd):
         gone = self._motion_log.forget(oldest)
         return [drift_key(k) for k in gone if self._errors.drift >= 0]
 
-    def history(self, left: Sequence[Left]) -> Systematics | None:
+    def history(self, left: Array) -> Systematics | None:
         """Systematic errors by frame: the constants as known last, the drift as it was when a frame left."""
-        e = self._errors
-        found = np.array([each.errors for each in left])
+        e, found = self._errors, left.copy()
         found[:, :, e.constant] = found[-1:, :, e.constant]
         return Systematics(e.systematic.names, found[:, 0], found[:, 1])
 

@@ -212,3 +212,29 @@ def test_a_wall_of_a_large_map_is_a_candidate_wherever_its_numbers_are():
     near = int(np.argmin(np.abs(Line().predict(pose, lines)[:, 0])))
     z = Line().predict(pose, lines[near : near + 1])
     assert near in f.expect(Sightings(z, 1e-4 * np.eye(2)[None])).number
+
+
+@pytest.mark.parametrize("options", [FilterOptions(), FilterOptions(iterations=3), FEJ, FilterOptions(each=True)])
+@pytest.mark.parametrize("y", [-0.3, -0.05, 0.02, 0.4])
+def test_an_update_does_not_depend_on_a_walls_name_even_if_the_robot_is_believed_beyond_it(options, y):
+    """The wall y = 0, read half a metre to the right by a robot that may be on either side of it."""
+    P = np.array([[0.1, 0.01, 0.0], [0.01, 0.09, 0.004], [0.0, 0.004, 0.01]])
+    prior = Prior(np.array([3.0, y, 0.1]), P)
+    R = np.array([[[0.02**2, -0.9 * 0.02 * 0.05], [-0.9 * 0.02 * 0.05, 0.05**2]]])
+    seen = Sightings(np.array([[0.5, -0.5 * np.pi]]), R)
+    expected = None
+    for name in ([0.0, -0.5 * np.pi], [0.0, 0.5 * np.pi]):
+        f = EkfLocalizer(prior, Line(), LandmarkMap(np.array([7]), np.array([name])), options)
+        f.predict(Increment(np.zeros(3), 1e-6 * np.eye(3)))
+        f.update(seen, np.array([7]))
+        if expected is None:
+            expected = f.estimate()
+            # as an ordinary reading of two numbers: y = 0.5 and heading 0, their errors correlated as R says
+            H = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0]])
+            P = P + 1e-6 * np.eye(3)
+            K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R[0])
+            by_hand = prior.mean + K @ (seen.z[0] - [y, -0.5 * np.pi - 0.1])
+            np.testing.assert_allclose(expected.mean, by_hand, atol=1e-9)
+        else:
+            np.testing.assert_allclose(f.estimate().mean, expected.mean, atol=1e-12)
+            np.testing.assert_allclose(f.estimate().covariance, expected.covariance, atol=1e-12)

@@ -1,0 +1,107 @@
+"""What walls are beyond endless lines: a name for each side, a face that was seen, and the stretch it was seen along.
+
+A landmark is an endless line, and the line of one box's far side may run along another's near side. What is solid is
+seen from one side: a wall is a candidate for a reading from its other side only where it was seen itself, as a thin
+wall is that has two faces at one place.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from association.expectation import Expectation
+from data.inputs import IntArray
+from data.se2 import Array, BoolArray, between, compose, wrap_angle
+from data.sensors import Sensor
+
+MARGIN = 0.5
+"""m, and `SIGMAS` of the position, beyond the stretch seen: past a thin wall's end the other face is heard within so
+much."""
+SIGMAS = 3.0
+
+
+def named_as_read(e: Expectation, sensor: Sensor) -> Expectation:
+    """The same candidates, walls, each with the name (d, phi) or (-d, phi + pi) that the nearest reading has.
+
+    Where it is not sure on which side of a wall the robot is, an expectation has either name; readings and their noise
+    have the one towards the wall.
+    """
+    if not len(e.z) or not len(e.number):
+        return e
+    off = np.abs(sensor.residual(e.z[:, None], e.z_hat[None])[..., 0])
+    nearest = off.argmin(axis=0)
+    turned = np.abs(wrap_angle(e.z[nearest, 1] - e.z_hat[:, 1])) > 0.5 * math.pi
+    if not turned.any():
+        return e
+    elsewhere, sign = e.elsewhere, np.where(turned, -1.0, 1.0)
+    HPHt = e.HPHt.copy()
+    HPHt[:, [0, 1], [1, 0]] *= sign[:, None]
+
+    def joint(indices: IntArray) -> Array:
+        signs = np.ones(2 * len(indices))
+        signs[::2] = sign[indices]
+        S: Array = e.joint(indices) * signs[:, None] * signs
+        return S
+
+    return replace(
+        e,
+        z_hat=np.stack([sign * e.z_hat[:, 0], wrap_angle(e.z_hat[:, 1] + math.pi * turned)], axis=1),
+        HPHt=HPHt,
+        joint=joint,
+        elsewhere=None if elsewhere is None else lambda pose: named_as_read(elsewhere(pose), sensor),
+    )
+
+
+class Faces:
+    """Keeps for each landmark, by its number, the direction in which it was first seen, and the stretch seen since."""
+
+    def __init__(self, sensor: Sensor) -> None:
+        """Nothing seen yet."""
+        self._sensor = sensor
+        self._mounting = between(np.array([*sensor.translation, sensor.rotation]), np.zeros(3))
+        self._direction = np.empty(0)
+        self._stretch = np.empty((0, 2))
+
+    def offered(self, pose: Array, covariance: Array, number: IntArray, z_hat: Array) -> BoolArray:
+        """Which landmarks `number` (n,), expected at z_hat (n, 2) [m, rad], may be seen from a pose (3,).
+
+        `covariance`: (3, 3) of the pose, world frame.
+        """
+        normal, foot = self._in_world(pose, z_hat)
+        first = self._direction[number]
+        along = _along(foot, first)
+        margin = MARGIN + SIGMAS * math.sqrt(covariance[0, 0] + covariance[1, 1])
+        near = (along >= self._stretch[number, 0] - margin) & (along <= self._stretch[number, 1] + margin)
+        offered: BoolArray = (np.cos(normal - first) >= 0.0) | near
+        return offered
+
+    def see(self, pose: Array, number: IntArray, z: Array) -> None:
+        """Landmarks `number` (m,) were read as z (m, 2) from a pose (3,)."""
+        if not len(number):
+            return
+        more = int(number.max()) + 1 - len(self._direction)
+        if more > 0:
+            self._direction = np.concatenate([self._direction, np.full(more, np.nan)])
+            self._stretch = np.concatenate([self._stretch, np.tile([np.inf, -np.inf], (more, 1))])
+        normal, foot = self._in_world(pose, z)
+        for k, n in enumerate(number.tolist()):
+            if math.isnan(self._direction[n]):
+                self._direction[n] = normal[k]
+            along = float(_along(foot[k], self._direction[n]))
+            low, high = self._stretch[n]
+            self._stretch[n] = min(low, along), max(high, along)
+
+    def _in_world(self, pose: Array, z: Array) -> tuple[Array, Array]:
+        """Directions (n,) of normals towards walls read as z (n, 2), and their feet (n, 2)."""
+        x, y, heading = compose(pose, self._mounting)
+        normal = heading + z[:, 1]
+        return normal, np.stack([x + z[:, 0] * np.cos(normal), y + z[:, 0] * np.sin(normal)], axis=1)
+
+
+def _along(foot: Array, direction: Array | float) -> Array:
+    """How far along walls with these normals (n,) points (n, 2) lie."""
+    along: Array = foot[..., 1] * np.cos(direction) - foot[..., 0] * np.sin(direction)
+    return along
