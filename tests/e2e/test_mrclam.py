@@ -141,6 +141,7 @@ def test_a_tutorial_needs_the_recording_it_was_made_from(shared_data, tmp_path, 
     assert "convert again" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_robot_without_truth_runs_with_blank_errors(shared_data, tmp_path):
     folder, out = tmp_path / "blind", tmp_path / "report"
     source = shared_data / "mrclam" / "MRCLAM_Dataset1.zip"

@@ -198,6 +198,7 @@ def test_another_file_of_that_name_is_refused(tmp_path, capsys):
     assert "results.mat" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_wrong_associations_are_one_table_over_all_rates(tmp_path):
     path = tmp_path / "wrong.toml"
     text = SCENARIO.replace(

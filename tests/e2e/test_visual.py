@@ -52,6 +52,7 @@ def test_the_report_holds_models_plan_contact_sheet_and_statistics(report):
     assert "http" not in page.split("<body", 1)[1].replace("http-equiv", "")
 
 
+@pytest.mark.slow
 def test_a_second_run_looks_at_no_image(lab, report, monkeypatch):
     def never(*arguments, **more):
         raise AssertionError("the images were looked at again")

@@ -252,6 +252,7 @@ def test_a_map_means_localization_but_for_the_corridor():
     )
 
 
+@pytest.mark.slow
 def test_a_reader_that_has_seen_enough_is_no_fault():
     command = f"{sys.executable} -m eval.step --log corridor:0 --frames 3 | head -1"
     done = subprocess.run(

@@ -90,6 +90,7 @@ def rows():
     return found
 
 
+@pytest.mark.slow
 def test_all_pairs_occur(rows):
     names = list(FACTORS)
     for i, a in enumerate(names):

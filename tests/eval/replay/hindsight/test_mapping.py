@@ -39,6 +39,7 @@ def rmse(pose, truth):
     return np.sqrt(np.mean(np.sum((pose - truth)[:, :2] ** 2, axis=1)))
 
 
+@pytest.mark.slow
 def test_a_round_later_every_tree_is_one_landmark_again(world, runs):
     inputs, _, who = world
     plain = step_by_step("ekf", inputs, "slam", "jcbb")
