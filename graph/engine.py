@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from array import array
 from collections.abc import Callable, Mapping, Sequence
 from typing import TypeVar
 
@@ -48,19 +49,22 @@ class Engine:
         name: Callable[[int], str] = name_of,
         linear: Mapping[str, int] | None = None,
         walls: bool = False,
+        reuses_slots: bool = False,
     ) -> None:
         """`threshold` [m, rad]: what moved further is relinearized, at every `skip`-th update; `name` words a key.
 
         With `skip` 1 all variables are looked at, otherwise only the newest and those connected to one that moved.
         `linear`: sizes of further variables, by the character of their keys, in which all factors are almost linear:
         they are relinearized where they moved `FURTHER`.
-        `walls`: the landmarks are walls to be estimated, see `graph.walls.poses`.
+        `walls`: the landmarks are walls to be estimated, see `graph.walls.poses`. `reuses_slots`: gtsam puts factors
+        where others have gone, which it looks for among all there are.
         """
         self.threshold, self.skip, self.qr, self.name = threshold, skip, qr, name
         self.linear, self.walls = dict(linear or {}), walls
         self._sizes = {**SIZES, **(WALL_SIZES if walls else {}), **self.linear}
+        self.reuses_slots = reuses_slots
         self._factors: list[Factor | None] = []
-        self._slot: list[int] = []
+        self._slot = array("q")
         self.isam = self._fresh()
 
     def _fresh(self) -> gtsam.ISAM2:
@@ -73,6 +77,7 @@ class Engine:
         steps = gtsam.ISAM2GaussNewtonParams()
         steps.setWildfireThreshold(WILDFIRE * self.threshold)
         parameters.setOptimizationParams(steps)
+        parameters.findUnusedFactorSlots = self.reuses_slots
         isam = gtsam.ISAM2(parameters)
         # while somebody holds this reference, gtsam hands it to factors in Python, instead of a copy for each
         self.point = isam.getLinearizationPoint()
@@ -104,7 +109,7 @@ class Engine:
         self._factors += factors
         order = None if last is None else _order(last)
         try:
-            self._slot += self.isam.update(graph_of(factors), values, slots, order).getNewFactorsIndices()
+            self._slot.extend(self.isam.update(graph_of(factors), values, slots, order).getNewFactorsIndices())
         except RuntimeError as fault:
             self._recover(fault)
         return handles
@@ -272,7 +277,7 @@ class Engine:
             if "Indeterminate linear system" not in str(fault):
                 raise
             raise self._free(fault) from None
-        self._slot = [-1] * len(self._factors)
+        self._slot = array("q", [-1]) * len(self._factors)
         for h, slot in zip(alive, found.getNewFactorsIndices(), strict=True):
             self._slot[h] = slot
 

@@ -57,12 +57,13 @@ class FixedLagSmoother(Isam2Smoother):
         if not lag >= 0.0 or not slack >= 0.0:
             raise ValueError(f"lag {lag} and slack {slack} must not be negative")
         super().__init__(prior, sensor, known, threshold=threshold, skip=skip, systematic=systematic)
-        self.time, self.lag, self.slack = [0.0], lag, slack
+        self.time, self.lag, self.slack = array("d", [0.0]), lag, slack
         engine = self._engine
         self._window = Window(threshold, skip, qr=engine.qr, name=engine.name, linear=engine.linear, walls=engine.walls)
         self._engine = self._window
         self._oldest = 0
         """First frame that is still in the window."""
+        self._keeps = True
         self._left = array("d")
         """Of each frame that left: pose (3), covariance (3, 3), errors and their sigmas (2, p); 100 bytes or so."""
 
@@ -87,7 +88,8 @@ class FixedLagSmoother(Isam2Smoother):
     def _forget(self, oldest: int) -> None:
         """Marginalize the poses of all frames before `oldest`, with the copies of landmarks seen from them."""
         frames = range(self._oldest, oldest)
-        self._keep(self._end.leaving(self._window, frames))
+        if self._keeps:
+            self._keep(self._end.leaving(self._window, frames))
         keys = [*(X(k) for k in frames), *self._end.forget(oldest)]
         keys += self._observed.alone(frames)
         self._window.marginalize(keys, self._end.keys)
@@ -123,12 +125,18 @@ class FixedLagSmoother(Isam2Smoother):
         self._window.marginalize(gone, self._end.keys)
         self._read()
 
+    def keep_no_path(self) -> None:
+        """Nobody will ask for `finish`: poses that leave the window are forgotten."""
+        self._keeps = False
+
     def finish(self) -> Finished:
         """Every pose as it was when it left the window, those in it as they are now; there is no cost to sum up.
 
         Motion since the last sighting joins the window; nothing is optimized that was not during the run.
         """
         self._complete()
+        if not self._keeps:
+            raise ValueError("its path was not kept")
         self._keep(self._end.leaving(self._window, range(self._oldest, self.frame + 1)))
         kept = np.array(self._left).reshape(self.frame + 1, -1)
         self._oldest = self.frame + 1

@@ -36,7 +36,8 @@ class Window(Engine):
         walls: bool = False,
     ) -> None:
         """As `Engine`."""
-        super().__init__(threshold, skip, qr=qr, name=name, linear=linear, walls=walls)
+        # of points, where a drive of hours is a log, numbers stay those of other slots to the bit
+        super().__init__(threshold, skip, qr=qr, name=name, linear=linear, walls=walls, reuses_slots=walls)
         self._handle: dict[int, int] = {}
         # linear factors that hold about the present linearization point, which is not theirs in a new ISAM2 object
         self._linear: list[int] = []

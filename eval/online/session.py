@@ -26,6 +26,7 @@ from eval.replay.foreign.spec import is_foreign, name_of
 from eval.replay.given import Beginning
 from eval.replay.run import DIVERGED, front_end, through
 from eval.replay.settings import Setup
+from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
 
 ROBOT = Beginning(prior(), SENSOR)
@@ -80,6 +81,8 @@ class Estimating:
             self.front = front_end(name, association, ROBOT, setup)
         except (CannotError, ForeignError) as stop:
             raise UsageError(f"--estimator {self.name}: {stop}") from None
+        if isinstance(self.front.estimator, FixedLagSmoother):
+            self.front.estimator.keep_no_path()
 
     def take(self, frame: Frame) -> Step | None:
         """The next frame; None if it has ended, now or before."""
