@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import gzip
 import hashlib
+import io
 import math
 import zlib
 from collections import Counter
@@ -26,8 +27,9 @@ from pathlib import Path
 
 import numpy as np
 
-from data.errors import DataError
+from data.errors import LARGEST, DataError
 from data.inputs import IntArray
+from data.open_log.archive import DENSEST, LARGE
 from data.open_log.table import Table
 from data.se2 import Array
 
@@ -99,7 +101,7 @@ def content_of(path: Path) -> tuple[bytes, str]:
     """
     try:
         packed = path.read_bytes()
-        content = gzip.decompress(packed) if path.suffix.lower() == ".gz" else packed
+        content = _unpacked(path, packed) if path.suffix.lower() == ".gz" else packed
         return content, hashlib.sha256(packed).hexdigest()
     except gzip.BadGzipFile:
         raise DataError.at(path, "not a gzip file, though named so; pack it, or name it without .gz") from None
@@ -107,6 +109,16 @@ def content_of(path: Path) -> tuple[bytes, str]:
         raise DataError.at(path, f"the gzip file is broken or cut off ({error}); a whole one is needed") from None
     except OSError as error:
         raise DataError.at(path, f"cannot be read: {error.strerror}") from None
+
+
+def _unpacked(path: Path, packed: bytes) -> bytes:
+    """The content of a gzip file, which logs are a fifth or so of; more than any log is not unpacked."""
+    most = max(LARGE, DENSEST * len(packed))
+    with gzip.open(io.BytesIO(packed)) as file:
+        content = file.read(most + 1)
+    if len(content) > most:
+        raise DataError.at(path, f"{len(packed)} bytes that unpack to more than {most}; logs pack to a fifth or so")
+    return content
 
 
 def parse_carmen(path: Path, content: bytes) -> CarmenLines:
@@ -131,7 +143,7 @@ def parse_carmen(path: Path, content: bytes) -> CarmenLines:
             into[0].append(number)
             into[1].append(fields)
         elif fields[0] == b"PARAM":
-            _parameter(fields, parameters)
+            _parameter(path, number, fields, parameters)
         elif not fields[0].startswith(b"#"):
             kind = fields[0].decode("ascii", "replace")
             others[kind if len(kind) <= 30 and kind.isprintable() else "(not text)"] += 1
@@ -146,12 +158,16 @@ def parse_carmen(path: Path, content: bytes) -> CarmenLines:
     return CarmenLines(_odometry(path, *found[ODOM]), scans, parameters, dict(others), np.array(neff, np.int64))
 
 
-def _parameter(fields: Sequence[bytes], into: dict[str, float]) -> None:
+def _parameter(path: Path, line: int, fields: Sequence[bytes], into: dict[str, float]) -> None:
     """Keep `PARAM name value ...` if the value is a number."""
     try:
-        into[fields[1].decode("ascii", "replace")] = float(fields[2])
+        name, value = fields[1].decode("ascii", "replace"), float(fields[2])
     except (IndexError, ValueError):
         return
+    if not abs(value) <= LARGEST:
+        what = f"PARAM {name} is {fields[2][:40].decode('ascii', 'replace')}; a finite number in SI units is needed"
+        raise DataError.at(path, what, line=line)
+    into[name] = value
 
 
 def _odometry(path: Path, lines: list[int], rows: list[list[bytes]]) -> OdometryLines:

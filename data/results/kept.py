@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from data.errors import DataError
+from data.errors import LARGEST, DataError
 from data.inputs import IntArray
 from data.open_log.csv_table import read_table
 from data.open_log.table import FIRST_ROW
@@ -87,7 +87,7 @@ def _decisions(path: Path) -> IntArray:
 
 def _whole(path: Path, name: str, values: Array, least: int) -> IntArray:
     """Whole numbers from `least` up."""
-    bad = np.flatnonzero(~(np.isfinite(values) & (values == np.round(values)) & (values >= least)))
+    bad = np.flatnonzero(~((values == np.round(values)) & (values >= least) & (values <= LARGEST)))
     if len(bad):
         k = int(bad[0])
         what = f"{values[k]:g}; a whole number from {least} up is needed"

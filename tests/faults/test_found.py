@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import struct
 import tracemalloc
@@ -19,6 +20,7 @@ from data.results.reading import read_path
 from data.visual.lab.folder import open_lab
 from tests.data.conftest import small_files
 from tests.data.open_log.test_scans import GOOD
+from tests.data.recordings.carmen_text import SMALL
 from tests.data.visual.lab.handmade import lab
 from tests.faults.mutations import bomb_entry, npy_header
 
@@ -121,6 +123,13 @@ def test_an_image_of_few_bytes_and_many_pixels_gets_no_room(tmp_path):
             open_lab(folder)
 
 
+def test_a_laser_log_has_finite_parameters_and_is_no_bomb(tmp_path):
+    (tmp_path / "a.log").write_text(SMALL.replace("robot_frontlaser_offset 0.25", "robot_frontlaser_offset 1e309"))
+    assert "line 2: PARAM robot_frontlaser_offset is 1e309" in peak(open_log, str(tmp_path / "a.log"))[1]
+    (tmp_path / "b.log.gz").write_bytes(gzip.compress(bytes(200 << 20), mtime=0))
+    assert "unpack to more than" in peak(open_log, str(tmp_path / "b.log.gz"))[1]
+
+
 def test_a_result_without_a_pose_and_a_number_of_many_digits_are_said_in_few_words(tmp_path):
     (tmp_path / "a.csv").write_text("t,x,y,theta\n")
     assert "a header and no pose" in peak(read_path, str(tmp_path / "a.csv"))[1]
@@ -131,6 +140,8 @@ def test_a_result_without_a_pose_and_a_number_of_many_digits_are_said_in_few_wor
 def test_a_landmark_of_a_great_number_needs_no_room_for_all_before(tmp_path):
     (tmp_path / "landmarks.csv").write_text("landmark,x,y\n1000000000000000,1,2\n3,1,2\n")
     assert beside(tmp_path).landmarks.number.tolist() == [1000000000000000, 3]
+    (tmp_path / "landmarks.csv").write_text("landmark,x,y\n1e19,1,2\n")
+    assert "1e+19; a whole number" in peak(beside, tmp_path)[1]
     (tmp_path / "landmarks.csv").write_text("landmark,x,y\n5,1,2\n3,1,2\n5,1,1\n")
     assert "line 4, column landmark: 5 is there twice" in peak(beside, tmp_path)[1]
 

@@ -184,7 +184,7 @@ class _Colours:
 
 def _points(xyz: NDArray[Any]) -> NDArray[np.float32]:
     """Points (H, W, 3) in m from mm, NaN where there is none."""
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):  # a NaN may be a signalling one
         points = np.ascontiguousarray(xyz, np.float32) * MM
     points[~np.isfinite(points).all(axis=-1) | ~points.any(axis=-1)] = np.nan
     return points
