@@ -43,6 +43,9 @@ TAIL = 3
 """Fields at the end of a line: stamp, host, stamp of the logger."""
 ODOM_FIELDS = 1 + 6 + TAIL
 
+PART = 1 << 16
+"""Bytes that are unpacked at a time."""
+
 
 @dataclass(frozen=True)
 class OdometryLines:
@@ -114,11 +117,15 @@ def content_of(path: Path) -> tuple[bytes, str]:
 def _unpacked(path: Path, packed: bytes) -> bytes:
     """The content of a gzip file, which logs are a fifth or so of; more than any log is not unpacked."""
     most = max(LARGE, DENSEST * len(packed))
+    parts, length = [], 0
     with gzip.open(io.BytesIO(packed)) as file:
-        content = file.read(most + 1)
-    if len(content) > most:
-        raise DataError.at(path, f"{len(packed)} bytes that unpack to more than {most}; logs pack to a fifth or so")
-    return content
+        while part := file.read(PART):
+            parts.append(part)
+            length += len(part)
+            if length > most:
+                what = f"{len(packed)} bytes that unpack to more than {most}"
+                raise DataError.at(path, f"{what}; logs pack to a fifth or so")
+    return b"".join(parts)
 
 
 def parse_carmen(path: Path, content: bytes) -> CarmenLines:
