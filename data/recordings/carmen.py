@@ -20,8 +20,9 @@ from data.log import Log
 from data.open_log.relations import read_relations
 from data.open_log.scans import with_returns
 from data.recordings.carmen_corrected import without_corrections
-from data.recordings.carmen_lines import HEAD, SCANS, CarmenLines, ScanLines, content_of, parse_carmen
+from data.recordings.carmen_lines import HEAD, SCANS, CarmenLines, ScanLines, parse_carmen
 from data.recordings.laser import laser_inputs
+from data.recordings.packed import content_of
 from data.se2 import Array, between, inverse
 from data.terminal.words import counted
 from data.truth import Truth

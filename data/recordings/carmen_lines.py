@@ -15,11 +15,7 @@ Source: the CARMEN toolkit's log format (M. Montemerlo, N. Roy, S. Thrun), as it
 
 from __future__ import annotations
 
-import gzip
-import hashlib
-import io
 import math
-import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -29,7 +25,6 @@ import numpy as np
 
 from data.errors import LARGEST, DataError
 from data.inputs import IntArray
-from data.open_log.archive import DENSEST, LARGE
 from data.open_log.table import Table
 from data.se2 import Array
 
@@ -42,9 +37,6 @@ GEOMETRY = slice(1, 4)
 TAIL = 3
 """Fields at the end of a line: stamp, host, stamp of the logger."""
 ODOM_FIELDS = 1 + 6 + TAIL
-
-PART = 1 << 16
-"""Bytes that are unpacked at a time."""
 
 
 @dataclass(frozen=True)
@@ -94,38 +86,6 @@ class CarmenLines:
     parameters: Mapping[str, float]
     left_out: Mapping[str, int]
     neff: IntArray
-
-
-def content_of(path: Path) -> tuple[bytes, str]:
-    """Bytes of a file, unpacked if its name ends in .gz, and the SHA-256 of the file as it is.
-
-    Raises:
-        DataError: the file cannot be read or unpacked.
-    """
-    try:
-        packed = path.read_bytes()
-        content = _unpacked(path, packed) if path.suffix.lower() == ".gz" else packed
-        return content, hashlib.sha256(packed).hexdigest()
-    except gzip.BadGzipFile:
-        raise DataError.at(path, "not a gzip file, though named so; pack it, or name it without .gz") from None
-    except (EOFError, zlib.error) as error:
-        raise DataError.at(path, f"the gzip file is broken or cut off ({error}); a whole one is needed") from None
-    except OSError as error:
-        raise DataError.at(path, f"cannot be read: {error.strerror}") from None
-
-
-def _unpacked(path: Path, packed: bytes) -> bytes:
-    """The content of a gzip file, which logs are a fifth or so of; more than any log is not unpacked."""
-    most = max(LARGE, DENSEST * len(packed))
-    parts, length = [], 0
-    with gzip.open(io.BytesIO(packed)) as file:
-        while part := file.read(PART):
-            parts.append(part)
-            length += len(part)
-            if length > most:
-                what = f"{len(packed)} bytes that unpack to more than {most}"
-                raise DataError.at(path, f"{what}; logs pack to a fifth or so")
-    return b"".join(parts)
 
 
 def parse_carmen(path: Path, content: bytes) -> CarmenLines:
