@@ -102,7 +102,7 @@ def _variety(out: Path, half: str | None, worlds: int) -> None:
     for row in measure_all(chosen, read(file)):
         append(row, file)
         print(line_of(row), flush=True)
-    rows = [r for r in read(file) if r.index in set(chosen)]
+    rows = [r for r in read(file) if r.number in set(chosen)]
     print("\n".join(table(rows)), flush=True)
     save(variety_figure(worlds_of(rows)), out, "variety")
 

@@ -42,11 +42,12 @@ OK = "ok"
 class Row(NamedTuple):
     """One method on one world.
 
-    rmse_m: of the positions; fp, fn: decisions, of `readings`; landmarks: in the map in the end; visible: true ones
-    read at least once, often: at least three times; seconds: wall time; status: that of the run, or `SLOW`.
+    number: the world's index; rmse_m: of the positions; fp, fn: decisions, of `readings`; landmarks: in the map in the
+    end; visible: true ones read at least once, often: at least three times; seconds: wall time; status: that of the
+    run, or `SLOW`.
     """
 
-    index: int
+    number: int
     method: str
     world: str
     frames: int
@@ -108,7 +109,7 @@ def measure_all(
     indices: Sequence[int], done: Sequence[Row], limit: float = LIMIT, methods: Sequence[str] = METHODS
 ) -> Iterator[Row]:
     """The methods on the worlds of these indices, without what is done; compiled code is loaded before."""
-    known = {(r.index, r.method) for r in done}
+    known = {(r.number, r.method) for r in done}
     warm = named_log("arena:0:frames=20")
     for method in methods:
         measure(warm, -1, "arena", method)
@@ -143,7 +144,7 @@ def append(row: Row, path: Path) -> None:
 def line_of(row: Row) -> str:
     """A row as a line of text."""
     return (
-        f"{row.index:3d} {row.world:8s} {row.method:14s} {row.frames:5d} frames {row.readings:6d} readings:"
+        f"{row.number:3d} {row.world:8s} {row.method:14s} {row.frames:5d} frames {row.readings:6d} readings:"
         f" RMSE {row.rmse_m:8.3f} m, FP {100 * row.fp / max(row.readings, 1):5.1f} %,"
         f" landmarks {row.landmarks:4d} of {row.visible:4d}, {row.seconds:6.1f} s, {row.status}"
     )

@@ -103,9 +103,8 @@ def draw(index: int) -> Drawn:
         paired=_linear(rng, 0.05, 0.5) if rng.random() < 0.5 else 0.0,
         spacing=_log(rng, 0.2, 20.0),
     )
-    misstated = Misstated(
-        *(_factor(rng, FACTOR, 0.75) for _ in range(3)), *(_factor(rng, 1.4, 1 / 3) for _ in range(2))
-    )
+    sigmas = (_factor(rng, FACTOR, 0.75) for _ in range(3))
+    misstated = Misstated(*sigmas, *(_factor(rng, 1.4, 1 / 3) for _ in range(2)))
     values = {**_odometry(rng), **{"arena": _arena, "park": _park, "corridor": _corridor}[kind](rng, large)}
     if values.get("people"):
         readings = replace(readings, clutter=0.0)
