@@ -101,7 +101,21 @@ def table(rows: Sequence[Row]) -> list[str]:
             f" {_fp([w.jcbb for w in of]):.1f} % | {_fp([w.hindsight for w in of]):.1f} % | {near.value:.0%} |"
             f" {np.mean([abs(w.jcbb.landmarks / w.jcbb.visible - 1.0) <= NEAR for w in of]):.0%} |"
         )
-    return [*lines, "", *(f"{'met' if g.met else 'MISSED'}: {g.says}: {g.value:.2f}" for g in goals(worlds))]
+    lines += ["", *(f"{'met' if g.met else 'MISSED'}: {g.says}: {g.value:.2f}" for g in goals(worlds))]
+    shown = [w for w in worlds if w.known is not None]
+    if shown:
+        ours, plain = (_as_with_labels(shown, method) for method in (HINDSIGHT, JCBB))
+        lines.append(f"RMSE at most {WORSE:g} times that with labels: {ours:.0%} of the worlds, {JCBB} {plain:.0%}")
+    return lines
+
+
+def _as_with_labels(worlds: Sequence[World], method: str) -> float:
+    """Share of the worlds where a method's RMSE is at most `WORSE` times that with labels."""
+    good = []
+    for w in worlds:
+        row = w.hindsight if method == HINDSIGHT else w.jcbb
+        good.append(w.known is not None and row.rmse_m <= WORSE * w.known.rmse_m)
+    return float(np.mean(good))
 
 
 def _fp(rows: Sequence[Row]) -> float:
