@@ -1,8 +1,8 @@
-"""Which landmarks of a finished map cannot be told from a neighbour: too near for what is known of both, and for a reading.
+"""Which landmarks of a finished map cannot be told from a neighbour: a reading of the one could be one of the other.
 
-Two landmarks are told apart where one frame saw both, or where a reading of the one would lie outside a gate of the other.
-Only marginal covariances are at hand; the correlation of neighbours would make their difference better known, so that
-where a map is badly known more is called ambiguous than need be, never less.
+Two landmarks are told apart where one frame saw both, or where their difference is significant given the covariances of
+both and of a reading. Only marginal covariances are at hand; of neighbours, whose errors are alike, they overstate that
+of the difference, so that where a map is badly known rather too many are called ambiguous.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def variance_of(m: MapEstimate, number: IntArray, variance: Array) -> Array:
 
 
 def neighbours(m: MapEstimate, variance: Array, number: IntArray, frame: IntArray) -> IntArray:
-    """The same from the landmarks' reading variance (L,) [m^2], and the number and frame of each paired reading (M,)."""
+    """The same from the variance of a reading of each landmark (L,) [m^2], number and frame of all readings (M,)."""
     found = np.full(len(m), NONE, np.int64)
     pairs = _near(m, variance)
     if not len(pairs):
@@ -79,4 +79,5 @@ def _near(m: MapEstimate, variance: Array) -> IntArray:
     S = m.covariance[i] + m.covariance[j] + np.maximum(variance[i], variance[j])[:, None, None] * np.eye(2)
     d = m.xy[i] - m.xy[j]
     square = np.einsum("ka,ka->k", d, np.linalg.solve(S, d[:, :, None])[:, :, 0])
-    return rows[square < threshold].astype(np.int64)
+    near: IntArray = rows[square < threshold]
+    return near
