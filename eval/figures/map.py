@@ -115,7 +115,7 @@ def _map_figure(log: Log, runs: Sequence[Run], width: float, surveyed: Surveyed 
         draw_ellipses(ax, m.xy, m.covariance, s.colour, factor, 3.5)
         unclear = m.xy[ambiguous(s.run, log.recorded) >= 0]
         if len(unclear):
-            ax.plot(*unclear.T, "D", color=s.colour, fillstyle="none", markersize=6.0, markeredgewidth=0.8, zorder=4.5)
+            ax.plot(*unclear.T, "D", color="black", fillstyle="none", markersize=9.0, markeredgewidth=0.8, zorder=5.2)
             doubtful = True
         if numbered:
             _landmark_ids(ax, m.number, m.xy, view)
@@ -126,7 +126,7 @@ def _map_figure(log: Log, runs: Sequence[Run], width: float, surveyed: Surveyed 
     handles += _ellipse_handles(*drawn, factor, len(estimates) < len(others))
     if doubtful:
         handles.append(
-            Line2D([], [], color=GREY, marker="D", fillstyle="none", linestyle="none", label="ambiguous landmarks")
+            Line2D([], [], color="black", marker="D", fillstyle="none", linestyle="none", label="ambiguous landmarks")
         )
     if maps and not points_seen:
         handles.append(Line2D([], [], color=GREY, linewidth=0.7, label="estimated landmarks"))
