@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from data.errors import UsageError
 from data.terminal.ending import ended
 
 if TYPE_CHECKING:
@@ -41,8 +42,23 @@ def _benchmark(argv: Sequence[str] | None, prog: str) -> None:
         action="store_true",
         help="instead: errors, consistency and loop closures of 50 simulated floor plans",
     )
+    p.add_argument(
+        "--variety",
+        metavar="OUT",
+        type=Path,
+        help="instead: jcbb and jcbb-hindsight on 200 simulated worlds, to OUT/variety.csv (an interrupted one goes on)"
+        " and OUT/variety.png",
+    )
+    p.add_argument("--half", choices=("judge", "choose"), help="with --variety: those to judge on, or to choose on")
+    p.add_argument("--worlds", type=int, metavar="N", help="with --variety: the first N of them (default: all)")
     args = p.parse_args(argv)
     quick = args.quick
+    if args.variety is not None:
+        _variety(args.variety, args.half, args.worlds if args.worlds is not None else 10 if quick else 200)
+        return
+    for flag in ("half", "worlds"):
+        if getattr(args, flag) is not None:
+            raise UsageError(f"--{flag} is for --variety")
     if args.laser:
         from eval.benchmarks.laser import SEEDS, measure_plans, plan_lines
 
@@ -70,6 +86,25 @@ def _large(out: Path, quick: bool) -> None:
         found.append(m)
         write(found, out / "large.csv")
     save(scaling_figure(found), out, "large")
+
+
+def _variety(out: Path, half: str | None, worlds: int) -> None:
+    """Run what is not in the file yet, a line each as they come; then the goals, and the figure."""
+    from eval.benchmarks.variety.figure import variety_figure
+    from eval.benchmarks.variety.goals import table, worlds_of
+    from eval.benchmarks.variety.measure import append, line_of, measure_all, read
+    from eval.figures.style import save
+    from eval.studies.variety.draw import indices
+
+    chosen = indices(half, worlds)
+    out.mkdir(parents=True, exist_ok=True)
+    file = out / "variety.csv"
+    for row in measure_all(chosen, read(file)):
+        append(row, file)
+        print(line_of(row), flush=True)
+    rows = [r for r in read(file) if r.number in set(chosen)]
+    print("\n".join(table(rows)), flush=True)
+    save(variety_figure(worlds_of(rows)), out, "variety")
 
 
 def _measured(quick: bool) -> Iterator[list[Timed]]:

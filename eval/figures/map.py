@@ -13,6 +13,7 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
+from association.evidence.ambiguity import ambiguous
 from data.inputs import IntArray
 from data.log import Log
 from data.result import Run
@@ -104,6 +105,7 @@ def _map_figure(log: Log, runs: Sequence[Run], width: float, surveyed: Surveyed 
         handles += ax.plot(*known.xy.T, "k+", markersize=6.0, markeredgewidth=1.0, label=name, zorder=4)
         if len(known.id) <= MOST_IDS:
             _landmark_ids(ax, known.id, known.xy, view)
+    doubtful = False
     for s, m in maps:
         numbered = known is None and len(m) <= MOST_IDS and s is maps[0][0]
         if not points_seen:
@@ -111,6 +113,10 @@ def _map_figure(log: Log, runs: Sequence[Run], width: float, surveyed: Surveyed 
             continue
         ax.plot(*m.xy.T, "o", color=s.colour, markersize=2.0, zorder=4)
         draw_ellipses(ax, m.xy, m.covariance, s.colour, factor, 3.5)
+        unclear = m.xy[ambiguous(s.run, log.recorded) >= 0]
+        if len(unclear):
+            ax.plot(*unclear.T, "D", color="black", fillstyle="none", markersize=9.0, markeredgewidth=0.8, zorder=5.2)
+            doubtful = True
         if numbered:
             _landmark_ids(ax, m.number, m.xy, view)
     for s, mean, covariance in poses:
@@ -118,6 +124,10 @@ def _map_figure(log: Log, runs: Sequence[Run], width: float, surveyed: Surveyed 
     others = [s for s in shown if s.run.estimator != "dead-reckoning" and s.run.flaw is None]
     drawn = bool(maps) and points_seen, any(len(m) for _, m, _ in poses)
     handles += _ellipse_handles(*drawn, factor, len(estimates) < len(others))
+    if doubtful:
+        handles.append(
+            Line2D([], [], color="black", marker="D", fillstyle="none", linestyle="none", label="ambiguous landmarks")
+        )
     if maps and not points_seen:
         handles.append(Line2D([], [], color=GREY, linewidth=0.7, label="estimated landmarks"))
 

@@ -15,6 +15,7 @@ from eval.report import comparison
 from eval.report.differences import CAPTION as DIFFERENCES_CAPTION
 from eval.report.differences import FINE as DIFFERENCES_FINE
 from eval.report.differences import differences_table, missing_intervals
+from eval.report.doubt.ambiguity import ambiguity_statements
 from eval.report.doubt.minima import minima_statements
 from eval.report.doubt.naming import naming_statements
 from eval.report.films import films_of
@@ -83,7 +84,7 @@ def trial_sections(
         if options.animate:
             blocks += [film for t in (trial, *others) for film in films_of(folder, t)]
         notes = [*trial.log.notes, *(f"{r.estimator}: {n}." for r in trial.runs for n in r.notes)]
-        notes += [f"{text}." for text in minima_statements(trial)]
+        notes += [f"{text}." for text in (*minima_statements(trial), *ambiguity_statements(trial))]
         if notes:
             blocks.append(Folded(NOTES, ("\n".join(f"* {n}" for n in dict.fromkeys(notes)),)))
         sections.append(Section(f"{trial.log.name}, {trial.task}", tuple(blocks)))

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from association.evidence.ambiguity import ambiguous
 from association.scans.laser_run import SCAN, LaserRun
 from data.log import folder_name
 from data.result import Run, Systematics, Trajectory
@@ -92,11 +93,12 @@ def _write_map(place: Path, trial: Trial, run: Run) -> None:
             return
         raise AssertionError(f"{run.estimator} did SLAM but returned no map")
     ids = landmark_true_ids(run.created, trial.log.truth, m.number)
+    near = ambiguous(run, trial.log.recorded)
     table = pd.DataFrame({
         "landmark": m.number, "x": m.xy[:, 0], "y": m.xy[:, 1], "c_xx": m.covariance[:, 0, 0],
         "c_xy": m.covariance[:, 0, 1], "c_yy": m.covariance[:, 1, 1],
         "true_id": pd.Series(ids, dtype=object).where(ids >= -1, None), "first_frame": m.first_frame,
-        "times_seen": m.times_seen,
+        "times_seen": m.times_seen, "ambiguous": pd.Series(near, dtype=object).where(near >= 0, None),
     })  # fmt: skip
     of_runs.LANDMARKS.write(table, place)
 

@@ -68,6 +68,11 @@ LANDMARKS = File(
         count("true_id", "true id of the observation that initialized it; -1: that observation was clutter"),
         count("first_frame", "frame in which it was initialized"),
         count("times_seen", "observations paired with it, the first included"),
+        count(
+            "ambiguous",
+            "number of the nearest landmark that it cannot be told from: no frame saw both, and their difference is"
+            " within the 99 % gate of their covariances and a reading's; blank: there is none",
+        ),
     ),
 )
 DECISIONS = File(

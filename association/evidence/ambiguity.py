@@ -1,0 +1,83 @@
+"""Which landmarks of a finished map cannot be told from a neighbour: a reading of the one could be one of the other.
+
+Two landmarks are told apart where one frame saw both, or where their difference is significant given the covariances of
+both and of a reading. Only marginal covariances are at hand; of neighbours, whose errors are alike, they overstate that
+of the difference, so that where a map is badly known rather too many are called ambiguous.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from association.expectation import gate_threshold
+from data.inputs import Inputs, IntArray
+from data.result import MapEstimate, Run, surviving
+from data.se2 import Array
+
+GATE = 0.99
+"""Chi-square probability inside which a difference is not significant."""
+NONE = -1
+"""For a landmark that can be told from all others."""
+
+
+def ambiguous(run: Run, inputs: Inputs) -> IntArray:
+    """For each landmark (L,) of a run's map the number of the nearest that it cannot be told from, or `NONE`.
+
+    All `NONE` for walls, and where the decisions are not about the observations of these inputs.
+    """
+    m, o = run.map, inputs.observations
+    if m is None or len(m) < 2 or run.walls or len(run.final_decisions) != len(o.frame) or not len(o.frame):
+        return np.full(0 if m is None else len(m), NONE, np.int64)
+    created = surviving(run.final_decisions, run.created)
+    number = np.where(created >= 0, created, run.final_decisions)
+    seen = np.flatnonzero(number >= 0)
+    _, covariance = inputs.sensor.body_points(o.z[seen], o.R[seen])
+    variance = 0.5 * np.trace(covariance, axis1=1, axis2=2)
+    return neighbours(m, variance_of(m, number[seen], variance), number[seen], o.frame[seen])
+
+
+def variance_of(m: MapEstimate, number: IntArray, variance: Array) -> Array:
+    """Mean variance [m^2] of the readings of each landmark (L,), of readings (M,) of these numbers; 0 without any."""
+    size = int(max(m.number.max(initial=-1), number.max(initial=-1))) + 1
+    count = np.bincount(number, minlength=size)
+    total = np.bincount(number, weights=variance, minlength=size)
+    mean: Array = (total / np.maximum(count, 1))[m.number]
+    return mean
+
+
+def neighbours(m: MapEstimate, variance: Array, number: IntArray, frame: IntArray) -> IntArray:
+    """The same from the variance of a reading of each landmark (L,) [m^2], number and frame of all readings (M,)."""
+    found = np.full(len(m), NONE, np.int64)
+    pairs = _near(m, variance)
+    if not len(pairs):
+        return found
+    order = np.lexsort((frame, number))
+    number, frame = number[order], frame[order]
+    begin, end = np.searchsorted(number, m.number, "left"), np.searchsorted(number, m.number, "right")
+    distance = np.linalg.norm(m.xy[pairs[:, 0]] - m.xy[pairs[:, 1]], axis=1)
+    for i, j in pairs[np.argsort(-distance, kind="stable")].tolist():  # the nearest last, which stays
+        if not np.isin(frame[begin[i] : end[i]], frame[begin[j] : end[j]]).any():
+            found[i], found[j] = m.number[j], m.number[i]
+    return found
+
+
+def _near(m: MapEstimate, variance: Array) -> IntArray:
+    """Rows (K, 2) of the landmarks whose difference is not significant, each pair once."""
+    threshold = gate_threshold(GATE)
+    size = np.linalg.eigvalsh(m.covariance)[:, -1]
+    known = np.flatnonzero(np.isfinite(m.xy).all(axis=1) & np.isfinite(size))
+    xy, size = m.xy[known], size[known]
+    # a pair is found from the landmark that is known worse, whose circle holds all that can be near it
+    reach = np.sqrt(threshold * (2.0 * np.maximum(size, 0.0) + variance.max(initial=0.0)))
+    around = cKDTree(xy).query_ball_point(xy, reach) if len(xy) else []
+    pairs = {(min(i, j), max(i, j)) for i, near in enumerate(around) for j in near if i != j}
+    if not pairs:
+        return np.empty((0, 2), np.int64)
+    rows = known[np.array(sorted(pairs))]
+    i, j = rows.T
+    S = m.covariance[i] + m.covariance[j] + np.maximum(variance[i], variance[j])[:, None, None] * np.eye(2)
+    d = m.xy[i] - m.xy[j]
+    square = np.einsum("ka,ka->k", d, np.linalg.solve(S, d[:, :, None])[:, :, 0])
+    near: IntArray = rows[square < threshold]
+    return near

@@ -1,0 +1,178 @@
+"""Draws a variety of worlds by index: arenas, parks and corridors, their readings, and what is misstated of them.
+
+Of `WORLDS` worlds, those of even index are there to choose settings on, those of odd index to judge them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from data.worlds import registry
+from data.worlds.names import name_of
+
+WORLDS = 200
+STREAM = 0x7A41E7
+"""Sets these random numbers apart from those of the worlds, whose seeds are the same indices."""
+KINDS = ("arena", "park", "corridor")
+LARGE = 25
+"""Of so many worlds in a row the last two, one of each half, are large."""
+CHOOSE, JUDGE = "choose", "judge"
+FACTOR = 4.0
+"""By so much a sigma is misstated at most, up or down."""
+
+
+@dataclass(frozen=True)
+class Readings:
+    """How landmarks are read.
+
+    Attributes:
+        sigma_range: m, sigma_bearing: rad, noise as it is.
+        detection: probability that a landmark in view is read.
+        clutter: share of the readings that are of no landmark.
+    """
+
+    sigma_range: float
+    sigma_bearing: float
+    detection: float = 1.0
+    clutter: float = 0.0
+
+
+@dataclass(frozen=True)
+class Crowding:
+    """Where landmarks stand.
+
+    Attributes:
+        kept: share of the world's landmarks that are there.
+        paired: share of those that get a neighbour.
+        spacing: of a landmark and its neighbour, in sigmas of the sensor at half its range.
+        most: landmarks, neighbours included.
+    """
+
+    kept: float = 1.0
+    paired: float = 0.0
+    spacing: float = math.inf
+    most: int = 1000
+
+
+@dataclass(frozen=True)
+class Misstated:
+    """Stated as a multiple of what is: sigmas of odometry, ranges and bearings; range and opening angle of the view."""
+
+    odometry: float = 1.0
+    range: float = 1.0
+    bearing: float = 1.0
+    view_range: float = 1.0
+    view_angle: float = 1.0
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A world of the variety: the simulated log its path and odometry are from, and everything that is changed."""
+
+    index: int
+    name: str
+    readings: Readings
+    crowding: Crowding
+    misstated: Misstated
+
+    @property
+    def half(self) -> str:
+        """What the world is there for."""
+        return CHOOSE if self.index % 2 == 0 else JUDGE
+
+
+def indices(half: str | None, worlds: int) -> list[int]:
+    """The first `worlds` indices of a half, or of both (None)."""
+    every = {None: range(WORLDS), CHOOSE: range(0, WORLDS, 2), JUDGE: range(1, WORLDS, 2)}[half]
+    return list(every[:worlds])
+
+
+def draw(index: int) -> Drawn:
+    """The world of an index. Same index: same world."""
+    rng = np.random.default_rng([index, STREAM])
+    kind = KINDS[index // 2 % len(KINDS)]
+    large = index // 2 % LARGE == LARGE - 1
+    readings = Readings(
+        _log(rng, 0.02, 0.2), _log(rng, 0.005, 0.04), _linear(rng, 0.5, 1.0, 0.7), _linear(rng, 0.0, 0.2, 0.7)
+    )
+    crowding = Crowding(
+        kept=_log(rng, 0.1, 1.0) if kind == "corridor" else 1.0,
+        paired=_linear(rng, 0.05, 0.5) if rng.random() < 0.5 else 0.0,
+        spacing=_log(rng, 0.2, 20.0),
+    )
+    sigmas = (_factor(rng, FACTOR, 0.75) for _ in range(3))
+    misstated = Misstated(*sigmas, *(_factor(rng, 1.4, 1 / 3) for _ in range(2)))
+    values = {**_odometry(rng), **{"arena": _arena, "park": _park, "corridor": _corridor}[kind](rng, large)}
+    if values.get("people"):
+        readings = replace(readings, clutter=0.0)
+    name = name_of(kind, registry.parameters_of(kind)(**values), index)
+    return Drawn(index, name, readings, crowding, misstated)
+
+
+def _odometry(rng: np.random.Generator) -> dict[str, float]:
+    """Systematic errors of the odometry, in two worlds of three."""
+    limits = {"scale": 0.05, "curvature": 0.02, "left": 0.05, "right": 0.05}
+    erring = rng.random() < 2 / 3
+    values = {key: _linear(rng, -most, most) for key, most in limits.items()}
+    values["drift"] = _linear(rng, 0.0, 0.01, 0.5)
+    return values if erring else {}
+
+
+def _arena(rng: np.random.Generator, large: bool) -> dict[str, object]:
+    """5 to 1000 landmarks, about 3 to 12 of them in view."""
+    landmarks = 1000 if large else round(_log(rng, 5.0, 400.0))
+    apart = _log(rng, 0.6, 1.2 if large else 4.0)
+    view = float(rng.choice([90.0, 180.0, 270.0, 360.0]))
+    side = max(apart * math.sqrt(landmarks), 6.0)
+    reach = side * math.sqrt(_log(rng, 3.0, 12.0) / landmarks * 360.0 / view / math.pi)
+    return {
+        "landmarks": landmarks, "side": _short(side), "radius": _short(min(max(side / 3.0, 3.0), 15.0)),
+        "frames": 600 if large else round(_log(rng, 150.0, 600.0)),
+        "max_range": _short(min(max(reach, 2.0), 20.0)),
+        "field_of_view": _short(math.radians(view)),
+        "sigma_v": _log(rng, 0.02, 0.1), "sigma_omega": _log(rng, 0.005, 0.04),
+    }  # fmt: skip
+
+
+def _park(rng: np.random.Generator, large: bool) -> dict[str, object]:
+    return {
+        "frames": 2000 if large else round(_log(rng, 200.0, 600.0)), "block": int(rng.integers(20, 41)),
+        "spacing": _log(rng, 2.0, 8.0), "max_range": _linear(rng, 8.0, 18.0),
+        "field_of_view": float(rng.choice([120.0, 180.0, 360.0])),
+        "sigma_v": _log(rng, 0.02, 0.1), "sigma_omega": _log(rng, 0.005, 0.02),
+    }  # fmt: skip
+
+
+def _corridor(rng: np.random.Generator, large: bool) -> dict[str, object]:
+    """One to five laps (ten of a large one), in a third of the worlds among people, who are clutter enough."""
+    size, turn = _log(rng, 0.5, 2.0), math.radians(_log(rng, 1.0, 3.0))
+    return {
+        "frames": 440 if large else round(_log(rng, 44.0, 220.0)), "people": bool(rng.random() < 1 / 3),
+        "range": _linear(rng, 3.0, 7.0), "sx_move": _short(0.01 * size), "sy_move": _short(0.01 * size),
+        "stheta_move": turn, "sx_turn": _short(0.03 * size), "sy_turn": _short(0.03 * size),
+        "stheta_turn": turn,
+    }  # fmt: skip
+
+
+def _short(value: float) -> float:
+    """To four significant digits, so that names stay short."""
+    return float(f"{value:.4g}")
+
+
+def _log(rng: np.random.Generator, low: float, high: float) -> float:
+    return _short(math.exp(rng.uniform(math.log(low), math.log(high))))
+
+
+def _linear(rng: np.random.Generator, low: float, high: float, share: float = 1.0) -> float:
+    """Uniform in a share of the worlds, in the others the ideal end: 1 if that is the upper one, else the lower."""
+    value, drawn = _short(rng.uniform(low, high)), rng.random() < share
+    return value if drawn else high if high == 1.0 else low
+
+
+def _factor(rng: np.random.Generator, most: float, share: float) -> float:
+    """From 1 / most to most in a share of the worlds, else 1."""
+    value, drawn = _log(rng, 1.0 / most, most), rng.random() < share
+    return value if drawn else 1.0

@@ -1,0 +1,42 @@
+"""The report says how many landmarks cannot be told from a neighbour, and nothing where all can."""
+
+from __future__ import annotations
+
+import pytest
+
+from data.worlds.corridor import Corridor, simulate
+from eval.figures.map import map_figure
+from eval.referee.score import Trial
+from eval.replay.run import compare
+from eval.report.doubt.ambiguity import ambiguity_statements
+from eval.report.run_files import write_run
+
+LOG = simulate(Corridor(people=True), 0)
+
+
+@pytest.fixture(scope="module")
+def trial():
+    return Trial(LOG, "slam", tuple(compare(LOG.inputs(), "slam", ["ekf"], "jcbb")))
+
+
+def legend(fig):
+    return [text.get_text() for each in fig.legends for text in each.get_texts()]
+
+
+def test_what_is_ambiguous_is_said_written_and_marked(trial, tmp_path):
+    (text,) = ambiguity_statements(trial)
+    assert text.startswith("ekf with jcbb: 2 of 109 landmarks cannot be told from a neighbour")
+    assert "ambiguous landmarks" in legend(map_figure(LOG, trial.runs))
+    write_run(tmp_path, trial, trial.runs[0])
+    (path,) = tmp_path.rglob("landmarks.csv")
+    head, *rows = [line.split(",") for line in path.read_text().splitlines()]
+    named = {row[0]: row[-1] for row in rows if row[-1]}
+    assert head[-1] == "ambiguous"
+    assert len(named) == 2
+    assert all(named[other] == number for number, other in named.items())
+
+
+def test_where_all_can_be_told_apart_nothing_is_said():
+    runs = tuple(compare(LOG.inputs(labels=True), "slam", ["ekf"]))
+    assert ambiguity_statements(Trial(LOG, "slam", runs)) == []
+    assert "ambiguous landmarks" not in legend(map_figure(LOG, runs))
