@@ -17,6 +17,8 @@ from data.se2 import Array
 
 GATE = 0.99
 """Chi-square probability inside which a difference is not significant."""
+MOST = 32
+"""Neighbours of a landmark that are looked at, the nearest ones: of a map that is lost all would be."""
 NONE = -1
 """For a landmark that can be told from all others."""
 
@@ -70,11 +72,13 @@ def _near(m: MapEstimate, variance: Array) -> IntArray:
     xy, size = m.xy[known], size[known]
     # a pair is found from the landmark that is known worse, whose circle holds all that can be near it
     reach = np.sqrt(threshold * (2.0 * np.maximum(size, 0.0) + variance.max(initial=0.0)))
-    around = cKDTree(xy).query_ball_point(xy, reach) if len(xy) else []
-    pairs = {(min(i, j), max(i, j)) for i, near in enumerate(around) for j in near if i != j}
-    if not pairs:
+    if len(xy) < 2:
         return np.empty((0, 2), np.int64)
-    rows = known[np.array(sorted(pairs))]
+    distance, around = cKDTree(xy).query(xy, k=min(MOST + 1, len(xy)))
+    first, which = np.nonzero(distance <= reach[:, None])
+    second = np.asarray(around)[first, which]
+    pairs = np.unique(np.sort(np.stack([first, second], axis=1)[first != second], axis=1), axis=0)
+    rows = known[pairs]
     i, j = rows.T
     S = m.covariance[i] + m.covariance[j] + np.maximum(variance[i], variance[j])[:, None, None] * np.eye(2)
     d = m.xy[i] - m.xy[j]
