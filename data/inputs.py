@@ -296,23 +296,3 @@ class Inputs:
         """The same inputs for an estimator that must find the pairings itself."""
         o = self.observations
         return replace(self, observations=Observations(o.frame, o.z, o.R))
-
-
-def floor_covariances(covariance: Array, floor: float) -> tuple[Array, int]:
-    """Add floor * I to every increment covariance (N, 3, 3), row 0 aside, whose smallest eigenvalue is below `floor`.
-
-    Singular increments (a robot at rest, one odometry sample) are harmless in a filter and fatal in an information
-    form; doing it here once keeps filter and smoother on the same numbers. A floored covariance comes back as it is,
-    so a log written and read again stays the same bit for bit. Returns the covariances and the count.
-    """
-    result = np.array(covariance, float)
-    if floor <= 0.0 or len(result) < 2:
-        return result, 0
-    smallest, _, largest = np.linalg.eigvalsh(result).T
-    # the slack is what adding the floor and taking the eigenvalues may lose to rounding
-    low = smallest < floor * (1.0 - 1e-6) - 1e-15 * largest
-    low[0] = False
-    # a matrix can be indefinite by rounding: that is made up for, or the floor would not be reached
-    lift = floor + np.maximum(-smallest[low], 0.0)
-    result[low] += lift[:, None, None] * np.eye(3)
-    return result, int(low.sum())

@@ -34,12 +34,12 @@ UNFIT = {
 }
 FIT = tuple(name for name in ASSOCIATIONS if name not in UNFIT)
 SHARED = (
-    replace(TABLE["estimator"], help=f"of {', '.join(STEPPING)}, or your own (default: ekf)"),
+    replace(TABLE["estimator"], help=f"of {', '.join(STEPPING)}, or your own (default: ekf-fej)"),
     replace(TABLE["association"], metavar="NAME", help=f"of {', '.join(FIT)}, or your own (default: jcbb)"),
     *(TABLE[name] for name in ("gate", "new_gate", "in_view", "forget_after", "deactivate_after", "lag")),
 )
 """Flags that mean what they mean in `eval.run_all`. `--maintain` is none: a wall is seen in one frame of five."""
-DEFAULTS = {"estimator": "ekf", "association": "jcbb"}
+DEFAULTS = {"estimator": "ekf-fej", "association": "jcbb"}
 REPORT = "-report"
 EXAMPLES = """\
 examples:

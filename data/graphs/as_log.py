@@ -6,8 +6,9 @@ import numpy as np
 
 from data.errors import DataError
 from data.graphs.g2o import BEARING, MOTION, SIGHTING, Edges, Graph, turned
-from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations, Prior, floor_covariances
+from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import Log
+from data.motion.floor import floor_covariances
 from data.recordings.wheel_odometry import FLOOR
 from data.se2 import Array, inverse, wrap_angle
 from data.sensors import RangeBearing, RelativePoint, Sensor

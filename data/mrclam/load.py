@@ -16,8 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from data.errors import DataError, UsageError
-from data.inputs import CLUTTER, Increments, Inputs, LandmarkMap, Observations, Prior, floor_covariances
+from data.inputs import CLUTTER, Increments, Inputs, LandmarkMap, Observations, Prior
 from data.log import Log
+from data.motion.floor import floor_covariances
 from data.motion.velocity import VelocityModel
 from data.mrclam.calibration import FROZEN, Calibration
 from data.mrclam.files import Files, open_files, robot_file

@@ -24,8 +24,9 @@ from typing import NamedTuple
 import numpy as np
 
 from data.errors import DataError
-from data.inputs import UNLABELLED, Increments, Inputs, IntArray, Observations, Scans, floor_covariances
+from data.inputs import UNLABELLED, Increments, Inputs, IntArray, Observations, Scans
 from data.log import Log
+from data.motion.floor import floor_covariances
 from data.motion.velocity import VelocityModel, preintegrate
 from data.open_log.csv_table import read_table
 from data.open_log.header import Header, read_header

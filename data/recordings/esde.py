@@ -15,8 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from data.errors import DataError
-from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior, floor_covariances
+from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
 from data.log import Log
+from data.motion.floor import floor_covariances
 from data.se2 import Array, wrap_angle
 from data.sensors import RelativePoint
 from data.truth import Truth

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from data.inputs import Increments, floor_covariances
+from data.inputs import Increments
+from data.motion.floor import floor_covariances
 from data.se2 import Array, between
 
 TRANSLATION_PER_METRE, TRANSLATION_PER_RADIAN = 0.05, 0.05

@@ -10,8 +10,9 @@ import numpy as np
 
 from data import se2
 from data.errors import DataError, UsageError
-from data.inputs import Inputs, IntArray, LandmarkMap, Observations, Prior, floor_covariances
+from data.inputs import Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import Log
+from data.motion.floor import floor_covariances
 from data.recordings.wheel_odometry import FLOOR
 from data.se2 import Array
 from data.sensors import RangeBearing, RelativePoint, Sensor

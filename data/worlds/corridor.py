@@ -17,8 +17,9 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 
 from data.errors import UsageError
-from data.inputs import CLUTTER, Increments, Inputs, IntArray, Observations, Prior, floor_covariances
+from data.inputs import CLUTTER, Increments, Inputs, IntArray, Observations, Prior
 from data.log import Log
+from data.motion.floor import floor_covariances
 from data.open_log.motion_prior import ConstantVelocityPrior, ForwardPrior, MotionPrior, note_of
 from data.se2 import Array
 from data.sensors import RelativePoint

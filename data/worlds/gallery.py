@@ -14,8 +14,9 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from data import se2
-from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior, floor_covariances, read_only
+from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior, read_only
 from data.log import Log
+from data.motion.floor import floor_covariances
 from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
 from data.pictures import CORNERS, VisualSetup
 from data.se2 import Array

@@ -18,8 +18,9 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from data import se2
-from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior, floor_covariances
+from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
 from data.log import Log
+from data.motion.floor import floor_covariances
 from data.se2 import Array
 from data.sensors import RelativePoint
 from data.truth import Truth

@@ -18,8 +18,9 @@ from scipy.spatial import cKDTree
 
 from data import se2
 from data.errors import UsageError
-from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations, Prior, floor_covariances
+from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import Log
+from data.motion.floor import floor_covariances
 from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
 from data.se2 import Array
 from data.sensors import RangeBearing

@@ -18,7 +18,8 @@ import numpy as np
 
 from data import se2
 from data.errors import UsageError
-from data.inputs import Increments, Inputs, LabelledObservations, floor_covariances
+from data.inputs import Increments, Inputs, LabelledObservations
+from data.motion.floor import floor_covariances
 from data.motion.velocity import WITH_ALPHAS, VelocityNoise, preintegrate
 from data.se2 import Array
 from data.sensors import RangeBearing

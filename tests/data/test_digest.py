@@ -70,7 +70,7 @@ def test_a_run_of_a_study_executes_nothing_that_its_digest_does_not_cover():
 def test_detections_come_from_nothing_that_their_digest_does_not_cover():
     loaded = executed(DETECTIONS)
     deciding = {"data/visual/features.py", "data/visual/rendering/stereo.py", "data/worlds/gallery.py"}
-    assert deciding | {"data/visual/lab/units.py", "data/sensors.py"} <= loaded
+    assert deciding | {"data/visual/lab/units.py", "data/sensors/__init__.py"} <= loaded
     assert loaded - covered(observations.PACKAGES) == set()
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from data.errors import UsageError
-from data.inputs import CLUTTER, LabelledObservations, LandmarkMap, floor_covariances
+from data.inputs import CLUTTER, LabelledObservations, LandmarkMap
+from data.motion.floor import floor_covariances
 from data.worlds.arena import Arena, simulate
 
 WORLD = Arena(landmarks=6, frames=10, clutter=1.0)

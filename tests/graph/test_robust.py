@@ -12,7 +12,8 @@ from gtsam.symbol_shorthand import X
 from association.known import known_decisions
 from data import se2
 from data.errors import DataError
-from data.inputs import Increments, LabelledObservations, Prior, floor_covariances
+from data.inputs import Increments, LabelledObservations, Prior
+from data.motion.floor import floor_covariances
 from data.result import DISCARD
 from data.worlds.arena import Arena, simulate
 from data.worlds.registry import named_log

@@ -13,8 +13,9 @@ import numpy as np
 
 from data import se2
 from data.errors import UsageError
-from data.inputs import Increments, Inputs, Observations, Prior, Scanner, Scans, floor_covariances
+from data.inputs import Increments, Inputs, Observations, Prior, Scanner, Scans
 from data.log import Log
+from data.motion.floor import floor_covariances
 from data.se2 import Array, BoolArray
 from data.sensors import RangeBearing
 from data.truth import Truth

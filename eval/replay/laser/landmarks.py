@@ -10,7 +10,8 @@ import numpy as np
 from association.scans.constraints import Chain
 from association.scans.corners import corners
 from association.scans.laser_run import LaserRun
-from data.inputs import Increments, Inputs, Observations, floor_covariances
+from data.inputs import Increments, Inputs, Observations
+from data.motion.floor import floor_covariances
 from data.result import Failure, Innovations, Run
 from data.sensors import RelativePoint
 from data.terminal.words import counted

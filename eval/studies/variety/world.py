@@ -10,8 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from data.inputs import CLUTTER, Increments, IntArray, LandmarkMap, Observations, floor_covariances
+from data.inputs import CLUTTER, Increments, IntArray, LandmarkMap, Observations
 from data.log import Log
+from data.motion.floor import floor_covariances
 from data.se2 import Array, wrap_angle
 from data.sensors import RANGE_BEARING, Sensor
 from data.truth import Truth

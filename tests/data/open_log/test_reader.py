@@ -8,7 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from data.inputs import UNLABELLED, floor_covariances
+from data.inputs import UNLABELLED
+from data.motion.floor import floor_covariances
 from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
 from data.open_log.writer import write_folder
 from data.sensors import RangeBearing, RelativePoint

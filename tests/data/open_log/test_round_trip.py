@@ -12,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior, floor_covariances
+from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
 from data.log import Log
+from data.motion.floor import floor_covariances
 from data.open_log.writer import write_folder
 from data.sensors import RangeBearing, RelativePoint
 from data.truth import Truth

@@ -8,8 +8,9 @@ from functools import cache
 
 import numpy as np
 
-from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior, floor_covariances
+from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
 from data.log import Log
+from data.motion.floor import floor_covariances
 from data.robot.body import WHEEL_BASE
 from data.robot.simulated.physics import Physics
 from data.robot.simulated.room import room

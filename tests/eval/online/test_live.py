@@ -50,11 +50,11 @@ def killed(folder, random, speed):
 def check_killed(folder, random, speed):
     stopped = killed(folder, random, speed)
     assert stopped <= 1.0 + SLACK * speed
-    written = written_bits(folder / "now.csv", "ekf")
+    written = written_bits(folder / "now.csv", "ekf-fej")
     log = open_log(str(folder / "log"))
     # what was recorded last may not have been estimated yet
     assert len(written) <= len(log.recorded) <= len(written) + 2
-    again = replayed_bits(replayed(folder / "log", "ekf"))
+    again = replayed_bits(replayed(folder / "log", "ekf-fej"))
     assert [written[k] for k in range(len(written))] == again[: len(written)]
     return stopped
 
@@ -85,8 +85,8 @@ def test_interrupted_it_leaves_the_whole_log_and_a_report(tmp_path):
     }  # fmt: skip
     read, packets = load_folder(tmp_path / "log"), open_log(str(tmp_path / "log"))
     assert read.recorded.observations.z.tobytes() == packets.recorded.observations.z.tobytes()
-    (run,) = compare(packets.inputs(), "slam", ["ekf"], "jcbb", Setup(gate=0.95))
-    assert list(written_bits(tmp_path / "now.csv", "ekf").values()) == replayed_bits(run), "as run_all makes it"
+    (run,) = compare(packets.inputs(), "slam", ["ekf-fej"], "jcbb", Setup(gate=0.95))
+    assert list(written_bits(tmp_path / "now.csv", "ekf-fej").values()) == replayed_bits(run), "as run_all makes it"
     command = (tmp_path / "log-report" / "report.md").read_text()
     assert "--gate 0.95" in command
     assert "--association jcbb" in command
@@ -116,8 +116,8 @@ def test_a_device_that_goes_and_comes_back_is_a_fault_and_the_drive_goes_on(tmp_
     try:
         running.until("device gone 1")
         with simulator(tmp_path, *FAST):
-            frames = len(written_bits(tmp_path / "now.csv", "ekf"))
-            wait(lambda: len(written_bits(tmp_path / "now.csv", "ekf")) > frames + 20)
+            frames = len(written_bits(tmp_path / "now.csv", "ekf-fej"))
+            wait(lambda: len(written_bits(tmp_path / "now.csv", "ekf-fej")) > frames + 20)
             running.signal(signal.SIGINT)
             running.until("log: ")
             running.signal(signal.SIGINT)
@@ -127,8 +127,8 @@ def test_a_device_that_goes_and_comes_back_is_a_fault_and_the_drive_goes_on(tmp_
     kinds = [r.kind for r in read_recording(tmp_path / "log").records]
     assert kinds.count(GONE) == 1
     assert kinds.count(OPENED) == 2
-    written = written_bits(tmp_path / "now.csv", "ekf")
-    assert [written[k] for k in range(len(written))] == replayed_bits(replayed(tmp_path / "log", "ekf"))
+    written = written_bits(tmp_path / "now.csv", "ekf-fej")
+    assert [written[k] for k in range(len(written))] == replayed_bits(replayed(tmp_path / "log", "ekf-fej"))
 
 
 def test_told_to_rest_it_rests_and_ends_by_itself(tmp_path):
