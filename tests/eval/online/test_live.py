@@ -95,7 +95,7 @@ def test_interrupted_it_leaves_the_whole_log_and_a_report(tmp_path):
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_interrupted_again_in_the_report_the_log_is_whole_and_there_is_no_report(tmp_path, number):
     with simulator(tmp_path, *FAST) as (link, _), started(tmp_path, link, *FAST, "--no-page") as process:
-        process.until("ekf x")
+        process.until("ekf-fej x")
         process.signal(signal.SIGTERM)
         process.until("log: ")
         process.signal(number)
