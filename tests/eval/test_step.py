@@ -133,6 +133,7 @@ class Blind:
         pass
 
 
+@pytest.mark.slow
 def test_the_order_is_move_observe_compatibility_matching_update(sitting, monkeypatch, capsys):
     asked = sitting(lambda n: "")
     windows = Blind()

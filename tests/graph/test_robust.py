@@ -285,6 +285,7 @@ def test_senseless_requests_are_refused():
         gnc(singular, decisions, created, start)
 
 
+@pytest.mark.slow
 def test_near_readings_which_are_points_are_judged_like_all_others():
     """In a park whose trees stand on the way, seen all around: every tenth reading or so is nearer than three sigma."""
     log = named_log("park:5:frames=150+strip=.3+field_of_view=360+max_range=5+sigma_range=.2")

@@ -45,6 +45,7 @@ def test_observations_show_walls_and_err_by_their_covariance(log):
     assert nees.mean() == pytest.approx(2.0, abs=3 * 2 / np.sqrt(shows.sum()))
 
 
+@pytest.mark.slow
 def test_the_same_name_is_the_same_log_and_a_room_may_be_chosen(log):
     again = open_log("walls:0:frames=500")
     assert again.recorded.observations.z.tobytes() == log.recorded.observations.z.tobytes()

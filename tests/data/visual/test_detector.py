@@ -100,6 +100,7 @@ def test_a_large_reference_is_scaled_down_and_its_corners_stay_its_corners(textu
     assert np.linalg.norm(detection.pixels - projected(truth), axis=1).max() < 1.0
 
 
+@pytest.mark.slow
 def test_the_same_frame_gives_the_same_bits_with_any_number_of_threads(textures, detector):
     scene = hang(hang(wall(), textures[0], hung(2, 30, -0.4)), textures[3], hung(2, -30, 0.4))
     expected = detector.detect(scene.rgb, scene.xyz)

@@ -40,6 +40,7 @@ def test_slam_knows_how_far_it_is_off_about_any_origin():
     assert means.max() < 12.0
 
 
+@pytest.mark.slow
 def test_jcbb_pairs_walls_without_an_error():
     _, (right, wrong, missed) = run_means(range(4), "slam", "ekf", "jcbb")
     assert wrong == 0

@@ -178,6 +178,7 @@ def test_a_trial_gets_the_pictures_that_tell_something():
     assert kinds(localized) == ("map", "error", "nees")
 
 
+@pytest.mark.slow
 def test_captions_tell_what_is_shown_of_many(tmp_path):
     picture = draw(tmp_path, trial(*MANY[:8]), "map")
     assert "Furthest from the truth is" in picture.caption

@@ -28,6 +28,7 @@ def test_estimates_decisions_and_new_walls_are_those_of_the_replay(tmp_path, nam
     assert run.created.max() > 1
 
 
+@pytest.mark.slow
 def test_asking_for_the_map_changes_nothing(tmp_path):
     plain = Session(("ekf",), "jcbb", Setup(deactivate_after=5.0))
     asked = Session(("ekf",), "jcbb", Setup(deactivate_after=5.0))

@@ -30,6 +30,7 @@ def check(name, seconds):
     assert after[0] - min(after) <= FLAT, rows
 
 
+@pytest.mark.slow
 def test_memory_is_flat_over_minutes():
     check("ekf", 120.0)
 

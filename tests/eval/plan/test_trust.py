@@ -43,6 +43,7 @@ def outcome(unmeasured, tmp_path_factory):
     return out, run(unmeasured, out, "--estimator", "ekf,isam2,batch", "--twins", "19")
 
 
+@pytest.mark.slow
 def test_twins_are_of_filters_and_the_smoother(outcome):
     _, done = outcome
     (trust,) = done.trust

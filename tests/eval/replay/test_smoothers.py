@@ -82,6 +82,7 @@ def test_the_lag_reaches_the_smoother_only(clean):
         assert (np.abs(x.online.pose - y.online.pose).max() > 0) == differs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("task", ["localization", "slam"])
 def test_gnc_discards_what_is_wrong_and_its_path_is_as_good_as_without_it(clean, wrong, task):
     (reference,) = compare(clean.inputs(labels=True), task, ["batch"])

@@ -111,6 +111,7 @@ def test_a_fault_is_all_that_a_log_with_it_differs_in():
     assert again[0].recorded.observations.z.tobytes() == again[1].recorded.observations.z.tobytes()
 
 
+@pytest.mark.slow
 def test_wrong_labels_are_put_down_to_the_associations(tiny):
     (found,) = examined(tiny, Case(tiny.worlds[0], 1, "wrong-labels", 0.05))
     assert found.objected

@@ -23,6 +23,7 @@ def fitted(folder, groups=("motion", "sensor", "bias", "odometry", "latency")):
     return {p.name: (t, e) for p, t, e in zip(model.parameters, found.theta, found.error)}
 
 
+@pytest.mark.slow
 def test_latency_scale_and_noise_of_recorded_odometry_are_found(tmp_path):
     true = Stamped(latency=0.12, over=(1.04, 1.0), stated=(2.0, 1.0))
     folder = stamped_folder(tmp_path / "stamped", true)

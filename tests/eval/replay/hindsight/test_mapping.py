@@ -105,6 +105,7 @@ def test_a_fixed_lag_smoother_merges_what_has_left_its_window(world, runs, lag):
         np.testing.assert_allclose(run.map.xy, runs["isam2"].map.xy, atol=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "setup",
     [

@@ -61,6 +61,7 @@ def test_no_frame_is_placed_where_odometry_is_good_enough(name):
     assert not any("placed by geometry" in note for note in run.notes)
 
 
+@pytest.mark.slow
 def test_a_filter_that_linearizes_nowhere_else_gets_the_same_decisions(primed):
     fej, plain = compare(primed[0].inputs(), "slam", ["ekf-fej", "ekf-iterated"], METHOD)
     assert fej.failure is None

@@ -80,6 +80,7 @@ def test_a_loop_closure_without_weight_counts_as_left_out_in_the_end_only(log, r
     assert online["tp"] - final["tp"] == 2
 
 
+@pytest.mark.slow
 def test_variances_are_scaled_by_what_loop_closures_tell_and_no_pose_moves_by_it():
     """Of these key poses some steps are spanned by no loop closure: they fit exactly and tell nothing."""
     longer = named_log("floorplan:0:frames=1000").recorded
