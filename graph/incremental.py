@@ -221,10 +221,10 @@ class Isam2Smoother(Smoother):
             self._engine.use_qr()
         return factors, values
 
-    def _read(self, *, closely: bool = False) -> None:
+    def _read(self) -> None:
         """The newest pose from the engine."""
         before = self._end.mean
-        self._end.read(self._engine, closely=closely)
+        self._end.read(self._engine)
         self._candidates.corrected(self._end.mean[:2] - before[:2])
 
     def remove(self, numbers: IntArray) -> None:
@@ -262,7 +262,7 @@ class Isam2Smoother(Smoother):
         for _ in range(updates):
             self._engine.update()
         if self._end.anchor >= 0:
-            self._read(closely=True)
+            self._read()
 
     def landmarks(self) -> MapState:
         """The map as it is now, in SLAM; `finish` gives the final one. A given map has no covariance."""

@@ -134,11 +134,8 @@ class OpenEnd:
     def hold(self, handles: Sequence[int]) -> None:
         """The engine's handles on the factors of `join_graph`."""
 
-    def read(self, engine: Engine, *, closely: bool = False) -> None:
-        """The graph has a new estimate of the anchor: the newest pose follows from it.
-
-        `closely`: with factors that are linearized beforehand, if there are any, as near to the present as can be.
-        """
+    def read(self, engine: Engine) -> None:
+        """The graph has a new estimate of the anchor: the newest pose follows from it."""
         pose = engine.settle(self.keys[0], pose2(self.mean))
         B = world_from_body(pose.theta())
         P = B @ engine.covariance(self.keys) @ B.T

@@ -172,7 +172,7 @@ class CalibratedEnd(OpenEnd):
         self._increments, self._path, self._path_b, self._ended = [], [], [], []
         return found + factors, pivot
 
-    def read(self, engine: Engine, *, closely: bool = False) -> None:
+    def read(self, engine: Engine) -> None:
         """The graph has a new estimate of anchor and errors: the newest pose follows from it."""
         self._settle(engine, pose2(self.mean))
         self._again()
