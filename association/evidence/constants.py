@@ -224,3 +224,7 @@ OTHER_PLACE = 0.9999
 """An estimator is somewhere else if its pose is outside this probability of the hypotheses' (3 dof)."""
 EXACT_VARIANCE = 1e-12
 """An exact prior has no inverse; a micrometre (and microradian) away is nowhere else."""
+
+DIFFERENCES_MOST = 256
+DIFFERENCES_PRIOR = 5.0
+DIFFERENCES_ROUNDS = 20

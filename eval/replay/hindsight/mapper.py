@@ -13,6 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from association.candidates import in_view
+import os
+from association.evidence.differences import Differences, Shares, with_shares
 from association.evidence.scales import widest
 from association.expectation import Expectation
 from data.inputs import ERRORS, Frame, IntArray, Sightings, Systematic
@@ -89,6 +91,9 @@ class HindsightMapper:
     def __init__(self, given: Given, setup: Setup) -> None:
         """Before the first frame."""
         self.setup = setup
+        self.noise = Differences(given.sensor)
+        self.stated_sensor = given.sensor
+        self.view = [given.sensor.max_range, given.sensor.min_angle, given.sensor.max_angle]
         self.filters = TwoModels(
             given.prior, given.sensor, beside_tight(given.systematic), doubted=given.systematic is None
         )
@@ -105,6 +110,8 @@ class HindsightMapper:
 
     def move(self, frame: Frame) -> None:
         """Step 1, predict: the next frame comes; the first one has no motion."""
+        self.noise.see(frame.increment, frame.sightings)
+        frame = self._as_it_is(frame)
         self.ledger.move(frame)
         if frame.increment is not None:
             self.filters.predict(frame.increment)
@@ -113,6 +120,7 @@ class HindsightMapper:
 
     def decide(self, frame: Frame) -> Mapped:
         """Steps 2 to 7: decisions about observations of this frame, used by the filter, too."""
+        frame = self._as_it_is(frame)
         e = self._expect(frame.sightings)
         placed = self.motion.place(e, self.filter.estimate().mean)  # 2
         if placed is None:
@@ -129,6 +137,28 @@ class HindsightMapper:
             decided = decided._replace(S=e.joint_innovation(*e.paired(decided.decisions))[1])
         self._update(frame, decided)  # 7
         return decided
+
+    def _as_it_is(self, frame):
+        mode = os.environ.get("NOISE", "w")
+        s = self.noise.shares
+        low = 1.0 if "w" in mode else 0.0
+        r, b, m = max(low, s.range), max(low, s.bearing), max(low, s.motion)
+        if "m" not in mode: m = 1.0
+        if "n" in mode: m = max(1.0, m)
+        if "0" in mode: r = b = 1.0
+        inc = frame.increment
+        if inc is not None and m != 1.0:
+            inc = inc._replace(covariance=m * inc.covariance)
+        if os.environ.get("VIEW") and len(frame.sightings.z):
+            from dataclasses import replace
+            polar = self.stated_sensor.polar(frame.sightings.z)
+            v = self.view
+            new = [max(v[0], polar[:, 0].max()), min(v[1], polar[:, 1].min()), max(v[2], polar[:, 1].max())]
+            if new != v:
+                self.view = new
+                for f in self.filters._kept:
+                    f.sensor = replace(f.sensor, max_range=new[0], min_angle=new[1], max_angle=new[2])
+        return frame._replace(increment=inc, sightings=with_shares(self.stated_sensor, frame.sightings, Shares(r, b, m)))
 
     def _expect(self, sightings: Sightings) -> Expectation:
         e = self.filter.expect(sightings)
