@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -47,14 +47,15 @@ def worlds(half: str, count: int | None) -> list[Case]:
     every = indices(half, 10**6)
     if count is None or count >= len(every):
         return [Case(world_name(i), SLAM) for i in every]
-    size = {i: len(log_of(draw(i)).recorded.observations.frame) for i in every}
-    by_kind = [[i for i in every if draw(i).name.startswith(kind)] for kind in KINDS]
-    order = sorted(
-        (rank, kind, i)
-        for kind, of in enumerate(by_kind)
-        for rank, i in enumerate(sorted(of, key=lambda i: (size[i], i)))
-    )
-    return [Case(world_name(i), SLAM) for i in sorted(i for _, _, i in order[:count])]
+    size = {i: len(log_of(draw(i)).recorded.observations.frame) for i in every} if count else {}
+    return [Case(world_name(i), SLAM) for i in fewest(size, count)]
+
+
+def fewest(size: Mapping[int, int], count: int) -> list[int]:
+    """Indices of `count` worlds, ascending, of the three kinds in turn those of the least size."""
+    by_kind = [sorted((i for i in size if draw(i).name.startswith(kind)), key=lambda i: (size[i], i)) for kind in KINDS]
+    order = sorted((rank, kind, i) for kind, of in enumerate(by_kind) for rank, i in enumerate(of))
+    return sorted(i for _, _, i in order[:count])
 
 
 def named(data: Path | None, every_robot: bool) -> tuple[list[Case], list[str]]:

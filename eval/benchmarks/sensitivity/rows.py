@@ -41,14 +41,20 @@ def read(path: Path) -> list[Row]:
     if not path.exists():
         return []
     types = get_type_hints(Row)
-    with path.open(newline="", encoding="utf-8") as file:
-        lines = [row for row in csv.DictReader(file) if None not in row.values()]
-    return [Row(**{f: types[f](text) for f, text in row.items()}) for row in lines]
+    lines = _whole(path.read_bytes()).decode().splitlines()
+    return [Row(**{f: types[f](text) for f, text in row.items()}) for row in csv.DictReader(lines)]
+
+
+def _whole(content: bytes) -> bytes:
+    """A file without a last line that was cut off."""
+    return content[: content.rfind(b"\n") + 1]
 
 
 def append(row: Row, path: Path) -> None:
-    """The row at the end of the file, which is begun with the names of the columns."""
-    new = not path.exists()
+    """The row at the end of the file, which is begun with the names of the columns; a line cut off there goes."""
+    if path.exists() and not (content := path.read_bytes()).endswith(b"\n"):
+        path.write_bytes(_whole(content))
+    new = not path.exists() or not path.stat().st_size
     with path.open("a", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         if new:
