@@ -51,6 +51,14 @@ def test_a_changed_constant_changes_the_run_alone():
     assert run(log, SLAM).digest == base.digest
 
 
+def test_the_gates_of_a_run_are_varied_too():
+    log = load(SMALL.log, None)
+    base = baseline(SMALL, log)
+    assert variant(Job(SMALL, "gates.GATE", HALVED), log, base).value == "0.995"
+    wide = variant(Job(SMALL, "gates.NEW_GATE", DOUBLED), log, base)
+    assert (wide.value, wide.status) == ("0.99998", "ok")
+
+
 def test_a_constant_is_put_back_when_a_run_ends_in_an_error(monkeypatch):
     def broken(*_):
         raise ZeroDivisionError

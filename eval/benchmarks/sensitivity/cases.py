@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from data.errors import DataError
 from data.log import Log
-from data.mrclam.load import load_mrclam
+from data.mrclam.load import corrected_landmarks, load_mrclam
 from data.recordings.victoria_park import load_victoria_park
 from data.worlds.registry import named_log
 from eval.benchmarks.sensitivity.varying import LOCALIZATION, SLAM
@@ -96,5 +96,5 @@ def load(name: str, data: Path | None) -> Log:
         source = archive(data, number)
         if source is None:
             raise DataError(f"UTIAS Dataset {number}: not in {data}")
-        return load_mrclam(source, robot)
+        return load_mrclam(source, robot, landmarks=corrected_landmarks(source))
     return named_log(name)

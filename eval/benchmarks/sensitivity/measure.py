@@ -18,6 +18,7 @@ from data.log import Log
 from data.result import Run
 from data.worlds.registry import named_log
 from eval.benchmarks.sensitivity.cases import Case, is_world, load
+from eval.benchmarks.sensitivity.gates import setup
 from eval.benchmarks.sensitivity.reading import reads, recorded, written
 from eval.benchmarks.sensitivity.rows import BASE, Row
 from eval.benchmarks.sensitivity.varying import DIRECTIONS, SLAM, Constant, all_constants, changed, text, varied
@@ -59,7 +60,7 @@ def run(log: Log, task: str, limit: float = math.inf) -> Outcome:
     begin = time.perf_counter()
     try:
         with threadpool_limits(1):
-            done = step_by_step("ekf", inputs, task, HINDSIGHT, observer=Deadline(limit))
+            done = step_by_step("ekf", inputs, task, HINDSIGHT, setup(), observer=Deadline(limit))
     except OutOfTimeError:
         return Outcome(math.nan, 0, 0, 0, "", time.perf_counter() - begin, SLOW)
     seconds = time.perf_counter() - begin

@@ -18,6 +18,7 @@ import ekf.two_models
 from association.evidence import constants
 from data.errors import UsageError
 from data.inputs import Systematic
+from eval.benchmarks.sensitivity import gates
 from eval.replay.hindsight import mapper
 
 SLAM, LOCALIZATION = "slam", "localization"
@@ -25,6 +26,7 @@ HALVED, DOUBLED = "halved", "doubled"
 DIRECTIONS = (HALVED, DOUBLED)
 
 BESIDE: tuple[tuple[ModuleType, str, tuple[str, ...]], ...] = (
+    (gates, SLAM, ("GATE", "NEW_GATE")),
     (association.candidates, SLAM, ("SIGMAS", "MARGIN")),
     (ekf.two_models, SLAM, ("STRONG", "DECIDED")),
     (
