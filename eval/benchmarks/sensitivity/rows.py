@@ -15,8 +15,8 @@ class Row(NamedTuple):
 
     log, task: the case; constant, direction: what was changed, to `value`; readings: of the log; rmse_m: of the online
     positions, NaN without truth or end; fp, fn: final decisions, of `readings`; landmarks: in the map in the end;
-    same: 1 if every decision, online and final, is that of the baseline; digest: of these; seconds: of the processor; status:
-    that of the run, or `slow`; reads: of the baseline, how often it read each constant.
+    same: 1 if every decision, online and final, is that of the baseline; digest: of these; seconds: of the
+    processor; status: that of the run, or `slow`; reads: of the baseline, how often it read each constant.
     """
 
     log: str
