@@ -71,6 +71,12 @@ def _benchmark(argv: Sequence[str] | None, prog: str) -> None:
     )
     only = p.add_argument_group("with --sensitivity")
     only.add_argument("--data", metavar="DIR", type=Path, help="folder with MRCLAM_Dataset1.zip, 6 and 9 (UTIAS)")
+    only.add_argument(
+        "--log",
+        metavar="NAME",
+        action="append",
+        help="one more simulated log, such as corridor:0:no-odometry:forward; may be repeated",
+    )
     only.add_argument("--robots", choices=("one", "all"), help="of each UTIAS dataset robot 3 (default), or all")
     only.add_argument("--constant", metavar="NAME", action="append", help="only this one; may be repeated")
     only.add_argument("--processes", type=int, metavar="N", help="runs at a time (default: 1)")
@@ -82,7 +88,7 @@ def _benchmark(argv: Sequence[str] | None, prog: str) -> None:
     )
     args = p.parse_args(argv)
     quick = args.quick
-    for flag in ("data", "robots", "constant", "processes", "baseline"):
+    for flag in ("data", "log", "robots", "constant", "processes", "baseline"):
         if args.sensitivity is None and getattr(args, flag) is not None:
             raise UsageError(f"--{flag} is for --sensitivity")
     if args.sensitivity is not None:
@@ -144,7 +150,7 @@ def _variety(out: Path, half: str | None, worlds: int) -> None:
 
 def _sensitivity(args: argparse.Namespace, quick: bool) -> None:
     """Run what is not in the file yet, a line each as they come; then what the constants do, or the study costs."""
-    from eval.benchmarks.sensitivity.cases import named, worlds
+    from eval.benchmarks.sensitivity.cases import named, simulated, worlds
     from eval.benchmarks.sensitivity.cost import cost_lines, read_lines
     from eval.benchmarks.sensitivity.measure import measure_all
     from eval.benchmarks.sensitivity.rows import BASE, append, line_of, read
@@ -154,6 +160,7 @@ def _sensitivity(args: argparse.Namespace, quick: bool) -> None:
     constants = chosen(args.constant)
     cases, missing = named(args.data, args.robots == "all")
     cases = worlds(args.half or "judge", 3 if quick and args.worlds is None else args.worlds) + cases
+    cases += simulated(args.log or [])
     for line in missing:
         print(line, flush=True)
     out: Path = args.sensitivity

@@ -9,9 +9,10 @@ import pytest
 
 from association.decide import HINDSIGHT
 from association.evidence import constants
+from data.errors import UsageError
 from eval.benchmark import main
 from eval.benchmarks.sensitivity import measure as measuring
-from eval.benchmarks.sensitivity.cases import Case, fewest, load, named, world_name, worlds
+from eval.benchmarks.sensitivity.cases import Case, fewest, load, named, simulated, world_name, worlds
 from eval.benchmarks.sensitivity.cost import cost_lines, read_lines
 from eval.benchmarks.sensitivity.measure import Job, baseline, jobs_of, measure_all, run, variant
 from eval.benchmarks.sensitivity.rows import BASE, Row, append, line_of, read
@@ -128,6 +129,14 @@ def test_recorded_logs_that_are_not_there_are_said_to_be_left_out(tmp_path):
     cases, missing = named(tmp_path, every_robot=True)
     assert [c.log for c in cases] == ["corridor:0:people", "victoria-park"]
     assert [line.partition("(")[0] for line in missing] == [f"left out: UTIAS Dataset {n} " for n in (1, 6, 9)]
+
+
+def test_more_simulated_logs_may_be_named():
+    assert simulated(["arena:0", "corridor:0:people", "arena:0"]) == [Case("arena:0", SLAM)]
+    with pytest.raises(UsageError, match="no simulated log"):
+        simulated(["victoria-park"])
+    with pytest.raises(UsageError, match="whatever"):
+        simulated(["arena:0:whatever"])
 
 
 def test_a_change_is_put_beside_the_baseline():

@@ -7,11 +7,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
-from data.errors import DataError
+from data.errors import DataError, UsageError
 from data.log import Log
 from data.mrclam.load import corrected_landmarks, load_mrclam
 from data.recordings.victoria_park import load_victoria_park
-from data.worlds.registry import named_log
+from data.worlds.registry import is_simulated, named_log, parse
 from eval.benchmarks.sensitivity.varying import LOCALIZATION, SLAM
 from eval.studies.variety.draw import KINDS, draw, indices
 from eval.studies.variety.world import log_of
@@ -74,6 +74,15 @@ def named(data: Path | None, every_robot: bool) -> tuple[list[Case], list[str]]:
         for robot in robots if every_robot else (ROBOT,):
             cases += [Case(f"{UTIAS}-{number}-{robot}", task) for task in (SLAM, LOCALIZATION)]
     return cases, missing
+
+
+def simulated(names: Sequence[str]) -> list[Case]:
+    """SLAM on simulated logs of these names. Raises UsageError for one that is not understood."""
+    for name in names:
+        if not is_simulated(name):
+            raise UsageError(f"--log {name}: no simulated log; one is {SIMULATED}")
+        parse(name)
+    return [Case(name, SLAM) for name in dict.fromkeys(names) if name != SIMULATED]
 
 
 def archive(data: Path | None, number: int) -> Path | None:
