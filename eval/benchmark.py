@@ -75,7 +75,7 @@ def _benchmark(argv: Sequence[str] | None, prog: str) -> None:
         "--log",
         metavar="NAME",
         action="append",
-        help="one more simulated log, such as corridor:0:no-odometry:forward; may be repeated",
+        help="one more simulated log, such as corridor:0:no-odometry+forward; may be repeated",
     )
     only.add_argument("--robots", choices=("one", "all"), help="of each UTIAS dataset robot 3 (default), or all")
     only.add_argument("--constant", metavar="NAME", action="append", help="only this one; may be repeated")

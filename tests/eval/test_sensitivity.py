@@ -191,10 +191,11 @@ def test_the_command_writes_rows_and_table_and_goes_on(tmp_path, capsys):
     arguments = ["--sensitivity", str(tmp_path), "--worlds", "1", "--constant", "CERTAIN"]
     assert main([*arguments, "--baseline"]) == 0
     assert "runs instead of" in capsys.readouterr().out
-    first = read(tmp_path / "sensitivity.csv")
+    file = tmp_path / "sensitivity.csv"
+    first, text = read(file), file.read_text()
     assert main([*arguments, "--processes", "2"]) == 0
-    rows = read(tmp_path / "sensitivity.csv")
-    assert rows[: len(first)] == first
+    rows = read(file)
+    assert file.read_text().startswith(text)
     assert len(rows) == 3 * len(first)
     assert "| `CERTAIN` | 4 | 2 | 8 |" in (tmp_path / "sensitivity.md").read_text()
     assert np.isfinite([r.rmse_m for r in rows if r.log.startswith("variety")]).all()
