@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from association.evidence.noise import STATED, learned, log_density
+from association.evidence.noise import learned, log_density, stated
 from association.expectation import gate_threshold
 from data import se2
 from data.inputs import Increment, IntArray, LandmarkMap, Prior, Sightings
@@ -95,10 +95,15 @@ class Hypotheses:
     """A bank of localizers that begins with one and branches wherever an observation may be of several landmarks."""
 
     def __init__(
-        self, prior: Prior, sensor: Sensor, known: LandmarkMap, options: FilterOptions = DEFAULT, limit: int = LIMIT
+        self,
+        prior: Prior,
+        sensor: Sensor,
+        known: LandmarkMap,
+        options: FilterOptions = DEFAULT,
+        limit: int | None = None,
     ) -> None:
-        """Start at the prior with a map taken as exact; updates are applied as `options` say."""
-        self.sensor, self.map, self.limit = sensor, known, limit
+        """Start at the prior with a map taken as exact; updates are as `options` say; `limit`: see `LIMIT`."""
+        self.sensor, self.map, self.limit = sensor, known, LIMIT if limit is None else limit
         self._rule, self._extrinsic = options.rule, sensor.extrinsic
         self._xy = np.array(known.xy)
         # as far as the map reaches, where the sensor has no limit
@@ -107,7 +112,7 @@ class Hypotheses:
         self._seen, self._expected = np.full(BINS, FIRST[0]), np.full(BINS, FIRST[1])
         self._at = np.full(len(self._xy), -1, np.int64)
         self._gate = gate_threshold(GATE)
-        self.noise = STATED
+        self.noise = stated()
         self.members = [Hypothesis(prior.mean.copy(), prior.covariance.copy(), 0.0)]
 
     def predict(self, increment: Increment) -> None:

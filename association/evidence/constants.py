@@ -62,6 +62,8 @@ INDEPENDENT_MISSES = 2.0
 """Misses that independent ones count for, in what is known of rows of them."""
 SAME_PLACE = 0.05
 """In ranges: from nearer places the view is the same, and what hides a landmark hides it still."""
+IN_VIEW_SIGMAS = 3.0
+"""A landmark should be seen if so many standard deviations of its expectation are inside the field of view."""
 SHADOW = math.radians(0.5)
 """rad. What is nearer and within this angle may hide a landmark."""
 

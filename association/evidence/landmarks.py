@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from association.candidates import SIGMAS, polar_sigma
+from association.candidates import polar_sigma
 from association.evidence import constants
 from association.expectation import Expectation, gate_threshold
 from data.inputs import IntArray
@@ -142,10 +142,10 @@ def verdict(e: Evidence, v: Visibility) -> str:
 def missing(e: Expectation, decisions: IntArray, sensor: Sensor) -> BoolArray:
     """Candidates (n,) that should have been seen in a frame and were not paired.
 
-    They stand in the field of view by 3 sigma, and nothing that was seen stands before them.
+    They stand in the field of view by `IN_VIEW_SIGMAS`, and nothing that was seen stands before them.
     """
     expected, seen = sensor.polar(e.z_hat), sensor.polar(e.z)
-    sigma = SIGMAS * polar_sigma(sensor, e.z_hat, e.HPHt)
+    sigma = constants.IN_VIEW_SIGMAS * polar_sigma(sensor, e.z_hat, e.HPHt)
     inside = sensor.in_view(e.z_hat, margin_range=-sigma[:, 0], margin_angle=-sigma[:, 1])
     before = np.abs(wrap_angle(seen[None, :, 1] - expected[:, None, 1])) < constants.SHADOW
     hidden = (before & (seen[None, :, 0] < expected[:, None, 0])).any(axis=1)

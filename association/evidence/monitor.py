@@ -8,7 +8,7 @@ never falls below zero (Page, Biometrika 41, 1954); where a score last left zero
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from association.evidence import constants
 
@@ -27,12 +27,12 @@ class Monitor:
             `weight` observations.
     """
 
-    threshold: float = constants.ALARM
-    lost_share: float = constants.LOST_SHARE
-    lost_scale: float = constants.LOST_SCALE
-    memory: float = constants.HEALTH_MEMORY
-    start: tuple[float, float] = constants.HEALTH_START
-    weight: float = constants.HEALTH_WEIGHT
+    threshold: float = field(default_factory=lambda: constants.ALARM)
+    lost_share: float = field(default_factory=lambda: constants.LOST_SHARE)
+    lost_scale: float = field(default_factory=lambda: constants.LOST_SCALE)
+    memory: float = field(default_factory=lambda: constants.HEALTH_MEMORY)
+    start: tuple[float, float] = field(default_factory=lambda: constants.HEALTH_START)
+    weight: float = field(default_factory=lambda: constants.HEALTH_WEIGHT)
 
 
 @dataclass(frozen=True)
@@ -49,10 +49,10 @@ class Health:
 
     unpaired: float = 0.0
     misfit: float = 0.0
-    share: float = Monitor.start[0]
+    share: float = field(default_factory=lambda: constants.HEALTH_START[0])
     strays: float = 0.0
-    scale: float = Monitor.start[1]
-    learned: float = Monitor.weight
+    scale: float = field(default_factory=lambda: constants.HEALTH_START[1])
+    learned: float = field(default_factory=lambda: constants.HEALTH_WEIGHT)
     lost: bool = False
 
 

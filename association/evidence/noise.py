@@ -16,17 +16,15 @@ from data.se2 import Array
 
 
 class NoiseScale(NamedTuple):
-    """Variance of the innovations as a share of what was stated, and the weight of what was learned, in innovations.
+    """Variance of the innovations as a share of what was stated, and the weight of what was learned, in innovations."""
 
-    It begins with what was stated, worth as much as a few innovations.
-    """
-
-    scale: float = 1.0
-    weight: float = constants.NOISE_PRIOR
+    scale: float
+    weight: float
 
 
-STATED = NoiseScale()
-"""As stated, nothing learned yet."""
+def stated() -> NoiseScale:
+    """In a known map before anything is learned: what was stated, worth as much as a few innovations."""
+    return NoiseScale(1.0, constants.NOISE_PRIOR)
 
 
 def log_density(noise: NoiseScale, d2: float, log_det: float) -> float:

@@ -20,9 +20,6 @@ from association.expectation import Expectation
 from data.inputs import IntArray
 from data.se2 import Array
 
-FIRST = NoiseScale(1.0, constants.SCALES_PRIOR)
-"""What was stated, worth as much as a few innovations."""
-
 
 class Scales(NamedTuple):
     """What is learned of the sensor's noise, and of that of map and motion; of the tails beyond Student's.
@@ -30,10 +27,15 @@ class Scales(NamedTuple):
     `log_tails` is the logarithm of a factor on variances, `sightings` those that it was learned from.
     """
 
-    sensor: NoiseScale = FIRST
-    motion: NoiseScale = FIRST
+    sensor: NoiseScale
+    motion: NoiseScale
     log_tails: float = 0.0
     sightings: float = 0.0
+
+
+def as_stated() -> Scales:
+    """Before anything is learned: what was stated, worth as much as a few innovations."""
+    return Scales(NoiseScale(1.0, constants.SCALES_PRIOR), NoiseScale(1.0, constants.SCALES_PRIOR))
 
 
 def scaled(e: Expectation, scales: Scales) -> Expectation:

@@ -40,7 +40,7 @@ class _Fit(NamedTuple):
     score: float
 
 
-def relocalize(scan: Scan, known: LandmarkMap, gate: float = constants.RELOCALIZE_GATE) -> Place | None:
+def relocalize(scan: Scan, known: LandmarkMap, gate: float | None = None) -> Place | None:
     """The place in a known map at which the scan was taken, or None if there is none, or more than one.
 
     It presumes that the map holds what is seen there: in a place that is not mapped, few points may fit elsewhere.
@@ -48,11 +48,13 @@ def relocalize(scan: Scan, known: LandmarkMap, gate: float = constants.RELOCALIZ
     Args:
         scan: points with their joint covariance.
         known: landmarks, taken as exact.
-        gate: chi-square probability of the joint distance of the fit (2 q - 3 dof for q pairings).
+        gate: chi-square probability of the joint distance of the fit (2 q - 3 dof for q pairings), by default
+            `RELOCALIZE_GATE`.
 
     Returns:
         The place, all pairings inside the gate jointly; None also where the search could not be completed.
     """
+    gate = constants.RELOCALIZE_GATE if gate is None else gate
     used = surest(scan, constants.SCAN_POINTS)
     m, fewest = len(used), max(constants.PLACE_PAIRINGS, math.ceil(constants.SCAN_SHARE * len(used)))
     if m < constants.PLACE_PAIRINGS or len(known.id) < constants.PLACE_PAIRINGS:

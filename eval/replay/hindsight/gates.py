@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from association.evidence.pairings import beside, settled
-from association.evidence.scales import Scales, counted, relearned, widest
+from association.evidence.scales import as_stated, counted, relearned, widest
 from association.evidence.tentative import Sighting, Tentative
 from association.expectation import Expectation
 from data.inputs import IntArray
@@ -27,7 +27,7 @@ class LearnedGates:
     def __init__(self, ledger: Ledger) -> None:
         """Before the first frame."""
         self.ledger = ledger
-        self.scales = Scales()
+        self.scales = as_stated()
         self._tentative = Tentative()
         self._pairings = 0
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import multivariate_t
 
 from association.evidence.constants import FINEST, FREEDOM
-from association.evidence.noise import STATED, NoiseScale, learned, log_density
+from association.evidence.noise import NoiseScale, learned, log_density, stated
 
 
 def test_the_density_is_students():
@@ -21,7 +21,7 @@ def test_the_density_is_students():
 @pytest.mark.parametrize("scale", [0.04, 1.0, 3.0])
 def test_the_scale_of_students_squares_is_found(scale):
     rng = np.random.default_rng(0)
-    noise = STATED
+    noise = stated()
     for _ in range(3000):
         squares = scale * rng.chisquare(2, 2) / (rng.chisquare(FREEDOM, 2) / FREEDOM)
         noise = learned(noise, squares, np.ones(2))
@@ -30,7 +30,7 @@ def test_the_scale_of_students_squares_is_found(scale):
 
 def test_a_few_slips_do_not_hide_how_well_the_rest_fits():
     rng = np.random.default_rng(1)
-    noise = STATED
+    noise = stated()
     for k in range(500):
         noise = learned(noise, np.array([20.0]) if k % 50 == 49 else 0.05 * rng.chisquare(2, 1), np.ones(1))
     assert noise.scale < 0.1  # their mean would be 0.25
@@ -39,15 +39,15 @@ def test_a_few_slips_do_not_hide_how_well_the_rest_fits():
 def test_what_is_believed_to_a_share_counts_as_that_share():
     rng = np.random.default_rng(2)
     squares = rng.chisquare(2, 4)
-    whole = learned(STATED, squares, np.ones(4))
-    halves = learned(STATED, np.repeat(squares, 2), np.full(8, 0.5))
+    whole = learned(stated(), squares, np.ones(4))
+    halves = learned(stated(), np.repeat(squares, 2), np.full(8, 0.5))
     assert halves.scale == pytest.approx(whole.scale)
-    assert halves.weight == whole.weight == STATED.weight + 4.0
-    assert learned(STATED, np.empty(0), np.empty(0)) == STATED
+    assert halves.weight == whole.weight == stated().weight + 4.0
+    assert learned(stated(), np.empty(0), np.empty(0)) == stated()
 
 
 def test_noise_free_data_do_not_make_it_vanish():
-    noise = STATED
+    noise = stated()
     for _ in range(5000):
         noise = learned(noise, np.zeros(1), np.ones(1))
     assert noise.scale == FINEST

@@ -5,7 +5,7 @@ import pytest
 
 from association.evidence.constants import FREEDOM, LEFT_OUT, TAILS
 from association.evidence.noise import NoiseScale
-from association.evidence.scales import Scales, counted, relearned, scaled, widest
+from association.evidence.scales import Scales, as_stated, counted, relearned, scaled, widest
 from association.expectation import Expectation
 
 
@@ -18,7 +18,7 @@ def frame(rng, sensor, motion, R, P):
 
 def learn(sensor, motion, frames=3000):
     rng = np.random.default_rng(0)
-    scales = Scales()
+    scales = as_stated()
     R = np.diag([0.04, 0.01])
     for k in range(frames):
         scales = relearned(scales, frame(rng, sensor, motion, R, R * (100.0 if k % 4 == 0 else 0.01)), np.zeros(1, int))
