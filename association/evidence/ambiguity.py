@@ -1,8 +1,9 @@
 """Which landmarks of a finished map are ambiguous: those not to be told from a neighbour, and those that may be two.
 
-A landmark that its own readings call two is ambiguous with itself (`association.evidence.doubles`). Two landmarks are told apart where one frame saw both, or where their difference is significant given the covariances of
-both and of a reading. Only marginal covariances are at hand; of neighbours, whose errors are alike, they overstate that
-of the difference, so that where a map is badly known rather too many are called ambiguous.
+A landmark that its own readings call two is ambiguous with itself (`association.evidence.doubles`). Two landmarks are
+told apart where one frame saw both, or where their difference is significant given the covariances of both and of a
+reading. Only marginal covariances are at hand; of neighbours, whose errors are alike, they overstate that of the
+difference, so that where a map is badly known rather too many are called ambiguous.
 """
 
 from __future__ import annotations

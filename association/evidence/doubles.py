@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from association.evidence import constants
-from association.evidence.registered import Registered, registered, squares
+from association.evidence.registered import Registered, inverses, registered, squares
 from data.inputs import Inputs, IntArray
 from data.result import Run
 from data.se2 import Array, BoolArray
@@ -47,13 +47,13 @@ LEAST = 0.02
 class Pairs(NamedTuple):
     """The readings of the landmarks in question, a row for each frame and landmark.
 
-    group: (n,) 2 k + half; count: (n,) as how many readings each counts; beside: (k,) the rows that have a reading beside; x: (n + k, 2) m, the readings taken for
-    them, then those beside them, from where the map has them; W: (n + k, 2, 2) their information; log_det: (n + k,) of
-    their covariances.
+    group: (n,) 2 k + half; share: (n,) of a reading that each counts for; beside: (k,) the rows that have a reading
+    beside; x: (n + k, 2) m, the readings taken for them, then those beside them, from where the map has them; W:
+    (n + k, 2, 2) their information; log_det: (n + k,) of their covariances.
     """
 
     group: IntArray
-    count: Array
+    share: Array
     beside: IntArray
     x: Array
     W: Array
@@ -66,7 +66,7 @@ class Pairs(NamedTuple):
 
     def total(self, values: Array, groups: int) -> Array:
         """Sums (G,) of values (n,) over the pairs of each group."""
-        return np.bincount(self.group, self.count * values, groups)
+        return np.asarray(np.bincount(self.group, self.share * values, groups), np.float64)
 
 
 class Two(NamedTuple):
@@ -105,7 +105,7 @@ def log_evidence(r: Registered, landmarks: Array, frame: IntArray, place: IntArr
     p, beside, clutter = _beside(r, landmarks, frame)
     number = r.row[p]
     count = np.bincount(number, minlength=len(landmarks))
-    square = squares(r.xy[p] - landmarks[number], np.linalg.inv(r.covariance[p]))
+    square = squares(r.xy[p] - landmarks[number], inverses(r.covariance[p]))
     scatter = np.bincount(number, np.minimum(square, EDGE * 2.0), len(landmarks)) / np.maximum(count, 1)
     doubtful = (np.bincount(number[beside >= 0], minlength=len(landmarks)) > 0) | (scatter > SCATTERED)
     _, cell, alike = np.unique(
@@ -145,10 +145,11 @@ def _beside(r: Registered, landmarks: Array, frame: IntArray) -> tuple[IntArray,
     wide = np.trace(r.stated, axis1=1, axis2=2) > np.trace(r.covariance, axis1=1, axis2=2)
     S = np.where(wide[:, None, None], r.stated, r.covariance)
     area = math.pi * np.sqrt(np.linalg.det(S[p])).sum()
-    square = squares(r.xy[q[which]] - landmarks[r.row[p[of]]], np.linalg.inv(S[q])[which])
+    square = squares(r.xy[q[which]] - landmarks[r.row[p[of]]], inverses(S[q])[which])
     around = (square >= BESIDE) & (square < AROUND)
     clutter = (np.count_nonzero(around) + 1.0) / ((AROUND - BESIDE) * area)
-    which, of, square = (values[square < BESIDE] for values in (which, of, square))
+    inside = square < BESIDE
+    which, of, square = which[inside], of[inside], square[inside]
     for i in np.lexsort((-square, which)).tolist():  # each reading is beside the nearest landmark of its frame only
         begin[which[i]] = of[i]
     own = begin[which] == of
@@ -157,20 +158,20 @@ def _beside(r: Registered, landmarks: Array, frame: IntArray) -> tuple[IntArray,
     return p, nearest, clutter
 
 
-def _pairs(r: Registered, landmarks: Array, asked: IntArray, p: IntArray, beside: IntArray, count: Array) -> Pairs:
+def _pairs(r: Registered, landmarks: Array, asked: IntArray, p: IntArray, beside: IntArray, share: Array) -> Pairs:
     """Those of the landmarks asked about, each one's looks in two halves, one after the other."""
     k = np.full(len(landmarks), -1, np.int64)
     k[asked] = np.arange(len(asked))
     few = np.flatnonzero(k[r.row[p]] >= 0)
     few = few[np.argsort(r.row[p[few]], kind="stable")]
-    number, count = r.row[p[few]], count[few]
-    looks = np.bincount(k[number], count)
-    so_far = np.cumsum(count) - count - (np.cumsum(looks) - looks)[k[number]]
+    number, share = r.row[p[few]], share[few]
+    looks = np.bincount(k[number], share)
+    so_far = np.cumsum(share) - share - (np.cumsum(looks) - looks)[k[number]]
     group = 2 * k[number] + (so_far >= 0.5 * looks[k[number]])
     there = np.flatnonzero(beside[few] >= 0)
     every = np.concatenate([p[few], beside[few[there]]])
     S, x = r.covariance[every], r.xy[every] - landmarks[np.concatenate([number, number[there]])]
-    return Pairs(group, count, there, x, np.linalg.inv(S), np.log(np.linalg.det(S)))
+    return Pairs(group, share, there, x, inverses(S), np.log(np.linalg.det(S)))
 
 
 def _densities(off: Array, W: Array, log_det: Array, spread: float = 1.0) -> tuple[Array, Array]:
@@ -202,7 +203,7 @@ def _one(pairs: Pairs, groups: int) -> Array:
     for spread in SPREADS:
         weight = np.ones(n)
         for _ in range(ROUNDS):
-            mean = _means(pairs.group, x, W, pairs.count * weight, groups)
+            mean = _means(pairs.group, x, W, pairs.share * weight, groups)
             density, weight = _densities(x - mean[pairs.group], W, log_det, spread)
         best = np.maximum(best, pairs.total(density, groups))
     return best
@@ -212,13 +213,13 @@ def _two(pairs: Pairs, groups: int, clutter: float) -> Two:
     """The two points of each group that explain its readings best: expectation maximization from two beginnings."""
     n, there = len(pairs.group), pairs.group[pairs.beside]
     count = pairs.total(np.ones(n), groups)
-    found = np.bincount(there, pairs.count[pairs.beside], groups)
-    middle = _means(pairs.group, pairs.x[:n], pairs.W[:n], pairs.count, groups)
+    found = np.bincount(there, pairs.share[pairs.beside], groups)
+    middle = _means(pairs.group, pairs.x[:n], pairs.W[:n], pairs.share, groups)
     off = pairs.x[:n] - middle[pairs.group]
     moments = [pairs.total(off[:, i] * off[:, j], groups) for i, j in ((0, 0), (0, 1), (0, 1), (1, 1))]
     size, axes = np.linalg.eigh((np.stack(moments, axis=1) / count[:, None]).reshape(-1, 2, 2))
     step = axes[:, :, 1] * np.sqrt(np.maximum(size[:, 1], 0.0))[:, None]
-    besides = _means(there, pairs.x[n:], pairs.W[n:], pairs.count[pairs.beside], groups)
+    besides = _means(there, pairs.x[n:], pairs.W[n:], pairs.share[pairs.beside], groups)
     besides = np.where((found > 0)[:, None], besides, middle + step)
     both = (found + 0.5) / (count + 1.0)
     # apart along the longer axis of what is taken for it; or one there, the other where the readings beside it are
@@ -238,7 +239,7 @@ def _fitted(pairs: Pairs, two: Two, count: Array, clutter: float) -> Two:
     groups, every = len(count), pairs.every
     for _ in range(ROUNDS):
         _, first, both, weight = _explained(pairs, two, clutter)
-        weight *= pairs.count[every][:, None]
+        weight *= pairs.share[every][:, None]
         points = [_means(pairs.group[every], pairs.x, pairs.W, weight[:, i], groups) for i in range(2)]
         sums = (pairs.total(values, groups) for values in (first, both))
         two = Two(np.stack(points, axis=1), *((total + 0.5) / (count + 1.0) for total in sums))

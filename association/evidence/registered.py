@@ -14,7 +14,7 @@ import numpy as np
 from association.evidence import constants
 from data.inputs import Inputs, IntArray
 from data.result import Run, surviving
-from data.se2 import Array
+from data.se2 import Array, BoolArray
 
 ROUNDS = 2
 """Fits of a frame: the first by equal weights, the second without what does not fit the first."""
@@ -55,8 +55,8 @@ def registered(run: Run, inputs: Inputs) -> Registered | None:
         return None
     number, path = taken_for(run), run.trajectory(run.phases[-1])
     rows = np.full(int(max(number.max(initial=0), m.number.max())) + 1, -1, np.int64)
-    rows[m.number] = np.where(np.isfinite(m.xy).all(axis=1), np.arange(len(m)), -1)
-    known = np.isfinite(path.pose).all(axis=1)
+    rows[m.number] = np.where(_finite(m.xy), np.arange(len(m)), -1)
+    known = _finite(path.pose)
     row = np.where((number >= 0) & known[o.frame], rows[np.maximum(number, 0)], -1)
     pose = np.where(known[:, None], path.pose, 0.0)[o.frame]
     xy, Gx, Gz = inputs.sensor.inverse(pose, o.z)
@@ -70,13 +70,18 @@ def registered(run: Run, inputs: Inputs) -> Registered | None:
 
 def _information(covariance: Array) -> Array:
     """About each pose (N, 3, 3)."""
-    known = np.isfinite(covariance).all(axis=(1, 2))
-    P = np.where(known[:, None, None], covariance, np.eye(3)) + constants.EXACT_VARIANCE * np.eye(3)
-    return np.where(known[:, None, None], np.linalg.inv(P), UNKNOWN_POSE * np.eye(3))
+    known = _finite(covariance.reshape(-1, 9))[:, None, None]
+    P = np.where(known, covariance, np.eye(3)) + constants.EXACT_VARIANCE * np.eye(3)
+    return np.where(known, inverses(P), UNKNOWN_POSE * np.eye(3))
+
+
+def _finite(rows: Array) -> BoolArray:
+    """Which rows (n,) of a table (n, k) are."""
+    return np.asarray(np.isfinite(rows).all(axis=1), np.bool_)
 
 
 def _by_others(
-    off: Array, R: Array, Gx: Array, paired: Array, frame: IntArray, information: Array
+    off: Array, R: Array, Gx: Array, paired: BoolArray, frame: IntArray, information: Array
 ) -> tuple[Array, Array]:
     """How the other pairings of its frame shift each reading (M, 2), and the covariance (M, 2, 2) of what is left.
 
@@ -94,7 +99,7 @@ def _by_others(
         shift = -np.einsum("mij,mjk,mk->mi", Gx, P, b[frame] - pull)
         S = R + Gx @ P @ np.swapaxes(Gx, 1, 2)
         if paired.any():
-            d2 = squares(off + shift, np.linalg.inv(S))
+            d2 = squares(off + shift, inverses(S))
             scale = max(float(np.median(d2[paired])) / MEDIAN_2, LEAST)
             weight = paired * (constants.FREEDOM + 2.0) / (constants.FREEDOM + d2 / scale)
     return shift, S
@@ -121,6 +126,11 @@ def _as_it_is(off: Array, S: Array, sight: Array, row: IntArray) -> Array:
     D = np.sqrt(scale)
     found: Array = np.swapaxes(axes, 1, 2) @ (turned * D[:, None] * D[None, :]) @ axes
     return found
+
+
+def inverses(S: Array) -> Array:
+    """Inverses (m, k, k) of covariances (m, k, k)."""
+    return np.asarray(np.linalg.inv(S), np.float64)
 
 
 def squares(off: Array, information: Array) -> Array:

@@ -115,9 +115,8 @@ def table(rows: Sequence[Row]) -> list[str]:
 def _said(worlds: Sequence[World]) -> str:
     """On how many worlds hindsight said that it was lost: of those where it was, and of those where it was not."""
     parts = []
-    for least, most, what in (
-        (LOST, math.inf, f"beyond {LOST:g} times"), (HEALTHY, LOST, "between"), (0.0, HEALTHY, f"up to {HEALTHY:g} times"),
-    ):  # fmt: skip
+    beyond, between, near = f"beyond {LOST:g} times", "between", f"up to {HEALTHY:g} times"
+    for least, most, what in ((LOST, math.inf, beyond), (HEALTHY, LOST, between), (0.0, HEALTHY, near)):
         of = [w.hindsight for w in worlds if w.known and least < w.hindsight.rmse_m / w.known.rmse_m <= most]
         parts.append(f"{sum(r.said_lost for r in of)} of {len(of)} {what}")
     return f"said to be lost, by the RMSE in those with labels: {', '.join(parts)}"

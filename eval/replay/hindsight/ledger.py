@@ -249,7 +249,7 @@ class Ledger:
         return total
 
     def replaced(self, decisions: IntArray) -> tuple[int, int]:
-        """Of the judged frame, by its decisions (m,): certain landmarks paired; certain ones missed, something newer read.
+        """Certain landmarks that the judged frame paired, by decisions (m,); certain ones missed, something newer read.
 
         Newer is what was initialized, in this frame or before, after the missed one had been seen last.
         """

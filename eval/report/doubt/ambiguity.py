@@ -24,7 +24,10 @@ def ambiguity_statements(trial: Trial) -> list[str]:
             continue
         of = ambiguous(run, trial.log.recorded)
         own = of == run.map.number
-        for which, (what, why), column in (((of >= 0) & ~own, APART, ""), (own, TWO, ", which then names the same one")):
+        for which, (what, why), column in (
+            ((of >= 0) & ~own, APART, ""),
+            (own, TWO, ", which then names the same one"),
+        ):
             if which.any():
                 text = f"{run.association}: {int(which.sum())} of {len(of)} landmarks {what}"
                 told.setdefault((text, why, column), []).append(run.estimator)

@@ -1,4 +1,4 @@
-"""A landmark may be two where its readings say so: two points in their scatter, or something beside it again and again."""
+"""A landmark may be two where its readings say so: two points in their scatter, or another one beside it."""
 
 from __future__ import annotations
 
