@@ -150,9 +150,9 @@ def _beside(r: Registered, landmarks: Array, frame: IntArray) -> tuple[IntArray,
     clutter = (np.count_nonzero(around) + 1.0) / ((AROUND - BESIDE) * area)
     inside = square < BESIDE
     which, of, square = which[inside], of[inside], square[inside]
-    for i in np.lexsort((-square, which)).tolist():  # each reading is beside the nearest landmark of its frame only
-        begin[which[i]] = of[i]
-    own = begin[which] == of
+    order, to = np.argsort(-square, kind="stable"), np.full(len(q), -1, np.int64)
+    to[which[order]] = of[order]  # the nearest last, which stays: a reading is beside one landmark of its frame only
+    own = to[which] == of
     order = np.argsort(-square[own], kind="stable")
     nearest[of[own][order]] = q[which[own][order]]
     return p, nearest, clutter
