@@ -226,3 +226,14 @@ OTHER_PLACE = 0.9999
 """An estimator is somewhere else if its pose is outside this probability of the hypotheses' (3 dof)."""
 EXACT_VARIANCE = 1e-12
 """An exact prior has no inverse; a micrometre (and microradian) away is nowhere else."""
+
+# --- Lost while mapping (association/evidence/lost.py, eval/replay/hindsight/lost.py) ---------------------------------
+
+THERE_HEALTHY = 0.5
+"""Share of the certain landmarks in view that are paired, of these and those that something newer is read for: a
+healthy robot pairs so many of them at least, ..."""
+THERE_LOST = 0.2
+"""... and a lost one so many."""
+THERE_ALARM = 7.0
+"""Score of an alarm. By Wald's inequality there is a false one in exp(7) = 1100 frames from different places where just
+half are paired, in 10^5 where 60 % are."""

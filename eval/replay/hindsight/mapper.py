@@ -26,6 +26,7 @@ from eval.replay.hindsight.duplicates import Duplicates
 from eval.replay.hindsight.gates import LearnedGates
 from eval.replay.hindsight.kidnapping import Kidnapping
 from eval.replay.hindsight.ledger import Ledger
+from eval.replay.hindsight.lost import Lost
 from eval.replay.hindsight.uncertain_motion import UncertainMotion
 from eval.replay.settings import Setup
 
@@ -84,6 +85,7 @@ class HindsightMapper:
         gates: the noise that there is, by which it decides.
         kidnapping: whether the robot has been moved unseen.
         duplicates: which landmarks were initialized twice.
+        lost: whether its own map is to be believed; decides nothing.
     """
 
     def __init__(self, given: Given, setup: Setup) -> None:
@@ -97,6 +99,7 @@ class HindsightMapper:
         self.gates = LearnedGates(self.ledger)
         self.kidnapping = Kidnapping(self.ledger, setup)
         self.duplicates = Duplicates(self.ledger)
+        self.lost = Lost(self.ledger)
 
     @property
     def filter(self) -> EkfSlam:
@@ -144,6 +147,7 @@ class HindsightMapper:
 
     def _update(self, frame: Frame, decided: Mapped) -> None:
         """Step 7, update the filter with the decisions, initialize landmarks, and note what was seen."""
+        self.lost.look(frame, decided.decisions, self.filter.estimate().mean)
         done = self.filters.update(frame.sightings, decided.decisions, at=decided.at)
         pose = self.filter.estimate().mean
         self.ledger.see(frame, decided.decisions, done, pose)
@@ -182,4 +186,5 @@ class HindsightMapper:
         """What a reader of the results should know."""
         return [
             *self.ledger.notes(), *self.motion.notes(), *self.kidnapping.notes(), *self.ledger.merge_notes(),
+            *self.lost.notes(),
         ]  # fmt: skip
