@@ -1,8 +1,9 @@
-"""Which landmarks of a finished map cannot be told from a neighbour: a reading of the one could be one of the other.
+"""Which landmarks of a finished map are ambiguous: those not to be told from a neighbour, and those that may be two.
 
-Two landmarks are told apart where one frame saw both, or where their difference is significant given the covariances of
-both and of a reading. Only marginal covariances are at hand; of neighbours, whose errors are alike, they overstate that
-of the difference, so that where a map is badly known rather too many are called ambiguous.
+A landmark that its own readings call two is ambiguous with itself (`association.evidence.doubles`). Two landmarks are
+told apart where one frame saw both, or where their difference is significant given the covariances of both and of a
+reading. Only marginal covariances are at hand; of neighbours, whose errors are alike, they overstate that of the
+difference, so that where a map is badly known rather too many are called ambiguous.
 """
 
 from __future__ import annotations
@@ -10,9 +11,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from association.evidence.doubles import doubles
+from association.evidence.registered import taken_for
 from association.expectation import gate_threshold
 from data.inputs import Inputs, IntArray
-from data.result import MapEstimate, Run, surviving
+from data.result import MapEstimate, Run
 from data.se2 import Array
 
 GATE = 0.99
@@ -24,19 +27,20 @@ NONE = -1
 
 
 def ambiguous(run: Run, inputs: Inputs) -> IntArray:
-    """For each landmark (L,) of a run's map the number of the nearest that it cannot be told from, or `NONE`.
+    """For each landmark (L,) of a run's map the number of the nearest that it cannot be told from, its own if it may be
+    two (and can be told from all others), or `NONE`.
 
     All `NONE` for walls, and where the decisions are not about the observations of these inputs.
     """
     m, o = run.map, inputs.observations
-    if m is None or len(m) < 2 or run.walls or len(run.final_decisions) != len(o.frame) or not len(o.frame):
+    if m is None or not len(m) or run.walls or len(run.final_decisions) != len(o.frame) or not len(o.frame):
         return np.full(0 if m is None else len(m), NONE, np.int64)
-    created = surviving(run.final_decisions, run.created)
-    number = np.where(created >= 0, created, run.final_decisions)
+    number = taken_for(run)
     seen = np.flatnonzero(number >= 0)
     _, covariance = inputs.sensor.body_points(o.z[seen], o.R[seen])
     variance = 0.5 * np.trace(covariance, axis1=1, axis2=2)
-    return neighbours(m, variance_of(m, number[seen], variance), number[seen], o.frame[seen])
+    found = neighbours(m, variance_of(m, number[seen], variance), number[seen], o.frame[seen])
+    return np.where((found == NONE) & doubles(run, inputs), m.number, found)
 
 
 def variance_of(m: MapEstimate, number: IntArray, variance: Array) -> Array:

@@ -1,10 +1,12 @@
-"""Noise told by the differences of consecutive frames, before any map: variances of range, bearing and motion.
+"""Noise told by the differences of consecutive frames, before any map: variances of ranges, of bearings, of motion.
 
-What one frame saw is expected in the next one, moved by odometry. Nearest neighbours of both frames differ by the
-noise of both readings, each by its own, and by that of the motion, which is common to all pairs of a frame: variance
-components, fitted by expectation maximization (Dempster, Laird and Rubin, Journal of the Royal Statistical Society B
-39, 1977). A pair may be of two different landmarks; then it differs as neighbours do by chance, at the density of the
-readings in the view.
+What one frame read is expected in the next one, moved by odometry. Readings that are each other's nearest neighbours
+differ by the noise of both, each of its own, and by that of the motion, which all pairs of a step have in common:
+variance components, fitted by expectation maximization (Dempster, Laird and Rubin, Journal of the Royal Statistical
+Society B 39, 1977). A pair may be of something that moved, whose differences are wider, or of two landmarks: these
+differ as neighbours do by chance, at the density of the readings in the view.
+
+Only errors that are new in every frame make a difference. Those that last, of a calibration say, cancel.
 """
 
 from __future__ import annotations
@@ -16,10 +18,12 @@ import numba
 import numpy as np
 
 from association.evidence import constants
-from data import se2
 from data.inputs import Increment, Sightings
 from data.se2 import Array
-from data.sensors import RANGE_BEARING, Sensor
+from data.sensors import MIN_RANGE, RANGE_BEARING, Sensor
+
+SOME = 0.1
+"""Share of the pairs that are of something that moves, before the first round; the others are shared out evenly."""
 
 
 class Shares(NamedTuple):
@@ -33,15 +37,15 @@ class Shares(NamedTuple):
 AS_STATED = Shares()
 
 
-class Steps(NamedTuple):
-    """Pairs of consecutive frames.
+class Step(NamedTuple):
+    """The K pairs of two consecutive frames.
 
-    first: (F + 1,) where the pairs of each step begin; covariance: (F, 3, 3) of its motion.
-    nu: (K, 2) difference, H: (K, 2, 3) its Jacobian to the motion; by_range, by_bearing: (K, 2, 2) stated covariance of
-    it; chance: (K,) density of a neighbour that is another landmark.
+    covariance: (3, 3) of the motion between them, as stated.
+    nu: (K, 2) differences; H: (K, 2, 3) their Jacobians to the motion; by_range, by_bearing: (K, 2, 2) covariances that
+    the stated noise of both readings gives them.
+    chance: (K,) density at nu of the difference to a neighbour that is another landmark.
     """
 
-    first: Array
     covariance: Array
     nu: Array
     H: Array
@@ -50,151 +54,142 @@ class Steps(NamedTuple):
     chance: Array
 
 
-def by_direction(sensor: Sensor, sightings: Sightings) -> tuple[Array, Array]:
-    """The parts (m, 2, 2) of R that are noise of the range and of the bearing; what they have in common is in neither."""
-    z, R = sightings
-    if sensor.kind == RANGE_BEARING:
-        T = np.broadcast_to(np.eye(2), R.shape)
-    else:
-        u = z / np.maximum(np.hypot(z[:, 0], z[:, 1]), np.finfo(float).tiny)[:, None]
-        T = np.stack([u, np.stack([-u[:, 1], u[:, 0]], axis=1)], axis=-1)
-    variance = np.einsum("mij,mik,mkj->mj", T, R, T)
-    along, across = (v[:, None, None] * T[:, :, None, i] * T[:, None, :, i] for i, v in enumerate(variance.T))
-    return along, across
-
-
-def with_shares(sensor: Sensor, sightings: Sightings, shares: Shares) -> Sightings:
-    """The readings with the noise that there is."""
-    if shares.range == 1.0 and shares.bearing == 1.0 or not len(sightings.z):
-        return sightings
-    z, R = sightings
-    D = np.diag(np.sqrt([shares.range, shares.bearing]))
-    if sensor.kind != RANGE_BEARING:
-        u = z / np.maximum(np.hypot(z[:, 0], z[:, 1]), np.finfo(float).tiny)[:, None]
-        T = np.stack([u, np.stack([-u[:, 1], u[:, 0]], axis=1)], axis=-1)
-        D = T @ D @ T.transpose(0, 2, 1)
-        return Sightings(z, D @ R @ D.transpose(0, 2, 1))
-    return Sightings(z, D @ R @ D)
-
-
 class Differences:
-    """Collects pairs of consecutive frames, and says what they tell of the noise.
-
-    Attributes:
-        shares: what is known by now.
-    """
+    """Collects the steps from one frame to the next; what they tell is worked out at the 1st, 2nd, 4th, 8th one."""
 
     def __init__(self, sensor: Sensor) -> None:
         """Before the first frame."""
-        self.sensor, self.shares = sensor, AS_STATED
+        self._sensor, self._shares = sensor, AS_STATED
         self._before: Sightings | None = None
-        self._steps: list[Steps] = []
-        self._next = 1
-        self._farthest = 0.0
+        self._steps: list[Step] = []
+        self._farthest = MIN_RANGE
 
-    def see(self, increment: Increment | None, sightings: Sightings) -> None:
-        """The next frame."""
+    def see(self, increment: Increment | None, sightings: Sightings) -> Shares:
+        """The next frame, its motion and what was read; what is known of the noise by now."""
         if len(self._steps) >= constants.DIFFERENCES_MOST:
-            return
+            return self._shares
         before, self._before = self._before, sightings if len(sightings.z) else None
-        self._farthest = max(self._farthest, float(self.sensor.polar(sightings.z)[:, 0].max(initial=0.0)))
-        if before is None or increment is None or not len(sightings.z):
-            return
-        step = pairs(self.sensor, before, increment, sightings, self._farthest)
-        if not len(step.nu):
-            return
-        self._steps.append(step)
-        if len(self._steps) == self._next:
-            self._next *= 2
-            self.shares = fitted(self._steps)
+        if not len(sightings.z):
+            return self._shares
+        self._farthest = max(self._farthest, float(self._sensor.polar(sightings.z)[:, 0].max()))
+        if before is not None and increment is not None:
+            self._steps.append(paired(self._sensor, before, increment, sightings, self._farthest))
+            if len(self._steps).bit_count() == 1:
+                self._shares = fitted(self._steps)
+        return self._shares
 
 
-def pairs(sensor: Sensor, before: Sightings, increment: Increment, now: Sightings, reach: float) -> Steps:
-    """Readings of two frames that are each other's nearest neighbours, by the stated noise; reach [m] of the sensor."""
+def axes(sensor: Sensor, z: Array) -> Array:
+    """Directions of the range and of the bearing (m, 2, 2), as columns, in the space of measurements (m, 2)."""
+    if sensor.kind == RANGE_BEARING:
+        return np.tile(np.eye(2), (len(z), 1, 1))
+    along = z / np.maximum(np.hypot(z[:, 0], z[:, 1]), MIN_RANGE)[:, None]
+    return np.stack([along, np.stack([-along[:, 1], along[:, 0]], axis=1)], axis=-1)
+
+
+def with_shares(sensor: Sensor, sightings: Sightings, shares: Shares) -> Sightings:
+    """The same readings with such shares of the stated variances."""
+    z, R = sightings
+    T = axes(sensor, z)
+    D = T @ np.diag(np.sqrt([shares.range, shares.bearing])) @ T.transpose(0, 2, 1)
+    return Sightings(z, D @ R @ D)
+
+
+def paired(sensor: Sensor, before: Sightings, increment: Increment, now: Sightings, reach: float) -> Step:
+    """Readings of two frames that are each other's nearest neighbours, by the stated noise; `reach` [m] of the view."""
     xy, _, Gz = sensor.inverse(np.zeros(3), before.z)
     z_hat, H, Hl = sensor.linearize(increment.mean, xy)
     J = Hl @ Gz
-    S = np.einsum("nij,njk,nlk->nil", J, before.R, J) + H @ increment.covariance @ H.transpose(0, 2, 1)
+    S = J @ before.R @ J.transpose(0, 2, 1) + H @ increment.covariance @ H.transpose(0, 2, 1)
     nu = sensor.residual(now.z[:, None], z_hat[None])
-    S = S[None] + now.R[:, None]
-    d2 = np.einsum("mni,mni->mn", nu, np.linalg.solve(S, nu[..., None])[..., 0])
+    d2 = (nu * np.linalg.solve(S[None] + now.R[:, None], nu[..., None])[..., 0]).sum(axis=2)
     nearest = d2.argmin(axis=1)
     rows = np.flatnonzero(d2.argmin(axis=0)[nearest] == np.arange(len(nu)))
     at = nearest[rows]
-    r, b = by_direction(sensor, now)
-    r0, b0 = by_direction(sensor, before)
-    turned = J[at].transpose(0, 2, 1)
-    area = 0.5 * (sensor.max_angle - sensor.min_angle) * max(reach, 1e-9) ** 2
-    chance = np.full(len(rows), len(before.z) / area)
-    if sensor.kind == RANGE_BEARING:
-        chance *= now.z[rows, 0]
-    return Steps(
-        np.array([0, len(rows)]), increment.covariance[None], nu[rows, at], H[at],
-        r[rows] + J[at] @ r0[at] @ turned, b[rows] + J[at] @ b0[at] @ turned, chance,
-    )  # fmt: skip
+    here = _by_direction(sensor, Sightings(now.z[rows], now.R[rows]))
+    there = _by_direction(sensor, Sightings(before.z[at], before.R[at]))
+    by_range, by_bearing = (a + J[at] @ b @ J[at].transpose(0, 2, 1) for a, b in zip(here, there, strict=True))
+    density = len(before.z) / (0.5 * (sensor.max_angle - sensor.min_angle) * reach**2)
+    per_unit = np.maximum(now.z[rows, 0], MIN_RANGE) if sensor.kind == RANGE_BEARING else np.ones(len(rows))
+    return Step(increment.covariance, nu[rows, at], H[at], by_range, by_bearing, density * per_unit)
 
 
-def fitted(steps: list[Steps]) -> Shares:
+def _by_direction(sensor: Sensor, sightings: Sightings) -> tuple[Array, Array]:
+    """The parts (m, 2, 2) of R that are noise of the range and of the bearing, without what these have in common."""
+    T = axes(sensor, sightings.z)
+    variance = np.einsum("mij,mik,mkj->mj", T, sightings.R, T)
+    along, across = (variance[:, i, None, None] * T[:, :, None, i] * T[:, None, :, i] for i in range(2))
+    return along, across
+
+
+def fitted(steps: list[Step]) -> Shares:
     """The variances that explain the differences best."""
-    first = np.concatenate([[0], np.cumsum([len(s.nu) for s in steps])]).astype(np.int64)
-    rest = (np.ascontiguousarray(np.concatenate(c)) for c in list(zip(*steps, strict=True))[1:])
-    return Shares(*_fit(first, *rest, constants.DIFFERENCES_PRIOR, constants.DIFFERENCES_ROUNDS).tolist())
+    first = np.concatenate([[0], np.cumsum([len(s.nu) for s in steps])])
+    covariance = np.stack([s.covariance for s in steps])
+    nu, H, by_range, by_bearing, chance = (np.concatenate(c) for c in list(zip(*steps, strict=True))[1:])
+    settings = constants.DIFFERENCES_PRIOR, constants.DIFFERENCES_ROUNDS, constants.DIFFERENCES_WIDE, SOME
+    return Shares(*_fit(first, covariance, nu, H, by_range, by_bearing, chance, *settings).tolist())
 
 
 @numba.njit(cache=True)
-def _fit(first, covariance, nu, H, by_range, by_bearing, chance, prior, rounds):  # type: ignore[no-untyped-def]
-    """Shares (3,) after so many rounds; `prior` pairs say that all is as stated."""
-    F, K = len(covariance), len(nu)
-    share = np.ones(3)
-    weight = np.ones(K)
-    right = 0.5
-    inverse = np.empty((F, 3, 3))
-    for f in range(F):
-        inverse[f] = np.linalg.inv(covariance[f])
-    information, pull = np.empty((K, 3, 3)), np.empty((K, 3))
+def _fit(first, covariance, nu, H, by_range, by_bearing, chance, prior, rounds, wide, some):  # type: ignore[no-untyped-def]
+    """Shares (3,) after so many rounds, where `prior` pairs and steps say that all is as stated.
+
+    The pairs of step f are rows first[f] to first[f + 1] - 1. A pair is as it should be, of something that moves (its
+    noise `wide` times as large), or of two landmarks.
+    """
+    share, how = np.ones(3), np.array([0.5 - 0.5 * some, some, 0.5 - 0.5 * some])
+    n = len(nu)
+    weight, held = np.ones(n), np.ones(n)
+    W, information, pull = np.empty((n, 2, 2)), np.empty((n, 3, 3)), np.empty((n, 3))
+    stated = np.empty_like(covariance)
+    for f in range(len(covariance)):
+        stated[f] = np.linalg.inv(covariance[f])
     for _ in range(rounds):
-        above, below = np.full(3, prior), np.full(3, prior)
-        total = 0.0
-        for f in range(F):
-            L, b = inverse[f] / share[2], np.zeros(3)
+        above, below, total = np.full(3, prior), np.full(3, prior), how.copy()
+        for f in range(len(covariance)):
+            L, b = stated[f] / share[2], np.zeros(3)
             for j in range(first[f], first[f + 1]):
-                W = np.linalg.inv(share[0] * by_range[j] + share[1] * by_bearing[j])
-                information[j] = H[j].T @ W @ H[j]
-                pull[j] = H[j].T @ (W @ nu[j])
-                L = L + weight[j] * information[j]
-                b = b + weight[j] * pull[j]
+                W[j] = np.linalg.inv(share[0] * by_range[j] + share[1] * by_bearing[j])
+                WH = W[j] @ H[j]
+                information[j] = H[j].T @ WH
+                pull[j] = WH.T @ nu[j]
+                L += weight[j] * information[j]
+                b += weight[j] * pull[j]
             for j in range(first[f], first[f + 1]):
-                # what the others of the frame say about this pair
+                # by what the other pairs of the step say of the motion
                 rest = np.linalg.inv(L - weight[j] * information[j])
-                moved = rest @ (b - weight[j] * pull[j])
-                N = share[0] * by_range[j] + share[1] * by_bearing[j]
-                S = N + H[j] @ rest @ H[j].T
-                off = nu[j] - H[j] @ moved
-                det = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
-                d2 = off @ np.linalg.inv(S) @ off
-                good = right * math.exp(-0.5 * d2) / (2.0 * math.pi * math.sqrt(det))
-                weight[j] = good / (good + (1.0 - right) * chance[j] + 1e-300)
-                total += weight[j]
-            L, b = inverse[f] / share[2], np.zeros(3)
+                off = nu[j] - H[j] @ (rest @ (b - weight[j] * pull[j]))
+                HPH = H[j] @ rest @ H[j].T
+                R = share[0] * by_range[j] + share[1] * by_bearing[j]
+                good, moving = how[0] * _normal(off, R + HPH), how[1] * _normal(off, wide * R + HPH)
+                every = good + moving + how[2] * chance[j]
+                good, moving = good / every, moving / every
+                total += np.array([good, moving, 1.0 - good - moving])
+                held[j], weight[j] = good + moving, good + moving / wide
+            L, b = stated[f] / share[2], np.zeros(3)
             for j in range(first[f], first[f + 1]):
-                L = L + weight[j] * information[j]
-                b = b + weight[j] * pull[j]
+                L += weight[j] * information[j]
+                b += weight[j] * pull[j]
             P = np.linalg.inv(L)
             moved = P @ b
             for j in range(first[f], first[f + 1]):
-                W = np.linalg.inv(share[0] * by_range[j] + share[1] * by_bearing[j])
-                v = W @ (nu[j] - H[j] @ moved)
-                HP = W @ H[j] @ P @ H[j].T @ W
-                for c in range(2):
-                    part = by_range[j] if c == 0 else by_bearing[j]
-                    above[c] += 0.5 * weight[j] * (v @ part @ v + np.sum(HP * part))
-                    below[c] += 0.5 * weight[j] * np.sum(W * part) 
-            M = inverse[f] @ P + np.outer(inverse[f] @ moved, moved)
-            above[2] += (M[0, 0] + M[1, 1] + M[2, 2]) / 3.0
-            below[2] += share[2]
-        for c in range(2):
-            # the sums are in units of the present share
-            share[c] *= (above[c] - prior + prior / share[c]) / below[c]
-        share[2] *= (above[2] - prior + prior) / (below[2] - prior + prior * share[2])
-        right = (total + 1.0) / (K + 2.0)
+                WH = W[j] @ H[j]
+                v = W[j] @ (nu[j] - H[j] @ moved)
+                M = WH @ P @ WH.T + np.outer(v, v)
+                above[0] += 0.5 * share[0] * weight[j] * np.sum(M * by_range[j])
+                above[1] += 0.5 * share[1] * weight[j] * np.sum(M * by_bearing[j])
+                below[0] += 0.5 * held[j] * np.sum(W[j] * by_range[j])
+                below[1] += 0.5 * held[j] * np.sum(W[j] * by_bearing[j])
+            above[2] += np.sum(stated[f] * (P + np.outer(moved, moved))) / 3.0
+            below[2] += 1.0
+        share, how = above / below, total / total.sum()
     return share
+
+
+@numba.njit(cache=True)
+def _normal(x, S):  # type: ignore[no-untyped-def]
+    """Density at x (2,) of a normal variable of covariance S (2, 2)."""
+    det = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
+    d2 = (S[1, 1] * x[0] * x[0] - (S[0, 1] + S[1, 0]) * x[0] * x[1] + S[0, 0] * x[1] * x[1]) / det
+    return math.exp(-0.5 * d2) / (2.0 * math.pi * math.sqrt(det))

@@ -22,6 +22,8 @@ NEAR = 0.1
 """Share of the visible landmarks by which a map may have too many or too few."""
 OFTEN = 0.9
 """Share of the worlds where it must not have."""
+LOST, HEALTHY = 5.0, 1.5
+"""RMSE, in those with labels: beyond the first a run is lost, up to the second it is not."""
 NONE = 1.0
 """FP that stand for none, so that they have a ratio."""
 
@@ -106,7 +108,18 @@ def table(rows: Sequence[Row]) -> list[str]:
     if shown:
         ours, plain = (_as_with_labels(shown, method) for method in (HINDSIGHT, JCBB))
         lines.append(f"RMSE at most {WORSE:g} times that with labels: {ours:.0%} of the worlds, {JCBB} {plain:.0%}")
+        lines.append(_said(shown))
     return lines
+
+
+def _said(worlds: Sequence[World]) -> str:
+    """On how many worlds hindsight said that it was lost: of those where it was, and of those where it was not."""
+    parts = []
+    beyond, between, near = f"beyond {LOST:g} times", "between", f"up to {HEALTHY:g} times"
+    for least, most, what in ((LOST, math.inf, beyond), (HEALTHY, LOST, between), (0.0, HEALTHY, near)):
+        of = [w.hindsight for w in worlds if w.known and least < w.hindsight.rmse_m / w.known.rmse_m <= most]
+        parts.append(f"{sum(r.said_lost for r in of)} of {len(of)} {what}")
+    return f"said to be lost, by the RMSE in those with labels: {', '.join(parts)}"
 
 
 def _as_with_labels(worlds: Sequence[World], method: str) -> float:

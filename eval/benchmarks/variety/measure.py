@@ -23,6 +23,7 @@ from data.worlds.registry import named_log
 from eval.referee.errors import position_distance, rms
 from eval.referee.score import confusion_of
 from eval.replay.frontend import FrontEnd
+from eval.replay.hindsight.lost import WORDS
 from eval.replay.observer import Nobody
 from eval.replay.plausible import judged
 from eval.replay.run import step_by_step
@@ -44,7 +45,7 @@ class Row(NamedTuple):
 
     number: the world's index; rmse_m: of the positions; fp, fn: decisions, of `readings`; landmarks: in the map in the
     end; visible: true ones read at least once, often: at least three times; seconds: wall time; status: that of the
-    run, or `SLOW`.
+    run, or `SLOW`; said_lost: 1 where the run says that it was lost while mapping, else 0.
     """
 
     number: int
@@ -60,6 +61,7 @@ class Row(NamedTuple):
     landmarks: int
     seconds: float
     status: str
+    said_lost: int = 0
 
 
 class OutOfTimeError(Exception):
@@ -93,7 +95,8 @@ def measure(log: Log, index: int, world: str, method: str, limit: float = LIMIT)
         return Row(index, method, world, *size, math.nan, 0, 0, 0, time.perf_counter() - begin, SLOW)
     seconds = time.perf_counter() - begin
     (run,) = judged([run], inputs)
-    return Row(index, method, world, *size, *_scores(run, log), seconds, run.status)
+    said = any(WORDS in note for note in run.notes)
+    return Row(index, method, world, *size, *_scores(run, log), seconds, run.status, int(said))
 
 
 def _scores(run: Run, log: Log) -> tuple[float, int, int, int]:

@@ -71,7 +71,8 @@ LANDMARKS = File(
         count(
             "ambiguous",
             "number of the nearest landmark that it cannot be told from: no frame saw both, and their difference is"
-            " within the 99 % gate of their covariances and a reading's; blank: there is none",
+            " within the 99 % gate of their covariances and a reading's; its own number: by its readings it may be two;"
+            " blank: neither",
         ),
     ),
 )

@@ -248,6 +248,20 @@ class Ledger:
                 total += max(0.0, math.log((1.0 - constants.ELSEWHERE_SHARE * rate) / here))
         return total
 
+    def replaced(self, decisions: IntArray) -> tuple[int, int]:
+        """Certain landmarks that the judged frame paired, by decisions (m,); certain ones missed, something newer read.
+
+        Newer is what was initialized, in this frame or before, after the missed one had been seen last.
+        """
+        v, numbers = self._visibility, set(decisions.tolist())
+        paired = [self.records[n] for n in numbers if n in self.records]
+        newest = self.travelled if NEW in numbers else max((r.first for r in paired), default=-math.inf)
+        missed = [self.records[n] for n in self._judged.missing.tolist() if n not in numbers]
+        return (
+            sum(certain(r.evidence, v) for r in paired),
+            sum(r.last < newest and certain(r.evidence, v) for r in missed),
+        )
+
     def certain(self) -> IntArray:
         """Numbers (n,) of the landmarks that are certain, ascending."""
         return np.array([n for n, r in self.records.items() if certain(r.evidence, self._visibility)], np.int64)

@@ -13,8 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from association.candidates import in_view
-import os
-from association.evidence.differences import Differences, Shares, with_shares
+from association.evidence.differences import AS_STATED
 from association.evidence.scales import widest
 from association.expectation import Expectation
 from data.inputs import ERRORS, Frame, IntArray, Sightings, Systematic
@@ -28,6 +27,8 @@ from eval.replay.hindsight.duplicates import Duplicates
 from eval.replay.hindsight.gates import LearnedGates
 from eval.replay.hindsight.kidnapping import Kidnapping
 from eval.replay.hindsight.ledger import Ledger
+from eval.replay.hindsight.lost import Lost
+from eval.replay.hindsight.restated import Restated
 from eval.replay.hindsight.uncertain_motion import UncertainMotion
 from eval.replay.settings import Setup
 
@@ -80,20 +81,20 @@ class HindsightMapper:
     Landmark numbers are in the order of creation, as in every estimator that gets the decisions.
 
     Attributes:
+        restated: what odometry and sensor are really like.
         filters: what decides.
         ledger: its landmarks, and what was revised.
         motion: whether a frame can be predicted.
         gates: the noise that there is, by which it decides.
         kidnapping: whether the robot has been moved unseen.
         duplicates: which landmarks were initialized twice.
+        lost: whether its own map is to be believed; decides nothing.
     """
 
     def __init__(self, given: Given, setup: Setup) -> None:
         """Before the first frame."""
         self.setup = setup
-        self.noise = Differences(given.sensor)
-        self.stated_sensor = given.sensor
-        self.view = [given.sensor.max_range, given.sensor.min_angle, given.sensor.max_angle]
+        self.restated = Restated(given.sensor)
         self.filters = TwoModels(
             given.prior, given.sensor, beside_tight(given.systematic), doubted=given.systematic is None
         )
@@ -102,6 +103,7 @@ class HindsightMapper:
         self.gates = LearnedGates(self.ledger)
         self.kidnapping = Kidnapping(self.ledger, setup)
         self.duplicates = Duplicates(self.ledger)
+        self.lost = Lost(self.ledger)
 
     @property
     def filter(self) -> EkfSlam:
@@ -110,8 +112,7 @@ class HindsightMapper:
 
     def move(self, frame: Frame) -> None:
         """Step 1, predict: the next frame comes; the first one has no motion."""
-        self.noise.see(frame.increment, frame.sightings)
-        frame = self._as_it_is(frame)
+        frame = self.restated.see(frame)
         self.ledger.move(frame)
         if frame.increment is not None:
             self.filters.predict(frame.increment)
@@ -120,7 +121,7 @@ class HindsightMapper:
 
     def decide(self, frame: Frame) -> Mapped:
         """Steps 2 to 7: decisions about observations of this frame, used by the filter, too."""
-        frame = self._as_it_is(frame)
+        frame = self.restated.restated(frame)
         e = self._expect(frame.sightings)
         placed = self.motion.place(e, self.filter.estimate().mean)  # 2
         if placed is None:
@@ -132,37 +133,17 @@ class HindsightMapper:
             self.ledger.judge(placed.expectation, placed.decisions, placed.believed)  # 5
             decided = Mapped(placed.decisions, True, placed.pose, None)
             e = placed.expectation
-        # not where the motion turned out to be unknown, or the search found the place: those pairings passed no gate
-        if decided.kidnapped is None and np.isin(decided.decisions[decided.decisions >= 0], e.number).all():
+        # not where the motion turned out to be unknown, or the search found the place: those pairings passed no gate;
+        # and where there is more noise than was stated, they passed one that hardly cuts off any of what was stated
+        stated = self.restated.shares == AS_STATED
+        if stated and decided.kidnapped is None and np.isin(decided.decisions[decided.decisions >= 0], e.number).all():
             decided = decided._replace(S=e.joint_innovation(*e.paired(decided.decisions))[1])
         self._update(frame, decided)  # 7
         return decided
 
-    def _as_it_is(self, frame):
-        mode = os.environ.get("NOISE", "w")
-        s = self.noise.shares
-        low = 1.0 if "w" in mode else 0.0
-        r, b, m = max(low, s.range), max(low, s.bearing), max(low, s.motion)
-        if "m" not in mode: m = 1.0
-        if "n" in mode: m = max(1.0, m)
-        if "0" in mode: r = b = 1.0
-        inc = frame.increment
-        if inc is not None and m != 1.0:
-            inc = inc._replace(covariance=m * inc.covariance)
-        if os.environ.get("VIEW") and len(frame.sightings.z):
-            from dataclasses import replace
-            polar = self.stated_sensor.polar(frame.sightings.z)
-            v = self.view
-            new = [max(v[0], polar[:, 0].max()), min(v[1], polar[:, 1].min()), max(v[2], polar[:, 1].max())]
-            if new != v:
-                self.view = new
-                for f in self.filters._kept:
-                    f.sensor = replace(f.sensor, max_range=new[0], min_angle=new[1], max_angle=new[2])
-        return frame._replace(increment=inc, sightings=with_shares(self.stated_sensor, frame.sightings, Shares(r, b, m)))
-
     def _expect(self, sightings: Sightings) -> Expectation:
         e = self.filter.expect(sightings)
-        return e.only(np.flatnonzero(in_view(self.filter.sensor, e.z_hat, e.HPHt)))
+        return e.only(np.flatnonzero(in_view(self.restated.widened(self.filter.sensor), e.z_hat, e.HPHt)))
 
     def _pair(self, e: Expectation) -> tuple[IntArray, bool]:
         """Step 3, pair by the noise that there is; step 4, put off what only the stated noise explains."""
@@ -174,6 +155,7 @@ class HindsightMapper:
 
     def _update(self, frame: Frame, decided: Mapped) -> None:
         """Step 7, update the filter with the decisions, initialize landmarks, and note what was seen."""
+        self.lost.look(frame, decided.decisions, self.filter.estimate().mean)
         done = self.filters.update(frame.sightings, decided.decisions, at=decided.at)
         pose = self.filter.estimate().mean
         self.ledger.see(frame, decided.decisions, done, pose)
@@ -211,5 +193,6 @@ class HindsightMapper:
     def notes(self) -> list[str]:
         """What a reader of the results should know."""
         return [
-            *self.ledger.notes(), *self.motion.notes(), *self.kidnapping.notes(), *self.ledger.merge_notes(),
+            *self.restated.notes(), *self.ledger.notes(), *self.motion.notes(), *self.kidnapping.notes(),
+            *self.ledger.merge_notes(), *self.lost.notes(),
         ]  # fmt: skip

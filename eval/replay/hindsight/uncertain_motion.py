@@ -64,7 +64,10 @@ class UncertainMotion:
         """What a reader of the results should know."""
         if not self.placed:
             return []
-        return [
+        note = (
             f"{counted(self.placed, 'frame was', 'frames were')} placed by geometry:"
             " the motion until then was too uncertain to predict from"
-        ]
+        )
+        if 2 * self.placed > self.ledger.frames:
+            note += "; the path hangs on it, and where landmarks repeat, nothing tells one place from the next"
+        return [note]

@@ -1,20 +1,37 @@
-"""Landmarks that cannot be told from a neighbour: how many of a run's map, in a sentence."""
+"""Landmarks that cannot be told from a neighbour, or may be two: how many of a run's map, in a sentence."""
 
 from __future__ import annotations
 
 from association.evidence.ambiguity import ambiguous
 from eval.referee.score import Trial
 
-WHY = "no frame saw both, and they are nearer than their covariances and the noise of a reading can tell"
+APART = (
+    "cannot be told from a neighbour",
+    "no frame saw both, and they are nearer than their covariances and the noise of a reading can tell",
+)
+TWO = (
+    "may be two each",
+    "what is read beside them in the same frames, or the scatter of their own readings, speaks for two",
+)
+"""What is said of a kind, and why."""
 
 
 def ambiguity_statements(trial: Trial) -> list[str]:
-    """A sentence for each outcome that some run of a trial has, where it is not that all can be told apart."""
-    told: dict[str, list[str]] = {}
+    """A sentence for each kind and outcome that some run of a trial has, where it is not that all are told apart."""
+    told: dict[tuple[str, str, str], list[str]] = {}
     for run in trial.runs:
-        count = int((ambiguous(run, trial.log.recorded) >= 0).sum())
-        if count and run.map is not None:
-            text = f"{run.association}: {count} of {len(run.map)} landmarks cannot be told from a neighbour"
-            told.setdefault(text, []).append(run.estimator)
-    column = "column ambiguous in landmarks.csv"
-    return [f"{', '.join(names)} with {text}: {WHY}; {column}" for text, names in told.items()]
+        if run.map is None:
+            continue
+        of = ambiguous(run, trial.log.recorded)
+        own = of == run.map.number
+        for which, (what, why), column in (
+            ((of >= 0) & ~own, APART, ""),
+            (own, TWO, ", which then names the same one"),
+        ):
+            if which.any():
+                text = f"{run.association}: {int(which.sum())} of {len(of)} landmarks {what}"
+                told.setdefault((text, why, column), []).append(run.estimator)
+    return [
+        f"{', '.join(names)} with {text}: {why}; column ambiguous in landmarks.csv{column}"
+        for (text, why, column), names in told.items()
+    ]

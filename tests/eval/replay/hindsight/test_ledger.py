@@ -104,3 +104,24 @@ def test_an_epoch_is_what_is_initialized_from_here_on():
     assert story.ledger.epoch == Epoch(1.0, 2)
     story.ledger.end_epoch()
     assert story.ledger.epoch == Epoch(-math.inf, 2)
+
+
+def test_what_is_missed_is_replaced_only_where_something_newer_is_read():
+    story = Story()
+    for _ in range(4):
+        story.see([NEW, NEW] if not story.rows else [0, 1])
+    ledger = story.see([DISCARD, DISCARD, NEW]).see([DISCARD, DISCARD, 2]).ledger
+
+    def replaced(*decisions):
+        seen, expected = FAR[: len(decisions)] * [1.0, 0.0] + [4.0, 15.0], FAR[:2]
+        e = Expectation.from_arrays(
+            seen, expected, 1e-4 * np.eye(4), np.tile(0.01 * np.eye(2), (len(seen), 1, 1)), number=np.array([0, 1])
+        )
+        chosen = np.array(decisions)
+        ledger.judge(e, np.where(chosen > 1, DISCARD, chosen))
+        return ledger.replaced(chosen)
+
+    assert replaced(DISCARD, DISCARD) == (0, 0)
+    assert replaced(0, DISCARD) == (1, 0)  # 1 was seen after 0 was initialized: a sensor that misses things
+    assert replaced(DISCARD, 2)[1] == 2
+    assert replaced(DISCARD, NEW) == (0, 2)

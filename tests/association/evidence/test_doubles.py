@@ -1,0 +1,135 @@
+"""A landmark may be two where its readings say so: two points in their scatter, or another one beside it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from association.evidence.ambiguity import ambiguous
+from association.evidence.doubles import FALSE, doubles, log_evidence
+from association.evidence.registered import Registered, registered
+from data.worlds import registry
+from data.worlds.names import name_of
+from eval.figures.map import map_figure
+from eval.referee.score import Trial
+from eval.replay.run import compare
+from eval.report.doubt.ambiguity import ambiguity_statements
+from eval.studies.variety.draw import Crowding, Drawn, Misstated, Readings
+from eval.studies.variety.world import log_of
+
+SIGMA = 0.1
+
+
+def readings(rng, landmarks=40, frames=60, apart=0.0, share=0.0, both=0.0, clutter=0.2):
+    """Landmarks 10 m apart, each read in every frame, and clutter beside it.
+
+    apart: of a second point, in sigmas; share: of the readings that are of the second; both: of frames that read both.
+    """
+    place = np.stack([10.0 * np.arange(landmarks), np.zeros(landmarks)], axis=1)
+    rows, frame, xy = [], [], []
+    for k in range(frames):
+        for i in range(landmarks):
+            second = place[i] + [apart * SIGMA, 0.0]
+            there = second if rng.random() < share else place[i]
+            seen = [(i, there), *[(-1, second)] * (rng.random() < both)]
+            seen += [(-1, place[i] + rng.uniform(-3.0, 3.0, 2))] * (rng.random() < clutter)
+            for row, at in seen:
+                rows.append(row)
+                frame.append(k)
+                xy.append(at + (0.0 if row < 0 and at is not second else SIGMA) * rng.standard_normal(2))
+    S = np.tile(SIGMA**2 * np.eye(2), (len(rows), 1, 1))
+    return Registered(np.array(rows), np.array(xy), S, S), place, np.array(frame)
+
+
+def marked(r, place, frame, at=None):
+    """Share of the landmarks that are called two."""
+    evidence = log_evidence(r, place, frame, np.arange(frame.max() + 1) if at is None else at)
+    return float(np.mean(evidence > math.log(len(place) / FALSE)))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_none_of_many_that_stand_alone_is_called_two_however_much_clutter_there_is(seed):
+    rng = np.random.default_rng(seed)
+    assert marked(*readings(rng, landmarks=200, frames=30, clutter=0.1 * seed)) == 0.0
+
+
+@pytest.mark.parametrize(("apart", "least", "most"), [(0.5, 0.0, 0.0), (2.0, 0.0, 0.6), (3.5, 0.9, 1.0)])
+def test_the_scatter_of_what_is_taken_for_it_tells_two_that_are_far_enough_apart(apart, least, most):
+    r = readings(np.random.default_rng(0), frames=120, apart=apart, share=0.5, clutter=0.0)
+    assert least <= marked(*r) <= most
+
+
+def test_one_beside_it_in_the_same_frames_tells_however_near_it_is():
+    assert marked(*readings(np.random.default_rng(1), apart=0.5, both=0.5)) > 0.9
+
+
+def test_what_is_read_from_one_place_is_one_piece_of_evidence():
+    r, place, frame = readings(np.random.default_rng(1), apart=0.5, both=0.5)
+    assert marked(r, place, frame, at=np.zeros(60, np.int64)) == 0.0
+    assert marked(r, place, frame, at=np.arange(60) // 20) == 0.0
+
+
+def test_errors_that_last_while_the_robot_stays_are_one_piece_of_evidence():
+    rng = np.random.default_rng(2)
+    r, place, frame = readings(rng, landmarks=20, frames=240, clutter=0.0)
+    at = np.arange(240) // 12  # four times round, through the same five places
+    lasting = SIGMA * rng.standard_normal((len(place), 5, 2))
+    r = r._replace(xy=place[r.row] + lasting[r.row, at[frame] % 5] + 0.1 * (r.xy - place[r.row]))
+    assert marked(r, place, frame) > 0.2
+    assert marked(r, place, frame, at) == 0.0
+
+
+@pytest.mark.parametrize("share", [0.05, 0.2])
+def test_of_one_point_a_ratio_is_as_rare_as_it_is_large(share):
+    r, place, frame = readings(np.random.default_rng(3), landmarks=400, frames=20, clutter=0.5)
+    evidence = log_evidence(r, place, frame, np.arange(20))
+    assert np.mean(evidence > math.log(1.0 / share)) <= share
+    assert np.median(evidence[np.isfinite(evidence)]) < 0.0  # by the same half as it was learned from, it is not
+
+
+@pytest.fixture(scope="module")
+def log():
+    """An arena where half of the landmarks have a neighbour at 1.5 sigma, and noise is stated at twice what it is."""
+    values = {"landmarks": 12, "side": 12.0, "frames": 120, "max_range": 8.0}
+    name = name_of("arena", registry.parameters_of("arena")(**values), 5)
+    readings = Readings(0.1, 0.02, detection=0.9, clutter=0.05)
+    return log_of(Drawn(5, name, readings, Crowding(paired=0.5, spacing=1.5), Misstated(1.0, 2.0, 2.0)))
+
+
+def test_neighbours_taken_for_one_are_marked_in_the_file_and_said(log):
+    (run,) = compare(log.inputs(), "slam", ["ekf"], "jcbb")
+    two = doubles(run, log.recorded)
+    own = ambiguous(run, log.recorded) == run.map.number
+    truth = log.truth.landmarks.xy
+    near = [np.sort(np.hypot(*(truth - xy).T))[1] < 0.5 for xy in run.map.xy[two]]
+    assert two.sum() >= 3
+    assert all(near)
+    assert own.any()
+    assert (own <= two).all()
+    texts = ambiguity_statements(Trial(log, "slam", (run,)))
+    assert any(f"{own.sum()} of {len(own)} landmarks may be two each" in text for text in texts)
+    legend = [text.get_text() for each in map_figure(log, (run,)).legends for text in each.get_texts()]
+    assert "ambiguous landmarks" in legend
+
+
+def test_with_labels_none_is_called_two(log):
+    for run in compare(log.inputs(labels=True), "slam", ["ekf", "isam2"]):
+        assert not doubles(run, log.recorded).any()
+
+
+def test_the_noise_is_taken_from_the_readings(log):
+    (run,) = compare(log.inputs(labels=True), "slam", ["isam2"])
+    r = registered(run, log.recorded)
+    off = r.xy[r.row >= 0] - run.map.xy[r.row[r.row >= 0]]
+    square = np.einsum("ki,kij,kj->k", off, np.linalg.inv(r.covariance[r.row >= 0]), off)
+    assert 1.6 < square.mean() < 2.4  # stated at twice, it would be 0.5
+
+
+def test_runs_on_other_readings_and_without_a_map_say_nothing(log):
+    (run,) = compare(log.inputs(labels=True), "slam", ["ekf"])
+    assert registered(replace(run, map=None), log.recorded) is None
+    assert registered(replace(run, walls=True), log.recorded) is None
+    assert len(doubles(replace(run, map=None), log.recorded)) == 0

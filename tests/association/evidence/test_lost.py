@@ -1,0 +1,44 @@
+"""The test whether what should be in view is there: it rises where newer things are read instead, and comes back."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from association.evidence.lost import Suspicion, looked
+
+
+def after(looks, s=None):
+    s = Suspicion() if s is None else s
+    for k, (paired, replaced) in enumerate(looks, start=s.since):
+        s = looked(s, k, paired, replaced)
+    return s
+
+
+def test_what_is_paired_leaves_no_suspicion_and_a_sensor_that_fails_often_none_either():
+    assert after([(3, 0)] * 50) == Suspicion(since=50)
+    assert after([(0, 0)] * 50) == Suspicion()
+    assert after([(2, 1), (1, 1)] * 50).alarm is None
+
+
+def test_newer_landmarks_in_place_of_old_ones_raise_the_alarm_since_they_began():
+    assert after([(3, 0)] * 20 + [(0, 4)] * 14).alarm is None
+    s = after([(3, 0)] * 20 + [(0, 4)] * 15)
+    assert (s.alarm, s.over) == (20, None)
+
+
+def test_a_frame_is_one_piece_of_evidence_however_much_it_holds():
+    assert after([(0, 100)]).score == pytest.approx(after([(0, 1)]).score)
+
+
+def test_where_old_landmarks_are_paired_again_it_is_over_and_may_begin_anew():
+    s = after([(0, 4)] * 20 + [(4, 0)] * 20)
+    assert s.alarm == 0
+    assert 20 < s.over < 40
+    assert after([(0, 4)] * 20, s).over is None
+
+
+def test_false_alarms_are_as_rare_as_walds_inequality_says():
+    rng = np.random.default_rng(0)
+    runs = [after([(1, 0) if seen else (0, 1) for seen in rng.random(400) < 0.6]) for _ in range(60)]
+    assert sum(s.alarm is not None for s in runs) <= 2  # 60 * 400 * 1e-5 = 0.24 are expected at most

@@ -1,0 +1,56 @@
+"""A run that is lost while it maps says so, from when on; one that is not says nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from data.worlds.registry import named_log
+from eval.benchmarks.variety.goals import table
+from eval.benchmarks.variety.measure import measure
+from eval.replay.hindsight.ledger import Ledger
+from eval.replay.hindsight.lost import WORDS, Lost
+from eval.replay.run import compare, step_by_step
+from eval.studies.variety.draw import draw
+from eval.studies.variety.world import log_of
+
+
+def said(log):
+    run = step_by_step("ekf", log.inputs().without_map(), "slam", "jcbb-hindsight")
+    return [note for note in run.notes if WORDS in note]
+
+
+@pytest.mark.parametrize(("index", "begin"), [(160, 19), pytest.param(70, 8, marks=pytest.mark.slow)])
+def test_a_corridor_that_is_mapped_several_times_is_said_to_be(index, begin):
+    # noise stated at a third: seen anew, a landmark is outside its gate, and RMSE is six and eight times that of labels
+    (note,) = said(log_of(draw(index)))
+    assert note.startswith(f"from frame {begin} on {WORDS}")
+
+
+@pytest.mark.parametrize("name", ["corridor:0", "corridor:0:people", "arena:0:frames=150"])
+def test_where_all_is_well_nothing_is_said(name):
+    assert said(named_log(name)) == []
+
+
+def test_a_sensor_that_misses_half_of_what_is_there_is_not_lost():
+    assert said(log_of(draw(34))) == []  # detection 0.54, clutter 18 %
+
+
+def test_the_benchmark_counts_who_said_it():
+    log = log_of(draw(160))
+    rows = [measure(log, 160, "corridor", method) for method in ("jcbb", "jcbb-hindsight", "known")]
+    assert [r.said_lost for r in rows] == [0, 1, 0]
+    assert table(rows)[-1].endswith("1 of 1 beyond 5 times, 0 of 0 between, 0 of 0 up to 1.5 times")
+
+
+@pytest.mark.slow
+def test_without_odometry_it_is_said_what_the_path_hangs_on():
+    (run,) = compare(named_log("corridor:0:no-odometry").inputs(), "slam", ["ekf"], "jcbb-hindsight")
+    assert any("nothing tells one place from the next" in note for note in run.notes)
+
+
+def test_before_the_first_frame_there_is_nothing_to_say():
+    log = named_log("corridor:0")
+    lost = Lost(Ledger(log.recorded.sensor))
+    lost.look(log.inputs().without_labels().frame(0), np.array([-1, -1]), np.zeros(3))
+    assert lost.notes() == []
