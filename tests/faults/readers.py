@@ -30,20 +30,6 @@ from tests.data.visual.lab.handmade import lab
 from tests.faults.mutations import BYTES, MAT, NPY, TABLE, TOML, Fault, Files, zipped
 
 
-class Reader(NamedTuple):
-    """A reader under test.
-
-    Attributes:
-        inputs: valid inputs, each a folder's files by their names; made once.
-        read: reads a folder.
-        check: raises AssertionError if what was read is not sound.
-    """
-
-    inputs: Callable[[], list[Files]]
-    read: Callable[[Path], Any]
-    check: Callable[[Any], None]
-
-
 def faults_of(name: str) -> list[Fault]:
     """What may be wrong in a file, by its name."""
     ending = name.rpartition(".")[2]
@@ -58,6 +44,22 @@ def faults_of(name: str) -> list[Fault]:
     if ending == "mat":
         return MAT
     return BYTES if ending in ("gz", "bin", "png") else TABLE
+
+
+class Reader(NamedTuple):
+    """A reader under test.
+
+    Attributes:
+        inputs: valid inputs, each a folder's files by their names; made once.
+        read: reads a folder.
+        check: raises AssertionError if what was read is not sound.
+        faults: what may be wrong in a file, by its name.
+    """
+
+    inputs: Callable[[], list[Files]]
+    read: Callable[[Path], Any]
+    check: Callable[[Any], None]
+    faults: Callable[[str], list[Fault]] = faults_of
 
 
 def encoded(files: dict[str, str]) -> Files:
