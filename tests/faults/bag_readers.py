@@ -36,7 +36,7 @@ def small(form: str, *compression: Any) -> Files:
 
 def unsummed(files: Files) -> Files:
     """MCAP files whose footer names no summary."""
-    return {n: c[:-36] + bytes(8) + c[-28:] if n.endswith("mcap") else c for n, c in files.items()}
+    return {n: c[:-28] + bytes(8) + c[-20:] if n.endswith("mcap") else c for n, c in files.items()}
 
 
 def alone(files: Files) -> Files:

@@ -22,12 +22,16 @@ SPARE = 2 << 20
 """Bytes that a read may take however little it reads: messages, tables of names, a library's buffers."""
 
 
+class LateError(BaseException):
+    """Of a read that does not end; what a reader makes of the errors it knows, it makes nothing of this one."""
+
+
 @contextmanager
 def no_longer_than(seconds: int):
-    """Raises TimeoutError in a read that does not end."""
+    """Raises LateError in a read that does not end."""
 
     def late(*_: object) -> None:
-        raise TimeoutError(f"reads for more than {seconds} s")
+        raise LateError(f"reads for more than {seconds} s")
 
     before = signal.signal(signal.SIGALRM, late)
     signal.alarm(seconds)

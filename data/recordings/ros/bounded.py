@@ -8,28 +8,43 @@ from __future__ import annotations
 import bz2
 import io
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
+from itertools import accumulate
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
 
+import apsw
 import lz4.frame
-from backports import zstd
-from rosbags.highlevel import AnyReader
+from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.rosbag1 import Reader as Reader1
 from rosbags.rosbag1 import ReaderError as Reader1Error
 from rosbags.rosbag1.reader import Header, RecordType
+from rosbags.rosbag2 import ReaderError as Reader2Error
+from rosbags.rosbag2 import metadata, storage_mcap
 from rosbags.rosbag2 import reader as reader2
-from rosbags.rosbag2 import storage_mcap
+from rosbags.interfaces import Nodetype
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, TypesysError, get_typestore
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
 
 from data.open_log.archive import DENSEST, LARGE
 
+zstd = reader2.zstd
+LIBRARY = (
+    *(AnyReaderError, Reader1Error, Reader2Error, SerdeError, TypesysError),
+    *(YAMLError, apsw.Error, zstd.ZstdError),
+)
+"""Errors of the library, and of those that it reads YAML, SQLite and zstd with."""
 PART = 1 << 18
 """Bytes that are unpacked at a time."""
 ZSTD_WINDOW = 23
 """Logarithm of the largest window that a zstd frame may ask for: 8 MB, which RFC 8878 recommends to support."""
+DEEPEST = 100
+"""Brackets in brackets of YAML; the metadata of a bag has a few."""
 
 
 class TooLargeError(ValueError):
@@ -110,21 +125,53 @@ def _stream(file: Any, mode: str) -> io.BytesIO:
     return io.BytesIO(unpacked(_zstd, file.read()))
 
 
+class _Yaml(YAML):  # type: ignore[misc]
+    """Reads no text nested deeper than any bag's, which takes time by the square."""
+
+    def load(self, stream: Any) -> Any:
+        if isinstance(stream, str):
+            inside = accumulate((c in "[{") - (c in "]}") for c in stream)
+            if max(inside, default=0) > DEEPEST:
+                raise TooLargeError(f"YAML nested deeper than {DEEPEST}")
+        return super().load(stream)
+
+
 @contextmanager
 def bounded() -> Iterator[None]:
-    """While this lasts, ROS 2 bags are unpacked within bounds: their readers take no other decompressor than those."""
+    """While this lasts, ROS 2 bags are read within bounds: their readers take no other decompressors and no other YAML."""
     methods = {name: lambda packed, size, make=MAKE[name]: unpacked(make, packed, size) for name in ("lz4", "zstd")}
     library = SimpleNamespace(decompress=partial(unpacked, _zstd), open=_stream)
-    with patch.dict(storage_mcap.DECOMPRESSORS, methods), patch.object(reader2, "zstd", library):
+    with ExitStack() as stack:
+        stack.enter_context(patch.dict(storage_mcap.DECOMPRESSORS, methods))
+        for module, name, instead in ((reader2, "zstd", library), (reader2, "YAML", _Yaml), (metadata, "YAML", _Yaml)):
+            stack.enter_context(patch.object(module, name, instead))
         yield
 
 
-def any_reader(path: Path, **options: Any) -> Any:
-    """The library's reader of a bag, not open yet."""
-    reader = AnyReader([_Path(path)], **options)
+def _named(description: Any) -> set[str]:
+    """Types that a field's description names."""
+    kind, inside = description
+    if kind == Nodetype.NAME:
+        return {inside}
+    return _named(inside[0]) if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) else set()
+
+
+def _definitions(names: set[str]) -> Any:
+    """A store of these types and those they are made of: of all there are it would take seconds and megabytes."""
+    every, found = get_typestore(Stores.LATEST).fielddefs, dict[str, Any]()
+    while names:
+        name = names.pop()
+        found[name] = every[name]
+        names |= {n for _, field in every[name][1] for n in _named(field)} - found.keys()
+    store = get_typestore(Stores.EMPTY)
+    store.register(found)
+    return store
+
+
+def any_reader(path: Path, names: set[str]) -> Any:
+    """The library's reader of a bag, not open yet; `names`: of the types to know if the bag does not define its own."""
+    reader = AnyReader([_Path(path)], default_typestore=_definitions(names))
     if not reader.is2:
         reader.readers = [_Reader1(_Path(path))]
     return reader
 
-
-__all__ = ["Reader1Error", "TooLargeError", "any_reader", "bounded"]
