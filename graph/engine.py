@@ -62,8 +62,7 @@ class Engine:
         self.linear, self.walls = dict(linear or {}), walls
         self._sizes = {**SIZES, **(WALL_SIZES if walls else {}), **self.linear}
         self.reuses_slots = reuses_slots
-        # by handle; what has gone takes no room
-        self._factors: dict[int, Factor] = {}
+        self._factors: dict[int, Factor] = {}  # by handle; what has gone takes no room
         self._slot: dict[int, int] = {}
         self._next = 0
         self.isam = self._fresh()
@@ -128,9 +127,8 @@ class Engine:
 
     def drop(self, handles: Sequence[int]) -> None:
         """Remove factors; a variable that loses its last one goes with them."""
-        slots = self._let_go(handles)
         try:
-            self.isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), slots)
+            self.isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), self._let_go(handles))
         except RuntimeError as fault:
             self._recover(fault)
 

@@ -14,7 +14,7 @@ from data.recordings.ros.bag import read_bag
 from data.recordings.ros.log import log_of
 from tests.data.open_log.test_corruption import assert_sound
 from tests.data.recordings.ros.bags import Maker
-from tests.faults.bags import BAGS
+from tests.faults.bags2 import BAGS
 from tests.faults.mutations import BYTES, TABLE, Fault, Files
 from tests.faults.readers import Reader, made
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'slamref[ros]'")
-from tests.faults.bag_readers import BAG_READERS  # noqa: E402
-from tests.faults.fuzzing import try_faults  # noqa: E402
-from tests.faults.test_readers import COUNTS  # noqa: E402
+from tests.faults.bag_readers import BAG_READERS
+from tests.faults.fuzzing import try_faults
+from tests.faults.test_readers import COUNTS
 
 
 @pytest.mark.parametrize("name", BAG_READERS)

@@ -10,6 +10,7 @@ import io
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
+from importlib import import_module
 from itertools import accumulate
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,15 +18,14 @@ from typing import Any
 from unittest.mock import patch
 
 import apsw
-import lz4.frame
 from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.interfaces import Nodetype
 from rosbags.rosbag1 import Reader as Reader1
 from rosbags.rosbag1 import ReaderError as Reader1Error
 from rosbags.rosbag1.reader import Header, RecordType
 from rosbags.rosbag2 import ReaderError as Reader2Error
 from rosbags.rosbag2 import metadata, storage_mcap
 from rosbags.rosbag2 import reader as reader2
-from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_typestore
 from ruamel.yaml import YAML
@@ -33,7 +33,9 @@ from ruamel.yaml.error import YAMLError
 
 from data.open_log.archive import DENSEST, LARGE
 
-zstd = reader2.zstd
+lz4: Any = import_module("lz4.frame")
+zstd: Any = vars(reader2)["zstd"]
+"""The library's own: of Python itself from 3.14 on."""
 LIBRARY = (
     *(AnyReaderError, Reader1Error, Reader2Error, SerdeError, TypesysError),
     *(YAMLError, apsw.Error, zstd.ZstdError),
@@ -85,7 +87,7 @@ def _zstd() -> Any:
     return zstd.ZstdDecompressor(options={zstd.DecompressionParameter.window_log_max: ZSTD_WINDOW})
 
 
-MAKE: dict[str, Callable[[], Any]] = {"bz2": bz2.BZ2Decompressor, "lz4": lz4.frame.LZ4FrameDecompressor, "zstd": _zstd}
+MAKE: dict[str, Callable[[], Any]] = {"bz2": bz2.BZ2Decompressor, "lz4": lz4.LZ4FrameDecompressor, "zstd": _zstd}
 
 
 class _File(io.BufferedReader):
@@ -106,10 +108,11 @@ class _Path(type(Path())):  # type: ignore[misc]
         return _File(io.FileIO(self)) if mode == "rb" else super().open(mode, *rest, **more)
 
 
-class _Reader1(Reader1):  # type: ignore[misc]
+class _Reader1(Reader1):
     """Unpacks chunks to the size that their header states."""
 
     def read_chunk(self) -> Any:
+        assert self.bio is not None
         at = self.bio.tell()
         header = Header.read(self.bio, RecordType.CHUNK)
         stated, method = header.get_uint32("size"), header.get_string("compression")
@@ -125,7 +128,7 @@ def _stream(file: Any, mode: str) -> io.BytesIO:
     return io.BytesIO(unpacked(_zstd, file.read()))
 
 
-class _Yaml(YAML):  # type: ignore[misc]
+class _Yaml(YAML):
     """Reads no text nested deeper than any bag's, which takes time by the square."""
 
     def load(self, stream: Any) -> Any:
@@ -138,7 +141,7 @@ class _Yaml(YAML):  # type: ignore[misc]
 
 @contextmanager
 def bounded() -> Iterator[None]:
-    """While this lasts, ROS 2 bags are read within bounds: their readers take no other decompressors and no other YAML."""
+    """While this lasts, ROS 2 bags are read within bounds: their readers take these decompressors and this YAML."""
     methods = {name: lambda packed, size, make=MAKE[name]: unpacked(make, packed, size) for name in ("lz4", "zstd")}
     library = SimpleNamespace(decompress=partial(unpacked, _zstd), open=_stream)
     with ExitStack() as stack:
@@ -174,4 +177,3 @@ def any_reader(path: Path, names: set[str]) -> Any:
     if not reader.is2:
         reader.readers = [_Reader1(_Path(path))]
     return reader
-
