@@ -1,4 +1,4 @@
-"""Faults of ROS 2 bags: records of MCAP, values of a database, metadata, what is packed; and of every bag by its name."""
+"""Faults of ROS 2 bags: MCAP records, values of a database, metadata, what is packed; of every bag by its name."""
 
 from __future__ import annotations
 
