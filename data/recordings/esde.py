@@ -24,6 +24,8 @@ from data.truth import Truth
 from data.visual.lab.mat_stream import Value, read, variables
 
 NAME = "results.mat"
+LEAST = float(np.sqrt(np.finfo(float).tiny))
+"""m; the variance of a smaller standard deviation is no normal number."""
 RUN = 1
 """Row of the per-run arrays that the inputs belong to."""
 STORED = {"ekf": "neesR_std", "ekf-invariant": "neesR_iekf"}
@@ -73,7 +75,7 @@ def load_esde(path: Path) -> StoredRun:
     short = [name for name in STORED.values() if a[name].shape[-1] <= RUN or a[name].size != n * a[name].shape[-1]]
     if short or a["omega_m"].size != n or a["xL_true_fixed"].ndim != 2:
         raise DataError(f"{path}: variable {(short or ['omega_m'])[0]} does not fit {n} steps")
-    if not a["sigma_p"].flat[0] > 0.0 or a["sigma_v"].size != 1 or a["sigma_w"].size != 1:
+    if not a["sigma_p"].flat[0] >= LEAST or a["sigma_v"].size != 1 or a["sigma_w"].size != 1:
         raise DataError(f"{path}: sigma_v and sigma_w are numbers, sigma_p is above 0")
     if not (z[2] == np.floor(z[2])).all():
         raise DataError(f"{path}: variable z names landmarks by what are no whole numbers")

@@ -24,6 +24,7 @@ from data.robot.packets import command_of
 from data.robot.traffic.recording import Recording
 from data.visual.lab.folder import open_lab
 from eval.plan.flags.options import read_options
+from eval.plan.flags.table import CONFIGS
 from eval.studies.scenario_file import load_scenario
 from eval.studies.shipped import path_of
 from eval.studies.validation_file import load_validation
@@ -217,11 +218,6 @@ def stored_runs() -> list[Files]:
     return [made(lambda path, packed=packed: save(path, packed)) for packed in (False, True)]
 
 
-CONFIG = (
-    'log = ["arena:0"]\ntask = ["slam"]\ngate = 0.99\nseed = 3\nquick = true\n[variant]\nname = "a"\ntask = "slam"\n'
-)
-
-
 def read_config(folder: Path) -> Any:
     return read_options(["--config", str(folder / "config.toml")])
 
@@ -252,6 +248,8 @@ READERS = {
         lambda folder: load_validation(str(folder / "trust.toml")),
         nothing,
     ),
-    "TOML of a run": Reader(lambda: [{"config.toml": CONFIG.encode()}], read_config, nothing),
+    "TOML of a run": Reader(
+        lambda: [{"config.toml": (CONFIGS / "tutorial-step1.toml").read_bytes()}], read_config, nothing
+    ),
     "g2o": Reader(lambda: [{"graph.g2o": G2O.encode()}], lambda folder: read_graph(folder / "graph.g2o"), nothing),
 }

@@ -22,6 +22,7 @@ from data import se2
 from data.inputs import Frame, Increment, LandmarkMap, Prior, Sightings, Systematic
 from data.sensors import RangeBearing
 from ekf.filter import Filter
+from eval.replay.frontend import FrontEnd
 from eval.replay.given import Beginning
 from eval.replay.run import front_end, through
 from eval.replay.settings import Setup
@@ -136,17 +137,33 @@ def covariance_of(estimator: Any) -> np.ndarray:
     return np.asarray(estimator.estimate().covariance)
 
 
-def soak(name: str, count: int, seed: int = 0) -> Soaked:
-    """Run one case over so many frames."""
+def front_of(name: str, pose: np.ndarray, rng: np.random.Generator) -> FrontEnd:
+    """Before the first frame, near a pose (3,)."""
     case = CASES[name]
-    poses, step = round_trip()
-    rng = np.random.default_rng(seed)
-    prior = Prior(poses[0] + PRIOR * rng.standard_normal(3), np.diag(PRIOR**2))
+    prior = Prior(pose + PRIOR * rng.standard_normal(3), np.diag(PRIOR**2))
     known = LandmarkMap(np.arange(len(LANDMARKS)), LANDMARKS) if case.localizes else None
     begin = Beginning(prior, SENSOR, known, case.errors)
     front = front_end(case.estimator, case.association, begin, case.setup.settled(sensed=False))
     if isinstance(front.estimator, FixedLagSmoother):
         front.estimator.keep_no_path()
+    return front
+
+
+def soaked(name: str, count: int, seed: int = 0) -> FrontEnd:
+    """A front end after so many frames."""
+    poses, step = round_trip()
+    rng = np.random.default_rng(seed)
+    front = front_of(name, poses[0], rng)
+    for frame in frames_of(count, poses, step, rng):
+        through(front, frame, lambda *_: None)
+    return front
+
+
+def soak(name: str, count: int, seed: int = 0) -> Soaked:
+    """Run one case over so many frames."""
+    poses, step = round_trip()
+    rng = np.random.default_rng(seed)
+    front = front_of(name, poses[0], rng)
     part, spent, early = max(count // 100, 1), [0.0], 0.0
     errors = nees = 0.0
     late = count - 10 * part
