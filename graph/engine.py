@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from array import array
 from collections.abc import Callable, Mapping, Sequence
 from typing import TypeVar
 
@@ -63,8 +62,9 @@ class Engine:
         self.linear, self.walls = dict(linear or {}), walls
         self._sizes = {**SIZES, **(WALL_SIZES if walls else {}), **self.linear}
         self.reuses_slots = reuses_slots
-        self._factors: list[Factor | None] = []
-        self._slot = array("q")
+        self._factors: dict[int, Factor] = {}  # by handle; what has gone takes no room
+        self._slot: dict[int, int] = {}
+        self._next = 0
         self.isam = self._fresh()
 
     def _fresh(self) -> gtsam.ISAM2:
@@ -102,25 +102,33 @@ class Engine:
         `instead_of`: handles on factors that are removed in the same update. `last`: variables that are eliminated
         after all others; without, those of the factors are.
         """
-        handles = list(range(len(self._factors), len(self._factors) + len(factors)))
-        slots = [self._slot[h] for h in instead_of]
-        for h in instead_of:
-            self._factors[h] = None
-        self._factors += factors
+        slots = self._let_go(instead_of)
+        handles = [self._keep(f) for f in factors]
         order = None if last is None else _order(last)
         try:
-            self._slot.extend(self.isam.update(graph_of(factors), values, slots, order).getNewFactorsIndices())
+            found = self.isam.update(graph_of(factors), values, slots, order)
         except RuntimeError as fault:
             self._recover(fault)
+        else:
+            self._slot.update(zip(handles, found.getNewFactorsIndices(), strict=True))
         return handles
+
+    def _keep(self, factor: Factor) -> int:
+        """A new handle on a factor; none is used again."""
+        self._factors[self._next] = factor
+        self._next += 1
+        return self._next - 1
+
+    def _let_go(self, handles: Sequence[int]) -> list[int]:
+        """Forget factors; the slots they had."""
+        for h in handles:
+            del self._factors[h]
+        return [self._slot.pop(h) for h in handles]
 
     def drop(self, handles: Sequence[int]) -> None:
         """Remove factors; a variable that loses its last one goes with them."""
-        slots = [self._slot[h] for h in handles]
-        for h in handles:
-            self._factors[h] = None
         try:
-            self.isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), slots)
+            self.isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), self._let_go(handles))
         except RuntimeError as fault:
             self._recover(fault)
 
@@ -267,19 +275,16 @@ class Engine:
     def _rebuild(self) -> None:
         """The same problem in a new ISAM2 object, at the present estimate."""
         values = self.isam.calculateEstimate()
-        alive = [h for h, f in enumerate(self._factors) if f is not None]
         self.isam = self._fresh()
-        if not alive:
+        if not self._factors:
             return
         try:
-            found = self.isam.update(graph_of([f for f in self._factors if f is not None]), values)
+            found = self.isam.update(graph_of(list(self._factors.values())), values)
         except RuntimeError as fault:
             if "Indeterminate linear system" not in str(fault):
                 raise
             raise self._free(fault) from None
-        self._slot = array("q", [-1]) * len(self._factors)
-        for h, slot in zip(alive, found.getNewFactorsIndices(), strict=True):
-            self._slot[h] = slot
+        self._slot = dict(zip(self._factors, found.getNewFactorsIndices(), strict=True))
 
     def _free(self, fault: RuntimeError) -> UnderConstrained:
         match = re.search(r"variable\s+(\d+)", str(fault))

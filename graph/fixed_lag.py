@@ -57,7 +57,10 @@ class FixedLagSmoother(Isam2Smoother):
         if not lag >= 0.0 or not slack >= 0.0:
             raise ValueError(f"lag {lag} and slack {slack} must not be negative")
         super().__init__(prior, sensor, known, threshold=threshold, skip=skip, systematic=systematic)
-        self.time, self.lag, self.slack = array("d", [0.0]), lag, slack
+        self.lag, self.slack = lag, slack
+        self._time = [0.0]
+        self._timed = 0
+        """First frame whose time is still there."""
         engine = self._engine
         self._window = Window(threshold, skip, qr=engine.qr, name=engine.name, linear=engine.linear, walls=engine.walls)
         self._engine = self._window
@@ -70,20 +73,20 @@ class FixedLagSmoother(Isam2Smoother):
     def predict(self, increment: Increment) -> None:
         """Move by an increment; the graph grows only when something is seen."""
         super().predict(increment)
-        self.time.append(self.time[-1] + 1.0)
+        self._time.append(self._time[-1] + 1.0)
 
     def stamp(self, time: float) -> None:
         """The present frame's time. Raises ValueError for one that is not after the frame before."""
-        if len(self.time) > 1 and not time > self.time[-2]:
-            raise ValueError(f"frame {self.frame} at {time} is not after the one before, at {self.time[-2]}")
-        self.time[-1] = time
+        if len(self._time) > 1 and not time > self._time[-2]:
+            raise ValueError(f"frame {self.frame} at {time} is not after the one before, at {self._time[-2]}")
+        self._time[-1] = time
 
     def _extend(self, sightings: Sightings, number: IntArray) -> None:
         """Add the motion since the anchor and these sightings, then let go of what is too old."""
         super()._extend(sightings, number)
-        now = self.time[self.frame]
-        if now - self.time[self._oldest] > (1.0 + self.slack) * self.lag:
-            self._forget(bisect_left(self.time, now - self.lag))
+        now = self._time[-1]
+        if now - self._time[self._oldest - self._timed] > (1.0 + self.slack) * self.lag:
+            self._forget(self._timed + bisect_left(self._time, now - self.lag))
 
     def _forget(self, oldest: int) -> None:
         """Marginalize the poses of all frames before `oldest`, with the copies of landmarks seen from them."""
@@ -94,7 +97,8 @@ class FixedLagSmoother(Isam2Smoother):
         keys += self._observed.alone(frames)
         self._window.marginalize(keys, self._end.keys)
         self._observed.forget(oldest, self._window.alive)
-        self._oldest = oldest
+        del self._time[: oldest - self._timed]
+        self._oldest = self._timed = oldest
         self._read()
 
     def amend(self, frames: IntArray, sightings: Sightings, decisions: IntArray) -> None:

@@ -140,6 +140,9 @@ class Observed:
         """Observations from frames before `oldest` have left the graph; `alive` says it of a handle."""
         first = bisect_left(self.sighted, oldest, key=lambda s: s.frame)
         gone, self.sighted = self.sighted[:first], self.sighted[first:]
+        for s in gone:
+            if s.key is not None:
+                self._plain.pop(symbolIndex(s.key), None)
         if self.map is not None:
             for frame in {s.frame for s in gone}:
                 self._handles.pop(frame, None)

@@ -12,6 +12,8 @@ from graph.engine import Engine
 from graph.factors import Factor, name_of
 from graph.walls.poses import same_wall
 
+MANY = 1 << 17
+"""Factors, gone ones included, of the longest logs: of several hours. gtsam looks through all their slots in a step."""
 FIRST, MIDDLE, LAST = 0, 1, 2
 """Places in the order of elimination."""
 
@@ -36,7 +38,8 @@ class Window(Engine):
         walls: bool = False,
     ) -> None:
         """As `Engine`."""
-        # of points, where a drive of hours is a log, numbers stay those of other slots to the bit
+        # of points, numbers stay those of other slots to the bit as long as logs are: slots are used again when there
+        # are more than that
         super().__init__(threshold, skip, qr=qr, name=name, linear=linear, walls=walls, reuses_slots=walls)
         self._handle: dict[int, int] = {}
         # linear factors that hold about the present linearization point, which is not theirs in a new ISAM2 object
@@ -51,16 +54,24 @@ class Window(Engine):
     ) -> list[int]:
         """As `Engine.add`."""
         handles = super().add(factors, values, instead_of, last)
+        if handles and not self.reuses_slots and self._slot[handles[-1]] > MANY:
+            self.reuses_slots = self.isam.params().findUnusedFactorSlots = True
         self._handle.update((self._slot[h], h) for h in handles)
         return handles
 
     def drop(self, handles: Sequence[int]) -> None:
         """Remove those factors that did not go with a variable; a variable that loses its last one goes with them."""
-        super().drop([h for h in handles if self._factors[h] is not None])
+        super().drop([h for h in handles if self.alive(h)])
+
+    def _let_go(self, handles: Sequence[int]) -> list[int]:
+        slots = super()._let_go(handles)
+        for slot in slots:
+            self._handle.pop(slot, None)
+        return slots
 
     def alive(self, handle: int) -> bool:
         """Whether a factor is there: it goes with its variables."""
-        return self._factors[handle] is not None
+        return handle in self._factors
 
     def holds(self, key: int) -> bool:
         """Whether a variable is there."""
@@ -88,14 +99,13 @@ class Window(Engine):
             self._recover(fault)
             self._eliminate_first(keys, last)
         added, deleted = self.isam.marginalizeLeavesWithIndices(_key_list(keys))
-        for slot in deleted:
-            self._factors[self._handle.pop(slot)] = None
+        self._let_go([self._handle[slot] for slot in deleted])
         factors = self.isam.getFactorsUnsafe()
+        self._linear = [h for h in self._linear if self.alive(h)]
         for slot in added:
-            self._handle[slot] = len(self._factors)
-            self._linear.append(len(self._factors))
-            self._factors.append(factors.at(slot))
-            self._slot.append(slot)
+            h = self._handle[slot] = self._keep(factors.at(slot))
+            self._slot[h] = slot
+            self._linear.append(h)
         if hard:
             self._eliminate_first([], last)
 
@@ -115,12 +125,12 @@ class Window(Engine):
         """The same problem in a new ISAM2 object; linear factors take their linearization point along."""
         point = self.isam.getLinearizationPoint()
         for h in self._linear:
-            factor = self._factors[h]
+            factor = self._factors.get(h)
             if isinstance(factor, gtsam.LinearContainerFactor):
                 self._factors[h] = gtsam.LinearContainerFactor(factor.factor(), point)
         self._linear = []
         super()._rebuild()
-        self._handle = {self._slot[h]: h for h, factor in enumerate(self._factors) if factor is not None}
+        self._handle = {slot: h for h, slot in self._slot.items()}
 
 
 def _is_hard(factor: Factor | None) -> bool:

@@ -14,15 +14,18 @@ from pathlib import Path
 
 import numpy as np
 
-from data.errors import DataError
+from data.errors import LARGEST, DataError
 from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
 from data.log import Log
 from data.motion.floor import floor_covariances
 from data.se2 import Array, wrap_angle
 from data.sensors import RelativePoint
 from data.truth import Truth
+from data.visual.lab.mat_stream import Value, read, variables
 
 NAME = "results.mat"
+LEAST = float(np.sqrt(np.finfo(float).tiny))
+"""m; the variance of a smaller standard deviation is no normal number."""
 RUN = 1
 """Row of the per-run arrays that the inputs belong to."""
 STORED = {"ekf": "neesR_std", "ekf-invariant": "neesR_iekf"}
@@ -56,31 +59,53 @@ def find_esde(folders: list[Path]) -> Path | None:
 
 def load_esde(path: Path) -> StoredRun:
     """Read the recording; DataError where the file is not one."""
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
-
     content = path.read_bytes()
-    try:
-        m = loadmat(path, variable_names=list(NEEDED))
-    except (MatReadError, ValueError, NotImplementedError, OSError) as fault:
-        raise DataError(f"{path}: not a MATLAB 5 file ({fault})") from None
+    # not by scipy, which a damaged file can make crash
+    m = {v.name: read(v) for v in variables(path) if v.name in NEEDED}
     missing = [name for name in NEEDED if name not in m]
     if missing:
         raise DataError(f"{path}: variable {missing[0]} is missing; a stored run of the study has it")
-    n = m["v_m"].size
-    if m["z"].ndim != 3 or m["z"].shape[::2] != (3, n) or m["xR_true"].shape[:2] != (3, n):
-        raise DataError(f"{path}: z {m['z'].shape} and xR_true {m['xR_true'].shape} do not fit {n} steps")
+    a = {name: _numbers(path, name, m[name]) for name in NEEDED}
+    n, z = a["v_m"].size, a["z"]
+    shapes: dict[str, tuple[int | None, ...]] = {"xR_true": (3, n, None), "z": (3, *z.shape[1:2], n)}
+    shapes |= {"xL_true_fixed": (2, *a["xL_true_fixed"].shape[1:])}
+    for name, shape in shapes.items():
+        if not _fits(a[name].shape, shape):
+            raise DataError(f"{path}: variable {name} is {a[name].shape}, which does not fit {n} steps")
+    short = [name for name in STORED.values() if a[name].shape[-1] <= RUN or a[name].size != n * a[name].shape[-1]]
+    if short or a["omega_m"].size != n or a["xL_true_fixed"].ndim != 2:
+        raise DataError(f"{path}: variable {(short or ['omega_m'])[0]} does not fit {n} steps")
+    if not a["sigma_p"].flat[0] >= LEAST or a["sigma_v"].size != 1 or a["sigma_w"].size != 1:
+        raise DataError(f"{path}: sigma_v and sigma_w are numbers, sigma_p is above 0")
+    if not (z[2] == np.floor(z[2])).all():
+        raise DataError(f"{path}: variable z names landmarks by what are no whole numbers")
     return StoredRun(
-        v=m["v_m"].ravel(),
-        omega=m["omega_m"].ravel(),
-        z=m["z"],
-        truth=m["xR_true"][:, :, RUN],
-        landmarks=m["xL_true_fixed"],
-        sigma_v=float(m["sigma_v"].squeeze()),
-        sigma_omega=float(m["sigma_w"].squeeze()),
-        sigma_point=float(np.ravel(m["sigma_p"])[0]),
-        nees={name: m[variable].reshape(-1, m[variable].shape[-1])[:, RUN] for name, variable in STORED.items()},
+        v=a["v_m"].ravel(),
+        omega=a["omega_m"].ravel(),
+        z=a["z"],
+        truth=a["xR_true"][:, :, RUN],
+        landmarks=a["xL_true_fixed"],
+        sigma_v=float(a["sigma_v"].squeeze()),
+        sigma_omega=float(a["sigma_w"].squeeze()),
+        sigma_point=float(np.ravel(a["sigma_p"])[0]),
+        nees={name: a[variable].reshape(-1, a[variable].shape[-1])[:, RUN] for name, variable in STORED.items()},
         sha256=hashlib.sha256(content).hexdigest(),
+    )
+
+
+def _numbers(path: Path, name: str, value: Value) -> Array:
+    """An array of numbers, at least one; all but those of the NEES are finite, and none absurdly large."""
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu" or not value.size:
+        raise DataError(f"{path}: variable {name} does not hold numbers")
+    if name not in STORED.values() and not (np.abs(value) <= LARGEST).all():
+        raise DataError(f"{path}: variable {name} holds what is no number, or one too large")
+    return value
+
+
+def _fits(shape: tuple[int, ...], needed: tuple[int | None, ...]) -> bool:
+    """Whether a shape is the one needed; None is any side that holds all runs up to `RUN`."""
+    return len(shape) == len(needed) and all(
+        n > RUN if w is None else n == w for n, w in zip(shape, needed, strict=True)
     )
 
 

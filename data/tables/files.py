@@ -153,10 +153,15 @@ def read_text(path: Path) -> TextTable:
         content = path.read_bytes()
     except OSError as error:
         raise DataError.at(path, f"cannot be read: {error.strerror}") from None
+    except ValueError:
+        raise DataError.at(path, "no file can be called so") from None
     try:
         text = content.decode("utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
     except UnicodeDecodeError:
         text = content.decode("latin-1")
+    lines = enumerate(text.splitlines(), 1)
+    if long := next((i for i, line in lines if len(line) > csv.field_size_limit()), None):
+        raise DataError.at(path, f"more than {csv.field_size_limit()} characters", line=long)
     if "\0" in text:
         raise DataError.at(path, "not a text file; a CSV file is needed")
     numbered = [(i, line.strip("\n\r")) for i, line in enumerate(text.splitlines(), 1) if line.strip(" \r\n;,")]

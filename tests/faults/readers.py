@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import gzip
 import tempfile
 from collections.abc import Callable
@@ -9,17 +10,24 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.io import savemat
 
+from data.convert import table
 from data.graphs.g2o import read_graph
 from data.logs import open_log
 from data.mrclam.load import load_mrclam
+from data.recordings import esde
+from data.recordings.victoria_park import load_victoria_park
 from data.results.kept import beside
 from data.results.reading import read_path
 from data.robot.packets import command_of
 from data.robot.traffic.recording import Recording
 from data.visual.lab.folder import open_lab
+from eval.plan.flags.options import read_options
+from eval.plan.flags.table import CONFIGS
 from eval.studies.scenario_file import load_scenario
 from eval.studies.shipped import path_of
+from eval.studies.validation_file import load_validation
 from tests.data.conftest import small_files
 from tests.data.mrclam import world
 from tests.data.open_log.test_corruption import assert_sound
@@ -28,20 +36,6 @@ from tests.data.recordings.carmen_text import SMALL
 from tests.data.robot.line import linked
 from tests.data.visual.lab.handmade import lab
 from tests.faults.mutations import BYTES, MAT, NPY, TABLE, TOML, Fault, Files, zipped
-
-
-class Reader(NamedTuple):
-    """A reader under test.
-
-    Attributes:
-        inputs: valid inputs, each a folder's files by their names; made once.
-        read: reads a folder.
-        check: raises AssertionError if what was read is not sound.
-    """
-
-    inputs: Callable[[], list[Files]]
-    read: Callable[[Path], Any]
-    check: Callable[[Any], None]
 
 
 def faults_of(name: str) -> list[Fault]:
@@ -58,6 +52,22 @@ def faults_of(name: str) -> list[Fault]:
     if ending == "mat":
         return MAT
     return BYTES if ending in ("gz", "bin", "png") else TABLE
+
+
+class Reader(NamedTuple):
+    """A reader under test.
+
+    Attributes:
+        inputs: valid inputs, each a folder's files by their names; made once.
+        read: reads a folder.
+        check: raises AssertionError if what was read is not sound.
+        faults: what may be wrong in a file, by its name.
+    """
+
+    inputs: Callable[[], list[Files]]
+    read: Callable[[Path], Any]
+    check: Callable[[Any], None]
+    faults: Callable[[str], list[Fault]] = faults_of
 
 
 def encoded(files: dict[str, str]) -> Files:
@@ -172,6 +182,46 @@ G2O = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0.1\nVERTEX_XY 2 2 1\nEDGE_SE2 0 1 1
 )
 
 
+PARK = (
+    "ODOMETRY 0 1 0.5 0.01 0.02 0.01 0.001 0.002 0.03 0.003 0.04\nLANDMARK 1 2 11.5 -3.2 0.4 0.1 0.5\n"
+    "LANDMARK 1 3 9.5 3.2 0.4 0 0.4\nODOMETRY 1 4 0.6 0 0 0.0001 0 0 0.000004 0 0.000004\nLANDMARK 4 2 10.9 -3 1 0 1\n"
+)
+ROBOT = "t,v,omega,range,bearing\n" + "".join(f"{k},1,0.1,{2 + k % 3},0.{k}\n" for k in range(9))
+MAPPING = 'odometry = "robot.csv"\nodometry_sigma = "0.1,2deg"\nobservation_sigma = [0.1, 0.1]\nmap = "map.csv"\n'
+MAPPING += (
+    'truth = "truth.csv"\nprior = "truth"\nprior_sigma = "1cm,1cm,1deg"\n[columns]\nt = "t"\n[unit]\nangle = "rad"\n'
+)
+TABLES = {
+    "robot.toml": MAPPING,
+    "robot.csv": ROBOT,
+    "map.csv": "id;x;y\n1;2,5;3\n7;4,5;-1\n",
+    "truth.csv": "# t x y theta\n" + "".join(f"{k} {k} 0 0\n" for k in range(9)),
+}
+
+
+def read_tables(folder: Path) -> Any:
+    words = argparse.Namespace(source=folder / "robot.toml", out=folder / "out")
+    return table.convert(words)
+
+
+def stored_runs() -> list[Files]:
+    n, rng = 6, np.random.default_rng(0)
+    z = rng.standard_normal((3, 2, n))
+    z[2] = [[1] * n, [3] * n]
+    runs = {"v_m": np.ones((n, 1)), "omega_m": np.zeros((n, 1)), "z": z}
+    runs |= {"xR_true": np.zeros((3, n, 2)), "xL_true_fixed": np.ones((2, 3)), "sigma_v": 0.1, "sigma_w": 0.1}
+    runs |= {"sigma_p": np.full((1, 2), 0.1), "neesR_std": np.ones((1, n, 2)), "neesR_iekf": np.ones((1, n, 2))}
+
+    def save(path: Path, packed: bool) -> None:
+        savemat(path / "results.mat", runs, do_compression=packed)
+
+    return [made(lambda path, packed=packed: save(path, packed)) for packed in (False, True)]
+
+
+def read_config(folder: Path) -> Any:
+    return read_options(["--config", str(folder / "config.toml")])
+
+
 def nothing(found: Any) -> None:
     """What was read is checked where it is used."""
 
@@ -186,5 +236,20 @@ READERS = {
     "results": Reader(results, read_result, sound_path),
     "TOML of a scenario": Reader(scenarios, lambda folder: load_scenario(str(folder / "scenario.toml")), nothing),
     "recording of a robot": Reader(recordings, lambda folder: open_log(str(folder / "log")), assert_sound),
+    "Victoria Park": Reader(
+        lambda: [{"park.txt": PARK.encode()}], lambda folder: load_victoria_park(folder / "park.txt"), assert_sound
+    ),
+    "tables of another program": Reader(lambda: [encoded(TABLES)], read_tables, assert_sound),
+    "stored run of a study": Reader(
+        stored_runs, lambda folder: esde.log_of(esde.load_esde(folder / "results.mat"), "run"), assert_sound
+    ),
+    "TOML of a validation": Reader(
+        lambda: [{"trust.toml": path_of("trust").read_bytes()}],
+        lambda folder: load_validation(str(folder / "trust.toml")),
+        nothing,
+    ),
+    "TOML of a run": Reader(
+        lambda: [{"config.toml": (CONFIGS / "tutorial-step1.toml").read_bytes()}], read_config, nothing
+    ),
     "g2o": Reader(lambda: [{"graph.g2o": G2O.encode()}], lambda folder: read_graph(folder / "graph.g2o"), nothing),
 }

@@ -11,18 +11,24 @@ import zlib
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
-from data.errors import DataError
+from data.errors import DataError, UsageError
 from data.logs import open_log
 from data.mrclam.load import load_mrclam
+from data.recordings.esde import load_esde
 from data.results.kept import beside
 from data.results.reading import read_path
+from data.tables.files import read_text
 from data.visual.lab.folder import open_lab
+from eval.plan.flags.options import read_options
+from graph import window
 from tests.data.conftest import small_files
 from tests.data.open_log.test_scans import GOOD
 from tests.data.recordings.carmen_text import SMALL
 from tests.data.visual.lab.handmade import lab
 from tests.faults.mutations import bomb_entry, npy_header
+from tests.faults.soak import soaked
 
 
 def save(folder, files):
@@ -159,3 +165,37 @@ def test_a_message_is_short_whatever_a_key_is_called(tmp_path):
     files = small_files("frames", "range_bearing")
     files["log.toml"] += "A" * 100_000 + " = 1\n[prior" + "B" * 100_000 + "]\n"
     assert len(peak(open_log, str(save(tmp_path / "log", files)))[1]) < 1000
+
+
+def test_a_damaged_stored_run_is_one_line_and_no_crash(tmp_path):
+    """scipy's reader may end the process."""
+    savemat(tmp_path / "results.mat", {"v_m": np.ones((4, 1))})
+    content = (tmp_path / "results.mat").read_bytes()
+    assert "omega_m is missing" in peak(load_esde, tmp_path / "results.mat")[1]
+    (tmp_path / "results.mat").write_bytes(content[:-9])
+    assert "results.mat" in peak(load_esde, tmp_path / "results.mat")[1]
+
+
+def test_a_field_that_is_too_long_and_a_file_that_cannot_be_are_named(tmp_path):
+    (tmp_path / "robot.csv").write_text("t,v\n0," + "9" * 200_000 + "\n")
+    assert "line 2: more than 131072 characters" in peak(read_text, tmp_path / "robot.csv")[1]
+    assert "no file can be called so" in peak(read_text, tmp_path / "a\0b.csv")[1]
+
+
+def test_a_key_of_many_parts_in_a_file_of_flags_takes_no_gigabytes(tmp_path):
+    (tmp_path / "run.toml").write_text("deep" + ".a" * 20_000 + " = 1\n")
+    with pytest.raises(UsageError, match="a key of more than 100 parts"):
+        read_options(["--config", str(tmp_path / "run.toml")])
+
+
+@pytest.mark.parametrize("many", [100, 1 << 17])
+def test_what_has_left_a_fixed_lag_leaves_nothing_behind(many, monkeypatch):
+    """However many factors there were, and wherever gtsam keeps those that are there: the estimate is the same."""
+    monkeypatch.setattr(window, "MANY", many)
+    found = soaked("slam-fixed-lag", 200).estimator
+    engine = found._window
+    assert len(engine._factors) == len(engine._slot) == len(engine._handle) < 200
+    assert len(found._time) <= 23
+    assert (engine.isam.getFactorsUnsafe().size() < 300) == (many == 100)
+    other = soaked("slam-isam2", 200).estimator
+    np.testing.assert_allclose(found.estimate().mean, other.estimate().mean, atol=0.02)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -54,7 +54,7 @@ def read_bag(path: Path, scan_topic: str | None = None, odometry_topic: str | No
         DataError: not a bag, or a broken one; no message; a scan that differs from the first in beams or geometry, or
             a number in it that makes no sense.
     """
-    with opened(path) as reader:
+    with opened(path) as reader, said(path):
         topics = {c.topic: c.msgtype for c in reader.connections}
         scans = _topic(path, topics, SCAN, scan_topic, "--scan")
         odometry = _topic(path, topics, ODOMETRY, odometry_topic, "--odom")
@@ -66,27 +66,41 @@ def read_bag(path: Path, scan_topic: str | None = None, odometry_topic: str | No
     return found.bag()
 
 
+BROKEN = (
+    *(OSError, ValueError, LookupError, EOFError, RuntimeError, ArithmeticError, AssertionError),
+    *(AttributeError, TypeError, SyntaxError, MemoryError, StopIteration, struct.error),
+)
+"""What `rosbags` raises for bytes that are not what they should be, beside its own errors; a bag brings the definitions
+of its messages along, so that a field may be missing, or be anything."""
+
+
+@contextmanager
+def said(path: Path) -> Iterator[None]:
+    """What goes wrong in the library, or because a message is not what its type says, is a DataError."""
+    from data.recordings.ros.bounded import LIBRARY
+
+    try:
+        yield
+    except (*LIBRARY, *BROKEN) as error:
+        what = " ".join(str(error).split())[:120] or type(error).__name__
+        raise DataError.at(
+            path, f"not a bag that can be read ({what}); a whole .bag, .mcap or .db3 is needed"
+        ) from None
+
+
 @contextmanager
 def opened(path: Path) -> Iterator[Any]:
-    """A reader of the bag; what goes wrong inside is a DataError."""
+    """A reader of the bag, within bounds."""
     try:
-        from rosbags.highlevel import AnyReader, AnyReaderError
-        from rosbags.rosbag1 import ReaderError as Reader1Error
-        from rosbags.rosbag2 import ReaderError as Reader2Error
-        from rosbags.typesys import Stores, get_typestore
+        from data.recordings.ros.bounded import any_reader, bounded
     except ImportError:
         raise UsageError("rosbag needs the package rosbags: pip install 'slamref[ros]'") from None
     if not path.exists():
         raise DataError.at(path, "no such bag; a .bag file, a folder of ROS 2, or its .mcap or .db3 is needed")
-    broken = (AnyReaderError, Reader1Error, Reader2Error, OSError, ValueError, KeyError, IndexError, struct.error)
-    try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
-            yield reader
-    except broken as error:
-        what = " ".join(str(error).split())[:120]
-        raise DataError.at(
-            path, f"not a bag that can be read ({what}); a whole .bag, .mcap or .db3 is needed"
-        ) from None
+    with bounded(), ExitStack() as stack:
+        with said(path):
+            reader = stack.enter_context(any_reader(path, {SCAN, ODOMETRY, TRANSFORMS}))
+        yield reader
 
 
 def _topic(path: Path, topics: dict[str, str], kind: str, wanted: str | None, flag: str) -> str:

@@ -6,7 +6,6 @@ Imports nothing heavy, so that `--help` and a mistyped flag answer at once.
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, replace
 from pathlib import Path
@@ -58,15 +57,16 @@ def _label(row: Flag) -> str:
 
 
 def _read_config(name: str) -> dict[str, object]:
+    from data.toml_table import load_toml
+
     path = Path(name)
     if not path.exists() and (CONFIGS / f"{name}.toml").exists():
         path = CONFIGS / f"{name}.toml"
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise UsageError(f"--config {name}: no such file; shipped: {', '.join(shipped())}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as fault:
-        raise UsageError(f"--config {name}: {fault}") from None
+
+    def fault(what: str) -> UsageError:
+        return UsageError(f"--config {name}: {what}")
+
+    content = load_toml(path, fault, f"no such file; shipped: {', '.join(shipped())}")
     keys = {k.replace("-", "_"): v for k, v in content.items()}
     known = rows(Options).keys() - {"config"} | {"variant", "corridor"}
     unknown = sorted(set(keys) - known)

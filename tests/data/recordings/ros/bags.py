@@ -85,11 +85,13 @@ class Maker:
         for t in times.tolist():
             self.odometry(t, (t, 0.0, 0.1 * t))
 
-    def save(self, folder: Path) -> Path:
-        """The bag; messages of a topic share a connection."""
+    def save(self, folder: Path, *compression: Any) -> Path:
+        """The bag; messages of a topic share a connection. `compression`: what a writer calls so."""
         path = folder / ("small.bag" if self.old else "small")
         plugin = StoragePlugin.MCAP if self.form == "mcap" else StoragePlugin.SQLITE3
         writer: Any = Writer1(path) if self.old else Writer2(path, version=9, storage_plugin=plugin)
+        if compression:
+            writer.set_compression(*compression)
         with writer:
             connections: dict[str, Any] = {}
             for at, topic, kind, message in sorted(self.messages, key=lambda m: m[0]):

@@ -1,0 +1,179 @@
+"""rosbags, made to believe no number in a file beyond what is there: no read past its end, no chunk larger than stated.
+
+The library makes room for what a length says and unpacks whatever comes; a damaged bag would take gigabytes.
+"""
+
+from __future__ import annotations
+
+import bz2
+import io
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from importlib import import_module
+from itertools import accumulate
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import patch
+
+import apsw
+from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.interfaces import Nodetype
+from rosbags.rosbag1 import Reader as Reader1
+from rosbags.rosbag1 import ReaderError as Reader1Error
+from rosbags.rosbag1.reader import Header, RecordType
+from rosbags.rosbag2 import ReaderError as Reader2Error
+from rosbags.rosbag2 import metadata, storage_mcap
+from rosbags.rosbag2 import reader as reader2
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, TypesysError, get_typestore
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from data.open_log.archive import DENSEST, LARGE
+
+lz4: Any = import_module("lz4.frame")
+zstd: Any = vars(reader2)["zstd"]
+"""The library's own: of Python itself from 3.14 on."""
+LIBRARY = (
+    *(AnyReaderError, Reader1Error, Reader2Error, SerdeError, TypesysError),
+    *(YAMLError, apsw.Error, zstd.ZstdError),
+)
+"""Errors of the library, and of those that it reads YAML, SQLite and zstd with."""
+PART = 1 << 18
+"""Bytes that are unpacked at a time."""
+ZSTD_WINDOW = 23
+"""Logarithm of the largest window that a zstd frame may ask for: 8 MB, which RFC 8878 recommends to support."""
+DEEPEST = 100
+"""Brackets in brackets of YAML; the metadata of a bag has a few."""
+
+
+class TooLargeError(ValueError):
+    """What unpacks to more than it says, or to more than any log does."""
+
+
+def unpacked(make: Callable[[], Any], packed: bytes, stated: int | None = None) -> bytes:
+    """All streams in some bytes, by decompressors that `make` makes.
+
+    Raises:
+        TooLargeError: more than `stated` bytes, or beyond what logs pack to.
+        EOFError: they are cut off.
+    """
+    most = max(LARGE, DENSEST * len(packed))
+    if stated is not None:
+        if stated > most:
+            raise TooLargeError(f"{len(packed)} bytes that say they unpack to {stated}")
+        most = stated
+    parts, length = list[bytes](), 0
+    while packed:
+        stream = make()
+        part = stream.decompress(packed, max_length=PART)
+        while True:
+            parts.append(part)
+            length += len(part)
+            if length > most:
+                raise TooLargeError(f"bytes that unpack to more than {most}")
+            if stream.eof:
+                break
+            if stream.needs_input and not part:
+                raise EOFError("packed bytes are cut off")
+            part = stream.decompress(b"", max_length=PART)
+        packed = stream.unused_data or b""
+    return b"".join(parts)
+
+
+def _zstd() -> Any:
+    return zstd.ZstdDecompressor(options={zstd.DecompressionParameter.window_log_max: ZSTD_WINDOW})
+
+
+MAKE: dict[str, Callable[[], Any]] = {"bz2": bz2.BZ2Decompressor, "lz4": lz4.LZ4FrameDecompressor, "zstd": _zstd}
+
+
+class _File(io.BufferedReader):
+    """Reads what is there, and makes room for no more."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        if size is not None and size > PART:
+            here = self.tell()
+            size = min(size, max(self.seek(0, io.SEEK_END) - here, 0))
+            self.seek(here)
+        return super().read(size)
+
+
+class _Path(type(Path())):  # type: ignore[misc]
+    """A path that opens such files."""
+
+    def open(self, mode: str = "r", *rest: Any, **more: Any) -> Any:
+        return _File(io.FileIO(self)) if mode == "rb" else super().open(mode, *rest, **more)
+
+
+class _Reader1(Reader1):
+    """Unpacks chunks to the size that their header states."""
+
+    def read_chunk(self) -> Any:
+        assert self.bio is not None
+        at = self.bio.tell()
+        header = Header.read(self.bio, RecordType.CHUNK)
+        stated, method = header.get_uint32("size"), header.get_string("compression")
+        self.bio.seek(at)
+        chunk = super().read_chunk()
+        if method not in MAKE:
+            return chunk
+        return chunk._replace(decompressor=partial(unpacked, MAKE[method], stated=stated))
+
+
+def _stream(file: Any, mode: str) -> io.BytesIO:
+    """In place of `zstd.open`, of a whole file."""
+    return io.BytesIO(unpacked(_zstd, file.read()))
+
+
+class _Yaml(YAML):
+    """Reads no text nested deeper than any bag's, which takes time by the square."""
+
+    def load(self, stream: Any) -> Any:
+        if isinstance(stream, str):
+            inside = accumulate((c in "[{") - (c in "]}") for c in stream)
+            if max(inside, default=0) > DEEPEST:
+                raise TooLargeError(f"YAML nested deeper than {DEEPEST}")
+        return super().load(stream)
+
+
+@contextmanager
+def bounded() -> Iterator[None]:
+    """While this lasts, ROS 2 bags are read within bounds: their readers take these decompressors and this YAML."""
+    methods = {name: lambda packed, size, make=MAKE[name]: unpacked(make, packed, size) for name in ("lz4", "zstd")}
+    library = SimpleNamespace(decompress=partial(unpacked, _zstd), open=_stream)
+    with ExitStack() as stack:
+        stack.enter_context(patch.dict(storage_mcap.DECOMPRESSORS, methods))
+        for module, name, instead in ((reader2, "zstd", library), (reader2, "YAML", _Yaml), (metadata, "YAML", _Yaml)):
+            stack.enter_context(patch.object(module, name, instead))
+        yield
+
+
+def _named(description: Any) -> set[str]:
+    """Types that a field's description names."""
+    kind, inside = description
+    if kind == Nodetype.NAME:
+        return {inside}
+    return _named(inside[0]) if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) else set()
+
+
+def _definitions(names: set[str]) -> Any:
+    """A store of these types and those they are made of: of all there are it would take seconds and megabytes."""
+    every, found = get_typestore(Stores.LATEST).fielddefs, dict[str, Any]()
+    while names:
+        name = names.pop()
+        found[name] = every[name]
+        names |= {n for _, field in every[name][1] for n in _named(field)} - found.keys()
+    store = get_typestore(Stores.EMPTY)
+    store.register(found)
+    return store
+
+
+def any_reader(path: Path, names: set[str]) -> Any:
+    """The library's reader of a bag, not open yet; `names`: of the types to know if the bag does not define its own."""
+    reader = AnyReader([_Path(path)], default_typestore=_definitions(names))
+    if not reader.is2:
+        reader.readers = [_Reader1(_Path(path))]
+    return reader

@@ -1,0 +1,83 @@
+"""ROS bags that are fuzzed: of both versions, in every storage and compression that is read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import CompressionFormat, CompressionMode
+
+from data.log import Log
+from data.recordings.ros.bag import read_bag
+from data.recordings.ros.log import log_of
+from tests.data.open_log.test_corruption import assert_sound
+from tests.data.recordings.ros.bags import Maker
+from tests.faults.bags2 import BAGS
+from tests.faults.mutations import BYTES, TABLE, Fault, Files
+from tests.faults.readers import Reader, made
+
+
+def faults_of(name: str) -> list[Fault]:
+    ending = name.rpartition(".")[2]
+    return BAGS.get(ending, TABLE if ending == "txt" else BYTES)
+
+
+def small(form: str, *compression: Any) -> Files:
+    """A bag with a laser that is not at the origin, three scans and a drive."""
+    maker = Maker(form)
+    maker.drive(np.arange(0.0, 3.01, 0.5))
+    maker.mounting("base_link", "laser", 0.25, 0.0, 0.1)
+    for at in (0.75, 1.5, 2.25):
+        maker.scan(at, [1.0, 0.125, 8.0, 2.0])
+    return made(lambda folder: maker.save(folder, *compression))
+
+
+def unsummed(files: Files) -> Files:
+    """MCAP files whose footer names no summary."""
+    return {n: c[:-28] + bytes(8) + c[-20:] if n.endswith("mcap") else c for n, c in files.items()}
+
+
+def alone(files: Files) -> Files:
+    """The file of a folder of ROS 2 without its metadata."""
+    return {Path(n).name: c for n, c in files.items() if not n.endswith("yaml")}
+
+
+def ros1() -> list[Files]:
+    formats = Writer1.CompressionFormat
+    return [small("ros1"), small("ros1", formats.BZ2), small("ros1", formats.LZ4)]
+
+
+def sqlite() -> list[Files]:
+    modes = [(mode, CompressionFormat.ZSTD) for mode in (CompressionMode.MESSAGE, CompressionMode.FILE)]
+    plain = small("sqlite3")
+    return [plain, *(small("sqlite3", *mode) for mode in modes), alone(plain)]
+
+
+def mcap() -> list[Files]:
+    plain = small("mcap")
+    packed = small("mcap", CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    return [plain, packed, alone(packed), alone(unsummed(plain)), alone(unsummed(packed))]
+
+
+def read(folder: Path) -> Log:
+    inside = [p for p in sorted(folder.iterdir()) if p.is_dir() or p.suffix in (".bag", ".mcap", ".db3")]
+    path = inside[0] if inside else folder / "small"
+    return log_of(path, read_bag(path, "/scan", "/odom"))
+
+
+def sound(log: Log) -> None:
+    assert_sound(log)
+    scans = log.recorded.scans
+    assert scans is not None
+    assert np.isfinite(scans.ranges).all()
+    assert (scans.ranges >= 0.0).all()
+    assert np.isfinite([scans.scanner.angle_min, scans.scanner.angle_step, scans.scanner.max_range]).all()
+
+
+BAG_READERS = {
+    "ROS 1 bag": Reader(ros1, read, sound, faults_of),
+    "ROS 2 bag, SQLite": Reader(sqlite, read, sound, faults_of),
+    "ROS 2 bag, MCAP": Reader(mcap, read, sound, faults_of),
+}
