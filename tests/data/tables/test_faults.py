@@ -49,6 +49,8 @@ def table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Run:
         (GOOD, (*SIGMAS, "--truth", "{more}"), "where does the robot start in the frame of the truth?"),
         (GOOD, (*SIGMAS, "--truth", "{more}", "--prior", "truth"), "how sure is --prior?"),
         (GOOD, (*SIGMAS, "--prior", "truth", "--prior-sigma", "0,0,0"), "--prior truth: there is no --truth"),
+        (GOOD, (*SIGMAS, "--max-range", "0"), "--max-range 0: must be more than 0"),
+        (GOOD, (*SIGMAS, "--view", "1,1"), "--view 1,1: the smaller bearing first"),
         (GOOD.replace("1,1,0,2", "1,1,0,x"), SIGMAS, "line 3, column range: 'x' is not a number"),
         (GOOD.replace("1,1,0,2,0.2", "1,1,,2,0.2"), SIGMAS, "line 3, column omega: blank; a number is needed"),
         (GOOD.replace("2,1,0,,", "2,1,0,"), SIGMAS, "line 4: 4 fields where 5 are needed"),

@@ -92,6 +92,18 @@ def test_beside_wrong_labels_a_systematic_error_is_found_with_its_size(arena):
     assert systematic.size == pytest.approx(0.1, rel=0.2)
 
 
+def test_what_would_have_been_seen_are_small_errors_and_factors_above_one(arena):
+    log, twins = arena
+    seen = blame(log, twins).detectable
+    slopes = {name.removeprefix("slope_") for _, name in twins[0].measured if name.startswith("slope_")}
+    factors = {name for _, name in twins[0].measured if name.endswith("_spread")}
+    assert slopes
+    assert factors
+    assert set(seen) == slopes | factors
+    assert all(1.0 < seen[name] < 10.0 for name in factors)
+    assert all(0.0 < seen[name] < 1.0 for name in slopes)
+
+
 def test_innovations_of_twins_convict_where_the_poses_do_not(arena):
     log, twins = arena
     key = "ekf", "nis"
