@@ -149,7 +149,7 @@ def test_headings_that_look_like_degrees_are_asked_about(table):
 
 
 def test_a_robot_that_mostly_stands_is_asked_about_its_degrees_too(table):
-    rows = "".join(f"{k},{k},0,{45 * (k // 20)},2,0.1\n" for k in range(200))
+    rows = "".join(f"{k},{k},0,{45 * (k // 200)},2,0.1\n" for k in range(2000))
     words = ("--odometry-sigma", "0.05,0.05,0.075,0.045", "--observation-sigma", "0.1,0.1")
     assert "are they degrees?" in table("t,x,y,theta,range,bearing\n" + rows, *words)[1]
 
