@@ -42,6 +42,12 @@ def test_all_back_ends_get_the_same_chain_and_loop_closures(runs):
     assert runs["dead-reckoning"].loops is None
 
 
+def test_what_all_back_ends_share_cannot_be_changed(runs):
+    for shared in (runs["ekf"].chain, runs["ekf"].loops):
+        with pytest.raises(ValueError, match="read-only"):
+            shared.covariance[0] = 0.0
+
+
 def test_filter_and_smoothers_end_at_the_same_key_poses_where_nothing_is_wrong(runs):
     for name in ("ekf", "isam2", "gnc"):
         off = pose_error(runs[name].key_pose, runs["batch"].key_pose)
