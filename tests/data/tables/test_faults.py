@@ -157,3 +157,13 @@ def test_a_robot_that_mostly_stands_is_asked_about_its_degrees_too(table):
 def test_the_converter_asks_what_inspect_asks(table):
     said = table(GOOD.replace("-0.5", "-50"), *SIGMAS)[1]
     assert "question (bearing unit)" in said
+
+
+def test_readings_before_and_after_all_odometry_are_left_out_and_said(table, tmp_path):
+    seen = tmp_path / "seen.csv"
+    seen.write_text("t,range,bearing\n-1,2,0.1\n1,3,0.1\n2,4,0.1\n9,5,0.1\n")
+    words = ("--observations", str(seen), "--odometry-sigma", "0.05,0.05,0.075,0.045", "--observation-sigma", "0.1,0.1")
+    status, said = table("t,x,y,theta\n0,0,0,0\n1,1,0,0\n2,2,0,0\n3,3,0,0\n", *words)
+    assert status == 0
+    assert "2 of 4 readings before or after all odometry, 0 to 3 s, left out" in said
+    assert load_folder(tmp_path / "out").recorded.observations.z[:, 0].tolist() == [3.0, 4.0]
