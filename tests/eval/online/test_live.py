@@ -151,6 +151,13 @@ def test_a_device_that_is_not_there_leaves_nothing(tmp_path, capsys):
     assert os.listdir(tmp_path) == []
 
 
+@pytest.mark.parametrize("name", ["slamref live", live.PROG])
+def test_the_examples_call_it_by_the_name_it_was_called_by(name):
+    said = live.parser(name).format_help()
+    assert f"  {name} --link /dev/ttyUSB0 --estimator" in said
+    assert (live.PROG in said) == (name == live.PROG)
+
+
 def test_the_ways_of_association_that_are_offered_are_those_it_takes(tmp_path, capsys):
     link = ["--link", "robot", "--out", str(tmp_path / "log")]
     assert live.main([*link, "--association", "known"]) == 2

@@ -16,11 +16,12 @@ from eval.referee.attribution import (
     innovation_errors,
     outlier_errors,
 )
+from eval.referee.trust import Measured
 from eval.replay.run import compare
 from eval.replay.settings import Setup
 from eval.studies.faults import FAULTS
 from eval.studies.sampled import one_twin, sample_of, smoother_of
-from eval.studies.trusted import judged
+from eval.studies.trusted import _estimators, judged
 from eval.studies.twins import inputs_of, source_of
 from eval.studies.validation import World
 
@@ -102,6 +103,16 @@ def test_what_would_have_been_seen_are_small_errors_and_factors_above_one(arena)
     assert set(seen) == slopes | factors
     assert all(1.0 < seen[name] < 10.0 for name in factors)
     assert all(0.0 < seen[name] < 1.0 for name in slopes)
+
+
+def test_an_estimator_that_is_off_by_its_poses_is_convicted_once(arena):
+    _, twins = arena
+    sizes = [Measured(1.3 + 0.001 * i, 1.0) for i in range(len(twins))]
+    drawn = [
+        replace(s, nees={("ekf", "online"): 6.0 + 0.1 * i}, measured={(name, "nis"): m for name in ("ekf", "isam2")})
+        for i, (s, m) in enumerate(zip(twins, sizes))
+    ]
+    assert [(f.kind, f.name) for f in _estimators(drawn)] == [("linearization", "ekf"), ("innovations", "isam2")]
 
 
 def test_innovations_of_twins_convict_where_the_poses_do_not(arena):
