@@ -21,11 +21,11 @@ from tests.mutation.sampled.mutants import Fault, faults_of
 from tests.mutation.sampled.nearest import PACKAGES, importers, nearest_tests, reached
 
 ROOT = Path(__file__).parents[3]
-CAUGHT = 0.7
-"""The aim is 0.95. Measured were 0.81 (docs/reliability.md), of which 40 faults find 0.7 or more 19 times in 20."""
+CAUGHT = 0.6
+"""The aim is 0.95. Measured were 0.81 (docs/reliability.md); 20 faults show less than this one time in fifty then."""
 NEAREST = 12
 """Test files tried before the whole suite."""
-NUMBER, SEED = int(os.environ.get("FAULTS", "40")), int(os.environ.get("SEED", "1"))
+NUMBER, SEED = int(os.environ.get("FAULTS", "20")), int(os.environ.get("SEED", "1"))
 NO_TESTS = 5
 """Exit status of pytest where every test of the files is a slow one."""
 LONGEST = 1800.0
@@ -34,8 +34,12 @@ LONGEST = 1800.0
 
 def tree_at(folder: Path) -> Path:
     """A copy of the project, with its compiled kernels."""
-    left = shutil.ignore_patterns(".*", "results", "build", "dist")
-    shutil.copytree(ROOT, folder / "tree", ignore=left, copy_function=shutil.copy2)
+    (folder / "tree").mkdir()
+    for path in ROOT.iterdir():
+        if path.is_dir() and path.name in (*PACKAGES, "tests", "docs"):
+            shutil.copytree(path, folder / "tree" / path.name)
+        elif path.is_file() and not path.name.startswith("."):
+            shutil.copy2(path, folder / "tree")
     if (shared := ROOT.parent / "shared").is_dir():
         (folder / "shared").symlink_to(shared.resolve())
     return folder / "tree"
