@@ -85,8 +85,6 @@ def extended(scan: Scan, sensor: Sensor, sightings: Sightings, rows: IntArray) -
 
 def _pairs(scan: Scan, xy: Array, R: Array) -> list[tuple[int, int]]:
     """Sightings and the points they show again: nearest pair first, one to one."""
-    if not len(scan):
-        return []
     n = len(scan)
     blocks = diagonal_blocks(scan.covariance)
     nu = xy[:, None] - scan.xy[None]

@@ -72,7 +72,7 @@ class TextTable:
         """The fields of a column in the rows to keep (K,), bool."""
         return [row[column] for row, wanted in zip(self.rows, keep.tolist(), strict=True) if wanted]
 
-    def numbers(self, column: int, keep: BoolArray, *, stamps: bool = False) -> Array:
+    def numbers(self, column: int, keep: BoolArray, *, stamps: bool) -> Array:
         """A column as numbers, NaN where blank or nan; `stamps`: dates as in 2024-05-01T12:00:00.5 in s since 1970.
 
         Raises:

@@ -167,6 +167,16 @@ def test_loop_closures_become_relations_and_are_spoken_of(tmp_path):
     assert log.recorded.increments.covariance[1] == pytest.approx(np.diag([0.01, 0.01, 0.0025]))
 
 
+def test_a_graph_of_one_pose_is_a_log_of_one_frame(tmp_path):
+    path = tmp_path / "one.g2o"
+    path.write_text("VERTEX_SE2 4 1 2 0.5\nVERTEX_XY 9 3 2\nEDGE_SE2_XY 4 9 2 0.1 100 0 100\n")
+    log = log_of("one", read_graph(path))
+    assert len(log.recorded) == 1
+    assert log.recorded.increments.mean.tolist() == [[0.0, 0.0, 0.0]]
+    assert log.recorded.observations.frame.tolist() == [0]
+    assert log.recorded.observations.z.tolist() == [[2.0, 0.1]]
+
+
 def test_vertices_that_are_the_truth_score_the_log(arena_graph, tmp_path):
     assert main(["g2o", str(arena_graph), str(tmp_path / "log"), "--true"]) == 0
     log = load_folder(tmp_path / "log")

@@ -46,6 +46,20 @@ def test_what_was_initialized_again_is_recognized(seed):
     assert all(near[i] == j for i, j in found)
 
 
+def test_distances_that_are_better_than_stated_tell_places_apart_that_the_stated_ones_cannot():
+    """Landmarks 1.5 m apart with 0.9 m stated: as they stand to each other they are as good as 0.03 m."""
+    taken = {1.0: 0, 0.03**2 / 0.9**2: 0}
+    for seed in range(6):
+        new, old, cross, near = twice(seed, size=10.0, sigma=0.03, turn=0.02, shift=(0.4, -0.3))
+        loose = [Landmarks(x.xy, x.covariance + block(len(x.xy), 0.9)) for x in (new, old)]
+        allowed = squared_distances(*loose, cross)[0] < 13.8
+        for scale in taken:
+            found = recognize(*loose, cross, allowed, 48 / 10.0**2, FREE, scale)
+            assert all(near[i] == j for i, j in found)
+            taken[scale] += len(found) >= 6
+    assert list(taken.values()) == [0, 6]
+
+
 def test_landmarks_that_are_new_are_left_out():
     """Of three new ones that stand anywhere, one in twenty has an old one within three sigmas."""
     right = wrong = places = 0

@@ -12,6 +12,7 @@ from association.scans.free_space import contradiction
 from association.scans.points import beams_of, scan_points
 from association.scans.scale import learned_scale, residuals
 from association.scans.uncertainty import PoseEdges, compose_covariances, inverse_covariance, nearest_first
+from data.inputs import Scanner
 from data.se2 import Array, between, compose, inverse
 from tests.association.scans.rooms import ROOM, SCANNER, scan
 
@@ -93,6 +94,33 @@ def test_scans_contradict_each_other_in_a_wrong_pose_and_not_in_the_right_one() 
     assert contradiction(a, b, right, SCANNER, 25.0) < 0.03
     assert contradiction(a, b, right + [1.2, 0.0, 0.0], SCANNER, 25.0) > 0.2
     assert contradiction(a, np.zeros(180), right, SCANNER, 25.0) == 0.0
+
+
+def test_a_surface_before_another_contradicts_it_beyond_half_a_metre_at_four() -> None:
+    near = np.full(180, 4.0)
+    assert contradiction(near, np.full(180, 4.4), np.zeros(3), SCANNER, 25.0) == 0.0
+    # what lies before is seen through from the other side: one way against, nothing known the other way
+    assert contradiction(near, np.full(180, 4.7), np.zeros(3), SCANNER, 25.0) == 1.0
+    assert contradiction(np.full(180, 4.7), near, np.zeros(3), SCANNER, 25.0) == 1.0
+
+
+def test_beams_that_met_nothing_are_not_compared() -> None:
+    near, far = np.full(180, 4.0), np.full(180, 6.0)
+    far[:90] = 0.0
+    assert contradiction(near, far, np.zeros(3), SCANNER, 25.0) == 1.0
+    near[90:], far[:90] = 25.0, 4.0
+    assert contradiction(near, far, np.zeros(3), SCANNER, 25.0) == 0.0
+    assert contradiction(np.full(180, 4.0), np.full(180, 6.0), np.zeros(3), SCANNER, 5.0) == 0.0
+
+
+def test_where_the_scanner_is_mounted_does_not_matter() -> None:
+    mounted = Scanner(-0.5 * math.pi, math.pi / 180.0, 30.0, 0.01, rotation=1.2, translation=(0.9, -0.6))
+    first, second = np.array([0.2, 0.1, 0.3]), np.array([0.9, 0.4, 0.7])
+    a, b = scan(first, ROOM, mounted), scan(second, ROOM, mounted)
+    right = between(first, second)
+    assert contradiction(a, b, right, mounted, 25.0) < 0.03
+    assert contradiction(a, b, right + [1.2, 0.0, 0.0], mounted, 25.0) > 0.2
+    assert contradiction(a, b, right, SCANNER, 25.0) > 0.1
 
 
 def test_scale_is_found_from_gaussian_and_from_heavy_tailed_residuals() -> None:

@@ -43,6 +43,15 @@ def test_points_lie_on_walls_and_their_normals_face_the_scanner(mounting: tuple[
     assert (((beams.origin - points.xy) * points.normal).sum(axis=1) > 0.0).all()
 
 
+def test_surfaces_up_to_80_degrees_oblique_are_whole_and_beyond_them_there_are_none() -> None:
+    wall = np.array([[-60.0, -1.2, 60.0, -1.2]])
+    scanner = replace(SCANNER, max_range=50.0)
+    points = scan_points(scan(np.zeros(3), wall, scanner), beams_of(scanner, 180), 50.0)
+    grazing = np.degrees(np.arctan2(1.2, points.xy[:, 0]))
+    assert 8.0 < grazing.min() < 12.0
+    assert len(grazing) == pytest.approx(90 - grazing.min(), abs=1.5)  # one each degree, straight down is the first
+
+
 def test_no_return_and_far_returns_make_no_points() -> None:
     ranges = scan(np.zeros(3), ROOM)
     ranges[:90] = 0.0

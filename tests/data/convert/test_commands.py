@@ -14,10 +14,12 @@ import pytest
 
 from data.convert.__main__ import main
 from data.convert.mrclam import CALIBRATION
+from data.errors import DataError
 from data.log import Log
 from data.mrclam.calibration import FROZEN, Calibration
 from data.mrclam.load import load_mrclam
 from data.open_log.reader import load_folder
+from data.visual.opening import Camera
 from data.worlds.arena import Arena, simulate
 from tests.data.mrclam import world
 from tests.data.mrclam.world import replace_row, save_folder
@@ -266,3 +268,21 @@ def test_help_loads_neither_numpy_nor_numba() -> None:
         "sys.exit(bool({'numpy', 'numba', 'pandas'} & set(sys.modules)))"
     )
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
+
+
+def test_each_flag_of_a_lab_recording_says_how_its_camera_is_read(monkeypatch, tmp_path):
+    asked = []
+
+    def opened(source, camera, say):
+        asked.append((source, camera))
+        raise DataError(f"{source}: read no further")
+
+    monkeypatch.setattr("data.visual.opening.open_lab_log", opened)
+    words = ["lab", str(tmp_path), str(tmp_path / "out")]
+    flags = ["--camera-translation", "mm", "--camera-reading", "to-body", "--corner-noise", "depth", "--trust-pickle"]
+    assert main(words) == 2
+    assert main([*words, *flags]) == 2
+    assert asked == [
+        (tmp_path, Camera("cm", "to-camera", "lab", False)),
+        (tmp_path, Camera("mm", "to-body", "depth", True)),
+    ]

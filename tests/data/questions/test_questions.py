@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from data.inputs import Increments, LandmarkMap, Observations, Prior
-from data.log import Log
+from data.log import Log, shortened
 from data.logs import find_logs, open_log
 from data.questions.ask import CHECKS, ask
+from data.questions.units import turn_rates
 from data.worlds.arena import Arena, simulate
 
 RECORDINGS = Path(__file__).parents[4] / "shared" / "data"
@@ -176,3 +177,7 @@ def test_a_log_without_observations_can_be_asked(arena):
     empty = replace(recorded(arena, observations=none), truth=replace(arena.truth, landmark_of=None))
     assert asked(empty) == {}
     assert len(CHECKS) == 9
+
+
+def test_of_a_single_frame_no_turn_is_asked():
+    assert turn_rates(shortened(simulate(Arena(), 0), 1)) == []

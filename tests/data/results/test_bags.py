@@ -64,6 +64,19 @@ def test_zeros_are_no_covariance(tmp_path):
     assert read_path(f"{where}:/odom").covariance is None
 
 
+def test_a_message_whose_header_was_never_stamped_is_of_when_it_was_recorded(tmp_path):
+    maker = Maker("mcap")
+    for k in range(3):
+        point = maker._of("geometry_msgs/msg/Point", float(k), 0.0, 0.0)
+        place = maker._of("geometry_msgs/msg/Pose", point, maker._turn(0.0))
+        pose = maker._of("geometry_msgs/msg/PoseWithCovariance", place, covariance(k).ravel())
+        header = maker._header("map", None if k == 1 else float(k))
+        maker.messages.append((float(k), "/amcl", POSE, maker._of(POSE, header=header, pose=pose)))
+    path = read_path(f"{maker.save(tmp_path)}:/amcl")
+    assert path.time - START == pytest.approx([0.0, 1.0, 2.0], abs=1e-6)
+    assert path.pose[:, 0].tolist() == [0.0, 1.0, 2.0]
+
+
 def test_which_topic_must_be_said_where_there_are_several(tmp_path):
     where = bag("mcap", tmp_path)
     with pytest.raises(UsageError, match=r"which topic\? .*:/TOPIC is needed; with poses and covariance: /amcl, /odom"):

@@ -105,6 +105,10 @@ FAULTS = {
     "word": (f"{T}\n1 zero 0 0 0 0 0 1\n", ": line 2, column x: 'zero' is not a number"),
     "nan": (f"{T}\n1 nan 0 0 0 0 0 1\n", ": line 2, column x: nan; a finite number in SI units is needed"),
     "back": (f"# TUM\n1{T[1:]}\n{T}\n", ": line 3: stamp 0.0 is before 1.0"),
+    "back, of ours": ("t,x,y,theta\n1,0,0,0\n0,0,0,0\n", ": line 3: stamp 0.0 is before 1.0"),
+    "back, EuRoC": (
+        "1403636579763555584,0,0,0,1,0,0,0\n1403636578763555584,0,0,0,1,0,0,0\n", ": line 2: stamp 1403636578.76",
+    ),
     "quaternion": (f"{T}\n1 0 0 0 0 0 0 0\n", ": line 2: quaternion [0.0, 0.0, 0.0, 0.0] has length 0"),
     "empty": ("# nothing\n", ": no line of data"),
     "strange": ("1 2 3\n", ": line 1: 3 fields, '1,2,3': not a trajectory that is known here; a CSV with"),

@@ -49,6 +49,8 @@ def table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Run:
         (GOOD, (*SIGMAS, "--truth", "{more}"), "where does the robot start in the frame of the truth?"),
         (GOOD, (*SIGMAS, "--truth", "{more}", "--prior", "truth"), "how sure is --prior?"),
         (GOOD, (*SIGMAS, "--prior", "truth", "--prior-sigma", "0,0,0"), "--prior truth: there is no --truth"),
+        (GOOD, (*SIGMAS, "--max-range", "0"), "--max-range 0: must be more than 0"),
+        (GOOD, (*SIGMAS, "--view", "1,1"), "--view 1,1: the smaller bearing first"),
         (GOOD.replace("1,1,0,2", "1,1,0,x"), SIGMAS, "line 3, column range: 'x' is not a number"),
         (GOOD.replace("1,1,0,2,0.2", "1,1,,2,0.2"), SIGMAS, "line 3, column omega: blank; a number is needed"),
         (GOOD.replace("2,1,0,,", "2,1,0,"), SIGMAS, "line 4: 4 fields where 5 are needed"),
@@ -146,6 +148,22 @@ def test_headings_that_look_like_degrees_are_asked_about(table):
     assert "are they degrees?" not in table("t,x,y,theta,range,bearing\n" + rows, *words, "--unit", "angle=deg")[1]
 
 
+def test_a_robot_that_mostly_stands_is_asked_about_its_degrees_too(table):
+    rows = "".join(f"{k},{k},0,{45 * (k // 200)},2,0.1\n" for k in range(2000))
+    words = ("--odometry-sigma", "0.05,0.05,0.075,0.045", "--observation-sigma", "0.1,0.1")
+    assert "are they degrees?" in table("t,x,y,theta,range,bearing\n" + rows, *words)[1]
+
+
 def test_the_converter_asks_what_inspect_asks(table):
     said = table(GOOD.replace("-0.5", "-50"), *SIGMAS)[1]
     assert "question (bearing unit)" in said
+
+
+def test_readings_before_and_after_all_odometry_are_left_out_and_said(table, tmp_path):
+    seen = tmp_path / "seen.csv"
+    seen.write_text("t,range,bearing\n-1,2,0.1\n1,3,0.1\n2,4,0.1\n9,5,0.1\n")
+    words = ("--observations", str(seen), "--odometry-sigma", "0.05,0.05,0.075,0.045", "--observation-sigma", "0.1,0.1")
+    status, said = table("t,x,y,theta\n0,0,0,0\n1,1,0,0\n2,2,0,0\n3,3,0,0\n", *words)
+    assert status == 0
+    assert "2 of 4 readings before or after all odometry, 0 to 3 s, left out" in said
+    assert load_folder(tmp_path / "out").recorded.observations.z[:, 0].tolist() == [3.0, 4.0]

@@ -10,7 +10,7 @@ import slamref
 from association.decide import METHODS
 from data.errors import UsageError
 from eval.checks import associations, estimators, expected, handed
-from eval.checks.finding import CheckError
+from eval.checks.finding import APPROXIMATE, EXACT, CheckError, graded
 from eval.replay.foreign.load import load, text_of
 from eval.replay.foreign.method import Method
 from eval.replay.names import FILTERS, INCREMENTAL
@@ -24,6 +24,22 @@ def test_our_own_estimators_pass_every_check(name):
     findings = slamref.estimator_findings(name)
     assert [f.line for f in findings if not f.passed or "not exact" in f.sentence] == []
     assert len({f.check for f in findings}) == len(findings) >= 29
+
+
+@pytest.mark.parametrize(
+    ("off", "passed", "said"),
+    [
+        (0.0, True, "x within 0.001 sigma"),
+        (EXACT, True, "x within"),
+        (1.001 * EXACT, True, "not exact: x only within"),
+        (APPROXIMATE, True, "not exact: x only within"),
+        (1.001 * APPROXIMATE, False, "sigma off where x was expected within"),
+    ],
+)
+def test_how_far_off_decides_what_is_said(off, passed, said):
+    found = graded("a check", off, "x")
+    assert found.passed == passed
+    assert said in found.sentence
 
 
 @pytest.mark.parametrize("name", METHODS)

@@ -65,3 +65,12 @@ def test_nothing_is_cut_and_no_text_is_covered(names):
         assert within(ax.get_tightbbox(), fig.bbox)
         assert not legend.get_window_extent().overlaps(ax.get_tightbbox())
     assert within(legend.get_window_extent(), fig.bbox)
+
+
+def test_a_longer_legend_takes_nothing_from_the_axes():
+    heights = []
+    for names in (("ekf",), ("ekf", "ekf-iterated", "ekf-fej", "ekf-invariant", "isam2", "fixed-lag")):
+        fig = filter_smoother_figure(circle_log(), [replace(excursion(), estimator=n) for n in names], smoother())
+        fig.draw_without_rendering()
+        heights.append(fig.axes[0].get_window_extent().height)
+    assert heights[1] > 0.9 * heights[0]

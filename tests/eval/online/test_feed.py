@@ -88,6 +88,12 @@ def test_only_what_changed_is_sent_but_each_minute_begins_with_the_whole_map(tak
     assert np.median(counts) < 0.8 * max(counts)
 
 
+def test_what_changed_in_a_chunk_is_of_its_last_frame(taken):
+    for chunk in fed(taken)[1]:
+        at = unpacked(chunk)["r0.change_frame"][:, 0]
+        assert (at == chunk["first"] + chunk["frames"] - 1).all()
+
+
 def test_what_is_kept_is_bounded_and_the_rest_goes_on_from_its_beginning(taken, monkeypatch):
     frames, _ = taken
     feed, _ = fed(taken)

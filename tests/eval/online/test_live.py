@@ -10,10 +10,12 @@ import time
 import numpy as np
 import pytest
 
+from data.errors import UsageError
 from data.logs import open_log
 from data.open_log.reader import load_folder
 from data.robot.traffic.recording import GONE, OPENED, read_recording
 from eval import live
+from eval.replay.names import ASSOCIATIONS
 from eval.replay.run import compare
 from eval.replay.settings import Setup
 from tests.eval.online.driven import (
@@ -147,6 +149,27 @@ def test_a_device_that_is_not_there_leaves_nothing(tmp_path, capsys):
     assert live.main(["--link", str(tmp_path / "robot"), "--out", str(tmp_path / "log"), "--no-page"]) == 2
     assert "cannot be opened as a serial line" in capsys.readouterr().err
     assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("name", ["slamref live", live.PROG])
+def test_the_examples_call_it_by_the_name_it_was_called_by(name):
+    said = live.parser(name).format_help()
+    assert f"  {name} --link /dev/ttyUSB0 --estimator" in said
+    assert (live.PROG in said) == (name == live.PROG)
+
+
+def test_the_ways_of_association_that_are_offered_are_those_it_takes(tmp_path, capsys):
+    link = ["--link", "robot", "--out", str(tmp_path / "log")]
+    assert live.main([*link, "--association", "known"]) == 2
+    offered = capsys.readouterr().err.strip().removesuffix(" do").rsplit("; ", 1)[1].split(", ")
+    assert "jcbb" in offered
+    taken = []
+    for name in ASSOCIATIONS:
+        try:
+            taken.append(*live.read([*link, "--association", name]).options.association)
+        except UsageError:
+            continue
+    assert taken == offered
 
 
 @pytest.mark.parametrize(("words", "why"), [

@@ -21,9 +21,9 @@ from eval.studies.faults import FAULTS
 from eval.studies.trusted import trust_table
 
 
-def run(folder, out, *arguments):
+def run(folder, out, *arguments, told=lambda done, total: None):
     options = read_options(["--log", str(folder), "--out", str(out / "report"), "--jobs", "1", *arguments])
-    return execute(make_plan(options, lambda text: None), options, lambda done, total: None)
+    return execute(make_plan(options, lambda text: None), options, told)
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +87,10 @@ def test_without_a_smoother_only_the_filters_own_innovations_are_judged(unmeasur
 
 
 def test_isam2_gets_twins_where_no_filter_runs(unmeasured, tmp_path):
-    (trust,) = run(unmeasured, tmp_path, "--estimator", "isam2,batch", "--twins", "2").trust
+    told = []
+    done = run(unmeasured, tmp_path, "--estimator", "isam2,batch", "--twins", "2", told=lambda *now: told.append(now))
+    (trust,) = done.trust
+    assert told == [(1, 2), (2, 2), (3, 4), (4, 4)], "two runs, then two twins"
     assert {r.estimator for r in trust.rows if r.twins == 2} == {"isam2", "batch"}
     assert trust.blame is None
     assert any("too few" in note for note in trust.notes)

@@ -85,6 +85,14 @@ def test_a_heading_error_across_the_seam_is_a_small_one():
     assert mean_scores(pose, P[None], truth, np.ones(1, bool)) == pytest.approx(near)
 
 
+def test_scores_of_a_trajectory_are_means_over_its_frames():
+    pose, truth = np.array([[0.1, -0.3, 0.02], [0.0, 0.4, -0.1]]), np.zeros((2, 3))
+    both = mean_scores(pose, np.tile(P, (2, 1, 1)), truth, np.ones(2, bool))
+    each = [mean_scores(pose[k : k + 1], P[None], truth[:1], np.ones(1, bool)) for k in range(2)]
+    assert both == pytest.approx({name: 0.5 * (each[0][name] + each[1][name]) for name in both})
+    assert each[0]["crps_y_m"] == pytest.approx(float(crps(np.array(-0.3), np.array(0.2))))
+
+
 def test_frames_without_truth_and_with_a_singular_covariance_are_in_no_score():
     pose = np.array([[0.1, 0.0, 0.0], [9.0, 9.0, 1.0], [0.1, 0.0, 0.0]])
     scored = np.array([True, False, False])

@@ -16,11 +16,12 @@ from eval.referee.attribution import (
     innovation_errors,
     outlier_errors,
 )
+from eval.referee.trust import Measured
 from eval.replay.run import compare
 from eval.replay.settings import Setup
 from eval.studies.faults import FAULTS
 from eval.studies.sampled import one_twin, sample_of, smoother_of
-from eval.studies.trusted import judged
+from eval.studies.trusted import _estimators, judged
 from eval.studies.twins import inputs_of, source_of
 from eval.studies.validation import World
 
@@ -90,6 +91,28 @@ def test_beside_wrong_labels_a_systematic_error_is_found_with_its_size(arena):
     # at a constant speed a turn that grows with distance is one that grows with time
     assert {"odometry_theta_distance", "odometry_theta_time"} <= {systematic.name, *systematic.other}
     assert systematic.size == pytest.approx(0.1, rel=0.2)
+
+
+def test_what_would_have_been_seen_are_small_errors_and_factors_above_one(arena):
+    log, twins = arena
+    seen = blame(log, twins).detectable
+    slopes = {name.removeprefix("slope_") for _, name in twins[0].measured if name.startswith("slope_")}
+    factors = {name for _, name in twins[0].measured if name.endswith("_spread")}
+    assert slopes
+    assert factors
+    assert set(seen) == slopes | factors
+    assert all(1.0 < seen[name] < 10.0 for name in factors)
+    assert all(0.0 < seen[name] < 1.0 for name in slopes)
+
+
+def test_an_estimator_that_is_off_by_its_poses_is_convicted_once(arena):
+    _, twins = arena
+    sizes = [Measured(1.3 + 0.001 * i, 1.0) for i in range(len(twins))]
+    drawn = [
+        replace(s, nees={("ekf", "online"): 6.0 + 0.1 * i}, measured={(name, "nis"): m for name in ("ekf", "isam2")})
+        for i, (s, m) in enumerate(zip(twins, sizes))
+    ]
+    assert [(f.kind, f.name) for f in _estimators(drawn)] == [("linearization", "ekf"), ("innovations", "isam2")]
 
 
 def test_innovations_of_twins_convict_where_the_poses_do_not(arena):

@@ -44,6 +44,13 @@ def test_the_ranges_are_those_demanded():
         assert 20 < sum("curvature" in d.name for d in half) < 90
 
 
+def test_there_are_people_in_a_third_of_the_corridors():
+    corridors = [d for d in EVERY if d.name.startswith("corridor")]
+    among_people = [d for d in corridors if "people" in d.name]
+    assert 0.2 < len(among_people) / len(corridors) < 0.47
+    assert all(d.readings.clutter == 0.0 for d in among_people), "people are clutter enough"
+
+
 @pytest.mark.parametrize("drawn", SMALL, ids=lambda d: d.name.partition(":")[0])
 def test_a_log_is_made_again_byte_by_byte(drawn):
     one, other = log_of(drawn), log_of(drawn)

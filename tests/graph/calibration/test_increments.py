@@ -10,6 +10,7 @@ from gtsam.symbol_shorthand import X
 from data import se2
 from data.inputs import Increment, Prior
 from graph.calibration.increments import increment_factor
+from graph.calibration.motion import Motion
 from graph.calibration.variables import errors_of
 from graph.factors import pose2, root_information
 from graph.problem import CONSTANTS, drift_key
@@ -76,3 +77,15 @@ def test_both_poses_may_go_anywhere_together(names, sensor):
         there.update(key, far.compose(values.atPose2(key)))
     for mine, other in zip(factor.linearize(there).jacobian(), factor.linearize(values).jacobian(), strict=True):
         np.testing.assert_allclose(mine, other, atol=1e-8)
+
+
+def test_a_knot_leaves_with_the_last_increment_that_has_its_drift_and_once():
+    motion = Motion(errors_of(to_estimate("scale", "drift"), POLAR, Prior(np.zeros(3), P0)))
+    step = Increment(MOVED, np.diag([0.04, 0.02, 0.015]) ** 2)
+    motion.extend(1, [step] * 7, [0, 0, 0, 5, 5, 5, 9])
+    motion.knot = 9
+    assert [motion.knot_of(frame) for frame in (0, 1, 3, 4, 7)] == [0, 0, 0, 5, 9]
+    left = {oldest: list(motion.forget(oldest)) for oldest in (2, 4, 5, 7)}
+    assert left == {2: [], 4: [0, 1, 2, 3, 4], 5: [], 7: [5, 6, 7, 8]}
+    assert motion.knot_of(7) == 9
+    assert len(motion.raw[0]) == 8  # what left the graph is still known

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from data.se2 import dead_reckoned, pose_error
 from graph.optimum import NotConvergedError
 from graph.poses import batch
 from graph.poses.batch import CAUCHY, CUT, HUBER, smooth_poses
-from graph.poses.robust import gnc_poses
+from graph.poses.robust import gnc_poses, squares
 from tests.graph.poses.worlds import corridors, random_false, structured_false
 
 
@@ -108,6 +109,19 @@ def test_as_many_false_loop_closures_as_half_the_true_ones_change_the_robust_pat
     for loss in ("cauchy", "gnc"):
         np.testing.assert_allclose(after[loss], before[loss], rtol=0.05)
     assert min(after["gaussian"]) > 5.0 * max(before["gaussian"])
+
+
+def test_from_some_of_the_right_loops_all_of_them_are_found(monkeypatch):
+    world = corridors(0, 110, loops=50, drift=3.0, blocks=2)
+    wrong = world.with_loops(*random_false(world, np.random.default_rng(0), 25))
+    problem, n = wrong.problem(), len(world.key1)
+    some = np.arange(len(wrong.key1)) % 2 == 0
+    some[n:] = False
+    monkeypatch.setattr("graph.poses.robust._graduate", lambda problem, pose, threshold: (pose, some, 0))
+    found, believed = gnc_poses(problem, start(wrong))
+    assert believed[:n].mean() > 0.9
+    assert not believed[n:].any()
+    assert ((squares(problem, found.pose) < chi2.ppf(0.99, 3)) == believed).all()
 
 
 def test_a_search_that_is_cut_short_is_said_not_to_have_converged(monkeypatch):

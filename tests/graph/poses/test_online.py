@@ -86,8 +86,9 @@ def test_what_makes_no_sense_is_refused():
     assert (graph.newest()[1] == 0.0).all()
     with pytest.raises(DataError, match="motion into key pose 1: its covariance is singular"):
         graph.add_key(np.ones(3), np.diag([1.0, 1.0, 0.0]))
-    with pytest.raises(ValueError, match=r"between key poses 0 ... 0"):
-        graph.add_loops(np.array([0]), np.array([1]), np.zeros((1, 3)), np.eye(3)[None])
+    for ends in ((0, 1), (1, 0), (-1, 0), (0, -1)):
+        with pytest.raises(ValueError, match=r"between key poses 0 ... 0"):
+            graph.add_loops(*np.array(ends)[:, None], np.zeros((1, 3)), np.eye(3)[None])
     with pytest.raises(ValueError, match="loss 'tukey'"):
         PoseGraph(graph.prior, loss="tukey")
     with pytest.raises(ValueError, match="lag -1"):

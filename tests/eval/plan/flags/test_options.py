@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import resource
 import subprocess
 import sys
@@ -11,7 +12,8 @@ import pytest
 
 from data.errors import UsageError
 from eval.plan.flags.options import read_options
-from eval.plan.flags.table import parser, shipped
+from eval.plan.flags.table import Options, parser, shipped
+from eval.replay.flag import rows
 
 ROOT = Path(__file__).parents[4]
 
@@ -171,3 +173,13 @@ def test_errors_to_be_calibrated_are_named_or_left_to_the_log(tmp_path, argument
     file.write_text(config)
     assert read_options([*arguments, "--no-plots"]).calibrate == expected
     assert read_options(["--config", str(file)]).calibrate == expected
+
+
+def test_a_default_that_the_help_says_is_the_default():
+    given = read_options([])
+    said = {}
+    for row in rows(Options).values():
+        if found := re.search(r"\(default: (\d+(?:\.\d+)?)(?: [a-z]+)?\)", row.help):
+            said[row.name] = float(found.group(1))
+    assert {"font_size", "truth_gap"} <= said.keys()
+    assert {name: getattr(given, name) for name in said} == said

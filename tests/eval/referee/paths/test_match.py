@@ -42,6 +42,16 @@ def test_the_gap_is_the_one_asked_for():
     assert match(np.array([0.25]), TIME, TRUTH, 0.4).matched == 0
 
 
+def test_truths_a_second_apart_are_near_whatever_their_microseconds():
+    truth_time = np.array([0.0, 1.0 + 6e-7, 2.0 + 8e-7, 3.0 + 1.7e-6])
+    truth = np.column_stack([np.array([0.0, 1.0, 1.0, 2.0]), np.zeros(4), np.zeros(4)])
+    found = match(np.array([0.5, 2.5]), truth_time, truth)
+    assert found.interpolated == 2
+    # the two in the middle are half a metre from the chord of their neighbours
+    assert found.error == pytest.approx(0.25 * 0.5, rel=1e-5)
+    assert np.isnan(match(np.array([0.5]), truth_time, truth, 0.9).error)
+
+
 def test_the_stated_error_is_that_of_interpolation_on_a_circle():
     """Chords of a circle of 10 m, 0.1 rad each: the middle is off by the sagitta, r (1 - cos(0.05))."""
     angle = 0.1 * np.arange(60)

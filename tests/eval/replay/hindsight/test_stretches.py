@@ -45,3 +45,20 @@ def test_only_what_the_present_smoother_saw_is_amended():
         expected = run(inputs, without)
         assert np.abs(run(inputs, decisions, [3, AT, frame], none) - expected).max() < 1e-6
         assert np.abs(plain - expected).max() > 1e-3
+
+
+def test_the_smoother_begun_anew_knows_what_time_it_is():
+    class Clock:
+        def __init__(self, prior):
+            self.times = []
+            clocks.append(self)
+
+        def stamp(self, time):
+            self.times.append(time)
+
+    clocks: list[Clock] = []
+    s = Stretches(Clock, circle(SENSORS["range-bearing"], frames=4, landmarks=4, see=1.0)[0].prior)
+    s.stamp(2.5)
+    s.reset(np.zeros(3), np.eye(3))
+    s.stamp(3.0)
+    assert [clock.times for clock in clocks] == [[2.5], [2.5, 3.0]]

@@ -13,9 +13,10 @@ from data.se2 import between, compose, dead_reckoned, pose_error
 from data.worlds.registry import named_log
 from eval.referee.laser.rows import closure_counts, kept, paths_of, relation_rows
 from eval.referee.score import Trial, score
+from eval.replay.laser import comparison
 from eval.replay.laser.backends import backend
 from eval.replay.laser.comparison import FEWEST
-from eval.replay.laser.front_end import run_front_end
+from eval.replay.laser.front_end import FrontEndResult, run_front_end
 from eval.replay.laser.parameters import LaserParameters
 from eval.replay.laser.unscanned import between_scans
 from eval.replay.run import compare
@@ -39,6 +40,12 @@ def test_all_back_ends_get_the_same_chain_and_loop_closures(runs):
         assert runs[name].chain is first.chain
         assert runs[name].loops is first.loops
     assert runs["dead-reckoning"].loops is None
+
+
+def test_what_all_back_ends_share_cannot_be_changed(runs):
+    for shared in (runs["ekf"].chain, runs["ekf"].loops):
+        with pytest.raises(ValueError, match="read-only"):
+            shared.covariance[0] = 0.0
 
 
 def test_filter_and_smoothers_end_at_the_same_key_poses_where_nothing_is_wrong(runs):
@@ -93,6 +100,26 @@ def test_variances_are_scaled_by_what_loop_closures_tell_and_no_pose_moves_by_it
     np.testing.assert_allclose(run.chain.covariance[1:], factor * claimed, rtol=1e-9)
     unscaled = backend("batch", longer, front.chain, front.loops)
     np.testing.assert_allclose(run.key_pose, unscaled.final_keys, atol=1e-6)
+
+
+def test_with_enough_loop_closures_every_estimator_gets_the_scale_and_no_pose_moves(log, runs, monkeypatch):
+    given = runs["batch"]
+    front = FrontEndResult(given.chain, given.loops, given.last, given.frame_seconds)
+    monkeypatch.setattr(comparison, "run_front_end", lambda inputs, parameters: front)
+    monkeypatch.setattr(comparison, "FEWEST", 1)
+    filtered, smoothed, dead = compare(log.recorded, "slam", ["ekf", "batch", "dead-reckoning"], "scan")
+    assert filtered.scale == smoothed.scale
+    assert dead.scale is None
+    np.testing.assert_allclose(smoothed.key_pose, given.key_pose, atol=1e-6)
+    np.testing.assert_allclose(filtered.chain.motion, given.chain.motion)
+    factor = smoothed.scale[0] / LaserParameters().variance_scale
+    assert 0.05 < factor < 1.5
+    np.testing.assert_allclose(filtered.chain.covariance, factor * given.chain.covariance)
+    np.testing.assert_allclose(filtered.loops.covariance, factor * given.loops.covariance)
+    # chi-square of the graph is that of its degrees of freedom, once the scale is in
+    nis, dof = smoothed.total_nis
+    assert nis == pytest.approx(dof, rel=0.5)
+    assert given.total_nis[0] == pytest.approx(factor * nis, rel=1e-3)
 
 
 def test_with_few_loop_closures_no_scale_is_learned(runs):

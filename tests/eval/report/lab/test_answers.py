@@ -103,3 +103,10 @@ def test_without_a_lab_nothing_is_handed_in(tmp_path):
     given = trials()
     assert hand_in(tmp_path, options, given, score(given), Unfinished(options)) == []
     assert not any(isinstance(b, Picture) for s in answered(tmp_path, given) for b in s.blocks)
+
+
+def test_pictures_of_maintenance_need_runs_with_and_without_it():
+    every = trials()
+    for given, there in ((every, True), ([t for t in every if not t.log.name.endswith(":maintain")], False)):
+        lab = find_lab(given, named=False)
+        assert [NEEDED[name](lab) for name in ("maintenance", UPDATE_TIME)] == [there, there]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from eval.figures.knowledge import Known, knowledge_figure
+from eval.figures.style import style_of
 from eval.page.document import Picture, Table
 from eval.plan.flags.options import read_options
 from eval.plan.tutorials.recording import ABOUT
@@ -59,7 +60,16 @@ def test_the_figure_shows_errors_originals_and_the_share_of_wrong_decisions():
         Known("tutorial-step2, ml", "map", "ekf", True, 1.161, 1.161, 0.25),
         Known("ours: ekf (online), nn", "map", "ekf", False, None, None, 0.5),
     ]
-    error, wrong = knowledge_figure("d1r1", rows).axes
+    fig = knowledge_figure("d1r1", rows)
+    error, wrong = fig.axes
+    said = [
+        style_of("batch").label,
+        style_of("ekf").label,
+        "a tutorial's treatment, run here",
+        "the tutorial's own program",
+    ]
+    (legend,) = (x for x in (*fig.legends, error.get_legend(), wrong.get_legend()) if x is not None)
+    assert sorted(t.get_text() for t in legend.get_texts()) == sorted(said)
     assert [t.get_text() for t in error.get_yticklabels()] == [r.label for r in rows]
     drawn = sorted(float(line.get_xdata()[0]) for line in error.get_lines())
     assert drawn == [0.026, 0.158, 0.158, 1.161, 1.161]
