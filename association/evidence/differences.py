@@ -138,7 +138,8 @@ def _fit(first, covariance, nu, H, by_range, by_bearing, chance, prior, rounds, 
     The pairs of step f are rows first[f] to first[f + 1] - 1. A pair is as it should be, of something that moves (its
     noise `wide` times as large), or of two landmarks.
     """
-    share, how = np.ones(3), np.array([0.5 - 0.5 * some, some, 0.5 - 0.5 * some])
+    # from above: noise that is as large as that of what moves would else be taken for it
+    share, how = np.array([wide, wide, 1.0]), np.array([0.5 - 0.5 * some, some, 0.5 - 0.5 * some])
     n = len(nu)
     weight, held = np.ones(n), np.ones(n)
     W, information, pull = np.empty((n, 2, 2)), np.empty((n, 3, 3)), np.empty((n, 3))
@@ -146,7 +147,9 @@ def _fit(first, covariance, nu, H, by_range, by_bearing, chance, prior, rounds, 
     for f in range(len(covariance)):
         stated[f] = np.linalg.inv(covariance[f])
     for _ in range(rounds):
-        above, below, total = np.full(3, prior), np.full(3, prior), how.copy()
+        # sums of those of ranges and bearings are in units of the present shares
+        above = prior * np.array([0.5 / share[0], 0.5 / share[1], 1.0])
+        below, total = above.copy(), how.copy()
         for f in range(len(covariance)):
             L, b = stated[f] / share[2], np.zeros(3)
             for j in range(first[f], first[f + 1]):
