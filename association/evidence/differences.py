@@ -18,6 +18,7 @@ import numba
 import numpy as np
 
 from association.evidence import constants
+from association.expectation import gate_threshold
 from data.inputs import Increment, Sightings
 from data.se2 import Array
 from data.sensors import MIN_RANGE, RANGE_BEARING, Sensor
@@ -73,9 +74,11 @@ class Differences:
             return self._shares
         self._farthest = max(self._farthest, float(self._sensor.polar(sightings.z)[:, 0].max()))
         if before is not None and increment is not None:
-            self._steps.append(paired(self._sensor, before, increment, sightings, self._farthest))
-            if len(self._steps).bit_count() == 1:
-                self._shares = fitted(self._steps)
+            step = paired(self._sensor, before, increment, sightings, self._farthest)
+            if len(step.nu):
+                self._steps.append(step)
+                if len(self._steps).bit_count() == 1:
+                    self._shares = fitted(self._steps)
         return self._shares
 
 
@@ -103,15 +106,15 @@ def paired(sensor: Sensor, before: Sightings, increment: Increment, now: Sightin
     S = J @ before.R @ J.transpose(0, 2, 1) + H @ increment.covariance @ H.transpose(0, 2, 1)
     nu = sensor.residual(now.z[:, None], z_hat[None])
     d2 = (nu * np.linalg.solve(S[None] + now.R[:, None], nu[..., None])[..., 0]).sum(axis=2)
+    density = len(before.z) / (0.5 * (sensor.max_angle - sensor.min_angle) * reach**2)
+    per_unit = np.maximum(now.z[:, 0], MIN_RANGE) if sensor.kind == RANGE_BEARING else np.ones(len(now.z))
     nearest = d2.argmin(axis=1)
     rows = np.flatnonzero(d2.argmin(axis=0)[nearest] == np.arange(len(nu)))
     at = nearest[rows]
     here = _by_direction(sensor, Sightings(now.z[rows], now.R[rows]))
     there = _by_direction(sensor, Sightings(before.z[at], before.R[at]))
     by_range, by_bearing = (a + J[at] @ b @ J[at].transpose(0, 2, 1) for a, b in zip(here, there, strict=True))
-    density = len(before.z) / (0.5 * (sensor.max_angle - sensor.min_angle) * reach**2)
-    per_unit = np.maximum(now.z[rows, 0], MIN_RANGE) if sensor.kind == RANGE_BEARING else np.ones(len(rows))
-    return Step(increment.covariance, nu[rows, at], H[at], by_range, by_bearing, density * per_unit)
+    return Step(increment.covariance, nu[rows, at], H[at], by_range, by_bearing, density * per_unit[rows])
 
 
 def _by_direction(sensor: Sensor, sightings: Sightings) -> tuple[Array, Array]:
@@ -123,12 +126,16 @@ def _by_direction(sensor: Sensor, sightings: Sightings) -> tuple[Array, Array]:
 
 
 def fitted(steps: list[Step]) -> Shares:
-    """The variances that explain the differences best."""
+    """The variances that explain the differences best; as stated, if with these a nearest neighbour may be any."""
     first = np.concatenate([[0], np.cumsum([len(s.nu) for s in steps])])
     covariance = np.stack([s.covariance for s in steps])
     nu, H, by_range, by_bearing, chance = (np.concatenate(c) for c in list(zip(*steps, strict=True))[1:])
     settings = constants.DIFFERENCES_PRIOR, constants.DIFFERENCES_ROUNDS, constants.DIFFERENCES_WIDE, SOME
-    return Shares(*_fit(first, covariance, nu, H, by_range, by_bearing, chance, *settings).tolist())
+    found = Shares(*_fit(first, covariance, nu, H, by_range, by_bearing, chance, *settings).tolist())
+    moved = H @ covariance[np.repeat(np.arange(len(steps)), np.diff(first))] @ H.transpose(0, 2, 1)
+    S = found.range * by_range + found.bearing * by_bearing + found.motion * moved
+    others = chance * math.pi * gate_threshold(constants.DENSE_GATE) * np.sqrt(np.linalg.det(S))
+    return found if others.mean() < constants.DENSE else AS_STATED
 
 
 @numba.njit(cache=True)
@@ -138,7 +145,8 @@ def _fit(first, covariance, nu, H, by_range, by_bearing, chance, prior, rounds, 
     The pairs of step f are rows first[f] to first[f + 1] - 1. A pair is as it should be, of something that moves (its
     noise `wide` times as large), or of two landmarks.
     """
-    share, how = np.ones(3), np.array([0.5 - 0.5 * some, some, 0.5 - 0.5 * some])
+    # from above: noise that is as large as that of what moves would else be taken for it
+    share, how = np.array([wide, wide, 1.0]), np.array([0.5 - 0.5 * some, some, 0.5 - 0.5 * some])
     n = len(nu)
     weight, held = np.ones(n), np.ones(n)
     W, information, pull = np.empty((n, 2, 2)), np.empty((n, 3, 3)), np.empty((n, 3))
@@ -146,7 +154,9 @@ def _fit(first, covariance, nu, H, by_range, by_bearing, chance, prior, rounds, 
     for f in range(len(covariance)):
         stated[f] = np.linalg.inv(covariance[f])
     for _ in range(rounds):
-        above, below, total = np.full(3, prior), np.full(3, prior), how.copy()
+        # sums of those of ranges and bearings are in units of the present shares
+        above = prior * np.array([0.5 / share[0], 0.5 / share[1], 1.0])
+        below, total = above.copy(), how.copy()
         for f in range(len(covariance)):
             L, b = stated[f] / share[2], np.zeros(3)
             for j in range(first[f], first[f + 1]):

@@ -1,0 +1,175 @@
+"""Noise told by consecutive frames: of ranges, of bearings and of the motion, apart, whatever else is in the frames."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from association.evidence import constants
+from association.evidence.differences import (
+    AS_STATED,
+    Differences,
+    Shares,
+    Step,
+    axes,
+    fitted,
+    paired,
+    with_shares,
+)
+from data import se2
+from data.inputs import Increment, Sightings
+from data.sensors import RangeBearing, RelativePoint, Sensor
+
+RANGE, BEARING = 0.05, 0.02
+MOTION = np.diag([0.03, 0.02, 0.02]) ** 2
+STEP = np.array([0.3, 0.0, 0.05])
+
+
+def drive(sensor: Sensor, times: Shares, frames: int, seed: int, *, clutter: int = 0, detection: float = 1.0):
+    """Frames of a robot on a circle among landmarks; sigmas are so many `times` those stated."""
+    rng = np.random.default_rng(seed)
+    landmarks, pose = rng.uniform(-10.0, 10.0, (60, 2)), np.array([5.0, 0.0, math.pi / 2])
+    sigma = np.array([RANGE * times.range, BEARING * times.bearing])
+    for k in range(frames):
+        increment = None
+        if k:
+            pose = se2.compose(pose, STEP)
+            increment = Increment(STEP + times.motion * np.sqrt(np.diag(MOTION)) * rng.standard_normal(3), MOTION)
+        off = se2.transform_points(se2.inverse(pose), landmarks)
+        polar = np.stack([np.hypot(*off.T), np.arctan2(off[:, 1], off[:, 0])], axis=1)
+        polar = polar[(polar[:, 0] < 6.0) & (polar[:, 0] > 0.5) & (rng.random(60) < detection)]
+        polar = polar + sigma * rng.standard_normal(polar.shape)
+        stray = np.stack([6.0 * np.sqrt(rng.random(clutter)), rng.uniform(-math.pi, math.pi, clutter)], axis=1)
+        yield increment, readings(sensor, np.concatenate([polar, stray]))
+
+
+def readings(sensor: Sensor, polar) -> Sightings:
+    """As stated."""
+    R = np.diag([RANGE**2, BEARING**2])
+    if isinstance(sensor, RangeBearing):
+        return Sightings(polar, np.tile(R, (len(polar), 1, 1)))
+    r, b = polar.T
+    z = r[:, None] * np.stack([np.cos(b), np.sin(b)], axis=1)
+    T = np.stack([z / r[:, None], np.stack([-np.sin(b), np.cos(b)], axis=1)], axis=-1)
+    S = np.zeros((len(r), 2, 2))
+    S[:, 0, 0], S[:, 1, 1] = RANGE**2, (r * BEARING) ** 2
+    return Sightings(z, T @ S @ T.transpose(0, 2, 1))
+
+
+def told(sensor: Sensor, frames) -> Shares:
+    differences = Differences(sensor)
+    shares = AS_STATED
+    for increment, sightings in frames:
+        shares = differences.see(increment, sightings)
+    return shares
+
+
+@pytest.mark.parametrize("sensor", [RangeBearing(max_range=6.0), RelativePoint(max_range=6.0)])
+@pytest.mark.parametrize("times", [Shares(3.0, 1.0, 1.0), Shares(1.0, 3.0, 1.0), Shares(1.0, 1.0, 3.0)])
+def test_it_is_told_which_noise_is_understated(sensor, times):
+    shares = told(sensor, drive(sensor, times, 65, 1, clutter=1, detection=0.8))
+    assert np.sqrt(shares) == pytest.approx(times, rel=0.25)
+
+
+def test_a_few_frames_tell_already():
+    shares = told(RangeBearing(max_range=6.0), drive(RangeBearing(), Shares(3.0, 3.0, 1.0), 5, 2))
+    assert math.sqrt(shares.range) > constants.UNDERSTATED
+    assert math.sqrt(shares.bearing) > constants.UNDERSTATED
+
+
+def test_one_frame_tells_nothing():
+    assert told(RangeBearing(), drive(RangeBearing(), Shares(3.0, 3.0, 3.0), 1, 3)) == AS_STATED
+
+
+def test_what_moves_by_itself_is_not_the_sensors_noise():
+    rng = np.random.default_rng(4)
+    still = list(rng.normal(0.0, 1.0, (300, 2)))
+    walks = list(rng.normal(0.0, 6.0, (60, 2)))
+    steps = []
+    for k in range(60):
+        nu = np.array(still[5 * k : 5 * k + 5] + walks[k : k + 1])
+        A, B = np.tile(np.diag([1.0, 0.0]), (6, 1, 1)), np.tile(np.diag([0.0, 1.0]), (6, 1, 1))
+        steps.append(Step(1e-6 * np.eye(3), nu, np.zeros((6, 2, 3)), A, B, np.full(6, 1e-9)))
+    shares = fitted(steps)
+    assert shares.range == pytest.approx(1.0, abs=0.25)
+    assert shares.bearing == pytest.approx(1.0, abs=0.25)
+
+
+def test_nothing_after_the_last_step_that_is_looked_at_counts():
+    sensor = RangeBearing(max_range=6.0)
+    differences = Differences(sensor)
+    for increment, sightings in drive(sensor, AS_STATED, constants.DIFFERENCES_MOST + 1, 5):
+        before = differences.see(increment, sightings)
+    for increment, sightings in drive(sensor, Shares(4.0, 4.0, 4.0), 3, 6):
+        assert differences.see(increment or Increment(STEP, MOTION), sightings) == before
+
+
+def test_an_empty_frame_begins_anew():
+    sensor = RangeBearing(max_range=6.0)
+    differences = Differences(sensor)
+    (_, first), (increment, second) = drive(sensor, Shares(4.0, 4.0, 4.0), 2, 7)
+    differences.see(None, first)
+    differences.see(increment, Sightings(np.empty((0, 2)), np.empty((0, 2, 2))))
+    assert differences.see(increment, second) == AS_STATED
+
+
+def test_pairs_are_each_others_nearest_neighbours():
+    sensor = RangeBearing(max_range=6.0)
+    before = readings(sensor, np.array([[2.0, 0.0], [3.0, 1.0]]))
+    now = readings(sensor, np.array([[3.02, 1.0], [2.01, 0.0], [2.2, 0.0]]))
+    step = paired(sensor, before, Increment(np.zeros(3), MOTION), now, 6.0)
+    assert sorted(step.nu[:, 0].tolist()) == pytest.approx([0.01, 0.02])
+    # two readings in the disk of 36 pi m^2; a square metre at range r is r m rad
+    assert sorted(step.chance.tolist()) == pytest.approx([2.01 * 2 / (36 * math.pi), 3.02 * 2 / (36 * math.pi)])
+
+
+def test_covariance_of_a_difference_is_that_of_both_readings():
+    sensor = RelativePoint(max_range=6.0)
+    before, now = (readings(sensor, np.array([[3.0, 0.7]])) for _ in range(2))
+    turn = Increment(np.array([0.0, 0.0, 0.4]), MOTION)
+    step = paired(sensor, before, turn, Sightings(now.z @ se2.rotation(-0.4).T, now.R), 6.0)
+    u = np.array([math.cos(0.3), math.sin(0.3)])
+    n = np.array([-u[1], u[0]])
+    earlier = RANGE**2 * np.outer(u, u)
+    later = np.array([math.cos(0.3), math.sin(0.3)])
+    assert u @ step.by_range[0] @ u == pytest.approx(u @ earlier @ u + later @ now.R[0] @ later, rel=0.3)
+    assert n @ step.by_bearing[0] @ n > u @ step.by_bearing[0] @ u
+
+
+@pytest.mark.parametrize("sensor", [RangeBearing(), RelativePoint()])
+def test_shares_of_the_noise_scale_its_sigmas_along_and_across(sensor):
+    sightings = readings(sensor, np.array([[2.0, 0.5], [4.0, -2.0]]))
+    more = with_shares(sensor, sightings, Shares(4.0, 9.0, 1.0))
+    T = axes(sensor, sightings.z)
+    before, after = (np.einsum("mij,mik,mkj->mj", T, s.R, T) for s in (sightings, more))
+    assert after == pytest.approx(before * [4.0, 9.0])
+    assert more.z is sightings.z
+
+
+def test_the_fit_is_the_most_likely_one(monkeypatch):
+    """Against a direct search for the largest likelihood, where every pair is right and nothing moves."""
+    for name, value in (("DIFFERENCES_PRIOR", 1e-9), ("DIFFERENCES_ROUNDS", 300), ("DIFFERENCES_WIDE", 1.0)):
+        monkeypatch.setattr(constants, name, value)
+    rng = np.random.default_rng(8)
+    steps, blocks = [], []
+    for _ in range(40):
+        H = rng.normal(size=(5, 2, 3))
+        A, B = np.tile(np.diag([0.04, 0.0]), (5, 1, 1)), np.tile(np.diag([0.0, 0.01]), (5, 1, 1))
+        motion = rng.normal(size=3) * 0.3
+        nu = H @ motion + rng.normal(size=(5, 2)) * [0.4, 0.05]
+        steps.append(Step(0.04 * np.eye(3), nu, H, A, B, np.full(5, 1e-30)))
+        blocks.append((nu.ravel(), H.reshape(10, 3)))
+
+    def cost(logs):
+        r, b, m = np.exp(logs)
+        total = 0.0
+        for nu, H in blocks:
+            S = np.diag(np.tile([0.04 * r, 0.01 * b], 5)) + 0.04 * m * H @ H.T
+            total += nu @ np.linalg.solve(S, nu) + np.linalg.slogdet(S)[1]
+        return total
+
+    best = np.exp(minimize(cost, np.zeros(3), method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-6}).x)
+    assert np.array(fitted(steps)) == pytest.approx(best, rel=1e-3)

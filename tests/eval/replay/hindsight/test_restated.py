@@ -1,0 +1,72 @@
+"""What is stated of odometry and sensor is put right where a log shows more noise, or a wider view."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from association.decide import HINDSIGHT
+from data.inputs import Frame, Increment, Sightings
+from data.sensors import RangeBearing
+from data.worlds.registry import named_log
+from eval.replay.hindsight.restated import Restated
+from eval.replay.run import step_by_step
+from eval.studies.variety.draw import draw
+from eval.studies.variety.world import log_of
+
+SENSOR = RangeBearing(max_range=5.0, min_angle=-1.0, max_angle=1.0)
+
+
+def frames(times: float, n: int = 20):
+    """A robot that stands still before ten landmarks; ranges are so many times noisier than stated."""
+    rng = np.random.default_rng(0)
+    polar = np.stack([np.linspace(1.0, 4.5, 10), np.linspace(-0.9, 0.9, 10)], axis=1)
+    R = np.tile(np.diag([0.02**2, 0.01**2]), (10, 1, 1))
+    for k in range(n):
+        z = polar + np.array([0.02 * times, 0.01]) * rng.standard_normal((10, 2))
+        motion = None if k == 0 else Increment(np.zeros(3), 1e-8 * np.eye(3))
+        yield Frame(k, float(k), motion, Sightings(z, R), None, 10 * k)
+
+
+def test_understated_noise_is_restated_where_it_is():
+    restated = Restated(SENSOR)
+    for frame in frames(4.0):
+        last = restated.see(frame)
+    assert np.sqrt(last.sightings.R[:, 0, 0]) == pytest.approx(0.08, rel=0.2)
+    assert np.sqrt(last.sightings.R[:, 1, 1]) == pytest.approx(0.01)
+    assert restated.notes() == [
+        f"sigmas are larger than stated, and were decided with so: range {math.sqrt(restated.shares.range):.1f} times"
+    ]
+
+
+@pytest.mark.parametrize("times", [0.1, 1.0, 1.2])
+def test_noise_that_is_not_clearly_larger_stays_as_stated(times):
+    restated = Restated(SENSOR)
+    for frame in frames(times):
+        assert restated.see(frame) is frame
+    assert restated.notes() == []
+
+
+def test_the_view_holds_all_that_was_read():
+    restated = Restated(SENSOR)
+    assert restated.widened(SENSOR) == SENSOR
+    z = np.array([[7.0, 0.2], [2.0, -1.5]])
+    restated.see(Frame(0, 0.0, None, Sightings(z, np.tile(1e-4 * np.eye(2), (2, 1, 1))), None, 0))
+    seen = restated.widened(SENSOR)
+    assert (seen.max_range, seen.min_angle, seen.max_angle) == (7.0, -1.5, 1.0)
+
+
+@pytest.mark.parametrize("index", [164, pytest.param(32, marks=pytest.mark.slow)])
+def test_landmarks_are_not_mapped_several_times_where_noise_or_view_are_understated(index):
+    log = log_of(draw(index))
+    run = step_by_step("ekf", log.inputs().without_map(), "slam", HINDSIGHT)
+    visible = len(np.unique(log.truth.landmark_of[log.truth.landmark_of >= 0]))
+    assert len(run.map) == pytest.approx(visible, rel=0.1)
+
+
+def test_an_honest_log_is_decided_as_before():
+    log = named_log("arena:0:frames=60")
+    run = step_by_step("ekf", log.inputs().without_map(), "slam", HINDSIGHT)
+    assert not any("larger than stated" in note for note in run.notes)
