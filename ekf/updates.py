@@ -229,6 +229,7 @@ def update_from(  # type: ignore[no-untyped-def]
     if threshold < np.inf:
         count = gate(nu, S, threshold, keep)
         if count == 0:
+            white[:] = np.nan
             return OK
         if count < k:
             rows = np.empty(2 * count, np.int64)
