@@ -139,6 +139,15 @@ def test_covariance_of_a_difference_is_that_of_both_readings():
     assert n @ step.by_bearing[0] @ n > u @ step.by_bearing[0] @ u
 
 
+def test_the_noise_of_a_reading_turns_with_the_robot():
+    sensor = RelativePoint(max_range=6.0)
+    before = Sightings(np.array([[2.0, 0.0]]), np.diag([1.0, 1e-4])[None])
+    # after a left turn it is expected at (0, -2), as uncertain along y as it was along x
+    now = Sightings(np.array([[0.3, -2.0], [0.0, -2.8]]), np.tile(1e-4 * np.eye(2), (2, 1, 1)))
+    step = paired(sensor, before, Increment(np.array([0.0, 0.0, math.pi / 2]), 1e-6 * np.eye(3)), now, 6.0)
+    assert step.nu == pytest.approx(np.array([[0.0, -0.8]]))
+
+
 @pytest.mark.parametrize("sensor", [RangeBearing(), RelativePoint()])
 def test_shares_of_the_noise_scale_its_sigmas_along_and_across(sensor):
     sightings = readings(sensor, np.array([[2.0, 0.5], [4.0, -2.0]]))
