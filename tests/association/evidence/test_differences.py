@@ -22,6 +22,7 @@ from association.evidence.differences import (
 from data import se2
 from data.inputs import Increment, Sightings
 from data.sensors import RangeBearing, RelativePoint, Sensor
+from data.worlds.registry import named_log
 
 RANGE, BEARING = 0.05, 0.02
 MOTION = np.diag([0.03, 0.02, 0.02]) ** 2
@@ -96,6 +97,14 @@ def test_what_moves_by_itself_is_not_the_sensors_noise():
     shares = fitted(steps)
     assert shares.range == pytest.approx(1.0, abs=0.25)
     assert shares.bearing == pytest.approx(1.0, abs=0.25)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_nothing_is_told_where_a_nearest_neighbour_may_be_any(seed):
+    inputs = named_log(f"corridor:{seed}:no-odometry").inputs().without_labels()
+    frames = (inputs.frame(k) for k in range(len(inputs)))
+    # noise is as stated; the motion is a guess
+    assert max(told(inputs.sensor, ((f.increment, f.sightings) for f in frames))[:2]) < constants.UNDERSTATED**2
 
 
 def test_nothing_after_the_last_step_that_is_looked_at_counts():
