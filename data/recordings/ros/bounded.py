@@ -11,8 +11,10 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from importlib import import_module
+from importlib.metadata import version
 from itertools import accumulate
 from pathlib import Path
+from threading import RLock
 from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
@@ -31,6 +33,7 @@ from rosbags.typesys import Stores, TypesysError, get_typestore
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
+from data.errors import UsageError
 from data.open_log.archive import DENSEST, LARGE
 
 lz4: Any = import_module("lz4.frame")
@@ -41,6 +44,8 @@ LIBRARY = (
     *(YAMLError, apsw.Error, zstd.ZstdError),
 )
 """Errors of the library, and of those that it reads YAML, SQLite and zstd with."""
+MADE_FOR = "0.11"
+"""Of rosbags: its readers use these names."""
 PART = 1 << 18
 """Bytes that are unpacked at a time."""
 ZSTD_WINDOW = 23
@@ -139,14 +144,37 @@ class _Yaml(YAML):
         return super().load(stream)
 
 
+METHODS: dict[str, Callable[[bytes, int], bytes]] = {
+    "": lambda packed, size: packed,
+    "lz4": lambda packed, size: unpacked(MAKE["lz4"], packed, size),
+    "zstd": lambda packed, size: unpacked(MAKE["zstd"], packed, size),
+}
+"""Of MCAP, from bytes and the size stated; one that is not here is refused by the library."""
+REPLACED = (
+    (storage_mcap, "DECOMPRESSORS", METHODS),
+    (reader2, "zstd", SimpleNamespace(decompress=partial(unpacked, _zstd), open=_stream)),
+    (reader2, "Path", _Path),  # of the file that a packed one is unpacked into
+    (reader2, "YAML", _Yaml),
+    (metadata, "YAML", _Yaml),
+)
+"""What readers of ROS 2 bags use instead of what they import, as they let nobody hand it in."""
+ALONE = RLock()
+"""Two threads would put names back in the wrong order."""
+
+
 @contextmanager
 def bounded() -> Iterator[None]:
-    """While this lasts, ROS 2 bags are read within bounds: their readers take these decompressors and this YAML."""
-    methods = {name: lambda packed, size, make=MAKE[name]: unpacked(make, packed, size) for name in ("lz4", "zstd")}
-    library = SimpleNamespace(decompress=partial(unpacked, _zstd), open=_stream)
-    with ExitStack() as stack:
-        stack.enter_context(patch.dict(storage_mcap.DECOMPRESSORS, methods))
-        for module, name, instead in ((reader2, "zstd", library), (reader2, "YAML", _Yaml), (metadata, "YAML", _Yaml)):
+    """While this lasts, ROS 2 bags are read within bounds; threads take turns, and within each it may be nested.
+
+    Raises UsageError if this version of the library has no such names to replace.
+    """
+    with ALONE, ExitStack() as stack:
+        for module, name, instead in REPLACED:
+            if not hasattr(module, name):
+                raise UsageError(
+                    f"rosbags {version('rosbags')} cannot be kept within bounds: {module.__name__} has no {name}; "
+                    f"version {MADE_FOR} is needed"
+                )
             stack.enter_context(patch.object(module, name, instead))
         yield
 
