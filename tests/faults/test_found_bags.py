@@ -71,6 +71,15 @@ def test_nor_does_one_in_a_file_that_is_packed_itself(tmp_path):
     assert "expected 1099511627776 bytes" in said
 
 
+def test_a_file_that_unpacks_without_end_takes_little_memory(tmp_path):
+    path = small("mcap").save(tmp_path, CompressionMode.FILE, ZSTD)
+    (file,) = path.glob("*.mcap.zstd")
+    file.write_bytes(zstd.compress(bytes(80 << 20)))
+    most, said = refused(path)
+    assert most < 8 << 20
+    assert "unpack to more than 67108864" in said
+
+
 @pytest.mark.parametrize("form", PACKED)
 def test_whatever_is_packed_is_unpacked_within_bounds(form, tmp_path, monkeypatch):
     """All of it: when there is room for nothing, nothing can be read."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import bz2
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from importlib import import_module
@@ -58,34 +58,41 @@ class TooLargeError(ValueError):
     """What unpacks to more than it says, or to more than any log does."""
 
 
-def unpacked(make: Callable[[], Any], packed: bytes, stated: int | None = None) -> bytes:
-    """All streams in some bytes, by decompressors that `make` makes.
+def most_of(size: int) -> int:
+    """Bytes that so many packed ones may become: no log packs better."""
+    return max(LARGE, DENSEST * size)
+
+
+def unpacking(make: Callable[[], Any], packed: Iterable[bytes], most: int) -> Iterator[bytes]:
+    """All streams in parts of some bytes, part by part, by decompressors that `make` makes.
 
     Raises:
-        TooLargeError: more than `stated` bytes, or beyond what logs pack to.
+        TooLargeError: more than `most` bytes.
         EOFError: they are cut off.
     """
-    most = max(LARGE, DENSEST * len(packed))
-    if stated is not None:
-        if stated > most:
-            raise TooLargeError(f"{len(packed)} bytes that say they unpack to {stated}")
-        most = stated
-    parts, length = list[bytes](), 0
-    while packed:
-        stream = make()
-        part = stream.decompress(packed, max_length=PART)
-        while True:
-            parts.append(part)
-            length += len(part)
-            if length > most:
-                raise TooLargeError(f"bytes that unpack to more than {most}")
-            if stream.eof:
-                break
-            if stream.needs_input and not part:
-                raise EOFError("packed bytes are cut off")
-            part = stream.decompress(b"", max_length=PART)
-        packed = stream.unused_data or b""
-    return b"".join(parts)
+    stream, length = None, 0
+    for rest in packed:
+        while rest:
+            stream = stream or make()
+            part = stream.decompress(rest, max_length=PART)
+            while part or not (stream.eof or stream.needs_input):
+                length += len(part)
+                if length > most:
+                    raise TooLargeError(f"bytes that unpack to more than {most}")
+                if part:
+                    yield part
+                part = b"" if stream.eof else stream.decompress(b"", max_length=PART)
+            rest, stream = (stream.unused_data or b"", None) if stream.eof else (b"", stream)
+    if stream is not None:
+        raise EOFError("packed bytes are cut off")
+
+
+def unpacked(make: Callable[[], Any], packed: bytes, stated: int | None = None) -> bytes:
+    """All of it, as by `unpacking`, of `stated` bytes at most; TooLargeError if these are more than logs pack to."""
+    most = most_of(len(packed))
+    if stated is not None and stated > most:
+        raise TooLargeError(f"{len(packed)} bytes that say they unpack to {stated}")
+    return b"".join(unpacking(make, [packed], most if stated is None else stated))
 
 
 def _zstd() -> Any:
@@ -128,9 +135,18 @@ class _Reader1(Reader1):
         return chunk._replace(decompressor=partial(unpacked, MAKE[method], stated=stated))
 
 
-def _stream(file: Any, mode: str) -> io.BytesIO:
-    """In place of `zstd.open`, of a whole file."""
-    return io.BytesIO(unpacked(_zstd, file.read()))
+class _Unpacking(io.BytesIO):
+    """In place of `zstd.open`: a packed file, part by part."""
+
+    def __init__(self, file: Any, mode: str) -> None:
+        super().__init__()
+        most = most_of(file.seek(0, io.SEEK_END))
+        file.seek(0)
+        self.parts = unpacking(_zstd, iter(partial(file.read, PART), b""), most)
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """The next part, of whatever size; b"" at the end."""
+        return next(self.parts, b"")
 
 
 class _Yaml(YAML):
@@ -152,7 +168,7 @@ METHODS: dict[str, Callable[[bytes, int], bytes]] = {
 """Of MCAP, from bytes and the size stated; one that is not here is refused by the library."""
 REPLACED = (
     (storage_mcap, "DECOMPRESSORS", METHODS),
-    (reader2, "zstd", SimpleNamespace(decompress=partial(unpacked, _zstd), open=_stream)),
+    (reader2, "zstd", SimpleNamespace(decompress=partial(unpacked, _zstd), open=_Unpacking)),
     (reader2, "Path", _Path),  # of the file that a packed one is unpacked into
     (reader2, "YAML", _Yaml),
     (metadata, "YAML", _Yaml),
