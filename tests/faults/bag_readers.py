@@ -58,7 +58,8 @@ def sqlite() -> list[Files]:
 def mcap() -> list[Files]:
     plain = small("mcap")
     packed = small("mcap", CompressionMode.STORAGE, CompressionFormat.ZSTD)
-    return [plain, packed, alone(packed), alone(unsummed(plain)), alone(unsummed(packed))]
+    whole = small("mcap", CompressionMode.FILE, CompressionFormat.ZSTD)
+    return [plain, packed, whole, alone(packed), alone(unsummed(plain)), alone(unsummed(packed))]
 
 
 def read(folder: Path) -> Log:

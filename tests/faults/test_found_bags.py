@@ -2,17 +2,35 @@
 
 from __future__ import annotations
 
+import threading
 import tracemalloc
 
 import numpy as np
 import pytest
 
-from data.errors import DataError
+from data.errors import DataError, UsageError
 
 pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'slamref[ros]'")
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import CompressionFormat, CompressionMode
+
+from data.recordings.ros import bounded as bounds
 from data.recordings.ros.bag import read_bag
-from data.recordings.ros.bounded import TooLargeError, _zstd, unpacked, zstd
+from data.recordings.ros.bounded import REPLACED, TooLargeError, _zstd, bounded, unpacked, zstd
+from data.results import bag as results
+from data.results.path import Manner
 from tests.data.recordings.ros.bags import Maker
+
+
+ZSTD = CompressionFormat.ZSTD
+PACKED = {
+    "ros1, bz2": ("ros1", Writer1.CompressionFormat.BZ2),
+    "ros1, lz4": ("ros1", Writer1.CompressionFormat.LZ4),
+    "sqlite3, messages": ("sqlite3", CompressionMode.MESSAGE, ZSTD),
+    "sqlite3, file": ("sqlite3", CompressionMode.FILE, ZSTD),
+    "mcap, file": ("mcap", CompressionMode.FILE, ZSTD),
+    "mcap, chunks": ("mcap", CompressionMode.STORAGE, ZSTD),
+}
 
 
 def small(form):
@@ -41,6 +59,97 @@ def test_a_record_that_says_it_is_longer_than_the_file_gets_no_room(tmp_path):
     most, said = refused(file)
     assert most < 8 << 20
     assert "expected 1099511627776 bytes" in said
+
+
+def test_nor_does_one_in_a_file_that_is_packed_itself(tmp_path):
+    path = small("mcap").save(tmp_path, CompressionMode.FILE, ZSTD)
+    (file,) = path.glob("*.mcap.zstd")
+    content = zstd.decompress(file.read_bytes())
+    file.write_bytes(zstd.compress(content[:9] + (1 << 40).to_bytes(8, "little") + content[17:]))
+    most, said = refused(path)
+    assert most < 8 << 20
+    assert "expected 1099511627776 bytes" in said
+
+
+def test_a_file_that_unpacks_without_end_takes_little_memory(tmp_path):
+    path = small("mcap").save(tmp_path, CompressionMode.FILE, ZSTD)
+    (file,) = path.glob("*.mcap.zstd")
+    file.write_bytes(zstd.compress(bytes(80 << 20)))
+    most, said = refused(path)
+    assert most < 8 << 20
+    assert "unpack to more than 67108864" in said
+
+
+@pytest.mark.parametrize("form", PACKED)
+def test_whatever_is_packed_is_unpacked_within_bounds(form, tmp_path, monkeypatch):
+    """All of it: when there is room for nothing, nothing can be read."""
+    kind, *packing = PACKED[form]
+    path = small(kind).save(tmp_path, *packing)
+    assert len(read_bag(path).ranges) == 1
+    monkeypatch.setattr(bounds, "LARGE", 0)
+    monkeypatch.setattr(bounds, "DENSEST", 0)
+    assert "unpack to" in refused(path)[1]
+
+
+def names():
+    return [getattr(module, name) for module, name, _ in REPLACED]
+
+
+def test_the_library_has_its_own_names_back_after_whatever_happens(tmp_path):
+    own = names()
+    assert not any(a is instead for a, (_, _, instead) in zip(own, REPLACED, strict=True))
+    path = small("mcap").save(tmp_path)
+    read_bag(path)
+    assert names() == own
+    (path / "metadata.yaml").write_text("[")
+    refused(path)
+    assert names() == own
+    with pytest.raises(KeyboardInterrupt), bounded():
+        with pytest.raises(ZeroDivisionError), bounded():
+            raise ZeroDivisionError
+        assert names() == [instead for *_, instead in REPLACED]
+        raise KeyboardInterrupt
+    assert names() == own
+
+
+def test_threads_take_turns():
+    inside, go = threading.Event(), threading.Event()
+
+    def hold():
+        with bounded():
+            inside.set()
+            go.wait(10.0)
+
+    own, thread = names(), threading.Thread(target=hold)
+    thread.start()
+    assert inside.wait(10.0)
+    threading.Timer(0.05, go.set).start()
+    with bounded():
+        assert not thread.is_alive() or go.is_set()
+    thread.join()
+    assert names() == own
+
+
+@pytest.mark.parametrize(("module", "name", "instead"), REPLACED)
+def test_a_version_of_the_library_without_a_name_is_refused_and_left_as_it_is(
+    module, name, instead, tmp_path, monkeypatch
+):
+    path = small("mcap").save(tmp_path)
+    monkeypatch.delattr(module, name)
+    before = [vars(m).get(n) for m, n, _ in REPLACED]
+    with pytest.raises(UsageError, match=rf"rosbags .* within bounds: {module.__name__} has no {name}; version 0\.11"):
+        read_bag(path)
+    assert [vars(m).get(n) for m, n, _ in REPLACED] == before
+
+
+def test_a_broken_bag_of_results_is_one_line(tmp_path):
+    path = small("mcap").save(tmp_path, CompressionMode.MESSAGE, ZSTD)
+    (file,) = path.glob("*.mcap")
+    content = file.read_bytes()
+    at = content.rindex(zstd.compress(b"")[:4])  # of the last message
+    file.write_bytes(content[:at] + bytes(4) + content[at + 4 :])
+    with pytest.raises(DataError, match="not a bag that can be read"):
+        results.read_bag(path, "/odom", Manner())
 
 
 def test_bytes_unpack_to_what_they_say_and_no_further():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -54,7 +54,7 @@ def read_bag(path: Path, scan_topic: str | None = None, odometry_topic: str | No
         DataError: not a bag, or a broken one; no message; a scan that differs from the first in beams or geometry, or
             a number in it that makes no sense.
     """
-    with opened(path) as reader, said(path):
+    with opened(path) as reader:
         topics = {c.topic: c.msgtype for c in reader.connections}
         scans = _topic(path, topics, SCAN, scan_topic, "--scan")
         odometry = _topic(path, topics, ODOMETRY, odometry_topic, "--odom")
@@ -90,16 +90,14 @@ def said(path: Path) -> Iterator[None]:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Any]:
-    """A reader of the bag, within bounds."""
+    """A reader of the bag, within bounds; what goes wrong in it is a DataError."""
     try:
         from data.recordings.ros.bounded import any_reader, bounded
-    except ImportError:
-        raise UsageError("rosbag needs the package rosbags: pip install 'slamref[ros]'") from None
+    except ImportError as error:
+        raise UsageError(f"rosbag needs the package rosbags ({error}): pip install 'slamref[ros]'") from None
     if not path.exists():
         raise DataError.at(path, "no such bag; a .bag file, a folder of ROS 2, or its .mcap or .db3 is needed")
-    with bounded(), ExitStack() as stack:
-        with said(path):
-            reader = stack.enter_context(any_reader(path, {SCAN, ODOMETRY, TRANSFORMS}))
+    with bounded(), said(path), any_reader(path, {SCAN, ODOMETRY, TRANSFORMS}) as reader:
         yield reader
 
 

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import bz2
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from importlib import import_module
+from importlib.metadata import version
 from itertools import accumulate
 from pathlib import Path
+from threading import RLock
 from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
@@ -31,6 +33,7 @@ from rosbags.typesys import Stores, TypesysError, get_typestore
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
+from data.errors import UsageError
 from data.open_log.archive import DENSEST, LARGE
 
 lz4: Any = import_module("lz4.frame")
@@ -41,6 +44,8 @@ LIBRARY = (
     *(YAMLError, apsw.Error, zstd.ZstdError),
 )
 """Errors of the library, and of those that it reads YAML, SQLite and zstd with."""
+MADE_FOR = "0.11"
+"""Of rosbags: its readers use these names."""
 PART = 1 << 18
 """Bytes that are unpacked at a time."""
 ZSTD_WINDOW = 23
@@ -53,34 +58,41 @@ class TooLargeError(ValueError):
     """What unpacks to more than it says, or to more than any log does."""
 
 
-def unpacked(make: Callable[[], Any], packed: bytes, stated: int | None = None) -> bytes:
-    """All streams in some bytes, by decompressors that `make` makes.
+def most_of(size: int) -> int:
+    """Bytes that so many packed ones may become: no log packs better."""
+    return max(LARGE, DENSEST * size)
+
+
+def unpacking(make: Callable[[], Any], packed: Iterable[bytes], most: int) -> Iterator[bytes]:
+    """All streams in parts of some bytes, part by part, by decompressors that `make` makes.
 
     Raises:
-        TooLargeError: more than `stated` bytes, or beyond what logs pack to.
+        TooLargeError: more than `most` bytes.
         EOFError: they are cut off.
     """
-    most = max(LARGE, DENSEST * len(packed))
-    if stated is not None:
-        if stated > most:
-            raise TooLargeError(f"{len(packed)} bytes that say they unpack to {stated}")
-        most = stated
-    parts, length = list[bytes](), 0
-    while packed:
-        stream = make()
-        part = stream.decompress(packed, max_length=PART)
-        while True:
-            parts.append(part)
-            length += len(part)
-            if length > most:
-                raise TooLargeError(f"bytes that unpack to more than {most}")
-            if stream.eof:
-                break
-            if stream.needs_input and not part:
-                raise EOFError("packed bytes are cut off")
-            part = stream.decompress(b"", max_length=PART)
-        packed = stream.unused_data or b""
-    return b"".join(parts)
+    stream, length = None, 0
+    for rest in packed:
+        while rest:
+            stream = stream or make()
+            part = stream.decompress(rest, max_length=PART)
+            while part or not (stream.eof or stream.needs_input):
+                length += len(part)
+                if length > most:
+                    raise TooLargeError(f"bytes that unpack to more than {most}")
+                if part:
+                    yield part
+                part = b"" if stream.eof else stream.decompress(b"", max_length=PART)
+            rest, stream = (stream.unused_data or b"", None) if stream.eof else (b"", stream)
+    if stream is not None:
+        raise EOFError("packed bytes are cut off")
+
+
+def unpacked(make: Callable[[], Any], packed: bytes, stated: int | None = None) -> bytes:
+    """All of it, as by `unpacking`, of `stated` bytes at most; TooLargeError if these are more than logs pack to."""
+    most = most_of(len(packed))
+    if stated is not None and stated > most:
+        raise TooLargeError(f"{len(packed)} bytes that say they unpack to {stated}")
+    return b"".join(unpacking(make, [packed], most if stated is None else stated))
 
 
 def _zstd() -> Any:
@@ -123,9 +135,18 @@ class _Reader1(Reader1):
         return chunk._replace(decompressor=partial(unpacked, MAKE[method], stated=stated))
 
 
-def _stream(file: Any, mode: str) -> io.BytesIO:
-    """In place of `zstd.open`, of a whole file."""
-    return io.BytesIO(unpacked(_zstd, file.read()))
+class _Unpacking(io.BytesIO):
+    """In place of `zstd.open`: a packed file, part by part."""
+
+    def __init__(self, file: Any, mode: str) -> None:
+        super().__init__()
+        most = most_of(file.seek(0, io.SEEK_END))
+        file.seek(0)
+        self.parts = unpacking(_zstd, iter(partial(file.read, PART), b""), most)
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """The next part, of whatever size; b"" at the end."""
+        return next(self.parts, b"")
 
 
 class _Yaml(YAML):
@@ -139,14 +160,37 @@ class _Yaml(YAML):
         return super().load(stream)
 
 
+METHODS: dict[str, Callable[[bytes, int], bytes]] = {
+    "": lambda packed, size: packed,
+    "lz4": lambda packed, size: unpacked(MAKE["lz4"], packed, size),
+    "zstd": lambda packed, size: unpacked(MAKE["zstd"], packed, size),
+}
+"""Of MCAP, from bytes and the size stated; one that is not here is refused by the library."""
+REPLACED = (
+    (storage_mcap, "DECOMPRESSORS", METHODS),
+    (reader2, "zstd", SimpleNamespace(decompress=partial(unpacked, _zstd), open=_Unpacking)),
+    (reader2, "Path", _Path),  # of the file that a packed one is unpacked into
+    (reader2, "YAML", _Yaml),
+    (metadata, "YAML", _Yaml),
+)
+"""What readers of ROS 2 bags use instead of what they import, as they let nobody hand it in."""
+ALONE = RLock()
+"""Two threads would put names back in the wrong order."""
+
+
 @contextmanager
 def bounded() -> Iterator[None]:
-    """While this lasts, ROS 2 bags are read within bounds: their readers take these decompressors and this YAML."""
-    methods = {name: lambda packed, size, make=MAKE[name]: unpacked(make, packed, size) for name in ("lz4", "zstd")}
-    library = SimpleNamespace(decompress=partial(unpacked, _zstd), open=_stream)
-    with ExitStack() as stack:
-        stack.enter_context(patch.dict(storage_mcap.DECOMPRESSORS, methods))
-        for module, name, instead in ((reader2, "zstd", library), (reader2, "YAML", _Yaml), (metadata, "YAML", _Yaml)):
+    """While this lasts, ROS 2 bags are read within bounds; threads take turns, and within each it may be nested.
+
+    Raises UsageError if this version of the library has no such names to replace.
+    """
+    with ALONE, ExitStack() as stack:
+        for module, name, instead in REPLACED:
+            if not hasattr(module, name):
+                raise UsageError(
+                    f"rosbags {version('rosbags')} cannot be kept within bounds: {module.__name__} has no {name}; "
+                    f"version {MADE_FOR} is needed"
+                )
             stack.enter_context(patch.object(module, name, instead))
         yield
 
