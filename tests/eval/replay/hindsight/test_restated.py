@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 
 from association.decide import HINDSIGHT
+from association.evidence.differences import AS_STATED, Differences, Shares
 from data.inputs import Frame, Increment, Sightings
 from data.sensors import RangeBearing
 from data.worlds.registry import named_log
+from eval.replay.hindsight.mapper import HindsightMapper
 from eval.replay.hindsight.restated import Restated
 from eval.replay.run import step_by_step
+from eval.replay.settings import Setup
 from eval.studies.variety.draw import draw
 from eval.studies.variety.world import log_of
 
@@ -41,7 +44,7 @@ def test_understated_noise_is_restated_where_it_is():
     ]
 
 
-@pytest.mark.parametrize("times", [0.1, 1.0, 1.2])
+@pytest.mark.parametrize("times", [0.1, 1.0, 1.4])
 def test_noise_that_is_not_clearly_larger_stays_as_stated(times):
     restated = Restated(SENSOR)
     for frame in frames(times):
@@ -58,12 +61,48 @@ def test_the_view_holds_all_that_was_read():
     assert (seen.max_range, seen.min_angle, seen.max_angle) == (7.0, -1.5, 1.0)
 
 
-@pytest.mark.parametrize("index", [164, pytest.param(32, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("index", [42, 28, pytest.param(32, marks=pytest.mark.slow)])  # of range, of view, of both
 def test_landmarks_are_not_mapped_several_times_where_noise_or_view_are_understated(index):
     log = log_of(draw(index))
     run = step_by_step("ekf", log.inputs().without_map(), "slam", HINDSIGHT)
     visible = len(np.unique(log.truth.landmark_of[log.truth.landmark_of >= 0]))
     assert len(run.map) == pytest.approx(visible, rel=0.1)
+
+
+def test_the_decider_moves_and_pairs_with_the_noise_that_there_is(monkeypatch):
+    inputs = named_log("arena:0:frames=20").inputs().without_map()
+    first, second = inputs.frame(0), inputs.frame(1)
+    found = {}
+    for motion in (1.0, 9.0):
+        monkeypatch.setattr(Differences, "see", lambda *_, motion=motion: Shares(1.0, 1.0, motion))
+        mapper = HindsightMapper(inputs, Setup())
+        mapper.move(first)
+        before = mapper.filter.estimate().covariance
+        mapper.decide(first)
+        mapper.move(second)
+        grown = np.trace(mapper.filter.estimate().covariance - before)
+        found[motion] = grown, mapper.decide(second).S
+    assert found[9.0][0] > 3.0 * found[1.0][0]
+    # what NIS may be expected of pairings that passed a gate is said where the gate is by the stated noise
+    assert found[1.0][1] is not None
+    assert found[9.0][1] is None
+
+
+def test_the_decider_gets_readings_with_the_noise_that_there_is(monkeypatch):
+    inputs = named_log("arena:0:frames=20").inputs().without_map()
+    monkeypatch.setattr(Differences, "see", lambda *_: Shares(4.0, 9.0, 1.0))
+    mapper = HindsightMapper(inputs, Setup())
+    mapper.move(inputs.frame(0))
+    wide = mapper.filter
+    mapper.decide(inputs.frame(0))
+    plain = HindsightMapper(inputs, Setup())
+    monkeypatch.setattr(Differences, "see", lambda *_: AS_STATED)
+    plain.move(inputs.frame(0))
+    plain.decide(inputs.frame(0))
+    known = [m.position(np.arange(3))[1] for m in (wide, plain.filter)]
+    # a landmark is as uncertain as its reading, and as the pose, whose share stays as it is
+    assert np.all(np.linalg.eigvalsh(known[0] - known[1]) > 0.0)
+    assert np.trace(known[0]) > 2.0 * np.trace(known[1])
 
 
 def test_an_honest_log_is_decided_as_before():
