@@ -114,7 +114,7 @@ def _altered(base: sqlite3.Connection, rng: Rng) -> None:
         for (table,) in base.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall()
         for column in base.execute(f"PRAGMA table_info({table})").fetchall()
     ]
-    table, column = pick(rng, columns + [("messages", "data")] * len(columns))
+    table, column = pick(rng, columns + [("messages", "data")] * max(len(columns), 1))
     if rng.random() < 0.05:
         base.execute(pick(rng, [f"DROP TABLE {table}", f"DELETE FROM {table}", "DROP INDEX timestamp_idx"]))
         return

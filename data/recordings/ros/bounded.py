@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import bz2
 import io
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
@@ -37,8 +38,8 @@ from data.errors import UsageError
 from data.open_log.archive import DENSEST, LARGE
 
 lz4: Any = import_module("lz4.frame")
-zstd: Any = vars(reader2)["zstd"]
-"""The library's own: of Python itself from 3.14 on."""
+zstd: Any = import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
+"""As the library has it."""
 LIBRARY = (
     *(AnyReaderError, Reader1Error, Reader2Error, SerdeError, TypesysError),
     *(YAMLError, apsw.Error, zstd.ZstdError),
