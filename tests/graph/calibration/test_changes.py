@@ -39,6 +39,7 @@ def late_loop():
     return replace(inputs, observations=seen).without_map(), path, xy
 
 
+@pytest.mark.slow
 def test_a_loop_that_moves_the_path_by_metres_ends_where_batch_does():
     inputs, path, xy = late_loop()
     decisions, _ = known_decisions(inputs)
