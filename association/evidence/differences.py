@@ -75,7 +75,8 @@ class Differences:
         self._farthest = max(self._farthest, float(self._sensor.polar(sightings.z)[:, 0].max()))
         if before is not None and increment is not None:
             step = paired(self._sensor, before, increment, sightings, self._farthest)
-            if len(step.nu):
+            exact = min(np.linalg.det(step.covariance), *np.linalg.det(step.by_range + step.by_bearing)) <= 0.0
+            if not exact:  # what is stated to be without noise has no share of it
                 self._steps.append(step)
                 if len(self._steps).bit_count() == 1:
                     self._shares = fitted(self._steps)
@@ -86,7 +87,8 @@ def axes(sensor: Sensor, z: Array) -> Array:
     """Directions of the range and of the bearing (m, 2, 2), as columns, in the space of measurements (m, 2)."""
     if sensor.kind == RANGE_BEARING:
         return np.tile(np.eye(2), (len(z), 1, 1))
-    along = z / np.maximum(np.hypot(z[:, 0], z[:, 1]), MIN_RANGE)[:, None]
+    r = np.hypot(z[:, 0], z[:, 1])[:, None]
+    along = np.where(r < MIN_RANGE, [1.0, 0.0], z / np.maximum(r, MIN_RANGE))  # nothing has a direction at zero range
     return np.stack([along, np.stack([-along[:, 1], along[:, 0]], axis=1)], axis=-1)
 
 

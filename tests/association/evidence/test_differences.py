@@ -81,6 +81,17 @@ def test_a_few_frames_tell_already():
     assert math.sqrt(shares.bearing) > constants.UNDERSTATED
 
 
+def test_readings_at_zero_range_and_without_noise_do_no_harm():
+    sensor = RelativePoint(max_range=6.0)
+    here = Sightings(np.array([[0.0, 0.0], [2.0, 1.0]]), np.tile(1e-4 * np.eye(2), (2, 1, 1)))
+    exact = Sightings(here.z, np.zeros((2, 2, 2)))
+    assert np.linalg.det(axes(sensor, here.z)) == pytest.approx([1.0, 1.0])
+    for frame in (here, exact):
+        for covariance in (MOTION, np.zeros((3, 3))):
+            still = Increment(np.zeros(3), covariance + 1e-18 * np.eye(3) * (frame is exact))
+            assert all(np.isfinite(told(sensor, [(None, here), (still, here), (still, frame)])))
+
+
 def test_one_frame_tells_nothing():
     assert told(RangeBearing(), drive(RangeBearing(), Shares(3.0, 3.0, 3.0), 1, 3)) == AS_STATED
 
