@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -37,6 +38,17 @@ def in_view(sensor: Sensor, z_hat: Array, HPHt: Array) -> BoolArray:
     """Which expected measurements (n, 2) lie in the field of view, widened by 3 sigma, of HPHt, and 5 degrees."""
     sigma = SIGMAS * polar_sigma(sensor, z_hat, HPHt)
     return sensor.in_view(z_hat, margin_range=sigma[:, 0], margin_angle=np.minimum(sigma[:, 1] + MARGIN, math.pi))
+
+
+def holding(sensor: Sensor, polar: Array) -> Sensor:
+    """The sensor with its view widened to hold ranges [m] and bearings [rad] (m, 2) that were read."""
+    low, high = polar.min(axis=0, initial=math.inf), polar.max(axis=0, initial=-math.inf)
+    return replace(
+        sensor,
+        max_range=max(sensor.max_range, float(high[0])),
+        min_angle=min(sensor.min_angle, float(low[1])),
+        max_angle=max(sensor.max_angle, float(high[1])),
+    )
 
 
 def may_be_in_view(sensor: Sensor, pose: Array, xy: Array, sigma: Array, heading: Array) -> BoolArray:

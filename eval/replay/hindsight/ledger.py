@@ -8,11 +8,12 @@ are initialized, seen, merged and dropped.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
+from association.candidates import holding
 from association.evidence import constants
 from association.evidence.landmarks import (
     INITIALIZED,
@@ -27,6 +28,7 @@ from association.evidence.landmarks import (
     verdict,
 )
 from association.evidence.pairings import Alone, alone
+from association.evidence.permanence import lasting
 from association.expectation import Expectation
 from data.inputs import Frame, IntArray
 from data.result import DISCARD, NEW, Event, Updated
@@ -49,6 +51,7 @@ class Record:
         evidence: what speaks for it and against it.
         covisible: landmarks that were seen in one frame with it: they cannot be the same.
         gated: distance travelled [m] where its gate was judged last, by whether the sighting was inside.
+        looks: at it from different places, in the view that was read: 1 seen, 0 missed.
     """
 
     sightings: list[tuple[int, int]]
@@ -59,19 +62,21 @@ class Record:
     evidence: Evidence = INITIALIZED
     covisible: set[int] = field(default_factory=set)
     gated: dict[bool, float] = field(default_factory=dict)
+    looks: bytearray = field(default_factory=bytearray)
 
 
 class Judged(NamedTuple):
     """What a frame's expectation says about its pairings, to be taken before the update, which it does not survive.
 
     rows (k,) of the paired observations, the landmarks' numbers (k,), their innovations given each other; the landmarks
-    (n,) that should have been seen and were not.
+    (n,) that should have been seen and were not, and those of them where something was read before.
     """
 
     rows: IntArray
     number: IntArray
     alone: Alone
     missing: IntArray
+    in_read: IntArray
 
 
 class Epoch(NamedTuple):
@@ -103,11 +108,14 @@ class Ledger:
         self.epoch = Epoch()
         self.events: list[Event] = []
         self.merged: list[tuple[int, int, int]] = []
-        self._farthest = 0.0
+        self._read = replace(sensor, max_range=0.0, min_angle=0.0, max_angle=0.0)
+        """The sensor with the part of its view in which something was read."""
         self._touched: set[int] = set()
         nobody = np.empty(0, np.int64)
-        self._judged = Judged(nobody, nobody, Alone(np.empty((0, 2)), np.empty((0, 2, 2))), nobody)
+        self._judged = Judged(nobody, nobody, Alone(np.empty((0, 2)), np.empty((0, 2, 2))), nobody, nobody)
         self._visibility = Visibility()
+        self._former: list[bytes] = []
+        """Looks at the landmarks that were retracted."""
 
     def move(self, frame: Frame) -> None:
         """The next frame comes."""
@@ -118,7 +126,7 @@ class Ledger:
     @property
     def range(self) -> float:
         """The sensor's range [m], or the farthest that was seen."""
-        return min(self.sensor.max_range, self._farthest)
+        return min(self.sensor.max_range, self._read.max_range)
 
     def judge(self, e: Expectation, decisions: IntArray, believed: Expectation | None = None) -> None:
         """Note what the expectation of a frame says about the decisions (m,) made from it; `see` takes it in.
@@ -126,14 +134,15 @@ class Ledger:
         `believed`: what is expected once the pairings are believed, where the prediction alone tells too little.
         """
         rows, chosen = e.paired(decisions)
-        absent = missing(believed or e, decisions, self.sensor)
-        self._judged = Judged(rows, e.number[chosen], alone(e, rows, chosen), (believed or e).number[absent])
+        expected = believed or e
+        absent, in_read = (expected.number[missing(expected, decisions, s)] for s in (self.sensor, self._read))
+        self._judged = Judged(rows, e.number[chosen], alone(e, rows, chosen), absent, in_read)
 
     def see(self, frame: Frame, decisions: IntArray, done: Updated, pose: Array) -> None:
         """Take in what was judged, and done with the decisions (m,); `pose` (3,) is where the frame was seen from."""
         judged, z = self._judged, frame.sightings.z
         self.frames += 1
-        self._farthest = max(self._farthest, float(self.sensor.polar(z)[:, 0].max(initial=0.0)))
+        self._read = holding(self._read, self.sensor.polar(z))
         for n in judged.missing.tolist():
             if self._look(n, pose, seen=False):
                 self.records[n].evidence = overlooked(self.records[n].evidence)
@@ -171,6 +180,8 @@ class Ledger:
         if math.hypot(pose[0] - x, pose[1] - y) < constants.SAME_PLACE * self.range:
             return False
         record.looked_from = float(pose[0]), float(pose[1])
+        if seen or number in self._judged.in_read:
+            record.looks.append(seen)
         if certain(record.evidence, self._visibility):
             self._visibility = self._visibility.counting(record.evidence.row > 0, seen)
         return True
@@ -198,13 +209,16 @@ class Ledger:
         return self._retract({n: why for n, why in found.items() if why})
 
     def uncertain(self) -> IntArray:
-        """Landmarks (r,) that were never seen often enough to be certain; at the end of a run they are taken back."""
-        few = [n for n, r in self.records.items() if not certain(r.evidence, self._visibility)]
-        return self._retract(dict.fromkeys(few, "uncertain"))
+        """Landmarks (r,) that may have been there for a while only; at the end of a run they are taken back."""
+        every = self.records.values()
+        often = np.array([r.evidence.seen >= constants.CERTAIN_AT_LEAST for r in every], np.bool_)
+        keep = lasting([r.looks for r in every], self._former, often)
+        return self._retract(dict.fromkeys(np.array(list(self.records))[~keep].tolist(), "uncertain"))
 
     def _retract(self, gone: dict[int, str]) -> IntArray:
         for n, why in gone.items():
             self.events += [Event(self.frame, row, old, DISCARD, why) for row, old in self.records[n].sightings]
+        self._former += [bytes(self.records[n].looks) for n in gone]
         numbers = np.array(list(gone), np.int64)
         self.drop(numbers)
         return numbers
@@ -229,6 +243,8 @@ class Ledger:
             stays.evidence = e._replace(
                 seen=e.seen + more.seen, looks=e.looks + more.looks, missed=e.missed + more.missed, row=0
             )
+            # what was missed where the other one was seen was seen
+            stays.looks = bytearray(bytes(stays.looks).rstrip(b"\0") + b"\1" + gone.looks)
             for n in gone.covisible:
                 self.records[n].covisible.discard(away)
                 if n != kept:
@@ -273,18 +289,11 @@ class Ledger:
 
     def notes(self) -> list[str]:
         """What a reader of the results should know."""
-        if not self.events:
-            return []
-        undone = sum(e.old >= 0 for e in self.events)
-        again = sum(e.new >= 0 for e in self.events)
-        return [f"{counted(undone, 'pairing was', 'pairings were')} undone in hindsight, {again} made instead"]
+        undone, again = sum(e.old >= 0 for e in self.events), sum(e.new >= 0 for e in self.events)
+        said = f"{counted(undone, 'pairing was', 'pairings were')} undone in hindsight, {again} made instead"
+        return [said] if self.events else []
 
     def merge_notes(self) -> list[str]:
         """The same of landmarks that were merged."""
-        if not self.merged:
-            return []
-        first = self.merged[0][0]
-        return [
-            f"{counted(len(self.merged), 'landmark')} turned out to have been initialized before"
-            f" (first in frame {first})"
-        ]
+        many = f"{counted(len(self.merged), 'landmark')} turned out to have been initialized before"
+        return [f"{many} (first in frame {self.merged[0][0]})"] if self.merged else []

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from association.candidates import holding
 from association.evidence import constants
 from association.evidence.differences import AS_STATED, Differences, Shares, with_shares
 from data.inputs import Frame
@@ -29,16 +30,7 @@ class Restated:
 
     def see(self, frame: Frame) -> Frame:
         """The next frame, with the noise that is known after it."""
-        if len(frame.sightings.z):
-            polar = self._sensor.polar(frame.sightings.z)
-            low, high = polar.min(axis=0), polar.max(axis=0)
-            view = self._view
-            self._view = replace(
-                view,
-                max_range=max(view.max_range, float(high[0])),
-                min_angle=min(view.min_angle, float(low[1])),
-                max_angle=max(view.max_angle, float(high[1])),
-            )
+        self._view = holding(self._view, self._sensor.polar(frame.sightings.z))
         told = self._differences.see(frame.increment, frame.sightings)
         self.shares = Shares(*(s if s > constants.UNDERSTATED**2 else 1.0 for s in told))
         return self.restated(frame)
