@@ -9,7 +9,7 @@ from association.expectation import Expectation
 from data.inputs import Frame, Increment, Sightings
 from data.result import DISCARD, NEW, Updated
 from data.sensors import RelativePoint
-from eval.replay.hindsight.ledger import MERGED, Epoch, Ledger
+from eval.replay.hindsight.ledger import MERGED, Epoch, Ledger, Record
 
 FAR = np.array([[5.0, 0.0], [5.0, 4.0], [5.0, -4.0]])
 
@@ -88,6 +88,70 @@ def test_what_never_became_certain_is_taken_back_in_the_end():
     assert ledger.uncertain().tolist() == [1]
     assert list(ledger.records) == [0]
     assert [(e.frame, e.observation, e.old, e.new, e.why) for e in ledger.events] == [(5, 1, NEW, DISCARD, "uncertain")]
+
+
+def expecting(decisions, expected=FAR[:1]):
+    """What a frame expects that reads `decisions` far to the left, of a landmark that stands at `expected`."""
+    seen = np.array([[4.0, 15.0]] * len(decisions)).reshape(-1, 2)
+    R = np.tile(0.01 * np.eye(2), (len(seen), 1, 1))
+    return Expectation.from_arrays(seen, expected, 1e-4 * np.eye(2 * len(expected)), R)
+
+
+def looked(story, decisions, expected=FAR[:1], stride=1.0):
+    """The same frame, taken in; `stride`: of the step before it, in ranges of a sensor that reads 6.4 m."""
+    ledger, decisions = story.ledger, np.array(decisions, np.int64)
+    ledger.judge(expecting(decisions, expected), decisions)
+    here = frame(ledger.frame + 1, np.array([[4.0, 15.0]] * len(decisions)), story.rows)
+    nothing = np.empty((len(decisions), 2))
+    done = Updated(decisions >= 0, np.full(len(decisions), -1), 0.0, 0, 0.0, nothing)
+    pose = np.array([stride * (ledger.frame + 1), 0.0, 0.0])
+    ledger.move(here)
+    ledger.see(here, decisions, done, pose)
+    return story
+
+
+def test_a_landmark_has_its_looks_from_different_places_in_their_order():
+    story = Story().see([NEW, NEW, NEW])
+    for decisions in ([0], [], [], [0]):
+        looked(story, decisions, FAR[:1] if decisions else 0.9 * FAR[:1])
+    assert bytes(story.ledger.records[0].looks) == bytes([1, 0, 0, 1])
+    looked(story, [], 0.9 * FAR[:1], stride=0.0)
+    looked(story, [], 0.9 * FAR[:1], stride=0.0)
+    assert bytes(story.ledger.records[0].looks) == bytes([1, 0, 0, 1, 0]), "from one place it is one look"
+
+
+def test_a_miss_where_nothing_was_ever_read_is_no_look():
+    story = Story().see([NEW, NEW, NEW])
+    outside = np.array([[-5.0, 0.5]])  # in the stated view, all around, and behind all that was read
+    looked(story, [], outside)
+    assert (bytes(story.ledger.records[0].looks), story.ledger.records[0].evidence.missed) == (b"", 1)
+    looked(story, [], 0.9 * FAR[:1])
+    assert bytes(story.ledger.records[0].looks) == b"\0"
+
+
+def test_what_was_missed_while_it_was_read_as_another_one_was_seen():
+    story = Story().see([NEW, NEW, NEW])
+    records = story.ledger.records
+    records[0].looks, records[2].looks = bytearray(b"\1\0\1\0\0\0"), bytearray(b"\1\0")
+    story.ledger.merge([(2, 0)])
+    assert bytes(records[0].looks) == b"\1\0\1" + b"\1" + b"\1\0"
+
+
+def test_what_was_retracted_still_tells_what_the_log_is_like():
+    """What many did that are gone, seen twice and not again, one of the map has begun to do."""
+
+    def remains(clutter):
+        story = Story().see([NEW])
+        ledger, one = story.ledger, story.ledger.records[0]
+        one.looks, one.evidence = bytearray(b"\1\1\0"), one.evidence._replace(seen=3)
+        ledger.records |= {
+            n: Record([], (0.0, 0.0), 0.0, 0.0, looks=bytearray(b"\1\1\0\0\0\0")) for n in range(1, 1 + clutter)
+        }
+        ledger._retract(dict.fromkeys(range(1, 1 + clutter), "missed"))
+        return ledger.uncertain().tolist() == []
+
+    assert remains(0)
+    assert not remains(40)
 
 
 def test_a_gate_is_judged_once_from_one_place():
