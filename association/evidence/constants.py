@@ -84,9 +84,11 @@ SHADOW = math.radians(0.5)
 
 # --- There for good, or for a while (association/evidence/permanence.py) ----------------------------------------------
 
-PERMANENCE_PRIOR = ((0.5, 2.0), (0.5, 2.0), (0.2, 5.0), (0.8, 5.0), (0.5, 4.0))
-"""Of each value of `Permanence` its mean, and how many landmarks or looks this is worth: little. Ten times as much of
-any changes the landmarks of two of a hundred simulated worlds."""
+PERMANENCE_MEANS = (0.5, 0.5, 0.2, 0.8, 0.5)
+"""Each value of `Permanence` before anything is known, ..."""
+PERMANENCE_WORTH = (2.0, 2.0, 5.0, 5.0, 4.0)
+"""... and how many landmarks or looks this is worth: little. Ten times as much of any changes the landmarks of two of a
+hundred simulated worlds."""
 PERMANENCE_OWN = 10.0
 """Looks that the common rates are worth beside a landmark's own ones. On simulated worlds, whose landmarks are all
 alike, 20 gives the same and 5 loses four of a hundred maps; on Victoria Park 5 keeps 107 landmarks, 10 103, 20 97."""
@@ -99,6 +101,9 @@ PERMANENCE_ROUNDS = 20
 """Of expectation maximization."""
 STAYS = 2.0 / 3.0
 """A landmark is kept at the end if it stays by odds of two to one; at even odds maps of people have too many."""
+STAYS_FEWEST = 0.05
+"""Share of those that are kept so, with the fewest sightings, that does not tell how many one needs. Up to CERTAIN; 0.1
+loses a map of a hundred simulated ones, and 11 landmarks of Victoria Park."""
 
 # --- A frame without a prediction: pairs of observations on pairs of landmarks (association/geometry) -----------------
 

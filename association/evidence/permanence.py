@@ -43,8 +43,8 @@ class Permanence(NamedTuple):
 def permanence(looks: Looks) -> Permanence:
     """Of the landmarks (n) of a log, those that were retracted included; without any it is the prior."""
     own, chance, least = constants.PERMANENCE_OWN, constants.PERMANENCE_CHANCE, constants.PERMANENCE_LATER_LEAST
-    prior, rounds = np.array(constants.PERMANENCE_PRIOR), constants.PERMANENCE_ROUNDS
-    return Permanence(*_fitted(*_packed(looks), prior, own, chance, least, rounds).tolist())
+    prior = np.array([constants.PERMANENCE_MEANS, constants.PERMANENCE_WORTH])
+    return Permanence(*_fitted(*_packed(looks), prior, own, chance, least, constants.PERMANENCE_ROUNDS).tolist())
 
 
 def staying(looks: Looks, p: Permanence) -> Array:
@@ -52,19 +52,24 @@ def staying(looks: Looks, p: Permanence) -> Array:
     return _staying(*_packed(looks), np.array(p), constants.PERMANENCE_OWN, constants.PERMANENCE_CHANCE)
 
 
-def lasting(looks: Looks, former: Looks, often: BoolArray) -> BoolArray:
+def lasting(looks: Looks, former: Looks, sightings: IntArray) -> BoolArray:
     """Which landmarks (n,) of a map stay in it at the end of a log.
 
-    Those that stay by odds of `STAYS`. Where that leaves less than half of those that may be expected to stay, their
-    number is better known than which they are: then it is as many, the likeliest.
+    Those that stay by odds of two to one (`STAYS`). Where most of these are read often, one that was read two or three
+    times is somebody who came along in the end: it needs as many sightings as all but the fewest of them have, or
+    `CERTAIN`. Where that leaves less than half of those that may be expected to stay, their number is better known than
+    which they are: then it is as many, the likeliest.
 
     Args:
         looks: at each of the map's landmarks (n).
         former: at the landmarks that were retracted before.
-        often: (n,) whether it was read often enough to be kept at all.
+        sightings: (n,) of each of the map's.
     """
+    often = sightings >= constants.CERTAIN_AT_LEAST
     stay = np.where(often, staying(looks, permanence([*looks, *former])), 0.0)
     keep: BoolArray = stay > constants.STAYS
+    if keep.any():
+        keep &= sightings >= min(constants.CERTAIN, float(np.quantile(sightings[keep], constants.STAYS_FEWEST)))
     expected = round(float(stay.sum()))
     if 2 * keep.sum() < expected:
         keep = np.zeros(len(stay), np.bool_)
@@ -149,10 +154,11 @@ def _staying(looks: IntArray, begin: IntArray, p: Array, own: float, chance: flo
 def _fitted(
     looks: IntArray, begin: IntArray, prior: Array, own: float, chance: float, least: float, rounds: int
 ) -> Array:
-    """`Permanence` as an array (5,); prior (5, 2): mean of each, and what it is worth."""
-    p, expected = prior[:, 0].copy(), np.empty(4)
+    """`Permanence` as an array (5,); prior (2, 5): mean of each, and what it is worth."""
+    p: Array = prior[0].copy()
+    expected = np.empty(4)
     for _ in range(rounds):
-        yes, every = prior[:, 0] * prior[:, 1], prior[:, 1].copy()
+        yes, every = prior[0] * prior[1], prior[1].copy()
         for i in range(len(begin) - 1):
             of = looks[begin[i] : begin[i + 1]]
             counts, row = _transitions(of)

@@ -51,7 +51,7 @@ class Record:
         evidence: what speaks for it and against it.
         covisible: landmarks that were seen in one frame with it: they cannot be the same.
         gated: distance travelled [m] where its gate was judged last, by whether the sighting was inside.
-        looks: at it from different places, in the view that was read: 1 seen, 0 missed.
+        looks: at it after the first sighting: the second one, and from other places; 1 seen, 0 missed in the view read.
     """
 
     sightings: list[tuple[int, int]]
@@ -178,6 +178,8 @@ class Ledger:
         record = self.records[number]
         x, y = record.looked_from
         if math.hypot(pose[0] - x, pose[1] - y) < constants.SAME_PLACE * self.range:
+            if seen and not record.looks:
+                record.looks.append(True)
             return False
         record.looked_from = float(pose[0]), float(pose[1])
         if seen or number in self._judged.in_read:
@@ -211,16 +213,15 @@ class Ledger:
     def uncertain(self) -> IntArray:
         """Landmarks (r,) that may have been there for a while only; at the end of a run they are taken back."""
         every = self.records.values()
-        often = np.array([r.evidence.seen >= constants.CERTAIN_AT_LEAST for r in every], np.bool_)
-        keep = lasting([r.looks for r in every], self._former, often)
+        sightings = np.array([r.evidence.seen for r in every], np.int64)
+        keep = lasting([r.looks for r in every], self._former, sightings)
         return self._retract(dict.fromkeys(np.array(list(self.records))[~keep].tolist(), "uncertain"))
 
     def _retract(self, gone: dict[int, str]) -> IntArray:
         for n, why in gone.items():
             self.events += [Event(self.frame, row, old, DISCARD, why) for row, old in self.records[n].sightings]
         self._former += [bytes(self.records[n].looks) for n in gone]
-        numbers = np.array(list(gone), np.int64)
-        self.drop(numbers)
+        self.drop(numbers := np.array(list(gone), np.int64))
         return numbers
 
     def drop(self, numbers: IntArray) -> None:

@@ -87,14 +87,14 @@ def test_what_a_log_is_like_is_found_again(p):
 
 
 def test_of_no_landmarks_the_prior_is_known():
-    assert permanence([]) == pytest.approx([mean for mean, _ in constants.PERMANENCE_PRIOR])
+    assert permanence([]) == pytest.approx(constants.PERMANENCE_MEANS)
 
 
 def test_one_step_of_the_fit_is_the_expected_counts_by_hand(monkeypatch):
     """Two landmarks, one round: everything that can be counted, weighed by what is believed before."""
     monkeypatch.setattr(constants, "PERMANENCE_ROUNDS", 1)
-    before = Permanence(*(mean for mean, _ in constants.PERMANENCE_PRIOR))
-    worth = [n for _, n in constants.PERMANENCE_PRIOR]
+    before = Permanence(*constants.PERMANENCE_MEANS)
+    worth = constants.PERMANENCE_WORTH
     looks = [bytes([1, 0, 1, 0, 0]), b""]
     (a, b), own = staying(looks, before), 1.0
     chance, c = constants.PERMANENCE_CHANCE, before.seen
@@ -138,17 +138,28 @@ def test_what_goes_does_not_take_longer_than_can_be_told():
 
 def test_of_a_map_stays_what_stays_by_odds_of_two_to_one():
     real, clutter = [bytes([1] * 10)] * 10, [bytes([0] * 6)] * 10
-    keep = lasting([*real, *clutter], [], np.ones(20, np.bool_))
+    keep = lasting([*real, *clutter], [], np.full(20, 9))
     assert keep.tolist() == [True] * 10 + [False] * 10
-    assert lasting([], [], np.ones(0, np.bool_)).tolist() == []
+    assert lasting([], [], np.ones(0, np.int64)).tolist() == []
 
 
 def test_what_was_read_once_does_not_stay():
     looks = [bytes([1] * 10)] * 10 + [b""]
-    often = np.ones(11, np.bool_)
-    assert lasting(looks, [], often)[-1]
-    often[-1] = False
-    assert not lasting(looks, [], often)[-1]
+    assert lasting(looks, [], np.full(11, 2))[-1]
+    assert not lasting(looks, [], np.array([2] * 10 + [1]))[-1]
+
+
+@pytest.mark.parametrize(("others", "needed"), [(2, 2), (3, 3), (4, 4), (30, 4)])
+def test_where_most_are_read_often_two_sightings_are_too_few(others, needed):
+    looks = [bytes([1] * 10)] * 40 + [b"\1"]
+    keep = [lasting(looks, [], np.array([others] * 40 + [n]))[-1] for n in (1, 2, 3, 4)]
+    assert keep == [n >= needed for n in (1, 2, 3, 4)]
+
+
+def test_the_fewest_of_those_that_stay_do_not_tell_how_many_sightings_are_needed():
+    looks = [bytes([1] * 10)] * 40
+    assert lasting(looks, [], np.array([2] + [9] * 39)).tolist() == [False] + [True] * 39
+    assert lasting(looks, [], np.array([2] * 4 + [9] * 36)).all()
 
 
 def test_what_was_retracted_before_tells_what_the_rest_is_like():
@@ -162,7 +173,7 @@ def test_where_it_is_not_known_which_stay_the_likeliest_do_as_many_as_are_expect
     """Looks so few that none stays by odds of two to one: an empty map would be the one thing that is surely wrong."""
     looks = [b"\1"] * 30 + [b"\1\0"] * 10
     former = [b"\0\0\0"] * 20 + [b"\1\1\0\0\0\0"] * 30
-    often = np.ones(len(looks), np.bool_)
+    often = np.full(len(looks), 3)
     told = staying(looks, permanence([*looks, *former]))
     assert told.max() < constants.STAYS
     keep = lasting(looks, former, often)
