@@ -18,6 +18,7 @@ from eval import live
 from eval.replay.names import ASSOCIATIONS
 from eval.replay.run import compare
 from eval.replay.settings import Setup
+from eval.report import contents
 from tests.eval.online.driven import (
     replayed,
     replayed_bits,
@@ -95,7 +96,15 @@ def test_interrupted_it_leaves_the_whole_log_and_a_report(tmp_path):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
-def test_interrupted_again_in_the_report_the_log_is_whole_and_there_is_no_report(tmp_path, number):
+def test_interrupted_again_in_the_report_the_log_is_whole_and_there_is_no_report(tmp_path, number, monkeypatch):
+    written = contents.write_results
+
+    def slowly(*what, **more):
+        done = written(*what, **more)
+        time.sleep(20.0)  # a report of so short a drive would be done before anyone could press a key
+        return done
+
+    monkeypatch.setattr(contents, "write_results", slowly)
     with simulator(tmp_path, *FAST) as (link, _), started(tmp_path, link, *FAST, "--no-page") as process:
         process.until("ekf-fej x")
         process.signal(signal.SIGTERM)
