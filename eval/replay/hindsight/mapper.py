@@ -44,7 +44,7 @@ def beside_tight(run: Systematic | None) -> Systematic:
     """The errors that a run estimates, with its priors, and beside them those of `TIGHT` that it does not.
 
     Decisions need to know how far the path may have drifted even where estimates do without: on Victoria Park, with
-    the errors alone that its residuals name, loops are not closed (241 landmarks instead of 116).
+    the errors alone that its residuals name, loops are not closed (twice as many landmarks).
     """
     if run is None:
         return TIGHT
