@@ -23,7 +23,7 @@ from data.worlds.registry import named_log
 from eval.referee.errors import position_distance, rms
 from eval.referee.score import confusion_of
 from eval.replay.frontend import FrontEnd
-from eval.replay.hindsight.lost import WORDS
+from eval.replay.hindsight.lost import CONCLUSION
 from eval.replay.observer import Nobody
 from eval.replay.plausible import judged
 from eval.replay.run import step_by_step
@@ -95,7 +95,7 @@ def measure(log: Log, index: int, world: str, method: str, limit: float = LIMIT)
         return Row(index, method, world, *size, math.nan, 0, 0, 0, time.perf_counter() - begin, SLOW)
     seconds = time.perf_counter() - begin
     (run,) = judged([run], inputs)
-    said = any(WORDS in note for note in run.notes)
+    said = any(CONCLUSION in note for note in run.notes)
     return Row(index, method, world, *size, *_scores(run, log), seconds, run.status, int(said))
 
 

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from association.candidates import in_view
+from association.evidence import constants
 from association.evidence.differences import AS_STATED
 from association.evidence.scales import widest
 from association.expectation import Expectation
@@ -177,8 +178,11 @@ class HindsightMapper:
         self._remove(numbers)
 
     def close(self) -> IntArray:
-        """The end of the log: landmarks (r,) that did not become certain are taken back."""
-        return self._remove(self.ledger.uncertain())
+        """The end of the log: landmarks (r,) that may have been there for a while only are taken back."""
+        often = [n for n, r in self.ledger.records.items() if r.evidence.seen >= constants.CERTAIN]
+        gone = self.ledger.uncertain()
+        self.lost.end(often, gone)
+        return self._remove(gone)
 
     def _remove(self, numbers: IntArray) -> IntArray:
         if len(numbers):
