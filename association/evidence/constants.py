@@ -276,8 +276,8 @@ THERE_ALARM = 7.0
 """Score of an alarm. By Wald's inequality there is a false one in exp(7) = 1100 frames from different places where just
 half are paired, in 10^5 where 60 % are."""
 THERE_GONE = 0.5
-"""Share of the landmarks read often (`CERTAIN`) that goes in the end where a robot was lost. On the choosing half of the
-variety that is so on 12 worlds: on one of 68 whose RMSE is up to 1.5 times that with labels (1.49), on 11 of 31
+"""Share of the landmarks read often (`CERTAIN`) that goes in the end where a robot was lost. On the choosing half of
+the variety that is so on 12 worlds: on one of 68 whose RMSE is up to 1.5 times that with labels (1.49), on 11 of 31
 others."""
 THERE_OFTEN = 4
 """Such landmarks, for their share to tell anything."""
