@@ -128,7 +128,7 @@ def test_a_pairing_is_judged_by_two_others_at_least(paired, judged):
     ("step", "elsewhere"), [((0.31, 0.0), False), ((0.0, 0.31), False), ((0.33, 0.0), True), ((-0.24, 0.24), True)]
 )
 def test_a_landmark_is_looked_at_again_only_from_another_place(step, elsewhere):
-    assert constants.SAME_PLACE * REACH == pytest.approx(0.3202, abs=1e-3)
+    assert pytest.approx(0.3202, abs=1e-3) == constants.SAME_PLACE * REACH
     robot = Robot().sees(NEW, NEW, NEW).sees(0).sees(0, step=step)
     one = robot.ledger.records[0]
     assert one.evidence.seen == 3
