@@ -144,6 +144,23 @@ def test_the_second_sighting_is_a_look_wherever_it_is_from():
     assert robot.ledger.records[0].evidence.looks == 1
 
 
+@pytest.mark.parametrize(("bearing", "look"), [(0.5, False), (-0.9, False), (-0.3, True)])
+def test_the_view_read_is_that_of_readings_alone(bearing, look):
+    assert Ledger(RelativePoint()).range == 0.0
+    ledger = Ledger(RelativePoint(max_range=20.0))
+    z, R, nothing = PLACES[[0, 2]], np.tile(0.01 * np.eye(2), (2, 1, 1)), np.empty(0, np.int64)  # at 0 and -0.67 rad
+    none = Updated(np.zeros(2, np.bool_), np.array([0, 1]), 0.0, 0, 0.0, np.empty((2, 2)))
+    ledger.see(Frame(0, 0.0, None, Sightings(z, R), None, 0), np.array([NEW, NEW]), none, np.zeros(3))
+    there = 3.0 * np.array([[math.cos(bearing), math.sin(bearing)]])
+    e = Expectation.from_arrays(np.empty((0, 2)), there, 1e-6 * np.eye(2), np.empty((0, 2, 2)))
+    ledger.judge(e, nothing)
+    empty = Sightings(np.empty((0, 2)), np.empty((0, 2, 2)))
+    done = Updated(nothing >= 0, nothing, 0.0, 0, 0.0, np.empty((0, 2)))
+    ledger.see(Frame(1, 1.0, None, empty, None, 2), nothing, done, np.array([9.0, 0.0, 0.0]))
+    assert ledger.records[0].evidence.missed == 1
+    assert bytes(ledger.records[0].looks) == b"\0" * look
+
+
 def test_certain_landmarks_tell_how_often_landmarks_in_view_are_seen():
     robot = Robot().sees(NEW, NEW, NEW)
     for _ in range(6):
