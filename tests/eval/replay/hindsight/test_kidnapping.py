@@ -76,8 +76,8 @@ def test_a_robot_that_misses_nothing_is_left_alone(world):
 
 def test_surprises_add_up_to_an_alarm(world):
     for _ in range(2):
-        assert world.frame(NEW, NEW, NEW, surprise=0.45 * ALARM).kidnapped is None
-    assert world.frame(NEW, NEW, NEW, surprise=0.15 * ALARM).kidnapped is not None
+        assert world.frame(NEW, NEW, NEW, surprise=0.48 * ALARM).kidnapped is None
+    assert world.frame(NEW, NEW, NEW, surprise=0.05 * ALARM).kidnapped is not None
     assert world.kidnapping.alarms == [2]
     assert world.kidnapping.lost
 

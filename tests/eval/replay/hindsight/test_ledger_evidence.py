@@ -29,7 +29,7 @@ class Robot:
     def sees(self, *decisions, missing=(), step=(1.0, 0.0)):
         """Reads `decisions` at the first places; `missing` stand behind, in view, and are not read."""
         ledger, chosen, n = self.ledger, np.array(decisions, np.int64), len(decisions)
-        move = np.array([*step, 0.0]) if ledger.frame >= 0 else None
+        move = np.array([*step, 0.0])[:3] if ledger.frame >= 0 else None
         self.x = self.x + (0.0 if move is None else move)
         z, R = PLACES[:n], np.tile(0.01 * np.eye(2), (n, 1, 1))
         increment = None if move is None else Increment(move, np.zeros((3, 3)))
@@ -213,7 +213,9 @@ def test_what_is_merged_adds_up():
 
 
 def test_the_way_is_as_long_as_its_steps():
-    assert Robot().sees(NEW).sees(0, step=(3.0, 4.0)).sees(0, step=(-1.0, 0.0)).ledger.travelled == pytest.approx(6.0)
+    assert Robot().sees(NEW).sees(0, step=(3.0, 4.0, 2.0)).sees(0, step=(-1.0, 0.0)).ledger.travelled == pytest.approx(
+        6.0
+    )
 
 
 def test_the_ledgers_notes_count_what_was_undone_and_what_was_made_instead():
