@@ -72,7 +72,7 @@ def test_a_row_that_is_not_over_is_one_miss_after_a_sighting_and_the_others_afte
 def test_a_rate_is_the_mean_of_its_beta_distribution():
     assert detection_rate(0, 0) == 0.5
     assert detection_rate(7, 1) == pytest.approx(0.8)
-    assert Visibility(5, 1, 2, 0).rate == pytest.approx(0.8)
+    assert Visibility(5, 1, 2, 2).rate == pytest.approx(2 / 3)
 
 
 def test_misses_in_a_row_are_independent_until_more_is_known():
@@ -133,6 +133,7 @@ def test_a_certain_landmark_has_its_own_rate_if_that_is_lower():
         assert verdict(seldom._replace(missed=20 + row, row=row), ALWAYS) == expected
 
 
+SHADOW = math.radians(0.5)
 SENSOR = RangeBearing(max_range=10.0, min_angle=-1.0, max_angle=1.0)
 
 
@@ -147,7 +148,7 @@ def absent(expected, seen, decisions, sensor=SENSOR, bearing=0.01):
 
 
 def test_what_stands_clearly_inside_the_view_should_be_seen():
-    margin = constants.IN_VIEW_SIGMAS
+    margin = 3.0
     inside = [
         [10.0 - 0.1 * margin - 0.02, 0.0],
         [5.0, 1.0 - 0.01 * margin - 0.002],
@@ -168,9 +169,9 @@ def test_what_was_paired_was_not_missed():
 @pytest.mark.parametrize(
     ("seen", "hidden"),
     [
-        ([3.0, 0.9 * constants.SHADOW], True),
-        ([3.0, -0.9 * constants.SHADOW], True),
-        ([3.0, 1.1 * constants.SHADOW], False),
+        ([3.0, 0.9 * SHADOW], True),
+        ([3.0, -0.9 * SHADOW], True),
+        ([3.0, 1.1 * SHADOW], False),
         ([5.1, 0.0], False),
     ],
 )
@@ -180,6 +181,6 @@ def test_what_is_nearer_in_the_same_direction_hides_it(seen, hidden):
 
 def test_directions_behind_the_robot_are_the_same_on_both_sides():
     around = RangeBearing(max_range=10.0)
-    behind = math.pi - 0.2 * constants.SHADOW
+    behind = math.pi - 0.2 * SHADOW
     assert absent([[5.0, behind]], [[3.0, -behind]], [-1], around, 1e-4) == [False]
     assert absent([[5.0, behind]], [[3.0, 0.0]], [-1], around, 1e-4) == [True]
