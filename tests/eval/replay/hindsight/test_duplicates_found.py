@@ -156,5 +156,5 @@ def test_where_a_third_one_may_be_one_of_them_but_not_both_nothing_is_one():
 
 
 def test_less_noise_than_stated_makes_the_gate_smaller():
-    for off, area, scale, expected in ((0.2, 0.3, 0.25, []), (0.2, 0.3, 0.5, [(1, 0)]), (0.1, 0.28, 0.5, [])):
+    for off, area, scale, expected in ((0.23, 0.3, 0.25, []), (0.23, 0.3, 0.5, [(1, 0)]), (0.1, 0.28, 0.5, [])):
         assert Map([[0.0, 0.0], [off, 0.0]]).single([1], [0], area, scale) == expected
