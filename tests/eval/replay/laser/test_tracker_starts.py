@@ -103,6 +103,12 @@ def test_what_does_not_contradict_odometry_is_believed_at_once(made):
     assert made.tracker.pose[1] > 0.04
 
 
+def test_far_from_the_key_pose_what_agrees_with_odometry_is_no_surprise(made):
+    made.tracker.predict(np.array([0.3, -0.2, 0.1]), FINE)
+    made.correct(([0.301, -0.199, 0.1], 0.3, 1.0), (None, 0.9, 1.0))
+    assert made.tracker.pose.tolist() == [0.301, -0.199, 0.1]
+
+
 def test_headings_are_compared_over_the_half_turn(made):
     """Turned about once, it is matched from the other side of the half turn: that is no surprise."""
     tracker = made.tracker
