@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
@@ -96,3 +97,19 @@ def test_far_away_landmarks_are_not_taken_for_near():
             f.park(f.active, begin_epoch=True)
     assert len(f.parked) == 300
     assert len(f._mean) < 100, "the buffers shrink with what is in use"
+
+
+@pytest.mark.parametrize(("within", "near"), [(4.0, [1]), (9.5, [1, 2]), (25.5, [1, 2, 3]), (np.inf, [1, 2, 3, 4])])
+def test_of_what_was_parked_just_now_those_inside_the_gate_are_near(within, near):
+    """Landmarks at 0, 3, 5 and 40 standard deviations of the difference from a reading."""
+    f = EkfSlam(Prior(np.zeros(3), 1e-12 * np.eye(3)), RelativePoint())
+    R = 0.02 * np.eye(2)  # of the landmark and of the reading: a variance of 0.04
+    places = np.array(
+        [[9.0, 9.0], [5.0, 0.0], [5.0, 0.6], [4.0, 0.0], [5.0, -8.0], *[[-9.0, 1.0 + k] for k in range(9)]]
+    )
+    f.update(Sightings(places, np.tile(R, (len(places), 1, 1))), np.full(len(places), NEW))
+    f.park(np.arange(1, 5))
+    far = np.array([[-20.0, 0.0], [5.0, 0.0]])
+    assert sorted(f.parked_within(Sightings(far, np.tile(R, (2, 1, 1))), within).tolist()) == near
+    nothing = Sightings(np.empty((0, 2)), np.empty((0, 2, 2)))
+    assert f.parked_within(nothing, within).tolist() == []

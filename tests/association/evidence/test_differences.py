@@ -110,6 +110,17 @@ def test_what_moves_by_itself_is_not_the_sensors_noise():
     assert shares.bearing == pytest.approx(1.0, abs=0.25)
 
 
+@pytest.mark.parametrize("times", [1.0, 2.0])
+def test_where_odometry_tells_little_the_other_pairs_of_a_step_tell_the_motion(times):
+    """A difference is as uncertain as the motion, too, by what the other one says of it."""
+    rng, steps = np.random.default_rng(5), []
+    A, B = np.tile(np.diag([0.01, 0.0]), (2, 1, 1)), np.tile(np.diag([0.0, 0.01]), (2, 1, 1))
+    for _ in range(200):
+        nu = rng.normal(size=2) + 0.1 * times * rng.normal(size=(2, 2))
+        steps.append(Step(np.diag([1.0, 1.0, 1e-6]), nu, np.tile(np.eye(2, 3), (2, 1, 1)), A, B, np.full(2, 1e-9)))
+    assert np.array(fitted(steps)) == pytest.approx([times**2, times**2, 1.0], rel=0.15)
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 def test_nothing_is_told_where_a_nearest_neighbour_may_be_any(seed):
     inputs = named_log(f"corridor:{seed}:no-odometry").inputs().without_labels()

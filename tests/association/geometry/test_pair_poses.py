@@ -45,3 +45,16 @@ def test_an_observation_far_from_every_landmark_by_its_own_noise_stays_unpaired(
 def test_a_pose_that_the_motion_does_not_allow_is_none():
     found = pairings((0.4, -0.3, 0.2), wide=0.05)
     assert all((paired >= 0).sum() < len(THERE) for _, paired in found)
+
+
+@pytest.mark.parametrize(("seen", "there"), [(0.02, 0.02), (0.04, 0.001), (0.001, 0.04)])
+@pytest.mark.parametrize(("sigmas", "paired"), [(2.85, True), (3.1, False)])
+def test_two_points_give_a_pose_where_their_distances_agree_by_the_noise_of_both(seen, there, sigmas, paired):
+    """A triangle that is read too large, so that its shortest side is off by so many standard deviations."""
+    triangle = THERE[:3]
+    sides = np.hypot(*(triangle - np.roll(triangle, 1, axis=0)).T)
+    larger = 1.0 + sigmas * np.sqrt(2.0 * (seen**2 + there**2)) / sides.min()
+    z = (triangle - triangle.mean(axis=0)) * larger + triangle.mean(axis=0)
+    e = Expectation.from_arrays(z, triangle, there**2 * np.eye(6), np.tile(seen**2 * np.eye(2), (3, 1, 1)))
+    found = candidates(e, SENSOR, 0.25 * np.eye(3))
+    assert [best.tolist() for _, best in found] == ([[0, 1, 2]] if paired else [])

@@ -56,6 +56,7 @@ def table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Run:
         (GOOD.replace("2,1,0,,", "2,1,0,"), SIGMAS, "line 4: 4 fields where 5 are needed"),
         (GOOD.replace("0,1,0,2", "5,1,0,2"), SIGMAS, "line 3, column t: 1 follows 5.0; t must not decrease"),
         (GOOD.replace("3,1,0,3", "3,1,0,-3"), SIGMAS, "column range: -3 is a negative range"),
+        (GOOD.replace("t,v", "when,v"), SIGMAS, "no column 't' for t"),
         (GOOD.replace("omega", "gyro"), SIGMAS, "no odometry: columns t, v, gyro"),
         (GOOD.replace("bearing", "azimuth"), SIGMAS, "no column 'bearing' for bearing"),
         (GOOD.replace("omega", "v"), SIGMAS, "two columns are named 'v'"),

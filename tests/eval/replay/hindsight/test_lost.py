@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from association.evidence.lost import Suspicion
 from data.worlds.registry import named_log
 from eval.benchmarks.variety.goals import table
 from eval.benchmarks.variety.measure import measure
@@ -79,3 +81,41 @@ def test_before_the_first_frame_there_is_nothing_to_say():
     lost = Lost(Ledger(log.recorded.sensor))
     lost.look(log.inputs().without_labels().frame(0), np.array([-1, -1]), np.zeros(3))
     assert lost.notes() == []
+
+
+class Looked:
+    """From places, at frames of which the ledger says how many were paired and replaced."""
+
+    def __init__(self):
+        self.counts = (0, 1)
+        self.lost = Lost(SimpleNamespace(range=20.0, replaced=lambda decisions: self.counts))
+
+    def score(self, number, x, y=0.0, counts=(0, 1)):
+        self.counts = counts
+        self.lost.look(SimpleNamespace(number=number), np.array([-1]), np.array([x, y, 0.5]))
+        return self.lost.suspicion.score
+
+
+def test_frames_from_one_place_are_one():
+    looked = Looked()
+    first = looked.score(0, 0.0)
+    assert first > 0.0
+    # 5 % of 20 m; nearer frames count for nothing, those without evidence neither
+    assert [looked.score(k, x, y) for k, (x, y) in enumerate([(0.9, 0.0), (0.0, 0.9), (-0.9, 0.0)], 1)] == [first] * 3
+    assert looked.score(4, 0.8, -0.8, counts=(0, 0)) == first
+    assert looked.score(5, 0.8, -0.8) == pytest.approx(2.0 * first), "the empty look before was none"
+    assert looked.score(6, 0.0, 0.0) == pytest.approx(3.0 * first)
+    assert looked.score(7, 3.0, counts=(1, 0)) == pytest.approx(max(0.0, 3.0 * first + np.log(0.2 / 0.5)))
+
+
+def test_it_is_said_from_when_to_when():
+    looked = Looked()
+    looked.lost.suspicion = Suspicion(alarm=12, over=40)
+    assert looked.lost.notes() == [
+        f"from frame 12 to 40 {WORDS}: the robot was lost, or maps places anew, and path and map are not to be trusted"
+    ]
+    for alarm in (0, 3):
+        looked.lost.suspicion = Suspicion(alarm=alarm)
+        assert looked.lost.notes()[0].startswith(f"from frame {alarm} on {WORDS}")
+    looked.lost.suspicion = Suspicion(score=6.0)
+    assert looked.lost.notes() == []

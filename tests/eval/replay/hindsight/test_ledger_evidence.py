@@ -1,0 +1,248 @@
+"""What the ledger makes of its looks: surprise, certainty, contradiction, and the sums of what is merged."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from association.evidence import constants
+from association.evidence.landmarks import Visibility
+from association.expectation import Expectation
+from data.inputs import Frame, Increment, Sightings
+from data.result import DISCARD, NEW, Updated
+from data.sensors import RelativePoint
+from eval.replay.hindsight.ledger import Ledger
+
+PLACES = np.array([[5.0, 0.0], [5.0, 4.0], [5.0, -4.0], [3.0, 1.0], [3.0, -1.0]])
+REACH = math.hypot(5.0, 4.0)
+"""m, the farthest that is read; places are as far apart as SAME_PLACE of it."""
+
+
+class Robot:
+    """It sees landmarks where it expects them, from where it is told to be."""
+
+    def __init__(self):
+        self.ledger, self.rows, self.x = Ledger(RelativePoint(max_range=20.0)), 0, np.zeros(3)
+
+    def sees(self, *decisions, missing=(), step=(1.0, 0.0)):
+        """Reads `decisions` at the first places; `missing` stand behind, in view, and are not read."""
+        ledger, chosen, n = self.ledger, np.array(decisions, np.int64), len(decisions)
+        move = np.array([*step, 0.0])[:3] if ledger.frame >= 0 else None
+        self.x = self.x + (0.0 if move is None else move)
+        z, R = PLACES[:n], np.tile(0.01 * np.eye(2), (n, 1, 1))
+        increment = None if move is None else Increment(move, np.zeros((3, 3)))
+        here = Frame(ledger.frame + 1, 0.0, increment, Sightings(z, R), None, self.rows)
+        ledger.move(here)
+        ledger.judge(self.expects(chosen, missing), chosen)
+        created = np.full(n, -1, np.int64)
+        created[chosen == NEW] = ledger.created + np.arange((chosen == NEW).sum())
+        done = Updated(chosen >= 0, created, 0.0, 0, 0.0, np.full((n, 2), math.nan))
+        ledger.see(here, chosen, done, self.x)
+        self.rows += n
+        return self
+
+    @staticmethod
+    def expects(chosen, missing=()):
+        """What is paired where it is read, and what is missing, to the left of all that is."""
+        paired = np.flatnonzero(chosen >= 0)
+        away = np.array([[-2.0 - k, 0.5] for k in range(len(missing))]).reshape(-1, 2)
+        z_hat = np.concatenate([PLACES[paired], away])
+        R = np.tile(0.01 * np.eye(2), (len(chosen), 1, 1))
+        number = np.concatenate([chosen[paired], np.array(missing, np.int64)])
+        return Expectation.from_arrays(
+            PLACES[: len(chosen)], z_hat, 1e-4 * np.eye(2 * len(z_hat)), R, number=number.astype(np.int64)
+        )
+
+
+def known(visibility, **evidence):
+    """One landmark of whom so much is known, among others that say how often landmarks are seen."""
+    robot = Robot().sees(NEW, NEW)
+    ledger = robot.ledger
+    ledger._visibility = visibility
+    one = ledger.records[0]
+    one.evidence = one.evidence._replace(**evidence)
+    return robot
+
+
+def misses(robot, *numbers):
+    """A frame is judged that reads nothing, and should have read these."""
+    nothing = np.empty(0, np.int64)
+    robot.ledger.judge(robot.expects(nothing, numbers), nothing)
+    return robot.ledger
+
+
+OFTEN = Visibility(180, 10, 5, 5)
+"""Seen in 185 of 200 looks."""
+
+
+@pytest.mark.parametrize(
+    ("looks", "missed", "row", "rate"),
+    [
+        (300, 0, 0, 186 / 202),  # its own would be higher
+        (12, 8, 0, 13 / 22),  # its own is lower
+        (12, 9, 1, 13 / 22),  # without the row that is not over
+        (12, 10, 2, 13 / 22),
+    ],
+)
+def test_a_miss_surprises_by_how_much_likelier_it_is_of_a_robot_that_is_elsewhere(looks, missed, row, rate):
+    robot = known(OFTEN, seen=20, looks=looks, missed=missed, row=row)
+    prior = constants.INDEPENDENT_MISSES
+    again = max((5 + prior * (1.0 - rate)) / (10 + prior), 1.0 - rate)
+    here, elsewhere = again if row else 1.0 - rate, 1.0 - constants.ELSEWHERE_SHARE * rate
+    assert misses(robot, 0).surprise() == pytest.approx(math.log(elsewhere / here))
+
+
+def test_surprises_of_all_certain_landmarks_add_up_and_no_other_counts():
+    robot = known(OFTEN, seen=20, looks=300)
+    one = misses(robot, 0).surprise()
+    assert one > 0.0
+    assert misses(robot, 0, 1).surprise() == one, "the other one is not certain"
+    records = robot.ledger.records
+    records[1].evidence = records[0].evidence
+    assert misses(robot, 0, 1).surprise() == pytest.approx(2.0 * one)
+    assert misses(robot).surprise() == 0.0
+
+
+@pytest.mark.parametrize("looks", [constants.ENOUGH_LOOKS - 1, constants.ENOUGH_LOOKS])
+def test_nothing_surprises_before_it_is_known_how_often_landmarks_are_missed(looks):
+    surprise = misses(known(Visibility(seen_seen=looks), seen=20, looks=300), 0).surprise()
+    assert (surprise > 0.0) == (looks == constants.ENOUGH_LOOKS)
+
+
+def test_a_miss_that_is_likelier_here_than_elsewhere_takes_nothing_back():
+    """Who is missed is missed again here, nearly surely; elsewhere something is taken for it now and then."""
+    robot = known(Visibility(50, 50, 0, 1000), seen=20, looks=60, row=3, missed=43)
+    assert misses(robot, 0).surprise() == 0.0
+
+
+@pytest.mark.parametrize(("paired", "judged"), [(1, 0), (2, 0), (3, 1), (4, 1)])
+def test_a_pairing_is_judged_by_two_others_at_least(paired, judged):
+    """Two readings leave one coordinate beside the three of a pose."""
+    robot = Robot().sees(*[NEW] * paired).sees(*range(paired))
+    assert [r.evidence.judged for r in robot.ledger.records.values()] == [judged] * paired
+
+
+@pytest.mark.parametrize(
+    ("step", "elsewhere"), [((0.31, 0.0), False), ((0.0, 0.31), False), ((0.33, 0.0), True), ((-0.24, 0.24), True)]
+)
+def test_a_landmark_is_looked_at_again_only_from_another_place(step, elsewhere):
+    assert pytest.approx(0.3202, abs=1e-3) == constants.SAME_PLACE * REACH
+    robot = Robot().sees(NEW, NEW, NEW).sees(0).sees(0, step=step)
+    one = robot.ledger.records[0]
+    assert one.evidence.seen == 3
+    assert one.evidence.looks == 2 + elsewhere
+    assert len(one.looks) == 1 + elsewhere
+    robot.sees(0, step=(1.0, 0.0)).sees(missing=[0], step=step)
+    assert one.evidence.missed == elsewhere
+
+
+def test_the_second_sighting_is_a_look_wherever_it_is_from():
+    robot = Robot().sees(NEW, NEW, NEW).sees(0, step=(0.0, 0.0)).sees(0, step=(0.0, 0.0))
+    assert bytes(robot.ledger.records[0].looks) == b"\1"
+    assert robot.ledger.records[0].evidence.looks == 1
+
+
+@pytest.mark.parametrize(("bearing", "look"), [(0.5, False), (-0.9, False), (-0.3, True)])
+def test_the_view_read_is_that_of_readings_alone(bearing, look):
+    assert Ledger(RelativePoint()).range == 0.0
+    ledger = Ledger(RelativePoint(max_range=20.0))
+    z, R, nothing = PLACES[[0, 2]], np.tile(0.01 * np.eye(2), (2, 1, 1)), np.empty(0, np.int64)  # at 0 and -0.67 rad
+    none = Updated(np.zeros(2, np.bool_), np.array([0, 1]), 0.0, 0, 0.0, np.empty((2, 2)))
+    ledger.see(Frame(0, 0.0, None, Sightings(z, R), None, 0), np.array([NEW, NEW]), none, np.zeros(3))
+    there = 3.0 * np.array([[math.cos(bearing), math.sin(bearing)]])
+    e = Expectation.from_arrays(np.empty((0, 2)), there, 1e-6 * np.eye(2), np.empty((0, 2, 2)))
+    ledger.judge(e, nothing)
+    empty = Sightings(np.empty((0, 2)), np.empty((0, 2, 2)))
+    done = Updated(nothing >= 0, nothing, 0.0, 0, 0.0, np.empty((0, 2)))
+    ledger.see(Frame(1, 1.0, None, empty, None, 2), nothing, done, np.array([9.0, 0.0, 0.0]))
+    assert ledger.records[0].evidence.missed == 1
+    assert bytes(ledger.records[0].looks) == b"\0" * look
+
+
+def test_certain_landmarks_tell_how_often_landmarks_in_view_are_seen():
+    robot = Robot().sees(NEW, NEW, NEW)
+    for _ in range(6):
+        robot.sees(0)
+    seen = robot.ledger._visibility
+    assert seen == Visibility(seen_seen=seen.seen_seen)
+    assert 2 <= seen.seen_seen <= 5, "not before it is certain"
+    robot.sees(missing=[0]).sees(missing=[0]).sees(0).sees(0)
+    assert robot.ledger._visibility == Visibility(seen.seen_seen + 1, 1, 1, 1)
+    before = robot.ledger._visibility
+    robot.sees(1, missing=[2])
+    assert robot.ledger._visibility == before, "those that are not certain tell nothing"
+
+
+def test_rates_are_common_once_a_landmark_is_certain_and_its_own_before():
+    robot = known(OFTEN, seen=20, looks=30, missed=30)
+    records = robot.ledger.records
+    records[1].evidence = records[1].evidence._replace(seen=2, looks=2, missed=1)
+    assert robot.ledger.rates(np.array([1, 0])) == pytest.approx([3 / 5, OFTEN.rate])
+    assert robot.ledger.certain().tolist() == [0]
+
+
+def test_what_is_missed_too_often_is_taken_back_once_and_only_when_it_was_looked_at():
+    robot = Robot().sees(NEW, NEW, NEW)
+    robot.ledger._visibility = Visibility(seen_seen=98)  # 99 %
+    ledger = robot.sees(0, 1, missing=[2]).ledger
+    assert ledger.contradicted().tolist() == []
+    ledger = robot.sees(0, 1, missing=[2]).ledger
+    ledger._touched.discard(2)
+    assert ledger.contradicted().tolist() == [], "nothing new was learned of it"
+    assert robot.sees(0, 1, missing=[2]).ledger.contradicted().tolist() == [2]
+    assert [(e.frame, e.observation, e.old, e.new, e.why) for e in ledger.events] == [(3, 2, NEW, DISCARD, "missed")]
+    assert ledger.contradicted().tolist() == []
+
+
+def test_what_is_merged_adds_up():
+    robot = Robot().sees(NEW, NEW, NEW).sees(NEW, NEW)
+    ledger = robot.sees(0, 3, missing=[1, 4]).sees(1, 0).ledger
+    kept, away = ledger.records[0], ledger.records[3]
+    kept.evidence = kept.evidence._replace(seen=5, looks=4, missed=3, row=2, judged=2, squares=7.0)
+    away.evidence = away.evidence._replace(seen=20, looks=10, missed=6, row=1, judged=1, squares=1.0)
+    from_where = away.looked_from
+    ledger.merge([(3, 0)])
+    e = ledger.records[0].evidence
+    assert (e.seen, e.looks, e.missed, e.row, e.judged, e.squares) == (25, 14, 9, 0, 2, 7.0)
+    assert (kept.first, kept.last, kept.times) == (0.0, 3.0, 3 + 2)
+    assert kept.looked_from == from_where
+    assert kept.covisible == {1, 2, 4}
+    assert ledger.records[4].covisible == {0}
+
+
+def test_the_way_is_as_long_as_its_steps():
+    assert Robot().sees(NEW).sees(0, step=(3.0, 4.0, 2.0)).sees(0, step=(-1.0, 0.0)).ledger.travelled == pytest.approx(
+        6.0
+    )
+
+
+def test_the_ledgers_notes_count_what_was_undone_and_what_was_made_instead():
+    ledger = Robot().sees(NEW, NEW).sees(0, 1).sees(NEW).sees(2).ledger
+    assert ledger.notes() == ledger.merge_notes() == []
+    ledger.merge([(2, 0)])
+    assert ledger.notes() == ["1 pairing was undone in hindsight, 2 made instead"]
+    assert ledger.merge_notes() == ["1 landmark turned out to have been initialized before (first in frame 3)"]
+    ledger._retract({1: "moved"})
+    assert ledger.notes() == ["2 pairings were undone in hindsight, 2 made instead"]
+
+
+def replacing(ledger, decisions, missing):
+    chosen = np.array(decisions, np.int64)
+    known = np.where(np.isin(chosen, list(ledger.records)), chosen, DISCARD)
+    ledger.judge(Robot.expects(known, missing), known)
+    return ledger.replaced(chosen)
+
+
+def test_only_what_came_after_the_missed_one_was_seen_last_replaces_it():
+    robot = Robot().sees(NEW, NEW)
+    for _ in range(4):
+        robot.sees(0, 1)
+    ledger = robot.sees(0, DISCARD, NEW).sees(DISCARD, DISCARD, 2).ledger
+    # 1 was seen last a frame before 2 was initialized, 0 in that frame
+    assert replacing(ledger, [2], [0, 1]) == (0, 1)
+    assert replacing(ledger, [2, 0], [1]) == (1, 1), "the newest of them counts"
+    assert replacing(ledger, [99, 2], [0, 1]) == (0, 1), "what is not in the map any more was not paired"
+    assert replacing(ledger, [NEW], [0, 1]) == (0, 2)
+    assert replacing(ledger, [NEW, 1], [0, 2]) == (1, 1), "of the missed only those that are certain"

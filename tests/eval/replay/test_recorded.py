@@ -1,0 +1,107 @@
+"""What is written down of a run frame by frame, in parts where a frame comes in parts."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from data.inputs import Frame, Sightings, Systematic
+from data.result import CHI_SQUARE, DISCARD, NEW, Event, Finished, MapState, Updated
+from eval.replay.recorder import Recorder
+
+NOTHING = Finished(None, None)
+
+
+def part(number, first, count):
+    seen = Sightings(np.zeros((count, 2)), np.tile(np.eye(2), (count, 1, 1)))
+    return Frame(number, float(number), None, seen, None, first)
+
+
+def front(**changed):
+    """Of a filter without systematic errors that nothing was revised in."""
+    estimator = SimpleNamespace(smooths=False, errors=None, estimate=lambda: (np.arange(3.0), 2.0 * np.eye(3)))
+    given = {"k": 1, "estimator": estimator, "state_size": 7, "map_management": None, "association": "jcbb"}
+    return SimpleNamespace(**{**given, "events": lambda: (), "notes": list, **changed})
+
+
+def ran(recorder, front, finished=NOTHING, failure=None):
+    return recorder.run("ekf", "slam", front, finished, failure, 1.5)
+
+
+def updated(used, created, nis, dof, likelihood, moments=None):
+    n = len(used)
+    white = np.arange(2.0 * n).reshape(n, 2)
+    return Updated(np.array(used), np.array(created), nis, dof, likelihood, white)._replace(moments=moments)
+
+
+@pytest.fixture
+def recorder():
+    found = Recorder(3, 6)
+    found.update(part(0, 0, 2), np.array([NEW, NEW]), updated([False] * 2, [0, 1], np.nan, 0, np.nan))
+    found.update(part(1, 2, 2), np.array([0, 1]), updated([True, False], [-1, -1], 3.0, 2, -1.0))
+    found.update(part(1, 4, 1), np.array([NEW]), updated([False], [2], np.nan, 0, np.nan))
+    found.update(part(1, 5, 1), np.array([1]), updated([True], [-1], 4.0, 2, -2.5, (1.5, 2.0)))
+    return found
+
+
+def test_parts_of_a_frame_add_up(recorder):
+    run = ran(recorder, front())
+    assert run.decisions.tolist() == [NEW, NEW, 0, DISCARD, NEW, 1], "a pairing that was not used is none"
+    assert run.created.tolist() == [0, 1, -1, -1, 2, -1]
+    i = run.innovations
+    assert i.nis == pytest.approx([np.nan, 7.0, np.nan], nan_ok=True)
+    assert i.dof.tolist() == [0, 4, 0]
+    assert i.log_likelihood == pytest.approx([np.nan, -3.5, np.nan], nan_ok=True)
+    assert i.white[2:4].tolist() == [[0.0, 1.0], [2.0, 3.0]]
+    assert run.total_nis == (7.0, 4)
+    assert run.gated == pytest.approx(((2 + 1.5) / 4, (4 + 2.0) / 4))
+    assert run.seconds == 1.5
+
+
+def test_an_estimate_is_that_of_its_frame(recorder):
+    recorder.estimate(front())
+    run = ran(recorder, front())
+    assert run.online.pose[1].tolist() == [0.0, 1.0, 2.0]
+    assert run.online.covariance[1].tolist() == (2.0 * np.eye(3)).tolist()
+    assert np.isnan(run.online.pose[[0, 2]]).all()
+    assert run.state_size.tolist() == [0, 7, 0]
+    assert run.errors_online is None
+
+
+def test_a_smoothers_sum_is_its_own_and_a_filter_that_failed_has_none(recorder):
+    smoother = front(estimator=SimpleNamespace(smooths=True))
+    run = ran(recorder, smoother, Finished(None, None, (9.0, 8)))
+    assert (run.total_nis, run.state_size) == ((9.0, 8), None)
+    assert ran(recorder, front(), NOTHING, SimpleNamespace(status="diverged")).total_nis is None
+
+
+def test_without_any_pairing_there_are_no_innovations():
+    run = ran(Recorder(2, 2), front())
+    assert (run.innovations, run.total_nis, run.gated) == (None, None, CHI_SQUARE)
+    assert run.decisions.tolist() == [DISCARD, DISCARD]
+
+
+def test_systematic_errors_are_those_of_a_frame_and_their_sigmas():
+    recorder = Recorder(2, 0, Systematic(("scale", "left"), np.array([0.1, 0.1]), 1.0))
+    assert ran(recorder, front()).errors_online is None, "they are not known yet"
+    knows = SimpleNamespace(**{**vars(front().estimator), "errors": (np.array([0.5, -1.0]), np.diag([4.0, 0.25]))})
+    recorder.estimate(front(estimator=knows))
+    found = ran(recorder, front()).errors_online
+    assert found.names == ("scale", "left")
+    assert found.mean[1].tolist() == [0.5, -1.0]
+    assert found.sigma[1].tolist() == [2.0, 0.5]
+    assert np.isnan(found.mean[0]).all()
+
+
+def test_what_was_retracted_or_revised_counts_in_the_end_and_in_the_map(recorder):
+    management = SimpleNamespace(retracted={0}, removal_frames=lambda count: np.full(count, 5))
+    events = (Event(2, 5, 1, 2, "moved"),)
+    state = MapState(np.array([1, 2]), np.zeros((2, 2)), np.zeros((2, 2, 2)))
+    run = ran(recorder, front(map_management=management, events=lambda: events), Finished(None, state))
+    assert run.decisions.tolist() == [NEW, NEW, 0, DISCARD, NEW, 1]
+    assert run.final_decisions.tolist() == [DISCARD, NEW, DISCARD, DISCARD, NEW, 2]
+    assert run.removed.tolist() == [5, 5, 5]
+    assert run.events == events
+    assert (run.map.first_frame.tolist(), run.map.times_seen.tolist()) == ([0, 1], [1, 2])
