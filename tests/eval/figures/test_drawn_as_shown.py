@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.colors import to_hex, to_rgba
 from matplotlib.lines import Line2D
@@ -26,6 +27,10 @@ SURE = replace(FINAL, final=Trajectory(FINAL.final.pose, 0.25 * FINAL.final.cova
 WITH_INNOVATIONS = replace(
     ONLINE, innovations=Innovations(np.full(FRAMES, 4.0), np.full(FRAMES, 4), np.zeros(FRAMES), np.zeros((4, 2)))
 )
+OUTLIERS = pd.DataFrame([
+    {"task": "slam", "estimator": "ekf", "rate": r, "rmse_position_m": 1.0, "rmse_lower": 0.9, "rmse_upper": 1.1,
+     "nees_pose": 3.0, "nees_lower": 2.5, "nees_upper": 3.5} for r in (0.0, 0.1)
+])  # fmt: skip
 REFERENCE = {"#505050", "#909090"}
 """Colours of lines at a value that is expected."""
 
@@ -53,6 +58,9 @@ FIGURES = {
         [Seen("scale", ("1 %", "2 %"), (10.0, 90.0), (3.0, 3.0), (5.0, 60.0))], ("A", "B"), 5.0, "Power"
     ),
     "log": lambda: log_figure(circle_log()),
+    "run end": lambda: figures.run_end_figure({"ekf": np.linspace(0.1, 9.0, 30)}, 3, "circle"),
+    "coverage": lambda: figures.coverage_figure({"ekf": np.linspace(0.1, 9.0, 30)}, 3, "circle"),
+    "outliers": lambda: figures.outlier_figure(OUTLIERS, "arena"),
     "loops": loops,
 }
 
@@ -81,7 +89,8 @@ def test_a_line_in_the_legend_is_about_as_thick_as_the_one_it_stands_for(kind):
     fig = drawn_once(kind)
     drawn = drawn_in(fig)
     for shown in legend_of(fig):
-        twins = [d for d in drawn if to_rgba(d.get_color()) == to_rgba(shown.get_color()) and is_line(d)]
+        twins = [d for d in drawn if to_rgba(d.get_color()) == to_rgba(shown.get_color())]
+        twins = [d for d in twins if d.get_linestyle() == shown.get_linestyle()]
         if is_line(shown) and twins:
             assert min(abs(np.log(d.get_linewidth() / shown.get_linewidth())) for d in twins) < np.log(1.45), shown
 
@@ -192,3 +201,47 @@ def test_the_axis_of_errors_holds_the_bound_with_a_tenth_of_room():
     axes = drawn_once("error").axes[::2]
     heights = [ax.get_ylim()[1] for ax in axes]
     assert heights == pytest.approx(1.1 * 3.0 * np.array([*SIGMA[:2], np.degrees(SIGMA[2])]))
+
+
+def test_bars_of_run_ends_let_the_density_over_them_be_seen():
+    (ax,) = (ax for ax in drawn_once("run end").axes if ax.get_visible())
+    bars = [p for p in ax.patches if p.get_alpha() is not None]
+    beyond = [p for p in ax.patches if p.get_alpha() is None]
+    assert len(bars) > 5
+    assert all(0.4 <= p.get_alpha() <= 0.7 and p.get_linewidth() == 0.0 for p in bars)
+    # the last bar stands apart from the others, and all of it is shown
+    (last,) = beyond
+    width = bars[0].get_width()
+    assert last.get_x() > bars[-1].get_x() + width
+    assert last.get_x() + last.get_width() < ax.get_xlim()[1] < last.get_x() + 2.0 * last.get_width()
+    number = next(t for t in ax.texts if t.get_ha() == "center")
+    assert number.get_position()[0] == pytest.approx(last.get_x() + 0.5 * last.get_width(), abs=0.01 * width)
+    corner = next(t for t in ax.texts if t.get_ha() == "right")
+    assert (corner.get_text(), corner.get_position()) == ("30 runs", (0.97, 0.95))
+
+
+def test_bars_of_coverage_stand_inside_the_level_that_they_are_of():
+    fig = drawn_once("coverage")
+    ax = fig.axes[0]
+    (levels,) = (c for c in ax.collections if len(c.get_segments()) > 3 and c.get_zorder() < 2)
+    for k, ((a, y), (b, _)) in enumerate(levels.get_segments()):
+        assert (0.5 * (a + b), b - a) == (pytest.approx(k), pytest.approx(0.84))
+        assert f"{y:g}" == ax.get_xticklabels()[k].get_text()
+    between = [x.get_xdata()[0] for x in ax.lines if to_hex(x.get_color()).upper() == "#E4E4E4"]
+    assert between == pytest.approx(0.5 + np.arange(len(levels.get_segments()) - 1))
+    assert ax.get_xlim() == (-0.5, len(between) + 0.5)
+    assert ax.get_ylim()[1] == 102.0
+    shown = next(h for h in fig.legends[0].legend_handles if h.get_linestyle() == "-")
+    assert shown.get_linewidth() == levels.get_linewidth()[0]
+
+
+def test_a_power_figure_shows_all_of_a_share_with_room_at_either_end():
+    ax = drawn_once("power").axes[0]
+    assert ax.get_ylim() == (-6.0, 106.0)
+    assert ax.get_xlim() == pytest.approx((-0.4, 1.4))
+    level, *_, other = ax.lines
+    assert level.get_zorder() < other.get_zorder()
+    assert level.get_ydata()[0] == 5.0
+    bars = [c for c in ax.collections if hasattr(c, "get_segments")]
+    assert [c.get_segments()[0][:, 1].tolist() for c in bars] == [[7.0, 13.0]]
+    assert bars[0].get_linewidth()[0] < 1.2
