@@ -241,6 +241,7 @@ def test_a_power_figure_shows_all_of_a_share_with_room_at_either_end():
     assert ax.get_xlim() == pytest.approx((-0.4, 1.4))
     level, *_, other = ax.lines
     assert level.get_zorder() < other.get_zorder()
+    assert level.get_linewidth() < other.get_linewidth()
     assert level.get_ydata()[0] == 5.0
     bars = [c for c in ax.collections if hasattr(c, "get_segments")]
     assert [c.get_segments()[0][:, 1].tolist() for c in bars] == [[7.0, 13.0]]
