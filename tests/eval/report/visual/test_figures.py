@@ -96,6 +96,7 @@ def test_one_frame_is_a_column_wide_and_more_share_the_page_in_even_rows(count, 
     assert fig.get_figwidth() == pytest.approx(inches, abs=0.2)
     lefts = {round(ax.get_position().x0, 4) for ax in fig.axes}
     assert len(lefts) == columns
+    assert max(ax.get_position().x1 for ax in fig.axes) == pytest.approx(1.0 - min(lefts), abs=1e-3), "margins alike"
     assert sum(ax.get_position().y0 == fig.axes[0].get_position().y0 for ax in fig.axes) == columns
     # names are below their frames, in order
     for ax, text in zip(fig.axes, fig.texts[1:], strict=True):
