@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import csv
+import json
+from types import SimpleNamespace
 
 import pytest
 
-from eval.benchmarks.large import BARE, LOG, Measured, line_of, measure, slope, write
+from eval.benchmarks.large import BARE, LOG, Measured, line_of, measure, measure_all, slope, write
 from eval.benchmarks.large_figure import scaling_figure
 from eval.figures.style import save
 
@@ -36,3 +38,18 @@ def test_measurements_are_written_and_drawn(tmp_path):
     with (tmp_path / "large.csv").open() as file:
         assert [row["frames"] for row in csv.DictReader(file)] == ["1000", "10000", "100000"] * 2
     assert [p.name for p in save(scaling_figure(found), tmp_path, "large", ("png",))] == ["large.png"]
+
+
+def test_each_estimator_is_measured_in_a_process_of_its_own_the_small_logs_first(monkeypatch):
+    asked = []
+
+    def run(command, **how):
+        asked.append(command[-2:])
+        m = Measured(command[-2], 5, 1, 2, 0.1, 0.2, 0.1, 90.0, 80.0, 0.5, "ok")
+        return SimpleNamespace(stdout=f"words before\n{json.dumps(m)}\n")
+
+    monkeypatch.setattr("eval.benchmarks.large.subprocess.run", run)
+    found = list(measure_all((10, 20), ("ekf", "batch")))
+    assert [m.estimator for m in found] == ["ekf", "batch"] * 2
+    assert all((m.status, m.peak_mb) == ("ok", 90.0) for m in found)
+    assert asked == [[e, LOG.format(n)] for n in (10, 20) for e in ("ekf", "batch")]

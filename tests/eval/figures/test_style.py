@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from eval.figures import style
 from eval.figures.style import STYLES, TRUTH_COLOUR, save, series, style_of
 from tests.eval.figures.looks import SEEN_BY, lab, pictures
 from tests.eval.handmade import run_with_error
@@ -91,3 +92,12 @@ def test_a_format_that_may_carry_a_date_is_refused_before_anything_is_written(tm
     with pytest.raises(ValueError, match="figure format 'svg'; known: pdf, png"):
         save(Figure(), tmp_path, "map", formats=("png", "svg"))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_every_line_pattern_begins_with_a_dash_and_is_shown_twice_at_least_by_the_longest_handle():
+    patterns = [s.line for s in style.STYLES.values() if s.line != style.SOLID]
+    assert len(set(patterns)) > 4
+    for offset, pattern in patterns:
+        assert offset == 0
+        assert len(pattern) % 2 == 0
+        assert 2.0 * 0.9 * sum(pattern) <= 7.0 * style.LONG_HANDLE

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from eval.referee.confusion import OUTCOMES
-from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES, heads, metric
+from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES, heads, is_share, metric
 from eval.referee.score import ASSOCIATION, COUNTED, METRICS, frame_of
 from eval.report.comparison import COMPARISON
 from eval.report.tutorials.table import COUNTS, HEADS
@@ -74,3 +74,7 @@ def test_a_metric_is_called_the_same_wherever_it_is_shown():
 def test_a_row_with_a_column_that_is_none_is_a_mistake():
     with pytest.raises(AssertionError, match="rmse_postion_m"):
         frame_of([{"rmse_postion_m": 0.1}], METRICS)
+
+
+def test_only_shares_are_shown_in_percent_and_a_column_that_is_no_metric_is_none():
+    assert [is_share(c) for c in ("precision", "recall", "tp", "nees_pose", "log", "")] == [True, True, *[False] * 4]

@@ -8,13 +8,13 @@ from PIL import Image
 
 from data.result import DISCARD, NEW, Event
 from data.worlds.registry import named_log
-from eval.figures.revision import revision_figure
+from eval.figures.revision import AFTER, BEFORE, Example, revision_figure
 from eval.figures.style import save
 from eval.referee.score import Trial
 from eval.replay.hindsight.ledger import MERGED
 from eval.replay.run import compare
 from eval.report.revisions import example, revising, tally
-from tests.eval.handmade import run_with_error
+from tests.eval.handmade import LANDMARKS, circle_log, run_with_error, true_path
 
 
 def revising_run(*events):
@@ -83,3 +83,64 @@ def test_the_figure_shows_both_maps_with_one_scale(people, tmp_path):
     paths = save(figure, tmp_path, "revision", ("png",))
     with Image.open(paths[0]) as picture:
         assert picture.size[0] == 1400
+
+
+def merged_example():
+    """Landmark 7 was made twice and is 2 in the end; row 0 had seen 2 all the time."""
+    run = replace(
+        run_with_error(np.zeros(3)), decisions=np.array([2, 7, 7, DISCARD]), created=np.full(4, -1),
+    )  # fmt: skip
+    return run, Example(3, MERGED, np.array([1, 2]), np.array([7, 7]), np.array([2, 2]))
+
+
+def marks(ax, marker):
+    return [line for line in ax.lines if line.get_marker() == marker]
+
+
+def test_sightings_of_merged_landmarks_lead_to_their_middle_at_first_and_to_the_one_that_stays_in_the_end():
+    run, one = merged_example()
+    log = circle_log()
+    left, right = revision_figure(log, run, one).axes
+    seen = LANDMARKS.xy[0]  # paths and readings are without error
+    for ax, colour, number in ((left, BEFORE, "7"), (right, AFTER, "2")):
+        (dots,) = marks(ax, ".")
+        assert dots.get_xydata() == pytest.approx(np.tile(seen, (2, 1)))
+        assert (dots.get_color(), dots.get_markersize()) == (colour, 4)
+        lines = [x for x in ax.lines if x.get_color() == colour and len(x.get_xdata()) == 2 and x is not dots]
+        assert len(lines) == 2
+        assert all(0.3 < x.get_linewidth() < 0.7 and x.get_zorder() < dots.get_zorder() for x in lines)
+        assert [t.get_text() for t in ax.texts] == [number]
+        assert 6.0 <= ax.texts[0].get_fontsize() <= 7.0
+    assert [ax.get_title() for ax in (left, right)] == ["as decided before frame 3", "in the end"]
+    # all that is of interest is one point: 2.5 m to each side of it are shown
+    assert left.get_xlim() == pytest.approx((seen[0] - 2.5, seen[0] + 2.5))
+    assert left.get_ylim() == pytest.approx((seen[1] - 2.5, seen[1] + 2.5))
+
+
+def test_landmarks_are_those_of_the_given_map_or_else_of_the_final_one_or_none():
+    run, one = merged_example()
+
+    def labels(log, run):
+        ax = revision_figure(log, run, one).axes[0]
+        return {t.get_label() for t in ax.lines if "landmark of the" in str(t.get_label())}
+
+    assert labels(circle_log(known_map=True), replace(run, task="localization")) == {"landmark of the map"}
+    assert labels(circle_log(known_map=True), run) == {"landmark of the final map"}
+    assert labels(circle_log(landmarks=False), run) == {"landmark of the final map"}
+    assert labels(circle_log(landmarks=False), replace(run, map=None)) == set()
+
+
+def test_sightings_that_are_used_no_more_are_joined_with_where_they_were_made():
+    run, one = merged_example()
+    gone = replace(one, new=np.full(2, DISCARD))
+    left, right = revision_figure(circle_log(), run, gone).axes
+    for ax in (left, right):
+        (places,) = marks(ax, "^")
+        assert places.get_xydata() == pytest.approx(true_path()[[1, 2, 3], :2])
+        assert {t.get_text() for t in ax.texts if "frame" in t.get_text()} == {"frame 1", "frame 2", "frame 3"}
+        beams = [x for x in ax.lines if len(x.get_xdata()) == 2 and 0.3 < x.get_linewidth() < 0.5]
+        assert len(beams) == 2
+    (crosses,) = marks(right, "x")
+    assert len(crosses.get_xdata()) == 2
+    assert not marks(right, ".")
+    assert not marks(left, "x")

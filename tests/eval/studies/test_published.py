@@ -62,7 +62,8 @@ def test_rows_hold_ours_beside_theirs_for_estimators_that_ran(study):
     assert rows[0]["difference_in_se"] == pytest.approx(6.0 / math.hypot(2.0 / math.sqrt(3), 0.5))
     assert rows[1]["ours"] == pytest.approx(math.sqrt(0.5))
     assert list(published_frame(rows).columns)[:4] == ["scenario", "estimator", "quantity", "ours"]
-    assert lines(rows)[1].split()[:3] == ["ocekf", "ekf", "nees_pose"]
+    assert lines(rows)[1].split() == ["ocekf", "ekf", "nees_pose", "8", "±", "1.2", "2", "±", "0.5", "+4.77"]
+    assert lines([]) == []
 
 
 def test_runs_that_diverged_are_in_no_average_and_orderings_are_told(study):
@@ -70,3 +71,14 @@ def test_runs_that_diverged_are_in_no_average_and_orderings_are_told(study):
     (sentence,) = orderings(study)
     assert "holds." in sentence
     assert "4.5" in sentence
+
+
+def test_an_ordering_that_does_not_hold_is_said_not_to_and_one_of_estimators_that_did_not_run_is_left_out(study):
+    (first, *_) = study.scenario.published.orderings
+    published = study.scenario.published
+    turned = replace(first, smaller=first.larger, larger=first.smaller)
+    absent = replace(first, smaller="batch")
+    other = replace(study, scenario=replace(study.scenario, published=replace(published, orderings=(turned, absent))))
+    (sentence,) = orderings(other)
+    assert sentence.endswith("does not hold.")
+    assert orderings(replace(study, scenario=replace(study.scenario, published=None))) == []

@@ -10,6 +10,7 @@ import pytest
 from scipy.sparse.csgraph import connected_components
 
 from data.inputs import Scanner
+from data.worlds.floorplan.building import _layout
 from data.worlds.floorplan.drive import drive
 from data.worlds.floorplan.raycast import scan_ranges
 from data.worlds.floorplan.world import plan_of
@@ -61,3 +62,18 @@ def test_speed_and_turn_rate_are_kept_and_the_path_has_no_jump():
     chord = np.arctan2(*np.diff(path[:, :2], axis=0)[:, ::-1].T)
     middle = 0.5 * (np.unwrap(path[:, 2])[1:] + np.unwrap(path[:, 2])[:-1])
     assert np.abs(np.sin(chord - middle))[moved].max() < 0.015
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_every_place_inside_is_in_one_room_or_in_a_corridor(seed):
+    corridors, rooms = _layout(np.random.default_rng(seed))
+    every = np.array([*corridors, *rooms])
+    size = every[:, 2:].max(axis=0)
+    assert every[:, :2].min(axis=0).tolist() == [0.0, 0.0]
+    assert ((size >= 25.0) & (size <= 30.0)).all()
+    for x, y in np.random.default_rng(seed).uniform(0.0, 1.0, (400, 2)) * size:
+        in_corridors = sum(r.holds(x, y) for r in corridors)
+        in_rooms = sum(r.holds(x, y) for r in rooms)
+        assert (in_rooms == 0) if in_corridors else (in_rooms == 1), (x, y)
+    narrow = [min(r.x1 - r.x0, r.y1 - r.y0) for r in corridors]
+    assert 1.8 <= min(narrow) <= max(narrow) <= 2.4

@@ -96,6 +96,14 @@ def test_reading_the_command_again_gives_the_same_options(data):
     assert again(options) == options
 
 
+@pytest.mark.parametrize("name", ["log", "data", "scenario", "cov", "times", "cov_frame", "result"])
+def test_what_there_may_be_several_of_is_given_once_for_each(name):
+    option = TABLE[name].option
+    options = read_options([option, "a=a", option, "b=b"])
+    assert getattr(options, name) == ("a=a", "b=b")
+    assert again(options) == options
+
+
 def test_a_value_with_spaces_or_a_dash_in_front_is_quoted():
     options = read_options(["--log", "my log's", "--log=-odd"])
     assert shlex.split(command_of(options))[3:5] == ["--log", "my log's"]

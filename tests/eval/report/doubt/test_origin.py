@@ -72,3 +72,15 @@ def test_a_frame_without_observations_says_so():
     run = run_with_error(np.zeros(3), estimator="isam2", phases=("online", "final"))
     run = replace(run, online=run_with_error(off).online, doubt=DOUBT)
     assert told(run).endswith("no observation of that frame was used")
+
+
+def test_of_innovations_and_difference_the_earlier_one_is_where_it_began():
+    off = np.zeros((FRAMES, 3))
+    off[3:, 0] = 1.5
+    both = run_with_error(np.zeros(3), phases=("online", "final"))
+    for frame, began in ((2, "NIS per degree"), (3, "NIS per degree")):
+        run = replace(innovative(frame), online=run_with_error(off).online, final=both.final)
+        assert told(run).startswith(f"it probably began in frame {frame}, where {began}")
+    off[1:, 0] = 1.5
+    run = replace(innovative(2), online=run_with_error(off).online, final=both.final)
+    assert told(run).startswith("it probably began in frame 1, where the pose of ekf online is 15.0 of its sigmas")

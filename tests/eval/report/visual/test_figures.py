@@ -86,3 +86,38 @@ def test_a_sheet_of_any_size_keeps_images_and_words_apart_and_on_the_page(count)
 def test_a_sheet_of_too_few_or_too_many_frames_is_refused(count):
     with pytest.raises(ValueError, match=f"{count} frames"):
         contact_sheet([Tile("a", GREY, [], [])] * count, "Sheet")
+
+
+@pytest.mark.parametrize(
+    ("count", "columns", "inches"), [(1, 1, 3.4), (2, 2, 7.1), (3, 3, 7.1), (4, 2, 7.1), (5, 3, 7.1), (12, 3, 7.1)]
+)
+def test_one_frame_is_a_column_wide_and_more_share_the_page_in_even_rows(count, columns, inches):
+    fig = contact_sheet([Tile(f"frame {k}", GREY, [], []) for k in range(count)], "Sheet")
+    assert fig.get_figwidth() == pytest.approx(inches, abs=0.2)
+    lefts = {round(ax.get_position().x0, 4) for ax in fig.axes}
+    assert len(lefts) == columns
+    assert max(ax.get_position().x1 for ax in fig.axes) == pytest.approx(1.0 - min(lefts), abs=1e-3), "margins alike"
+    assert sum(ax.get_position().y0 == fig.axes[0].get_position().y0 for ax in fig.axes) == columns
+    # names are below their frames, in order
+    for ax, text in zip(fig.axes, fig.texts[1:], strict=True):
+        box = ax.get_position()
+        assert text.get_position()[0] == pytest.approx(box.x0)
+        assert 0.0 < box.y0 - text.get_position()[1] < 0.25 / fig.get_figheight()
+
+
+def test_what_lies_on_a_frame_is_small_and_what_hangs_on_a_wall_is_thick_with_its_number_above_it():
+    fig = contact_sheet([Tile("frame 7", GREY, [found_at(3)], [])], "Sheet")
+    outline, corners = fig.axes[0].lines
+    assert 0.8 <= outline.get_linewidth() <= 1.5
+    assert 2.0 <= corners.get_markersize() <= 4.0
+    assert corners.get_markeredgewidth() < outline.get_linewidth()
+    assert all(6.0 <= t.get_fontsize() <= 8.0 for t in [*fig.texts, *fig.axes[0].texts])
+    assert fig.axes[0].get_xlim() == (-0.5, 119.5)
+    assert fig.axes[0].get_ylim() == (89.5, -0.5)
+    plan = plan_figure(circle_log(known_map=True), [run_with_error(np.zeros(3), mapped=False)], CORNERS)
+    ax = plan.axes[0]
+    walls = [line for line in ax.lines if line.get_linewidth() > 3]
+    assert all(w.get_linewidth() < 4.0 and w.get_color() == "black" for w in walls)
+    paths = [line for line in ax.lines if line not in walls and line.get_label() != "start"]
+    assert max(p.get_zorder() for p in paths) < walls[0].get_zorder() < ax.texts[0].get_zorder()
+    assert all(6.0 <= t.get_fontsize() <= 7.0 for t in ax.texts)

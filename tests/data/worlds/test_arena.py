@@ -1,0 +1,130 @@
+"""The arena: a swinging loop among landmarks in a square, readings with the noise they state, clutter by area."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from data.errors import UsageError
+from data.inputs import CLUTTER
+from data.se2 import between, pose_error, wrap_angle
+from data.worlds.arena import Arena, simulate
+
+MANY = Arena(landmarks=400, side=40.0, frames=1000, clutter=2.0, detection=0.8)
+
+
+@pytest.fixture(scope="module", params=["range_bearing", "relative_point"])
+def made(request):
+    arena = Arena(**{f.name: getattr(MANY, f.name) for f in fields(Arena)} | {"sensor": request.param})
+    return arena, simulate(arena, 5)
+
+
+@pytest.fixture(scope="module")
+def log(made):
+    return made[1]
+
+
+def test_the_robot_starts_at_the_origin_heading_east_and_its_turn_rate_swings_about_that_of_the_loop(log):
+    p, time = log.truth.pose, log.recorded.time
+    assert p[0].tolist() == [0.0, 0.0, 0.0]
+    np.testing.assert_allclose(time, 0.5 * np.arange(1000))
+    turn = wrap_angle(np.diff(p[:, 2])) / 0.5
+    expected = MANY.speed / MANY.radius + MANY.swing * np.sin(2.0 * np.pi * (time[:-1] + 0.25) / 15.0)
+    np.testing.assert_allclose(turn, expected, atol=0.01)
+    step = between(p[:-1], p[1:])
+    # chords of an arc of half a metre
+    way = np.hypot(step[:, 0], step[:, 1]) * (0.5 * turn * 0.5) / np.sin(0.5 * turn * 0.5)
+    np.testing.assert_allclose(way, 0.5, atol=2e-3)
+
+
+def test_landmarks_are_uniform_in_the_square_about_the_middle_of_the_loop(log):
+    xy = log.truth.landmarks.xy - [0.0, MANY.radius]
+    assert len(xy) == 400
+    assert np.abs(xy).max() <= 20.0
+    assert np.abs(xy).max() > 19.0
+    np.testing.assert_allclose(xy.mean(axis=0), 0.0, atol=4.0 * 40.0 / math.sqrt(12 * 400))
+
+
+def test_odometry_has_the_noise_that_it_states(log):
+    u, p = log.recorded.increments, log.truth.pose
+    off = pose_error(u.mean[1:], between(p[:-1], p[1:]))
+    # densities, over half a second: sigma sqrt(0.5)
+    assert off[:, 0].std() == pytest.approx(MANY.sigma_v * math.sqrt(0.5), rel=0.1)
+    assert off[:, 2].std() == pytest.approx(MANY.sigma_omega * math.sqrt(0.5), rel=0.1)
+    assert np.sqrt(u.covariance[5, [0, 2], [0, 2]]) == pytest.approx(
+        [MANY.sigma_v * math.sqrt(0.5), MANY.sigma_omega * math.sqrt(0.5)], rel=0.05
+    )
+    assert np.linalg.eigvalsh(u.covariance[1:]).min() >= 0.999e-10
+
+
+def test_readings_have_the_noise_that_they_state(made):
+    arena, log = made
+    o, who = log.recorded.observations, log.truth.landmark_of
+    own = np.flatnonzero(who >= 0)
+    sensor = log.recorded.sensor
+    nu = sensor.residual(o.z[own], sensor.predict(log.truth.pose[o.frame[own]], log.truth.landmarks.xy[who[own]]))
+    sigma = (0.1, 0.02) if arena.sensor == "range_bearing" else (0.1, 0.1)
+    np.testing.assert_allclose(nu.std(axis=0), sigma, rtol=0.06)
+    np.testing.assert_allclose(np.sqrt(np.einsum("nii->ni", o.R)), np.tile(sigma, (len(o.R), 1)))
+
+
+def test_what_is_in_view_is_read_as_often_as_detected_and_nothing_nearer_or_farther(log):
+    o, who, p = log.recorded.observations, log.truth.landmark_of, log.truth.pose
+    away = np.linalg.norm(log.truth.landmarks.xy[None] - p[:, None, :2], axis=2)
+    there = (away >= MANY.min_range) & (away <= MANY.max_range)
+    own = who >= 0
+    assert there[o.frame[own], who[own]].all()
+    assert own.sum() / there.sum() == pytest.approx(0.8, abs=0.02)
+    assert len({*zip(o.frame[own].tolist(), who[own].tolist(), strict=True)}) == own.sum()
+
+
+def test_clutter_comes_at_its_rate_evenly_over_the_area_in_view(made):
+    arena, log = made
+    o = log.recorded.observations
+    false = log.truth.landmark_of == CLUTTER
+    assert false.sum() / 1000 == pytest.approx(2.0, abs=0.15)
+    r, b = log.recorded.sensor.polar(o.z[false]).T
+    assert arena.min_range <= r.min() < 1.0
+    assert 7.8 < r.max() <= arena.max_range
+    share = (r**2 - 0.25) / (64.0 - 0.25)
+    assert np.quantile(share, [0.25, 0.5, 0.75]) == pytest.approx([0.25, 0.5, 0.75], abs=0.05)
+    assert np.quantile(b, [0.25, 0.5, 0.75]) == pytest.approx([-np.pi / 2, 0.0, np.pi / 2], abs=0.25)
+
+
+def test_a_narrow_view_reads_only_what_is_ahead():
+    arena = Arena(landmarks=200, frames=60, field_of_view=math.pi / 2, clutter=5.0)
+    log = simulate(arena, 1)
+    b = log.recorded.observations.z[:, 1]
+    assert np.abs(b).max() < math.pi / 4 + 5.0 * arena.sigma_bearing
+    assert (log.recorded.sensor.min_angle, log.recorded.sensor.max_angle) == pytest.approx((-np.pi / 4, np.pi / 4))
+    assert Arena(field_of_view=9.0).model().max_angle == math.pi
+
+
+def test_the_prior_is_off_by_what_it_states():
+    arena = Arena(landmarks=1, frames=2, odometry_rate=2.0)
+    logs = [simulate(arena, seed) for seed in range(200)]
+    off = np.array([g.recorded.prior.mean - g.truth.pose[0] for g in logs])
+    np.testing.assert_allclose(off.std(axis=0), [0.1, 0.1, 0.03], rtol=0.2)
+    np.testing.assert_allclose(np.sqrt(np.diag(logs[0].recorded.prior.covariance)), [0.1, 0.1, 0.03])
+
+
+def test_the_least_that_is_possible_is_allowed():
+    for given in ({"landmarks": 1}, {"frames": 1}, {"sigma_v": 0.0}, {"min_range": 0.0}, {"detection": 0.0}):
+        assert Arena(**given)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("landmarks", 0), ("frames", 0), ("side", 0.0), ("period", 0.0), ("odometry_rate", 0.0), ("radius", 0.0),
+        ("max_range", 0.0), ("field_of_view", 0.0), ("sigma_v", -1.0), ("sigma_omega", -1.0), ("min_range", -1.0),
+        ("prior_sigma", -1.0), ("prior_sigma_heading", -1.0), ("clutter", -1.0), ("sigma_range", 0.0),
+        ("sigma_bearing", 0.0), ("sigma_point", 0.0), ("detection", 1.01), ("detection", -0.01), ("sensor", "sonar"),
+    ],
+)  # fmt: skip
+def test_parameters_out_of_range_are_refused_by_name(key, value):
+    with pytest.raises(UsageError, match=f"arena: {key}"):
+        Arena(**{key: value})

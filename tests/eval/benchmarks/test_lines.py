@@ -1,0 +1,90 @@
+"""Lines of benchmarks say what was measured; peers compute the same as what they are compared with."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from association.expectation import gate_threshold
+from association.jcbb import jcbb
+from eval.benchmarks.association import GATE, PER_METRE, hard_frame, line_world, plain_jcbb
+from eval.benchmarks.laser import PlanRun, plan_lines
+from eval.benchmarks.timed import Timed, median_seconds, table
+from eval.referee.laser.closures import ClosureCounts
+
+
+def plan(scale: float, *, seconds=10.0, nees=3.0) -> PlanRun:
+    squares = np.full(30, 3.0 * scale)
+    return PlanRun(
+        0.01 * scale, 0.02 * scale, 0.03 * scale, 0.04 * scale, 0.05 * scale, nees, 2.0 * nees, squares, 2.0 * squares,
+        ClosureCounts(9, 1, 5, 1, 20, 15), (scale, 0.1), seconds, 200.0,
+    )  # fmt: skip
+
+
+def test_of_several_plans_the_median_and_the_largest_error_are_told_in_millimetres():
+    lines = plan_lines([plan(1.0), plan(2.0, seconds=20.0), plan(6.0, seconds=5.0)])
+    assert lines[0].startswith("3 simulated plans")
+    assert [line.split() for line in lines[1:6]] == [
+        ["final", "20.0", "(60.0)"], ["aligned", "40.0", "(120.0)"], ["online", "60.0", "(180.0)"],
+        ["filter", "80.0", "(240.0)"], ["wheels", "100.0", "(300.0)"],
+    ]  # fmt: skip
+    assert lines[6].startswith("nees_final")
+    assert " 3.00 [" in lines[6]
+    assert " 6.00 [" in lines[7]
+    # squared distances of 3, 6 and 18 over three degrees of freedom
+    assert lines[8].startswith("NEES/3 of chain: mean 3.000, median 2.000 (1 and 0.79 expected), 90 factors, bounds 0.")
+    assert lines[9].startswith("NEES/3 of loops: mean 6.000, median 4.000")
+    assert lines[10] == (
+        "loop closures: 27 TP, 3 FP, 15 TN, 3 FN; precision 90.00 %, recall 90.0 %; 75.0 % of 60 possible revisits"
+        " closed"
+    )
+    assert lines[11] == "learned factor on claimed variances: 2.00 (1.00 to 6.00)"
+    assert lines[12] == "front end: 20 times real time"
+
+
+def test_the_plain_jcbb_of_the_benchmark_decides_as_ours():
+    e = hard_frame(8, 60, 4)
+    assert np.array_equal(plain_jcbb(e, GATE), jcbb(e, GATE))
+
+
+def test_the_hard_frame_has_as_many_ambiguous_readings_as_asked():
+    e = hard_frame(20, 1000, 10)
+    compatible = e.individual_distances() < gate_threshold(GATE)
+    assert compatible.shape == (20, 1000)
+    assert (compatible.sum(axis=1) >= 2).sum() == 10
+    joint = e.joint(np.arange(1000))
+    assert joint[0, 2] == pytest.approx(0.03), "an error of the robot shifts every expectation alike"
+    assert joint[0, 0] == pytest.approx(0.031)
+
+
+def test_the_line_is_driven_until_every_landmark_was_seen():
+    world = line_world(100)
+    o = world.observations
+    assert len(world) == 100 // PER_METRE
+    assert set(o.label.tolist()) == set(range(100))
+    assert o.z[:, 0].max() < 2.1
+    assert world.increments.mean[1:, 0].mean() == pytest.approx(1.0, abs=0.02)
+    assert world.increments.mean[0].tolist() == [0.0, 0.0, 0.0]
+    assert world.prior.mean.tolist() == [0.5, 0.0, 0.0]
+    np.testing.assert_allclose(np.sqrt(world.increments.covariance[1].diagonal()), [0.02, 0.02, 0.005])
+    np.testing.assert_allclose(np.sqrt(o.R[0].diagonal()), [0.02, 0.005])
+
+
+def test_a_median_is_taken_after_a_warm_up(monkeypatch):
+    clock = iter([0.0, 5.0, 10.0, 11.0, 20.0, 23.0])
+    monkeypatch.setattr("eval.benchmarks.timed.time.perf_counter", lambda: next(clock))
+    calls = []
+    assert median_seconds(lambda: calls.append(1), 3) == 3.0
+    assert len(calls) == 4
+
+
+def test_a_table_of_times_has_rates_where_there_is_a_time():
+    rated = Timed("a", 0.5, 1000, "frames", "1", "< 1 s")
+    lines = table([rated, Timed("b", math.nan, 10, "frames"), Timed("c", 0.0, 10, "frames")])
+    head, first, second, third = lines.split("\n")
+    assert head.split() == ["median", "s", "per", "second", "ratio", "goal"]
+    assert first.split() == ["a", "0.50000", "2,000", "frames", "1", "<", "1", "s"]
+    assert second.split() == ["b"]
+    assert third.split() == ["c", "0.00000"]

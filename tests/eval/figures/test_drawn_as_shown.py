@@ -1,0 +1,248 @@
+"""What a legend shows looks as it does in the picture; curves stand out from bands and reference lines behind them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.colors import to_hex, to_rgba
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from association.scans.constraints import Loops
+from data.inputs import Systematic
+from data.result import Innovations, Systematics, Trajectory
+from eval import figures
+from eval.figures.log import log_figure
+from eval.figures.power import Seen
+from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error
+
+OFF = np.array([0.1, -0.1, 0.02])
+ONLINE = run_with_error(OFF)
+FINAL = run_with_error(0.5 * OFF, estimator="batch", phases=("final",))
+SURE = replace(FINAL, final=Trajectory(FINAL.final.pose, 0.25 * FINAL.final.covariance))
+WITH_INNOVATIONS = replace(
+    ONLINE, innovations=Innovations(np.full(FRAMES, 4.0), np.full(FRAMES, 4), np.zeros(FRAMES), np.zeros((4, 2)))
+)
+OUTLIERS = pd.DataFrame([
+    {"task": "slam", "estimator": "ekf", "rate": r, "rmse_position_m": 1.0, "rmse_lower": 0.9, "rmse_upper": 1.1,
+     "nees_pose": 3.0, "nees_lower": 2.5, "nees_upper": 3.5} for r in (0.0, 0.1)
+])  # fmt: skip
+REFERENCE = {"#505050", "#909090"}
+"""Colours of lines at a value that is expected."""
+
+
+def loops():
+    ends = np.array([4, 8, 12, 16])
+    return figures.loop_picture(
+        circle_log().truth.pose,
+        Loops(np.arange(4), ends, np.zeros((4, 3)), np.zeros((4, 3, 3)), np.ones(4), np.array([4, 4, 4, -1])),
+        np.array([1.0, 0.0, 0.9, 0.5]), name="here", false=np.array([False, False, True, False]),
+    )  # fmt: skip
+
+
+FIGURES = {
+    "map of a filter": lambda: figures.map_figure(circle_log(), [ONLINE]),
+    "error": lambda: figures.error_figure(circle_log(), [ONLINE, FINAL]),
+    "nees": lambda: figures.nees_figure(circle_log(), [ONLINE, FINAL]),
+    "difference": lambda: figures.difference_figure(circle_log(truth=False), [ONLINE], FINAL),
+    "claims": lambda: figures.claims_figure(circle_log(truth=False), [WITH_INNOVATIONS, FINAL]),
+    "fate": lambda: figures.fate_figure(circle_log(), [ONLINE]),
+    "filter and smoother": lambda: figures.filter_smoother_figure(circle_log(), [ONLINE], SURE),
+    "average nees": lambda: figures.anees_figure(np.arange(20.0), {"ekf": np.full(20, 3.0)}, 3, 50),
+    "growth": lambda: figures.growth_figure(circle_log(), [ONLINE]),
+    "power": lambda: figures.power_figure(
+        [Seen("scale", ("1 %", "2 %"), (10.0, 90.0), (3.0, 3.0), (5.0, 60.0))], ("A", "B"), 5.0, "Power"
+    ),
+    "log": lambda: log_figure(circle_log()),
+    "run end": lambda: figures.run_end_figure({"ekf": np.linspace(0.1, 9.0, 30)}, 3, "circle"),
+    "coverage": lambda: figures.coverage_figure({"ekf": np.linspace(0.1, 9.0, 30)}, 3, "circle"),
+    "outliers": lambda: figures.outlier_figure(OUTLIERS, "arena"),
+    "loops": loops,
+}
+
+
+@cache
+def drawn_once(kind):
+    fig = FIGURES[kind]()
+    fig.draw_without_rendering()
+    return fig
+
+
+def legend_of(fig):
+    return [h for legend in fig.legends for h in legend.legend_handles if isinstance(h, Line2D)]
+
+
+def drawn_in(fig):
+    return [line for ax in fig.axes for line in ax.lines]
+
+
+def is_line(line) -> bool:
+    return line.get_linestyle() != "None"
+
+
+@pytest.mark.parametrize("kind", FIGURES)
+def test_a_line_in_the_legend_is_about_as_thick_as_the_one_it_stands_for(kind):
+    fig = drawn_once(kind)
+    drawn = drawn_in(fig)
+    for shown in legend_of(fig):
+        twins = [d for d in drawn if to_rgba(d.get_color()) == to_rgba(shown.get_color())]
+        twins = [d for d in twins if d.get_linestyle() == shown.get_linestyle()]
+        if is_line(shown) and twins:
+            assert min(abs(np.log(d.get_linewidth() / shown.get_linewidth())) for d in twins) < np.log(1.45), shown
+
+
+@pytest.mark.parametrize("kind", FIGURES)
+def test_a_marker_in_the_legend_is_about_as_large_as_those_it_stands_for(kind):
+    fig = drawn_once(kind)
+    drawn = drawn_in(fig)
+    for shown in legend_of(fig):
+        twins = [d for d in drawn if d.get_marker() == shown.get_marker()]
+        if shown.get_marker() not in ("", "None", None) and twins:
+            assert min(abs(np.log(d.get_markersize() / shown.get_markersize())) for d in twins) < np.log(1.6), shown
+
+
+@pytest.mark.parametrize("kind", FIGURES)
+def test_nothing_is_drawn_so_thick_or_so_thin_that_it_hides_or_is_hidden(kind):
+    fig = drawn_once(kind)
+    for line in drawn_in(fig):
+        if is_line(line):
+            truth = line.get_label() == "true path"
+            assert 0.4 <= line.get_linewidth() <= (2.0 if truth else 1.3), line
+        if line.get_marker() not in ("", "None", None):
+            assert 1.0 <= line.get_markersize() <= 9.0
+    for text in fig.findobj(lambda a: hasattr(a, "get_fontsize") and a.get_text()):
+        assert 5.0 <= text.get_fontsize() <= 9.0, text
+
+
+@pytest.mark.parametrize("kind", FIGURES)
+def test_a_line_at_the_expected_value_is_thinner_than_the_curves_and_behind_them(kind):
+    for ax in drawn_once(kind).axes:
+        expected = [x for x in ax.lines if to_hex(x.get_color()) in REFERENCE and len(np.unique(x.get_ydata())) == 1]
+        curves = [x for x in ax.lines if x not in expected and len(x.get_xdata()) > 10]
+        for line in expected if curves else ():
+            assert line.get_linewidth() < max(c.get_linewidth() for c in curves)
+            order = sorted(ax.lines, key=lambda x: x.get_zorder())  # stable: of equals the one drawn later is above
+            assert order.index(line) < min(order.index(c) for c in curves if c.get_linewidth() > 0.5)
+
+
+@pytest.mark.parametrize("kind", ["error", "difference"])
+def test_the_error_stands_out_from_the_edges_of_its_band(kind):
+    for ax in drawn_once(kind).axes:
+        error = [x for x in ax.lines if to_hex(x.get_color()) == "#000000"]
+        edges = [x for x in ax.lines if x not in error]
+        assert len(error) == 1
+        assert len(edges) >= 2 or kind == "difference"
+        assert max(e.get_linewidth() for e in edges) < error[0].get_linewidth()
+        assert all(c.get_alpha() <= 0.3 for c in ax.collections), "what lies below shines through"
+
+
+@pytest.mark.parametrize("kind", ["nees", "average nees", "claims"])
+def test_the_band_of_what_is_expected_is_in_the_legend_as_it_is_drawn_and_behind_everything(kind):
+    fig = drawn_once(kind)
+    (shown,) = (h for h in fig.legends[0].legend_handles if isinstance(h, Patch) and h.get_alpha() is not None)
+    bands = [p for ax in fig.axes for p in ax.patches if p.get_alpha() is not None]
+    assert bands
+    for band in bands:
+        assert (band.get_alpha(), band.get_linewidth()) == (shown.get_alpha(), shown.get_linewidth()) == (0.45, 0.0)
+        assert to_hex(band.get_facecolor()) == to_hex(shown.get_facecolor())
+        assert all(band.get_zorder() <= line.get_zorder() for line in band.axes.lines)
+
+
+def test_a_map_lies_in_this_order_truth_paths_landmarks_ellipses_numbers_and_the_start():
+    ax = drawn_once("map of a filter").axes[0]
+    by = {line.get_label(): line for line in ax.lines}
+    truth, reckoned, path, start = (by[x] for x in ("true path", "dead reckoning", "EKF (online)", "start"))
+    dots = next(x for x in ax.lines if x.get_marker() == "o")
+    sure, unsure = (min(c.get_zorder() for c in ax.collections), max(c.get_zorder() for c in ax.collections))
+    number = ax.texts[0].get_zorder()
+    assert truth.get_zorder() < path.get_zorder() == reckoned.get_zorder() < sure < dots.get_zorder()
+    assert dots.get_zorder() == by["true landmarks"].get_zorder() < unsure < number < start.get_zorder()
+    assert truth.get_linewidth() > 1.5 * path.get_linewidth(), "an estimate on it leaves its edges to be seen"
+
+
+def test_ellipses_are_filled_so_faintly_that_a_dozen_on_each_other_still_show_what_is_below():
+    ax = drawn_once("map of a filter").axes[0]
+    fills = [c for c in ax.collections if len(c.get_facecolor())]
+    edges = [c for c in ax.collections if not len(c.get_facecolor())]
+    assert len(fills) == len(edges) == 2  # of poses, and of landmarks
+    assert all(0.9**12 > (1.0 - c.get_alpha()) ** 12 > 0.1 for c in fills)
+    assert all(c.get_alpha() is None and 0.4 < c.get_linewidth().max() < 1.0 for c in edges)
+
+
+def test_systematic_errors_have_a_faint_band_each_over_that_of_what_was_known_before():
+    names = ("scale", "curvature")
+    found = Systematics(names, np.full((FRAMES, 2), 0.02), np.full((FRAMES, 2), 0.01))
+    known = Systematic(names, np.array([0.05, 0.05]))
+    truth = Systematics(names, np.full((FRAMES, 2), 0.01), np.zeros((FRAMES, 2)))
+    log = circle_log()
+    log = replace(log, truth=replace(log.truth, errors=truth))
+    fig = figures.systematic_figure(log, known, [replace(ONLINE, errors_online=found)])
+    fig.draw_without_rendering()
+    for ax in fig.axes:
+        zero, mean, true = ax.lines
+        assert zero.get_linewidth() < true.get_linewidth() < mean.get_linewidth() < 1.3
+        (fill,) = ax.collections
+        assert 0.1 <= fill.get_alpha() <= 0.25
+        assert fill.get_linewidth().max() == 0.0
+        (before,) = ax.patches
+        assert before.get_extents().transformed(ax.transData.inverted()).y1 == pytest.approx(0.15)
+        # the estimate with its 3 sigma decides, with a tenth of room
+        assert ax.get_ylim() == pytest.approx((-0.055, 0.055))
+    *lines, patch = fig.legends[0].legend_handles
+    assert [h.get_linewidth() for h in lines] == [fig.axes[0].lines[k].get_linewidth() for k in (1, 2)]
+    assert patch.get_alpha() == fig.axes[0].patches[0].get_alpha() < 0.6
+
+
+def test_the_axis_of_errors_holds_the_bound_with_a_tenth_of_room():
+    axes = drawn_once("error").axes[::2]
+    heights = [ax.get_ylim()[1] for ax in axes]
+    assert heights == pytest.approx(1.1 * 3.0 * np.array([*SIGMA[:2], np.degrees(SIGMA[2])]))
+
+
+def test_bars_of_run_ends_let_the_density_over_them_be_seen():
+    (ax,) = (ax for ax in drawn_once("run end").axes if ax.get_visible())
+    bars = [p for p in ax.patches if p.get_alpha() is not None]
+    beyond = [p for p in ax.patches if p.get_alpha() is None]
+    assert len(bars) > 5
+    assert all(0.4 <= p.get_alpha() <= 0.7 and p.get_linewidth() == 0.0 for p in bars)
+    # the last bar stands apart from the others, and all of it is shown
+    (last,) = beyond
+    width = bars[0].get_width()
+    assert last.get_x() > bars[-1].get_x() + width
+    assert last.get_x() + last.get_width() < ax.get_xlim()[1] < last.get_x() + 2.0 * last.get_width()
+    number = next(t for t in ax.texts if t.get_ha() == "center")
+    assert number.get_position()[0] == pytest.approx(last.get_x() + 0.5 * last.get_width(), abs=0.01 * width)
+    corner = next(t for t in ax.texts if t.get_ha() == "right")
+    assert (corner.get_text(), corner.get_position()) == ("30 runs", (0.97, 0.95))
+
+
+def test_bars_of_coverage_stand_inside_the_level_that_they_are_of():
+    fig = drawn_once("coverage")
+    ax = fig.axes[0]
+    (levels,) = (c for c in ax.collections if len(c.get_segments()) > 3 and c.get_zorder() < 2)
+    for k, ((a, y), (b, _)) in enumerate(levels.get_segments()):
+        assert (0.5 * (a + b), b - a) == (pytest.approx(k), pytest.approx(0.84))
+        assert f"{y:g}" == ax.get_xticklabels()[k].get_text()
+    between = [x.get_xdata()[0] for x in ax.lines if to_hex(x.get_color()).upper() == "#E4E4E4"]
+    assert between == pytest.approx(0.5 + np.arange(len(levels.get_segments()) - 1))
+    assert ax.get_xlim() == (-0.5, len(between) + 0.5)
+    assert ax.get_ylim()[1] == 102.0
+    shown = next(h for h in fig.legends[0].legend_handles if h.get_linestyle() == "-")
+    assert shown.get_linewidth() == levels.get_linewidth()[0]
+
+
+def test_a_power_figure_shows_all_of_a_share_with_room_at_either_end():
+    ax = drawn_once("power").axes[0]
+    assert ax.get_ylim() == (-6.0, 106.0)
+    assert ax.get_xlim() == pytest.approx((-0.4, 1.4))
+    level, *_, other = ax.lines
+    assert level.get_zorder() < other.get_zorder()
+    assert level.get_linewidth() < other.get_linewidth()
+    assert level.get_ydata()[0] == 5.0
+    bars = [c for c in ax.collections if hasattr(c, "get_segments")]
+    assert [c.get_segments()[0][:, 1].tolist() for c in bars] == [[7.0, 13.0]]
+    assert bars[0].get_linewidth()[0] < 1.2

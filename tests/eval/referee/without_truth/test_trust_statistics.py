@@ -1,0 +1,142 @@
+"""Statistics of filter and smoother, with what theory expects of each; frames that cannot be compared count nowhere."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from data.result import Trajectory
+from data.worlds.linear import LinearWorld, simulate
+from eval.referee import trust
+from eval.referee.trust import difference, filter_smoother, regular
+from eval.replay.run import compare
+
+I3 = np.eye(3)
+
+
+def path(poses, covariance=I3):
+    poses = np.asarray(poses, float)
+    return Trajectory(poses, np.broadcast_to(covariance, (len(poses), 3, 3)).copy())
+
+
+@pytest.fixture(scope="module")
+def linear():
+    inputs = simulate(LinearWorld(frames=20), 3).inputs(labels=True)
+    return inputs, *compare(inputs, "localization", ("ekf", "isam2", "batch"))
+
+
+def test_every_statistic_of_the_difference_has_its_expectation_beside_it():
+    online = path([[3.0, 0.5, -0.5], [-1.0, 2.0, 0.1]], 2 * I3)
+    said = filter_smoother(difference(online, path(np.zeros((2, 3)))), "there")
+    assert said["there_mean"] == (pytest.approx((9.5 + 5.01) / 2), 3.0, pytest.approx(math.nan, nan_ok=True), -1)
+    assert said["there_median"].expected == pytest.approx(stats.chi2(3).median(), abs=1e-6)
+    assert said["there_semidefinite"][:2] == (1.0, 1.0)
+    assert said["there_rms_x"][:2] == (pytest.approx(math.sqrt(5.0)), 1.0)
+    # three sigma exactly are inside
+    assert said["there_inside_x"][:2] == (1.0, pytest.approx(0.9973, abs=1e-4))
+    assert said["there_largest"].value == 3.0
+    assert math.isnan(said["there_largest"].expected)
+    assert said["there_largest"].frame == 0
+
+
+def test_frames_without_an_estimate_or_a_variance_are_in_no_statistic():
+    poses, P = np.zeros((4, 3)), np.tile(2 * I3, (4, 1, 1))
+    poses[1] = np.nan
+    P[2, 0, 0] = 0.0
+    P[3, 1, 1] = np.nan
+    found = difference(Trajectory(poses, P), path(np.zeros((4, 3))))
+    assert np.isfinite(found.square).tolist() == [True, False, False, False]
+    assert found.comparable.tolist() == [True, False, False, False]
+    assert np.isfinite(found.sigma).any(axis=1).tolist() == [True, False, False, False]
+    assert found.dof.tolist() == [3, 0, 0, 0]
+    assert not found.semidefinite[1:].any()
+
+
+def test_a_direction_counts_from_a_hundredth_of_the_filters_variance_on():
+    later = np.diag([0.989, 0.991, 0.5])
+    found = difference(path([[0.0, 0.0, 0.0]]), path([[0.0, 0.0, 0.0]], later))
+    assert found.dof.tolist() == [2]
+    assert np.isfinite(found.sigma).tolist() == [[True, False, True]]
+    assert found.sigma[0, [0, 2]] == pytest.approx(np.sqrt([0.011, 0.5]))
+
+
+def test_a_smoother_that_is_less_sure_than_the_filter_in_one_direction_counts_as_not_semidefinite():
+    less_sure = np.diag([0.5, 0.5, 1.001])
+    found = difference(path(np.zeros((3, 3))), Trajectory(np.zeros((3, 3)), np.stack([0.5 * I3, less_sure, 0.5 * I3])))
+    assert found.semidefinite.tolist() == [True, False, True]
+    assert filter_smoother(found)["filter_smoother_semidefinite"].value == pytest.approx(2 / 3)
+
+
+@pytest.mark.parametrize(
+    ("covariance", "is_regular"),
+    [
+        (I3, True),
+        (np.diag([1e8, 1e-8, 1.0]), True),  # units do not matter
+        (np.diag([1.0, 0.0, 1.0]), False),
+        (np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), False),
+        (np.array([[1.0, 1.0 - 1e-9, 0.0], [1.0 - 1e-9, 1.0, 0.0], [0.0, 0.0, 1.0]]), True),
+    ],
+)
+def test_a_covariance_is_regular_if_it_is_in_doubt_about_every_direction_in_any_unit(covariance, is_regular):
+    assert regular(covariance[None]).tolist() == [is_regular]
+
+
+def test_a_singular_filter_is_not_compared_even_where_its_variances_are_positive():
+    flat = np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    found = difference(path([[1.0, 1.0, 1.0]], flat), path([[0.0, 0.0, 0.0]], 0.5 * flat))
+    assert found.comparable.tolist() == [False]
+    assert np.isnan(found.square).all()
+
+
+def test_an_online_estimator_is_measured_against_the_smoother_and_against_its_own_end(linear):
+    inputs, ekf, isam2, batch = linear
+    assert ekf.final is None
+    said = trust.of_online(ekf, batch, inputs)
+    assert not any(name.startswith("own_smoother") for name in said)
+    both = trust.of_online(isam2, batch, inputs)
+    own = {k: v for k, v in both.items() if k.startswith("own_smoother_")}
+    assert own["own_smoother_mean"].value == pytest.approx(
+        filter_smoother(difference(isam2.online, isam2.final))["filter_smoother_mean"].value
+    )
+    assert both["filter_smoother_mean"].value == pytest.approx(
+        filter_smoother(difference(isam2.online, batch.final))["filter_smoother_mean"].value
+    )
+
+
+def test_without_a_smoother_or_innovations_nothing_is_said_of_them(linear):
+    inputs, ekf, _, batch = linear
+    alone = trust.of_online(ekf, None, inputs)
+    assert set(alone) == {"nis", "innovation_lag1"}
+    assert set(trust.of_online(ekf, replace(batch, final=None), inputs)) == set(alone)
+    silent = trust.of_online(replace(ekf, innovations=None), batch, inputs)
+    assert not {"nis", "innovation_lag1"} & set(silent)
+    assert trust.of_online(replace(ekf, innovations=None, online=None), batch, inputs) == {}
+
+
+def test_nis_is_that_per_degree_of_freedom_and_is_expected_to_be_what_passes_the_gates(linear):
+    inputs, ekf, _, batch = linear
+    nis = trust.of_online(ekf, batch, inputs)["nis"]
+    known = ekf.innovations.dof > 0
+    assert nis.value == pytest.approx(ekf.innovations.nis[known].sum() / ekf.innovations.dof.sum())
+    assert nis.expected == ekf.gated[0]
+    lag = trust.of_online(ekf, batch, inputs)["innovation_lag1"]
+    assert lag.expected == 0.0
+    assert 0.0 < lag.se < 1.0
+
+
+def test_a_smoother_says_its_cost_its_residuals_and_their_slopes_with_what_is_expected(linear):
+    inputs, _, _, batch = linear
+    said = trust.of_smoother(batch, inputs)
+    for name, m in said.statistics.items():
+        if name.endswith("_mean") or name.startswith("slope_"):
+            assert m.expected == 0.0, name
+        elif name.startswith("residual_"):
+            assert math.isnan(m.expected), name
+        assert (m.se > 0.0) == name.startswith("slope_"), name
+    assert "nis" in said.statistics
+    assert set(said.typical) >= {"odometry_x", "z1"}
+    assert said.outlying == 0

@@ -1,0 +1,117 @@
+"""The text to go on from: a page for each answer and each log, with the figures and tables that were written."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from eval.page.document import Folded, Formula, Picture, Section, Table
+from eval.referee.score import Trial, score
+from eval.report.lab.write_up import tex, write_up
+from tests.eval.handmade import circle_log, run_with_error
+
+SIDE = np.array([0.0, 1.0, 0.0])
+RUNS = (
+    run_with_error(0.01 * SIDE, estimator="dead-reckoning", mapped=False),
+    run_with_error(0.5 * SIDE),
+    run_with_error(0.2 * SIDE, association="nn"),
+    run_with_error(0.1 * SIDE, estimator="batch", phases=("final",)),
+)
+TRIAL = Trial(circle_log(name="hall"), "slam", RUNS)
+
+
+def picture(name, caption):
+    return Picture(name, caption, "alt")
+
+
+def pages(folder, trials=(TRIAL,), answers=(), sections=()):
+    """Title and body of every page."""
+    write_up(folder, trials, score(list(trials)), answers, sections)
+    text = (folder / "write-up.tex").read_text(encoding="utf-8")
+    assert text.endswith("\\end{document}\n")
+    body = text.split("\\begin{document}\n", 1)[1]
+    return re.findall(r"\\begin\{page\}\{(.*?)\}\n(.*?)\\end\{page\}", body, re.DOTALL)
+
+
+def with_files(folder, *names):
+    for name in names:
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text("", encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("markdown", "latex"),
+    [
+        ("**Two** of `a_b`, 5 %", r"\textbf{Two} of \texttt{a\_b}, 5 \%"),
+        ("see [the docs](https://x.y/z) for ω → φ", r"see the docs for $\omega$ $\to$ $\varphi$"),
+        ("**not closed", r"\textbf{not closed}"),
+        ("plain", "plain"),
+    ],
+)
+def test_code_bold_and_links_are_as_they_are_meant(markdown, latex):
+    assert tex(markdown) == latex
+
+
+def test_a_log_has_a_page_with_its_map_and_error_beside_each_other_and_their_captions(tmp_path):
+    with_files(
+        tmp_path, "figures/hall-slam-map.png", "figures/hall-slam-error.png", "figures/hall-slam-difference.png",
+        "tables/hall-slam-comparison.tex",
+    )  # fmt: skip
+    shown = Section("Log", (picture("hall-slam-map", "The map."), picture("hall-slam-nees", "The NEES."), "The map."))
+    ((title, body),) = pages(tmp_path, sections=[shown])
+    assert title == "hall, slam"
+    assert re.findall(r"\\beside\{(.*?)\}\{0.4\}\{figures/(.*?)\}", body) == [
+        ("0.480", "hall-slam-map"), ("0.480", "hall-slam-error"),
+    ]  # fmt: skip
+    assert re.findall(r"footnotesize (.*?)\\par", body) == ["The map."]
+    assert re.findall(r"\\input\{(.*?)\}", body) == ["tables/hall-slam-comparison.tex"]
+
+
+def test_one_picture_alone_is_not_wider_than_six_tenths_and_none_leaves_nothing(tmp_path):
+    ((_, bare),) = pages(tmp_path)
+    assert "beside" not in bare
+    assert r"\par" not in bare
+    with_files(tmp_path, "figures/hall-slam-difference.png", "tables/hall-slam-association.tex")
+    ((_, body),) = pages(tmp_path)
+    assert re.findall(r"\\beside\{(.*?)\}\{0.4\}\{figures/(.*?)\}", body) == [("0.600", "hall-slam-difference")]
+    assert re.findall(r"\\input\{(.*?)\}", body) == ["tables/hall-slam-association.tex"]
+
+
+def test_the_nearest_to_the_truth_is_named_in_each_phase_but_never_dead_reckoning(tmp_path):
+    ((_, body),) = pages(tmp_path)
+    assert "40 frames, 4 observations." in body
+    assert "Least position RMSE with the data up to each frame: 0.2 m (ekf, nn)." in body
+    assert "Least position RMSE with all data: 0.1 m (batch, known)." in body
+    blind = Trial(circle_log(name="hall", truth=False), "slam", RUNS)
+    assert "Least" not in pages(tmp_path, [blind])[0][1]
+
+
+def test_a_log_s_page_tells_of_its_own_task_alone_and_trials_beside_it_have_none(tmp_path):
+    known = Trial(circle_log(name="hall", known_map=True), "localization", (replace(RUNS[1], task="localization"),))
+    found = dict(pages(tmp_path, [TRIAL, known, replace(TRIAL, log=circle_log(name="other"), beside="hall")]))
+    assert list(found) == ["hall, slam", "hall, localization"]
+    assert "0.5 m (ekf, known)" in found["hall, localization"]
+    assert "with all data" not in found["hall, localization"]
+
+
+def test_answers_come_first_with_every_block_and_notes_last(tmp_path):
+    with_files(tmp_path, "tables/notes.tex")
+    table = Table(pd.DataFrame({"a": [1]}), "caption", stem="q1")
+    blocks = (
+        "**Yes.**", table, replace(table, stem=""), picture("lab", "Paths, 5 %."), Formula("f", "x = 1"),
+        Folded("more", ("* one\n* two",)),
+    )  # fmt: skip
+    found = pages(tmp_path, answers=[Section("Question 1: how?", blocks)])
+    assert [title for title, _ in found] == ["Question 1: how?", "hall, slam", "What the tables mean"]
+    body = found[0][1]
+    assert r"\textbf{Yes.}" in body
+    assert body.count(r"\input{") == 1
+    assert r"\input{tables/q1.tex}" in body
+    assert r"{figures/lab}\\{\footnotesize Paths, 5 \%.}" in body
+    assert "\\[\nx = 1\n\\]" in body
+    assert "one\n\ntwo" in body
+    assert r"\input{tables/notes.tex}" in found[2][1]

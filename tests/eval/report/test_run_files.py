@@ -1,0 +1,124 @@
+"""The files of a run, read back: what is in them is what the run holds, and nothing stands in for what is not known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from data.result import DISCARD, NEW, Innovations, Systematics
+from eval.referee.score import Trial
+from eval.report.run_files import trajectory_table, write_run, write_truths, write_tum
+from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error, true_path
+
+OFF = np.array([0.1, -0.1, 0.02])
+
+
+def written(folder, run, log=None, **more):
+    log = circle_log(name="my:log") if log is None else log
+    write_run(folder, Trial(log, run.task, (run,)), run, **more)
+    return folder / "runs" / "my_log" / f"{run.task}-{run.estimator}-{run.association}"
+
+
+def test_a_path_is_a_row_per_frame_with_the_upper_triangle_of_its_covariance():
+    run = run_with_error(OFF)
+    P = np.arange(9.0).reshape(3, 3)
+    path = replace(run.online, covariance=np.tile(P + P.T, (FRAMES, 1, 1)))
+    table = trajectory_table(np.arange(FRAMES) * 0.5, path)
+    assert len(table) == FRAMES
+    assert table.iloc[:, 0].tolist() == [0.5 * k for k in range(FRAMES)]
+    np.testing.assert_allclose(table.iloc[:, 1:4].astype(float), path.pose)
+    assert table.iloc[3, 4:].tolist() == [0.0, 4.0, 8.0, 8.0, 12.0, 16.0]
+
+
+def test_unknown_numbers_are_blank(tmp_path):
+    run = run_with_error(np.where(np.arange(FRAMES)[:, None] == 7, np.nan, OFF))
+    table = pd.read_csv(written(tmp_path, run) / "online.csv")
+    assert table["x"].isna().tolist() == [k == 7 for k in range(FRAMES)]
+    assert table["log_likelihood"].isna().all()
+    assert table["state_size"].isna().all()
+
+
+def test_what_a_filter_knows_of_its_innovations_and_its_state_stands_beside_its_path(tmp_path):
+    run = replace(
+        run_with_error(OFF), state_size=np.arange(3, 3 + FRAMES),
+        innovations=Innovations(np.zeros(FRAMES), np.zeros(FRAMES, int), -np.arange(float(FRAMES)), np.zeros((4, 2))),
+    )  # fmt: skip
+    table = pd.read_csv(written(tmp_path, run) / "online.csv")
+    assert table["state_size"].tolist() == list(range(3, 3 + FRAMES))
+    assert table["log_likelihood"].tolist() == [-k for k in range(FRAMES)]
+    np.testing.assert_allclose(table[["c_xx", "c_yy"]], np.tile(SIGMA[:2] ** 2, (FRAMES, 1)))
+
+
+def test_a_smoother_has_both_paths_each_with_its_own_systematic_errors(tmp_path):
+    def errors(value):
+        return Systematics(("scale",), np.full((FRAMES, 1), value), np.full((FRAMES, 1), 0.1 * value))
+
+    run = run_with_error(OFF, estimator="isam2", phases=("online", "final"))
+    run = replace(run, errors_online=errors(1.0), errors_final=errors(2.0))
+    place = written(tmp_path, run)
+    for phase, value in (("online", 1.0), ("final", 2.0)):
+        table = pd.read_csv(place / f"{phase}.csv")
+        assert set(table["scale"]) == {value}
+        np.testing.assert_allclose(table["sigma_scale"], 0.1 * value)
+        assert (place / f"{phase}.tum").exists()
+    assert "state_size" not in pd.read_csv(place / "final.csv")
+    assert "log_likelihood" not in pd.read_csv(place / "final.csv")
+
+
+def test_a_tum_path_has_the_heading_as_a_quaternion_about_z_and_leaves_out_what_is_not_known(tmp_path):
+    pose = np.array([[1.0, 2.0, np.pi / 2], [np.nan, 0.0, 0.0], [3.0, 4.0, -0.4]])
+    write_tum(tmp_path / "path.tum", np.array([0.5, 1.0, 1.5]), pose)
+    rows = np.loadtxt(tmp_path / "path.tum")
+    half = np.sqrt(0.5)
+    np.testing.assert_allclose(
+        rows, [[0.5, 1, 2, 0, 0, 0, half, half], [1.5, 3, 4, 0, 0, 0, np.sin(-0.2), np.cos(0.2)]], atol=1e-15
+    )
+
+
+def test_true_paths_are_written_once_for_each_log_that_has_one(tmp_path):
+    blind = circle_log(truth=False, name="blind")
+    unknown = circle_log(name="unknown")
+    unknown = replace(unknown, truth=replace(unknown.truth, pose=np.full((FRAMES, 3), np.nan)))
+    write_truths(tmp_path, [Trial(log, "slam", ()) for log in (circle_log(name="my:log"), blind, unknown)])
+    assert [p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*.tum")] == ["runs/my_log/truth.tum"]
+    np.testing.assert_allclose(np.loadtxt(tmp_path / "runs/my_log/truth.tum")[:, 1:3], true_path()[:, :2])
+
+
+def test_decisions_are_judged_in_both_phases_where_the_truth_is_known(tmp_path):
+    run = replace(
+        run_with_error(OFF), decisions=np.array([NEW, 0, DISCARD, 0]), final_decisions=np.array([NEW, 0, 0, DISCARD])
+    )
+    table = pd.read_csv(written(tmp_path, run) / "decisions.csv")
+    assert table["frame"].tolist() == [0, 1, 2, 3]
+    assert table["observation"].tolist() == [0, 0, 0, 0]
+    assert table["decision"].tolist() == [NEW, 0, DISCARD, 0]
+    assert table["final_decision"].tolist() == [NEW, 0, 0, DISCARD]
+    assert table["truth"].tolist() == [-1, 0, 0, 0]
+    assert table["outcome"].str.upper().tolist() == ["TN", "TP", "FN", "TP"]
+    assert table["final_outcome"].str.upper().tolist() == ["TN", "TP", "TP", "FN"]
+    log = circle_log(name="my:log")
+    unjudged = replace(log, truth=replace(log.truth, landmark_of=None))
+    table = pd.read_csv(written(tmp_path, run, unjudged) / "decisions.csv")
+    assert table[["truth", "outcome", "final_outcome"]].isna().all(axis=None)
+
+
+def test_landmarks_have_their_true_ids_and_what_was_seen_of_them(tmp_path):
+    table = pd.read_csv(written(tmp_path, run_with_error(OFF)) / "landmarks.csv")
+    (row,) = table.to_dict("records")
+    assert (row["landmark"], row["true_id"], row["first_frame"], row["times_seen"]) == (0, 3, 0, 4)
+    assert (row["x"], row["y"], row["c_xx"], row["c_xy"], row["c_yy"]) == pytest.approx((6.1, 0.1, 0.04, 0.0, 0.04))
+    assert pd.isna(row["ambiguous"])
+
+
+def test_dead_reckoning_decides_nothing_and_has_no_map_and_slam_without_one_is_a_mistake(tmp_path):
+    wheels = replace(run_with_error(OFF, estimator="dead-reckoning", mapped=False), association="none")
+    place = written(tmp_path, wheels, lab_text=True)
+    assert sorted(p.name for p in place.iterdir()) == ["online.csv", "online.tum"]
+    with pytest.raises(AssertionError, match="no map"):
+        written(tmp_path, run_with_error(OFF, mapped=False))
+    known = run_with_error(OFF, mapped=False, task="localization")
+    names = {p.name for p in written(tmp_path, known, circle_log(name="my:log", known_map=True)).iterdir()}
+    assert names == {"online.csv", "online.tum", "decisions.csv"}
