@@ -52,6 +52,7 @@ def test_a_round_later_every_tree_is_one_landmark_again(world, runs):
         assert sum(c.most_common(1)[0][1] for c in found.values()) >= 0.99 * sum(c.total() for c in found.values())
 
 
+@pytest.mark.slow
 def test_the_smoothers_path_is_mended_by_what_it_took_back(world, runs):
     inputs, truth, _ = world
     run = runs["isam2"]
