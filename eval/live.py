@@ -159,14 +159,14 @@ def _live(wish: Wish) -> int:
         log = complete(wish.out)
         for note in log.notes:
             say(note)
+        from eval import run_all  # before Ctrl-C raises: an exception that comes while modules are loaded may be lost
+
         say(f"log: {wish.out}")
         status = INTERRUPTED
         if presses.count < 2:
             # from here on Ctrl-C ends the report, and SIGTERM does, too
             presses.heed()
             with suppress(KeyboardInterrupt):
-                from eval import run_all
-
                 status = run_all.main(report_words(wish))
         if status in (INTERRUPTED, WRONG):
             say(f"no report; the log is whole: {wish.out}")

@@ -71,11 +71,13 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     consoles: list[Console] = []
 
     def body() -> int:
-        options = read_options(arguments, prog)
-        consoles.append(Console(options))
-        with heeding_interruption() as check, staged(options.out) as folder:
-            status = _run(options, consoles[0], folder, arguments, check)
+        with heeding_interruption() as check:
+            options = read_options(arguments, prog)
+            consoles.append(Console(options))
             check()
+            with staged(options.out) as folder:
+                status = _run(options, consoles[0], folder, arguments, check)
+                check()
         return status
 
     return ended(body, lambda: f"interrupted; {consoles[0].kept() if consoles else 'nothing was changed'}")

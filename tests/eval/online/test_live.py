@@ -123,7 +123,7 @@ def test_a_device_that_goes_and_comes_back_is_a_fault_and_the_drive_goes_on(tmp_
     with simulator(tmp_path, *FAST) as (link, _):
         process = started(tmp_path, link, *words)
         running = process.__enter__()
-        running.until("ekf x")
+        running.until("ekf-fej x")
     try:
         running.until("device gone 1")
         with simulator(tmp_path, *FAST):
