@@ -9,6 +9,8 @@ import time
 
 import pytest
 
+from data.terminal.ending import INTERRUPTED
+from eval import run_all
 from eval.run_all import heeding_interruption
 
 
@@ -46,3 +48,18 @@ def test_a_library_cannot_hide_it(work):
 def test_without_it_an_error_stays_what_it_is():
     with pytest.raises(SystemError, match="not pressed"):
         fault()
+
+
+def test_pressed_while_the_command_line_is_read_it_is_not_lost(tmp_path, monkeypatch, capsys):
+    read = run_all.read_options
+
+    def pressed_while_modules_are_loaded(*arguments):
+        with contextlib.suppress(KeyboardInterrupt):
+            press()
+        return read(*arguments)
+
+    monkeypatch.setattr(run_all, "read_options", pressed_while_modules_are_loaded)
+    words = ["--log", "linear:0", "--task", "slam", "--estimator", "ekf", "--out", str(tmp_path / "report")]
+    assert run_all.main(words) == INTERRUPTED
+    assert "interrupted" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []

@@ -68,7 +68,7 @@ class MappingFrontEnd(FrontEnd):
         self.mapper.leave(numbers)
 
     def close(self) -> None:
-        """The end of the log: what did not become certain is taken back."""
+        """The end of the log: what may have been there for a while only is taken back."""
         self._retract(self.mapper.close())
 
     def _retract(self, numbers: IntArray) -> None:
