@@ -134,7 +134,10 @@ class Innovations:
 
 
 class Event(NamedTuple):
-    """A decision that was revised: in which frame, about which observation (row of the log), from what to what, why."""
+    """A decision that was revised: in which frame, about which observation (row of the log), from what to what, why.
+
+    From a landmark to `NEW`: in the end the landmark begins with this observation.
+    """
 
     frame: int
     observation: int
@@ -209,6 +212,8 @@ class Run:
             estimated).
         watched: what an observer of the replay wrote down, for those who know its kind; no part of the result.
         walls: the landmarks are no points (x, y) but walls (rho, alpha).
+        begun: (M,) the same as `created` by the final decisions, where revisions changed which observation a landmark
+            begins with (None: what is left of `created`).
     """
 
     estimator: str
@@ -236,9 +241,15 @@ class Run:
     errors_final: Systematics | None = None
     watched: object | None = None
     walls: bool = False
+    begun: IntArray | None = None
 
     def __post_init__(self) -> None:
         read_only(self)
+
+    @property
+    def initialized(self) -> IntArray:
+        """Which landmark (M,) each observation initialized by the final decisions, -1 for none."""
+        return surviving(self.final_decisions, self.created) if self.begun is None else self.begun
 
     @property
     def flaw(self) -> Failure | None:

@@ -38,7 +38,12 @@ class TwoModels:
     @property
     def believed(self) -> EkfSlam:
         """The filter with systematic errors, which odometry mostly has, until there is strong evidence against them."""
-        return self._stated if self.log_odds < -STRONG else self._erring
+        return self._erring if self.errs else self._stated
+
+    @property
+    def errs(self) -> bool:
+        """Whether odometry is believed to err in system."""
+        return self.log_odds >= -STRONG
 
     def predict(self, increment: Increment) -> None:
         """Move by an increment."""

@@ -100,6 +100,14 @@ PERMANENCE_LATER_LEAST = 0.15
 give the same within two of a hundred maps."""
 PERMANENCE_ROUNDS = 20
 """Of expectation maximization. 40 change 17 of 7381 landmarks of 135 logs, 10 change 36."""
+ANEW_GATE = 0.999
+"""Probability of the gate in which readings are paired anew with the smoothed map. On the choosing half 0.99 gives as
+many wrong pairings, and leaves half as many readings again unpaired that have a landmark."""
+ANEW_QUANTILE = 0.9
+"""Of squared distances from it, by which the noise that there is is told: the median forgets the tails, and leaves more
+readings unpaired."""
+ANEW_SIGHTINGS = 4
+"""A landmark read so often tells of the noise: of one read once the reading itself says where it stands."""
 STAYS = 2.0 / 3.0
 """A landmark is kept at the end if it stays by odds of two to one; at even odds maps of people have too many."""
 STAYS_FEWEST = 0.05

@@ -14,6 +14,7 @@ from data.result import DISCARD, Run
 from data.se2 import Array, world_from_body, wrap_angle
 from eval.checks import worlds
 from eval.checks.finding import Finding, graded
+from eval.referee.errors import named
 from eval.replay.frontend import FrontEnd
 from eval.replay.run import compare, dead_reckoning, front_end, step_by_step
 from eval.replay.settings import Setup
@@ -220,8 +221,9 @@ def numbers(text: str, task: str) -> Iterator[Finding]:
     t = log.truth
     assert t.landmarks is not None
     assert t.landmark_of is not None
-    of = np.full(int(run.created.max()) + 1, -1)
-    of[run.created[run.created >= 0]] = t.landmark_of[run.created >= 0]
+    first = named(run)
+    of = np.full(int(first.max()) + 1, -1)
+    of[first[first >= 0]] = t.landmark_of[first >= 0]
     unknown = run.map.number[run.map.number >= len(of)]
     if len(unknown):
         yield Finding(name, False, f"landmark {unknown[0]} is in the map; only {len(of)} were created")

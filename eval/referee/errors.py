@@ -12,6 +12,7 @@ import numpy as np
 
 from data import se2
 from data.inputs import IntArray
+from data.result import Run
 from data.se2 import Array
 from data.sensors import Sensor
 from data.truth import Truth
@@ -70,6 +71,13 @@ def aligned_rmse(pose: Array, truth: Array) -> float:
     R, t = align(pose[known, :2], truth[known, :2])
     moved = pose[known, :2] @ R.T + t
     return rms(np.hypot(*(moved - truth[known, :2]).T))
+
+
+def named(run: Run) -> IntArray:
+    """Which landmark (M,) is known by an observation: what it initialized in the end, or at first if that is gone."""
+    last = run.initialized
+    left = np.where(np.isin(run.created, last[last >= 0]), -1, run.created)
+    return np.where(last >= 0, last, left)
 
 
 def landmark_true_ids(created: IntArray, truth: Truth, numbers: IntArray) -> IntArray:

@@ -15,7 +15,7 @@ from scipy import special
 
 from data import se2
 from data.inputs import Inputs, IntArray
-from data.result import Run, surviving
+from data.result import Run
 from data.se2 import Array, BoolArray
 from eval.referee.consistency import successive
 
@@ -59,7 +59,7 @@ class Residuals:
 def used_by(run: Run, inputs: Inputs) -> Used:
     """What a smoother's run used; `inputs` has the map in localization and none in SLAM."""
     final = run.final_decisions
-    initialized = surviving(final, run.created)
+    initialized = run.initialized
     number = np.where(initialized >= 0, initialized, final)
     if inputs.map is not None:
         identity, xy = inputs.map.id, inputs.map.xy

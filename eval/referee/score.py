@@ -12,7 +12,7 @@ import pandas as pd
 from association.scans.laser_run import SCAN, LaserRun
 from data.inputs import CLUTTER
 from data.log import Log
-from data.result import DISCARD, Run, surviving
+from data.result import DISCARD, Run
 from data.se2 import Array
 from eval.referee import consistency, errors
 from eval.referee.along import Along, along
@@ -61,7 +61,7 @@ def confusion_of(run: Run, log: Log, phase: str) -> Confusion | None:
     known = log.recorded.map if run.task == "localization" else None
     decisions = run.decisions if phase == "online" else run.final_decisions
     # in the end a landmark that was retracted has never been
-    created = run.created if phase == "online" else surviving(decisions, run.created)
+    created = run.created if phase == "online" else run.initialized
     final = run.final_decisions if phase == "online" else None
     frame = log.recorded.observations.frame
     return confuse(frame, log.truth.landmark_of, decisions, created, known, run.removed, final)
@@ -121,7 +121,7 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Alo
     if isinstance(run, GivenRun) and run.match is not None:
         row["matched"], row["unmatched"] = run.match.matched, run.match.unmatched
     if run.map is not None and len(run.map):
-        ids = errors.landmark_true_ids(run.created, log.truth, run.map.number)
+        ids = errors.landmark_true_ids(errors.named(run), log.truth, run.map.number)
         off = np.hypot(*errors.landmark_errors(run.map.xy, ids, log.truth, log.recorded.sensor).T)
         row["rmse_landmark_m"] = errors.rms(off)
         if np.isfinite(off).any():
@@ -158,7 +158,7 @@ def _by_majority(run: Run, phase: str, log: Log) -> Array:
     own, decisions = log.truth.landmark_of, run.decisions if phase == "online" else run.final_decisions
     if own is None:
         return np.full(len(run.map), np.nan)
-    created = run.created if phase == "online" else surviving(decisions, run.created)
+    created = run.created if phase == "online" else run.initialized
     number = np.where(created >= 0, created, decisions)
     named = majority(number, own, created >= 0)
     padded = np.full(max(len(named), int(run.map.number.max()) + 1), CLUTTER, np.int64)
@@ -216,7 +216,8 @@ def _near(run: Run, phase: str, log: Log) -> float | None:
     taken = decisions.copy()
     if run.task != "localization":
         paired = decisions >= 0
-        taken[paired] = errors.landmark_true_ids(run.created, log.truth, decisions[paired])
+        named = run.created if phase == "online" else errors.named(run)
+        taken[paired] = errors.landmark_true_ids(named, log.truth, decisions[paired])
     return share_within(decisions, own, taken, places)
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from data.inputs import Inputs, IntArray
-from data.result import DISCARD, Failure, Run, Trajectory, map_estimate, surviving
+from data.result import DISCARD, Failure, Run, Trajectory, map_estimate
 from data.se2 import BoolArray
 from graph.batch import Smoothed, Start, smooth
 from graph.factors import UnderConstrained
@@ -35,7 +35,7 @@ def batch(name: str, inputs: Inputs, front: Run, other: Callable[[], Run] | None
         return _failed(name, front, Failure("incomplete", 0, why), len(inputs), 0.0)
     begin = time.perf_counter()
     # what was retracted has no landmark; what a filter merely forgot is smoothed like all others
-    initialized = surviving(front.final_decisions, front.created)
+    initialized = front.initialized
     start = start_at(inputs, front, initialized)
     final, notes = front.final_decisions, [f"decisions made by {front.estimator}"]
     try:
@@ -58,6 +58,7 @@ def batch(name: str, inputs: Inputs, front: Run, other: Callable[[], Run] | None
         name, front.association, front.task, None, result.trajectory, state, front.decisions, final,
         front.created, None, result.total_nis, None, seconds, None, tuple(notes), front.removed, gated=front.gated,
         iterations=result.iterations, last_step_sigma=result.last_step, errors_final=result.systematic,
+        begun=initialized,
     )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from data import se2
 from data.inputs import Inputs, IntArray, LabelledObservations
-from data.result import DISCARD, Failure, Run, Trajectory, surviving
+from data.result import DISCARD, Failure, Run, Trajectory
 from data.se2 import Array, BoolArray
 from ekf.whole_run import run_filter
 from graph.optimum import SUSPECT
@@ -132,7 +132,7 @@ def _squared(off: Array, covariance: Array) -> Array:
 
 def _sighted(run: Run, inputs: Inputs) -> tuple[IntArray, Array]:
     """Observations (m,) that show a landmark of the run's last map, by its last decisions, and where that is (m, 2)."""
-    created = surviving(run.final_decisions, run.created)
+    created = run.initialized
     number = np.where(created >= 0, created, run.final_decisions)
     if inputs.map is not None:
         identity, places = inputs.map.id, inputs.map.xy
@@ -223,7 +223,7 @@ def _landmarks(run: Run, inputs: Inputs, reach: Array) -> Iterator[Failure]:
         return
     rows, xy = _sighted(run, inputs)
     order = np.argsort(m.number)
-    created = surviving(run.final_decisions, run.created)
+    created = run.initialized
     number = np.where(created >= 0, created, run.final_decisions)[rows]
     slot = order[np.searchsorted(m.number, number, sorter=order)]
     nearest = np.full(len(m), np.inf)

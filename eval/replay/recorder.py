@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from data.inputs import Frame, IntArray, Systematic
 from data.result import (
     CHI_SQUARE,
     DISCARD,
+    NEW,
+    Event,
     Failure,
     Finished,
     Innovations,
@@ -20,6 +24,17 @@ from data.result import (
     surviving,
 )
 from eval.replay.frontend import FrontEnd
+
+
+def _initialized(decisions: IntArray, created: IntArray, events: Sequence[Event]) -> IntArray:
+    """Landmark (M,) that each observation initialized after all revisions of decisions (M,), -1 for none.
+
+    What turns from a pairing into `NEW` is what its landmark begins with.
+    """
+    found = surviving(decisions, created)
+    for e in events:
+        found[e.observation] = e.old if e.new == NEW else -1
+    return found
 
 
 class Recorder:
@@ -76,10 +91,11 @@ class Recorder:
             number = np.where(self.created >= 0, self.created, self.decisions)
             final = np.where(np.isin(number, sorted(front.map_management.retracted)), DISCARD, self.decisions)
         events = front.events()
+        begun = _initialized(final, self.created, events)
         final = revised(final, events)
         state = None
         if finished.map is not None:
-            state = map_estimate(finished.map, self._frame, final, surviving(final, self.created))
+            state = map_estimate(finished.map, self._frame, final, begun)
         innovations = None
         if np.isfinite(self._nis).any():
             innovations = Innovations(self._nis, self._dof, self._likelihood, self._white)
@@ -92,7 +108,7 @@ class Recorder:
             name, front.association, task, Trajectory(self._pose, self._covariance), finished.final, state,
             self.decisions, final, self.created, innovations, total, size, seconds, failure, tuple(front.notes()),
             removed, events, self._gated(), finished.iterations, finished.last_step_sigma,
-            errors_online=self._errors_online(), errors_final=finished.systematic,
+            errors_online=self._errors_online(), errors_final=finished.systematic, begun=begun,
         )  # fmt: skip
 
     def _errors_online(self) -> Systematics | None:

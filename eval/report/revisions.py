@@ -17,9 +17,9 @@ from eval.figures.style import save
 from eval.page.document import Picture, Section, written_table
 from eval.plan.flags.options import Options
 from eval.referee.score import Trial
-from eval.replay.hindsight.ledger import MERGED
+from eval.replay.hindsight.ledger import MERGED, PAIRED_ANEW, UNREAD
 
-LATE = ("uncertain", "put off until the end")
+LATE = ("uncertain", "put off until the end", PAIRED_ANEW, UNREAD)
 """Reasons that only say that the log was over."""
 COLUMNS = ("deciding for", "pairings undone", "made instead", "put off, then made", "landmarks merged", "retracted")
 CAPTION = (
@@ -60,7 +60,7 @@ def example(run: Run) -> Example | None:
 
 def tally(run: Run) -> dict[str, str]:
     """A row of the table: counts, and the reasons why landmarks left the map."""
-    undone = [e for e in run.events if e.old >= 0]
+    undone = [e for e in run.events if e.old >= 0 and e.new != NEW]
     initializing = [e for e in run.events if e.old == NEW]
     why = Counter(e.why for e in initializing if e.new == DISCARD)
     reasons = f" ({', '.join(f'{n} {w}' for w, n in sorted(why.items()))})" if why else ""

@@ -14,7 +14,7 @@ from data.log import folder_name
 from data.result import Run, Systematics, Trajectory
 from data.se2 import Array
 from eval.referee.confusion import OUTCOMES
-from eval.referee.errors import landmark_true_ids
+from eval.referee.errors import landmark_true_ids, named
 from eval.referee.files import of_runs
 from eval.referee.paths.given import GivenRun, log_of
 from eval.referee.score import Trial, confusion_of
@@ -92,7 +92,7 @@ def _write_map(place: Path, trial: Trial, run: Run) -> None:
         if run.task != "slam" or bare or run.failure is not None:
             return
         raise AssertionError(f"{run.estimator} did SLAM but returned no map")
-    ids = landmark_true_ids(run.created, trial.log.truth, m.number)
+    ids = landmark_true_ids(named(run), trial.log.truth, m.number)
     near = ambiguous(run, trial.log.recorded)
     table = pd.DataFrame({
         "landmark": m.number, "x": m.xy[:, 0], "y": m.xy[:, 1], "c_xx": m.covariance[:, 0, 0],

@@ -120,7 +120,7 @@ def sample(run: Run, phase: str, log: Log, scenario: Scenario) -> Sample:
     first = scenario.from_frame
     means = {q: consistency.mean_or_nan(v[first:]) for q, v in each.items()}
     if run.map is not None and len(run.map):
-        ids = errors.landmark_true_ids(run.created, truth, run.map.number)
+        ids = errors.landmark_true_ids(errors.named(run), truth, run.map.number)
         off = errors.landmark_errors(run.map.xy, ids, truth, log.recorded.sensor)
         means["landmarks"] = consistency.mean_or_nan(consistency.squared_distance(off, run.map.covariance))
     if phase == "online" and run.innovations is not None:

@@ -16,7 +16,7 @@ import numpy as np
 from association.expectation import Expectation, gate_threshold
 from data.inputs import IntArray
 from data.log import Log
-from data.result import DISCARD, NEW, Run
+from data.result import NEW, Run
 from data.se2 import Array
 from data.terminal.words import counted
 from data.truth import UNKNOWN_ID
@@ -163,7 +163,7 @@ def run_text(log: Log, run: Run, phase: str = "online", block: Block = step_bloc
     inputs, confusion = log.recorded, confusion_of(run, log, phase)
     decisions = run.decisions if phase == "online" else run.final_decisions
     # in the end a landmark that was retracted has never been
-    created = run.created if phase == "online" else np.where(decisions == DISCARD, -1, run.created)
+    created = run.created if phase == "online" else run.initialized
     frames = np.flatnonzero(np.diff(inputs.start))
     if run.failure is not None:
         frames = frames[frames < run.failure.frame]

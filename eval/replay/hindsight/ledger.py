@@ -8,16 +8,15 @@ are initialized, seen, merged and dropped.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
+from association.anew import Anew, beginnings
 from association.candidates import holding
 from association.evidence import constants
 from association.evidence.landmarks import (
-    INITIALIZED,
-    Evidence,
     Judgement,
     Visibility,
     certain,
@@ -35,55 +34,11 @@ from data.result import DISCARD, NEW, Event, Updated
 from data.se2 import Array
 from data.sensors import Sensor
 from data.terminal.words import counted
+from eval.replay.hindsight.record import Epoch, Judged, Record
 
 MERGED = "the same landmark as one initialized before"
-
-
-@dataclass
-class Record:
-    """What is known of one landmark of the map, but for where it stands.
-
-    Attributes:
-        sightings: (observation, decision) of all that are taken for it; the first one initialized it.
-        looked_from: (x, y) [m] of the robot where it was last seen, or should have been.
-        first, last: distances travelled [m] at its first and its last sighting.
-        times: sightings, by the decisions that were used.
-        evidence: what speaks for it and against it.
-        covisible: landmarks that were seen in one frame with it: they cannot be the same.
-        gated: distance travelled [m] where its gate was judged last, by whether the sighting was inside.
-        looks: at it after the first sighting: the second one, and from other places; 1 seen, 0 missed in the view read.
-    """
-
-    sightings: list[tuple[int, int]]
-    looked_from: tuple[float, float]
-    first: float
-    last: float
-    times: int = 0
-    evidence: Evidence = INITIALIZED
-    covisible: set[int] = field(default_factory=set)
-    gated: dict[bool, float] = field(default_factory=dict)
-    looks: bytearray = field(default_factory=bytearray)
-
-
-class Judged(NamedTuple):
-    """What a frame's expectation says about its pairings, to be taken before the update, which it does not survive.
-
-    rows (k,) of the paired observations, the landmarks' numbers (k,), their innovations given each other; the landmarks
-    (n,) that should have been seen and were not, and those of them where something was read before.
-    """
-
-    rows: IntArray
-    number: IntArray
-    alone: Alone
-    missing: IntArray
-    in_read: IntArray
-
-
-class Epoch(NamedTuple):
-    """Since when the robot cannot tell which landmark is which: distance travelled [m], number of the next landmark."""
-
-    begun: float = -math.inf
-    first: int = 0
+PAIRED_ANEW = "paired anew on the smoothed path"
+UNREAD = "none of its readings is left"
 
 
 class Ledger:
@@ -209,6 +164,27 @@ class Ledger:
         found = {n: verdict(self.records[n].evidence, self._visibility) for n in sorted(self._touched)}
         self._touched.clear()
         return self._retract({n: why for n, why in found.items() if why})
+
+    def pair_anew(self, found: Anew) -> IntArray:
+        """Take all readings (M,) of the log for landmarks of the map; those of which none is left (r,) are taken back.
+
+        The reading that names a landmark is its first one, and what was taken for it before is discarded.
+        """
+        first = beginnings(found)
+        gone = self._retract({n: UNREAD for n in self.records if n not in first})
+        former = {row: (n, decision) for n, r in self.records.items() for row, decision in r.sightings}
+        for record in self.records.values():
+            record.sightings.clear()
+        for row, n in enumerate(found.number.tolist()):
+            before, new = former.get(row, (-1, DISCARD)), DISCARD
+            if n >= 0 and row >= first[n]:
+                new = NEW if row == first[n] else n
+                self.records[n].sightings.append((row, new))
+            if before == (n, new) or before[1] == new == DISCARD:
+                continue
+            steps = [before[1], *([n] if new == NEW and before[1] != n else []), new]
+            self.events += [Event(self.frame, row, old, then, PAIRED_ANEW) for old, then in pairwise(steps)]
+        return gone
 
     def uncertain(self) -> IntArray:
         """Landmarks (r,) that may have been there for a while only; at the end of a run they are taken back."""

@@ -31,6 +31,7 @@ from eval.replay.hindsight.ledger import Ledger
 from eval.replay.hindsight.lost import Lost
 from eval.replay.hindsight.restated import Restated
 from eval.replay.hindsight.uncertain_motion import UncertainMotion
+from eval.replay.hindsight.whole_log import WholeLog
 from eval.replay.settings import Setup
 
 TIGHT = Systematic(("scale", "curvature", "left", "right", "drift"), np.array([0.02, 2e-3, 0.05, 0.05, 1.25e-3]), 50.0)
@@ -90,21 +91,22 @@ class HindsightMapper:
         kidnapping: whether the robot has been moved unseen.
         duplicates: which landmarks were initialized twice.
         lost: whether its own map is to be believed; decides nothing.
+        whole: the log, to be looked at once more in the end.
     """
 
     def __init__(self, given: Given, setup: Setup) -> None:
         """Before the first frame."""
         self.setup = setup
+        self._systematic = beside_tight(given.systematic)
         self.restated = Restated(given.sensor)
-        self.filters = TwoModels(
-            given.prior, given.sensor, beside_tight(given.systematic), doubted=given.systematic is None
-        )
+        self.filters = TwoModels(given.prior, given.sensor, self._systematic, doubted=given.systematic is None)
         self.ledger = Ledger(given.sensor)
         self.motion = UncertainMotion(self.ledger, setup)
         self.gates = LearnedGates(self.ledger)
         self.kidnapping = Kidnapping(self.ledger, setup)
         self.duplicates = Duplicates(self.ledger)
         self.lost = Lost(self.ledger)
+        self.whole = WholeLog(given)
 
     @property
     def filter(self) -> EkfSlam:
@@ -113,6 +115,7 @@ class HindsightMapper:
 
     def move(self, frame: Frame) -> None:
         """Step 1, predict: the next frame comes; the first one has no motion."""
+        self.whole.move(frame)
         frame = self.restated.see(frame)
         self.ledger.move(frame)
         if frame.increment is not None:
@@ -140,6 +143,8 @@ class HindsightMapper:
         if stated and decided.kidnapped is None and np.isin(decided.decisions[decided.decisions >= 0], e.number).all():
             decided = decided._replace(S=e.joint_innovation(*e.paired(decided.decisions))[1])
         self._update(frame, decided)  # 7
+        if decided.kidnapped is not None:
+            self.whole.doubt(decided.kidnapped)
         return decided
 
     def _expect(self, sightings: Sightings) -> Expectation:
@@ -164,6 +169,7 @@ class HindsightMapper:
 
     def revise(self) -> Revision:
         """Steps 8 and 9, the end of a frame: what is taken back, from the filter already."""
+        self.whole.end_frame(self.filter.estimate().mean)
         retracted = self._remove(self.ledger.contradicted())  # 8
         pairs = self.kidnapping.duplicates() or self.duplicates.find(self.filter, widest(self.gates.scales))  # 9
         merged, kept = np.array(pairs, np.int64).reshape(-1, 2).T
@@ -174,15 +180,22 @@ class HindsightMapper:
 
     def leave(self, numbers: IntArray) -> None:
         """Landmarks (r,) left the estimator's map for another reason: they leave this one, too."""
+        self.whole.managed = True
         self.ledger.drop(numbers)
         self._remove(numbers)
 
     def close(self) -> IntArray:
-        """The end of the log: landmarks (r,) that may have been there for a while only are taken back."""
+        """The end of the log: all is paired anew, and landmarks (r,) are taken back.
+
+        Those that may have been there for a while only, and those of which no reading is left.
+        """
         often = [n for n, r in self.ledger.records.items() if r.evidence.seen >= constants.CERTAIN]
+        errs = self._systematic if self.filters.errs else None
+        anew = self.whole.pair_anew(self.ledger.records, self.filter.landmarks(), self.restated, errs)
+        unread = self._remove(self.ledger.pair_anew(anew)) if anew is not None else np.empty(0, np.int64)
         gone = self.ledger.uncertain()
         self.lost.end(often, gone)
-        return self._remove(gone)
+        return np.concatenate([unread, self._remove(gone)])
 
     def _remove(self, numbers: IntArray) -> IntArray:
         if len(numbers):
@@ -199,4 +212,5 @@ class HindsightMapper:
         return [
             *self.restated.notes(), *self.ledger.notes(), *self.motion.notes(), *self.kidnapping.notes(),
             *self.ledger.merge_notes(), *self.lost.notes(),
+            *([self.whole.why] if self.whole.why else []),
         ]  # fmt: skip

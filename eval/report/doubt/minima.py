@@ -35,7 +35,9 @@ def two_minima(batch: Run, other: Run) -> str:
         return ""
     if batch.total_nis is None or other.total_nis is None or batch.total_nis[1] != other.total_nis[1]:
         return ""
-    same = np.array_equal(batch.final_decisions, other.final_decisions) and np.array_equal(batch.created, other.created)
+    same = np.array_equal(batch.final_decisions, other.final_decisions) and np.array_equal(
+        batch.initialized, other.initialized
+    )
     a, b = batch.total_nis[0], other.total_nis[0]
     if not same or abs(a - b) <= ROUNDING + STEP**2 * max(abs(a), abs(b)):
         return ""

@@ -7,10 +7,11 @@ import numpy as np
 from data import se2
 from data.inputs import IntArray
 from data.motion.corrected_inputs import corrected_inputs
-from data.result import Run, surviving
+from data.result import Run
 from data.se2 import Array
 from data.sensors import RangeBearing
 from eval.page.numbers import number
+from eval.referee.errors import named
 from eval.referee.residuals import Used, smoothed_residuals, used_by
 from eval.referee.score import Trial
 from eval.replay.plausible import ABSURD, first_misfit
@@ -96,7 +97,7 @@ def _pairing(run: Run, trial: Trial, used: Used, path: Array, i: int) -> str:
     else:
         off = abs(float(recorded.sensor.residual(o.z[i], recorded.sensor.predict(path[frame], there)[0])[0]))
     paired = f"was paired{_in_truth(run, trial, landmark, i)} with"
-    how = "initialized" if surviving(run.final_decisions, run.created)[i] >= 0 else paired
+    how = "initialized" if run.initialized[i] >= 0 else paired
     return (
         f"observation {i - int(recorded.start[frame])} {how} landmark {landmark}, which the last map has"
         f" {number(off)} m from where the reading puts it"
@@ -106,13 +107,13 @@ def _pairing(run: Run, trial: Trial, used: Used, path: Array, i: int) -> str:
 def _in_truth(run: Run, trial: Trial, landmark: int, i: int) -> str:
     """Whether that was right, where the truth is known."""
     own: IntArray | None = trial.log.truth.landmark_of
-    if own is None or run.created[i] >= 0:
+    if own is None or run.initialized[i] >= 0:
         return ""
-    first = np.flatnonzero(run.created == landmark)
-    named = landmark if run.task == "localization" else int(own[first[0]]) if len(first) else None
-    if named is None:
+    first = np.flatnonzero(named(run) == landmark)
+    right = landmark if run.task == "localization" else int(own[first[0]]) if len(first) else None
+    if right is None:
         return ""
-    return " (rightly, says the truth)" if int(own[i]) == named else " (wrongly, says the truth)"
+    return " (rightly, says the truth)" if int(own[i]) == right else " (wrongly, says the truth)"
 
 
 def _near(run: Run, trial: Trial, rows: IntArray) -> str:

@@ -62,7 +62,7 @@ def _crowded(run: Run, inputs: Inputs) -> list[Question]:
     near = cKDTree(places.xy).query_pairs(reach, output_type="ndarray")
     if len(np.unique(near)) <= CROWDED * len(places):
         return []
-    of = np.where(run.created >= 0, run.created, run.final_decisions)
+    of = np.where(run.initialized >= 0, run.initialized, run.final_decisions)
     frames = {i: np.unique(o.frame[of == places.number[i]]) for i in np.unique(near).tolist()}
     apart = [i for a, b in near.tolist() if not len(np.intersect1d(frames[a], frames[b])) for i in (a, b)]
     doubles = len(set(apart))

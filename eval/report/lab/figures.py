@@ -18,7 +18,7 @@ from eval.figures.error import ticks, time_label
 from eval.figures.paper.look import page_width
 from eval.figures.style import DASHED, SOLID, TRUTH_COLOUR, colour_of_method, drawing
 from eval.figures.view import true_landmarks
-from eval.referee.errors import landmark_true_ids, position_distance, rms
+from eval.referee.errors import landmark_true_ids, named, position_distance, rms
 from eval.referee.score import Trial
 from eval.report.corridor.phrases import NAMES
 from eval.report.lab.timing import Times
@@ -154,7 +154,7 @@ def _draw_map(ax: Axes, s: Shown, *, left: bool, size: float = 3.0) -> None:
         ax.plot(*truth[:, :2].T, color=TRUTH_COLOUR, linewidth=1.0, zorder=2)
     ax.plot(*run.trajectory("online").pose[:, :2].T, color=colour, linewidth=1.2, zorder=3)
     if run.map is not None and len(run.map):
-        person = landmark_true_ids(run.created, s.log.truth, run.map.number) == CLUTTER
+        person = landmark_true_ids(named(run), s.log.truth, run.map.number) == CLUTTER
         ax.plot(*run.map.xy[~person].T, ".", color=colour, markersize=1.3 * size, zorder=4)
         ax.plot(*run.map.xy[person].T, "s", color=BAD, markersize=1.2 * size, markerfacecolor="none", zorder=5)
     at = removed_places(s)

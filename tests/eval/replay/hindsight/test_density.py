@@ -16,7 +16,8 @@ from association.expectation import Expectation
 from data.result import NEW
 from data.sensors import RangeBearing, RelativePoint
 from eval.replay.hindsight.density import dense, density, pair
-from eval.replay.hindsight.ledger import Epoch, Ledger
+from eval.replay.hindsight.ledger import Ledger
+from eval.replay.hindsight.record import Epoch
 from eval.replay.settings import Setup
 
 POINT = RelativePoint(max_range=10.0)

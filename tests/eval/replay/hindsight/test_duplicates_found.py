@@ -12,7 +12,8 @@ from association.evidence import constants
 from data.sensors import RelativePoint
 from eval.replay.hindsight import duplicates
 from eval.replay.hindsight.duplicates import Duplicates, single
-from eval.replay.hindsight.ledger import Epoch, Ledger, Record
+from eval.replay.hindsight.ledger import Ledger
+from eval.replay.hindsight.record import Epoch, Record
 
 REACH = 10.0
 WINDOW, AGE = constants.WINDOW_SPAN * REACH, constants.WINDOW_AGE * REACH

@@ -17,7 +17,8 @@ from data.result import DISCARD, NEW
 from data.sensors import RelativePoint
 from eval.replay.hindsight import kidnapping
 from eval.replay.hindsight.kidnapping import Kidnapping, anywhere
-from eval.replay.hindsight.ledger import Epoch, Ledger, Record
+from eval.replay.hindsight.ledger import Ledger
+from eval.replay.hindsight.record import Epoch, Record
 from eval.replay.settings import Setup
 
 SENSOR = RelativePoint(max_range=20.0)

@@ -9,7 +9,8 @@ from association.expectation import Expectation
 from data.inputs import Frame, Increment, Sightings
 from data.result import DISCARD, NEW, Updated
 from data.sensors import RelativePoint
-from eval.replay.hindsight.ledger import MERGED, Epoch, Ledger, Record
+from eval.replay.hindsight.ledger import MERGED, Ledger
+from eval.replay.hindsight.record import Epoch, Record
 
 FAR = np.array([[5.0, 0.0], [5.0, 4.0], [5.0, -4.0]])
 

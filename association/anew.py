@@ -1,0 +1,81 @@
+"""All readings of a log paired anew with landmarks that are known, seen from poses that are known.
+
+What is decided frame by frame is decided with the map of that moment, from where the robot was thought to be. Once path
+and map are smoothed, what is left of both is small beside the noise of a reading, and which landmark explains it is
+asked again.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from association.evidence import constants
+from association.expectation import Expectation, gate_threshold
+from association.gnn import gnn
+from data.inputs import IntArray, LandmarkMap, Observations
+from data.se2 import Array, BoolArray
+from data.sensors import Sensor
+
+
+class Anew(NamedTuple):
+    """Landmark (m,) of every reading, -1 for none; alone (m,): that no other landmark's gate holds it."""
+
+    number: IntArray
+    alone: BoolArray
+
+
+def noise_share(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observations, number: IntArray) -> float:
+    """Which share of the stated variance readings (m) of the landmarks (m,), -1 for none, really have.
+
+    By the quantile `ANEW_QUANTILE` of squared distances, of landmarks that were read `ANEW_SIGHTINGS` times and more:
+    of the others the reading itself says where they stand. 1 where there are none; at least `FINEST`. pose: (N, 3).
+    """
+    times = np.bincount(number[number >= 0], minlength=1)
+    rows = np.flatnonzero((number >= 0) & (times[np.maximum(number, 0)] >= constants.ANEW_SIGHTINGS))
+    if not len(rows):
+        return 1.0
+    nu = sensor.residual(seen.z[rows], sensor.predict(pose[seen.frame[rows]], known.positions(number[rows])))
+    d2 = (nu * np.linalg.solve(seen.R[rows], nu[..., None])[..., 0]).sum(axis=1)
+    share = float(np.quantile(d2, constants.ANEW_QUANTILE)) / gate_threshold(constants.ANEW_QUANTILE)
+    return max(share, constants.FINEST)
+
+
+def pair_anew(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observations) -> Anew:
+    """Global nearest neighbour in every frame, from poses (N, 3), of readings (m) ascending by frame.
+
+    Gate: `ANEW_GATE`. Poses and landmarks are taken as exact.
+    """
+    number, alone = np.full(len(seen.frame), -1, np.int64), np.zeros(len(seen.frame), np.bool_)
+    threshold = gate_threshold(constants.ANEW_GATE)
+    begin = np.searchsorted(seen.frame, np.arange(len(pose) + 1))
+    for k in np.unique(seen.frame).tolist():
+        rows = slice(begin[k], begin[k + 1])
+        e = _expected(sensor, pose[k], known, seen.z[rows], seen.R[rows])
+        if not len(e.number):
+            continue
+        number[rows] = gnn(e, constants.ANEW_GATE)
+        alone[rows] = (e.individual_distances() < threshold).sum(axis=1) == 1
+    return Anew(number, alone & (number >= 0))
+
+
+def beginnings(found: Anew) -> dict[int, int]:
+    """The reading that each landmark begins with: the first one that is of nobody else, or where there is none, the
+    first of all. A landmark is known by it: had it been a neighbour's, all right ones after it would be wrong.
+    """
+    rows = np.lexsort((~found.alone, found.number))
+    numbers, first = np.unique(found.number[rows], return_index=True)
+    return {n: row for n, row in zip(numbers.tolist(), rows[first].tolist(), strict=True) if n >= 0}
+
+
+def _expected(sensor: Sensor, pose: Array, known: LandmarkMap, z: Array, R: Array) -> Expectation:
+    """Landmarks within twice the sensor's range, known exactly, and readings (m, 2) of a frame."""
+    reach = math.hypot(*sensor.translation) + 2.0 * sensor.max_range
+    near = np.flatnonzero(np.hypot(*(known.xy - pose[:2]).T) <= reach)
+    n, m = len(near), len(z)
+    return Expectation(
+        known.id[near], sensor.predict(pose, known.xy[near]), np.zeros((n, 2, 2)), np.zeros(n, np.int64),
+        z, R, np.zeros(m, np.int64), sensor.residual, lambda which: np.zeros((2 * len(which), 2 * len(which))),
+    )  # fmt: skip
