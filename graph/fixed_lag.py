@@ -102,7 +102,12 @@ class FixedLagSmoother(Isam2Smoother):
         self._read()
 
     def amend(self, frames: IntArray, sightings: Sightings, decisions: IntArray) -> None:
-        """As `Isam2Smoother.amend`, for frames in the window; what older ones saw cannot be taken back any more."""
+        """As `Isam2Smoother.amend`, for frames in the window; what older ones saw cannot be taken back any more.
+
+        In SLAM nothing is: its path is kept as it was when it left the window.
+        """
+        if self.map is None:
+            return
         keep = np.flatnonzero(frames >= self._oldest)
         if len(keep):
             super().amend(frames[keep], Sightings(sightings.z[keep], sightings.R[keep]), decisions[keep])

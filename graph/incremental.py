@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import gtsam
 import numpy as np
+from gtsam.symbol_shorthand import L
 
 from association.candidates import in_view, view_radius
 from association.expectation import Expectation
@@ -199,10 +200,13 @@ class Isam2Smoother(Smoother):
         self._observed.hold(seen, handles[len(motion) :])
 
     def amend(self, frames: IntArray, sightings: Sightings, decisions: IntArray) -> None:
-        """In a known map: take what frames (m,) up to now saw (m) for other landmarks than before.
+        """Take what frames (m,) up to now saw (m) for other landmarks than before; negative decisions (m,) for none.
 
-        These frames' former pairings are forgotten. Decisions (m,) are ids of the map; others leave a sighting unused.
+        These frames' former pairings are forgotten. In SLAM it is for `finish` alone, and of all that was seen.
         """
+        if self.map is None:
+            self._observed.replace(frames, sightings, decisions)
+            return
         again, take = np.unique(frames).tolist(), np.flatnonzero(decisions >= 0)
         former = self._observed.take_back(again)
         if former:
@@ -289,6 +293,8 @@ class Isam2Smoother(Smoother):
         self._complete()
         values = self._engine.values()
         problem = self._observed.problem(self._end, values)
+        for n in [] if self.map is not None else np.setdiff1d(self.numbers, problem.numbers).tolist():
+            values.erase(L(n))
         found = optimize(problem, self._end.start(values, problem))
         total = (2.0 * found.error, problem.dof) if self.loss == "gaussian" else None
         return Finished(found.trajectory, found.map, total, found.iterations, found.last_step, found.systematic)

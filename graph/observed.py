@@ -110,6 +110,12 @@ class Observed:
             turned = {n for n, opposite in zip(other, np.cos(a - b) < 0.0, strict=True) if opposite}
         return [s.renumbered(other[s.number], opposite=s.number in turned) for s in moved]
 
+    def replace(self, frames: IntArray, seen: Sightings, number: IntArray) -> None:
+        """In SLAM, for `problem` alone: what points were seen, ascending by frame; number (m,), negative for none."""
+        take = np.flatnonzero(number >= 0)
+        found = Sightings(seen.z[take], seen.R[take])
+        self.sighted = sight_landmarks(self.sensor, *found, frames[take], number[take], self.loss)
+
     def problem(self, end: OpenEnd, values: gtsam.Values) -> Problem:
         """All of the run as a problem, where known landmarks are where the map has them; `values` become its own."""
         if self.sensor.sees_points:

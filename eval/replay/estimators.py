@@ -121,7 +121,10 @@ class Estimator(Protocol):
         ...
 
     def amend(self, frames: IntArray, sightings: Sightings, decisions: IntArray) -> None:
-        """Localization: what frames (m,) up to now saw (m) was for other landmarks than decided before."""
+        """What frames (m,) up to now saw (m) was for other landmarks (m,) than decided before, negative: for none.
+
+        In SLAM this is asked once, of all that was seen, after the last frame and before `finish`.
+        """
         ...
 
     def estimate(self) -> PoseEstimate:

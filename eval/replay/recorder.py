@@ -26,11 +26,13 @@ from data.result import (
 from eval.replay.frontend import FrontEnd
 
 
-def _initialized(decisions: IntArray, created: IntArray, events: Sequence[Event]) -> IntArray:
+def _begun(decisions: IntArray, created: IntArray, events: Sequence[Event]) -> IntArray | None:
     """Landmark (M,) that each observation initialized after all revisions of decisions (M,), -1 for none.
 
-    What turns from a pairing into `NEW` is what its landmark begins with.
+    What turns from a pairing into `NEW` is what its landmark begins with. None: nothing does.
     """
+    if all(e.new != NEW for e in events):
+        return None
     found = surviving(decisions, created)
     for e in events:
         found[e.observation] = e.old if e.new == NEW else -1
@@ -91,11 +93,12 @@ class Recorder:
             number = np.where(self.created >= 0, self.created, self.decisions)
             final = np.where(np.isin(number, sorted(front.map_management.retracted)), DISCARD, self.decisions)
         events = front.events()
-        begun = _initialized(final, self.created, events)
+        begun = _begun(final, self.created, events)
         final = revised(final, events)
         state = None
         if finished.map is not None:
-            state = map_estimate(finished.map, self._frame, final, begun)
+            first = surviving(final, self.created) if begun is None else begun
+            state = map_estimate(finished.map, self._frame, final, first)
         innovations = None
         if np.isfinite(self._nis).any():
             innovations = Innovations(self._nis, self._dof, self._likelihood, self._white)

@@ -272,7 +272,7 @@ def _compare(
                 front = ahead("ekf-iterated")
             if not setup.gate_smoothers:
                 decisions, created = known_decisions(inputs)
-                front = replace(front, decisions=decisions, final_decisions=decisions, created=created)
+                front = replace(front, decisions=decisions, final_decisions=decisions, created=created, begun=None)
         else:
             front = ahead("isam2" if "isam2" in estimators else "ekf")
         other = (lambda: ahead("ekf-iterated")) if association == "known" else None

@@ -21,11 +21,15 @@ from eval.replay.hindsight.ledger import MERGED, PAIRED_ANEW, UNREAD
 
 LATE = ("uncertain", "put off until the end", PAIRED_ANEW, UNREAD)
 """Reasons that only say that the log was over."""
-COLUMNS = ("deciding for", "pairings undone", "made instead", "put off, then made", "landmarks merged", "retracted")
+COLUMNS = (
+    *("deciding for", "pairings undone", "made instead", "put off, then made", "landmarks merged", "retracted"),
+    "paired anew at the end",
+)
 CAPTION = (
     "Decisions revised in hindsight. Undone: a pairing given up, made instead: another one put in its place; put off,"
     " then made: an observation used only later; merged: a landmark that turned out to be another one; retracted: one"
-    " that was never there."
+    " that was never there; paired anew at the end: observations that another landmark of the smoothed map explains, or"
+    " none of it."
 )
 
 
@@ -60,17 +64,19 @@ def example(run: Run) -> Example | None:
 
 def tally(run: Run) -> dict[str, str]:
     """A row of the table: counts, and the reasons why landmarks left the map."""
-    undone = [e for e in run.events if e.old >= 0 and e.new != NEW]
-    initializing = [e for e in run.events if e.old == NEW]
+    anew = {e.observation for e in run.events if e.why == PAIRED_ANEW}
+    on_the_way = [e for e in run.events if e.why != PAIRED_ANEW]
+    undone = [e for e in on_the_way if e.old >= 0]
+    initializing = [e for e in on_the_way if e.old == NEW]
     why = Counter(e.why for e in initializing if e.new == DISCARD)
     reasons = f" ({', '.join(f'{n} {w}' for w, n in sorted(why.items()))})" if why else ""
     counts = (
         len(undone),
         sum(e.new >= 0 for e in undone),
-        sum(e.old == DISCARD and e.new >= 0 for e in run.events),
+        sum(e.old == DISCARD and e.new >= 0 for e in on_the_way),
         sum(e.new >= 0 for e in initializing),
     )
-    cells = [str(c) for c in counts] + [f"{why.total()}{reasons}"]
+    cells = [*(str(c) for c in counts), f"{why.total()}{reasons}", str(len(anew))]
     return dict(zip(COLUMNS[1:], cells, strict=True))
 
 

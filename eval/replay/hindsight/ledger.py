@@ -266,9 +266,12 @@ class Ledger:
 
     def notes(self) -> list[str]:
         """What a reader of the results should know."""
-        undone, again = sum(e.old >= 0 for e in self.events), sum(e.new >= 0 for e in self.events)
+        events = [e for e in self.events if e.why != PAIRED_ANEW]
+        anew = len({e.observation for e in self.events if e.why == PAIRED_ANEW})
+        undone, again = sum(e.old >= 0 for e in events), sum(e.new >= 0 for e in events)
         said = f"{counted(undone, 'pairing was', 'pairings were')} undone in hindsight, {again} made instead"
-        return [said] if self.events else []
+        late = f"{counted(anew, 'decision')} made anew at the end, on the smoothed path"
+        return [said] * bool(events) + [late] * bool(anew)
 
     def merge_notes(self) -> list[str]:
         """The same of landmarks that were merged."""

@@ -194,6 +194,8 @@ class HindsightMapper:
         anew = self.whole.pair_anew(self.ledger.records, self.filter.landmarks(), self.restated, errs)
         unread = self._remove(self.ledger.pair_anew(anew)) if anew is not None else np.empty(0, np.int64)
         gone = self.ledger.uncertain()
+        if anew is not None:
+            self.whole.settle(self.ledger.records)
         self.lost.end(often, gone)
         return np.concatenate([unread, self._remove(gone)])
 

@@ -68,8 +68,10 @@ class MappingFrontEnd(FrontEnd):
         self.mapper.leave(numbers)
 
     def close(self) -> None:
-        """The end of the log: what may have been there for a while only is taken back."""
+        """The end of the log: what may have been there for a while only is taken back, and all is paired anew."""
         self._retract(self.mapper.close())
+        if self.mapper.whole.settled is not None:
+            self.estimator.amend(*self.mapper.whole.settled)
 
     def _retract(self, numbers: IntArray) -> None:
         if len(numbers):

@@ -27,12 +27,14 @@ class WholeLog:
 
     Attributes:
         managed: landmarks left the map by rules of the setup: what was read of them is no longer known.
-        why: why nothing was paired anew, if nothing was.
+        why: why nothing was paired anew, if nothing could be.
+        settled: all that was seen: frames (m,), sightings (m) as stated, landmarks (m,) in the end; None: as decided.
     """
 
     def __init__(self, given: Given) -> None:
         """Before the first frame."""
         self.managed, self.why = False, ""
+        self.settled: tuple[IntArray, Sightings, IntArray] | None = None
         self._given = given
         self._frames: list[Frame] = []
         self._doubt: dict[int, Array] = {}
@@ -57,11 +59,10 @@ class WholeLog:
 
         Noise as `restated`; `systematic`: errors of odometry that are believed in.
         """
-        log, rows = self._inputs(restated, systematic), [(row, n) for n, r in records.items() for row, _ in r.sightings]
-        if self.managed or not rows:
+        if self.managed or not records:
             return None
-        number = np.full(len(log.observations.frame), DISCARD)
-        number[[row for row, _ in rows]] = [n for _, n in rows]
+        log = self._inputs(restated, systematic)
+        number = _numbers(records, len(log.observations.frame))
         places = np.full((int(landmarks.number.max()) + 1, 2), np.nan)
         places[landmarks.number] = landmarks.xy
         try:
@@ -77,22 +78,37 @@ class WholeLog:
             pose, sensor = frame.poses_in(pose, found.systematic.mean), frame.sensor(sensor)
         return _paired(sensor, pose, LandmarkMap(found.map.number, xy), log.observations, number)
 
+    def settle(self, records: dict[int, Record]) -> None:
+        """The landmarks that there are records of are those that stay."""
+        seen = self._seen()
+        self.settled = seen.frame, Sightings(seen.z, seen.R), _numbers(records, len(seen.frame))
+
+    def _seen(self) -> Observations:
+        """All readings as they are stated."""
+        each = [f.sightings for f in self._frames]
+        of = np.repeat(np.arange(len(each)), [len(s.z) for s in each])
+        return Observations(of, np.concatenate([s.z for s in each]), np.concatenate([s.R for s in each]))
+
     def _inputs(self, restated: Restated, systematic: Systematic | None) -> Inputs:
-        first, rest = self._frames[0], self._frames[1:]
-        n = len(self._frames)
+        n, seen = len(self._frames), self._seen()
         mean, covariance = np.zeros((n, 3)), np.zeros((n, 3, 3))
-        for k, frame in enumerate(rest, 1):
+        for k, frame in enumerate(self._frames[1:], 1):
             assert frame.increment is not None
             mean[k], covariance[k] = frame.increment.mean, restated.shares.motion * frame.increment.covariance
             covariance[k] += self._doubt.get(k, 0.0)
-        of = np.repeat(np.arange(n), [len(f.sightings.z) for f in self._frames])
-        z = np.concatenate([first.sightings.z, *(f.sightings.z for f in rest)])
-        R = np.concatenate([first.sightings.R, *(f.sightings.R for f in rest)])
-        R = with_shares(self._given.sensor, Sightings(z, R), restated.shares).R
+        R = with_shares(self._given.sensor, Sightings(seen.z, seen.R), restated.shares).R
         return Inputs(
-            self._given.prior, np.arange(n, dtype=float), Increments(mean, covariance), Observations(of, z, R),
-            self._given.sensor, systematic=systematic,
+            self._given.prior, np.arange(n, dtype=float), Increments(mean, covariance),
+            Observations(seen.frame, seen.z, R), self._given.sensor, systematic=systematic,
         )  # fmt: skip
+
+
+def _numbers(records: dict[int, Record], readings: int) -> IntArray:
+    """Landmark (m,) of so many readings, `DISCARD` for none."""
+    number = np.full(readings, DISCARD, np.int64)
+    for n, record in records.items():
+        number[[row for row, _ in record.sightings]] = n
+    return number
 
 
 def _paired(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observations, number: IntArray) -> Anew:

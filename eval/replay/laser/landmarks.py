@@ -63,7 +63,7 @@ def at_all_frames(run: Run, corners: CornerLog, frames: int) -> LaserRun:
     given = {f.name: getattr(run, f.name) for f in fields(Run)}
     given |= {
         "online": paths.get("online"), "final": paths.get("final"), "decisions": none, "final_decisions": none,
-        "created": none, "removed": None, "events": (), "seconds": run.seconds + corners.seconds,
+        "created": none, "begun": None, "removed": None, "events": (), "seconds": run.seconds + corners.seconds,
         "state_size": None if run.state_size is None else run.state_size[chain.key],
         "failure": _at(run.failure, corners), "doubt": _at(run.doubt, corners),
     }  # fmt: skip

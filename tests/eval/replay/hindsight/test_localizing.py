@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from data.errors import UsageError
-from data.result import DISCARD, NEW, Event, revised, surviving
+from data.result import DISCARD, NEW, Event, revised
 from data.worlds.registry import named_log
 from ekf.filter import FilterOptions
 from eval.referee.score import confusion_of
+from eval.replay.hindsight.ledger import PAIRED_ANEW
 from eval.replay.run import compare, step_by_step
 from eval.replay.settings import Setup
 
@@ -61,7 +62,7 @@ def test_a_retracted_landmark_is_out_of_the_map_with_every_decision_for_it(runs)
         assert len(gone)
         assert not np.isin(run.map.number, gone).any()
         assert not np.isin(run.final_decisions, gone).any()
-        left = surviving(run.final_decisions, run.created)
+        left = run.initialized
         assert not np.isin(left, gone).any()
         # who is in the map was initialized once, and is seen as often as it says
         assert sorted(left[left >= 0]) == run.map.number.tolist()
@@ -73,15 +74,16 @@ def test_events_come_in_the_order_of_frames_and_name_their_reason(runs):
     for run in runs["ekf"]:
         frames = [e.frame for e in run.events]
         assert frames == sorted(frames)
-        assert {e.why for e in run.events} <= {"moved", "missed", "uncertain"}
+        assert {e.why for e in run.events} <= {"moved", "missed", "uncertain", PAIRED_ANEW}
         assert {e.why for e in run.events if e.frame < frames[-1]} >= {"missed"}
-        assert {e.new for e in run.events} == {DISCARD}
+        assert {e.new for e in run.events if e.why != PAIRED_ANEW} == {DISCARD}
 
 
 def test_without_people_nothing_is_taken_back():
     log = named_log("corridor:1")
     run = compare(log.inputs(), "slam", ["ekf"], METHOD)[0]
-    assert run.events == ()
+    assert {e.why for e in run.events} <= {PAIRED_ANEW}
+    assert run.removed is None or np.all(run.removed < 0)
     assert len(run.map) == 88
     assert confusion_of(run, log, "final").fp == 0
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from data.inputs import Increments, Inputs, Observations, Prior, Systematic
-from data.result import NEW, revised, surviving
+from data.result import NEW, revised
 from data.sensors import RangeBearing, RelativePoint
 from eval.replay.batch import batch
 from eval.replay.hindsight.ledger import MERGED
@@ -79,7 +79,7 @@ def test_merged_landmarks_give_all_their_sightings_to_the_older_one(runs):
     assert not gone & set(run.map.number.tolist())
     assert all(run.removed[n] >= 0 for n in gone)
     assert np.array_equal(revised(run.decisions, run.events), run.final_decisions)
-    left = surviving(run.final_decisions, run.created)
+    left = run.initialized
     assert sorted(left[left >= 0]) == run.map.number.tolist()
     assert any("turned out to have been initialized before" in note for note in run.notes)
 
@@ -196,7 +196,7 @@ def test_a_reading_at_no_range_at_all_is_a_reading():
     inputs = Inputs(Prior(np.zeros(3), np.zeros((3, 3))), np.arange(frames, dtype=float), still, seen, sensor, None)
     run = step_by_step("ekf", inputs, "slam", METHOD)
     assert run.failure is None
-    assert run.final_decisions[[8, 16]].tolist() == [0, 0]
+    assert run.decisions[[8, 16]].tolist() == [0, 0]
 
 
 @pytest.mark.parametrize(("step", "stays"), [(0.0, True), (0.6, False)])
