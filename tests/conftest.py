@@ -8,11 +8,15 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+import threadpoolctl
 from hypothesis import settings
 
 # The workers share the cores: threads of BLAS would only wait for each other. Before numpy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+
+# The libraries with threads are looked for once, not in every run of every test: 10 ms each time.
+threadpoolctl.ThreadpoolController = cache(threadpoolctl.ThreadpoolController)
 
 # How long an example takes says how busy the machine is, not whether the code is right.
 settings.register_profile("slamref", deadline=None)

@@ -54,7 +54,7 @@ class Server:
             raise UsageError(f"--port {port}: {why}") from None
         self._http.daemon_threads = True
         self.address = f"http://{ADDRESS}:{self._http.server_address[1]}/"
-        self._thread = threading.Thread(target=self._http.serve_forever, kwargs={"poll_interval": 0.2}, daemon=True)
+        self._thread = threading.Thread(target=self._http.serve_forever, kwargs={"poll_interval": 0.05}, daemon=True)
         self._thread.start()
 
     def __enter__(self) -> Server:

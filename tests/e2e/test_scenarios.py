@@ -93,6 +93,7 @@ def test_a_finished_run_is_never_done_again_and_more_runs_add_to_it(small, tmp_p
     same(tmp_path / "r", tmp_path / "other" / "r")
 
 
+@pytest.mark.slow
 def test_an_interrupted_study_leaves_the_old_report_and_resumes(small, tmp_path):
     out = tmp_path / "r"
     assert study(small, out, "--jobs", "1", runs=2) == 0

@@ -160,6 +160,7 @@ def test_typing_r_runs_through_and_q_stops(sitting, capsys):
     assert "whole run" not in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("fault", "status", "at"), [(KeyboardInterrupt, 130, 5), (EOFError, 0, 1)])
 def test_interrupt_and_end_of_file_at_a_pause_end_in_one_line_and_leave_whole_files(
     fault, status, at, sitting, tmp_path, capsys

@@ -69,6 +69,7 @@ def test_all_errors_at_once_have_the_optimum_and_the_covariances_of_dense_least_
     assert len(np.unique(found.systematic.mean[:, list(ERRORS).index("drift")])) > 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "names",
     [
@@ -83,6 +84,7 @@ def test_so_have_some_of_them(names):
         compare(*erring(RelativePoint(max_range=8.0), task, errors_of(names), frames=10, landmarks=3)[:4])
 
 
+@pytest.mark.slow
 @both_tasks
 @pytest.mark.parametrize("P0", [np.zeros((3, 3)), np.diag([0.01, 0.0, 0.02])], ids=["exact", "y exact"])
 def test_a_prior_that_knows_the_first_pose_exactly_is_one_of_the_robot_not_of_its_sensor(task, P0):

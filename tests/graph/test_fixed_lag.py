@@ -28,6 +28,7 @@ def held(smoother):
     return [gtsam.symbolIndex(k) for k in keys if gtsam.symbolChr(k) == ord("x")]
 
 
+@pytest.mark.slow
 @every_sensor
 @both_tasks
 @pytest.mark.parametrize("P0", [None, np.zeros((3, 3)), 0.01 * np.ones((3, 3))], ids=["P0", "zero", "rank one"])

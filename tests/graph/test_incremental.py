@@ -23,6 +23,7 @@ from tests.graph.driving import TIGHT, both_tasks, drive, every_sensor, for_task
 from tests.graph.worlds import SENSORS, circle, order_of_creation, truncated
 
 
+@pytest.mark.slow
 @every_sensor
 @both_tasks
 @pytest.mark.parametrize("P0", [None, np.zeros((3, 3)), 0.01 * np.ones((3, 3))], ids=["P0", "zero", "rank one"])

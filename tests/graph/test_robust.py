@@ -231,6 +231,7 @@ def test_gtsams_own_gnc_drops_hard_constraints():
     assert abs(found.atPose2(X(0)).x() - inputs.prior.mean[0]) > 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["range-bearing", "relative point"])
 @both_tasks
 def test_a_robot_at_rest_is_no_trouble(kind, task):

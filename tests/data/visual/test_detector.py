@@ -20,6 +20,7 @@ WALL_CAMERA = checks.Pinhole(1 / FOCAL, -CENTRE[0] / FOCAL, 1 / FOCAL, -CENTRE[1
 # --- what is found ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_every_picture_is_found_with_its_own_name_and_corners_within_a_pixel(textures, detector):
     offsets, plane_errors, window_errors, hits, views = [], [], [], 0, 0
     for i, (distance, yaw) in enumerate(((1.5, -30), (2.0, 50), (3.0, 0), (3.0, -50))):
@@ -125,6 +126,7 @@ def test_the_same_frame_gives_the_same_bits_with_any_number_of_threads(textures,
             assert one.inliers == other.inliers
 
 
+@pytest.mark.slow
 def test_frames_looked_at_together_come_in_order_with_what_each_alone_gives(textures, detector):
     frames = [hang(wall(), textures[i], hung(2, 0, 0.0)) for i in (0, 3, 1)]
     seen = list(detector.detect_each(frames))

@@ -11,6 +11,7 @@ from data.visual.detector import FEW_INLIERS, NOT_SEEN, SAME_PLACE, UNCERTAIN, D
 from tests.data.visual.wall import HEIGHT, PICTURE, PICTURES, WIDTH, found, hang, hung, projected, reason, texture, wall
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("x", [-0.95, -0.75, 0.75])
 def test_a_picture_that_is_partly_outside_the_image_is_refused(textures, detector, x):
     truth = hung(1.5, 0, x=x)

@@ -95,6 +95,7 @@ def test_interrupted_it_leaves_the_whole_log_and_a_report(tmp_path):
     assert "--association jcbb" in command
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_interrupted_again_in_the_report_the_log_is_whole_and_there_is_no_report(tmp_path, number, monkeypatch):
     written = contents.write_results

@@ -42,7 +42,7 @@ def alone(name, association, inputs, setup):
 
 @pytest.mark.parametrize("association", ["known", "jcbb", "jcbb-hindsight"])
 @pytest.mark.parametrize("task", ["localization", "slam"])
-@pytest.mark.parametrize("name", ["ekf", "isam2", "fixed-lag"])
+@pytest.mark.parametrize("name", ["ekf", "isam2", pytest.param("fixed-lag", marks=pytest.mark.slow)])
 def test_a_run_needs_no_more_than_a_frame_at_a_time(inputs, name, task, association):
     given = inputs if task == "localization" else inputs.without_map()
     given = given if association == "known" else given.without_labels()

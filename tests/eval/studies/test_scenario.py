@@ -40,7 +40,7 @@ def written(tmp_path):
     return write
 
 
-@pytest.mark.parametrize("name", scenarios())
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n == "walls" else n for n in scenarios()])
 def test_every_shipped_scenario_is_sound_and_tells_its_source(name):
     s = load_scenario(name)
     assert s.name == name

@@ -106,6 +106,7 @@ def test_along_a_corridor_only_odometry_says_where_the_robot_is(R):
         assert np.sqrt(P[0, 0]) == pytest.approx(np.hypot(0.02 * np.sqrt(n - 1), 0.01), rel=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SENSORS)
 @both_tasks
 def test_it_expects_what_dense_least_squares_expects(name, task):
@@ -192,6 +193,7 @@ def test_a_wall_that_is_removed_leaves_what_there_would_be_without_it(sensor):
         assert keys[0] == keys[1] or len(keys[0]) == len(keys[1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("landmark", [1, 4])
 @pytest.mark.parametrize("later", [False, True], ids=["to the first", "to the second"])
 def test_walls_that_are_one_are_joined_whatever_their_names(landmark, later):
@@ -236,6 +238,7 @@ def test_amended_pairings_leave_no_trace_of_what_they_replace(sensor):
     assert detour.finish().total_nis == pytest.approx(straight.finish().total_nis, abs=1e-6)
 
 
+@pytest.mark.slow
 @both_tasks
 @pytest.mark.parametrize("names", [("scale", "curvature"), ("scale", "drift")], ids="+".join)
 def test_errors_of_odometry_end_with_the_batch_solution(task, names):

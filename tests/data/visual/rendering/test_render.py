@@ -47,6 +47,7 @@ def to_world(g: Gallery, pose: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 class TestReferences:
+    @pytest.mark.slow
     def test_every_picture_is_full_of_features(self, clean):
         assert len(clean.references) == 8
         for image in clean.references:
@@ -59,6 +60,7 @@ class TestReferences:
         likeness = np.corrcoef(np.array(small)) - np.eye(8)
         assert np.abs(likeness).max() < 0.5
 
+    @pytest.mark.slow
     def test_no_picture_takes_the_features_of_another(self, clean):
         sift, matcher = cv2.SIFT_create(500), cv2.BFMatcher()
         found = [sift.detectAndCompute(cv2.cvtColor(r, cv2.COLOR_RGB2GRAY), None)[1] for r in clean.references]
@@ -136,6 +138,7 @@ class TestLightAndLens:
             found.append([gain, offset + 127.5 * (gain - 1.0)])
         return np.array(found)
 
+    @pytest.mark.slow
     def test_brightness_and_contrast_change_from_frame_to_frame_each_by_itself(self):
         gain, offset = self.light(brightness=20.0).T
         assert np.allclose(gain, 1.0, atol=0.01)
@@ -154,6 +157,7 @@ class TestLightAndLens:
         later = noisy.frame(1).rgb.astype(float) - plain.frame(1).rgb
         assert abs(np.corrcoef((a - b).ravel(), later.ravel())[0, 1]) < 0.02
 
+    @pytest.mark.slow
     def test_blur_follows_the_robots_turn_and_stays_where_it_is(self):
         plain, blurred = Rendered(CLEAN, 0), Rendered(replace(CLEAN, exposure=0.03), 0)
         moving = np.abs(plain.scene.command[:, 1]) > 0.1
@@ -188,6 +192,7 @@ class TestLightAndLens:
 
 
 class TestTheRecording:
+    @pytest.mark.slow
     def test_the_same_seed_gives_the_same_bytes_in_any_order(self):
         a, b, c = Rendered(SMALL, 3), Rendered(SMALL, 3, frames=20), Rendered(SMALL, 4)
         frames = list(b.frames())

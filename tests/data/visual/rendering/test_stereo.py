@@ -59,6 +59,7 @@ class TestStereoIsTrueToTheGeometry:
                 checked += 1
         assert checked == 96
 
+    @pytest.mark.slow
     def test_with_noise_the_corner_errs_by_the_noise_of_stereo(self):
         g = replace(CLEAN, disparity_noise=0.25, reference_width=120)
         noisy, score = Rendered(g, 0), []
@@ -120,6 +121,7 @@ class TestHoles:
     def share(self, **options: float) -> float:
         return float(np.isnan(Rendered(replace(SMALL_CLEAN, **options), 1).frame(5).xyz[:, :, 2]).mean())
 
+    @pytest.mark.slow
     def test_each_kind_of_hole_can_be_turned_on_by_itself(self):
         assert self.share() == 0.0
         assert 0.002 < self.share(patches=6) < 0.25
@@ -135,6 +137,7 @@ class TestHoles:
         assert invalid.any()
         assert (invalid.any(axis=2) == invalid.all(axis=2)).all()
 
+    @pytest.mark.slow
     def test_the_outline_of_a_picture_has_no_depth_and_its_inside_has(self, default):
         filled = []
         for k, number in views(default):

@@ -66,6 +66,7 @@ def test_the_robot_is_where_its_estimate_is_and_nothing_is_there_before(tmp_path
     assert columns.max() < width / 2
 
 
+@pytest.mark.slow
 def test_landmarks_stand_where_they_were_believed_to_be_at_each_instant(tmp_path):
     # believed at (5, 5) from the first frame on, at (-5, -5) from the tenth, and removed after the thirtieth
     xy = np.array([[5.0, 5.0], [-5.0, -5.0], [-5.0, -5.0]])
@@ -90,6 +91,7 @@ def test_without_a_history_a_landmark_appears_when_it_is_first_seen_where_it_is_
     assert not len(at_the_end(run_with_error(np.zeros(3), mapped=False)).frame)
 
 
+@pytest.mark.slow
 def test_a_path_fades_behind_the_robot(tmp_path):
     # from the right counter-clockwise, 19.5 s in all; the trail is 5 s of the film, 8 s of the log
     log, run = circle_log(truth=False, landmarks=False), run_with_error(np.zeros(3), mapped=False)

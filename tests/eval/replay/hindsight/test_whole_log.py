@@ -1,0 +1,167 @@
+"""The end of a log in hindsight: all is paired anew on the smoothed path, by all estimators alike."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from data.inputs import Increments, Inputs, Observations, Prior, Systematic
+from data.result import DISCARD, NEW, revised
+from data.sensors import RangeBearing
+from eval.referee.confusion import confuse
+from eval.referee.errors import named
+from eval.replay.hindsight import whole_log
+from eval.replay.hindsight.ledger import PAIRED_ANEW, UNREAD
+from eval.replay.run import compare, step_by_step
+from eval.replay.settings import Setup
+from eval.studies.variety.draw import draw
+from eval.studies.variety.world import log_of
+from graph.factors import UnderConstrained
+
+METHOD = "jcbb-hindsight"
+
+
+@pytest.fixture(scope="module")
+def crowded():
+    """A simulated world of 600 readings, a sixth of which is paired wrongly at first."""
+    log = log_of(draw(82))
+    return log, compare(log.inputs(labels=False).without_map(), "slam", ["ekf", "isam2", "fixed-lag", "batch"], METHOD)
+
+
+def wrong(log, run):
+    o = log.recorded.observations
+    return confuse(o.frame, log.truth.landmark_of, run.final_decisions, run.initialized, None, run.removed).fp
+
+
+def test_fewer_pairings_are_wrong_than_without(crowded, monkeypatch):
+    log, (run, *_) = crowded
+    monkeypatch.setattr(whole_log.WholeLog, "pair_anew", lambda *_: None)
+    before = step_by_step("ekf", log.inputs(labels=False).without_map(), "slam", METHOD)
+    assert 5 * wrong(log, run) < wrong(log, before)
+    # and no online decision is another one
+    assert np.array_equal(run.decisions, before.decisions)
+    assert np.array_equal(run.online.pose, before.online.pose)
+    assert before.begun is None
+
+
+def test_all_estimators_get_the_same(crowded):
+    first, *others = crowded[1]
+    for run in others:
+        assert np.array_equal(run.final_decisions, first.final_decisions)
+        assert np.array_equal(run.initialized, first.initialized)
+        assert run.map.number.tolist() == first.map.number.tolist()
+
+
+def test_isam2_ends_where_batch_does_with_the_last_decisions(crowded):
+    _, isam2, _, batch = crowded[1]
+    np.testing.assert_allclose(isam2.final.pose, batch.final.pose, atol=1e-3)
+    np.testing.assert_allclose(isam2.map.xy, batch.map.xy, atol=1e-3)
+    assert isam2.total_nis == pytest.approx(batch.total_nis, rel=1e-4)
+
+
+def test_each_landmark_of_the_map_begins_once_and_before_all_its_readings(crowded):
+    for run in crowded[1]:
+        begun = run.initialized
+        assert sorted(begun[begun >= 0]) == run.map.number.tolist()
+        assert np.array_equal(begun >= 0, run.final_decisions == NEW)
+        for n in run.map.number.tolist():
+            assert np.flatnonzero(begun == n)[0] < np.flatnonzero(run.final_decisions == n).min(initial=10**9)
+        assert run.map.times_seen.tolist() == [(run.final_decisions == n).sum() + 1 for n in run.map.number]
+
+
+def test_events_lead_from_what_was_decided_to_the_end_and_each_begins_where_the_last_one_ended(crowded):
+    run = crowded[1][0]
+    now = run.decisions.copy()
+    for e in run.events:
+        assert now[e.observation] == e.old
+        assert e.old != e.new
+        now[e.observation] = e.new
+    assert np.array_equal(now, run.final_decisions)
+    assert np.array_equal(revised(run.decisions, run.events), run.final_decisions)
+    late = {e.frame for e in run.events if e.why in (PAIRED_ANEW, UNREAD)}
+    assert late == {int(run.online.pose.shape[0]) - 1}
+
+
+def test_a_landmark_is_known_by_what_it_begins_with_in_the_end_and_at_first_if_it_is_gone(crowded):
+    run = crowded[1][0]
+    known = named(run)
+    begun = run.initialized
+    assert np.array_equal(known[begun >= 0], begun[begun >= 0])
+    gone = np.setdiff1d(run.created[run.created >= 0], begun)
+    assert len(gone)
+    for n in gone.tolist():
+        rows = np.flatnonzero(known == n)
+        assert len(rows) <= 1
+        assert np.all(run.created[rows] == n)
+    numbers = known[known >= 0]
+    assert len(np.unique(numbers)) == len(numbers)
+
+
+def test_how_much_was_decided_anew_is_said(crowded):
+    run = crowded[1][0]
+    anew = {e.observation for e in run.events if e.why == PAIRED_ANEW}
+    assert f"{len(anew)} decisions made anew at the end, on the smoothed path" in run.notes
+
+
+def test_a_path_that_cannot_be_smoothed_leaves_decisions_as_they_are_and_says_so(monkeypatch):
+    log = log_of(draw(10))
+    inputs = log.inputs(labels=False).without_map()
+
+    def fails(*_):
+        raise UnderConstrained("landmark 3 hangs in the air")
+
+    monkeypatch.setattr(whole_log, "smooth", fails)
+    run = step_by_step("ekf", inputs, "slam", METHOD)
+    assert all(e.why != PAIRED_ANEW for e in run.events)
+    assert "nothing was paired anew at the end: landmark 3 hangs in the air" in run.notes
+
+
+def test_where_landmarks_left_by_rules_of_the_setup_nothing_is_paired_anew():
+    log = log_of(draw(10))
+    inputs = log.inputs(labels=False).without_map()
+    plain = step_by_step("ekf", inputs, "slam", METHOD)
+    assert any(e.why == PAIRED_ANEW for e in plain.events)
+    managed = step_by_step("ekf", inputs, "slam", METHOD, Setup(maintain=True))
+    assert managed.removed is not None
+    assert all(e.why != PAIRED_ANEW for e in managed.events)
+
+
+def pair_of_rounds(bias=0.0, share=1.0):
+    """A robot that stands among five landmarks and reads all of them twenty times, with a biased bearing."""
+    rng = np.random.default_rng(5)
+    xy = np.array([[3.0, 0.0], [3.0, 2.0], [-2.0, 3.0], [-3.0, -2.0], [1.0, -4.0]])
+    sensor, frames = RangeBearing(max_range=10.0), 20
+    z = np.concatenate([sensor.predict(np.zeros(3), xy)] * frames) + [0.0, bias]
+    z += rng.standard_normal(z.shape) * [0.05, 0.01]
+    R = np.tile(np.diag([0.05, 0.01]) ** 2 * share, (len(z), 1, 1))
+    still = Increments(np.zeros((frames, 3)), np.tile(1e-8 * np.eye(3), (frames, 1, 1)))
+    seen = Observations(np.repeat(np.arange(frames), 5), z, R)
+    return Inputs(Prior(np.zeros(3), 1e-8 * np.eye(3)), np.arange(frames, dtype=float), still, seen, sensor)
+
+
+@pytest.mark.parametrize("bias", [0.0, 0.2])
+def test_where_the_sensors_errors_are_estimated_its_readings_stay_with_their_landmarks(bias):
+    inputs = replace(pair_of_rounds(bias), systematic=Systematic(("bearing",), np.array([0.3])))
+    run = step_by_step("ekf", inputs, "slam", METHOD)
+    number = np.where(run.initialized >= 0, run.initialized, run.final_decisions)
+    assert (number.reshape(20, 5) == np.arange(5)).mean() > 0.98
+
+
+def test_a_log_without_any_reading_has_nothing_to_pair():
+    inputs = pair_of_rounds()
+    empty = Observations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
+    run = step_by_step("ekf", replace(inputs, observations=empty), "slam", METHOD)
+    assert run.failure is None
+    assert run.events == ()
+
+
+def test_a_reading_that_nothing_explains_is_discarded_whatever_it_was_paired_with():
+    """Two of a hundred readings, half a metre off, inside a gate that the stated noise makes ten times too wide."""
+    inputs = pair_of_rounds(share=100.0)
+    z = inputs.observations.z.copy()
+    z[[47, 88], 0] += 0.6
+    run = step_by_step("ekf", replace(inputs, observations=replace(inputs.observations, z=z)), "slam", METHOD)
+    assert run.final_decisions[[47, 88]].tolist() == [DISCARD, DISCARD]
+    assert (run.final_decisions != DISCARD).sum() >= 96
