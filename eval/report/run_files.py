@@ -116,6 +116,8 @@ def _write_decisions(place: Path, trial: Trial, run: Run) -> None:
     online, final = scored["online"], scored["final"]
     table["truth"] = None if online is None else online.ground_truth
     table["outcome"] = None if online is None else names[online.outcome]
-    table["final_decision"] = run.final_decisions
+    # -1 says that a landmark begins with the observation that created it; with another one: its number
+    moved = (run.initialized >= 0) & (run.initialized != run.created)
+    table["final_decision"] = np.where(moved, run.initialized, run.final_decisions)
     table["final_outcome"] = None if final is None else names[final.outcome]
     of_runs.DECISIONS.write(table, place)

@@ -86,7 +86,10 @@ DECISIONS = File(
         count("decision", f"made online: {DECIDED}"),
         count("truth", "the right landmark at that moment; -1: not in the map; blank: the true id is unknown"),
         text("outcome", "`tp`, `tn`, `fp` or `fn` of the decision; blank where the truth is unknown"),
-        count("final_decision", f"after all revisions: {DECIDED}"),
+        count(
+            "final_decision",
+            f"after all revisions: {DECIDED}; a landmark whose -1 was revised begins with its first observation",
+        ),
         text("final_outcome", "outcome of the final decision against the landmarks that are left"),
     ),
 )

@@ -9,7 +9,7 @@ import numpy as np
 
 from data.inputs import Increments, Inputs, IntArray, Observations, Prior
 from data.log import Log
-from data.result import NEW, MapEstimate, Run, Trajectory
+from data.result import NEW, MapEstimate, Run, Trajectory, surviving
 from data.results.path import GivenPath
 from data.results.space import projection
 from data.se2 import Array
@@ -140,9 +140,11 @@ def given_run(
     nothing = np.full(m, -2, np.int64)
     decisions = nothing if kept.decisions is None else kept.decisions
     final = decisions if kept.final is None else kept.final
+    created = created_by(decisions, final, task)
+    begun = begun_by(final, created)
     return GivenRun(
         name, "none" if kept.decisions is None else GIVEN, task, made.get("online"), made.get("final"), landmarks,
-        decisions, final, created_by(decisions, final, task), notes=tuple(notes), log=at, match=found,
+        decisions, np.where(begun >= 0, NEW, final), created, begun=begun, notes=tuple(notes), log=at, match=found,
         aligned=NONE if T is None else align, source={p.file: p.digest for p in paths.values()},
     )  # fmt: skip
 
@@ -166,6 +168,18 @@ def created_by(decisions: IntArray, final: IntArray, task: str) -> IntArray:
     if task == "localization":
         new[:] = False
     return np.where(new, np.cumsum(new) - 1, -1)
+
+
+def begun_by(final: IntArray, created: IntArray) -> IntArray:
+    """Number (M,) of the landmark that begins with each observation by the final decisions (M,), -1 where none does.
+
+    It is the one that created it, or if that was decided otherwise in the end, the first one that is left.
+    """
+    begun = surviving(final, created)
+    numbers, first = np.unique(final, return_index=True)
+    moved = np.isin(numbers, created[created >= 0]) & ~np.isin(numbers, begun)
+    begun[first[moved & (numbers >= 0)]] = numbers[moved & (numbers >= 0)]
+    return begun
 
 
 def _trajectory(path: GivenPath) -> Trajectory:

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from data.result import DISCARD, NEW, Innovations, Systematics
+from eval.referee.paths.given import begun_by, created_by
 from eval.referee.score import Trial
 from eval.report.run_files import trajectory_table, write_run, write_truths, write_tum
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error, true_path
@@ -103,6 +104,19 @@ def test_decisions_are_judged_in_both_phases_where_the_truth_is_known(tmp_path):
     unjudged = replace(log, truth=replace(log.truth, landmark_of=None))
     table = pd.read_csv(written(tmp_path, run, unjudged) / "decisions.csv")
     assert table[["truth", "outcome", "final_outcome"]].isna().all(axis=None)
+
+
+def test_a_landmark_that_begins_with_another_observation_is_written_with_its_number_there(tmp_path):
+    """And what is written says all: which observation each landmark begins with, and so every outcome."""
+    run = replace(
+        run_with_error(OFF), decisions=np.array([NEW, 0, 0, 0]), final_decisions=np.array([DISCARD, NEW, 0, 0]),
+        created=np.array([0, -1, -1, -1]), begun=np.array([-1, 0, -1, -1]),
+    )  # fmt: skip
+    table = pd.read_csv(written(tmp_path, run) / "decisions.csv")
+    assert table["final_decision"].tolist() == [DISCARD, 0, 0, 0]
+    assert table["final_outcome"].str.upper().tolist() == ["TN", "TN", "TP", "TP"]
+    created = created_by(table["decision"].to_numpy(), table["final_decision"].to_numpy(), "slam")
+    assert begun_by(table["final_decision"].to_numpy(), created).tolist() == run.begun.tolist()
 
 
 def test_landmarks_have_their_true_ids_and_what_was_seen_of_them(tmp_path):

@@ -8,7 +8,7 @@ import pytest
 from data.logs import open_log
 from data.result import DISCARD, NEW
 from data.results.path import GivenPath
-from eval.referee.paths.given import TruePath, created_by, given_run, log_of
+from eval.referee.paths.given import TruePath, begun_by, created_by, given_run, log_of
 from eval.replay.run import compare
 
 
@@ -24,6 +24,14 @@ def test_it_is_the_numbering_of_our_own_runs_in_hindsight():
     (run,) = compare(log.inputs(), "slam", ("ekf",), "jcbb-hindsight")
     assert (run.decisions != run.final_decisions).any()
     assert created_by(run.decisions, run.final_decisions, "slam").tolist() == run.created.tolist()
+
+
+def test_a_landmark_whose_creation_was_revised_begins_with_its_first_observation():
+    created = np.array([0, -1, 1, -1, -1, 2, -1])
+    final = np.array([DISCARD, 0, NEW, 0, 1, 1, 2])  # 0 and 2 without what created them; 1 as it was
+    assert begun_by(final, created).tolist() == [-1, 0, 1, -1, -1, -1, 2]
+    # in a known map nothing begins, whatever its ids are
+    assert begun_by(np.array([4, 4, 7]), np.full(3, -1)).tolist() == [-1] * 3
 
 
 @pytest.mark.parametrize(("late", "on_its_frames"), [(0.0, True), (5e-7, True), (0.01, False)])
