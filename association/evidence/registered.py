@@ -13,7 +13,7 @@ import numpy as np
 
 from association.evidence import constants
 from data.inputs import Inputs, IntArray
-from data.result import Run, surviving
+from data.result import Run
 from data.se2 import Array, BoolArray
 
 ROUNDS = 2
@@ -43,7 +43,7 @@ class Registered(NamedTuple):
 
 def taken_for(run: Run) -> IntArray:
     """The landmark (M,) that each reading is taken for by the final decisions, the first one too; negative: none."""
-    created = surviving(run.final_decisions, run.created)
+    created = run.initialized
     number: IntArray = np.where(created >= 0, created, run.final_decisions)
     return number
 
