@@ -54,8 +54,6 @@ def pair_anew(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observation
     for k in np.unique(seen.frame).tolist():
         rows = slice(begin[k], begin[k + 1])
         e = _expected(sensor, pose[k], known, seen.z[rows], seen.R[rows])
-        if not len(e.number):
-            continue
         number[rows] = gnn(e, constants.ANEW_GATE)
         alone[rows] = (e.individual_distances() < threshold).sum(axis=1) == 1
     return Anew(number, alone & (number >= 0))

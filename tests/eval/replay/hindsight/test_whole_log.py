@@ -7,14 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data.inputs import Increments, Inputs, Observations, Prior, Systematic
-from data.result import DISCARD, NEW, revised
+from association.evidence.differences import Shares
+from data.inputs import Frame, Increment, Increments, Inputs, Observations, Prior, Sightings, Systematic
+from data.result import DISCARD, NEW, MapState, revised
 from data.se2 import compose
 from data.sensors import RangeBearing
 from eval.referee.confusion import confuse
 from eval.referee.errors import named
+from eval.replay.given import Beginning
 from eval.replay.hindsight import whole_log
 from eval.replay.hindsight.ledger import PAIRED_ANEW, UNREAD
+from eval.replay.hindsight.record import Record
+from eval.replay.hindsight.restated import Restated
 from eval.replay.run import compare, step_by_step
 from eval.replay.settings import Setup
 from eval.studies.variety.draw import draw
@@ -166,6 +170,40 @@ def test_where_the_sensors_errors_are_estimated_readings_are_judged_without_them
     number = np.where(run.initialized >= 0, run.initialized, run.final_decisions)
     assert number[[77, 148]].tolist() == [DISCARD, DISCARD]
     assert (number.reshape(frames, 5) == np.arange(5)).mean() > 0.95
+
+
+def test_the_path_is_smoothed_with_the_noise_there_is_and_without_a_motion_that_nobody_knows(monkeypatch):
+    asked = []
+
+    def smooth(log, *_):
+        asked.append(log)
+        raise UnderConstrained("enough")
+
+    monkeypatch.setattr(whole_log, "smooth", smooth)
+    sensor, M, more = RangeBearing(), np.diag([0.1, 0.2, 0.3]), np.diag([9.0, 9.0, 1.0])
+    whole = whole_log.WholeLog(Beginning(Prior(np.zeros(3), np.eye(3)), sensor))
+    seen = Sightings(np.array([[2.0, 0.5]]), np.diag([0.04, 0.01])[None])
+    for k in range(4):
+        whole.move(Frame(k, float(k), Increment(np.array([1.0, 0.0, 0.1]), M) if k else None, seen, None, k))
+        if k == 2:
+            whole.doubt(more)
+        whole.end_frame(np.zeros(3))
+    restated = Restated(sensor)
+    restated.shares = Shares(4.0, 9.0, 2.0)
+    record = Record([(0, NEW), (1, 0), (3, 0)], (0.0, 0.0), 0.0, 0.0)
+    landmarks = MapState(np.array([0]), np.ones((1, 2)), np.eye(2)[None])
+    assert whole.pair_anew({0: record}, landmarks, restated, None) is None
+    (log,) = asked
+    np.testing.assert_allclose(log.increments.covariance[1:], [2.0 * M, 2.0 * M + more, 2.0 * M])
+    np.testing.assert_allclose(log.increments.mean[1:], [[1.0, 0.0, 0.1]] * 3)
+    np.testing.assert_allclose(log.observations.R, np.tile(np.diag([0.16, 0.09]), (4, 1, 1)))
+    assert log.observations.frame.tolist() == [0, 1, 2, 3]
+    assert whole.why.endswith("enough")
+    whole.settle({0: record})
+    frames, stated, number = whole.settled
+    assert frames.tolist() == [0, 1, 2, 3]
+    np.testing.assert_array_equal(stated.R, np.tile(seen.R, (4, 1, 1)))
+    assert number.tolist() == [0, 0, DISCARD, 0]
 
 
 def test_a_log_without_any_reading_has_nothing_to_pair():
