@@ -12,11 +12,13 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode
 from data.log import Log
 from data.recordings.ros.bag import read_bag
 from data.recordings.ros.log import log_of
+from data.results.path import GivenPath
+from data.results.reading import read_path
 from tests.data.open_log.test_corruption import assert_sound
 from tests.data.recordings.ros.bags import Maker
 from tests.faults.bags2 import BAGS
 from tests.faults.mutations import BYTES, TABLE, Fault, Files
-from tests.faults.readers import Reader, made
+from tests.faults.readers import Reader, made, sound_path
 
 
 def faults_of(name: str) -> list[Fault]:
@@ -62,10 +64,23 @@ def mcap() -> list[Files]:
     return [plain, packed, whole, alone(packed), alone(unsummed(plain)), alone(unsummed(packed))]
 
 
+def of_each() -> list[Files]:
+    """One of every storage."""
+    return [ros1()[0], sqlite()[0], mcap()[0]]
+
+
+def _inside(folder: Path) -> Path:
+    found = [p for p in sorted(folder.iterdir()) if p.is_dir() or p.suffix in (".bag", ".mcap", ".db3")]
+    return found[0] if found else folder / "small"
+
+
 def read(folder: Path) -> Log:
-    inside = [p for p in sorted(folder.iterdir()) if p.is_dir() or p.suffix in (".bag", ".mcap", ".db3")]
-    path = inside[0] if inside else folder / "small"
+    path = _inside(folder)
     return log_of(path, read_bag(path, "/scan", "/odom"))
+
+
+def read_result(folder: Path) -> tuple[GivenPath]:
+    return (read_path(f"{_inside(folder)}:/odom"),)
 
 
 def sound(log: Log) -> None:
@@ -81,4 +96,5 @@ BAG_READERS = {
     "ROS 1 bag": Reader(ros1, read, sound, faults_of),
     "ROS 2 bag, SQLite": Reader(sqlite, read, sound, faults_of),
     "ROS 2 bag, MCAP": Reader(mcap, read, sound, faults_of),
+    "result, a ROS bag": Reader(of_each, read_result, sound_path, faults_of),
 }
