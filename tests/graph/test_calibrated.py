@@ -61,7 +61,7 @@ def compare(inputs, decisions, created, start):
 
 
 @both_tasks
-@pytest.mark.parametrize("kind", [RangeBearing, RelativePoint])
+@pytest.mark.parametrize("kind", [RangeBearing, pytest.param(RelativePoint, marks=pytest.mark.slow)])
 def test_all_errors_at_once_have_the_optimum_and_the_covariances_of_dense_least_squares(task, kind):
     """A sensor that is mounted off the robot's centre; a drift of several knots."""
     world = erring(kind(max_range=8.0, **OFF_CENTRE), task, errors_of(ERRORS), frames=12, landmarks=3)[:4]

@@ -72,6 +72,7 @@ def test_a_pose_is_final_as_the_data_until_it_left_have_it(sensor, task):
         np.testing.assert_allclose(final.covariance[k], batch.trajectory.covariance[k], atol=2e-8)
 
 
+@pytest.mark.slow
 @every_sensor
 @both_tasks
 def test_with_a_lag_longer_than_the_log_it_is_isam2_and_ends_with_batch(sensor, task):
@@ -204,6 +205,7 @@ def test_increments_known_to_the_floor_are_eliminated_by_qr(sensor):
     np.testing.assert_allclose(covariances, run.covariance, rtol=2e-3, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["range_bearing", "relative_point"])
 @both_tasks
 def test_on_the_arena_it_stays_close_to_isam2(kind, task):

@@ -121,6 +121,7 @@ def test_removal_of_an_old_landmark_leaves_the_rest_as_a_filter_does(sensor, P0)
     np.testing.assert_allclose(ours.covariance, theirs.covariance[np.argsort(theirs.number)], atol=2e-8)
 
 
+@pytest.mark.slow
 @every_sensor
 @pytest.mark.parametrize("lag", [1e9, 8.0])
 def test_joined_landmarks_are_one_in_the_window_and_before_it(sensor, lag):

@@ -64,6 +64,7 @@ def test_a_fault_whose_place_is_gone_is_an_error():
         interpreted(label, {"no such text": ""})
 
 
+@pytest.mark.slow
 def test_the_faults_are_gone_afterwards():
     """Ordinary runs stay unpatched: what was replaced is back, and every check passes again."""
     now = attributes()

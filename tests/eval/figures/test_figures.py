@@ -73,7 +73,12 @@ SHOWN = {
 
 @pytest.mark.parametrize(
     ("kind", "situation"),
-    [(k, s) for k in FIGURES for s in SITUATIONS if s in SHOWN.get(k, SITUATIONS)],
+    [
+        # every other situation of a figure in the slow tests
+        pytest.param(k, s, marks=[] if i % 2 == 0 else pytest.mark.slow)
+        for k in FIGURES
+        for i, s in enumerate(s for s in SITUATIONS if s in SHOWN.get(k, SITUATIONS))
+    ],
 )
 def test_every_figure_is_drawn_in_every_situation_with_units_and_nothing_cut(kind, situation):
     log, runs = SITUATIONS[situation]

@@ -62,6 +62,7 @@ def check_killed(folder, random, speed):
     return stopped
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(1))
 def test_killed_at_any_moment_the_robot_stops_and_the_log_replays_to_the_bit(tmp_path, seed):
     check_killed(tmp_path, np.random.default_rng(seed), 5)

@@ -66,6 +66,7 @@ def test_batch_and_isam2_end_in_the_same_optimum(name):
     assert min(isam2.iterations, batch.iterations) > 0
 
 
+@pytest.mark.slow
 def test_batch_is_the_same_whatever_else_is_asked_for():
     """Where the plain filter is lost, the iterated one's path is tried, asked for or not."""
     inputs = open_log("corridor:0:no-odometry+forward").inputs(labels=True)

@@ -24,6 +24,7 @@ def bilinear(values: np.ndarray, pixel: np.ndarray) -> np.ndarray:
 
 
 class TestStereoIsTrueToTheGeometry:
+    @pytest.mark.slow
     def test_every_depth_is_where_the_ray_meets_the_nearest_surface(self, clean):
         rng = np.random.default_rng(0)
         g, low, high = CLEAN, np.array([-3.5, -2.6, 0.0]), np.array([3.5, 2.6, 2.6])
