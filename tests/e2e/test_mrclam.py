@@ -128,6 +128,7 @@ def test_on_their_own_recording_the_tutorials_give_the_numbers_of_their_programs
     assert (rmse > 1.0) == lost
 
 
+@pytest.mark.slow
 def test_a_tutorial_needs_the_recording_it_was_made_from(shared_data, tmp_path, capsys):
     copy = tmp_path / "MRCLAM_Dataset9.zip"
     copy.write_bytes((shared_data / "mrclam" / "MRCLAM_Dataset9.zip").read_bytes())

@@ -90,6 +90,7 @@ class TestThePublishedRecordings:
         for other in (6, 9):
             assert corrected_landmarks(mrclam / f"MRCLAM_Dataset{other}.zip") is None
 
+    @pytest.mark.slow
     def test_the_camera_is_late_not_early(self, published: Callable[..., Log]) -> None:
         spread = {}
         for latency in (-0.06, 0.04, 0.14):
@@ -113,6 +114,7 @@ class TestThePublishedRecordings:
             drift[name] = abs(se2.pose_error(pose, log.truth.pose[-1])[2])
         assert drift["frozen"] < 0.5 < drift["plain"]
 
+    @pytest.mark.slow
     def test_a_fit_to_the_first_sightings_agrees_with_the_truth(self, mrclam: Path, tmp_path: Path) -> None:
         import zipfile
 

@@ -61,6 +61,7 @@ def test_after_odometry_began_anew_the_robot_may_be_where_it_can_have_driven():
     assert increment.covariance[2, 2] == pytest.approx(np.pi**2)
 
 
+@pytest.mark.slow
 def test_increments_and_walls_err_by_what_is_stated():
     """NEES of 600 increments, 3 dof, and of about 100 walls, 2 dof: within 3 sigma of their means."""
     place = room(0)

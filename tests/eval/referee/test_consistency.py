@@ -174,6 +174,7 @@ def test_coverage_calls_errors_outside_their_ellipses_overconfident_and_errors_w
     assert [coverage(0.2 * drawn, 3, level).word for level in (0.5, 0.9)] == ["conservative"] * 2
 
 
+@pytest.mark.slow
 def test_coverage_power_is_the_rejection_rate_of_a_shrunken_covariance():
     drawn = np.random.default_rng(11).chisquare(3, (3000, 100)) / 0.8
     for level in COVERAGE_LEVELS:

@@ -59,6 +59,7 @@ def test_the_noise_that_a_log_states_does_not_change_what_is_found(tmp_path):
             assert other[name][1] == pytest.approx(error, rel=0.05), name
 
 
+@pytest.mark.slow
 def test_the_noise_of_a_robot_of_constant_velocity_is_not_taken_for_a_latency(tmp_path):
     folder = stamped_folder(tmp_path / "stamped", Stamped(winding=0.0, seed=4))
     latency, error = fitted(folder, ("motion", "latency"))["latency"]

@@ -131,6 +131,7 @@ def test_matching_shows_all_methods_side_by_side_with_their_counts_and_marks_the
     assert [written(ax, BAD) for ax in fig.axes] == [[], *[["1"]] * 4]
 
 
+@pytest.mark.slow
 def test_an_inset_enlarges_what_is_wrong_and_only_that():
     fig = painted(paint_matching, problem())
     insets = [[c for c in ax.child_axes if isinstance(c, Axes)] for ax in fig.axes]

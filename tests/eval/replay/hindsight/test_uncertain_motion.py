@@ -45,6 +45,7 @@ def test_the_corridor_is_mapped_without_odometry_and_without_labels(primed, name
         assert any("placed by geometry" in note for note in run.notes)
 
 
+@pytest.mark.slow
 def test_moving_people_do_not_lose_it():
     log = named_log("corridor:1:people+no-odometry+forward")
     (run,) = compare(log.inputs(), "slam", ["ekf-iterated"], METHOD)
