@@ -10,6 +10,7 @@ import numpy as np
 
 from association.anew import Anew, noise_share, pair_anew
 from association.evidence.differences import with_shares
+from data.errors import DataError
 from data.inputs import Frame, Increments, Inputs, IntArray, LandmarkMap, Observations, Sightings, Systematic
 from data.motion.sensor_frame import sensor_frame
 from data.result import DISCARD, MapState
@@ -67,7 +68,7 @@ class WholeLog:
         places[landmarks.number] = landmarks.xy
         try:
             found = smooth(log, number, np.full(len(number), -1), Start(np.array(self._path), places))
-        except UnderConstrained as stop:
+        except (DataError, UnderConstrained) as stop:  # what a filter can use may be singular for a smoother
             self.why = f"nothing was paired anew at the end: {stop}"
             return None
         assert found.map is not None

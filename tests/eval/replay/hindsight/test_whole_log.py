@@ -123,6 +123,18 @@ def test_a_path_that_cannot_be_smoothed_leaves_decisions_as_they_are_and_says_so
     assert "nothing was paired anew at the end: landmark 3 hangs in the air" in run.notes
 
 
+def test_a_motion_known_exactly_is_nothing_to_a_smoother_and_the_filter_goes_on():
+    inputs = pair_of_rounds()
+    covariance = inputs.increments.covariance.copy()
+    covariance[7] = 0.0
+    run = step_by_step(
+        "ekf", replace(inputs, increments=Increments(inputs.increments.mean, covariance)), "slam", METHOD
+    )
+    assert run.failure is None
+    assert any(note.startswith("nothing was paired anew at the end: ") for note in run.notes)
+    assert all(e.why != PAIRED_ANEW for e in run.events)
+
+
 def test_where_landmarks_left_by_rules_of_the_setup_nothing_is_paired_anew():
     log = log_of(draw(10))
     inputs = log.inputs(labels=False).without_map()
