@@ -212,8 +212,8 @@ class Run:
             estimated).
         watched: what an observer of the replay wrote down, for those who know its kind; no part of the result.
         walls: the landmarks are no points (x, y) but walls (rho, alpha).
-        begun: (M,) the same as `created` by the final decisions, where revisions changed which observation a landmark
-            begins with (None: what is left of `created`).
+        begun: (M,) as `created`, by the final decisions, where these changed what a landmark begins with (else None).
+        gated_final: as `gated`, of the final decisions, where all were made anew (None: there is no difference).
     """
 
     estimator: str
@@ -242,6 +242,7 @@ class Run:
     watched: object | None = None
     walls: bool = False
     begun: IntArray | None = None
+    gated_final: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         read_only(self)

@@ -6,6 +6,8 @@ import math
 
 from scipy import special
 
+from data.result import Run
+
 LEVEL = 0.95
 
 
@@ -28,6 +30,11 @@ def nis_bounds(dof: int, gated: tuple[float, float] = (1.0, 2.0), level: float =
     shape, scale = mean**2 * dof / variance, variance / mean / dof
     tail = 0.5 * (1.0 - level)
     return float(special.gammaincinv(shape, tail) * scale), float(special.gammaincinv(shape, 1.0 - tail) * scale)
+
+
+def gated(run: Run, phase: str) -> tuple[float, float]:
+    """Mean and variance per degree of freedom of the squared innovations that gates let a right estimator use."""
+    return run.gated_final if phase == "final" and run.gated_final is not None else run.gated
 
 
 def share_interval(hits: int, n: int, level: float = LEVEL) -> tuple[float, float]:

@@ -13,6 +13,7 @@ import numpy as np
 from data.inputs import Inputs, IntArray
 from data.result import Run
 from data.se2 import Array, BoolArray
+from eval.referee.bounds import gated
 
 FRAMES = 10
 """A stretch is judged that has so many frames with observations, ..."""
@@ -141,7 +142,7 @@ def _absurd(run: Run, inputs: Inputs) -> Lost | None:
 
 def _by_chance(run: Run) -> Lost | None:
     """Pairings whose innovations fill the gate, of few of the observations."""
-    total, expected = run.total_nis, run.gated[0]
+    total, expected = run.total_nis, gated(run, run.phases[-1])[0]
     if total is None or total[1] < OBSERVATIONS or expected > 0.9995:
         return None
     nis, used = total[0] / total[1], float((_decisions(run) >= 0).mean())

@@ -16,7 +16,7 @@ from data.result import DISCARD, Run
 from data.se2 import Array
 from eval.referee import consistency, errors
 from eval.referee.along import Along, along
-from eval.referee.bounds import nis_bounds
+from eval.referee.bounds import gated, nis_bounds
 from eval.referee.confusion import WITHIN, Confusion, confuse, majority, majority_agreement, share_within
 from eval.referee.differences import difference_rows
 from eval.referee.files import top
@@ -147,8 +147,8 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Alo
     total = nis_of(run, phase)
     if total is not None and total[1] > 0:
         row["nis"] = total[0] / total[1]
-        row["nis_expected"] = run.gated[0]
-        row["nis_lower"], row["nis_upper"] = nis_bounds(total[1], run.gated)
+        row["nis_expected"] = gated(run, phase)[0]
+        row["nis_lower"], row["nis_upper"] = nis_bounds(total[1], gated(run, phase))
     return row
 
 

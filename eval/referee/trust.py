@@ -20,6 +20,7 @@ from data.motion.corrected_inputs import corrected_inputs
 from data.result import Run, Trajectory
 from data.se2 import Array, BoolArray
 from eval.referee import effects, residuals
+from eval.referee.bounds import gated
 from eval.referee.consistency import lag1_correlation
 from eval.referee.score import nis_of
 
@@ -135,7 +136,7 @@ def _median(dof: Array) -> float:
 
 def _nis(run: Run, phase: str) -> dict[str, Measured]:
     total = nis_of(run, phase)
-    return {"nis": Measured(total[0] / total[1], run.gated[0])} if total is not None and total[1] > 0 else {}
+    return {"nis": Measured(total[0] / total[1], gated(run, phase)[0])} if total is not None and total[1] > 0 else {}
 
 
 def of_online(run: Run, smoother: Run | None, inputs: Inputs) -> dict[str, Measured]:

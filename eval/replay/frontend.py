@@ -61,6 +61,8 @@ class FrontEnd:
     """Whether landmarks leave the map for other reasons than map management's."""
     asks_for_innovations = False
     """Whether an estimator is to form its innovations where it would do without."""
+    gated_final: tuple[float, float] | None = None
+    """As of a `Run`: what of the squared innovations the gates of the final decisions let a right filter use."""
 
     def __init__(
         self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None

@@ -15,7 +15,7 @@ from data.result import Run, Systematics
 from data.se2 import Array
 from data.terminal.words import counted
 from eval.referee import consistency, errors
-from eval.referee.bounds import LEVEL
+from eval.referee.bounds import LEVEL, gated
 from eval.referee.consistency import QUANTITIES, Verdict
 from eval.referee.score import CONSISTENCY, frame_of
 from eval.replay.foreign.make import able
@@ -132,7 +132,7 @@ def sample(run: Run, phase: str, log: Log, scenario: Scenario) -> Sample:
         if math.isfinite(correlation):
             means["whiteness"] = correlation
     elif phase == "final" and run.total_nis is not None and run.total_nis[1] > 0:
-        means["nis"] = run.total_nis[0] / run.total_nis[1] / run.gated[0]
+        means["nis"] = run.total_nis[0] / run.total_nis[1] / gated(run, "final")[0]
     p = scenario.published
     return Sample(
         means,

@@ -24,7 +24,7 @@ from data.whole import whole_file
 from data.worlds import registry
 from eval.referee import trust
 from eval.referee.attribution import ESTIMATOR, NOTHING
-from eval.referee.bounds import nis_bounds
+from eval.referee.bounds import gated, nis_bounds
 from eval.referee.score import nis_of
 from eval.replay.run import compare
 from eval.replay.settings import Setup
@@ -243,7 +243,7 @@ def nis_out(runs: Sequence[Run]) -> bool:
     for run in runs:
         total = nis_of(run, run.phases[0])
         if run.failure is None and total is not None and total[1] > 0:
-            lower, upper = nis_bounds(total[1], run.gated)
+            lower, upper = nis_bounds(total[1], gated(run, run.phases[0]))
             if not lower <= total[0] / total[1] <= upper:
                 return True
     return False

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from association.decide import HINDSIGHT
+from association.truncated import truncated_square
 from data.errors import UsageError
 from data.inputs import Frame, IntArray
 from data.result import Event
@@ -72,6 +73,8 @@ class MappingFrontEnd(FrontEnd):
         self._retract(self.mapper.close())
         if self.mapper.whole.settled is not None:
             self.estimator.amend(*self.mapper.whole.settled)
+            mean, variance = truncated_square(self.mapper.whole.gate)
+            self.gated_final = 0.5 * mean, 0.5 * variance
 
     def _retract(self, numbers: IntArray) -> None:
         if len(numbers):

@@ -6,16 +6,19 @@ the whole log tells, and so `batch` smooths better ones.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from association.anew import Anew, noise_share, pair_anew
+from association.evidence import constants
 from association.evidence.differences import with_shares
+from association.expectation import gate_threshold
 from data.errors import DataError
 from data.inputs import Frame, Increments, Inputs, IntArray, LandmarkMap, Observations, Sightings, Systematic
 from data.motion.sensor_frame import sensor_frame
 from data.result import DISCARD, MapState
 from data.se2 import Array
-from data.sensors import Sensor
 from eval.replay.given import Given
 from eval.replay.hindsight.record import Record
 from eval.replay.hindsight.restated import Restated
@@ -30,12 +33,14 @@ class WholeLog:
         managed: landmarks left the map by rules of the setup: what was read of them is no longer known.
         why: why nothing was paired anew, if nothing could be.
         settled: all that was seen: frames (m,), sightings (m) as stated, landmarks (m,) in the end; None: as decided.
+        gate: squared distance under the noise as stated beyond which nothing was paired anew.
     """
 
     def __init__(self, given: Given) -> None:
         """Before the first frame."""
         self.managed, self.why = False, ""
         self.settled: tuple[IntArray, Sightings, IntArray] | None = None
+        self.gate = math.inf
         self._given = given
         self._frames: list[Frame] = []
         self._doubt: dict[int, Array] = {}
@@ -77,7 +82,10 @@ class WholeLog:
             frame = sensor_frame(systematic, log.sensor, log.prior)
             xy = frame.points_in(xy, found.systematic.mean[-1])[0]
             pose, sensor = frame.poses_in(pose, found.systematic.mean), frame.sensor(sensor)
-        return _paired(sensor, pose, LandmarkMap(found.map.number, xy), log.observations, number)
+        known, seen = LandmarkMap(found.map.number, xy), log.observations
+        share = noise_share(sensor, pose, known, seen, number)
+        self.gate = share * gate_threshold(constants.ANEW_GATE)
+        return pair_anew(sensor, pose, known, Observations(seen.frame, seen.z, share * seen.R))
 
     def settle(self, records: dict[int, Record]) -> None:
         """The landmarks that there are records of are those that stay."""
@@ -110,8 +118,3 @@ def _numbers(records: dict[int, Record], readings: int) -> IntArray:
     for n, record in records.items():
         number[[row for row, _ in record.sightings]] = n
     return number
-
-
-def _paired(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observations, number: IntArray) -> Anew:
-    share = noise_share(sensor, pose, known, seen, number)
-    return pair_anew(sensor, pose, known, Observations(seen.frame, seen.z, share * seen.R))

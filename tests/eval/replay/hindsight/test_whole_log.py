@@ -7,13 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from association.evidence import constants
 from association.evidence.differences import Shares
+from association.expectation import gate_threshold
+from association.truncated import truncated_square
 from data.inputs import Frame, Increment, Increments, Inputs, Observations, Prior, Sightings, Systematic
 from data.result import DISCARD, NEW, MapState, revised
 from data.se2 import compose
 from data.sensors import RangeBearing
 from eval.referee.confusion import confuse
 from eval.referee.errors import named
+from eval.referee.score import Trial, score
 from eval.replay.given import Beginning
 from eval.replay.hindsight import whole_log
 from eval.replay.hindsight.ledger import PAIRED_ANEW, UNREAD
@@ -121,6 +125,20 @@ def test_a_path_that_cannot_be_smoothed_leaves_decisions_as_they_are_and_says_so
     run = step_by_step("ekf", inputs, "slam", METHOD)
     assert all(e.why != PAIRED_ANEW for e in run.events)
     assert "nothing was paired anew at the end: landmark 3 hangs in the air" in run.notes
+
+
+def test_the_nis_to_expect_in_the_end_is_what_the_gate_of_the_last_decisions_leaves(monkeypatch):
+    """By the noise as stated: of readings half as noisy the gate passes less than half as large ones."""
+    monkeypatch.setattr(whole_log, "noise_share", lambda *_: 0.5)
+    log = log_of(draw(10))
+    runs = compare(log.inputs(labels=False).without_map(), "slam", ["ekf", "isam2", "batch"], METHOD)
+    mean, variance = truncated_square(0.5 * gate_threshold(constants.ANEW_GATE))
+    for run in runs:
+        assert run.gated_final == pytest.approx((0.5 * mean, 0.5 * variance))
+    table = score([Trial(log, "slam", tuple(runs))]).metrics.set_index(["estimator", "phase"])["nis_expected"]
+    assert table["ekf", "online"] == runs[0].gated[0] > 0.93
+    assert table["isam2", "online"] == runs[1].gated[0]
+    assert table["isam2", "final"] == table["batch", "final"] == pytest.approx(0.5 * mean)
 
 
 def test_a_motion_known_exactly_is_nothing_to_a_smoother_and_the_filter_goes_on():
