@@ -23,7 +23,7 @@ def front(**changed):
     """Of a filter without systematic errors that nothing was revised in."""
     estimator = SimpleNamespace(smooths=False, errors=None, estimate=lambda: (np.arange(3.0), 2.0 * np.eye(3)))
     given = {"k": 1, "estimator": estimator, "state_size": 7, "map_management": None, "association": "jcbb"}
-    return SimpleNamespace(**{**given, "events": lambda: (), "notes": list, **changed})
+    return SimpleNamespace(**{**given, "events": lambda: (), "notes": list, "gated_final": None, **changed})
 
 
 def ran(recorder, front, finished=NOTHING, failure=None):
@@ -75,6 +75,20 @@ def test_a_smoothers_sum_is_its_own_and_a_filter_that_failed_has_none(recorder):
     run = ran(recorder, smoother, Finished(None, None, (9.0, 8)))
     assert (run.total_nis, run.state_size) == ((9.0, 8), None)
     assert ran(recorder, front(), NOTHING, SimpleNamespace(status="diverged")).total_nis is None
+
+
+def test_what_turns_from_a_pairing_into_new_is_what_its_landmark_begins_with():
+    recorder = Recorder(2, 4)
+    recorder.decisions[:], recorder.created[:] = [NEW, 0, 0, DISCARD], [0, -1, -1, -1]
+    events = (Event(1, 0, NEW, DISCARD, "x"), Event(1, 2, 0, NEW, "x"), Event(1, 3, DISCARD, 0, "x"))
+    run = ran(recorder, front(events=lambda: events, gated_final=(0.9, 1.5)))
+    assert run.final_decisions.tolist() == [DISCARD, 0, NEW, 0]
+    assert run.initialized.tolist() == [-1, -1, 0, -1]
+    assert run.gated_final == (0.9, 1.5)
+    # without such an event it is what is left of what was created
+    plain = ran(recorder, front(events=lambda: events[2:]))
+    assert plain.begun is None
+    assert plain.initialized.tolist() == [0, -1, -1, -1]
 
 
 def test_without_any_pairing_there_are_no_innovations():
