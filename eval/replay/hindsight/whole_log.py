@@ -33,7 +33,7 @@ class WholeLog:
         managed: landmarks left the map by rules of the setup: what was read of them is no longer known.
         why: why nothing was paired anew, if nothing could be.
         settled: all that was seen: frames (m,), sightings (m) as stated, landmarks (m,) in the end; None: as decided.
-        gate: squared distance under the noise as stated beyond which nothing was paired anew.
+        gate: squared distance under the noise as `restated` beyond which nothing was paired anew.
     """
 
     def __init__(self, given: Given) -> None:
