@@ -151,7 +151,7 @@ def repacked(chunk: Record, rng: Rng) -> Record:
         return Record([(b"compression", method), (b"op", b"\x05"), (b"size", size)], bomb(method))
     try:
         inner = records_of(UNPACK[method](chunk.data))
-    except (KeyError, EOFError, OSError, RuntimeError, ValueError):  # a fault before has made it no chunk any more
+    except (KeyError, EOFError, OSError, RuntimeError, ValueError, zstd.ZstdError):  # a fault before made it no chunk
         return changed(chunk, rng)
     pieces = [r.bytes() for r in inner] or [b""]
     i, j = (int(k) for k in rng.integers(len(pieces), size=2))
