@@ -41,8 +41,8 @@ def whole_folder(path: str | PathLike[str]) -> Iterator[Path]:
     _sweep(target)
     partial = _beside(target, PARTIAL)
     shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir()
     try:
+        partial.mkdir()
         yield partial
         _replace(target, partial)
     finally:
@@ -56,13 +56,13 @@ def _replace(target: Path, partial: Path) -> None:
         return
     old = _beside(target, OLD)
     shutil.rmtree(old, ignore_errors=True)
-    target.rename(old)
     try:
+        target.rename(old)
         partial.rename(target)
-    except BaseException:
-        old.rename(target)
-        raise
-    shutil.rmtree(old, ignore_errors=True)
+    finally:
+        if old.exists() and not target.exists():
+            old.rename(target)
+        shutil.rmtree(old, ignore_errors=True)
 
 
 def _sweep(target: Path) -> None:

@@ -84,6 +84,26 @@ def test_an_old_folder_comes_back_if_the_new_one_cannot_be_put_in_its_place(tmp_
     assert (tmp_path / "out" / "said").read_text() == "old"
 
 
+@pytest.mark.parametrize(("step", "at", "said"), [("mkdir", 2, "old"), ("rename", 1, "old"), ("rename", 2, "new")])
+def test_an_interruption_right_after_a_step_leaves_one_whole_folder(step, at, said, tmp_path, monkeypatch):
+    filled(tmp_path / "out", "old")
+    real, calls = getattr(Path, step), []
+
+    def interrupting(self, *args, **options):
+        calls.append(self)
+        done = real(self, *args, **options)
+        if len(calls) == at:
+            raise KeyboardInterrupt
+        return done
+
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(Path, step, interrupting)
+        filled(tmp_path / "out", "new")
+    assert len(calls) >= at
+    assert names(tmp_path) == ["out"]
+    assert (tmp_path / "out" / "said").read_text() == said
+
+
 def killed(folder: Path, when: str) -> None:
     """A process that writes `folder` and kills itself: while writing, or between its two renames."""
     code = f"""
