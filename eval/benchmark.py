@@ -59,8 +59,9 @@ def _benchmark(argv: Sequence[str] | None, prog: str) -> None:
     )
     p.add_argument(
         "--half",
-        choices=("judge", "choose"),
-        help="with --variety: those to judge on, or to choose on; with --sensitivity (default there: judge)",
+        choices=("judge", "choose", "later"),
+        help="with --variety: those to judge on, those to choose on, or 200 more that settings were neither chosen nor"
+        " judged on; with --sensitivity (default there: judge)",
     )
     p.add_argument(
         "--worlds",
@@ -68,6 +69,12 @@ def _benchmark(argv: Sequence[str] | None, prog: str) -> None:
         metavar="N",
         help="with --variety: the first N of them (default: all); with --sensitivity: the N with the fewest readings,"
         " of the three kinds in turn; 0: named logs only",
+    )
+    p.add_argument(
+        "--exact",
+        action="store_true",
+        help="with --variety: the same worlds where noise and view are as they are stated, and odometry does not err in"
+        " system",
     )
     only = p.add_argument_group("with --sensitivity")
     only.add_argument("--data", metavar="DIR", type=Path, help="folder with MRCLAM_Dataset1.zip, 6 and 9 (UTIAS)")
@@ -95,8 +102,11 @@ def _benchmark(argv: Sequence[str] | None, prog: str) -> None:
         _sensitivity(args, quick)
         return
     if args.variety is not None:
-        _variety(args.variety, args.half, args.worlds if args.worlds is not None else 10 if quick else 200)
+        worlds = args.worlds if args.worlds is not None else 10 if quick else 200
+        _variety(args.variety, args.half, worlds, exact=args.exact)
         return
+    if args.exact:
+        raise UsageError("--exact is for --variety")
     for flag in ("half", "worlds"):
         if getattr(args, flag) is not None:
             raise UsageError(f"--{flag} is for --variety or --sensitivity")
@@ -129,7 +139,7 @@ def _large(out: Path, quick: bool) -> None:
     save(scaling_figure(found), out, "large")
 
 
-def _variety(out: Path, half: str | None, worlds: int) -> None:
+def _variety(out: Path, half: str | None, worlds: int, *, exact: bool) -> None:
     """Run what is not in the file yet, a line each as they come; then the goals, and the figure."""
     from eval.benchmarks.variety.figure import variety_figure
     from eval.benchmarks.variety.goals import table, worlds_of
@@ -140,7 +150,7 @@ def _variety(out: Path, half: str | None, worlds: int) -> None:
     chosen = indices(half, worlds)
     out.mkdir(parents=True, exist_ok=True)
     file = out / "variety.csv"
-    for row in measure_all(chosen, read(file)):
+    for row in measure_all(chosen, read(file), exact=exact):
         append(row, file)
         print(line_of(row), flush=True)
     rows = [r for r in read(file) if r.number in set(chosen)]

@@ -107,6 +107,16 @@ def test_the_command_writes_rows_goals_and_figure_and_goes_on(tmp_path, capsys):
     assert "landmarks within" in capsys.readouterr().out
 
 
-def test_a_half_is_for_the_variety_alone(capsys):
-    assert main(["--half", "judge"]) != 0
+@pytest.mark.parametrize("flag", [["--half", "judge"], ["--exact"]])
+def test_what_is_for_the_variety_alone_is_refused_without_it(flag, capsys):
+    assert main(flag) != 0
     assert "--variety" in capsys.readouterr().err
+
+
+def test_the_worlds_can_be_run_as_they_are_stated(monkeypatch):
+    ran = {}
+    monkeypatch.setattr(measuring, "log_of", lambda drawn: drawn)
+    monkeypatch.setattr(measuring, "named_log", lambda name: name)
+    monkeypatch.setattr(measuring, "measure", lambda log, i, world, method, limit=0.0: ran.setdefault(i, log))
+    list(measure_all([201, 203], [], exact=True))
+    assert [ran[i] for i in (201, 203)] == [draw(i, exact=True) for i in (201, 203)]

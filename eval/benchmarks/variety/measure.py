@@ -109,9 +109,17 @@ def _scores(run: Run, log: Log) -> tuple[float, int, int, int]:
 
 
 def measure_all(
-    indices: Sequence[int], done: Sequence[Row], limit: float = LIMIT, methods: Sequence[str] = METHODS
+    indices: Sequence[int],
+    done: Sequence[Row],
+    limit: float = LIMIT,
+    methods: Sequence[str] = METHODS,
+    *,
+    exact: bool = False,
 ) -> Iterator[Row]:
-    """The methods on the worlds of these indices, without what is done; compiled code is loaded before."""
+    """The methods on the worlds of these indices, without what is done; `exact`: see `draw`.
+
+    Compiled code is loaded before.
+    """
     known = {(r.number, r.method) for r in done}
     warm = named_log("arena:0:frames=20")
     for method in methods:
@@ -119,7 +127,7 @@ def measure_all(
     for index in indices:
         left = [m for m in methods if (index, m) not in known]
         if left:
-            drawn = draw(index)
+            drawn = draw(index, exact=exact)
             log = log_of(drawn)
             for method in left:
                 yield measure(log, index, drawn.name.partition(":")[0], method, limit)

@@ -1,6 +1,7 @@
 """Draws a variety of worlds by index: arenas, parks and corridors, their readings, and what is misstated of them.
 
-Of `WORLDS` worlds, those of even index are there to choose settings on, those of odd index to judge them.
+Of `WORLDS` worlds, those of even index are there to choose settings on, those of odd index to judge them. As many more
+come after them: nothing was chosen or judged on these, so they tell how much of what is reached was luck.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ STREAM = 0x7A41E7
 KINDS = ("arena", "park", "corridor")
 LARGE = 25
 """Of so many worlds in a row the last two, one of each half, are large."""
-CHOOSE, JUDGE = "choose", "judge"
+CHOOSE, JUDGE, LATER = "choose", "judge", "later"
 FACTOR = 4.0
 """By so much a sigma is misstated at most, up or down."""
 
@@ -81,17 +82,22 @@ class Drawn:
     @property
     def half(self) -> str:
         """What the world is there for."""
-        return CHOOSE if self.index % 2 == 0 else JUDGE
+        return LATER if self.index >= WORLDS else CHOOSE if self.index % 2 == 0 else JUDGE
 
 
 def indices(half: str | None, worlds: int) -> list[int]:
-    """The first `worlds` indices of a half, or of both (None)."""
-    every = {None: range(WORLDS), CHOOSE: range(0, WORLDS, 2), JUDGE: range(1, WORLDS, 2)}[half]
+    """The first `worlds` indices of a half, of both (None), or of those that come later."""
+    every = {
+        None: range(WORLDS), CHOOSE: range(0, WORLDS, 2), JUDGE: range(1, WORLDS, 2), LATER: range(WORLDS, 2 * WORLDS),
+    }[half]  # fmt: skip
     return list(every[:worlds])
 
 
-def draw(index: int) -> Drawn:
-    """The world of an index. Same index: same world."""
+def draw(index: int, *, exact: bool = False) -> Drawn:
+    """The world of an index. Same index: same world.
+
+    exact: all is as it is stated, and odometry has no systematic errors; everything else is that of the same index.
+    """
     rng = np.random.default_rng([index, STREAM])
     kind = KINDS[index // 2 % len(KINDS)]
     large = index // 2 % LARGE == LARGE - 1
@@ -105,10 +111,12 @@ def draw(index: int) -> Drawn:
     )
     sigmas = (_factor(rng, FACTOR, 0.75) for _ in range(3))
     misstated = Misstated(*sigmas, *(_factor(rng, 1.4, 1 / 3) for _ in range(2)))
-    values = {**_odometry(rng), **{"arena": _arena, "park": _park, "corridor": _corridor}[kind](rng, large)}
+    errors, values = _odometry(rng), {"arena": _arena, "park": _park, "corridor": _corridor}[kind](rng, large)
+    if exact:
+        errors, misstated = {}, Misstated()
     if values.get("people"):
         readings = replace(readings, clutter=0.0)
-    name = name_of(kind, registry.parameters_of(kind)(**values), index)
+    name = name_of(kind, registry.parameters_of(kind)(**errors, **values), index)
     return Drawn(index, name, readings, crowding, misstated)
 
 

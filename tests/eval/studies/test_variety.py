@@ -21,6 +21,23 @@ def test_an_index_always_draws_the_same_world():
     assert [draw(i) for i in range(20)] == EVERY[:20]
 
 
+def test_an_exact_world_is_the_same_one_but_for_what_is_misstated_and_errs_in_system():
+    for index in range(60):
+        drawn, exact = draw(index), draw(index, exact=True)
+        assert exact.misstated == HONEST
+        assert (exact.readings, exact.crowding) == (drawn.readings, drawn.crowding)
+        odometry = ("scale", "curvature", "left", "right", "drift")
+        left = [part for part in drawn.name.split(":")[2].split("+") if part.split("=")[0] not in odometry]
+        assert exact.name.split(":")[2] == "+".join(left)
+
+
+def test_later_worlds_are_of_neither_half():
+    later = indices("later", 1000)
+    assert len(later) == 200
+    assert not set(later) & set(indices(None, 1000))
+    assert {draw(i).half for i in later[:6]} == {"later"}
+
+
 def test_the_halves_share_no_world_and_have_the_same_kinds():
     halves = [[draw(i) for i in indices(half, WORLDS)] for half in (CHOOSE, JUDGE)]
     kinds = [Counter(d.name.partition(":")[0] for d in half) for half in halves]
