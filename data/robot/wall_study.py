@@ -45,7 +45,7 @@ class Row(NamedTuple):
         bias: (2,) mean error of rho and alpha [m, rad].
         spread: (2,) standard deviation of the errors [m, rad].
         rmse: (2,) root mean squared error [m, rad].
-        lost: share of fits whose errors are beyond 10 sigma of a reading in the middle of the wall, or its angle.
+        lost: share of fits that are more than 20 sigma of a reading off, or turned by more than 10 at the wall's ends.
         nees: mean of the squared errors over their covariance, 2 dof, without the lost.
     """
 

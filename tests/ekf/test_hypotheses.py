@@ -13,7 +13,7 @@ from data import se2
 from data.inputs import Increment, LandmarkMap, Prior, Sightings
 from data.result import DISCARD
 from data.sensors import RangeBearing, RelativePoint
-from ekf.hypotheses import DROP, STRAY, Hypotheses
+from ekf.hypotheses import DEPENDENCE, DROP, FIRST, STRAY, Hypotheses, Hypothesis
 from ekf.localizer import EkfLocalizer
 
 SENSOR = RelativePoint(max_range=20.0)
@@ -170,6 +170,43 @@ def test_landmarks_that_should_have_been_seen_tell_against_a_hypothesis():
         share.append(sum(np.exp(h.weight) for h in b.members if h.past.number == 10))
     never, often = share
     assert often / (1.0 - often) > 2.0 * never / (1.0 - never)
+
+
+def seen_and_expected(b):
+    """What was added to either, by distance."""
+    return (b._seen - FIRST[0]).round(3).tolist(), (b._expected - FIRST[1]).round(3).tolist()
+
+
+def test_how_often_landmarks_are_seen_is_learned_by_their_distance():
+    # up to 20 m in ten parts of 2 m: at 1, 5, 5.5 and 17 m in view, at 19.9 m too near the edge, at 30 m out of view
+    b, _ = bank([[1.0, 0.0], [0.0, 5.0], [-5.5, 0.0], [0.0, -17.0], [19.9, 0.0], [30.0, 0.0]], sigma=(0.1, 0.1, 1e-3))
+    b.observe(Sightings(np.array([[0.0, 5.0], [1.0, 0.0]]), np.array([R, R])), 0)
+    seen, expected = seen_and_expected(b)
+    assert seen == [1, 0, 1, 0, 0, 0, 0, 0, 0, 0]
+    assert expected == [1, 0, 2, 0, 0, 0, 0, 0, 1, 0]
+
+
+def test_without_a_limit_distances_go_as_far_as_the_map_does_and_farther_ones_are_the_last():
+    # the map is 10 m across: parts of 1 m
+    endless = RelativePoint()
+    b, _ = bank([[2.5, 0.0], [8.5, 8.0], [4.5, 0.0]], sigma=(0.1, 0.1, 1e-3), sensor=endless)
+    b.observe(one(4.5, 0.0), 0)
+    seen, expected = seen_and_expected(b)
+    assert seen == [0, 0, 0, 0, 1, 0, 0, 0, 0, 0]
+    assert expected == [0, 0, 1, 0, 1, 0, 0, 0, 0, 1]
+
+
+def test_a_miss_counts_by_what_is_known_of_its_distance():
+    # up to 4 m nine of ten landmarks in view are seen, farther away none
+    b, _ = bank([[0.0, 3.0], [3.0, 0.0], [15.0, 0.0]], sigma=(0.1, 0.1, 1e-3))
+    b._seen[:], b._expected[:] = 0.0, 10.0
+    b._seen[1] = 9.0
+    here = b.members[0]
+    b.members = [here, Hypothesis(np.array([0.0, 30.0, 0.0]), here.P.copy(), here.weight)]
+    b.observe(one(-8.0, 8.0), 0)
+    # from the one place all three should have been seen, and the other is out of view of all
+    assert b.members[0].mean[1] == 30.0
+    assert b.members[1].weight - b.members[0].weight == pytest.approx(2 * DEPENDENCE * np.log(0.1))
 
 
 def test_the_number_of_hypotheses_is_bounded():

@@ -16,6 +16,7 @@ from data.sensors import RangeBearing
 from data.summary import longest_run, repeated_in_frame, summarize
 from data.truth import UNKNOWN_ID, Truth
 from eval.figures.log import log_figure
+from eval.figures.paper.look import Look, looking
 from eval.inspect import main
 
 
@@ -163,6 +164,30 @@ def test_the_picture_places_observations_where_the_landmarks_are():
     blind = dataclasses.replace(log, truth=Truth(), label=None)
     assert "6 of 6 observations, from dead reckoning" in {line.get_label() for line in log_figure(blind).axes[0].lines}
     assert log_figure(log).axes[0].get_aspect() == 1.0
+
+
+@pytest.mark.parametrize(
+    ("corners", "height"),
+    [
+        ([[-50.0, -20.0], [150.0, 80.0]], 7.0 * 0.5),
+        ([[-50.0, -20.0], [150.0, 110.0]], 7.0 * 0.65),
+        ([[-50.0, 0.0], [950.0, 10.0]], 2.0),
+        ([[0.0, -50.0], [10.0, 950.0]], 6.5),
+    ],
+)
+def test_the_page_is_as_wide_as_all_and_as_high_as_the_scene_within_limits(corners, height):
+    log = small_log()
+    known = LandmarkMap(np.array([1, 4]), np.array(corners))
+    drawn = dataclasses.replace(log, recorded=dataclasses.replace(log.recorded, map=known))
+    for_the_legend = 0.9
+    assert log_figure(drawn).get_size_inches() == pytest.approx([7.0, height + for_the_legend])
+
+
+def test_in_a_narrow_figure_the_page_is_lower_too():
+    known = LandmarkMap(np.array([1, 4]), np.array([[-50.0, -20.0], [150.0, 130.0]]))
+    drawn = dataclasses.replace(small_log(), recorded=dataclasses.replace(small_log().recorded, map=known))
+    with looking(Look(width=4.0)):
+        assert log_figure(drawn).get_size_inches() == pytest.approx([4.0, 4.0 * 0.75 + 0.9])
 
 
 def test_the_command_prints_the_summary_and_writes_the_picture(tmp_path, capsys):

@@ -175,6 +175,32 @@ def test_the_table_says_what_is_not_done_yet():
     assert len({line.count("|") for line in lines[:3]}) == 1
 
 
+def test_the_table_has_medians_of_changed_decisions_and_extremes_of_all_runs():
+    rows = [
+        row(), row("b"),
+        row(constant="CERTAIN", direction=HALVED, rmse=0.8, fp=5, landmarks=97, same=0),
+        row(constant="CERTAIN", direction=DOUBLED, rmse=1.5, fp=30, landmarks=110, same=0),
+        row("b", "CERTAIN", DOUBLED, rmse=3.0),
+    ]  # fmt: skip
+    head, _, line, blank, counts = table(summaries(rows, chosen(["CERTAIN"])))
+    # FP are 10 of 1000 readings in the baseline: 5 are 0.5 % less, 30 are 2 % more
+    assert [cell.strip() for cell in line.strip("|").split("|")] == [
+        "`CERTAIN`", "4", "2", "8", "2", "1", "1", "1.150", "0.80", "3.00", "-0.5", "+2.0", "-3", "+10",
+        "matters (3 of 4 runs)",
+    ]  # fmt: skip
+    assert "FP, least [% of readings]" in head
+    assert blank == ""
+    assert counts == "matters: 1, little: 0, no result: 0, not read: 0"
+
+
+def test_the_table_has_dashes_where_nothing_was_run_and_a_ratio_of_one_where_no_decision_changed():
+    (never,) = table(summaries([row(reads="AGREE=1")], chosen(["CERTAIN"])))[2:3]
+    assert [cell.strip() for cell in never.strip("|").split("|")][4:] == ["0", "0", "0", *"–" * 7, "not read"]
+    (same,) = table(summaries([row(), row(constant="CERTAIN", direction=HALVED)], chosen(["CERTAIN"])))[2:3]
+    cells = [cell.strip() for cell in same.strip("|").split("|")]
+    assert cells[7:14] == ["1.000", "1.00", "1.00", "+0.0", "+0.0", "+0", "+0"]
+
+
 def test_costs_leave_out_what_is_not_read():
     base = [row(), row("b", reads="AGREE=1")]
     assert cost_lines(base, chosen(["CERTAIN"]))[-1].startswith("2 runs instead of 4, ")

@@ -14,6 +14,7 @@ from data.inputs import LandmarkMap, Systematic
 from data.result import MapEstimate
 from data.se2 import pose_error
 from data.truth import Truth
+from ekf.filter import FilterOptions
 from eval.figures import fate_figure, map_figure
 from eval.figures.log import log_figure
 from eval.figures.view import chords
@@ -21,6 +22,7 @@ from eval.plan.calibrate.named import every
 from eval.player.scene import scene
 from eval.referee import lost
 from eval.referee.score import Trial, association_row, metrics_row
+from eval.replay.estimators import lack_with_walls
 from eval.replay.parking import Parking
 from eval.replay.plausible import doubt
 from eval.replay.run import compare, step_by_step
@@ -67,6 +69,37 @@ def test_what_walls_forbid_is_incomplete_with_its_reason_and_others_go_on(log, n
     runs = compare(log.inputs(labels=way == "known"), task, [name, "dead-reckoning"], way)
     assert [r.status for r in runs] == ["incomplete", "ok"]
     assert reason in runs[0].failure.why
+
+
+@pytest.mark.parametrize(
+    ("name", "task", "way", "options", "reason"),
+    [
+        ("ekf", "slam", "jcbb", None, None),
+        ("ekf", "localization", "known", None, None),
+        ("ekf", "localization", "jcbb-hindsight", None, "knows landmarks as points, walls can be paired by jcbb"),
+        ("isam2", "slam", "jcbb-hindsight", None, "knows landmarks as points, walls can be paired by jcbb"),
+        ("isam2", "slam", "jcbb", None, None),
+        ("ekf-invariant", "slam", "jcbb", None, "moves landmarks as points"),
+        ("ekf-invariant", "localization", "jcbb", None, None),
+        ("ekf-invariant", "slam", "jcbb", FilterOptions(), None),
+        ("ekf", "slam", "jcbb", FilterOptions(invariant=True), "moves landmarks as points"),
+        ("isam2", "slam", "jcbb", FilterOptions(invariant=True), "moves landmarks as points"),
+        ("ekf", "slam", "nn", FilterOptions(new_variance=0.1), "have no variance in common"),
+        ("ekf", "localization", "nn", FilterOptions(new_variance=0.1), None),
+    ],
+)
+def test_before_a_run_it_is_said_why_walls_forbid_it(log, name, task, way, options, reason):
+    why = lack_with_walls(name, task, way, log.recorded, options)
+    assert why is None if reason is None else reason in str(why)
+    assert lack_with_walls(name, task, way, circle_log().recorded, options) is None, "of points nothing is forbidden"
+
+
+@pytest.mark.parametrize("task", ["slam", "localization"])
+def test_before_a_run_it_is_said_that_errors_of_the_sensor_are_those_of_points(log, task):
+    inputs = replace(log.recorded, systematic=Systematic(("bearing",), np.array([0.1])))
+    assert "errors of odometry can be estimated" in str(lack_with_walls("ekf", task, "jcbb", inputs))
+    wheels = replace(log.recorded, systematic=Systematic(("scale",), np.array([0.1])))
+    assert lack_with_walls("ekf", task, "jcbb", wheels) is None
 
 
 def test_in_a_known_map_the_invariant_filter_localizes(log):

@@ -120,3 +120,14 @@ def test_the_noise_it_was_told_counts(driven):
     variance = log.recorded.increments.covariance[1:][moving][:, 2, 2]
     way = np.linalg.norm(log.recorded.increments.mean[1:][moving][:, :2], axis=1)
     assert np.median(variance / way) == pytest.approx(2 * NOISE.slip**2 / 0.25**2, rel=0.2)
+
+
+def test_where_a_file_cannot_be_written_the_recording_stays_as_it_was_and_it_is_said(folder):
+    header = (folder / HEADER).read_bytes()
+    (folder / "frames.csv").mkdir()
+    with pytest.raises(DataError) as error:
+        complete(folder)
+    assert str(error.value) == f"{folder}: cannot be written: Is a directory"
+    assert (folder / HEADER).read_bytes() == header
+    (folder / "frames.csv").rmdir()
+    assert same(complete(folder), load_folder(folder))

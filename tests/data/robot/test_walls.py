@@ -12,7 +12,7 @@ from scipy.stats import norm
 
 from data.robot.body import CONE_HALF_ANGLE, RIGHT, SONARS
 from data.robot.simulated.room import Room, cast
-from data.robot.wall_study import passing, study, table
+from data.robot.wall_study import Row, on_axis, passing, study, table
 from data.robot.walls import (
     INLIER,
     MIRROR,
@@ -156,6 +156,47 @@ def test_both_fits_withstand_a_fifth_of_outliers_and_say_how_good_they_are():
     assert (rows["weighted", 0.2].rmse < 1.1 * rows["ransac", 0.2].rmse).all()
     assert rows["axis", 0.0].bias[0] < -5 * abs(rows["weighted", 0.0].bias[0])
     assert len(table(list(rows.values())).splitlines()) == 6
+
+
+def test_rows_of_the_study_are_what_their_fits_make_them():
+    """The same walls fitted once more, one by one; with half of outliers and more some fits are lost."""
+    trials, shares, rng = 8, (0.5, 0.75, 0.0), np.random.default_rng(2)
+    found: dict[tuple, list] = {}
+    for share in shares:
+        for _ in range(trials):
+            sensors, ranges, truth = passing(share, rng)
+            lines = {"weighted": fit_weighted(sensors, ranges), "ransac": fit_ransac(sensors, ranges, rng)}
+            if share == 0.0:
+                lines["axis"] = on_axis(sensors, ranges)
+            for name, line in lines.items():
+                off = [line.rho - truth[0], math.remainder(line.alpha - truth[1], 2.0 * math.pi)]
+                found.setdefault((name, share), []).append((np.array(off), line.cov))
+    rows = study(trials, np.random.default_rng(2), shares=shares)
+    assert [(r.method, r.share) for r in rows] == list(found)
+    for row in rows:
+        fits = found[row.method, row.share]
+        for i in range(2):
+            off = [float(e[i]) for e, _ in fits]
+            mean = sum(off) / trials
+            assert row.bias[i] == pytest.approx(mean)
+            assert row.spread[i] == pytest.approx(math.sqrt(sum((e - mean) ** 2 for e in off) / trials))
+            assert row.rmse[i] == pytest.approx(math.sqrt(sum(e**2 for e in off) / trials))
+        # a reading's sigma is 5 mm: 0.1 rad are 10 of them at either end of a metre
+        kept = [(e, P) for e, P in fits if max(abs(e)) <= 0.1]
+        assert row.lost == pytest.approx(1.0 - len(kept) / trials)
+        squares = [e @ np.linalg.inv(P) @ e for e, P in kept if row.method != "axis"]  # which claims no covariance
+        assert row.nees == pytest.approx(np.mean(squares) if squares else math.nan, nan_ok=True)
+    lost = {(r.method, r.share): r.lost for r in rows}
+    assert 0.0 < lost["weighted", 0.5] < 1.0
+    assert lost["weighted", 0.75] == 1.0
+    assert lost["weighted", 0.0] == lost["ransac", 0.0] == lost["axis", 0.0] == 0.0
+
+
+def test_the_table_of_the_study_is_in_millimetres_and_milliradians():
+    row = Row("axis", 0.1, np.array([-0.0123, 0.004]), np.array([0.02, 0.03]), np.array([0.05, 0.06]), 0.25, 2.5)
+    head, line = table([row]).splitlines()
+    assert " ".join(head.split()) == "outliers method bias mm mrad spread mm mrad RMSE mm mrad lost NEES(2)"
+    assert line.split() == ["10%", "axis", "-12.30", "4.00", "20.00", "30.00", "50.00", "60.00", "25.0%", "2.50"]
 
 
 @pytest.mark.slow

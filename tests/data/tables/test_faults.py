@@ -168,3 +168,71 @@ def test_readings_before_and_after_all_odometry_are_left_out_and_said(table, tmp
     assert status == 0
     assert "2 of 4 readings before or after all odometry, 0 to 3 s, left out" in said
     assert load_folder(tmp_path / "out").recorded.observations.z[:, 0].tolist() == [3.0, 4.0]
+
+
+def test_readings_at_the_very_first_and_last_stamp_of_the_odometry_are_kept(table, tmp_path):
+    seen = written(tmp_path / "seen.csv", (0.0, 3.0, 3.5))
+    words = ("--odometry-sigma", "0.05,0.05,0.075,0.045", "--observation-sigma", "0.1,0.1")
+    status, said = table("t,x,y,theta\n0,0,0,0\n1,1,0,0\n3,3,0,0\n", "--observations", str(seen), *words)
+    assert status == 0
+    assert "1 of 3 readings before or after all odometry, 0 to 3 s, left out" in said
+    r = load_folder(tmp_path / "out").recorded
+    assert r.observations.z[:, 0].tolist() == [2.0, 3.0]
+    assert r.time.tolist() == [0.0, 1.0, 2.0, 3.0]
+
+
+def written(path: Path, stamps: tuple[float, ...]) -> Path:
+    """A file of readings at these stamps [s], the first 2 m away, each next one a metre farther."""
+    path.write_text("t,range,bearing\n" + "".join(f"{t!r},{2.0 + i},0.1\n" for i, t in enumerate(stamps)))
+    return path
+
+
+DRIVEN = "t,v,omega\n0,1,0\n0.5,1,0\n1,1,0\n"
+
+
+@pytest.mark.parametrize(
+    ("stamps", "time"),
+    [
+        ((0.25, 0.75), (0.0, 0.25, 0.75, 1.0)),
+        ((-0.75, -0.5, 0.5), (-0.75, -0.5, 0.5, 1.0)),
+        ((0.5, 1.25, 1.5), (0.0, 0.5, 1.25, 1.5)),
+        ((-0.5, 0.25, 1.75), (-0.5, 0.25, 1.0, 1.75)),
+    ],
+)
+def test_with_velocities_the_log_reaches_from_the_first_to_the_last_of_readings_and_odometry(
+    table, tmp_path, stamps, time
+):
+    status, said = table(DRIVEN, "--observations", str(written(tmp_path / "seen.csv", stamps)), *SIGMAS)
+    assert status == 0, said
+    assert "left out" not in said
+    r = load_folder(tmp_path / "out").recorded
+    assert r.time.tolist() == list(time)
+    assert r.time[r.observations.frame].tolist() == list(stamps)
+    assert r.observations.z[:, 0].tolist() == [2.0 + i for i in range(len(stamps))]
+    # before the first sample the robot is not known to move; from there on it drives 1 m/s
+    assert r.increments.mean[:, 0].sum() == pytest.approx(time[-1])
+
+
+def test_every_odometry_row_is_a_frame_where_that_is_asked_for(table, tmp_path):
+    seen = str(written(tmp_path / "seen.csv", (0.25,)))
+    for words, time in (((), [0.0, 0.25, 1.0]), (("--frames", "odometry"), [0.0, 0.25, 0.5, 1.0])):
+        assert table(DRIVEN, "--observations", seen, *SIGMAS, *words)[0] == 0
+        r = load_folder(tmp_path / "out").recorded
+        assert r.time.tolist() == time
+        assert r.observations.frame.tolist() == [1]
+
+
+@pytest.mark.parametrize(
+    ("stamps", "said"),
+    [
+        ((2.0, 3.5), "readings from 2 to 3.5 s, odometry from 0 to 1 s: they have no time in common"),
+        ((-3.5, -2.0), "readings from -3.5 to -2 s, odometry from 0 to 1 s: they have no time in common"),
+        ((0.5, 172801.0 * 10), "the stamps span 1.72801e+06 s, 20 days"),
+        ((-2e6, 0.5), "the stamps span 2e+06 s, 23.1 days"),
+    ],
+)
+def test_readings_far_from_all_odometry_are_refused_with_both_spans(table, tmp_path, stamps, said):
+    status, message = table(DRIVEN, "--observations", str(written(tmp_path / "seen.csv", stamps)), *SIGMAS)
+    assert status == 2
+    assert message.count("\n") == 1
+    assert said in message

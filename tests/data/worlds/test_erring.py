@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,9 @@ from data.errors import UsageError
 from data.inputs import ERRORS
 from data.motion.systematic import correct
 from data.se2 import between, pose_error
+from data.worlds.arena import Arena
+from data.worlds.corridor import Corridor
+from data.worlds.park import Park
 from data.worlds.registry import named_log
 from tests.data.worlds.samples import agrees
 
@@ -95,3 +100,28 @@ def test_a_world_without_errors_says_so_and_its_source_stays_as_it_was():
 def test_errors_that_make_no_sense_are_refused(name, said):
     with pytest.raises(UsageError, match=said):
         named_log(name)
+
+
+@pytest.mark.parametrize("world", ["arena", "park", "corridor"])
+def test_every_world_refuses_the_same_errors_and_names_itself(world):
+    for error, said in (
+        ("scale=0.9", "scale = 0.9; an error from -0.5 to 0.5 is needed"),
+        ("left=-0.51", "left = -0.51; an error from"),
+        ("right=0.51", "right = 0.51; an error from"),
+        ("range_error=1.1", "range_error = 1.1; an error from"),
+        ("drift=-0.01", "drift = -0.01; must not be negative"),
+    ):
+        with pytest.raises(UsageError, match=f"^{world}: {said}"):
+            named_log(f"{world}:0:{error}")
+
+
+@pytest.mark.parametrize("kind", [Arena, Park, Corridor])
+@pytest.mark.parametrize("value", [math.nan, math.inf, True, "0.1"])
+def test_an_error_is_a_finite_number(kind, value):
+    with pytest.raises(UsageError, match=f"{kind.__name__.lower()}: curvature = .*; a finite number is needed"):
+        kind(curvature=value)
+
+
+@pytest.mark.parametrize("kind", [Arena, Park, Corridor])
+def test_a_world_may_err_by_as_much_as_half(kind):
+    assert (kind(scale=0.5).scale, kind(left=-0.5).left, kind(drift=0.0).drift) == (0.5, -0.5, 0.0)

@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from association.expectation import gate_threshold
 from association.jcbb import jcbb
+from association.known import known_decisions
+from data.inputs import LabelledObservations
+from data.se2 import pose_error
+from data.worlds.arena import Arena, simulate
+from ekf.whole_run import run_filter
 from eval.benchmarks.association import GATE, PER_METRE, hard_frame, line_world, plain_jcbb
 from eval.benchmarks.laser import PlanRun, plan_lines
+from eval.benchmarks.localization import filterpy_localizer, localization_log, numpy_localizer
 from eval.benchmarks.timed import Timed, median_seconds, table
 from eval.referee.laser.closures import ClosureCounts
+from eval.replay.estimators import make_estimator
 
 
 def plan(scale: float, *, seconds=10.0, nees=3.0) -> PlanRun:
@@ -88,3 +97,79 @@ def test_a_table_of_times_has_rates_where_there_is_a_time():
     assert first.split() == ["a", "0.50000", "2,000", "frames", "1", "<", "1", "s"]
     assert second.split() == ["b"]
     assert third.split() == ["c", "0.00000"]
+
+
+def test_the_log_of_the_localizer_has_three_readings_in_every_frame():
+    inputs = localization_log(12)
+    assert len(inputs) == 12
+    assert inputs.observations.frame.tolist() == [k for k in range(12) for _ in range(3)]
+    whole = simulate(Arena(frames=12, landmarks=40, field_of_view=2 * math.pi), 0).inputs(labels=True)
+    for k in range(12):
+        ours, all_of_it = (o.observations for o in (inputs, whole))
+        np.testing.assert_array_equal(ours.z[ours.frame == k], all_of_it.z[all_of_it.frame == k][:3])
+        np.testing.assert_array_equal(ours.label[ours.frame == k], all_of_it.label[all_of_it.frame == k][:3])
+
+
+def filtered(inputs):
+    """Poses and covariances of our EKF."""
+    return run_filter(inputs, known_decisions(inputs)[0])
+
+
+def test_the_localizer_with_filterpy_believes_what_ours_does_at_every_frame(monkeypatch):
+    kalman = pytest.importorskip("filterpy.kalman")
+    after: list[tuple[np.ndarray, np.ndarray]] = []
+
+    class Watched(kalman.ExtendedKalmanFilter):
+        def update(self, *given, **named):
+            super().update(*given, **named)
+            after.append((self.x.copy(), self.P.copy()))
+
+    monkeypatch.setattr(kalman, "ExtendedKalmanFilter", Watched)
+    inputs = localization_log(60)  # its heading crosses the seam
+    filterpy_localizer(inputs)
+    ours = filtered(inputs)
+    mean, P = (np.array(part) for part in zip(*after))
+    assert mean[-1, 2] > math.pi, "the peer does not wrap its heading"
+    np.testing.assert_allclose(pose_error(mean, ours.pose), 0.0, atol=1e-9)
+    np.testing.assert_allclose(P, ours.covariance, atol=1e-12)
+
+
+def test_with_filterpy_a_frame_without_readings_is_motion_alone(monkeypatch):
+    kalman = pytest.importorskip("filterpy.kalman")
+    made = []
+
+    class Watched(kalman.ExtendedKalmanFilter):
+        def __init__(self, **named):
+            super().__init__(**named)
+            made.append(self)
+
+    monkeypatch.setattr(kalman, "ExtendedKalmanFilter", Watched)
+    inputs = localization_log(8)
+    o, seen = inputs.observations, inputs.observations.frame < 6
+    inputs = replace(inputs, observations=LabelledObservations(o.frame[seen], o.z[seen], o.R[seen], o.label[seen]))
+    filterpy_localizer(inputs)
+    ours = filtered(inputs)
+    np.testing.assert_allclose(pose_error(made[0].x, ours.pose[-1]), 0.0, atol=1e-9)
+    np.testing.assert_allclose(made[0].P, ours.covariance[-1], atol=1e-12)
+
+
+def test_the_plain_numpy_localizer_expects_what_ours_does_at_every_frame(monkeypatch):
+    """It returns nothing; what it inverts is H P H' + R, by the pose and covariance that it has come to."""
+    inverted: list[np.ndarray] = []
+    inverse = np.linalg.inv
+    monkeypatch.setattr(np.linalg, "inv", lambda S: (inverted.append(S), inverse(S))[1])
+    inputs = localization_log(60)
+    numpy_localizer(inputs)
+    monkeypatch.undo()
+    front = make_estimator("ekf", inputs)
+    assert len(inverted) == len(inputs)
+    for k, S in enumerate(inverted):
+        frame = inputs.frame(k)
+        if k:
+            front.predict(inputs.increment(k))
+        labels = inputs.observations.label[inputs.observations.frame == k]
+        x, P = front.estimate()
+        H = np.concatenate(inputs.sensor.jacobians(x, inputs.map.positions(labels))[0])
+        R = block_diag(*frame.sightings.R)
+        np.testing.assert_allclose(S, H @ P @ H.T + R, rtol=1e-7, atol=1e-12)
+        front.update(frame.sightings, labels)

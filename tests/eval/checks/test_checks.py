@@ -49,6 +49,8 @@ def test_our_own_ways_of_association_pass_every_check(name):
 
 WRONG = [
     (estimators.seams, "localization", wrong.NoWrap, r"sigma off where the same path in a world turned by .* rad"),
+    (estimators.seams, "localization", wrong.BelowZero, "the same path in a world turned by -2 rad"),
+    (estimators.seams, "localization", wrong.NearTheSeam, "the same path in a world turned by 3.1 rad"),
     (estimators.covariance, "localization", wrong.BodyFrame, r"% from that in the body frame: turn it by the heading"),
     (estimators.without_noise, "localization", wrong.Drifting, "sigma off where the true path from exact readings"),
     (estimators.linear_world, "localization", wrong.Drifting, "sigma off where the exact solution"),

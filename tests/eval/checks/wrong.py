@@ -21,6 +21,22 @@ class NoWrap(EkfLocalizer):
         return np.array([mean[0], mean[1], abs(mean[2])]), P
 
 
+class BelowZero(EkfLocalizer):
+    """Its heading loses the sign just below zero, and nowhere else."""
+
+    def estimate(self):
+        mean, P = super().estimate()
+        return np.array([mean[0], mean[1], abs(mean[2]) if -0.4 < mean[2] < 0.0 else mean[2]]), P
+
+
+class NearTheSeam(EkfLocalizer):
+    """Its heading is a little too large in the last 0.04 rad before pi, and nowhere else."""
+
+    def estimate(self):
+        mean, P = super().estimate()
+        return np.array([mean[0], mean[1], mean[2] + (0.5 if mean[2] > np.pi - 0.04 else 0.0)]), P
+
+
 class BodyFrame(EkfLocalizer):
     def estimate(self):
         mean, P = super().estimate()

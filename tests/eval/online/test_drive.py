@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
-from data.robot.packets import PERIOD, Command
-from eval.online.drive import REST, Looking, drive
+from data.robot.body import AHEAD, SONARS
+from data.robot.driving import SPEED
+from data.robot.packets import PERIOD, Answer, Command
+from data.robot.traffic.motion import Packet
+from eval.online.drive import REST, Looking, at_rest, drive, follower
 from eval.online.feed import MINUTE, Feed
 from eval.online.session import Session
 from eval.online.status import Latencies
@@ -34,6 +38,26 @@ def run(link, seconds, **more):
     session = Session(("ekf",), "jcbb", Setup())
     drive(link, link.clock, session, ahead, lambda: link.clock.now() >= seconds, **more)
     return session
+
+
+def blocked(ahead):
+    """What a robot hears that has a wall so many m before it, and nothing else."""
+    ranges = np.full(len(SONARS), np.inf)
+    ranges[AHEAD] = ahead
+    return Packet(0.0, ranges, np.zeros(3), True, 1.0, Answer((4000,) * 8, 0, 0, 0))
+
+
+def test_the_follower_turns_left_before_a_wall_and_each_drive_has_its_own():
+    one, other = follower(), follower()
+    one(blocked(0.1))
+    v, omega = one(blocked(0.1))
+    assert v == 0.0
+    assert omega > 0.0
+    assert other(blocked(np.inf)) == pytest.approx((SPEED, 0.0)), "nothing of what the first one heard"
+
+
+def test_at_rest_nothing_moves_whatever_is_heard():
+    assert [at_rest(blocked(ahead)) for ahead in (0.1, np.inf)] == [(0.0, 0.0)] * 2
 
 
 def test_every_packet_is_taken_the_last_answer_included():

@@ -14,12 +14,13 @@ from data.errors import UsageError
 from data.logs import open_log
 from data.open_log.reader import load_folder
 from data.robot.traffic.recording import GONE, OPENED, read_recording
-from eval import live
+from eval import live, run_all
 from eval.replay.names import ASSOCIATIONS
 from eval.replay.run import compare
 from eval.replay.settings import Setup
 from eval.report import contents
 from tests.eval.online.driven import (
+    online,
     replayed,
     replayed_bits,
     simulator,
@@ -158,8 +159,46 @@ def test_told_to_rest_it_rests_and_ends_by_itself(tmp_path):
 
 def test_a_device_that_is_not_there_leaves_nothing(tmp_path, capsys):
     assert live.main(["--link", str(tmp_path / "robot"), "--out", str(tmp_path / "log"), "--no-page"]) == 2
-    assert "cannot be opened as a serial line" in capsys.readouterr().err
+    said = capsys.readouterr()
+    assert "cannot be opened as a serial line" in said.err
+    assert said.out == "getting ready ...\n"
     assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize(("status", "presses"), [(0, 0), (0, 1), (1, 1), (2, 0), (130, 1), (0, 2), (None, 0)])
+def test_after_the_drive_it_says_where_the_log_is_and_whether_there_is_a_report(
+    tmp_path, capsys, monkeypatch, status, presses
+):
+    folder, asked = tmp_path / "log", []
+
+    def driven(wish, pressed, stack):  # a second of the robot's time, and not of ours
+        assert "getting ready ..." in capsys.readouterr().out
+        online(wish.out, 1.0)
+        with (wish.out / "packets.bin").open("ab") as file:
+            file.write(b"R")
+        for _ in range(presses):
+            signal.raise_signal(signal.SIGINT)
+
+    def report(words):
+        asked.append(words)
+        if status is None:
+            signal.raise_signal(signal.SIGINT)  # from here on it ends the report
+        return status
+
+    monkeypatch.setattr(live, "_drive", driven)
+    monkeypatch.setattr(run_all, "main", report)
+    ended = live.main(["--link", "robot", "--out", str(folder), "--gate", "0.95"])
+    made = status in (0, 1) and presses < 2
+    assert ended == (status if made or status == 2 else 130)
+    end = [] if made else [f"no report; the log is whole: {folder}"]
+    lines = capsys.readouterr().out.splitlines()
+    cut, rest = lines[-2 - len(end)], lines[-1 - len(end) :]
+    assert cut == "The recording was cut off: 1 bytes of an unfinished record at its end."
+    assert rest == [f"log: {folder}", *end]
+    assert (folder / "frames.csv").is_file()
+    words = ["--log", str(folder), "--task", "slam", "--out", f"{folder}-report"]
+    assert [a[:6] for a in asked] == ([words] if presses < 2 else [])
+    assert all(a[a.index("--gate") + 1] == "0.95" for a in asked)
 
 
 @pytest.mark.parametrize("name", ["slamref live", live.PROG])

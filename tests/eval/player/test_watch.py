@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from association.decide import METHODS
+from data.inputs import Increments, Inputs, LabelledObservations, LandmarkMap, Prior
 from data.log import shortened
 from data.logs import open_log
 from data.result import NEW
+from data.sensors import RelativePoint
 from data.worlds.arena import Arena, simulate
 from eval.player.of_run import COARSE, own_steps
 from eval.player.watch import NOT_ASKED, Watch, quantum_of
@@ -150,3 +152,30 @@ def test_steps_of_each_landmark_add_up_to_its_values():
     values = np.array([[1.0], [10.0], [3.0], [2.0], [11.0]])
     assert own_steps(number, values)[:, 0].tolist() == [1.0, 10.0, 2.0, -1.0, 1.0]
     assert 0 < COARSE < 0.02
+
+
+def test_kept_are_the_nearest_twelve_in_the_gate_and_who_was_paired_however_far():
+    # the robot stands exactly at the origin, so a distance is that of the reading from the landmark, in sigmas
+    x = 1.0 + 0.1 * np.arange(16)
+    number, z = 2 * np.arange(16) + 1, np.array([[1.0, 0.05], [12.0, 0.0], [-9.0, 0.0]])
+    inputs = Inputs(
+        Prior(np.zeros(3), np.zeros((3, 3))), np.array([0.0]), Increments(np.zeros((1, 3)), np.zeros((1, 3, 3))),
+        LabelledObservations(np.zeros(3, np.int64), z, np.tile(np.eye(2), (3, 1, 1)), np.array([31, 7, 1])),
+        RelativePoint(max_range=20.0), LandmarkMap(number, np.column_stack([x, np.zeros(16)])),
+    )  # fmt: skip
+    run = compare(inputs, "localization", ["ekf"], "known", watch=Watch)[0]
+    w = run.watched
+    assert run.decisions.tolist() == [31, 7, 1]
+    kept = {0: [*range(12), 15], 1: [3, 15], 2: [0]}
+    pairs = [(row, int(number[j])) for row, each in kept.items() for j in each]
+    assert list(zip(w.pair_row.tolist(), w.pair_number.tolist(), strict=True)) == pairs
+    d2 = [(x[j] - z[row, 0]) ** 2 + z[row, 1] ** 2 for row, each in kept.items() for j in each]
+    assert w.pair_d2 == pytest.approx(d2, abs=1e-9)
+    seen = [*range(12), 15]
+    assert w.seen_frame.tolist() == [0] * 13
+    assert w.seen_number.tolist() == number[seen].tolist()
+    assert w.seen_xy == pytest.approx(np.column_stack([x[seen], np.zeros(13)]), abs=1e-12)
+    assert w.seen_sigma == pytest.approx(np.zeros((13, 2)), abs=1e-12)
+    nearest = w.said[:, METHODS.index("nn")]
+    assert nearest[0] == 1
+    assert (nearest[1:] < 0).all()  # more than 9 sigma from all

@@ -7,15 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data.inputs import LabelledObservations
+from data.inputs import Increments, Inputs, LabelledObservations, LandmarkMap, Observations, Prior
 from data.logs import open_log
 from data.result import DISCARD, Failure, MapEstimate, Trajectory
+from data.sensors import Line, RangeBearing
 from eval.replay.plausible import ABSURD, first_misfit, judged, sight, suspicions, with_doubt
 from eval.replay.run import compare
 from tests.eval.handmade import FRAMES, circle_log, run_with_error, true_path
 
 INPUTS = circle_log().recorded
 WAY = 2.0 * np.pi * 4.0
+POINTS, WALLS = RangeBearing(max_range=8.0), Line(max_range=8.0)
 
 
 def smoother(error=0.0, **changes):
@@ -128,3 +130,47 @@ def test_of_simulated_logs_the_runs_that_went_astray_are_marked(name, doubtful):
     for run in runs:
         absurd = run.total_nis[0] > 100.0 * run.total_nis[1]
         assert absurd == (run.estimator in doubtful)
+
+
+def way_at_frame_20(landmarks=None, sensor=POINTS):
+    """Straight on from (5, -3), 1 m a frame and sigmas of 0.2 m along it; the first pose has one of 0.5 m.
+
+    By frame 20 the robot is at most 20 (1 + 3 * 0.2) + 3 * 0.5 = 33.5 m from its start. It has seen nothing.
+    """
+    known = None if landmarks is None else LandmarkMap(np.arange(len(landmarks)), np.array(landmarks))
+    mean, covariance = np.tile([1.0, 0.0, 0.0], (FRAMES, 1)), np.tile(np.diag([0.04, 0.01, 1e-4]), (FRAMES, 1, 1))
+    mean[0], covariance[0] = 0.0, 0.0
+    return Inputs(
+        Prior(np.array([5.0, -3.0, 0.0]), np.diag([0.01, 0.25, 1e-4])), np.arange(FRAMES, dtype=float),
+        Increments(mean, covariance), Observations(np.empty(0, int), np.empty((0, 2)), np.empty((0, 2, 2))), sensor,
+        known,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("task", "landmarks", "sensor", "reach"),
+    [
+        ("slam", None, POINTS, 33.5),
+        ("localization", [[35.0, 37.0], [5.0, -2.0]], POINTS, 33.5 + 50.0),
+        ("localization", np.empty((0, 2)), POINTS, 33.5),
+        ("slam", [[35.0, 37.0], [5.0, -2.0]], POINTS, 33.5),
+        # the corner of a room is farther than its walls
+        ("localization", [[45.0, 0.0], [2.0, np.pi]], WALLS, 33.5 + np.sqrt(2.0) * 40.0),
+        ("localization", [[45.0, 0.0], [47.0, -np.pi / 2.0]], WALLS, 33.5 + np.sqrt(2.0) * 44.0),
+    ],
+)
+def test_a_robot_may_be_where_it_can_have_driven_and_a_lost_one_as_far_off_as_its_map_reaches(
+    task, landmarks, sensor, reach
+):
+    inputs = way_at_frame_20(landmarks, sensor)
+    most = 2.0 * (reach + 8.0)  # and the range of the sensor
+    for away, doubtful in ((most - 0.1, False), (most + 0.1, True)):
+        path = np.column_stack([5.0 + np.arange(FRAMES), np.full(FRAMES, -3.0), np.zeros(FRAMES)])
+        path[20] = 5.0 + 0.6 * away, -3.0 + 0.8 * away, 0.0
+        final = Trajectory(path, np.tile(0.01 * np.eye(3), (FRAMES, 1, 1)))
+        decisions = np.empty(0, np.int64)
+        run = smoother(final=final, task=task, map=None, decisions=decisions, final_decisions=decisions)
+        found = with_doubt(run, inputs).doubt
+        assert (found is not None) == doubtful
+    assert found.frame == 20
+    assert found.why == f"the final path is {away:.3g} m from its start, {reach:.3g} m were driven at most"

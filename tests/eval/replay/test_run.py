@@ -108,6 +108,25 @@ def test_a_filter_that_failed_decided_nothing_after_and_is_counted_nowhere(lab):
     assert association_row(run, "final", lab) is None
 
 
+def test_the_map_of_a_filter_that_failed_has_what_was_begun_before_and_when(lab):
+    inputs = slam(lab, labels=True)
+    o = inputs.observations
+    z = np.where((o.frame == 9)[:, None], 1e200, o.z)
+    run = filter_known(replace(inputs, observations=replace(o, z=z)), "slam")
+    assert run.failure.status == "diverged"
+    assert run.failure.frame in (9, 10)
+    assert run.total_nis is None
+    before = o.frame < run.failure.frame
+    _, first = np.unique(o.label[before], return_index=True)
+    begun = np.sort(o.frame[before][first])
+    assert run.map.number.tolist() == list(range(len(begun)))
+    assert run.map.first_frame.tolist() == begun.tolist()
+    assert (run.created >= 0).sum() == len(begun)
+    assert run.map.times_seen.sum() == ((run.decisions >= 0) | (run.created >= 0)).sum()
+    assert np.isfinite(run.online.pose[:9]).all()
+    assert np.isnan(run.online.pose[run.failure.frame :]).all()
+
+
 def test_a_search_out_of_budget_is_told(lab, monkeypatch):
     real = replay.FrontEnd.decide
     monkeypatch.setattr(

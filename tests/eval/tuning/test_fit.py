@@ -12,6 +12,7 @@ from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
 from data.worlds.arena import simulate
 from eval.tuning.fit import AT_BOUND, FITTED, HELD, fit, middle, pairings, score
 from eval.tuning.model import GROUPS, apply, make_model, vector
+from eval.tuning.odometry import Odometry
 from tests.eval.tuning.stated import SMALL, by_name, changed
 
 NOISE = ("motion", "sensor")
@@ -91,6 +92,44 @@ def test_factors_multiply_standard_deviations_and_biases_are_taken_off():
     assert np.cos(o.z[:, 1] - z[:, 1] + 0.1) == pytest.approx(1.0)
     ratio = new.increments.covariance[1:] / inputs.increments.covariance[1:]
     assert ratio == pytest.approx(np.tile(np.outer([2.0, 5.0, 5.0], [2.0, 5.0, 5.0]), (len(ratio), 1, 1)), rel=1e-6)
+
+
+STRAIGHT = np.arange(0.0, 4.0)
+"""s. A robot that drives 2 m straight ahead in each second and is seen once in each."""
+
+
+def recorded(noise, omega=0.0):
+    """A model of a log whose odometry was recorded, at 2 m/s and `omega`, with every group of parameters."""
+    inputs = simulate(replace(SMALL, frames=len(STRAIGHT)), 0).inputs(labels=True)
+    n = np.ones(len(STRAIGHT))
+    odometry = Odometry(STRAIGHT, 2.0 * n, omega * n, VelocityModel(noise))
+    return make_model(replace(inputs, time=STRAIGHT), odometry, GROUPS)
+
+
+@pytest.mark.parametrize(("v", "omega"), [(1.0, 1.0), (3.0, 1.0), (1.0, 5.0), (0.5, 0.25)])
+def test_factors_on_recorded_odometry_multiply_the_noise_of_velocity_and_of_turn_rate(v, omega):
+    model = recorded(VelocityNoise("density", (0.1, 0.02)))
+    new = apply(model, vector(model, {"motion_v": v, "motion_omega": omega}))
+    # in a second: 0.1 m along and 0.02 rad of heading; of what it turns on the way half shows sideways
+    assert np.sqrt(new.increments.covariance[1:, 0, 0]) == pytest.approx(0.1 * v)
+    assert np.sqrt(new.increments.covariance[1:, 2, 2]) == pytest.approx(0.02 * omega)
+    assert new.increments.covariance[1:, 1, 2] == pytest.approx(1.0 * (0.02 * omega) ** 2)
+    assert new.increments.mean[1:] == pytest.approx(np.tile([2.0, 0.0, 0.0], (3, 1)))
+
+
+def test_factors_on_alphas_multiply_what_each_of_them_adds():
+    """In a second, at 2 m/s and 0.5 rad/s: 4 alpha1 + alpha2 / 4 along, and 4 alpha3 + alpha4 / 4 of heading."""
+    model = recorded(VelocityNoise("textbook", (0.0, 0.0), (0.01, 0.02, 0.03, 0.04)), omega=0.5)
+    motion = [p.name for p in model.parameters if p.name.startswith("motion")]
+    assert motion == ["motion_alpha1", "motion_alpha2", "motion_alpha3", "motion_alpha4"]
+    values = {"motion_alpha1": 100.0, "motion_alpha2": 100.0, "motion_alpha3": 5.0, "motion_alpha4": 7.0}
+    new = apply(model, vector(model, values)).increments.covariance
+    assert new[1:, 2, 2] == pytest.approx(5.0 * 0.03 * 4.0 + 7.0 * 0.04 * 0.25)
+    model = recorded(VelocityNoise("textbook", (0.0, 0.0), (0.01, 0.02, 0.0, 0.0)), omega=0.5)
+    stated = apply(model, np.zeros(len(model))).increments.covariance
+    new = apply(model, vector(model, {"motion_alpha1": 3.0, "motion_alpha2": 7.0})).increments.covariance
+    assert stated[1:, 0, 0].min() > 0.0
+    assert new == pytest.approx(stated * (3.0 * 0.04 + 7.0 * 0.005) / 0.045)
 
 
 def test_scaled_increments_are_those_of_scaled_velocities():

@@ -9,7 +9,7 @@ import pytest
 
 from association.known import known_decisions
 from data import se2
-from data.inputs import Increment
+from data.inputs import Increment, LandmarkMap
 from data.motion.systematic import corrected_all, places
 from data.result import DISCARD
 from graph.batch import Start, smooth
@@ -25,6 +25,7 @@ from tests.graph.calibration.worlds import (
     POLAR,
     POLAR_OFF,
     erring,
+    read_wrongly,
     to_estimate,
 )
 from tests.graph.driving import drive, for_task
@@ -134,6 +135,34 @@ def test_with_an_infinite_lag_the_fixed_lag_smoother_is_isam2_and_with_a_short_o
     np.testing.assert_allclose(finished.systematic.sigma[-1], np.sqrt(np.diag(short.errors[1])), rtol=1e-6)
     np.testing.assert_allclose(finished.final.pose[-1], short.estimate().mean)
     np.testing.assert_allclose(finished.final.covariance[-1], short.estimate().covariance, atol=1e-9)
+
+
+@pytest.mark.parametrize("sensor", [POLAR, POLAR_OFF], ids=["polar", "polar, off"])
+def test_in_a_known_map_that_is_expected_which_is_in_view_whatever_the_range_error_scales(sensor):
+    """There all is scaled by the range error: the robot is looked for in the world, and so far around it."""
+    inputs, *_ = erring(to_estimate("curvature", "range", "bearing"), sensor, frames=24, noise=0.0)
+    decisions, _ = known_decisions(inputs)
+    rng = np.random.default_rng(3)
+    everywhere = np.vstack([inputs.map.xy, rng.uniform(-40.0, 40.0, (400, 2))])
+    inputs = replace(inputs, map=LandmarkMap(np.arange(len(everywhere)), everywhere))
+    s, *_ = drive(inputs, decisions, smoother=calibrated(inputs))
+    share = 1.0 + s.errors[0][1]
+    assert share > 1.03
+    at = sensor.inverse(s.estimate().mean, np.zeros((1, 2)))[0][0]  # what is at range zero: the sensor's own place
+    place, radius = s._end.reach(8.0)
+    np.testing.assert_allclose(place, at, atol=1e-9)
+    assert radius == pytest.approx(8.0 / share)
+    e = s.expect(inputs.sightings(len(inputs) - 1))
+    expected = set(e.number.tolist())
+    # the sensor reads up to 8 m, which is less in the world; its uncertainty lets it expect a little more
+    away = np.hypot(*(everywhere - at).T)
+    assert set(np.flatnonzero(away < 8.0 / share).tolist()) <= expected
+    assert away[sorted(expected)].max() < 8.0 / share + 1.0
+    assert 5 < len(expected) < 60
+    # and each is expected as the sensor, with its errors, would read it
+    told = dict(zip(inputs.systematic.names, s.errors[0], strict=True))
+    read = read_wrongly(sensor, sensor.predict(s.estimate().mean, everywhere[e.number]), told, told)
+    np.testing.assert_allclose(sensor.residual(e.z_hat, read), 0.0, atol=1e-9)
 
 
 def test_landmarks_go_and_are_joined_and_a_motion_is_doubted_with_errors_as_without():

@@ -63,6 +63,20 @@ def test_a_lab_folder_is_known_by_what_it_holds(tmp_path: Path) -> None:
     assert is_lab(folder)
 
 
+def test_a_folder_with_reference_images_alone_or_a_log_alone_is_one_with_a_fault(tmp_path: Path) -> None:
+    pictures, log, neither = tmp_path / "pictures", tmp_path / "log", tmp_path / "neither"
+    (pictures / "landmark").mkdir(parents=True)
+    assert is_lab(pictures)
+    refuse(pictures, r"no configuration found \(there: no files\)")
+    log.mkdir()
+    np.savez(log / "seen.npz", **log_arrays())  # type: ignore[arg-type]
+    assert is_lab(log)
+    neither.mkdir()
+    (neither / "landmark").write_text("a file of that name is no folder of images")
+    assert not is_lab(neither)
+    assert not is_lab(neither / "landmark")
+
+
 def test_missing_and_doubled_files_are_named(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="nowhere: not a folder"):
         open_lab(tmp_path / "nowhere")

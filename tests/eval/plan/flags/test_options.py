@@ -183,3 +183,9 @@ def test_a_default_that_the_help_says_is_the_default():
             said[row.name] = float(found.group(1))
     assert {"font_size", "truth_gap"} <= said.keys()
     assert {name: getattr(given, name) for name in said} == said
+
+
+@pytest.mark.parametrize(("word", "factor"), [("1", 1), ("2", 2), ("10", 10), ("50", 50), ("auto", None)])
+def test_ellipses_are_enlarged_as_often_as_is_said_or_as_is_needed(word, factor):
+    assert read_options(["--ellipses", word]).ellipse_factor == factor
+    assert read_options([]).ellipse_factor == 1

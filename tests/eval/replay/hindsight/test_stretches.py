@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from association.known import known_decisions
-from data.inputs import Sightings
+from data import se2
+from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior, Sightings
 from data.result import DISCARD
+from data.sensors import RelativePoint
+from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.hindsight.stretches import Stretches
+from eval.replay.run import driven
+from eval.replay.settings import Setup
 from graph.incremental import Isam2Smoother
 from tests.graph.worlds import SENSORS, circle
 
@@ -62,3 +68,43 @@ def test_the_smoother_begun_anew_knows_what_time_it_is():
     s.reset(np.zeros(3), np.eye(3))
     s.stamp(3.0)
     assert [clock.times for clock in clocks] == [[2.5], [2.5, 3.0]]
+
+
+def carried_off(frames=24, at=10):
+    """(Inputs, true path, true id of each observation): a robot among 60 trees, put somewhere else unseen."""
+    rng, sensor = np.random.default_rng(0), RelativePoint(max_range=8.0)
+    xy, step = rng.uniform(-20.0, 20.0, (60, 2)), np.array([0.3, 0.0, 0.05])
+    truth = np.tile([-8.0, -6.0, 0.4], (frames, 1))
+    for k in range(1, frames):
+        truth[k] = se2.compose(np.array([9.0, 7.0, -2.0]) if k == at else truth[k - 1], step)
+    there = [sensor.predict(pose, xy) for pose in truth]
+    frame, who = np.nonzero([sensor.in_view(z) for z in there])
+    z = np.array(there)[frame, who] + 0.05 * rng.standard_normal((len(who), 2))
+    sigma = np.array([0.02, 0.02, 0.01])
+    mean = step + sigma * rng.standard_normal((frames, 3))
+    covariance = np.tile(np.diag(sigma**2), (frames, 1, 1))
+    mean[0], covariance[0] = 0.0, 0.0
+    inputs = Inputs(
+        Prior(truth[0], 1e-4 * np.eye(3)), np.arange(frames, dtype=float), Increments(mean, covariance),
+        Observations(frame, z, np.tile(0.05**2 * np.eye(2), (len(z), 1, 1))), sensor, LandmarkMap(np.arange(60), xy),
+    )  # fmt: skip
+    return inputs, truth, who
+
+
+@pytest.mark.parametrize("name", ["ekf", "isam2"])
+def test_a_robot_that_was_carried_off_goes_on_from_where_it_is_found(name):
+    inputs, truth, who = carried_off()
+    front = LocalizingFrontEnd(name, "jcbb-hindsight", inputs, Setup())
+    run = driven(name, front, inputs, "localization")
+    assert run.failure is None
+    assert front.localizer.alarms == front.localizer.found == [10]
+    assert run.decisions.tolist() == run.final_decisions.tolist() == who.tolist()
+    assert (run.created == -1).all()
+    # its place is all that the frame tells: nothing is left to be compared with it
+    assert np.isnan(run.innovations.nis).tolist() == [k == 10 for k in range(24)]
+    assert run.innovations.dof[[9, 10, 11]].tolist() == [12, 0, 12]
+    for path in (run.online, run.final):
+        if path is not None:
+            error = se2.pose_error(path.pose, truth)
+            assert (np.abs(error) < 4.0 * np.sqrt(np.diagonal(path.covariance, axis1=1, axis2=2))).all()
+            assert np.hypot(error[:, 0], error[:, 1]).max() < 0.1

@@ -89,7 +89,37 @@ def trust(cause=None, *findings, measured=None, objected=()):
         (trust(NOISE, objected=[("batch", "residual_odometry_x_lag1")]), "odometry"),
         (trust(measured={("batch", "slope_z1_constant"): Measured(0.4, 0.0, 0.01)}), "sensor"),
         (trust(measured={("batch", "slope_z1_constant"): Measured(0.02, 0.0, 0.01)}), "nothing"),
+        (
+            trust(
+                measured={
+                    ("batch", "slope_z1_constant"): Measured(0.01, 0.0, 0.01),
+                    ("batch", "slope_odometry_theta_turn"): Measured(-0.4, 0.0, 0.01),
+                }
+            ),
+            "odometry",
+        ),
+        (
+            trust(
+                measured={
+                    ("batch", "slope_z1_constant"): Measured(0.3, 0.0, 0.01),
+                    ("batch", "slope_odometry_theta_turn"): Measured(0.9, 0.0, 0.1),
+                    ("batch", "slope_odometry_x_way"): Measured(9.0, 0.0, 0.0),
+                    ("batch", "residual_odometry_theta_spread"): Measured(1.8),
+                }
+            ),
+            "sensor",
+        ),
         (trust(measured={("batch", "residual_odometry_theta_spread"): Measured(1.8)}), "odometry"),
+        (
+            trust(
+                measured={
+                    ("batch", "residual_odometry_theta_spread"): Measured(1.8),
+                    ("batch", "residual_z1_spread"): Measured(2.8),
+                    ("batch", "residual_z2_spread"): Measured(math.nan),
+                }
+            ),
+            "sensor",
+        ),
     ],
 )
 def test_the_cause_is_one_word_also_without_twins(said, word):

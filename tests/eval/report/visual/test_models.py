@@ -218,6 +218,27 @@ def test_the_update_equations_are_what_the_filter_computes():
     assert all(f"({n})" in text for n in (10, 11, 12, 13))
 
 
+def test_the_latex_of_a_model_is_a_titled_paragraph_of_its_words_and_below_it_its_equations():
+    lines = (Equation("a", ("b",)), Equation("c", (r"\omega",)))
+    about = "Speed ω for Δt, φ and ψ; θ & 5 % of it."
+    first, second = models.Model("one", "One", about, lines), models.Model("two", "Two", "Short.", lines[:1])
+    assert models.models_latex((first, second)) == (
+        "% \\usepackage{amsmath}\n"
+        "\\paragraph{One.} Speed $\\omega$ for $\\Delta$t, $\\varphi$ and $\\psi$; $\\theta$ \\& 5 \\% of it.\n"
+        "\\[\n\\begin{aligned}\na &= b \\\\[1ex]\nc &= \\omega\n\\end{aligned}\n\\]\n"
+        "\\paragraph{Two.} Short.\n"
+        "\\[\n\\begin{aligned}\na &= b\n\\end{aligned}\n\\]\n"
+    )
+
+
+def test_the_latex_holds_every_model_in_order_in_characters_that_latex_sets():
+    text = models.models_latex()
+    assert re.findall(r"\\paragraph\{(.*?)\}", text) == ["Motion model.", "Observation model.", "Update."]
+    at = [text.index(latex(m.lines)) for m in models.MODELS]
+    assert at == sorted(at)
+    assert text.isascii()
+
+
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="no LaTeX on this machine")
 def test_the_latex_of_the_models_compiles_and_fits_the_page(tmp_path):
     body = models.models_latex()

@@ -1,0 +1,75 @@
+"""What stands beside a result: landmarks and decisions with our columns; what is not there is not known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from data.errors import DataError
+from data.result import DISCARD, NEW
+from data.results.kept import beside
+
+
+def landmarks(folder, text):
+    (folder / "landmarks.csv").write_text(text)
+    return beside(folder).landmarks
+
+
+def test_nothing_beside_a_result_is_nothing(tmp_path):
+    found = beside(tmp_path)
+    assert (found.landmarks, found.decisions, found.file) == (None, None, None)
+
+
+def test_landmarks_have_what_their_columns_say(tmp_path):
+    found = landmarks(
+        tmp_path, "landmark,x,y,c_xx,c_xy,c_yy,first_frame,times_seen\n7,1.5,-2,0.04,0.01,0.09,12,3\n2,0,4,1,0,2,0,1\n"
+    )
+    assert found.number.tolist() == [7, 2]
+    assert found.xy.tolist() == [[1.5, -2.0], [0.0, 4.0]]
+    assert found.covariance.tolist() == [[[0.04, 0.01], [0.01, 0.09]], [[1.0, 0.0], [0.0, 2.0]]]
+    assert found.first_frame.tolist() == [12, 0]
+    assert found.times_seen.tolist() == [3, 1]
+
+
+@pytest.mark.parametrize("columns", [(), ("c_xx",), ("c_yy",), ("c_xx", "c_yy"), ("c_xx", "c_xy")])
+def test_a_covariance_is_known_only_where_all_of_it_is_there(tmp_path, columns):
+    found = landmarks(tmp_path, ",".join(["landmark,x,y", *columns]) + "\n3,1,2" + ",0.5" * len(columns) + "\n")
+    assert found.xy.tolist() == [[1.0, 2.0]]
+    assert np.isnan(found.covariance).all()
+    assert found.covariance.shape == (1, 2, 2)
+    assert (found.first_frame.tolist(), found.times_seen.tolist()) == ([-1], [-1])
+
+
+def test_landmarks_without_numbers_are_a_map_and_no_result(tmp_path):
+    assert landmarks(tmp_path, "id,x,y\n3,1,2\n") is None
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ("3,1,2,1,0,1,0,0\n4,1,2,1,2,1,0,0\n", ": line 3: covariance of x, y, heading has the eigenvalue -1; "),
+        ("3,1,2,1,0,1,0,0\n3,1,2,1,0,1,0,0\n", ": line 3, column landmark: 3 is there twice"),
+        ("-1,1,2,1,0,1,0,0\n", ": line 2, column landmark: -1; a whole number from 0 up is needed"),
+        ("3.5,1,2,1,0,1,0,0\n", ": line 2, column landmark: 3.5; a whole number from 0 up is needed"),
+        ("3,1,2,1,0,1,-2,0\n", ": line 2, column first_frame: -2; a whole number from -1 up is needed"),
+        ("3,1,2,1,0,1,0,0.5\n", ": line 2, column times_seen: 0.5; a whole number from -1 up is needed"),
+    ],
+    ids=["covariance", "twice", "negative", "half", "first frame", "times seen"],
+)
+def test_a_landmark_that_makes_no_sense_is_named_with_its_line(tmp_path, rows, said):
+    with pytest.raises(DataError) as error:
+        landmarks(tmp_path, f"landmark,x,y,c_xx,c_xy,c_yy,first_frame,times_seen\n{rows}")
+    assert str(error.value).startswith(f"{tmp_path / 'landmarks.csv'}{said}")
+
+
+def test_a_final_decision_is_the_first_one_where_there_is_no_other(tmp_path):
+    file = tmp_path / "decisions.csv"
+    file.write_text("decision,observation,frame\n4,0,2\n-1,1,2\n-2,0,3\n")
+    found = beside(tmp_path)
+    assert found.decisions.tolist() == [[2, 0, 4, 4], [2, 1, NEW, NEW], [3, 0, DISCARD, DISCARD]]
+    assert (found.file, found.landmarks) == (file, None)
+    file.write_text("frame,observation,decision,final_decision\n2,0,4,-2\n2,1,-1,5\n")
+    assert beside(tmp_path).decisions.tolist() == [[2, 0, 4, DISCARD], [2, 1, NEW, 5]]
+    file.write_text("frame,observation,decision\n2,0,-3\n")
+    with pytest.raises(DataError, match=r"line 2, column decision: -3; a whole number from -2 up is needed"):
+        beside(tmp_path)

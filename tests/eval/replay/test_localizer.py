@@ -1,0 +1,159 @@
+"""A robot in a known map without labels: what counts as paired, when it is lost, and how it is found again."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from association.evidence import constants
+from data.errors import UsageError
+from data.inputs import Frame, Increment, LandmarkMap, Prior, Sightings
+from data.result import DISCARD
+from data.sensors import RelativePoint
+from eval.replay.given import Beginning
+from eval.replay.hindsight.localizer import HindsightLocalizer
+
+SENSOR = RelativePoint(max_range=20.0)
+R = np.diag([0.05, 0.05]) ** 2
+IDS = np.array([0, 3, 4, 7, 8, 9])
+PLACES = np.array([[4.0, 1.0], [2.0, -3.0], [-3.0, 2.5], [-1.0, -4.0], [5.5, 4.0], [0.5, 5.0]])
+PRIOR = Prior(np.zeros(3), np.diag([0.1, 0.1, 0.05]) ** 2)
+STILL = Increment(np.zeros(3), np.diag([0.02, 0.02, 0.01]) ** 2)
+START = (0.0, 0.0, 0.0)
+THERE = (2.0, 1.0, 2.0)
+"""Where it is carried to, m and rad."""
+STRANGE = np.array([[-9.0, 6.0], [8.0, -7.0], [-11.0, -2.0], [10.0, 9.0], [1.0, -12.0], [-5.0, 13.0]])
+"""m, in the body frame: no places of the map."""
+
+
+def body(pose, places=PLACES):
+    """Exact readings of the places from a pose."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    return (places - np.array(pose[:2])) @ np.array([[c, -s], [s, c]])
+
+
+class Robot:
+    """Hands its readings to a localizer, frame by frame, without moving by its odometry."""
+
+    def __init__(self, ids=IDS, places=PLACES):
+        self.localizer = HindsightLocalizer(Beginning(PRIOR, SENSOR, LandmarkMap(ids, places)))
+        self.frames = self.rows = 0
+
+    def sees(self, z):
+        z = np.asarray(z, float)
+        seen = Sightings(z, np.tile(R, (len(z), 1, 1)))
+        frame = Frame(self.frames, 0.1 * self.frames, STILL if self.frames else None, seen, None, self.rows)
+        self.localizer.move(frame)
+        decisions = self.localizer.decide(frame).tolist()
+        self.frames, self.rows = self.frames + 1, self.rows + len(z)
+        return decisions
+
+
+def test_without_a_map_there_is_nothing_to_decide_about():
+    with pytest.raises(UsageError, match="need a known map"):
+        HindsightLocalizer(Beginning(PRIOR, SENSOR))
+
+
+@pytest.mark.parametrize("number", [0, 5])
+def test_a_reading_of_a_landmark_counts_as_paired_whatever_its_number(number):
+    robot = Robot(np.array([number]), PLACES[:1])
+    share, weight = constants.HEALTH_START[0], constants.HEALTH_WEIGHT
+    for _ in range(30):
+        assert robot.sees(body(START, PLACES[:1])) == [number]
+        weight += 1.0
+        share += (1.0 - share) / weight
+        health = robot.localizer.health
+        assert health.share == pytest.approx(share, rel=1e-12)
+        assert (health.strays, health.unpaired, health.misfit) == (0.0, 0.0, 0.0)
+    assert robot.localizer.alarms == []
+
+
+def test_a_reading_of_nothing_in_the_map_counts_as_unpaired():
+    robot = Robot()
+    assert robot.sees([*body(START), STRANGE[0]]) == [*IDS.tolist(), DISCARD]
+    health, weight = robot.localizer.health, constants.HEALTH_WEIGHT + 7.0
+    start = constants.HEALTH_START[0]
+    assert health.share == pytest.approx(start + 7.0 / weight * (6.0 / 7.0 - start), rel=1e-12)
+    assert health.strays == pytest.approx(7.0 / weight, rel=1e-12)
+
+
+def test_a_robot_that_was_carried_away_is_lost_and_found_where_it_stands():
+    robot = Robot()
+    for _ in range(3):
+        assert robot.sees(body(START)) == IDS.tolist()
+    assert robot.sees(body(THERE)) == [DISCARD] * 6
+    assert robot.localizer.alarms == []
+    assert robot.sees(body(THERE)[::-1]) == IDS[::-1].tolist()
+    localizer = robot.localizer
+    assert (localizer.alarms, localizer.found) == ([4], [4])
+    assert localizer.pose().mean == pytest.approx(THERE, abs=1e-6)
+    assert not localizer.health.lost
+    for _ in range(2):
+        assert robot.sees(body(THERE)) == IDS.tolist()
+    localizer.close()
+    assert (localizer.alarms, localizer.found) == ([4], [4])
+    assert localizer.online == [*IDS.tolist() * 3, *[DISCARD] * 6, *IDS[::-1].tolist(), *IDS.tolist() * 2]
+    # the frame before the alarm was seen from there, too
+    assert [(e.frame, e.observation, e.old, e.new) for e in localizer.events] == [
+        (4, 18 + i, DISCARD, number) for i, number in enumerate(IDS.tolist())
+    ]
+    assert localizer.notes() == [
+        "6 decisions were made anew in hindsight",
+        "the monitor found the robot lost 1 times (first in frame 4), and 1 times its place was found again without a "
+        "prior",
+    ]
+
+
+def test_a_robot_that_is_found_nowhere_is_lost_once_and_stays_lost():
+    robot = Robot()
+    robot.sees(body(START))
+    for _ in range(6):
+        assert robot.sees(STRANGE) == [DISCARD] * 6
+    assert robot.localizer.health.lost
+    assert (robot.localizer.alarms, robot.localizer.found) == ([2], [])
+    assert robot.localizer.events == []
+
+
+def test_what_was_seen_on_the_way_does_not_keep_a_robot_from_being_found():
+    robot = Robot()
+    robot.sees(body(START))
+    robot.sees(STRANGE)
+    assert robot.sees(STRANGE[::-1] + 3.0) == [DISCARD] * 6
+    assert robot.sees(body(THERE)) == IDS.tolist()
+    assert (robot.localizer.alarms, robot.localizer.found) == ([2], [3])
+    assert robot.localizer.pose().mean == pytest.approx(THERE, abs=1e-6)
+    robot.localizer.close()
+    assert robot.localizer.events == []
+
+
+def test_readings_that_are_paired_and_fit_badly_raise_an_alarm_too():
+    # away from and towards each other, so that no other pose fits better; about 9 for each of them instead of 2
+    wrong = 2.1 * 0.05 * np.array([[1, 1], [-1, -1], [1, -1], [-1, 1], [1, 1], [-1, -1]])
+    robot = Robot()
+    for _ in range(4):
+        assert robot.sees(body(START) + wrong) == IDS.tolist()
+        assert robot.localizer.health.unpaired == 0.0
+    (alarm,) = robot.localizer.alarms
+    assert alarm in (1, 2), "one frame counts for half an alarm at most"
+    assert robot.localizer.health.lost
+    assert robot.localizer.found == []
+
+
+@pytest.mark.parametrize(
+    ("shown", "number", "frame", "why"),
+    [(0.15, 1, 1, "another hypothesis leads"), (-0.15, 2, 3, "put off until the end")],
+)
+def test_a_reading_that_may_be_of_four_landmarks_waits_until_more_is_known(shown, number, frame, why):
+    # around what is seen; beside it they are as likely at twice the distance, as the heading is not known well
+    near = np.array([[4.15, 0.0], [3.85, 0.0], [4.0, 0.31], [4.0, -0.31]])
+    robot = Robot(np.array([1, 2, 5, 6, 9]), np.vstack([near, [[0.0, 6.0]]]))
+    assert robot.sees([[3.995, 0.0]]) == [DISCARD]  # the one that leads is 2
+    for _ in range(3):  # at 0.15 m before or behind where it was thought to be, as its other readings show
+        assert robot.sees([[-shown, 6.0]]) == [9]
+    robot.localizer.close()
+    (event,) = robot.localizer.events
+    assert (event.frame, event.observation, event.old, event.new, event.why) == (frame, 0, DISCARD, number, why)
+    assert robot.localizer.online == [DISCARD, 9, 9, 9]
+    assert robot.localizer.notes() == ["1 decisions were made anew in hindsight"]

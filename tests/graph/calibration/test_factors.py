@@ -1,0 +1,140 @@
+"""The first pose and the errors as factors: what they say together is what the prior says in the sensor's frame."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import X
+
+from data import se2
+from data.inputs import Prior, Sightings
+from graph.calibration.factors import PINNED, first_factors, knot_factor, linear_factor, sight_pinned
+from graph.calibration.variables import errors_of
+from graph.problem import CONSTANTS, drift_key
+from tests.graph.calibration.worlds import ALL, CARTESIAN, CARTESIAN_OFF, ODOMETRY, P0, POLAR, POLAR_OFF, to_estimate
+
+START = np.array([2.0, -1.0, 0.4])
+
+
+def joint(factors, values, keys):
+    """Mean shift and covariance of the variables `keys` under linearized factors."""
+    size = {key: values.atVector(key).size if key != X(0) else 3 for key in keys}
+    at = dict(zip(keys, np.cumsum([0, *size.values()]).tolist()))
+    n = sum(size.values())
+    information, shift = np.zeros((n, n)), np.zeros(n)
+    for factor in factors:
+        A, b = factor.linearize(values).jacobian()
+        its = factor.keys()
+        where = np.concatenate([np.arange(at[k], at[k] + size[k]) for k in its])
+        information[np.ix_(where, where)] += A.T @ A
+        shift[where] += A.T @ b
+    covariance = np.linalg.inv(information)
+    return covariance @ shift, covariance
+
+
+@pytest.mark.parametrize("sensor", [CARTESIAN, CARTESIAN_OFF, POLAR_OFF], ids=["centred", "off", "polar off"])
+@pytest.mark.parametrize(
+    "names",
+    [ALL, ODOMETRY, ("range",), ("bearing",), ("drift", "bearing"), ("drift",)],
+    ids=["all", "odometry", "range", "bearing", "drift and bearing", "drift"],
+)
+def test_the_first_pose_and_the_errors_are_together_as_the_prior_says(names, sensor):
+    systematic, prior = to_estimate(*names), Prior(START, P0)
+    errors, p = errors_of(systematic, sensor, prior), len(names)
+    factors, values = first_factors(errors, prior)
+    # the pose in the sensor's frame as a function of the robot's pose and the errors, differentiated numerically
+    steps = 1e-6 * np.eye(3 + p)
+
+    def there(step):
+        return errors.frame.poses_in((START + step[:3])[None], step[None, 3:])[0]
+
+    J = np.array([(there(d) - there(-d)) / 2e-6 for d in steps]).T
+    G = np.vstack([J, np.eye(p, 3 + p, 3)])
+    prior_covariance = np.zeros((3 + p, 3 + p))
+    prior_covariance[:3, :3], prior_covariance[3:, 3:] = P0, np.diag(systematic.sigma**2)
+    world = G @ prior_covariance @ G.T
+    # gtsam has the pose in its own frame, and ours the errors in their sigmas, the drift last
+    pose = values.atPose2(X(0))
+    assert [pose.x(), pose.y(), pose.theta()] == pytest.approx(there(np.zeros(3 + p)), abs=1e-12)
+    order = [i for i, n in enumerate(names) if n != "drift"] + [i for i, n in enumerate(names) if n == "drift"]
+    T = np.zeros((3 + p, 3 + p))
+    T[:3, :3] = np.array(
+        [
+            [np.cos(pose.theta()), np.sin(pose.theta()), 0.0],
+            [-np.sin(pose.theta()), np.cos(pose.theta()), 0.0],
+            [0, 0, 1],
+        ]
+    )
+    for row, i in enumerate(order):
+        T[3 + row, 3 + i] = 1.0 / systematic.sigma[i]
+    expected = T @ world @ T.T
+    shift, covariance = joint(factors, values, [X(0), *errors.keys(0)])
+    assert shift == pytest.approx(np.zeros(3 + p), abs=1e-9)
+    scale = np.sqrt(np.diag(expected))
+    assert covariance / np.outer(scale, scale) == pytest.approx(expected / np.outer(scale, scale), abs=2e-3)
+
+
+def test_where_the_prior_is_exact_the_first_pose_there_is_known_but_for_the_errors():
+    names, prior = ("range", "bearing"), Prior(START, np.zeros((3, 3)))
+    systematic = to_estimate(*names)
+    errors = errors_of(systematic, CARTESIAN_OFF, prior)
+    factors, values = first_factors(errors, prior)
+    _, covariance = joint(factors, values, [X(0), *errors.keys(0)])
+    # the world is scaled about the sensor, which stays; its heading is less by the bearing error
+    assert covariance[:2, :2] == pytest.approx(PINNED**2 * np.eye(2), rel=1e-6)
+    assert covariance[2, 2] == pytest.approx(systematic.sigma[1] ** 2 + PINNED**2, rel=1e-6)
+    assert covariance[2, 3:] == pytest.approx([0.0, -systematic.sigma[1]], abs=1e-9)
+    assert covariance[3:, 3:] == pytest.approx(np.eye(2), abs=1e-9)
+
+
+@pytest.mark.parametrize("rows", [1, 2, 3])
+def test_a_linear_factor_is_its_residual_counted_from_its_point(rows):
+    rng = np.random.default_rng(rows)
+    sizes = {4: 2, 7: 1, 8: 3, 9: 2}
+    terms = [(key, rng.normal(size=(rows, n))) for key, n in sizes.items()]
+    b, point, values = rng.normal(size=rows), gtsam.Values(), gtsam.Values()
+    residual = -b
+    for key, A in terms:
+        at, x = rng.normal(size=(2, sizes[key]))
+        point.insert(key, at)
+        values.insert(key, x)
+        residual = residual + A @ (x - at)
+    factor = linear_factor(terms, b, point)
+    assert list(factor.keys()) == [*sizes]
+    assert factor.error(point) == pytest.approx(0.5 * b @ b, rel=1e-12)
+    assert factor.error(values) == pytest.approx(0.5 * residual @ residual, rel=1e-12)
+    A, rest = factor.linearize(values).jacobian()
+    assert pytest.approx(np.hstack([A for _, A in terms]), rel=1e-12) == A
+    assert rest == pytest.approx(-residual, rel=1e-9)
+
+
+def test_a_drift_is_forgotten_over_its_length():
+    errors = errors_of(to_estimate("scale", "drift"), POLAR, Prior(START, P0))
+    factor = knot_factor(errors, 3, 2.0)
+    assert list(factor.keys()) == [drift_key(3), drift_key(4)]
+    values, stays = gtsam.Values(), np.exp(-2.0 / 8.0)  # its length is 8 m
+    values.insert(drift_key(3), np.array([1.5]))
+    values.insert(drift_key(4), np.array([-0.5]))
+    assert factor.error(values) == pytest.approx(0.5 * (-0.5 - 1.5 * stays) ** 2 / (1.0 - stays**2), rel=1e-12)
+
+
+def test_a_known_landmark_is_held_where_the_range_error_puts_it():
+    names = ("scale", "drift", "range")
+    prior, now = Prior(START, P0), np.array([0.01, -0.02, 0.03])
+    errors = errors_of(to_estimate(*names), CARTESIAN_OFF, prior)
+    xy = np.array([[4.0, 1.0], [-2.0, 3.0]])
+    seen = Sightings(np.array([[1.0, 0.5], [2.0, -0.5]]), np.tile(0.01 * np.eye(2), (2, 1, 1)))
+    sensor = errors.frame.sensor(CARTESIAN_OFF)
+    found = sight_pinned(errors, sensor, seen, np.array([5, 6]), np.array([11, 12]), xy, 40, "gaussian", now)
+    origin = se2.compose(START, se2.inverse(np.array([0.3, -0.2, 0.6])))[:2]
+    assert [(s.frame, s.number) for s in found] == [(5, 11), (6, 12)]
+    for s, place in zip(found, xy):
+        assert s.xy == pytest.approx(origin + 1.03 * (place - origin), abs=1e-12)
+        values = gtsam.Values()
+        values.insert(CONSTANTS, np.array([0.4, 0.6]))  # sigmas of scale and range
+        there = origin + (1.0 + 0.6 * 0.05) * (place - origin)
+        values.insert(s.key, there)
+        assert s.pin.error(values) == pytest.approx(0.0, abs=1e-12)
+        values.update(s.key, there + [3.0 * PINNED, -2.0 * PINNED])
+        assert s.pin.error(values) == pytest.approx(0.5 * (9.0 + 4.0), rel=1e-6)
