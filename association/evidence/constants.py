@@ -120,8 +120,8 @@ DISTANCE_SIGMAS = 3.0
 """Two distances, or a point and a landmark, agree within so many standard deviations."""
 PLACE_PAIRINGS = 3
 """Pairings that a pose found by geometry needs, of a frame or of a local map."""
-POINT_VARIANCE = 1e-12
-"""m^2. No distance between points, and no difference between landmarks, is known better."""
+EXACT_VARIANCE = 1e-12
+"""m^2 and rad^2. No point, distance or pose is known better: what is exact has no inverse."""
 FRAME_POINTS = 12
 """Observations of a frame that poses are made from, the surest."""
 LONG_PAIR = 0.5
@@ -271,8 +271,6 @@ MAYBE = 0.5
 """A decision that fewer of the hypotheses share, by weight, is put off."""
 OTHER_PLACE = 0.9999
 """An estimator is somewhere else if its pose is outside this probability of the hypotheses' (3 dof)."""
-EXACT_VARIANCE = 1e-12
-"""An exact prior has no inverse; a micrometre (and microradian) away is nowhere else."""
 
 # --- Lost while mapping (association/evidence/lost.py, eval/replay/hindsight/lost.py) ---------------------------------
 

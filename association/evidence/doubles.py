@@ -93,7 +93,7 @@ def _places(inputs: Inputs) -> IntArray:
     sensor, z = inputs.sensor, inputs.observations.z
     reach = min(sensor.max_range, float(sensor.polar(z)[:, 0].max(initial=0.0)))
     travelled = np.cumsum(np.hypot(inputs.increments.mean[:, 0], inputs.increments.mean[:, 1]))
-    return np.asarray(travelled / max(constants.SAME_PLACE * reach, constants.POINT_VARIANCE), np.int64)
+    return np.asarray(travelled / max(constants.SAME_PLACE * reach, constants.EXACT_VARIANCE), np.int64)
 
 
 def log_evidence(r: Registered, landmarks: Array, frame: IntArray, place: IntArray) -> Array:

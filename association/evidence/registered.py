@@ -60,7 +60,7 @@ def registered(run: Run, inputs: Inputs) -> Registered | None:
     row = np.where((number >= 0) & known[o.frame], rows[np.maximum(number, 0)], -1)
     pose = np.where(known[:, None], path.pose, 0.0)[o.frame]
     xy, Gx, Gz = inputs.sensor.inverse(pose, o.z)
-    R = Gz @ o.R @ np.swapaxes(Gz, 1, 2) + constants.POINT_VARIANCE * np.eye(2)
+    R = Gz @ o.R @ np.swapaxes(Gz, 1, 2) + constants.EXACT_VARIANCE * np.eye(2)
     off = np.where(row[:, None] >= 0, xy - m.xy[np.maximum(row, 0)], 0.0)
     shift, S = _by_others(off, R, Gx, row >= 0, o.frame, _information(path.covariance))
     S = 0.5 * (S + np.swapaxes(S, 1, 2))

@@ -37,7 +37,7 @@ def squared_distances(new: Landmarks, old: Landmarks, cross: Array) -> tuple[Arr
     """
     here, there, both = diagonal_blocks(new.covariance), diagonal_blocks(old.covariance), blocks_of(cross)
     # a landmark compared with itself has no uncertainty
-    D = here[:, None] + there[None] - both - both.transpose(0, 1, 3, 2) + constants.POINT_VARIANCE * np.eye(2)
+    D = here[:, None] + there[None] - both - both.transpose(0, 1, 3, 2) + constants.EXACT_VARIANCE * np.eye(2)
     nu = new.xy[:, None] - old.xy[None]
     d2: Array = np.einsum("mni,mni->mn", nu, np.linalg.solve(D, nu[..., None])[..., 0])
     det: Array = np.linalg.det(D)

@@ -100,7 +100,7 @@ def distance_sigmas(xy: Array, P: Array) -> Array:
     blocks = blocks_of(P)
     own = blocks[np.arange(m), np.arange(m)]
     difference = own[:, None] + own[None] - blocks - blocks.transpose(1, 0, 2, 3)
-    sigma: Array = np.sqrt(np.maximum(np.einsum("mna,mnab,mnb->mn", u, difference, u), constants.POINT_VARIANCE))
+    sigma: Array = np.sqrt(np.maximum(np.einsum("mna,mnab,mnb->mn", u, difference, u), constants.EXACT_VARIANCE))
     return sigma
 
 

@@ -90,7 +90,7 @@ def comparable(slam: EkfSlam, young: list[int], old: list[int], gate: float) -> 
     """
     (here, a), (there, b) = slam.places(np.array(young, np.int64)), slam.places(np.array(old, np.int64))
     off = here[:, None] - there[None]
-    near = (off**2).sum(axis=2) < gate * (2.0 * (a[:, None] + b[None]) + constants.POINT_VARIANCE)
+    near = (off**2).sum(axis=2) < gate * (2.0 * (a[:, None] + b[None]) + constants.EXACT_VARIANCE)
     near &= np.array(young)[:, None] != np.array(old)[None]
     return (
         [n for n, any_ in zip(young, near.any(axis=1), strict=True) if any_],
