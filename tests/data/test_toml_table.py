@@ -32,6 +32,21 @@ def test_values_come_checked():
     assert "m" not in t
 
 
+def test_a_number_may_be_as_large_as_a_thousand_million_million_or_infinite():
+    above = math.nextafter(1e15, math.inf)
+    t = table(most=1e15, least=-1e15, whole=10**15, below=-math.inf, many=[1e15, -1e15], above=above, under=-above,
+              one=10**15 + 1, some=[1.0, above])  # fmt: skip
+    assert [t.number(key, None, "a number") for key in ("most", "least", "whole", "below")] == [
+        1e15, -1e15, 1e15, -math.inf,
+    ]  # fmt: skip
+    assert t.numbers("many", 2, "two numbers are").tolist() == [1e15, -1e15]
+    for key in ("above", "under", "one"):
+        with pytest.raises(UsageError, match=rf"here: {key} = .*: a number is needed"):
+            t.number(key, None, "a number")
+    with pytest.raises(UsageError, match=r"here: some = .*: two numbers are needed"):
+        t.numbers("some", 2, "two numbers are")
+
+
 def test_what_is_left_out_has_its_default():
     t = table()
     assert (t.whole("n", 7), t.number("x", 0.5, ""), t.flag("on"), t.flag("on", default=True)) == (7, 0.5, False, True)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from data.errors import UsageError
 from data.inputs import ERRORS
-from data.motion.priors import PRIORS, read_errors, systematic, written
+from data.motion.priors import AUTO, PRIORS, read_errors, systematic, written
 
 
 def test_every_error_has_a_wide_and_a_tight_prior_with_a_reason():
@@ -25,3 +26,44 @@ def test_what_is_written_is_read_again(tight):
     assert read_errors("", ",".join(text)) == text
     sigma = systematic(text).sigma.tolist()
     assert sigma == [getattr(PRIORS[n], "tight" if tight else "wide") for n in ("left", "drift")]
+
+
+@pytest.mark.parametrize(
+    ("value", "read"),
+    [
+        (True, (AUTO,)), (False, ()), ("auto", (AUTO,)), (["auto"], (AUTO,)), (" auto ,", (AUTO,)),
+        ("bearing,scale", ("scale", "bearing")), (["bearing", "scale"], ("scale", "bearing")),
+        (("range = 0.1,drift", "left"), ("left", "drift", "range=0.1")), (" , left,", ("left",)),
+    ],
+)  # fmt: skip
+def test_names_come_as_one_text_or_as_a_list_and_are_put_in_their_order(value, read):
+    assert read_errors("--calibrate", value) == read
+
+
+NAMES = "scale, curvature, left, right, drift, range, bearing"
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        (3, f"calibrate 3: names are needed, of {NAMES}, or auto"),
+        (None, f"calibrate None: names are needed, of {NAMES}, or auto"),
+        (["scale", 0.1], f"calibrate ['scale', 0.1]: names are needed, of {NAMES}, or auto"),
+        ({"scale": 0.1}, f"calibrate {{'scale': 0.1}}: names are needed, of {NAMES}, or auto"),
+        ("", f"calibrate: a name is needed, of {NAMES}, or auto"),
+        ([], f"calibrate: a name is needed, of {NAMES}, or auto"),
+        ("left,wheels", f"calibrate wheels: unknown; known: {NAMES}, each NAME or NAME=SIGMA; or auto"),
+        ("left,auto", f"calibrate auto: unknown; known: {NAMES}, each NAME or NAME=SIGMA; or auto"),
+        ("left,range,left=2", "calibrate left,range,left=2: left is named twice"),
+        ("left=", "calibrate left=: the sigma before the log is read is a positive number"),
+        ("left=0", "calibrate left=0: the sigma before the log is read is a positive number"),
+        ("left=-0.1", "calibrate left=-0.1: the sigma before the log is read is a positive number"),
+        ("left=inf", "calibrate left=inf: the sigma before the log is read is a positive number"),
+        ("left=nan", "calibrate left=nan: the sigma before the log is read is a positive number"),
+        ("left=wide", "calibrate left=wide: the sigma before the log is read is a positive number"),
+    ],
+)
+def test_what_cannot_be_read_is_said_with_what_would_be_right(value, said):
+    with pytest.raises(UsageError) as wrong:
+        read_errors("calibrate", value)
+    assert str(wrong.value) == said

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -115,6 +117,30 @@ def test_textbook_noise_is_that_of_the_velocities_and_of_a_final_rotation(alphas
 def test_a_number_of_alphas_that_means_nothing_is_refused(kind, count):
     with pytest.raises(ValueError, match="alphas do not go with"):
         VelocityNoise(kind, alphas=(0.1,) * count)
+
+
+@pytest.mark.parametrize("kind", ["velocity", "density", "displacement"])
+@pytest.mark.parametrize("factor", [0.5, 3.0])
+def test_a_scaled_model_has_each_standard_deviation_so_many_times(kind, factor):
+    time, v, omega = np.array([0.0, 0.5]), np.array([2.0, 2.0]), np.array([0.1, 0.1])
+    noise = VelocityNoise(kind, (0.3, 0.2) if kind != "displacement" else (0.0, 0.0),
+                          (0.2, 0.03, 0.09, 0.08) if kind == "displacement" else (0.0,) * 4)  # fmt: skip
+    model = VelocityModel(noise, "half_angle")
+    scaled = model.scaled(factor)
+    assert (scaled.model, scaled.noise.kind) == ("half_angle", kind)
+    plain, wide = (preintegrate(m, time, v, omega, time)[0] for m in (model, scaled))
+    assert wide.mean.tolist() == plain.mean.tolist()
+    assert plain.covariance[1, 0, 0] > 1e-4
+    assert plain.covariance[1, 2, 2] > 1e-4
+    assert np.allclose(wide.covariance, factor**2 * plain.covariance, rtol=1e-12)
+
+
+def test_each_number_of_a_noise_is_scaled_by_itself():
+    sigmas = VelocityModel(VelocityNoise("density", (0.25, 0.5))).scaled(2.0).noise
+    assert (sigmas.sigma, sigmas.alphas) == ((0.5, 1.0), (0.0, 0.0, 0.0, 0.0))
+    alphas = VelocityNoise("displacement", alphas=(0.125, 0.25, 0.5, 1.0))
+    assert VelocityModel(alphas).scaled(2.0).noise.alphas == (0.25, 0.5, 1.0, 2.0)
+    assert VelocityModel(replace(alphas, kind="textbook")).scaled(2.0).noise.alphas == (0.5, 1.0, 2.0, 4.0)
 
 
 @settings(max_examples=40, deadline=None)

@@ -14,7 +14,7 @@ from data.robot.link import Link
 from data.robot.packets import PERIOD, command_of, decode_answer, encode_command
 from data.robot.simulated.wire import Faults
 from data.robot.traffic.exchange import FAULTS, Exchange
-from data.robot.traffic.recording import RECEIVED, SENT, Record
+from data.robot.traffic.recording import GONE, OPENED, RECEIVED, SENT, Record
 from tests.data.robot.line import StandingClock, WirePort, linked, wander
 
 AHEAD = command_of(0.3, 0.0)
@@ -167,6 +167,39 @@ def test_a_device_that_goes_is_opened_again_and_what_is_missing_is_no_exception(
     assert [bool(p) for p in packets] == [False] * 6 + [True] * 10
     assert link.exchange.faults["device gone"] == 1
     assert all(p.joined for step in packets for p in step)
+
+
+def test_while_the_device_is_gone_each_step_still_takes_its_period_and_tries_once_to_open_it():
+    kept = []
+    link, wire, clock = linked(recording=kept)
+    for _ in range(4):
+        link.step(AHEAD)
+    lost = link._port
+    lost.gone, lost.close = True, lambda: let_go.append(lost)
+    tried, let_go = [], []
+
+    def reopened(device):
+        tried.append(clock.now())
+        if len(tried) <= 5:
+            raise OSError(2, "No such file or directory")
+        assert device == "robot"
+        return WirePort(wire, clock)
+
+    link._open_port = reopened
+    began, ends = clock.now(), []
+    for _ in range(8):
+        link.step(AHEAD)
+        ends.append(clock.now())
+    # an answer is awaited only where a device is open: without one a step lasts to the end of its period
+    first = ends[0] - began
+    assert PERIOD <= first < 2.0 * PERIOD
+    assert np.diff(ends[:5]) == pytest.approx(PERIOD, abs=1e-9)
+    assert len(tried) == 6
+    assert np.diff(tried) == pytest.approx(PERIOD, abs=1e-9)
+    assert let_go == [lost]
+    of_the_device = [r for r in kept if r.kind in (OPENED, GONE)]
+    assert [r.kind for r in of_the_device] == [OPENED, GONE, OPENED]
+    assert [r.t for r in of_the_device[1:]] == pytest.approx([began, tried[-1]], abs=1e-4)
 
 
 def test_a_device_that_is_not_there_at_the_start_is_said_in_one_line(tmp_path):

@@ -236,3 +236,41 @@ def test_readings_far_from_all_odometry_are_refused_with_both_spans(table, tmp_p
     assert status == 2
     assert message.count("\n") == 1
     assert said in message
+
+
+@pytest.mark.parametrize(
+    ("readings", "reach"),
+    [
+        (((2.0, 0.1), (3.0, -0.5), (1.0, 2.9)), 3.003),
+        (((0.5, 1.5), (0.25, 3.0)), 0.5005),
+        (((2.0, -0.1), (3.0, -0.5), (1.0, -1.5)), 3.003),
+        (((0.0, 1.0), (0.0, 2.0)), np.inf),
+        ((), np.inf),
+    ],
+)
+def test_a_sensor_whose_range_nobody_states_reaches_a_thousandth_beyond_its_farthest_reading(
+    table, tmp_path, readings, reach
+):
+    seen = tmp_path / "seen.csv"
+    seen.write_text("t,range,bearing\n" + ("".join(f"{k},{r},{b}\n" for k, (r, b) in enumerate(readings)) or "0,,\n"))
+    status, said = table("t,v,omega\n0,1,0\n1,1,0\n2,1,0\n", "--observations", str(seen), *SIGMAS)
+    assert status == 0, said
+    assert f"max_range is {reach:.4g} m, the farthest reading" in said
+    sensor = load_folder(tmp_path / "out").recorded.sensor
+    assert sensor.max_range == pytest.approx(reach, rel=1e-12)
+    assert (sensor.min_angle, sensor.max_angle) == (-np.pi, np.pi)
+
+
+def test_points_are_as_far_as_they_are_ahead_and_aside_together(table, tmp_path):
+    text = "t,v,omega,px,py\n0,1,0,3,-4\n1,1,0,-4.5,0\n"
+    status, said = table(text, "--columns", "observations.x=px,observations.y=py", *SIGMAS)
+    assert status == 0, said
+    assert load_folder(tmp_path / "out").recorded.sensor.max_range == pytest.approx(5.005, rel=1e-12)
+
+
+def test_a_range_and_a_view_that_are_stated_are_the_sensor_s(table, tmp_path):
+    status, said = table(GOOD, *SIGMAS, "--max-range", "8", "--view=-1,0.75")
+    assert status == 0, said
+    assert "the farthest reading" not in said
+    sensor = load_folder(tmp_path / "out").recorded.sensor
+    assert (sensor.max_range, sensor.min_angle, sensor.max_angle) == (8.0, -1.0, 0.75)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -14,6 +15,7 @@ from association.scans.occupancy import Grid
 from eval.figures import loop_picture, map_picture
 from eval.figures.laser import FATES, fates
 from eval.figures.style import save, style_of
+from eval.referee.laser.rows import KEPT
 from tests.eval.figures.looks import SEEN_BY, lab, within
 
 KEYS = np.array([[0.0, 0, 0], [4, 0, 0.5], [4, 3, 2], [0, 3, 3], [0, 0.5, -1]])
@@ -42,6 +44,19 @@ def test_every_loop_closure_has_its_fate(loops):
     with_truth = ["believed and kept", "believed, later switched off", "kept, though false", "not believed"]
     assert fates(loops, WEIGHT, FALSE).tolist() == with_truth
     assert fates(loops, WEIGHT).tolist() == [*with_truth[:2], "believed and kept", "not believed"]
+
+
+def test_a_loop_closure_is_switched_off_below_the_least_weight_that_counts_as_kept(loops):
+    weight = np.array([KEPT, np.nextafter(KEPT, 0.0), KEPT, KEPT])
+    kept, off = "believed and kept", "believed, later switched off"
+    assert fates(loops, weight, FALSE).tolist() == [kept, off, "kept, though false", "not believed"]
+    false = np.array([False, True, False, True])  # what is left out may be false, and is not counted as kept
+    assert fates(loops, weight, false).tolist() == [kept, off, kept, "not believed"]
+
+
+def test_a_loop_closure_believed_at_the_first_key_pose_counts_as_believed(loops):
+    first = replace(loops, believed=np.array([0, 0, 4, -1]))
+    assert fates(first, WEIGHT).tolist() == fates(loops, WEIGHT).tolist()
 
 
 def test_a_line_joins_the_two_keys_of_each_loop_and_the_legend_counts_them(loops):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import itertools
 
 import pytest
+from matplotlib import image
+from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 import slamref
@@ -54,6 +56,28 @@ def test_a_figure_for_a_column_has_room_for_every_title_and_legend(name, runs, t
         assert box.y0 >= page.y0 - 1 and box.y1 <= page.y1 + 1, text  # noqa: PT018
     for (a, one), (b, other) in itertools.combinations(seen, 2):
         assert not one.overlaps(other), f"{a!r} is on {b!r}"
+
+
+def titled():
+    fig = Figure(figsize=(2.0, 2.0))
+    fig.add_subplot().set_title("a title that is far too long for a page of two inches", loc="left")
+    return fig
+
+
+def test_a_saved_page_is_longer_by_the_lines_of_its_title_where_a_width_is_wished_for(tmp_path):
+    def pixels(path):
+        return image.imread(path).shape[:2]
+
+    with drawing():
+        fig = titled()
+    assert pixels(*save(fig, tmp_path / "usual", "f", ("png",))) == (400, 400)
+    with looking(Look(width=2.0)), drawing():
+        written = save(titled(), tmp_path / "column", "f", ("png",))
+    height, width = pixels(*written)
+    lines = (height - 400) / (8.0 * 1.25 / 72.0 * 200.0)  # type of 8 pt in lines of 10 pt
+    assert width == 400
+    assert lines == pytest.approx(round(lines), abs=0.05)
+    assert 1 <= round(lines) <= 4
 
 
 def test_panels_side_by_side_are_two_at_most_in_a_column():

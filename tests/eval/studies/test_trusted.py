@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from eval.referee.attribution import (
     ASSOCIATIONS,
     ESTIMATOR,
     NOISE,
+    NOTHING,
     decision_errors,
     estimator_errors,
     innovation_errors,
@@ -132,6 +134,69 @@ def test_a_way_of_deciding_that_pairs_wrongly_on_twins_is_to_blame():
     (found,) = decision_errors({"ekf": [(90, 5, 4, 1), (92, 6, 2, 0)], "isam2": [(99, 1, 0, 0)]})
     assert (found.cause, found.kind, found.name) == (ASSOCIATIONS, "decisions", "ekf")
     assert found.size == 0.03
+
+
+def smoothed(log, association):
+    inputs = inputs_of(log, "slam", association)
+    return smoother_of(compare(inputs, "slam", ("ekf", "batch"), association), inputs)
+
+
+def deciding(log, twins, association, smoother, counts):
+    """What the twins' decisions are blamed for; `counts`: of each twin, by estimator."""
+    drawn = [replace(s, counts=counts(i)) for i, s in enumerate(twins)]
+    found = judged(log, "slam", association, twins[0], drawn, smoother).blame
+    return [(f.cause, f.name, f.size) for f in found.findings if f.kind == "decisions"]
+
+
+def test_decisions_count_of_each_twin_in_which_an_estimator_got_to_the_end(arena):
+    """EKF decides wrongly in 1 of 10, in all twins; iSAM2 in 1 of 20, and failed in every other twin; batch well."""
+    wrong, isam2, right = (80, 10, 10, 0), (90, 5, 5, 0), (100, 0, 0, 0)
+
+    def counts(i):
+        return {"ekf": wrong, "batch": right} if i % 2 else {"ekf": wrong, "batch": right, "isam2": isam2}
+
+    found = partial(deciding, *arena, "jcbb", smoothed(arena[0], "jcbb"))
+    assert found(counts) == [(ASSOCIATIONS, "ekf", 0.1), (ASSOCIATIONS, "isam2", 0.05)]
+    assert found(lambda i: {"ekf": right} if i else {"ekf": wrong}) == []
+    assert found(lambda _: {}) == []
+
+
+def test_known_pairings_are_nobodys_decisions(arena):
+    smoother = smoothed(arena[0], "known")
+    assert deciding(*arena, "known", smoother, lambda _: {"ekf": (80, 10, 10, 0)}) == []
+
+
+@pytest.mark.parametrize(
+    ("key", "cause"), [(None, NOTHING), (("ekf", "nis"), ESTIMATOR), (("batch", "nis"), NOISE)], ids=str
+)
+def test_one_statistic_that_no_twin_reaches_is_objected_to(arena, key, cause):
+    """A twin among twins is as usual, and with one number a hundred times too large it is the first of 20."""
+    log, twins = arena
+    real = twins[0]
+    if key is not None:
+        m = real.measured[key]
+        real = replace(real, measured={**real.measured, key: m._replace(value=100.0 * m.value)})
+    found = judged(log, "slam", "known", real, twins, smoothed(log, "known")).blame
+    assert (found.cause, found.findings) == (cause, ())
+    assert found.objected == (() if key is None else (key,))
+    assert found.tested == len(real.measured)
+    assert found.p == pytest.approx(0.05) if key else found.p > 0.05
+
+
+def test_wrong_decisions_on_twins_are_the_cause_before_the_estimators_that_suffer_from_them(arena):
+    log, twins = arena
+    nis = "ekf", "nis"
+    drawn = [
+        replace(
+            s,
+            counts={"ekf": (80, 10, 10, 0)},
+            measured={**s.measured, nis: s.measured[nis]._replace(value=1.2 * s.measured[nis].value)},
+        )
+        for s in twins
+    ]
+    found = judged(log, "slam", "jcbb", twins[0], drawn, smoothed(log, "jcbb")).blame
+    assert [f.kind for f in found.findings] == ["decisions", "innovations"]
+    assert found.cause == ASSOCIATIONS
 
 
 def test_an_estimator_is_judged_in_each_of_its_phases():

@@ -8,8 +8,8 @@ from scipy.stats import chi2
 
 from data.se2 import dead_reckoned, pose_error
 from graph.optimum import NotConvergedError
-from graph.poses import batch
-from graph.poses.batch import CAUCHY, CUT, HUBER, smooth_poses
+from graph.poses import batch, robust
+from graph.poses.batch import CAUCHY, CUT, HUBER, evaluate, smooth_poses
 from graph.poses.robust import gnc_poses, squares
 from tests.graph.poses.worlds import corridors, random_false, structured_false
 
@@ -122,6 +122,56 @@ def test_from_some_of_the_right_loops_all_of_them_are_found(monkeypatch):
     assert believed[:n].mean() > 0.9
     assert not believed[n:].any()
     assert ((squares(problem, found.pose) < chi2.ppf(0.99, 3)) == believed).all()
+
+
+def counted_step(problem, pose, weight, monkeypatch):
+    """Where a step of GNC leads; how often it looks at the cost is counted, so that it has an end in any case."""
+    asked = []
+
+    def counted(problem, pose, loss):
+        asked.append(pose)
+        assert len(asked) < 30, "no end to the search for a shorter step"
+        return evaluate(problem, pose, loss)
+
+    monkeypatch.setattr(robust, "evaluate", counted)
+    return robust._step(problem, pose, weight)
+
+
+@pytest.mark.parametrize(("seed", "share"), [(205, 1.0), (226, 0.5), (288, 0.5), (262, 0.25), (372, 0.25)])
+def test_a_step_of_gnc_that_leads_too_far_is_halved_until_the_cost_falls(seed, share, monkeypatch):
+    """Far from the optimum; what the cost is of any part of the step is said by dense residuals."""
+    world = corridors(3, 10, loops=6, side=1.5, blocks=1)._replace(key1=np.array([0, 2, 5]), key2=np.array([6, 9, 8]))
+    rng = np.random.default_rng(seed)
+    world = world._replace(relative=rng.normal(0, 0.5, (3, 3)), loop_covariance=np.tile(0.04 * np.eye(3), (3, 1, 1)))
+    weight = rng.uniform(0.0, 1.0, 3)
+    pose = world.truth + rng.normal(0, [1.0, 1.0, 1.5], world.truth.shape)
+    pose[0] = world.truth[0]
+    problem = world.problem()
+
+    def cost(pose):
+        square = dense_residuals(world, np.eye(3), pose.ravel()).reshape(-1, 3) ** 2
+        return float(square[:-3].sum() + weight @ square[-3:].sum(axis=1))
+
+    moved = counted_step(problem, pose, weight, monkeypatch)
+    delta = problem.step(pose, weight).delta
+    np.testing.assert_allclose(moved, pose + share * delta, atol=1e-12)
+    assert cost(moved) < cost(pose)
+    assert share == 1.0 or cost(pose + 2.0 * share * delta) > cost(pose)
+
+
+def test_a_step_of_gnc_from_the_optimum_leads_nowhere(monkeypatch):
+    """Key poses in a row, each where it was measured: no cost is below none."""
+    world = corridors(0, 10, loops=0, side=1.5, blocks=1)
+    truth = np.zeros((10, 3))
+    truth[:, 0] = np.arange(10)
+    motion = np.diff(truth, axis=0, prepend=0.0)
+    chain = world._replace(truth=truth, motion=motion, **{name: getattr(world, name)[:0] for name in world._fields[3:]})
+    closed = chain._replace(
+        key1=np.array([0]), key2=np.array([9]), relative=truth[9:], loop_covariance=0.01 * np.eye(3)[None]
+    )
+    for w in (chain, closed):
+        moved = counted_step(w.problem(), truth, np.ones(len(w.key1)), monkeypatch)
+        np.testing.assert_array_equal(moved, truth)
 
 
 def test_a_search_that_is_cut_short_is_said_not_to_have_converged(monkeypatch):

@@ -13,7 +13,7 @@ from data.errors import UsageError
 from data.visual.rendering.render import Rendered, sideways_motion
 from data.worlds.gallery import Gallery
 from data.worlds.gallery_camera import in_camera, to_pixels
-from tests.data.visual.rendering.galleries import CLEAN, SMALL, SMALL_CLEAN, views
+from tests.data.visual.rendering.galleries import CLEAN, SMALL, SMALL_CLEAN, averaged, ends, views
 
 
 def rectified(recording: Rendered, frame: int, number: int) -> np.ndarray:
@@ -74,6 +74,41 @@ class TestImagesAreTrueToTheGeometry:
         for frame, number in views(clean):
             cut, reference = rectified(clean, frame, number), soft(clean.references[number])
             assert np.corrcoef(cut.ravel(), reference.ravel())[0, 1] > 0.97
+
+    @pytest.mark.parametrize("width", [96, 120])
+    def test_a_picture_finer_than_the_image_is_averaged_and_neither_glitters_nor_blurs(self, width):
+        small = replace(SMALL_CLEAN, image_width=width, image_height=width * 3 // 4, pictures=4)
+        recording = Rendered(small, 0)
+        seen = ends(recording)
+        assert len(seen) == 8
+        for k, number in seen:
+            image, covered, colour = averaged(recording, k, number)
+            whole = covered > 0.999
+            beside = whole[:, 1:] & whole[:, :-1]
+            drawn, wanted = (np.abs(np.diff(i, axis=1))[beside].mean() for i in (image, colour))
+            assert 0.85 < drawn / wanted < 1.0
+            assert np.sqrt(np.mean((image - colour)[whole] ** 2)) < 0.25 * colour[whole].std()
+
+    def test_a_pixel_on_a_picture_s_edge_has_of_its_colour_the_share_that_is_covered(self):
+        recording = Rendered(replace(SMALL_CLEAN, image_width=160, image_height=120, pictures=4), 0)
+        checked = {0.9: 0, 0.5: 0}
+        for k, number in ends(recording):
+            image, covered, colour = averaged(recording, k, number)
+            beside = (cv2.dilate((covered > 0.0).astype(np.uint8), np.ones((5, 5))) > 0) & (covered == 0.0)
+            wall = np.median(image[beside], axis=0)
+            assert wall.min() > 20.0
+            h, w = covered.shape
+            v, u = np.mgrid[:h, :w]
+            for side in (u < w // 4, u > w - w // 4, v < h // 4, v > h - h // 4):
+                # pixels that are covered in part, and those of them that are covered by less than a half
+                for most, fewest in ((0.9, 35), (0.5, 15)):
+                    at = side & (covered > 0.1) & (covered < most)
+                    if at.sum() >= fewest:
+                        wanted = covered[at][:, None] * (colour[at] - wall)
+                        assert 0.6 < (wanted * (image[at] - wall)).sum() / (wanted**2).sum() < 1.4
+                        checked[most] += 1
+        assert checked[0.9] >= 20
+        assert checked[0.5] >= 10
 
     def test_no_picture_is_off_by_a_tenth_of_a_pixel(self, clean):
         shifts = []

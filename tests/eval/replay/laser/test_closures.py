@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from association.scans.points import beams_of, scan_points
+from association.scans.points import Points, beams_of, scan_points
 from data.se2 import between, dead_reckoned
 from eval.replay.laser.closures import Closure, LoopCloser
 from eval.replay.laser.parameters import LaserParameters
-from tests.association.scans.rooms import SCANNER, scan
+from tests.association.scans.rooms import ROOM, SCANNER, scan
 
 KEYS = 30
 STEP = np.array([0.4, 0.0, 0.25])
@@ -58,3 +59,95 @@ def test_one_that_does_not_agree_is_not():
     wrong = closure(found, 2, KEYS - 1)
     wrong.relative = wrong.relative + np.array([1.0, 0.0, 0.0])
     assert believe(found, wrong) == []
+
+
+GAP = LaserParameters().loop_gap
+SEEN = scan(np.zeros(3), ROOM)
+USUAL = 1e-4 * np.eye(3)
+
+
+def looking(keys, last=SEEN, covariance=USUAL):
+    """A robot that stands in a room for some key poses; `last` is what it sees from the newest."""
+    found = LoopCloser(LaserParameters(), SCANNER)
+    for key in range(keys):
+        ranges = last if key == keys - 1 else SEEN
+        points = scan_points(ranges, beams_of(SCANNER, 180), 20.0)
+        found.add_key(ranges, points, np.zeros(3), covariance)
+    return found
+
+
+def looked_at(found, poses):
+    assert found.find(poses) == []  # one alone is never believed
+    return [(c.key1, c.key2) for c in found.looked_at]
+
+
+def test_the_first_key_pose_is_looked_at_as_soon_as_it_is_the_gap_away():
+    assert looked_at(looking(GAP), np.zeros((GAP, 3))) == []
+    found = looking(GAP + 1)
+    assert looked_at(found, np.zeros((GAP + 1, 3))) == [(0, GAP)]
+    (closure,) = found.looked_at
+    assert not closure.refused
+    assert closure.score > 0.9
+    np.testing.assert_allclose(closure.relative, np.zeros(3), atol=1e-3)
+
+
+def test_where_the_scans_say_that_the_robot_is_there_the_closure_says_so():
+    moved = np.array([0.06, -0.04, 0.02])
+    found = looking(GAP + 1, scan(moved, ROOM))
+    assert looked_at(found, np.zeros((GAP + 1, 3))) == [(0, GAP)]
+    (closure,) = found.looked_at
+    assert not closure.refused
+    np.testing.assert_allclose(closure.relative, moved, atol=5e-3)
+
+
+def test_of_many_candidates_two_are_looked_at_the_nearest_one_and_the_next_that_is_not_beside_it():
+    keys = GAP + 18
+    poses = np.zeros((keys, 3))
+    poses[:-1, 0] = 0.05 * np.abs(np.arange(keys - 1) - 16)  # where the robot is now it was at key pose 16
+    assert sorted(looked_at(looking(keys), poses)) == [(8, keys - 1), (16, keys - 1)]
+
+
+@pytest.mark.parametrize(("off", "refused"), [(0.18, False), (0.23, True)])
+def test_a_closure_too_far_from_where_the_way_between_its_key_poses_leads_is_refused(off, refused):
+    """Twelve steps lead from one to the other, with a standard deviation of 0.05 m: the gate is at 4.03 of these. The
+    path before the first does not count."""
+    keys = GAP + 18
+    poses = np.zeros((keys, 3))
+    poses[: keys - GAP - 1, 0] = 30.0  # far away
+    poses[-1, 0] = off
+    found = looking(keys, covariance=np.diag([0.05**2, 0.05**2, 1e-5]) / GAP)
+    assert looked_at(found, poses) == [(keys - GAP - 1, keys - 1)]
+    assert [c.refused for c in found.looked_at] == [refused]
+
+
+@pytest.mark.parametrize("off", [0.0, 0.5])
+def test_closures_of_two_key_poses_that_agree_are_believed_at_the_second_unless_one_is_refused(off):
+    found = looking(GAP + 1)
+    assert looked_at(found, np.zeros((GAP + 1, 3))) == [(0, GAP)]
+    found.add_key(SEEN, found._keys[-1].points, np.zeros(3), USUAL)
+    poses = np.zeros((GAP + 2, 3))
+    poses[-1, 0] = off  # of the second pose the path says what the scan does not
+    believed = found.find(poses)
+    ends = [(c.key1, c.key2, c.believed) for c in believed]
+    assert ends == ([] if off else [(0, GAP, GAP + 1), (0, GAP + 1, GAP + 1)])
+    assert len(found.loops().key1) == 2
+
+
+@pytest.mark.parametrize(("points", "expected"), [(9, []), (10, [(0, GAP)])])
+def test_a_scan_of_fewer_than_ten_points_closes_no_loop(points, expected):
+    found = looking(GAP + 1)
+    key = found._keys[-1]
+    key.points = Points(key.points.xy[:points], key.points.normal[:points])
+    assert looked_at(found, np.zeros((GAP + 1, 3))) == expected
+
+
+@pytest.mark.parametrize(("steps", "most"), [(1e-9, 2.0), (1.0, 2.3098), (4.0, 2.6197)])
+def test_key_poses_farther_apart_than_the_path_between_allows_are_not_looked_at(steps, most):
+    """The middles of what is seen may be 2 m apart, and twice the root of the variances in x and y of 12 steps: those
+    of one are 0.0005 and 0.0015 m^2, times `steps`, so that the root is 0.1549 m for `steps` of 1."""
+    assert GAP == 12
+    for away, expected in ((most - 0.002, [(0, GAP)]), (most + 0.002, [])):
+        poses = np.zeros((GAP + 1, 3))
+        poses[-1, 0] = away
+        found = looking(GAP + 1, covariance=steps * np.diag([0.0005, 0.0015, 1e-6]))
+        assert looked_at(found, poses) == expected
