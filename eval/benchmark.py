@@ -74,7 +74,7 @@ def _benchmark(argv: Sequence[str] | None, prog: str) -> None:
         "--exact",
         action="store_true",
         help="with --variety: the same worlds where noise and view are as they are stated, and odometry does not err in"
-        " system",
+        " system, to OUT/variety-exact.csv and .png",
     )
     only = p.add_argument_group("with --sensitivity")
     only.add_argument("--data", metavar="DIR", type=Path, help="folder with MRCLAM_Dataset1.zip, 6 and 9 (UTIAS)")
@@ -147,15 +147,15 @@ def _variety(out: Path, half: str | None, worlds: int, *, exact: bool) -> None:
     from eval.figures.style import save
     from eval.studies.variety.draw import indices
 
-    chosen = indices(half, worlds)
+    chosen, name = indices(half, worlds), "variety-exact" if exact else "variety"
     out.mkdir(parents=True, exist_ok=True)
-    file = out / "variety.csv"
+    file = out / f"{name}.csv"
     for row in measure_all(chosen, read(file), exact=exact):
         append(row, file)
         print(line_of(row), flush=True)
     rows = [r for r in read(file) if r.number in set(chosen)]
     print("\n".join(table(rows)), flush=True)
-    save(variety_figure(worlds_of(rows)), out, "variety")
+    save(variety_figure(worlds_of(rows)), out, name)
 
 
 def _sensitivity(args: argparse.Namespace, quick: bool) -> None:

@@ -120,3 +120,14 @@ def test_the_worlds_can_be_run_as_they_are_stated(monkeypatch):
     monkeypatch.setattr(measuring, "measure", lambda log, i, world, method, limit=0.0: ran.setdefault(i, log))
     list(measure_all([201, 203], [], exact=True))
     assert [ran[i] for i in (201, 203)] == [draw(i, exact=True) for i in (201, 203)]
+
+
+def test_exact_worlds_have_files_of_their_own(monkeypatch, tmp_path):
+    monkeypatch.setattr(measuring, "log_of", lambda drawn: drawn)
+    monkeypatch.setattr(measuring, "named_log", lambda name: name)
+    monkeypatch.setattr(measuring, "measure", lambda log, i, world, method, limit=0.0: row(i, method))
+    for more in ([], ["--exact"]):
+        assert main(["--variety", str(tmp_path), "--half", "later", "--worlds", "1", *more]) == 0
+    for name in ("variety", "variety-exact"):
+        assert [r.number for r in read(tmp_path / f"{name}.csv")] == [200, 200, 200]
+        assert (tmp_path / f"{name}.png").exists()

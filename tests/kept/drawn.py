@@ -58,10 +58,8 @@ def _artist(artist: Artist) -> Iterator[str]:
         case Collection():
             ends = [p.vertices for p in artist.get_paths() if len(p.vertices)]
             colours = [_colour(c) for c in np.concatenate([artist.get_facecolor(), artist.get_edgecolor()])[:4]]
-            offsets, vertices = (
-                np.asarray(artist.get_offsets(), float),
-                np.concatenate(ends) if ends else np.empty((0, 2)),
-            )
+            offsets = np.asarray(artist.get_offsets(), float)
+            vertices = np.concatenate(ends) if ends else np.empty((0, 2))
             yield f"collection {artist.get_label()!r} {colours} {over} {_points(offsets)} {_points(vertices)}"
         case Patch():
             corners = artist.get_transform().transform_path(artist.get_path()).vertices
