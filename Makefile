@@ -45,7 +45,7 @@ benchmark: .venv/.warm ## frames per second
 	$(BIN)/python -m eval.benchmark $(ARGS)
 
 docs: .venv/.warm ## write docs/results-folder.md anew
-	$(BIN)/python -m eval.page.results_folder
+	$(BIN)/python -m eval.report.page.results_folder
 
 lock: ## pin requirements.lock anew; LOCK_ARGS=--upgrade for the newest versions
 	$(PYTHON) -m venv .venv/lock

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from eval.checks.checking import association_findings, check_association, check_estimator, estimator_findings
     from eval.referee.score import Trial, score
     from eval.replay.estimators import make_estimator
-    from eval.replay.foreign.samples import Samples
+    from eval.replay.external.adapter import Samples
     from eval.replay.run import compare
 
     __version__: str
@@ -59,14 +59,17 @@ HOMES = {
     "estimator_findings": "eval.checks.checking",
     "association_findings": "eval.checks.checking",
     "Expectation": "association.expectation",
-    "Samples": "eval.replay.foreign.samples",
+    "Samples": "eval.replay.external.adapter",
     "NEW": "data.result",
     "DISCARD": "data.result",
 }
 COMMANDS = {
     "run": ("eval.run_all", "run filters and smoothers on identical inputs, referee them, write the report"),
     "step": ("eval.step", "walk through a log one Enter at a time"),
-    "live": ("eval.live", "run filters and smoothers on line while a small robot drives, recorded, with a page"),
+    "live": (
+        "eval.live.__main__",
+        "run filters and smoothers on line while a small robot drives, recorded, with a page",
+    ),
     "play": ("eval.play", "write a page that plays a log in the browser"),
     "twin": ("eval.twin", "draw a log again as it says of itself, with a truth"),
     "convert": ("data.convert.__main__", "turn a recording or a simulation into an open log folder"),
@@ -100,7 +103,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """The command `slamref`: hands on to a subcommand and returns its exit status; 2 if there is no such one."""
     # a package `data` or `eval` of somebody else, in the working directory or on PYTHONPATH, must not hide ours
     sys.path.insert(0, str(Path(__file__).parent))
-    from data.terminal.ending import ended
+    from data.terminal import ended
 
     return ended(lambda: _command(list(sys.argv[1:] if argv is None else argv) or ["--help"]))
 

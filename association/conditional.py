@@ -20,6 +20,13 @@ from data.inputs import IntArray
 from data.result import DISCARD, NEW
 from data.se2 import Array, BoolArray
 
+FREEDOM = 4.0
+"""Degrees of freedom of Student's t: its tails fall with d^-6; anything between 3 and 10 does as well."""
+SAME_PLACE = 0.05
+"""In ranges: from nearer places the view is the same, and what hides a landmark hides it still."""
+EXACT_VARIANCE = 1e-12
+"""m^2 and rad^2. No point, distance or pose is known better: what is exact has no inverse."""
+
 
 class Alone(NamedTuple):
     """Innovations (k, 2) of pairings, each given all others of its frame, and their information (k, 2, 2)."""

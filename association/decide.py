@@ -1,23 +1,22 @@
-"""Decide: a method by its name, then newness; what a replay calls in every frame."""
+"""Decide: a method by its name, then newness; what a replay calls in every frame.
+
+Known association: pairing by the labels that an experiment grants. Needs no expectation and no filter.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
 
-from association.evidence.pairings import jcbb_hindsight
+from association.conditional import jcbb_hindsight
 from association.expectation import Expectation, gate_threshold
-from association.gnn import gnn
 from association.jcbb import BUDGET, search
-from association.likelihood import ALPHA, RATIO, ml, ml_ratio
-from association.nearest import nn
-from association.newness import newness
-from association.singles import singles
+from association.methods import ALPHA, RATIO, gnn, ml, ml_ratio, newness, nn, singles
 from data.errors import UsageError
-from data.inputs import IntArray
+from data.inputs import Inputs, IntArray, LabelledObservations
 from data.result import DISCARD, NEW
 
 Method = Callable[[Expectation, float | None], IntArray]
@@ -33,7 +32,7 @@ PLAIN: dict[str, Method] = {
 SEARCHES = {"jcbb": False, "jcbb-first": True}
 """Methods with a node budget, and whether the first of the largest hypotheses stays."""
 METHODS = (*PLAIN, *SEARCHES)
-"""Names of all methods that decide for themselves (`known` does not: see `association.known`)."""
+"""Names of all methods that decide for themselves (`known` does not: see `association.decide`)."""
 HINDSIGHT = "jcbb-hindsight"
 """The method whose decisions may be revised; what it decides in a frame needs no later one."""
 OWN_NEWNESS = frozenset({"ml-ratio", HINDSIGHT})
@@ -103,3 +102,48 @@ def decide(
     elif method not in OWN_NEWNESS:
         decisions = newness(expectation, decisions, new_gate)
     return Decided(decisions, complete)
+
+
+def known_decisions(inputs: Inputs) -> tuple[IntArray, IntArray]:
+    """Pairing by label: decisions (M,) and the number (M,) of the landmark each observation initializes (-1: none).
+
+    Localization: the label, if the map has it. SLAM: the first sighting of a label is `NEW`, later ones its number;
+    a label seen twice in the frame that creates its landmark: the first creates, the others are discarded. Clutter and
+    blank labels are discarded. Labels do not depend on the estimate, so this needs no filter.
+    """
+    o = inputs.observations
+    if not isinstance(o, LabelledObservations):
+        raise ValueError("known association was not granted to these inputs")
+    label, created = o.label, np.full(len(o.label), -1, np.int64)
+    decisions = np.full(len(label), DISCARD, np.int64)
+    if inputs.map is not None:
+        paired = np.isin(label, inputs.map.id)
+        decisions[paired] = label[paired]
+        return decisions, created
+    named = np.flatnonzero(label >= 0)
+    _, first, which = np.unique(label[named], return_index=True, return_inverse=True)
+    number = np.empty(len(first), np.int64)
+    number[np.argsort(first)] = np.arange(len(first))
+    decisions[named] = number[which]
+    initializing = named[first]
+    decisions[named[o.frame[named] == o.frame[initializing][which]]] = DISCARD
+    decisions[initializing] = NEW
+    created[initializing] = number
+    return decisions, created
+
+
+def pair_by_label(label: IntArray, held: Mapping[int, int]) -> IntArray:
+    """SLAM decisions (m,) of one frame by labels (m,), for a map that may have lost landmarks.
+
+    `held`: number of the landmark that is in the map for a label. Without removals this makes the decisions of
+    `known_decisions`.
+    """
+    decisions = np.full(len(label), DISCARD, np.int64)
+    initialized: set[int] = set()
+    for i, name in enumerate(label.tolist()):
+        if name in held:
+            decisions[i] = held[name]
+        elif name >= 0 and name not in initialized:
+            initialized.add(name)
+            decisions[i] = NEW
+    return decisions

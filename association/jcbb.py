@@ -1,16 +1,290 @@
-"""Joint compatibility branch and bound: the largest set of pairings that are compatible all together."""
+"""Joint compatibility branch and bound: the largest set of pairings that are compatible all together.
+
+The two compiled searches behind `association.jcbb`: most pairings with least joint distance, and first found.
+
+Shared layout: m observations and k candidates, of which every one is individually compatible with something;
+nu (m, k, 2) innovations, compatible (m, k), C (2k, 2k) joint covariance of the expectations, R (m, 2, 2),
+thresholds (m + 1,) squared joint distance at 2 q dof for q pairings, infinite for q = 0 and without a gate.
+The joint distance is bordered pairing by pairing: S = L L', w = L^-1 nu, d^2 = w'w, two more rows for one more pairing.
+"""
 
 from __future__ import annotations
 
+import math
 import warnings
 from typing import NamedTuple
 
+import numba
 import numpy as np
 
-from association import jcbb_kernels
-from association.expectation import Expectation, SingularInnovationError, gate_threshold
+from association.expectation import SINGULAR, Expectation, SingularInnovationError, gate_threshold
 from data.inputs import IntArray
 from data.result import NEW
+
+UNPAIRED = -1
+COMPLETE = 0
+EXHAUSTED = 1
+SINGULAR_JOINT = 2
+TIE = 1e-12
+"""Joint distances closer than this, relative, are the same: rounding must not choose between identical landmarks."""
+
+
+@numba.njit(cache=True)
+def _factor(a, b, c, scale_a, scale_c):  # type: ignore[no-untyped-def]
+    """Cholesky factor (l00, l10, l11) of [[a, b], [b, c]]; l00 = 0 where it is singular against its own scale."""
+    if not a > SINGULAR * scale_a:
+        return 0.0, 0.0, 0.0
+    l00 = math.sqrt(a)
+    l10 = b / l00
+    rest = c - l10 * l10
+    if not rest > SINGULAR * scale_c:
+        return 0.0, 0.0, 0.0
+    return l00, l10, math.sqrt(rest)
+
+
+@numba.njit(cache=True)
+def search_best(nu, compatible, C, R, thresholds, budget):  # type: ignore[no-untyped-def]
+    """Most pairings, one-to-one, jointly compatible as a whole; among these the least joint distance.
+
+    Branch and bound with forward checking: at every node each pairing still open has its distance *given* those made.
+    That is what it would add at least, so it shows at once which ones cannot belong to a better hypothesis. The
+    observation with the fewest open pairings comes next, its nearest candidate first.
+
+    A branch is cut only if it cannot have more pairings than the best so far, nor as many at a smaller distance.
+    Joint compatibility is asked of the whole hypothesis, not of its beginnings: d^2 of a part may exceed chi-square
+    at the part's own dof and the whole still pass, so a beginning is held against the gate of all it can become.
+
+    Returns (choice (m,), d^2, pairings, nodes, status).
+    """
+    m, k = compatible.shape
+    first = np.zeros(m + 1, np.int64)
+    for i in range(m):
+        first[i + 1] = first[i] + compatible[i].sum()
+    pairs = first[m]
+    candidate = np.empty(pairs, np.int64)
+    for i in range(m):
+        p = first[i]
+        for j in range(k):
+            if compatible[i, j]:
+                candidate[p] = j
+                p += 1
+    # what is known of each candidate given q pairings: rows of L^-1 C, shift of its expectation, remaining covariance
+    V, shift, D = np.empty((m, k, 2, 2)), np.zeros((m + 1, k, 2)), np.empty((m + 1, k, 3))
+    for j in range(k):
+        D[0, j, 0], D[0, j, 1], D[0, j, 2] = C[2 * j, 2 * j], C[2 * j + 1, 2 * j], C[2 * j + 1, 2 * j + 1]
+    made, d2 = np.zeros(m + 1, np.int64), np.zeros(m + 1)  # by depth: pairings and joint distance
+    chosen, branch, branches = np.empty(m + 1, np.int64), np.zeros(m + 1, np.int64), np.zeros(m + 1, np.int64)
+    order = np.empty((m + 1, k), np.int64)
+    closed_at = np.full(pairs, m + 2)  # depth at which a pairing was closed
+    gain, need = np.empty(pairs), np.empty(k, np.bool_)
+    decided, taken = np.zeros(m, np.bool_), np.zeros(k, np.bool_)
+    choice, best_choice = np.full(m, UNPAIRED), np.full(m, UNPAIRED)
+    best, best_d2 = 0, 0.0
+    t, nodes, arriving = 0, 0, True
+    while t >= 0:
+        q = made[t]
+        if arriving:
+            nodes += 1
+            if nodes > budget:
+                return best_choice, best_d2, best, nodes - 1, EXHAUSTED
+            reach = q
+            for i in range(m):
+                if not decided[i]:
+                    for p in range(first[i], first[i + 1]):
+                        if closed_at[p] > t and not taken[candidate[p]]:
+                            reach += 1
+                            break
+            # distances given the pairings made; close what cannot be part of anything better
+            slack = best_d2 - TIE * max(1.0, best_d2) if reach == best else np.inf
+            limit = min(thresholds[reach], slack)
+            after, bound, fewest, pick = q, 0.0, k + 1, -1
+            for i in range(m):
+                if decided[i]:
+                    continue
+                open_pairs, least = 0, np.inf
+                for p in range(first[i], first[i + 1]):
+                    j = candidate[p]
+                    if closed_at[p] <= t or taken[j]:
+                        continue
+                    x, y = nu[i, j, 0] - shift[q, j, 0], nu[i, j, 1] - shift[q, j, 1]
+                    l00, l10, l11 = _factor(
+                        D[q, j, 0] + R[i, 0, 0], D[q, j, 1] + R[i, 1, 0], D[q, j, 2] + R[i, 1, 1],
+                        D[0, j, 0] + R[i, 0, 0], D[0, j, 2] + R[i, 1, 1],
+                    )  # fmt: skip
+                    if l00 == 0.0:
+                        return best_choice, best_d2, best, nodes, SINGULAR_JOINT
+                    x /= l00
+                    y = (y - l10 * x) / l11
+                    gain[p] = x * x + y * y
+                    if d2[t] + gain[p] >= limit:
+                        closed_at[p] = t
+                        continue
+                    open_pairs += 1
+                    least = min(least, gain[p])
+                if open_pairs > 0:
+                    after += 1
+                    bound = max(bound, least)
+                    if open_pairs < fewest:
+                        fewest, pick = open_pairs, i
+            slack = best_d2 - TIE * max(1.0, best_d2)
+            if pick < 0:
+                if d2[t] < thresholds[q] and (q > best or (q == best and d2[t] < slack)):
+                    best, best_d2 = q, d2[t]
+                    best_choice[:] = choice
+                hopeless = True
+            else:
+                hopeless = after < best or (after == best and d2[t] + bound >= slack) or d2[t] >= thresholds[after]
+            if hopeless:
+                t -= 1
+                arriving = False
+                continue
+            # its open candidates, nearest first; among equals the one that came first
+            n = 0
+            for p in range(first[pick], first[pick + 1]):
+                if closed_at[p] > t and not taken[candidate[p]]:
+                    at = n
+                    while at > 0 and gain[order[t, at - 1]] > gain[p]:
+                        order[t, at] = order[t, at - 1]
+                        at -= 1
+                    order[t, at] = p
+                    n += 1
+            chosen[t], branches[t], branch[t] = pick, n, 0
+            decided[pick] = True
+        i = chosen[t]
+        if choice[i] != UNPAIRED:
+            taken[choice[i]] = False
+            choice[i] = UNPAIRED
+        for p in range(pairs):
+            if t < closed_at[p] <= m + 1:
+                closed_at[p] = m + 2
+        number = branch[t]
+        branch[t] += 1
+        if number > branches[t]:
+            decided[i] = False
+            t -= 1
+            arriving = False
+            continue
+        arriving = True
+        if number == branches[t]:  # last: leave it unpaired
+            made[t + 1], d2[t + 1] = q, d2[t]
+            t += 1
+            continue
+        j = candidate[order[t, number]]
+        choice[i] = j
+        taken[j] = True
+        need[:] = False
+        for o in range(m):
+            if not decided[o]:
+                for p in range(first[o], first[o + 1]):
+                    if closed_at[p] > t:
+                        need[candidate[p]] = True
+        l00, l10, l11 = _factor(
+            D[q, j, 0] + R[i, 0, 0], D[q, j, 1] + R[i, 1, 0], D[q, j, 2] + R[i, 1, 1],
+            D[0, j, 0] + R[i, 0, 0], D[0, j, 2] + R[i, 1, 1],
+        )  # fmt: skip
+        x = (nu[i, j, 0] - shift[q, j, 0]) / l00
+        y = (nu[i, j, 1] - shift[q, j, 1] - l10 * x) / l11
+        for c in range(k):
+            if not need[c]:
+                continue
+            v00, v01 = C[2 * j, 2 * c], C[2 * j, 2 * c + 1]
+            v10, v11 = C[2 * j + 1, 2 * c], C[2 * j + 1, 2 * c + 1]
+            for r in range(q):
+                a, b = V[r, j], V[r, c]
+                v00 -= a[0, 0] * b[0, 0] + a[1, 0] * b[1, 0]
+                v01 -= a[0, 0] * b[0, 1] + a[1, 0] * b[1, 1]
+                v10 -= a[0, 1] * b[0, 0] + a[1, 1] * b[1, 0]
+                v11 -= a[0, 1] * b[0, 1] + a[1, 1] * b[1, 1]
+            v00, v01 = v00 / l00, v01 / l00
+            v10, v11 = (v10 - l10 * v00) / l11, (v11 - l10 * v01) / l11
+            V[q, c, 0, 0], V[q, c, 0, 1], V[q, c, 1, 0], V[q, c, 1, 1] = v00, v01, v10, v11
+            shift[q + 1, c, 0] = shift[q, c, 0] + v00 * x + v10 * y
+            shift[q + 1, c, 1] = shift[q, c, 1] + v01 * x + v11 * y
+            D[q + 1, c, 0] = D[q, c, 0] - v00 * v00 - v10 * v10
+            D[q + 1, c, 1] = D[q, c, 1] - v00 * v01 - v10 * v11
+            D[q + 1, c, 2] = D[q, c, 2] - v01 * v01 - v11 * v11
+        made[t + 1], d2[t + 1] = q + 1, d2[t] + x * x + y * y
+        t += 1
+    return best_choice, best_d2, best, nodes, COMPLETE
+
+
+@numba.njit(cache=True)
+def search_first(nu, compatible, C, R, thresholds, budget):  # type: ignore[no-untyped-def]
+    """Depth first over observations in order, candidates in order, last unpaired; the first of most pairings stays.
+
+    A pairing is kept if the joint distance of those made so far and itself is below chi-square at their dof. Nothing
+    forbids giving one candidate to two observations. A branch that can only equal the best is cut: it would not
+    replace it. Returns as `search_best`.
+    """
+    m, k = compatible.shape
+    L, w = np.zeros((2 * m, 2 * m)), np.empty(2 * m)
+    made, d2, branch = np.zeros(m + 1, np.int64), np.zeros(m + 1), np.zeros(m + 1, np.int64)
+    row = np.empty(m, np.int64)  # candidate of each pairing made
+    choice, best_choice = np.full(m, UNPAIRED), np.full(m, UNPAIRED)
+    best, best_d2, t, nodes = 0, 0.0, 0, 1
+    while t >= 0:
+        q = made[t]
+        if t == m:
+            if q > best:
+                best, best_d2 = q, d2[t]
+                best_choice[:] = choice
+            t -= 1
+            continue
+        if branch[t] == 0 and q + m - t <= best:
+            t -= 1
+            continue
+        j = branch[t]
+        while j < k and not compatible[t, j]:
+            j += 1
+        branch[t] = j + 1
+        choice[t] = UNPAIRED
+        if j > k or (j == k and q + m - t - 1 <= best):
+            branch[t] = 0
+            t -= 1
+            continue
+        made[t + 1], d2[t + 1] = q, d2[t]
+        if j < k:
+            n = 2 * q
+            for a in range(2):
+                for p in range(q):
+                    for b in range(2):
+                        total = C[2 * j + a, 2 * row[p] + b]
+                        for c in range(2 * p + b):
+                            total -= L[n + a, c] * L[2 * p + b, c]
+                        L[n + a, 2 * p + b] = total / L[2 * p + b, 2 * p + b]
+            x, y = nu[t, j, 0], nu[t, j, 1]
+            s00, s10, s11 = (
+                C[2 * j, 2 * j] + R[t, 0, 0],
+                C[2 * j + 1, 2 * j] + R[t, 1, 0],
+                C[2 * j + 1, 2 * j + 1] + R[t, 1, 1],
+            )
+            scale_a, scale_c = s00, s11
+            for c in range(n):
+                x -= L[n, c] * w[c]
+                y -= L[n + 1, c] * w[c]
+                s00 -= L[n, c] * L[n, c]
+                s10 -= L[n + 1, c] * L[n, c]
+                s11 -= L[n + 1, c] * L[n + 1, c]
+            l00, l10, l11 = _factor(s00, s10, s11, scale_a, scale_c)
+            if l00 == 0.0:
+                return best_choice, best_d2, best, nodes, SINGULAR_JOINT
+            w[n] = x / l00
+            w[n + 1] = (y - l10 * w[n]) / l11
+            distance = d2[t] + w[n] * w[n] + w[n + 1] * w[n + 1]
+            if not distance < thresholds[q + 1]:
+                continue
+            L[n, n], L[n + 1, n], L[n + 1, n + 1] = l00, l10, l11
+            row[q] = j
+            choice[t] = j
+            made[t + 1], d2[t + 1] = q + 1, distance
+        nodes += 1
+        if nodes > budget:
+            return best_choice, best_d2, best, nodes - 1, EXHAUSTED
+        t += 1
+        if t < m:
+            branch[t] = 0
+    return best_choice, best_d2, best, nodes, COMPLETE
+
 
 BUDGET = 50_000
 """Nodes that a search may visit: some tenths of a second in a frame of twenty observations."""
@@ -53,7 +327,7 @@ def search(expectation: Expectation, gate: float | None, *, first: bool = False,
     if len(rows) == 0:
         return Search(decisions, 0.0, 0, 0, True)
     thresholds = np.array([np.inf, *(gate_threshold(gate, 2 * (q + 1)) for q in range(len(rows)))])
-    kernel = jcbb_kernels.search_first if first else jcbb_kernels.search_best
+    kernel = search_first if first else search_best
     choice, distance, pairings, nodes, status = kernel(
         np.array(e.residual(e.z[rows, None, :], e.z_hat[None, columns, :]), float, order="C"),
         np.ascontiguousarray(compatible[np.ix_(rows, columns)]),
@@ -62,14 +336,14 @@ def search(expectation: Expectation, gate: float | None, *, first: bool = False,
         thresholds,
         budget,
     )
-    if status == jcbb_kernels.SINGULAR_JOINT:
+    if status == SINGULAR_JOINT:
         raise SingularInnovationError(
             f"the joint innovation covariance of observations {rows.tolist()} and landmarks "
             f"{e.number[columns].tolist()} is singular; a positive definite one is needed"
         )
     paired = choice >= 0
     decisions[rows[paired]] = e.number[columns[choice[paired]]]
-    return Search(decisions, float(distance), int(pairings), int(nodes), status == jcbb_kernels.COMPLETE)
+    return Search(decisions, float(distance), int(pairings), int(nodes), status == COMPLETE)
 
 
 def jcbb(expectation: Expectation, gate: float | None, *, budget: int = BUDGET) -> IntArray:

@@ -17,7 +17,7 @@ from scipy.special import ndtri
 from scipy.stats import chi2, qmc
 
 from association.expectation import gate_threshold
-from association.likelihood import ALPHA, RATIO
+from association.methods import ALPHA, RATIO
 from data.se2 import Array
 
 DRAWS = 64

@@ -65,7 +65,7 @@ class Log:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: what the log holds, and the true path or else dead reckoning."""
-        from data.notebook import card
+        from data import card
 
         r, truth = self.recorded, self.truth
         if truth.pose is not None:

@@ -35,7 +35,7 @@ class Reading:
 
 
 def open_log(name: str, reading: Reading = Reading(), say: Callable[[str], None] = lambda text: None) -> Log:
-    """A log by name (`victoria-park`, `arena:SEED`, `corridor:SEED:KEYS`, see `data.worlds.names`), by its folder or
+    """A log by name (`victoria-park`, `arena:SEED`, `corridor:SEED:KEYS`, see `data.worlds.registry`), by its folder or
     file (CARMEN).
 
     Raises UsageError for a name that is neither, DataError for a folder or file that is not valid.
@@ -46,7 +46,7 @@ def open_log(name: str, reading: Reading = Reading(), say: Callable[[str], None]
     if reading.relations is not None and not os.path.exists(path / "log.toml"):
         raise UsageError(f"--relations {reading.relations}: for a CARMEN log or an open log folder, not for {name}")
     if name == "victoria-park":
-        from data.recordings.victoria_park import load_victoria_park
+        from data.formats.recordings.victoria_park import load_victoria_park
 
         return load_victoria_park()
     if name.startswith("visual:"):
@@ -64,7 +64,7 @@ def open_log(name: str, reading: Reading = Reading(), say: Callable[[str], None]
 
 def _open_file(path: Path, reading: Reading) -> Log:
     """A CARMEN log, by the file's name."""
-    from data.recordings.carmen import is_named_carmen, load_carmen
+    from data.formats.recordings.carmen import is_named_carmen, load_carmen
 
     if not is_named_carmen(path):
         what = "a file; expected an open log folder, a CARMEN log (.log, .clf, also .gz)"
@@ -81,7 +81,7 @@ def _camera(reading: Reading) -> Camera:
 def _open_folder(path: Path, reading: Reading, say: Callable[[str], None]) -> Log:
     """An open log folder, or one in the format of the visual lab."""
     if not (path / "log.toml").exists():
-        from data.visual.lab.folder import is_lab
+        from data.formats.lab.folder import is_lab
 
         if is_lab(path):
             from data.visual.opening import open_lab_log
@@ -98,7 +98,7 @@ def _with_header(path: Path, relations: Path | None = None) -> Log:
         if relations is not None:
             raise UsageError(f"--relations {relations}: for a log with scans, not for the recording {path}")
         return load_recording(path)
-    from data.open_log.reader import load_folder
+    from data.formats.open_log.reader import load_folder
 
     return load_folder(path, relations)
 
@@ -115,8 +115,8 @@ def find_logs(folder: Path, say: Callable[[str], None]) -> Iterator[Callable[[],
 
 
 def _search(folder: Path, depth: int, say: Callable[[str], None]) -> Iterator[Callable[[], Log]]:
-    from data.mrclam.load import is_mrclam
-    from data.recordings.carmen import RELATIONS, is_carmen, load_carmen, relations_beside
+    from data.formats.mrclam.load import is_mrclam
+    from data.formats.recordings.carmen import RELATIONS, is_carmen, load_carmen, relations_beside
 
     inside = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
     lasers = [path for path in inside if is_carmen(path)]
@@ -141,7 +141,7 @@ def _search(folder: Path, depth: int, say: Callable[[str], None]) -> Iterator[Ca
 
 
 def _mrclam(path: Path, say: Callable[[str], None]) -> Iterator[Callable[[], Log]]:
-    from data.mrclam.load import corrected_landmarks, load_mrclam, robots
+    from data.formats.mrclam.load import corrected_landmarks, load_mrclam, robots
 
     landmarks = corrected_landmarks(path)
     if landmarks is not None:

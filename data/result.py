@@ -281,7 +281,7 @@ class Run:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: who, how far, what was decided, paths and map."""
-        from data.notebook import card
+        from data import card
 
         drawn = {"online": card.WARM, "final": card.COOL}
         paths = [card.Path(p, self.trajectory(p).pose[:, :2], drawn[p]) for p in self.phases]

@@ -1,6 +1,8 @@
 """How a command ends: what a person can mend is one line on stderr and exit status 2, never a traceback, never 1.
 
 Status 1 says that an estimator was rejected, so nothing that merely went wrong may end with it.
+
+Counted things in words, and rows of text in columns.
 """
 
 from __future__ import annotations
@@ -9,13 +11,13 @@ import errno
 import os
 import stat
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from data.errors import SlamrefError
 
 FINE, WRONG, INTERRUPTED = 0, 2, 130
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 OURS = ("association", "data", "ekf", "eval", "graph", "slamref")
 FULL = (errno.ENOSPC, errno.EDQUOT)
 
@@ -106,3 +108,14 @@ def _wrong(text: str, status: int = WRONG, mark: str = "error: ") -> int:
     except OSError:
         return status
     return status
+
+
+def counted(n: int | float, thing: str, things: str = "") -> str:
+    """`1 landmark`, `2 landmarks`; `things`: the plural, where it is not made with an s."""
+    return f"{n:.0f} {thing if n == 1 else things or f'{thing}s'}"
+
+
+def in_columns(rows: Sequence[Sequence[str]]) -> list[str]:
+    """A line for each row, its cells below those of the row before."""
+    width = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return ["  ".join(cell.ljust(w) for cell, w in zip(row, width, strict=True)).rstrip() for row in rows]

@@ -23,8 +23,7 @@ from data.se2 import Array
 from ekf import kernels, systematic
 from ekf.filter import DEFAULT, FilterOptions
 from ekf.kernels import NEWEST
-from ekf.parking import root, symmetric, whitened
-from ekf.triangle import Triangle
+from ekf.parking import Triangle, root, symmetric, whitened
 from ekf.walls import frame_of
 from ekf.whole_run import FilterRun, run
 

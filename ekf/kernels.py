@@ -16,7 +16,7 @@ import math
 import numba
 import numpy as np
 
-from data.sensors import LINE, invert, measure, name_as_read, residual, wrap_angle
+from data.sensors import LINE, invert, measure, name_as_read, residual, wrap_angle_jit
 
 NEWEST = np.empty(0)
 """First estimates of a filter that has none: Jacobians at the newest estimates."""
@@ -62,7 +62,7 @@ def predict(mean, P, d, motion, M, first):  # type: ignore[no-untyped-def]
         P[j, 0], P[j, 1], P[j, 2] = P[0, j], P[1, j], P[2, j]
     mean[0] += wx
     mean[1] += wy
-    mean[2] = wrap_angle(mean[2] + motion[2])
+    mean[2] = wrap_angle_jit(mean[2] + motion[2])
     if len(first):
         first[:3] = mean[:3]
 

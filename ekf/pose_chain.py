@@ -17,7 +17,7 @@ from data.inputs import IntArray, Prior
 from data.motion.velocity import carried
 from data.result import Failure
 from data.se2 import Array, BoolArray, wrap_angle
-from data.sensors import wrap_angle as wrapped
+from data.sensors import wrap_angle_jit as wrapped
 
 GROWTH = 1.5
 """Of the room for the covariance, where it has become too small."""

@@ -4,7 +4,7 @@ An increment is corrected by what is known of the errors (`data.motion.systemati
 correlated through its Jacobian A: with D = R(theta) A, x <- x + R(theta) m(b), P <- J P J' + R G M G' R',
 J = [[F, D], [0, I]]. The drift is forgotten a little at every knot.
 
-Where a sensor's errors are among them the state stands in the sensor's frame (`data.motion.sensor_frame`); a known
+Where a sensor's errors are among them the state stands in the sensor's frame (`data.motion.systematic`); a known
 landmark then depends on the range error, so an update holds it as a state of its own, and drops it.
 """
 
@@ -17,8 +17,7 @@ import numba
 import numpy as np
 
 from data.inputs import IntArray, Prior, Systematic
-from data.motion.sensor_frame import SensorFrame
-from data.motion.systematic import BETWEEN_KNOTS, correct, forgotten, knot, places
+from data.motion.systematic import BETWEEN_KNOTS, SensorFrame, correct, forgotten, knot, places
 from data.result import MapState, Systematics
 from data.se2 import Array
 from ekf.kernels import look, predict

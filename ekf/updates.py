@@ -7,7 +7,7 @@ import math
 import numba
 import numpy as np
 
-from data.sensors import wrap_angle
+from data.sensors import wrap_angle_jit
 from ekf.kernels import NEWEST, NOT_PSD, OK, gate, healthy, innovate
 
 ADDITIVE = 0
@@ -77,7 +77,7 @@ def correct(mean, P, d, nu, PHt, S, stats, retraction):  # type: ignore[no-untyp
     subtract(P, d, PHt)
     if retraction != ADDITIVE:
         move(mean, P, d, shift, retraction)
-    mean[2] = wrap_angle(mean[2])
+    mean[2] = wrap_angle_jit(mean[2])
     stats[0] += nis
     stats[1] -= 0.5 * (nis + log_det + n * math.log(2.0 * math.pi))
     return healthy(mean, P)

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from data.inputs import Prior, Systematic
-from data.motion.sensor_frame import SensorFrame, sensor_frame
+from data.motion.systematic import SensorFrame, sensor_frame
 from data.result import MapState
 from data.se2 import Array, wrap_angle
 from data.sensors import Sensor

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data.errors import UsageError
-from data.terminal.ending import ended
+from data.terminal import ended
 
 if TYPE_CHECKING:
     from eval.benchmarks.timed import Timed
@@ -126,8 +126,7 @@ def _benchmark(argv: Sequence[str] | None, prog: str) -> None:
 
 def _large(out: Path, quick: bool) -> None:
     """Measure logs of all sizes, a line each as they come; with the files of what is done so far."""
-    from eval.benchmarks.large import SIZES, line_of, measure_all, write
-    from eval.benchmarks.large_figure import scaling_figure
+    from eval.benchmarks.large import SIZES, line_of, measure_all, scaling_figure, write
     from eval.figures.style import save
 
     out.mkdir(parents=True, exist_ok=True)
@@ -141,11 +140,11 @@ def _large(out: Path, quick: bool) -> None:
 
 def _variety(out: Path, half: str | None, worlds: int, *, exact: bool) -> None:
     """Run what is not in the file yet, a line each as they come; then the goals, and the figure."""
-    from eval.benchmarks.variety.figure import variety_figure
-    from eval.benchmarks.variety.goals import table, worlds_of
-    from eval.benchmarks.variety.measure import append, line_of, measure_all, read
     from eval.figures.style import save
-    from eval.studies.variety.draw import indices
+    from tests.research.variety.figure import variety_figure
+    from tests.research.variety.goals import table, worlds_of
+    from tests.research.variety.measure import append, line_of, measure_all, read
+    from tests.research.variety.worlds import indices
 
     chosen, name = indices(half, worlds), "variety-exact" if exact else "variety"
     out.mkdir(parents=True, exist_ok=True)
@@ -160,12 +159,9 @@ def _variety(out: Path, half: str | None, worlds: int, *, exact: bool) -> None:
 
 def _sensitivity(args: argparse.Namespace, quick: bool) -> None:
     """Run what is not in the file yet, a line each as they come; then what the constants do, or the study costs."""
-    from eval.benchmarks.sensitivity.cases import named, simulated, worlds
-    from eval.benchmarks.sensitivity.cost import cost_lines, read_lines
-    from eval.benchmarks.sensitivity.measure import measure_all
-    from eval.benchmarks.sensitivity.rows import BASE, append, line_of, read
-    from eval.benchmarks.sensitivity.table import summaries, table
-    from eval.benchmarks.sensitivity.varying import chosen
+    from tests.research.sensitivity.cases import chosen, named, simulated, worlds
+    from tests.research.sensitivity.measure import BASE, append, cost_lines, line_of, measure_all, read, read_lines
+    from tests.research.sensitivity.table import summaries, table
 
     constants = chosen(args.constant)
     cases, missing = named(args.data, args.robots == "all")
@@ -195,10 +191,7 @@ def _sensitivity(args: argparse.Namespace, quick: bool) -> None:
 def _measured(quick: bool) -> Iterator[list[Timed]]:
     """The tables, each when it is done."""
     from eval.benchmarks.association import association_lines, hindsight_lines
-    from eval.benchmarks.localization import localization_lines
-    from eval.benchmarks.studies import study_lines
-    from eval.benchmarks.victoria_park import victoria_park_lines
-    from eval.benchmarks.visual import visual_lines
+    from eval.benchmarks.speed import localization_lines, study_lines, victoria_park_lines, visual_lines
 
     frames = 700 if quick else 10**9
     yield localization_lines(2_000 if quick else 20_000)

@@ -10,8 +10,8 @@ import sys
 from collections.abc import Sequence
 
 from data.errors import SlamrefError, UsageError
-from eval.replay.foreign.spec import FORM, OURS, entry_points, is_foreign, one_settled, settled
-from eval.replay.names import ASSOCIATIONS, ESTIMATORS
+from eval.replay.external.spec import FORM, OURS, entry_points, is_foreign, one_settled, settled
+from eval.replay.settings import ASSOCIATIONS, ESTIMATORS
 
 FINE, FAILED, WRONG = 0, 1, 2
 KINDS = ("estimator", "association")
@@ -57,7 +57,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
 
 def _settled(text: str, kind: str | None) -> tuple[str, str]:
     """The text as it can be loaded, and what it is; raises UsageError where it cannot."""
-    from eval.replay.foreign.load import load
+    from eval.replay.external.load import load
 
     if kind is None and not is_foreign(text):
         kind = next((k for k in KINDS if text in OURS[k] or text in entry_points(k)), None)
@@ -76,7 +76,7 @@ def _settled(text: str, kind: str | None) -> tuple[str, str]:
 
 def _check(text: str, kind: str) -> int:
     from eval.checks.checking import association_findings, estimator_findings
-    from eval.replay.foreign.spec import shown
+    from eval.replay.external.spec import shown
 
     findings = estimator_findings(text) if kind == "estimator" else association_findings(text)
     print(f"{shown(text)} ({'estimator' if kind == 'estimator' else 'way of association'})")

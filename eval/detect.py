@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from data.errors import DataError, UsageError
-from data.terminal.ending import ended
+from data.terminal import ended
 
 PROG = "python -m eval.detect"
 LARGEST = 1600
@@ -61,8 +61,8 @@ def _detect(image: Path, references: Sequence[Path], out: Path | None) -> None:
     import cv2
     import numpy as np
 
+    from data.formats.lab.folder import read_image
     from data.visual.detector import Detector
-    from data.visual.lab.folder import read_image
 
     photo = read_image(image)
     pictures = [read_image(path) for path in references]

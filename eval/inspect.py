@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from data.errors import UsageError
-from data.terminal.ending import ended
+from data.terminal import ended
 
 PROG = "python -m eval.inspect"
 PICTURES = (".png", ".pdf")
@@ -53,9 +53,9 @@ def _inspect(name: str, plot: Path | None) -> None:
     """Print the summary; write the picture if one is wanted."""
     if plot is not None and plot.suffix not in PICTURES:
         raise UsageError(f"--plot {plot}: a file name that ends in {' or '.join(PICTURES)} is needed")
+    from data.formats.recognize import door
     from data.logs import open_log
-    from data.questions.ask import ask
-    from data.questions.doors import door
+    from data.questions import ask
     from data.summary import summarize
 
     answer = door(name)
@@ -69,7 +69,7 @@ def _inspect(name: str, plot: Path | None) -> None:
     lines += [("question", f"{question.name}: {question.text}") for question in ask(log)]
     if log.has_labels:
         from eval.replay.settings import Setup
-        from eval.report.statements import gate_sentence
+        from eval.report.answer import gate_sentence
 
         lines.append(("label gate", gate_sentence(Setup(), sensed=log.labels_are_sensed)))
     width = max(len(key) for key, _ in lines)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from data.errors import UsageError
-from data.terminal.ending import ended, told
+from data.terminal import ended, told
 from eval.plan.flags.options import options_of
 from eval.plan.flags.table import Options, add_flags
 from eval.replay.flag import rows
@@ -92,9 +92,9 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
 def _play(wish: Wish) -> None:
     from data.log import folder_name, shortened
     from eval.plan.experiments import make_plan
-    from eval.plan.first_use import compile_if_needed
     from eval.plan.unfinished import estimate, wanted
-    from eval.player.write import played, write_page
+    from eval.plan.warming import compile_if_needed
+    from eval.player.document import played, write_page
     from eval.referee.score import Trial
 
     compile_if_needed()

@@ -18,8 +18,7 @@ from types import FrameType
 from typing import NoReturn
 
 from data.errors import UsageError
-from data.terminal.ending import INTERRUPTED, WRONG, ended, told, unread
-from data.terminal.words import counted
+from data.terminal import INTERRUPTED, WRONG, counted, ended, told, unread
 from data.whole import whole_folder
 from eval.plan.flags.examples import PROG
 from eval.plan.flags.options import read_options
@@ -137,16 +136,16 @@ def staged(out: Path) -> Iterator[Path]:
 
 
 def _run(options: Options, console: Console, folder: Path, arguments: Sequence[str], check: Callable[[], None]) -> int:
-    from data.questions.ask import ask
-    from eval.figures.paper.look import looking
-    from eval.page.paper.columns import check_columns
+    from data.questions import ask
+    from eval.figures.paper import looking
+    from eval.plan.appearance import look_of, require_latex
     from eval.plan.execute import execute
     from eval.plan.experiments import make_plan
-    from eval.plan.first_use import compile_if_needed
-    from eval.plan.looks import look_of, require_latex
-    from eval.referee.paths.given import GivenRun
+    from eval.plan.warming import compile_if_needed
+    from eval.referee.given_runs import GivenRun
     from eval.report.contents import write_results
-    from eval.report.doubt.questions import said_after
+    from eval.report.diagnostics import said_after
+    from eval.report.page.latex import check_columns
     from eval.studies import reproduced, store
     from eval.studies.montecarlo import declared_line, failed_declarations, judge, study_lines, traces
 

@@ -10,8 +10,7 @@ import sys
 from collections.abc import Sequence
 
 from data.errors import SlamrefError, UsageError
-from eval.plan.flags.results import Reading
-from eval.plan.flags.table import add_flags
+from eval.plan.flags.table import Reading, add_flags
 from eval.replay.flag import read_values, rows
 
 PROG = "python -m eval.score"
@@ -76,7 +75,7 @@ def _files(files: list[str], truths: list[str]) -> tuple[list[str], list[str]]:
 
 def _run(files: Sequence[str], truths: Sequence[str], reading: Reading) -> tuple[list[str], list[str]]:
     """Lines for stdout, and notes for stderr."""
-    from eval.report.results.printed import one, several
+    from eval.report.results import one, several
 
     return one(files[0], truths[0], reading) if len(files) == 1 else several(files, truths, reading)
 

@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data.errors import UsageError
-from data.terminal.ending import ended
+from data.terminal import ended
 from eval.plan.flags.options import options_of
 from eval.plan.flags.table import Options, add_flags
 from eval.replay.flag import rows
-from eval.replay.names import ASSOCIATIONS, STEPPING, steps
+from eval.replay.settings import ASSOCIATIONS, STEPPING, steps
 
 if TYPE_CHECKING:
     from data.log import Log
@@ -116,7 +116,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
 def _step(wish: Wish) -> None:
     from data.log import shortened
     from data.logs import open_log
-    from eval.plan.first_use import compile_if_needed
+    from eval.plan.warming import compile_if_needed
 
     compile_if_needed()
     from eval.plan.foreign import load_all
@@ -130,15 +130,14 @@ def _step(wish: Wish) -> None:
     if wish.frames is not None:
         log = shortened(log, wish.frames)
     from eval.replay.estimators import lack_with_walls
-    from eval.replay.foreign.make import lack
-    from eval.replay.foreign.spec import is_foreign, name_of
+    from eval.replay.external.make import lack
+    from eval.replay.external.spec import is_foreign, name_of
     from eval.replay.plausible import with_doubt
     from eval.replay.run import step_by_step
-    from eval.report.statements import gate_sentence
-    from eval.walk.album import Album, open_windows
-    from eval.walk.lab_text import lab_block
-    from eval.walk.text import step_block
-    from eval.walk.walk import StoppedError, Walk, end
+    from eval.report.answer import gate_sentence
+    from eval.stepping.pictures import Album, open_windows
+    from eval.stepping.stepper import StoppedError, Walk, end
+    from eval.stepping.text import lab_block, step_block
 
     if is_foreign(o.estimator[0]) and (why := lack(o.estimator[0], task, association, o.setup)):
         raise UsageError(f"--estimator {name_of(o.estimator[0])}: {why}")

@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from data.errors import DataError, UsageError
-from data.terminal.ending import ended
-from data.terminal.words import counted, in_columns
+from data.terminal import counted, ended, in_columns
 from eval.replay.flag import probability_or_auto
 from eval.replay.settings import SENSED_GATE, Setup
 
@@ -94,7 +93,7 @@ def _tune_as_asked(argv: Sequence[str] | None, prog: str) -> None:
     )  # fmt: skip
     parser.add_argument("--use", metavar="TUNED", type=Path, help="fit nothing: apply the numbers of this tuned log")
     options = parser.parse_args(argv)
-    from eval.plan.first_use import compile_if_needed
+    from eval.plan.warming import compile_if_needed
 
     compile_if_needed()
     sys.stdout.write(_run(options))
@@ -104,8 +103,8 @@ def _run(options: argparse.Namespace) -> str:
     """Tune, write the copy, and give the report."""
     from threadpoolctl import threadpool_limits
 
+    from data.formats.open_log.writer import write_folder
     from data.logs import open_log
-    from data.open_log.writer import write_folder
 
     log = open_log(options.log)
     folder = Path(options.log) if Path(options.log).is_dir() else None
@@ -143,8 +142,7 @@ def tune(
     """
     from association.expectation import gate_threshold
     from eval.tuning.fit import Fit, fit, pairings
-    from eval.tuning.model import DEFAULT_GROUPS, GROUPS, make_model, vector
-    from eval.tuning.odometry import read_odometry
+    from eval.tuning.model import DEFAULT_GROUPS, GROUPS, make_model, read_odometry, vector
 
     if not log.has_labels:
         raise UsageError(f"log {log.name!r} has no labels; noise is fitted with known association only")
@@ -196,8 +194,8 @@ def _tuned(log: Log, folder: Path | None, model: Model, theta: Array, origin: Fi
 
 def _truth_at(folder: Path, time: Array) -> Array:
     """truth.csv beside odometry.csv at other instants (N,)."""
-    from data.open_log.csv_table import read_table
-    from data.open_log.reader import POSE, TRUTH
+    from data.formats.csv_table import read_table
+    from data.formats.open_log.reader import POSE, TRUTH
     from data.timeline import truth_at
 
     table = read_table(folder / TRUTH, ("t", *POSE), may_be_blank=POSE)
@@ -237,8 +235,8 @@ def _judge(
 
 def _require_free(out: Path, folder: Path | None) -> None:
     """Raise unless OUT is free, empty, or an earlier tuned log."""
-    from data.open_log.header import read_header
-    from data.open_log.reader import HEADER
+    from data.formats.open_log.header import read_header
+    from data.formats.open_log.reader import HEADER
 
     if folder is not None and os.path.realpath(out) == os.path.realpath(folder):
         raise UsageError(f"OUT {out}: that is LOG itself; choose another name")
@@ -250,7 +248,7 @@ def _require_free(out: Path, folder: Path | None) -> None:
 
 def _numbers_of(folder: Path) -> Numbers:
     """What a tuned log's [source] says about it, checked: a person may have edited it."""
-    from data.open_log.reader import load_folder
+    from data.formats.open_log.reader import load_folder
 
     told = load_folder(folder).source.get(MARK)
     if not isinstance(told, Mapping):

@@ -11,9 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from data.errors import UsageError
-from data.terminal.ending import ended
-from data.terminal.words import counted
-from eval.replay.names import ASSOCIATIONS, TASKS
+from data.terminal import counted, ended
+from eval.replay.settings import ASSOCIATIONS, TASKS
 
 PROG = "python -m eval.twin"
 HELP = """\
@@ -56,7 +55,7 @@ def _twin_as_asked(argv: Sequence[str] | None, prog: str) -> None:
         "else jcbb-hindsight, of walls jcbb)",
     )  # fmt: skip
     options = parser.parse_args(argv)
-    from eval.plan.first_use import compile_if_needed
+    from eval.plan.warming import compile_if_needed
 
     compile_if_needed()
     sys.stdout.write(_run(options))
@@ -73,11 +72,11 @@ def _run(options: argparse.Namespace) -> str:
     from dataclasses import replace
 
     from association.decide import HINDSIGHT
+    from data.formats.open_log.writer import write_folder
     from data.logs import open_log
-    from data.open_log.writer import write_folder
     from eval.plan.foreign import load_all
     from eval.replay.estimators import FOR_WALLS
-    from eval.replay.foreign.spec import one_settled
+    from eval.replay.external.spec import one_settled
     from eval.replay.run import compare
     from eval.replay.settings import Setup
     from eval.studies.sampled import smoother_of

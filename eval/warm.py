@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Sequence
 
-from data.terminal.ending import ended
+from data.terminal import ended
 
 PROG = "python -m eval.warm"
 
@@ -23,7 +23,7 @@ def _warm(argv: Sequence[str] | None, prog: str) -> None:
     argparse.ArgumentParser(
         prog=prog, description="Compile every kernel once, into the cache, so that no first run has to wait for it."
     ).parse_args(argv)
-    from eval.plan.first_use import compile_all, mark
+    from eval.plan.warming import compile_all, mark
 
     begin = time.monotonic()
     compile_all()

@@ -10,13 +10,13 @@ import numpy as np
 
 from data.errors import UsageError
 from data.inputs import Inputs, IntArray
-from data.motion.sensor_frame import sensor_frame
+from data.motion.systematic import sensor_frame
 from data.result import MapState, Systematics, Trajectory
 from data.se2 import Array
 from graph.factors import LOSSES, between_factors, sight_known, sight_landmarks
 from graph.optimum import optimize, suspect
 from graph.problem import Calibrated, Problem
-from graph.walls.exact import refuse, sight_lines
+from graph.walls import refuse, sight_lines
 
 
 class Start(NamedTuple):

@@ -13,10 +13,10 @@ from gtsam.symbol_shorthand import L, X
 from data.inputs import Increment, IntArray, LandmarkMap, Prior, Sightings, Systematic
 from data.result import Finished, Trajectory
 from data.sensors import Sensor
+from graph.engine import Window
 from graph.incremental import SKIP, THRESHOLD, Isam2Smoother
 from graph.open_end import Left
 from graph.optimum import in_world
-from graph.window import Window
 
 SLACK = 0.1
 """Of the lag: those older than the lag leave together, when the oldest is older by this much."""

@@ -20,8 +20,7 @@ from graph.engine import Engine
 from graph.factors import Factor, Sighted, name_of, sight_known, sight_landmarks
 from graph.open_end import OpenEnd
 from graph.problem import Problem
-from graph.walls.exact import sight_lines
-from graph.walls.poses import SightedWall, as_vectors, sight_known_walls, sight_walls
+from graph.walls import SightedWall, as_vectors, sight_known_walls, sight_lines, sight_walls
 
 
 class Observed:

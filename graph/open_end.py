@@ -1,4 +1,7 @@
-"""The open end of the graph: the newest pose, composed from the motion since the newest pose that is in the graph."""
+"""The open end of the graph: the newest pose, composed from the motion since the newest pose that is in the graph.
+
+A pose carried along by increments, with its covariance and what was gathered since another one.
+"""
 
 from __future__ import annotations
 
@@ -6,18 +9,35 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import gtsam
+import numba
 import numpy as np
 from gtsam.symbol_shorthand import X
 
 from data.blocks import diagonal_blocks
 from data.inputs import Increment, IntArray, Prior
+from data.motion.velocity import carried
 from data.result import MapState, PoseEstimate, Systematics
 from data.se2 import Array, world_from_body
-from graph.engine import Engine
+from data.sensors import wrap_angle_jit
+from graph.engine import Engine, Window
 from graph.factors import Factor, Sighted, between_factors, is_exact, pose2, prior_factor
 from graph.problem import Problem
-from graph.transport import advance, transport
-from graph.window import Window
+
+
+@numba.njit(cache=True)
+def advance(mean, P, Q, motion, M):  # type: ignore[no-untyped-def]
+    """Pose (3,), its covariance P and the covariance Q gathered since the anchor, one increment later."""
+    wx, wy, F, B = carried(mean[2], motion)
+    moved = np.array([mean[0] + wx, mean[1] + wy, wrap_angle_jit(mean[2] + motion[2])])
+    G = B @ M @ B.T
+    return moved, F @ P @ F.T + G, F @ Q @ F.T + G
+
+
+def transport(displacement: Array) -> Array:
+    """Jacobian of a pose to an earlier one, world frame, for the displacement (3,) between them."""
+    F = np.eye(3)
+    F[0, 2], F[1, 2] = -displacement[1], displacement[0]
+    return F
 
 
 class Left(NamedTuple):

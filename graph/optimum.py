@@ -1,6 +1,6 @@
 """The optimum of a smoothing problem with its exact covariances: Gauss-Newton on gtsam's factors, by sparse QR.
 
-Every step is the exact one of the linearized problem (`graph.linear`), cut down where the cost would not fall, and its
+Every step is the exact one of the linearized problem (`graph.qr`), cut down where the cost would not fall, and its
 length in sigmas says how far the optimum is. gtsam's own optimizers stop on a small decrease of the error instead and
 never complain; by Cholesky they stall where increments are known much better in one direction than in another.
 """
@@ -18,12 +18,12 @@ from gtsam.symbol_shorthand import L, X
 from data.result import MapState, Systematics, Trajectory
 from data.se2 import Array
 from graph.factors import UnderConstrained
-from graph.linear.elimination import Rows, Triangle, eliminate
-from graph.linear.rows import Linearizer
-from graph.linear.solution import Solution, covariances, solve
-from graph.linear.turned import turned_out
 from graph.problem import Problem
-from graph.walls.exact import about_origin
+from graph.qr.calibrated import turned_out
+from graph.qr.elimination import Rows, Triangle, eliminate
+from graph.qr.rows import Linearizer
+from graph.qr.solution import Solution, covariances, solve
+from graph.walls import about_origin
 
 STEP = 1e-6
 """sigma. A step ends the search that is smaller, as a root sum of squares over all directions."""

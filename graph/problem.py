@@ -10,11 +10,10 @@ import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from data.inputs import Increments, IntArray, Prior, Systematic
-from data.motion.sensor_frame import SensorFrame
-from data.motion.systematic import corrected_all, knots, places
+from data.motion.systematic import SensorFrame, corrected_all, knots, places
 from data.se2 import Array
 from graph.factors import Sighted, between_factors, graph_of, noise, pose2, prior_factor, root_information
-from graph.walls.exact import about
+from graph.walls import about
 
 CONSTANTS = gtsam.symbol("c", 0)
 """Key of all constant systematic errors, a vector in units of their prior sigmas."""

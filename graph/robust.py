@@ -21,7 +21,7 @@ from graph.factors import EXACT, Factor, Sighted, graph_of, is_exact, noise, pri
 from graph.incremental import DELICATE
 from graph.optimum import poses_of
 from graph.problem import Problem
-from graph.walls.poses import along, lines_of, placed, sight_known_walls, sight_walls
+from graph.walls import along, lines_of, placed, sight_known_walls, sight_walls
 
 
 def gnc(

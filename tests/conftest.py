@@ -35,17 +35,17 @@ def shared_data() -> Path:
 @pytest.fixture(scope="module")
 def tables_parsed_once() -> Iterator[None]:
     """The text of a recorded MRCLAM file is parsed once, however often its log is loaded; nobody may write into it."""
-    from data.mrclam import tables
+    from data.formats.mrclam import files
 
-    plain = tables.parse
+    plain = files.parse
 
     @cache
-    def parse(path: str, content: bytes, columns: tuple[str, ...]) -> tables.Table:
+    def parse(path: str, content: bytes, columns: tuple[str, ...]) -> files.Table:
         table = plain(path, content, columns)
         for column in table.columns.values():
             column.setflags(write=False)
         return table
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tables, "parse", parse)
+        patch.setattr(files, "parse", parse)
         yield

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 
 from data.convert import carmen, g2o, lab, mrclam, rosbag, table, victoria_park, visual, worlds
 from data.convert.parsers import Parser
-from data.terminal.ending import ended
-from data.terminal.words import counted
+from data.terminal import counted, ended
 from data.worlds.registry import SIMULATORS
 
 if TYPE_CHECKING:
@@ -88,8 +87,8 @@ def _convert(argv: Sequence[str] | None, prog: str) -> None:
     if isinstance(made, str):
         print(made)
         return
-    from data.open_log.writer import write_folder
-    from data.questions.ask import ask
+    from data.formats.open_log.writer import write_folder
+    from data.questions import ask
 
     write_folder(made, args.out)
     print(f"{made.name}: {', '.join(summary(made))}.")

@@ -41,6 +41,6 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
 
 def convert(args: argparse.Namespace) -> Log:
     """The log of the file."""
-    from data.recordings.carmen import load_carmen
+    from data.formats.recordings.carmen import load_carmen
 
     return load_carmen(args.source, args.relations, undo_correction=args.undo_correction)

@@ -46,13 +46,12 @@ def convert(args: argparse.Namespace) -> Log | str:
     from data.errors import DataError, UsageError
 
     if args.source.endswith(SUFFIX):
-        from data.graphs.as_log import log_of
-        from data.graphs.g2o import read_graph
+        from data.formats.g2o import log_of, read_graph
 
         if args.run is not None:
             raise UsageError("--run: of a log that becomes a graph; SOURCE is a graph already")
         return log_of(args.out.absolute().name, read_graph(Path(args.source)), true=args.true)
-    from data.graphs.of_run import graph_text, labelled, of_result
+    from data.formats.g2o import graph_text, labelled, of_result
     from data.logs import open_log
 
     if args.out.suffix != SUFFIX:

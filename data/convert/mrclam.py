@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data.errors import UsageError
-from data.worlds.flags import number
+from data.worlds.registry import number
 
 if TYPE_CHECKING:
     from data.convert.parsers import Add
@@ -46,7 +46,7 @@ CALIBRATION = {
     "sigma_range_growth": ("M/M", "growth of that standard deviation with the range"),
     "sigma_bearing": ("RAD", "standard deviation of a bearing"),
 }
-"""Fields of `data.mrclam.calibration.Calibration` that have a flag: metavar (none for a switch) and help."""
+"""Fields of `data.formats.mrclam.calibration.Calibration` that have a flag: metavar (none for a switch) and help."""
 
 
 def add_parsers(add: Add, *, parameters: bool) -> None:
@@ -76,7 +76,7 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
         help="standard deviations of x and y, and of the heading, at the start (default: 0.05 0.05)",
     )  # fmt: skip
     group = sub.add_argument_group(
-        "calibration and noise", "defaults: the frozen numbers of data/mrclam/calibration.py"
+        "calibration and noise", "defaults: the frozen numbers of data/formats/mrclam/calibration.py"
     )
     group.add_argument(
         "--uncalibrated",
@@ -127,8 +127,8 @@ def _stretch(text: str) -> tuple[float, float]:
 
 def convert(args: argparse.Namespace) -> Log:
     """The log of the robot asked for."""
-    from data.mrclam.calibration import FROZEN, Calibration
-    from data.mrclam.load import load_mrclam
+    from data.formats.mrclam.calibration import FROZEN, Calibration
+    from data.formats.mrclam.load import load_mrclam
 
     changes = {name: value for name in CALIBRATION if (value := getattr(args, name)) is not None}
     both = [name for name in changes if name.startswith("sigma_")]

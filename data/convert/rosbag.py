@@ -37,7 +37,6 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
 
 def convert(args: argparse.Namespace) -> Log:
     """The log of the bag."""
-    from data.recordings.ros.bag import read_bag
-    from data.recordings.ros.log import log_of
+    from data.formats.recordings.ros import log_of, read_bag
 
     return log_of(args.source, read_bag(args.source, args.scan, args.odom))

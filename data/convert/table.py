@@ -103,8 +103,8 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
 
 def convert(args: argparse.Namespace) -> Log:
     """The log of the files."""
-    from data.tables.flags import settle, with_mapping
-    from data.tables.log import open_files, read_log
+    from data.formats.tables.flags import settle, with_mapping
+    from data.formats.tables.log import open_files, read_log
 
     given: dict[str, object] = {key: value for key, value in vars(args).items() if key in (*FLAGS, SENSED)}
     if args.source.suffix == ".toml":

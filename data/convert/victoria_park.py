@@ -27,6 +27,6 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
 
 def convert(args: argparse.Namespace) -> Log:
     """The log, all of it."""
-    from data.recordings.victoria_park import load_victoria_park
+    from data.formats.recordings.victoria_park import load_victoria_park
 
     return load_victoria_park()

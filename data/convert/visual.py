@@ -6,8 +6,8 @@ import argparse
 from dataclasses import fields
 from typing import TYPE_CHECKING
 
-from data.terminal.words import counted
-from data.worlds.flags import add_flags
+from data.terminal import counted
+from data.worlds.registry import add_flags
 
 if TYPE_CHECKING:
     from data.convert.parsers import Add
@@ -37,7 +37,7 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
 
 def convert(args: argparse.Namespace) -> str:
     """Render and write; returns what was written, in a sentence."""
-    from data.visual.lab.folder import write_lab
+    from data.formats.lab.folder import write_lab
     from data.visual.rendering.render import Rendered
     from data.worlds.gallery import Gallery
 

@@ -6,8 +6,7 @@ import argparse
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING
 
-from data.worlds.flags import add_flags
-from data.worlds.registry import SIMULATORS, parameters_of, simulate
+from data.worlds.registry import SIMULATORS, add_flags, parameters_of, simulate
 
 if TYPE_CHECKING:
     from data.convert.parsers import Add

@@ -23,14 +23,14 @@ def door(name: str) -> list[str] | None:
         return _mat(path)
     if (path / "log.toml").exists():
         return None
-    from data.mrclam.load import is_mrclam
+    from data.formats.mrclam.load import is_mrclam
 
     return _mrclam(path) if is_mrclam(path) else None
 
 
 def _mrclam(path: Path) -> list[str]:
-    from data.mrclam.files import open_files
-    from data.mrclam.load import corrected_landmarks
+    from data.formats.mrclam.files import open_files
+    from data.formats.mrclam.load import corrected_landmarks
 
     files = open_files(path)
     robots = files.robots()
@@ -50,9 +50,9 @@ def _mrclam(path: Path) -> list[str]:
 
 
 def _mat(path: Path) -> list[str]:
-    from data.recordings.esde import NEEDED
-    from data.visual.lab.folder import is_lab
-    from data.visual.lab.mat_stream import variables
+    from data.formats.lab.folder import is_lab
+    from data.formats.lab.matlab import variables
+    from data.formats.recordings.esde import NEEDED
 
     names = [v.name for v in variables(path)]
     folder = shlex.quote(str(path.absolute().parent))

@@ -7,24 +7,37 @@ turned by t + e, where e = d (curvature + drift) + left max(t, 0) + right min(t,
 
 A sensor whose ranges are (1 + range) times the true ones and whose bearings are true + bearing sees everything right
 from a frame that is turned by -bearing in a world that is larger by (1 + range). In that frame, the sensor's (see
-`data.motion.sensor_frame`), the measurement model has no error, and the increments have all of them. So filters and
+`data.motion.systematic`), the measurement model has no error, and the increments have all of them. So filters and
 smoothers take the errors in one place, as a function of the increments:
 
     increment(b) = (1 + range) Rot(bearing) E^-1 (corrected odometry) E Rot(-bearing),    E the sensor's mount.
 
 The drift is an Ornstein-Uhlenbeck process over the distance travelled, constant between knots.
+
+What an odometry with systematic errors would state of a way, were it not for its noise, with Jacobians.
+
+The inverse of `data.motion.systematic.correct`.
+
+The frame in which a sensor's systematic errors vanish: there and back, with Jacobians.
+
+A pose X of the robot is there X' = S X E Rot(-bearing), a point l is S l: E is the sensor's mount on the robot, S
+scales the world by (1 + range) about a fixed origin. Bearings measured true + bearing and ranges measured (1 + range)
+times the true ones are right there, whatever the errors are. `data.motion.systematic` says what becomes of the
+increments.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numba
 import numpy as np
 
-from data.inputs import ERRORS, Increment, IntArray, Systematic
-from data.se2 import Array
+from data.inputs import ERRORS, Increment, IntArray, Prior, Systematic
+from data.se2 import Array, BoolArray, compose, inverse, wrap_angle
+from data.sensors import Sensor, wrap_angle_jit
 
 SCALE, CURVATURE, LEFT, RIGHT, DRIFT, RANGE, BEARING = range(len(ERRORS))
 """Places of the errors among all of them."""
@@ -149,3 +162,174 @@ def forgotten(ended, length):  # type: ignore[no-untyped-def]
     """Of the drift over `ended` metres: the share that stays, and the share of its variance that comes anew."""
     stays = math.exp(-ended / length)
     return stays, 1.0 - stays * stays
+
+
+@numba.njit(cache=True)
+def stated(way, errors, mount, leftwards, m, by_way, by_errors):  # type: ignore[no-untyped-def]
+    """What an odometry with all errors (7,) would state, without noise, of the way (3,) of the sensor at `mount` (3,).
+
+    `leftwards`: the odometry does state a turn to the left, so that its error is the one for these. Whether the way is
+    one may change with every step of a search, which would get stuck at the kink where straight is.
+
+    Fills in m (3,) and its Jacobians (3, 3) to the way and (3, 7) to the errors, all additive.
+    """
+    scale, slope = 1.0 + errors[SCALE], errors[CURVATURE] + errors[DRIFT]
+    # the robot's way, u, out of the sensor's
+    size, angle = 1.0 + errors[RANGE], errors[BEARING] - mount[2]
+    c, s = math.cos(angle) / size, math.sin(angle) / size
+    ax, ay = c * way[0] + s * way[1], c * way[1] - s * way[0]
+    turn: float = wrap_angle_jit(way[2])
+    ct, st = math.cos(turn), math.sin(turn)
+    qx, qy = ct * mount[0] - st * mount[1], st * mount[0] + ct * mount[1]
+    ux, uy = ax + mount[0] - qx, ay + mount[1] - qy
+    # as the odometry sees it
+    D = math.copysign(math.hypot(ux, uy), ux)
+    Dx, Dy = (ux / D, uy / D) if D != 0.0 else (1.0, 0.0)
+    d = D / scale
+    side = LEFT if leftwards else RIGHT
+    more = 1.0 + errors[side]
+    t = (turn - slope * d) / more
+    half = 0.5 * (turn - t)
+    ch, sh = math.cos(half) / scale, math.sin(half) / scale
+    x, y = ch * ux + sh * uy, ch * uy - sh * ux
+    m[0], m[1], m[2] = x, y, t
+    # by u and the turn; what turns the odometry less turns the step back by half of it
+    tx, ty, tt = -slope * Dx / (scale * more), -slope * Dy / (scale * more), 1.0 / more
+    xx, xy, xt = ch - 0.5 * y * tx, sh - 0.5 * y * ty, 0.5 * y * (1.0 - tt)
+    yx, yy, yt = -sh + 0.5 * x * tx, ch + 0.5 * x * ty, -0.5 * x * (1.0 - tt)
+    by_way[0, 0], by_way[0, 1], by_way[0, 2] = xx * c - xy * s, xx * s + xy * c, xx * qy - xy * qx + xt
+    by_way[1, 0], by_way[1, 1], by_way[1, 2] = yx * c - yy * s, yx * s + yy * c, yx * qy - yy * qx + yt
+    by_way[2, 0], by_way[2, 1], by_way[2, 2] = tx * c - ty * s, tx * s + ty * c, tx * qy - ty * qx + tt
+    by_errors[:, :] = 0.0
+    by_errors[2, SCALE] = slope * d / (scale * more)
+    by_errors[2, CURVATURE] = by_errors[2, DRIFT] = -d / more
+    by_errors[2, side] = -t / more
+    for e in range(RANGE):
+        by_errors[0, e], by_errors[1, e] = -0.5 * y * by_errors[2, e], 0.5 * x * by_errors[2, e]
+    by_errors[0, SCALE] -= x / scale
+    by_errors[1, SCALE] -= y / scale
+    for e, vx, vy in ((RANGE, -ax / size, -ay / size), (BEARING, ay, -ax)):
+        by_errors[0, e], by_errors[1, e], by_errors[2, e] = xx * vx + xy * vy, yx * vx + yy * vy, tx * vx + ty * vy
+
+
+@numba.njit(cache=True)
+def _stated_all(way, errors, mount, leftwards, m, by_way, by_errors):  # type: ignore[no-untyped-def]
+    for k in range(len(way)):
+        stated(way[k], errors[k], mount, leftwards[k], m[k], by_way[k], by_errors[k])
+
+
+def stated_all(way: Array, errors: Array, leftwards: BoolArray) -> tuple[Array, Array, Array]:
+    """The same of the robot's own ways (n, 3) under errors (n, 7): (n, 3), Jacobians (n, 3, 3) and (n, 3, 7)."""
+    n = len(way)
+    found = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3, 7))
+    _stated_all(np.array(way, float, order="C"), np.array(errors, float, order="C"), np.zeros(3), leftwards, *found)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class SensorFrame:
+    """The sensor's frame, where there are errors of a sensor, or else the robot's own, where nothing is to be done.
+
+    Attributes:
+        mount: (3,) pose of the sensor on the robot (zero: the robot's own frame).
+        origin: (2,) m; what the world is scaled about.
+        range_at, bearing_at: where these errors stand among those estimated, -1: they are not estimated.
+    """
+
+    mount: Array
+    origin: Array
+    range_at: int
+    bearing_at: int
+
+    @property
+    def same(self) -> bool:
+        """Whether it is the robot's own."""
+        return self.range_at < 0 and self.bearing_at < 0
+
+    def _errors(self, errors: Array) -> tuple[Array, Array]:
+        """Range and bearing error of errors (..., p)."""
+        zero = np.zeros(errors.shape[:-1])
+        r = errors[..., self.range_at] if self.range_at >= 0 else zero
+        return r, errors[..., self.bearing_at] if self.bearing_at >= 0 else zero
+
+    def poses_out(self, pose: Array, errors: Array) -> tuple[Array, Array]:
+        """Poses (n, 3) of the robot from those there, under errors (n, p), and Jacobians (n, 3, 3 + p) to both.
+
+        World frame, additive, in both.
+        """
+        n, p = errors.shape
+        J = np.zeros((n, 3, 3 + p))
+        J[:, 0, 0] = J[:, 1, 1] = J[:, 2, 2] = 1.0
+        if self.same:
+            return pose.copy(), J
+        r, bearing = self._errors(errors)
+        heading = pose[:, 2] + bearing - self.mount[2]
+        c, s = np.cos(heading), np.sin(heading)
+        # where the mount is from the robot's centre, and how that turns
+        off = np.stack([c * self.mount[0] - s * self.mount[1], s * self.mount[0] + c * self.mount[1]], 1)
+        turned = np.stack([-off[:, 1], off[:, 0]], 1)
+        away = (pose[:, :2] - self.origin) / (1.0 + r)[:, None]
+        out = np.empty_like(pose)
+        out[:, :2], out[:, 2] = self.origin + away - off, wrap_angle(heading)
+        J[:, 0, 0] = J[:, 1, 1] = 1.0 / (1.0 + r)
+        J[:, :2, 2] = -turned
+        if self.bearing_at >= 0:
+            J[:, :2, 3 + self.bearing_at], J[:, 2, 3 + self.bearing_at] = -turned, 1.0
+        if self.range_at >= 0:
+            J[:, :2, 3 + self.range_at] = -away / (1.0 + r)[:, None]
+        return out, J
+
+    def poses_in(self, pose: Array, errors: Array) -> Array:
+        """Poses (n, 3) there of the robot's (n, 3), under errors (n, p)."""
+        if self.same:
+            return pose.copy()
+        r, bearing = self._errors(errors)
+        seen = compose(pose, self.mount)
+        seen[:, :2] = self.origin + (seen[:, :2] - self.origin) * (1.0 + r)[:, None]
+        seen[:, 2] = wrap_angle(seen[:, 2] - bearing)
+        return seen
+
+    def points_out(self, xy: Array, errors: Array) -> tuple[Array, float, Array]:
+        """Points (n, 2) from those there, under errors (p,); their Jacobian to those there, a scalar; to the errors
+        (n, 2, p).
+        """
+        r = float(self._errors(errors)[0])
+        out = self.origin + (xy - self.origin) / (1.0 + r)
+        J = np.zeros((len(xy), 2, len(errors)))
+        if self.range_at >= 0:
+            J[:, :, self.range_at] = -(out - self.origin) / (1.0 + r)
+        return out, 1.0 / (1.0 + r), J
+
+    def points_in(self, xy: Array, errors: Array) -> tuple[Array, Array]:
+        """Points (n, 2) there of points (n, 2) of the world, under errors (p,); Jacobian (n, 2, p) to the errors."""
+        r = float(self._errors(errors)[0])
+        J = np.zeros((len(xy), 2, len(errors)))
+        if self.range_at >= 0:
+            J[:, :, self.range_at] = xy - self.origin
+        return self.origin + (xy - self.origin) * (1.0 + r), J
+
+    def prior_in(self, prior: Prior, sigma: Array) -> tuple[Array, Array]:
+        """Mean (3 + p,) and covariance (3 + p, 3 + p) there of the first pose and the errors, a priori zero."""
+        p = len(sigma)
+        mean, P = np.zeros(3 + p), np.zeros((3 + p, 3 + p))
+        mean[:3] = self.poses_in(prior.mean[None], np.zeros((1, p)))[0]
+        _, J = self.poses_out(mean[None, :3], np.zeros((1, p)))
+        inside = np.linalg.inv(J[0, :, :3])
+        back = np.eye(3 + p)
+        back[:3, :3], back[:3, 3:] = inside, -inside @ J[0, :, 3:]
+        P[:3, :3], P[3:, 3:] = prior.covariance, np.diag(sigma**2)
+        P = back @ P @ back.T
+        return mean, 0.5 * (P + P.T)
+
+    def sensor(self, sensor: Sensor) -> Sensor:
+        """The sensor as it is there: at the origin of its own frame."""
+        return sensor if self.same else replace(sensor, rotation=0.0, translation=(0.0, 0.0))
+
+
+def sensor_frame(systematic: Systematic | None, sensor: Sensor, prior: Prior) -> SensorFrame:
+    """The frame to work in, scaled about where the sensor is first."""
+    names = () if systematic is None else systematic.names
+    at = [names.index(n) if n in names else -1 for n in ("range", "bearing")]
+    rotation, tx, ty = sensor.extrinsic
+    mount = inverse(np.array([tx, ty, rotation])) if max(at) >= 0 else np.zeros(3)
+    return SensorFrame(mount, compose(prior.mean, mount)[:2], at[0], at[1])

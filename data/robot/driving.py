@@ -12,7 +12,7 @@ from collections import deque
 
 import numpy as np
 
-from data.robot.body import AHEAD, RADIUS, RIGHT, SONARS
+from data.robot.packets import AHEAD, RADIUS, RIGHT, SONARS
 from data.robot.traffic.motion import Packet
 from data.robot.walls import fit_weighted, sensor_poses, visible
 from data.se2 import Array, wrap_angle

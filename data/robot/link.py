@@ -22,9 +22,9 @@ from data.robot.packets import (
     encode_command,
     framed,
 )
-from data.robot.traffic.exchange import Exchange
 from data.robot.traffic.motion import Packet
 from data.robot.traffic.recording import GONE, OPENED, RECEIVED, SENT, Record, Recording, to_microseconds
+from data.robot.traffic.stream import Exchange
 
 REST = 0.03
 """s that the rest of an answer is waited for once its first byte is there: 22 bytes take 0.023 s."""

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from data.robot.body import CONE_HALF_ANGLE, SONARS, WHEEL_BASE
+from data.robot.packets import CONE_HALF_ANGLE, SONARS, WHEEL_BASE
 from data.robot.traffic.motion import Packet
 from data.robot.walls import MIRROR, SIGMA, Line, echo_points, fit_weighted, geometry, visible
 from data.se2 import Array, between, compose, wrap_angle

@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, TextIO
 
 from data.errors import UsageError
-from data.terminal.ending import ended
+from data.terminal import ended
 
 if TYPE_CHECKING:
     from data.robot.link import Clock

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from data.robot.body import CONE_HALF_ANGLE, LONGEST_RANGE, RIGHT, SONARS
+from data.robot.packets import CONE_HALF_ANGLE, LONGEST_RANGE, RIGHT, SONARS
 from data.robot.walls import (
     MIRROR,
     SIGMA,

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from data.robot.body import CONE_HALF_ANGLE, SONARS
+from data.robot.packets import CONE_HALF_ANGLE, SONARS
 from data.se2 import Array, BoolArray, between, compose, wrap_angle
 
 SIGMA = 0.005

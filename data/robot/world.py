@@ -14,7 +14,7 @@ import numpy as np
 from data.inputs import CLUTTER, Inputs, IntArray, LandmarkMap
 from data.log import Log
 from data.robot.driving import WallFollower
-from data.robot.frames import SENSOR, Framing, Noise, inputs_of
+from data.robot.log import SENSOR, Framing, Noise, inputs_of
 from data.robot.packets import PERIOD
 from data.robot.simulated.physics import Physics, drive
 from data.robot.simulated.room import Room, room

@@ -23,8 +23,7 @@ from data.digest import program_digest
 from data.errors import UsageError
 from data.inputs import Increments, Inputs, LandmarkMap, Observations
 from data.log import Log
-from data.motion.floor import floor_covariances
-from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
+from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances, preintegrate
 from data.pictures import CORNERS, Evidence, Found, InView, VisualRecording, VisualSetup
 from data.se2 import Array
 from data.sensors import RelativePoint

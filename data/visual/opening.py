@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from data.formats.lab.configuration import unit_suspicion
+from data.formats.lab.folder import open_lab
 from data.log import Log
 from data.pictures import Found, InView, VisualRecording
-from data.terminal.words import counted
-from data.visual.lab.folder import open_lab
-from data.visual.lab.units import unit_suspicion
+from data.terminal import counted
 from data.visual.observations import cached, find_pictures, log_of
 from data.visual.rendering.render import Rendered
 from data.worlds import registry

@@ -7,6 +7,8 @@ lab's program, R comes from the measured range and bearing, so that no truth lea
 Odometry noise, sensor noise, the walks of people and the noise of seeing them come from independent streams of the
 seed, and noise is drawn for unseen points, too: people, range or angles leave every reading they do not concern as it
 was.
+
+The corridor lab's world: 88 points along a square of four corridors, the true path, and where people walk.
 """
 
 from __future__ import annotations
@@ -17,16 +19,56 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 
 from data.errors import UsageError
-from data.inputs import CLUTTER, Increments, Inputs, IntArray, Observations, Prior
+from data.inputs import CLUTTER, Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import Log
-from data.motion.floor import floor_covariances
-from data.open_log.motion_prior import ConstantVelocityPrior, ForwardPrior, MotionPrior, note_of
-from data.se2 import Array
+from data.motion.motion_prior import ConstantVelocityPrior, ForwardPrior, MotionPrior, note_of
+from data.motion.velocity import floor_covariances
+from data.se2 import Array, wrap_angle
 from data.sensors import RelativePoint
 from data.truth import Truth
-from data.worlds import corridor_plan as world
 from data.worlds.erring import Erring, as_read, check_erring, described, reported
-from data.worlds.names import name_of, written
+from data.worlds.registry import name_of, written
+
+SIDE = 10
+"""m, and moves of 1 m, from corner to corner."""
+ROWS = ((-0.60, range(0, 11, 2)), (-0.35, range(0, 11, 2)), (0.35, range(1, 10, 2)), (0.60, range(1, 10, 2)))
+"""A corridor's rows of points in its own frame: y [m], and x [m] of each point."""
+QUARTERS = ((1, 0), (0, 1), (-1, 0), (0, -1))
+"""cos and sin of 0, 90, 180 and 270 degrees, exact."""
+
+
+def points() -> LandmarkMap:
+    """The 88 points: by side, row, and place in the row."""
+    side = np.array([(x, y) for y, places in ROWS for x in places], float)
+    sides, corner = [], np.zeros(2)
+    for c, s in QUARTERS:
+        sides.append(corner + side @ np.array([[c, s], [-s, c]]))
+        corner = corner + SIDE * np.array([c, s])
+    return LandmarkMap(np.arange(1, 4 * len(side) + 1), np.concatenate(sides))
+
+
+def path(frames: int) -> tuple[Array, IntArray]:
+    """True poses (N, 3), and (N,) 1 where the motion into a frame is a turn of 90 degrees, else 0 (a move of 1 m)."""
+    turned = (np.arange(frames) % (SIDE + 1) == 0).astype(np.int64)
+    turned[0] = 0
+    quarter = np.cumsum(turned)
+    # the motion into a frame is along the heading of the frame before, which a move leaves as it is
+    step = (1 - turned)[:, None] * np.array(QUARTERS)[quarter % 4]
+    step[0] = 0
+    return np.column_stack([np.cumsum(step, axis=0), wrap_angle(0.5 * math.pi * (quarter % 4))]), turned
+
+
+def walks(frames: int, crowd: int, sv: float, sa: float, rng: np.random.Generator) -> Array:
+    """Where each person is in each frame (N, K, 2); they have made one step by frame 0, and walk through walls.
+
+    sv, sa: m per frame, standard deviations of a coordinate's first velocity and of its change.
+    """
+    start = rng.uniform(0.0, SIDE, (crowd, 2))
+    velocity = sv * rng.standard_normal((crowd, 2))
+    change = sa * rng.standard_normal((frames - 1, crowd, 2))
+    places: Array = start + np.cumsum(np.cumsum(np.concatenate([velocity[None], change]), axis=0), axis=0)
+    return places
+
 
 SLACK = 1e-9
 """m and rad. Points abreast of the robot stand at the very edge of the view; they are seen, whatever rounding says.
@@ -165,16 +207,16 @@ def simulate(corridor: Corridor, seed: int, name: str | None = None) -> Log:
     odometry_rng, sensor_rng, walk_rng, people_rng = (
         np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4)
     )
-    truth, turned = world.path(corridor.frames)
+    truth, turned = path(corridor.frames)
     increments, floored = _odometry(corridor, turned, odometry_rng)
     increments, errors = reported(corridor, increments, seed)
-    c, sensor, prior, known = corridor, corridor.model(), corridor.prior(), world.points()
-    crowd = world.walks(c.frames, c.crowd if c.people else 0, c.sv_people, c.sa_people, walk_rng)
+    c, sensor, prior, known = corridor, corridor.model(), corridor.prior(), points()
+    crowd = walks(c.frames, c.crowd if c.people else 0, c.sv_people, c.sa_people, walk_rng)
     frame, true_id, z, R = [], [], [], []
     for k, pose in enumerate(truth):
         people = crowd[k], np.full(crowd.shape[1], CLUTTER), people_rng
-        for points, ids, rng in ((known.xy, known.id, sensor_rng), people):
-            seen, readings, covariances = _observe(corridor, sensor, pose, points, rng)
+        for xy, ids, rng in ((known.xy, known.id, sensor_rng), people):
+            seen, readings, covariances = _observe(corridor, sensor, pose, xy, rng)
             frame.append(np.full(len(seen), k))
             true_id.append(ids[seen])
             z.append(readings)

@@ -20,7 +20,7 @@ import numpy as np
 from data import se2
 from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
 from data.log import Log
-from data.motion.floor import floor_covariances
+from data.motion.velocity import floor_covariances
 from data.se2 import Array
 from data.sensors import RelativePoint
 from data.truth import Truth

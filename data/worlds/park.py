@@ -20,8 +20,7 @@ from data import se2
 from data.errors import UsageError
 from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import Log
-from data.motion.floor import floor_covariances
-from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
+from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances, preintegrate
 from data.se2 import Array
 from data.sensors import RangeBearing
 from data.truth import Truth

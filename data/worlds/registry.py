@@ -1,20 +1,128 @@
 """The simulated worlds, each listed once: its module, its parameters, what a person is told, logs of it by name.
 
 A world is imported when it is asked for, so that `--help` and a mistyped flag do not wait for it.
+
+Names of simulated logs: `world:SEED[:KEY=VALUE+KEY+no-KEY+...]`; keys are the fields of the world's parameters.
+
+A switch is said by its name alone or with `no-` before it, `-` and `_` are the same, a field kept in radians whose
+metadata say `unit: deg` is written in degrees, and one whose metadata have an `alias` is understood by that, too.
+
+Command-line flags of the simulated worlds, one for every field of their parameters.
 """
 
 from __future__ import annotations
 
+import argparse
 import importlib
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import Field, dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from data.errors import UsageError
-from data.worlds import names
 
 if TYPE_CHECKING:
     from data.log import Log
+
+
+P = TypeVar("P")
+SWITCH = {"on": True, "true": True, "1": True, "off": False, "false": False, "0": False}
+
+
+def parse_name(
+    name: str, parameters: type[P], example: str, *, counts: Iterable[str] = ()
+) -> tuple[P, int, dict[str, int]]:
+    """Parameters, seed, and what was given of `counts`: keys that are no parameters, whole numbers from 1 up.
+
+    `example` stands in the message about a seed that is none. A field whose default is None takes a number.
+
+    Raises:
+        UsageError: anything not understood, with what would be; or what `parameters` itself refuses.
+    """
+    rest = name.split(":", 2)[1:]
+    if not rest or not re.fullmatch(r"[0-9]{1,18}", rest[0]):
+        raise UsageError(f"{name}: the seed is a whole number, as in {example}")
+    known = {f.name: f for f in fields(parameters)}  # type: ignore[arg-type]
+    values: dict[str, Any] = {}
+    counted: dict[str, int] = {}
+    for part in rest[1].split("+") if len(rest) == 2 else ():
+        key, text = _halves(name, part, known, tuple(counts))
+        if key in values or key in counted:
+            raise UsageError(f"{name}: {key} is given twice")
+        if key in known:
+            values[key] = _value(f"{name}: {part}", known[key], text)
+        else:
+            counted[key] = _whole(f"{name}: {part}", text)
+            if counted[key] < 1:
+                raise UsageError(f"{name}: {part}: at least 1 is needed")
+    return parameters(**values), int(rest[0]), counted
+
+
+def _halves(name: str, part: str, known: Mapping[str, Field[Any]], counts: tuple[str, ...]) -> tuple[str, str]:
+    """Key and text from `key=text`, `key` or `no-key`; the latter two are for switches."""
+    key, equals, text = part.partition("=")
+    key = key.strip().replace("-", "_")
+    if not equals:
+        key, text = (key[3:], "off") if key.startswith("no_") else (key, "on")
+    key = next((name for name, f in known.items() if f.metadata.get("alias") == key), key)
+    there = key in known or key in counts
+    if not there or (not equals and not _is_switch(known.get(key))):
+        switches = [_switch(f, on=not f.default) for f in known.values() if _is_switch(f)]
+        others = [*counts, *(k for k, f in known.items() if not _is_switch(f))]
+        what = f"{key} needs a value, as in {key}=1" if there else f"{part!r} is not known"
+        raise UsageError(f"{name}: {what}; known: {', '.join([*switches, *(f'{k}=' for k in others)])}")
+    return key, text.strip()
+
+
+def _value(place: str, f: Field[Any], text: str) -> object:
+    """The text in the field's type; `place` begins the message about one that does not fit."""
+    if _is_switch(f):
+        if text not in SWITCH:
+            hint = f.metadata.get("hint")
+            raise UsageError(f"{place}: on or off is needed{f'; {hint}' if hint else ''}")
+        return SWITCH[text]
+    if isinstance(f.default, int):
+        return _whole(place, text)
+    if isinstance(f.default, str):
+        return text
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise UsageError(f"{place}: a number is needed")
+    return math.radians(number) if f.metadata.get("unit") == "deg" else number
+
+
+def _whole(place: str, text: str) -> int:
+    if not re.fullmatch(r"[0-9]{1,9}", text):
+        raise UsageError(f"{place}: a whole number is needed")
+    return int(text)
+
+
+def _is_switch(f: Field[Any] | None) -> bool:
+    return f is not None and isinstance(f.default, bool)
+
+
+def _switch(f: Field[Any], *, on: bool) -> str:
+    return ("" if on else "no-") + f.name.replace("_", "-")
+
+
+def name_of(world: str, parameters: Any, seed: int) -> str:
+    """The name that `parse` reads as the same: world, seed, and what differs from the defaults, in their order."""
+    changed = [(f, value) for f in fields(parameters) if (value := getattr(parameters, f.name)) != f.default]
+    parts = [_switch(f, on=v) if _is_switch(f) else f"{f.name}={written(f, v)}" for f, v in changed]
+    return f"{world}:{seed}" + (":" + "+".join(parts) if parts else "")
+
+
+def written(f: Field[Any], value: Any) -> str:
+    """A parameter as it stands in a log's name."""
+    if isinstance(value, float) and f.metadata.get("unit") == "deg":
+        short = f"{math.degrees(value):.12g}"
+        return short if math.radians(float(short)) == value else repr(math.degrees(value))
+    return f"{value:.12g}" if isinstance(value, float) and float(f"{value:.12g}") == value else str(value)
 
 
 @dataclass(frozen=True)
@@ -150,10 +258,10 @@ def is_simulated(name: str) -> bool:
 
 
 def parse(name: str) -> Named:
-    """What the name of a simulated log says, see `data.worlds.names`. Raises UsageError for what is not understood."""
+    """What the name of a simulated log says. Raises UsageError for what is not understood."""
     world = name.partition(":")[0]
     w = SIMULATORS[world]
-    return Named(world, *names.parse(name, parameters_of(world), w.example, counts=w.counts))
+    return Named(world, *parse_name(name, parameters_of(world), w.example, counts=w.counts))
 
 
 def named_log(name: str) -> Log:
@@ -165,3 +273,65 @@ def named_log(name: str) -> Log:
     for key in counts:
         raise UsageError(f"{name}: {key} is for a recording with images")
     return simulate(world, parameters, seed, name)
+
+
+def number(text: str) -> float:
+    """A flag's number; nan is none."""
+    value = float(text)
+    if math.isnan(value):
+        raise ValueError
+    return value
+
+
+def degrees(text: str) -> float:
+    """A flag's angle in degrees, in radians."""
+    return math.radians(number(text))
+
+
+number.__name__ = degrees.__name__ = "number"  # argparse names the type in its message
+
+
+def seed(text: str) -> int:
+    """A flag's seed."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 up")
+    return int(text)
+
+
+def add_flags(sub: argparse.ArgumentParser, simulator: str) -> None:
+    """OUT, `--seed`, and a flag for every parameter, with what its docstring says; angles kept in degrees stay so."""
+    sub.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
+    sub.add_argument("--seed", type=seed, default=0, metavar="N", help="seed of every random number (default: 0)")
+    parameters = parameters_of(simulator)
+    names = [f.name for f in fields(parameters)]
+    described: dict[str, str] = {}
+    for kind in reversed([k for k in parameters.__mro__ if is_dataclass(k)]):  # worlds that err share what they err by
+        described |= _attributes(kind.__doc__ or "", names)
+    for f in fields(parameters):
+        flag, text = f"--{f.name.replace('_', '-')}", described.get(f.name, "")
+        if isinstance(f.default, bool):
+            text = f"{text} (default: {'on' if f.default else 'off'})".replace("%", "%%")
+            sub.add_argument(flag, action=argparse.BooleanOptionalAction, default=f.default, help=text)
+            continue
+        # a parameter that may be left out is a number, and says what it is then
+        number_of: type[Any] = float if f.default is None else type(f.default)
+        default: Any = f.metadata.get("default", f.default)
+        unit = number_of.__name__.upper()
+        convert: Callable[[str], object] = number if number_of is float else number_of
+        if f.metadata.get("unit") == "deg":
+            default, unit, convert = f"{math.degrees(default):.12g}", "DEG", degrees
+        text = f"{text} (default: {default})".strip().replace("%", "%%")
+        sub.add_argument(flag, type=convert, default=f.default, metavar=unit, help=text)
+        if "alias" in f.metadata:  # understood, not advertised
+            alias = f"--{f.metadata['alias']}"
+            sub.add_argument(alias, type=convert, default=argparse.SUPPRESS, dest=f.name, help=argparse.SUPPRESS)
+
+
+def _attributes(docstring: str, names: Sequence[str]) -> dict[str, str]:
+    """What a docstring says about each name: the text from `name:` (or `name, other:`) to the next one."""
+    docstring = docstring.partition("Raises:")[0]
+    name = f"(?:{'|'.join(names)})"
+    found = list(re.finditer(rf"\b({name}(?:, {name})*): ", docstring))
+    ends = [m.start() for m in found[1:]] + [len(docstring)]
+    texts = {m[1]: " ".join(docstring[m.end() : end].split()) for m, end in zip(found, ends, strict=True)}
+    return {n: text.replace("`", "").rstrip(" .,;") for group, text in texts.items() for n in group.split(", ")}

@@ -135,8 +135,8 @@ def each_frame(estimator: str, association: str, inputs: Inputs) -> Array:
 
 def hindsight_lines(frames: int) -> list[Timed]:
     """Victoria Park without labels, frame by frame: the mean, the slowest in a hundred, the slowest."""
+    from data.formats.recordings.victoria_park import load_victoria_park
     from data.log import shortened
-    from data.recordings.victoria_park import load_victoria_park
 
     inputs = shortened(load_victoria_park(), frames).inputs().without_map()
     lines = []

@@ -1,4 +1,7 @@
-"""Time and memory against size: parks of a thousand to a hundred thousand frames, each run in a process of its own."""
+"""Time and memory against size: parks of a thousand to a hundred thousand frames, each run in a process of its own.
+
+Figure of scaling: time and memory of each estimator against the length of the log, with the exponents of growth.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +12,17 @@ import resource
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from data.worlds.registry import named_log
+from eval.figures.paper import page_width
+from eval.figures.style import DOTTED, Style, drawing, style_of
 
 SIZES = (1_000, 3_000, 10_000, 30_000, 100_000)
 BARE = "bare isam2"
@@ -50,7 +57,7 @@ class Measured(NamedTuple):
 
 def measure(estimator: str, name: str) -> Measured:
     """One estimator with labels on one simulated log, in this process: best in a fresh one."""
-    from association.known import known_decisions
+    from association.decide import known_decisions
     from eval.replay.batch import start_at
     from eval.replay.run import compare, filter_known
     from graph.bare_loop import bare_batch, bare_isam2
@@ -122,3 +129,37 @@ def line_of(m: Measured) -> str:
 
 if __name__ == "__main__":
     sys.stdout.write(json.dumps(measure(*sys.argv[1:])) + "\n")
+
+
+PEERS = {BARE: ("isam2", "bare gtsam loop"), BARE_BATCH: ("batch", "bare gtsam batch")}
+"""Whose peer each is, and what it is called."""
+
+
+def scaling_figure(found: Sequence[Measured]) -> Figure:
+    """Wall time and peak memory above that of the log, over the number of frames, both axes logarithmic."""
+    with drawing():
+        fig = Figure(figsize=(page_width(), 3.5))
+        panels: tuple[tuple[str, Callable[[Measured], float]], ...] = (
+            ("wall time [s]", lambda m: m.seconds),
+            ("memory beside the log [MB]", lambda m: max(m.peak_mb - m.log_mb, 1.0)),
+        )
+        for ax, (label, value) in zip(fig.subplots(1, 2), panels, strict=True):
+            for estimator in dict.fromkeys(m.estimator for m in found):
+                own = sorted((m for m in found if m.estimator == estimator), key=lambda m: m.frames)
+                frames, values = [m.frames for m in own], [value(m) for m in own]
+                style = _style(estimator)
+                exponent = f", $n^{{{slope(frames, values):.2f}}}$" if len(own) > 2 else ""
+                ax.plot(
+                    frames, values, color=style.colour, linestyle=style.line, marker=style.marker,
+                    label=style.label + exponent,
+                )  # fmt: skip
+            ax.set(xscale="log", yscale="log", xlabel="frames n [–]", ylabel=label)
+            ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=2)  # below: lines fill the panel
+        return fig
+
+
+def _style(estimator: str) -> Style:
+    if estimator not in PEERS:
+        return style_of(estimator)
+    ours, label = PEERS[estimator]
+    return replace(style_of(ours), label=label, line=DOTTED, marker="o")

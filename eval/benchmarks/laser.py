@@ -9,13 +9,20 @@ from typing import NamedTuple
 import numpy as np
 from joblib import Parallel, delayed
 
-from association.scans.laser_run import SCAN, LaserRun
+from association.scans.constraints import SCAN, LaserRun
 from data.se2 import Array
 from data.worlds.registry import named_log
 from eval.referee.consistency import mean_or_nan, nees, verdict
 from eval.referee.errors import aligned_rmse, position_distance, rms
-from eval.referee.laser.closures import ClosureCounts, count_closures, revisits, scan_points_of
-from eval.referee.laser.factors import chain_squares, factor_nees, loop_squares
+from eval.referee.laser import (
+    ClosureCounts,
+    chain_squares,
+    count_closures,
+    factor_nees,
+    loop_squares,
+    revisits,
+    scan_points_of,
+)
 from eval.replay.run import compare
 
 SEEDS = 50

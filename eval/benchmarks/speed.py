@@ -1,18 +1,40 @@
-"""How fast the EKF localizer is, beside the same filter as a plain numpy loop and with filterpy."""
+"""How fast the EKF localizer is, beside the same filter as a plain numpy loop and with filterpy.
+
+How fast a Monte Carlo study is: the circle scenario with one and two processes, and on a Dask cluster.
+
+How fast SLAM over Victoria Park is, iSAM2 beside a bare gtsam loop with the same factors.
+
+How fast pictures are found: frames of 640 x 480 with eight reference pictures, from image to corners.
+"""
 
 from __future__ import annotations
 
 import math
+import statistics
+import tempfile
+import time
 from dataclasses import replace
+from pathlib import Path
+from statistics import median
 
 import numpy as np
 
-from association.known import known_decisions
+from association.decide import known_decisions
+from data.formats.recordings.victoria_park import load_victoria_park
 from data.inputs import Inputs, LabelledObservations
+from data.log import shortened
+from data.visual.detector import Detector
+from data.visual.rendering.render import Rendered
 from data.worlds.arena import Arena, simulate
+from data.worlds.gallery import Gallery
 from ekf.whole_run import run_filter
-from eval.benchmarks.timed import Timed, median_seconds
+from eval.benchmarks.timed import REPEATS, Timed, median_seconds
+from eval.plan.execute import execute
+from eval.plan.experiments import Plan
+from eval.plan.flags.options import Options
 from eval.replay.run import step_by_step
+from eval.studies.scenario import Scenario, load_scenario
+from graph.bare_loop import bare_isam2
 
 
 def localization_log(frames: int) -> Inputs:
@@ -123,3 +145,99 @@ def localization_lines(frames: int) -> list[Timed]:
     except ImportError:
         lines.append(Timed("peer: filterpy (not installed)", math.nan, frames, "frames"))
     return lines
+
+
+VARIANTS = ("ekf", "ekf-fej", "ekf-invariant")
+PROCESSES, TURNS = 2, 3
+
+
+def study_seconds(scenario: Scenario, runs: int, jobs: int, scheduler: str | None = None) -> float:
+    """Wall time of a study from nothing; the processes were started before, by a few runs of the same."""
+    taken = 0.0
+    for n in (2 * jobs, runs):
+        with tempfile.TemporaryDirectory() as folder:
+            options = Options(out=Path(folder) / "report", jobs=jobs, scheduler=scheduler)
+            begin = time.perf_counter()
+            execute(Plan((), ((scenario, n),)), options, lambda done, total: None)
+            taken = time.perf_counter() - begin
+    return taken
+
+
+def study_lines(quick: bool) -> list[Timed]:
+    """Every line of the table about studies."""
+    from distributed import LocalCluster
+
+    scenario = load_scenario("circle").only(VARIANTS)
+    runs = 20 if quick else 100
+    one: list[float] = []
+    two: list[float] = []
+    dask: list[float] = []
+    with LocalCluster(
+        n_workers=PROCESSES,
+        threads_per_worker=1,
+        dashboard_address=None,
+        worker_dashboard_address=None,
+        silence_logs=50,
+    ) as cluster:
+        for _ in range(1 if quick else TURNS):  # in turn, so that a drift of the machine's speed touches all
+            one.append(study_seconds(scenario, runs, 1))
+            two.append(study_seconds(scenario, runs, PROCESSES))
+            dask.append(study_seconds(scenario, runs, PROCESSES, cluster.scheduler_address))
+    gain, beside = (median(a / b for a, b in zip(x, y, strict=True)) for x, y in ((one, two), (dask, two)))
+    few = 4 if quick else 10
+    batch = study_seconds(scenario.only(("batch",)), few, PROCESSES)
+    what = f"study: circle (2500 steps, 20 landmarks), {runs} runs, {len(VARIANTS)} filters"
+    return [
+        Timed(f"{what}, 1 process", median(one), runs, "runs", f"{gain:.2f}", ">= 1.70 (85 % efficiency)"),
+        Timed(f"{what}, 2 processes", median(two), runs, "runs", "1", "< 60 s"),
+        Timed(f"{what}, Dask, 2 workers", median(dask), runs, "runs", f"{beside:.2f}", "<= 1.15"),
+        Timed(f"the same, batch smoother, {few} runs, 2 processes", batch, few, "runs"),
+    ]
+
+
+def victoria_park_lines(frames: int) -> list[Timed]:
+    """EKF-SLAM and iSAM2 over Victoria Park, iSAM2 beside a bare gtsam loop with the same factors."""
+    log = shortened(load_victoria_park(), frames)
+    inputs = log.inputs(labels=True).without_map()
+    decisions, created = known_decisions(inputs)
+    n = len(inputs)
+    slam = median_seconds(lambda: run_filter(inputs, decisions), 3)
+    ours, bare = [], []
+    first = shortened(log, 300).inputs(labels=True).without_map()
+    step_by_step("isam2", first, "slam", finish=False)  # a warm-up for the compiled parts
+    for _ in range(REPEATS):  # in turn, so that a drift of the machine's speed touches both
+        begin = time.perf_counter()
+        step_by_step("isam2", inputs, "slam", finish=False)
+        ours.append(time.perf_counter() - begin)
+        begin = time.perf_counter()
+        bare_isam2(inputs, decisions, created)
+        bare.append(time.perf_counter() - begin)
+    ratio = statistics.median(a / b for a, b in zip(ours, bare, strict=True))
+    landmarks = int((created >= 0).sum())
+    return [
+        Timed(f"EKF-SLAM, Victoria Park ({landmarks} landmarks)", slam, n, "frames", "", "<= 3 s"),
+        Timed("iSAM2, Victoria Park, frame by frame", statistics.median(ours), n, "frames", f"{ratio:.2f}", "<= 1.20"),
+        Timed("peer: bare gtsam loop, same factors", statistics.median(bare), n, "frames", "1"),
+    ]
+
+
+def visual_lines(quick: bool) -> list[Timed]:
+    """Every line of the table about images."""
+    recording = Rendered(Gallery(), 0, frames=6 if quick else 30)
+    begin = time.perf_counter()
+    frames = list(recording.frames())
+    rendered = (time.perf_counter() - begin) / len(frames)
+    detector = Detector(recording.references, recording.setup.width)
+    detector.detect(frames[0].rgb, frames[0].xyz)
+    taken = []
+    for _ in range(1 if quick else 3):
+        begin = time.perf_counter()
+        found = sum(len(seen.detections) for _, seen in detector.detect_each(frames))
+        taken.append((time.perf_counter() - begin) / len(frames))
+    h, w = frames[0].rgb.shape[:2]
+    each = found / len(frames)
+    what = f"pictures found in a frame of {w} x {h}, {len(recording.references)} references ({each:.1f} found)"
+    return [
+        Timed(what, statistics.median(taken), 1, "frames", "", ">= 10 frames/s"),
+        Timed("a frame rendered with its stereo points", rendered, 1, "frames"),
+    ]

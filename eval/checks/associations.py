@@ -12,13 +12,12 @@ import numpy as np
 
 from association.expectation import Expectation, gate_threshold
 from association.jcbb import jcbb_first
-from association.likelihood import ml, ml_ratio
-from association.nearest import nn
+from association.methods import ml, ml_ratio, nn
 from data.inputs import IntArray
 from data.result import NEW
 from data.se2 import Array, wrap_angle
 from eval.checks.finding import Finding
-from eval.replay.foreign.guard import ForeignError
+from eval.replay.external.guard import ForeignError
 
 Method = Callable[[Expectation, float | None], IntArray]
 PROBLEMS = 30

@@ -10,14 +10,15 @@ from threadpoolctl import threadpool_limits
 from association.decide import METHODS, PLAIN
 from association.jcbb import jcbb, jcbb_first
 from data.errors import UsageError
-from eval.checks import associations, estimators, expected, handed
+from eval.checks import associations, estimators
+from eval.checks import estimators as expected
+from eval.checks import estimators as handed
 from eval.checks.finding import CheckError, Finding
-from eval.replay.foreign.guard import ForeignError
-from eval.replay.foreign.load import load, text_of
-from eval.replay.foreign.make import tasks_of
-from eval.replay.foreign.method import Method
-from eval.replay.foreign.spec import is_foreign, name_of, one_settled
-from eval.replay.names import STEPPING, TASKS
+from eval.replay.external.guard import ForeignError
+from eval.replay.external.load import load, text_of
+from eval.replay.external.make import Method, tasks_of
+from eval.replay.external.spec import is_foreign, name_of, one_settled
+from eval.replay.settings import STEPPING, TASKS
 
 ESTIMATOR = (
     *(handed.purity, handed.covariances, estimators.runs, estimators.linear_world, estimators.without_noise),

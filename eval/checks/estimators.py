@@ -1,23 +1,31 @@
-"""Checks of an estimator: one function each, which yields what it finds for a task."""
+"""Checks of an estimator: one function each, which yields what it finds for a task.
+
+Checks of what an estimator expects to see, and of landmarks that leave its map.
+
+Checks of what an estimator is handed and hands back: inputs stay unchanged, covariances are covariances.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
-from typing import Any
+from dataclasses import fields, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from data.inputs import Inputs, Prior, Sightings
+from data.inputs import Increment, Inputs, LandmarkMap, Prior, Sightings
 from data.result import DISCARD, Run
 from data.se2 import Array, world_from_body, wrap_angle
 from eval.checks import worlds
 from eval.checks.finding import Finding, graded
 from eval.referee.errors import named
-from eval.replay.frontend import FrontEnd
+from eval.replay.estimators import make_estimator
+from eval.replay.external.adapter import Adapter
+from eval.replay.external.guard import ForeignError
+from eval.replay.frontend import FrontEnd, KnownAssociation
 from eval.replay.run import compare, dead_reckoning, front_end, step_by_step
-from eval.replay.settings import Setup
+from eval.replay.settings import Beginning, Setup
 
 SETUP = Setup()
 TURNS = (math.pi, -2.0, 3.1)
@@ -237,3 +245,161 @@ def numbers(text: str, task: str) -> Iterator[Finding]:
     swapped = np.flatnonzero(of == nearest)
     hint = f", where number {swapped[0]} was created" if len(swapped) and swapped[0] != run.map.number[i] else ""
     yield Finding(name, False, f"landmark {run.map.number[i]} is {away[i]:.2g} m from where it was seen first{hint}")
+
+
+HALF = worlds.FRAMES // 2
+ROUNDING = 1e-6
+
+
+def expectation(text: str, task: str) -> Iterator[Finding]:
+    """With it, nearest neighbour decides as with our EKF; and `joint` has on its diagonal what `HPHt` says."""
+    name = "expectation"
+    inputs = inputs_for(worlds.noise_free(worlds.arena_log()), task)
+    front = driven(text, inputs, task, HALF)
+    if isinstance(front.estimator, Adapter) and not front.estimator.has("expect"):
+        yield Finding(name, True, "it has no `expect`, so it works with --association known alone")
+        return
+    frame = inputs.frame(HALF)
+    front.move(frame)
+    try:
+        e = front.estimator.expect(frame.sightings)
+        rows = np.arange(min(len(e.number), 4))
+        joint = e.joint(rows)
+    except ForeignError as stop:
+        yield Finding(name, False, str(stop))
+        return
+    blocks = joint.reshape(len(rows), 2, len(rows), 2)[rows, :, rows, :]
+    apart = float(np.abs(blocks - e.HPHt[rows]).max(initial=0.0)) / max(float(np.abs(joint).max(initial=0.0)), 1e-300)
+    if apart > ROUNDING:
+        yield Finding(name, False, f"joint() and HPHt differ by {100 * apart:.2g} % of the largest covariance")
+        return
+    asked = inputs.without_labels()
+    theirs, ours = (step_by_step(n, asked, task, "nn") for n in (text, "ekf"))
+    if theirs.failure is not None:
+        yield Finding(name, False, f"with nearest neighbour: stopped at {theirs.failure.text}")
+        return
+    other = int((theirs.decisions != ours.decisions).sum())
+    said = f"{other} of {len(ours.decisions)} decisions of nearest neighbour on exact readings are not those of our EKF"
+    wrong = other > 0.05 * len(ours.decisions)
+    yield Finding(name, not wrong, f"{said}: look at z_hat, HPHt and number" if wrong else said)
+
+
+def removal(text: str, task: str) -> Iterator[Finding]:
+    """A landmark that was removed is in no map, and its number is not given again."""
+    if task != "slam":
+        return
+    name, inputs = "removal", inputs_for(worlds.noise_free(worlds.arena_log()), task)
+    front = driven(text, inputs, task, HALF)
+    if isinstance(front.estimator, Adapter) and not front.estimator.has("remove"):
+        yield Finding(name, True, "it has no `remove`, so it works without --maintain and jcbb-hindsight")
+        return
+    gone = np.array([0])
+    try:
+        front.estimator.remove(gone)
+        assert front.known is not None
+        front.known.removed(gone)
+        made = []
+        for k in range(HALF, worlds.FRAMES):
+            frame = inputs.frame(k)
+            front.move(frame)
+            made += [n for n in front.update(frame, front.associate(frame)).created.tolist() if n >= 0]
+        held = front.estimator.landmarks().number.tolist()
+    except ForeignError as stop:
+        yield Finding(name, False, f"landmark 0 removed: {stop}")
+        return
+    if 0 in held or 0 in made:
+        yield Finding(name, False, "landmark 0 was removed and is in the map again: numbers are not given twice")
+    else:
+        yield Finding(name, True, f"landmark 0 left the map, seen again it is number {made[0] if made else 'none'}")
+
+
+class Kept(NamedTuple):
+    """An array that was handed out, what it was, and what it is called."""
+
+    name: str
+    handed: Any
+    before: Any
+
+
+def purity(text: str, task: str) -> Iterator[Finding]:
+    """Nothing that it is handed is changed; here it could be, in a run the arrays are locked and writing raises."""
+    inputs = inputs_for(worlds.arena_log(), task)
+    prior: Prior = _writable(inputs.prior)
+    known: LandmarkMap | None = None if inputs.map is None else _writable(inputs.map)
+    kept = [_kept("prior.mean", prior.mean), _kept("prior.covariance", prior.covariance)]
+    if known is not None:
+        kept += [_kept("map.id", known.id), _kept("map.xy", known.xy)]
+    try:
+        estimator = make_estimator(text, Beginning(prior, inputs.sensor, known))
+        association = KnownAssociation(known)
+        for k in range(len(inputs)):
+            frame = inputs.frame(k)
+            if frame.increment is not None:
+                increment = Increment(*(np.array(a) for a in frame.increment))
+                kept += [
+                    _kept(f"increment.{n} of frame {k}", a) for n, a in zip(increment._fields, increment, strict=True)
+                ]
+                estimator.predict(increment)
+            estimator.stamp(frame.time)
+            sightings = Sightings(*(np.array(a) for a in frame.sightings))
+            kept += [_kept(f"sightings.{n} of frame {k}", a) for n, a in zip(sightings._fields, sightings, strict=True)]
+            if len(sightings.z):
+                done = estimator.update(sightings, association.decide(frame))
+                association.initialized(frame, done.created)
+            estimator.estimate()
+    except ForeignError as stop:
+        yield Finding("purity", False, f"{stop}")
+        return
+    changed = next((k for k in kept if not np.array_equal(k.handed, k.before)), None)
+    if changed is None:
+        yield Finding("purity", True, f"{len(kept)} arrays that it was handed are as they were")
+        return
+    by = float(np.abs(changed.handed - changed.before).max())
+    yield Finding(
+        "purity",
+        False,
+        f"{changed.name} was changed by up to {by:.3g}: copy what is kept (in a run inputs are locked,"
+        " so that writing raises ValueError)",
+    )
+
+
+def _kept(name: str, handed: Any) -> Kept:
+    return Kept(name, handed, handed.copy())
+
+
+def _writable(locked: Any) -> Any:
+    """A copy of a frozen dataclass whose arrays can be changed."""
+    copy = replace(locked)
+    for f in fields(copy):
+        object.__setattr__(copy, f.name, np.array(getattr(copy, f.name)))
+    return copy
+
+
+def covariances(text: str, task: str) -> Iterator[Finding]:
+    """Every covariance that it gives is symmetric and positive semidefinite, rounding aside."""
+    name = "symmetric covariance"
+    inputs = inputs_for(worlds.arena_log(), task)
+    estimator = make_estimator(text, inputs)
+    association = KnownAssociation(inputs.map)
+    off, least, blank = 0.0, np.inf, False
+    try:
+        for k in range(len(inputs)):
+            frame = inputs.frame(k)
+            if frame.increment is not None:
+                estimator.predict(frame.increment)
+            estimator.stamp(frame.time)
+            done = estimator.update(frame.sightings, association.decide(frame))
+            association.initialized(frame, done.created)
+            P = estimator.estimate().covariance
+            blank |= not np.isfinite(P).all()
+            if not blank:
+                off = max(off, float(np.abs(P - P.T).max()) / max(float(np.trace(P)), 1e-300))
+                least = min(least, float(np.linalg.eigvalsh(P)[0]))
+    except ForeignError as stop:
+        yield Finding(name, False, f"frame {k}: {stop}")
+        return
+    yield Finding(
+        name,
+        True,
+        "it gives none" if blank else f"asymmetry at most {off:.1g} of the trace, least eigenvalue {least:.2g}",
+    )

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from eval.figures.association import confusion_figure
+from eval.figures.claims import claims_figure, filter_smoother_figure, systematic_figure
 from eval.figures.consistency import anees_figure, nees_figure
 from eval.figures.error import difference_figure, error_figure
-from eval.figures.filter_smoother import filter_smoother_figure
 from eval.figures.growth import growth_figure, state_figure
 from eval.figures.laser import loop_picture, map_picture
+from eval.figures.log import fate_figure
 from eval.figures.map import map_figure
-from eval.figures.outliers import outlier_figure
-from eval.figures.power import Seen, power_figure
-from eval.figures.unscored.claims import claims_figure
-from eval.figures.unscored.fate import fate_figure
-from eval.figures.unscored.systematic import systematic_figure
-from eval.figures.verdicts import coverage_figure, run_end_figure
+from eval.figures.studies import Seen, coverage_figure, outlier_figure, power_figure, run_end_figure
 
 __all__ = [
     "Seen", "anees_figure", "claims_figure", "confusion_figure", "coverage_figure", "difference_figure", "error_figure",

@@ -1,4 +1,9 @@
-"""What runs claim over time: NIS per degree of freedom with its bounds, standard deviations of position and heading."""
+"""What runs claim over time: NIS per degree of freedom with its bounds, standard deviations of position and heading.
+
+Figure of the filter-smoother test: how far each online estimate is from the smoothed one, and how far it may be.
+
+Figure of systematic errors over time: what filter and smoother make of each, how sure they are, and the truth.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +17,26 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter
 
+from data.inputs import ERRORS, Systematic
 from data.log import Log
-from data.result import Run
-from data.se2 import Array
-from eval.figures.error import longest_sigma, sigmas, thinned, ticks, time_label
-from eval.figures.paper.look import page_width
-from eval.figures.style import BAND_COLOUR, drawing, series
-from eval.referee.bounds import nis_bounds
-from eval.referee.paths.given import log_of
+from data.result import Run, Systematics
+from data.se2 import Array, BoolArray
+from eval.figures.error import (
+    COORDINATES,
+    common_reach,
+    draw_band,
+    longest_sigma,
+    reach,
+    sigmas,
+    thinned,
+    ticks,
+    time_label,
+)
+from eval.figures.paper import page_width
+from eval.figures.style import BAND_COLOUR, DASHED, SOLID, TRUTH_COLOUR, Line, Style, drawing, series, style_of
+from eval.referee.consistency import nis_bounds
+from eval.referee.given_runs import log_of
+from eval.referee.trust import Difference, difference
 
 WINDOWS = 40
 """Stretches that a log is cut into for its NIS; each has the same number of degrees of freedom, or nearly."""
@@ -130,3 +147,155 @@ def _nis_axis(ax: Axes, found: Sequence[Stretches]) -> None:
     else:
         ax.set_ylim(0.0, 1.08 * max(float(values.max()), upper))
         ax.yaxis.set_major_locator(ticks(4))
+
+
+def filter_smoother_figure(log: Log, runs: Sequence[Run], smoother: Run) -> Figure:
+    """Online less smoothed, d, in x, y and heading over time, with the ±3 sigma that filter and smoother allow it.
+
+    `smoother` has a final path and the decisions of all `runs`, which have an online one. Sigma is the root of the
+    diagonal of P_f - P_s, blank where later data took too little away to tell; see `eval.referee.trust.difference`.
+    The largest excursion of each run, in these sigmas, is marked, and named in the legend.
+    """
+    with drawing():
+        return _figure(log, runs, smoother)
+
+
+def _figure(log: Log, runs: Sequence[Run], smoother: Run) -> Figure:
+    assert smoother.final is not None
+    found = [difference(r.online, smoother.final) for r in runs if r.online is not None]
+    styles = [style_of(r.estimator) for r in runs if r.online is not None]
+    fig = Figure(figsize=(page_width(), 4.6 + 0.13 * ((len(found) + 1) // 2)))
+    axes: Sequence[Axes] = fig.subplots(3, 1, sharex=True)
+    time = log.recorded.time
+    for i, (ax, (name, unit, factor)) in enumerate(zip(axes, COORDINATES, strict=True)):
+        ax.axhline(0.0, color="#909090", linewidth=0.5)
+        for d, style in zip(found, styles, strict=True):
+            bound = 3.0 * factor * d.sigma[:, i]
+            draw_band(ax, time, bound, style.colour, -1.0)
+            alone = _alone(bound)
+            ax.vlines(time[alone], -bound[alone], bound[alone], color=style.colour, alpha=0.4, linewidth=0.8)
+        for d, style in zip(found, styles, strict=True):
+            curve = factor * d.d[:, i]
+            keep = thinned(curve)
+            ax.plot(time[keep], curve[keep], color=style.colour, linestyle=style.line, linewidth=0.8)
+        limit = common_reach([_need(d, i, factor) for d in found])
+        ax.set(ylim=(-limit, limit), ylabel=f"{name} [{unit}]")
+        ax.yaxis.set_major_locator(ticks(6))
+    handles = [_excursion(axes, time, d, style) for d, style in zip(found, styles, strict=True)]
+    axes[-1].set_xlabel(time_label(log.recorded))
+    if len(time) > 1:
+        axes[0].set_xlim(time[0], time[-1])
+    fig.align_ylabels(list(axes))
+    title = f"{log.name}: online less smoothed ({style_of(smoother.estimator).label}), not an error"
+    fig.suptitle(title, x=0.01, ha="left")
+    band = Patch(facecolor="#D0D0D0", edgecolor="#606060", linewidth=0.5, label="±3σ that the difference may have")
+    fig.legend(handles=[*handles, band], loc="outside lower center", ncols=2, numpoints=1)
+    return fig
+
+
+def _alone(bound: Array) -> BoolArray:
+    """Which values (N,) are known between two that are not: a band cannot show them."""
+    known = np.isfinite(np.concatenate([[np.nan], bound, [np.nan]]))
+    result: BoolArray = known[1:-1] & ~known[:-2] & ~known[2:]
+    return result
+
+
+def _need(d: Difference, i: int, factor: float) -> float:
+    """Half height that a run's curve and band need."""
+    return factor * max(float(np.nanmax(np.abs(d.d[:, i]), initial=0.0)), reach([3.0 * d.sigma[:, i]]))
+
+
+def _excursion(axes: Sequence[Axes], time: Array, d: Difference, style: Style) -> Line2D:
+    """Mark where a run is furthest from the smoothed path in sigmas of the difference; returns its legend entry."""
+    label = style.label
+    in_sigmas = np.abs(d.d / d.sigma)
+    marker = ""
+    if np.isfinite(in_sigmas).any():
+        frame, i = divmod(int(np.nanargmax(in_sigmas)), 3)
+        name, _, factor = COORDINATES[i]
+        axes[i].plot(
+            time[frame], factor * d.d[frame, i], color="black", marker=style.marker, markerfacecolor=style.colour,
+            markersize=5.0, markeredgewidth=0.7, clip_on=False, zorder=3,
+        )  # fmt: skip
+        marker = style.marker
+        label += f": largest {in_sigmas[frame, i]:.3g}σ, {name}, frame {frame}"
+    return Line2D(
+        [], [], color=style.colour, linestyle=style.line, linewidth=0.9, marker=marker, markerfacecolor=style.colour,
+        markeredgecolor="black", markersize=4.5, markeredgewidth=0.7, label=label,
+    )  # fmt: skip
+
+
+HEIGHT = 1.25
+"""in, of a row of panels."""
+SETTLED = 0.2
+"""Share of a log after which its estimates have to fit into their panel; before, they may leave it."""
+
+
+def systematic_figure(log: Log, systematic: Systematic, runs: Sequence[Run]) -> Figure:
+    """Each error over time: estimates online (dashed where there is a final one, too) and final, with ±3 sigma.
+
+    Behind, as a band, ±3 sigma of what was known before; black, the true error of a simulated log.
+    """
+    with drawing():
+        return _systematic_figure(log, systematic, runs)
+
+
+def _systematic_figure(log: Log, systematic: Systematic, runs: Sequence[Run]) -> Figure:
+    columns = min(2, len(systematic.names))
+    rows = -(-len(systematic.names) // columns)
+    fig = Figure(figsize=(page_width(), 0.9 + HEIGHT * rows))
+    axes: list[Axes] = list(np.ravel(fig.subplots(rows, columns, sharex=True, squeeze=False)))
+    drawn = [(r, e, line, when) for r in runs for e, line, when in _phases(r)]
+    time, truth = log.recorded.time, log.truth.errors
+    for i, (name, ax) in enumerate(zip(systematic.names, axes, strict=False)):
+        before = 3.0 * float(systematic.sigma[i])
+        ax.axhspan(-before, before, color=BAND_COLOUR, alpha=0.45, linewidth=0.0)
+        ax.axhline(0.0, color="#909090", linewidth=0.5)
+        reach = 0.0
+        for run, errors, line, _ in drawn:
+            mean, bound = errors.mean[:, i], 3.0 * errors.sigma[:, i]
+            colour = style_of(run.estimator).colour
+            keep = np.unique(np.concatenate([thinned(mean), thinned(bound)]))
+            ax.fill_between(
+                time[keep], (mean - bound)[keep], (mean + bound)[keep], color=colour, alpha=0.15, linewidth=0
+            )
+            ax.plot(time[keep], mean[keep], color=colour, linestyle=line, linewidth=0.9)
+            late = slice(int(SETTLED * len(time)), None)
+            reach = max(reach, float(np.nanmax(np.abs(mean[late]) + bound[late], initial=0.0)))
+        if truth is not None:
+            true = truth.mean[:, truth.names.index(name)] if name in truth.names else np.zeros(len(time))
+            ax.plot(time, true, color=TRUTH_COLOUR, linewidth=0.8, linestyle=DASHED)
+            reach = max(reach, float(np.abs(true).max()))
+        limit = 1.1 * (reach or before)
+        ax.set(ylim=(-limit, limit), ylabel=name if ERRORS[name] == "1" else f"{name} [{ERRORS[name]}]")
+        ax.yaxis.set_major_locator(ticks(5))
+    for ax in axes[len(systematic.names) :]:
+        ax.set_visible(False)
+    for ax in axes[max(0, len(systematic.names) - columns) : len(systematic.names)]:
+        ax.tick_params(labelbottom=True)
+        ax.set_xlabel(time_label(log.recorded))
+    if len(time) > 1:
+        axes[0].set_xlim(time[0], time[-1])
+    fig.align_ylabels(axes)
+    fig.suptitle(f"{log.name}: systematic errors as estimated along, with ±3σ", x=0.01, ha="left")
+    handles = [
+        Line2D(
+            [], [], color=style_of(r.estimator).colour, linestyle=line, label=f"{style_of(r.estimator).label} ({when})"
+        )
+        for r, _, line, when in drawn
+    ]
+    if truth is not None:
+        handles.append(Line2D([], [], color=TRUTH_COLOUR, linestyle=DASHED, linewidth=0.8, label="true error"))
+    known = Patch(facecolor=BAND_COLOUR, alpha=0.45, label="known before (±3σ)")
+    fig.legend(handles=[*handles, known], loc="outside lower center", ncols=4)
+    return fig
+
+
+def _phases(run: Run) -> list[tuple[Systematics, Line, str]]:
+    both = run.errors_online is not None and run.errors_final is not None
+    found: list[tuple[Systematics, Line, str]] = []
+    if run.errors_online is not None:
+        found.append((run.errors_online, DASHED if both else SOLID, "online"))
+    if run.errors_final is not None:
+        found.append((run.errors_final, SOLID, "final"))
+    return found

@@ -14,13 +14,12 @@ from matplotlib.ticker import FuncFormatter
 from data.log import Log
 from data.result import Run
 from data.se2 import Array
-from data.terminal.words import counted
+from data.terminal import counted
 from eval.figures.error import heading_of, panels, thinned, ticks, time_label
-from eval.figures.paper.look import page_width
+from eval.figures.paper import page_width
 from eval.figures.style import BAND_COLOUR, LONG_HANDLE, drawing, style_of
-from eval.referee.bounds import anees_band
-from eval.referee.consistency import mean_or_nan, nees
-from eval.referee.paths.given import log_of
+from eval.referee.consistency import anees_band, mean_or_nan, nees
+from eval.referee.given_runs import log_of
 
 POSE_DOF = 3
 MARKERS = 8

@@ -17,10 +17,9 @@ from data.inputs import Inputs, IntArray
 from data.log import Log
 from data.result import Run, Trajectory
 from data.se2 import Array, pose_error
-from eval.figures.paper.look import across, page_width, points
+from eval.figures.paper import across, page_width, points
 from eval.figures.style import Series, drawing, series
-from eval.referee.paths.given import log_of
-from eval.referee.paths.match import match
+from eval.referee.given_runs import log_of, match
 
 MOST_PANELS = 4
 MOST_BINS = 600

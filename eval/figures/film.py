@@ -1,25 +1,303 @@
-"""A film of one run: robot, rays to what it observes, landmarks as they were, ellipses, true ghost, fading paths."""
+"""A film of one run: robot, rays to what it observes, landmarks as they were, ellipses, true ghost, fading paths.
+
+Where a film's metres fall on pixels, and what is drawn there with OpenCV, for speed.
+
+Landmarks as an estimator held them at each instant: what changed in which frame, and what stands after it.
+
+The pace of a film: which frame of the log each of its pictures shows, as a multiple of real time.
+
+A WebM file out of pictures: OpenCV's VP8, with the same bytes for the same pictures.
+
+Browsers play VP8 without further libraries; they refuse the MPEG-4 that OpenCV puts into MP4 files.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from types import TracebackType
 
+import cv2
 import numpy as np
 
-from data.inputs import IntArray
+from data.errors import SlamrefError
+from data.inputs import Inputs, IntArray, read_only
 from data.log import Log
 from data.result import NEW, Run
-from data.se2 import Array, transform_points
-from eval.figures.ellipses import SIGMAS, along_path, ellipses, longest_axis
-from eval.figures.films.canvas import BLACK, GREY, PALE, Canvas, Colour, bgr, blend, canvas_of, scale_bar, write
-from eval.figures.films.landmarks import History, at_the_end
-from eval.figures.films.pace import FPS, LONGEST, Pace, pace_of
-from eval.figures.films.webm import Film, Image
+from data.se2 import Array, BoolArray, transform_points
+from eval.figures.plane import SIGMAS, View, along_path, ellipses, enlargement, longest_axis, true_landmarks, view_of
 from eval.figures.style import Series, series, style_of
-from eval.figures.view import enlargement, true_landmarks, view_of
+
+AS_THEN, AT_THE_END = "as then", "as at the end"
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """Changes (C,) of landmarks, in the order of their frames.
+
+    Attributes:
+        frame, number: (C,) after which frame, of which landmark.
+        there: (C,) false where it left the map.
+        xy: (C, 2) m, covariance: (C, 2, 2) m^2, world frame.
+        when: of what instant this is, in words: `AS_THEN` or `AT_THE_END`.
+    """
+
+    frame: IntArray
+    number: IntArray
+    there: BoolArray
+    xy: Array
+    covariance: Array
+    when: str = AS_THEN
+
+    def __post_init__(self) -> None:
+        read_only(self)
+
+    def after(self, frames: IntArray) -> Iterator[IntArray]:
+        """For each of some frames (P,), ascending: the changes (L,) that stand after it, by landmark number."""
+        standing: dict[int, int] = {}
+        next_one = 0
+        for k in frames.tolist():
+            while next_one < len(self.frame) and self.frame[next_one] <= k:
+                number = int(self.number[next_one])
+                if self.there[next_one]:
+                    standing[number] = next_one
+                else:
+                    standing.pop(number, None)
+                next_one += 1
+            yield np.array([standing[n] for n in sorted(standing)], np.int64)
+
+
+def at_the_end(run: Run) -> History:
+    """The last map, each landmark from the frame on in which it was first seen."""
+    if run.map is None:
+        none = np.empty(0, np.int64)
+        return History(none, none, none.astype(bool), np.empty((0, 2)), np.empty((0, 2, 2)), AT_THE_END)
+    m = run.map
+    usable = np.isfinite(m.xy).all(axis=1) & np.isfinite(m.covariance).all(axis=(1, 2)) & (m.first_frame >= 0)
+    order = np.flatnonzero(usable)[np.argsort(m.first_frame[usable], kind="stable")]
+    there = np.ones(len(order), bool)
+    return History(m.first_frame[order], m.number[order], there, m.xy[order], m.covariance[order], AT_THE_END)
+
+
+FPS = 20
+"""Pictures a second."""
+LONGEST = 60.0
+"""s; a film whose speed nobody asked for lasts no longer."""
+STEPS = (1.0, 2.0, 5.0)
+"""Speeds that are chosen: these, and their multiples by powers of ten."""
+FRAMES_A_SECOND = 5.0
+"""The slowest speed that is chosen for a log whose time counts frames: each can be looked at."""
+
+
+@dataclass(frozen=True)
+class Pace:
+    """Seconds of the log in one of the film (frames, without stamps); the frame (P,) of each picture."""
+
+    speed: float
+    frame: IntArray
+    counts_frames: bool
+
+    @property
+    def text(self) -> str:
+        """The speed in words."""
+        return f"{self.speed:g} frames a second" if self.counts_frames else f"{self.speed:g} x real time"
+
+
+def pace_of(inputs: Inputs, speed: float | None = None, fps: int = FPS, longest: float = LONGEST) -> Pace:
+    """The pace asked for, or the slowest of the round ones from real time on with which the film is short enough.
+
+    Each picture shows the newest frame at its instant; the last one shows the log's last frame.
+    """
+    time = inputs.time - inputs.time[0]
+    length = float(time[-1])
+    if speed is None:
+        speed = FRAMES_A_SECOND if inputs.time_is_index else 1.0
+        speed = _round_up(max(speed, length / longest))
+    pictures = max(math.ceil(length / speed * fps - 1e-9), 0) + 1
+    instant = np.minimum(np.arange(pictures) * (speed / fps), length)
+    return Pace(speed, np.searchsorted(time, instant + 1e-9, side="right").astype(np.int64) - 1, inputs.time_is_index)
+
+
+def _round_up(speed: float) -> float:
+    """The smallest of 1, 2, 5, 10, ... that is no less."""
+    power = 10.0 ** math.floor(math.log10(speed))
+    return next(step * power for step in (*STEPS, 10.0) if step * power >= speed * (1.0 - 1e-12))
+
+
+Image = np.ndarray[tuple[int, ...], np.dtype[np.uint8]]
+
+CODEC = "VP80"
+EXPECTED = b"'VP80' is not supported with codec id"
+"""OpenCV looks the codec up in a list that WebM has none of, says so on the standard error stream, and goes on."""
+
+# EBML elements (RFC 8794, RFC 9559): id, and whether its content is further elements
+SEGMENT, TRACKS, TRACK_ENTRY, TRACK_UID = 0x18538067, 0x1654AE6B, 0xAE, 0x73C5
+TAGS, TAG, TARGETS, TAG_TRACK_UID = 0x1254C367, 0x7373, 0x63C0, 0x63C5
+INSIDE = {SEGMENT, TRACKS, TRACK_ENTRY, TAGS, TAG, TARGETS}
+DRAWN = {TRACK_UID, TAG_TRACK_UID}
+"""The track's number, which the muxer draws at random and refers to from the tags."""
+
+
+class Film:
+    """A film that is being written; a context manager, as the file is whole only when it was closed."""
+
+    def __init__(self, path: Path, fps: float, width: int, height: int) -> None:
+        """Begin a film of so many pictures a second. Raises SlamrefError if the file cannot be written."""
+        self._path = path
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with _without(EXPECTED):
+            fourcc = cv2.VideoWriter.fourcc(*CODEC)
+            self._writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, fourcc, float(fps), (width, height))
+        if not self._writer.isOpened():
+            raise SlamrefError(f"{path}: cannot be written as a WebM film (VP8, {width} x {height} pixels)")
+
+    def add(self, image: Image) -> None:
+        """The next picture (height, width, 3), blue, green, red."""
+        self._writer.write(image)
+
+    def __enter__(self) -> Film:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._writer.release()
+        if kind is None:
+            _number_track(self._path)
+
+
+@contextmanager
+def _without(expected: bytes) -> Iterator[None]:
+    """Keep one known line of a compiled library off the standard error stream; whatever else it says goes through."""
+    real = os.dup(2)
+    with tempfile.TemporaryFile() as said:
+        os.dup2(said.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(real, 2)
+            said.seek(0)
+            for line in said.read().splitlines(keepends=True):
+                if expected not in line:
+                    os.write(real, line)
+            os.close(real)
+
+
+def _number_track(path: Path) -> None:
+    """Give the track the number 1 instead of a random one, in place."""
+    with path.open("r+b") as file:
+        head = file.read(1 << 16)
+        for start, length in [*_drawn(head, 0, len(head))]:
+            file.seek(start)
+            file.write((1).to_bytes(length, "big"))
+
+
+def _drawn(data: bytes, at: int, end: int) -> Iterator[tuple[int, int]]:
+    """Where the random numbers stand: (offset, length) of each, between two offsets of the file's first bytes."""
+    while at < end:
+        name, at = _number(data, at, keep_marker=True)
+        length, at = _number(data, at, keep_marker=False)
+        if name in DRAWN:
+            yield at, length
+        elif name in INSIDE:
+            yield from _drawn(data, at, min(at + length, end))
+        at += length
+
+
+def _number(data: bytes, at: int, *, keep_marker: bool) -> tuple[int, int]:
+    """A number of variable length, and the offset behind it: one byte more than the first one has leading zeros.
+
+    An element's id keeps the bit that marks the length, its size does not.
+    """
+    length = 9 - data[at].bit_length()
+    value = int.from_bytes(data[at : at + length], "big")
+    return (value if keep_marker else value & ~(1 << (7 * length))), at + length
+
+
+LONGER_SIDE = 960
+"""px of the picture's longer side; the scene decides the shorter one."""
+SHORTER_SIDE = 480
+SHIFT = 4
+"""Bits of a pixel that OpenCV draws with."""
+
+Colour = tuple[int, int, int]
+
+WHITE, BLACK, GREY, PALE = (255, 255, 255), (0, 0, 0), (120, 120, 120), (205, 205, 205)
+
+
+def bgr(colour: str) -> Colour:
+    """`#rrggbb` in OpenCV's order."""
+    return int(colour[5:7], 16), int(colour[3:5], 16), int(colour[1:3], 16)
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """Where metres fall on pixels: x to the right, y up, one scale for both."""
+
+    low: Array
+    scale: float
+    width: int
+    height: int
+
+    def pixels(self, xy: Array) -> IntArray:
+        """World points (..., 2) m as fixed-point pixels with `SHIFT` fractional bits, kept within drawing range."""
+        x = (xy[..., 0] - self.low[0]) * self.scale
+        y = self.height - (xy[..., 1] - self.low[1]) * self.scale
+        fixed = np.clip(np.stack([x, y], axis=-1), -20000.0, 20000.0) * (1 << SHIFT)
+        return np.asarray(np.round(fixed), np.int32)
+
+    def line(self, image: Image, points: Array, colour: Colour, thickness: int = 1, closed: bool = False) -> None:
+        """Lines through points (k, 2) m."""
+        cv2.polylines(image, [self.pixels(points)], closed, colour, thickness, cv2.LINE_AA, SHIFT)
+
+    def area(self, image: Image, points: Array, colour: Colour) -> None:
+        """A filled polygon (k, 2) m."""
+        cv2.fillPoly(image, [self.pixels(points)], colour, cv2.LINE_AA, SHIFT)
+
+    def dot(self, image: Image, point: Array, radius: float, colour: Colour) -> None:
+        """A filled circle of `radius` px."""
+        x, y = self.pixels(point).tolist()
+        cv2.circle(image, (x, y), round(radius * (1 << SHIFT)), colour, -1, cv2.LINE_AA, SHIFT)
+
+
+def canvas_of(view: View) -> Canvas:
+    """A canvas of even size that holds the view."""
+    w, h = (max(float(s), 1e-3) for s in view.size)
+    scale = min(LONGER_SIDE / max(w, h), 4000.0)
+    width, height = (max(SHORTER_SIDE, 2 * round(scale * side / 2)) for side in (w, h))
+    middle = 0.5 * (view.low + view.high)
+    return Canvas(middle - 0.5 * np.array([width, height]) / scale, scale, width, height)
+
+
+def blend(colour: Colour, share: float) -> Colour:
+    """A colour of which only this share is left, the rest white."""
+    b, g, r = (round(255 - share * (255 - part)) for part in colour)
+    return b, g, r
+
+
+def write(image: Image, text: str, at: tuple[int, int], colour: Colour = BLACK, size: float = 0.5) -> None:
+    """A line of text, its lower left corner `at` px."""
+    cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, size, colour, 1, cv2.LINE_AA)
+
+
+def scale_bar(image: Image, canvas: Canvas) -> None:
+    """How long a metre is, in the lower right corner."""
+    wanted = 0.18 * canvas.width / canvas.scale
+    power = 10.0 ** np.floor(np.log10(wanted))
+    length = max(f * power for f in (1.0, 2.0, 5.0) if f * power <= wanted)
+    right, base = canvas.width - 24, canvas.height - 20
+    left = right - round(length * canvas.scale)
+    cv2.line(image, (left, base), (right, base), BLACK, 2)
+    for x in (left, right):
+        cv2.line(image, (x, base - 5), (x, base + 5), BLACK, 1)
+    write(image, f"{length:g} m", (left, base - 10), size=0.45)
+
 
 HEADER = 56
 """px above the scene for names and time."""
@@ -158,7 +436,7 @@ def animate(
     """Film one run as WebM: its online phase unless told otherwise or it has none.
 
     `speed`: seconds of the log in a second of the film (frames, of a log without stamps); None: see
-    `eval.figures.films.pace.pace_of`, with `max_seconds`. `history`: landmarks as they were; None: as they are at the
+    `eval.figures.film.pace_of`, with `max_seconds`. `history`: landmarks as they were; None: as they are at the
     end of the run, from the frame on in which they were first seen, as in any other phase than `online`.
     `progress(done, total)` is called after each picture. Raises SlamrefError if the file cannot be written.
     """

@@ -13,12 +13,12 @@ from matplotlib.lines import Line2D
 from data.log import Log
 from data.result import Run
 from data.se2 import Array
-from eval.figures.ellipses import SIGMAS, longest_axis
 from eval.figures.error import longest_sigma, ticks, time_label
-from eval.figures.paper.look import page_width, points
+from eval.figures.paper import page_width, points
+from eval.figures.plane import SIGMAS, longest_axis
 from eval.figures.style import DASHDOT, DASHED, DOTTED, SOLID, Line, colour_of_method, drawing, style_of
 from eval.referee.score import Trial
-from eval.replay.again import landmark_sigmas
+from eval.replay.run import landmark_sigmas
 
 LOOP = 0.3
 """A landmark seen again after this share of the run means that a loop was closed."""

@@ -14,9 +14,9 @@ from matplotlib.ticker import MaxNLocator
 from association.scans.constraints import Loops
 from association.scans.occupancy import Grid
 from data.se2 import Array, BoolArray
-from eval.figures.paper.look import page_width
+from eval.figures.paper import page_width
 from eval.figures.style import DASHED, DOTTED, SOLID, Line, drawing, settle, style_of
-from eval.referee.laser.rows import KEPT
+from eval.referee.laser import KEPT
 
 UNKNOWN_GREY, FREE_GREY = 0.85, 1.0
 RARE = 0.005

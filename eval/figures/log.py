@@ -1,20 +1,27 @@
-"""The picture of a log as it was recorded: paths, landmarks, and where its observations say the landmarks are."""
+"""The picture of a log as it was recorded: paths, landmarks, and where its observations say the landmarks are.
+
+The map with what became of every reading: paired, a new landmark, discarded, or decided again later.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from data.inputs import CLUTTER, IntArray
 from data.log import Log
-from data.se2 import dead_reckoned, transform_points
+from data.result import DISCARD, NEW, Run
+from data.se2 import Array, BoolArray, dead_reckoned, transform_points
 from data.summary import granted_labels
-from data.terminal.words import counted
-from eval.figures.paper.look import page_width
-from eval.figures.style import DOTTED, STYLES, TRUTH_COLOUR, drawing
-from eval.figures.view import draw_walls
+from data.terminal import counted
+from eval.figures.paper import page_width
+from eval.figures.plane import draw_walls
+from eval.figures.style import DOTTED, STYLES, TRUTH_COLOUR, drawing, settle, style_of
 
 SEEN_COLOUR = "#56B4E9"
 CLUTTER_COLOUR = "#D55E00"
@@ -85,3 +92,103 @@ def _log_figure(log: Log) -> Figure:
     (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
     fig.set_size_inches(page_width(), float(np.clip(page_width() * (top - bottom) / (right - left), 2.0, 6.5)) + 0.9)
     return fig
+
+
+FATES = {
+    "paired": ("#9FC2DE", ".", 3.0, "paired with a landmark"),
+    "new": ("#009E73", "^", 3.5, "made a new landmark"),
+    "discarded": ("#D55E00", "x", 3.5, "discarded"),
+    "revised": ("#CC79A7", "D", 3.5, "decided again later"),
+}
+"""Colour, marker, size and words of each; drawn in this order, so that the rare ones are on top."""
+MOST = 2
+"""Maps beside each other."""
+HIGHEST = 4.5
+"""in, of a map."""
+EDGE = 0.04
+"""Share of the scene left free around it."""
+
+
+def fates(run: Run) -> dict[str, BoolArray]:
+    """Which readings (M,) had which fate; each has one: a reading that was decided again counts as that alone."""
+    revised = run.final_decisions != run.decisions
+    final = run.final_decisions
+    return {
+        "paired": (final >= 0) & ~revised,
+        "new": (final == NEW) & ~revised,
+        "discarded": (final == DISCARD) & ~revised,
+        "revised": revised,
+    }
+
+
+def fate_figure(log: Log, runs: Sequence[Run]) -> Figure:
+    """Readings in the world frame as each run's last path puts them, by what became of them; a map for each run.
+
+    Equal aspect, metres. The first `MOST` runs are drawn. No truth is used.
+    """
+    with drawing():
+        return _fate_figure(log, list(runs)[:MOST])
+
+
+def _fate_figure(log: Log, runs: Sequence[Run]) -> Figure:
+    places = [_world(log, run) for run in runs]
+    paths = [run.trajectory(run.phases[-1]).pose[:, :2] for run in runs]
+    low, high = _scene([*places, *paths])
+    w, h = high - low
+    across = (page_width() - 0.6) / max(len(runs), 1)
+    fig = Figure(figsize=(page_width(), float(np.clip(across * h / w, 1.5, HIGHEST)) + 1.0))
+    axes = fig.subplots(1, max(len(runs), 1), squeeze=False, sharey=True)[0]
+    for ax, run, xy, path in zip(axes, runs, places, paths, strict=False):
+        ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+        _draw(ax, run, xy, path, log.recorded.sensor.sees_points)
+    for ax in axes:
+        ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", aspect="equal")
+    axes[0].set_ylabel("y [m]")
+    fig.suptitle(f"{log.name}: what became of the readings", x=0.01, ha="left")
+    handles = [
+        Line2D([], [], color=c, marker=m, markersize=s + 1.0, linestyle="none", label=text)
+        for name, (c, m, s, text) in FATES.items()
+        if any(fates(run)[name].any() for run in runs)
+    ]
+    if log.recorded.sensor.sees_points:
+        handles.append(Line2D([], [], color="black", marker="+", markersize=5.0, linestyle="none", label="landmark"))
+    else:
+        handles.append(Line2D([], [], color="black", linewidth=0.7, label="landmark"))
+    fig.legend(handles=handles, loc="outside lower center", ncols=5)
+    settle(fig)
+    return fig
+
+
+def _draw(ax: Axes, run: Run, xy: Array, path: Array, points: bool) -> None:
+    ax.plot(*path.T, color=style_of(run.estimator).colour, linewidth=0.7, zorder=2)
+    fate = fates(run)
+    for name, (colour, marker, size, _) in FATES.items():
+        rows = fate[name]
+        ax.plot(
+            *xy[rows].T, color=colour, marker=marker, markersize=size, markeredgewidth=0.7, linestyle="none", zorder=3
+        )
+    if run.map is not None and points:
+        ax.plot(*run.map.xy.T, "k+", markersize=4.0, markeredgewidth=0.7, zorder=4)
+    elif run.map is not None:
+        draw_walls(ax, run.map.xy, "black", zorder=4)
+    counted = ", ".join(f"{int(rows.sum())} {name}" for name, rows in fate.items() if rows.any())
+    ax.set_title(f"{style_of(run.estimator).label}, {run.association}\n{counted}", loc="left")
+
+
+def _world(log: Log, run: Run) -> Array:
+    """Readings (M, 2) in the world frame, from the last path."""
+    o, sensor = log.recorded.observations, log.recorded.sensor
+    if len(o.frame) == 0:
+        return np.zeros((0, 2))
+    points, _ = sensor.body_points(o.z, o.R)
+    return transform_points(run.trajectory(run.phases[-1]).pose[o.frame], points)
+
+
+def _scene(parts: Sequence[Array]) -> tuple[Array, Array]:
+    """Corners that hold nearly all of it; a few far readings do not squash the rest."""
+    points = np.concatenate([p[np.isfinite(p).all(axis=1)] for p in parts] or [np.zeros((0, 2))])
+    if len(points) == 0:
+        return np.array([-1.0, -1.0]), np.array([1.0, 1.0])
+    low, high = np.quantile(points, [0.002, 0.998], axis=0)
+    margin = EDGE * max(float((high - low).max()), 1.0)
+    return low - margin, high + margin

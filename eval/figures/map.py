@@ -13,16 +13,25 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
-from association.evidence.ambiguity import ambiguous
 from data.inputs import IntArray
 from data.log import Log
 from data.result import Run
 from data.se2 import Array, dead_reckoned
-from eval.figures.ellipses import along_path, draw_ellipses, ellipses, longest_axis
-from eval.figures.paper.look import page_width, points
+from eval.figures.paper import page_width, points
+from eval.figures.plane import (
+    View,
+    along_path,
+    draw_ellipses,
+    draw_walls,
+    ellipses,
+    enlargement,
+    longest_axis,
+    true_landmarks,
+    view_of,
+)
 from eval.figures.style import DOTTED, STYLES, TRUTH_COLOUR, Series, drawing, series, settle
-from eval.figures.view import View, draw_walls, enlargement, true_landmarks, view_of
-from eval.referee.paths.given import is_truth_alone
+from eval.referee.ambiguity import ambiguous
+from eval.referee.given_runs import is_truth_alone
 
 MOST_IDS = 30
 LONG_LABEL = 24

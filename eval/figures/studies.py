@@ -1,22 +1,33 @@
-"""Figures of run-end errors, one value per Monte Carlo run: NEES against the chi-square law, and coverage by level."""
+"""Figures of run-end errors, one value per Monte Carlo run: NEES against the chi-square law, and coverage by level.
+
+Figure of the outlier study: error and consistency of each estimator against the rate of wrong associations.
+
+Figure of a power study: how often a test sees each fault, at each of its sizes, beside another test.
+
+The figure of knowledge taken away: error and wrong decisions, from labels and map given to nothing.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator, StrMethodFormatter
 from scipy import stats
 
 from data.se2 import Array
-from data.terminal.words import counted
+from data.terminal import counted
 from eval.figures.error import ticks
-from eval.figures.paper.look import across, page_width, points
-from eval.figures.style import DASHED, drawing, style_of
+from eval.figures.paper import across, page_width, points
+from eval.figures.style import DASHED, LONG_HANDLE, drawing, style_of
 from eval.referee.consistency import COVERAGE_LEVELS, coverage
 
 MOST_COLUMNS = 4
@@ -135,3 +146,245 @@ def coverage_figure(nees: Mapping[str, Array], dof: int, title: str) -> Figure:
         ax.set_title(f"{title}: coverage at the end of the run, dof {dof}, 95 % bounds", loc="left")
         fig.legend(handles=handles, loc="outside lower center", ncols=MOST_COLUMNS if len(nees) > 3 else 2)
         return fig
+
+
+LOG_RATIO = 12.0
+"""A column's axes become logarithmic where its values span more than this factor."""
+SPREAD = 0.6
+"""Width over which the estimators of one rate are spread; 1 is the distance between rates."""
+POSE_DOF = 3
+
+
+class Panel(NamedTuple):
+    """One column of the figure: which columns of the table, and the axis' label."""
+
+    value: str
+    lower: str
+    upper: str
+    label: str
+
+
+PANELS = (
+    Panel("rmse_position_m", "rmse_lower", "rmse_upper", "RMSE position [m]"),
+    Panel("nees_pose", "nees_lower", "nees_upper", "pose NEES [–]"),
+)
+
+
+def outlier_figure(table: pd.DataFrame, title: str) -> Figure:
+    """Position RMSE (left) and pose NEES (right) against the share of wrong associations, one row of panels per task.
+
+    The rates studied stand side by side, not to scale, so that the estimators can be told apart at each of them.
+
+    Args:
+        table: columns task, estimator, rate (0 to 1), rmse_position_m, rmse_lower, rmse_upper, nees_pose, nees_lower,
+            nees_upper; one row per task, estimator and rate. Bars are the intervals given; NaN values are gaps.
+        title: what was studied, e.g. scenario and number of runs.
+    """
+    with drawing():
+        tasks = list(dict.fromkeys(table["task"]))
+        names = list(dict.fromkeys(table["estimator"]))
+        rates = sorted({float(r) for r in table["rate"]})
+        rows = max(len(tasks), 1)
+        columns = min(len(names) + 1, 4)
+        fig = Figure(figsize=(page_width(), 0.75 + 1.9 * rows + 0.13 * -(-(len(names) + 1) // columns)))
+        axes = fig.subplots(rows, len(PANELS), sharex=True, squeeze=False)
+        for row, task in zip(axes, tasks, strict=False):
+            for ax, panel in zip(row, PANELS, strict=True):
+                part = table[table["task"] == task]
+                for i, name in enumerate(names):
+                    offset = SPREAD * ((i + 0.5) / len(names) - 0.5)
+                    _curve(ax, part[part["estimator"] == name], panel, rates, offset)
+                if panel.value == "nees_pose":
+                    ax.axhline(POSE_DOF, color="#505050", linewidth=0.8, linestyle="--", zorder=1.5)
+                _scale(ax, part, panel)
+                ax.set_title(task, loc="left")
+                ax.set_ylabel(panel.label)
+        for ax in axes[-1]:
+            ax.set_xlabel("wrong associations [%]")
+            ax.set_xticks(range(len(rates)), [f"{100.0 * r:g}" for r in rates])
+        fig.suptitle(f"{title}: wrong associations put in", x=0.01, ha="left")
+        handles = [
+            Line2D([], [], color=s.colour, linestyle=s.line, marker=s.marker, label=s.label)
+            for s in (style_of(n) for n in names)
+        ]
+        expected = f"expected NEES: {POSE_DOF}"
+        handles.append(Line2D([], [], color="#505050", linewidth=0.8, linestyle="--", label=expected))
+        fig.legend(handles=handles, loc="outside lower center", ncols=columns, handlelength=LONG_HANDLE)
+        return fig
+
+
+def _curve(ax: Axes, curve: pd.DataFrame, panel: Panel, rates: Sequence[float], offset: float) -> None:
+    """One estimator, moved aside by `offset` so that bars of equal rate do not hide each other."""
+    if curve.empty:
+        return
+    style, part = style_of(str(curve["estimator"].iloc[0])), curve.sort_values("rate")
+    x = np.searchsorted(rates, part["rate"].to_numpy(float)) + offset
+    y = part[panel.value].to_numpy(float)
+    bars = np.abs(np.stack([y - part[panel.lower].to_numpy(float), part[panel.upper].to_numpy(float) - y]))
+    ax.errorbar(
+        x, y, np.where(np.isfinite(bars), bars, 0.0), color=style.colour, linestyle=style.line, marker=style.marker,
+        markersize=3.5, elinewidth=0.8, capsize=1.2, zorder=2,
+    )  # fmt: skip
+
+
+def _scale(ax: Axes, part: pd.DataFrame, panel: Panel) -> None:
+    """Linear from 0, or logarithmic where the values span more than `LOG_RATIO`."""
+    values = part[panel.value].to_numpy(float)
+    values = values[np.isfinite(values) & (values > 0.0)]
+    if len(values) and values.max() > LOG_RATIO * values.min():
+        ax.set_yscale("log")
+        span = values.max() / values.min()
+        subs = (1.0, 2.0, 5.0) if span < 100.0 else (1.0, 3.0) if span < 1e3 else (1.0,)
+        ax.yaxis.set_major_locator(LogLocator(10.0, subs=subs))
+        ax.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:g}" if 1e-3 <= y < 1e5 else f"{y:.0e}"))
+        ax.yaxis.set_minor_formatter(NullFormatter())
+    else:
+        ax.set_ylim(0.0, None)
+        ax.yaxis.set_major_locator(ticks(5))
+
+
+COLOURS = ("#0072B2", "#D55E00")
+"""Of the test and of the other one (Okabe and Ito)."""
+COLUMNS = 4
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One fault: its sizes in words from small to large, and the shares [%] of logs in which each test sees it."""
+
+    fault: str
+    sizes: tuple[str, ...]
+    share: tuple[float, ...]
+    error: tuple[float, ...]
+    other: tuple[float, ...]
+
+
+def power_figure(faults: Sequence[Seen], tests: tuple[str, str], level: float, title: str) -> Figure:
+    """A panel for each fault: share of the logs in which each test sees it, against its size; sizes are not to scale.
+
+    Args:
+        faults: what was found; `error` is the standard error of `share`, drawn as a bar.
+        tests: what the two are called.
+        level: the first one's share [%] on logs without a fault, as it should be.
+        title: what was studied.
+    """
+    with drawing():
+        most = across(COLUMNS)
+        rows = max(-(-len(faults) // most), 1)
+        fig = Figure(figsize=(page_width(), 0.7 + 1.35 * rows))
+        axes = fig.subplots(rows, most, sharey=True, squeeze=False).ravel()
+        for ax, f in zip(axes, faults, strict=False):
+            place = range(len(f.sizes))
+            ax.axhline(level, color="#505050", linewidth=0.6, linestyle="--", zorder=1.5)
+            ax.errorbar(
+                place, f.share, f.error, color=COLOURS[0], marker="o", markersize=3.5, elinewidth=0.8, label=tests[0]
+            )
+            ax.plot(
+                place, f.other, color=COLOURS[1], marker="s", markersize=3.5, markerfacecolor="white", zorder=1.8,
+                label=tests[1],
+            )  # fmt: skip
+            ax.set_xticks(place, f.sizes)
+            ax.set_xlim(-0.4, len(f.sizes) - 0.6)
+            ax.set_ylim(-6.0, 106.0)
+            ax.set_title(f.fault, loc="left")
+        for ax in axes[len(faults) :]:
+            ax.set_visible(False)
+        for ax in axes[::most]:
+            ax.set_ylabel("logs [%]")
+        fig.suptitle(title, x=0.01, ha="left")
+        handles, labels = axes[0].get_legend_handles_labels()
+        fig.legend(handles, labels, loc="outside lower center", ncols=2)
+        return fig
+
+
+SHADE = "#F2F2F2"
+
+
+@dataclass(frozen=True)
+class Known:
+    """A run on a recording of which some knowledge is given.
+
+    Attributes:
+        label: what it is called; given: what it knows; estimator: whose colour it has.
+        tutorial: whether it is a tutorial's treatment.
+        rmse: position RMSE [m], None where it has none; original: that of the tutorial's own program, if known.
+        wrong: share of wrong decisions, None where none was made.
+    """
+
+    label: str
+    given: str
+    estimator: str
+    tutorial: bool
+    rmse: float | None
+    original: float | None
+    wrong: float | None
+
+
+def knowledge_figure(title: str, rows: Sequence[Known]) -> Figure:
+    """A row per run, in groups of what is given: position RMSE, logarithmic, and the share of wrong decisions.
+
+    Rows stand in the order given, those of a group together.
+    """
+    with drawing():
+        return _knowledge_figure(title, rows)
+
+
+def _knowledge_figure(title: str, rows: Sequence[Known]) -> Figure:
+    groups = list(dict.fromkeys(r.given for r in rows))
+    place = np.array([i + 1.1 * (groups.index(r.given) + 1) for i, r in enumerate(rows)])
+    fig = Figure(figsize=(page_width(), 1.1 + 0.19 * (float(place[-1]) + 1.0)))
+    error, wrong = fig.subplots(1, 2, sharey=True, width_ratios=(2.0, 1.0))
+    for row, y in zip(rows, place.tolist(), strict=True):
+        style = style_of(row.estimator)
+        if row.rmse is not None:
+            error.plot(row.rmse, y, "s" if row.tutorial else style.marker, color=style.colour, linestyle="none")
+        if row.original is not None:
+            error.plot(row.original, y, "s", markersize=points(7.0), markerfacecolor="none", color="#000000")
+        if row.wrong is not None:
+            wrong.barh(y, 100.0 * row.wrong, height=0.7, color=style.colour, hatch="////" if row.tutorial else "",
+                       edgecolor="#FFFFFF", linewidth=0.0)  # fmt: skip
+    error.set_xscale("log")
+    error.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    error.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    error.xaxis.set_minor_locator(NullLocator())
+    error.set_xlabel("position RMSE [m]")
+    wrong.set_xlabel("wrong decisions, FP and FN [%]")
+    wrong.set_xlim(0.0, max(100.0 * max((r.wrong or 0.0 for r in rows), default=0.0) * 1.05, 1.0))
+    error.set_yticks(place, [r.label for r in rows])
+    error.set_ylim(float(place[-1]) + 0.8, -0.4)
+    for ax in (error, wrong):
+        ax.grid(axis="y", visible=False)
+        ax.tick_params(axis="y", length=0)
+        _shade(ax, rows, place)
+    for given in groups:
+        y = float(place[[r.given == given for r in rows]].min()) - 0.95
+        error.text(0.01, y, f"given: {given}", transform=error.get_yaxis_transform(), va="center", weight="bold",
+                   fontsize=points(7.0))  # fmt: skip
+    error.set_title(title, loc="left")
+    fig.legend(handles=_handles(rows), loc="outside lower center", ncols=4)
+    return fig
+
+
+def _shade(ax: Axes, rows: Sequence[Known], place: np.ndarray) -> None:
+    for i, given in enumerate(dict.fromkeys(r.given for r in rows)):
+        inside = place[[r.given == given for r in rows]]
+        if i % 2:
+            ax.axhspan(float(inside.min()) - 1.5, float(inside.max()) + 0.6, color=SHADE, zorder=0, linewidth=0.0)
+
+
+def _handles(rows: Sequence[Known]) -> list[Line2D]:
+    found = []
+    for name in dict.fromkeys(r.estimator for r in rows if not r.tutorial):
+        style = style_of(name)
+        found.append(Line2D([], [], color=style.colour, marker=style.marker, linestyle="none", label=style.label))
+    if any(r.tutorial for r in rows):
+        style = style_of("ekf")
+        found.append(
+            Line2D([], [], color=style.colour, marker="s", linestyle="none", label="a tutorial's treatment, run here")
+        )
+    if any(r.original is not None for r in rows):
+        found.append(
+            Line2D([], [], color="#000000", marker="s", markersize=points(7.0), markerfacecolor="none",
+                   linestyle="none", label="the tutorial's own program")
+        )  # fmt: skip
+    return found

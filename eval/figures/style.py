@@ -17,10 +17,9 @@ from matplotlib.figure import Figure
 from matplotlib.typing import RcKeyType
 
 from data.result import Run, Trajectory
-from eval.figures.paper.look import current, refit
-from eval.figures.paper.tex import translate
-from eval.referee.paths.given import GivenRun
-from eval.replay.foreign.places import place
+from eval.figures.paper import current, refit, translate
+from eval.referee.given_runs import GivenRun
+from eval.replay.external.spec import place
 
 SINGLE = 3.4
 """in. Width of one column of a two-column paper."""

@@ -19,7 +19,7 @@ from data.pictures import Detection
 from data.result import Run
 from data.se2 import Array
 from eval.figures.map import map_figure
-from eval.figures.paper.look import across, page_width
+from eval.figures.paper import across, page_width
 from eval.figures.style import SINGLE, drawing
 
 MOST_TILES = 12

@@ -16,14 +16,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data.errors import UsageError
-from data.terminal.ending import INTERRUPTED, WRONG, ended, unread
+from data.terminal import INTERRUPTED, WRONG, ended, unread
 from eval.plan.flags.options import options_of
 from eval.plan.flags.table import Options, add_flags
 from eval.replay.flag import rows
-from eval.replay.names import ASSOCIATIONS, STEPPING, steps
+from eval.replay.settings import ASSOCIATIONS, STEPPING, steps
 
 if TYPE_CHECKING:
-    from eval.online.presses import Presses
+    from eval.live.drive import Presses
 
 PROG = "python -m eval.live"
 TABLE = rows(Options)
@@ -148,7 +148,7 @@ def say(text: str) -> None:
 
 
 def _live(wish: Wish) -> int:
-    from eval.online.presses import Presses
+    from eval.live.drive import Presses
 
     say("getting ready ...")
     with ExitStack() as stack:
@@ -177,17 +177,15 @@ def _drive(wish: Wish, presses: Presses, stack: ExitStack) -> None:
     """Until Ctrl-C or the time is over; afterwards the recording is closed and the page, which stays, has it all."""
     from threadpoolctl import threadpool_limits
 
-    from data.robot.frames import USUAL, Noise
     from data.robot.link import Clock, Link
+    from data.robot.log import USUAL, Noise
     from data.robot.traffic.recording import Recording
-    from eval.online.drive import Looking, at_rest, drive, follower
-    from eval.online.estimates import Estimates
-    from eval.online.feed import Feed
-    from eval.online.rehearsal import rehearse
-    from eval.online.server import Server
-    from eval.online.session import Session, Taken
-    from eval.plan.first_use import compile_if_needed
+    from eval.live.drive import Looking, at_rest, drive, follower
+    from eval.live.feed import Feed
+    from eval.live.server import Server
+    from eval.live.session import Estimates, Session, Taken, rehearse
     from eval.plan.foreign import load_all
+    from eval.plan.warming import compile_if_needed
     from eval.player.document import live_document
 
     o, name = wish.options, wish.out.absolute().name

@@ -1,19 +1,23 @@
-"""The loop of a drive: a command, its answer, the estimates; and what is looked at beside, once a second."""
+"""The loop of a drive: a command, its answer, the estimates; and what is looked at beside, once a second.
+
+Ctrl-C and SIGTERM as a wish that is heeded when there is time for it: between two packets, not in one.
+"""
 
 from __future__ import annotations
 
+import signal
+import threading
 import time
 from collections.abc import Callable, Sequence
+from types import FrameType, TracebackType
 from typing import Protocol
 
 from data.robot.driving import WallFollower
 from data.robot.link import Clock
 from data.robot.packets import PERIOD, WATCHDOG, Command, command_of
 from data.robot.traffic.motion import Packet
-from eval.online.feed import MINUTE, Feed
-from eval.online.session import Session, Step, Taken
-from eval.online.shown import header
-from eval.online.status import Latencies, estimator_words, status_line
+from eval.live.feed import MINUTE, Feed, header
+from eval.live.session import Latencies, Session, Step, Taken, estimator_words, status_line
 
 REST = Command(0, 0)
 SECOND = 1.0
@@ -134,3 +138,36 @@ class Looking:
             self._say(line)
         if self._feed is not None:
             self._feed.publish(maps, header(self._name, s.estimating, line))
+
+
+class Presses:
+    """Counts both signals while the block runs; what they would do otherwise they do again afterwards.
+
+    Attributes:
+        count: so far.
+    """
+
+    def __init__(self) -> None:
+        """None yet."""
+        self.count, self._heeded = 0, False
+        self._before: dict[int, object] = {}
+
+    def _press(self, number: int, frame: FrameType | None) -> None:
+        self.count += 1
+        if self._heeded:
+            raise KeyboardInterrupt
+
+    def heed(self) -> None:
+        """From now on both end at once whatever is done."""
+        self._heeded = True
+
+    def __enter__(self) -> Presses:
+        if threading.current_thread() is threading.main_thread():  # only that one may
+            self._before = {s: signal.signal(s, self._press) for s in (signal.SIGINT, signal.SIGTERM)}
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)  # type: ignore[arg-type]

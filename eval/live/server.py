@@ -13,8 +13,8 @@ from types import TracebackType
 from typing import Any
 
 from data.errors import UsageError
-from data.terminal.ending import told
-from eval.online.feed import Published
+from data.terminal import told
+from eval.live.feed import Published
 
 ADDRESS = "127.0.0.1"
 PATIENCE = 10.0

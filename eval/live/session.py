@@ -2,30 +2,45 @@
 
 The steps are those of a replay (`eval.replay.run.through`), so a recording replayed gives the same numbers. What an
 estimator cannot go on from ends that one alone.
+
+Estimates as they were made, in a CSV file that grows while the robot drives.
+
+Before the robot moves: everything that a drive will call is called once, so that nothing is loaded or compiled then.
+
+A kernel that is compiled takes seconds, one that is only loaded 40 ms; a frame has 250.
+
+The line on the terminal, once a second: where each estimator takes the robot to be, walls, link, latency.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import TracebackType
 from typing import NamedTuple
 
 import numpy as np
 
 from data.errors import UsageError
-from data.inputs import Frame, IntArray
+from data.inputs import Frame, Increment, IntArray, Sightings
 from data.result import DISCARD, MapState, Updated
-from data.robot.frames import SENSOR, USUAL, Framing, Noise, prior
+from data.robot.driving import WallFollower
+from data.robot.log import SENSOR, USUAL, Framing, Noise, prior
+from data.robot.packets import PERIOD
+from data.robot.simulated.physics import drive
+from data.robot.simulated.room import room
 from data.robot.traffic.motion import Packet
-from data.se2 import Array
+from data.se2 import Array, wrap_angle
+from data.terminal import told
 from ekf.slam import EkfSlam
 from eval.player.watch import map_now
-from eval.replay.foreign.guard import ForeignError
-from eval.replay.foreign.make import CannotError, require
-from eval.replay.foreign.spec import is_foreign, name_of
-from eval.replay.given import Beginning
+from eval.replay.external.guard import ForeignError
+from eval.replay.external.make import CannotError, require
+from eval.replay.external.spec import is_foreign, name_of
 from eval.replay.run import DIVERGED, front_end, through
-from eval.replay.settings import Setup
+from eval.replay.settings import Beginning, Setup
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
 
@@ -140,3 +155,148 @@ class Session:
         taken = Taken(frame, tuple(each.take(frame) for each in self.estimating))
         self._told(taken)
         return taken
+
+
+COLUMNS = "frame,t,estimator,x,y,theta,xx,xy,xt,yy,yt,tt"
+"""Pose [m, m, rad] and its covariance; numbers are written so that reading them gives the same bits."""
+
+
+class Estimates:
+    """Writes a line for each estimator and frame, at once; `with` closes the file."""
+
+    def __init__(self, path: Path, names: Sequence[str]) -> None:
+        """Begin a file.
+
+        Raises:
+            UsageError: it cannot be written, or there is one already.
+        """
+        self._names = names
+        try:
+            self._file = path.open("x", encoding="utf-8", buffering=1)
+        except OSError as fault:
+            raise UsageError(f"--estimates {path}: {told(fault)}") from None
+        self._file.write(COLUMNS + "\n")
+
+    def add(self, taken: Taken) -> None:
+        """A frame; an estimator that has ended has no line."""
+        for name, step in zip(self._names, taken.steps, strict=True):
+            if step is not None:
+                values = [*step.mean.tolist(), *step.covariance[np.triu_indices(3)].tolist()]
+                cells = [str(taken.frame.number), repr(taken.frame.time), name, *map(repr, values)]
+                self._file.write(",".join(cells) + "\n")
+
+    def __enter__(self) -> Estimates:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+
+DRIVEN = 15.0
+"""s of a simulated drive: packets as they are."""
+WALLS = (0.0, 0.5 * math.pi, math.pi)
+"""rad, directions of the walls of made-up frames."""
+PARKED = 1.0
+"""s after which a wall leaves the state there, if it ever shall."""
+
+
+def rehearse(names: Sequence[str], association: str, setup: Setup) -> None:
+    """A short simulated drive, and frames with several walls at once, which leave the view and come back."""
+    session = Session(names, association, setup)
+    for packet in drive(room(0), WallFollower(), DRIVEN, np.random.default_rng(0)).packets:
+        session.take(packet)
+    soon = setup if setup.deactivate_after is None else replace(setup, deactivate_after=PARKED)
+    for name in names:
+        estimating = Estimating(name, association, soon)
+        for frame in frames():
+            estimating.take(frame)
+        estimating.map()
+
+
+def frames() -> Iterator[Frame]:
+    """A wall is seen, and another for longer than it takes to park the first; then all, then one, then all again."""
+    seen, rng, sigma = 0, np.random.default_rng(0), 0.01
+    long = round(2.0 * PARKED / PERIOD)
+    for number, walls in enumerate([
+        WALLS[:1], *[WALLS[1:2]] * long, WALLS, (), WALLS[:2], WALLS, *[WALLS[:1]] * long, WALLS,
+        WALLS[1:],
+    ]):  # fmt: skip
+        count = len(walls)
+        z = np.array([[1.0, angle] for angle in walls]).reshape(-1, 2)
+        z += 0.3 * sigma * rng.standard_normal(z.shape)
+        R = np.tile(sigma**2 * np.eye(2), (count, 1, 1))
+        increment = Increment(np.zeros(3), 1e-6 * np.eye(3)) if number else None
+        for array in (z, R, *(increment or ())):
+            array.setflags(write=False)
+        yield Frame(number, PERIOD * number, increment, Sightings(z, R), None, seen)
+        seen += count
+
+
+SIGMAS = 3.0
+SHORTEST, PER_DECADE, DECADES = 1.0e-5, 50, 8
+"""s, and the classes in which latencies are counted: 5 % wide, up to 1000 s."""
+
+
+class Latencies:
+    """How long estimates took, counted, so that no number of them takes memory.
+
+    Attributes:
+        longest: s, since `begin`.
+    """
+
+    def __init__(self) -> None:
+        """None yet."""
+        self.longest = 0.0
+        self._counts = np.zeros(PER_DECADE * DECADES + 1, np.int64)
+
+    def add(self, seconds: float) -> None:
+        """One more."""
+        self.longest = max(self.longest, seconds)
+        place = PER_DECADE * math.log10(max(seconds, SHORTEST) / SHORTEST)
+        self._counts[min(math.ceil(place), len(self._counts) - 1)] += 1
+
+    def begin(self) -> None:
+        """The longest is asked for anew."""
+        self.longest = 0.0
+
+    def within(self, share: float) -> float:
+        """Time [s] within which such a share of all estimates came, 5 % at most too long; NaN where there are none."""
+        total = int(self._counts.sum())
+        if not total:
+            return math.nan
+        place = int(np.searchsorted(np.cumsum(self._counts), share * total))
+        return float(SHORTEST * 10.0 ** (place / PER_DECADE))
+
+
+def pose_words(mean: Array, covariance: Array) -> str:
+    """A pose with its 3 sigma: x, y [m], heading [degrees]."""
+    x, y, heading = SIGMAS * np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    degrees = math.degrees(float(wrap_angle(float(mean[2]))))
+    return (
+        f"x {mean[0]:.3f} ± {x:.3f}, y {mean[1]:.3f} ± {y:.3f} m, heading {degrees:.1f} ± {math.degrees(heading):.1f}°"
+    )
+
+
+def estimator_words(name: str, step: Step | None, walls: int | None, failure: str) -> str:
+    """An estimator with its newest pose, how many walls it has, or that it has ended."""
+    if failure:
+        return f"{name} ended"
+    if step is None:
+        return f"{name} waits"
+    return f"{name} {pose_words(step.mean, step.covariance)}" + ("" if walls is None else f", walls {walls}")
+
+
+def status_line(
+    t: float, estimators: Sequence[str], faults: Mapping[str, int], latencies: Latencies, period: float
+) -> str:
+    """All of it; `period` [s]: real time between frames, beyond which an estimate is late for the next one."""
+    counted = ", ".join(f"{name} {count}" for name, count in faults.items() if count)
+    parts = [f"{t:7.1f} s", *estimators, f"link: {counted or 'no faults'}"]
+    soon = latencies.within(0.99)
+    if math.isfinite(soon):
+        parts.append(f"latency {1e3 * latencies.longest:.1f} ms, 99 % < {1e3 * soon:.1f} ms")
+    if latencies.longest > period:
+        parts.append(f"late: {latencies.longest:.2f} s, longer than a period of {period:g} s")
+    return " | ".join(parts)

@@ -7,9 +7,9 @@ import shutil
 from matplotlib import font_manager
 
 from data.errors import UsageError
-from eval.figures.paper.look import Look
+from eval.figures.paper import Look
 from eval.plan.flags.options import Options
-from eval.plan.flags.paper import inches
+from eval.plan.flags.table import inches
 
 TIMES = ("times", "times new roman", "times roman")
 LIKE_TIMES = ("Times New Roman", "Times", "Nimbus Roman", "TeX Gyre Termes", "Liberation Serif", "STIXGeneral")

@@ -11,23 +11,20 @@ from itertools import chain
 from typing import Any
 
 from data.log import Log
-from eval.plan.calibrate.battery import with_systematic
-from eval.plan.calibrate.calibration import Calibration, examine, settle
-from eval.plan.cluster import Call
+from eval.plan.calibrate import Calibration, examine, settle, with_systematic
 from eval.plan.experiments import Plan
 from eval.plan.flags.options import Options
-from eval.plan.flags.variant import Variant
+from eval.plan.flags.table import Variant
 from eval.plan.results import with_results
 from eval.plan.trust import trusted
-from eval.plan.tutorials.recording import ABOUT, tutorial_run, variant_log
+from eval.plan.tutorials import ABOUT, tutorial_run, variant_log
 from eval.plan.unfinished import Unfinished, estimate, estimate_one, incomplete, wanted
 from eval.plan.validation import validated
-from eval.plan.work import work
+from eval.plan.work import Call, work
 from eval.referee.score import Trial
 from eval.studies import store
 from eval.studies.montecarlo import Result, Study, one_run, study_of
-from eval.studies.reproduced import published_rows
-from eval.studies.stored_run import replay_stored
+from eval.studies.reproduced import published_rows, replay_stored
 from eval.studies.trusted import Trust
 from eval.studies.validation import Examined, Validation
 

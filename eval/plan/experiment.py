@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from association.scans.laser_run import SCAN
+from association.scans.constraints import SCAN
 from data.log import Log
-from eval.replay.foreign.spec import is_foreign
-from eval.replay.names import FILTERS
-from eval.replay.settings import Setup
+from eval.replay.external.spec import is_foreign
+from eval.replay.settings import FILTERS, Setup
 
 
 @dataclass(frozen=True)

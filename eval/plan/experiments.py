@@ -7,28 +7,26 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from association.decide import HINDSIGHT, METHODS
-from association.scans.laser_run import SCAN
+from association.scans.constraints import SCAN
 from data.errors import UsageError
+from data.formats.recordings.esde import NAME, find_esde
 from data.log import Log, folder_name, shortened
 from data.logs import Reading, find_logs, open_log
-from data.recordings.esde import NAME, find_esde
-from eval.plan.beside import maintained, shows_noise, sparser, with_depth_noise
-from eval.plan.calibrate.calibration import check_calibrated
+from eval.plan.calibrate import check_calibrated
 from eval.plan.experiment import Experiment, Work
 from eval.plan.flags.options import Options
 from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS
 from eval.plan.foreign import check_possible, check_scenario, introduce_all, load_all
 from eval.plan.lab import lab_experiments
 from eval.plan.results import NOTHING, Asked, asked_results, truth_alone
+from eval.plan.variants import maintained, shows_noise, sparser, with_depth_noise
 from eval.replay.estimators import FOR_WALLS, NO_HINDSIGHT_OF_WALLS
 from eval.replay.laser.backends import NAMES as BACK_ENDS
 from eval.replay.settings import Setup
-from eval.studies.scenario import Scenario
-from eval.studies.scenario_file import load_scenario
+from eval.studies.scenario import Scenario, load_scenario
 from eval.studies.shipped import scenarios
 from eval.studies.trusted import FEWEST
-from eval.studies.validation import Validation
-from eval.studies.validation_file import load_validation
+from eval.studies.validation import Validation, load_validation
 
 DEFAULT_RUNS = 50
 QUICK_FRAMES = 1000

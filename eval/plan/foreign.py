@@ -7,12 +7,10 @@ from pathlib import Path
 
 from data.errors import UsageError
 from eval.plan.experiment import Experiment
-from eval.replay.foreign.guard import ForeignError
-from eval.replay.foreign.load import Loaded, load
-from eval.replay.foreign.make import lack, tasks_of
-from eval.replay.foreign.method import Method
-from eval.replay.foreign.places import introduce
-from eval.replay.foreign.spec import is_foreign, name_of, place_of, shown
+from eval.replay.external.guard import ForeignError
+from eval.replay.external.load import Loaded, load
+from eval.replay.external.make import Method, lack, tasks_of
+from eval.replay.external.spec import introduce, is_foreign, name_of, place_of, shown
 from eval.replay.settings import Setup
 from eval.studies.scenario import Scenario
 

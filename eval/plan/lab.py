@@ -17,10 +17,10 @@ from data.errors import UsageError
 from data.inputs import CLUTTER
 from data.log import Log
 from data.logs import Reading, find_logs, open_log
-from eval.plan.beside import maintained
 from eval.plan.experiment import Experiment, Work
 from eval.plan.flags.options import Options
 from eval.plan.flags.table import DEFAULT_ESTIMATORS
+from eval.plan.variants import maintained
 
 CONDITIONS = {
     (False, True): "", (True, True): "people", (False, False): "no-odometry", (True, False): "people+no-odometry",
@@ -42,7 +42,7 @@ def lab_experiments(options: Options, lab: str, reading: Reading, say: Callable[
     folder = Path(lab)
     if not folder.is_dir():
         raise UsageError(f"--lab {lab}: no such folder, and neither corridor:SEED+KEY=VALUE nor visual:SEED")
-    from data.visual.lab.folder import is_lab
+    from data.formats.lab.folder import is_lab
 
     if is_lab(folder) and not (folder / "log.toml").exists():
         return _visual(options, open_log(lab, reading, say))

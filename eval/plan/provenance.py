@@ -17,8 +17,8 @@ from data.log import Log
 from eval.plan.flags.examples import PROG
 from eval.plan.flags.table import Options
 from eval.plan.foreign import sources_of
+from eval.replay.external.spec import shown
 from eval.replay.flag import rows
-from eval.replay.foreign.spec import shown
 
 PACKAGES = ("gtsam", "numpy", "scipy", "numba", "pandas", "matplotlib", "opencv-python-headless")
 

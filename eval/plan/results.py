@@ -10,18 +10,17 @@ from pathlib import Path
 import numpy as np
 
 from data.errors import DataError, UsageError
+from data.formats.results.path import FRAMES, GivenPath, Manner
+from data.formats.results.reading import is_bag, read_path
+from data.formats.results.tables import Beside, beside
 from data.inputs import IntArray
 from data.log import Log
-from data.results.bag import is_bag
-from data.results.kept import Beside, beside
-from data.results.path import FRAMES, GivenPath, Manner
-from data.results.reading import read_path
 from data.se2 import Array
-from eval.plan.flags.results import Reading, Results
-from eval.referee.paths.given import GivenRun, Kept, TruePath, given_run, truth_log, with_truth
+from eval.plan.flags.table import Reading, Results
+from eval.referee.given_runs import GivenRun, Kept, TruePath, given_run, truth_log, with_truth
 from eval.referee.score import Trial
 from eval.replay.flag import rows
-from eval.replay.names import ESTIMATORS
+from eval.replay.settings import ESTIMATORS
 
 TRUTH = "truth"
 """Name of the truth in `--times truth=FILE` and the like."""

@@ -10,22 +10,20 @@ from typing import Any
 from data.errors import UsageError
 from data.log import Log
 from data.result import Run
-from data.terminal.words import counted
+from data.terminal import counted
 from eval.plan.experiment import Experiment
 from eval.plan.flags.options import Options
 from eval.plan.unfinished import Unfinished
 from eval.plan.work import work
 from eval.referee.attribution import NOISE
 from eval.referee.score import Trial
-from eval.replay.foreign.spec import is_foreign, name_of
-from eval.replay.names import FILTERS, steps
+from eval.replay.external.spec import is_foreign, name_of
 from eval.replay.run import compare
-from eval.replay.settings import Setup
+from eval.replay.settings import FILTERS, Setup, steps
 from eval.studies import sampled, store
-from eval.studies.calibration import calibrated
 from eval.studies.sampled import Sample, one_twin, sample_of, smoother_of
 from eval.studies.trusted import FEWEST, Trust, judged
-from eval.studies.twins import Source, digest_of, inputs_of, source_of
+from eval.studies.twins import Source, calibrated, digest_of, inputs_of, source_of
 
 FULL_TWINS = 100
 """Twins of a log in the suite of `--full`."""

@@ -11,10 +11,10 @@ from data.result import Failure, Run
 from eval.plan.experiment import Experiment, Work
 from eval.plan.flags.options import Options
 from eval.player.watch import Watch
-from eval.replay.foreign.spec import name_of
-from eval.replay.names import BATCH, INCREMENTAL
-from eval.replay.nothing import no_run
+from eval.replay.external.spec import name_of
+from eval.replay.recorder import no_run
 from eval.replay.run import compare
+from eval.replay.settings import BATCH, INCREMENTAL
 
 
 def estimate(experiment: Experiment, part: Work, watched: bool = False) -> list[Run]:

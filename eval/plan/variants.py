@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from association.scans.laser_run import SCAN
+from association.scans.constraints import SCAN
 from eval.plan.experiment import Experiment, Work
 from eval.plan.flags.options import Options
 

@@ -1,30 +1,37 @@
-"""Every compiled kernel used once, on small worlds: each task, sensor, estimator and association method."""
+"""Every compiled kernel used once, on small worlds: each task, sensor, estimator and association method.
+
+The first use after an installation: all kernels are compiled, with progress, before anybody waits in silence.
+
+What is compiled is kept by numba beside the modules (or in the user's cache, where those cannot be written to). A mark
+beside it says for which versions all is there, so that every later start is spared the look.
+"""
 
 from __future__ import annotations
 
+import platform
+import sys
 import tempfile
 from collections.abc import Callable
 from functools import partial
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
 
 from association.decide import METHODS
-from association.geometry.local_map import Scan
-from association.geometry.pair_poses import candidates
-from association.geometry.relocalize import relocalize
-from association.scans.correlation import best_pose, pyramid
-from association.scans.laser_run import SCAN
+from association.scans.constraints import SCAN
+from association.scans.matching import best_pose, pyramid
 from association.scans.occupancy import occupancy_grid
+from data.formats.open_log.reader import load_folder
+from data.formats.open_log.writer import write_folder
 from data.log import Log
-from data.open_log.reader import load_folder
-from data.open_log.writer import write_folder
 from data.worlds.arena import Arena, simulate
 from data.worlds.registry import named_log
 from eval.replay.estimators import make_estimator
-from eval.replay.names import BATCH, ESTIMATORS, TASKS
+from eval.replay.hindsight.placement import candidates
+from eval.replay.hindsight.relocalize import Scan, relocalize
 from eval.replay.run import compare, step_by_step
-from eval.replay.settings import Setup
+from eval.replay.settings import BATCH, ESTIMATORS, TASKS, Setup
 
 SENSORS = ("range_bearing", "relative_point")
 
@@ -87,3 +94,51 @@ PARTS: dict[str, Callable[[], None]] = {
     "laser": _laser,
 }
 """What is compiled, in order."""
+
+
+def mark() -> Path | None:
+    """The file that stands for compiled kernels; None where numba keeps nothing, or compiles nothing."""
+    import llvmlite.binding  # type: ignore[import-untyped]
+    import numba
+
+    from ekf.kernels import predict
+
+    stats = getattr(predict, "stats", None)  # a plain function where compilation is switched off
+    if stats is None or not stats.cache_path:
+        return None
+    try:
+        ours = version("slamref")
+    except PackageNotFoundError:  # a checkout that was never installed
+        ours = "checkout"
+    python = f"{sys.implementation.name}{sys.version_info.major}.{sys.version_info.minor}"
+    machine = f"{platform.machine()}-{llvmlite.binding.get_host_cpu_name()}"
+    return Path(stats.cache_path) / f".slamref-{ours}-{python}-numba-{numba.__version__}-{machine}"
+
+
+def compile_if_needed(quiet: bool = False) -> None:
+    """On the first use, compile everything and say so on stderr; afterwards nothing at all."""
+    place = mark()
+    if place is None or (place.exists() and any(place.parent.glob("*.nbi"))):
+        return
+    if not quiet:
+        sys.stderr.write("first use: compiling the numerical kernels, once; this takes a minute or two\n")
+    compile_all(quiet)
+    if not quiet:
+        sys.stderr.write("compiled; later runs start at once\n")
+
+
+def compile_all(quiet: bool = False) -> None:
+    """Compile every kernel, with a bar on a terminal and a line for each part elsewhere, and leave the mark."""
+    from tqdm import tqdm
+
+    with tqdm(desc="compiling", total=len(PARTS), disable=quiet or not sys.stderr.isatty(), leave=False) as bar:
+        for done, (what, part) in enumerate(PARTS.items()):
+            if bar.disable and not quiet:
+                sys.stderr.write(f"compiling, part {done + 1} of {len(PARTS)}: {what}\n")
+            bar.set_postfix_str(what)
+            part()
+            bar.update()
+    place = mark()
+    if place is not None:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.touch()

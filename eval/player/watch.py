@@ -127,7 +127,7 @@ class MapChanges:
 
 
 class Watch:
-    """Looks on while a log is replayed (see `eval.replay.observer.Observer`).
+    """Looks on while a log is replayed (see `eval.replay.recorder.Observer`).
 
     Attributes:
         seconds: spent here, which are not the estimator's.

@@ -2,7 +2,7 @@
 
 Each is the slope of one component of what a log states against a regressor: distance and turn of an increment, time,
 range of a reading, the robot's speed and turn rate. The slope is estimated beside path and map
-(`graph.linear.systematic`), so that what the smoother absorbs of it is counted, and its standard error is that of the
+(`graph.qr.score_test`), so that what the smoother absorbs of it is counted, and its standard error is that of the
 stated noise.
 """
 
@@ -21,7 +21,7 @@ from data.result import Systematics
 from data.se2 import Array
 from data.sensors import RELATIVE_POINT
 from eval.referee.residuals import Used
-from graph.linear.systematic import Score, systematic
+from graph.qr.score_test import Score, systematic
 
 SLIGHT = 0.01
 """Of the other component's rate: a component that the motion moves less (the range, when turning) shows no lateness."""

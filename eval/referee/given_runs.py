@@ -1,22 +1,163 @@
-"""A run that somebody else made: its trajectory at its own stamps, beside a log whose truth is asked there."""
+"""A run that somebody else made: its trajectory at its own stamps, beside a log whose truth is asked there.
+
+A result moved onto the truth as a whole, if that is asked for: poses, landmarks and covariances alike.
+
+The truth at a result's stamps: by interpolation where it is dense enough, unknown elsewhere.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from data.inputs import Increments, Inputs, IntArray, Observations, Prior
+from data import se2
+from data.formats.results.path import GivenPath
+from data.formats.results.space import projection
+from data.inputs import Increments, Inputs, IntArray, Observations, Prior, read_only
 from data.log import Log
 from data.result import NEW, MapEstimate, Run, Trajectory, surviving
-from data.results.path import GivenPath
-from data.results.space import projection
-from data.se2 import Array
+from data.se2 import Array, wrap_angle
 from data.sensors import RangeBearing
 from data.truth import Truth
-from eval.referee.paths.align import ABOUT, NONE, alignment, moved, moved_map, moved_walls
-from eval.referee.paths.match import GAP, SAME, Match, match
+from eval.referee.errors import align
+
+NONE, FIRST, SE2 = "none", "first", "se2"
+ALIGNMENTS = (NONE, FIRST, SE2)
+ABOUT = {
+    FIRST: "moved so that its first matched pose is the true one",
+    SE2: "moved by the best rigid fit of its positions onto the truth (Umeyama 1991, without scale)",
+}
+
+
+def alignment(pose: Array, truth: Array, how: str) -> Array | None:
+    """The motion (3,) T of `how`, to be put in front of every pose (n, 3); None for `none` or where nothing matches.
+
+    Rows NaN are left out; a fit needs two matched poses, or else it is that of the first.
+    """
+    known = np.flatnonzero(np.isfinite(pose).all(axis=1) & np.isfinite(truth).all(axis=1))
+    if how == NONE or not len(known):
+        return None
+    if how == FIRST or len(known) < 2:
+        return se2.compose(truth[known[0]], se2.inverse(pose[known[0]]))
+    R, t = align(pose[known, :2], truth[known, :2])
+    return np.array([*t, math.atan2(R[1, 0], R[0, 0])])
+
+
+def moved(T: Array, path: Trajectory) -> Trajectory:
+    """The trajectory with T in front of every pose.
+
+    World-frame errors turn with the poses: P becomes J P J', J = blockdiag(R, 1). The fit is taken as known: NEES
+    after an alignment is not that of a consistent estimator. `se2` takes out of the error what P still holds of a
+    common shift and turn, so it is smaller; `first` adds the first pose's error to all others, at a lever arm.
+    """
+    J = se2.world_from_body(float(T[2]))
+    return Trajectory(se2.compose(T, path.pose), J @ path.covariance @ J.T)
+
+
+def moved_map(T: Array, m: MapEstimate) -> MapEstimate:
+    """The map likewise."""
+    R = se2.rotation(float(T[2]))
+    return MapEstimate(m.number, se2.transform_points(T, m.xy), R @ m.covariance @ R.T, m.first_frame, m.times_seen)
+
+
+def moved_walls(T: Array, m: MapEstimate) -> MapEstimate:
+    """The same of walls: alpha turns with the map, rho changes by the way along the normal."""
+    alpha = m.xy[:, 1] + T[2]
+    c, s = np.cos(alpha), np.sin(alpha)
+    walls = np.stack([m.xy[:, 0] + c * T[0] + s * T[1], se2.wrap_angle(alpha)], axis=1)
+    J = np.tile(np.eye(2), (len(walls), 1, 1))
+    J[:, 0, 1] = c * T[1] - s * T[0]
+    return MapEstimate(m.number, walls, J @ m.covariance @ J.transpose(0, 2, 1), m.first_frame, m.times_seen)
+
+
+SAME = 1e-6
+"""s: stamps that differ by no more are the same instant (microseconds were written; `smfeval` has the same)."""
+GAP = 1.0
+"""s: truths farther apart are not interpolated. Frames of a log are never farther apart (DESIGN), and beyond, a
+sample of odometry does not hold either."""
+
+
+@dataclass(frozen=True, eq=False)
+class Match:
+    """The truth at n stamps.
+
+    Attributes:
+        truth: (n, 3), NaN where unmatched.
+        matched, unmatched: how many.
+        interpolated: how many of the matched lie between two truths.
+        error: m, what interpolation may be wrong by: RMS over the truths that can be left out, each interpolated from
+            its neighbours, over 4 (half the step, a quarter of the sagitta); NaN where nothing was interpolated.
+    """
+
+    truth: Array
+    matched: int
+    unmatched: int
+    interpolated: int
+    error: float
+
+    def __post_init__(self) -> None:
+        read_only(self)
+
+    @property
+    def text(self) -> str:
+        """Counts, in a sentence."""
+        said = f"{self.matched} of {self.matched + self.unmatched} poses matched with the truth"
+        if self.interpolated:
+            said += f", {self.interpolated} of them between two truths"
+            if math.isfinite(self.error):
+                said += f" (interpolation is off by about {self.error:.2g} m)"
+        return said + (f"; {self.unmatched} unmatched, in no number" if self.unmatched else "")
+
+
+def match(time: Array, truth_time: Array, truth: Array, gap: float = GAP) -> Match:
+    """Truth (n, 3) at stamps `time` (n,) from truths (K, 3) at `truth_time` (K,), both strictly ascending.
+
+    A stamp within `SAME` of a truth's takes that truth as it is. Between two known truths no more than `gap` seconds
+    apart, positions are interpolated linearly and headings along the shorter way. Elsewhere, beside a truth that is
+    NaN and outside the span of the truths, it is unknown.
+    """
+    n = len(time)
+    found = np.full((n, 3), np.nan)
+    if not len(truth_time):
+        return Match(found, 0, n, 0, math.nan)
+    after = np.clip(np.searchsorted(truth_time, time), 0, len(truth_time) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest = np.where(np.abs(truth_time[before] - time) < np.abs(truth_time[after] - time), before, after)
+    same = np.abs(truth_time[nearest] - time) <= SAME
+    found[same] = truth[nearest[same]]
+    within = ~same & (truth_time[before] < time) & (time < truth_time[after])
+    within &= truth_time[after] - truth_time[before] <= gap + SAME
+    found[within] = _between(truth_time, truth, before[within], after[within], time[within])
+    matched = np.asarray(np.isfinite(found).all(axis=1))
+    between = int((within & matched).sum())
+    error = _sagitta(truth_time, truth, gap) if between else math.nan
+    return Match(found, int(matched.sum()), n - int(matched.sum()), between, error)
+
+
+def _between(time: Array, pose: Array, a: IntArray, b: IntArray, at: Array) -> Array:
+    """Poses (m, 3) at stamps (m,) between rows a and b (m,)."""
+    share = ((at - time[a]) / (time[b] - time[a]))[:, None]
+    step = pose[b] - pose[a]
+    step[:, 2] = wrap_angle(step[:, 2])
+    made = pose[a] + share * step
+    made[:, 2] = wrap_angle(made[:, 2])
+    return np.asarray(made)
+
+
+def _sagitta(time: Array, pose: Array, gap: float) -> float:
+    """See `Match.error`."""
+    middle = np.arange(1, len(time) - 1)
+    if not len(middle):
+        return math.nan
+    middle = middle[np.maximum(np.diff(time)[:-1], np.diff(time)[1:]) <= gap + SAME]
+    made = _between(time, pose, middle - 1, middle + 1, time[middle])
+    off = np.hypot(*(made - pose[middle])[:, :2].T)
+    off = off[np.isfinite(off)]
+    return float(0.25 * math.sqrt(np.mean(off**2))) if len(off) else math.nan
+
 
 GIVEN = "given"
 """Association of a run whose decisions were handed in, too."""

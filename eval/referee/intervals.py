@@ -6,17 +6,25 @@ keeps the correlation within them. The mean length is that of Politis and White 
 correction of 2009), estimated by the package `arch`. What is measured is how the number scatters between stretches of
 this log: errors are taken for stationary, and what another log would have done, its own map and drift, is not in it.
 docs/verdicts.md has the coverage measured.
+
+Which of two estimators is better on one log: filters against smoothers on the same frames, with interval and p.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from data.log import Log
+from data.result import Run
 from data.se2 import Array
-from eval.referee.bounds import LEVEL
+from eval.referee import result_files
+from eval.referee.consistency import LEVEL
+from eval.referee.errors import Along
+from eval.referee.given_runs import log_of
 
 REPLICATES = 1000
 """Resampled logs. The 2.5 % point then has a standard error of 0.5 % in level; p is never below 1/1001."""
@@ -183,3 +191,50 @@ def resampled_means(values: Array, block: float, rng: np.random.Generator, repli
         sums[first : first + rows] = (twice[start + length] - twice[start]).sum(axis=1)
     means: Array = sums / n
     return means
+
+
+DIFFERENCES = result_files.DIFFERENCES.names
+"""Columns of a row; differences are a minus b, `…_why` says why an interval is missing."""
+
+
+def difference_rows(
+    log: Log, task: str, runs: Sequence[Run], errors: Mapping[tuple[int, str], Along]
+) -> list[dict[str, object]]:
+    """A row for each filter (online) against each smoother (final) under the same association on a log with truth.
+
+    Args:
+        log: the log; its name is in the rows.
+        task: of the runs.
+        runs: all runs of the trial; one without a final path is a filter.
+        errors: along the log, by the run's place in `runs` and phase; runs without truth or that failed are missing,
+            implausible ones are compared with nobody.
+
+    See `intervals.run_differences` for the numbers; every pair is resampled from the same seed.
+    """
+    rows: list[dict[str, object]] = []
+    for (a, ours), (b, theirs) in _pairs(runs, {k: v for k, v in errors.items() if log_of(runs[k[0]], log) is log}):
+        rmse, nees = run_differences(
+            (ours.distance**2, theirs.distance**2),
+            (ours.nees["pose"], theirs.nees["pose"]),
+            np.random.default_rng(SEED),
+        )
+        row: dict[str, object] = {
+            "log": log.name, "task": task, "association": a.association, "a": a.estimator, "b": b.estimator,
+            "phase_a": "online", "phase_b": "final", "rmse_position_m": rmse.value, "nees_pose": nees.value,
+            "block_frames": rmse.block if not rmse.why else nees.block,
+        }  # fmt: skip
+        for name, found in (("rmse_position", rmse), ("nees_pose", nees)):
+            row |= {f"{name}_lower": found.lower, f"{name}_upper": found.upper, f"{name}_p": found.p}
+            row[f"{name}_why"] = found.why or None
+        rows.append(row)
+    return rows
+
+
+def _pairs(
+    runs: Sequence[Run], errors: Mapping[tuple[int, str], Along]
+) -> Iterator[tuple[tuple[Run, Along], tuple[Run, Along]]]:
+    kept = {(i, phase) for i, phase in errors if runs[i].flaw is None}
+    filters = [(r, errors[i, "online"]) for i, r in enumerate(runs) if r.final is None and (i, "online") in kept]
+    smoothers = [(r, errors[i, "final"]) for i, r in enumerate(runs) if (i, "final") in kept]
+    for a in filters:
+        yield from ((a, b) for b in smoothers if a[0].association == b[0].association)

@@ -13,7 +13,7 @@ import numpy as np
 from data.inputs import Inputs, IntArray
 from data.result import Run
 from data.se2 import Array, BoolArray
-from eval.referee.bounds import gated
+from eval.referee.consistency import gated
 
 FRAMES = 10
 """A stretch is judged that has so many frames with observations, ..."""

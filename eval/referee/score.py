@@ -1,36 +1,69 @@
-"""The referee: a run and the truth in, the rows of metrics.csv, association.csv and timing.csv out."""
+"""The referee: a run and the truth in, the rows of metrics.csv, association.csv and timing.csv out.
+
+HTML of a trial and of its scores: the main numbers, and the paths of all runs over the true one.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from itertools import cycle
 
 import numpy as np
 import pandas as pd
 
-from association.scans.laser_run import SCAN, LaserRun
+from association.scans.constraints import SCAN, LaserRun
+from data import card
 from data.inputs import CLUTTER
 from data.log import Log
 from data.result import DISCARD, Run
 from data.se2 import Array
-from eval.referee import consistency, errors
-from eval.referee.along import Along, along
-from eval.referee.bounds import gated, nis_bounds
+from eval.referee import consistency, errors, result_files
 from eval.referee.confusion import WITHIN, Confusion, confuse, majority, majority_agreement, share_within
-from eval.referee.differences import difference_rows
-from eval.referee.files import top
-from eval.referee.intervals import SEED, run_intervals
-from eval.referee.laser.rows import closure_counts, kept, relation_rows
+from eval.referee.consistency import gated, nis_bounds
+from eval.referee.errors import Along, along, rpe_columns
+from eval.referee.given_runs import GivenRun, log_of, match
+from eval.referee.intervals import SEED, difference_rows, run_intervals
+from eval.referee.laser import closure_counts, kept, relation_rows
 from eval.referee.lost import lost
 from eval.referee.metrics import RUN
-from eval.referee.notebook.shown import scores_html, trial_html
-from eval.referee.paths.given import GivenRun, log_of
-from eval.referee.paths.match import match
-from eval.referee.paths.rpe import rpe_columns
 from eval.referee.proper_scores import mean_scores
 
-METRICS, ASSOCIATION, CONSISTENCY = top.METRICS.names, top.DECISIONS.names, top.CONSISTENCY.names
+HEADS = ("estimator", "association", "phase", "status", "position RMSE [m]", "pose NEES (3 expected)")
+SHOWN = (*RUN, "status", "rmse_position_m", "rmse_heading_deg", "nees_pose", "nis")
+
+
+def trial_html(log: Log, task: str, runs: Sequence[Run]) -> str:
+    """A row for each run at its last phase, and a map."""
+    true = log.truth.pose
+    paths = [] if true is None else [card.Path("true path", true[:, :2], card.BLACK)]
+    rows = []
+    for run, colour in zip(runs, cycle(card.COLOURS), strict=False):
+        rmse = nees = ""
+        if run.failure is None and run.phases:
+            t = run.trajectory(run.phases[-1])
+            reckoned = run.estimator == "dead-reckoning"
+            paths.append(card.Path(run.estimator, t.pose[:, :2], card.GREY if reckoned else colour, reckoned))
+            if true is not None:
+                rmse = f"{errors.rms(errors.position_distance(t.pose, true)):.3g}"
+                mean = consistency.mean_or_nan(consistency.nees(t.pose, t.covariance, true, "pose"))
+                nees = f"{mean:.3g}" if math.isfinite(mean) else ""
+        rows.append((run.estimator, run.association, run.phases[-1] if run.phases else "", run.status, rmse, nees))
+    return card.side_by_side(f"{log.name}, {task}", card.columns_table(HEADS, rows), card.drawing(paths, ()))
+
+
+def scores_html(tables: Mapping[str, pd.DataFrame]) -> str:
+    """The main columns of `metrics`, and how large each table is."""
+    shown = tables["metrics"][list(SHOWN)].to_html(index=False, na_rep="", float_format="{:.3g}".format)
+    return f"{shown}<small>{', '.join(f'{name}: {len(table)} rows' for name, table in tables.items())}</small>"
+
+
+METRICS, ASSOCIATION, CONSISTENCY = (
+    result_files.METRICS.names,
+    result_files.DECISION_COUNTS.names,
+    result_files.CONSISTENCY.names,
+)
 COUNTED = tuple(c for c in ASSOCIATION if c not in (*RUN, "share_within", "within_m", "majority_agreement"))
 """Columns that `Confusion` has."""
 
@@ -282,9 +315,9 @@ def score(trials: Sequence[Trial]) -> Scores:
             })  # fmt: skip
         differences += difference_rows(trial.log, trial.task, trial.runs, known)
     return Scores(
-        top.METRICS.table(metrics),
-        top.DECISIONS.table(association),
-        top.TIMING.table(timing),
-        top.DIFFERENCES.table(differences),
-        top.RELATIONS.table(relations),
+        result_files.METRICS.table(metrics),
+        result_files.DECISION_COUNTS.table(association),
+        result_files.TIMING.table(timing),
+        result_files.DIFFERENCES.table(differences),
+        result_files.RELATIONS.table(relations),
     )

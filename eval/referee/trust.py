@@ -16,12 +16,11 @@ from scipy import optimize, special
 
 from data import se2
 from data.inputs import Inputs
-from data.motion.corrected_inputs import corrected_inputs
+from data.motion.priors import corrected_inputs
 from data.result import Run, Trajectory
 from data.se2 import Array, BoolArray
 from eval.referee import effects, residuals
-from eval.referee.bounds import gated
-from eval.referee.consistency import lag1_correlation
+from eval.referee.consistency import gated, lag1_correlation
 from eval.referee.score import nis_of
 
 SHARE = 0.01

@@ -15,7 +15,7 @@ __all__ = ["compare", "make_estimator"]
 
 
 def __getattr__(name: str) -> Any:
-    """Loaded when asked for: `eval.replay.names` and `eval.replay.settings` must stay light, for `--help`."""
+    """Loaded when asked for: `eval.replay.settings` and `eval.replay.settings` must stay light, for `--help`."""
     if name == "compare":
         from eval.replay.run import compare
 

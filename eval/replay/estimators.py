@@ -16,11 +16,9 @@ from ekf import walls
 from ekf.filter import DEFAULT, FilterOptions
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
-from eval.replay.foreign.make import estimator as foreign_estimator
-from eval.replay.foreign.spec import is_foreign
-from eval.replay.given import Given
-from eval.replay.names import STEPPING
-from eval.replay.settings import Setup
+from eval.replay.external.make import estimator as foreign_estimator
+from eval.replay.external.spec import is_foreign
+from eval.replay.settings import STEPPING, Given, Setup
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
 
@@ -145,7 +143,7 @@ def make_estimator(
 ) -> Estimator:
     """A fresh step-by-step estimator: with a map it localizes, without it does SLAM. `given` may be whole `Inputs`.
 
-    `name`: of ours, or the settled text of a foreign one (`eval.replay.foreign`).
+    `name`: of ours, or the settled text of a foreign one (`eval.replay.external`).
     `options` stand in for those that go with the name of a filter; `lag` [s] is that of `fixed-lag`, which counts
     frames as long as no frame is stamped with its time.
     """

@@ -1,4 +1,7 @@
-"""One estimator with one way of association, frame by frame: what a replay and the step-through command share."""
+"""One estimator with one way of association, frame by frame: what a replay and the step-through command share.
+
+Known association frame by frame: labels that come with the frames decide.
+"""
 
 from __future__ import annotations
 
@@ -9,28 +12,55 @@ from typing import NamedTuple
 import numpy as np
 
 from association.candidates import in_view
-from association.decide import HINDSIGHT, Decided, decide, horizon
+from association.decide import HINDSIGHT, Decided, decide, horizon, pair_by_label
 from association.expectation import Expectation, gate_threshold
 from association.faces import Faces, named_as_read
 from association.jcbb import BUDGET
 from association.truncated import Acceptance, acceptance, accepted_moments, truncated_square
 from data.errors import UsageError
-from data.inputs import Frame, IntArray, Sightings
-from data.result import Event, MapState, Updated
+from data.inputs import Frame, IntArray, LandmarkMap, Sightings
+from data.result import DISCARD, Event, MapState, Updated
 from data.se2 import Array
-from data.terminal.words import counted
+from data.terminal import counted
 from ekf.filter import FilterOptions
 from ekf.localizer import EkfLocalizer
 from eval.replay.estimators import NO_HINDSIGHT_OF_WALLS, make_estimator
-from eval.replay.foreign.adapter import Adapter
-from eval.replay.foreign.load import load
-from eval.replay.foreign.method import Method, locked
-from eval.replay.foreign.spec import is_foreign, name_of
-from eval.replay.given import Beginning, Given
-from eval.replay.known import KnownAssociation
-from eval.replay.map_management import MapManagement
-from eval.replay.parking import AutomaticParking, Parking, automatic_parking
-from eval.replay.settings import Setup
+from eval.replay.external.adapter import Adapter
+from eval.replay.external.load import load
+from eval.replay.external.make import Method, locked
+from eval.replay.external.spec import is_foreign, name_of
+from eval.replay.map_management import AutomaticParking, MapManagement, Parking, automatic_parking
+from eval.replay.settings import Beginning, Given, Setup
+
+
+class KnownAssociation:
+    """Decisions by label; in SLAM a label stands for the landmark that it initialized, while that is in the map."""
+
+    def __init__(self, known: LandmarkMap | None) -> None:
+        """Before the first frame; `known` is the map of localization."""
+        self.map = known
+        self._number_of: dict[int, int] = {}
+        self._label_of: dict[int, int] = {}
+
+    def decide(self, frame: Frame) -> IntArray:
+        """Decisions (m,) about a frame's observations. Raises ValueError where labels were not granted."""
+        if frame.label is None:
+            raise ValueError("known association was not granted to these inputs")
+        if self.map is not None:
+            return np.where(np.isin(frame.label, self.map.id), frame.label, DISCARD)
+        return pair_by_label(frame.label, self._number_of)
+
+    def initialized(self, frame: Frame, created: IntArray) -> None:
+        """Landmarks (m,) that the frame's observations initialized, -1 for none."""
+        assert frame.label is not None  # or `decide` would have said so
+        for i in np.flatnonzero(created >= 0):
+            label, number = int(frame.label[i]), int(created[i])
+            self._number_of[label], self._label_of[number] = number, label
+
+    def removed(self, numbers: IntArray) -> None:
+        """Landmarks (r,) that are no longer in the map: their labels may initialize others."""
+        for n in numbers.tolist():
+            self._number_of.pop(self._label_of.pop(n, -1), None)
 
 
 class Pairing(NamedTuple):

@@ -1,12 +1,28 @@
-"""Which landmarks leave the map, and when: map maintenance, forgetting and parking."""
+"""Which landmarks leave the map, and when: map maintenance, forgetting and parking.
+
+Parked landmarks come back into a filter's state when they may be seen again, or when something is paired with them.
+
+A bound on each one's uncertainty says when that may be, so that what is parked costs nothing in the meantime.
+
+Landmarks are parked where a person asks for it, those unseen for a time (`Parking`), or in a large map without being
+asked, as it is faster and nothing else changes (`AutomaticParking`).
+"""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from data.inputs import IntArray
+from association.candidates import Drift, may_be_in_view
+from association.decide import HINDSIGHT, horizon
+from data.inputs import Increment, IntArray, Sightings
+from data.sensors import Sensor
+from ekf.epochs import LEAST, MOVED, PRODUCT, READING, STEP
+from ekf.slam import EkfSlam
+from eval.replay.estimators import Estimator
+from eval.replay.external.spec import is_foreign
 from eval.replay.settings import Setup
 
 MAINTENANCE_FRAMES = 2
@@ -91,3 +107,167 @@ class MapManagement:
         for n, frame in self.removed.items():
             frames[n] = frame
         return frames
+
+
+KEPT = 10
+"""Frames. A landmark that was paired or taken back so recently stays. Flat: 5 and 20 take as long."""
+
+
+class Parking:
+    """Parks landmarks of an estimator and restores them.
+
+    Attributes:
+        largest: how many states the estimator had at most.
+        restored: how many landmarks came back, counted each time.
+    """
+
+    def __init__(
+        self, estimator: Estimator, management: MapManagement, sensor: Sensor, within: float = math.inf
+    ) -> None:
+        """Nothing parked. No method looks at landmarks beyond the squared distance `within` of every reading."""
+        self.estimator, self.management, self.sensor, self.within = estimator, management, sensor, within
+        self.largest, self.restored = 0, 0
+        self._drift = Drift()
+
+    def move(self, increment: Increment) -> None:
+        """The robot moved."""
+        self._drift.move(increment)
+
+    @property
+    def state_size(self) -> int:
+        """Length of the state; what is parked does not count."""
+        return self.estimator.size
+
+    def offer(self, sightings: Sightings) -> None:
+        """Restore what may be in view, of walls what some reading might be of, before anything is expected."""
+        parked = self.estimator.parked
+        if len(parked) and not self.sensor.sees_points:  # where a wall is tells little of whether it is in view
+            slam = self.estimator
+            self._restore(slam.parked_within(sightings, self.within) if isinstance(slam, EkfSlam) else parked)
+        elif len(parked):
+            pose, covariance = self.estimator.estimate()
+            bounds = self._drift.sigmas(parked, covariance)
+            self._restore(parked[may_be_in_view(self.sensor, pose, self.estimator.parked_xy(), *bounds)])
+
+    def restore(self, numbers: IntArray) -> None:
+        """Restore those of some landmarks (n,) that are parked; decisions that are no landmark are left alone."""
+        if len(parked := self.estimator.parked):
+            self._restore(np.intersect1d(numbers, parked))
+
+    def _restore(self, numbers: IntArray) -> None:
+        if len(numbers):
+            self.estimator.restore(numbers)
+            self.management.restored(numbers)
+            self.restored += len(numbers)
+
+    def see(self, sightings: Sightings, numbers: IntArray) -> None:
+        """Landmarks (m,) were seen."""
+        self._drift.see(self.sensor, sightings, numbers, self.estimator.estimate().covariance)
+
+    def measure(self) -> None:
+        """How large the state is now."""
+        self.largest = max(self.largest, self.estimator.size)
+
+    def park(self, numbers: IntArray) -> None:
+        """Landmarks (n,) leave the state."""
+        if len(numbers):
+            self.estimator.park(numbers)
+
+    def notes(self) -> list[str]:
+        """What a reader of the results should know."""
+        return [
+            f"landmarks unseen for {self.management.setup.deactivate_after:g} were parked: at most {self.largest} "
+            f"states were active, and landmarks were taken back {self.restored} times"
+        ]
+
+
+class AutomaticParking:
+    """Parks what is of no use in the next frames, as long as that is faster; decisions and estimates do not change.
+
+    When to park is weighed as in `ekf.epochs`, but without knowing what comes: whenever the steps since the last time
+    have cost so much more than those of a state without the superfluous landmarks as parking these costs.
+    """
+
+    def __init__(self, slam: EkfSlam, within: float) -> None:
+        """Nothing parked. No method looks at landmarks beyond the squared distance `within` of every reading."""
+        self.slam, self.within = slam, within
+        self._frame, self._pairings, self._excess = 0, 0, 0.0
+        self._last = np.empty(0, np.int64)
+        """By landmark: the last frame in which it was paired, initialized or taken back."""
+
+    @property
+    def state_size(self) -> int:
+        """Length of the state, what is parked included: it is a part of the same state."""
+        return self.slam.size + 2 * len(self.slam.parked)
+
+    def move(self, increment: Increment) -> None:
+        """The robot moved."""
+        self._frame += 1
+
+    def offer(self, sightings: Sightings) -> None:
+        """Restore what some reading might be of, before anything is expected."""
+        if len(self.slam.parked):
+            self._restore(self.slam.parked_within(sightings, self.within))
+
+    def restore(self, numbers: IntArray) -> None:
+        """Restore those of some landmarks (n,) that are parked; decisions that are no landmark are left alone."""
+        if len(parked := self.slam.parked):
+            self._restore(np.intersect1d(numbers, parked))
+
+    def _restore(self, numbers: IntArray) -> None:
+        if len(numbers):
+            self.slam.restore(numbers)
+            self._last[numbers] = self._frame
+
+    def see(self, sightings: Sightings, numbers: IntArray) -> None:
+        """Landmarks (m,) were seen."""
+        self._pairings += len(numbers)
+        more = self.slam.created - len(self._last)
+        if more > 0:
+            self._last = np.concatenate([self._last, np.full(more, self._frame)])
+        self._last[numbers] = self._frame
+
+    def measure(self) -> None:
+        """What the steps of this frame have cost in excess."""
+        slam, pairings, self._pairings = self.slam, self._pairings, 0
+        if slam.created < LEAST:
+            return
+        used = slam.size + slam.carried
+        active = slam.active
+        idle = active[self._last[active] < self._frame - KEPT]
+        needed = 2 * (slam.size - 2 * len(idle))
+        self._excess += (STEP + READING * pairings) * max(used**2 - needed**2, 0)
+        parked = 2 * len(slam.parked)
+        cost = PRODUCT * parked**2 * slam.carried + MOVED * (parked + 2 * len(idle)) * len(idle)
+        if len(idle) and self._excess > cost:
+            slam.park(idle, begin_epoch=True)
+            self._excess = 0.0
+
+    def park(self, numbers: IntArray) -> None:
+        """Nothing has to be parked but for the time it takes."""
+
+    def notes(self) -> list[str]:
+        """Nothing: a reader of the results need not know."""
+        return []
+
+
+def automatic_parking(estimator: Estimator, association: str, setup: Setup) -> AutomaticParking | None:
+    """For an estimator whose large map may be parked without changing anything, None for others.
+
+    These are others: smoothers and localizers; the invariant filter and the one with first estimates, which cannot
+    park; the iterated one, which ends by how far all landmarks moved; methods of association without a gate, for
+    which every landmark is a candidate.
+    """
+    if not isinstance(estimator, EkfSlam):
+        return None
+    options = estimator.options
+    if options.invariant or options.first_estimates or options.iterations > 1:
+        return None
+    if is_foreign(association):  # nobody knows how far it looks
+        return None
+    within = horizon(association, setup.gate, setup.new_gate)
+    if association in ("known", HINDSIGHT):  # decided without a look at this estimator, but somebody may ask for one
+        within = horizon("jcbb", setup.gate, setup.new_gate)
+    elif not np.isfinite(within):
+        return None
+    return AutomaticParking(estimator, within)

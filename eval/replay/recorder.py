@@ -1,12 +1,18 @@
-"""What a run leaves behind, collected frame by frame."""
+"""What a run leaves behind, collected frame by frame.
+
+Who looks on while a log is replayed, such as the step-through command.
+
+A run of which nothing is there but the reason.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 
-from data.inputs import Frame, IntArray, Systematic
+from data.inputs import Frame, Inputs, IntArray, Systematic
 from data.result import (
     CHI_SQUARE,
     DISCARD,
@@ -23,7 +29,7 @@ from data.result import (
     revised,
     surviving,
 )
-from eval.replay.frontend import FrontEnd
+from eval.replay.frontend import FrontEnd, Pairing
 
 
 def _begun(decisions: IntArray, created: IntArray, events: Sequence[Event]) -> IntArray | None:
@@ -125,3 +131,65 @@ class Recorder:
         """Mean and variance per degree of freedom to expect of the NIS."""
         dof = int(self._dof.sum())
         return (float(self._moments[0]) / dof, float(self._moments[1]) / dof) if dof else CHI_SQUARE
+
+
+class Observer(Protocol):
+    """Somebody who looks on, frame by frame, and changes nothing."""
+
+    def moved(self, front: FrontEnd) -> None:
+        """A frame begins; its observations were not looked at yet."""
+        ...
+
+    def decided(self, front: FrontEnd, frame: Frame, pairing: Pairing) -> None:
+        """The observations of (a part of) the frame were decided about, and not used yet."""
+        ...
+
+    def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
+        """A frame is over; decisions and initialized landmarks (M,) are those of the whole log so far."""
+        ...
+
+
+class Writing(Observer, Protocol):
+    """An observer who writes something down, which stays with the run as `Run.watched`."""
+
+    @property
+    def seconds(self) -> float:
+        """Time spent on looking and writing, which is not the estimator's."""
+        ...
+
+    def left(self) -> object:
+        """What was written down, after the last frame."""
+        ...
+
+
+class Nobody:
+    """Nobody looks on."""
+
+    def moved(self, front: FrontEnd) -> None:
+        """Not looked at."""
+
+    def decided(self, front: FrontEnd, frame: Frame, pairing: Pairing) -> None:
+        """Not looked at."""
+
+    def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
+        """Not looked at."""
+
+
+def no_run(
+    name: str,
+    association: str,
+    task: str,
+    inputs: Inputs,
+    failure: Failure,
+    *,
+    online: bool = True,
+    final: bool = False,
+) -> Run:
+    """Blank trajectories of the phases it would have had; nothing was decided."""
+    n = len(inputs)
+    nowhere = Trajectory(np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan))
+    nothing = np.full(len(inputs.observations.frame), DISCARD, np.int64)
+    return Run(
+        name, association, task, nowhere if online else None, nowhere if final else None, None, nothing, nothing,
+        np.full(len(nothing), -1, np.int64), failure=failure,
+    )  # fmt: skip

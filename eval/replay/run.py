@@ -1,7 +1,11 @@
-"""Replay: one log through an estimator and a way of association, giving a `Run`; `compare` does so for many of them."""
+"""Replay: one log through an estimator and a way of association, giving a `Run`; `compare` does so for many of them.
+
+A filter's run once more with the decisions that it made, to see what it does not keep: its map at every instant.
+"""
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -9,34 +13,30 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from association.decide import HINDSIGHT
+from association.decide import HINDSIGHT, known_decisions
 from association.expectation import SingularInnovationError, gate_threshold
-from association.known import known_decisions
-from association.scans.laser_run import SCAN
+from association.scans.constraints import SCAN
 from association.truncated import truncated_square
 from data.inputs import Frame, Inputs, IntArray
 from data.result import DISCARD, Failure, Finished, Innovations, Run, Trajectory, Updated, map_estimate
+from data.se2 import Array
 from ekf.epochs import run_in_epochs, worthwhile
 from ekf.filter import FilterDivergedError, FilterOptions
 from ekf.whole_run import FilterRun, run_filter
 from eval.replay.batch import batch
-from eval.replay.estimators import OPTIONS, lack_with_walls
-from eval.replay.foreign.guard import ForeignError
-from eval.replay.foreign.load import Thing, text_of
-from eval.replay.foreign.make import CannotError, require
-from eval.replay.foreign.spec import is_foreign, name_of
+from eval.replay.estimators import OPTIONS, lack_with_walls, make_estimator
+from eval.replay.external.guard import ForeignError
+from eval.replay.external.load import Thing, text_of
+from eval.replay.external.make import CannotError, require
+from eval.replay.external.spec import is_foreign, name_of
 from eval.replay.frontend import FrontEnd
-from eval.replay.given import Given
 from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.hindsight.mapping_frontend import MappingFrontEnd
 from eval.replay.laser.comparison import compare_laser
 from eval.replay.laser.landmarks import at_all_frames, corner_log
-from eval.replay.names import BATCH, FILTERS
-from eval.replay.nothing import no_run
-from eval.replay.observer import Nobody, Observer, Writing
 from eval.replay.plausible import judged
-from eval.replay.recorder import Recorder
-from eval.replay.settings import Setup
+from eval.replay.recorder import Nobody, Observer, Recorder, Writing, no_run
+from eval.replay.settings import BATCH, FILTERS, Given, Setup
 from graph.factors import UnderConstrained
 
 PLAIN = Setup()
@@ -208,7 +208,7 @@ def compare(
 ) -> list[Run]:
     """Estimators with one way of association on identical inputs; the runs come in the order of `estimators`.
 
-    Beside names of ours stand settled texts of foreign ones (`eval.replay.foreign`), or classes and functions as they
+    Beside names of ours stand settled texts of foreign ones (`eval.replay.external`), or classes and functions as they
     are, which then have their own names.
 
     `batch...` take the decisions of a front end and start from its path: under `known` those of the EKF (and, where
@@ -282,3 +282,43 @@ def _compare(
         dead_reckoning(inputs, task) if name == "dead-reckoning" else batch_of(name) if name in BATCH else ahead(name)
         for name in estimators
     ]
+
+
+MOST_WORK = 3e7
+"""Entries of covariances, frame by frame: beyond (Victoria Park: 2e9) looking again takes longer than a figure may."""
+
+
+def landmark_sigmas(inputs: Inputs, run: Run) -> Array | None:
+    """Standard deviation (N, L) [m] of each landmark along its least certain direction after every frame.
+
+    NaN before a landmark is initialized and after it was removed. None of runs that are no EKF-SLAM of ours from start
+    to end, that parked landmarks, or that are too large to be looked at again.
+    """
+    size = run.state_size
+    if run.estimator not in FILTERS or run.task != "slam" or run.failure is not None or size is None:
+        return None
+    if float(np.sum(np.asarray(size, float) ** 2)) > MOST_WORK or run.events:
+        return None
+    inputs = inputs.without_map().without_labels()
+    estimator = make_estimator(run.estimator, inputs)
+    count = int(run.created.max(initial=-1)) + 1
+    sigma = np.full((len(inputs), count), math.nan)
+    for k in range(len(inputs)):
+        frame = inputs.frame(k)
+        if frame.increment is not None:
+            estimator.predict(frame.increment)
+        estimator.stamp(frame.time)
+        rows = slice(frame.first, frame.first + len(frame.sightings.z))
+        if rows.stop > rows.start:
+            done = estimator.update(frame.sightings, run.decisions[rows])
+            if not np.array_equal(done.created, run.created[rows]):
+                return None
+        if run.removed is not None and np.any(run.removed == k):
+            estimator.remove(np.flatnonzero(run.removed == k))
+        m = estimator.landmarks()
+        if len(m.number):
+            largest = np.linalg.eigvalsh(m.covariance)[:, -1]
+            sigma[k, m.number] = np.sqrt(np.maximum(largest, 0.0))
+        if not np.allclose(estimator.estimate().mean, run.trajectory("online").pose[k], atol=1e-6):
+            return None
+    return sigma

@@ -1,12 +1,21 @@
-"""How observations are paired and how much of the map is kept: what a person chooses beside estimator and method."""
+"""How observations are paired and how much of the map is kept: what a person chooses beside estimator and method.
+
+The names that tasks, estimators and ways of association have everywhere: listed once, in the order of tables.
+
+Whoever gives one of them a meaning (filter options, methods, losses) is checked against these lists by a test.
+
+What is known before the first frame: all that an estimator or a front end may begin with.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, NamedTuple, Protocol
 
 from data.errors import UsageError
+from data.inputs import LandmarkMap, Prior, Systematic
 from data.motion.priors import AUTO, read_errors
+from data.sensors import Sensor
 from eval.replay.flag import flag, positive, positive_or_none, probability, probability_or_auto, share_or_none, switch
 
 SENSED_GATE = 0.9999
@@ -128,3 +137,50 @@ def check_gates(gate: float | None, new_gate: float | None, labels: tuple[str, s
             f"{labels[1]} {new_gate}: must not be less than {labels[0]} {gate}, or an observation compatible with a "
             "landmark could start another one"
         )
+
+
+TASKS = ("localization", "slam")
+FILTERS = ("ekf", "ekf-iterated", "ekf-fej", "ekf-invariant")
+INCREMENTAL = ("isam2", "fixed-lag")
+STEPPING = (*FILTERS, *INCREMENTAL)
+BATCH = ("batch", "batch-huber", "batch-cauchy", "gnc")
+ESTIMATORS = ("dead-reckoning", *STEPPING, *BATCH)
+ASSOCIATIONS = ("known", "nn", "ml", "ml-ratio", "singles", "jcbb", "jcbb-first", "gnn", "jcbb-hindsight", "scan")
+
+
+def steps(name: str) -> bool:
+    """Whether an estimator, ours or not, works frame by frame."""
+    return name not in BATCH and name != "dead-reckoning"
+
+
+class Given(Protocol):
+    """Prior, sensor, for localization the map, and errors to estimate. `Inputs` has them, and so has a robot."""
+
+    @property
+    def prior(self) -> Prior:
+        """Belief about the pose at the first frame."""
+        ...
+
+    @property
+    def sensor(self) -> Sensor:
+        """The measurement model."""
+        ...
+
+    @property
+    def map(self) -> LandmarkMap | None:
+        """Known landmarks; None: SLAM."""
+        ...
+
+    @property
+    def systematic(self) -> Systematic | None:
+        """Errors of odometry and sensor that are estimated along; None: there are none."""
+        ...
+
+
+class Beginning(NamedTuple):
+    """Just that, without a log; fields as in `Given`."""
+
+    prior: Prior
+    sensor: Sensor
+    map: LandmarkMap | None = None
+    systematic: Systematic | None = None

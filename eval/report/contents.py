@@ -9,43 +9,38 @@ from typing import NamedTuple
 
 import numpy as np
 
-from data.terminal.words import counted
-from eval.page.document import READING, Block, Folded, Picture, Report, Section, write_report
-from eval.plan.cluster import Call
+from data.terminal import counted
 from eval.plan.execute import Outcome
 from eval.plan.flags.options import Options
 from eval.plan.provenance import command_of, provenance
-from eval.plan.tutorials.recording import is_tutorial
+from eval.plan.tutorials import is_tutorial
 from eval.plan.unfinished import Unfinished
-from eval.plan.work import work
-from eval.player.write import played, write_player
+from eval.plan.work import Call, work
+from eval.player.document import played, write_player
+from eval.referee import result_files
 from eval.referee.consistency import MIN_RUNS
-from eval.referee.files import top
-from eval.referee.paths.given import GivenRun, is_truth_alone
+from eval.referee.given_runs import GivenRun, is_truth_alone
 from eval.referee.score import Scores, Trial, score
-from eval.report.answer import answer
-from eval.report.corridor.questions import lab_sections
-from eval.report.doubt.origin import origin_statement
-from eval.report.doubt.questions import questions_section, unused_statement
-from eval.report.lab.sections import hand_in
-from eval.report.lab.write_up import write_up
-from eval.report.laser.sections import against_relations, laser_sections
+from eval.report.answer import answer, failure_statement, gate_sentence
+from eval.report.deciding import revision_section
+from eval.report.diagnostics import origin_statement, questions_section, unused_statement
+from eval.report.headline import headlines
+from eval.report.labs.corridor_questions import lab_sections
+from eval.report.labs.visual import hand_in
+from eval.report.labs.write_up import write_up
+from eval.report.laser import against_relations, laser_sections
 from eval.report.log_sections import association_sections, beside, rows_of, trial_sections
-from eval.report.overview.facts import Facts, facts_of
-from eval.report.overview.gauge import gauge_statement
-from eval.report.overview.said import attribution_sections, compared, concluded, in_short
-from eval.report.overview.table import overview
+from eval.report.overview import attribution_sections, compared, concluded, gauge_statement, in_short, overview
+from eval.report.overview_facts import Facts, facts_of
+from eval.report.page.document import READING, Block, Folded, Picture, Report, Section, write_report
 from eval.report.pictures import draw, kinds, publish_runs
-from eval.report.results.said import results_statement
-from eval.report.revisions import revision_section
+from eval.report.results import results_statement
 from eval.report.rows import rows_of as report_rows
 from eval.report.run_files import write_truths
-from eval.report.statements import failure_statement, gate_sentence
 from eval.report.studies import study_sections
-from eval.report.terminal.headline import headlines
-from eval.report.trust.sections import first_said
-from eval.report.tutorials.section import tutorial_sections
-from eval.report.visual.sections import visual_sections
+from eval.report.trust import first_said
+from eval.report.tutorials import tutorial_sections
+from eval.report.visual import visual_sections
 from eval.studies.montecarlo import Judged, consistency_table
 from eval.studies.reproduced import published_frame
 from eval.studies.trusted import trust_table
@@ -88,14 +83,16 @@ def write_results(
     scores = score(outcome.trials)
     consistency = consistency_table(judged)
     for file, table in (
-        (top.METRICS, scores.metrics), (top.DECISIONS, scores.association), (top.TIMING, scores.timing),
-        (top.CONSISTENCY, consistency), (top.TRUST, trust_table(outcome.trust)),
+        (result_files.METRICS, scores.metrics),
+        (result_files.DECISION_COUNTS, scores.association),
+        (result_files.TIMING, scores.timing),
+        (result_files.CONSISTENCY, consistency), (result_files.TRUST, trust_table(outcome.trust)),
     ):  # fmt: skip
         file.write(table, folder)
     if len(scores.relations):
-        top.RELATIONS.write(scores.relations, folder)
+        result_files.RELATIONS.write(scores.relations, folder)
     if outcome.published:
-        top.PUBLISHED.write(published_frame(outcome.published), folder)
+        result_files.PUBLISHED.write(published_frame(outcome.published), folder)
     (folder / "runs").mkdir()
     write_truths(folder, outcome.trials)
     published = _publish_trials(folder, options, outcome.trials, lost, progress)

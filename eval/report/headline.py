@@ -6,12 +6,12 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from data.terminal.words import counted
-from eval.page.tables import is_blank
+from data.terminal import counted
 from eval.referee.score import Scores, Trial
+from eval.report.answer import nis_verdict
+from eval.report.page.tables import is_blank
 from eval.report.rows import Row, value_of
 from eval.report.rows import rows_of as records
-from eval.report.statements import nis_verdict
 from eval.studies.montecarlo import Judged, Study
 
 LINES = 12

@@ -1,4 +1,14 @@
-"""The report's section on a laser log: reference relations, the graph, the filter with and without a gate, time."""
+"""The report's section on a laser log: reference relations, the graph, the filter with and without a gate, time.
+
+Pictures of a laser log in the report: the map with the path, the pose graph with the fate of its loop closures.
+
+Files of a laser log that belong to no single estimator: the map as a picture and for map servers, the loops.
+
+An occupancy grid as map servers read it: `map.pgm` (a picture) and `map.yaml` (where it lies, how it is meant).
+
+Format: ROS map_server and nav2_map_server. A pixel v means occupied with (255 - v) / 255, against two thresholds; the
+first row of the picture is the northernmost, and `origin` is the pose of its lower left corner.
+"""
 
 from __future__ import annotations
 
@@ -7,22 +17,177 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
-from association.scans.laser_run import SCAN, LaserRun
-from data.log import Log
+from association.scans.constraints import SCAN, LaserRun, Loops
+from association.scans.occupancy import Grid, occupancy_grid
+from data.formats.g2o import MOTION, written
+from data.log import Log, folder_name
 from data.result import Run
-from data.terminal.words import counted
-from eval.page.document import Block, FinePrint, Picture, Section, folded, written_table
-from eval.page.numbers import number
+from data.se2 import Array
+from data.terminal import counted
+from eval.figures.laser import loop_picture, map_picture
+from eval.figures.style import save
 from eval.plan.flags.options import Options
 from eval.referee.errors import position_distance, rms
-from eval.referee.laser.relations import ALL, CARTOGRAPHER, EXACT, KUEMMERLE, ROW, TIME, relation_errors
-from eval.referee.laser.rows import KEPT, paths_of
-from eval.referee.paths.given import GivenRun
+from eval.referee.given_runs import GivenRun
+from eval.referee.laser import (
+    ALL,
+    CARTOGRAPHER,
+    EXACT,
+    KEPT,
+    KUEMMERLE,
+    ROW,
+    TIME,
+    kept,
+    paths_of,
+    relation_errors,
+    right_closures,
+)
+from eval.referee.result_files import LOOPS
 from eval.referee.score import Trial
-from eval.report.laser.files import mapping_run
-from eval.report.laser.pictures import GRID, LOOPS
 from eval.report.names import stem
+from eval.report.page.document import Block, FinePrint, Picture, Section, folded, written_table
+from eval.report.page.tables import number
+
+FREE_PIXEL, OCCUPIED_PIXEL, UNKNOWN_PIXEL = 254, 0, 205
+"""As map_saver writes them."""
+OCCUPIED_ABOVE, FREE_BELOW = 0.65, 0.35
+"""Probabilities by which a cell is called occupied or free: map_saver's for the one, and as sure for the other, which
+one beam more that crossed than ended here is not."""
+YAML = """\
+image: {image}
+mode: trinary
+resolution: {resolution!r}
+origin: [{x!r}, {y!r}, 0.0]
+negate: 0
+occupied_thresh: 0.65
+free_thresh: 0.196
+"""
+
+
+def pixels(grid: Grid) -> NDArray[np.uint8]:
+    """The picture (H, W), north up."""
+    p = grid.probability
+    cells = np.full(p.shape, UNKNOWN_PIXEL, np.uint8)
+    cells[p > OCCUPIED_ABOVE] = OCCUPIED_PIXEL
+    cells[p < FREE_BELOW] = FREE_PIXEL
+    return cells[::-1]
+
+
+def write_map(grid: Grid, folder: Path, stem: str = "map") -> list[Path]:
+    """Write `stem.pgm` and `stem.yaml`; same grid, same bytes."""
+    picture, text = folder / f"{stem}.pgm", folder / f"{stem}.yaml"
+    rows = pixels(grid)
+    folder.mkdir(parents=True, exist_ok=True)
+    picture.write_bytes(f"P5\n{rows.shape[1]} {rows.shape[0]}\n255\n".encode("ascii") + rows.tobytes())
+    x, y = (float(each) for each in grid.origin)
+    text.write_text(YAML.format(image=picture.name, resolution=float(grid.resolution), x=x, y=y), encoding="utf-8")
+    return [picture, text]
+
+
+GRAPH = "graph.g2o"
+
+
+def mapping_run(trial: Trial) -> LaserRun | None:
+    """The run whose final poses the map is drawn from: isam2's, or the first that has some; None: no laser log."""
+    found = [r for r in trial.runs if isinstance(r, LaserRun) and r.failure is None and r.last is not None]
+    return min(found, key=lambda r: r.estimator != "isam2", default=None)
+
+
+def phase_of(run: LaserRun) -> str:
+    """Phase that its last path belongs to, in words."""
+    return "final" if run.final is not None else "last state"
+
+
+def grid_of(trial: Trial, run: LaserRun) -> Grid:
+    """The occupancy grid of a run's key scans at its last key poses."""
+    scans = trial.log.recorded.scans
+    assert scans is not None
+    assert run.chain is not None
+    assert run.key_pose is not None
+    row = np.searchsorted(scans.frame, run.chain.frame)
+    row = np.minimum(row, len(scans.frame) - 1)
+    there = scans.frame[row] == run.chain.frame
+    return occupancy_grid(run.key_pose[there], scans.ranges[row[there]], scans.scanner)
+
+
+def write_laser_files(folder: Path, trial: Trial) -> None:
+    """`map.png`, `map.pgm`, `map.yaml`, `loops.csv`, `graph.g2o` in `runs/<log>/`; nothing if no run matched scans."""
+    run = mapping_run(trial)
+    if run is None or run.last is None or run.loops is None:
+        return
+    place = folder / "runs" / folder_name(trial.log.name)
+    place.mkdir(parents=True, exist_ok=True)
+    grid = grid_of(trial, run)
+    write_map(grid, place)
+    figure = map_picture(grid, run.last, name=trial.log.name, estimator=run.estimator, phase=phase_of(run))
+    save(figure, place, "map", ("png",))
+    LOOPS.write(loops_table(run.loops, run.weight), place)
+    (place / GRAPH).write_text(graph_of(run), encoding="utf-8")
+
+
+def graph_of(run: LaserRun) -> str:
+    """The key poses with the motion between them and the loop closures that kept their weight, as text for g2o."""
+    assert run.chain is not None
+    assert run.loops is not None
+    assert run.key_pose is not None
+    chain, loops = run.chain, run.loops
+    keys = range(len(run.key_pose))
+    edges = [(MOTION, k - 1, k, chain.motion[k], chain.covariance[k]) for k in keys[1:]]
+    for i in np.flatnonzero(kept(loops, run.weight, "final")).tolist():
+        edges.append((MOTION, int(loops.key1[i]), int(loops.key2[i]), loops.relative[i], loops.covariance[i]))
+    return written((keys, run.key_pose), ((), np.zeros((0, 2))), (0,), edges)
+
+
+def loops_table(loops: Loops, weight: Array | None) -> pd.DataFrame:
+    """loops.csv: every loop closure looked at; accepted: it joined the graph, final: it kept its weight."""
+    rows, columns = np.triu_indices(3)
+    values = [
+        loops.key1, loops.key2, *loops.relative.T, *loops.covariance[:, rows, columns].T, loops.score,
+        kept(loops, weight, "online").astype(int), kept(loops, weight, "final").astype(int),
+    ]  # fmt: skip
+    return pd.DataFrame(dict(zip(LOOPS.names, values, strict=True)))
+
+
+GRID_PICTURE, LOOP_PICTURE = "grid", "loops"
+
+
+def laser_kinds(trial: Trial) -> tuple[str, ...]:
+    """Which of these pictures a trial gets."""
+    run = mapping_run(trial)
+    if run is None:
+        return ()
+    return (GRID_PICTURE, LOOP_PICTURE) if run.loops is not None and len(run.loops) else (GRID_PICTURE,)
+
+
+def laser_picture(trial: Trial, kind: str) -> tuple[Figure, str, str]:
+    """Figure, caption and what it shows in a sentence."""
+    run, name = mapping_run(trial), trial.log.name
+    assert run is not None
+    assert run.last is not None
+    phase = phase_of(run)
+    if kind == GRID_PICTURE:
+        return (
+            map_picture(grid_of(trial, run), run.last, name=name, estimator=run.estimator, phase=phase),
+            f"`{name}`: occupancy grid of the key scans at the key poses of `{run.estimator}` ({phase}), its path on"
+            " it. The same as `map.pgm` for map servers. Double walls would be poses that do not agree.",
+            f"Occupancy grid of {name} with the path of {run.estimator}",
+        )
+    assert run.loops is not None
+    assert run.chain is not None
+    assert run.key_pose is not None
+    truth = trial.log.truth.pose
+    false = None if truth is None else ~right_closures(run.loops, truth[run.chain.frame])
+    weight = np.ones(len(run.loops)) if run.weight is None else run.weight
+    return (
+        loop_picture(run.key_pose, run.loops, weight, name=name, false=false, estimator=run.estimator),
+        f"`{name}`: key poses of `{run.estimator}` ({phase}) and the loop closures that the front end looked at, by"
+        " fate. Two that agree with each other are needed before any is believed.",
+        f"Pose graph of {name} with its loop closures",
+    )
+
 
 RELATIONS_CAPTION = "errors against the reference relations, mean ± standard deviation."
 RELATIONS_FINE = FinePrint(
@@ -56,7 +221,7 @@ def laser_sections(
         beside = [t for t in trials if t.beside == trial.log.name and mapping_run(t) is not None]
         blocks: list[Block] = list(_relations(folder, options, trial))
         blocks += folded("\n".join(f"* {s}" for s in _statements(trial, run)), "The graph, the gate and time")
-        blocks += [p for p in pictures if p.stem in (stem(trial, GRID), stem(trial, LOOPS))]
+        blocks += [p for p in pictures if p.stem in (stem(trial, GRID_PICTURE), stem(trial, LOOP_PICTURE))]
         if beside:
             blocks.append(_sizes(folder, options, [trial, *beside]))
         sections.append(Section(f"Laser: {trial.log.name}", tuple(blocks)))

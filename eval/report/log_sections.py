@@ -7,26 +7,23 @@ from pathlib import Path
 
 import pandas as pd
 
-from eval.page.document import Block, Folded, Picture, Section, written_table
-from eval.plan.calibrate.calibration import Calibration
+from eval.plan.calibrate import Calibration
 from eval.plan.flags.options import Options
 from eval.referee.score import Scores, Trial
 from eval.report import comparison
-from eval.report.differences import CAPTION as DIFFERENCES_CAPTION
-from eval.report.differences import FINE as DIFFERENCES_FINE
-from eval.report.differences import differences_table, missing_intervals
-from eval.report.doubt.ambiguity import ambiguity_statements
-from eval.report.doubt.minima import minima_statements
-from eval.report.doubt.naming import naming_statements
-from eval.report.films import films_of
-from eval.report.laser.pictures import GRID, LOOPS
+from eval.report.comparison import CAPTION as DIFFERENCES_CAPTION
+from eval.report.comparison import FINE as DIFFERENCES_FINE
+from eval.report.comparison import differences_table, missing_intervals
+from eval.report.diagnostics import ambiguity_statements, minima_statements, naming_statements
+from eval.report.laser import GRID_PICTURE, LOOP_PICTURE
 from eval.report.names import SYSTEMATIC, stem
-from eval.report.pictures import FILTER_SMOOTHER
-from eval.report.results.said import aligned_statement
+from eval.report.page.document import Block, Folded, Picture, Section, written_table
+from eval.report.pictures import FILTER_SMOOTHER, films_of
+from eval.report.results import aligned_statement
 from eval.report.rows import rows_of as rows_by
-from eval.report.systematic.sections import systematic_section
-from eval.report.trust.sections import trust_section
-from eval.report.tutorials.section import beside_note
+from eval.report.systematic import systematic_section
+from eval.report.trust import trust_section
+from eval.report.tutorials import beside_note
 from eval.studies.trusted import Trust
 
 
@@ -44,7 +41,7 @@ def rows_of(frame: pd.DataFrame, trial: Trial) -> pd.DataFrame:
 
 BESIDE, NOTES = "Rows that stand beside, and why", "Notes on the log and its runs"
 """What folded texts are called."""
-ELSEWHERE = ("association", FILTER_SMOOTHER, SYSTEMATIC, GRID, LOOPS)
+ELSEWHERE = ("association", FILTER_SMOOTHER, SYSTEMATIC, GRID_PICTURE, LOOP_PICTURE)
 """Pictures that stand in a section of their own."""
 
 

@@ -1,8 +1,11 @@
-"""The files of one trial: its runs and films, and each of its pictures with caption and alternative text."""
+"""The files of one trial: its runs and films, and each of its pictures with caption and alternative text.
+
+The films of a trial: one for each run, named by estimator and association, and where the report shows them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,19 +15,22 @@ from data.log import Log
 from data.result import Run
 from eval import figures
 from eval.figures.association import bars
-from eval.figures.ellipses import SIGMAS, longest_axis
 from eval.figures.error import longest_sigma
+from eval.figures.film import AS_THEN, History
 from eval.figures.growth import closing_frame, state_is_informative
+from eval.figures.plane import SIGMAS, longest_axis
 from eval.figures.style import save
-from eval.page.document import Picture
-from eval.page.numbers import number
 from eval.plan.flags.options import Options
+from eval.player.watch import Watched
+from eval.referee.given_runs import log_of
 from eval.referee.score import Trial, confusion_of
 from eval.referee.trust import SHARE
-from eval.report.laser.files import write_laser_files
-from eval.report.laser.pictures import GRID, LOOPS, laser_kinds, laser_picture
+from eval.report.laser import GRID_PICTURE, LOOP_PICTURE, laser_kinds, laser_picture, write_laser_files
 from eval.report.names import SYSTEMATIC, stem
-from eval.report.results.said import aligned_statement
+from eval.report.page.blocks import Film
+from eval.report.page.document import Picture
+from eval.report.page.tables import number
+from eval.report.results import aligned_statement
 from eval.report.run_files import write_run
 from eval.report.shown_runs import (
     finished,
@@ -48,13 +54,11 @@ def publish_runs(folder: Path, options: Options, trial: Trial) -> None:
     for run in trial.runs:
         write_run(folder, trial, run, lab_text=options.lab_text)
     if options.animate:
-        from eval.report.films import write_films
-
         write_films(folder, options, trial)
 
 
 FILTER_SMOOTHER = "filter-smoother"
-QUICK = ("map", GRID, "error", "difference", "association", SYSTEMATIC)
+QUICK = ("map", GRID_PICTURE, "error", "difference", "association", SYSTEMATIC)
 """All that a quick report shows."""
 
 
@@ -105,7 +109,7 @@ def _picture(trial: Trial, kind: str, beside: Sequence[Trial]) -> tuple[Figure, 
     """Figure, caption and what it shows in a sentence."""
     log = trial.log
     where = f"`{log.name}`, {trial.task}"
-    if kind in (GRID, LOOPS):
+    if kind in (GRID_PICTURE, LOOP_PICTURE):
         return laser_picture(trial, kind)
     if kind == "association":
         return (
@@ -246,3 +250,54 @@ def _closure(log: Log, runs: Sequence[Run]) -> str:
             )
         text += "."
     return (" The dotted line: landmarks are seen again after going round." if line else "") + text
+
+
+def film_stem(trial: Trial, run: Run) -> str:
+    """Name of a run's film: as its folder below `runs/`, so that no two runs of a report share one."""
+    return stem(trial, f"{run.estimator}-{run.association}")
+
+
+def write_films(folder: Path, options: Options, trial: Trial) -> None:
+    """Film every run of a trial that got to the end."""
+    from eval.figures.film import animate  # OpenCV is loaded only where films are wanted
+
+    for run in _filmed(trial):
+        path = folder / "figures" / f"{film_stem(trial, run)}.webm"
+        animate(log_of(run, trial.log), run, path, speed=options.speed, history=history_of(run))
+
+
+def history_of(run: Run) -> History | None:
+    """Landmarks as they were at each instant, where somebody wrote them down while the run was made.
+
+    Of a smoother only their places were, so that its landmarks are dots.
+    """
+    watched = run.watched
+    if not isinstance(watched, Watched) or not len(watched.change_frame):
+        return None
+    sigma, product = watched.change_sigma, watched.change_rho * watched.change_sigma.prod(axis=1)
+    covariance = np.empty((len(sigma), 2, 2))
+    covariance[:, 0, 0], covariance[:, 1, 1] = np.square(sigma).T
+    covariance[:, 0, 1] = covariance[:, 1, 0] = product
+    there = watched.change_there.astype(bool)
+    return History(watched.change_frame, watched.change_number, there, watched.change_xy, covariance, AS_THEN)
+
+
+def films_of(folder: Path, trial: Trial) -> list[Film]:
+    """The films of a trial that were written."""
+    found = []
+    for run in _filmed(trial):
+        film = Film(film_stem(trial, run), _caption(trial, run))
+        if (folder / film.path).exists():
+            found.append(film)
+    return found
+
+
+def _filmed(trial: Trial) -> Iterator[Run]:
+    return (run for run in trial.runs if run.failure is None)
+
+
+def _caption(trial: Trial, run: Run) -> str:
+    return (
+        f"`{trial.log.name}`, {trial.task}: `{run.estimator}` with association {run.association}, {run.phases[0]};"
+        " its path fades behind it, rays are observations (grey: not used), the truth is black."
+    )

@@ -1,4 +1,7 @@
-"""The lines of `eval.score`: one estimate with a name and a value a line, or many runs with their verdicts."""
+"""The lines of `eval.score`: one estimate with a name and a value a line, or many runs with their verdicts.
+
+What the report says of results that were handed in: their main numbers, and how they were moved.
+"""
 
 from __future__ import annotations
 
@@ -9,20 +12,20 @@ from pathlib import Path
 
 import numpy as np
 
+from data.formats.results.reading import is_bag, read_path
+from data.formats.results.space import projection
+from data.formats.results.tables import Beside
 from data.log import Log
-from data.results.bag import is_bag
-from data.results.kept import Beside
-from data.results.reading import read_path
-from data.results.space import projection
 from data.se2 import Array
-from eval.page.numbers import number
-from eval.plan.flags.results import Reading
+from eval.plan.flags.table import Reading
 from eval.plan.results import Result, manner_of, phase_of, runs_of, true_path, truth_of
 from eval.referee import consistency, errors
 from eval.referee.consistency import QUANTITIES
+from eval.referee.given_runs import ABOUT, NONE, GivenRun, TruePath, truth_log
 from eval.referee.metrics import OF_ESTIMATES
-from eval.referee.paths.given import GivenRun, TruePath, truth_log
-from eval.referee.score import metrics_row
+from eval.referee.score import Trial, metrics_row
+from eval.report.page.tables import is_blank, number
+from eval.report.rows import Row, value_of
 from eval.studies.montecarlo import Sample, verdicts
 
 ESTIMATE = "estimate"
@@ -138,3 +141,31 @@ def _sample(s: Scored) -> Sample:
 def _six(value: float) -> str:
     """Six significant digits; counts as they are."""
     return str(int(value)) if float(value).is_integer() and abs(value) < 1e6 else f"{value:.6g}"
+
+
+def results_statement(trial: Trial, rows: Sequence[Row]) -> str:
+    """A sentence on each result of a trial, from its rows of metrics.csv; empty where none was handed in."""
+    names = {r.estimator for r in trial.runs if isinstance(r, GivenRun)}
+    return " ".join(_sentence(row) for row in rows if row["estimator"] in names)
+
+
+def _sentence(row: Row) -> str:
+    """Errors and NEES of one phase."""
+    said = []
+    for column, what, unit in (
+        ("rmse_position_m", "position RMSE", " m"), ("rpe_10m_m", "relative error over 10 m", " m"),
+        ("nees_pose", "mean pose NEES", " (3 expected)"), ("rms_from_batch_m", "RMS distance from batch", " m"),
+    ):  # fmt: skip
+        if not is_blank(row[column]):
+            said.append(f"{what} {number(value_of(row, column))}{unit}")
+    of = "" if is_blank(row["matched"]) else f", {row['matched']} of {row['frames']} poses matched with the truth"
+    return f"`{row['estimator']}` ({row['phase']}): {', '.join(said) or 'nothing to compare with'}{of}."
+
+
+def aligned_statement(trial: Trial) -> str:
+    """Which results were moved onto the truth, for captions; empty where none was."""
+    moved = [r for r in trial.runs if isinstance(r, GivenRun) and r.aligned != NONE]
+    if not moved:
+        return ""
+    names = ", ".join(dict.fromkeys(r.estimator for r in moved))
+    return f" But aligned: {names}, {ABOUT[moved[0].aligned]} (`--align {moved[0].aligned}`)."

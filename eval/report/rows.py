@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from eval.page.tables import is_blank
-from eval.replay.names import BATCH, ESTIMATORS, FILTERS, INCREMENTAL
+from eval.replay.settings import BATCH, ESTIMATORS, FILTERS, INCREMENTAL
+from eval.report.page.tables import is_blank
 
 Row = dict[str, object]
 

@@ -8,20 +8,19 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from association.evidence.ambiguity import ambiguous
-from association.scans.laser_run import SCAN, LaserRun
+from association.scans.constraints import SCAN, LaserRun
 from data.log import folder_name
 from data.result import Run, Systematics, Trajectory
 from data.se2 import Array
+from eval.referee import result_files
+from eval.referee.ambiguity import ambiguous
 from eval.referee.confusion import OUTCOMES
 from eval.referee.errors import landmark_true_ids, named
-from eval.referee.files import of_runs
-from eval.referee.paths.given import GivenRun, log_of
+from eval.referee.given_runs import GivenRun, log_of
 from eval.referee.score import Trial, confusion_of
-from eval.walk.lab_text import lab_block
-from eval.walk.text import run_text
+from eval.stepping.text import lab_block, run_text
 
-FILES = {"online": of_runs.ONLINE, "final": of_runs.FINAL}
+FILES = {"online": result_files.ONLINE, "final": result_files.FINAL}
 
 
 def _blank(values: Array) -> pd.Series:
@@ -33,7 +32,7 @@ def trajectory_table(time: Array, trajectory: Trajectory) -> pd.DataFrame:
     """One row per frame: time, pose, upper triangle of the world-frame covariance."""
     rows, cols = np.triu_indices(3)
     values = np.column_stack([time, trajectory.pose, trajectory.covariance[:, rows, cols]])
-    return pd.DataFrame({name: _blank(values[:, i]) for i, name in enumerate(c.name for c in of_runs.PATH)})
+    return pd.DataFrame({name: _blank(values[:, i]) for i, name in enumerate(c.name for c in result_files.PATH)})
 
 
 def write_tum(path: Path, time: Array, pose: Array) -> None:
@@ -75,7 +74,7 @@ def write_run(folder: Path, trial: Trial, run: Run, *, lab_text: bool = False) -
     _write_decisions(place, trial, run)
     if lab_text and run.association not in ("none", SCAN):
         text = run_text(log, run, run.phases[0], lab_block)
-        (place / of_runs.LAB_TEXT.name).write_text(f"{text}\n", encoding="utf-8", newline="\n")
+        (place / result_files.LAB_TEXT.name).write_text(f"{text}\n", encoding="utf-8", newline="\n")
 
 
 def _append(table: pd.DataFrame, errors: Systematics | None) -> None:
@@ -100,7 +99,7 @@ def _write_map(place: Path, trial: Trial, run: Run) -> None:
         "true_id": pd.Series(ids, dtype=object).where(ids >= -1, None), "first_frame": m.first_frame,
         "times_seen": m.times_seen, "ambiguous": pd.Series(near, dtype=object).where(near >= 0, None),
     })  # fmt: skip
-    of_runs.LANDMARKS.write(table, place)
+    result_files.LANDMARKS.write(table, place)
 
 
 def _write_decisions(place: Path, trial: Trial, run: Run) -> None:
@@ -120,4 +119,4 @@ def _write_decisions(place: Path, trial: Trial, run: Run) -> None:
     moved = (run.initialized >= 0) & (run.initialized != run.created)
     table["final_decision"] = np.where(moved, run.initialized, run.final_decisions)
     table["final_outcome"] = None if final is None else names[final.outcome]
-    of_runs.DECISIONS.write(table, place)
+    result_files.DECISIONS.write(table, place)

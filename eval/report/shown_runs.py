@@ -11,9 +11,9 @@ from association.decide import HINDSIGHT
 from data.result import Run
 from eval.figures.error import MOST_PANELS
 from eval.referee.errors import position_distance, rms
-from eval.referee.paths.given import GivenRun, log_of
+from eval.referee.given_runs import GivenRun, log_of
 from eval.referee.score import Trial
-from eval.replay.names import ASSOCIATIONS, ESTIMATORS, FILTERS
+from eval.replay.settings import ASSOCIATIONS, ESTIMATORS, FILTERS
 
 FIRST = ("known", "jcbb", "jcbb-first")
 """Ways of association that are shown before all others."""

@@ -1,22 +1,119 @@
-"""The report's section on the tutorials: table and figure of knowledge taken away, and the notes beside their rows."""
+"""The report's section on the tutorials: table and figure of knowledge taken away, and the notes beside their rows.
+
+One table of the tutorials' steps, from labels and map given to nothing, with our runs on the same log.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
 
 from data.log import folder_name
-from eval.figures.knowledge import Known, knowledge_figure
+from eval.figures.studies import Known, knowledge_figure
 from eval.figures.style import save
-from eval.page.document import Block, Picture, Section, written_table
-from eval.page.numbers import number
-from eval.page.tables import is_blank
 from eval.plan.flags.options import Options
-from eval.plan.tutorials.recording import is_tutorial, original_of
+from eval.plan.tutorials import is_tutorial, original_of
+from eval.referee.confusion import OUTCOMES
+from eval.referee.metrics import heads
 from eval.referee.score import Scores, Trial
-from eval.report.tutorials.table import CAPTION, ORIGINAL, Row, logs_with_tutorials, rows_of, table_of
+from eval.report.page.document import Block, Picture, Section, written_table
+from eval.report.page.tables import drop_blank_columns, is_blank, number
+
+CAPTION = (
+    "Knowledge taken away, on the same recording: {log}. Given are the map, the labels, or neither; errors in the world"
+    " frame without alignment. TP, TN, FP and FN count decisions about the observations, as they were online."
+)
+ORIGINAL = (
+    " Original: what the tutorial's own program gave on this recording with the corrected landmarks (Octave)."
+    " Σ e²: sum of squared position errors over the 50 Hz frames."
+)
+SQUARES = "Σ e² [m²]"
+HEADS = heads(("rmse_position_m", "rmse_heading_deg", "rmse_landmark_m", "landmarks"))
+COUNTS = heads(OUTCOMES)
+
+
+def given(task: str, association: str) -> str:
+    """What the estimator is given."""
+    names = [name for name, yes in (("map", task == "localization"), ("labels", association == "known")) if yes]
+    return " and ".join(names) or "nothing"
+
+
+def logs_with_tutorials(trials: Sequence[Trial]) -> list[str]:
+    """Names of the logs beside which two tutorials or more stand."""
+    beside = [t.beside for t in trials if t.beside is not None and is_tutorial(t)]
+    return [name for name in dict.fromkeys(beside) if beside.count(name) > 1]
+
+
+@dataclass(frozen=True)
+class Row:
+    """A run in the table: who, given what, its row of `metrics.csv`, and the counts of its decisions.
+
+    original: of a tutorial whose own program was run on this recording: sum of squares [m^2], position RMSE [m].
+    """
+
+    name: str
+    given: str
+    estimator: str
+    association: str
+    tutorial: bool
+    metrics: Mapping[Hashable, object]
+    counts: Mapping[str, int]
+    original: tuple[float, float] | None
+
+
+def rows_of(log: str, trials: Sequence[Trial], scores: Scores) -> list[Row]:
+    """Rows of the tutorials beside a log in the order of their names, after each those of ours that are given as much.
+
+    An estimator with two phases stands with its final one; dead reckoning uses no observations and is left out.
+    """
+    counts = {
+        (r["log"], r["task"], r["estimator"], r["association"]): r
+        for r in scores.association.to_dict("records")
+        if r["phase"] == "online"
+    }
+    made = []
+    for trial in trials:
+        if trial.log.name != log and not (trial.beside == log and is_tutorial(trial)):
+            continue
+        for run in trial.runs:
+            if run.association == "none":
+                continue
+            key = (trial.log.name, trial.task, run.estimator, run.association)
+            rows = scores.metrics[
+                (scores.metrics["log"] == key[0])
+                & (scores.metrics["task"] == key[1])
+                & (scores.metrics["estimator"] == key[2])
+                & (scores.metrics["association"] == key[3])
+            ].to_dict("records")
+            last, tutorial = rows[-1], is_tutorial(trial)
+            decided = counts.get(key, {})
+            counted = {c: int(decided[c]) for c in OUTCOMES if not is_blank(decided.get(c))}
+            name = trial.log.name.removeprefix(f"{log}:") if tutorial else f"ours: {run.estimator} ({last['phase']})"
+            known = given(run.task, run.association)
+            original = original_of(trial) if tutorial else None
+            made.append(Row(name, known, run.estimator, run.association, tutorial, last, counted, original))
+    order = ["map and labels", "map", "labels", "nothing"]
+    return sorted(made, key=lambda r: (order.index(r.given), not r.tutorial))
+
+
+def table_of(rows: Sequence[Row]) -> pd.DataFrame:
+    """The rows as a table."""
+    error, *others = HEADS
+    made = []
+    for row in rows:
+        rmse, squares = (None, None) if row.original is None else (row.original[1], row.original[0])
+        made.append({
+            "run": row.name, "given": row.given, "association": row.association,
+            HEADS[error]: row.metrics[error], "original RMSE [m]": rmse,
+            **{HEADS[c]: row.metrics[c] for c in others},
+            **({SQUARES: row.metrics["sse_position_m2"], "original Σ e² [m²]": squares} if row.tutorial else {}),
+            **{COUNTS[c]: row.counts.get(c) for c in OUTCOMES},
+            "status": None if row.metrics["status"] == "ok" else row.metrics["status"],
+        })  # fmt: skip
+    return drop_blank_columns(pd.DataFrame(made, dtype=object))
 
 
 def tutorial_sections(folder: Path, options: Options, trials: Sequence[Trial], scores: Scores) -> list[Section]:

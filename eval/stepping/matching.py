@@ -1,32 +1,138 @@
 """The figures of a frame's problem and its solutions: compatibility and matching, a panel for each method.
 
 Seen from the robot: x forward, y left.
+
+Decisions drawn over a frame's problem, and enlarged where they are wrong.
+
+One frame looked at from near, as a figure of the report: what could be paired, and what a method made of it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
 
 from data.inputs import IntArray
 from data.result import NEW
-from eval.walk.deciding import draw_decisions, inset_on_wrong
-from eval.walk.marks import (
+from data.se2 import Array
+from eval.figures.paper import page_width
+from eval.figures.style import drawing
+from eval.stepping.plane import (
     BAD,
     DASHES,
     DULL,
     FAINT,
     GOOD,
+    HALO,
     LANDMARK,
     SHOWN_WITHOUT_GATE,
+    Matching,
+    Plane,
+    background,
     called,
+    legend,
+    lines,
+    make_panels,
+    name_landmarks,
+    outlines,
+    plane_of,
     robot_axes,
     write_numbers,
 )
-from eval.walk.plane import Matching, background, legend, lines, make_panels, name_landmarks, plane_of
-from eval.walk.text import TruthRow
+from eval.stepping.text import TruthRow
+
+SHARE = 0.42
+"""Of an inset in the side of its panel."""
+LEAST = 0.2
+"""m, half the side of what an inset shows at least."""
+
+
+def draw_decisions(
+    ax: Axes, p: Plane, decisions: IntArray, truth: TruthRow | None, *, all_numbers: bool, size: float = 5.5
+) -> None:
+    """Pairings as lines, shapes that say what was decided, colours whether it is right; wrong ones are numbered."""
+    wrong = np.zeros(len(decisions), bool) if truth is None else ~np.array(truth.correct, bool)
+    pairs = [(i, p.column.get(n, -1)) for i, n in enumerate(decisions.tolist()) if n >= 0]
+    pairs = [(i, j) for i, j in pairs if j >= 0]  # a labelled landmark need not be a candidate
+    lines(ax, p, [q for q in pairs if not wrong[q[0]]], color=GOOD, linewidth=1.3, zorder=4)
+    lines(ax, p, [q for q in pairs if wrong[q[0]]], color=BAD, linewidth=1.3, linestyle=DASHES, zorder=4)
+    if truth is not None:
+        missed = [(int(i), p.column.get(int(truth.ground_truth[i]), -1)) for i in np.flatnonzero(wrong)]
+        lines(ax, p, [q for q in missed if q[1] >= 0], color=BAD, linewidth=0.9, linestyle=":", zorder=3.8)
+    kinds = (("o", decisions >= 0, 3.0), ("*", decisions == NEW, 6.5), ("x", decisions < NEW, 4.5))
+    for colour, group in ((GOOD, ~wrong), (BAD, wrong)):
+        for marker, kind, large in kinds:
+            ax.plot(*p.xy[kind & group].T, marker, color=colour, markersize=large, linestyle="none", zorder=5)
+    named = np.arange(len(wrong)) if all_numbers else np.flatnonzero(wrong)
+    write_numbers(
+        ax, p.xy[named], [str(i) for i in named], "#202020" if all_numbers else BAD, size if all_numbers else size + 1.0
+    )
+
+
+def wrong_of(truth: TruthRow | None) -> IntArray:
+    """Readings decided wrongly."""
+    return np.empty(0, np.int64) if truth is None else np.flatnonzero(~np.array(truth.correct, bool))
+
+
+def scene_of_wrong(p: Plane, decisions: IntArray, truth: TruthRow | None) -> Array | None:
+    """What a look at one wrong decision must show, points (k, 2): reading, landmark taken, landmark that is right.
+
+    The wrong decision whose landmarks are nearest to each other is the one that needs it; None where none is wrong.
+    """
+    found: list[Array] = []
+    for i in wrong_of(truth).tolist():
+        numbers = [int(decisions[i])] + ([] if truth is None else [int(truth.ground_truth[i])])
+        columns = [p.column[n] for n in numbers if n in p.column]
+        if columns:
+            found.append(np.concatenate([p.xy[[i]], p.landmarks[columns]]))
+    # one landmark alone tells less than two that are confused
+    return min(found, key=lambda points: (-len(points), float(np.ptp(points, axis=0).max())), default=None)
+
+
+def inset_on_wrong(ax: Axes, p: Plane, decisions: IntArray, truth: TruthRow | None) -> Axes | None:
+    """Enlarge one wrong decision in the corner of the panel that has most room; None where nothing is wrong."""
+    scene = scene_of_wrong(p, decisions, truth)
+    if scene is None:
+        return None
+    low, high = scene.min(axis=0), scene.max(axis=0)
+    middle, half = 0.5 * (low + high), max(0.75 * float((high - low).max()), LEAST)
+    inset = ax.inset_axes(_corner(ax, p), zorder=20)
+    outlines(inset, p.landmarks, p.Pl, DULL, 1.5, 0.08)
+    outlines(inset, p.xy, p.P, GOOD, 2.0, 0.08)
+    inset.plot(*p.landmarks.T, "+", color=DULL, markersize=6.0, markeredgewidth=0.9, zorder=3)
+    lines(inset, p, [(int(i), int(j)) for i, j in np.argwhere(p.near)], color=FAINT, linewidth=0.8, zorder=2.5)
+    draw_decisions(inset, p, decisions, truth, all_numbers=True, size=6.0)
+    inset.set(xlim=middle[0] + [-half, half], ylim=middle[1] + [-half, half])
+    inset.set_aspect("equal")
+    seen = np.all(np.abs(p.landmarks - middle) <= half, axis=1)
+    write_numbers(inset, p.landmarks[seen], [str(n) for n in p.number[seen]], LANDMARK, 6.0, (-3.0, -3.0))
+    inset.tick_params(labelleft=False, labelbottom=False, length=0.0)
+    ax.indicate_inset_zoom(inset, edgecolor="#303030")
+    for spine in inset.spines.values():
+        spine.set(edgecolor=BAD, linewidth=0.9)
+    return inset
+
+
+def _corner(ax: Axes, p: Plane) -> tuple[float, float, float, float]:
+    """Place of an inset in a panel's own units: the corner with the fewest readings and named landmarks below it."""
+    points = ax.transData.transform(np.concatenate([p.xy, p.landmarks[p.named], np.zeros((1, 2))]))
+    unit = ax.transAxes.inverted().transform(points)
+    place = ax.get_window_extent()
+    wide = SHARE * min(1.0, float(place.height / place.width))
+    corners = [(x, y) for y in (0.985 - SHARE, 0.015) for x in (0.985 - wide, 0.015)]
+
+    def covered(corner: tuple[float, float]) -> int:
+        inside = (unit >= corner) & (unit <= np.add(corner, (wide, SHARE)))
+        return int(inside.all(axis=1).sum())
+
+    x, y = min(corners, key=covered)
+    return x, y, wide, SHARE
 
 
 def _background_handles(gate: float | None) -> list[Line2D | Patch]:
@@ -140,3 +246,117 @@ def _counted(decisions: IntArray, truth: TruthRow | None) -> str:
         return "  ".join(f"{name.upper()} {n}" for name, n in truth.counts().items())
     paired, new = int((decisions >= 0).sum()), int((decisions == NEW).sum())
     return f"{paired} paired, {new} new, {len(decisions) - paired - new} left out"
+
+
+AROUND = 0.5
+"""m, half the side of what is shown at least: the corridor's points stand 0.25 m apart."""
+TALL, FLAT = 4.4, 3.3
+"""in. Heights of a figure with two panels, and with one per method."""
+SIZE = 7.0
+"""pt, of the numbers."""
+
+
+def closer_figure(m: Matching, method: str) -> Figure:
+    """Compatibility and matching of one method in a frame, zoomed on its wrong decision (or on its most crowded spot).
+
+    Beside each compatible pair in view stands its squared Mahalanobis distance d².
+    """
+    with drawing():
+        p, decided = plane_of(m), m.decisions[method]
+        assert not isinstance(decided, str)  # the frame is one that this method updates with
+        truth = m.truth.get(method)
+        middle, half = _region(p, decided, scene_of_wrong(p, decided, truth))
+        fig = Figure(figsize=(page_width(), TALL))
+        fig.set_layout_engine("none")
+        left, right = (fig.add_axes((x, 0.215, 0.415, 0.415 * page_width() / TALL)) for x in (0.085, 0.575))
+        for ax in (left, right):
+            _scene(ax, p, middle, half, wrong_of(truth) if ax is left else None)
+        d2 = m.expectation.individual_distances()
+        for i, j in np.argwhere(p.near):
+            at = 0.5 * (p.xy[i] + p.landmarks[j])
+            if np.all(np.abs(at - middle) < 0.95 * half):
+                left.annotate(
+                    f"{d2[i, j]:.2g}", at, fontsize=5.5, color="#303030", path_effects=HALO, ha="center", va="center",
+                    zorder=9,
+                )  # fmt: skip
+        draw_decisions(right, p, decided, truth, all_numbers=True, size=SIZE)
+        robot_axes(left)
+        robot_axes(right, left=False)
+        left.set_title("compatibility: pairs inside the gate, with their d²", loc="left")
+        counted = "" if truth is None else "  ".join(f"{name.upper()} {n}" for name, n in truth.counts().items())
+        right.set_title(f"matching by {called(method)}: {counted}", loc="left")
+        fig.legend(handles=_handles(m), loc="lower center", ncols=4)
+        fig.suptitle(m.title, x=0.01, ha="left")
+        return fig
+
+
+def methods_figure(m: Matching, methods: Sequence[str]) -> Figure:
+    """What several methods make of one frame, side by side, zoomed on what the first of them gets wrong."""
+    with drawing():
+        p, first = plane_of(m), m.decisions[methods[0]]
+        scene = None if isinstance(first, str) else scene_of_wrong(p, first, m.truth.get(methods[0]))
+        middle, half = _region(p, np.empty(0, np.int64) if isinstance(first, str) else first, scene)
+        fig = Figure(figsize=(page_width(), FLAT))
+        fig.set_layout_engine("none")
+        wide = 0.925 / len(methods)
+        for k, name in enumerate(methods):
+            ax = fig.add_axes((0.075 + k * wide, 0.27, wide - 0.03, (wide - 0.03) * page_width() / FLAT))
+            _scene(ax, p, middle, half, None)
+            ax.tick_params(labelleft=k == 0)
+            robot_axes(ax, left=k == 0)
+            made = m.decisions[name]
+            if isinstance(made, str):
+                ax.set_title(f"{called(name)}: {made}", loc="left")
+                continue
+            truth = m.truth.get(name)
+            draw_decisions(ax, p, made, truth, all_numbers=True, size=SIZE - 0.5)
+            counted = "" if truth is None else "  ".join(f"{n.upper()} {c}" for n, c in truth.counts().items())
+            ax.set_title(f"{called(name)}: {counted}", loc="left")
+        fig.legend(handles=_handles(m), loc="lower center", ncols=4)
+        fig.suptitle(m.title, x=0.01, ha="left")
+        return fig
+
+
+def _region(p: Plane, decisions: IntArray, scene: Array | None) -> tuple[Array, float]:
+    """Middle (2,) and half side [m] of what is shown: a wrong decision, or else the spot with most compatible pairs."""
+    if scene is None:
+        crowded = int(p.near.sum(axis=1).argmax()) if p.near.size else 0
+        scene = p.xy[[crowded]]
+    low, high = scene.min(axis=0), scene.max(axis=0)
+    return 0.5 * (low + high), max(0.9 * float((high - low).max()), AROUND)
+
+
+def _scene(ax: Axes, p: Plane, middle: Array, half: float, wrong: IntArray | None) -> None:
+    """Landmarks with numbers and ellipses, readings (where decisions are not drawn), compatible pairs."""
+    ax.set(xlim=middle[0] + [-half, half], ylim=middle[1] + [-half, half])
+    ax.set_aspect("equal")
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+    outlines(ax, p.landmarks, p.Pl, DULL, 1.5, 0.1)
+    outlines(ax, p.xy, p.P, GOOD, 2.0, 0.1)
+    ax.plot(*p.landmarks.T, "+", color=DULL, markersize=7.0, markeredgewidth=1.0, zorder=3)
+    lines(ax, p, [(int(i), int(j)) for i, j in np.argwhere(p.near)], color=FAINT, linewidth=0.9, zorder=2.5)
+    seen = np.all(np.abs(p.landmarks - middle) <= half, axis=1)
+    write_numbers(ax, p.landmarks[seen], [str(n) for n in p.number[seen]], LANDMARK, SIZE, (-3.0, -3.0))
+    if wrong is not None:
+        ax.plot(*p.xy.T, "o", color=GOOD, markersize=3.5, zorder=5)
+        ax.plot(*p.xy[wrong].T, "o", color=BAD, markersize=3.5, zorder=5.1)
+        write_numbers(ax, p.xy, [str(i) for i in range(len(p.xy))], "#202020", SIZE)
+
+
+def _handles(m: Matching) -> list[Line2D | Patch]:
+    handles: list[Line2D | Patch] = [
+        Line2D([], [], marker="o", color=GOOD, linestyle="none", label="observation, its number black"),
+        Line2D([], [], marker="+", color=DULL, linestyle="none", label="predicted landmark, 3σ"),
+        Line2D([], [], marker="$7$", color=LANDMARK, linestyle="none", label="number of a landmark"),
+        Line2D([], [], color=FAINT, linewidth=0.9, label="compatible pair"),
+        Line2D([], [], color=GOOD, linewidth=1.3, label="pairing"),
+    ]
+    shapes = (("*", "NEW"), ("x", "left out"))
+    handles += [Line2D([], [], marker=s, color=GOOD, linestyle="none", label=what) for s, what in shapes]
+    if m.right is not None:
+        handles += [
+            Line2D([], [], color=BAD, marker="o", linewidth=1.3, linestyle=DASHES, label="wrong"),
+            Line2D([], [], color=BAD, linewidth=0.9, linestyle=":", label="to the right landmark"),
+        ]
+    return handles

@@ -2,26 +2,36 @@
 
 Each function paints on a figure that is given, so that a window can be painted again and a file once. The last three
 are seen from the robot: x forward, y left.
+
+Where the pictures of a walk through a log go: windows, files, both, or nowhere.
 """
 
 from __future__ import annotations
 
+import io
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.image import imread
 
+from data.errors import UsageError
 from data.inputs import CLUTTER, LandmarkMap
 from data.log import Log
 from data.result import MapState, PoseEstimate
 from data.se2 import Array, transform_points
 from data.sensors import RangeBearing, Sensor
-from data.terminal.words import counted
-from eval.figures.ellipses import ellipses
-from eval.figures.style import TRUTH_COLOUR, style_of
-from eval.figures.view import draw_walls, true_landmarks
-from eval.walk.marks import BAD, FAINT, GOOD, LANDMARK, ONE, fit, mark_robot, outlines, robot_axes, write_numbers
+from data.terminal import counted
+from data.whole import whole_file
+from eval.figures.plane import draw_walls, ellipses, true_landmarks
+from eval.figures.style import TRUTH_COLOUR, drawing, style_of
+from eval.stepping.plane import BAD, FAINT, GOOD, LANDMARK, ONE, fit, mark_robot, outlines, robot_axes, write_numbers
 
 
 def field_of_view(sensor: Sensor) -> Array | None:
@@ -161,3 +171,85 @@ def paint_observations(fig: Figure, sensor: Sensor, z: Array, R: Array, title: s
     ax.set_title(f"{title}: {len(xy)} observation{'s' * (len(xy) != 1)}, robot frame", loc="left")
     fit(ax, np.concatenate(shown))
     _legend_below(fig, ax)
+
+
+DPI = 110
+WINDOWED = ("macosx", "qt", "tk", "gtk", "wx")
+"""How the names of matplotlib's backends begin that open windows."""
+SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
+
+
+def open_windows() -> Any:
+    """Matplotlib's pyplot if it can open windows here, else None."""
+    if sys.platform not in ("darwin", "win32") and not any(os.environ.get(name) for name in SCREENS):
+        return None
+    try:
+        from matplotlib import pyplot
+
+        pyplot.switch_backend(pyplot.get_backend())
+    except (ImportError, ValueError, RuntimeError):
+        return None
+    return pyplot if pyplot.get_backend().lower().startswith(WINDOWED) else None
+
+
+class Album:
+    """Where pictures go: windows, files, both, or nowhere."""
+
+    def __init__(self, folder: Path | None, windows: Any) -> None:
+        """Makes the folder; raises UsageError if that cannot be done."""
+        self.folder, self.windows = folder, windows
+        if folder is not None:
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+            except OSError as fault:
+                raise UsageError(f"--save {folder}: {fault.strerror}") from fault
+
+    @property
+    def wanted(self) -> bool:
+        """Whether anybody sees a picture."""
+        return self.folder is not None or self.windows is not None
+
+    def show(self, name: str, paint: Callable[[Figure], object], stem: str | None) -> None:
+        """A picture in the window `name` and, with a stem, as a file; nothing is painted for nobody."""
+        if self.windows is None and (self.folder is None or stem is None):
+            return
+        # a layout engine would draw everything twice, and the painters know where things stand; saving a figure puts
+        # back the one that the settings name, so they must not name any until all is done
+        with drawing(), rc_context({"figure.constrained_layout.use": False}):
+            figure = Figure() if self.windows is None else self.windows.figure(num=name, clear=True)
+            paint(figure)
+            if stem is not None:
+                self.write(f"{stem}.png", _png(figure))
+            if self.windows is not None:
+                figure.canvas.draw_idle()
+                self.windows.pause(0.01)
+
+    def show_made(self, name: str, figure: Figure) -> None:
+        """The same for a figure that exists already, as the file `name`; a window gets an image of it."""
+        with drawing():
+            png = _png(figure)
+        self.show_image(name, png, name)
+
+    def show_image(self, name: str, png: bytes, stem: str) -> None:
+        """An image, as the file `stem` and in the window `name`."""
+        self.write(f"{stem}.png", png)
+        if self.windows is None:
+            return
+        image = imread(io.BytesIO(png))
+        self.show(name, lambda fig: fig.add_axes((0, 0, 1, 1), frameon=False).imshow(image), None)
+
+    def write(self, name: str, data: bytes) -> None:
+        """A whole file, or none."""
+        if self.folder is None:
+            return
+        try:
+            with whole_file(self.folder / name) as partial:
+                partial.write_bytes(data)
+        except OSError as fault:
+            raise UsageError(f"--save {self.folder}: {name} cannot be written: {fault.strerror}") from fault
+
+
+def _png(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
+    return buffer.getvalue()

@@ -15,8 +15,8 @@ from data.truth import CLUTTER
 from eval.replay.frontend import FrontEnd, Pairing
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
-from eval.walk.plane import Matching
-from eval.walk.text import judge_frame
+from eval.stepping.plane import Matching
+from eval.stepping.text import judge_frame
 
 COMPARED = ("nn", "singles", "ml", "jcbb")
 """Methods shown side by side."""

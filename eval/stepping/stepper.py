@@ -15,11 +15,19 @@ from data.result import NEW, Run
 from eval.figures import error_figure
 from eval.figures.style import style_of
 from eval.replay.frontend import FrontEnd, Pairing
-from eval.walk.album import Album
-from eval.walk.matching import paint_compatibility, paint_matching
-from eval.walk.pictures import paint_ground_truth, paint_map, paint_observations
-from eval.walk.problem import FrameSoFar, pose_problem, removed_so_far
-from eval.walk.text import Block, closing, compatibility_text, judge_frame, pose_text, run_text, statistics, step_block
+from eval.stepping.matching import paint_compatibility, paint_matching
+from eval.stepping.pictures import Album, paint_ground_truth, paint_map, paint_observations
+from eval.stepping.problem import FrameSoFar, pose_problem, removed_so_far
+from eval.stepping.text import (
+    Block,
+    closing,
+    compatibility_text,
+    judge_frame,
+    pose_text,
+    run_text,
+    statistics,
+    step_block,
+)
 
 
 class StoppedError(Exception):
@@ -27,7 +35,7 @@ class StoppedError(Exception):
 
 
 class Walk:
-    """Looks on while a log is replayed: prints, paints and waits for Enter (see `eval.replay.observer.Observer`)."""
+    """Looks on while a log is replayed: prints, paints and waits for Enter (see `eval.replay.recorder.Observer`)."""
 
     def __init__(
         self, log: Log, task: str, estimator: str, album: Album, *, pausing: bool, block: Block = step_block

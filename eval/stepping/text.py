@@ -1,6 +1,12 @@
 """The text of a step, as in the university lab on data association: decisions above the truth, and what they score.
 
 Pure functions of decisions and of what the referee said about them; nothing is scored here.
+
+The text of a step word for word as the lab's program prints it, so that an output can be laid beside it.
+
+Steps, and landmarks in the order in which they were initialized, count from 1; 0 stands for none. The first step has
+nothing to pair with, and the program says nothing of it. A landmark keeps its number when others leave the map (the
+program numbers the rest anew).
 """
 
 from __future__ import annotations
@@ -18,7 +24,7 @@ from data.inputs import IntArray
 from data.log import Log
 from data.result import NEW, Run
 from data.se2 import Array
-from data.terminal.words import counted
+from data.terminal import counted
 from data.truth import UNKNOWN_ID
 from eval.referee.confusion import OUTCOMES, Confusion, confuse
 from eval.referee.metrics import metric
@@ -223,3 +229,28 @@ def compatibility_text(e: Expectation, gate: float | None) -> str:
         f"{counted(int(each.sum()), 'compatible pair')} with {counted(len(e.number), 'landmark')}; "
         f"observations with none {none}, with one {one}, with several {several}"
     )
+
+
+RULE = 62 * "-"
+
+
+def lab_block(frame: int, truth_row: TruthRow | None, decisions: IntArray, created: IntArray) -> str:
+    """The lines of one step; arguments as of `eval.stepping.text.step_block`. Empty for the first step.
+
+    Without true ids the lines about them are left out. `created` is not used: the program does not say what is new.
+    """
+    if frame == 0:
+        return ""
+    hypothesis = np.maximum(decisions + 1, 0)
+    lines = [RULE, f"Step: {frame + 1}"]
+    if truth_row is not None:
+        truth = np.maximum(truth_row.ground_truth + 1, 0)
+        lines.append(f"GROUND  TRUTH: {_numbers(truth)}")
+    lines.append(f"MY HYPOTHESIS: {_numbers(hypothesis)}")
+    if truth_row is not None:
+        lines.append(f"Correct (1/0)? {_numbers((truth == hypothesis).astype(np.int64))}")
+    return "\n".join(lines)
+
+
+def _numbers(values: IntArray) -> str:
+    return "".join(f"{v:2d}  " for v in values.tolist())

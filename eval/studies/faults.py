@@ -141,7 +141,7 @@ FAULTS: Mapping[str, Fault] = {
 """Faults by name.
 
 Sizes of the systematic ones lie around 2, 4 and 10 standard deviations of the efficient estimate
-(`graph.linear.systematic`) in SLAM of the default arena, measured at seed 0: 2.9, 5.8, 11.6 of curvature, 2.0, 3.9, 9.8
+(`graph.qr.score_test`) in SLAM of the default arena, measured at seed 0: 2.9, 5.8, 11.6 of curvature, 2.0, 3.9, 9.8
 of either scale, 2.9, 5.8, 11.6 of the bearing, 2.2, 4.4, 8.9 of latency.
 """
 

@@ -13,12 +13,11 @@ from data.inputs import ERRORS
 from data.log import Log
 from data.result import Run, Systematics
 from data.se2 import Array
-from data.terminal.words import counted
+from data.terminal import counted
 from eval.referee import consistency, errors
-from eval.referee.bounds import LEVEL, gated
-from eval.referee.consistency import QUANTITIES, Verdict
+from eval.referee.consistency import LEVEL, QUANTITIES, Verdict, gated
 from eval.referee.score import CONSISTENCY, frame_of
-from eval.replay.foreign.make import able
+from eval.replay.external.make import able
 from eval.replay.plausible import IMPLAUSIBLE
 from eval.replay.run import compare
 from eval.studies.scenario import Scenario

@@ -10,7 +10,7 @@ import numpy as np
 
 from data.se2 import Array
 from eval.referee.consistency import QUANTITIES
-from eval.referee.files.top import PUBLISHED
+from eval.referee.result_files import PUBLISHED
 
 COLUMNS = PUBLISHED.names
 PUBLISHABLE = (*(f"nees_{q}" for q in QUANTITIES), "rmse_position_m", "rmse_heading_deg")

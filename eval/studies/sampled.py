@@ -19,9 +19,9 @@ from eval.referee import consistency, errors, trust
 from eval.referee.score import confusion_of
 from eval.referee.trust import Key, Measured
 from eval.replay.batch import batch
-from eval.replay.names import FILTERS, steps
 from eval.replay.plausible import with_doubt
 from eval.replay.run import compare
+from eval.replay.settings import FILTERS, steps
 from eval.studies.twins import Source, inputs_of, twin
 
 PLAIN, STAND_IN = "batch", "batch-cauchy"

@@ -1,19 +1,29 @@
-"""Scenarios: a world, the estimators that run in it, what is declared of them, and published numbers."""
+"""Scenarios: a world, the estimators that run in it, what is declared of them, and published numbers.
+
+Scenarios from TOML files: every key checked, every fault named; the shipped ones are in `eval/scenarios`.
+"""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 
 from data.errors import UsageError
 from data.log import Log
-from data.motion.priors import systematic
+from data.motion.priors import AUTO, PRIORS, systematic
+from data.toml_table import Fault, TomlTable, finite, load_toml, not_negative
 from data.worlds import registry
-from eval.replay.foreign.spec import name_of
-from eval.replay.settings import Setup
-from eval.studies.published import Published
+from data.worlds.registry import SIMULATORS, parameters_of
+from eval.replay.external.spec import entry_points, is_foreign, name_of, one_settled, own_or_foreign
+from eval.replay.flag import read_values, rows
+from eval.replay.settings import ESTIMATORS, TASKS, Setup, check_gates
+from eval.studies.published import PUBLISHABLE, Ordering, Published, Row
+from eval.studies.shipped import offered, path_of
 
 RECORDED = "esde"
 """The world that is a recording: one stored run of others, found through `--data`."""
@@ -135,3 +145,194 @@ def with_wrong_labels(log: Log, rate: float, seed: int) -> Log:
     shift = rng.integers(1, len(ids), len(true_id))
     row = np.searchsorted(ids, np.maximum(true_id, ids[0]))
     return replace(log, label=np.where(chosen, ids[(row + shift) % len(ids)], true_id))
+
+
+CONSISTENT = "consistent"
+RECORDING = ("sha256", "speed_noise")
+"""What is said of a world that is a recording."""
+SCENARIO_KEYS = {
+    "": (
+        *("name", "about", "cite", "runs", "task", "association", "estimators", "world", "setup", "from_frame"),
+        *("wrong", "published"),
+    ),
+    "estimators": ESTIMATORS,
+    "setup": tuple(rows(Setup)),
+    "published": ("skipped_are_zero", "per_dof", "tolerance", "row", "ordering", "note"),
+    "published.row": ("estimator", "quantity", "value", "se", "note"),
+    "published.ordering": ("quantity", "smaller", "larger"),
+}
+"""Keys of each table; those of a world are the parameters of its kind."""
+
+
+def load_scenario(name: str) -> Scenario:
+    """A shipped scenario by name or any by file; UsageError names what is wrong in it."""
+    path = path_of(name)
+    if not path.is_file():
+        raise UsageError(f"--scenario {name}: no such file; shipped: {offered()}")
+
+    def fault(what: str) -> UsageError:
+        return UsageError(f"--scenario {name}: {what}")
+
+    top = TomlTable(fault, load_toml(path, fault), SCENARIO_KEYS)
+    stated = top.optional_table("setup")
+    with _named(fault):
+        setup = Setup() if stated is None else _setup(stated)
+    made = _scenario(top, setup, name, path.stem)
+    if not made.recorded:
+        with _named(fault):  # the simulator's own checks, before anything runs
+            for m in made.members:
+                made.world(m.world)
+    return made
+
+
+@contextmanager
+def _named(fault: Fault) -> Iterator[None]:
+    """What is wrong is said with the name of the file."""
+    try:
+        yield
+    except UsageError as wrong:
+        raise fault(str(wrong)) from None
+
+
+def _scenario(top: TomlTable, setup: Setup, source: str, stem: str) -> Scenario:
+    task = top.names("task", TASKS, ("slam",))
+    world = top.table_of("world", _world_keys(top))
+    kind = world.one_of("kind", (*SIMULATORS, RECORDED))
+    estimators = top.table_of("estimators", _estimator_keys(top))
+    members = tuple(_member(estimators, name, task, kind) for name in estimators.table)
+    if not members:
+        raise top.error("estimators", "at least one is needed")
+    return Scenario(
+        name=top.text("name", stem),
+        source=source,
+        about=paragraph(top.text("about")),
+        cite=paragraph(top.text("cite", "")),
+        runs=top.whole("runs", 100, least=1),
+        task=task,
+        association=_associations(top),
+        members=members,
+        kind=kind,
+        values=parameters(world, kind),
+        setup=setup,
+        from_frame=top.whole("from_frame", 0, least=0),
+        rates=_rates(top),
+        published=_published(top.table_of("published"), members) if "published" in top else None,
+    )
+
+
+def _estimator_keys(top: TomlTable) -> tuple[str, ...]:
+    """Names of ours, those that installed packages add, and whatever reads like a foreign one: `_member` settles it."""
+    table = top.table.get("estimators")
+    added = entry_points("estimator")
+    theirs = [key for key in (table if isinstance(table, dict) else ()) if is_foreign(key) or key in added]
+    return (*ESTIMATORS, *theirs)
+
+
+def _associations(top: TomlTable) -> tuple[str, ...]:
+    given = top.table.get("association", ["known"])
+    if not isinstance(given, list):
+        raise top.error("association", "a list is needed")
+    try:
+        settled: tuple[str, ...] = own_or_foreign("association", least=1)("association =", given)
+    except UsageError as wrong:
+        raise top.error("association", str(wrong).removeprefix("association = ")) from None
+    return settled
+
+
+def paragraph(text: str) -> str:
+    """Text of several lines as one paragraph."""
+    return " ".join(text.split())
+
+
+def _rates(top: TomlTable) -> tuple[float, ...]:
+    if "wrong" not in top:
+        return ()
+    what = "shares from 0 to below 1, ascending, are"
+    rates = top.numbers("wrong", None, what, lambda share: 0.0 <= share < 1.0).tolist()
+    if rates != sorted(set(rates)):
+        raise top.error("wrong", f"{what} needed")
+    return tuple(rates)
+
+
+def _world_keys(top: TomlTable) -> tuple[str, ...]:
+    """Keys of [world] for the kind that it states; any, where that is unknown or missing."""
+    table = top.table.get("world")
+    if not isinstance(table, dict):
+        return ()
+    kind = table.get("kind")
+    return ("kind", *parameters_of_kind(kind)) if kind in (*SIMULATORS, RECORDED) else tuple(table)
+
+
+def parameters_of_kind(kind: str) -> tuple[str, ...]:
+    """What may be said of a world of a kind."""
+    return RECORDING if kind == RECORDED else tuple(f.name for f in fields(parameters_of(kind)))
+
+
+def parameters(table: TomlTable, kind: str) -> tuple[tuple[str, object], ...]:
+    """Parameters of a world, checked against the types of its fields; angles that are kept in degrees are converted."""
+    keys = [key for key in table.table if key != "kind"]
+    if kind == RECORDED:
+        return tuple((key, table.table[key]) for key in keys)
+    known = {f.name: f for f in fields(parameters_of(kind))}
+    result: list[tuple[str, object]] = []
+    for key in keys:
+        default = known[key].default
+        if isinstance(default, bool):
+            result.append((key, table.flag(key)))
+        elif isinstance(default, int):
+            result.append((key, table.whole(key, default)))
+        elif isinstance(default, str):
+            result.append((key, table.text(key)))
+        else:
+            value = table.number(key, None, "a finite number", finite)
+            result.append((key, math.radians(value) if known[key].metadata.get("unit") == "deg" else value))
+    return tuple(result)
+
+
+def _member(estimators: TomlTable, name: str, task: tuple[str, ...], kind: str) -> Member:
+    table = estimators.table_of(name, ("must_be", "task", "world"))
+    if table.table.get("must_be", CONSISTENT) != CONSISTENT:
+        raise table.error("must_be", f"only {CONSISTENT!r} can be demanded")
+    tasks = table.names("task", task, task)
+    world = table.optional_table("world", parameters_of_kind(kind))
+    try:
+        text = one_settled("", name, "estimator")
+    except UsageError as wrong:
+        raise estimators.error(name, str(wrong).strip(": ")) from None
+    return Member(text, tasks if "must_be" in table else (), () if world is None else parameters(world, kind))
+
+
+def _setup(table: TomlTable) -> Setup:
+    setup = Setup(**read_values(Setup, table.table, lambda row: f"[setup] {row.name} ="))
+    check_gates(setup.gate, setup.new_gate, ("gate =", "[setup] new_gate ="))
+    if setup.calibrate == (AUTO,):
+        raise UsageError(f"[setup] calibrate = {AUTO}: a scenario names the errors, of {', '.join(PRIORS)}")
+    return setup
+
+
+def _published(table: TomlTable, members: tuple[Member, ...]) -> Published:
+    known = tuple(name_of(m.name) for m in members)
+    rows = [
+        Row(
+            row.one_of("estimator", known),
+            row.one_of("quantity", PUBLISHABLE),
+            row.number("value", None, "a number"),
+            row.number("se", 0.0, "a number from 0 up", not_negative),
+        )
+        for row in table.tables_of("row")
+    ]
+    orderings = [
+        Ordering(o.one_of("quantity", PUBLISHABLE, "nees_pose"), o.one_of("smaller", known), o.one_of("larger", known))
+        for o in table.tables_of("ordering")
+    ]
+    tolerance = table.optional_table("tolerance", known)
+    return Published(
+        rows=tuple(rows),
+        orderings=tuple(orderings),
+        skipped_are_zero=table.flag("skipped_are_zero"),
+        per_dof=table.flag("per_dof"),
+        tolerance=()
+        if tolerance is None
+        else tuple((name, tolerance.number(name, None, "a number")) for name in tolerance.table),
+        note=paragraph(table.text("note", "")),
+    )

@@ -17,9 +17,9 @@ import numpy as np
 
 from data.digest import program_digest
 from data.log import folder_name
-from data.terminal.words import counted
+from data.terminal import counted
 from data.whole import whole_file
-from eval.replay.foreign.load import digests
+from eval.replay.external.load import digests
 from eval.studies.montecarlo import Key, Result, Sample
 from eval.studies.scenario import Scenario
 

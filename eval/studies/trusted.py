@@ -11,21 +11,20 @@ import pandas as pd
 
 from data.inputs import Inputs
 from data.log import Log
-from data.motion.corrected_inputs import corrected_inputs
+from data.motion.priors import corrected_inputs
 from data.result import Run
 from data.se2 import Array, BoolArray
-from data.terminal.words import counted
+from data.terminal import counted
 from eval.referee import attribution, battery, effects, residuals, trust
 from eval.referee.attribution import ESTIMATOR, NOISE, NOTHING, Finding
-from eval.referee.files.top import TRUST
 from eval.referee.residuals import Used
+from eval.referee.result_files import TRUST
 from eval.referee.score import frame_of
 from eval.referee.trust import Key, Measured
 from eval.replay.batch import batch
 from eval.replay.plausible import with_doubt
-from eval.studies.calibration import with_noise
 from eval.studies.sampled import PLAIN, STAND_IN, Sample
-from eval.studies.twins import inputs_of
+from eval.studies.twins import inputs_of, with_noise
 
 COLUMNS = TRUST.names
 """Columns of trust.csv."""
@@ -78,7 +77,7 @@ class Trust:
         rows: of trust.csv.
         blame: None without enough twins.
         notes: why something is missing, a sentence each.
-        after: the same log after what `done` names was put right, if that was tried (`eval.studies.calibration`).
+        after: the same log after what `done` names was put right, if that was tried (`eval.studies.twins`).
         done: sizes of systematic errors taken out and factors of sigmas, by name.
     """
 

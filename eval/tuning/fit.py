@@ -2,6 +2,13 @@
 
 The likelihood of all readings is the product of the innovations' densities N(nu; 0, S) (Schweppe, IEEE Trans. Inf.
 Theory 11, 1965; Bar-Shalom, Li and Kirubarajan, section 5.4), here of the EKF with known association.
+
+Minimum of a smooth function of bounded parameters, and its curvature there, from values alone.
+
+Where the fit starts: near every maximum of the likelihood that noise and latency may have, not only at the log's.
+
+Noise first: with sigmas stated wrong by factors, the other parameters are pulled to where they excuse innovations that
+are too large.
 """
 
 from __future__ import annotations
@@ -9,20 +16,126 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
+from scipy.optimize import Bounds, minimize
 
-from association.known import known_decisions
+from association.decide import known_decisions
 from data.errors import DataError
 from data.inputs import Increments, Inputs, IntArray, LabelledObservations
 from data.result import DISCARD
 from data.se2 import Array, BoolArray
 from ekf.whole_run import run_filter
-from eval.referee.bounds import chi2_bounds
-from eval.referee.consistency import lag1_correlation
+from eval.referee.consistency import chi2_bounds, lag1_correlation
 from eval.tuning.model import LATENCY, Model, apply
-from eval.tuning.optimum import Objective, curvature, search, slope
-from eval.tuning.start import starting_points
+
+Objective = Callable[[Array], float]
+
+
+def search(objective: Objective, theta: Array, moving: IntArray, scale: Array, bound: Array) -> Array:
+    """Minimise over the parameters `moving` of theta (n,), in units of `scale`, by a quasi-Newton method in bounds."""
+    unit = scale[moving]
+
+    def full(x: Array) -> Array:
+        point = theta.copy()
+        point[moving] = x * unit
+        return point
+
+    def value(x: Array) -> float:
+        return objective(full(x))
+
+    def gradient(x: Array) -> Array:
+        return slope(value, x, np.arange(len(x)), np.full(len(x), 1e-3))
+
+    found = minimize(
+        value,
+        theta[moving] / unit,
+        jac=gradient,
+        method="L-BFGS-B",
+        bounds=Bounds(-bound[moving] / unit, bound[moving] / unit),
+        options={"maxiter": 300, "maxcor": 20, "ftol": 1e-13, "gtol": 1e-3},
+    )
+    return full(found.x)
+
+
+def slope(objective: Objective, theta: Array, moving: IntArray, step: Array) -> Array:
+    """Gradient (k,) over the parameters `moving` by central differences over `step` (k,) each way."""
+    gradient = np.empty(len(moving))
+    for i, (k, h) in enumerate(zip(moving, step, strict=True)):
+        up, down = theta.copy(), theta.copy()
+        up[k] += h
+        down[k] -= h
+        gradient[i] = (objective(up) - objective(down)) / (2.0 * h)
+    return gradient
+
+
+def curvature(objective: Objective, theta: Array, moving: IntArray, limit: Array) -> Array:
+    """Hessian (k, k) over the parameters `moving` by central differences; limit (n,): the largest error of interest.
+
+    The steps change the log-likelihood by about 1/4 each: half of the law's own width, far above rounding.
+    """
+    here = objective(theta)
+
+    def at(*moves: tuple[int, float]) -> float:
+        point = theta.copy()
+        for i, h in moves:
+            point[moving[i]] += h
+        return objective(point)
+
+    k = len(moving)
+    step = 0.01 * limit[moving]
+    for i in range(k):
+        second = (at((i, step[i])) + at((i, -step[i])) - 2.0 * here) / step[i] ** 2
+        if second > 0.0:
+            step[i] = min(max(math.sqrt(0.5 / second), 0.1 * step[i]), 30.0 * step[i])
+    H = np.empty((k, k))
+    for i in range(k):
+        H[i, i] = (at((i, step[i])) + at((i, -step[i])) - 2.0 * here) / step[i] ** 2
+        for j in range(i):
+            corners = [at((i, a * step[i]), (j, b * step[j])) * a * b for a in (1.0, -1.0) for b in (1.0, -1.0)]
+            H[i, j] = H[j, i] = sum(corners) / (4.0 * step[i] * step[j])
+    return H
+
+
+FACTORS = (1 / 16, 1 / 4, 1.0, 4.0, 16.0)
+"""On the sigmas of motion and of the readings, each with each."""
+LATENCIES = 41
+"""Latencies tried, evenly within the parameter's bounds: 0.05 s apart, where robots take longer to change speed."""
+STARTS = 3
+"""The best local maxima over the latencies that a fit is started from."""
+
+Cost = Callable[[Array], float]
+
+
+def starting_points(cost: Cost, model: Model) -> list[Array]:
+    """Parameters (n,) to start from, the most likely first; cost: minus the log-likelihood at parameters (n,)."""
+    names = [p.name for p in model.parameters]
+    theta = _noise(cost, np.zeros(len(names)), names)
+    if LATENCY not in names:
+        return [theta]
+    k = names.index(LATENCY)
+    bound = model.parameters[k].bound
+    tried = []
+    for latency in np.linspace(-bound, bound, LATENCIES):
+        tried.append(theta.copy())
+        tried[-1][k] = latency
+    costs = np.array([cost(point) for point in tried])
+    around = np.concatenate([[np.inf], costs, [np.inf]])
+    lowest = np.flatnonzero((costs <= around[:-2]) & (costs < around[2:]))
+    best = sorted(lowest, key=lambda i: costs[i])[:STARTS]
+    return sorted((_noise(cost, tried[i], names) for i in best), key=cost)
+
+
+def _noise(cost: Cost, theta: Array, names: list[str]) -> Array:
+    """Theta with the factors on motion noise and on the readings' noise that suit it best."""
+    motion = np.array([name.startswith("motion_") and name != "motion_lateral" for name in names])
+    sensor = np.array([name.startswith("sigma_") for name in names])
+    tried = []
+    for a, b in product(np.log(FACTORS) if motion.any() else [0.0], np.log(FACTORS) if sensor.any() else [0.0]):
+        tried.append(np.where(motion, a, np.where(sensor, b, theta)))
+    return min(tried, key=cost)
+
 
 FITTED, HELD, AT_BOUND = "fitted", "not determined", "at its bound"
 HOPELESS = 1e6

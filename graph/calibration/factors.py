@@ -1,20 +1,34 @@
-"""Factors of the systematic errors: with increments, a priori, from knot to knot, and with known landmarks."""
+"""Factors of the systematic errors: with increments, a priori, from knot to knot, and with known landmarks.
+
+An increment with systematic errors as a factor: exact in both poses wherever they go, linear in the errors.
+
+A factor that is linear in the poses as well is exact for rigid motions of both to first order only. Far from where the
+log began poses move by metres while increments are known to millimetres, and what is left out of it throws the estimate
+about. So the residual is formed anew each time that gtsam linearizes the factor, at the errors as known then, and taken
+from there to where gtsam has them by its tangent: these may be far apart, and none of the rest need be eliminated anew.
+
+The increments of a run as factors, and whose drift each has.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import gtsam
+import numba
 import numpy as np
 from gtsam.symbol_shorthand import X
 
-from data.inputs import IntArray, Prior, Sightings
+from data.errors import DataError
+from data.inputs import Increment, IntArray, Prior, Sightings
 from data.motion.systematic import forgotten
 from data.se2 import Array, world_from_body
 from data.sensors import Sensor
 from graph.calibration.variables import Errors
-from graph.factors import Factor, Sighted, noise, pose2, prior_factor, root_information, sight_landmarks
+from graph.factors import SINGULAR, Factor, Sighted, noise, pose2, prior_factor, root_information, sight_landmarks
 from graph.problem import drift_key
+from graph.qr.calibrated import linearize_increments
 
 PINNED = 1e-4
 """m. Sigma of a known landmark in the sensor's frame, where it depends on the errors and no prior can hold it exactly.
@@ -85,3 +99,136 @@ def sight_pinned(
         pin = linear_factor(terms, np.zeros(2), point)
         result.append(replace(s, number=int(number[i]), pin=pin, xy=there[i]))
     return result
+
+
+Residual = Callable[[gtsam.CustomFactor, gtsam.Values, list[Array] | None], Array]
+UNIT_INCREMENT = noise.Unit.Create(3)
+
+
+@numba.njit(cache=True)
+def tangent(x, y, theta, x2, y2, theta2, at, errors, order, sigma, motion, root, place, mount):  # type: ignore[no-untyped-def]
+    """Columns (3, 1 + 6 + p): the whitened residual of one increment and its Jacobians to both poses and the variables.
+
+    Poses (x, y, theta), the second one after the increment; the residual is linearized at `errors` (p,) and taken to
+    variables `at` (p,). Each of these is error `order` (p,), all in units of `sigma` (p,); others as of
+    `linearize_increments`.
+    """
+    p = len(at)
+    pose, b = np.array([[x, y, theta], [x2, y2, theta2]]), np.empty((1, p))
+    residual, before, after, by = np.empty((1, 3)), np.empty((1, 3, 3)), np.empty((1, 3, 3)), np.empty((1, 3, p))
+    for j in range(p):
+        b[0, order[j]] = errors[j] * sigma[order[j]]
+    linearize_increments(pose, motion, root, b, place, mount, residual, before, after, by)
+    found = np.empty((3, 7 + p))
+    for i in range(3):
+        found[i, 0] = residual[0, i]
+        for j in range(3):
+            found[i, 1 + j], found[i, 4 + j] = before[0, i, j], after[0, i, j]
+        for j in range(p):
+            slope = by[0, i, order[j]] * sigma[order[j]]
+            found[i, 7 + j] = slope
+            found[i, 0] += slope * (at[j] - errors[j])
+    return found
+
+
+def increment_factor(
+    errors: Errors, frame: int, increment: Increment, root: Array, knot: int, now: Array
+) -> gtsam.CustomFactor:
+    """The increment into a frame; root (3, 3): R with R'R the information of odometry's noise; `knot`: whose drift.
+
+    `now` (q,): the constants as they are known, in prior sigmas, read each time that the factor is linearized.
+    """
+    keys = [X(frame - 1), X(frame), *errors.keys(knot)]
+    return gtsam.CustomFactor(UNIT_INCREMENT, keys, _residual(errors, keys, increment.mean, root, now))
+
+
+def _residual(errors: Errors, keys: Sequence[int], mean: Array, root: Array, now: Array) -> Residual:
+    """What gtsam asks for each time that it linearizes the factor."""
+    before, after, q = keys[0], keys[1], len(errors.constant)
+    constants, drift = keys[2], keys[-1] if errors.drift >= 0 else -1
+    # copies: for arrays that cannot be written to the kernel would be compiled once more
+    given = [np.array(a, float, order="C") for a in (errors.systematic.sigma, mean[None], root[None])]
+    sigma, motion, roots = given
+    order, place, mount = np.array(errors.order), np.array(errors.place), np.array(errors.frame.mount, float)
+
+    def residual(_: gtsam.CustomFactor, values: gtsam.Values, H: list[Array] | None) -> Array:
+        p, r = values.atPose2(before), values.atPose2(after)
+        if drift < 0:
+            at, about = values.atVector(constants), now
+        else:
+            d = values.atVector(drift)
+            at = np.concatenate([values.atVector(constants), d]) if q else d
+            about = np.concatenate([now, d]) if q else d
+        found = tangent(
+            p.x(), p.y(), p.theta(), r.x(), r.y(), r.theta(), at, about, order, sigma, motion, roots, place, mount
+        )
+        if H is not None:
+            H[0], H[1] = found[:, 1:4], found[:, 4:7]
+            if q:
+                H[2] = found[:, 7 : 7 + q]
+            if drift >= 0:
+                H[-1] = found[:, -1:]
+        column: Array = found[:, 0]
+        return column
+
+    return residual
+
+
+class Motion:
+    """All increments so far, in the order of frames from 1 on.
+
+    Attributes:
+        knot: of the drift, the newest one.
+        oldest: first frame in the graph: increments up to it are no factors any more.
+        now: (q,) the constants as known now, in prior sigmas: all factors are linearized there.
+    """
+
+    def __init__(self, errors: Errors) -> None:
+        """None."""
+        self._errors = errors
+        self.knot = 0
+        self.now = np.zeros(len(errors.constant))
+        self._mean, self._covariance = [np.zeros(3)], [np.zeros((3, 3))]
+        self._knots = list[int]()
+        self.oldest = 0
+        self._first_knot = 0
+
+    @property
+    def raw(self) -> tuple[Array, Array]:
+        """Increments (N, 3) and covariances (N, 3, 3) as odometry stated them."""
+        return np.array(self._mean), np.array(self._covariance)
+
+    def extend(self, first: int, increments: Sequence[Increment], knots: Sequence[int]) -> tuple[list[Factor], float]:
+        """Factors of increments (n) into frames `first`, ....
+
+        `knots` (n,): whose drift each has. Also returned: the smallest pivot of the covariances. Raises DataError for a
+        singular one.
+        """
+        mean, covariance = (np.array(rows) for rows in zip(*increments, strict=True))
+        roots, pivot = root_information(covariance)
+        bad = np.flatnonzero(~(pivot > SINGULAR))
+        if len(bad):
+            raise DataError(
+                f"increment into frame {first + bad[0]}: its covariance is singular (variance {pivot[bad[0]]:.3g} in "
+                "some direction); a smoother needs a covariance_floor of 1e-10 or so"
+            )
+        self._mean += list(mean)
+        self._covariance += list(covariance)
+        self._knots += knots
+        found: list[Factor] = [
+            increment_factor(self._errors, first + i, increments[i], roots[i], knots[i], self.now)
+            for i in range(len(mean))
+        ]
+        return found, float(pivot.min())
+
+    def knot_of(self, frame: int) -> int:
+        """Whose drift the increment into a frame of the graph has (0 of frame 0)."""
+        return self._knots[max(frame - 1 - self.oldest, 0)] if self._knots else self.knot
+
+    def forget(self, oldest: int) -> range:
+        """Frame `oldest` is the first one in the graph now; knots that no increment in it has any more."""
+        gone, first = oldest - self.oldest, self._first_knot
+        del self._knots[:gone]
+        self.oldest = oldest
+        self._first_knot = self._knots[0] if self._knots else self.knot
+        return range(first, self._first_knot)

@@ -2,6 +2,8 @@
 
 All poses and covariances are in the sensor's frame, and so is the graph; what is handed out, or comes in as a pose, is
 the robot's in the world.
+
+A pose and the systematic errors carried along together: the same arithmetic as a filter's joint prediction.
 """
 
 from __future__ import annotations
@@ -9,23 +11,59 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 import gtsam
+import numba
 import numpy as np
 from gtsam.symbol_shorthand import X
 
 from data.blocks import diagonal_blocks
 from data.inputs import Increment, Increments, IntArray, Prior
-from data.motion.systematic import forgotten, knot
+from data.motion.systematic import correct, forgotten, knot
+from data.motion.velocity import carried
 from data.result import MapState, PoseEstimate, Systematics
 from data.se2 import Array, world_from_body
-from graph.calibration.advance import advance, forget
-from graph.calibration.factors import first_factors, knot_factor
-from graph.calibration.motion import Motion
+from data.sensors import wrap_angle_jit
+from graph.calibration.factors import Motion, first_factors, knot_factor
 from graph.calibration.variables import Errors
-from graph.engine import EXTRA, JUMP, Engine
+from graph.engine import EXTRA, JUMP, Engine, Window
 from graph.factors import Factor, Sighted, is_exact, pose2
 from graph.open_end import Left, OpenEnd
 from graph.problem import Calibrated, Problem, drift_key
-from graph.window import Window
+
+
+@numba.njit(cache=True)
+def forget(b, P, F, Q, drift, stays, fresh):  # type: ignore[no-untyped-def]
+    """At a new knot, in place: of the drift, at `drift` among errors b (p,), a share stays, and variance comes."""
+    i = 3 + drift
+    b[drift] *= stays
+    for M in (P, Q):
+        M[i] *= stays
+        M[:, i] *= stays
+        M[i, i] += fresh
+    F[i] *= stays
+
+
+@numba.njit(cache=True)
+def advance(mean, b, P, F, Q, motion, M, place, mount):  # type: ignore[no-untyped-def]
+    """Pose (3,), covariance P of pose and errors b (p,), both (3 + p), Jacobian F and gathered covariance Q since an
+    anchor, one raw increment later. Errors stand at `place` among all; `mount` as of `correct`.
+    """
+    p = len(b)
+    errors, moved, A, G = np.zeros(7), np.zeros(3), np.zeros((3, 7)), np.zeros((3, 3))
+    for j in range(p):
+        errors[place[j]] = b[j]
+    correct(motion, errors, mount, moved, A, G)
+    wx, wy, Fx, B = carried(mean[2], moved)
+    J = np.eye(3 + p)
+    J[:3, :3] = Fx
+    for j in range(p):
+        J[:3, 3 + j] = B @ np.ascontiguousarray(A[:, place[j]])
+    W = B @ G
+    noise = W @ M @ W.T
+    P, F, Q = J @ P @ J.T, J @ F, J @ Q @ J.T
+    P[:3, :3] += noise
+    Q[:3, :3] += noise
+    return np.array([mean[0] + wx, mean[1] + wy, wrap_angle_jit(mean[2] + moved[2])]), P, F, Q
+
 
 ANEW = 0.2
 """Of all updates so far: after so many everything is linearized anew, however little it moved. What an error changes of

@@ -9,8 +9,7 @@ import gtsam
 import numpy as np
 
 from data.inputs import IntArray, Prior, Systematic
-from data.motion.sensor_frame import SensorFrame, sensor_frame
-from data.motion.systematic import BETWEEN_KNOTS, places
+from data.motion.systematic import BETWEEN_KNOTS, SensorFrame, places, sensor_frame
 from data.se2 import Array
 from data.sensors import Sensor
 from graph.engine import Engine

@@ -10,8 +10,7 @@ import numpy as np
 
 from association.expectation import gate_threshold
 from data.se2 import Array, BoolArray
-from graph.poses.batch import Loss, SmoothedPoses, descend, evaluate, finished
-from graph.poses.linear import PoseProblem
+from graph.poses.batch import Loss, PoseProblem, SmoothedPoses, descend, evaluate, finished
 
 GROW = 1.4
 """The control parameter's growth in each round: the paper's."""

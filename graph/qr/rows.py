@@ -1,4 +1,4 @@
-"""A smoothing problem linearized by gtsam, as the rows that `graph.linear.elimination` takes."""
+"""A smoothing problem linearized by gtsam, as the rows that `graph.qr.elimination` takes."""
 
 from __future__ import annotations
 
@@ -12,12 +12,10 @@ from gtsam.symbol_shorthand import L, X
 from data.inputs import IntArray, Prior
 from data.se2 import Array, world_from_body
 from graph.factors import graph_of, pose2
-from graph.linear.calibrated import CalibratedRows
-from graph.linear.elimination import Rows
-from graph.linear.ordering import NO_DRIFT, ordering
-from graph.linear.solution import Solution
-from graph.linear.symbolic import Structure, structure
 from graph.problem import CONSTANTS, Problem
+from graph.qr.calibrated import CalibratedRows
+from graph.qr.elimination import NO_DRIFT, Rows, Structure, ordering, structure
+from graph.qr.solution import Solution
 
 CHUNK = 20000
 """Factors that gtsam linearizes at once: its triplets take 24 bytes a number."""

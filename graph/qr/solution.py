@@ -3,18 +3,140 @@
 With residuals A x + C c - b and a standard normal prior on c (q,), the right-hand sides of the elimination are b and
 the columns of C. What of them no x explains, `left`, gives the least-squares problem of c alone; given c, x = x_b - X c
 with the solutions of the right-hand sides, so that cov(x) = cov(x | c) + X cov(c) X' and cov(x, c) = -X cov(c).
+
+Means and marginal covariances of an eliminated problem, from the root of the elimination tree back to its leaves.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
+import numba
 import numpy as np
 
 from data.se2 import Array
-from graph.linear.elimination import Rows, Triangle
-from graph.linear.marginals import marginals, means
-from graph.linear.symbolic import Structure
+from graph.qr.elimination import Rows, Structure, Triangle
+
+
+def means(rows: Rows, s: Structure, t: Triangle) -> Array:
+    """Solution (V, 3, c) of the least-squares problem, for each right-hand side; beyond a variable's dimension 0."""
+    x = np.zeros((len(rows.dim), 3, t.d.shape[2]))
+    _substitute(s.variable, s.start, s.separator, rows.dim[s.variable], t.R, t.S, t.at_S, t.d, x)
+    return x
+
+
+def marginals(rows: Rows, s: Structure, t: Triangle) -> Array:
+    """Marginal covariances (V, 3, 3); beyond a variable's dimension 0."""
+    covariance = np.zeros((len(rows.dim), 3, 3))
+    dim = rows.dim[s.variable]
+    _covariances(s.variable, s.parent, s.children, s.start, s.separator, dim, t.R, t.S, t.at_S, covariance)
+    return covariance
+
+
+@numba.njit(cache=True)
+def _substitute(variable, start, separator, dim, R, S, at_S, d, x):  # type: ignore[no-untyped-def]
+    c = x.shape[2]
+    for v in range(len(variable) - 1, -1, -1):
+        n = dim[v]
+        total = d[v, :n].copy()
+        width = (at_S[v + 1] - at_S[v]) // n
+        for r in range(n):
+            at = at_S[v] + r * width
+            for i in range(start[v], start[v + 1]):
+                u = separator[i]
+                for j in range(dim[u]):
+                    for q in range(c):
+                        total[r, q] -= S[at] * x[variable[u], j, q]
+                    at += 1
+        for r in range(n - 1, -1, -1):
+            for q in range(c):
+                for j in range(r + 1, n):
+                    total[r, q] -= R[v, r, j] * x[variable[v], j, q]
+                x[variable[v], r, q] = total[r, q] / R[v, r, r]
+
+
+@numba.njit(cache=True)
+def _covariances(variable, parent, children, start, separator, dim, R, S, at_S, out):  # type: ignore[no-untyped-def]
+    """Marginals by clique: the covariance of a clique is kept until the last of its children has taken its part."""
+    size = len(variable)
+    cliques, used = np.empty(1024), 0
+    begin, open_children = np.empty(size, np.int64), children.copy()
+    within = np.empty(size, np.int64)
+    for v in range(size - 1, -1, -1):
+        n = dim[v]
+        w = (at_S[v + 1] - at_S[v]) // n
+        p = parent[v]
+        # the separator's covariance, out of the parent's clique
+        below = np.empty((w, w))
+        if p >= 0:
+            side = dim[p] + (at_S[p + 1] - at_S[p]) // dim[p]
+            within[p] = 0
+            at = dim[p]
+            for i in range(start[p], start[p + 1]):
+                within[separator[i]] = at
+                at += dim[separator[i]]
+            index = np.empty(w, np.int64)
+            at = 0
+            for i in range(start[v], start[v + 1]):
+                u = separator[i]
+                for j in range(dim[u]):
+                    index[at] = within[u] + j
+                    at += 1
+            for i in range(w):
+                row = begin[p] + index[i] * side
+                for j in range(w):
+                    below[i, j] = cliques[row + index[j]]
+            open_children[p] -= 1
+            if open_children[p] == 0:
+                used = begin[p]  # nothing is above it: the subtrees of its other children are done
+        inverse = np.zeros((n, n))
+        for j in range(n):
+            inverse[j, j] = 1.0 / R[v, j, j]
+            for i in range(j - 1, -1, -1):
+                total = 0.0
+                for q in range(i + 1, j + 1):
+                    total += R[v, i, q] * inverse[q, j]
+                inverse[i, j] = -total / R[v, i, i]
+        G = np.zeros((n, w))
+        for r in range(n):
+            for q in range(r, n):
+                at = at_S[v] + q * w
+                for j in range(w):
+                    G[r, j] -= inverse[r, q] * S[at + j]
+        cross = np.zeros((n, w))
+        for r in range(n):
+            for i in range(w):
+                g = G[r, i]
+                for j in range(w):
+                    cross[r, j] += g * below[i, j]
+        own = np.zeros((n, n))
+        for r in range(n):
+            for q in range(r + 1):
+                total = 0.0
+                for j in range(w):
+                    total += 0.5 * (cross[r, j] * G[q, j] + cross[q, j] * G[r, j])
+                for j in range(r, n):
+                    total += inverse[r, j] * inverse[q, j]
+                own[r, q], own[q, r] = total, total
+        out[variable[v], :n, :n] = own
+        if children[v] == 0:
+            continue
+        side = n + w
+        if used + side * side > len(cliques):
+            more = np.empty(2 * (used + side * side))
+            more[:used] = cliques[:used]
+            cliques = more
+        begin[v] = used
+        for r in range(n):
+            at = used + r * side
+            cliques[at : at + n] = own[r]
+            cliques[at + n : at + side] = cross[r]
+        for i in range(w):
+            at = used + (n + i) * side
+            for r in range(n):
+                cliques[at + r] = cross[r, i]
+            cliques[at + n : at + side] = below[i]
+        used += side * side
 
 
 class Solution(NamedTuple):

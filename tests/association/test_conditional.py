@@ -3,8 +3,13 @@
 import numpy as np
 import pytest
 
-from association.evidence import constants
-from association.evidence.landmarks import (
+from association.conditional import alone, beside, given, jcbb_hindsight, prune
+from association.expectation import Expectation, SingularInnovationError, gate_threshold
+from association.jcbb import jcbb
+from data.result import DISCARD, NEW
+from data.sensors import RangeBearing, RelativePoint
+from eval.replay.hindsight import constants
+from eval.replay.hindsight.record import (
     INITIALIZED,
     Judgement,
     Visibility,
@@ -15,11 +20,6 @@ from association.evidence.landmarks import (
     sighted,
     verdict,
 )
-from association.evidence.pairings import alone, beside, given, jcbb_hindsight, prune
-from association.expectation import Expectation, SingularInnovationError, gate_threshold
-from association.jcbb import jcbb
-from data.result import DISCARD, NEW
-from data.sensors import RangeBearing, RelativePoint
 from tests.association.problems import problem
 
 GATE, NEW_GATE = 0.99, 0.99999

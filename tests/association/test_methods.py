@@ -13,11 +13,7 @@ from scipy.stats import chi2
 
 from association.decide import METHODS, decide
 from association.expectation import Expectation, SingularInnovationError
-from association.gnn import gnn
-from association.likelihood import ml, ml_ratio
-from association.nearest import nn
-from association.newness import newness
-from association.singles import singles
+from association.methods import gnn, ml, ml_ratio, newness, nn, singles
 from data.errors import UsageError
 from data.inputs import LandmarkMap, Prior, Sightings
 from data.result import DISCARD, NEW

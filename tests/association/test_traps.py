@@ -15,8 +15,7 @@ from scipy.stats import chi2
 from association.decide import METHODS, decide
 from association.expectation import Expectation, SingularInnovationError, plain_residual
 from association.jcbb import jcbb
-from association.likelihood import ml
-from association.nearest import nn
+from association.methods import ml, nn
 from data.inputs import LandmarkMap, Prior, Sightings
 from data.result import NEW
 from data.sensors import RangeBearing

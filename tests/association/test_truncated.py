@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from association.conditional import jcbb_hindsight
 from association.decide import decide
-from association.evidence.pairings import jcbb_hindsight
 from association.expectation import Expectation, gate_threshold
 from association.truncated import Acceptance, acceptance, accepted_moments, truncated_square
 

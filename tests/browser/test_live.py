@@ -8,10 +8,9 @@ import pytest
 from data.robot.driving import WallFollower
 from data.robot.simulated.physics import drive
 from data.robot.simulated.room import room
-from eval.online.feed import Feed
-from eval.online.server import Server
-from eval.online.session import Session
-from eval.online.shown import header
+from eval.live.feed import Feed, header
+from eval.live.server import Server
+from eval.live.session import Session
 from eval.player.document import live_document
 from eval.replay.settings import Setup
 

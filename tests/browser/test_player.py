@@ -13,7 +13,7 @@ import pytest
 from association.decide import METHODS
 from data.logs import open_log
 from eval.referee.confusion import OUTCOMES
-from eval.replay.observer import Nobody
+from eval.replay.recorder import Nobody
 from eval.replay.run import step_by_step
 from tests.browser.opened import NAME, Opened
 

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import pytest
 
-from eval.page.blocks import Overview, OverviewRow, Report, Section
-from eval.page.document import write_report
+from eval.report.page.blocks import Overview, OverviewRow, Report, Section
+from eval.report.page.document import write_report
 from tests.browser.opened import WIDTHS
 
 pytestmark = pytest.mark.browser

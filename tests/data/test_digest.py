@@ -25,7 +25,7 @@ STUDY = """
 from dataclasses import replace
 from eval.studies.montecarlo import one_run
 from eval.studies.scenario import Member
-from eval.studies.scenario_file import load_scenario
+from eval.studies.scenario import load_scenario
 scenario = replace(
     load_scenario("arena"), task=("slam",), association=("known", "jcbb-hindsight"),
     values=(("frames", 12), ("landmarks", 8)), members=tuple(map(Member, ("ekf", "isam2", "batch", "fixed-lag"))),
@@ -35,7 +35,7 @@ assert all(sample.failure is None for sample in one_run(scenario, 0).values())
 DETECTIONS = """
 import tempfile
 from data.logs import Reading, open_log
-from data.visual.lab.writer import write_lab
+from data.formats.lab.folder import write_lab
 from data.visual.rendering.render import Rendered
 from data.worlds.gallery import Gallery
 with tempfile.TemporaryDirectory() as folder:
@@ -69,8 +69,8 @@ def test_a_run_of_a_study_executes_nothing_that_its_digest_does_not_cover():
 @pytest.mark.slow
 def test_detections_come_from_nothing_that_their_digest_does_not_cover():
     loaded = executed(DETECTIONS)
-    deciding = {"data/visual/features.py", "data/visual/rendering/stereo.py", "data/worlds/gallery.py"}
-    assert deciding | {"data/visual/lab/units.py", "data/sensors/__init__.py"} <= loaded
+    deciding = {"data/visual/features.py", "data/visual/rendering/render.py", "data/worlds/gallery.py"}
+    assert deciding | {"data/formats/lab/configuration.py", "data/sensors.py"} <= loaded
     assert loaded - covered(observations.PACKAGES) == set()
 
 

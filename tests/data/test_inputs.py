@@ -7,7 +7,7 @@ import pytest
 
 from data.errors import UsageError
 from data.inputs import CLUTTER, LabelledObservations, LandmarkMap
-from data.motion.floor import floor_covariances
+from data.motion.velocity import floor_covariances
 from data.worlds.arena import Arena, simulate
 
 WORLD = Arena(landmarks=6, frames=10, clutter=1.0)

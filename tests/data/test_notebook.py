@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 import slamref
-from data.notebook.card import BLACK, Path, Points, card, drawing
+from data.card import BLACK, Path, Points, card, drawing
 
 
 def tree(html: str) -> ElementTree.Element:

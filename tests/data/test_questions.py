@@ -12,11 +12,10 @@ import pytest
 from data.inputs import Increments, LandmarkMap, Observations, Prior
 from data.log import Log, shortened
 from data.logs import find_logs, open_log
-from data.questions.ask import CHECKS, ask
-from data.questions.units import turn_rates
+from data.questions import CHECKS, ask, turn_rates
 from data.worlds.arena import Arena, simulate
 
-RECORDINGS = Path(__file__).parents[4] / "shared" / "data"
+RECORDINGS = Path(__file__).parents[3] / "shared" / "data"
 QUICK = [
     *(f"{world}:{seed}" for world in ("arena", "linear", "corridor") for seed in (0, 1)), "circle:0:frames=200",
     "corridor:0:people", "corridor:0:no-odometry", "corridor:0:people+no-odometry", "corridor:0:no-odometry+forward",

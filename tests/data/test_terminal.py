@@ -9,10 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from data import terminal
 from data.errors import DataError
-from data.terminal import ending
-from data.terminal.ending import ended, missing, told
-from data.terminal.words import counted
+from data.terminal import counted, ended, missing, told
 
 FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -79,7 +78,7 @@ def test_a_package_that_is_missing_is_named_with_the_way_to_install_it(monkeypat
     said = capsys.readouterr().err
     assert said.startswith(f"error: the package 'numba' is not installed for {sys.executable}; run `make venv` in ")
     assert said.count("\n") == 1
-    monkeypatch.setattr(ending, "ROOT", tmp_path)
+    monkeypatch.setattr(terminal, "ROOT", tmp_path)
     assert missing("gtsam").endswith("run `pip install slamref`, or `pip install .` in a checkout")
     assert "hides that of slamref" in missing("data.errors")
     assert missing("tomllib").startswith("slamref needs Python 3.11")

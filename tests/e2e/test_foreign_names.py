@@ -12,7 +12,7 @@ import pytest
 from eval.run_all import main
 
 THINGS = """
-from association.singles import singles
+from association.methods import singles
 from ekf.slam import EkfSlam
 
 class Mine(EkfSlam):
@@ -116,7 +116,7 @@ def test_what_cannot_be_is_one_line_before_any_work(asked, words, capsys):
 
 
 def test_a_changed_file_is_another_study(here):
-    from eval.studies.scenario_file import load_scenario
+    from eval.studies.scenario import load_scenario
     from eval.studies.store import content_digest
 
     before = content_digest(load_scenario("study.toml"))

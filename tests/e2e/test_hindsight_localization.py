@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.mrclam.load import load_mrclam
+from data.formats.mrclam.load import load_mrclam
 from data.result import DISCARD, revised
 from eval.referee.confusion import share_within
 from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd

@@ -9,9 +9,9 @@ import pytest
 
 from association.expectation import gate_threshold
 from data.convert.__main__ import main as convert
-from data.mrclam.load import load_mrclam
+from data.formats.mrclam.load import load_mrclam
 from eval.plan.flags.options import read_options
-from eval.plan.tutorials.recording import original_of, tutorial_run, variant_log
+from eval.plan.tutorials import original_of, tutorial_run, variant_log
 from eval.referee.score import Trial, metrics_row
 from eval.replay.batch import batch
 from eval.replay.run import compare, filter_known

@@ -16,10 +16,9 @@ from pathlib import Path
 import pytest
 from threadpoolctl import threadpool_limits
 
-from data.open_log.writer import write_folder
+from data.formats.open_log.writer import write_folder
 from data.worlds.arena import Arena, simulate
-from eval.referee.files.of_runs import OF_LOGS, OF_RUNS, OTHERS
-from eval.referee.files.top import TIMING, TOP
+from eval.referee.result_files import OF_LOGS, OF_RUNS, OTHERS, TIMING, TOP
 from eval.run_all import main
 
 ROOT = Path(__file__).parents[2]

@@ -166,7 +166,7 @@ def test_a_rejected_declaration_is_exit_1_and_named(small, tmp_path, monkeypatch
     (["--scenario", "esde-replay", "--data", "nowhere"], "no such folder"),
 ])  # fmt: skip
 def test_what_makes_no_sense_is_one_line_and_exit_2(arguments, words, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("eval.plan.cluster.CONNECT", 1)
+    monkeypatch.setattr("eval.plan.work.CONNECT", 1)
     assert main([*arguments, "--out", str(tmp_path / "r"), "-q"]) == 2
     err = capsys.readouterr().err
     assert words in err

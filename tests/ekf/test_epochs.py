@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from association.known import known_decisions
+from association.decide import known_decisions
 from data.inputs import Systematic
 from data.result import DISCARD
 from data.worlds.registry import named_log

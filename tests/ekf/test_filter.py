@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from association.known import known_decisions
+from association.decide import known_decisions
 from data import se2
 from data.inputs import LabelledObservations, LandmarkMap, Observations, Prior, Sightings
 from data.result import DISCARD, NEW

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
-from association.known import known_decisions
+from association.decide import known_decisions
 from data import se2
+from data.formats.recordings.victoria_park import load_victoria_park
 from data.inputs import Increment, Prior, Sightings
-from data.recordings.victoria_park import load_victoria_park
 from data.result import DISCARD, NEW
 from data.sensors import Line, RangeBearing, RelativePoint
 from ekf import kernels

@@ -7,8 +7,7 @@ import pytest
 
 from data import se2
 from data.inputs import Increment, LandmarkMap, Prior, Sightings, Systematic
-from data.motion.sensor_frame import sensor_frame
-from data.motion.systematic import BETWEEN_KNOTS, corrected, places
+from data.motion.systematic import BETWEEN_KNOTS, corrected, places, sensor_frame
 from data.result import NEW
 from data.sensors import RangeBearing
 from ekf.filter import DEFAULT

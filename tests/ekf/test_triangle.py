@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ekf.parking import root, whitened
-from ekf.triangle import ROWS, Triangle
+from ekf.parking import ROWS, Triangle, root, whitened
 from ekf.updates import subtract
 
 

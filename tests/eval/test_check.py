@@ -8,7 +8,7 @@ from eval.check import main
 
 STUDENT = """
 import numpy as np
-from association.singles import singles
+from association.methods import singles
 
 def good(expectation, gate):
     return singles(expectation, gate)

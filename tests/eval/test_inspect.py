@@ -9,14 +9,14 @@ import sys
 import numpy as np
 import pytest
 
+from data.formats.open_log.writer import write_folder
 from data.inputs import CLUTTER, UNLABELLED, Increments, Inputs, LandmarkMap, Observations, Prior
 from data.log import Log
-from data.open_log.writer import write_folder
 from data.sensors import RangeBearing
 from data.summary import longest_run, repeated_in_frame, summarize
 from data.truth import UNKNOWN_ID, Truth
 from eval.figures.log import log_figure
-from eval.figures.paper.look import Look, looking
+from eval.figures.paper import Look, looking
 from eval.inspect import main
 
 

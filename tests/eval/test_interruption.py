@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from data.terminal.ending import INTERRUPTED
+from data.terminal import INTERRUPTED
 from eval import run_all
 from eval.run_all import heeding_interruption
 

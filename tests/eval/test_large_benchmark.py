@@ -8,8 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from eval.benchmarks.large import BARE, LOG, Measured, line_of, measure, measure_all, slope, write
-from eval.benchmarks.large_figure import scaling_figure
+from eval.benchmarks.large import BARE, LOG, Measured, line_of, measure, measure_all, scaling_figure, slope, write
 from eval.figures.style import save
 
 

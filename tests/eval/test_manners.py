@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 import data.convert.__main__ as convert
 import slamref
 from eval import inspect, run_all, step, tune, twin
-from eval.plan import first_use
+from eval.plan import warming
 from eval.studies import store
 
 ROOT = Path(__file__).parents[2]
@@ -172,23 +172,23 @@ def test_who_interrupts_a_study_hears_what_is_kept(tmp_path, monkeypatch, capsys
 
 def test_the_first_use_compiles_with_progress_and_later_ones_do_not(tmp_path, monkeypatch, capsys):
     mark = tmp_path / "cache" / ".slamref"
-    monkeypatch.setattr(first_use, "mark", lambda: mark)
+    monkeypatch.setattr(warming, "mark", lambda: mark)
     monkeypatch.setattr("eval.plan.warming.PARTS", {"one": lambda: None, "two": lambda: None})
-    first_use.compile_if_needed()
+    warming.compile_if_needed()
     said = capsys.readouterr().err
     assert said.splitlines()[0].startswith("first use: compiling the numerical kernels")
     assert "compiling, part 2 of 2: two\n" in said
     assert mark.exists()
     (mark.parent / "kernel.nbi").touch()
-    first_use.compile_if_needed()
+    warming.compile_if_needed()
     assert capsys.readouterr() == ("", "")
     (mark.parent / "kernel.nbi").unlink()  # a cache that was cleared is no cache
-    first_use.compile_if_needed(quiet=True)
+    warming.compile_if_needed(quiet=True)
     assert capsys.readouterr() == ("", "")
 
 
 def test_the_mark_stands_for_versions(tmp_path):
-    name = first_use.mark().name
+    name = warming.mark().name
     assert slamref.__version__ in name
     assert "numba-" in name
 

@@ -17,10 +17,10 @@ from eval import step
 from eval.replay.plausible import with_doubt
 from eval.replay.run import step_by_step
 from eval.step import main
-from eval.walk import album
-from eval.walk.album import Album
-from eval.walk.text import run_text
-from eval.walk.walk import Walk
+from eval.stepping import pictures
+from eval.stepping.pictures import Album
+from eval.stepping.stepper import Walk
+from eval.stepping.text import run_text
 
 STAGES = ("prediction", "ground-truth", "observations", "compatibility", "matching", "map")
 PNG_END = b"IEND\xaeB`\x82"
@@ -45,7 +45,7 @@ def sitting(monkeypatch):
 
 @pytest.fixture(autouse=True)
 def no_windows(monkeypatch):
-    for name in album.SCREENS:
+    for name in pictures.SCREENS:
         monkeypatch.delenv(name, raising=False)
 
 
@@ -137,7 +137,7 @@ class Blind:
 def test_the_order_is_move_observe_compatibility_matching_update(sitting, monkeypatch, capsys):
     asked = sitting(lambda n: "")
     windows = Blind()
-    monkeypatch.setattr(album, "open_windows", lambda: windows)
+    monkeypatch.setattr(pictures, "open_windows", lambda: windows)
     assert main(["--log", "corridor:0", "--frames", "2"]) == 0
     stages = [prompt.strip(" []").split(";")[0] for prompt in asked]
     cycle = ["move", "observe", "compatibility", "matching", "update"]

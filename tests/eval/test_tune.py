@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from data.errors import DataError, UsageError
+from data.formats.open_log.reader import load_folder
+from data.formats.open_log.writer import write_folder
 from data.inputs import Increments, Observations
-from data.open_log.reader import load_folder
-from data.open_log.writer import write_folder
 from data.worlds.arena import simulate
 from eval.tune import Numbers, main, tune
 from tests.eval.tuning.stated import SMALL, changed

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.collections import PolyCollection
 
 from data.errors import UsageError
-from data.graphs.of_run import graph_text, labelled
+from data.formats.g2o import graph_text, labelled
 from data.inputs import LandmarkMap, Systematic
 from data.result import MapEstimate
 from data.se2 import pose_error
@@ -17,13 +17,13 @@ from data.truth import Truth
 from ekf.filter import FilterOptions
 from eval.figures import fate_figure, map_figure
 from eval.figures.log import log_figure
-from eval.figures.view import chords
-from eval.plan.calibrate.named import every
+from eval.figures.plane import chords
+from eval.plan.calibrate import every
 from eval.player.scene import scene
 from eval.referee import lost
 from eval.referee.score import Trial, association_row, metrics_row
 from eval.replay.estimators import lack_with_walls
-from eval.replay.parking import Parking
+from eval.replay.map_management import Parking
 from eval.replay.plausible import doubt
 from eval.replay.run import compare, step_by_step
 from eval.replay.settings import Setup

@@ -9,13 +9,12 @@ import numpy as np
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode
 
+from data.formats.recordings.ros import log_of, read_bag
+from data.formats.results.path import GivenPath
+from data.formats.results.reading import read_path
 from data.log import Log
-from data.recordings.ros.bag import read_bag
-from data.recordings.ros.log import log_of
-from data.results.path import GivenPath
-from data.results.reading import read_path
-from tests.data.open_log.test_corruption import assert_sound
-from tests.data.recordings.ros.bags import Maker
+from tests.data.formats.open_log.test_corruption import assert_sound
+from tests.data.formats.recordings.ros.bags import Maker
 from tests.faults.bags2 import BAGS
 from tests.faults.mutations import BYTES, TABLE, Fault, Files
 from tests.faults.readers import Reader, made, sound_path

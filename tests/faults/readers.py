@@ -13,28 +13,28 @@ import numpy as np
 from scipy.io import savemat
 
 from data.convert import table
-from data.graphs.g2o import read_graph
+from data.formats.g2o import read_graph
+from data.formats.lab.folder import open_lab
+from data.formats.mrclam.load import load_mrclam
+from data.formats.recordings import esde
+from data.formats.recordings.victoria_park import load_victoria_park
+from data.formats.results.reading import read_path
+from data.formats.results.tables import beside
 from data.logs import open_log
-from data.mrclam.load import load_mrclam
-from data.recordings import esde
-from data.recordings.victoria_park import load_victoria_park
-from data.results.kept import beside
-from data.results.reading import read_path
 from data.robot.packets import command_of
 from data.robot.traffic.recording import Recording
-from data.visual.lab.folder import open_lab
 from eval.plan.flags.options import read_options
 from eval.plan.flags.table import CONFIGS
-from eval.studies.scenario_file import load_scenario
+from eval.studies.scenario import load_scenario
 from eval.studies.shipped import path_of
-from eval.studies.validation_file import load_validation
+from eval.studies.validation import load_validation
 from tests.data.conftest import small_files
-from tests.data.mrclam import world
-from tests.data.open_log.test_corruption import assert_sound
-from tests.data.open_log.test_scans import GOOD
-from tests.data.recordings.carmen_text import SMALL
+from tests.data.formats.lab.handmade import lab
+from tests.data.formats.mrclam import world
+from tests.data.formats.open_log.test_corruption import assert_sound
+from tests.data.formats.open_log.test_scans import GOOD
+from tests.data.formats.recordings.carmen_text import SMALL
 from tests.data.robot.line import linked
-from tests.data.visual.lab.handmade import lab
 from tests.faults.mutations import BYTES, MAT, NPY, TABLE, TOML, Fault, Files, zipped
 
 

@@ -23,9 +23,8 @@ from data.inputs import Frame, Increment, LandmarkMap, Prior, Sightings, Systema
 from data.sensors import RangeBearing
 from ekf.filter import Filter
 from eval.replay.frontend import FrontEnd
-from eval.replay.given import Beginning
 from eval.replay.run import front_end, through
-from eval.replay.settings import Setup
+from eval.replay.settings import Beginning, Setup
 from graph.fixed_lag import FixedLagSmoother
 
 PERIOD = 0.25

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from eval.replay.names import ASSOCIATIONS, ESTIMATORS, STEPPING
+from eval.replay.settings import ASSOCIATIONS, ESTIMATORS, STEPPING
 from eval.run_all import main
 from tests.faults.covering import pairwise
 

@@ -14,19 +14,19 @@ import pytest
 from scipy.io import savemat
 
 from data.errors import DataError, UsageError
+from data.formats.lab.folder import open_lab
+from data.formats.mrclam.load import load_mrclam
+from data.formats.recordings.esde import load_esde
+from data.formats.results.reading import read_path
+from data.formats.results.tables import beside
+from data.formats.tables.files import read_text
 from data.logs import open_log
-from data.mrclam.load import load_mrclam
-from data.recordings.esde import load_esde
-from data.results.kept import beside
-from data.results.reading import read_path
-from data.tables.files import read_text
-from data.visual.lab.folder import open_lab
 from eval.plan.flags.options import read_options
-from graph import window
+from graph import engine as window
 from tests.data.conftest import small_files
-from tests.data.open_log.test_scans import GOOD
-from tests.data.recordings.carmen_text import SMALL
-from tests.data.visual.lab.handmade import lab
+from tests.data.formats.lab.handmade import lab
+from tests.data.formats.open_log.test_scans import GOOD
+from tests.data.formats.recordings.carmen_text import SMALL
 from tests.faults.mutations import bomb_entry, npy_header
 from tests.faults.soak import soaked
 

@@ -14,12 +14,12 @@ pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'sl
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode
 
-from data.recordings.ros import bounded as bounds
-from data.recordings.ros.bag import read_bag
-from data.recordings.ros.bounded import REPLACED, TooLargeError, _zstd, bounded, unpacked, unpacking, zstd
-from data.results import bag as results
-from data.results.path import Manner
-from tests.data.recordings.ros.bags import Maker
+from data.formats.recordings import ros_bounded as bounds
+from data.formats.recordings.ros import read_bag
+from data.formats.recordings.ros_bounded import REPLACED, TooLargeError, _zstd, bounded, unpacked, unpacking, zstd
+from data.formats.results import reading as results
+from data.formats.results.path import Manner
+from tests.data.formats.recordings.ros.bags import Maker
 
 ZSTD = CompressionFormat.ZSTD
 PACKED = {

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from association.known import known_decisions
+from association.decide import known_decisions
 from data import se2
 from data.inputs import ERRORS, Increments, LabelledObservations, Systematic
 from data.motion.systematic import forgotten, knots

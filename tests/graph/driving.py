@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from association.known import known_decisions
+from association.decide import known_decisions
 from data.inputs import Increments
 from data.result import NEW
 from ekf.whole_run import run_filter

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, t
 
-from association.known import known_decisions
+from association.decide import known_decisions
 from data import se2
 from data.errors import SlamrefError
 from data.inputs import LabelledObservations

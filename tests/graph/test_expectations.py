@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from association.candidates import Drift, in_view, may_be_in_view, polar_sigma
-from association.known import known_decisions
+from association.decide import known_decisions
 from data.inputs import LabelledObservations, Prior, Sightings
 from data.sensors import RangeBearing, RelativePoint
 from ekf.localizer import EkfLocalizer

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gtsam.symbol_shorthand import L, X
 
-from association.known import known_decisions
+from association.decide import known_decisions
 from data import se2
 from data.result import DISCARD
 from data.worlds.arena import Arena, simulate

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gtsam.symbol_shorthand import L
 
-from association.known import known_decisions
+from association.decide import known_decisions
 from data import se2
 from data.inputs import Increment, Increments, Sightings
 from data.result import DISCARD, NEW

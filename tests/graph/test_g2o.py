@@ -11,11 +11,9 @@ import pytest
 from data import se2
 from data.convert.__main__ import main
 from data.errors import DataError
-from data.graphs.as_log import log_of
-from data.graphs.g2o import read_graph
-from data.graphs.of_run import graph_text, labelled
+from data.formats.g2o import graph_text, labelled, log_of, read_graph
+from data.formats.open_log.reader import load_folder
 from data.log import Log
-from data.open_log.reader import load_folder
 from data.worlds.arena import Arena, simulate
 from eval.replay.run import compare
 
@@ -185,7 +183,7 @@ def test_vertices_that_are_the_truth_score_the_log(arena_graph, tmp_path):
 
 
 def test_a_run_of_a_report_becomes_a_graph_that_is_at_its_minimum(tmp_path):
-    from data.open_log.writer import write_folder
+    from data.formats.open_log.writer import write_folder
     from eval.run_all import main as run
 
     write_folder(simulate(WORLD, 4), tmp_path / "log")

@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from association.known import known_decisions
+from association.decide import known_decisions
 from data import se2
 from data.errors import DataError
 from data.inputs import Increment, Increments, Sightings

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from association.known import known_decisions
+from association.decide import known_decisions
 from data.inputs import Increment, Sightings
 from data.result import DISCARD, NEW
 from ekf.slam import EkfSlam

@@ -10,7 +10,7 @@ import pytest
 from gtsam.symbol_shorthand import L, X
 
 from data.inputs import Increments
-from data.motion.floor import floor_covariances
+from data.motion.velocity import floor_covariances
 from data.sensors import RelativePoint
 from ekf.whole_run import run_filter
 from graph.batch import Start, build, smooth

@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from association.known import known_decisions
+from association.decide import known_decisions
 from data.worlds.registry import named_log
 from ekf.whole_run import run_filter
 from graph import optimum

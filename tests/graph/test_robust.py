@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from gtsam.symbol_shorthand import X
 
-from association.known import known_decisions
+from association.decide import known_decisions
 from data import se2
 from data.errors import DataError
 from data.inputs import Increments, LabelledObservations, Prior
-from data.motion.floor import floor_covariances
+from data.motion.velocity import floor_covariances
 from data.result import DISCARD
 from data.worlds.arena import Arena, simulate
 from data.worlds.registry import named_log

@@ -13,7 +13,7 @@ CASES = {
     "inspect": ["inspect", "corridor:0:people"],
     "tune": ["tune", "arena:0:frames=60", "OUT"],
     "check": ["check", "eval.replay.estimators:EkfSlam"],
-    "check-association": ["check", "association.gnn:gnn"],
+    "check-association": ["check", "association.methods:gnn"],
     "twin": ["twin", "arena:0:frames=60", "OUT"],
     "score": ["score", "given.tum", "truth.tum"],
 }

@@ -12,8 +12,8 @@ from association import decide as decide_module
 from association import jcbb as jcbb_module
 from association.decide import decide
 from association.expectation import SingularInnovationError, plain_residual
-from association.jcbb_kernels import search_best
-from association.likelihood import ml
+from association.jcbb import search_best
+from association.methods import ml
 from data.inputs import Inputs
 from data.result import DISCARD, NEW
 from data.sensors import measure

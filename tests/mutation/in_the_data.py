@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from data import se2
+from data.formats.mrclam import load as mrclam
+from data.formats.mrclam.calibration import Calibration
+from data.formats.mrclam.load import Grid
 from data.inputs import CLUTTER, Prior
 from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
-from data.mrclam import load as mrclam
-from data.mrclam.calibration import Calibration
-from data.mrclam.frames import Grid
 from data.timeline import truth_at
 from data.worlds.corridor import Corridor
 from data.worlds.corridor import simulate as simulate_corridor
 from eval.referee import consistency
-from tests.data.mrclam import world as recording
+from tests.data.formats.mrclam import world as recording
 from tests.mutation.faults import Check, Fault, changed, replaced
 from tests.mutation.verdicts import FRESH_NEES
 
@@ -26,7 +26,7 @@ LATENCY = 0.04
 MEASURED = "Robot1_Measurement.dat"
 
 
-# a recording in the published form, without noise (see `tests.data.mrclam.world`), whose camera is late
+# a recording in the published form, without noise (see `tests.data.formats.mrclam.world`), whose camera is late
 
 
 def files():
@@ -175,19 +175,21 @@ FAULTS = (
     Fault(1, "headings averaged across the cut", ACROSS,
           changed("data.se2.interpolate", {"np.unwrap(poses[:, 2])": "poses[:, 2]"})),
     Fault(8, "true pose of the frame before", READINGS_FIT,
-          replaced("data.mrclam.load.truth_at", truth_of_the_frame_before)),
+          replaced("data.formats.mrclam.load.truth_at", truth_of_the_frame_before)),
     Fault(14, "prior covariance filled with one constant", FRESH_NEES,
           replaced("data.worlds.arena.Prior", lambda real: lambda mean, P: Prior(mean, np.full((3, 3), P[0, 0]))),
           match="overconfident"),
-    Fault(20, "readings moved to a grid of 0.03 s", READINGS_FIT, replaced("data.mrclam.load.lay_out", on_a_grid)),
+    Fault(20, "readings moved to a grid of 0.03 s", READINGS_FIT,
+          replaced("data.formats.mrclam.load.lay_out", on_a_grid)),
     Fault(21, "MRCLAM: barcode taken for the subject", READINGS_FIT,
-          replaced("data.mrclam.load.read_barcodes", barcodes_for_subjects)),
+          replaced("data.formats.mrclam.load.read_barcodes", barcodes_for_subjects)),
     Fault(21, "MRCLAM: another robot taken for a landmark", ROBOTS,
-          changed("data.mrclam.load.identify", {"np.where(robot, CLUTTER, subject)": "subject"})),
+          changed("data.formats.mrclam.load.identify", {"np.where(robot, CLUTTER, subject)": "subject"})),
     Fault(21, "MRCLAM: camera lag forgotten", READINGS_FIT,
-          changed("data.mrclam.load.load_mrclam", {"-calibration.latency": "0.0"})),
+          changed("data.formats.mrclam.load.load_mrclam", {"-calibration.latency": "0.0"})),
     Fault(21, "MRCLAM: two landmarks exchanged in the survey", SURVEY_FITS,
-          replaced("data.mrclam.load.read_landmarks", two_landmarks_exchanged), match="seen where 20 should be"),
+          replaced("data.formats.mrclam.load.read_landmarks", two_landmarks_exchanged),
+          match="seen where 20 should be"),
     Fault(21, "MRCLAM: bad ground truth not left out", BAD_TRUTH, bad_stretches_forgotten),
     Fault(22, "covariance that does not grow over a gap", GAP, changed(PREINTEGRATE, NO_GROWTH)),
     Fault(24, "(sigma dt)^2 for each piece of a sample", CUT, changed(PREINTEGRATE, SQUARED_PIECES)),

@@ -9,7 +9,7 @@ import numpy as np
 from data import se2
 from data.result import Trajectory
 from eval.referee import consistency
-from eval.referee.bounds import chi2_bounds
+from eval.referee.consistency import chi2_bounds
 from eval.referee.score import confusion_of, metrics_row
 from eval.replay.run import compare, dead_reckoning
 from tests.mutation.faults import Check, Fault, replaced

@@ -15,7 +15,7 @@ from data.worlds.arena import Arena, simulate
 from data.worlds.corridor import Corridor
 from data.worlds.corridor import simulate as simulate_corridor
 from eval.referee import consistency
-from eval.referee.bounds import chi2_bounds
+from eval.referee.consistency import chi2_bounds
 from eval.replay.run import compare, step_by_step
 from tests.mutation.faults import Check
 

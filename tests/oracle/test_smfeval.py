@@ -18,10 +18,10 @@ from smfeval.scoring import energy_score as their_energy_score
 from smfeval.scoring import gaussian_log_score_components, summarize, translation_crps
 
 from data import se2
+from data.formats.results.reading import read_path
 from data.logs import open_log
-from data.results.reading import read_path
 from eval.referee import proper_scores
-from eval.referee.along import along
+from eval.referee.errors import along
 from eval.referee.intervals import SEED, run_intervals
 from eval.referee.score import Trial, score
 from eval.replay.run import compare

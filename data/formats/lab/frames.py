@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data.errors import LARGEST, DataError
+from data.formats.lab.matlab import Struct, Unread, Variable, elements
 from data.pictures import VisualFrame
-from data.visual.lab.mat_stream import Struct, Unread, Variable, elements
 
 FIELDS = ("timestamp", "commands", "rgb", "xyz")
 COMMANDS = ("v", "omega")

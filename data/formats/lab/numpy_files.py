@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data.errors import DataError
-from data.open_log.archive import BROKEN, open_archive
+from data.formats.open_log.scans import BROKEN, open_archive
 
 Record: TypeAlias = "dict[str, NDArray[Any] | Mapping[str, Any]]"
 NEEDS_TRUST = (

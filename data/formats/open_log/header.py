@@ -27,7 +27,7 @@ Format 1. Keys, with their defaults where they may be left out:
               without odometry, instead: prior = "forward" with step_mean, step_sigma, lateral_sigma [m] and turn_sigma
               [rad] per frame, or prior = "constant_velocity" with velocity, velocity_sigma, lateral_sigma [m/s],
               turn_rate and turn_rate_sigma [rad/s]; frames.csv then has the column t alone (see
-              data.open_log.motion_prior)
+              data.motion.motion_prior)
     [source]  anything: how the log was made
 """
 
@@ -41,10 +41,10 @@ from pathlib import Path
 import numpy as np
 
 from data.errors import DataError
+from data.formats.open_log.scans import KEYS, read_scanner
 from data.inputs import Prior, Scanner
+from data.motion.motion_prior import PRIORS, MotionPrior
 from data.motion.velocity import MODELS, NOISES, WITH_ALPHAS, VelocityModel, VelocityNoise
-from data.open_log.motion_prior import PRIORS, MotionPrior
-from data.open_log.scans import KEYS, read_scanner
 from data.se2 import Array
 from data.sensors import Line, RangeBearing, RelativePoint, Sensor
 from data.toml_table import TomlTable, finite, load_toml, not_negative, positive

@@ -1,17 +1,27 @@
 """Open log folder, format 1: read and check a log that anybody can write.
 
-    log.toml            see `data.open_log.header`; a motion prior stated there stands in for increments and odometry
+    log.toml            see `header`; a motion prior stated there stands in for increments and odometry
     frames.csv          t,dx,dy,dtheta,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt        row 0: zero increment
     or odometry.csv     t,v,omega                                           preintegrated on loading
     observations.csv    frame,z1,z2[,r11,r12,r22][,true_id][,label]         with odometry.csv: t instead of frame
     truth.csv           x,y,theta per frame, blank or nan where unknown     with odometry.csv: t,x,y,theta; optional
     landmarks.csv       id,x,y[,sx,sy]                                      optional
-    scans.npz           range scans (see `data.open_log.scans`); then observations.csv and [sensor] may be missing
-    relations.csv       reference relations between frames (see `data.open_log.relations`)          optional
+    scans.npz           range scans (see `scans`); then observations.csv and [sensor] may be missing
+    relations.csv       reference relations between frames (see `data.formats.open_log.reader`)          optional
 
 frames.csv of a log with relations may have a column stamp: stamps as recorded, which need not increase.
 true_id: -1 clutter, blank unknown. label: what the sensor claimed, where that can differ; absent, it is true_id.
 With odometry.csv the frames are the instants with observations, and keyframes where those are more than 1 s apart.
+
+`landmarks.csv` of an open log folder: id,x,y[,sx,sy].
+
+`relations.csv`: reference relations between the frames of a log, by which it is scored where no true path is known.
+
+    row1,row2,x,y,theta[,exact][,stamp1,stamp2]     pose of frame row2 in that of frame row1 [m, m, rad], rows from 0;
+                                                    exact: 1 where both rows are sure, 0 where not; stamps [s] that the
+                                                    reference's author tied the relation to
+
+Columns come in any order; others are left out.
 """
 
 from __future__ import annotations
@@ -24,21 +34,83 @@ from typing import NamedTuple
 import numpy as np
 
 from data.errors import DataError
-from data.inputs import UNLABELLED, Increments, Inputs, IntArray, Observations, Scans
+from data.formats.csv_table import Table, read_table
+from data.formats.open_log.header import Header, read_header
+from data.formats.open_log.scans import read_scans
+from data.inputs import UNLABELLED, Increments, Inputs, IntArray, LandmarkMap, Observations, Scans
 from data.log import Log
-from data.motion.floor import floor_covariances
-from data.motion.velocity import VelocityModel, preintegrate
-from data.open_log.csv_table import read_table
-from data.open_log.header import Header, read_header
-from data.open_log.landmarks import read_landmarks
-from data.open_log.motion_prior import MotionPrior, note_of
-from data.open_log.relations import read_relations
-from data.open_log.scans import read_scans
-from data.open_log.table import Table
+from data.motion.motion_prior import MotionPrior, note_of
+from data.motion.velocity import VelocityModel, floor_covariances, preintegrate
 from data.se2 import Array
 from data.sensors import RelativePoint
 from data.timeline import MAX_GAP, frame_times, truth_at
-from data.truth import CLUTTER, UNKNOWN_ID, Truth
+from data.truth import CLUTTER, UNKNOWN_ID, Relations, Truth
+
+
+def read_landmarks(path: Path) -> tuple[LandmarkMap | None, bool]:
+    """landmarks.csv, ascending by id, and whether a survey's sigmas were left out; None where there is none."""
+    if not path.exists():
+        return None, False
+    table = read_table(path, ("id", "x", "y"), ("sx", "sy"))
+    sigmas = [n for n in ("sx", "sy") if n in table]
+    table.require_finite(("x", "y", *sigmas))
+    for name in sigmas:
+        table.require(table.columns[name] >= 0.0, name, "{} is a negative standard deviation")
+    number = table.integers("id", 0)
+    order = np.argsort(number, kind="stable")
+    repeated = np.zeros(len(number), bool)
+    repeated[order[1:]] = number[order[1:]] == number[order[:-1]]
+    table.require(~repeated, "id", "{} stands for two landmarks")
+    return LandmarkMap(number[order], table.stack(("x", "y"))[order]), any(
+        (table.columns[n] > 0.0).any() for n in sigmas
+    )
+
+
+RELATIVE = ("x", "y", "theta")
+STAMPS = ("stamp1", "stamp2")
+EXACT = "exact"
+
+
+def read_relations(path: Path, frames: int, frame_stamp: Array | None = None) -> Relations:
+    """Relations between the frames of a log of so many; `frame_stamp` (N,) is kept beside them.
+
+    Raises:
+        DataError: no such file, a column missing, a value that is not a number, or a row that the log has not.
+    """
+    table = read_table(path, ("row1", "row2", *RELATIVE), (EXACT, *STAMPS))
+    for name in ("row1", "row2"):
+        table.integers(name, 0)
+        there = table.columns[name] < frames
+        table.require(there, name, f"{{}} is not a row of the log; it has frames 0 to {frames - 1}")
+    table.require_finite(RELATIVE)
+    exact = stamp = None
+    if EXACT in table:
+        values = table.columns[EXACT]
+        table.require((values == 0.0) | (values == 1.0), EXACT, "{} is neither 0 nor 1")
+        exact = values.astype(np.int64)
+    if any(name in table for name in STAMPS):
+        for name in STAMPS:
+            if name not in table:
+                raise table.error(-1, name, "no such column; stamp1 and stamp2 come together")
+        table.require_finite(STAMPS)
+        stamp = table.stack(STAMPS)
+    row1, row2 = (table.columns[name].astype(np.int64) for name in ("row1", "row2"))
+    return Relations(row1, row2, table.stack(RELATIVE), exact, stamp, frame_stamp)
+
+
+def relations_columns(relations: Relations) -> tuple[list[str], list[list[object]]]:
+    """Names of the columns, and the rows: what `read_relations` reads."""
+    r = relations
+    names = ["row1", "row2", *RELATIVE]
+    columns = [r.row1.tolist(), r.row2.tolist(), *r.relative.T.tolist()]
+    if r.exact is not None:
+        names.append(EXACT)
+        columns.append(r.exact.tolist())
+    if r.stamp is not None:
+        names += STAMPS
+        columns += r.stamp.T.tolist()
+    return names, [list(row) for row in zip(*columns, strict=True)]
+
 
 HEADER = "log.toml"
 FRAMES, ODOMETRY, OBSERVATIONS, TRUTH, LANDMARKS = (
@@ -65,7 +137,7 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
     """Read an open log folder; `relations`: a file instead of its relations.csv.
 
     Observations outside the sensor's stated range or angles are kept. The covariance floor is applied once, here;
-    a folder that was written by `data.open_log.writer` already holds it. A survey's sigmas (sx, sy in landmarks.csv)
+    a folder that was written by `writer` already holds it. A survey's sigmas (sx, sy in landmarks.csv)
     are checked but not used, because every estimator takes the map as exact; a note says so.
 
     Raises:

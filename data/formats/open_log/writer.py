@@ -13,10 +13,8 @@ import numpy as np
 import tomli_w
 
 from data.errors import DataError
-from data.inputs import UNLABELLED, IntArray, LandmarkMap
-from data.log import Log
-from data.open_log.header import FORMAT
-from data.open_log.reader import (
+from data.formats.open_log.header import FORMAT
+from data.formats.open_log.reader import (
     COVARIANCE,
     FILES,
     FRAMES,
@@ -31,9 +29,11 @@ from data.open_log.reader import (
     STAMP,
     TRUTH,
     load_folder,
+    relations_columns,
 )
-from data.open_log.relations import relations_columns
-from data.open_log.scans import scans_content
+from data.formats.open_log.scans import scans_content
+from data.inputs import UNLABELLED, IntArray, LandmarkMap
+from data.log import Log
 from data.truth import UNKNOWN_ID
 from data.whole import whole_folder
 

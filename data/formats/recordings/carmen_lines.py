@@ -11,11 +11,17 @@ Fields are separated by blanks; a line is known by its first word:
 
 Any other line is left out and counted, but comments (#) and blank lines, which are not counted.
 Source: the CARMEN toolkit's log format (M. Montemerlo, N. Roy, S. Thrun), as its logs state it in their first lines.
+
+Bytes of a recorded log, packed by gzip or not.
 """
 
 from __future__ import annotations
 
+import gzip
+import hashlib
+import io
 import math
+import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,8 +30,9 @@ from pathlib import Path
 import numpy as np
 
 from data.errors import LARGEST, DataError
+from data.formats.csv_table import Table
+from data.formats.open_log.scans import DENSEST, LARGE
 from data.inputs import IntArray
-from data.open_log.table import Table
 from data.se2 import Array
 
 ODOM, FLASER, ROBOTLASER, PARAM, NEFF = "ODOM", "FLASER", "ROBOTLASER1", "PARAM", "NEFF"
@@ -264,3 +271,39 @@ def _not_a_number(path: Path, line: int, row: list[bytes], names: Sequence[str])
         if not fine:
             return DataError.at(path, f"{_shown(field)} is not a number", line=line, column=name)
     raise AssertionError("called for a line whose fields are all numbers")
+
+
+PART = 1 << 16
+"""Bytes that are unpacked at a time."""
+
+
+def content_of(path: Path) -> tuple[bytes, str]:
+    """Bytes of a file, unpacked if its name ends in .gz, and the SHA-256 of the file as it is.
+
+    Raises:
+        DataError: the file cannot be read or unpacked.
+    """
+    try:
+        packed = path.read_bytes()
+        content = _unpacked(path, packed) if path.suffix.lower() == ".gz" else packed
+        return content, hashlib.sha256(packed).hexdigest()
+    except gzip.BadGzipFile:
+        raise DataError.at(path, "not a gzip file, though named so; pack it, or name it without .gz") from None
+    except (EOFError, zlib.error) as error:
+        raise DataError.at(path, f"the gzip file is broken or cut off ({error}); a whole one is needed") from None
+    except OSError as error:
+        raise DataError.at(path, f"cannot be read: {error.strerror}") from None
+
+
+def _unpacked(path: Path, packed: bytes) -> bytes:
+    """The content of a gzip file, which logs are a fifth or so of; more than any log is not unpacked."""
+    most = max(LARGE, DENSEST * len(packed))
+    parts, length = [], 0
+    with gzip.open(io.BytesIO(packed)) as file:
+        while part := file.read(PART):
+            parts.append(part)
+            length += len(part)
+            if length > most:
+                what = f"{len(packed)} bytes that unpack to more than {most}"
+                raise DataError.at(path, f"{what}; logs pack to a fifth or so")
+    return b"".join(parts)

@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 
 from data.errors import LARGEST, DataError
+from data.formats.lab.matlab import Value, read, variables
 from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
 from data.log import Log
-from data.motion.floor import floor_covariances
+from data.motion.velocity import floor_covariances
 from data.se2 import Array, wrap_angle
 from data.sensors import RelativePoint
 from data.truth import Truth
-from data.visual.lab.mat_stream import Value, read, variables
 
 NAME = "results.mat"
 LEAST = float(np.sqrt(np.finfo(float).tiny))

@@ -1,19 +1,106 @@
-"""Messages of a ROS bag as arrays: laser scans, odometry, and where the laser is mounted. Needs `rosbags`."""
+"""Messages of a ROS bag as arrays: laser scans, odometry, and where the laser is mounted. Needs `rosbags`.
+
+Fixed transforms between the frames of a robot, as tf states them: chains of rotations and translations.
+
+A laser log out of the messages of a ROS bag: every scan is a frame, with the odometry at its stamp.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import math
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from data.errors import DataError, UsageError
-from data.recordings.ros.transforms import Transform, Transforms, heading
-from data.se2 import Array
+from data.formats.open_log.scans import with_returns
+from data.formats.recordings.laser import laser_inputs
+from data.inputs import Scanner, Scans
+from data.log import Log
+from data.se2 import Array, interpolate, inverse
+from data.terminal import counted
+from data.truth import Truth
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+"""(x, y, z, w)."""
+
+
+@dataclass(frozen=True)
+class Transform:
+    """p_parent = R p_child + t: R (3, 3), t (3,) m."""
+
+    R: Array
+    t: Array
+
+    def __matmul__(self, other: Transform) -> Transform:
+        return Transform(self.R @ other.R, self.R @ other.t + self.t)
+
+    def inverse(self) -> Transform:
+        """p_child = R' p_parent - R' t."""
+        return Transform(self.R.T, -self.R.T @ self.t)
+
+
+def heading(q: Quaternion) -> float:
+    """Heading [rad] of a rotation: the angle of its x axis in the plane; NaN if the quaternion is none."""
+    R = rotation_of(q)
+    return math.atan2(R[1, 0], R[0, 0])
+
+
+def rotation_of(q: Quaternion) -> Array:
+    """Rotation matrix (3, 3) of a quaternion of any length above 0; NaN for one of length 0."""
+    x, y, z, w = np.array(q, float) / (math.sqrt(sum(v * v for v in q)) or math.nan)
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )
+
+
+@dataclass
+class Transforms:
+    """The first transform stated for each frame to its parent: a laser's does not move."""
+
+    parent: dict[str, tuple[str, Transform]] = field(default_factory=dict)
+
+    def add(self, parent: str, child: str, translation: Vector, rotation: Quaternion) -> None:
+        """Keep what is stated about a frame, unless something was before."""
+        entry = (_name(parent), Transform(rotation_of(rotation), np.array(translation, float)))
+        self.parent.setdefault(_name(child), entry)
+
+    def between(self, target: str, source: str) -> Transform | None:
+        """p_target = R p_source + t, by the frames above both; None where they are not connected."""
+        up, down = self._chain(target), self._chain(source)
+        for name, to_common in up.items():
+            if name in down:
+                return to_common.inverse() @ down[name]
+        return None
+
+    def _chain(self, name: str) -> dict[str, Transform]:
+        """The frame itself and each above it, with the transform from the frame to it."""
+        name, so_far = _name(name), Transform(np.eye(3), np.zeros(3))
+        chain = {name: so_far}
+        while name in self.parent:
+            name, step = self.parent[name]
+            if name in chain:  # a circle
+                break
+            so_far = step @ so_far
+            chain[name] = so_far
+        return chain
+
+
+def _name(frame: str) -> str:
+    """ROS 1 wrote names with a slash in front."""
+    return frame.lstrip("/")
+
 
 SCAN, ODOMETRY, TRANSFORMS = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
 SHORT = {SCAN: "sensor_msgs/LaserScan", ODOMETRY: "nav_msgs/Odometry"}
@@ -77,7 +164,7 @@ of its messages along, so that a field may be missing, or be anything."""
 @contextmanager
 def said(path: Path) -> Iterator[None]:
     """What goes wrong in the library, or because a message is not what its type says, is a DataError."""
-    from data.recordings.ros.bounded import LIBRARY
+    from data.formats.recordings.ros_bounded import LIBRARY
 
     try:
         yield
@@ -92,7 +179,7 @@ def said(path: Path) -> Iterator[None]:
 def opened(path: Path) -> Iterator[Any]:
     """A reader of the bag, within bounds; what goes wrong in it is a DataError."""
     try:
-        from data.recordings.ros.bounded import any_reader, bounded
+        from data.formats.recordings.ros_bounded import any_reader, bounded
     except ImportError as error:
         raise UsageError(f"rosbag needs the package rosbags ({error}): pip install 'slamref[ros]'") from None
     if not path.exists():
@@ -189,3 +276,75 @@ def stamp_of(message: Any, recorded: float) -> float:
     """s; `sec` is `secs` nowhere: rosbags names the fields of both versions alike."""
     stamp = message.header.stamp
     return float(stamp.sec + 1e-9 * stamp.nanosec) if stamp.sec or stamp.nanosec else recorded
+
+
+SIGMA = 0.01
+"""m, of a range, which messages do not state: the accuracy of the better small scanners; most state 1 to 3 cm."""
+LONG = 1.0
+"""s between two poses of the odometry, over which it is interpolated all the same, but counted."""
+SMALL = 1e-3
+"""Share of a laser's tilt that is taken for none: the cosine may miss 1 by so much (2.6 degrees)."""
+
+
+def log_of(path: Path, bag: Bag) -> Log:
+    """The log: frames are the scans within the span of the odometry, which is interpolated at their stamps.
+
+    Odometry may come far more often than scans, or a little before and after them; scan matching needs the pose at the
+    scan. Scans are taken in the order of their stamps. A reading below range_min, not below range_max, infinite or NaN
+    is no return, as sensor_msgs/LaserScan has it.
+
+    Raises:
+        DataError: no scan within the span of the odometry, or a laser that is not level.
+    """
+    scanner, note = _scanner(path, bag)
+    time, first = np.unique(bag.odometry_stamp, return_index=True)
+    order = np.argsort(bag.scan_stamp, kind="stable")
+    stamp = bag.scan_stamp[order]
+    inside = (stamp >= time[0]) & (stamp <= time[-1])
+    if not inside.any():
+        what = f"scans at {stamp[0]:.3f} to {stamp[-1]:.3f} s, odometry at {time[0]:.3f} to {time[-1]:.3f} s"
+        raise DataError.at(path, f"{what}; at least one scan within the odometry is needed")
+    stamp, ranges = stamp[inside], bag.ranges[order][inside]
+    pose = interpolate(time, bag.pose[first], stamp)
+    ranges = np.where(ranges >= bag.geometry["range_min"], ranges, 0.0)
+    scans = Scans(scanner, np.arange(len(stamp)), with_returns(ranges, scanner.max_range))
+    notes = [
+        "No ground truth: the prior is the first pose of the odometry.",
+        f"Frames are the scans of {bag.scan_topic}, with {bag.odometry_topic} interpolated at their stamps.",
+        note,
+    ]
+    if not inside.all():
+        notes.append(
+            f"{int((~inside).sum())} of {counted(len(inside), 'scan')} outside the span of the odometry: left out."
+        )
+    after = np.clip(np.searchsorted(time, stamp), 1, len(time) - 1)
+    far = int((time[after] - time[after - 1] > LONG).sum()) if len(time) > 1 else 0
+    if far:
+        notes.append(f"{counted(far, 'scan is', 'scans are')} where the odometry pauses for more than {LONG:g} s.")
+    source = {"kind": "rosbag", "path": str(path.absolute()), "scan": bag.scan_topic, "odometry": bag.odometry_topic}
+    if path.is_file():
+        with path.open("rb") as file:
+            source["sha256"] = hashlib.file_digest(file, "sha256").hexdigest()
+    return Log(path.stem, laser_inputs(pose, stamp, scans), Truth(), source=source, notes=tuple(notes))
+
+
+def _scanner(path: Path, bag: Bag) -> tuple[Scanner, str]:
+    """The scanner on the robot, and a sentence about where it is."""
+    g, robot, laser = bag.geometry, *bag.frames
+    low, step = g["angle_min"], g["angle_increment"]
+    if bag.mounting is None:
+        text = f"Where {laser!r} is on {robot!r} is not in the bag: it is taken to be at its origin."
+        return Scanner(low, step, g["range_max"], SIGMA), text
+    R, t = bag.mounting.R, bag.mounting.t
+    if not abs(abs(R[2, 2]) - 1.0) <= SMALL:
+        what = f"the laser {laser!r} is tilted by {np.degrees(np.arccos(np.clip(R[2, 2], -1, 1))):.3g} deg on {robot!r}"
+        raise DataError.at(path, f"{what}; a level one is needed")
+    upside_down = R[2, 2] < 0.0
+    if upside_down:  # seen from above its beams turn the other way
+        low, step = -low, -step
+    turn = float(np.arctan2(R[1, 0], R[0, 0]))
+    tx, ty, rotation = (float(v) + 0.0 for v in inverse(np.array([t[0], t[1], turn])))
+    place = (
+        f"at ({t[0]:.4g}, {t[1]:.4g}) m, turned by {np.degrees(turn):.4g} deg{', upside down' if upside_down else ''}"
+    )
+    return Scanner(low, step, g["range_max"], SIGMA, rotation, (tx, ty)), f"The laser is mounted {place}."

@@ -35,7 +35,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from data.errors import UsageError
-from data.open_log.archive import DENSEST, LARGE
+from data.formats.open_log.scans import DENSEST, LARGE
 
 lz4: Any = import_module("lz4.frame")
 zstd: Any = import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")

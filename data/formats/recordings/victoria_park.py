@@ -21,7 +21,7 @@ import numpy as np
 from data.errors import LARGEST, DataError
 from data.inputs import Increments, Inputs, Observations, Prior
 from data.log import Log
-from data.motion.floor import floor_covariances
+from data.motion.velocity import floor_covariances
 from data.se2 import Array
 from data.sensors import RelativePoint
 from data.truth import Truth

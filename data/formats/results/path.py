@@ -1,14 +1,20 @@
-"""What a trajectory of somebody else is here: poses in the plane at stamps, and the covariance claimed for them."""
+"""What a trajectory of somebody else is here: poses in the plane at stamps, and the covariance claimed for them.
+
+Lines of numbers of a text file, each with its place, and a `DataError` for whatever is no number.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from data.inputs import read_only
+from data.errors import LARGEST, DataError
+from data.inputs import IntArray, read_only
 from data.se2 import Array
 
 WORLD, LOCAL, LEFT = "world", "local", "left"
@@ -90,3 +96,79 @@ def in_order(time: Array) -> Array:
     """Rows (k,) that count where stamps (n,) ascend: of several with one stamp the last."""
     keep = np.append(np.diff(time) > 0.0, True)
     return np.asarray(np.flatnonzero(keep))
+
+
+@dataclass(frozen=True)
+class Text:
+    """A file's lines that hold data, split into fields, each with its number from 1; and its comments."""
+
+    path: Path
+    fields: tuple[tuple[str, ...], ...]
+    line: tuple[int, ...]
+    comments: tuple[tuple[int, str], ...]
+    commas: bool
+
+
+def read_text(path: Path) -> Text:
+    """Split a file at commas if its first line of data has any, else at blanks; `#` begins a comment line."""
+    try:
+        content = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise DataError.at(path, "no such file") from None
+    except UnicodeDecodeError:
+        raise DataError.at(path, "not a text file; what is read is listed in docs/results-files.md") from None
+    except OSError as fault:
+        raise DataError.at(path, f"cannot be read: {fault.strerror}") from None
+    lines = [(i, line.strip()) for i, line in enumerate(content.splitlines(), start=1)]
+    comments = tuple((i, line) for i, line in lines if line.startswith("#"))
+    data = [(i, line) for i, line in lines if line and not line.startswith("#")]
+    if not data:
+        raise DataError.at(path, "no line of data")
+    commas = "," in data[0][1]
+    split = tuple(tuple(f.strip() for f in line.split(",")) if commas else tuple(line.split()) for _, line in data)
+    return Text(path, split, tuple(i for i, _ in data), comments, commas)
+
+
+def is_number(field: str) -> bool:
+    """Whether a field is a finite number or NaN."""
+    try:
+        float(field)
+    except ValueError:
+        return False
+    return "_" not in field
+
+
+def numbers(text: Text, columns: Sequence[str], *, more: bool = False) -> Array:
+    """The fields as numbers (n, columns), all finite; `more`: further fields of a line are left alone.
+
+    Raises:
+        DataError: a line has another number of fields, or one that is no number.
+    """
+    k = len(columns)
+    for line, fields in zip(text.line, text.fields, strict=True):
+        if len(fields) < k or (len(fields) > k and not more):
+            last = " (the file ends here: was it cut off?)" if line == text.line[-1] and len(fields) < k else ""
+            raise DataError.at(text.path, f"{len(fields)} fields; {k} are needed{last}", line=line)
+        for name, field in zip(columns, fields, strict=False):
+            if not is_number(field):
+                raise DataError.at(text.path, f"{field[:40]!r} is not a number", line=line, column=name)
+            if not math.isfinite(float(field)) or (abs(float(field)) > LARGEST and name != "timestamp [ns]"):
+                what = f"{field[:40]}; a finite number in SI units is needed"
+                raise DataError.at(text.path, what, line=line, column=name)
+    return np.array([[float(f) for f in fields[:k]] for fields in text.fields])
+
+
+def require_order(text: Text, time: Array) -> None:
+    """Stamps (n,) must not go back; DataError names the line."""
+    back = np.flatnonzero(np.diff(time) < 0.0)
+    if len(back):
+        k = int(back[0]) + 1
+        what = (
+            f"stamp {float(time[k])!r} is before {float(time[k - 1])!r} of the line above; ascending stamps are needed"
+        )
+        raise DataError.at(text.path, what, line=text.line[k])
+
+
+def lines_of(text: Text) -> IntArray:
+    """Line number (n,) of each row of data."""
+    return np.array(text.line, np.int64)

@@ -3,6 +3,8 @@ their own; and SQUARE files of `smfeval`, whose header says what the covariance 
 
 The covariance is the lower triangle, row by row (c11 c21 c22 c31 ... c66), of the 6x6 covariance of the tangent,
 translation first; without a header T = T_mean Exp(xi), in the body's axes, as `smfeval` takes it.
+
+KITTI poses: the upper three rows of the 4x4 pose, row by row, 12 numbers a line; stamps in a file of their own.
 """
 
 from __future__ import annotations
@@ -11,12 +13,19 @@ from pathlib import Path
 
 import numpy as np
 
-from data.errors import DataError
-from data.results.lines import Text, lines_of, numbers, read_text, require_order
-from data.results.path import LOCAL, GivenPath, Manner
-from data.results.samples import read_samples
-from data.results.space import Spatial, on_plane, rotations
-from data.results.square import ORDERS, POSE, header_of, tangent
+from data.errors import DataError, UsageError
+from data.formats.results.path import LOCAL, GivenPath, Manner, Text, lines_of, numbers, read_text, require_order
+from data.formats.results.space import (
+    ORDERS,
+    POSE,
+    UNIT,
+    Spatial,
+    header_of,
+    on_plane,
+    read_samples,
+    rotations,
+    tangent,
+)
 from data.se2 import Array
 
 TRIANGLE = tuple(f"c{i}{j}" for i in range(1, 7) for j in range(1, i + 1))
@@ -116,3 +125,27 @@ def _path(
 
     R = rotations(rows[:, 4:8], file, place)
     return on_plane(Spatial(file, kind, rows[:, 0], rows[:, 1:4], R, covariance, frame, place, declared), manner)
+
+
+ENTRIES = tuple(f"r{i}{j}" if j < 4 else f"t{i}" for i in (1, 2, 3) for j in (1, 2, 3, 4))
+
+
+def read_kitti(text: Text, manner: Manner) -> GivenPath:
+    """The poses at the stamps of `manner.times`, a line each [s]."""
+    if manner.times is None:
+        raise UsageError(f"{text.path}: KITTI poses have no stamps; --times FILE is needed, a stamp [s] a line")
+    rows = numbers(text, ENTRIES).reshape(-1, 3, 4)
+    stamps = read_text(manner.times)
+    time = numbers(stamps, ("t",))[:, 0]
+    if len(time) != len(rows):
+        what = f"{len(time)} stamps; {text.path} has {len(rows)} poses, one each is needed"
+        raise DataError.at(manner.times, what)
+    require_order(stamps, time)
+    line, file = lines_of(text), str(text.path)
+    R = rows[:, :, :3]
+    off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+    bad = np.flatnonzero((off > UNIT) | (np.linalg.det(R) < 0.0))
+    if len(bad):
+        raise DataError.at(file, "its first three columns are no rotation", line=int(line[bad[0]]))
+    spatial = Spatial(file, "KITTI poses", time, rows[:, :, 3], R, None, "", lambda k: f"line {line[k]}")
+    return on_plane(spatial, manner)

@@ -3,6 +3,10 @@
 Kept are x, y and the yaw of Z-Y-X angles, atan2(R10, R00). The covariance of these three follows to first order from
 that of the pose, whatever its tangent: with p the position, c the first column of R, and a small turn w in the
 world's axes, dyaw = w_z - c_z (c_x w_x + c_y w_y) / (c_x^2 + c_y^2).
+
+The header of SQUARE files, `#%KEY value` lines, and what it declares; the columns of a pose.
+
+SQUARE files of samples (`ensemble_se3`): a particle a line, reduced to mean and covariance in the plane.
 """
 
 from __future__ import annotations
@@ -14,7 +18,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from data.errors import DataError
-from data.results.path import CAMERA, LEFT, LOCAL, GivenPath, Manner, Outside, in_order
+from data.formats.results.path import (
+    CAMERA,
+    LEFT,
+    LOCAL,
+    WORLD,
+    GivenPath,
+    Manner,
+    Outside,
+    Text,
+    in_order,
+    lines_of,
+    numbers,
+    require_order,
+)
 from data.se2 import Array, wrap_angle
 
 LEVEL = 1e-9
@@ -165,3 +182,92 @@ def projection(path: GivenPath) -> str:
     if o.z[1] - o.z[0] > flat:
         said += "; more is outside than in it: a camera's axes (z forward)? then --axes camera"
     return said
+
+
+POSE = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
+CONVENTIONS = {"right_perturbation": LOCAL, "left_perturbation": LEFT}
+ORDERS = ("translation_rotation", "rotation_translation")
+
+
+@dataclass(frozen=True)
+class Header:
+    """What `#%KEY value` lines say, by key, each with its line."""
+
+    values: dict[str, tuple[int, str]]
+
+    def one_of(self, text: Text, key: str, allowed: tuple[str, ...]) -> str | None:
+        """A value that must be one of a few; None: not said."""
+        line, value = self.values.get(key, (0, ""))
+        if key not in self.values:
+            return None
+        if value not in allowed:
+            raise DataError.at(text.path, f"{key} {value!r}; one of {', '.join(allowed)} is needed", line=line)
+        return value
+
+
+def header_of(text: Text) -> Header:
+    """The header of a SQUARE file or of a file of covariances; empty where there is none."""
+    found: dict[str, tuple[int, str]] = {}
+    for line, comment in text.comments:
+        if comment.startswith("#%"):
+            key, _, value = comment[2:].strip().partition(" ")
+            if key.upper() in found:
+                raise DataError.at(text.path, f"{key} is said twice", line=line)
+            found[key.upper()] = line, value.strip()
+    return Header(found)
+
+
+def tangent(text: Text, header: Header) -> tuple[str | None, str | None]:
+    """Frame and order that a header declares."""
+    convention = header.one_of(text, "TANGENT_CONVENTION", tuple(CONVENTIONS))
+    return None if convention is None else CONVENTIONS[convention], header.one_of(text, "TANGENT_ORDER", ORDERS)
+
+
+FEWEST = 4
+"""Samples at an instant that a covariance of three numbers needs to have full rank."""
+
+
+def read_samples(text: Text, header: Header, unit: float, manner: Manner) -> GivenPath:
+    """Means and covariances of the particles at each stamp; heading by its circular mean, weights made to sum to 1."""
+    weighted = header.one_of(text, "WEIGHTED", ("true", "false")) == "true"
+    logarithmic = header.one_of(text, "WEIGHT_FORMAT", ("linear", "log")) == "log"
+    columns = ("t", "particle", *(("weight",) if weighted else ()), *POSE[1:])
+    rows = numbers(text, columns)
+    time = rows[:, 0] * unit
+    require_order(text, time)
+    line, file = lines_of(text), str(text.path)
+
+    def place(k: int) -> str:
+        return f"line {line[k]}"
+
+    first = 3 if weighted else 2
+    R = rotations(rows[:, first + 3 :], file, place)
+    stamps, start, count = np.unique(time, return_index=True, return_counts=True)
+    # each particle on the plane by itself (the stamps of one instant made different), then their moments
+    apart = Spatial(file, "", np.arange(len(rows), dtype=float), rows[:, first : first + 3], R, None, "", place)
+    flat = on_plane(apart, Manner(axes=manner.axes))
+    pose, covariance = np.empty((len(stamps), 3)), np.full((len(stamps), 3, 3), np.nan)
+    for k, (i, n) in enumerate(zip(start.tolist(), count.tolist(), strict=True)):
+        weight = np.full(n, 1.0 / n) if not weighted else rows[i : i + n, 2]
+        if weighted and logarithmic:
+            weight = np.exp(weight - weight.max())
+        if weight.min() < 0.0 or not weight.sum() > 0.0:
+            raise DataError.at(text.path, "weights of an instant must not be negative, nor all zero", line=line[i])
+        pose[k], covariance[k] = _moments(flat.pose[i : i + n], weight / weight.sum())
+    few = int((count < FEWEST).sum())
+    covariance[count < FEWEST] = np.nan
+    notes: tuple[str, ...] = (f"mean and covariance of {int(count.min())} to {int(count.max())} samples an instant",)
+    if few:
+        notes += (f"{few} instants have fewer than {FEWEST} samples, too few for a covariance",)
+    outside: Outside | None = flat.outside
+    return GivenPath(file, "SQUARE, ensemble_se3", stamps, pose, covariance, WORLD, outside, notes)
+
+
+def _moments(pose: Array, weight: Array) -> tuple[Array, Array]:
+    """Mean (3,) and covariance (3, 3), unbiased for weights that sum to 1."""
+    heading = np.arctan2(weight @ np.sin(pose[:, 2]), weight @ np.cos(pose[:, 2]))
+    mean = np.array([*(weight @ pose[:, :2]), heading])
+    off = pose - mean
+    off[:, 2] = wrap_angle(off[:, 2])
+    spare = 1.0 - float(weight @ weight)
+    return mean, (off * weight[:, None]).T @ off / spare if spare > 0.0 else np.full((3, 3), np.nan)

@@ -2,20 +2,25 @@
 
 Comma, semicolon, tab or spaces; with a line of names or without; lines that start with `#` or `%` are comments, but the
 last one above the first row is the line of names where it has as many fields as the row. Fields may be quoted.
+
+Which column of which file holds what: `--columns t=stamp,v=speed,truth.x=px`, and the values in SI units.
+
+Units of a foreign table: what `--unit angle=deg,time=ns,v=km/h` says, as factors to SI.
 """
 
 from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
-from data.errors import DataError
+from data.errors import DataError, UsageError
+from data.formats.csv_table import Table
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 
@@ -198,3 +203,223 @@ def read_text(path: Path) -> TextTable:
 def _has_points(rows: Sequence[Sequence[str]]) -> bool:
     """Whether some number is written with a decimal point."""
     return any("." in f and _parses(_number, f) for row in rows[:1000] for f in row)
+
+
+LENGTH = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "ft": 0.3048, "in": 0.0254}
+ANGLE = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "rev": 2.0 * math.pi}
+TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+DIMENSIONS = {"length": LENGTH, "angle": ANGLE, "time": TIME}
+ISO = "iso"
+"""Unit of time of a column of dates."""
+
+QUANTITIES = {
+    "t": "time",
+    **dict.fromkeys(("x", "y", "dx", "dy", "range"), "length"),
+    **dict.fromkeys(("theta", "dtheta", "bearing"), "angle"),
+    "v": "length/time",
+    "omega": "angle/time",
+    **dict.fromkeys(("left", "right", "frame", "id", "true_id", "label", "qx", "qy", "qz", "qw"), ""),
+}
+"""What a column may hold, and its dimension; rates are per second unless a unit says otherwise."""
+
+
+@dataclass(frozen=True)
+class Units:
+    """What was said, by key: a dimension, a quantity, or `role.quantity`; the narrower one counts."""
+
+    said: Mapping[str, str]
+
+    def __post_init__(self) -> None:
+        for key, unit in self.said.items():
+            quantity = key.rpartition(".")[2]
+            if key not in DIMENSIONS and not QUANTITIES.get(quantity):
+                known = ", ".join([*DIMENSIONS, *(q for q, d in QUANTITIES.items() if d)])
+                raise UsageError(f"--unit {key}={unit}: unknown quantity {key!r}; known: {known}")
+            factor(key if key in DIMENSIONS else QUANTITIES[quantity], unit, f"--unit {key}={unit}")
+
+    def unit(self, role: str, quantity: str) -> str | None:
+        """The unit said for a quantity of its own, `role.quantity` before `quantity`."""
+        return self.said.get(f"{role}.{quantity}", self.said.get(quantity))
+
+    def is_date(self, role: str) -> bool:
+        """Whether a file's stamps are dates."""
+        return (self.unit(role, "t") or self.said.get("time")) == ISO
+
+    def factor(self, role: str, quantity: str) -> float:
+        """SI units per unit of a quantity in a file."""
+        dimension, unit = QUANTITIES[quantity], self.unit(role, quantity)
+        if not dimension or (dimension == "time" and self.is_date(role)):
+            return 1.0
+        if unit is not None:
+            return factor(dimension, unit, f"--unit {quantity}={unit}")
+        kind = dimension.partition("/")[0]
+        said = self.said.get(kind)
+        return 1.0 if said is None else factor(kind, said, f"--unit {kind}={said}")
+
+
+def factor(dimension: str, text: str, where: str) -> float:
+    """SI units per unit `text`, a minus sign in front (clockwise angles) included; UsageError for an unknown one."""
+    sign, unit = (-1.0, text[1:]) if text.startswith("-") else (1.0, text)
+    over, slash, under = unit.partition("/")
+    kind, per, _ = (*dimension.split("/"), "", "")[:3]
+    units = DIMENSIONS[kind]
+    if kind == "time" and text == ISO:
+        return 1.0
+    if over not in units or bool(slash) != bool(per) or (per and under not in TIME):
+        example = f"{next(iter(units))}/s" if per else ", ".join([*units, ISO] if kind == "time" else units)
+        what = f"of {', '.join(units)} per {', '.join(TIME)}, as in {example}," if per else f"one of {example}"
+        raise UsageError(f"{where}: unknown unit {text!r}; {what} is needed")
+    return sign * units[over] / (TIME[under] if per else 1.0)
+
+
+def quantity_with_unit(text: str, dimension: str, where: str) -> float:
+    """A number with its unit behind, as in 2deg or 5mm; SI where none is said. UsageError for anything else."""
+    stripped = text.strip()
+    end = len(stripped)
+    while end and not (stripped[end - 1].isdigit() or stripped[end - 1] == "."):
+        end -= 1
+    try:
+        value = float(stripped[:end] if end else stripped)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise UsageError(f"{where}: {text!r} is not a number, as in 0.1, 5cm or 2deg")
+    unit = stripped[end:].strip()
+    return value * (factor(dimension, unit, where) if unit else 1.0)
+
+
+ROLES = ("odometry", "observations", "map", "truth")
+QUATERNION = ("qx", "qy", "qz", "qw")
+
+
+@dataclass(eq=False)
+class Columns:
+    """What was said, by key `quantity` or `role.quantity`; a quantity without is looked for under its own name.
+
+    `used`: keys that named a column of some file so far.
+    """
+
+    said: Mapping[str, str]
+    units: Units
+    used: set[str] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        for key, name in self.said.items():
+            role, dot, quantity = key.rpartition(".")
+            if quantity not in QUANTITIES or (dot and role not in ROLES):
+                raise UsageError(
+                    f"--columns {key}={name}: unknown quantity {key!r}; known: {', '.join(QUANTITIES)}, each also as "
+                    f"in odometry.t (files: {', '.join(ROLES)})"
+                )
+
+    def stated(self, role: str, quantities: Collection[str]) -> bool:
+        """Whether a column was named for one of these quantities of a file, by role."""
+        return any(f"{role}.{q}" in self.said for q in quantities)
+
+    def find(self, file: TextTable, role: str, quantity: str) -> int | None:
+        """Number of the column of a file that holds a quantity; None: there is none.
+
+        Raises:
+            DataError: the column named for it is not there.
+        """
+        own = f"{role}.{quantity}"
+        if own in self.said:
+            column = file.find(self.said[own])
+            if column is None:
+                raise DataError.at(file.path, f"no column {self.said[own]!r} ({own}); it has {file.described()}")
+            self.used.add(own)
+            return column
+        if quantity in self.said:
+            column = file.find(self.said[quantity])
+            if column is not None:
+                self.used.add(quantity)
+                return column
+        return file.names.index(quantity) if file.named and quantity in file.names else None
+
+    def require(self, file: TextTable, role: str, quantities: Sequence[str]) -> list[int]:
+        """The columns of quantities that a file must have."""
+        columns = []
+        for q in quantities:
+            column = self.find(file, role, q)
+            if column is None:
+                raise DataError.at(
+                    file.path,
+                    f"no column {self.said.get(q, q)!r} for {q}; it has {file.described()}; name it as in "
+                    f"--columns {role}.{q}=NAME",
+                )
+            columns.append(column)
+        return columns
+
+    def has(self, file: TextTable, role: str, quantities: Sequence[str]) -> bool:
+        """Whether a file has a column for each of these quantities."""
+        return all(self.find(file, role, q) is not None for q in quantities)
+
+    def check_used(self, files: Sequence[TextTable]) -> None:
+        """Raise UsageError for a column that was named and stands in no file."""
+        for key, name in self.said.items():
+            if key not in self.used:
+                has = "; ".join(f"{f.path.name} has {f.described()}" for f in files)
+                raise UsageError(f"--columns {key}={name}: not used: {_why(key, name, files)}; {has}")
+
+    def table(
+        self,
+        file: TextTable,
+        role: str,
+        quantities: Sequence[str],
+        *,
+        optional: Sequence[str] = (),
+        texts: Sequence[str] = (),
+        may_be_blank: Collection[str] = (),
+    ) -> tuple[Table, dict[str, list[str]], int]:
+        """Quantities of a file in SI units, some optional ones, and `texts` as they stand; how many rows were skipped.
+
+        Rows in which all of the required quantities but t are blank are skipped: a file may hold several things.
+
+        Raises:
+            DataError: a column is missing, a field is no number, or blank where that is not allowed.
+        """  # fmt: skip
+        columns = dict(zip(quantities, self.require(file, role, quantities), strict=True))
+        columns |= {q: c for q in optional if (c := self.find(file, role, q)) is not None}
+        empty = np.ones(len(file), bool)
+        for q in quantities:
+            if q != "t":
+                empty &= file.blank(columns[q]) | _nan(file, columns[q])
+        keep = ~empty if not may_be_blank else np.ones(len(file), bool)
+        values: dict[str, Array] = {}
+        for q, c in columns.items():
+            dates = q == "t" and self.units.is_date(role)
+            values[q] = file.numbers(c, keep, stamps=dates) * self.units.factor(role, q)
+        table = Table(file.path, values, line=file.line[keep])
+        for q, c in columns.items():
+            if q not in may_be_blank:
+                fine = np.isfinite(values[q])
+                if not fine.all():
+                    raise table.error(int(np.argmin(fine)), file.names[c], "blank; a number is needed")
+        found = {q: file.text(c, keep) for q in texts if (c := self.find(file, role, q)) is not None}
+        return table, found, int(empty.sum()) if not may_be_blank else 0
+
+
+def _nan(file: TextTable, column: int) -> BoolArray:
+    return np.array([row[column].lower() == "nan" for row in file.rows], bool)
+
+
+def _why(key: str, name: str, files: Sequence[TextTable]) -> str:
+    """Why a key named nothing."""
+    role, _, quantity = key.rpartition(".")
+    if any(f.find(name) is not None for f in files):
+        return f"nothing here is made of {quantity}" + (f" of the {role}" if role else "")
+    return f"no file has a column {name!r}"
+
+
+def headings(values: Mapping[str, Array]) -> Array:
+    """Headings (K,) [rad] of theta, or of a quaternion's rotation about z."""
+    if "theta" in values:
+        return values["theta"]
+    x, y, z, w = (values[q] for q in QUATERNION)
+    heading: Array = np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    return heading
+
+
+def shared(paths: Mapping[str, Path]) -> set[str]:
+    """Roles whose file has another role, too."""
+    return {r for r, p in paths.items() if list(paths.values()).count(p) > 1}

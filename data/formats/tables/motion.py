@@ -9,14 +9,13 @@ import numpy as np
 
 from data import se2
 from data.errors import DataError, UsageError
+from data.formats.csv_table import Table
+from data.formats.recordings.laser import TravelNoise, increments_of
+from data.formats.tables.files import QUATERNION, Columns, TextTable, headings
 from data.inputs import Increments
 from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
-from data.open_log.table import Table
-from data.questions.units import FASTEST, SHARE
-from data.recordings.wheel_odometry import TravelNoise, increments_of
+from data.questions import FASTEST, SHARE
 from data.se2 import Array
-from data.tables.columns import QUATERNION, Columns, headings
-from data.tables.files import TextTable
 
 KINDS = {
     "velocities": ("v", "omega"),

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from data.robot.body import CONE_HALF_ANGLE, RADIUS
+from data.robot.packets import CONE_HALF_ANGLE, RADIUS
 from data.se2 import Array
 
 GAP = 6.0 * RADIUS

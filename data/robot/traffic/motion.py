@@ -13,8 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from data.robot.body import FASTEST, FASTEST_TURN, TIMEOUT_MM
-from data.robot.packets import PERIOD, WATCHDOG, Answer, overflowed
+from data.robot.packets import FASTEST, FASTEST_TURN, PERIOD, TIMEOUT_MM, WATCHDOG, Answer, overflowed
 from data.se2 import Array, between, compose
 
 SLACK = 0.1

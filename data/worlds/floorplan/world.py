@@ -2,27 +2,200 @@
 
 Building, route, odometry noise, range noise, glass, people and the error of the prior mean come from independent
 streams of the seed, so that changing one parameter does not reshuffle the others.
+
+A drive through a building: places where it has been least, now and then others, in straight lines and arcs.
+
+What a scanner measures among walls (line segments) and people (discs): the nearest hit along each beam.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+import numba
 import numpy as np
 
 from data import se2
 from data.errors import UsageError
 from data.inputs import Increments, Inputs, Observations, Prior, Scanner, Scans
 from data.log import Log
-from data.motion.floor import floor_covariances
-from data.se2 import Array, BoolArray
+from data.motion.velocity import floor_covariances
+from data.se2 import Array, BoolArray, compose, inverse, wrap_angle
 from data.sensors import RangeBearing
 from data.truth import Truth
-from data.worlds.floorplan.building import Building, build
-from data.worlds.floorplan.drive import drive
-from data.worlds.floorplan.raycast import scan_ranges
+from data.worlds.floorplan.building import Building, Ways, build
 from data.worlds.parameters import check_parameters
+
+RADIUS = 0.5
+"""m, of a turn where there is room for it."""
+ABOUT = math.radians(135.0)
+"""A sharper turn is made in place."""
+WANDER = 0.1
+"""m, by how much a place is missed in x and in y, at most; so no way is driven twice along the same line."""
+
+AGAIN = 0.3
+"""Probability that the next target is one where it has been before."""
+
+
+def drive(ways: Ways, rng: np.random.Generator, time: Array, speed: float, turn_rate: float) -> Array:
+    """Exact poses (N, 3) at stamps (N,) [s] from 0 up, of one who never rests.
+
+    Speed is that of straight lines [m/s]; in turns it is less, so as to stay below the turn rate [rad/s].
+    """
+    moves = list[tuple[float, float, float]]()  # s, m/s, rad/s
+    points = tour(ways, rng)
+    a, b = next(points), next(points)
+    start = np.array([*a, math.atan2(b[1] - a[1], b[0] - a[0])])
+    lasted, straight = 0.0, float(np.hypot(*(b - a)))
+    while lasted <= time[-1]:
+        c = next(points)
+        onward = float(np.hypot(*(c - b)))
+        turn = float(wrap_angle(math.atan2(c[1] - b[1], c[0] - b[0]) - math.atan2(b[1] - a[1], b[0] - a[0])))
+        # a turn begins at most half a way before its corner, so that the turn before has room for its end
+        half = math.tan(0.5 * abs(turn)) if abs(turn) < ABOUT else 0.0
+        cut = min(RADIUS * half, 0.45 * onward, 0.45 * float(np.hypot(*(b - a))))
+        radius = cut / half if half > 0.0 else 0.0
+        slow = min(speed, turn_rate * radius)
+        arc = radius * abs(turn) / slow if slow > 0.0 else abs(turn) / turn_rate
+        new = [((straight - cut) / speed, speed, 0.0)]
+        if arc > 0.0:
+            new.append((arc, slow, turn / arc))
+        lasted += sum(m[0] for m in new)
+        moves += new
+        a, b, straight = b, c, onward - cut
+    return _poses(start, np.array(moves), time)
+
+
+def tour(ways: Ways, rng: np.random.Generator) -> Iterator[Array]:
+    """Points (2,) to drive through, without end: to the nearest of three targets, new ones or old."""
+    been = np.zeros(len(ways.place), int)
+    here = int(rng.choice(ways.target))
+    been[here] = 1
+    yield _about(ways, here, rng)
+    while True:
+        times = been[ways.target]
+        among = ways.target[times == times.min()] if rng.random() > AGAIN or not times.any() else ways.target[times > 0]
+        some = rng.choice(among, size=min(3, len(among)), replace=False)
+        nearest = np.argmin(np.linalg.norm(ways.place[some] - ways.place[here], axis=1))
+        # the same two places are not always joined by the same way
+        route = ways.route(here, int(some[nearest]), ways.length * rng.uniform(1.0, 2.0, len(ways.edge)))
+        for place in route[1:]:
+            been[place] += 1
+            yield _about(ways, place, rng)
+        if len(route) == 1:
+            been[here] += 1
+        here = route[-1]
+
+
+def _about(ways: Ways, place: int, rng: np.random.Generator) -> Array:
+    point: Array = ways.place[place] + rng.uniform(-WANDER, WANDER, 2)
+    return point
+
+
+def _poses(start: Array, moves: Array, time: Array) -> Array:
+    """Poses (N, 3) along moves (K, 3) of s, m/s, rad/s, each a line, an arc or a turn in place."""
+    begins = np.concatenate([[0.0], np.cumsum(moves[:-1, 0])])
+    pose = np.zeros((len(moves), 3))
+    heading = start[2] + np.concatenate([[0.0], np.cumsum(moves[:-1, 0] * moves[:-1, 2])])
+    steps = _arc(heading, moves[:, 1], moves[:, 2], moves[:, 0])
+    pose[:, :2] = start[:2] + np.concatenate([np.zeros((1, 2)), np.cumsum(steps[:-1], axis=0)])
+    pose[:, 2] = heading
+    k = np.searchsorted(begins, time, side="right") - 1
+    into = time - begins[k]
+    at = pose[k]
+    at[:, :2] += _arc(at[:, 2], moves[k, 1], moves[k, 2], into)
+    at[:, 2] = wrap_angle(at[:, 2] + moves[k, 2] * into)
+    return at
+
+
+def _arc(heading: Array, v: Array, omega: Array, lasts: Array) -> Array:
+    """How far (n, 2) one comes from a heading with v and omega in a time: the chord of the arc."""
+    half = 0.5 * omega * lasts
+    chord = v * lasts * np.sinc(half / math.pi)
+    return np.stack([chord * np.cos(heading + half), chord * np.sin(heading + half)], 1)
+
+
+NOTHING = -1
+"""Index of what a beam hit that hit nothing."""
+
+
+@numba.njit(cache=True)
+def _cast(poses, angle_min, angle_step, walls, discs, ranges, hit):  # type: ignore[no-untyped-def]
+    """Fill ranges (S, B) [m], inf where nothing is met, and hit (S, B): the segment's row, len(walls) for a disc.
+
+    Each segment is tried against the beams between the bearings of its ends only, and one more on either side.
+    """
+    beams = ranges.shape[1]
+    dx, dy = np.empty(beams), np.empty(beams)
+    for k in range(len(poses)):
+        x, y, first = poses[k, 0], poses[k, 1], poses[k, 2] + angle_min
+        for b in range(beams):
+            dx[b], dy[b] = math.cos(first + b * angle_step), math.sin(first + b * angle_step)
+        best, what = ranges[k], hit[k]
+        best[:] = np.inf
+        what[:] = -1
+        for s in range(len(walls)):
+            ax, ay, bx, by = walls[s, 0] - x, walls[s, 1] - y, walls[s, 2] - x, walls[s, 3] - y
+            ex, ey = bx - ax, by - ay
+            # r d = a + u e: r = (a x e) / (d x e), u = (a x d) / (d x e), 0 <= u <= 1
+            a_cross_e = ax * ey - ay * ex
+            seen_under = math.atan2(ax * by - ay * bx, ax * bx + ay * by)
+            bearing = (math.atan2(ay, ax) if seen_under >= 0.0 else math.atan2(by, bx)) - first
+            bearing -= 2.0 * math.pi * math.floor(bearing / (2.0 * math.pi))
+            for turn in range(-1, 1):
+                low = bearing + 2.0 * math.pi * turn
+                begin = max(math.floor(low / angle_step) - 1, 0)
+                end = min(math.ceil((low + abs(seen_under)) / angle_step) + 2, beams)
+                for b in range(begin, end):
+                    den, u = dx[b] * ey - dy[b] * ex, ax * dy[b] - ay * dx[b]
+                    num = a_cross_e
+                    if den < 0.0:
+                        den, num, u = -den, -num, -u
+                    if den > 0.0 and u >= 0.0 and u <= den and num > 0.0 and num < best[b] * den:
+                        best[b], what[b] = num / den, s
+        for j in range(discs.shape[1]):
+            cx, cy, radius = discs[k, j, 0] - x, discs[k, j, 1] - y, discs[k, j, 2]
+            for b in range(beams):
+                along, across = cx * dx[b] + cy * dy[b], cx * dy[b] - cy * dx[b]
+                inside = radius * radius - across * across
+                if inside > 0.0:
+                    r = along - math.sqrt(inside)
+                    if r > 0.0 and r < best[b]:
+                        best[b], what[b] = r, len(walls)
+
+
+def scan_ranges(
+    poses: Array,
+    scanner: Scanner,
+    beams: int,
+    walls: Array,
+    *,
+    glass: BoolArray | None = None,
+    discs: Array | None = None,
+) -> Array:
+    """Exact ranges (S, B) [m] from poses (S, 3) of the body in the world, inf where nothing comes back.
+
+    Args:
+        poses: world frame; the scanner's own are found with its extrinsic.
+        scanner: its angles, extrinsic and max_range, which is not met either.
+        beams: B.
+        walls: (W, 4) segments x0, y0, x1, y1 [m], world frame.
+        glass: (W,) true where a wall returns nothing, though it hides what is behind.
+        discs: (S, D, 3) x, y, radius [m] of round things at each of the poses; one about the scanner is not seen.
+    """
+    extrinsic = np.array([*scanner.translation, scanner.rotation])
+    at = compose(np.asarray(poses, float), inverse(extrinsic))
+    ranges = np.empty((len(at), beams))
+    hit = np.empty((len(at), beams), np.int64)
+    moving = np.zeros((len(at), 0, 3)) if discs is None else discs
+    _cast(at, scanner.angle_min, scanner.angle_step, walls, moving, ranges, hit)
+    ranges[ranges >= scanner.max_range] = np.inf
+    if glass is not None:
+        ranges[np.append(glass, False)[hit] & (hit != NOTHING)] = np.inf
+    return ranges
+
 
 FLOOR = 1e-10
 """m^2, rad^2; smallest eigenvalue of an increment's covariance."""

@@ -12,8 +12,7 @@ from pathlib import Path
 
 from data.errors import UsageError
 from eval.plan.flags.examples import PROG
-from eval.plan.flags.table import CONFIGS, Options, parser, shipped
-from eval.plan.flags.variant import Variant
+from eval.plan.flags.table import CONFIGS, Options, Variant, parser, shipped
 from eval.replay.flag import Flag, read_values, rows
 from eval.replay.settings import Setup, check_gates
 

@@ -1,5 +1,5 @@
 // Landmarks of a run as they were after any frame, and what its observations could have been paired with.
-const COARSE = 0.01, ROUGH = 0.02;  // steps of the stored logarithm of a sigma, and of a correlation (eval/player/of_run.py)
+const COARSE = 0.01, ROUGH = 0.02;  // steps of the stored logarithm of a sigma, and of a correlation (eval/player/scene.py)
 
 /** By landmark number: frames of its changes, and state after each: x, y, sigma_x, sigma_y, rho, there. */
 function landmarkHistory(recording, key, quantum) {

@@ -10,7 +10,7 @@ import numpy as np
 
 from association.expectation import SingularInnovationError
 from ekf.filter import FilterDivergedError
-from eval.replay.foreign.load import at_line, said
+from eval.replay.external.load import at_line, said
 from graph.factors import UnderConstrained
 
 PASSED = (FilterDivergedError, UnderConstrained, SingularInnovationError, MemoryError)

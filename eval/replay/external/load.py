@@ -16,7 +16,7 @@ from types import ModuleType
 from typing import Any
 
 from data.errors import UsageError
-from eval.replay.foreign.spec import NAME, OURS, Place, is_foreign, place_of, settled
+from eval.replay.external.spec import NAME, OURS, Place, is_foreign, place_of, settled
 
 Thing = Callable[..., Any]
 """A class or a function."""

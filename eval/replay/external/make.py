@@ -1,20 +1,28 @@
-"""A foreign estimator is constructed exactly as ours; before that, whether it can do what is asked of it."""
+"""A foreign estimator is constructed exactly as ours; before that, whether it can do what is asked of it.
+
+Somebody else's way of association, `f(expectation, gate) -> decisions`, called as our own are.
+"""
 
 from __future__ import annotations
 
 import inspect
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import replace
+from typing import Any, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
+from association.expectation import Expectation
 from data.errors import UsageError
+from data.inputs import IntArray
+from data.result import DISCARD, NEW
 from ekf.filter import DEFAULT, FilterOptions
-from eval.replay.foreign.adapter import Adapter
-from eval.replay.foreign.guard import call
-from eval.replay.foreign.load import Loaded, load
-from eval.replay.foreign.spec import is_foreign
-from eval.replay.given import Given
-from eval.replay.names import TASKS
-from eval.replay.settings import Setup
+from eval.replay.external.adapter import Adapter
+from eval.replay.external.guard import ForeignError, call, whole
+from eval.replay.external.load import Loaded, load
+from eval.replay.external.spec import is_foreign
+from eval.replay.settings import TASKS, Given, Setup
 
 SIGNATURES = "one of (prior, sensor, options) does SLAM, of (prior, sensor, map, options) localization"
 HINDSIGHT = "jcbb-hindsight"
@@ -100,3 +108,51 @@ def require(text: str, task: str, association: str, setup: Setup) -> None:
     why = lack(text, task, association, setup)
     if why is not None:
         raise CannotError(why)
+
+
+T = TypeVar("T", bound=np.generic)
+
+
+class Method:
+    """It pairs; what it leaves at `NEW` founds a landmark only where newness lets it, as with our plain methods.
+
+    Attributes:
+        name: in tables.
+    """
+
+    def __init__(self, loaded: Loaded) -> None:
+        """Calls `loaded.thing`; a class is made once, without arguments, and then called."""
+        self.name = loaded.name
+        thing = loaded.thing
+        self._function = call(f"{self.name}()", thing) if isinstance(thing, type) else thing
+
+    def __call__(self, expectation: Expectation, gate: float | None) -> IntArray:
+        """Decisions (m,): landmark number, `NEW` or `DISCARD`.
+
+        Raises:
+            ForeignError: it crashed, or returned what is none.
+        """
+        m = len(expectation.z)
+        found: IntArray = whole(self.name, call(self.name, self._function, expectation, gate), m, "what it returned")
+        known = np.isin(found, expectation.number) | (found == NEW) | (found == DISCARD)
+        if not known.all():
+            i = int(np.argmin(known))
+            raise ForeignError(
+                f"{self.name}: decision {found[i]} about observation {i} names no candidate; the number of one, "
+                f"NEW ({NEW}) or DISCARD ({DISCARD}) is needed"
+            )
+        return found
+
+
+def locked(e: Expectation) -> Expectation:
+    """The same expectation with arrays that cannot be changed."""
+    return replace(
+        e, number=_locked(e.number), z_hat=_locked(e.z_hat), HPHt=_locked(e.HPHt), frame=_locked(e.frame),
+        z=_locked(e.z), R=_locked(e.R), observed_frame=_locked(e.observed_frame),
+    )  # fmt: skip
+
+
+def _locked(values: NDArray[T]) -> NDArray[T]:
+    view = values.view()
+    view.setflags(write=False)
+    return view

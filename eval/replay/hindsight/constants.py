@@ -3,17 +3,19 @@
 They are read as `constants.NAME` where they are used. Probabilities of gates are chi-square probabilities, 2 dof unless
 said otherwise; "ranges" are ranges of the sensor. Compiled kernels get them as arguments: a kernel in the cache would
 not notice that a constant was changed. The errors of odometry that the deciding filter estimates
-(`eval.replay.hindsight.mapper`) and the pose hypotheses (`ekf.hypotheses`) have their constants beside them.
+(`mapper`) and the pose hypotheses (`hypotheses`) have their constants beside them.
 """
 
 from __future__ import annotations
 
 import math
 
-# --- Innovations: how large the noise really is (association/evidence/noise.py) ---------------------------------------
+from association.conditional import EXACT_VARIANCE as EXACT_VARIANCE
+from association.conditional import FREEDOM as FREEDOM
+from association.conditional import SAME_PLACE as SAME_PLACE
 
-FREEDOM = 4.0
-"""Degrees of freedom of Student's t: its tails fall with d^-6; anything between 3 and 10 does as well."""
+# --- Innovations: how large the noise really is (noise.py) ----------------------------------------------------------
+
 NOISE_MEMORY = 1000.0
 """Innovations over which a scale of the noise is learned."""
 NOISE_PRIOR = 10.0
@@ -21,7 +23,7 @@ NOISE_PRIOR = 10.0
 FINEST = 0.01
 """The noise is not taken for less than this share (of variance) of what was stated."""
 
-# --- Learned gates of SLAM (association/evidence/scales.py, tentative.py, eval/replay/hindsight/gates.py) -------------
+# --- Learned gates of SLAM (eval/replay/hindsight/gates.py, tentative.py, eval/replay/hindsight/gates.py) -------------
 
 TAILS = 2.0
 """Variance of Student's t with four degrees of freedom, in units of its scale: the Gaussian that gates in its place."""
@@ -42,7 +44,7 @@ AGREE = 3
 AGREE_GATE = 0.99
 """Probability inside which two sightings agree, by the stated noise of the sensor."""
 
-# --- Noise told by consecutive frames (association/evidence/differences.py, eval/replay/hindsight/restated.py) --------
+# --- Noise told by consecutive frames (eval/replay/hindsight/noise.py, eval/replay/hindsight/noise.py) --------
 
 DIFFERENCES_MOST = 128
 """Steps from one frame to the next that are looked at, the first of a log; twice as many tell no more."""
@@ -57,7 +59,7 @@ UNDERSTATED = 1.6
 differences tell is below a factor of 1.25; people who walk about look like up to 1.5. On the choosing half of the
 variety 1.4 to 1.6 give the same within three worlds."""
 
-# --- Evidence for a landmark (association/evidence/landmarks.py, eval/replay/hindsight/ledger.py) ---------------------
+# --- Evidence for a landmark (eval/replay/hindsight/record.py, eval/replay/hindsight/ledger.py) ---------------------
 
 CERTAIN = 4
 """Sightings that make a landmark certain, if it is always seen; people are mostly seen two or three times as one."""
@@ -75,14 +77,12 @@ UNLIKELY_POWER = 2
 """... a certain one if it had this power of it."""
 INDEPENDENT_MISSES = 2.0
 """Misses that independent ones count for, in what is known of rows of them."""
-SAME_PLACE = 0.05
-"""In ranges: from nearer places the view is the same, and what hides a landmark hides it still."""
 IN_VIEW_SIGMAS = 3.0
 """A landmark should be seen if so many standard deviations of its expectation are inside the field of view."""
 SHADOW = math.radians(0.5)
 """rad. What is nearer and within this angle may hide a landmark."""
 
-# --- There for good, or for a while (association/evidence/permanence.py) ----------------------------------------------
+# --- There for good, or for a while (record.py) ---------------------------------------------------------------------
 
 PERMANENCE_MEANS = (0.5, 0.5, 0.2, 0.8, 0.5)
 """Each value of `Permanence` before anything is known, ..."""
@@ -120,8 +120,6 @@ DISTANCE_SIGMAS = 3.0
 """Two distances, or a point and a landmark, agree within so many standard deviations."""
 PLACE_PAIRINGS = 3
 """Pairings that a pose found by geometry needs, of a frame or of a local map."""
-EXACT_VARIANCE = 1e-12
-"""m^2 and rad^2. No point, distance or pose is known better: what is exact has no inverse."""
 FRAME_POINTS = 12
 """Observations of a frame that poses are made from, the surest."""
 LONG_PAIR = 0.5
@@ -143,14 +141,14 @@ FIT_SLACK = 0.5
 REMEMBERED_FRAMES = 100
 """Frames that tell what was in view before."""
 
-# --- Local map: what was seen over a few frames (association/geometry/local_map.py) -----------------------------------
+# --- Local map: what was seen over a few frames (relocalize.py) -----------------------------------------------------
 
 FADED = 1.0
 """m; a point known worse than this is left behind."""
 SAME_POINT = 0.99
 """Probability inside which a sighting is of a point that the local map has already."""
 
-# --- Relocalization: a local map in the whole one, without a prior (association/geometry/relocalize.py) ---------------
+# --- Relocalization: a local map in the whole one, without a prior (relocalize.py) ----------------------------------
 
 RELOCALIZE_GATE = 0.99
 """Probability of the joint distance of the fit (2 q - 3 dof for q pairings)."""
@@ -177,7 +175,7 @@ FIT_CONVERGED = 1e-8
 FIT_SINGULAR = 1e-9
 """A fit whose information has a smaller eigenvalue gives no pose."""
 
-# --- Constellations: landmarks initialized twice (association/geometry/constellation.py) ------------------------------
+# --- Constellations: landmarks initialized twice (constellation.py) -------------------------------------------------
 
 CONSTELLATION_FEWEST = 4
 """Landmarks that a place needs; two are laid on each other, so two more must agree."""
@@ -200,7 +198,7 @@ CONSTELLATION_GATE = 0.9999
 CONSTELLATION_ALONE = 0.999
 """Probability of each of them, given the others."""
 
-# --- The window that is compared with the old map (eval/replay/hindsight/duplicates.py) -------------------------------
+# --- The window that is compared with the old map (duplicates.py) ---------------------------------------------------
 
 WINDOW_SPAN = 2.0
 """In ranges: what was seen over a distance travelled as short as this is the window."""
@@ -223,7 +221,7 @@ SINGLE_CHANCE = 0.1
 SINGLE_CHANCE_YOUNG = 0.2
 """... where the other one is not old, this share of it."""
 
-# --- Pairing where landmarks are dense (eval/replay/hindsight/density.py) ---------------------------------------------
+# --- Pairing where landmarks are dense (gates.py) -------------------------------------------------------------------
 
 DENSE = 0.5
 """Landmarks that one expects inside a gate by chance: with more, a frame alone cannot tell which is which."""
@@ -232,7 +230,7 @@ DENSE_GATE = 0.99
 TOGETHER = 4
 """Pairings of one frame that tell each other which is which."""
 
-# --- A robot moved unseen: cumulative sums (association/evidence/monitor.py, eval/replay/hindsight/kidnapping.py) -----
+# --- A robot moved unseen: cumulative sums (eval/replay/hindsight/lost.py, eval/replay/hindsight/kidnapping.py) -----
 
 ALARM = 14.0
 """Score of an alarm: by Wald's inequality a healthy log raises one in exp(ALARM) frames at most."""
@@ -263,7 +261,7 @@ ALARM_OBSERVATIONS = 3
 FOUND_AGAIN = 0.1
 """In ranges: with a smaller standard deviation of its position the robot is not lost any more."""
 
-# --- Several pose hypotheses in a known map (eval/replay/hindsight/localizer.py) --------------------------------------
+# --- Several pose hypotheses in a known map (localizer.py) ----------------------------------------------------------
 
 HYPOTHESIS_ITERATIONS = 10
 """Of an update of a hypothesis: far travelled without sightings, the first one is far from linear."""
@@ -272,7 +270,7 @@ MAYBE = 0.5
 OTHER_PLACE = 0.9999
 """An estimator is somewhere else if its pose is outside this probability of the hypotheses' (3 dof)."""
 
-# --- Lost while mapping (association/evidence/lost.py, eval/replay/hindsight/lost.py) ---------------------------------
+# --- Lost while mapping (lost.py) -----------------------------------------------------------------------------------
 
 THERE_HEALTHY = 0.5
 """Share of the certain landmarks in view that are paired, of these and those that something newer is read for: a

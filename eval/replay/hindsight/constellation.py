@@ -14,13 +14,13 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from association.evidence import constants
 from association.expectation import gate_threshold
-from association.geometry.relocalize import distance_sigmas
 from data import se2
 from data.blocks import blocks_of, coordinates, diagonal_blocks, of_points
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
+from eval.replay.hindsight import constants
+from eval.replay.hindsight.relocalize import distance_sigmas
 
 
 class Landmarks(NamedTuple):
@@ -120,7 +120,7 @@ def _agreeing(new: Landmarks, old: Landmarks, cross: Array, i: IntArray, j: IntA
         both = cross[np.ix_(coordinates(i), coordinates(j))]
         W = np.linalg.inv(of_points(new.covariance, i) + of_points(old.covariance, j) - both - both.T)
         nu = (new.xy[i] - old.xy[j]).ravel()
-        # each difference given the others: blocks of the inverse, see `association.evidence.pairings.alone`
+        # each difference given the others: blocks of the inverse, see `association.conditional.alone`
         weighed = (W @ nu).reshape(-1, 2)
         alone = np.einsum("ka,ka->k", weighed, np.linalg.solve(diagonal_blocks(W), weighed[..., None])[..., 0])
         if alone.max() < gate_threshold(constants.CONSTELLATION_ALONE):

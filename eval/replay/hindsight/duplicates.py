@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from association.evidence import constants
 from association.expectation import gate_threshold
-from association.geometry.constellation import Landmarks, recognize, squared_distances
 from data.se2 import Array, BoolArray
 from ekf.slam import EkfSlam
-from eval.replay.hindsight.density import density
+from eval.replay.hindsight import constants
+from eval.replay.hindsight.constellation import Landmarks, recognize, squared_distances
+from eval.replay.hindsight.gates import density
 from eval.replay.hindsight.ledger import Ledger
 
 Pairs = list[tuple[int, int]]

@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from association.evidence import constants
 from association.expectation import Expectation, gate_threshold
-from association.gnn import gnn
+from association.methods import gnn
 from data.inputs import IntArray, LandmarkMap, Observations
 from data.se2 import Array, BoolArray
 from data.sensors import Sensor
+from eval.replay.hindsight import constants
 
 
 class Anew(NamedTuple):

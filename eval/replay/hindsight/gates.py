@@ -1,20 +1,180 @@
 """Step 4, gates learned in a run of SLAM: what only the stated noise explains is put off until several sightings agree.
 
-See `association.evidence.scales` for how wide gates really are and `association.evidence.tentative` for what waits.
+See `eval.replay.hindsight.gates` for how wide gates really are and `eval.replay.hindsight.gates` for what waits.
+
+Gates by the noise that there is: how wide expectations are, learned apart for the sensor and for map and motion.
+
+Stated noise is often several times too wide, and then a new landmark is inside the gate of its neighbour. What is
+believed tells how much of the stated covariances there is (`noise`). Sensor and motion are learned
+apart, because a landmark seen in every frame tells of the sensor only: what the map and a long drive add to its
+expectation may still be as stated.
+
+Sightings that may be of a new landmark, put off until several agree.
+
+What lies outside a landmark's usual spread but inside what the stated noise allows is a new landmark next to it, or
+the landmark itself after the robot slipped. The next sightings tell: after a slip, no landmark is where it is expected
+until the pose is right again; next to a new landmark, the others stay where they are.
+
+Step 3, pairing a frame of SLAM: joint compatibility; no single observation chooses among dense landmarks.
 """
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
 import numpy as np
 
-from association.evidence.pairings import beside, settled
-from association.evidence.scales import as_stated, counted, relearned, widest
-from association.evidence.tentative import Sighting, Tentative
-from association.expectation import Expectation
+from association.conditional import beside, jcbb_hindsight, settled
+from association.expectation import Expectation, gate_threshold
 from data.inputs import IntArray
 from data.result import NEW
-from data.se2 import Array
+from data.se2 import Array, BoolArray
+from data.sensors import RANGE_BEARING
+from ekf.slam import EkfSlam
+from eval.replay.hindsight import constants
 from eval.replay.hindsight.ledger import Ledger
+from eval.replay.hindsight.noise import NoiseScale
+from eval.replay.settings import Setup
+
+
+class Scales(NamedTuple):
+    """What is learned of the sensor's noise, and of that of map and motion; of the tails beyond Student's.
+
+    `log_tails` is the logarithm of a factor on variances, `sightings` those that it was learned from.
+    """
+
+    sensor: NoiseScale
+    motion: NoiseScale
+    log_tails: float = 0.0
+    sightings: float = 0.0
+
+
+def as_stated() -> Scales:
+    """Before anything is learned: what was stated, worth as much as a few innovations."""
+    return Scales(NoiseScale(1.0, constants.SCALES_PRIOR), NoiseScale(1.0, constants.SCALES_PRIOR))
+
+
+def scaled(e: Expectation, scales: Scales) -> Expectation:
+    """The expectation with the noise that there is."""
+    share = widest(scales)
+    if share == 1.0:
+        return e
+    return replace(
+        e, R=share * e.R, HPHt=share * e.HPHt, joint=lambda indices: share * e.joint(indices), elsewhere=None
+    )
+
+
+def widest(scales: Scales) -> float:
+    """Share of the stated variance that decisions count with: the wider of both, for a gate must hold what either does.
+
+    Never more than was stated.
+    """
+    return min(1.0, _core(scales) * math.exp(scales.log_tails))
+
+
+def _core(scales: Scales) -> float:
+    """Without the tails."""
+    return min(1.0, constants.TAILS * max(scales.sensor.scale, scales.motion.scale))
+
+
+def counted(scales: Scales, inside: int, outside: int) -> Scales:
+    """After sightings inside and outside the gate that are not new: the gate goes to where it leaves out its share.
+
+    (Robbins and Monro, Annals of Mathematical Statistics 22, 1951.)
+    """
+    sightings = max(scales.sightings + inside + outside, 1.0)
+    step = max(min(constants.TAILS_STEP, constants.TAILS_HORIZON / sightings), constants.TAILS_SLOWEST)
+    log = max(0.0, scales.log_tails + step * (outside * (1.0 - constants.LEFT_OUT) - inside * constants.LEFT_OUT))
+    return scales._replace(log_tails=min(log, -math.log(_core(scales))), sightings=sightings)
+
+
+def relearned(scales: Scales, e: Expectation, decisions: IntArray) -> Scales:
+    """After the pairings of a frame, by the expectation as stated.
+
+    Variance components: each innovation tells of either scale by the square of its share in the covariance, as much as
+    the Fisher information of a scale; Student's weights as in `eval.replay.hindsight.noise`.
+    """
+    rows, chosen = e.paired(decisions)
+    if not len(rows):
+        return scales
+    parts = scales.sensor.scale * e.R[rows], scales.motion.scale * e.HPHt[chosen]
+    nu = e.residual(e.z[rows], e.z_hat[chosen])
+    S = parts[0] + parts[1]
+    v = np.asarray(np.linalg.solve(S, nu[..., None])[..., 0], np.float64)
+    weight = (constants.FREEDOM + 2.0) / (constants.FREEDOM + (nu * v).sum(axis=1))
+    sensor, motion = (_toward(s, part, S, v, weight) for s, part in zip(scales[:2], parts, strict=True))
+    return scales._replace(sensor=sensor, motion=motion)
+
+
+def _toward(before: NoiseScale, part: Array, S: Array, v: Array, weight: Array) -> NoiseScale:
+    """One scale after innovations nu (k, 2), v = S^-1 nu; its part (k, 2, 2) of the covariance S (k, 2, 2)."""
+    share = 0.5 * np.trace(np.linalg.solve(S, part), axis1=1, axis2=2)
+    ratio = 0.5 * weight * np.einsum("ki,kij,kj->k", v, part, v) / np.maximum(share, constants.LEAST_SHARE)
+    total = float((share**2).sum())
+    memory = min(before.weight + total, max(constants.NOISE_MEMORY, total))
+    scale = before.scale * (1.0 + float(share**2 @ (ratio - 1.0)) / memory)
+    return NoiseScale(max(scale, constants.FINEST), memory)
+
+
+class Sighting(NamedTuple):
+    """Place (2,) [m] in the world, its covariance (2, 2) by the sensor alone, the distance travelled [m] until then."""
+
+    xy: Array
+    covariance: Array
+    travelled: float
+
+    def distance(self, other: Sighting) -> float:
+        """Squared Mahalanobis distance to another one."""
+        nu = self.xy - other.xy
+        return float(nu @ np.linalg.solve(self.covariance + other.covariance, nu))
+
+
+@dataclass(eq=False)
+class _Place:
+    """The latest sighting, how many there were, and the pairings in the run before the first."""
+
+    last: Sighting
+    times: int
+    pairings: int
+
+
+class Tentative:
+    """Places where something was seen that may be new."""
+
+    def __init__(self) -> None:
+        """None yet."""
+        self._places: list[_Place] = []
+        self._doubts: list[Sighting] = []
+
+    def see(self, sighting: Sighting, pairings: int, reach: float) -> bool:
+        """Another such sighting; whether it is a new landmark by now.
+
+        `pairings` so far in the run: one between the first sighting and this one says that the pose is right. A place
+        is forgotten after `reach` [m] travelled since its last sighting.
+        """
+        self._places = [p for p in self._places if sighting.travelled - p.last.travelled <= reach]
+        self._doubts = [d for d in self._doubts if sighting.travelled - d.travelled <= reach]
+        near = min(self._places, key=lambda p: p.last.distance(sighting), default=None)
+        if near is None or near.last.distance(sighting) >= gate_threshold(constants.AGREE_GATE):
+            self._places.append(_Place(sighting, 1, pairings))
+            return False
+        near.last, near.times = sighting, near.times + 1
+        if near.times < constants.AGREE or pairings <= near.pairings:
+            return False
+        self._places.remove(near)
+        return True
+
+    def doubt(self, sighting: Sighting) -> None:
+        """It was counted as one that a landmark's gate left out."""
+        self._doubts.append(sighting)
+
+    def settle(self, sighting: Sighting) -> int:
+        """A landmark was initialized there: how many were counted that are its own; they are forgotten."""
+        own = [d for d in self._doubts if d.distance(sighting) < gate_threshold(constants.AGREE_GATE)]
+        self._doubts = [d for d in self._doubts if not any(d is o for o in own)]
+        return len(own)
 
 
 class LearnedGates:
@@ -65,3 +225,58 @@ class LearnedGates:
                 outside += 1
         self.scales = counted(self.scales, inside, outside)
         return stated
+
+
+class Paired(NamedTuple):
+    """Decisions (m,) among candidates, and whether the search for them was complete."""
+
+    among: Expectation
+    decisions: IntArray
+    complete: bool
+
+
+def pair(e: Expectation, slam: EkfSlam, ledger: Ledger, scales: Scales, setup: Setup) -> Paired:
+    """Joint compatibility; a pairing among several likely ones counts only if the frame as a whole makes it.
+
+    Args:
+        e: what is expected of the landmarks in view, by the stated noise.
+        slam: the filter that expects it.
+        ledger: its landmarks; a frame that cannot tell which is which begins an epoch.
+        scales: how much of the stated noise there is.
+        setup: its gates.
+    """
+    real = scaled(e, scales)
+    found = Paired(e, *jcbb_hindsight(real, setup.gate, setup.new_gate))
+    if not len(e.number) or not len(e.z):
+        return found
+    unclear = dense(e, slam, ledger, setup)
+    # what leaves no doubt was seen on the way here, and does not tell where in the old map the robot is
+    if np.isin(found.decisions, e.number[unclear]).sum() >= constants.TOGETHER or not unclear.any():
+        return found
+    if ledger.travelled - ledger.epoch.begun > constants.WINDOW_SPAN * ledger.range:
+        ledger.begin_epoch()
+    few = clear(e, unclear, ledger)
+    return Paired(e.only(few), *jcbb_hindsight(real.only(few), setup.gate, setup.new_gate))
+
+
+def clear(e: Expectation, dense: BoolArray, ledger: Ledger) -> IntArray:
+    """Candidates (k,) that a single observation may choose: the others, and what this epoch initialized.
+
+    (None of these is to be initialized once more.)
+    """
+    few: IntArray = np.flatnonzero(~dense | (e.number >= ledger.epoch.first))
+    return few
+
+
+def dense(e: Expectation, slam: EkfSlam, ledger: Ledger, setup: Setup) -> BoolArray:
+    """Candidates (n,) into whose gate so many landmarks fall by chance that a single observation tells nothing."""
+    sensor, threshold = slam.sensor, gate_threshold(setup.gate or constants.DENSE_GATE)
+    area = np.sqrt(np.linalg.det(e.HPHt)) * (sensor.polar(e.z_hat)[:, 0] if sensor.kind == RANGE_BEARING else 1.0)
+    too_many: BoolArray = density(slam, ledger.range) * math.pi * threshold * area > constants.DENSE
+    return too_many
+
+
+def density(slam: EkfSlam, reach: float) -> float:
+    """Landmarks per square metre around the robot, as far as the sensor reaches [m]."""
+    near = np.hypot(*(slam.xy - slam.mean[:2]).T) < reach
+    return max(1, int(near.sum())) / (math.pi * reach**2) if reach > 0.0 else 0.0

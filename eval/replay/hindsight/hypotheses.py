@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from association.evidence.noise import learned, log_density, stated
 from association.expectation import gate_threshold
 from data import se2
 from data.inputs import Increment, IntArray, LandmarkMap, Prior, Sightings
@@ -23,6 +22,7 @@ from data.se2 import Array
 from data.sensors import RANGE_BEARING, Sensor
 from ekf import kernels, updates
 from ekf.filter import DEFAULT, FilterDivergedError, FilterOptions
+from eval.replay.hindsight.noise import learned, log_density, stated
 
 GATE = 0.9999
 """Chi-square probability of a single pairing; wide, because a wrong one is outweighed later and a missed one is not."""

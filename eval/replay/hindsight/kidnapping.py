@@ -11,16 +11,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from association.evidence import constants
-from association.evidence.pairings import jcbb_hindsight
-from association.geometry.local_map import EMPTY, extended, moved
-from association.geometry.relocalize import relocalize
+from association.conditional import jcbb_hindsight
 from data.inputs import Frame, Increment, IntArray, LandmarkMap
 from data.result import DISCARD
 from data.se2 import Array
-from ekf.two_models import TwoModels
-from eval.replay.hindsight.density import clear, dense
+from eval.replay.hindsight import constants
+from eval.replay.hindsight.gates import clear, dense
 from eval.replay.hindsight.ledger import Ledger
+from eval.replay.hindsight.relocalize import EMPTY, extended, moved, relocalize
+from eval.replay.hindsight.two_models import TwoModels
 from eval.replay.settings import Setup
 
 

@@ -13,28 +13,30 @@ from itertools import pairwise
 
 import numpy as np
 
-from association.anew import Anew, beginnings
 from association.candidates import holding
-from association.evidence import constants
-from association.evidence.landmarks import (
-    Judgement,
-    Visibility,
-    certain,
-    detection_rate,
-    missing,
-    overlooked,
-    sighted,
-    verdict,
-)
-from association.evidence.pairings import Alone, alone
-from association.evidence.permanence import lasting
+from association.conditional import Alone, alone
 from association.expectation import Expectation
 from data.inputs import Frame, IntArray
 from data.result import DISCARD, NEW, Event, Updated
 from data.se2 import Array
 from data.sensors import Sensor
-from data.terminal.words import counted
-from eval.replay.hindsight.record import Epoch, Judged, Record
+from data.terminal import counted
+from eval.replay.hindsight import constants
+from eval.replay.hindsight.final_association import Anew, beginnings
+from eval.replay.hindsight.record import (
+    Epoch,
+    Judged,
+    Judgement,
+    Record,
+    Visibility,
+    certain,
+    detection_rate,
+    lasting,
+    missing,
+    overlooked,
+    sighted,
+    verdict,
+)
 
 MERGED = "the same landmark as one initialized before"
 PAIRED_ANEW = "paired anew on the smoothed path"

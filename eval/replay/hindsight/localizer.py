@@ -10,18 +10,17 @@ import math
 
 import numpy as np
 
-from association.evidence import constants
-from association.evidence.monitor import Monitor, healthy, recovered, watch
 from association.expectation import gate_threshold
-from association.geometry.local_map import EMPTY, Scan, extended, moved
-from association.geometry.relocalize import Place, relocalize
 from data.errors import UsageError
 from data.inputs import Frame, IntArray
 from data.result import DISCARD, Event, PoseEstimate
 from data.se2 import pose_error
 from ekf.filter import FilterOptions
-from ekf.hypotheses import Choice, Hypotheses
-from eval.replay.given import Given
+from eval.replay.hindsight import constants
+from eval.replay.hindsight.hypotheses import Choice, Hypotheses
+from eval.replay.hindsight.lost import Monitor, healthy, recovered, watch
+from eval.replay.hindsight.relocalize import EMPTY, Place, Scan, extended, moved, relocalize
+from eval.replay.settings import Given
 
 
 class HindsightLocalizer:

@@ -13,26 +13,22 @@ from typing import NamedTuple
 import numpy as np
 
 from association.candidates import in_view
-from association.evidence import constants
-from association.evidence.differences import AS_STATED
-from association.evidence.scales import widest
 from association.expectation import Expectation
 from data.inputs import ERRORS, Frame, IntArray, Sightings, Systematic
 from data.result import Event
 from data.se2 import Array
 from ekf.slam import EkfSlam
-from ekf.two_models import TwoModels
-from eval.replay.given import Given
-from eval.replay.hindsight.density import pair
+from eval.replay.hindsight import constants
 from eval.replay.hindsight.duplicates import Duplicates
-from eval.replay.hindsight.gates import LearnedGates
+from eval.replay.hindsight.gates import LearnedGates, pair, widest
 from eval.replay.hindsight.kidnapping import Kidnapping
 from eval.replay.hindsight.ledger import Ledger
 from eval.replay.hindsight.lost import Lost
-from eval.replay.hindsight.restated import Restated
+from eval.replay.hindsight.noise import AS_STATED, Restated
+from eval.replay.hindsight.two_models import TwoModels
 from eval.replay.hindsight.uncertain_motion import UncertainMotion
 from eval.replay.hindsight.whole_log import WholeLog
-from eval.replay.settings import Setup
+from eval.replay.settings import Given, Setup
 
 TIGHT = Systematic(("scale", "curvature", "left", "right", "drift"), np.array([0.02, 2e-3, 0.05, 0.05, 1.25e-3]), 50.0)
 """Errors of odometry that the filter estimates beside those of the run: what remains of a robot that was calibrated.

@@ -15,9 +15,8 @@ from data.inputs import Frame, IntArray
 from data.result import Event
 from ekf.filter import FilterOptions
 from eval.replay.frontend import FrontEnd, Pairing
-from eval.replay.given import Given
 from eval.replay.hindsight.mapper import HindsightMapper
-from eval.replay.settings import Setup
+from eval.replay.settings import Given, Setup
 
 
 class MappingFrontEnd(FrontEnd):

@@ -1,6 +1,6 @@
 """Step 2, a frame whose motion is a guess: how uncertain it is, and what placing the frame by geometry needs to know.
 
-See `association.geometry.placement` for how it is placed.
+See `eval.replay.hindsight.placement` for how it is placed.
 """
 
 from __future__ import annotations
@@ -9,14 +9,14 @@ from collections import deque
 
 import numpy as np
 
-from association.evidence import constants
-from association.evidence.landmarks import detection_rate
 from association.expectation import Expectation
-from association.geometry.placement import Memory, Placed, drifted, place, too_uncertain
 from data.inputs import Increment
 from data.se2 import Array
-from data.terminal.words import counted
+from data.terminal import counted
+from eval.replay.hindsight import constants
 from eval.replay.hindsight.ledger import Ledger
+from eval.replay.hindsight.placement import Memory, Placed, drifted, place, too_uncertain
+from eval.replay.hindsight.record import detection_rate
 from eval.replay.settings import Setup
 
 

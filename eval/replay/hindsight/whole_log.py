@@ -10,18 +10,17 @@ import math
 
 import numpy as np
 
-from association.anew import Anew, noise_share, pair_anew
-from association.evidence import constants
-from association.evidence.differences import with_shares
 from association.expectation import gate_threshold
 from data.errors import DataError
 from data.inputs import Frame, Increments, Inputs, IntArray, LandmarkMap, Observations, Sightings, Systematic
-from data.motion.sensor_frame import sensor_frame
+from data.motion.systematic import sensor_frame
 from data.result import DISCARD, MapState
 from data.se2 import Array
-from eval.replay.given import Given
+from eval.replay.hindsight import constants
+from eval.replay.hindsight.final_association import Anew, noise_share, pair_anew
+from eval.replay.hindsight.noise import Restated, with_shares
 from eval.replay.hindsight.record import Record
-from eval.replay.hindsight.restated import Restated
+from eval.replay.settings import Given
 from graph.batch import Start, smooth
 from graph.factors import UnderConstrained
 

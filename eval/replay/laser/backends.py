@@ -12,8 +12,7 @@ import numpy as np
 from scipy.special import gammainc
 
 from association.expectation import gate_threshold
-from association.scans.constraints import Chain, Loops
-from association.scans.laser_run import SCAN
+from association.scans.constraints import SCAN, Chain, Loops
 from data.inputs import Inputs, IntArray
 from data.result import DISCARD, Failure, Innovations, Run, Trajectory
 from data.se2 import Array, compose, dead_reckoned
@@ -22,10 +21,8 @@ from ekf.whole_run import run_filter
 from eval.replay.settings import Setup
 from graph.factors import UnderConstrained
 from graph.optimum import NotConvergedError
-from graph.poses.batch import SmoothedPoses, smooth_poses
-from graph.poses.fixed_lag import FixedLagPoseGraph
-from graph.poses.linear import PoseProblem, pose_problem
-from graph.poses.online import PoseGraph
+from graph.poses.batch import PoseProblem, SmoothedPoses, pose_problem, smooth_poses
+from graph.poses.online import FixedLagPoseGraph, PoseGraph
 from graph.poses.robust import gnc_poses
 
 TASK = "slam"

@@ -8,10 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from association.scans.constraints import Loops
-from association.scans.correlation import Pyramid, best_pose, pyramid
-from association.scans.free_space import contradiction
-from association.scans.matching import MotionPrior, match
-from association.scans.nearest import NearestGrid
+from association.scans.matching import MotionPrior, NearestGrid, Pyramid, best_pose, match, pyramid
+from association.scans.occupancy import contradiction
 from association.scans.points import Points
 from association.scans.uncertainty import PoseEdges, compose_covariances, inverse_covariance, nearest_first
 from data.inputs import Scanner

@@ -1,25 +1,135 @@
-"""Back ends compared on one laser log: the front end once, then every estimator on its constraints."""
+"""Back ends compared on one laser log: the front end once, then every estimator on its constraints.
+
+A laser log replayed frame by frame: key poses by scan matching, loop closures, and the pose graph they feed.
+
+Frames without a scan, in the end: the odometry between two scans, made to lead from the one to the other.
+"""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from association.scans.laser_run import SCAN, LaserRun
+from association.scans.constraints import SCAN, Chain, LaserRun, Loops
 from association.scans.points import beams_of, scan_points
 from association.scans.redundant import redundant, without
-from association.scans.scale import learned_scale, residuals, spanned
+from association.scans.uncertainty import learned_scale, residuals, spanned
 from data.errors import UsageError
 from data.inputs import Inputs
 from data.result import Run
-from data.se2 import compose, transform_points
+from data.se2 import Array, between, compose, dead_reckoned, transform_points
 from eval.replay.laser.backends import NAMES, Solved, backend
-from eval.replay.laser.front_end import FrontEndResult, run_front_end
+from eval.replay.laser.closures import LoopCloser
 from eval.replay.laser.parameters import LaserParameters
-from eval.replay.laser.unscanned import between_scans
+from eval.replay.laser.tracker import Tracker
 from eval.replay.settings import Setup
+from graph.poses.online import PoseGraph
+
+
+@dataclass(frozen=True, eq=False)
+class FrontEndResult:
+    """What a replayed laser log came to.
+
+    Attributes:
+        chain, loops: the constraints for every back end.
+        online: (N, 3) world pose of each frame as it was known then.
+        seconds: (N,) wall time of each frame, matching, loops and graph.
+    """
+
+    chain: Chain
+    loops: Loops
+    online: Array
+    seconds: Array
+
+
+def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult:
+    """Replay a laser log (`inputs.scans`) once, each frame with what is known by then.
+
+    Raises ValueError for a log without scans.
+    """
+    scans = inputs.scans
+    if scans is None:
+        raise ValueError("a laser front end needs scans")
+    p, count = parameters, len(inputs)
+    beams = beams_of(scans.scanner, scans.ranges.shape[1])
+    tracker = Tracker(p, scans.scanner.sigma)
+    closer = LoopCloser(p, scans.scanner)
+    graph = PoseGraph(inputs.prior)
+    row = np.full(count, -1)
+    row[scans.frame] = np.arange(len(scans.frame))
+    nothing = np.zeros(scans.ranges.shape[1])
+
+    frames: list[int] = []
+    motions: list[Array] = []
+    covariances: list[Array] = []
+    key = np.zeros(count, np.int64)
+    since, since_covariance = np.zeros((count, 3)), np.zeros((count, 3, 3))
+    online, seconds = np.zeros((count, 3)), np.zeros(count)
+    poses = np.zeros((0, 3))
+    for frame in range(count):
+        began = time.perf_counter()
+        if frame:
+            tracker.predict(*inputs.increment(frame))
+        scanned = row[frame] >= 0
+        ranges = scans.ranges[row[frame]] if scanned else nothing
+        seen = scan_points(ranges, beams, p.max_range)
+        if scanned:
+            tracker.correct(seen)
+        if frame == 0 or (scanned and tracker.is_due):
+            motion, covariance = tracker.pose, tracker.covariance
+            frames.append(frame)
+            motions.append(motion)
+            covariances.append(covariance)
+            if frame:
+                graph.add_key(motion, covariance)
+                poses = np.concatenate([poses, compose(poses[-1], motion)[None]])
+            else:
+                poses = inputs.prior.mean[None].copy()
+            closer.add_key(ranges, seen, motion, covariance)
+            tracker.make_key(seen)
+            believed = closer.find(poses)
+            if believed:
+                graph.add_loops(
+                    np.array([c.key1 for c in believed]), np.array([c.key2 for c in believed]),
+                    np.array([c.relative for c in believed]), np.array([c.covariance for c in believed]),
+                )  # fmt: skip
+                graph.update()
+                poses = graph.poses()
+        key[frame] = len(frames) - 1
+        since[frame], since_covariance[frame] = tracker.pose, tracker.covariance
+        online[frame] = compose(poses[-1], tracker.pose)
+        seconds[frame] = time.perf_counter() - began
+    chain = Chain(np.array(frames), np.array(motions), np.array(covariances), key, since, since_covariance)
+    return FrontEndResult(chain, closer.loops(), online, seconds)
+
+
+def between_scans(inputs: Inputs, pose: Array) -> Array:
+    """The path (N, 3) with each frame between two scans moved by its share of what the odometry between them is off.
+
+    The share is that of the variance of the odometry that was gathered since the scan before. Frames with a scan, and
+    those before the first and after the last, stay.
+    """
+    assert inputs.scans is not None
+    count = len(inputs)
+    scanned = np.zeros(count, np.bool_)
+    scanned[inputs.scans.frame] = True
+    frames = np.arange(count)
+    before = np.maximum.accumulate(np.where(scanned, frames, -1))
+    after = np.minimum.accumulate(np.where(scanned, frames, count)[::-1])[::-1]
+    row = np.flatnonzero(~scanned & (before >= 0) & (after < count))
+    a, b = before[row], after[row]
+    odometry = dead_reckoned(np.zeros(3), inputs.increments.mean)
+    gathered = np.cumsum(np.trace(inputs.increments.covariance, axis1=1, axis2=2))
+    way = gathered[b] - gathered[a]
+    share = np.divide(gathered[row] - gathered[a], way, out=np.zeros(len(row)), where=way > 0.0)
+    off = between(between(odometry[a], odometry[b]), between(pose[a], pose[b]))
+    result = pose.copy()
+    result[row] = compose(compose(pose[a], between(odometry[a], odometry[row])), share[:, None] * off)
+    return result
+
 
 CONTRAST = 0.999
 """Gate of the filter that is shown beside the one without."""

@@ -7,16 +7,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from association.scans.constraints import Chain
+from association.scans.constraints import Chain, LaserRun
 from association.scans.corners import corners
-from association.scans.laser_run import LaserRun
 from data.inputs import Increments, Inputs, Observations
-from data.motion.floor import floor_covariances
+from data.motion.velocity import floor_covariances
 from data.result import Failure, Innovations, Run
 from data.sensors import RelativePoint
-from data.terminal.words import counted
+from data.terminal import counted
 from eval.replay.laser.backends import over_frames
-from eval.replay.laser.front_end import run_front_end
+from eval.replay.laser.comparison import run_front_end
 from eval.replay.laser.parameters import LaserParameters
 from eval.replay.settings import Setup
 

@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 
-from association.scans.matching import Match, MotionPrior, match
-from association.scans.nearest import NearestGrid
+from association.scans.matching import Match, MotionPrior, NearestGrid, match
 from association.scans.points import Points
 from association.scans.uncertainty import compose_covariances
 from data.se2 import Array, between, compose, transform_points, wrap_angle

@@ -14,11 +14,10 @@ from data.inputs import Increment, IntArray
 from data.log import Log
 from data.result import Run
 from data.se2 import Array, between
-from eval.page.document import Block, Section, Table
-from eval.page.numbers import number
 from eval.referee.score import Scores, Trial
-from eval.report.corridor.facts import TURN, Lab
-from eval.report.corridor.phrases import BLIND, NAMES, rmse
+from eval.report.labs.corridor_facts import BLIND, NAMES, TURN, Lab, rmse
+from eval.report.page.document import Block, Section, Table
+from eval.report.page.tables import number
 
 STEPS = (-3, -2, -1, 0, 1, 2, 3)
 """Multiples of the true step that are looked at."""

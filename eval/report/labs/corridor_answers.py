@@ -15,15 +15,19 @@ import pandas as pd
 
 from data.result import Run
 from data.truth import CLUTTER
-from eval.page.numbers import number
 from eval.plan.lab import switched_on
 from eval.referee.errors import landmark_true_ids
 from eval.referee.score import Scores, Trial
-from eval.report.corridor.conditions import what_maintenance_changes, without_odometry
-from eval.report.corridor.facts import Lab, look, run_of
-from eval.report.corridor.phrases import BLIND, NAMES, ODOMETRY, PEOPLE, WORSE, move, plural, rmse
-from eval.report.corridor.questions import why_jcbb_copes, why_nn_fails, why_people_break_it
-from eval.report.lab.pictures import BLIND_PEOPLE, UPDATE_TIME, has, maintained_pair
+from eval.report.labs.corridor_facts import BLIND, NAMES, ODOMETRY, PEOPLE, WORSE, Lab, look, move, plural, rmse, run_of
+from eval.report.labs.corridor_questions import (
+    what_maintenance_changes,
+    why_jcbb_copes,
+    why_nn_fails,
+    why_people_break_it,
+    without_odometry,
+)
+from eval.report.labs.pictures import BLIND_PEOPLE, UPDATE_TIME, has, maintained_pair
+from eval.report.page.tables import number
 
 Rows = Sequence[tuple[Trial | None, Sequence[str]]]
 """What a table of numbers shows: trials with the ways of association of each."""

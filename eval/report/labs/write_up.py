@@ -10,11 +10,11 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from eval.figures.paper.tex import tex_escape
-from eval.page.document import Block, Folded, Formula, Overview, Picture, Section, Table
-from eval.page.film import Film
+from eval.figures.paper import tex_escape
 from eval.referee.score import Scores, Trial
 from eval.report.names import stem
+from eval.report.page.blocks import Film
+from eval.report.page.document import Block, Folded, Formula, Overview, Picture, Section, Table
 from eval.report.rows import rows_of, value_of
 
 PREAMBLE = r"""% Made by eval.run_all --write-up. In this folder: pdflatex write-up.tex

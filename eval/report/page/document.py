@@ -7,9 +7,10 @@ from typing import Protocol
 
 import pandas as pd
 
-from eval.page.blocks import (
+from eval.report.page.blocks import (
     READING,
     Block,
+    Film,
     FinePrint,
     Folded,
     Formula,
@@ -24,10 +25,9 @@ from eval.page.blocks import (
     anchor,
     folded,
 )
-from eval.page.film import Film
-from eval.page.plain import report_markdown
-from eval.page.web.html import report_html
-from eval.page.written import Paper, write_table
+from eval.report.page.files import Paper, write_table
+from eval.report.page.html import report_html
+from eval.report.page.markdown import report_markdown
 
 __all__ = [
     "READING", "Block", "Film", "FinePrint", "Folded", "Formula", "Mark", "Overview", "OverviewRow", "Picture",
@@ -37,7 +37,7 @@ __all__ = [
 
 
 class Wanted(Protocol):
-    """What is asked of tables: their formats, and what those for a paper are like (see `eval.page.written.Paper`)."""
+    """What is asked of tables: their formats, and what those for a paper are like (see `files.Paper`)."""
 
     @property
     def formats(self) -> tuple[str, ...]:

@@ -8,10 +8,9 @@ from typing import NamedTuple
 
 import pandas as pd
 
-from eval.page.paper import names
-from eval.page.paper.latex import sheet
-from eval.page.paper.notes import add_note
-from eval.page.tables import is_blank, markdown
+from eval.report.page import latex
+from eval.report.page.latex import add_note, sheet
+from eval.report.page.tables import is_blank, markdown
 
 FORMATS = ("csv", "md", "tex")
 TITLES = {
@@ -39,7 +38,7 @@ def short_caption(stem: str, caption: str) -> str:
     if "-trust-" in stem:
         title = TITLES["trust"]
     first = caption.partition(". ")[0].partition(": ")[0].rstrip(".").replace("`", "")
-    parts = [names.place(p) for p in first.split(", ")]
+    parts = [latex.place(p) for p in first.split(", ")]
     where = ", ".join(parts) if len(first) <= LONGEST else ""
     return ": ".join(t for t in (title, where) if t) or stem
 

@@ -1,25 +1,209 @@
-"""A table in LaTeX that fits its column or page without scaling: the columns that matter most, names to read."""
+"""A table in LaTeX that fits its column or page without scaling: the columns that matter most, names to read.
+
+Columns of a table for a paper: their keys, as `--columns` has them, short heads, and which are left out first.
+
+What logs, estimators and ways of association are called in a paper.
+
+The fine print of all tables for a paper, in one file: `tables/notes.tex`, a paragraph for each text.
+
+How wide a table will be in LaTeX, from the widths of Computer Modern's letters, which Times stays below.
+
+cmr8, the face of 8 pt text, is 17/16 as wide as cmr10 scaled down (Knuth's metric files; the digits 0.531 em for 0.5).
+"""
 
 from __future__ import annotations
 
+import difflib
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
 
 import pandas as pd
+from matplotlib.font_manager import FontProperties, findfont
+from matplotlib.ft2font import FT2Font, LoadFlags
 
-from eval.figures.paper.tex import tex_escape
-from eval.page.paper import names
-from eval.page.paper.columns import known
-from eval.page.paper.widths import GAP, WIDTHS, text_width
-from eval.page.tables import column_text, is_blank, is_numeric
+from data.errors import UsageError
+from eval.figures.paper import tex_escape
+from eval.figures.style import style_of
+from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES
+from eval.report.page.tables import column_text, is_blank, is_numeric
+
+
+@dataclass(frozen=True)
+class Known:
+    """A column: its key, its head in a paper, and its rank (the larger, the sooner it is left out)."""
+
+    key: str
+    short: str
+    rank: float
+
+
+SHORT = {
+    "rmse_position_m": "RMSE [m]", "nees_pose": "NEES", "nis": "NIS", "rmse_heading_deg": "heading [deg]",
+    "rmse_landmark_m": "landmarks [m]", "rms_from_batch_m": "from batch [m]", "inside_3sigma": "inside 3σ [%]",
+    "max_position_m": "largest [m]", "rmse_time_m": "in time [m]", "innovation_lag1": "lag-1",
+    "accepted": "used", "rejected": "left out", "tp": "TP", "fp": "FP", "fn": "FN", "tn": "TN",
+    "precision": "precision [%]", "recall": "recall [%]", "wrong": "wrong", "spurious": "spurious",
+    "duplicate": "duplicate", "missed": "missed", "deferred": "deferred",
+}  # fmt: skip
+"""Heads in a paper, most wanted first; the fine print says what they mean."""
+OTHERS = {
+    "95 % bounds of NIS": Known("bounds", "95 % of NIS", 5.5),
+    "95 % interval of the mean": Known("interval", "95 % interval", 1.0),
+    "power against 0.8 P [%]": Known("power", "power [%]", 5.0),
+    "mean": Known("mean", "mean", 0.0),
+    "expected": Known("dof", "expected", 2.0),
+    "verdict": Known("verdict", "verdict", 1.5),
+    "runs": Known("runs", "runs", 3.0),
+    "diverged": Known("diverged", "diverged", 6.0),
+    "± SE": Known("se_ours", "± SE", 1.0),
+    "± SE of it": Known("se_published", "± SE", 3.0),
+}
+"""By the head of the report's tables."""
+
+
+def _ranked() -> dict[str, Known]:
+    order = {key: float(i) for i, key in enumerate(SHORT)}
+    made = {}
+    for m in (*OF_ESTIMATES, *OF_DECISIONS):
+        unit = f" [{m.unit}]" if m.unit else ""
+        made[m.head] = Known(
+            m.column, SHORT.get(m.column, f"{m.heading}{unit}"), order.get(m.column, float(len(order)))
+        )
+    return made | OTHERS
+
+
+KNOWN: Mapping[str, Known] = _ranked()
+"""By the head of the report's tables."""
+KEYS = tuple(dict.fromkeys(k.key for k in KNOWN.values()))
+
+
+def known(head: str, place: int) -> Known:
+    """The column with this head; one that nobody ranked keeps its head, later ones are left out first."""
+    return KNOWN.get(head, Known(head, head, 3.0 + 0.01 * place))
+
+
+def check_columns(columns: Sequence[str]) -> None:
+    """Raise UsageError for a column that no table has."""
+    for name in columns:
+        if name not in KEYS:
+            near = difflib.get_close_matches(name, KEYS, 3)
+            hint = f"; do you mean {' or '.join(near)}?" if near else ""
+            raise UsageError(f"--columns {name}: no column of metrics.csv, association.csv or consistency.csv{hint}")
+
+
+METHODS = {
+    "known": "known", "none": "", "nn": "NN", "ml": "ML", "ml-ratio": "ML ratio", "singles": "SINGLES", "gnn": "GNN",
+    "jcbb": "JCBB", "jcbb-first": "first JCBB", "jcbb-hindsight": "JCBB, hindsight", "scan": "scan matching",
+}  # fmt: skip
+TASKS = {"slam": "SLAM", "localization": "localization"}
+WORLDS = {
+    "arena": "arena", "corridor": "corridor", "circle": "circle", "linear": "linear world", "park": "park",
+    "visual": "visual lab", "floorplan": "floor plan", "walls": "walls",
+}  # fmt: skip
+LOGS = {"victoria-park": "Victoria Park"}
+
+
+def estimators(text: str) -> str:
+    """One estimator, or several separated by commas."""
+    return ", ".join(style_of(name.strip()).label for name in text.split(","))
+
+
+def association(name: str) -> str:
+    """A way of association; blank for none."""
+    return METHODS.get(name, name)
+
+
+def place(name: str) -> str:
+    """A log, a task, or `association NAME`."""
+    if name.startswith("association "):
+        return f"association {association(name.removeprefix('association '))}"
+    return TASKS.get(name, log(name))
+
+
+def log(name: str) -> str:
+    """A log: `corridor:0:people+range=8` is corridor 0 (people, range 8); a name that somebody gave stays as it is."""
+    parts = re.fullmatch(r"([a-z]+):(\d+)(?::(.*))?", name)
+    if parts is None or parts[1] not in WORLDS:
+        return LOGS.get(name, name)
+    more = (parts[3] or "").replace("+", ", ").replace("=", " ").replace("-", " ").replace("_", " ")
+    return f"{WORLDS[parts[1]]} {parts[2]}" + (f" ({more})" if more else "")
+
+
+HEAD = "% What the tables mean; a paragraph can stand below its table or in the text.\n"
+
+
+def add_note(
+    folder: Path, stem: str, text: str, left_out: Sequence[str] = (), heads: Sequence[tuple[str, str]] = ()
+) -> None:
+    """Say what a table means; tables with the same fine print share its paragraph."""
+    path = folder / "notes.tex"
+    before = path.read_text(encoding="utf-8") if path.exists() else HEAD
+    said = tex_escape(text)
+    if heads:
+        said += tex_escape(f" Columns: {'; '.join(f'{short}: {full}' for short, full in heads)}.")
+    if left_out:
+        said += tex_escape(f" Not shown for want of room: {', '.join(left_out)}.")
+    paragraphs = [p for p in before.removeprefix(HEAD).split("\n\n") if p.strip()]
+    reference = rf"\ref{{tab:{stem}}}"
+    for i, paragraph in enumerate(paragraphs):
+        first, _, rest = paragraph.strip().partition("\n")
+        if rest == said:
+            paragraphs[i] = f"{first.removesuffix('.}').replace('Table~', 'Tables~')}, {reference}.}}\n{rest}"
+            break
+    else:
+        paragraphs.append(rf"\textbf{{Table~{reference}.}}" + f"\n{said}")
+    path.write_text(HEAD + "\n" + "\n\n".join(p.strip() for p in paragraphs) + "\n", encoding="utf-8", newline="\n")
+
+
+WIDTHS = {"column": 252.0, "page": 516.0}
+"""pt (1/72.27 in). A column and both of an IEEE journal: 21 and 43 picas."""
+EM = {"footnotesize": 8.0, "scriptsize": 7.0}
+"""pt. Type sizes where the text is 10 pt."""
+SMALL_FACE = 17.0 / 16.0
+"""Of small faces beside cmr10 scaled down, at 8 pt; at 7 pt they are 9/8 as wide."""
+SMALLER_FACE = 9.0 / 8.0
+GAP = 6.0
+"""pt between columns: twice the \\tabcolsep that the tables set."""
+SPECIAL = {
+    " ": 0.334, "−": 0.778, "–": 0.5, "—": 1.0, "±": 0.778, "×": 0.778, "σ": 0.572, "χ": 0.626, "²": 0.45, "°": 0.45,
+    "≤": 0.778, "≥": 0.778, "<": 0.778, ">": 0.778, "|": 0.278, "_": 0.45, "…": 0.5, "\u00a0": 0.334,
+}  # fmt: skip
+"""em of cmr10, cmmi10 and cmsy10 (superscripts: of the 7 pt face), of what is not in the text font, or elsewhere."""
+WIDEST = 1.028
+"""em. Letters that nobody thought of are taken for a W."""
+
+
+@cache
+def _face() -> FT2Font:
+    font = FT2Font(findfont(FontProperties(family="cmr10")))
+    font.set_size(1000.0, 72.0)
+    return font
+
+
+@cache
+def _letter(c: str) -> float:
+    """Em."""
+    if c in SPECIAL:
+        return SPECIAL[c]
+    if not " " < c < "\x7f":
+        return WIDEST
+    return _face().load_char(ord(c), flags=LoadFlags.NO_HINTING).linearHoriAdvance / 65536.0 / 1000.0
+
+
+def text_width(text: str, size: str = "footnotesize") -> float:
+    """Width [pt] of a text that is not broken, at most (kerning and ligatures make it narrower)."""
+    return EM[size] * (SMALL_FACE if size == "footnotesize" else SMALLER_FACE) * sum(_letter(c) for c in text)
+
 
 NAMES = ("log", "task", "scenario", "estimator", "association", "phase")
 """Columns that say what a row is about; they are never left out, only said once where they are all the same."""
 READ: dict[str, Callable[[str], str]] = {
-    "log": names.log,
-    "task": lambda t: names.TASKS.get(t, t),
-    "association": names.association,
+    "log": log,
+    "task": lambda t: TASKS.get(t, t),
+    "association": association,
 }
 ESTIMATORS = ("filter", "smoother", "deciding for")
 """Heads of other columns that name estimators."""
@@ -152,7 +336,7 @@ def _named(frame: pd.DataFrame) -> tuple[list[Cells], list[str]]:
             values, what = frame.iloc[:, place].tolist(), known(head, place)
             body = column_text(values)
             if head in ESTIMATORS:
-                body = [names.estimators(t) for t in body]
+                body = [estimators(t) for t in body]
             numeric = is_numeric(values) or all(FIGURES.fullmatch(t) for t in body if t)
             cells.append(Cells(what.key, what.rank, what.short, tuple(body), numeric, full=head))
     return cells, common
@@ -160,12 +344,8 @@ def _named(frame: pd.DataFrame) -> tuple[list[Cells], list[str]]:
 
 def _rows(frame: pd.DataFrame) -> list[str]:
     """Estimator, with association and phase where rows differ in them."""
-    who = [names.estimators(str(v)) for v in frame["estimator"].tolist()]
-    how = (
-        [names.association(str(v)) for v in frame["association"].tolist()]
-        if "association" in frame
-        else [""] * len(who)
-    )
+    who = [estimators(str(v)) for v in frame["estimator"].tolist()]
+    how = [association(str(v)) for v in frame["association"].tolist()] if "association" in frame else [""] * len(who)
     when = [str(v) for v in frame["phase"].tolist()] if "phase" in frame else [""] * len(who)
     several = len({h for h in how if h}) > 1
     phases: dict[tuple[str, str], set[str]] = {}

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from eval.page.blocks import (
+from eval.report.page.blocks import (
     READING,
     Block,
     Cell,
+    Film,
     Folded,
     Formula,
     Mark,
@@ -21,10 +22,10 @@ from eval.page.blocks import (
     Section,
     Sketch,
     Table,
+    film_markdown,
     with_fine_print,
 )
-from eval.page.film import Film, film_markdown
-from eval.page.tables import markdown, markdown_escape
+from eval.report.page.tables import markdown, markdown_escape
 
 
 def report_markdown(report: Report) -> str:

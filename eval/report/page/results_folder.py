@@ -1,15 +1,13 @@
-"""`python -m eval.page.results_folder`: docs/results-folder.md, out of the table that the writers use."""
+"""`python -m eval.report.page.results_folder`: docs/results-folder.md, out of the table that the writers use."""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
 
-from eval.referee.files.described import BLANKS, File
-from eval.referee.files.of_runs import OF_LOGS, OF_RUNS, OTHERS
-from eval.referee.files.top import DIFFERENCES, TOP
+from eval.referee.result_files import BLANKS, DIFFERENCES, OF_LOGS, OF_RUNS, OTHERS, TOP, File
 
-PAGE = Path(__file__).parents[2] / "docs" / "results-folder.md"
+PAGE = Path(__file__).parents[3] / "docs" / "results-folder.md"
 HEAD = f"""\
 # The result folder
 

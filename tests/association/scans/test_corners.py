@@ -11,8 +11,7 @@ from scipy.spatial import cKDTree
 from association.scans.corners import corners
 from data.inputs import Scanner
 from data.se2 import rotation, transform_points
-from data.worlds.floorplan.raycast import scan_ranges
-from data.worlds.floorplan.world import plan_of
+from data.worlds.floorplan.world import plan_of, scan_ranges
 from data.worlds.registry import named_log
 
 ROUND = Scanner(-math.pi, math.radians(1.0), 20.0, 0.01)

@@ -7,11 +7,17 @@ import math
 import numpy as np
 import pytest
 
-from association.scans.correlation import CELL, best_pose, pyramid
-from association.scans.free_space import contradiction
+from association.scans.matching import CELL, best_pose, pyramid
+from association.scans.occupancy import contradiction
 from association.scans.points import beams_of, scan_points
-from association.scans.scale import learned_scale, residuals
-from association.scans.uncertainty import PoseEdges, compose_covariances, inverse_covariance, nearest_first
+from association.scans.uncertainty import (
+    PoseEdges,
+    compose_covariances,
+    inverse_covariance,
+    learned_scale,
+    nearest_first,
+    residuals,
+)
 from data.inputs import Scanner
 from data.se2 import Array, between, compose, inverse
 from tests.association.scans.rooms import ROOM, SCANNER, scan

@@ -14,8 +14,7 @@ from association.scans.constraints import Chain, Loops
 from association.scans.redundant import CELL, MOST_IN_A_ROW, redundant, without
 from data.inputs import Prior
 from data.se2 import between, compose, dead_reckoned, inverse, pose_error
-from graph.poses.batch import smooth_poses
-from graph.poses.linear import pose_problem
+from graph.poses.batch import pose_problem, smooth_poses
 
 PRIOR = Prior(np.array([1.0, -2.0, 0.4]), np.diag([1e-2, 1e-2, 1e-3]))
 

@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from association.scans.matching import MotionPrior, match
-from association.scans.nearest import NearestGrid
+from association.scans.matching import MotionPrior, NearestGrid, match
 from association.scans.points import beams_of, scan_points
 from data.se2 import Array, between, compose, transform_points
 from tests.association.scans.rooms import CORRIDOR, ROOM, SCANNER, scan

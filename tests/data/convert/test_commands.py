@@ -15,14 +15,14 @@ import pytest
 from data.convert.__main__ import main
 from data.convert.mrclam import CALIBRATION
 from data.errors import DataError
+from data.formats.mrclam.calibration import FROZEN, Calibration
+from data.formats.mrclam.load import load_mrclam
+from data.formats.open_log.reader import load_folder
 from data.log import Log
-from data.mrclam.calibration import FROZEN, Calibration
-from data.mrclam.load import load_mrclam
-from data.open_log.reader import load_folder
 from data.visual.opening import Camera
 from data.worlds.arena import Arena, simulate
-from tests.data.mrclam import world
-from tests.data.mrclam.world import replace_row, save_folder
+from tests.data.formats.mrclam import world
+from tests.data.formats.mrclam.world import replace_row, save_folder
 
 ROOT = Path(__file__).parents[3]
 

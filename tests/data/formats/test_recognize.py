@@ -10,9 +10,9 @@ import pytest
 from scipy.io import savemat
 
 from data.convert.__main__ import main as convert
-from data.questions.doors import door
+from data.formats.recognize import door
 from eval.inspect import main
-from tests.data.mrclam import world
+from tests.data.formats.mrclam import world
 
 
 def commands(text: str) -> list[list[str]]:

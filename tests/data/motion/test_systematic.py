@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from data.inputs import ERRORS, Increment, Prior, Systematic
-from data.motion.sensor_frame import sensor_frame
-from data.motion.systematic import BETWEEN_KNOTS, corrected, corrected_all, forgotten, knots, places
+from data.motion.systematic import BETWEEN_KNOTS, corrected, corrected_all, forgotten, knots, places, sensor_frame
 from data.se2 import compose, inverse, pose_error
 from data.sensors import RangeBearing, RelativePoint
 

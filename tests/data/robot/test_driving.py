@@ -7,9 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from data.robot.body import RADIUS, SONARS
 from data.robot.driving import SPEED, WANTED, WallFollower
-from data.robot.packets import PERIOD, Answer
+from data.robot.packets import PERIOD, RADIUS, SONARS, Answer
 from data.robot.simulated.physics import Physics, drive
 from data.robot.simulated.room import Room, clearance, room
 from data.robot.traffic.motion import Packet

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.robot.body import FASTEST, WHEEL_BASE
 from data.robot.driving import WallFollower
-from data.robot.frames import FLOOR, ROUNDING, SENSOR, Framing, Noise, inputs_of, slip_covariance
-from data.robot.packets import Answer
+from data.robot.log import FLOOR, ROUNDING, SENSOR, Framing, Noise, inputs_of, slip_covariance
+from data.robot.packets import FASTEST, WHEEL_BASE, Answer
 from data.robot.simulated.physics import drive
 from data.robot.simulated.room import room
 from data.robot.traffic.motion import Packet

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from data.errors import UsageError
-from data.robot.body import FASTEST, LONGEST_RANGE
 from data.robot.link import Link
-from data.robot.packets import PERIOD, command_of, decode_answer, encode_command
+from data.robot.packets import FASTEST, LONGEST_RANGE, PERIOD, command_of, decode_answer, encode_command
 from data.robot.simulated.wire import Faults
-from data.robot.traffic.exchange import FAULTS, Exchange
 from data.robot.traffic.recording import GONE, OPENED, RECEIVED, SENT, Record
+from data.robot.traffic.stream import FAULTS, Exchange
 from tests.data.robot.line import StandingClock, WirePort, linked, wander
 
 AHEAD = command_of(0.3, 0.0)

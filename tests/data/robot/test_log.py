@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from data.errors import DataError, UsageError
+from data.formats.open_log.reader import load_folder
 from data.logs import Reading, find_logs, open_log
-from data.open_log.reader import load_folder
 from data.robot.driving import WallFollower
-from data.robot.frames import Framing, Noise
-from data.robot.log import complete
+from data.robot.log import Framing, Noise, complete
 from data.robot.packets import command_of
 from data.robot.simulated.wire import Faults
 from data.robot.traffic.recording import HEADER, PACKETS, Recording

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from data.robot import observe
-from data.robot.body import CONE_HALF_ANGLE, SONARS, WHEEL_BASE
 from data.robot.driving import WallFollower
 from data.robot.observe import WallObserver
-from data.robot.packets import PERIOD, Answer
+from data.robot.packets import CONE_HALF_ANGLE, PERIOD, SONARS, WHEEL_BASE, Answer
 from data.robot.simulated.physics import Physics, drive
 from data.robot.simulated.room import Room, cast, room
 from data.robot.traffic.motion import Packet

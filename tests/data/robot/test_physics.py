@@ -7,8 +7,17 @@ import math
 import numpy as np
 import pytest
 
-from data.robot.body import FASTEST, RADIUS, SONARS, WHEEL_BASE, body_speeds, wheel_speeds
-from data.robot.packets import PERIOD, Command, command_of
+from data.robot.packets import (
+    FASTEST,
+    PERIOD,
+    RADIUS,
+    SONARS,
+    WHEEL_BASE,
+    Command,
+    body_speeds,
+    command_of,
+    wheel_speeds,
+)
 from data.robot.simulated import physics
 from data.robot.simulated.physics import Physics, Robot, drive
 from data.robot.simulated.room import Room, cast, clearance, room

@@ -9,8 +9,8 @@ import pytest
 from data.errors import DataError, UsageError
 from data.robot.packets import command_of
 from data.robot.simulated.wire import Faults
-from data.robot.traffic.exchange import Exchange, decoded
 from data.robot.traffic.recording import GONE, MAGIC, OPENED, RECEIVED, SENT, Record, Recording, read_recording
+from data.robot.traffic.stream import Exchange, decoded
 from tests.data.robot.line import linked
 
 RECORDS = [

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from data.robot.body import RADIUS
+from data.robot.packets import RADIUS
 from data.robot.simulated.room import GAP, cast, clearance, room
 
 

@@ -17,8 +17,8 @@ from data.errors import UsageError
 from data.robot.link import Clock, Link
 from data.robot.packets import command_of
 from data.robot.simulate import Terminal
-from data.robot.traffic.exchange import decoded
 from data.robot.traffic.recording import Recording, read_recording
+from data.robot.traffic.stream import decoded
 
 ROOT = Path(__file__).parents[3]
 

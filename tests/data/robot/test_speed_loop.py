@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.robot.body import FASTEST_WHEEL
-from data.robot.simulated.speed_loop import FRICTION, FULL_SPEED, LAG, RESPONSE, SpeedLoop, turned
+from data.robot.packets import FASTEST_WHEEL
+from data.robot.simulated.physics import FRICTION, FULL_SPEED, LAG, RESPONSE, SpeedLoop, turned
 
 DT = 0.01
 

@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from scipy.optimize import least_squares
 from scipy.stats import norm
 
-from data.robot.body import CONE_HALF_ANGLE, RIGHT, SONARS
+from data.robot.packets import CONE_HALF_ANGLE, RIGHT, SONARS
 from data.robot.simulated.room import Room, cast
 from data.robot.wall_study import Row, on_axis, passing, study, table
 from data.robot.walls import (

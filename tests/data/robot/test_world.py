@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from data.errors import UsageError
+from data.formats.open_log.reader import load_folder
+from data.formats.open_log.writer import write_folder
 from data.inputs import CLUTTER
 from data.logs import open_log
-from data.open_log.reader import load_folder
-from data.open_log.writer import write_folder
 from data.robot.simulated.room import room
 from data.robot.world import lines
 

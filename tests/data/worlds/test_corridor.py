@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from data import se2
+from data.formats.open_log.reader import load_folder
 from data.inputs import CLUTTER
 from data.log import Log
-from data.open_log.reader import load_folder
 from data.worlds.corridor import Corridor, simulate
 from tests.data.worlds.corridor_readings import exact_polar, points_seen
 

@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from data import se2
 from data.convert.__main__ import main
 from data.errors import UsageError
+from data.formats.open_log.reader import load_folder
 from data.logs import open_log
-from data.open_log.reader import load_folder
 from data.sensors import RelativePoint
 from data.worlds import registry
 from data.worlds.corridor import Corridor, simulate
-from data.worlds.names import name_of
+from data.worlds.registry import name_of
 from eval.inspect import main as inspect
 
 

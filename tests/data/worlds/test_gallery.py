@@ -10,8 +10,7 @@ import pytest
 
 from data.errors import UsageError
 from data.se2 import compose
-from data.worlds.gallery import Gallery, gallery, simulate
-from data.worlds.gallery_camera import in_view, projections
+from data.worlds.gallery import Gallery, gallery, in_view, projections, simulate
 from tests.data.worlds.pinhole import PLAIN, pinhole
 from tests.data.worlds.samples import agrees
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from data.log import Log
-from data.worlds.gallery import Gallery, gallery, simulate
-from data.worlds.gallery_camera import in_view
+from data.worlds.gallery import Gallery, gallery, in_view, simulate
 from eval.referee.consistency import nees, verdict
 from eval.replay.run import compare
 from tests.data.worlds.pinhole import PLAIN, pinhole

@@ -13,8 +13,8 @@ import pytest
 from data import se2
 from data.convert.__main__ import main
 from data.errors import UsageError
+from data.formats.open_log.reader import load_folder
 from data.log import Log
-from data.open_log.reader import load_folder
 from data.worlds.linear import LinearWorld, simulate
 from eval.referee.consistency import CONSISTENT, nees, verdict
 from eval.replay.run import compare

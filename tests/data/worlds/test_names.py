@@ -14,7 +14,7 @@ from data.worlds.circle import Circle
 from data.worlds.corridor import Corridor
 from data.worlds.gallery import Gallery
 from data.worlds.linear import LinearWorld
-from data.worlds.names import name_of
+from data.worlds.registry import name_of
 
 WORLDS = tuple(registry.SIMULATORS)
 

@@ -13,7 +13,7 @@ import pytest
 import slamref
 from data.worlds.arena import Arena, simulate
 from eval.replay.run import compare
-from tests.eval.replay.foreign.things import Bare
+from tests.eval.replay.external.things import Bare
 
 PAGE = Path(__file__).parents[3] / "docs" / "extending.md"
 PYTHON = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)

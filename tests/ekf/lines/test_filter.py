@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from association.known import known_decisions
+from association.decide import known_decisions
 from data.inputs import Increment, LandmarkMap, Prior, Sightings, Systematic
 from data.result import NEW
 from data.se2 import wrap_angle

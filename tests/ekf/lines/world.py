@@ -10,8 +10,8 @@ import numpy as np
 
 from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
 from data.log import Log
-from data.motion.floor import floor_covariances
-from data.robot.body import WHEEL_BASE
+from data.motion.velocity import floor_covariances
+from data.robot.packets import WHEEL_BASE
 from data.robot.simulated.physics import Physics
 from data.robot.simulated.room import room
 from data.se2 import compose, wrap_angle

@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
+from association.decide import known_decisions
 from association.expectation import gate_threshold
 from association.jcbb import jcbb
-from association.known import known_decisions
 from data.inputs import LabelledObservations
 from data.se2 import pose_error
 from data.worlds.arena import Arena, simulate
 from ekf.whole_run import run_filter
 from eval.benchmarks.association import GATE, PER_METRE, hard_frame, line_world, plain_jcbb
 from eval.benchmarks.laser import PlanRun, plan_lines
-from eval.benchmarks.localization import filterpy_localizer, localization_log, numpy_localizer
+from eval.benchmarks.speed import filterpy_localizer, localization_log, numpy_localizer
 from eval.benchmarks.timed import Timed, median_seconds, table
-from eval.referee.laser.closures import ClosureCounts
+from eval.referee.laser import ClosureCounts
 from eval.replay.estimators import make_estimator
 
 

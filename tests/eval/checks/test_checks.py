@@ -9,11 +9,13 @@ import pytest
 import slamref
 from association.decide import METHODS
 from data.errors import UsageError
-from eval.checks import associations, estimators, expected, handed
+from eval.checks import associations, estimators
+from eval.checks import estimators as expected
+from eval.checks import estimators as handed
 from eval.checks.finding import APPROXIMATE, EXACT, CheckError, graded
-from eval.replay.foreign.load import load, text_of
-from eval.replay.foreign.method import Method
-from eval.replay.names import FILTERS, INCREMENTAL
+from eval.replay.external.load import load, text_of
+from eval.replay.external.make import Method
+from eval.replay.settings import FILTERS, INCREMENTAL
 from tests.eval.checks import wrong
 
 

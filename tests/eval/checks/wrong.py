@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from association.expectation import gate_threshold
-from association.singles import singles
+from association.methods import singles
 from data.se2 import world_from_body
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam

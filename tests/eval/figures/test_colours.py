@@ -12,7 +12,7 @@ from matplotlib.colors import to_hex
 from eval.figures import state_figure
 from eval.figures.style import STYLES, colour_of_method, style_of
 from eval.referee.score import Trial
-from eval.replay.names import ASSOCIATIONS, ESTIMATORS
+from eval.replay.settings import ASSOCIATIONS, ESTIMATORS
 from tests.eval.figures.looks import SEEN_BY, lab
 from tests.eval.handmade import FRAMES, circle_log, run_with_error
 

@@ -17,7 +17,7 @@ from data.inputs import Systematic
 from data.result import Innovations, Systematics, Trajectory
 from eval import figures
 from eval.figures.log import log_figure
-from eval.figures.power import Seen
+from eval.figures.studies import Seen
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error
 
 OFF = np.array([0.1, -0.1, 0.02])

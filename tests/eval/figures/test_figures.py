@@ -12,9 +12,8 @@ from matplotlib.path import Path as Outline
 from data.result import Failure, MapEstimate
 from data.se2 import dead_reckoned
 from eval.figures import anees_figure, difference_figure, error_figure, map_figure, nees_figure
-from eval.figures.ellipses import ellipses
 from eval.figures.error import MOST_BINS, longest_sigma, sigmas, thinned
-from eval.figures.view import View, enlargement
+from eval.figures.plane import View, ellipses, enlargement
 from tests.eval.figures.looks import within
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error, true_path
 

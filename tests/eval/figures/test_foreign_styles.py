@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from eval.figures.style import OTHERS, STYLES, colour_of_method, style_of
-from eval.replay.foreign.places import introduce, place
+from eval.replay.external.spec import introduce, place
 from tests.eval.figures.looks import SEEN_BY, lab
 
 NAMES = [f"filter-{i}" for i in range(12)]

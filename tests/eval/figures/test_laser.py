@@ -15,7 +15,7 @@ from association.scans.occupancy import Grid
 from eval.figures import loop_picture, map_picture
 from eval.figures.laser import FATES, fates
 from eval.figures.style import save, style_of
-from eval.referee.laser.rows import KEPT
+from eval.referee.laser import KEPT
 from tests.eval.figures.looks import SEEN_BY, lab, within
 
 KEYS = np.array([[0.0, 0, 0], [4, 0, 0.5], [4, 3, 2], [0, 3, 3], [0, 0.5, -1]])

@@ -12,12 +12,11 @@ from matplotlib.text import Text
 import slamref
 from data.errors import UsageError
 from eval import figures
-from eval.figures.paper.look import Look, across, looking, page_width
-from eval.figures.paper.tex import translate
+from eval.figures.paper import Look, across, looking, page_width, translate
 from eval.figures.style import drawing, save
-from eval.plan import looks
+from eval.plan import appearance
 from eval.plan.flags.options import read_options
-from eval.plan.flags.paper import inches
+from eval.plan.flags.table import inches
 
 COLUMN = Look(width=3.4, fonts=("STIXGeneral", "DejaVu Sans"), mathematics="stix")
 
@@ -97,23 +96,23 @@ def test_lengths_have_units():
 
 
 def test_a_font_that_is_not_here_is_replaced_and_that_is_said(monkeypatch):
-    look, said = looks.look_of(read_options(["--font", "Nowhere Grotesk"]))
+    look, said = appearance.look_of(read_options(["--font", "Nowhere Grotesk"]))
     assert look.fonts == ("DejaVu Sans",)
     assert said == "--font Nowhere Grotesk: not on this machine; figures have DejaVu Sans instead"
-    fonts = [f for f in looks.font_manager.fontManager.ttflist if f.name in ("STIXGeneral", "DejaVu Sans")]
-    monkeypatch.setattr(looks.font_manager.fontManager, "ttflist", fonts)
-    look, said = looks.look_of(read_options(["--font", "Times"]))
+    fonts = [f for f in appearance.font_manager.fontManager.ttflist if f.name in ("STIXGeneral", "DejaVu Sans")]
+    monkeypatch.setattr(appearance.font_manager.fontManager, "ttflist", fonts)
+    look, said = appearance.look_of(read_options(["--font", "Times"]))
     assert (look.fonts[0], look.mathematics) == ("STIXGeneral", "stix")
     assert said.endswith("figures have STIXGeneral instead")
-    assert looks.look_of(read_options([]))[0] == Look()
+    assert appearance.look_of(read_options([]))[0] == Look()
 
 
 def test_without_latex_the_flags_that_need_it_say_so_before_any_work(monkeypatch):
-    monkeypatch.setattr(looks.shutil, "which", lambda _: None)
+    monkeypatch.setattr(appearance.shutil, "which", lambda _: None)
     with pytest.raises(UsageError, match=r"--usetex needs LaTeX, and there is no program 'latex' on this machine"):
-        looks.require_latex(read_options(["--usetex"]))
+        appearance.require_latex(read_options(["--usetex"]))
     with pytest.raises(UsageError, match=r"--pgf needs LaTeX, and there is none of pdflatex, "):
-        looks.require_latex(read_options(["--pgf"]))
+        appearance.require_latex(read_options(["--pgf"]))
 
 
 def test_signs_become_commands_of_latex(runs):

@@ -24,9 +24,9 @@ from data.robot.simulated.physics import drive
 from data.robot.simulated.room import room
 from data.robot.simulated.wire import Faults
 from data.robot.traffic.recording import Recording
-from eval import live
-from eval.online.drive import drive as drive_on_line
-from eval.online.session import Session
+from eval.live import __main__
+from eval.live.drive import drive as drive_on_line
+from eval.live.session import Session
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
 from tests.data.robot.line import linked
@@ -152,7 +152,7 @@ def simulator(folder: Path, *more) -> Iterator[tuple[Path, Path]]:
 def started(folder: Path, link: Path, *more, out="log") -> Iterator[Process]:
     """The command itself."""
     words = ["--link", link, "--out", folder / out, *more]
-    process = Process(live.main, words, folder / f"{out}.out")
+    process = Process(__main__.main, words, folder / f"{out}.out")
     try:
         yield process
     finally:

@@ -1,4 +1,4 @@
-"""Memory over a long drive, as fast as it goes: `python -m tests.eval.online.soak ESTIMATOR SECONDS`.
+"""Memory over a long drive, as fast as it goes: `python -m tests.eval.live.soak ESTIMATOR SECONDS`.
 
 All that `slamref live` does to a packet but the terminal and the page's server: link, recording on disk, estimators,
 the line of each second, the page's chunks. Prints the robot's time [s], resident memory [MB], walls, ms a frame.
@@ -16,13 +16,12 @@ from threadpoolctl import threadpool_limits
 
 from data.robot.driving import WallFollower
 from data.robot.traffic.recording import Recording
-from eval.online.drive import Looking, drive
-from eval.online.feed import Feed
-from eval.online.rehearsal import rehearse
-from eval.online.session import Session
+from eval.live.drive import Looking, drive
+from eval.live.feed import Feed
+from eval.live.session import Session, rehearse
 from eval.replay.settings import Setup
 from tests.data.robot.line import linked
-from tests.eval.online.driven import BAD
+from tests.eval.live.driven import BAD
 
 SETUPS = {"ekf": Setup(deactivate_after=60.0), "fixed-lag": Setup(lag=30.0)}
 

@@ -5,17 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.robot.body import AHEAD, SONARS
 from data.robot.driving import SPEED
-from data.robot.packets import PERIOD, Answer, Command
+from data.robot.packets import AHEAD, PERIOD, SONARS, Answer, Command
 from data.robot.traffic.motion import Packet
-from eval.online.drive import REST, Looking, at_rest, drive, follower
-from eval.online.feed import MINUTE, Feed
-from eval.online.session import Session
-from eval.online.status import Latencies
+from eval.live.drive import REST, Looking, at_rest, drive, follower
+from eval.live.feed import MINUTE, Feed
+from eval.live.session import Latencies, Session
 from eval.replay.settings import Setup
 from tests.data.robot.line import StandingClock
-from tests.eval.online.driven import packets
+from tests.eval.live.driven import packets
 
 
 class Scripted:

@@ -9,7 +9,7 @@ import pytest
 
 from data.errors import UsageError
 from data.result import PoseEstimate
-from eval.online.estimates import COLUMNS, Estimates
+from eval.live.session import COLUMNS, Estimates
 
 COVARIANCE = np.array([[0.1, 1 / 3, 0.3], [1 / 3, 0.2, -0.6], [0.3, -0.6, 0.7]])
 

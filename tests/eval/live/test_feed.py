@@ -7,14 +7,12 @@ import json
 import numpy as np
 import pytest
 
-from eval.online import feed as feeding
-from eval.online.feed import MINUTE, Feed, Published
-from eval.online.rows import chunk_of, joined, part_of
-from eval.online.session import Session
-from eval.online.shown import header
+from eval.live import feed as feeding
+from eval.live.feed import MINUTE, Feed, Published, chunk_of, header, joined, part_of
+from eval.live.session import Session
 from eval.player.pack import unpacked
 from eval.replay.settings import Setup
-from tests.eval.online.driven import packets
+from tests.eval.live.driven import packets
 
 NAMES = ("ekf", "ekf-iterated")
 

@@ -11,11 +11,11 @@ from threadpoolctl import threadpool_limits
 
 from data.inputs import Frame, Sightings
 from data.robot.packets import encode_answer
-from data.robot.traffic.exchange import Exchange
 from data.robot.traffic.recording import RECEIVED, SENT, Record, Recording
-from eval.online.session import Session
+from data.robot.traffic.stream import Exchange
+from eval.live.session import Session
 from eval.replay.settings import Setup
-from tests.eval.online.driven import packets
+from tests.eval.live.driven import packets
 
 WALLS, LONGEST, SHARE = 100, 0.010, 0.99
 

@@ -11,24 +11,15 @@ import numpy as np
 import pytest
 
 from data.errors import UsageError
+from data.formats.open_log.reader import load_folder
 from data.logs import open_log
-from data.open_log.reader import load_folder
 from data.robot.traffic.recording import GONE, OPENED, read_recording
-from eval import live, run_all
-from eval.replay.names import ASSOCIATIONS
+from eval import run_all
+from eval.live import __main__
 from eval.replay.run import compare
-from eval.replay.settings import Setup
+from eval.replay.settings import ASSOCIATIONS, Setup
 from eval.report import contents
-from tests.eval.online.driven import (
-    online,
-    replayed,
-    replayed_bits,
-    simulator,
-    started,
-    true_path,
-    wait,
-    written_bits,
-)
+from tests.eval.live.driven import online, replayed, replayed_bits, simulator, started, true_path, wait, written_bits
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="pseudo-terminals and fork as Linux has them")
 FAST = ["--speed", "5"]
@@ -158,7 +149,7 @@ def test_told_to_rest_it_rests_and_ends_by_itself(tmp_path):
 
 
 def test_a_device_that_is_not_there_leaves_nothing(tmp_path, capsys):
-    assert live.main(["--link", str(tmp_path / "robot"), "--out", str(tmp_path / "log"), "--no-page"]) == 2
+    assert __main__.main(["--link", str(tmp_path / "robot"), "--out", str(tmp_path / "log"), "--no-page"]) == 2
     said = capsys.readouterr()
     assert "cannot be opened as a serial line" in said.err
     assert said.out == "getting ready ...\n"
@@ -185,9 +176,9 @@ def test_after_the_drive_it_says_where_the_log_is_and_whether_there_is_a_report(
             signal.raise_signal(signal.SIGINT)  # from here on it ends the report
         return status
 
-    monkeypatch.setattr(live, "_drive", driven)
+    monkeypatch.setattr(__main__, "_drive", driven)
     monkeypatch.setattr(run_all, "main", report)
-    ended = live.main(["--link", "robot", "--out", str(folder), "--gate", "0.95"])
+    ended = __main__.main(["--link", "robot", "--out", str(folder), "--gate", "0.95"])
     made = status in (0, 1) and presses < 2
     assert ended == (status if made or status == 2 else 130)
     end = [] if made else [f"no report; the log is whole: {folder}"]
@@ -201,22 +192,22 @@ def test_after_the_drive_it_says_where_the_log_is_and_whether_there_is_a_report(
     assert all(a[a.index("--gate") + 1] == "0.95" for a in asked)
 
 
-@pytest.mark.parametrize("name", ["slamref live", live.PROG])
+@pytest.mark.parametrize("name", ["slamref live", __main__.PROG])
 def test_the_examples_call_it_by_the_name_it_was_called_by(name):
-    said = live.parser(name).format_help()
+    said = __main__.parser(name).format_help()
     assert f"  {name} --link /dev/ttyUSB0 --estimator" in said
-    assert (live.PROG in said) == (name == live.PROG)
+    assert (__main__.PROG in said) == (name == __main__.PROG)
 
 
 def test_the_ways_of_association_that_are_offered_are_those_it_takes(tmp_path, capsys):
     link = ["--link", "robot", "--out", str(tmp_path / "log")]
-    assert live.main([*link, "--association", "known"]) == 2
+    assert __main__.main([*link, "--association", "known"]) == 2
     offered = capsys.readouterr().err.strip().removesuffix(" do").rsplit("; ", 1)[1].split(", ")
     assert "jcbb" in offered
     taken = []
     for name in ASSOCIATIONS:
         try:
-            taken.append(*live.read([*link, "--association", name]).options.association)
+            taken.append(*__main__.read([*link, "--association", name]).options.association)
         except UsageError:
             continue
     assert taken == offered
@@ -234,7 +225,7 @@ def test_the_ways_of_association_that_are_offered_are_those_it_takes(tmp_path, c
     (["--gate", "2"], "--gate 2: a probability"),
 ])  # fmt: skip
 def test_what_makes_no_sense_is_one_line(tmp_path, capsys, words, why):
-    assert live.main(["--link", "robot", "--out", str(tmp_path / "log"), *words]) == 2
+    assert __main__.main(["--link", "robot", "--out", str(tmp_path / "log"), *words]) == 2
     said = capsys.readouterr().err
     assert said.startswith(f"error: {why}")
     assert said.count("\n") == 1

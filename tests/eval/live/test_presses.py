@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from eval.online.presses import Presses
+from eval.live.drive import Presses
 
 BOTH = (signal.SIGINT, signal.SIGTERM)
 

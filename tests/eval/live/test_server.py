@@ -10,8 +10,8 @@ from urllib.parse import urlsplit
 import pytest
 
 from data.errors import UsageError
-from eval.online.feed import Chunk, Published
-from eval.online.server import Server
+from eval.live.feed import Chunk, Published
+from eval.live.server import Server
 from eval.player.document import live_document
 
 CHUNKS = Published((), (Chunk(0, 4, b'{"first":0}'), Chunk(4, 8, b'{"first":4}')))

@@ -7,9 +7,9 @@ import pytest
 
 from data.errors import UsageError
 from ekf.filter import FilterDivergedError
-from eval.online.session import Session
+from eval.live.session import Session
 from eval.replay.settings import Setup
-from tests.eval.online.driven import estimate_bits, online, packets, replayed, replayed_bits
+from tests.eval.live.driven import estimate_bits, online, packets, replayed, replayed_bits
 
 
 @pytest.mark.parametrize(("name", "association", "setup"), [

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from tests.eval.online.driven import FORK
-from tests.eval.online.soak import soak
+from tests.eval.live.driven import FORK
+from tests.eval.live.soak import soak
 
 FLAT = 5.0
 """MB that memory may differ from that after the first minute."""

@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from eval.online.session import Step
-from eval.online.status import Latencies, estimator_words, status_line
+from eval.live.session import Latencies, Step, estimator_words, status_line
 
 NOBODY = np.empty(0, np.int64)
 STEP = Step(np.array([1.0, -2.0, 7.0]), np.diag([0.01, 0.04, math.radians(1.0)]) ** 2, NOBODY, NOBODY, 1.0)

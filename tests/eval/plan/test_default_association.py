@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 
 from data.errors import UsageError
+from data.formats.open_log.writer import write_folder
 from data.logs import open_log
-from data.open_log.writer import write_folder
 from eval.plan.experiments import make_plan
 from eval.plan.flags.options import read_options
 from tests.ekf.lines.world import World, line_log

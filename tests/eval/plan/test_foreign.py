@@ -10,8 +10,7 @@ from data.errors import UsageError
 from data.worlds.arena import Arena, simulate
 from eval.plan.experiment import Experiment, Work
 from eval.plan.foreign import check_possible, check_scenario, introduce_all, load_all, sources_of
-from eval.replay.foreign.places import introduced
-from eval.replay.foreign.spec import settled
+from eval.replay.external.spec import introduced, settled
 from eval.replay.settings import Setup
 from eval.studies.scenario import Member, Scenario
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 
 from data.errors import UsageError
+from data.formats.open_log.writer import write_folder
 from data.logs import Reading, open_log
-from data.open_log.writer import write_folder
 from eval.plan.flags.options import read_options
 from eval.plan.lab import METHODS, corridor_names, lab_experiments, switched_on
 from eval.plan.provenance import command_of

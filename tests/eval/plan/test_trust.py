@@ -8,10 +8,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from data.formats.open_log.writer import write_folder
 from data.inputs import Prior
 from data.log import shortened
 from data.logs import open_log
-from data.open_log.writer import write_folder
 from data.truth import Truth
 from eval.plan.execute import execute
 from eval.plan.experiments import make_plan

@@ -12,11 +12,10 @@ import pytest
 from data.log import shortened
 from data.logs import open_log
 from eval import play
-from eval.player.document import document
+from eval.player.document import document, played, player_of
 from eval.player.pack import unpacked
 from eval.player.scene import scene
 from eval.player.watch import Watch
-from eval.player.write import played, player_of
 from eval.referee.score import Trial, confusion_of
 from eval.replay.run import compare
 from eval.replay.settings import Setup

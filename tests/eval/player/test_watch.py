@@ -12,9 +12,9 @@ from data.logs import open_log
 from data.result import NEW
 from data.sensors import RelativePoint
 from data.worlds.arena import Arena, simulate
-from eval.player.of_run import COARSE, own_steps
+from eval.player.scene import COARSE, own_steps
 from eval.player.watch import NOT_ASKED, Watch, quantum_of
-from eval.replay.observer import Nobody
+from eval.replay.recorder import Nobody
 from eval.replay.run import compare, step_by_step
 from eval.replay.settings import Setup
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from association.known import known_decisions
+from association.decide import known_decisions
 from data.inputs import LandmarkMap
 from data.worlds.arena import Arena, simulate
 from eval.referee.confusion import confuse, ground_truth, majority_agreement, share_within

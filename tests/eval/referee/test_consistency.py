@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from association.known import known_decisions
+from association.decide import known_decisions
 from data.worlds.arena import Arena, simulate
 from ekf.whole_run import run_filter
 from eval.referee import consistency
-from eval.referee.bounds import anees_band, chi2_bounds
 from eval.referee.consistency import (
     COVERAGE_LEVELS,
+    anees_band,
+    chi2_bounds,
     coverage,
     holm_rejected,
     lag1,

@@ -10,7 +10,7 @@ import pytest
 
 from data.logs import open_log
 from data.result import Failure, Trajectory
-from eval.referee.along import along
+from eval.referee.errors import along
 from eval.referee.score import Trial, score
 from eval.replay.run import compare
 from tests.eval.handmade import circle_log, run_with_error

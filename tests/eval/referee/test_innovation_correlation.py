@@ -13,7 +13,7 @@ from eval.referee.consistency import lag1, lag1_correlation
 from eval.referee.score import Trial, score
 from eval.replay.run import compare
 from eval.studies.montecarlo import sample
-from eval.studies.scenario_file import load_scenario
+from eval.studies.scenario import load_scenario
 
 WORLD = Arena(frames=60, field_of_view=2 * math.pi, landmarks=12)
 

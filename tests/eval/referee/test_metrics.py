@@ -8,8 +8,8 @@ from eval.referee.confusion import OUTCOMES
 from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES, heads, is_share, metric
 from eval.referee.score import ASSOCIATION, COUNTED, METRICS, frame_of
 from eval.report.comparison import COMPARISON
-from eval.report.tutorials.table import COUNTS, HEADS
-from eval.walk.text import STATISTICS
+from eval.report.tutorials import COUNTS, HEADS
+from eval.stepping.text import STATISTICS
 
 UNITS = {"_m": "m", "_deg": "deg", "_m2": "m²", "_rad": "rad"}
 EVERY = (*OF_ESTIMATES, *OF_DECISIONS)

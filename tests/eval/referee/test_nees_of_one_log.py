@@ -9,8 +9,7 @@ import pytest
 
 from data.inputs import Prior
 from data.logs import open_log
-from eval.referee.bounds import nis_bounds
-from eval.referee.consistency import THIN, nearly_singular
+from eval.referee.consistency import THIN, nearly_singular, nis_bounds
 from eval.referee.score import Trial, score
 from eval.replay import compare
 

@@ -9,9 +9,8 @@ import pytest
 
 from data.logs import open_log
 from eval.figures.growth import closing_frame
-from eval.replay import again
-from eval.replay.again import landmark_sigmas
-from eval.replay.run import compare
+from eval.replay import run as again
+from eval.replay.run import compare, landmark_sigmas
 from eval.replay.settings import Setup
 
 LOG = open_log("corridor:0")

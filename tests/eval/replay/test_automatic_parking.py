@@ -7,7 +7,7 @@ import pytest
 
 from data.worlds.registry import named_log
 from ekf import epochs
-from eval.replay import parking
+from eval.replay import map_management
 from eval.replay.frontend import FrontEnd
 from eval.replay.run import filter_known, step_by_step
 from eval.replay.settings import Setup
@@ -27,10 +27,10 @@ def eager(monkeypatch):
     """Maps of ten landmarks are parked, and again at every chance."""
 
     def switch(on):
-        monkeypatch.setattr(parking, "LEAST", 10 if on else 10**9)
-        monkeypatch.setattr(parking, "KEPT", 3)
-        monkeypatch.setattr(parking, "PRODUCT", 1e-13)
-        monkeypatch.setattr(parking, "MOVED", 1e-12)
+        monkeypatch.setattr(map_management, "LEAST", 10 if on else 10**9)
+        monkeypatch.setattr(map_management, "KEPT", 3)
+        monkeypatch.setattr(map_management, "PRODUCT", 1e-13)
+        monkeypatch.setattr(map_management, "MOVED", 1e-12)
         monkeypatch.setattr(epochs, "LEAST", 10 if on else 10**9)
         monkeypatch.setattr(epochs, "WORTH", np.inf)
 
@@ -57,7 +57,7 @@ def assert_same_run(run, plain):
 def watched(monkeypatch):
     """Lengths of the state at every update, and how often landmarks came back."""
     sizes, back = [], []
-    see, restore = parking.AutomaticParking.see, parking.AutomaticParking._restore
+    see, restore = map_management.AutomaticParking.see, map_management.AutomaticParking._restore
 
     def seen(self, sightings, numbers):
         sizes.append(self.slam.size)
@@ -67,8 +67,8 @@ def watched(monkeypatch):
         back.append(len(numbers))
         restore(self, numbers)
 
-    monkeypatch.setattr(parking.AutomaticParking, "see", seen)
-    monkeypatch.setattr(parking.AutomaticParking, "_restore", restored)
+    monkeypatch.setattr(map_management.AutomaticParking, "see", seen)
+    monkeypatch.setattr(map_management.AutomaticParking, "_restore", restored)
     return sizes, back
 
 
@@ -111,7 +111,9 @@ def test_who_leaves_a_landmark_parked_that_a_reading_is_of_is_noticed(park, eage
     eager(False)
     plain = step_by_step("ekf", inputs, "slam", "jcbb")
     eager(True)
-    monkeypatch.setattr(parking.AutomaticParking, "_restore", lambda self, numbers: self.slam.restore(numbers[1:]))
+    monkeypatch.setattr(
+        map_management.AutomaticParking, "_restore", lambda self, numbers: self.slam.restore(numbers[1:])
+    )
     with pytest.raises(AssertionError):
         assert_same_run(step_by_step("ekf", inputs, "slam", "jcbb"), plain)
 
@@ -128,7 +130,7 @@ def test_small_maps_are_left_alone_to_the_byte(lab, monkeypatch):
 
 def test_who_cannot_park_or_needs_every_landmark_is_left_alone(lab):
     def parks(name, method="jcbb", setup=PLAIN, given=None):
-        return isinstance(FrontEnd(name, method, given or slam(lab), setup).parking, parking.AutomaticParking)
+        return isinstance(FrontEnd(name, method, given or slam(lab), setup).parking, map_management.AutomaticParking)
 
     assert parks("ekf")
     assert parks("ekf", "ml-ratio", Setup(new_gate=None))

@@ -9,10 +9,8 @@ import pytest
 
 from data.inputs import Observations
 from data.worlds.arena import Arena, simulate
-from eval.replay.given import Beginning
-from eval.replay.names import ASSOCIATIONS, STEPPING
 from eval.replay.run import front_end, step_by_step
-from eval.replay.settings import Setup
+from eval.replay.settings import ASSOCIATIONS, STEPPING, Beginning, Setup
 
 MANAGED = Setup(maintain=True, forget_after=3.0, lag=2.0)
 

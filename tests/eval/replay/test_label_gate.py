@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from association.truncated import truncated_square
+from data.formats.open_log.writer import write_folder
 from data.log import Log
 from data.logs import open_log
-from data.open_log.writer import write_folder
 from eval.inspect import main as inspect
 from eval.plan.experiments import make_plan
 from eval.plan.flags.options import read_options
 from eval.replay.run import compare, step_by_step
 from eval.replay.settings import SENSED_GATE, Setup
-from eval.report.statements import gate_sentence
+from eval.report.answer import gate_sentence
 from eval.studies.twins import inputs_of, source_of, twin
 from eval.tune import main as tune
 

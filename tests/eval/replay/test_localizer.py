@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from association.evidence import constants
 from data.errors import UsageError
 from data.inputs import Frame, Increment, LandmarkMap, Prior, Sightings
 from data.result import DISCARD
 from data.sensors import RelativePoint
-from eval.replay.given import Beginning
+from eval.replay.hindsight import constants
 from eval.replay.hindsight.localizer import HindsightLocalizer
+from eval.replay.settings import Beginning
 
 SENSOR = RelativePoint(max_range=20.0)
 R = np.diag([0.05, 0.05]) ** 2

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from association.known import known_decisions
+from association.decide import known_decisions
 from data.logs import open_log
 from data.result import DISCARD, NEW
 from data.worlds.arena import Arena, simulate

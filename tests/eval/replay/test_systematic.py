@@ -11,11 +11,10 @@ from data.inputs import ERRORS, Systematic
 from data.result import Finished, Systematics, Trajectory
 from data.worlds.arena import Arena, simulate
 from ekf.slam import EkfSlam
-from eval.replay.given import Beginning
+from eval.replay.hindsight.localizing_frontend import Stretches
 from eval.replay.hindsight.mapper import TIGHT, HindsightMapper
-from eval.replay.hindsight.stretches import Stretches
 from eval.replay.run import compare, filter_known, step_by_step
-from eval.replay.settings import Setup
+from eval.replay.settings import Beginning, Setup
 
 OF = Systematic(("scale", "curvature", "drift", "range"), np.array([0.02, 2e-3, 1e-3, 0.02]))
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from eval.referee.differences import DIFFERENCES
+from eval.referee.intervals import DIFFERENCES
 from eval.referee.score import METRICS, frame_of
 from eval.report.answer import answer
-from eval.report.differences import difference_sentence, differences_table, missing_intervals
+from eval.report.comparison import difference_sentence, differences_table, missing_intervals
 from tests.eval.report.test_answer import FILTER, SMOOTHER
 
 ROW = {

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from eval.page.document import Report, Section, write_report
 from eval.plan.flags.options import read_options
 from eval.referee.score import Trial
-from eval.report.films import films_of, write_films
+from eval.report.page.document import Report, Section, write_report
+from eval.report.pictures import films_of, write_films
 from tests.eval.handmade import circle_log, run_with_error
 
 ENDS = ["--animate", "--speed", "400"]

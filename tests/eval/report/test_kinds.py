@@ -127,7 +127,7 @@ def test_files_are_written_of_every_run_and_films_only_where_asked_for(monkeypat
     written = []
     monkeypatch.setattr(pictures, "write_run", lambda folder, t, run, lab_text: written.append((run, lab_text)))
     monkeypatch.setattr(pictures, "write_laser_files", lambda folder, t: written.append("laser"))
-    monkeypatch.setattr("eval.report.films.write_films", lambda folder, options, t: written.append("films"))
+    monkeypatch.setattr("eval.report.pictures.write_films", lambda folder, options, t: written.append("films"))
     publish_runs(tmp_path, Options(lab_text=True), trial(FILTER, BATCH))
     assert written == ["laser", (FILTER, True), (BATCH, True)]
     written.clear()

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from data.formats.results.path import GivenPath
 from data.logs import open_log
-from data.results.path import GivenPath
 from data.truth import Truth
 from eval import figures
-from eval.referee.paths.given import TruePath, given_run
+from eval.referee.given_runs import TruePath, given_run
 from eval.referee.score import Trial, score
 from eval.replay.run import compare
 from eval.report.shown_runs import for_map, for_panels, worst

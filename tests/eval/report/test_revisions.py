@@ -8,12 +8,12 @@ from PIL import Image
 
 from data.result import DISCARD, NEW, Event
 from data.worlds.registry import named_log
-from eval.figures.revision import AFTER, BEFORE, Example, revision_figure
+from eval.figures.association import AFTER, BEFORE, Example, revision_figure
 from eval.figures.style import save
 from eval.referee.score import Trial
 from eval.replay.hindsight.ledger import MERGED, PAIRED_ANEW
 from eval.replay.run import compare
-from eval.report.revisions import example, revising, tally
+from eval.report.deciding import example, revising, tally
 from tests.eval.handmade import LANDMARKS, circle_log, run_with_error, true_path
 
 

@@ -6,14 +6,8 @@ import math
 
 import pytest
 
-from eval.page.numbers import number
-from eval.report.statements import (
-    association_statement,
-    inside_statement,
-    nees_statement,
-    nis_statement,
-    verdict_statement,
-)
+from eval.report.answer import association_statement, inside_statement, nees_statement, nis_statement, verdict_statement
+from eval.report.page.tables import number
 
 
 @pytest.mark.parametrize(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from eval.page.document import Table
-from eval.referee.bounds import share_interval
-from eval.report.validation import detected, power_table, size_table, validation_section
+from eval.referee.consistency import share_interval
+from eval.report.page.document import Table
+from eval.report.studies import detected, power_table, size_table, validation_section
 from eval.studies.validation import Examined, Validation, World
 
 ARENA, CIRCLE = World("arena", "arena", "slam"), World("circle", "circle", "slam")

@@ -11,8 +11,7 @@ from data.logs import open_log
 from eval.referee.confusion import OUTCOMES
 from eval.replay.run import compare
 from eval.replay.settings import Setup
-from eval.walk.lab_text import lab_block
-from eval.walk.text import TruthRow, run_text
+from eval.stepping.text import TruthRow, lab_block, run_text
 
 LAB = Setup(new_gate=0.99)
 

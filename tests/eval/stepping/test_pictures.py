@@ -18,11 +18,10 @@ from data.truth import Truth
 from data.worlds.arena import Arena, simulate
 from eval.figures.style import drawing
 from eval.referee.confusion import OUTCOMES
-from eval.walk.marks import BAD, LANDMARK
-from eval.walk.matching import evidence, paint_compatibility, paint_matching
-from eval.walk.pictures import field_of_view, paint_ground_truth, paint_map, paint_observations
-from eval.walk.plane import Matching
-from eval.walk.text import TruthRow
+from eval.stepping.matching import evidence, paint_compatibility, paint_matching
+from eval.stepping.pictures import field_of_view, paint_ground_truth, paint_map, paint_observations
+from eval.stepping.plane import BAD, LANDMARK, Matching
+from eval.stepping.text import TruthRow
 
 PLAIN = RelativePoint(max_range=5.0)
 

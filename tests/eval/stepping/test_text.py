@@ -15,7 +15,7 @@ from eval.referee.confusion import confuse
 from eval.referee.score import confusion_of
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
-from eval.walk.text import (
+from eval.stepping.text import (
     WIDTH,
     TruthRow,
     closing,

@@ -9,9 +9,8 @@ from data.log import shortened
 from data.logs import open_log
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
-from eval.walk.album import Album
-from eval.walk.pictures import _picture
-from eval.walk.walk import Walk
+from eval.stepping.pictures import Album, _picture
+from eval.stepping.stepper import Walk
 
 
 class Windows:

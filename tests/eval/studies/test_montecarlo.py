@@ -22,7 +22,7 @@ from eval.studies.montecarlo import (
     study_lines,
     study_of,
 )
-from eval.studies.scenario_file import load_scenario
+from eval.studies.scenario import load_scenario
 
 KEY = ("localization", "ekf", "known", "online")
 ARENA = load_scenario("arena")

@@ -11,7 +11,7 @@ import pytest
 from eval.studies.montecarlo import Sample, study_of
 from eval.studies.published import Estimate, Published, Row, difference, mean_of, rms_of
 from eval.studies.reproduced import lines, orderings, ours_of, published_frame, published_rows
-from eval.studies.scenario_file import load_scenario
+from eval.studies.scenario import load_scenario
 
 
 def test_the_average_of_a_nees_follows_the_definition_of_its_source():

@@ -10,8 +10,7 @@ import pytest
 
 from data.errors import UsageError
 from data.worlds.arena import Arena, simulate
-from eval.studies.scenario import with_wrong_labels
-from eval.studies.scenario_file import load_scenario
+from eval.studies.scenario import load_scenario, with_wrong_labels
 from eval.studies.shipped import scenarios
 
 SOUND = """

@@ -9,8 +9,7 @@ import pytest
 
 from eval.studies import store
 from eval.studies.montecarlo import Sample, one_run
-from eval.studies.scenario import Member
-from eval.studies.scenario_file import load_scenario
+from eval.studies.scenario import Member, load_scenario
 
 
 @pytest.fixture(scope="module")

@@ -15,8 +15,7 @@ from eval.studies.broken import BROKEN
 from eval.studies.faults import FAULTS
 from eval.studies.shipped import VALIDATIONS, scenarios
 from eval.studies.twins import inputs_of
-from eval.studies.validation import Case, Examined, World, cases, examined, log_of, nis_out, twin_seeds
-from eval.studies.validation_file import load_validation
+from eval.studies.validation import Case, Examined, World, cases, examined, load_validation, log_of, nis_out, twin_seeds
 
 TINY = """
 study = "validation"

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
+from data.formats.open_log.reader import load_folder
 from data.inputs import Increments, Observations
-from data.open_log.reader import load_folder
 from data.worlds.arena import Arena, simulate
 from eval.tuning.fit import fit, pairings
-from eval.tuning.model import make_model
-from eval.tuning.odometry import read_odometry
+from eval.tuning.model import make_model, read_odometry
 from tests.eval.tuning.stamped import Stamped, stamped_folder
 
 LOGS = 200

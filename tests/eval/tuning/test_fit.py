@@ -11,8 +11,7 @@ from data.inputs import Increments
 from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
 from data.worlds.arena import simulate
 from eval.tuning.fit import AT_BOUND, FITTED, HELD, fit, middle, pairings, score
-from eval.tuning.model import GROUPS, apply, make_model, vector
-from eval.tuning.odometry import Odometry
+from eval.tuning.model import GROUPS, Odometry, apply, make_model, vector
 from tests.eval.tuning.stated import SMALL, by_name, changed
 
 NOISE = ("motion", "sensor")

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from data.formats.open_log.reader import load_folder
 from data.inputs import Increments
 from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
-from data.open_log.reader import load_folder
 from eval.tune import tune
 from eval.tuning.fit import fit, pairings
-from eval.tuning.model import apply, make_model, vector
-from eval.tuning.odometry import Odometry, moved_later, read_odometry, smooth_velocity
+from eval.tuning.model import Odometry, apply, make_model, moved_later, read_odometry, smooth_velocity, vector
 from tests.eval.tuning.stamped import Stamped, stamped_folder
 
 

@@ -9,8 +9,7 @@ from gtsam.symbol_shorthand import X
 
 from data import se2
 from data.inputs import Increment, Prior
-from graph.calibration.increments import increment_factor
-from graph.calibration.motion import Motion
+from graph.calibration.factors import Motion, increment_factor
 from graph.calibration.variables import errors_of
 from graph.factors import pose2, root_information
 from graph.problem import CONSTANTS, drift_key

@@ -8,7 +8,7 @@ import pytest
 
 from data.errors import DataError
 from data.inputs import Prior
-from graph.poses.linear import _linearize, pose_problem
+from graph.poses.batch import _linearize, pose_problem
 from tests.graph.poses.worlds import corridors
 
 

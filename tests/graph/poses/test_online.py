@@ -10,8 +10,7 @@ from data.inputs import Prior
 from data.se2 import compose, dead_reckoned, pose_error
 from graph.poses import online
 from graph.poses.batch import smooth_poses
-from graph.poses.fixed_lag import FixedLagPoseGraph
-from graph.poses.online import PoseGraph
+from graph.poses.online import FixedLagPoseGraph, PoseGraph
 from tests.graph.poses.worlds import corridors
 
 

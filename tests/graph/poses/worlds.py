@@ -8,7 +8,7 @@ import numpy as np
 
 from data.inputs import Prior
 from data.se2 import between, compose, wrap_angle
-from graph.poses.linear import pose_problem
+from graph.poses.batch import pose_problem
 
 SIGMA_CHAIN = np.array([0.02, 0.02, 0.004])
 SIGMA_LOOP = np.array([0.03, 0.03, 0.006])

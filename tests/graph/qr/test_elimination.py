@@ -7,10 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from graph.linear.elimination import SLACK, Rows, eliminate, reflect
-from graph.linear.marginals import marginals, means
-from graph.linear.ordering import ordering
-from graph.linear.symbolic import structure
+from graph.qr.elimination import SLACK, Rows, eliminate, ordering, reflect, structure
+from graph.qr.solution import marginals, means
 
 
 def drive(rng, poses, landmarks, sightings, sides=1):

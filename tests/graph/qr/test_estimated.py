@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from data.inputs import ERRORS
-from data.motion.corrected_inputs import corrected_inputs
+from data.motion.priors import corrected_inputs
 from data.motion.systematic import forgotten, knots
 from data.se2 import between, pose_error
 from data.sensors import RangeBearing
 from graph.batch import smooth
-from graph.linear.systematic import systematic
+from graph.qr.score_test import systematic
 from tests.graph.calibrating import erring, errors_of
 from tests.graph.driving import both_tasks
 from tests.graph.worlds import OFF_CENTRE, SENSORS

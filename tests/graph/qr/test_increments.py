@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from gtsam.symbol_shorthand import X
 
-from data.motion.stated import stated
-from data.motion.systematic import BEARING, corrected_all
+from data.motion.systematic import BEARING, corrected_all, stated
 from data.se2 import between, pose_error
 from graph.factors import between_factors, pose2, root_information
-from graph.linear.increments import linearize_increments
+from graph.qr.calibrated import linearize_increments
 
 N = 12
 NONE = np.zeros(3)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from association.known import known_decisions
+from association.decide import known_decisions
 from data.inputs import Increments, LandmarkMap, Prior
 from data.se2 import between, compose, pose_error, world_from_body
 from data.worlds.linear import LinearWorld, simulate
 from graph.batch import Start, smooth
-from graph.linear.systematic import Score, systematic
+from graph.qr.score_test import Score, systematic
 from tests.graph.worlds import SENSORS, circle
 
 EXACT = np.zeros((3, 3))

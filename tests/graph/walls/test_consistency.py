@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from association.known import known_decisions
+from association.decide import known_decisions
 from eval.referee.consistency import CONSISTENT, nees, verdict
 from graph.batch import Start, smooth
 from tests.graph.driving import drive, lagged

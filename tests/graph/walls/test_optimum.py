@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from association.known import known_decisions
+from association.decide import known_decisions
 from data import se2
 from data.errors import DataError, UsageError
 from data.inputs import LandmarkMap, Systematic

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from association.known import known_decisions
+from association.decide import known_decisions
 from data import se2
 from data.inputs import Increments, Inputs, LabelledObservations, LandmarkMap, Prior
 from data.result import MapState

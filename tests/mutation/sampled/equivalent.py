@@ -4,15 +4,15 @@ from __future__ import annotations
 
 EQUIVALENT = {
     # a continuous number that equals a threshold exactly, with probability zero
-    ("association/evidence/pairings.py", "e.individual_distances()[rows] < threshold",
+    ("association/conditional.py", "e.individual_distances()[rows] < threshold",
      "(e.individual_distances()[rows] <= threshold)"),
     ("eval/referee/residuals.py", "residuals.squared > OUTLYING", "(residuals.squared >= OUTLYING)"),
     # the search goes on in vain: a pairing that disagrees with one point is left out all the same
-    ("association/geometry/relocalize.py", "break", "pass"),
+    ("eval/replay/hindsight/relocalize.py", "break", "pass"),
     # a fixed point is iterated on to the last round instead of to its last digit
-    ("association/scans/scale.py", "new - scale", "(new + scale)"),
+    ("association/scans/uncertainty.py", "new - scale", "(new + scale)"),
     # which landmark was initialized: a decision made online or in hindsight, whichever comes first
-    ("eval/referee/paths/given.py", "created_by(decisions, final, task)", "(created_by(final, decisions, task))"),
+    ("eval/referee/given_runs.py", "created_by(decisions, final, task)", "(created_by(final, decisions, task))"),
     # room that grows when it is full
     ("ekf/pose_chain.py", "64", "65"),
     # one stream of random numbers is as good as another

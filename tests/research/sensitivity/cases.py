@@ -1,20 +1,182 @@
-"""The logs of the study: worlds of the variety, and named logs, recorded ones where they are at hand."""
+"""The logs of the study: worlds of the variety, and named logs, recorded ones where they are at hand.
+
+The gates of a run by default, which a person may choose: they are varied beside the constants.
+
+The constants of `jcbb-hindsight`, what half and twice of each is, and how one is changed for the time of a run.
+
+Constants are read where they are used, as `constants.NAME` or as a global of their own module: to set the attribute of
+the module is enough (a test sees to it). Kernels get them as arguments.
+
+Which constants a run reads: the module that holds them counts every look at one of them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import sys
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from types import ModuleType
 from typing import NamedTuple
 
+import association.candidates
+import eval.replay.hindsight.hypotheses
+import eval.replay.hindsight.two_models
 from data.errors import DataError, UsageError
+from data.formats.mrclam.load import corrected_landmarks, load_mrclam
+from data.formats.recordings.victoria_park import load_victoria_park
+from data.inputs import Systematic
 from data.log import Log
-from data.mrclam.load import corrected_landmarks, load_mrclam
-from data.recordings.victoria_park import load_victoria_park
 from data.worlds.registry import is_simulated, named_log, parse
-from eval.benchmarks.sensitivity.varying import LOCALIZATION, SLAM
-from eval.studies.variety.draw import KINDS, draw, indices
-from eval.studies.variety.world import log_of
+from eval.replay.hindsight import constants, mapper
+from eval.replay.settings import Setup
+from tests.research.variety.worlds import KINDS, draw, indices, log_of
+
+GATE = Setup().gate
+NEW_GATE = Setup().new_gate
+
+
+def setup() -> Setup:
+    """The settings of a run, with these gates as they are now."""
+    return Setup(gate=GATE, new_gate=NEW_GATE)
+
+
+SLAM, LOCALIZATION = "slam", "localization"
+HALVED, DOUBLED = "halved", "doubled"
+DIRECTIONS = (HALVED, DOUBLED)
+
+BESIDE: tuple[tuple[ModuleType, str, tuple[str, ...]], ...] = (
+    (sys.modules[__name__], SLAM, ("GATE", "NEW_GATE")),
+    (association.candidates, SLAM, ("SIGMAS", "MARGIN")),
+    (eval.replay.hindsight.two_models, SLAM, ("STRONG", "DECIDED")),
+    (
+        eval.replay.hindsight.hypotheses, LOCALIZATION,
+        ("GATE", "LIMIT", "DROP", "MERGE", "ALIKE", "STRAY", "BINS", "FIRST", "DEPENDENCE", "SIGMAS", "MARGIN"),
+    ),
+)  # fmt: skip
+"""Constants that stand beside what reads them, which is every run of one of the tasks."""
+
+NEAR_ONE = 0.9
+"""Numbers from here to 1 are probabilities near one, of gates mostly: what is halved and doubled is what they leave."""
+MOST = 0.99
+"""Other shares and probabilities are not doubled past this."""
+NO_SHARES = frozenset({"DENSE", "MERGE", "FIT_SLACK"})
+"""Numbers between `MOST` / 2 and 1 that are no shares: they may be doubled past one."""
+
+
+class Constant(NamedTuple):
+    """One number, or pair of numbers, that decisions may depend on.
+
+    name: in the study; module, attribute: where it is; part: of a `Systematic`, the error's name or `length`; task:
+    every run of it reads the constant; empty: which runs do is recorded.
+    """
+
+    name: str
+    module: ModuleType
+    attribute: str
+    part: str = ""
+    task: str = ""
+
+    @property
+    def value(self) -> object:
+        """As it is now."""
+        found = getattr(self.module, self.attribute)
+        if not self.part:
+            return found
+        return found.length if self.part == "length" else float(found.sigma[found.names.index(self.part)])
+
+
+def constants_of(module: ModuleType) -> list[str]:
+    """Names of the public numbers and tuples of numbers of a module, in their order."""
+    return [
+        name
+        for name, value in vars(module).items()
+        if name.isupper() and not name.startswith("_") and all(_is_number(v) for v in _elements(value))
+    ]
+
+
+def all_constants() -> list[Constant]:
+    """Every constant of the decider: those of `eval.replay.hindsight.constants`, then those that stand beside."""
+    found = [Constant(name, constants, name) for name in constants_of(constants)]
+    for module, task, names in BESIDE:
+        last = module.__name__.rpartition(".")[2]
+        found += [Constant(f"{last}.{name}", module, name, task=task) for name in names]
+    parts = (*mapper.TIGHT.names, "length")
+    return found + [Constant(f"TIGHT.{part}", mapper, "TIGHT", part, SLAM) for part in parts]
+
+
+def chosen(names: Sequence[str] | None) -> list[Constant]:
+    """Those of these names, or all. Raises UsageError for a name that is not one of them."""
+    every = all_constants()
+    unknown = [n for n in names or () if n not in {c.name for c in every}]
+    if unknown:
+        raise UsageError(f"{unknown[0]} is no constant of jcbb-hindsight; one is {every[0].name}")
+    return [c for c in every if names is None or c.name in names]
+
+
+def varied(constant: Constant, direction: str) -> object:
+    """Its value halved or doubled; None where that is the value itself.
+
+    Of a probability near one its complement is halved or doubled. Integers are rounded down, and at least 1. Tuples:
+    each element.
+    """
+    before = constant.value
+    after = tuple(_varied(v, direction, constant.name not in NO_SHARES) for v in _elements(before))
+    if after == _elements(before):
+        return None
+    return after if isinstance(before, tuple) else after[0]
+
+
+def _varied(value: float, direction: str, share: bool) -> float:
+    """One number."""
+    factor = 0.5 if direction == HALVED else 2.0
+    if isinstance(value, int):
+        return max(1, value // 2) if direction == HALVED else 2 * value
+    if NEAR_ONE <= value < 1.0:
+        return 1.0 - factor * (1.0 - value)
+    if share and direction == DOUBLED and 0.5 * MOST < value < 1.0:
+        return MOST
+    return factor * value
+
+
+@contextmanager
+def changed(constant: Constant, value: object) -> Iterator[None]:
+    """The constant has another value; afterwards its old one, whatever happened."""
+    before = getattr(constant.module, constant.attribute)
+    setattr(constant.module, constant.attribute, _with_part(before, constant.part, value))
+    try:
+        yield
+    finally:
+        setattr(constant.module, constant.attribute, before)
+
+
+def _with_part(before: object, part: str, value: object) -> object:
+    if not part:
+        return value
+    assert isinstance(before, Systematic)
+    assert isinstance(value, float)
+    if part == "length":
+        return replace(before, length=value)
+    sigma = before.sigma.copy()
+    sigma[before.names.index(part)] = value
+    return replace(before, sigma=sigma)
+
+
+def text(value: object) -> str:
+    """A value as it stands in the file and the table."""
+    return " ".join(f"{v:.8g}" for v in _elements(value))
+
+
+def _elements(value: object) -> tuple[float, ...]:
+    return value if isinstance(value, tuple) else (value,)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
 
 SIMULATED = "corridor:0:people"
 VICTORIA_PARK = "victoria-park"
@@ -107,3 +269,39 @@ def load(name: str, data: Path | None) -> Log:
             raise DataError(f"UTIAS Dataset {number}: not in {data}")
         return load_mrclam(source, robot, landmarks=corrected_landmarks(source))
     return named_log(name)
+
+
+@contextmanager
+def recorded() -> Iterator[Counter[str]]:
+    """How often each constant of `eval.replay.hindsight.constants` is read from here on, until the end of the block."""
+    counts: Counter[str] = Counter()
+
+    class Counting(ModuleType):
+        """A module that counts what is looked up in it."""
+
+        def __getattribute__(self, name: str) -> object:
+            if name.isupper():
+                counts[name] += 1
+            return super().__getattribute__(name)
+
+    before = constants.__class__
+    constants.__class__ = Counting
+    try:
+        yield counts
+    finally:
+        constants.__class__ = before
+
+
+def written(counts: Counter[str]) -> str:
+    """The counts as one field of a file."""
+    return " ".join(f"{name}={count}" for name, count in sorted(counts.items()))
+
+
+def counts_in(field: str) -> dict[str, int]:
+    """The counts that a field says."""
+    return {name: int(count) for name, _, count in (pair.partition("=") for pair in field.split())}
+
+
+def reads(constant: Constant, task: str, field: str) -> bool:
+    """Whether a run of a task with these counts depends on a constant: its result is that of the baseline if not."""
+    return constant.task == task if constant.task else constant.name in counts_in(field)

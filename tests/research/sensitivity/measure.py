@@ -1,14 +1,20 @@
-"""The runs of the study: each case as it is, then once for every constant that it reads, halved and doubled."""
+"""The runs of the study: each case as it is, then once for every constant that it reads, halved and doubled.
+
+What a study costs: the runs that are needed, constants that a log does not read left out, and their time.
+
+The rows of the study, in a CSV that an interrupted one goes on with.
+"""
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import math
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, get_type_hints
 
 from joblib import Parallel, delayed
 from threadpoolctl import threadpool_limits
@@ -17,18 +23,96 @@ from association.decide import HINDSIGHT
 from data.log import Log
 from data.result import Run
 from data.worlds.registry import named_log
-from eval.benchmarks.sensitivity.cases import Case, is_world, load
-from eval.benchmarks.sensitivity.gates import setup
-from eval.benchmarks.sensitivity.reading import reads, recorded, written
-from eval.benchmarks.sensitivity.rows import BASE, Row
-from eval.benchmarks.sensitivity.varying import DIRECTIONS, SLAM, Constant, all_constants, changed, text, varied
-from eval.benchmarks.variety.measure import LIMIT, SLOW, OutOfTimeError
 from eval.referee.errors import position_distance, rms
 from eval.referee.score import confusion_of
 from eval.replay.frontend import FrontEnd
-from eval.replay.observer import Nobody
 from eval.replay.plausible import judged
+from eval.replay.recorder import Nobody
 from eval.replay.run import step_by_step
+from tests.research.sensitivity.cases import (
+    DIRECTIONS,
+    SLAM,
+    Case,
+    Constant,
+    all_constants,
+    changed,
+    counts_in,
+    is_world,
+    load,
+    reads,
+    recorded,
+    setup,
+    text,
+    varied,
+    written,
+)
+from tests.research.variety.measure import LIMIT, SLOW, OutOfTimeError
+
+BASE = "base"
+"""In place of a direction: nothing is changed."""
+
+
+class Row(NamedTuple):
+    """One run.
+
+    log, task: the case; constant, direction: what was changed, to `value`; readings: of the log; rmse_m: of the online
+    positions, NaN without truth or end; fp, fn: final decisions, of `readings`; landmarks: in the map in the end;
+    same: 1 if every decision, online and final, is that of the baseline; digest: of these; seconds: of the
+    processor; status: that of the run, or `slow`; reads: of the baseline, how often it read each constant.
+    """
+
+    log: str
+    task: str
+    constant: str
+    direction: str
+    value: str
+    readings: int
+    rmse_m: float
+    fp: int
+    fn: int
+    landmarks: int
+    same: int
+    digest: str
+    seconds: float
+    status: str
+    reads: str = ""
+
+
+def read(path: Path) -> list[Row]:
+    """The rows of a file; none if it is not there. A last line that was cut off is left out."""
+    if not path.exists():
+        return []
+    types = get_type_hints(Row)
+    lines = _whole(path.read_bytes()).decode().splitlines()
+    return [Row(**{f: types[f](text) for f, text in row.items()}) for row in csv.DictReader(lines)]
+
+
+def _whole(content: bytes) -> bytes:
+    """A file without a last line that was cut off."""
+    return content[: content.rfind(b"\n") + 1]
+
+
+def append(row: Row, path: Path) -> None:
+    """The row at the end of the file, which is begun with the names of the columns; a line cut off there goes."""
+    if path.exists() and not (content := path.read_bytes()).endswith(b"\n"):
+        path.write_bytes(_whole(content))
+    new = not path.exists() or not path.stat().st_size
+    with path.open("a", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        if new:
+            writer.writerow(Row._fields)
+        writer.writerow([f"{v:.8g}" if isinstance(v, float) else v for v in row])
+
+
+def line_of(row: Row, place: str) -> str:
+    """A row as a line of text; `place`: of how many it is."""
+    what = BASE if row.direction == BASE else f"{row.constant} {row.direction} ({row.value})"
+    return (
+        f"{place:>12s} {row.log:18s} {row.task:12s} {what:44s} RMSE {row.rmse_m:8.3f} m, FP {row.fp:5d},"
+        f" FN {row.fn:5d}, landmarks {row.landmarks:4d}, {'same' if row.same else 'other'} decisions,"
+        f" {row.seconds:6.1f} s, {row.status}"
+    )
+
 
 NAMED_LIMIT = 300.0
 """s of processor time that a run on a named log has; on a world of the variety it is the limit there, ..."""
@@ -190,3 +274,41 @@ def _warm() -> None:
 @cache
 def _by_name() -> dict[str, Constant]:
     return {c.name: c for c in all_constants()}
+
+
+def cost_lines(base: Sequence[Row], constants: Sequence[Constant]) -> list[str]:
+    """Baselines as lines of a Markdown table, fastest first: their time, and that of all runs beside them."""
+    lines = [
+        "| log | task | readings | seconds | status | constants read | runs | time of these [min] | summed |",
+        "|---|---|---:|---:|---|---:|---:|---:|---:|",
+    ]
+    total, runs = 0.0, 0
+    for row in sorted(base, key=lambda r: r.seconds):
+        count = len(jobs_of(row, constants))
+        read = sum(reads(c, row.task, row.reads) for c in constants)
+        minutes = count * row.seconds / 60.0
+        total, runs = total + minutes, runs + count
+        lines.append(
+            f"| {row.log} | {row.task} | {row.readings} | {row.seconds:.2f} | {row.status} | {read} | {count} |"
+            f" {minutes:.1f} | {total:.1f} |"
+        )
+    every = sum(varied(c, d) is not None for c in constants for d in DIRECTIONS) * len(base)
+    return [*lines, "", f"{runs} runs instead of {every}, {total:.0f} minutes of one core if all take as long"]
+
+
+def read_lines(base: Sequence[Row], constants: Sequence[Constant]) -> list[str]:
+    """How often each constant is read, as lines of a Markdown table: by task on how many logs, and looks in all."""
+    tasks = list(dict.fromkeys(r.task for r in base))
+    lines = [
+        "| constant | value | " + " | ".join(f"{t}, logs | looks" for t in tasks) + " |",
+        "|---|---:|" + "---:|---:|" * len(tasks),
+    ]
+    for c in constants:
+        cells = []
+        for task in tasks:
+            of = [r for r in base if r.task == task]
+            looks = sum(counts_in(r.reads).get(c.name, 0) for r in of)
+            on = sum(reads(c, task, r.reads) for r in of)
+            cells.append(f"{on} of {len(of)} | {'every run' if c.task == task else looks}")
+        lines.append(f"| `{c.name}` | {c.value} | " + " | ".join(cells) + " |")
+    return lines

@@ -8,11 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from eval.benchmarks.sensitivity.cases import Case
-from eval.benchmarks.sensitivity.measure import jobs_of
-from eval.benchmarks.sensitivity.reading import reads
-from eval.benchmarks.sensitivity.rows import BASE, Row
-from eval.benchmarks.sensitivity.varying import DIRECTIONS, DOUBLED, HALVED, Constant, text, varied
+from tests.research.sensitivity.cases import DIRECTIONS, DOUBLED, HALVED, Case, Constant, reads, text, varied
+from tests.research.sensitivity.measure import BASE, Row, jobs_of
 
 RMSE_LITTLE = 0.1
 """A change of the RMSE by less than this part, up or down, is little; ..."""

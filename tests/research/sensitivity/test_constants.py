@@ -10,15 +10,14 @@ import numpy as np
 import pytest
 
 import association.candidates
-import ekf.hypotheses
-import ekf.two_models
-from association.evidence import constants
-from association.evidence.monitor import Health, Monitor
-from association.evidence.noise import stated
-from association.evidence.scales import as_stated
+import eval.replay.hindsight.hypotheses
+import eval.replay.hindsight.two_models
 from data.errors import UsageError
-from eval.benchmarks.sensitivity.reading import counts_in, recorded, written
-from eval.benchmarks.sensitivity.varying import (
+from eval.replay.hindsight import constants, mapper
+from eval.replay.hindsight.gates import as_stated
+from eval.replay.hindsight.lost import Health, Monitor
+from eval.replay.hindsight.noise import stated
+from tests.research.sensitivity.cases import (
     BESIDE,
     DOUBLED,
     HALVED,
@@ -27,14 +26,16 @@ from eval.benchmarks.sensitivity.varying import (
     changed,
     chosen,
     constants_of,
+    counts_in,
+    recorded,
     text,
     varied,
+    written,
 )
-from eval.replay.hindsight import mapper
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 PACKAGES = ("association", "data", "ekf", "eval", "graph")
-EVIDENCE = "association.evidence.constants"
+EVIDENCE = "eval.replay.hindsight.constants"
 BY_NAME = {c.name: c for c in all_constants()}
 DECIDER = [path for package in ("association", "ekf", "eval/replay") for path in (ROOT / package).rglob("*.py")]
 
@@ -186,8 +187,8 @@ def test_no_number_of_the_decider_is_forgotten():
         return {t.id for n in body if isinstance(n, ast.Assign) for t in n.targets if t.id.isupper()}
 
     listed = {module: set(names) for module, _, names in BESIDE}
-    assert own(ekf.hypotheses) == listed[ekf.hypotheses]
-    assert own(ekf.two_models) == listed[ekf.two_models]
+    assert own(eval.replay.hindsight.hypotheses) == listed[eval.replay.hindsight.hypotheses]
+    assert own(eval.replay.hindsight.two_models) == listed[eval.replay.hindsight.two_models]
     # below so many landmarks they are not searched for: it is about time only
     assert own(association.candidates) == listed[association.candidates] | {"FEW"}
     assert len(BY_NAME) == len(all_constants())

@@ -8,19 +8,42 @@ import numpy as np
 import pytest
 
 from association.decide import HINDSIGHT
-from association.evidence import constants
 from data.errors import UsageError
 from eval.benchmark import main
-from eval.benchmarks.sensitivity import measure as measuring
-from eval.benchmarks.sensitivity.cases import Case, fewest, load, named, simulated, world_name, worlds
-from eval.benchmarks.sensitivity.cost import cost_lines, read_lines
-from eval.benchmarks.sensitivity.measure import Job, baseline, jobs_of, measure_all, run, variant
-from eval.benchmarks.sensitivity.rows import BASE, Row, append, line_of, read
-from eval.benchmarks.sensitivity.table import effect, summaries, table
-from eval.benchmarks.sensitivity.varying import DOUBLED, HALVED, SLAM, chosen
-from eval.benchmarks.variety.measure import SLOW
+from eval.replay.hindsight import constants
 from eval.replay.run import step_by_step
-from eval.studies.variety.draw import draw
+from tests.research.sensitivity import measure as measuring
+from tests.research.sensitivity.cases import (
+    DOUBLED,
+    HALVED,
+    SLAM,
+    Case,
+    chosen,
+    fewest,
+    load,
+    named,
+    simulated,
+    world_name,
+    worlds,
+)
+from tests.research.sensitivity.measure import (
+    BASE,
+    Job,
+    Row,
+    append,
+    baseline,
+    cost_lines,
+    jobs_of,
+    line_of,
+    measure_all,
+    read,
+    read_lines,
+    run,
+    variant,
+)
+from tests.research.sensitivity.table import effect, summaries, table
+from tests.research.variety.measure import SLOW
+from tests.research.variety.worlds import draw
 
 SMALL = Case(world_name(23), SLAM)
 TWO = chosen(["CERTAIN", "TIGHT.curvature"])

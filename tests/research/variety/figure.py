@@ -9,10 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from association.decide import HINDSIGHT
-from eval.benchmarks.variety.goals import NEAR, WORSE, World
-from eval.benchmarks.variety.measure import JCBB
-from eval.figures.paper.look import page_width
+from eval.figures.paper import page_width
 from eval.figures.style import BAND_COLOUR, DASHED, TRUTH_COLOUR, colour_of_method, drawing
+from tests.research.variety.goals import NEAR, WORSE, World
+from tests.research.variety.measure import JCBB
 
 KINDS = {"arena": ("#0072B2", "o"), "park": ("#E69F00", "^"), "corridor": ("#000000", "x")}
 """Colour and marker by kind of world: they differ in lightness and form, too."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from association.decide import HINDSIGHT
 from data.se2 import Array
-from eval.benchmarks.variety.measure import JCBB, KNOWN, OK, Row
+from tests.research.variety.measure import JCBB, KNOWN, OK, Row
 
 WORSE = 1.2
 """RMSE, in those of `jcbb`: more is worse."""

@@ -24,11 +24,10 @@ from eval.referee.errors import position_distance, rms
 from eval.referee.score import confusion_of
 from eval.replay.frontend import FrontEnd
 from eval.replay.hindsight.lost import CONCLUSION
-from eval.replay.observer import Nobody
 from eval.replay.plausible import judged
+from eval.replay.recorder import Nobody
 from eval.replay.run import step_by_step
-from eval.studies.variety.draw import draw
-from eval.studies.variety.world import log_of
+from tests.research.variety.worlds import draw, log_of
 
 JCBB = "jcbb"
 KNOWN = "known"

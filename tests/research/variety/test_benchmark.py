@@ -7,13 +7,12 @@ import math
 import pytest
 
 from eval.benchmark import main
-from eval.benchmarks.variety import measure as measuring
-from eval.benchmarks.variety.figure import variety_figure
-from eval.benchmarks.variety.goals import fp_ratios, goals, table, worlds_of
-from eval.benchmarks.variety.measure import METHODS, SLOW, Row, append, line_of, measure, measure_all, read
 from eval.figures.style import save
-from eval.studies.variety.draw import draw
-from eval.studies.variety.world import log_of
+from tests.research.variety import measure as measuring
+from tests.research.variety.figure import variety_figure
+from tests.research.variety.goals import fp_ratios, goals, table, worlds_of
+from tests.research.variety.measure import METHODS, SLOW, Row, append, line_of, measure, measure_all, read
+from tests.research.variety.worlds import draw, log_of
 
 
 def row(number, method, rmse=1.0, fp=10, landmarks=100, status="ok", world="arena"):

@@ -9,8 +9,21 @@ import numpy as np
 import pytest
 
 from data.sensors import RangeBearing, RelativePoint
-from eval.studies.variety.draw import CHOOSE, JUDGE, WORLDS, Crowding, Misstated, Readings, draw, indices
-from eval.studies.variety.world import crowded, log_of, sensor_sigma, stated_readings, stated_sensor
+from tests.research.variety.worlds import (
+    CHOOSE,
+    JUDGE,
+    WORLDS,
+    Crowding,
+    Misstated,
+    Readings,
+    crowded,
+    draw,
+    indices,
+    log_of,
+    sensor_sigma,
+    stated_readings,
+    stated_sensor,
+)
 
 EVERY = [draw(i) for i in range(WORLDS)]
 HONEST = Misstated()

@@ -12,9 +12,9 @@ import pytest
 import scipy.io
 
 from data.errors import DataError
+from data.formats.lab.folder import LabRecording, open_lab
 from data.inputs import Prior
 from data.pictures import VisualFrame, VisualSetup
-from data.visual.lab.folder import LabRecording, open_lab
 
 FRAMES, H, W = 4, 12, 16
 Config = dict[str, dict[str, Any]]

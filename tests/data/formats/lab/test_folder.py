@@ -11,8 +11,8 @@ import pytest
 import scipy.io
 
 from data.errors import DataError
-from data.visual.lab.folder import is_lab, open_lab
-from tests.data.visual.lab.handmade import FRAMES, LOGS, all_frames, as_structs, configuration, lab, log_arrays, refuse
+from data.formats.lab.folder import is_lab, open_lab
+from tests.data.formats.lab.handmade import FRAMES, LOGS, all_frames, as_structs, configuration, lab, log_arrays, refuse
 
 # --- reference images -------------------------------------------------------------------------------------------------
 

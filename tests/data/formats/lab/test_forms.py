@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import scipy.io
 
-from data.visual.lab.folder import is_lab, open_lab
-from tests.data.visual.lab.handmade import (
+from data.formats.lab.folder import is_lab, open_lab
+from tests.data.formats.lab.handmade import (
     FRAMES,
     LOGS,
     all_frames,

@@ -12,8 +12,8 @@ import pytest
 import scipy.io
 
 from data.errors import DataError
-from data.visual.lab.folder import open_lab
-from tests.data.visual.lab.handmade import LOGS, H, W, as_dicts, lab, log_arrays, refuse
+from data.formats.lab.folder import open_lab
+from tests.data.formats.lab.handmade import LOGS, H, W, as_dicts, lab, log_arrays, refuse
 
 
 def put(field: str, frame: int, value: Any) -> Callable[[dict[str, Any]], None]:

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from data.errors import DataError
-from data.visual.lab.mat_stream import Struct, Unread, elements, read, variables
+from data.formats.lab.matlab import Struct, Unread, elements, read, variables
 
 TYPES = ["f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8"]
 ARRAYS = st.sampled_from(TYPES).flatmap(

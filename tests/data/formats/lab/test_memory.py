@@ -14,7 +14,7 @@ STREAM = """
 import sys
 from pathlib import Path
 import numpy as np
-from data.visual.lab.folder import open_lab, write_lab
+from data.formats.lab.folder import open_lab, write_lab
 from data.inputs import Prior
 from data.pictures import VisualFrame, VisualSetup
 folder, form, count = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])

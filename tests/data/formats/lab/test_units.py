@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from data.errors import UsageError
+from data.formats.lab.folder import open_lab, unit_suspicion
 from data.pictures import VisualSetup
-from data.visual.lab.folder import open_lab, unit_suspicion
-from tests.data.visual.lab.handmade import LOGS, configuration, lab, log_arrays
+from tests.data.formats.lab.handmade import LOGS, configuration, lab, log_arrays
 
 # --- units: each of these fails when the one conversion it names is removed -------------------------------------------
 

@@ -11,10 +11,10 @@ import pytest
 import scipy.io
 
 from data.errors import DataError, UsageError
+from data.formats.lab.folder import open_lab, write_lab
+from data.formats.lab.matlab import write_struct_array
 from data.inputs import Prior
-from data.visual.lab.folder import open_lab, write_lab
-from data.visual.lab.mat_writer import write_struct_array
-from tests.data.visual.lab.handmade import FRAMES, Made
+from tests.data.formats.lab.handmade import FRAMES, Made
 
 
 def check_written(folder: Path, made: Made) -> None:

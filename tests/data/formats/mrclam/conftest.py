@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from data.formats.mrclam.load import load_mrclam
 from data.log import Log
-from data.mrclam.load import load_mrclam
-from tests.data.mrclam import world
-from tests.data.mrclam.loading import PLAIN
-from tests.data.mrclam.world import Texts, save_folder
+from tests.data.formats.mrclam import world
+from tests.data.formats.mrclam.loading import PLAIN
+from tests.data.formats.mrclam.world import Texts, save_folder
 
 
 @pytest.fixture

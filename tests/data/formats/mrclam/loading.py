@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from data.formats.mrclam.calibration import Calibration
 from data.log import Log
-from data.mrclam.calibration import Calibration
-from tests.data.mrclam import world
+from tests.data.formats.mrclam import world
 
 PLAIN = Calibration()
 TRUTH, ODOMETRY, MEASURED = "Robot1_Groundtruth.dat", "Robot1_Odometry.dat", "Robot1_Measurement.dat"

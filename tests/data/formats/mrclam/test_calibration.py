@@ -11,13 +11,13 @@ import pytest
 
 from data import se2
 from data.errors import UsageError
+from data.formats.mrclam.calibration import FROZEN, Calibration
+from data.formats.mrclam.load import corrected_landmarks
 from data.log import Log
 from data.motion.velocity import VelocityModel, VelocityNoise
-from data.mrclam.calibration import FROZEN, Calibration
-from data.mrclam.load import corrected_landmarks
-from tests.data.mrclam import world
-from tests.data.mrclam.loading import MEASURED, TRUTH, noted, starts_at
-from tests.data.mrclam.world import Texts, save_zip
+from tests.data.formats.mrclam import world
+from tests.data.formats.mrclam.loading import MEASURED, TRUTH, noted, starts_at
+from tests.data.formats.mrclam.world import Texts, save_zip
 
 
 def exchange(survey: str, one: int, other: int) -> str:

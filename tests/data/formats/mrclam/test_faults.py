@@ -11,11 +11,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from data.errors import DataError
+from data.formats.mrclam.load import load_mrclam
 from data.log import Log
-from data.mrclam.load import load_mrclam
-from tests.data.mrclam import world
-from tests.data.mrclam.loading import MEASURED, ODOMETRY, TRUTH
-from tests.data.mrclam.world import Texts, replace_row, save_folder
+from tests.data.formats.mrclam import world
+from tests.data.formats.mrclam.loading import MEASURED, ODOMETRY, TRUTH
+from tests.data.formats.mrclam.world import Texts, replace_row, save_folder
 
 
 class TestFaults:

@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from data.formats.mrclam.load import Grid
 from data.log import Log
-from data.mrclam.frames import Grid
-from tests.data.mrclam import world
-from tests.data.mrclam.world import Texts
+from tests.data.formats.mrclam import world
+from tests.data.formats.mrclam.world import Texts
 
 ODOMETRY = "Robot1_Odometry.dat"
 

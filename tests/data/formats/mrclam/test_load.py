@@ -12,11 +12,11 @@ import pytest
 
 from data import se2
 from data.errors import DataError, UsageError
+from data.formats.mrclam.load import is_mrclam, load_mrclam, robots
 from data.log import Log
-from data.mrclam.load import is_mrclam, load_mrclam, robots
-from tests.data.mrclam import world
-from tests.data.mrclam.loading import MEASURED, ODOMETRY, TRUTH, noted, starts_at
-from tests.data.mrclam.world import Texts, replace_row, save_folder, save_zip
+from tests.data.formats.mrclam import world
+from tests.data.formats.mrclam.loading import MEASURED, ODOMETRY, TRUTH, noted, starts_at
+from tests.data.formats.mrclam.world import Texts, replace_row, save_folder, save_zip
 
 
 class TestANoiseFreeRecording:

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from data import se2
+from data.formats.mrclam.calibration import FROZEN, Calibration
+from data.formats.mrclam.load import corrected_landmarks, load_mrclam, robots
 from data.log import Log
-from data.mrclam.calibration import FROZEN, Calibration
-from data.mrclam.load import corrected_landmarks, load_mrclam, robots
-from tests.data.mrclam.loading import PLAIN, noted
+from tests.data.formats.mrclam.loading import PLAIN, noted
 
 pytestmark = pytest.mark.usefixtures("tables_parsed_once")
 BAD_NINE = [(755.0, 836.0), (945.0, 1050.0), (376.0, 380.0)]

@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from data.errors import DataError
+from data.formats.open_log.reader import FILES, load_folder
 from data.inputs import CLUTTER, UNLABELLED, IntArray
 from data.log import Log
-from data.open_log.reader import FILES, load_folder
 from data.sensors import RangeBearing
 from data.truth import UNKNOWN_ID
 

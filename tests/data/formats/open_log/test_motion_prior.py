@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from data.errors import DataError, UsageError
-from data.open_log.motion_prior import ConstantVelocityPrior, ForwardPrior
-from data.open_log.reader import load_folder
-from data.open_log.writer import write_folder
+from data.formats.open_log.reader import load_folder
+from data.formats.open_log.writer import write_folder
+from data.motion.motion_prior import ConstantVelocityPrior, ForwardPrior
 
 TIMES = np.array([0.0, 0.5, 1.25, 2.0])
 FORWARD = """[motion]

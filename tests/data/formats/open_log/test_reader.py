@@ -8,13 +8,12 @@ import math
 import numpy as np
 import pytest
 
+from data.formats.open_log.writer import write_folder
 from data.inputs import UNLABELLED
-from data.motion.floor import floor_covariances
-from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
-from data.open_log.writer import write_folder
+from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances, preintegrate
 from data.sensors import RangeBearing, RelativePoint
 from data.truth import CLUTTER, UNKNOWN_ID
-from tests.data.open_log.same_log import assert_same_log, load
+from tests.data.formats.open_log.same_log import assert_same_log, load
 
 
 def test_frames_folder_is_read_as_written(small_log_files, save, tmp_path):

@@ -12,13 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from data.formats.open_log.writer import write_folder
 from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
 from data.log import Log
-from data.motion.floor import floor_covariances
-from data.open_log.writer import write_folder
+from data.motion.velocity import floor_covariances
 from data.sensors import RangeBearing, RelativePoint
 from data.truth import Truth
-from tests.data.open_log.same_log import assert_same_log, load
+from tests.data.formats.open_log.same_log import assert_same_log, load
 
 numbers = st.floats(-1e6, 1e6)
 scales = st.sampled_from([0.0, 1e-12, 1e-7, 1e-3, 1.0, 1e3])

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 
 from data.errors import DataError
+from data.formats.open_log.reader import load_folder
+from data.formats.open_log.writer import write_folder
 from data.inputs import Scanner, Scans
 from data.log import Log, shortened
 from data.logs import Reading, open_log
-from data.open_log.reader import load_folder
-from data.open_log.writer import write_folder
 from data.truth import Relations
-from tests.data.open_log.same_log import assert_same_log
+from tests.data.formats.open_log.same_log import assert_same_log
 
 TOML = """\
 format = 1

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from data.errors import DataError
+from data.formats.open_log.writer import write_folder
 from data.inputs import LandmarkMap, Observations
 from data.log import Log
-from data.open_log.writer import write_folder
 from data.truth import Truth
-from tests.data.open_log.same_log import load
+from tests.data.formats.open_log.same_log import load
 
 
 @pytest.fixture

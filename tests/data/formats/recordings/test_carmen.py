@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from data.formats.recordings.carmen import beams_of, largest_range, load_carmen, log_name
+from data.formats.recordings.laser import increments_of, made_increasing
 from data.log import Log
-from data.recordings.carmen import beams_of, largest_range, load_carmen, log_name
-from data.recordings.wheel_odometry import increments_of, made_increasing
-from tests.data.recordings.carmen_text import SMALL, flaser, odom, robotlaser
+from tests.data.formats.recordings.carmen_text import SMALL, flaser, odom, robotlaser
 
 HERE = (0.0, 0.0, 0.0)
 RELATIONS = "row2,y,row1,x,theta,why\n2,0.1,0,0.2,0.3,9\n0,0,3,1,-0.5,9\n"

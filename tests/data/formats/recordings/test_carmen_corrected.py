@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from data.errors import DataError
+from data.formats.recordings.carmen import load_carmen
 from data.log import Log
-from data.recordings.carmen import load_carmen
 from data.se2 import Array, compose
-from tests.data.recordings.carmen_text import flaser, odom
+from tests.data.formats.recordings.carmen_text import flaser, odom
 
 
 def corrected(raw: Array, every: int, rng: np.random.Generator) -> tuple[str, Array]:

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from data.errors import DataError, UsageError
+from data.formats.recordings.carmen import load_carmen
 from data.logs import Reading, open_log
-from data.recordings.carmen import load_carmen
-from tests.data.recordings.carmen_text import SMALL, flaser, odom, robotlaser
+from tests.data.formats.recordings.carmen_text import SMALL, flaser, odom, robotlaser
 
 HERE = (0.0, 0.0, 0.0)
 FIRST, SECOND = flaser([1, 2, 3], HERE, 1.0), flaser([1, 2, 3], HERE, 2.0)

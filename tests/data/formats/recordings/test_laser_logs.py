@@ -11,15 +11,15 @@ import pytest
 
 from data.convert.__main__ import main as convert
 from data.errors import UsageError
+from data.formats.open_log.reader import load_folder
+from data.formats.recordings.carmen import load_carmen
 from data.logs import find_logs, open_log
-from data.open_log.reader import load_folder
-from data.recordings.carmen import load_carmen
 from data.summary import summarize
 from eval.plan.experiments import make_plan
 from eval.plan.flags.options import read_options
 from eval.plan.provenance import input_digest
-from tests.data.open_log.same_log import assert_same_log
-from tests.data.recordings.carmen_text import SMALL
+from tests.data.formats.open_log.same_log import assert_same_log
+from tests.data.formats.recordings.carmen_text import SMALL
 
 RELATIONS = "row1,row2,x,y,theta,exact,stamp1,stamp2\n0,2,0.3,0.4,0,1,10.02,10.3\n1,3,0,0,0,0,10.5,11\n"
 

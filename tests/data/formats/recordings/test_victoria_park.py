@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from data.errors import DataError
+from data.formats.recordings.victoria_park import bundled_file, load_victoria_park
 from data.log import Log
-from data.recordings.victoria_park import bundled_file, load_victoria_park
 from data.sensors import RelativePoint
 
 SMALL = """\
@@ -93,10 +93,10 @@ def test_the_stated_field_of_view_holds_every_reading(park: Log) -> None:
 
 def test_gtsam_is_found_without_being_imported() -> None:
     code = (
-        "import sys; from data.recordings.victoria_park import load_victoria_park; load_victoria_park(); "
+        "import sys; from data.formats.recordings.victoria_park import load_victoria_park; load_victoria_park(); "
         "sys.exit('gtsam' in sys.modules)"
     )
-    root = Path(__file__).parents[3]
+    root = Path(__file__).parents[4]
     assert subprocess.run([sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": str(root)}).returncode == 0
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from data.errors import UsageError
-from data.results.path import LOCAL, WORLD, Manner
-from data.results.reading import read_path
-from tests.data.recordings.ros.bags import FORMS, START, Maker
+from data.formats.results.path import LOCAL, WORLD, Manner
+from data.formats.results.reading import read_path
+from tests.data.formats.recordings.ros.bags import FORMS, START, Maker
 
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 

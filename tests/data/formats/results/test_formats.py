@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from data.errors import UsageError
-from data.results.path import CAMERA, Manner
-from data.results.reading import read_path
-from data.results.space import projection
+from data.formats.results.path import CAMERA, Manner
+from data.formats.results.reading import read_path
+from data.formats.results.space import projection
 
 TIME = np.array([1403636579.763555584, 1403636579.813555456, 1403636580.263555584])
 POSE = np.array([[1.0, 2.0, 0.1], [1.5, -2.0, 3.1], [2.0, 0.5, -3.1]])

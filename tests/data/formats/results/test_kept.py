@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from data.errors import DataError
+from data.formats.results.tables import beside
 from data.result import DISCARD, NEW
-from data.results.kept import beside
 
 
 def landmarks(folder, text):

@@ -14,8 +14,8 @@ from smfeval.io.writer import write_steps
 from smfeval.se3.lie import pose_matrix, se3_exp
 from smfeval.steps import EnsembleStep, GaussianStep
 
-from data.results.path import LEFT, LOCAL, WORLD, Manner
-from data.results.reading import read_path
+from data.formats.results.path import LEFT, LOCAL, WORLD, Manner
+from data.formats.results.reading import read_path
 
 CONVENTIONS = {LOCAL: TangentConvention.RIGHT, LEFT: TangentConvention.LEFT}
 

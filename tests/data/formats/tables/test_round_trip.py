@@ -10,10 +10,10 @@ import pytest
 
 from data import se2
 from data.convert.__main__ import main
+from data.formats.open_log.reader import load_folder
 from data.log import Log
-from data.open_log.reader import load_folder
 from data.worlds.arena import Arena, simulate
-from tests.data.tables.foreign import FLAGS, START, export, table
+from tests.data.formats.tables.foreign import FLAGS, START, export, table
 
 SMALL = Arena(frames=40, landmarks=12)
 LENGTH, ANGLE, TIME = 2e-6, 4e-8, 3e-7

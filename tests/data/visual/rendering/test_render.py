@@ -11,8 +11,7 @@ import pytest
 
 from data.errors import UsageError
 from data.visual.rendering.render import Rendered, sideways_motion
-from data.worlds.gallery import Gallery
-from data.worlds.gallery_camera import in_camera, to_pixels
+from data.worlds.gallery import Gallery, in_camera, to_pixels
 from tests.data.visual.rendering.galleries import CLEAN, SMALL, SMALL_CLEAN, averaged, ends, views
 
 

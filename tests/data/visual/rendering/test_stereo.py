@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from data.visual.rendering.render import Rendered
-from data.visual.rendering.stereo import smeared_noise, stereo_points
+from data.visual.rendering.render import Rendered, smeared_noise, stereo_points
 from data.worlds.gallery import Gallery
 from tests.data.visual.rendering.galleries import CLEAN, SMALL_CLEAN, views
 

@@ -11,9 +11,7 @@ from scipy.sparse.csgraph import connected_components
 
 from data.inputs import Scanner
 from data.worlds.floorplan.building import _layout
-from data.worlds.floorplan.drive import drive
-from data.worlds.floorplan.raycast import scan_ranges
-from data.worlds.floorplan.world import plan_of
+from data.worlds.floorplan.world import drive, plan_of, scan_ranges
 
 ROUND = Scanner(-math.pi, math.radians(4.0), 60.0, 0.01)
 

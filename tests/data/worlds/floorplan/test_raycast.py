@@ -9,7 +9,7 @@ import pytest
 
 from data.inputs import Scanner
 from data.se2 import compose, inverse
-from data.worlds.floorplan.raycast import scan_ranges
+from data.worlds.floorplan.world import scan_ranges
 
 ROUND = Scanner(-math.pi, math.radians(2.0), 20.0, 0.01)
 SQUARE = np.array([[-2, -2, 2, -2], [2, -2, 2, 2], [2, 2, -2, 2], [-2, 2, -2, -2]], float)

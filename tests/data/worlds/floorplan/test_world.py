@@ -7,8 +7,7 @@ import pytest
 
 from data.errors import UsageError
 from data.se2 import between, dead_reckoned, pose_error
-from data.worlds.floorplan.raycast import scan_ranges
-from data.worlds.floorplan.world import Floorplan, plan_of, simulate
+from data.worlds.floorplan.world import Floorplan, plan_of, scan_ranges, simulate
 from data.worlds.registry import named_log
 
 SHORT = 400

@@ -8,11 +8,9 @@ import pytest
 
 from data.errors import SlamrefError
 from data.result import Failure
-from eval.figures.films.canvas import bgr, canvas_of
-from eval.figures.films.film import HEADER, animate
-from eval.figures.films.landmarks import AT_THE_END, History, at_the_end
+from eval.figures.film import AT_THE_END, HEADER, History, animate, at_the_end, bgr, canvas_of
+from eval.figures.plane import View
 from eval.figures.style import style_of
-from eval.figures.view import View
 from tests.eval.handmade import FRAMES, circle_log, run_with_error
 
 EVERY_FOURTH = 40.0

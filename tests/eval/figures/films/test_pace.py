@@ -9,7 +9,7 @@ import pytest
 
 from data.inputs import Increments, Inputs, Observations, Prior
 from data.sensors import RangeBearing
-from eval.figures.films.pace import pace_of
+from eval.figures.film import pace_of
 
 
 def inputs_at(time, *, index=False) -> Inputs:

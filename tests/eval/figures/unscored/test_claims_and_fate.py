@@ -10,8 +10,8 @@ from scipy.stats import chi2
 
 from data.result import DISCARD, NEW, Innovations
 from eval.figures import claims_figure, fate_figure
-from eval.figures.unscored.claims import stretches_of
-from eval.figures.unscored.fate import fates
+from eval.figures.claims import stretches_of
+from eval.figures.log import fates
 from eval.referee.score import Trial
 from eval.report.pictures import draw, kinds
 from tests.eval.figures.looks import within

@@ -13,8 +13,8 @@ from data.errors import UsageError
 from data.inputs import Observations, Scanner, Scans
 from data.motion.priors import PRIORS
 from data.worlds.registry import named_log
-from eval.plan.calibrate import calibration
-from eval.plan.calibrate.calibration import ALL, ASKED, NAMED, check_calibrated, settle
+from eval.plan import calibrate
+from eval.plan.calibrate import ALL, ASKED, NAMED, check_calibrated, settle
 from eval.plan.experiment import Experiment, Work
 from eval.plan.flags.options import options_of
 from eval.plan.unfinished import Unfinished
@@ -25,7 +25,7 @@ LOG = named_log("arena:0:frames=20")
 
 def settled(monkeypatch, asked, names=()):
     """An experiment and its calibration as settled, where the log names these."""
-    monkeypatch.setattr(calibration, "plainly", lambda log, task, association, setup: ((), names))
+    monkeypatch.setattr(calibrate, "plainly", lambda log, task, association, setup: ((), names))
     options = options_of({"calibrate": asked, "jobs": 1})
     e = Experiment(LOG, "slam", (Work("known", ("ekf",)),), options.setup)
     (found,), made = settle([e], options, Unfinished(options))

@@ -9,8 +9,7 @@ import pytest
 
 from data.result import Failure
 from data.worlds.registry import named_log
-from eval.plan.calibrate.battery import plainly
-from eval.plan.calibrate.named import every, hypotheses, named, names_of, turned, wanders
+from eval.plan.calibrate import every, hypotheses, named, names_of, plainly, turned, wanders
 from eval.referee.attribution import NOISE, Finding
 from eval.referee.residuals import used_by
 from eval.replay.run import compare
@@ -89,7 +88,7 @@ def test_what_one_log_in_twenty_shows_by_chance_is_not_named(monkeypatch):
     log = named_log("arena:115")  # its turns to the left err by 3.2 standard errors
     names = []
     for share in (0.05, 0.01):
-        monkeypatch.setattr("eval.plan.calibrate.named.WRONGLY", share)
+        monkeypatch.setattr("eval.plan.calibrate.WRONGLY", share)
         names.append(plainly(log, "localization", "known", Setup())[1])
     assert names == [("left", "right"), ()]
 

@@ -13,8 +13,7 @@ from eval.plan.flags.options import read_options
 from eval.plan.flags.table import Options, parser
 from eval.plan.provenance import command_of
 from eval.replay.flag import rows
-from eval.replay.names import ASSOCIATIONS, ESTIMATORS, TASKS
-from eval.replay.settings import Setup
+from eval.replay.settings import ASSOCIATIONS, ESTIMATORS, TASKS, Setup
 
 PROGRAM = ["python", "-m", "eval.run_all"]
 TABLE = rows(Options)

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from data.errors import UsageError
-from eval.plan.flags.paper import LARGEST, SMALLEST, TYPE, columns, inches, points, width
+from eval.plan.flags.table import LARGEST, SMALLEST, TYPE, columns, inches, points, width
 
 
 @pytest.mark.parametrize(

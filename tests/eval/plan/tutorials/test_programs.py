@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from association.expectation import Expectation
-from association.likelihood import ml_ratio
+from association.methods import ml_ratio
 from data.inputs import Increment, LandmarkMap, Prior, Sightings
 from data.result import DISCARD, NEW
 from data.sensors import RangeBearing
 from ekf.filter import FilterOptions
-from eval.plan.tutorials.programs import GainFromBefore, running
+from eval.plan.tutorials import GainFromBefore, running
 
 
 def test_the_gain_is_formed_with_the_covariance_from_before_the_prediction():

@@ -8,7 +8,7 @@ import pytest
 
 from data.errors import UsageError
 from eval.plan.flags.options import read_options
-from eval.plan.tutorials.recording import ABOUT, is_tutorial, original_of, variant_log
+from eval.plan.tutorials import ABOUT, is_tutorial, original_of, variant_log
 from eval.referee.score import Trial
 from tests.eval.handmade import circle_log
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from association.evidence.ambiguity import NONE, ambiguous, neighbours, variance_of
 from data.result import MapEstimate
 from data.worlds.arena import Arena, simulate
+from eval.referee.ambiguity import NONE, ambiguous, neighbours, variance_of
 from eval.replay.run import compare
 
 

@@ -8,17 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from association.evidence.ambiguity import ambiguous
-from association.evidence.doubles import FALSE, doubles, log_evidence
-from association.evidence.registered import Registered, registered
 from data.worlds import registry
-from data.worlds.names import name_of
+from data.worlds.registry import name_of
 from eval.figures.map import map_figure
+from eval.referee.ambiguity import FALSE, Registered, ambiguous, doubles, log_evidence, registered
 from eval.referee.score import Trial
 from eval.replay.run import compare
-from eval.report.doubt.ambiguity import ambiguity_statements
-from eval.studies.variety.draw import Crowding, Drawn, Misstated, Readings
-from eval.studies.variety.world import log_of
+from eval.report.diagnostics import ambiguity_statements
+from tests.research.variety.worlds import Crowding, Drawn, Misstated, Readings, log_of
 
 SIGMA = 0.1
 

@@ -8,13 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from association.evidence.doubles import doubles
 from data.inputs import CLUTTER, LabelledObservations
 from data.worlds import registry
-from data.worlds.names import name_of
+from data.worlds.registry import name_of
+from eval.referee.ambiguity import doubles
 from eval.replay.run import compare
-from eval.studies.variety.draw import Crowding, Drawn, Misstated, Readings
-from eval.studies.variety.world import log_of
+from tests.research.variety.worlds import Crowding, Drawn, Misstated, Readings, log_of
 
 pytestmark = pytest.mark.slow
 ALONE, READ = 20, 6

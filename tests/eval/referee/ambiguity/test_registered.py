@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from association.evidence.registered import registered, taken_for
 from data import se2
 from data.inputs import Increments, Inputs, Observations, Prior
 from data.result import DISCARD, NEW, MapEstimate, Run, Trajectory
 from data.sensors import RangeBearing, RelativePoint
+from eval.referee.ambiguity import registered, taken_for
 
 PLACES = np.array([[4.0, 0.0], [0.0, 5.0], [-4.0, 1.0], [0.0, -5.0], [3.0, 4.0], [3.0, -4.0], [-3.0, 5.0]])
 L = len(PLACES)

@@ -6,11 +6,9 @@ import pandas as pd
 import pytest
 
 import slamref
-from eval.page.results_folder import PAGE, page
-from eval.referee.files.described import Column, File, count, measured, text
-from eval.referee.files.of_runs import OF_LOGS, OF_RUNS
-from eval.referee.files.top import TOP
 from eval.referee.metrics import Metric
+from eval.referee.result_files import OF_LOGS, OF_RUNS, TOP, Column, File, count, measured, text
+from eval.report.page.results_folder import PAGE, page
 
 FILE = File("runs/small.csv", "small", (text("who", "name"), count("n", "how many"), Column("x", "where", "m")))
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from data.formats.results.path import GivenPath
 from data.logs import open_log
 from data.result import DISCARD, NEW
-from data.results.path import GivenPath
-from eval.referee.paths.given import TruePath, begun_by, created_by, given_run, log_of
+from eval.referee.given_runs import TruePath, begun_by, created_by, given_run, log_of
 from eval.replay.run import compare
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from data import se2
-from eval.referee.paths.rpe import TOLERANCE, pairs_by_way, rpe_columns
+from eval.referee.errors import TOLERANCE, pairs_by_way, rpe_columns
 
 
 def line(n=101, step=0.25):

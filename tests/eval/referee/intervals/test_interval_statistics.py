@@ -13,7 +13,7 @@ import pytest
 from scipy import signal
 
 from data.logs import open_log
-from eval.referee.along import along
+from eval.referee.errors import along
 from eval.referee.intervals import run_differences, run_intervals
 from eval.replay.run import compare
 

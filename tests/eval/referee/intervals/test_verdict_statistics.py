@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from eval.referee.bounds import chi2_bounds
 from eval.referee.consistency import (
     CONSERVATIVE,
     CONSISTENT,
     COVERAGE_LEVELS,
     OVERCONFIDENT,
+    chi2_bounds,
     coverage,
     lag1,
     verdict,

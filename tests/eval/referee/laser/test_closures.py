@@ -10,8 +10,16 @@ import pytest
 from association.scans.constraints import Chain, Loops
 from data.se2 import between, inverse, transform_points
 from eval.referee.consistency import CONSERVATIVE, CONSISTENT, OVERCONFIDENT
-from eval.referee.laser.closures import ClosureCounts, count_closures, fits, revisits, right_closures
-from eval.referee.laser.factors import chain_squares, factor_nees, loop_squares
+from eval.referee.laser import (
+    ClosureCounts,
+    chain_squares,
+    count_closures,
+    factor_nees,
+    fits,
+    loop_squares,
+    revisits,
+    right_closures,
+)
 
 TRUTH = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 1.5], [4.0, 4.0, 3.0], [0.0, 4.0, -1.6], [0.5, 0.0, 0.1]])
 

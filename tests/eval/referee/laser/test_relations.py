@@ -9,7 +9,7 @@ import pytest
 
 from data.se2 import between
 from data.truth import Relations
-from eval.referee.laser.relations import at_stamps, errors, nearest_frames, relation_errors
+from eval.referee.laser import at_stamps, errors, nearest_frames, relation_errors
 
 RIGHT = math.pi / 2
 

@@ -7,9 +7,9 @@ import sys
 import pytest
 
 from data.errors import UsageError
-from eval.replay.foreign.load import digests, load
-from eval.replay.foreign.make import lack, tasks_of
-from eval.replay.foreign.spec import settled
+from eval.replay.external.load import digests, load
+from eval.replay.external.make import lack, tasks_of
+from eval.replay.external.spec import settled
 from eval.replay.settings import Setup
 
 

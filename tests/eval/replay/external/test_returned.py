@@ -7,11 +7,10 @@ import pytest
 
 from association.expectation import Expectation
 from data.inputs import Sightings
-from eval.replay.foreign.guard import ForeignError
-from eval.replay.foreign.load import load, text_of
-from eval.replay.foreign.method import Method
-from eval.replay.foreign.returned import expectation_of, map_of, pose_of, updated_of
-from eval.replay.foreign.samples import Samples
+from eval.replay.external.adapter import Samples, expectation_of, map_of, pose_of, updated_of
+from eval.replay.external.guard import ForeignError
+from eval.replay.external.load import load, text_of
+from eval.replay.external.make import Method
 
 DECISIONS = np.array([-1, 4, -2, -1])
 NEW = DECISIONS == -1

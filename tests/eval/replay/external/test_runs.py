@@ -11,7 +11,7 @@ import slamref
 from data.worlds.arena import Arena, simulate
 from eval.replay.run import compare, step_by_step
 from eval.replay.settings import Setup
-from tests.eval.replay.foreign import things
+from tests.eval.replay.external import things
 
 LOG = simulate(Arena(frames=12), 3)
 LABELLED = LOG.inputs(labels=True)

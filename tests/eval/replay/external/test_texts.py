@@ -9,8 +9,8 @@ import pytest
 from data.errors import UsageError
 from eval.plan.flags.options import read_options
 from eval.plan.provenance import command_of
-from eval.replay.foreign import spec
-from eval.replay.foreign.spec import name_of, own_or_foreign, place_of, settled, shown
+from eval.replay.external import spec
+from eval.replay.external.spec import name_of, own_or_foreign, place_of, settled, shown
 
 READ = own_or_foreign("estimator")
 
@@ -39,7 +39,7 @@ def test_a_module_of_the_working_directory_carries_the_folder_it_was_found_in(he
     assert shown(text) == "Filter=pack.inner:Filter"
     monkeypatch.chdir("/")
     assert settled("--estimator", text, "estimator") == text
-    assert settled("--estimator", "s=association.singles:singles", "estimator") == "s=association.singles:singles"
+    assert settled("--estimator", "s=association.methods:singles", "estimator") == "s=association.methods:singles"
 
 
 def test_without_a_name_it_has_that_of_the_attribute_unless_that_reads_like_ours(here):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from association.singles import singles
+from association.methods import singles
 from data.result import Finished, Trajectory
 from data.se2 import compose
 from ekf.localizer import EkfLocalizer

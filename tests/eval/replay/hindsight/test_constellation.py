@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from association.geometry.constellation import Landmarks, recognize, squared_distances
 from data import se2
+from eval.replay.hindsight.constellation import Landmarks, recognize, squared_distances
 
 FREE = 3.0
 DENSITY = 48 / 60.0**2

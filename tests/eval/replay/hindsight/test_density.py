@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from association.evidence import constants
-from association.evidence.noise import NoiseScale
-from association.evidence.scales import Scales, as_stated
 from association.expectation import Expectation
 from data.result import NEW
 from data.sensors import RangeBearing, RelativePoint
-from eval.replay.hindsight.density import dense, density, pair
+from eval.replay.hindsight import constants
+from eval.replay.hindsight.gates import Scales, as_stated, dense, density, pair
 from eval.replay.hindsight.ledger import Ledger
+from eval.replay.hindsight.noise import NoiseScale
 from eval.replay.hindsight.record import Epoch
 from eval.replay.settings import Setup
 

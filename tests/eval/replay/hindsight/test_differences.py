@@ -8,21 +8,12 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from association.evidence import constants
-from association.evidence.differences import (
-    AS_STATED,
-    Differences,
-    Shares,
-    Step,
-    axes,
-    fitted,
-    paired,
-    with_shares,
-)
 from data import se2
 from data.inputs import Increment, Sightings
 from data.sensors import RangeBearing, RelativePoint, Sensor
 from data.worlds.registry import named_log
+from eval.replay.hindsight import constants
+from eval.replay.hindsight.noise import AS_STATED, Differences, Shares, Step, axes, fitted, paired, with_shares
 
 RANGE, BEARING = 0.05, 0.02
 MOTION = np.diag([0.03, 0.02, 0.02]) ** 2

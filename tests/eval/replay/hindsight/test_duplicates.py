@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from association.geometry.constellation import Landmarks, squared_distances
+from eval.replay.hindsight.constellation import Landmarks, squared_distances
 from eval.replay.hindsight.duplicates import comparable
 
 

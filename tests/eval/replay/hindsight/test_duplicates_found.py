@@ -8,9 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from association.evidence import constants
 from data.sensors import RelativePoint
-from eval.replay.hindsight import duplicates
+from eval.replay.hindsight import constants, duplicates
 from eval.replay.hindsight.duplicates import Duplicates, single
 from eval.replay.hindsight.ledger import Ledger
 from eval.replay.hindsight.record import Epoch, Record

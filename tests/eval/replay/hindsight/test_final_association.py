@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from association.anew import Anew, beginnings, noise_share, pair_anew
-from association.evidence import constants
 from association.expectation import gate_threshold
 from data.inputs import LandmarkMap, Observations
 from data.se2 import wrap_angle
 from data.sensors import RangeBearing, RelativePoint
+from eval.replay.hindsight import constants
+from eval.replay.hindsight.final_association import Anew, beginnings, noise_share, pair_anew
 
 SENSORS = (RangeBearing(max_range=8.0), RelativePoint(max_range=8.0))
 each_sensor = pytest.mark.parametrize("sensor", SENSORS, ids=["range-bearing", "point"])

@@ -7,14 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from association.evidence.noise import NoiseScale
-from association.evidence.scales import Scales, as_stated, counted
 from association.expectation import Expectation
 from data import se2
 from data.result import DISCARD, NEW
 from data.sensors import RelativePoint
-from eval.replay.hindsight.gates import LearnedGates
+from eval.replay.hindsight.gates import LearnedGates, Scales, as_stated, counted
 from eval.replay.hindsight.ledger import Ledger
+from eval.replay.hindsight.noise import NoiseScale
 from eval.replay.hindsight.record import Record
 
 SENSOR = RelativePoint(max_range=20.0)

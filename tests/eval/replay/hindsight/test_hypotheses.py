@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_t
 
-from association.evidence.constants import FREEDOM
 from data import se2
 from data.inputs import Increment, LandmarkMap, Prior, Sightings
 from data.result import DISCARD
 from data.sensors import RangeBearing, RelativePoint
-from ekf.hypotheses import DEPENDENCE, DROP, FIRST, STRAY, Hypotheses, Hypothesis
 from ekf.localizer import EkfLocalizer
+from eval.replay.hindsight.constants import FREEDOM
+from eval.replay.hindsight.hypotheses import DEPENDENCE, DROP, FIRST, STRAY, Hypotheses, Hypothesis
 
 SENSOR = RelativePoint(max_range=20.0)
 R = np.diag([0.1, 0.1]) ** 2

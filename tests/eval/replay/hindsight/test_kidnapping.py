@@ -8,17 +8,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from association.evidence import constants
 from association.expectation import Expectation
-from association.geometry.local_map import EMPTY
-from association.geometry.relocalize import Place
 from data.inputs import Frame, Increment, Sightings
 from data.result import DISCARD, NEW
 from data.sensors import RelativePoint
-from eval.replay.hindsight import kidnapping
+from eval.replay.hindsight import constants, kidnapping
 from eval.replay.hindsight.kidnapping import Kidnapping, anywhere
 from eval.replay.hindsight.ledger import Ledger
 from eval.replay.hindsight.record import Epoch, Record
+from eval.replay.hindsight.relocalize import EMPTY, Place
 from eval.replay.settings import Setup
 
 SENSOR = RelativePoint(max_range=20.0)

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from association.evidence import constants
-from association.evidence.landmarks import (
+from association.expectation import Expectation
+from data.sensors import RangeBearing
+from eval.replay.hindsight import constants
+from eval.replay.hindsight.record import (
     INITIALIZED,
     Judgement,
     Visibility,
@@ -20,8 +22,6 @@ from association.evidence.landmarks import (
     sighted,
     verdict,
 )
-from association.expectation import Expectation
-from data.sensors import RangeBearing
 
 ALWAYS = Visibility(seen_seen=10**6)
 """A sensor that sees whatever is in view."""

@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from association.evidence import constants
-from association.evidence.landmarks import Visibility
 from association.expectation import Expectation
 from data.inputs import Frame, Increment, Sightings
 from data.result import DISCARD, NEW, Updated
 from data.sensors import RelativePoint
+from eval.replay.hindsight import constants
 from eval.replay.hindsight.ledger import Ledger
+from eval.replay.hindsight.record import Visibility
 
 PLACES = np.array([[5.0, 0.0], [5.0, 4.0], [5.0, -4.0], [3.0, 1.0], [3.0, -1.0]])
 REACH = math.hypot(5.0, 4.0)

@@ -8,15 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from association.evidence.lost import Suspicion
 from data.worlds.registry import named_log
-from eval.benchmarks.variety.goals import table
-from eval.benchmarks.variety.measure import measure
 from eval.replay.hindsight.ledger import Ledger
-from eval.replay.hindsight.lost import CONCLUSION, WORDS, Lost
+from eval.replay.hindsight.lost import CONCLUSION, WORDS, Lost, Suspicion
 from eval.replay.run import compare, step_by_step
-from eval.studies.variety.draw import draw
-from eval.studies.variety.world import log_of
+from tests.research.variety.goals import table
+from tests.research.variety.measure import measure
+from tests.research.variety.worlds import draw, log_of
 
 
 def said(log):

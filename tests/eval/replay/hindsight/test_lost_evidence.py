@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from association.evidence.lost import Suspicion, looked
+from eval.replay.hindsight.lost import Suspicion, looked
 
 
 def after(looks, s=None):

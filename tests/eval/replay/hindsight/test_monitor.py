@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2, poisson
 
-from association.evidence.monitor import Health, Monitor, healthy, recovered, watch
+from eval.replay.hindsight.lost import Health, Monitor, healthy, recovered, watch
 
 M = Monitor()
 

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from association.evidence import constants
 from data.inputs import Increment
+from eval.replay.hindsight import constants
 from eval.replay.hindsight import uncertain_motion as module
 from eval.replay.hindsight.uncertain_motion import UncertainMotion
 from eval.replay.settings import Setup

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_t
 
-from association.evidence.constants import FINEST, FREEDOM
-from association.evidence.noise import NoiseScale, learned, log_density, stated
+from eval.replay.hindsight.constants import FINEST, FREEDOM
+from eval.replay.hindsight.noise import NoiseScale, learned, log_density, stated
 
 
 def test_the_density_is_students():

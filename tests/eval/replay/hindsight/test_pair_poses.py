@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from association.expectation import Expectation
-from association.geometry.pair_poses import candidates
 from data import se2
 from data.sensors import RelativePoint
+from eval.replay.hindsight.placement import candidates
 
 SIGMA = 0.02
 SENSOR = RelativePoint(max_range=20.0)

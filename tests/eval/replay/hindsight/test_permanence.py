@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import betaln
 
-from association.evidence import constants
-from association.evidence.permanence import Permanence, lasting, permanence, staying
+from eval.replay.hindsight import constants
+from eval.replay.hindsight.record import Permanence, lasting, permanence, staying
 
 SHARES = st.floats(0.02, 0.98)
 DRAWN = st.builds(Permanence, SHARES, SHARES, SHARES, SHARES, SHARES)

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from association.expectation import Expectation
-from association.geometry.placement import Memory, drifted, place, too_uncertain
 from data import se2
 from data.inputs import Increment, LandmarkMap, Prior, Sightings
 from data.result import NEW
 from data.sensors import RangeBearing, RelativePoint
 from ekf.localizer import EkfLocalizer
+from eval.replay.hindsight.placement import Memory, drifted, place, too_uncertain
 
 FORWARD = np.diag([0.4, 0.1, math.radians(60)]) ** 2
 START = np.array([1.0, -2.0, 0.7])

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from association.geometry.local_map import EMPTY, Scan, extended, moved
-from association.geometry.relocalize import _search, relocalize
 from data import se2
 from data.inputs import Increment, LandmarkMap, Sightings
 from data.sensors import RangeBearing, RelativePoint
+from eval.replay.hindsight.relocalize import EMPTY, Scan, _search, extended, moved, relocalize
 
 SIGMA = 0.05
 

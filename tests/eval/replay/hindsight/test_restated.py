@@ -8,16 +8,14 @@ import numpy as np
 import pytest
 
 from association.decide import HINDSIGHT
-from association.evidence.differences import AS_STATED, Differences, Shares
 from data.inputs import Frame, Increment, Sightings
 from data.sensors import RangeBearing
 from data.worlds.registry import named_log
 from eval.replay.hindsight.mapper import HindsightMapper
-from eval.replay.hindsight.restated import Restated
+from eval.replay.hindsight.noise import AS_STATED, Differences, Restated, Shares
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
-from eval.studies.variety.draw import draw
-from eval.studies.variety.world import log_of
+from tests.research.variety.worlds import draw, log_of
 
 SENSOR = RangeBearing(max_range=5.0, min_angle=-1.0, max_angle=1.0)
 

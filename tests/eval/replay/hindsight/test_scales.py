@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from association.evidence.constants import FREEDOM, LEFT_OUT, TAILS
-from association.evidence.noise import NoiseScale
-from association.evidence.scales import Scales, as_stated, counted, relearned, scaled, widest
 from association.expectation import Expectation
+from eval.replay.hindsight.constants import FREEDOM, LEFT_OUT, TAILS
+from eval.replay.hindsight.gates import Scales, as_stated, counted, relearned, scaled, widest
+from eval.replay.hindsight.noise import NoiseScale
 
 
 def frame(rng, sensor, motion, R, P):

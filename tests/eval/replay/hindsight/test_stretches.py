@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from association.known import known_decisions
+from association.decide import known_decisions
 from data import se2
 from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior, Sightings
 from data.result import DISCARD
 from data.sensors import RelativePoint
-from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
-from eval.replay.hindsight.stretches import Stretches
+from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd, Stretches
 from eval.replay.run import driven
 from eval.replay.settings import Setup
 from graph.incremental import Isam2Smoother

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from association.evidence.tentative import Sighting, Tentative
+from eval.replay.hindsight.gates import Sighting, Tentative
 
 REACH = 10.0
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from association.known import known_decisions
+from association.decide import known_decisions
 from data.inputs import Increment, Prior, Sightings, Systematic
 from data.result import NEW
 from data.sensors import RangeBearing
 from data.worlds.park import Park, simulate
 from ekf.slam import EkfSlam
-from ekf.two_models import DECIDED, TwoModels
+from eval.replay.hindsight.two_models import DECIDED, TwoModels
 
 LOG = simulate(Park(frames=400, sigma_omega=0.001), 1).inputs(labels=True).without_map()
 R = np.diag([0.1**2, 0.02**2])

@@ -7,8 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from association.evidence import constants
-from association.evidence.differences import Shares
 from association.expectation import gate_threshold
 from association.truncated import truncated_square
 from data.inputs import Frame, Increment, Increments, Inputs, Observations, Prior, Sightings, Systematic
@@ -18,16 +16,14 @@ from data.sensors import RangeBearing
 from eval.referee.confusion import confuse
 from eval.referee.errors import named
 from eval.referee.score import Trial, score
-from eval.replay.given import Beginning
-from eval.replay.hindsight import whole_log
+from eval.replay.hindsight import constants, whole_log
 from eval.replay.hindsight.ledger import PAIRED_ANEW, UNREAD
+from eval.replay.hindsight.noise import Restated, Shares
 from eval.replay.hindsight.record import Record
-from eval.replay.hindsight.restated import Restated
 from eval.replay.run import compare, step_by_step
-from eval.replay.settings import Setup
-from eval.studies.variety.draw import draw
-from eval.studies.variety.world import log_of
+from eval.replay.settings import Beginning, Setup
 from graph.factors import UnderConstrained
+from tests.research.variety.worlds import draw, log_of
 
 METHOD = "jcbb-hindsight"
 

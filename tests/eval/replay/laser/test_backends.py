@@ -14,7 +14,7 @@ from data.se2 import between, compose, inverse, pose_error
 from data.sensors import RelativePoint
 from eval.replay.laser import backends
 from eval.replay.laser.backends import NAMES, backend, chi2_within, over_frames
-from eval.replay.names import ESTIMATORS
+from eval.replay.settings import ESTIMATORS
 from graph.optimum import NotConvergedError
 from graph.poses.batch import smooth_poses
 from tests.graph.poses.worlds import corridors

@@ -7,18 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from association.scans.laser_run import LaserRun
+from association.scans.constraints import LaserRun
 from data.inputs import Scans
 from data.se2 import between, compose, dead_reckoned, pose_error
 from data.worlds.registry import named_log
-from eval.referee.laser.rows import closure_counts, kept, paths_of, relation_rows
+from eval.referee.laser import closure_counts, kept, paths_of, relation_rows
 from eval.referee.score import Trial, score
 from eval.replay.laser import comparison
 from eval.replay.laser.backends import backend
-from eval.replay.laser.comparison import FEWEST
-from eval.replay.laser.front_end import FrontEndResult, run_front_end
+from eval.replay.laser.comparison import FEWEST, FrontEndResult, between_scans, run_front_end
 from eval.replay.laser.parameters import LaserParameters
-from eval.replay.laser.unscanned import between_scans
 from eval.replay.run import compare
 
 

@@ -8,7 +8,7 @@ from data.worlds.corridor import Corridor, simulate
 from eval.figures.map import map_figure
 from eval.referee.score import Trial
 from eval.replay.run import compare
-from eval.report.doubt.ambiguity import ambiguity_statements
+from eval.report.diagnostics import ambiguity_statements
 from eval.report.run_files import write_run
 
 LOG = simulate(Corridor(people=True), 0)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from data.result import Failure
-from eval.report.doubt.minima import two_minima
+from eval.report.diagnostics import two_minima
 from tests.eval.handmade import run_with_error
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from eval.referee.score import Trial
-from eval.report.doubt.naming import naming_statements
+from eval.report.diagnostics import naming_statements
 from tests.eval.handmade import circle_log, run_with_error
 
 RUN = {"estimator": "ekf", "association": "known", "phase": "online"}

@@ -9,7 +9,7 @@ import numpy as np
 from data.inputs import Observations
 from data.result import Failure, Innovations
 from eval.referee.score import Trial
-from eval.report.doubt.origin import origin_statement
+from eval.report.diagnostics import origin_statement
 from tests.eval.handmade import FRAMES, circle_log, run_with_error
 
 LOG = circle_log()

@@ -14,7 +14,7 @@ from data.worlds.arena import Arena, simulate
 from eval.inspect import main as inspect
 from eval.referee.score import Trial
 from eval.replay.run import compare
-from eval.report.doubt.questions import questions_of_run, questions_section, said_after, unused_statement
+from eval.report.diagnostics import questions_of_run, questions_section, said_after, unused_statement
 from eval.run_all import main
 
 
@@ -73,7 +73,7 @@ def test_a_run_that_used_nothing_says_so_in_the_headline():
 
 
 def test_questions_stand_in_inspect_on_the_terminal_in_the_log_and_in_the_report(tmp_path, capsys):
-    from data.open_log.writer import write_folder
+    from data.formats.open_log.writer import write_folder
 
     write_folder(lost(), tmp_path / "lost")
     assert inspect([str(tmp_path / "lost")]) == 0

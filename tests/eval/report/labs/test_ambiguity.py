@@ -10,12 +10,12 @@ from scipy.stats import chi2, multivariate_normal
 
 from data.inputs import Increment
 from data.worlds.corridor import Corridor, simulate
-from eval.page.document import Table
 from eval.plan.lab import switched_on
 from eval.referee.score import Trial, score
-from eval.report.corridor.ambiguity import STEPS, fit, prior_likelihood, straight_pairs
-from eval.report.corridor.facts import find_lab, has_prior
-from eval.report.corridor.questions import lab_sections
+from eval.report.labs.corridor_ambiguity import STEPS, fit, prior_likelihood, straight_pairs
+from eval.report.labs.corridor_facts import find_lab, has_prior
+from eval.report.labs.corridor_questions import lab_sections
+from eval.report.page.document import Table
 from tests.eval.handmade_lab import lab_log, lab_run
 
 BARE = simulate(Corridor(odometry=False), 0)

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from data.result import Failure
-from eval.page.document import Picture, Table
 from eval.plan.flags.options import read_options
 from eval.plan.unfinished import Unfinished
 from eval.referee.score import Trial, score
-from eval.report.corridor.facts import find_lab, run_of
-from eval.report.corridor.questions import lab_sections
-from eval.report.lab.answers import QUESTIONS
-from eval.report.lab.pictures import KINDS, NEEDED, UPDATE_TIME
-from eval.report.lab.sections import hand_in
+from eval.report.labs.corridor_answers import QUESTIONS
+from eval.report.labs.corridor_facts import find_lab, run_of
+from eval.report.labs.corridor_questions import lab_sections
+from eval.report.labs.pictures import KINDS, NEEDED, UPDATE_TIME
+from eval.report.labs.visual import hand_in
+from eval.report.page.document import Picture, Table
 from tests.eval.handmade_lab import FOOLED, NEW, lab_log, lab_run
 
 CONDITIONS = [(False, True), (True, True), (False, False), (True, False)]

@@ -8,8 +8,7 @@ from matplotlib.colors import to_hex
 
 from eval.figures.style import colour_of_method
 from eval.referee.score import Trial
-from eval.report.lab.figures import Shown, maintenance_figure, paths_figure, people_figure, update_time_figure
-from eval.report.lab.timing import Times
+from eval.report.labs.pictures import Shown, Times, maintenance_figure, paths_figure, people_figure, update_time_figure
 from tests.eval.handmade_lab import FRAMES, NEW, POINTS, lab_log, lab_run
 
 

@@ -11,8 +11,8 @@ import pytest
 from data.worlds.corridor import Corridor, simulate
 from eval.plan.lab import switched_on
 from eval.referee.score import Trial, score
-from eval.report.corridor.facts import find_lab, furthest_from_start, look, run_of, true_against_stated
-from eval.report.corridor.questions import lab_sections
+from eval.report.labs.corridor_facts import find_lab, furthest_from_start, look, run_of, true_against_stated
+from eval.report.labs.corridor_questions import lab_sections
 from tests.eval.handmade import circle_log, run_with_error
 from tests.eval.handmade_lab import DISCARD, FOOLED, NEW, lab_log, lab_run
 

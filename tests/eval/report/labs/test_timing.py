@@ -11,8 +11,8 @@ import pytest
 from data.inputs import Observations
 from data.log import Log
 from eval.replay.settings import Setup
-from eval.report.lab import timing
-from eval.report.lab.timing import update_times
+from eval.report.labs import pictures
+from eval.report.labs.pictures import update_times
 from tests.eval.handmade_lab import FRAMES, lab_log
 
 BLIND = 2
@@ -45,7 +45,7 @@ def test_of_each_setup_the_fastest_run_counts_and_setups_take_turns(monkeypatch)
     each = 4 * (FRAMES - 1) + 2
     looks = np.repeat(paces, each)
     stamps = iter(np.cumsum(looks).tolist())
-    monkeypatch.setattr(timing, "time", SimpleNamespace(perf_counter=lambda: next(stamps)))
+    monkeypatch.setattr(pictures, "time", SimpleNamespace(perf_counter=lambda: next(stamps)))
     found = update_times(log(), "ekf", "nn", [Setup(), Setup(maintain=True)], repeats=2)
     for times, pace in zip(found, (2.0, 1.0), strict=True):
         assert times.update.tolist() == [0.0 if k == BLIND else pace for k in range(FRAMES)]

@@ -11,10 +11,10 @@ import pytest
 from matplotlib.colors import to_hex
 
 from data.result import Failure, Trajectory
-from eval.page.document import Formula, Picture, Table
 from eval.plan.flags.options import Options
 from eval.referee.score import Trial
-from eval.report.lab import visual
+from eval.report.labs import visual
+from eval.report.page.document import Formula, Picture, Table
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error
 from tests.eval.report.visual.handmade import evidence
 

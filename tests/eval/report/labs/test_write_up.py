@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from eval.page.document import Folded, Formula, Picture, Section, Table
 from eval.referee.score import Trial, score
-from eval.report.lab.write_up import tex, write_up
+from eval.report.labs.write_up import tex, write_up
+from eval.report.page.document import Folded, Formula, Picture, Section, Table
 from tests.eval.handmade import circle_log, run_with_error
 
 SIDE = np.array([0.0, 1.0, 0.0])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from association.scans.occupancy import Grid
-from eval.report.laser.map_files import write_map
+from eval.report.laser import write_map
 
 
 def loaded(folder):

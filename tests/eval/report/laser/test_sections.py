@@ -7,14 +7,13 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from association.scans.constraints import Chain, Loops
-from association.scans.laser_run import SCAN, LaserRun
+from association.scans.constraints import SCAN, Chain, LaserRun, Loops
 from data.result import Failure
 from data.truth import Relations
-from eval.page.document import Folded, Picture, Table
 from eval.plan.flags.options import Options
 from eval.referee.score import Trial
-from eval.report.laser.sections import GATED, PUBLISHED, against_relations, laser_sections
+from eval.report.laser import GATED, PUBLISHED, against_relations, laser_sections
+from eval.report.page.document import Folded, Picture, Table
 from tests.eval.handmade import FRAMES, circle_log, run_with_error, true_path
 
 KEYS = 8

@@ -6,8 +6,8 @@ import re
 
 import pytest
 
+from data.formats.open_log.writer import write_folder
 from data.log import Log
-from data.open_log.writer import write_folder
 from data.truth import Truth
 from data.worlds.arena import Arena, simulate
 from eval.run_all import main

@@ -13,12 +13,8 @@ from data.truth import Truth
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, NOTHING, Finding
 from eval.referee.score import Trial
 from eval.referee.trust import Measured
-from eval.report.overview.cause import cause_word
-from eval.report.overview.facts import Facts
-from eval.report.overview.gauge import gauge_statement
-from eval.report.overview.said import compared, concluded
-from eval.report.overview.sketch import drawn
-from eval.report.overview.verdict import claims, whom_to_trust
+from eval.report.overview import compared, concluded, drawn, gauge_statement
+from eval.report.overview_facts import Facts, cause_word, claims, whom_to_trust
 from eval.studies.sampled import Sample
 from eval.studies.trusted import Blame, Trust
 from tests.eval.handmade import circle_log

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from eval.page.numbers import number
+from eval.report.page.tables import number
 
 
 @pytest.mark.parametrize(

@@ -12,12 +12,10 @@ import pandas as pd
 import pytest
 
 from data.errors import UsageError
-from eval.figures.paper.tex import tex_escape
-from eval.page.paper import names
-from eval.page.paper.columns import check_columns
-from eval.page.paper.latex import sheet
-from eval.page.paper.widths import EM, WIDTHS, text_width
-from eval.page.written import Paper, short_caption, write_table
+from eval.figures.paper import tex_escape
+from eval.report.page import latex
+from eval.report.page.files import Paper, short_caption, write_table
+from eval.report.page.latex import EM, WIDTHS, check_columns, sheet, text_width
 
 AFM = Path(matplotlib.get_data_path()) / "fonts" / "afm"
 RUNS = [("dead-reckoning", "none", "online"), ("ekf", "jcbb", "online"), ("isam2", "jcbb-hindsight", "online"),
@@ -80,7 +78,7 @@ def test_rows_have_names_to_read():
         "batch, Huber, known",
     ):
         assert name in body
-    assert [names.log(n) for n in ("victoria-park", "arena:0", "corridor:3:people+range=8", "my_log", "x:y")] == [
+    assert [latex.log(n) for n in ("victoria-park", "arena:0", "corridor:3:people+range=8", "my_log", "x:y")] == [
         "Victoria Park", "arena 0", "corridor 3 (people, range 8)", "my_log", "x:y",
     ]  # fmt: skip
 

@@ -13,11 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
-from eval.figures.paper.tex import tex_escape
-from eval.page.tables import column_text, drop_blank_columns, markdown
-from eval.page.written import write_table
+from eval.figures.paper import tex_escape
 from eval.referee import score
 from eval.report import comparison
+from eval.report.page.files import write_table
+from eval.report.page.tables import column_text, drop_blank_columns, markdown
 
 FRAME = pd.DataFrame(
     {

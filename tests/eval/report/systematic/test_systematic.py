@@ -11,14 +11,12 @@ import pytest
 from data.inputs import Systematic
 from data.result import Systematics
 from data.worlds.registry import named_log
-from eval.figures.unscored.systematic import systematic_figure
-from eval.plan.calibrate.battery import with_systematic
-from eval.plan.calibrate.calibration import ALL, NAMED, Calibration
+from eval.figures.claims import systematic_figure
+from eval.plan.calibrate import ALL, NAMED, Calibration, with_systematic
 from eval.referee.score import Trial
 from eval.replay.run import compare
 from eval.report.run_files import write_run
-from eval.report.systematic.sections import words
-from eval.report.systematic.table import best, errors_table, told, with_sigma
+from eval.report.systematic import best, errors_table, told, with_sigma, words
 
 ERRORS = Systematic(("scale", "curvature"), np.array([0.1, 0.05]))
 

@@ -6,7 +6,7 @@ import pytest
 
 import slamref
 from eval import run_all
-from eval.report.terminal.headline import LINES, WIDTH, headlines
+from eval.report.headline import LINES, WIDTH, headlines
 
 
 def trials(*names: str, task: str = "slam", estimators=("dead-reckoning", "ekf", "isam2", "batch")):

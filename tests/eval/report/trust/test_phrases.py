@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from eval.referee.effects import effects
 from eval.referee.residuals import Used
-from eval.report.trust.phrases import Terms, factor_words, noise_words, phrase, terms_of, with_error
+from eval.report.trust_facts import Terms, factor_words, noise_words, phrase, terms_of, with_error
 from tests.eval.handmade import LANDMARKS, circle_log, true_path
 
 POLAR, POINTS = Terms(), Terms(polar=False)

@@ -8,8 +8,8 @@ from dataclasses import replace
 import pytest
 
 from eval.referee.trust import Measured
-from eval.report.trust import said as words
-from eval.report.trust.phrases import Terms
+from eval.report import trust_facts as words
+from eval.report.trust_facts import Terms
 from tests.eval.report.trust.said_by_hand import DETECTABLE, blamed, said
 
 POLAR, POINTS = Terms(), Terms(polar=False)

@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 
 from data.result import Trajectory
-from eval.page.document import Folded, Table
 from eval.plan.flags.options import Options
 from eval.referee.attribution import NOISE
 from eval.referee.score import Trial
 from eval.referee.trust import Measured
+from eval.report.page.document import Folded, Table
 from eval.report.pictures import FILTER_SMOOTHER, draw, kinds
-from eval.report.trust.phrases import Terms
-from eval.report.trust.sections import first_said, of_trial, trust_section
-from eval.report.trust.tables import MOST, statistic_words, trust_frame
+from eval.report.trust import MOST, first_said, of_trial, statistic_words, trust_frame, trust_section
+from eval.report.trust_facts import Terms
 from tests.eval.handmade import SIGMA, circle_log, run_with_error
 from tests.eval.report.trust.said_by_hand import MEASURED, TURN, blamed, said
 

@@ -9,9 +9,8 @@ from dataclasses import replace
 import pytest
 
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, Finding
-from eval.report.trust.findings import advice, groups_of, sentences
-from eval.report.trust.phrases import Terms
-from eval.report.trust.words import first_words, paragraphs
+from eval.report.trust import advice, first_words, groups_of, paragraphs, sentences
+from eval.report.trust_facts import Terms
 from tests.eval.report.trust.said_by_hand import TURN, blamed, said
 
 POLAR, POINTS = Terms(), Terms(polar=False)

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eval.figures.knowledge import Known, knowledge_figure
+from eval.figures.studies import Known, knowledge_figure
 from eval.figures.style import style_of
-from eval.page.document import Picture, Table
 from eval.plan.flags.options import read_options
-from eval.plan.tutorials.recording import ABOUT
+from eval.plan.tutorials import ABOUT
 from eval.referee.score import Trial, score
-from eval.report.tutorials.section import beside_note, tutorial_sections
+from eval.report.page.document import Picture, Table
+from eval.report.tutorials import beside_note, tutorial_sections
 from tests.eval.handmade import circle_log, run_with_error
 
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import pytest
 
 from data.worlds.arena import Arena, simulate
-from eval.plan.tutorials.recording import ABOUT
+from eval.plan.tutorials import ABOUT
 from eval.referee.score import Trial, score
 from eval.replay.run import compare
-from eval.report.tutorials.table import given, logs_with_tutorials, rows_of, table_of
+from eval.report.tutorials import given, logs_with_tutorials, rows_of, table_of
 
 STEPS = (("localization", "known"), ("localization", "ml"), ("slam", "known"), ("slam", "ml-ratio"))
 

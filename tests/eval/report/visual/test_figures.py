@@ -9,7 +9,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from data.pictures import Detection
-from eval.report.visual.figures import MOST_TILES, OUTLINE, Tile, contact_sheet, plan_figure
+from eval.figures.visual import MOST_TILES, OUTLINE, Tile, contact_sheet, plan_figure
 from tests.eval.handmade import circle_log, run_with_error
 from tests.eval.report.visual.handmade import CORNERS, GREY, SQUARE
 

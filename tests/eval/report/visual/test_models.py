@@ -15,9 +15,9 @@ from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
 from data.motion.velocity import ARC, VelocityModel, VelocityNoise, preintegrate, step
 from data.sensors import RelativePoint
 from ekf import kernels
-from eval.page.equations import Equation, Matrix, Where, formula_figure, latex
 from eval.replay.estimators import make_estimator
-from eval.report.visual import models
+from eval.report import visual
+from eval.report.page.equations import Equation, Matrix, Where, formula_figure, latex
 
 TOKEN = re.compile(r"(?:\\[a-zA-Z]+|[a-zA-Z]'?)(?:[_^](?:\{\w\}|\w|\\[a-z]+))*|\d+|[-+(){}]|\\,|\s+")
 
@@ -107,8 +107,8 @@ def moved(pose: np.ndarray, control: np.ndarray, dt: float) -> np.ndarray:
 
 def motion_values(pose, control, dt) -> dict[str, float]:
     value = {"x": pose[0], "y": pose[1], r"\theta": pose[2], "v": control[0], r"\omega": control[1], r"\Delta t": dt}
-    arc = dict(models.ARC_TERMS.terms)
-    arc_first = {**dict(models.COMMAND_TERMS.terms[:2]), **arc, **dict(models.COMMAND_TERMS.terms[2:])}
+    arc = dict(visual.ARC_TERMS.terms)
+    arc_first = {**dict(visual.COMMAND_TERMS.terms[:2]), **arc, **dict(visual.COMMAND_TERMS.terms[2:])}
     for symbol, meaning in arc_first.items():
         value[symbol] = evaluate(meaning, value)
     return value
@@ -118,19 +118,19 @@ def motion_values(pose, control, dt) -> dict[str, float]:
 def test_the_typeset_motion_model_and_its_jacobians_are_the_codes(pose, control, dt):
     pose, control = np.array(pose), np.array(control)
     value = motion_values(pose, control, dt)
-    assert array(models.NEXT_POSE, value)[:, 0] == pytest.approx(moved(pose, control, dt), abs=1e-12)
+    assert array(visual.NEXT_POSE, value)[:, 0] == pytest.approx(moved(pose, control, dt), abs=1e-12)
     F = central(lambda p: moved(p, control, dt), pose)
     G = central(lambda u: moved(pose, u, dt), control)
-    assert array(models.POSE_JACOBIAN, value) == pytest.approx(F, abs=1e-8)
-    assert array(models.CONTROL_JACOBIAN, value) == pytest.approx(G, abs=1e-8)
+    assert array(visual.POSE_JACOBIAN, value) == pytest.approx(F, abs=1e-8)
+    assert array(visual.CONTROL_JACOBIAN, value) == pytest.approx(G, abs=1e-8)
 
 
 @pytest.mark.parametrize(("pose", "control", "dt"), MOTIONS)
 def test_the_filter_propagates_the_covariance_that_the_typeset_jacobians_give(pose, control, dt):
     sigma = (0.01, np.radians(4.0))
     value = motion_values(np.array(pose), control, dt)
-    F, G = array(models.POSE_JACOBIAN, value), array(models.CONTROL_JACOBIAN, value)
-    Q = array(models.CONTROL_NOISE, {r"\sigma_v^2": sigma[0] ** 2, r"\sigma_\omega^2": sigma[1] ** 2})
+    F, G = array(visual.POSE_JACOBIAN, value), array(visual.CONTROL_JACOBIAN, value)
+    Q = array(visual.CONTROL_NOISE, {r"\sigma_v^2": sigma[0] ** 2, r"\sigma_\omega^2": sigma[1] ** 2})
     P = np.array([[0.04, 0.01, 0.002], [0.01, 0.09, -0.003], [0.002, -0.003, 0.01]])
     model = VelocityModel(VelocityNoise("velocity", sigma))
     time = np.array([0.0, dt])
@@ -156,14 +156,14 @@ def test_the_typeset_observation_model_and_its_jacobians_are_the_codes(pose, cor
         "x": pose[0], "y": pose[1], r"\theta": pose[2], "l_{x}": corner[0], "l_{y}": corner[1], r"\varphi": turn,
         "T_x": shift[0], "T_z": shift[1],
     }  # fmt: skip
-    symbol, meaning = models.ANGLE
+    symbol, meaning = visual.ANGLE
     value[symbol] = evaluate(meaning, value)
     seen = sensor.predict(pose, corner[None])[0]
-    assert array(models.EXPECTED, value)[:, 0] == pytest.approx(seen, abs=1e-12)
-    chain = array(models.ROTATION, value) @ se2.rotation(pose[2]).T @ (corner - pose[:2]) + shift
+    assert array(visual.EXPECTED, value)[:, 0] == pytest.approx(seen, abs=1e-12)
+    chain = array(visual.ROTATION, value) @ se2.rotation(pose[2]).T @ (corner - pose[:2]) + shift
     assert chain == pytest.approx(seen, abs=1e-12)
     value |= {"x^c_j": seen[0], "z^c_j": seen[1]}
-    H, L = array(models.OBSERVATION_JACOBIAN, value), array(models.CORNER_JACOBIAN, value)
+    H, L = array(visual.OBSERVATION_JACOBIAN, value), array(visual.CORNER_JACOBIAN, value)
     assert pytest.approx(central(lambda p: sensor.predict(p, corner[None])[0], pose), abs=1e-8) == H
     assert pytest.approx(central(lambda c: sensor.predict(pose, c[None])[0], corner), abs=1e-8) == L
     Hx, Hl = sensor.jacobians(pose, corner[None])
@@ -173,15 +173,15 @@ def test_the_typeset_observation_model_and_its_jacobians_are_the_codes(pose, cor
 
 # typesetting
 def test_all_that_is_checked_above_is_what_is_typeset():
-    shown = [part for m in models.MODELS for line in m.lines if isinstance(line, Equation) for part in line.right]
+    shown = [part for m in visual.MODELS for line in m.lines if isinstance(line, Equation) for part in line.right]
     for matrix in (
-        models.NEXT_POSE, models.POSE_JACOBIAN, models.CONTROL_JACOBIAN, models.CONTROL_NOISE, models.ROTATION,
-        models.EXPECTED, models.OBSERVATION_JACOBIAN, models.CORNER_JACOBIAN,
+        visual.NEXT_POSE, visual.POSE_JACOBIAN, visual.CONTROL_JACOBIAN, visual.CONTROL_NOISE, visual.ROTATION,
+        visual.EXPECTED, visual.OBSERVATION_JACOBIAN, visual.CORNER_JACOBIAN,
     ):  # fmt: skip
         assert any(part is matrix for part in shown)
-    assert models.COMMAND_TERMS in models.MOTION.lines
-    assert models.ARC_TERMS in models.MOTION.lines
-    assert " = ".join(models.ANGLE) in latex(models.OBSERVATION.lines)
+    assert visual.COMMAND_TERMS in visual.MOTION.lines
+    assert visual.ARC_TERMS in visual.MOTION.lines
+    assert " = ".join(visual.ANGLE) in latex(visual.OBSERVATION.lines)
 
 
 def test_a_matrix_becomes_a_matrix_aligned_at_the_equals_sign():
@@ -214,15 +214,15 @@ def test_the_update_equations_are_what_the_filter_computes():
     mean, covariance = filtered.estimate()
     assert mean == pytest.approx(x + K @ nu)
     assert covariance == pytest.approx((np.eye(3) - K @ H[0]) @ P)
-    text = latex(models.UPDATE.lines)
+    text = latex(visual.UPDATE.lines)
     assert all(f"({n})" in text for n in (10, 11, 12, 13))
 
 
 def test_the_latex_of_a_model_is_a_titled_paragraph_of_its_words_and_below_it_its_equations():
     lines = (Equation("a", ("b",)), Equation("c", (r"\omega",)))
     about = "Speed ω for Δt, φ and ψ; θ & 5 % of it."
-    first, second = models.Model("one", "One", about, lines), models.Model("two", "Two", "Short.", lines[:1])
-    assert models.models_latex((first, second)) == (
+    first, second = visual.Model("one", "One", about, lines), visual.Model("two", "Two", "Short.", lines[:1])
+    assert visual.models_latex((first, second)) == (
         "% \\usepackage{amsmath}\n"
         "\\paragraph{One.} Speed $\\omega$ for $\\Delta$t, $\\varphi$ and $\\psi$; $\\theta$ \\& 5 \\% of it.\n"
         "\\[\n\\begin{aligned}\na &= b \\\\[1ex]\nc &= \\omega\n\\end{aligned}\n\\]\n"
@@ -232,16 +232,16 @@ def test_the_latex_of_a_model_is_a_titled_paragraph_of_its_words_and_below_it_it
 
 
 def test_the_latex_holds_every_model_in_order_in_characters_that_latex_sets():
-    text = models.models_latex()
+    text = visual.models_latex()
     assert re.findall(r"\\paragraph\{(.*?)\}", text) == ["Motion model.", "Observation model.", "Update."]
-    at = [text.index(latex(m.lines)) for m in models.MODELS]
+    at = [text.index(latex(m.lines)) for m in visual.MODELS]
     assert at == sorted(at)
     assert text.isascii()
 
 
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="no LaTeX on this machine")
 def test_the_latex_of_the_models_compiles_and_fits_the_page(tmp_path):
-    body = models.models_latex()
+    body = visual.models_latex()
     (tmp_path / "m.tex").write_text(
         "\\documentclass{article}\n\\usepackage{amsmath}\n\\begin{document}\n" + body + "\\end{document}\n"
     )
@@ -252,7 +252,7 @@ def test_the_latex_of_the_models_compiles_and_fits_the_page(tmp_path):
     assert "Overfull" not in made.stdout
 
 
-@pytest.mark.parametrize("model", models.MODELS, ids=lambda m: m.name)
+@pytest.mark.parametrize("model", visual.MODELS, ids=lambda m: m.name)
 def test_nothing_in_the_picture_of_a_formula_overlaps_or_is_cut(model):
     fig = formula_figure(model.lines)
     fig.set_dpi(400)  # letters are hinted to whole pixels

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eval.page.document import Formula, Picture, Report, Table, write_report
-from eval.page.equations import latex
-from eval.page.tables import drop_blank_columns
 from eval.plan.flags.options import Options
 from eval.referee.score import Trial
-from eval.report.visual import models
-from eval.report.visual.sections import PictureStatistics, detection_table, statistics_of, tiles_of, visual_sections
+from eval.report import visual
+from eval.report.page.document import Formula, Picture, Report, Table, write_report
+from eval.report.page.equations import latex
+from eval.report.page.tables import drop_blank_columns
+from eval.report.visual import PictureStatistics, detection_table, statistics_of, tiles_of, visual_sections
 from tests.eval.handmade import circle_log, run_with_error
 from tests.eval.report.visual.handmade import evidence
 
@@ -82,7 +82,7 @@ def test_the_section_of_a_log_is_written_once_with_a_plan_for_each_task(tmp_path
         "visual_1-localization-plan", "visual_1-slam-plan", "visual_1-detections",
     ]  # fmt: skip
     assert [b.stem for b in blocks if isinstance(b, Table)] == ["visual_1-detections"]
-    assert (tmp_path / "tables" / "visual_1-models.tex").read_text() == models.models_latex()
+    assert (tmp_path / "tables" / "visual_1-models.tex").read_text() == visual.models_latex()
     text = " ".join(b for b in blocks if isinstance(b, str))
     assert "Of 8 pictures in view 3 were found (37.5 %). Wrong: 2." in text
     assert "0.700 px" in text
@@ -99,7 +99,7 @@ def test_formulas_are_in_the_html_as_images_that_say_their_latex_and_in_markdown
     assert "\\begin{bmatrix} 1 &amp; 0 &amp; -d_x \\sin\\theta" in page
     assert not re.search(r"https?://|<script", page)
     text = (tmp_path / "report.md").read_text(encoding="utf-8")
-    for model in models.MODELS:
+    for model in visual.MODELS:
         assert f"```math\n{latex(model.lines)}\n```" in text
 
 

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from data.errors import DataError, UsageError
+from data.formats.recordings.ros import log_of, read_bag
 from data.log import Log
-from data.recordings.ros.bag import read_bag
-from data.recordings.ros.log import log_of
-from tests.data.recordings.ros.bags import FORMS, START, Maker
+from tests.data.formats.recordings.ros.bags import FORMS, START, Maker
 
 LEVEL = np.arange(0.0, 3.01, 0.5)
 

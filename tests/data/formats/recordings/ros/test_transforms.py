@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from data.recordings.ros.transforms import Transforms, heading
+from data.formats.recordings.ros import Transforms, heading
 
 HALF = math.sqrt(0.5)
 NONE, LEFT = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, HALF, HALF)

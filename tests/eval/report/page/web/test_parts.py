@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from eval.figures.style import save
-from eval.page.document import (
+from eval.report.page.document import (
     FinePrint,
     Folded,
     Mark,

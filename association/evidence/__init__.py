@@ -1,1 +1,0 @@
-"""What sightings and misses say about landmarks, pairings, and how large the noise really is."""

@@ -1,1 +1,0 @@
-"""Pose graphs with landmarks in the text format of g2o."""

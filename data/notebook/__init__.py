@@ -1,1 +1,0 @@
-"""How logs and runs show themselves in a notebook."""

@@ -1,1 +1,0 @@
-"""Figures of what a run says of itself, for logs without a true path."""

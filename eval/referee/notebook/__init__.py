@@ -1,1 +1,0 @@
-"""How what the referee knows shows itself in a notebook."""

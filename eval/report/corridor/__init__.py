@@ -1,1 +1,0 @@
-"""The corridor lab's section of the report: its questions, answered from the runs."""

@@ -1,1 +1,0 @@
-"""The first screen: one table over all logs and tasks, and two sentences above it."""

@@ -1,1 +1,0 @@
-"""Results that other programs made, scored alone: what `eval.score` prints."""

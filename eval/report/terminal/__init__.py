@@ -1,1 +1,0 @@
-"""What the terminal says at the end of a run."""

@@ -1,1 +1,0 @@
-"""What a log says about itself, in words, tables and a figure."""

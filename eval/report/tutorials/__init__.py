@@ -1,1 +1,0 @@
-"""What the report says of the classic tutorials' treatment of a recording."""

@@ -1,1 +1,0 @@
-"""The visual lab's section of the report: models, pictures, plan."""
