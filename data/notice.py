@@ -1,0 +1,66 @@
+"""A judgement about a log or a run as typed values: what was found, how serious it is, and whom it concerns.
+
+A notice holds no sentence: `eval.report.words` renders it for terminal, Markdown and HTML. Nothing reads the result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+Value = float | int | str | bool | tuple[float, ...] | tuple[int, ...] | tuple[str, ...] | None
+
+
+class Severity(StrEnum):
+    """How serious a notice is: a fact, something to look at, or a reason not to use the result."""
+
+    INFO = "info"
+    WARNING = "warning"
+    ERROR = "error"
+
+
+class Code(StrEnum):
+    """Everything that can be found about a log or a run, each once; `templates/notices.j2` has the words."""
+
+    OUT_OF_MEMORY = "out-of-memory"
+
+
+@dataclass(frozen=True)
+class Notice:
+    """What was found (code and values), how serious it is, and the log, task, run and frame it is about.
+
+    values: pairs of name and value, sorted by name. Blank names and a `frame` of None: not about one of them.
+    """
+
+    code: Code
+    values: tuple[tuple[str, Value], ...] = ()
+    severity: Severity = Severity.WARNING
+    log: str = ""
+    task: str = ""
+    estimator: str = ""
+    association: str = ""
+    frame: int | None = None
+
+    @property
+    def named(self) -> Mapping[str, Value]:
+        """Its values by name."""
+        return dict(self.values)
+
+    def about(
+        self,
+        *,
+        log: str | None = None,
+        task: str | None = None,
+        estimator: str | None = None,
+        association: str | None = None,
+        frame: int | None = None,
+    ) -> Notice:
+        """The same, of a named log, task or run, or from a frame on; what is None stays as it is."""
+        given = {"log": log, "task": task, "estimator": estimator, "association": association, "frame": frame}
+        return replace(self, **{name: value for name, value in given.items() if value is not None})  # type: ignore[arg-type]
+
+
+def notice(code: Code, severity: Severity = Severity.WARNING, frame: int | None = None, **values: Value) -> Notice:
+    """A notice with values by name."""
+    return Notice(code, tuple(sorted(values.items())), severity, frame=frame)
