@@ -8,7 +8,7 @@ from __future__ import annotations
 import html
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import pandas as pd
 from markdown_it import MarkdownIt
@@ -152,11 +152,12 @@ Block = str | Table | Picture | Formula | Film | Folded | Overview
 
 @dataclass(frozen=True)
 class Section:
-    """A heading of level 2 to 4 and what stands below it, in order."""
+    """A heading of level 2 to 4 and what stands below it, in order; `facts` it was written from, for report.json."""
 
     heading: str
     blocks: tuple[Block, ...]
     level: int = 2
+    facts: object = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True)
@@ -216,9 +217,7 @@ def with_fine_print(report: Report) -> tuple[Section, ...]:
         return report.sections
     if not any(s.heading == READING for s in report.sections):
         return (*report.sections, Section(READING, tuple(said)))
-    return tuple(
-        Section(s.heading, (*s.blocks, *said), s.level) if s.heading == READING else s for s in report.sections
-    )
+    return tuple(replace(s, blocks=(*s.blocks, *said)) if s.heading == READING else s for s in report.sections)
 
 
 def cut(text: str, most: int = LINES) -> tuple[str, str]:
