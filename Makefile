@@ -17,11 +17,11 @@ unexport PYTHONHOME PYTHONPATH VIRTUAL_ENV PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv report test test-slow test-browser benchmark docs lock clean
+.PHONY: help venv report test test-slow test-browser benchmark variety sensitivity docs lock clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z-]+):.*## (.*)/  \1\t\2/' | expand -t 14
-	@echo 'Variables: PYTHON=$(PYTHON), ARGS (report, benchmark), PYTEST_ARGS (test, test-slow), LOCK_ARGS (lock)'
+	@echo 'Variables: PYTHON=$(PYTHON), ARGS (report, benchmark, studies), PYTEST_ARGS (test, test-slow), LOCK_ARGS (lock)'
 
 venv: .venv/.warm ## make .venv and compile the kernels
 
@@ -43,6 +43,12 @@ test-browser: .venv/.warm .venv/.browser ## the player in a real browser (Chromi
 
 benchmark: .venv/.warm ## frames per second
 	$(BIN)/python -m eval.benchmark $(ARGS)
+
+variety: .venv/.warm ## jcbb and jcbb-hindsight on many simulated worlds; ARGS='OUT --half judge'
+	$(BIN)/python -m tests.research variety $(ARGS)
+
+sensitivity: .venv/.warm ## jcbb-hindsight with its constants halved and doubled; ARGS='OUT --worlds 21'
+	$(BIN)/python -m tests.research sensitivity $(ARGS)
 
 docs: .venv/.warm ## write docs/results-folder.md anew
 	$(BIN)/python -m eval.report.page.results_folder

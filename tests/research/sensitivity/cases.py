@@ -1,13 +1,9 @@
-"""The logs of the study: worlds of the variety, and named logs, recorded ones where they are at hand.
-
-The gates of a run by default, which a person may choose: they are varied beside the constants.
-
-The constants of `jcbb-hindsight`, what half and twice of each is, and how one is changed for the time of a run.
+"""The constants of `jcbb-hindsight` and how one is changed for the time of a run; the logs of the study.
 
 Constants are read where they are used, as `constants.NAME` or as a global of their own module: to set the attribute of
-the module is enough (a test sees to it). Kernels get them as arguments.
-
-Which constants a run reads: the module that holds them counts every look at one of them.
+the module is enough (a test sees to it). Kernels get them as arguments. Which ones a run reads: the module that holds
+them counts every look at one of them. The gates that a person may choose are varied beside the constants. Logs are
+worlds of the variety, and named logs, recorded ones where they are at hand.
 """
 
 from __future__ import annotations
@@ -102,7 +98,7 @@ def all_constants() -> list[Constant]:
     """Every constant of the decider: those of `eval.replay.hindsight.constants`, then those that stand beside."""
     found = [Constant(name, constants, name) for name in constants_of(constants)]
     for module, task, names in BESIDE:
-        last = module.__name__.rpartition(".")[2]
+        last = "gates" if module is sys.modules[__name__] else module.__name__.rpartition(".")[2]
         found += [Constant(f"{last}.{name}", module, name, task=task) for name in names]
     parts = (*mapper.TIGHT.names, "length")
     return found + [Constant(f"TIGHT.{part}", mapper, "TIGHT", part, SLAM) for part in parts]

@@ -9,10 +9,10 @@ import pytest
 
 from association.decide import HINDSIGHT
 from data.errors import UsageError
-from eval.benchmark import main
 from eval.replay.hindsight import constants
 from eval.replay.run import step_by_step
-from tests.research.sensitivity import measure as measuring
+from tests.research.__main__ import main
+from tests.research.sensitivity import study
 from tests.research.sensitivity.cases import (
     DOUBLED,
     HALVED,
@@ -26,22 +26,24 @@ from tests.research.sensitivity.cases import (
     world_name,
     worlds,
 )
-from tests.research.sensitivity.measure import (
+from tests.research.sensitivity.study import (
     BASE,
     Job,
     Row,
     append,
     baseline,
     cost_lines,
+    effect,
     jobs_of,
     line_of,
     measure_all,
     read,
     read_lines,
     run,
+    summaries,
+    table,
     variant,
 )
-from tests.research.sensitivity.table import effect, summaries, table
 from tests.research.variety.measure import SLOW
 from tests.research.variety.worlds import draw
 
@@ -57,7 +59,7 @@ def test_the_baseline_is_the_decider_on_the_log_and_says_what_it_reads():
     log = load(SMALL.log, None)
     found = baseline(SMALL, log)
     ours = step_by_step("ekf", log.inputs().without_map(), "slam", HINDSIGHT)
-    assert found.digest == measuring.digest(ours)
+    assert found.digest == study.digest(ours)
     assert found.landmarks == len(ours.map)
     assert "CERTAIN=" in found.reads
     assert "LOST_SHARE" not in found.reads
@@ -89,7 +91,7 @@ def test_a_constant_is_put_back_when_a_run_ends_in_an_error(monkeypatch):
         raise ZeroDivisionError
 
     before = constants.CERTAIN
-    monkeypatch.setattr(measuring, "run", broken)
+    monkeypatch.setattr(study, "run", broken)
     with pytest.raises(ZeroDivisionError):
         variant(Job(SMALL, "CERTAIN", DOUBLED), None, row())
     assert before == constants.CERTAIN
@@ -116,7 +118,7 @@ def test_what_is_done_is_not_run_again(monkeypatch):
         ran.append((job.case.log, job.constant, job.direction))
         return row(job.case.log, job.constant, job.direction)
 
-    monkeypatch.setattr(measuring, "do", done)
+    monkeypatch.setattr(study, "do", done)
     cases = [Case("a", SLAM), Case("b", SLAM)]
     kept = [row(), row("a", "CERTAIN", HALVED)]
     places = [place for place, _ in measure_all(cases, chosen(["CERTAIN"]), kept)]
@@ -238,7 +240,7 @@ def test_a_line_says_what_was_changed():
 
 @pytest.mark.slow
 def test_the_command_writes_rows_and_table_and_goes_on(tmp_path, capsys):
-    arguments = ["--sensitivity", str(tmp_path), "--worlds", "1", "--constant", "CERTAIN"]
+    arguments = ["sensitivity", str(tmp_path), "--worlds", "1", "--constant", "CERTAIN"]
     assert main([*arguments, "--baseline"]) == 0
     assert "runs instead of" in capsys.readouterr().out
     file = tmp_path / "sensitivity.csv"
@@ -249,8 +251,3 @@ def test_the_command_writes_rows_and_table_and_goes_on(tmp_path, capsys):
     assert len(rows) == 3 * len(first)
     assert "| `CERTAIN` | 4 | 2 | 8 |" in (tmp_path / "sensitivity.md").read_text()
     assert np.isfinite([r.rmse_m for r in rows if r.log.startswith("variety")]).all()
-
-
-def test_its_options_are_for_the_study_alone(capsys):
-    assert main(["--processes", "2"]) != 0
-    assert "--sensitivity" in capsys.readouterr().err

@@ -1,0 +1,137 @@
+"""`python -m tests.research variety|sensitivity OUT`: the studies that `jcbb-hindsight` was made with.
+
+Both write a row a run to a CSV file in OUT; an interrupted study goes on with it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from data.terminal import ended
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one study and print its rows as they come; returns the exit status."""
+    return ended(lambda: _study(argv), "interrupted; what was printed or written so far is whole")
+
+
+def parser() -> argparse.ArgumentParser:
+    """The flags of both studies."""
+    p = argparse.ArgumentParser(prog="python -m tests.research", description="Studies of jcbb-hindsight.")
+    studies = p.add_subparsers(dest="study", required=True)
+    variety = studies.add_parser(
+        "variety", help="jcbb and jcbb-hindsight on 200 simulated worlds, to OUT/variety.csv and OUT/variety.png"
+    )
+    variety.add_argument("out", metavar="OUT", type=Path)
+    variety.add_argument(
+        "--half",
+        choices=("judge", "choose", "later"),
+        help="those to judge on, those to choose on, or 200 more that settings were neither chosen nor judged on",
+    )
+    variety.add_argument("--worlds", type=int, metavar="N", default=200, help="the first N of them (default: all)")
+    variety.add_argument(
+        "--exact",
+        action="store_true",
+        help="the same worlds where noise and view are as they are stated, and odometry does not err in system, to"
+        " OUT/variety-exact.csv and .png",
+    )
+    sensitivity = studies.add_parser(
+        "sensitivity",
+        help="jcbb-hindsight with each of its constants halved and doubled, on worlds of the variety and named logs"
+        " (corridor with people, Victoria Park, UTIAS), to OUT/sensitivity.csv and OUT/sensitivity.md (hours)",
+    )
+    sensitivity.add_argument("out", metavar="OUT", type=Path)
+    sensitivity.add_argument("--half", choices=("judge", "choose", "later"), default="judge")
+    sensitivity.add_argument(
+        "--worlds",
+        type=int,
+        metavar="N",
+        help="the N with the fewest readings, of the three kinds in turn (default: all); 0: named logs only",
+    )
+    sensitivity.add_argument("--data", metavar="DIR", type=Path, help="folder of MRCLAM_Dataset1.zip, 6 and 9 (UTIAS)")
+    sensitivity.add_argument(
+        "--log",
+        metavar="NAME",
+        action="append",
+        default=[],
+        help="one more simulated log, such as corridor:0:no-odometry+forward; may be repeated",
+    )
+    sensitivity.add_argument(
+        "--robots", choices=("one", "all"), default="one", help="of each UTIAS dataset robot 3 (default), or all"
+    )
+    sensitivity.add_argument("--constant", metavar="NAME", action="append", help="only this one; may be repeated")
+    sensitivity.add_argument("--processes", type=int, metavar="N", default=1, help="runs at a time (default: 1)")
+    sensitivity.add_argument(
+        "--baseline",
+        action="store_true",
+        help="only the logs with nothing changed: which constants they read, and what the study would cost",
+    )
+    return p
+
+
+def _study(argv: Sequence[str] | None) -> None:
+    args = parser().parse_args(argv)
+    args.out.mkdir(parents=True, exist_ok=True)
+    if args.study == "variety":
+        _variety(args.out, args.half, args.worlds, exact=args.exact)
+    else:
+        _sensitivity(args)
+
+
+def _variety(out: Path, half: str | None, count: int, *, exact: bool) -> None:
+    """Run what is not in the file yet, a line each as they come; then the goals, and the figure."""
+    from eval.figures.style import save
+    from tests.research.variety.figure import variety_figure
+    from tests.research.variety.goals import table, worlds_of
+    from tests.research.variety.measure import append, line_of, measure_all, read
+    from tests.research.variety.worlds import indices
+
+    chosen, name = indices(half, count), "variety-exact" if exact else "variety"
+    file = out / f"{name}.csv"
+    for row in measure_all(chosen, read(file), exact=exact):
+        append(row, file)
+        print(line_of(row), flush=True)
+    rows = [r for r in read(file) if r.number in set(chosen)]
+    print("\n".join(table(rows)), flush=True)
+    save(variety_figure(worlds_of(rows)), out, name)
+
+
+def _sensitivity(args: argparse.Namespace) -> None:
+    """Run what is not in the file yet, a line each as they come; then what the constants do, or the study costs."""
+    from tests.research.sensitivity.cases import chosen, named, simulated, worlds
+    from tests.research.sensitivity.study import (
+        BASE,
+        append,
+        cost_lines,
+        line_of,
+        measure_all,
+        read,
+        read_lines,
+        summaries,
+        table,
+    )
+
+    constants = chosen(args.constant)
+    cases, missing = named(args.data, args.robots == "all")
+    cases = worlds(args.half, args.worlds) + cases + simulated(args.log)
+    for line in missing:
+        print(line, flush=True)
+    file = args.out / "sensitivity.csv"
+    for place, row in measure_all(cases, constants, read(file), args.data, args.processes, only_base=args.baseline):
+        append(row, file)
+        print(line_of(row, place), flush=True)
+    rows = [r for r in read(file) if (r.log, r.task) in set(cases)]
+    base = [r for r in rows if r.direction == BASE]
+    if args.baseline:
+        print("\n".join([*read_lines(base, constants), "", *cost_lines(base, constants)]), flush=True)
+        return
+    lines = table(summaries(rows, constants))
+    (args.out / "sensitivity.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    print("\n".join(lines), flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
