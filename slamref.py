@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from data.logs import open_log
     from data.result import DISCARD, NEW
     from eval.checks.checking import association_findings, check_association, check_estimator, estimator_findings
+    from eval.compare import compare
     from eval.referee.score import Trial, score
     from eval.replay.estimators import make_estimator
     from eval.replay.external.adapter import Samples
-    from eval.replay.run import compare
 
     __version__: str
 
@@ -49,7 +49,7 @@ __all__ = [
 
 HOMES = {
     "open_log": "data.logs",
-    "compare": "eval.replay.run",
+    "compare": "eval.compare",
     "make_estimator": "eval.replay.estimators",
     "decide": "association.decide",
     "Trial": "eval.referee.score",

@@ -129,10 +129,10 @@ def _step(wish: Wish) -> None:
         raise UsageError(f"--association known: log {log.name!r} has no labels (true_id or label in observations.csv)")
     if wish.frames is not None:
         log = shortened(log, wish.frames)
+    from eval.referee.plausibility import with_doubt
     from eval.replay.estimators import lack_with_walls
     from eval.replay.external.make import lack
     from eval.replay.external.spec import is_foreign, name_of
-    from eval.replay.plausible import with_doubt
     from eval.replay.run import step_by_step
     from eval.report.answer import gate_sentence
     from eval.stepping.pictures import Album, open_windows

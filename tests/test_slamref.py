@@ -32,10 +32,10 @@ def test_the_names_are_those_of_the_submodules():
     from data.logs import open_log
     from data.result import DISCARD, NEW
     from eval.checks.checking import association_findings, check_association, check_estimator, estimator_findings
+    from eval.compare import compare
     from eval.referee.score import Trial, score
     from eval.replay.estimators import make_estimator
     from eval.replay.external.adapter import Samples
-    from eval.replay.run import compare
 
     assert (dir(slamref), slamref.__all__) == (sorted(NAMES), NAMES)
     homes = (

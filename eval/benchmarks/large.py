@@ -58,8 +58,9 @@ class Measured(NamedTuple):
 def measure(estimator: str, name: str) -> Measured:
     """One estimator with labels on one simulated log, in this process: best in a fresh one."""
     from association.decide import known_decisions
+    from eval.compare import compare
     from eval.replay.batch import start_at
-    from eval.replay.run import compare, filter_known
+    from eval.replay.run import filter_known
     from graph.bare_loop import bare_batch, bare_isam2
 
     log = named_log(name)

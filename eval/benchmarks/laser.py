@@ -12,6 +12,7 @@ from joblib import Parallel, delayed
 from association.scans.constraints import SCAN, LaserRun
 from data.se2 import Array
 from data.worlds.registry import named_log
+from eval.compare import compare
 from eval.referee.consistency import mean_or_nan, nees, verdict
 from eval.referee.errors import aligned_rmse, position_distance, rms
 from eval.referee.laser import (
@@ -23,7 +24,6 @@ from eval.referee.laser import (
     revisits,
     scan_points_of,
 )
-from eval.replay.run import compare
 
 SEEDS = 50
 

@@ -19,12 +19,13 @@ from data.result import DISCARD, Run
 from data.se2 import Array, world_from_body, wrap_angle
 from eval.checks import worlds
 from eval.checks.finding import Finding, graded
+from eval.compare import compare
 from eval.referee.errors import named
 from eval.replay.estimators import make_estimator
 from eval.replay.external.adapter import Adapter
 from eval.replay.external.guard import ForeignError
 from eval.replay.frontend import FrontEnd, KnownAssociation
-from eval.replay.run import compare, dead_reckoning, front_end, step_by_step
+from eval.replay.run import dead_reckoning, front_end, step_by_step
 from eval.replay.settings import Beginning, Setup
 
 SETUP = Setup()

@@ -29,6 +29,7 @@ from data.motion.systematic import BETWEEN_KNOTS, stated_all
 from data.result import Run
 from data.se2 import Array
 from data.sensors import RangeBearing
+from eval.compare import compare
 from eval.plan.experiment import Experiment
 from eval.plan.flags.options import Options
 from eval.plan.unfinished import Unfinished
@@ -39,7 +40,6 @@ from eval.referee.effects import Effect
 from eval.referee.residuals import Used
 from eval.referee.score import Trial
 from eval.replay.external.spec import name_of
-from eval.replay.run import compare
 from eval.replay.settings import Setup
 from eval.studies.sampled import Sample, sample_of, smoother_of, twin_sample
 from eval.studies.trusted import FEWEST, Trust, judged

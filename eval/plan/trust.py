@@ -11,6 +11,7 @@ from data.errors import UsageError
 from data.log import Log
 from data.result import Run
 from data.terminal import counted
+from eval.compare import compare
 from eval.plan.experiment import Experiment
 from eval.plan.flags.options import Options
 from eval.plan.unfinished import Unfinished
@@ -18,7 +19,6 @@ from eval.plan.work import work
 from eval.referee.attribution import NOISE
 from eval.referee.score import Trial
 from eval.replay.external.spec import is_foreign, name_of
-from eval.replay.run import compare
 from eval.replay.settings import FILTERS, Setup, steps
 from eval.studies import sampled, store
 from eval.studies.sampled import Sample, one_twin, sample_of, smoother_of

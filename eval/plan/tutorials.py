@@ -28,9 +28,9 @@ from data.se2 import Array, BoolArray, wrap_angle
 from ekf.filter import FilterOptions
 from ekf.localizer import EkfLocalizer
 from eval.plan.flags.table import Variant
+from eval.referee.plausibility import with_doubt
 from eval.referee.score import Trial
 from eval.replay.frontend import FrontEnd
-from eval.replay.plausible import with_doubt
 from eval.replay.run import driven
 from eval.replay.settings import Setup
 

@@ -8,12 +8,12 @@ from typing import Any
 
 from data.inputs import Inputs
 from data.result import Failure, Run
+from eval.compare import compare
 from eval.plan.experiment import Experiment, Work
 from eval.plan.flags.options import Options
 from eval.player.watch import Watch
 from eval.replay.external.spec import name_of
 from eval.replay.recorder import no_run
-from eval.replay.run import compare
 from eval.replay.settings import BATCH, INCREMENTAL
 
 

@@ -27,10 +27,11 @@ from data.formats.open_log.writer import write_folder
 from data.log import Log
 from data.worlds.arena import Arena, simulate
 from data.worlds.registry import named_log
+from eval.compare import compare
 from eval.replay.estimators import make_estimator
 from eval.replay.hindsight.placement import candidates
 from eval.replay.hindsight.relocalize import Scan, relocalize
-from eval.replay.run import compare, step_by_step
+from eval.replay.run import step_by_step
 from eval.replay.settings import BATCH, ESTIMATORS, TASKS, Setup
 
 SENSORS = ("range_bearing", "relative_point")

@@ -34,7 +34,6 @@ from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.hindsight.mapping_frontend import MappingFrontEnd
 from eval.replay.laser.comparison import compare_laser
 from eval.replay.laser.landmarks import at_all_frames, corner_log
-from eval.replay.plausible import judged
 from eval.replay.recorder import Nobody, Observer, Recorder, Writing, no_run
 from eval.replay.settings import BATCH, FILTERS, Given, Setup
 from graph.factors import UnderConstrained
@@ -205,6 +204,7 @@ def compare(
     association: str | Thing = "known",
     setup: Setup = PLAIN,
     watch: Callable[[Inputs], Writing] | None = None,
+    judge: Callable[[Sequence[Run], Inputs], list[Run]] = lambda runs, _: list(runs),
 ) -> list[Run]:
     """Estimators with one way of association on identical inputs; the runs come in the order of `estimators`.
 
@@ -219,18 +219,19 @@ def compare(
     are the landmarks.
     Labels are withheld from every method but `known`. Labels that a sensor read are gated where the setup does not say
     otherwise (`Setup.settled`).
-    `watch` makes an observer of each replay of point landmarks; what it writes down is the run's `watched`.
+    `watch` makes an observer of each replay of point landmarks; what it writes down is the run's `watched`. `judge`
+    gets the runs with what they had, before either is turned into something else (`eval.compare`: the referee).
     """
     names, association = [text_of(e, "estimator") for e in estimators], text_of(association, "association")
     # sums over two threads round otherwise than over one: the same bytes for any number of processes and cores
     with threadpool_limits(1):
         if association == SCAN:
-            return judged(compare_laser(inputs, names, setup), inputs)
+            return judge(compare_laser(inputs, names, setup), inputs)
         if inputs.scans is not None and not len(inputs.observations.frame):
             log = corner_log(inputs, setup)
-            runs = judged(_compare(log.inputs, task, names, association, setup), log.inputs)
+            runs = judge(_compare(log.inputs, task, names, association, setup), log.inputs)
             return [at_all_frames(run, log, len(inputs)) for run in runs]
-        return judged(_compare(inputs, task, names, association, setup, watch), inputs)
+        return judge(_compare(inputs, task, names, association, setup, watch), inputs)
 
 
 def _compare(
@@ -278,10 +279,11 @@ def _compare(
         other = (lambda: ahead("ekf-iterated")) if association == "known" else None
         return batch(name, inputs, front, other)
 
-    return [
+    runs = [
         dead_reckoning(inputs, task) if name == "dead-reckoning" else batch_of(name) if name in BATCH else ahead(name)
         for name in estimators
     ]
+    return runs if inputs.sensor.sees_points else [replace(run, walls=True) for run in runs]
 
 
 MOST_WORK = 3e7

@@ -15,7 +15,7 @@ import pandas as pd
 
 from data.terminal import counted
 from eval.referee.consistency import CONSERVATIVE, CONSISTENT, INSIDE_3SIGMA, OVERCONFIDENT, TOO_FEW
-from eval.replay.plausible import IMPLAUSIBLE
+from eval.referee.plausibility import IMPLAUSIBLE
 from eval.replay.settings import INCREMENTAL, Setup
 from eval.report.comparison import difference_sentence
 from eval.report.deciding import SAME, best_and_worst

@@ -25,9 +25,9 @@ from data.se2 import Array
 from data.sensors import RangeBearing
 from eval.referee.ambiguity import ambiguous
 from eval.referee.errors import named, position_distance, rms
+from eval.referee.plausibility import ABSURD, first_misfit
 from eval.referee.residuals import Used, smoothed_residuals, used_by
 from eval.referee.score import Trial
-from eval.replay.plausible import ABSURD, first_misfit
 from eval.report.page.document import Section
 from eval.report.page.tables import number
 from eval.report.rows import Row, value_of

@@ -14,12 +14,12 @@ from data.log import Log
 from data.result import Run, Systematics
 from data.se2 import Array
 from data.terminal import counted
+from eval.compare import compare
 from eval.referee import consistency, errors
 from eval.referee.consistency import LEVEL, QUANTITIES, Verdict, gated
+from eval.referee.plausibility import IMPLAUSIBLE
 from eval.referee.score import CONSISTENCY, frame_of
 from eval.replay.external.make import able
-from eval.replay.plausible import IMPLAUSIBLE
-from eval.replay.run import compare
 from eval.studies.scenario import Scenario
 
 DOF = {**{q: len(c) for q, c in QUANTITIES.items()}, "landmarks": 2, "nis": 1}

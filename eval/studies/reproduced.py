@@ -16,9 +16,9 @@ from data.errors import DataError
 from data.formats.recordings.esde import StoredRun, load_esde, log_of
 from data.result import Run
 from data.terminal import in_columns
+from eval.compare import compare
 from eval.referee import consistency
 from eval.referee.score import Trial, frame_of
-from eval.replay.run import compare
 from eval.replay.settings import FILTERS
 from eval.studies.montecarlo import Key, Study
 from eval.studies.published import COLUMNS, Estimate, Ordering, mean_of, rms_of, row_of

@@ -15,12 +15,12 @@ from data.inputs import Inputs
 from data.log import Log
 from data.result import Run
 from data.whole import whole_file
+from eval.compare import compare
 from eval.referee import consistency, errors, trust
+from eval.referee.plausibility import with_doubt
 from eval.referee.score import confusion_of
 from eval.referee.trust import Key, Measured
 from eval.replay.batch import batch
-from eval.replay.plausible import with_doubt
-from eval.replay.run import compare
 from eval.replay.settings import FILTERS, steps
 from eval.studies.twins import Source, inputs_of, twin
 

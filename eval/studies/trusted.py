@@ -17,12 +17,12 @@ from data.se2 import Array, BoolArray
 from data.terminal import counted
 from eval.referee import attribution, battery, effects, residuals, trust
 from eval.referee.attribution import ESTIMATOR, NOISE, NOTHING, Finding
+from eval.referee.plausibility import with_doubt
 from eval.referee.residuals import Used
 from eval.referee.result_files import TRUST
 from eval.referee.score import frame_of
 from eval.referee.trust import Key, Measured
 from eval.replay.batch import batch
-from eval.replay.plausible import with_doubt
 from eval.studies.sampled import PLAIN, STAND_IN, Sample
 from eval.studies.twins import inputs_of, with_noise
 

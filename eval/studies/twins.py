@@ -30,11 +30,11 @@ from data.result import Run
 from data.se2 import Array
 from data.sensors import RELATIVE_POINT
 from data.truth import Truth
+from eval.compare import compare
 from eval.referee import attribution, effects, residuals
+from eval.referee.plausibility import with_doubt
 from eval.replay.batch import batch
 from eval.replay.external.load import digests
-from eval.replay.plausible import with_doubt
-from eval.replay.run import compare
 from eval.replay.settings import Setup
 
 STREAM = 0x7A17

@@ -26,11 +26,11 @@ from data.toml_table import TomlTable, load_toml
 from data.whole import whole_file
 from data.worlds import registry
 from data.worlds.registry import SIMULATORS
+from eval.compare import compare
 from eval.referee import trust
 from eval.referee.attribution import ESTIMATOR, NOTHING
 from eval.referee.consistency import gated, nis_bounds
 from eval.referee.score import nis_of
-from eval.replay.run import compare
 from eval.replay.settings import TASKS, Setup
 from eval.studies.broken import BROKEN
 from eval.studies.faults import FAULTS

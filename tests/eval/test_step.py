@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from data.logs import open_log
 from eval import step
-from eval.replay.plausible import with_doubt
+from eval.referee.plausibility import with_doubt
 from eval.replay.run import step_by_step
 from eval.step import main
 from eval.stepping import pictures

@@ -15,17 +15,18 @@ from data.result import MapEstimate
 from data.se2 import pose_error
 from data.truth import Truth
 from ekf.filter import FilterOptions
+from eval.compare import compare
 from eval.figures import fate_figure, map_figure
 from eval.figures.log import log_figure
 from eval.figures.plane import chords
 from eval.plan.calibrate import every
 from eval.player.scene import scene
 from eval.referee import lost
+from eval.referee.plausibility import doubt
 from eval.referee.score import Trial, association_row, metrics_row
 from eval.replay.estimators import lack_with_walls
 from eval.replay.map_management import Parking
-from eval.replay.plausible import doubt
-from eval.replay.run import compare, step_by_step
+from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
 from tests.ekf.lines.world import World, line_log, walls
 from tests.eval.handmade import circle_log

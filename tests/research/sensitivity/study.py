@@ -24,9 +24,9 @@ from data.log import Log
 from data.result import Run
 from data.worlds.registry import named_log
 from eval.referee.errors import position_distance, rms
+from eval.referee.plausibility import judged
 from eval.referee.score import confusion_of
 from eval.replay.frontend import FrontEnd
-from eval.replay.plausible import judged
 from eval.replay.recorder import Nobody
 from eval.replay.run import step_by_step
 from tests.research.sensitivity.cases import (

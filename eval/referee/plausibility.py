@@ -41,9 +41,8 @@ LEFT_OUT = 0.1
 
 def judged(runs: Sequence[Run], inputs: Inputs) -> list[Run]:
     """The runs on these inputs, each with its doubt if there is one, and with what may be doubted in its notes."""
-    walls = not inputs.sensor.sees_points
     doubted = [with_doubt(r, inputs) for r in runs]
-    return [replace(r, notes=(*r.notes, *suspicions(r, inputs)), walls=walls) for r in doubted]
+    return [replace(r, notes=(*r.notes, *suspicions(r, inputs))) for r in doubted]
 
 
 def suspicions(run: Run, inputs: Inputs) -> Iterator[str]:

@@ -11,8 +11,8 @@ from data.inputs import Increments, Inputs, LabelledObservations, LandmarkMap, O
 from data.logs import open_log
 from data.result import DISCARD, Failure, MapEstimate, Trajectory
 from data.sensors import Line, RangeBearing
-from eval.replay.plausible import ABSURD, first_misfit, judged, sight, suspicions, with_doubt
-from eval.replay.run import compare
+from eval.compare import compare
+from eval.referee.plausibility import ABSURD, first_misfit, judged, sight, suspicions, with_doubt
 from tests.eval.handmade import FRAMES, circle_log, run_with_error, true_path
 
 INPUTS = circle_log().recorded
