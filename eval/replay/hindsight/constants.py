@@ -114,7 +114,7 @@ STAYS_FEWEST = 0.05
 """Share of those that are kept so, with the fewest sightings, that does not tell how many one needs. Up to CERTAIN; 0.1
 loses a map of a hundred simulated ones, and 11 landmarks of Victoria Park."""
 
-# --- A frame without a prediction: pairs of observations on pairs of landmarks (association/geometry) -----------------
+# --- A frame without a prediction: pairs of observations on pairs of landmarks (placement.py) -------------------------
 
 DISTANCE_SIGMAS = 3.0
 """Two distances, or a point and a landmark, agree within so many standard deviations."""
