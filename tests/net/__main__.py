@@ -37,7 +37,7 @@ def told(name: str, case: Done | str, args: argparse.Namespace) -> Iterator[tupl
         return
     if now.status != kept.status:
         yield True, _line(name, "", "", f"exit status {now.status} was {kept.status}")
-    for move in compare(now.files, kept.files, exact=args.exact):
+    for move in compare(now.files, kept.files, exact=args.exact, close=CASES[name].close):
         yield True, _line(name, *move)
     for file, column in appeared(now.files, kept.files):
         yield False, _line(name, file, column, "new, not compared")

@@ -1,0 +1,150 @@
+"""The net holds: no column of a small run has moved; and it is a net: what moves is told, by run, file and column."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+
+from tests.net import __main__ as command
+from tests.net.cases import CASES
+from tests.net.digest import appeared, columns_of, compare, digest_of, digests, left_out, moved
+from tests.net.record import RECORDED, Record, done
+from tests.net.values import differences
+
+VALUES = [0.1 * k - 0.7 + 1e-3 * k * k for k in range(40)]
+
+
+def cells(values):
+    return [repr(v) for v in values]
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[] if case.short else [pytest.mark.slow]) for n, case in CASES.items()]
+)
+def test_no_column_of_a_run_has_moved(name):
+    case, kept = done(name, None), Record.read(name)
+    assert not isinstance(case, str), case
+    assert kept is not None, f"{name} is not recorded: python -m tests.net --record --only {name}"
+    assert case.record.status == kept.status
+    found = list(compare(case.record.files, kept.files, exact=False, close=CASES[name].close))
+    assert not found, "\n".join([f"{len(found)} moved", *("  ".join(move) for move in found[:40])])
+
+
+def test_every_case_is_recorded_and_nothing_else():
+    assert {p.stem for p in RECORDED.glob("*.json")} == set(CASES)
+
+
+def test_the_record_is_small():
+    assert sum(p.stat().st_size for p in RECORDED.glob("*.json")) < 450_000
+
+
+def test_a_change_of_rounding_size_is_seen_in_the_text_alone():
+    kept, now = digest_of(cells(VALUES)), digest_of(cells(v * (1 + 3e-11) for v in VALUES))
+    assert now.exact != kept.exact
+    assert moved(now, kept, exact=False) == ""
+    assert moved(now, kept, exact=True) == "other text, the same but for rounding"
+
+
+@pytest.mark.parametrize("k", [0, 17, 39])
+def test_one_number_that_moves_moves_the_summary(k):
+    changed = [v + 1e-4 * (i == k) for i, v in enumerate(VALUES)]
+    assert "sums off by" in moved(digest_of(cells(changed)), digest_of(cells(VALUES)), exact=False)
+
+
+def test_two_numbers_that_change_places_move_the_summary():
+    changed = [VALUES[1], VALUES[0], *VALUES[2:]]
+    assert "sums off by" in moved(digest_of(cells(changed)), digest_of(cells(VALUES)), exact=False)
+
+
+def test_a_blank_a_row_and_a_word_are_told():
+    kept = digest_of(cells(VALUES))
+    assert moved(digest_of(["", *cells(VALUES[1:])]), kept, exact=False) == "1 blanks were 0"
+    assert moved(digest_of(cells(VALUES[1:])), kept, exact=False) == "39 rows were 40"
+    assert moved(digest_of(["tp", "fp"]), digest_of(["tp", "tp"]), exact=False) == "other words"
+
+
+def test_a_digest_is_read_as_it_is_written():
+    for column in (cells(VALUES), ["tp", "fn", ""], ["", ""], [], ["0.0"]):
+        d = digest_of(column)
+        assert moved(type(d).parse(str(d)), d, exact=False) == moved(type(d).parse(str(d)), d, exact=True) == ""
+    assert digest_of([]).exact != digest_of([""]).exact
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """A small result folder, as `--save` keeps it."""
+    folder = tmp_path_factory.mktemp("saved")
+    assert not isinstance(done("result-alone", folder), str)
+    return folder / "result-alone"
+
+
+def changed(folder, file, old, new):
+    text = (folder / file).read_text("utf-8")
+    assert old in text
+    (folder / file).write_text(text.replace(old, new, 1), encoding="utf-8")
+
+
+@pytest.fixture
+def again(saved, tmp_path):
+    return shutil.copytree(saved, tmp_path / "again")
+
+
+def test_a_moved_number_is_told_with_its_file_and_column(saved, again):
+    rmse = columns_of(saved)["metrics.csv"]["rmse_position_m"][0]
+    changed(again, "metrics.csv", f",{rmse},", f",{float(rmse) * 1.001!r},")
+    kept, now = columns_of(saved), columns_of(again)
+    for exact in (False, True):
+        ((file, column, _),) = compare(digests(now), digests(kept), exact=exact)
+        assert (file, column) == ("metrics.csv", "rmse_position_m")
+    ((file, column, what),) = differences(now, kept, 1e-9)
+    assert (file, column) == ("metrics.csv", "rmse_position_m")
+    assert "0.001 of the column's scale" in what
+    assert not list(differences(now, kept, 0.01))
+
+
+def test_what_has_vanished_is_told_and_what_is_new_is_no_failure(saved, again):
+    changed(again, "metrics.csv", "rmse_position_m", "another_name")
+    (again / "notices.csv").write_text("notice\n1\n")
+    (again / "consistency.csv").unlink()
+    kept, now = digests(columns_of(saved)), digests(columns_of(again))
+    assert set(compare(now, kept, exact=False)) == {
+        ("consistency.csv", "", "vanished"),
+        ("metrics.csv", "rmse_position_m", "vanished"),
+    }
+    assert list(appeared(now, kept)) == [("metrics.csv", "another_name")]
+    assert not left_out("notices.csv")
+
+
+def test_the_command_says_what_moved_and_fails(saved, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(command, "ProcessPoolExecutor", Here)
+    monkeypatch.setattr("tests.net.record.RECORDED", tmp_path)
+    words = ["--only", "result-alone"]
+    assert command.main(words) == 1
+    assert "result-alone  not recorded yet" in capsys.readouterr().out
+    assert command.main([*words, "--record"]) == 0
+    assert command.main([*words, "--exact"]) == 0
+    assert "1 cases, 0 columns moved" in capsys.readouterr().out
+    kept = tmp_path / "result-alone.json"
+    held = json.loads(kept.read_text())
+    held["files"]["metrics.csv"]["nis_lower"] = "ffffffff 2 0 3 1 1"
+    kept.write_text(json.dumps(held))
+    assert command.main(words) == 1
+    assert "result-alone  metrics.csv  nis_lower  1 rows were 2" in capsys.readouterr().out
+    assert command.main([*words, "--against", str(saved.parent)]) == 0
+
+
+class Here:
+    """Processes that are this one."""
+
+    def __init__(self, *args, **options):
+        pass
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *args):
+        pass
+
+    map = staticmethod(map)
