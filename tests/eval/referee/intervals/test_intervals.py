@@ -66,6 +66,16 @@ def test_resampled_means_are_distributed_as_those_of_arch():
     assert np.quantile(ours, levels) == pytest.approx(np.quantile(theirs, levels), abs=0.35 * theirs.std())
 
 
+@pytest.mark.parametrize("frames", [50, 101, 1000, 5000])
+@pytest.mark.parametrize("coefficient", [-0.5, 0.0, 0.3, 0.9, 0.999])
+def test_the_block_length_is_that_of_arch(coefficient, frames):
+    from arch.bootstrap import optimal_block_length
+
+    for x in (*squares(coefficient, frames, 3, 13), np.sin(0.3 * np.arange(frames)), np.arange(frames) % 7.0):
+        theirs = float(optimal_block_length(x)["stationary"].iloc[0])
+        assert block_length(x) == pytest.approx(max(1.0, theirs), rel=1e-12)
+
+
 def test_without_correlation_the_interval_is_the_classical_one():
     d2, nees = rng(7).chisquare(2, 2000), rng(8).chisquare(3, 2000)
     rmse, mean = run_intervals(d2, nees, rng(9))
