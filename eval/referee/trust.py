@@ -16,7 +16,7 @@ from scipy import optimize, special
 
 from data import se2
 from data.inputs import Inputs
-from data.motion.priors import corrected_inputs
+from data.motion.systematic import corrected_inputs
 from data.result import Run, Trajectory
 from data.se2 import Array, BoolArray
 from eval.referee import effects, residuals

@@ -10,13 +10,15 @@ What is known before the first frame: all that an estimator or a front end may b
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 
 from data.errors import UsageError
-from data.inputs import LandmarkMap, Prior, Systematic
 from data.motion.priors import AUTO, read_errors
-from data.sensors import Sensor
 from eval.replay.flag import flag, positive, positive_or_none, probability, probability_or_auto, share_or_none, switch
+
+if TYPE_CHECKING:
+    from data.inputs import LandmarkMap, Prior, Systematic
+    from data.sensors import Sensor
 
 SENSED_GATE = 0.9999
 """Gate for labels that a sensor read, where nobody says otherwise: one right reading in 10 000 is lost by it, and a

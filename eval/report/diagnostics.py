@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from data import se2
 from data.inputs import Inputs, IntArray
-from data.motion.priors import corrected_inputs
+from data.motion.systematic import corrected_inputs
 from data.questions import Question, ask
 from data.result import Run
 from data.se2 import Array

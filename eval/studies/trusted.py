@@ -11,7 +11,7 @@ import pandas as pd
 
 from data.inputs import Inputs
 from data.log import Log
-from data.motion.priors import corrected_inputs
+from data.motion.systematic import corrected_inputs
 from data.result import Run
 from data.se2 import Array, BoolArray
 from data.terminal import counted

@@ -25,7 +25,7 @@ from data import se2
 from data.errors import UsageError
 from data.inputs import CLUTTER, Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import Log
-from data.motion.priors import corrected_inputs
+from data.motion.systematic import corrected_inputs
 from data.result import Run
 from data.se2 import Array
 from data.sensors import RELATIVE_POINT

@@ -8,7 +8,7 @@ errors that the smoother estimated, with their priors, are profiled out like pat
 
 Systematic errors that were estimated, as unknowns of the score test: what more of each would add to a log.
 
-The log is the one less the errors found (`data.motion.priors`), in the robot's own frame; each error more, in
+The log is the one less the errors found (`data.motion.systematic`), in the robot's own frame; each error more, in
 prior sigmas, has a column, and the prior of its whole size.
 """
 
@@ -19,8 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from data.inputs import Inputs, IntArray
-from data.motion.priors import all_errors, corrected_inputs
-from data.motion.systematic import BEARING, RANGE, knots, places, stated_all
+from data.motion.systematic import BEARING, RANGE, all_errors, corrected_inputs, knots, places, stated_all
 from data.result import Systematics
 from data.se2 import Array, between, compose, pose_error
 from data.sensors import RANGE_BEARING

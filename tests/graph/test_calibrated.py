@@ -10,7 +10,7 @@ from scipy import stats
 
 from data import se2
 from data.inputs import ERRORS, LabelledObservations
-from data.motion.priors import corrected_inputs
+from data.motion.systematic import corrected_inputs
 from data.sensors import RangeBearing, RelativePoint
 from graph import optimum
 from graph.batch import Start, build, smooth, start_values

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.motion.priors import corrected_inputs
+from data.motion.systematic import corrected_inputs
 from data.se2 import pose_error
 from data.worlds.registry import named_log
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from data.inputs import ERRORS
-from data.motion.priors import corrected_inputs
-from data.motion.systematic import forgotten, knots
+from data.motion.systematic import corrected_inputs, forgotten, knots
 from data.se2 import between, pose_error
 from data.sensors import RangeBearing
 from graph.batch import smooth
