@@ -64,8 +64,6 @@ class FilterOptions:
 
 DEFAULT = FilterOptions()
 """One stacked update per frame, exact augmentation."""
-NO_LANDMARK = np.empty(0, np.int64)
-NO_LANDMARK.setflags(write=False)
 
 
 class Filter:
@@ -129,34 +127,6 @@ class Filter:
         else:
             systematic.predict_with_errors(*state, self._errors)
 
-    def stamp(self, time: float) -> None:
-        """The present frame's time, which a filter need not know."""
-
-    @property
-    def fixed_linearization(self) -> bool:
-        """Whether it linearizes at its first estimates and nowhere else: then `update` takes no `at`."""
-        return self.options.first_estimates
-
-    @property
-    def parked(self) -> IntArray:
-        """Numbers (b,) of the parked landmarks, ascending: none in a known map."""
-        return NO_LANDMARK
-
-    def parked_xy(self) -> Array:
-        """Present means (b, 2) of the parked landmarks, ordered as `parked`."""
-        return np.empty((0, 2))
-
-    def park(self, numbers: IntArray) -> None:
-        """A known map is no part of the state: asking for it is an error."""
-        raise ValueError("a localizer's map is given; none of its landmarks can be parked")
-
-    def restore(self, numbers: IntArray) -> None:
-        """None is parked: asking for it is an error."""
-        raise ValueError(f"cannot restore {np.asarray(numbers).tolist()}: a localizer's landmarks are never parked")
-
-    def amend(self, frames: IntArray, sightings: Sightings, decisions: IntArray) -> None:
-        """What frames (m,) up to now saw was for other landmarks: too late, a filter does not revise its past."""
-
     def inflate(self, covariance: Array) -> None:
         """The last motion is not to be believed: so much covariance (3, 3), world frame, is added to the pose's."""
         self._version += 1
@@ -195,12 +165,7 @@ class Filter:
         return self._P[: self.size, : self.size].copy()
 
     def _state_at(self, pose: Array) -> Array:
-        """A copy of the state with this pose (3,), its heading not wrapped: differences to the mean are as they are.
-
-        Raises ValueError for a filter with first estimates, which are where it linearizes.
-        """
-        if len(self._first):
-            raise ValueError("a filter with first estimates linearizes nowhere else")
+        """A copy of the state with this pose (3,), its heading not wrapped: differences to the mean are as they are."""
         state = self._mean[: self._used].copy()
         if not self._frame.same:
             pose = self._frame.poses_in(pose[None], state[None, 3 : self.base])[0]
@@ -278,7 +243,8 @@ class Filter:
         pose: Array | None = None,
     ) -> tuple[BoolArray, Array, Array]:
         """Update with the observations `rows` (k,); returns which passed the gate, (NIS, log-likelihood, dof), and each
-        innovation in units of its own standard deviation (k, 2). It is first linearized at the mean, or at `pose` (3,).
+        innovation in units of its own standard deviation (k, 2). It is first linearized at the mean, or at `pose` (3,);
+        with first estimates, at these in any case.
         """
         self._version += 1
         keep, stats, white = np.ones(len(rows), np.bool_), np.zeros(3), np.full((len(rows), 2), np.nan)
@@ -287,7 +253,7 @@ class Filter:
                 self._mean, self._P, self._used, at, known, sightings.z[rows], sightings.R[rows], threshold, keep,
                 stats, white, self._rule, self._first,
             )  # fmt: skip
-            if pose is not None:
+            if pose is not None and not len(self._first):
                 status = updates.update_from(self._kind, self._extrinsic, self._state_at(pose), *rest)
             else:
                 step = updates.update_each if self.options.each else updates.update

@@ -130,14 +130,6 @@ class EkfLocalizer(Filter):
         if len(self._first):
             self._first[:3] = self._mean[:3]
 
-    def remove(self, numbers: IntArray) -> None:
-        """A known map does not change: asking for it is an error."""
-        raise ValueError("a localizer's map is given; landmarks cannot be removed from it")
-
-    def merge(self, merged: IntArray, kept: IntArray) -> None:
-        """No two landmarks of a known map are one: asking for it is an error."""
-        raise ValueError("a localizer's map is given; its landmarks cannot be joined")
-
     def landmarks(self) -> MapState:
         """The given map, which has no covariance."""
         return MapState(self.map.id, self.map.xy, np.zeros((len(self.map.id), 2, 2)))

@@ -15,7 +15,7 @@ from ekf.nearby import MARGIN, NOBODY, may_be_read, surroundings
 from ekf.parking import LONGEST, Parked
 
 
-class Parkable(Filter):
+class SlamState(Filter):
     """Buffers of pose, systematic errors, active landmarks, y and recent landmarks, in this order.
 
     A landmark number is the order of creation and is never reused; `self._number[i]` is the number in slot i, whose

@@ -9,14 +9,14 @@ from data.inputs import IntArray, Sightings
 from data.result import NEW, Finished, Updated
 from data.se2 import Array, wrap_angle
 from ekf import kernels
-from ekf.parkable import Parkable
+from ekf.parkable import SlamState
 from ekf.parking import symmetric
 
 JOINED = 1e-4
 """m, of a wall also rad; standard deviation of the difference of two landmarks that are one."""
 
 
-class EkfSlam(Parkable):
+class EkfSlam(SlamState):
     """Extended Kalman filter over the pose and all landmarks (Probabilistic Robotics, section 10.2).
 
     For its buffers, and for landmarks that are parked, see `ekf.parkable`.
@@ -132,10 +132,6 @@ class EkfSlam(Parkable):
         P += JOINED**2 * gain @ gain.T
         P[:] = symmetric(P)
         self.remove(merged)
-
-    def reset(self, mean: Array, covariance: Array) -> None:
-        """The map goes with the pose: asking for another one is an error."""
-        raise ValueError("the map was made from the poses before; only a localizer can be set to another pose")
 
     def finish(self) -> Finished:
         """The last map; a filter does not revise its path."""

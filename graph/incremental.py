@@ -2,8 +2,6 @@
 
 A frame in which nothing is used costs no update: its pose is composed from the increments and joins the graph with the
 next frame that sees something, so every frame is a variable and the estimate is the same.
-
-What every smoother answers to the verbs that are a filter's own.
 """
 
 from __future__ import annotations
@@ -30,42 +28,6 @@ from graph.open_end import OpenEnd
 from graph.optimum import optimize
 from graph.walls import refuse
 
-
-class Smoother:
-    """No state that every frame updates as a whole, so that nothing need be parked; and no pose without a past.
-
-    Attributes:
-        smooths: True: it revises its path as more is seen.
-        fixed_linearization: False: `update` may be told where to linearize.
-        size: 0 states.
-        parked: numbers of the parked landmarks: none.
-    """
-
-    smooths = True
-    fixed_linearization = False
-    size = 0
-    parked: IntArray = np.empty(0, np.int64)
-
-    def stamp(self, time: float) -> None:
-        """The present frame's time, which makes no difference to a smoother that keeps all poses."""
-
-    def parked_xy(self) -> Array:
-        """No landmark is parked: (0, 2)."""
-        return np.empty((0, 2))
-
-    def park(self, numbers: IntArray) -> None:
-        """A landmark costs a graph nothing while it is not seen: asking for it is an error."""
-        raise ValueError("a smoother parks no landmark")
-
-    def restore(self, numbers: IntArray) -> None:
-        """No landmark is parked: asking for it is an error."""
-        raise ValueError(f"cannot restore {np.asarray(numbers).tolist()}: a smoother parks no landmark")
-
-    def reset(self, mean: Array, covariance: Array) -> None:
-        """The newest pose follows from the past: asking for another one is an error."""
-        raise ValueError("a smoother's pose follows from its past; begin another one at the new pose")
-
-
 THRESHOLD = 0.05
 """m, rad. Relinearize what moved further than this, ..."""
 SKIP = 10
@@ -76,12 +38,17 @@ DELICATE = 1e-8
 """m^2, rad^2. Below this eigenvalue of an increment or the prior the elimination is done by QR, a fifth slower."""
 
 
-class Isam2Smoother(Smoother):
+class Isam2Smoother:
     """Incremental smoothing and mapping (Kaess et al., IJRR 2012) over the same inputs as the filters.
 
     The parameters were chosen on Victoria Park, newest pose against the batch solution of the same data at 25 frames:
     within 4 % of a sigma everywhere, 0.2 % in the median, at half the time of relinearizing in every update.
+
+    Attributes:
+        smooths: True: it revises its path as more is seen.
     """
+
+    smooths = True
 
     def __init__(
         self,

@@ -14,17 +14,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from data.inputs import Increment, Inputs, LandmarkMap, Prior, Sightings
+from data.inputs import Frame, Increment, Inputs, LandmarkMap, Prior, Sightings
 from data.result import DISCARD, Run
 from data.se2 import Array, world_from_body, wrap_angle
 from eval.checks import worlds
 from eval.checks.finding import Finding, graded
 from eval.compare import compare
 from eval.referee.errors import named
-from eval.replay.estimators import make_estimator
-from eval.replay.external.adapter import Adapter
 from eval.replay.external.guard import ForeignError
-from eval.replay.frontend import FrontEnd, KnownAssociation
+from eval.replay.frontend import FrontEnd
 from eval.replay.run import dead_reckoning, front_end, step_by_step
 from eval.replay.settings import Beginning, Setup
 
@@ -207,12 +205,15 @@ def driven(text: str, inputs: Inputs, task: str, frames: int) -> FrontEnd:
     """A front end that has gone through so many frames, under known association."""
     front = front_end(text, "known", inputs, SETUP)
     for k in range(frames):
-        frame = inputs.frame(k)
-        front.move(frame)
-        if len(frame.sightings.z):
-            front.update(frame, front.associate(frame))
-        front.tidy()
+        _through(front, inputs.frame(k))
     return front
+
+
+def _through(front: FrontEnd, frame: Frame) -> None:
+    front.move(frame)
+    if len(frame.sightings.z):
+        front.update(frame, front.associate(frame))
+    front.tidy()
 
 
 def numbers(text: str, task: str) -> Iterator[Finding]:
@@ -257,7 +258,7 @@ def expectation(text: str, task: str) -> Iterator[Finding]:
     name = "expectation"
     inputs = inputs_for(worlds.noise_free(worlds.arena_log()), task)
     front = driven(text, inputs, task, HALF)
-    if isinstance(front.estimator, Adapter) and not front.estimator.has("expect"):
+    if front.foreign is not None and not front.foreign.has("expect"):
         yield Finding(name, True, "it has no `expect`, so it works with --association known alone")
         return
     frame = inputs.frame(HALF)
@@ -291,12 +292,12 @@ def removal(text: str, task: str) -> Iterator[Finding]:
         return
     name, inputs = "removal", inputs_for(worlds.noise_free(worlds.arena_log()), task)
     front = driven(text, inputs, task, HALF)
-    if isinstance(front.estimator, Adapter) and not front.estimator.has("remove"):
+    if front.can.removable is None:
         yield Finding(name, True, "it has no `remove`, so it works without --maintain and jcbb-hindsight")
         return
     gone = np.array([0])
     try:
-        front.estimator.remove(gone)
+        front.can.removable.remove(gone)
         assert front.known is not None
         front.known.removed(gone)
         made = []
@@ -331,8 +332,7 @@ def purity(text: str, task: str) -> Iterator[Finding]:
     if known is not None:
         kept += [_kept("map.id", known.id), _kept("map.xy", known.xy)]
     try:
-        estimator = make_estimator(text, Beginning(prior, inputs.sensor, known))
-        association = KnownAssociation(known)
+        front = FrontEnd(text, "known", Beginning(prior, inputs.sensor, known), SETUP)
         for k in range(len(inputs)):
             frame = inputs.frame(k)
             if frame.increment is not None:
@@ -340,14 +340,11 @@ def purity(text: str, task: str) -> Iterator[Finding]:
                 kept += [
                     _kept(f"increment.{n} of frame {k}", a) for n, a in zip(increment._fields, increment, strict=True)
                 ]
-                estimator.predict(increment)
-            estimator.stamp(frame.time)
+                frame = frame._replace(increment=increment)
             sightings = Sightings(*(np.array(a) for a in frame.sightings))
             kept += [_kept(f"sightings.{n} of frame {k}", a) for n, a in zip(sightings._fields, sightings, strict=True)]
-            if len(sightings.z):
-                done = estimator.update(sightings, association.decide(frame))
-                association.initialized(frame, done.created)
-            estimator.estimate()
+            _through(front, frame._replace(sightings=sightings))
+            front.estimator.estimate()
     except ForeignError as stop:
         yield Finding("purity", False, f"{stop}")
         return
@@ -380,18 +377,12 @@ def covariances(text: str, task: str) -> Iterator[Finding]:
     """Every covariance that it gives is symmetric and positive semidefinite, rounding aside."""
     name = "symmetric covariance"
     inputs = inputs_for(worlds.arena_log(), task)
-    estimator = make_estimator(text, inputs)
-    association = KnownAssociation(inputs.map)
+    front = FrontEnd(text, "known", inputs, SETUP)
     off, least, blank = 0.0, np.inf, False
     try:
         for k in range(len(inputs)):
-            frame = inputs.frame(k)
-            if frame.increment is not None:
-                estimator.predict(frame.increment)
-            estimator.stamp(frame.time)
-            done = estimator.update(frame.sightings, association.decide(frame))
-            association.initialized(frame, done.created)
-            P = estimator.estimate().covariance
+            _through(front, inputs.frame(k))
+            P = front.estimator.estimate().covariance
             blank |= not np.isfinite(P).all()
             if not blank:
                 off = max(off, float(np.abs(P - P.T).max()) / max(float(np.trace(P)), 1e-300))

@@ -153,7 +153,11 @@ class Watch:
         self._looked = front.k
         e = pairing.expectation
         # a filter's expectation is formed from its state and changes nothing; parked landmarks would have to come back
-        if e is None and isinstance(front.estimator, Filter) and not len(front.estimator.parked):
+        if (
+            e is None
+            and isinstance(front.estimator, Filter)
+            and not (front.can.parkable is not None and len(front.can.parkable.parked))
+        ):
             e = front.expect(frame.sightings)
         if e is not None and len(e.number):
             try:

@@ -24,7 +24,7 @@ from data.se2 import Array
 from data.terminal import counted
 from ekf.filter import FilterOptions
 from ekf.localizer import EkfLocalizer
-from eval.replay.estimators import NO_HINDSIGHT_OF_WALLS, make_estimator
+from eval.replay.estimators import NO_HINDSIGHT_OF_WALLS, Estimator, capabilities, make_estimator, needed
 from eval.replay.external.adapter import Adapter
 from eval.replay.external.load import load
 from eval.replay.external.make import Method, locked
@@ -83,6 +83,8 @@ class FrontEnd:
         k: number of the frame.
         association: `known` (labels that come with the frames decide) or a method's name.
         estimator: what gets the decisions.
+        can: the same as each of the capabilities that it has.
+        foreign: the same if it is somebody else's, else None.
         map_management: which landmarks leave the map; None where all stay.
         incomplete: frames in which the search for a pairing ran out of its budget.
     """
@@ -97,13 +99,18 @@ class FrontEnd:
     def __init__(
         self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
     ) -> None:
-        """Before the first frame. Raises UsageError for walls that are to be paired in hindsight."""
+        """Before the first frame.
+
+        Raises:
+            UsageError: walls are to be paired in hindsight.
+            CannotError: the estimator lacks a capability that the setup needs.
+        """
         if association == HINDSIGHT and not given.sensor.sees_points:
             raise UsageError(NO_HINDSIGHT_OF_WALLS)
         self.given, self.setup = Beginning(given.prior, given.sensor, given.map, given.systematic), setup
         self.association = name_of(association)
         self._method = Method(load(association)) if is_foreign(association) else association
-        self.estimator = make_estimator(estimator, given, options, lag=setup.lag)
+        self.use(make_estimator(estimator, given, options, lag=setup.lag))
         self.slam = given.map is None
         self.k, self.incomplete = -1, 0
         if isinstance(self.estimator, EkfLocalizer) and association != "known":
@@ -118,12 +125,19 @@ class FrontEnd:
             if kept.deactivate_after is not None:
                 known_or_foreign = association == "known" or is_foreign(association)
                 within = math.inf if known_or_foreign else horizon(association, setup.gate, setup.new_gate)
-                self.parking = Parking(self.estimator, self.map_management, given.sensor, within)
+                self.parking = Parking(self.estimator, self.can, self.map_management, given.sensor, within)
+            if kept.maintain or kept.forget_after is not None:
+                needed(self.can.removable, "`remove`", "--maintain" if kept.maintain else "--forget-after")
         self.parking = self.parking or automatic_parking(self.estimator, association, setup)
         self.faces = Faces(given.sensor) if self.slam and not given.sensor.sees_points else None
         self.known = KnownAssociation(given.map) if association == "known" else None
         gated = self.known is not None and (setup.gate_smoothers or not self.estimator.smooths)
         self._threshold = gate_threshold(setup.label_gate) if gated else math.inf
+
+    def use(self, estimator: Estimator) -> None:
+        """Hand the decisions to this estimator; it is before its first frame."""
+        self.estimator, self.can = estimator, capabilities(estimator)
+        self.foreign = estimator if isinstance(estimator, Adapter) else None
 
     def move(self, frame: Frame) -> None:
         """The next frame comes: predict; the first one has no motion."""
@@ -132,7 +146,8 @@ class FrontEnd:
             self.estimator.predict(frame.increment)
             if self.parking is not None:
                 self.parking.move(frame.increment)
-        self.estimator.stamp(frame.time)
+        if self.can.timed is not None:
+            self.can.timed.stamp(frame.time)
         if self.map_management is not None:
             self.map_management.begin(frame.number, frame.time)
 
@@ -174,7 +189,7 @@ class FrontEnd:
             self.parking.restore(pairing.decisions)
         # a smoother forms no innovations of its own unless asked to; the expectation has them, until the update
         formed = None
-        if pairing.expectation is not None and (self.estimator.smooths or isinstance(self.estimator, Adapter)):
+        if pairing.expectation is not None and (self.estimator.smooths or self.foreign is not None):
             formed = pairing.expectation.innovation_statistics(*pairing.expectation.paired(pairing.decisions))
         done = self.estimator.update(
             frame.sightings,
@@ -223,7 +238,8 @@ class FrontEnd:
 
     def leave(self, numbers: IntArray) -> None:
         """Landmarks (r,) leave the map by the rules of the setup."""
-        self.estimator.remove(numbers)
+        assert self.can.removable is not None  # or these rules had been refused
+        self.can.removable.remove(numbers)
 
     def close(self) -> None:
         """The end of the log."""
@@ -231,7 +247,9 @@ class FrontEnd:
     @property
     def state_size(self) -> int:
         """Length of the state, 0 if there is none."""
-        return self.estimator.size if self.parking is None else self.parking.state_size
+        if self.parking is not None:
+            return self.parking.state_size
+        return 0 if self.can.stateful is None else self.can.stateful.size
 
     def events(self) -> tuple[Event, ...]:
         """Decisions that were revised: none, where they are made frame by frame."""
@@ -243,7 +261,7 @@ class FrontEnd:
 
     def notes(self) -> list[str]:
         """What a reader of the results should know."""
-        notes, s = self.estimator.notes() if isinstance(self.estimator, Adapter) else [], self.setup
+        notes, s = [] if self.foreign is None else self.foreign.notes(), self.setup
         if self.incomplete:
             notes.append(
                 f"{self.association} ran out of its {BUDGET} nodes in {counted(self.incomplete, 'frame')}; "

@@ -21,7 +21,7 @@ from data.inputs import Increment, IntArray, Sightings
 from data.sensors import Sensor
 from ekf.epochs import LEAST, MOVED, PRODUCT, READING, STEP
 from ekf.slam import EkfSlam
-from eval.replay.estimators import Estimator
+from eval.replay.estimators import Capabilities, Estimator, needed
 from eval.replay.external.spec import is_foreign
 from eval.replay.settings import Setup
 
@@ -122,10 +122,21 @@ class Parking:
     """
 
     def __init__(
-        self, estimator: Estimator, management: MapManagement, sensor: Sensor, within: float = math.inf
+        self,
+        estimator: Estimator,
+        can: Capabilities,
+        management: MapManagement,
+        sensor: Sensor,
+        within: float = math.inf,
     ) -> None:
-        """Nothing parked. No method looks at landmarks beyond the squared distance `within` of every reading."""
-        self.estimator, self.management, self.sensor, self.within = estimator, management, sensor, within
+        """Nothing parked. No method looks at landmarks beyond the squared distance `within` of every reading.
+
+        Raises CannotError for an estimator that cannot park.
+        """
+        self.estimator, self._state = estimator, can.stateful
+        self.parkable = needed(can.parkable, "`park`, `restore`, `parked_xy` and `parked`", "--deactivate-after")
+        self.management, self.sensor, self.within = management, sensor, within
+        self._slam = estimator if isinstance(estimator, EkfSlam) else None
         self.largest, self.restored = 0, 0
         self._drift = Drift()
 
@@ -136,27 +147,26 @@ class Parking:
     @property
     def state_size(self) -> int:
         """Length of the state; what is parked does not count."""
-        return self.estimator.size
+        return 0 if self._state is None else self._state.size
 
     def offer(self, sightings: Sightings) -> None:
         """Restore what may be in view, of walls what some reading might be of, before anything is expected."""
-        parked = self.estimator.parked
+        parked = self.parkable.parked
         if len(parked) and not self.sensor.sees_points:  # where a wall is tells little of whether it is in view
-            slam = self.estimator
-            self._restore(slam.parked_within(sightings, self.within) if isinstance(slam, EkfSlam) else parked)
+            self._restore(parked if self._slam is None else self._slam.parked_within(sightings, self.within))
         elif len(parked):
             pose, covariance = self.estimator.estimate()
             bounds = self._drift.sigmas(parked, covariance)
-            self._restore(parked[may_be_in_view(self.sensor, pose, self.estimator.parked_xy(), *bounds)])
+            self._restore(parked[may_be_in_view(self.sensor, pose, self.parkable.parked_xy(), *bounds)])
 
     def restore(self, numbers: IntArray) -> None:
         """Restore those of some landmarks (n,) that are parked; decisions that are no landmark are left alone."""
-        if len(parked := self.estimator.parked):
+        if len(parked := self.parkable.parked):
             self._restore(np.intersect1d(numbers, parked))
 
     def _restore(self, numbers: IntArray) -> None:
         if len(numbers):
-            self.estimator.restore(numbers)
+            self.parkable.restore(numbers)
             self.management.restored(numbers)
             self.restored += len(numbers)
 
@@ -166,12 +176,12 @@ class Parking:
 
     def measure(self) -> None:
         """How large the state is now."""
-        self.largest = max(self.largest, self.estimator.size)
+        self.largest = max(self.largest, self.state_size)
 
     def park(self, numbers: IntArray) -> None:
         """Landmarks (n,) leave the state."""
         if len(numbers):
-            self.estimator.park(numbers)
+            self.parkable.park(numbers)
 
     def notes(self) -> list[str]:
         """What a reader of the results should know."""

@@ -84,7 +84,7 @@ class Recorder:
         """A frame is over."""
         self._pose[front.k], self._covariance[front.k] = front.estimator.estimate()
         self._size[front.k] = front.state_size
-        errors = front.estimator.errors
+        errors = None if front.can.calibrating is None else front.can.calibrating.errors
         if errors is not None:
             self._known = True
             self._errors[front.k], self._errors_sigma[front.k] = errors[0], np.sqrt(np.maximum(np.diag(errors[1]), 0.0))

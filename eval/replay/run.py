@@ -22,9 +22,10 @@ from data.result import DISCARD, Failure, Finished, Innovations, Run, Trajectory
 from data.se2 import Array
 from ekf.epochs import run_in_epochs, worthwhile
 from ekf.filter import FilterDivergedError, FilterOptions
+from ekf.slam import EkfSlam
 from ekf.whole_run import FilterRun, run_filter
 from eval.replay.batch import batch
-from eval.replay.estimators import OPTIONS, lack_with_walls, make_estimator
+from eval.replay.estimators import OPTIONS, lack_with_walls
 from eval.replay.external.guard import ForeignError
 from eval.replay.external.load import Thing, text_of
 from eval.replay.external.make import CannotError, require
@@ -302,14 +303,13 @@ def landmark_sigmas(inputs: Inputs, run: Run) -> Array | None:
     if float(np.sum(np.asarray(size, float) ** 2)) > MOST_WORK or run.events:
         return None
     inputs = inputs.without_map().without_labels()
-    estimator = make_estimator(run.estimator, inputs)
+    estimator = EkfSlam(inputs.prior, inputs.sensor, OPTIONS[run.estimator], systematic=inputs.systematic)
     count = int(run.created.max(initial=-1)) + 1
     sigma = np.full((len(inputs), count), math.nan)
     for k in range(len(inputs)):
         frame = inputs.frame(k)
         if frame.increment is not None:
             estimator.predict(frame.increment)
-        estimator.stamp(frame.time)
         rows = slice(frame.first, frame.first + len(frame.sightings.z))
         if rows.stop > rows.start:
             done = estimator.update(frame.sightings, run.decisions[rows])

@@ -163,5 +163,6 @@ def for_task(inputs: Inputs, task: str) -> Inputs:
 def stepped(inputs: Inputs, task: str, estimator: EkfLocalizer | EkfSlam) -> Run:
     """A filter of one's own through a whole log, step by step, by labels."""
     front = FrontEnd("ekf", "known", inputs, PLAIN)
-    front.estimator, front.parking = estimator, None  # which would park what the other one holds
+    front.use(estimator)
+    front.parking = None  # which would park what the other one holds
     return driven("ekf", front, inputs, task)

@@ -187,7 +187,7 @@ def soak(name: str, count: int, seed: int = 0) -> Soaked:
     return Soaked(
         name, count, spent[-1] - spent[1], early, resident(), float(cost[8:18].min()), float(cost[-10:].min()),
         errors / (10 * part), nees / (10 * part), float(np.abs(P - P.T).max()) / trace,
-        float(np.linalg.eigvalsh(P)[0]) / trace, front.estimator.size, len(front.landmarks().number),
+        float(np.linalg.eigvalsh(P)[0]) / trace, front.state_size, len(front.landmarks().number),
     )  # fmt: skip
 
 

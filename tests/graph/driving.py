@@ -33,7 +33,8 @@ def drive(inputs, decisions, *, gate=np.inf, until=None, smoother=None, **option
     for k in range(len(inputs) if until is None else until):
         if k:
             s.predict(inputs.increment(k))
-        s.stamp(inputs.time[k])
+        if isinstance(s, FixedLagSmoother):
+            s.stamp(inputs.time[k])
         rows = slice(inputs.start[k], inputs.start[k + 1])
         if rows.stop > rows.start:
             done.append(s.update(inputs.sightings(k), decisions[rows], threshold=gate))

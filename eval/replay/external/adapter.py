@@ -195,6 +195,8 @@ KEYWORDS = ("threshold", "at", "innovations")
 class Adapter:
     """Somebody else's estimator among ours; see `eval.replay.estimators.Estimator` for the verbs.
 
+    It hands all of them on; what it is asked for beyond the core follows from what `inner` has.
+
     Attributes:
         name: in tables.
         inner: theirs.
@@ -206,7 +208,6 @@ class Adapter:
         """Around `inner`; `known` is the map of localization."""
         self.name, self.inner, self._known = name, inner, known
         self.smooths = bool(getattr(inner, "smooths", False))
-        self.fixed_linearization = bool(getattr(inner, "fixed_linearization", "at" not in _taken(inner)))
         self.lacks_covariance = False
         self._created, self._takes = 0, _taken(inner)
 
@@ -216,8 +217,8 @@ class Adapter:
 
     @property
     def size(self) -> int:
-        """Length of its state, 0 if it does not say."""
-        return int(getattr(self.inner, "size", 0))
+        """Length of its state."""
+        return int(self.inner.size)
 
     @property
     def errors(self) -> None:
@@ -226,17 +227,16 @@ class Adapter:
 
     @property
     def parked(self) -> IntArray:
-        """Numbers (b,) of the parked landmarks; none where it cannot park."""
-        return np.asarray(getattr(self.inner, "parked", NONE), np.int64)
+        """Numbers (b,) of the parked landmarks."""
+        return np.asarray(self.inner.parked, np.int64)
 
     def predict(self, increment: Increment) -> None:
         """Move by an increment."""
         self._call("predict", increment)
 
     def stamp(self, time: float) -> None:
-        """The present frame's time [s], if it wants to know."""
-        if self.has("stamp"):
-            self._call("stamp", time)
+        """The present frame's time [s]."""
+        self._call("stamp", time)
 
     def expect(self, sightings: Sightings) -> Expectation:
         """What it expects to see."""
@@ -284,18 +284,16 @@ class Adapter:
         return found
 
     def inflate(self, covariance: Array) -> None:
-        """Believe the last motion less; of no consequence where it cannot."""
-        if self.has("inflate"):
-            self._call("inflate", covariance.copy())
+        """Believe the last motion less."""
+        self._call("inflate", covariance.copy())
 
     def reset(self, mean: Array, covariance: Array) -> None:
         """Be at another pose."""
         self._call("reset", mean.copy(), covariance.copy())
 
     def amend(self, frames: IntArray, sightings: Sightings, decisions: IntArray) -> None:
-        """What frames saw was for other landmarks; of no consequence where it does not revise its past."""
-        if self.has("amend"):
-            self._call("amend", frames.copy(), sightings, decisions.copy())
+        """What frames saw was for other landmarks."""
+        self._call("amend", frames.copy(), sightings, decisions.copy())
 
     def estimate(self) -> PoseEstimate:
         """The newest pose; NaN for the covariance where it gives none."""

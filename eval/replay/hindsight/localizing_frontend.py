@@ -15,14 +15,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from association.decide import Decided
+from association.decide import HINDSIGHT, Decided
 from association.expectation import Expectation, gate_threshold
 from association.truncated import Acceptance
 from data.inputs import Frame, Increment, IntArray, Prior, Sightings
 from data.result import DISCARD, Event, Finished, MapState, PoseEstimate, Systematics, Trajectory, Updated
 from data.se2 import Array, BoolArray
 from ekf.filter import FilterOptions
-from eval.replay.estimators import Estimator, make_estimator
+from eval.replay.estimators import Estimator, capabilities, make_estimator, needed
 from eval.replay.frontend import FrontEnd, Pairing
 from eval.replay.hindsight import constants, hypotheses
 from eval.replay.hindsight.localizer import HindsightLocalizer
@@ -30,15 +30,18 @@ from eval.replay.settings import Given, Setup
 
 
 class Stretches:
-    """A smoother that can be begun anew: the verbs of an estimator, its final path put together from the stretches."""
+    """A smoother that can be begun anew: its final path is put together from the stretches.
+
+    Attributes:
+        smooths: True.
+    """
 
     smooths = True
-    fixed_linearization = False
-    size = 0
 
     def __init__(self, begin: Callable[[Prior], Estimator], prior: Prior) -> None:
         """`begin(prior)` makes the smoother of the log from the present frame on."""
         self._begin, self._now = begin, begin(prior)
+        self._can = capabilities(self._now)
         self._first, self._frame, self._time = 0, 0, 0.0
         self._given = 0
         """First frame whose sightings are the present smoother's: those of the one it began in are in its prior."""
@@ -52,7 +55,8 @@ class Stretches:
     def stamp(self, time: float) -> None:
         """The present frame's time [s]."""
         self._time = time
-        self._now.stamp(time)
+        if self._can.timed is not None:
+            self._can.timed.stamp(time)
 
     def expect(self, sightings: Sightings) -> Expectation:
         """What the present smoother expects to see."""
@@ -73,43 +77,14 @@ class Stretches:
     def amend(self, frames: IntArray, sightings: Sightings, decisions: IntArray) -> None:
         """Take what frames (m,) saw for other landmarks than before; what stretches before this one saw stays."""
         keep = np.flatnonzero(frames >= self._given)
-        if len(keep):
+        if len(keep) and self._can.amendable is not None:
             seen = Sightings(sightings.z[keep], sightings.R[keep])
-            self._now.amend(frames[keep] - self._first, seen, decisions[keep])
-
-    def remove(self, numbers: IntArray) -> None:
-        """A known map does not change: asking for it is an error."""
-        self._now.remove(numbers)
-
-    def merge(self, merged: IntArray, kept: IntArray) -> None:
-        """No two landmarks of a known map are one: asking for it is an error."""
-        self._now.merge(merged, kept)
+            self._can.amendable.amend(frames[keep] - self._first, seen, decisions[keep])
 
     @property
     def errors(self) -> tuple[Array, Array] | None:
         """Systematic errors as the present smoother knows them."""
-        return self._now.errors
-
-    @property
-    def parked(self) -> IntArray:
-        """No landmark is parked: (0,)."""
-        return self._now.parked
-
-    def parked_xy(self) -> Array:
-        """No landmark is parked: (0, 2)."""
-        return self._now.parked_xy()
-
-    def park(self, numbers: IntArray) -> None:
-        """A known map does not change: asking for it is an error."""
-        self._now.park(numbers)
-
-    def restore(self, numbers: IntArray) -> None:
-        """No landmark is parked: asking for it is an error."""
-        self._now.restore(numbers)
-
-    def inflate(self, covariance: Array) -> None:
-        """Believe the last motion so much less."""
-        self._now.inflate(covariance)
+        return None if self._can.calibrating is None else self._can.calibrating.errors
 
     def estimate(self) -> PoseEstimate:
         """The newest pose."""
@@ -132,7 +107,8 @@ class Stretches:
             self._done.append(ended._replace(final=path, systematic=errors))
         self._first, self._given = self._frame, self._frame + 1
         self._now = self._begin(Prior(mean, covariance))
-        self._now.stamp(self._time)
+        self._can = capabilities(self._now)
+        self.stamp(self._time)
 
     def finish(self) -> Finished:
         """The stretches one after the other; costs and degrees of freedom add up."""
@@ -180,7 +156,12 @@ class LocalizingFrontEnd(FrontEnd):
     def __init__(
         self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
     ) -> None:
-        """Before the first frame. Raises UsageError without a map."""
+        """Before the first frame.
+
+        Raises:
+            UsageError: without a map.
+            CannotError: a filter cannot be set to another pose.
+        """
         self.localizer = HindsightLocalizer(given)
         super().__init__(estimator, association, given, setup, options)
         self._decided = np.empty(0, np.int64)
@@ -194,7 +175,8 @@ class LocalizingFrontEnd(FrontEnd):
             def begin(prior: Prior) -> Estimator:
                 return make_estimator(estimator, self.given._replace(prior=prior), options, lag=setup.lag)
 
-            self.estimator = Stretches(begin, given.prior)
+            self.use(Stretches(begin, given.prior))
+        self._pose = needed(self.can.resettable, "`reset`", f"--association {HINDSIGHT}")
 
     def move(self, frame: Frame) -> None:
         """The next frame comes."""
@@ -251,7 +233,8 @@ class LocalizingFrontEnd(FrontEnd):
         if changed.any():
             held.number[rows[changed]] = number[changed]
             whole = held.of(np.isin(held.frame, held.frame[rows[changed]]))
-            self.estimator.amend(whole.frame, Sightings(whole.z, whole.R), whole.number)
+            if self.can.amendable is not None:
+                self.can.amendable.amend(whole.frame, Sightings(whole.z, whole.R), whole.number)
         undecided = np.flatnonzero(sure < 1.0)
         self._open = self._open + int(undecided[0]) if len(undecided) else stop
         oldest = held.frame[rows[undecided[0]]] if len(undecided) else self.k
@@ -265,7 +248,7 @@ class LocalizingFrontEnd(FrontEnd):
 
     def _reset(self) -> None:
         """The estimator is where the hypotheses are."""
-        self.estimator.reset(*self.localizer.pose())
+        self._pose.reset(*self.localizer.pose())
 
     def close(self) -> None:
         """The end of the log: what is not settled is as the leading hypothesis has it."""

@@ -14,6 +14,7 @@ from data.errors import UsageError
 from data.inputs import Frame, IntArray
 from data.result import Event
 from ekf.filter import FilterOptions
+from eval.replay.estimators import needed
 from eval.replay.frontend import FrontEnd, Pairing
 from eval.replay.hindsight.mapper import HindsightMapper
 from eval.replay.settings import Given, Setup
@@ -32,10 +33,16 @@ class MappingFrontEnd(FrontEnd):
     def __init__(
         self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
     ) -> None:
-        """Before the first frame. Raises UsageError with one update per observation."""
+        """Before the first frame.
+
+        Raises:
+            UsageError: with one update per observation.
+            CannotError: landmarks of the estimator's map cannot be removed and merged.
+        """
         if options is not None and options.each:
             raise UsageError(f"{HINDSIGHT} judges the observations of a frame together; they cannot be used one by one")
         super().__init__(estimator, association, given, setup, options)
+        self._map = needed(self.can.revisable, "`remove` and `merge`", f"--association {HINDSIGHT}")
         self.mapper = HindsightMapper(given, setup)
 
     def move(self, frame: Frame) -> None:
@@ -47,9 +54,9 @@ class MappingFrontEnd(FrontEnd):
         """Decide about this frame's observations; the mapper has an expectation of its own."""
         decisions, complete, at, kidnapped, S = self.mapper.decide(frame)
         self.incomplete += not complete
-        if kidnapped is not None:
-            self.estimator.inflate(kidnapped)
-        return Pairing(decisions, at=None if self.estimator.fixed_linearization else at, S=S)
+        if kidnapped is not None and self.can.inflatable is not None:
+            self.can.inflatable.inflate(kidnapped)
+        return Pairing(decisions, at=at, S=S)
 
     def tidy(self) -> None:
         """The end of a frame: landmarks leave the map in hindsight, and by the rules of the setup."""
@@ -58,7 +65,7 @@ class MappingFrontEnd(FrontEnd):
         if len(found.merged):
             if self.parking is not None:
                 self.parking.restore(np.concatenate([found.merged, found.kept]))
-            self.estimator.merge(found.merged, found.kept)
+            self._map.merge(found.merged, found.kept)
             self._gone(found.merged)
         super().tidy()
 
@@ -71,13 +78,14 @@ class MappingFrontEnd(FrontEnd):
         """The end of the log: what may have been there for a while only is taken back, and all is paired anew."""
         self._retract(self.mapper.close())
         if self.mapper.whole.settled is not None:
-            self.estimator.amend(*self.mapper.whole.settled)
+            if self.can.amendable is not None:
+                self.can.amendable.amend(*self.mapper.whole.settled)
             mean, variance = truncated_square(self.mapper.whole.gate)
             self.gated_final = 0.5 * mean, 0.5 * variance
 
     def _retract(self, numbers: IntArray) -> None:
         if len(numbers):
-            self.estimator.remove(numbers)
+            self._map.remove(numbers)
             self._gone(numbers)
 
     def _gone(self, numbers: IntArray) -> None:

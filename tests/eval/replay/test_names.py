@@ -13,10 +13,12 @@ from data.worlds.arena import Arena, simulate
 from eval.figures.style import STYLES
 from eval.replay import settings
 from eval.replay.batch import LOSSES
-from eval.replay.estimators import OPTIONS, Estimator, make_estimator
+from eval.replay.estimators import OPTIONS, Estimator, capabilities, make_estimator
+from eval.replay.external.load import text_of
 from eval.replay.hindsight.localizing_frontend import Stretches
 from eval.replay.run import compare
 from graph import factors
+from tests.eval.replay.external import things
 
 
 def test_every_filter_has_its_options():
@@ -46,36 +48,37 @@ def test_every_estimator_runs_by_its_name(task):
 
 @pytest.mark.parametrize("task", settings.TASKS)
 @pytest.mark.parametrize("name", settings.STEPPING)
-def test_every_stepping_estimator_has_every_verb(name, task):
+def test_every_stepping_estimator_has_the_core_and_capabilities_that_are_its_own(name, task):
     inputs = simulate(Arena(frames=2), 0).inputs()
     estimator = make_estimator(name, inputs if task == "localization" else inputs.without_map())
     verbs = [verb for verb in vars(Estimator) if not verb.startswith("_")]
     assert [verb for verb in verbs if not hasattr(estimator, verb)] == []
     assert [verb for verb in verbs if not hasattr(Stretches, verb)] == []
-    assert estimator.smooths == (name in settings.INCREMENTAL)
-    assert (estimator.size > 0) == (name in settings.FILTERS)
-    assert not len(estimator.parked)
-    assert estimator.fixed_linearization == (name == "ekf-fej")
+    smooths = name in settings.INCREMENTAL
+    assert estimator.smooths == smooths
     assert get_type_hints(type(estimator).update)["innovations"] is bool
+    can = capabilities(estimator)
+    assert all(found in (None, estimator) for found in can)
+    expected = {
+        "timed": name == "fixed-lag",
+        "stateful": not smooths,
+        "calibrating": True,
+        "parkable": not smooths and task == "slam",
+        "removable": smooths or task == "slam",
+        "revisable": smooths or task == "slam",
+        "amendable": smooths,
+        "inflatable": True,
+        "resettable": not smooths and task == "localization",
+    }
+    assert {field: found is not None for field, found in can._asdict().items()} == expected
 
 
-@pytest.mark.parametrize("task", settings.TASKS)
-@pytest.mark.parametrize("name", settings.STEPPING)
-def test_what_an_estimator_cannot_do_it_refuses(name, task):
+def test_the_capabilities_of_a_foreign_estimator_are_those_it_has_itself():
     inputs = simulate(Arena(frames=2), 0).inputs()
-    estimator = make_estimator(name, inputs if task == "localization" else inputs.without_map())
-    slam_filter = task == "slam" and name in settings.FILTERS
-    pose, covariance = estimator.estimate()
-    if slam_filter or name in settings.INCREMENTAL:
-        with pytest.raises(ValueError, match="pose"):
-            estimator.reset(pose, covariance)
-    for verb in (estimator.park, estimator.restore):
-        with pytest.raises(ValueError, match=r"park|invariant"):
-            verb(inputs.map.id[:1])
-    if task == "localization":
-        for ask in (lambda: estimator.remove(inputs.map.id[:1]), lambda: estimator.merge(*inputs.map.id[:2, None])):
-            with pytest.raises(ValueError, match="map is given"):
-                ask()
+    bare, mine = (make_estimator(text_of(c, "estimator"), inputs.without_map()) for c in (things.Bare, things.Mine))
+    assert set(capabilities(bare)) == {None}
+    ours = capabilities(make_estimator("ekf", inputs.without_map()))
+    assert [a is None for a in capabilities(mine)] == [a is None for a in ours]
 
 
 def test_an_unknown_name_is_told_those_that_work_step_by_step():
