@@ -23,7 +23,7 @@ from data.terminal import counted
 from eval.referee.given_runs import GivenRun
 from eval.report.names import stem
 from eval.report.overview_facts import CAUSE, EITHER, FILTER, NEITHER, SMOOTHER, Facts, claims, whom_to_trust
-from eval.report.page.document import Block, Overview, OverviewRow, Section, Sketch, folded
+from eval.report.page.blocks import Block, Mark, Overview, OverviewRow, Section, Sketch, Value, folded
 from eval.report.page.tables import number
 from eval.report.rows import Row, value_of
 from eval.report.trust import HEADING, first_words
@@ -236,10 +236,19 @@ def overview(facts: Sequence[Facts], folder: Path, *, drawn: bool = True) -> Ove
     for f in facts:
         name = f"{f.trial.log.name}, {f.trial.task}"
         small, errors = _sketch(f, folder, drawn), _errors(f)
-        cells = [whom_to_trust(f), small, *errors, _ratio(f), claims(f), *_associations(f), _failed(f)]
+        cells: list[Mark | Sketch | str | None] = [
+            whom_to_trust(f),
+            small,
+            *errors,
+            _ratio(f),
+            claims(f),
+            *_associations(f),
+            _failed(f),
+        ]
         if given:
             cells.insert(4, _given(f))
-        rows.append(OverviewRow(name, name, tuple(cells), _links(f, folder)))
+        made = tuple(Value(*c.split("\n")) if isinstance(c, str) else c for c in cells)
+        rows.append(OverviewRow(name, name, made, _links(f, folder)))
     return Overview(heads, tuple(rows), CAPTION)
 
 

@@ -1,9 +1,7 @@
 """The report's section on a log made from images: models, plan, what was found in the images, and how well.
 
-The visual log's motion and observation models with their Jacobians, as formulas to be typeset.
-
-They stand once, as the LaTeX of their entries. What they say is computed by `data.motion.velocity.step`,
-`data.se2.compose` and `data.sensors.measure`; a test evaluates the entries below and compares them with those.
+The equations of the models stand in `templates/models/`, as LaTeX and as MathML. What they say is computed by
+`data.motion.velocity.step`, `data.se2.compose` and `data.sensors.measure`; a test evaluates their entries and compares.
 """
 
 from __future__ import annotations
@@ -30,9 +28,9 @@ from eval.plan.flags.options import Options
 from eval.referee.score import Trial
 from eval.report.names import stem
 from eval.report.page.document import Block, Formula, Picture, Section, written_table
-from eval.report.page.equations import Equation, Matrix, Where, formula_figure, latex
 from eval.report.page.tables import drop_blank_columns, number
 from eval.report.shown_runs import for_map, left_out
+from eval.report.words import template_text
 
 
 @dataclass(frozen=True)
@@ -42,37 +40,17 @@ class Model:
     name: str
     title: str
     about: str
-    lines: tuple[Equation | Where, ...]
 
+    @property
+    def latex(self) -> str:
+        """The equations, aligned, as what stands in math mode (needs amsmath)."""
+        return template_text(f"models/{self.name}.tex").strip()
 
-COMMAND_TERMS = Where((("D", r"v\,\Delta t"), (r"\alpha", r"\omega\,\Delta t"), ("d_x", "a D"), ("d_y", "b D")))
-ARC_TERMS = Where((
-    ("a", r"\dfrac{\sin\alpha}{\alpha}"), ("b", r"\dfrac{1 - \cos\alpha}{\alpha}"),
-    ("a'", r"\dfrac{\cos\alpha - a}{\alpha}"), ("b'", r"\dfrac{\sin\alpha - b}{\alpha}"),
-), "and")  # fmt: skip
-NEXT_POSE = Matrix((
-    (r"x + d_x \cos\theta - d_y \sin\theta",), (r"y + d_x \sin\theta + d_y \cos\theta",), (r"\theta + \alpha",),
-))  # fmt: skip
-POSE_JACOBIAN = Matrix((
-    ("1", "0", r"-d_x \sin\theta - d_y \cos\theta"), ("0", "1", r"d_x \cos\theta - d_y \sin\theta"), ("0", "0", "1"),
-))  # fmt: skip
-CONTROL_JACOBIAN = Matrix((
-    (r"a \cos\theta - b \sin\theta", r"D (a' \cos\theta - b' \sin\theta)"),
-    (r"a \sin\theta + b \cos\theta", r"D (a' \sin\theta + b' \cos\theta)"),
-    ("0", "1"),
-), factor=r"\Delta t")  # fmt: skip
-CONTROL_NOISE = Matrix(((r"\sigma_v^2", "0"), ("0", r"\sigma_\omega^2")))
+    @property
+    def formula(self) -> Formula:
+        """The equations as a block of the report."""
+        return Formula(self.latex, template_text(f"models/{self.name}.mathml").strip())
 
-ANGLE = (r"\psi", r"\varphi - \theta")
-ROTATION = Matrix(((r"\cos\varphi", r"-\sin\varphi"), (r"\sin\varphi", r"\cos\varphi")))
-EXPECTED = Matrix((
-    (r"(l_{x} - x) \cos\psi - (l_{y} - y) \sin\psi + T_x",), (r"(l_{x} - x) \sin\psi + (l_{y} - y) \cos\psi + T_z",),
-))  # fmt: skip
-OBSERVATION_JACOBIAN = Matrix((
-    (r"-\cos\psi", r"\sin\psi", "z^c_j - T_z"), (r"-\sin\psi", r"-\cos\psi", "T_x - x^c_j"),
-))  # fmt: skip
-CORNER_JACOBIAN = Matrix(((r"\cos\psi", r"-\sin\psi"), (r"\sin\psi", r"\cos\psi")))
-CORNER_NOISE = Matrix(((r"\sigma_x^2", "0"), ("0", r"\sigma_z^2")))
 
 MOTION = Model(
     "motion",
@@ -83,19 +61,7 @@ MOTION = Model(
     " and b' to 1/2, and the arc becomes a straight line; the program takes these limits by series. F is the Jacobian"
     " with respect to the pose, G the one with respect to the command, and the noise of v and ω is independent at each"
     " command. Source: Probabilistic Robotics, section 5.3; code: data.motion.velocity.step, data.se2.compose.",
-    (
-        Equation(r"\mathbf{x}_{k+1}", (r"f(\mathbf{x}_k, \mathbf{u}_k) = ", NEXT_POSE)),
-        COMMAND_TERMS,
-        ARC_TERMS,
-        Equation(r"\mathbf{F}_k", (r"\dfrac{\partial f}{\partial \mathbf{x}} = ", POSE_JACOBIAN)),
-        Equation(r"\mathbf{G}_k", (r"\dfrac{\partial f}{\partial \mathbf{u}} = ", CONTROL_JACOBIAN)),
-        Equation(
-            r"\mathbf{P}_{k+1}",
-            (r"\mathbf{F}_k \mathbf{P}_k \mathbf{F}_k^{\mathsf{T}} + ",
-             r"\mathbf{G}_k \mathbf{Q}\, \mathbf{G}_k^{\mathsf{T}} ,\qquad \mathbf{Q} = ", CONTROL_NOISE),
-        ),
-    ),
-)  # fmt: skip
+)
 OBSERVATION = Model(
     "observation",
     "Observation model",
@@ -104,27 +70,7 @@ OBSERVATION = Model(
     " respect to the pose and L the one with respect to the corner, which only SLAM needs. All corners of a frame are"
     " stacked into one update, with independent noise. Source: Probabilistic Robotics, section 6.6, for a point instead"
     " of range and bearing; code: data.sensors.measure.",
-    (
-        Equation(
-            r"h_j(\mathbf{x})",
-            (Matrix((("x^c_j",), ("z^c_j",))),
-             r" = \mathrm{Rot}(\varphi)\, \mathrm{Rot}(\theta)^{\mathsf{T}} (\mathbf{l} - \mathbf{p}) + \mathbf{T}"),
-        ),
-        Equation("", (EXPECTED,)),
-        Equation(r"\mathrm{Rot}(\varphi)", (ROTATION, r",\qquad " + " = ".join(ANGLE))),
-        Equation(r"\mathbf{H}_j", (r"\dfrac{\partial h_j}{\partial \mathbf{x}} = ", OBSERVATION_JACOBIAN)),
-        Equation(r"\mathbf{L}_j", (r"\dfrac{\partial h_j}{\partial \mathbf{l}} = ", CORNER_JACOBIAN)),
-        Equation(
-            r"\mathbf{S}",
-            (r"\mathbf{H} \mathbf{P} \mathbf{H}^{\mathsf{T}} + \mathbf{R} ,\qquad \mathbf{H} = ",
-             Matrix(((r"\mathbf{H}_1",), (r"\vdots",), (r"\mathbf{H}_m",)))),
-        ),
-        Equation(
-            r"\mathbf{R}",
-            (r"\mathrm{blockdiag}(\mathbf{R}_1, \ldots, \mathbf{R}_m) ,\qquad \mathbf{R}_j = ", CORNER_NOISE),
-        ),
-    ),
-)  # fmt: skip
+)
 UPDATE = Model(
     "update",
     "Update",
@@ -132,17 +78,7 @@ UPDATE = Model(
     " frame, its gain, the pose and its covariance after it; quantities with a minus are predicted. S and H are those"
     " of the observation model. Heading differences are wrapped, and in SLAM the corners are part of the state. Source:"
     " Probabilistic Robotics, table 3.3; code: ekf.updates.",
-    (
-        Equation(r"\nu", (r"\mathbf{z} - h(\mathbf{x}^{-}) \qquad (10)",)),
-        Equation(
-            r"\mathbf{K}",
-            (r"\mathbf{P}^{-} \mathbf{H}^{\mathsf{T}} (\mathbf{H} \mathbf{P}^{-} \mathbf{H}^{\mathsf{T}}",
-             r" + \mathbf{R})^{-1} \qquad (11)"),
-        ),
-        Equation(r"\mathbf{x}^{+}", (r"\mathbf{x}^{-} + \mathbf{K} \nu \qquad (12)",)),
-        Equation(r"\mathbf{P}^{+}", (r"(\mathbf{I} - \mathbf{K} \mathbf{H}) \mathbf{P}^{-} \qquad (13)",)),
-    ),
-)  # fmt: skip
+)
 MODELS = (MOTION, OBSERVATION, UPDATE)
 
 
@@ -152,7 +88,7 @@ def models_latex(models: tuple[Model, ...] = MODELS) -> str:
     parts = ["% \\usepackage{amsmath}"]
     for model in models:
         about = tex_escape(model.about).translate(greek)
-        parts.append(f"\\paragraph{{{model.title}.}} {about}\n\\[\n{latex(model.lines)}\n\\]")
+        parts.append(f"\\paragraph{{{model.title}.}} {about}\n\\[\n{model.latex}\n\\]")
     return "\n".join(parts) + "\n"
 
 
@@ -288,14 +224,8 @@ def models(folder: Path, options: Options, log: Log) -> Iterator[Block]:
         (folder / "tables" / f"{name}-models.tex").write_text(models_latex(), encoding="utf-8", newline="\n")
     for model in MODELS:
         yield f"**{model.title}.** {model.about}"
-        yield typeset(folder, f"{name}-{model.name}", model)
+        yield model.formula
     yield constants(log)
-
-
-def typeset(folder: Path, stem: str, model: Model) -> Formula:
-    """The formulas of a model, with the picture that shows them where no LaTeX is."""
-    save(formula_figure(model.lines), folder / "figures", stem, ("png",))
-    return Formula(stem, latex(model.lines))
 
 
 def constants(log: Log) -> str:

@@ -35,6 +35,13 @@ def environment() -> Environment:
     return env
 
 
+def template_text(name: str) -> str:
+    """A file of `templates/` as it is, not rendered."""
+    env = environment()
+    assert env.loader is not None
+    return env.loader.get_source(env, name)[0]
+
+
 def percent(share: float, digits: int = 1) -> str:
     """A share in percent, with so many decimals and the sign."""
     return f"{100.0 * share:.{digits}f} %"

@@ -45,7 +45,6 @@ from eval.report.visual import (
     statistics_of,
     summary,
     tiles_of,
-    typeset,
 )
 
 SHOWN = ("dead-reckoning", "ekf", "ekf-iterated", "isam2", "batch")
@@ -98,7 +97,7 @@ def _motion(folder: Path, options: Options, trial: Trial) -> Section:
                 "dead reckoning alone, 3σ ellipses in their size",
             )
         )
-    blocks += [typeset(folder, "lab-motion-model", MOTION), f"{MOTION.about} {constants(log)}"]
+    blocks += [MOTION.formula, f"{MOTION.about} {constants(log)}"]
     return Section("Question 1: How does the robot move, and how does its uncertainty grow?", tuple(blocks))
 
 
@@ -130,7 +129,7 @@ def _observation(folder: Path, options: Options, trial: Trial) -> Section:
             )
         )
     blocks += [
-        typeset(folder, "lab-observation-model", OBSERVATION),
+        OBSERVATION.formula,
         f"{OBSERVATION.about} {summary(statistics_of(log.evidence), found).replace('**Detections.** ', 'Found: ')}",
     ]
     return Section("Question 2: What does the camera see of a picture's corners?", tuple(blocks))
@@ -170,7 +169,7 @@ def _filter(folder: Path, options: Options, trial: Trial) -> Section:
             )
     caption = f"{log.name}, localization: position errors without alignment, and σ along the least certain direction."
     blocks.append(written_table(pd.DataFrame(rows, dtype=object), folder, "lab-question-3", caption, options))
-    blocks += [typeset(folder, "lab-update-model", UPDATE), UPDATE.about]
+    blocks += [UPDATE.formula, UPDATE.about]
     return Section("Question 3: Where was the robot, and how sure is the filter of it?", tuple(blocks))
 
 

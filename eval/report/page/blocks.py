@@ -1,20 +1,12 @@
-"""What a report is made of: tables, figures, equations, folded text, the overview, and sections that hold them.
-
-A film in the report: it stays a file beside the page, which shows it where it is and links to it.
-"""
+"""What a report is made of: tables, figures, equations, films, folded text, the overview, and sections of them."""
 
 from __future__ import annotations
 
-import html
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import pandas as pd
-from markdown_it import MarkdownIt
-
-POLICY = "; media-src 'self' file:"
-"""Added to the page's content security policy where it shows films: nothing else may be loaded from beside it."""
 
 
 @dataclass(frozen=True)
@@ -31,19 +23,6 @@ class Film:
     def path(self) -> str:
         """Where it is, seen from the report."""
         return f"figures/{self.stem}.webm"
-
-
-def film_markdown(film: Film) -> str:
-    """A link to the film and its caption."""
-    return f"**Film.** {film.caption} ([WebM]({film.path}))"
-
-
-def film_html(film: Film, md: MarkdownIt) -> str:
-    """The film with controls, and a link for those whose browser does not play it."""
-    path = html.escape(film.path)
-    link = f'<a href="{path}">{path}</a>'
-    caption = f"<figcaption><b>Film.</b> {md.renderInline(film.caption)} ({link})</figcaption>"
-    return f'<figure class="film"><video controls preload="metadata" src="{path}">{link}</video>\n{caption}</figure>'
 
 
 READING = "How to read this"
@@ -87,10 +66,10 @@ class Picture:
 
 @dataclass(frozen=True)
 class Formula:
-    """Equations: LaTeX as in math mode, and `figures/<stem>.png` that shows the same where no LaTeX is."""
+    """Equations: LaTeX as in math mode, and the same as MathML for browsers."""
 
-    stem: str
     latex: str
+    mathml: str
 
 
 @dataclass(frozen=True)
@@ -116,7 +95,15 @@ class Sketch:
     stem: str | None = None
 
 
-Cell = str | Mark | Sketch | None
+@dataclass(frozen=True)
+class Value:
+    """A cell's text, and a note below it."""
+
+    text: str
+    note: str = ""
+
+
+Cell = Mark | Value | Sketch | None
 
 
 @dataclass(frozen=True)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import pandas as pd
 
 from eval.report.page import latex
+from eval.report.page.blocks import FinePrint, Table
 from eval.report.page.latex import add_note, sheet
 from eval.report.page.tables import is_blank, markdown
 
@@ -88,3 +89,41 @@ def write_table(
         path.write_text(text[suffix](), encoding="utf-8", newline="\n")
         written.append(path)
     return written
+
+
+class Wanted(Protocol):
+    """What is asked of tables: their formats, and what those for a paper are like (see `Paper`)."""
+
+    @property
+    def formats(self) -> tuple[str, ...]:
+        """Of csv, md and tex."""
+
+    @property
+    def table_width(self) -> str:
+        """Of LaTeX tables: `column` or `page`."""
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Keys of the columns of LaTeX tables; none: as many as there is room for."""
+
+
+def written_table(
+    frame: pd.DataFrame,
+    folder: Path,
+    stem: str,
+    caption: str,
+    wanted: Wanted,
+    *,
+    for_paper: pd.DataFrame | None = None,
+    fine: FinePrint | None = None,
+    apart: tuple[int, ...] = (),
+) -> Table:
+    """Write a table as `folder/tables/stem.<format>`; the report links to its CSV if there is one.
+
+    `for_paper`: the same rows with more columns to choose from; `fine`: what the caption leaves to the section on
+    reading (and to the notes of the LaTeX tables); `apart`: places of the rows that the report shows beneath.
+    """
+    paper = Paper(wanted.table_width, wanted.columns)
+    text = "" if fine is None else fine.text
+    write_table(frame, folder / "tables", stem, caption, wanted.formats, paper, for_paper, text)
+    return Table(frame, caption, stem if "csv" in wanted.formats else None, fine, apart)

@@ -13,6 +13,7 @@ from matplotlib.colors import to_hex
 from data.result import Failure, Trajectory
 from eval.plan.flags.options import Options
 from eval.referee.score import Trial
+from eval.report import visual as models
 from eval.report.labs import visual
 from eval.report.page.document import Formula, Picture, Table
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error
@@ -29,11 +30,6 @@ def saved(monkeypatch):
     found = {}
     monkeypatch.setattr(visual, "save", lambda fig, folder, stem, formats: found.update({stem: (fig, formats)}))
     return found
-
-
-@pytest.fixture(autouse=True)
-def formulas_are_not_drawn(monkeypatch):
-    monkeypatch.setattr(visual, "typeset", lambda folder, stem, model: Formula(stem, (model.title,)))
 
 
 def localized(estimator, error, *, phases=("online",), **other):
@@ -132,9 +128,7 @@ def test_the_models_are_written_for_latex_where_that_is_asked_for(formats, there
 def test_without_plots_there_are_formulas_alone(tmp_path):
     blocks = [b for s in answers(tmp_path, no_plots=True) for b in s.blocks]
     assert not any(isinstance(b, Picture) for b in blocks)
-    assert [b.stem for b in blocks if isinstance(b, Formula)] == [
-        "lab-motion-model", "lab-observation-model", "lab-update-model",
-    ]  # fmt: skip
+    assert [b for b in blocks if isinstance(b, Formula)] == [m.formula for m in models.MODELS]
 
 
 @pytest.mark.parametrize(("quick", "drawn"), [(True, ("png",)), (False, ("pdf", "png"))])

@@ -102,7 +102,7 @@ def test_answers_come_first_with_every_block_and_notes_last(tmp_path):
     with_files(tmp_path, "tables/notes.tex")
     table = Table(pd.DataFrame({"a": [1]}), "caption", stem="q1")
     blocks = (
-        "**Yes.**", table, replace(table, stem=""), picture("lab", "Paths, 5 %."), Formula("f", "x = 1"),
+        "**Yes.**", table, replace(table, stem=""), picture("lab", "Paths, 5 %."), Formula("x = 1", "<math></math>"),
         Folded("more", ("* one\n* two",)),
     )  # fmt: skip
     found = pages(tmp_path, answers=[Section("Question 1: how?", blocks)])

@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
-from itertools import combinations
+from dataclasses import replace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -17,7 +18,6 @@ from data.sensors import RelativePoint
 from ekf import kernels
 from eval.replay.estimators import make_estimator
 from eval.report import visual
-from eval.report.page.equations import Equation, Matrix, Where, formula_figure, latex
 
 TOKEN = re.compile(r"(?:\\[a-zA-Z]+|[a-zA-Z]'?)(?:[_^](?:\{\w\}|\w|\\[a-z]+))*|\d+|[-+(){}]|\\,|\s+")
 
@@ -72,9 +72,21 @@ def evaluate(text: str, value: dict[str, float]) -> float:
     return result
 
 
-def array(matrix: Matrix, value: dict[str, float]) -> np.ndarray:
-    factor = evaluate(matrix.factor, value) if matrix.factor else 1.0
-    return factor * np.array([[evaluate(entry, value) for entry in row] for row in matrix.rows])
+def array(before: str, value: dict[str, float], model=None) -> np.ndarray:
+    """The matrix that stands behind some LaTeX, with the factor between the two."""
+    text = (model or visual.OBSERVATION).latex
+    at = text.index(before) + len(before)
+    factor, rest = text[at:].split(r"\begin{bmatrix}", 1)
+    rows = rest.split(r"\end{bmatrix}", 1)[0].split(r"\\")
+    scale = evaluate(factor.strip(), value) if factor.strip() else 1.0
+    return scale * np.array([[evaluate(entry.strip(), value) for entry in row.split("&")] for row in rows])
+
+
+def terms(model) -> dict[str, str]:
+    """The abbreviations of a model: symbol and meaning, those without a fraction first."""
+    lines = [line for line in model.latex.split("\n") if r"\quad D =" in line or r"\quad a =" in line]
+    found = dict(part.split(" = ") for line in lines for part in re.split(r",?\\quad ", line.split(r" \\[")[0])[1:])
+    return dict(sorted(found.items(), key=lambda item: item[0].startswith("d_")))
 
 
 def central(f, at: np.ndarray, h: float = 1e-6) -> np.ndarray:
@@ -89,6 +101,7 @@ def test_the_evaluator_of_formulas_knows_arithmetic():
 
 
 # motion
+AFTER_X, AFTER_U = (rf"\dfrac{{\partial f}}{{\partial \mathbf{{{of}}}}} =" for of in "xu")
 MOTIONS = [
     ((1.0, -2.0, 0.4), (0.3, 0.5), 0.25),
     ((0.0, 3.0, np.pi - 0.01), (0.8, 1.5), 0.1),
@@ -107,9 +120,7 @@ def moved(pose: np.ndarray, control: np.ndarray, dt: float) -> np.ndarray:
 
 def motion_values(pose, control, dt) -> dict[str, float]:
     value = {"x": pose[0], "y": pose[1], r"\theta": pose[2], "v": control[0], r"\omega": control[1], r"\Delta t": dt}
-    arc = dict(visual.ARC_TERMS.terms)
-    arc_first = {**dict(visual.COMMAND_TERMS.terms[:2]), **arc, **dict(visual.COMMAND_TERMS.terms[2:])}
-    for symbol, meaning in arc_first.items():
+    for symbol, meaning in terms(visual.MOTION).items():
         value[symbol] = evaluate(meaning, value)
     return value
 
@@ -118,19 +129,22 @@ def motion_values(pose, control, dt) -> dict[str, float]:
 def test_the_typeset_motion_model_and_its_jacobians_are_the_codes(pose, control, dt):
     pose, control = np.array(pose), np.array(control)
     value = motion_values(pose, control, dt)
-    assert array(visual.NEXT_POSE, value)[:, 0] == pytest.approx(moved(pose, control, dt), abs=1e-12)
+    assert array(r"\mathbf{u}_k) =", value, visual.MOTION)[:, 0] == pytest.approx(moved(pose, control, dt), abs=1e-12)
     F = central(lambda p: moved(p, control, dt), pose)
     G = central(lambda u: moved(pose, u, dt), control)
-    assert array(visual.POSE_JACOBIAN, value) == pytest.approx(F, abs=1e-8)
-    assert array(visual.CONTROL_JACOBIAN, value) == pytest.approx(G, abs=1e-8)
+    assert array(AFTER_X, value, visual.MOTION) == pytest.approx(F, abs=1e-8)
+    assert array(AFTER_U, value, visual.MOTION) == pytest.approx(G, abs=1e-8)
 
 
 @pytest.mark.parametrize(("pose", "control", "dt"), MOTIONS)
 def test_the_filter_propagates_the_covariance_that_the_typeset_jacobians_give(pose, control, dt):
     sigma = (0.01, np.radians(4.0))
     value = motion_values(np.array(pose), control, dt)
-    F, G = array(visual.POSE_JACOBIAN, value), array(visual.CONTROL_JACOBIAN, value)
-    Q = array(visual.CONTROL_NOISE, {r"\sigma_v^2": sigma[0] ** 2, r"\sigma_\omega^2": sigma[1] ** 2})
+    F, G = (
+        array(AFTER_X, value, visual.MOTION),
+        array(AFTER_U, value, visual.MOTION),
+    )
+    Q = array(r"\mathbf{Q} =", {r"\sigma_v^2": sigma[0] ** 2, r"\sigma_\omega^2": sigma[1] ** 2}, visual.MOTION)
     P = np.array([[0.04, 0.01, 0.002], [0.01, 0.09, -0.003], [0.002, -0.003, 0.01]])
     model = VelocityModel(VelocityNoise("velocity", sigma))
     time = np.array([0.0, dt])
@@ -156,14 +170,17 @@ def test_the_typeset_observation_model_and_its_jacobians_are_the_codes(pose, cor
         "x": pose[0], "y": pose[1], r"\theta": pose[2], "l_{x}": corner[0], "l_{y}": corner[1], r"\varphi": turn,
         "T_x": shift[0], "T_z": shift[1],
     }  # fmt: skip
-    symbol, meaning = visual.ANGLE
-    value[symbol] = evaluate(meaning, value)
+    assert r"\qquad \psi = \varphi - \theta" in visual.OBSERVATION.latex
+    value[r"\psi"] = turn - pose[2]
     seen = sensor.predict(pose, corner[None])[0]
-    assert array(visual.EXPECTED, value)[:, 0] == pytest.approx(seen, abs=1e-12)
-    chain = array(visual.ROTATION, value) @ se2.rotation(pose[2]).T @ (corner - pose[:2]) + shift
+    assert array("\n&=", value)[:, 0] == pytest.approx(seen, abs=1e-12)
+    chain = array(r"\mathrm{Rot}(\varphi) &=", value) @ se2.rotation(pose[2]).T @ (corner - pose[:2]) + shift
     assert chain == pytest.approx(seen, abs=1e-12)
     value |= {"x^c_j": seen[0], "z^c_j": seen[1]}
-    H, L = array(visual.OBSERVATION_JACOBIAN, value), array(visual.CORNER_JACOBIAN, value)
+    H, L = (
+        array(r"\dfrac{\partial h_j}{\partial \mathbf{x}} =", value),
+        array(r"\dfrac{\partial h_j}{\partial \mathbf{l}} =", value),
+    )
     assert pytest.approx(central(lambda p: sensor.predict(p, corner[None])[0], pose), abs=1e-8) == H
     assert pytest.approx(central(lambda c: sensor.predict(pose, c[None])[0], corner), abs=1e-8) == L
     Hx, Hl = sensor.jacobians(pose, corner[None])
@@ -172,26 +189,16 @@ def test_the_typeset_observation_model_and_its_jacobians_are_the_codes(pose, cor
 
 
 # typesetting
-def test_all_that_is_checked_above_is_what_is_typeset():
-    shown = [part for m in visual.MODELS for line in m.lines if isinstance(line, Equation) for part in line.right]
-    for matrix in (
-        visual.NEXT_POSE, visual.POSE_JACOBIAN, visual.CONTROL_JACOBIAN, visual.CONTROL_NOISE, visual.ROTATION,
-        visual.EXPECTED, visual.OBSERVATION_JACOBIAN, visual.CORNER_JACOBIAN,
-    ):  # fmt: skip
-        assert any(part is matrix for part in shown)
-    assert visual.COMMAND_TERMS in visual.MOTION.lines
-    assert visual.ARC_TERMS in visual.MOTION.lines
-    assert " = ".join(visual.ANGLE) in latex(visual.OBSERVATION.lines)
-
-
-def test_a_matrix_becomes_a_matrix_aligned_at_the_equals_sign():
-    lines = (Equation("A", (Matrix((("1", "x"), ("0", r"\alpha")), "2"),)), Where((("x", "y"),)))
-    assert latex(lines) == (
-        "\\begin{aligned}\n"
-        "A &= 2 \\begin{bmatrix} 1 & x \\\\ 0 & \\alpha \\end{bmatrix} \\\\[1ex]\n"
-        "& \\mathrm{where}\\quad x = y\n"
-        "\\end{aligned}"
-    )
+@pytest.mark.parametrize("model", visual.MODELS, ids=lambda m: m.name)
+def test_the_mathml_has_the_matrices_and_letters_of_the_latex(model):
+    math = ElementTree.fromstring(model.formula.mathml)
+    assert len(list(math.iter("mtable"))) == 1 + model.latex.count(r"\begin{bmatrix}")
+    assert len(math[0]) == model.latex.count(r"\\[1ex]") + 1
+    rows = sum(matrix.count(r"\\") + 1 for matrix in re.findall(r"\\begin{bmatrix}(.*?)\\end", model.latex))
+    assert len(list(math.iter("mtr"))) == len(math[0]) + rows
+    for name in ("sin", "cos"):
+        assert sum(e.text == name for e in math.iter("mi")) == model.latex.count(rf"\{name}")
+    assert len(list(math.iter("mfrac"))) == model.latex.count(r"\dfrac")
 
 
 def test_the_update_equations_are_what_the_filter_computes():
@@ -214,27 +221,23 @@ def test_the_update_equations_are_what_the_filter_computes():
     mean, covariance = filtered.estimate()
     assert mean == pytest.approx(x + K @ nu)
     assert covariance == pytest.approx((np.eye(3) - K @ H[0]) @ P)
-    text = latex(visual.UPDATE.lines)
+    text = visual.UPDATE.latex
     assert all(f"({n})" in text for n in (10, 11, 12, 13))
 
 
 def test_the_latex_of_a_model_is_a_titled_paragraph_of_its_words_and_below_it_its_equations():
-    lines = (Equation("a", ("b",)), Equation("c", (r"\omega",)))
-    about = "Speed ω for Δt, φ and ψ; θ & 5 % of it."
-    first, second = visual.Model("one", "One", about, lines), visual.Model("two", "Two", "Short.", lines[:1])
-    assert visual.models_latex((first, second)) == (
+    model = replace(visual.UPDATE, title="One", about="Speed ω for Δt, φ and ψ; θ & 5 % of it.")
+    assert visual.models_latex((model,)) == (
         "% \\usepackage{amsmath}\n"
         "\\paragraph{One.} Speed $\\omega$ for $\\Delta$t, $\\varphi$ and $\\psi$; $\\theta$ \\& 5 \\% of it.\n"
-        "\\[\n\\begin{aligned}\na &= b \\\\[1ex]\nc &= \\omega\n\\end{aligned}\n\\]\n"
-        "\\paragraph{Two.} Short.\n"
-        "\\[\n\\begin{aligned}\na &= b\n\\end{aligned}\n\\]\n"
+        f"\\[\n{model.latex}\n\\]\n"
     )
 
 
 def test_the_latex_holds_every_model_in_order_in_characters_that_latex_sets():
     text = visual.models_latex()
     assert re.findall(r"\\paragraph\{(.*?)\}", text) == ["Motion model.", "Observation model.", "Update."]
-    at = [text.index(latex(m.lines)) for m in visual.MODELS]
+    at = [text.index(m.latex) for m in visual.MODELS]
     assert at == sorted(at)
     assert text.isascii()
 
@@ -250,23 +253,3 @@ def test_the_latex_of_the_models_compiles_and_fits_the_page(tmp_path):
     )
     assert made.returncode == 0, made.stdout[-2000:]
     assert "Overfull" not in made.stdout
-
-
-@pytest.mark.parametrize("model", visual.MODELS, ids=lambda m: m.name)
-def test_nothing_in_the_picture_of_a_formula_overlaps_or_is_cut(model):
-    fig = formula_figure(model.lines)
-    fig.set_dpi(400)  # letters are hinted to whole pixels
-    fig.draw_without_rendering()
-    boxes = [t.get_window_extent() for t in fig.texts] + [a.get_window_extent() for a in fig.artists]
-    assert len(fig.texts) > 10
-    assert len(fig.artists) == 2 * sum(
-        isinstance(p, Matrix) for e in model.lines if isinstance(e, Equation) for p in e.right
-    )
-    for box in boxes:
-        assert box.x0 >= 0
-        assert box.y0 >= 0
-        assert box.x1 <= fig.bbox.x1
-        assert box.y1 <= fig.bbox.y1
-    for a, b in combinations(boxes[: len(fig.texts)], 2):
-        shared = np.minimum(a.max, b.max) - np.maximum(a.min, b.min)
-        assert shared.min() < 0.3 * 400 / 72  # pt

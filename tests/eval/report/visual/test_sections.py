@@ -12,7 +12,6 @@ from eval.plan.flags.options import Options
 from eval.referee.score import Trial
 from eval.report import visual
 from eval.report.page.document import Formula, Picture, Report, Table, write_report
-from eval.report.page.equations import latex
 from eval.report.page.tables import drop_blank_columns
 from eval.report.visual import PictureStatistics, detection_table, statistics_of, tiles_of, visual_sections
 from tests.eval.handmade import circle_log, run_with_error
@@ -76,8 +75,7 @@ def test_the_section_of_a_log_is_written_once_with_a_plan_for_each_task(tmp_path
     made = visual_sections(tmp_path, Options(), [*trials(), Trial(circle_log(), "slam", ())])
     assert [s.heading for s in made] == ["Pictures as landmarks: visual:1"]
     blocks = made[0].blocks
-    formulas = ["visual_1-motion", "visual_1-observation", "visual_1-update"]
-    assert [b.stem for b in blocks if isinstance(b, Formula)] == formulas
+    assert [b for b in blocks if isinstance(b, Formula)] == [m.formula for m in visual.MODELS]
     assert [b.stem for b in blocks if isinstance(b, Picture)] == [
         "visual_1-localization-plan", "visual_1-slam-plan", "visual_1-detections",
     ]  # fmt: skip
@@ -91,25 +89,21 @@ def test_the_section_of_a_log_is_written_once_with_a_plan_for_each_task(tmp_path
 
 
 @pytest.mark.slow
-def test_formulas_are_in_the_html_as_images_that_say_their_latex_and_in_markdown_as_latex(tmp_path):
+def test_formulas_are_mathml_in_the_page_and_latex_in_markdown(tmp_path):
     made = visual_sections(tmp_path, Options(quick=True), trials())
     write_report(tmp_path, Report("Title", "command", ("First.",), tuple(made)))
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert page.count('<div class="formula"><img ') == 3
-    assert "\\begin{bmatrix} 1 &amp; 0 &amp; -d_x \\sin\\theta" in page
+    assert page.count('<div class="formula"><math display="block">') == 3
     assert not re.search(r"https?://|<script", page)
     text = (tmp_path / "report.md").read_text(encoding="utf-8")
     for model in visual.MODELS:
-        assert f"```math\n{latex(model.lines)}\n```" in text
+        assert f"```math\n{model.latex}\n```" in text
 
 
 def test_formulas_are_shown_also_without_plots(tmp_path):
     made = visual_sections(tmp_path, replace(Options(), no_plots=True, formats=("csv",)), trials(truth=False))
-    assert sorted(p.name for p in (tmp_path / "figures").iterdir()) == [
-        "visual_1-motion.png",
-        "visual_1-observation.png",
-        "visual_1-update.png",
-    ]
+    assert sum(isinstance(b, Formula) for b in made[0].blocks) == 3
+    assert not (tmp_path / "figures").exists()
     assert [p.name for p in (tmp_path / "tables").iterdir()] == ["visual_1-detections.csv"]
     assert not any(isinstance(b, Picture) for b in made[0].blocks)
 

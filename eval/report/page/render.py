@@ -1,0 +1,200 @@
+"""The report as Markdown and as one HTML page that needs nothing else: images inside, no script, no network.
+
+Both are templates (`templates/page.md.j2`, `templates/page.html.j2`, `templates/page.css`) that get the same blocks.
+"""
+
+from __future__ import annotations
+
+import base64
+import re
+import struct
+from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import pandas as pd
+from cv2.typing import MatLike
+from jinja2 import Environment
+from markdown_it import MarkdownIt
+from markupsafe import Markup, escape
+
+from eval.report.page.blocks import (
+    READING,
+    Film,
+    Numbers,
+    Overview,
+    Picture,
+    Report,
+    Section,
+    Table,
+    anchor,
+    cut,
+    every_block,
+    with_fine_print,
+)
+from eval.report.page.tables import is_numeric, markdown, markdown_escape, texts
+from eval.report.words import environment, template_text
+
+POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+OF_FILMS = "; media-src 'self' file:"
+"""Added to the policy of a page that shows films, which stay files beside it: nothing else may be loaded."""
+QUALITY, LOSSLESS = 60, 101
+"""Of WebP. At 60, lines drawn at two pixels for a page pixel look the same (compared) at half the lossless size."""
+FLAT = 2.0
+"""A figure whose PNG is less than so many times as large has few colours, and lossless may be smaller still: bars."""
+THREADS = 2
+LISTED = 3
+"""A page of fewer sections has no list of contents."""
+
+Headed = tuple[Section, str]
+"""A section and the address of its heading."""
+
+
+def write_report(folder: Path, report: Report) -> None:
+    """Write `report.md` and `report.html` into the result folder; its figures must be there already, as PNG."""
+    (folder / "report.md").write_text(report_markdown(report), encoding="utf-8", newline="\n")
+    (folder / "report.html").write_text(report_html(folder, report), encoding="utf-8", newline="\n")
+
+
+def report_markdown(report: Report) -> str:
+    """The report as Markdown, figures by their place in `figures/`."""
+    template = _templates(html=False).get_template("page.md.j2")
+    text = template.render(report=report, sections=with_fine_print(report), reading=READING, numbers=Numbers())
+    return text.strip() + "\n"
+
+
+def report_html(folder: Path, report: Report) -> str:
+    """The report as one HTML page; figures are read from `folder/figures` (FileNotFoundError names a missing one)."""
+    sections = with_fine_print(report)
+    blocks = list(every_block([*report.introduction, *(b for s in (*report.first, *sections) for b in s.blocks)]))
+    overviews = (i for i, b in enumerate(report.introduction) if isinstance(b, Overview))
+    used: Counter[str] = Counter()
+    first, rest = _chapters(report.first, used), _chapters(sections, used)
+    contents = [headed for chapter in (*first, *rest) for headed in chapter if headed[0].level == 2]
+    text = (
+        _templates(html=True)
+        .get_template("page.html.j2")
+        .render(
+            report=report,
+            place=next(overviews, None),
+            first=first,
+            rest=rest,
+            contents=contents if len(contents) >= LISTED else [],
+            read=anchor(READING) in used,
+            reading=READING,
+            numbers=Numbers(),
+            images=images(folder, [b.stem for b in blocks if isinstance(b, Picture)]),
+            policy=POLICY + (OF_FILMS if any(isinstance(b, Film) for b in blocks) else ""),
+            style=template_text("page.css"),
+        )
+    )
+    return text.strip() + "\n"
+
+
+@cache
+def _templates(*, html: bool) -> Environment:
+    """The templates with what pages need besides; for HTML with escaping."""
+    made = environment().overlay(autoescape=html)
+    md = MarkdownIt("commonmark", {"html": False}).enable("table")
+    made.filters = made.filters | {
+        "kind": lambda block: type(block).__name__,
+        "markdown": lambda text: Markup(md.render(text).rstrip("\n")),
+        "inline": lambda text: Markup(md.renderInline(text)),
+        "plain": markdown_escape,
+        "alternative": lambda text: re.sub(r"[\[\]\\|]", "", text),
+        "anchor": anchor,
+        "slug": slug,
+        "cut": cut,
+        "breakable": _breakable,
+        "laid_out": _laid_out,
+        "table_markdown": lambda table: markdown(_beneath(table)[0]).rstrip(),
+    }
+    return made
+
+
+def slug(heading: str) -> str:
+    """Address of a heading as the usual viewers of Markdown make it: punctuation left out, spaces as hyphens."""
+    return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+
+
+def _chapters(sections: Sequence[Section], used: Counter[str]) -> list[list[Headed]]:
+    """Sections of level 2 with those below them; a heading that was `used` gets an address of its own."""
+    chapters: list[list[Headed]] = []
+    for section in sections:
+        name = anchor(section.heading)
+        used[name] += 1
+        headed = (section, name if used[name] == 1 else f"{name}-{used[name]}")
+        if section.level == 2 or not chapters:
+            chapters.append([headed])
+        else:
+            chapters[-1].append(headed)
+    return chapters
+
+
+class Body(NamedTuple):
+    """A table as text: heads, each with whether its column is of numbers, rows, and where those begin that are apart.
+
+    apart: in no comparison; as many as there are rows, if none is.
+    """
+
+    heads: list[tuple[str, bool]]
+    rows: list[list[str]]
+    apart: int
+
+
+def _laid_out(table: Table) -> Body:
+    frame, apart = _beneath(table)
+    return Body([(str(c), is_numeric(frame[c].tolist())) for c in frame.columns], texts(frame), apart)
+
+
+def _beneath(table: Table) -> tuple[pd.DataFrame, int]:
+    """The table's rows with those that stand apart last, and how many stand before them."""
+    apart = [i for i in table.apart if i < len(table.frame)]
+    order = [i for i in range(len(table.frame)) if i not in apart]
+    return table.frame.iloc[[*order, *apart]], len(order)
+
+
+def _breakable(name: str) -> Markup:
+    """A name that may be broken where its parts meet, and nowhere else."""
+    return Markup(re.sub(r"([:+/_])(?=\w)", r"\1<wbr>", str(escape(name))))
+
+
+class Image(NamedTuple):
+    """A figure inside the page: its size in pixels of the page, and its bytes as the source of an `<img>`."""
+
+    width: int
+    height: int
+    source: Markup
+
+
+def images(folder: Path, stems: Sequence[str]) -> dict[str, Image]:
+    """Each of `folder/figures/<stem>.png`, as WebP where that is smaller. FileNotFoundError: one is missing."""
+    wanted = list(dict.fromkeys(stems))
+    with ThreadPoolExecutor(THREADS) as threads:
+        made = threads.map(_image, [folder / "figures" / f"{stem}.png" for stem in wanted])
+        return dict(zip(wanted, made, strict=True))
+
+
+def _image(path: Path) -> Image:
+    data = path.read_bytes()
+    # from the header (PNG specification, section 11.2.1); two image pixels for a page pixel: sharp on fine screens
+    width, height = (int(size) // 2 for size in struct.unpack(">II", data[16:24]))
+    kind, shown = "png", data
+    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    if pixels is not None:
+        found = [_webp(pixels, QUALITY)]
+        if len(data) < FLAT * len(found[0]):
+            found.append(_webp(pixels, LOSSLESS))
+        smallest = min(found, key=len)
+        if len(smallest) < len(data):
+            kind, shown = "webp", smallest
+    return Image(width, height, Markup(f"data:image/{kind};base64,{base64.b64encode(shown).decode()}"))
+
+
+def _webp(pixels: MatLike, quality: int) -> bytes:
+    return cv2.imencode(".webp", pixels, [cv2.IMWRITE_WEBP_QUALITY, quality])[1].tobytes()
