@@ -24,6 +24,12 @@ class Code(StrEnum):
     """Everything that can be found about a log or a run, each once; `templates/notices.j2` has the words."""
 
     OUT_OF_MEMORY = "out-of-memory"
+    EXACT_PRIOR = "exact-prior"
+    NOT_MEASURED = "not-measured"
+    NOT_MEASURED_ON_TWINS = "not-measured-on-twins"
+    STOOD_IN = "stood-in"
+    NO_TWINS = "no-twins"
+    TOO_FEW_TWINS = "too-few-twins"
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ from data.inputs import ERRORS, Inputs, Systematic
 from data.log import Log
 from data.motion.priors import AUTO, systematic, written
 from data.motion.systematic import BETWEEN_KNOTS, stated_all
+from data.notice import Code, Notice, notice
 from data.result import Run
 from data.se2 import Array
 from data.sensors import RangeBearing
@@ -189,16 +190,16 @@ def examined(log: Log, task: str, association: str, setup: Setup, runs: Sequence
         smoother = smoother_of(runs or compare(inputs, task, FRONT, association, setup), inputs)
         real = sample_of(log, task, association, (), smoother)
         twins: list[Sample] = []
-        notes: tuple[str, ...] = ()
+        none: tuple[Notice, ...] = ()
         if smoother is not None:
             try:
                 source = source_of(log, smoother, (), setup, "known")
             except UsageError as fault:
-                notes = (str(fault),)
+                none = (notice(Code.NO_TWINS, why=str(fault)),)
             else:
                 twins = [_twin(source, seed) for seed in range(FEWEST)]
         trust = judged(log, task, name_of(association), real, twins, smoother)
-        return replace(trust, notes=(*trust.notes, *notes))
+        return replace(trust, notices=(*trust.notices, *none))
 
 
 def _twin(source: Source, seed: int) -> Sample:

@@ -9,8 +9,8 @@ from typing import Any
 
 from data.errors import UsageError
 from data.log import Log
+from data.notice import Code, Notice, notice
 from data.result import Run
-from data.terminal import counted
 from eval.compare import compare
 from eval.plan.experiment import Experiment
 from eval.plan.flags.options import Options
@@ -119,13 +119,13 @@ def _with_twins(
     """Every log beside its twins, which are kept on disk as soon as done, and taken from there if they were."""
     root = options.out.absolute().parent
     sources: dict[int, tuple[Source, Path]] = {}
-    notes: dict[int, str] = {}
+    none: dict[int, Notice] = {}
     for i, (group, _, smoother) in enumerate(said):
         if group.twins and smoother is not None:
             try:
                 source = source_of(group.log, smoother, group.twins, group.setup, group.association)
             except UsageError as fault:
-                notes[i] = str(fault)
+                none[i] = notice(Code.NO_TWINS, why=str(fault))
                 continue
             sources[i] = source, store.kept_folder(root, f"{group.log.name}-twins", digest_of(source))
     kept: dict[tuple[int, int], Sample] = {}
@@ -149,13 +149,13 @@ def _with_twins(
         own = [kept[i, seed] for seed in seeds if (i, seed) in kept]
         asked.append((i, (judged, (group.log, group.task, name_of(group.association), real, own, smoother))))
     result = dict(work(asked, options))
-    return tuple(_noted(result[i], notes.get(i), g, count) for i, (g, _, _) in enumerate(said))
+    return tuple(_noted(result[i], none.get(i), g, count) for i, (g, _, _) in enumerate(said))
 
 
-def _noted(trust: Trust, note: str | None, group: Group, count: int) -> Trust:
-    if note is None and group.twins and 0 < count < FEWEST:
-        note = f"{counted(count, 'twin is', 'twins are')} too few for a verdict: at least {FEWEST} are needed"
-    return trust if note is None else replace(trust, notes=(*trust.notes, note))
+def _noted(trust: Trust, why: Notice | None, group: Group, count: int) -> Trust:
+    if why is None and group.twins and 0 < count < FEWEST:
+        why = notice(Code.TOO_FEW_TWINS, twins=count, least=FEWEST)
+    return trust if why is None else replace(trust, notices=(*trust.notices, why))
 
 
 def _named(trust: Trust) -> tuple[str, ...]:

@@ -1,11 +1,12 @@
 """The report's sections "Systematic errors", one for each log and task that was run with `--calibrate`.
 
-Systematic errors as a table: what was known before, what filter and smoothers make of each, and which are told.
+A table has what was known before, what filter and smoothers make of each error, and which ones the log tells.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,20 +14,16 @@ import pandas as pd
 
 from data.inputs import ERRORS, Systematic
 from data.result import Run, Systematics
-from data.terminal import counted
 from data.truth import Truth
-from eval.plan.calibrate import ALL, ASKED, NAMED, Calibration
-from eval.plan.flags.options import Options
-from eval.referee.attribution import ESTIMATOR
+from eval.plan.calibrate import Calibration
 from eval.referee.score import Trial
 from eval.replay.external.spec import name_of
 from eval.replay.settings import BATCH
 from eval.report.names import SYSTEMATIC, stem
-from eval.report.page.document import Block, FinePrint, Picture, Section, written_table
+from eval.report.page.document import Block, FinePrint, Picture, Section, Wanted, written_table
 from eval.report.page.tables import number
-from eval.report.trust import sentences
-from eval.report.trust_facts import Terms, terms_of
-from eval.studies.trusted import Trust
+from eval.report.trust_facts import TrustFacts, facts_of, terms_of
+from eval.report.words import plus_minus, say
 
 UNTOLD = 0.9
 """Share of the prior's sigma that is left of an error that the log cannot tell: data then have less to say of it than a
@@ -63,7 +60,7 @@ def errors_table(systematic: Systematic, runs: Sequence[Run], truth: Truth) -> p
         for run in runs:
             errors = run.errors
             if errors is not None:
-                row[_head(run)] = with_sigma(float(errors.mean[-1, i]), float(errors.sigma[-1, i]))
+                row[_head(run)] = plus_minus(float(errors.mean[-1, i]), float(errors.sigma[-1, i]))
         if truth.errors is not None:
             row["true"] = _true(name, truth.errors)
         if said is not None:
@@ -82,20 +79,7 @@ def _head(run: Run) -> str:
     return f"{run.estimator} ({'final' if run.errors_final is not None else 'online'})"
 
 
-def with_sigma(value: float, sigma: float) -> str:
-    """An estimate with its standard deviation to two digits, both to the same decimals."""
-    if not (np.isfinite(sigma) and sigma > 0.0):
-        return number(value, 3)
-    places = max(1 - int(np.floor(np.log10(sigma))), 0)
-    return f"{value:.{places}f} ± {sigma:.{places}f}".replace("-", "−")
-
-
 HEADING = "Systematic errors"
-WHY = {
-    ASKED: "These were asked for.",
-    NAMED: "These are the ones that a score test of the residuals of plain estimators names.",
-    ALL: "A score test of the residuals of plain estimators names none, so all are looked for, with tight priors.",
-}
 CAPTION = "Systematic errors as estimated along by filter and smoother: estimate ± σ at the last frame."
 FINE = FinePrint(
     "Systematic errors",
@@ -104,6 +88,24 @@ FINE = FinePrint(
     " ones, bearings the true ones + bearing. All are zero where nothing is wrong. The drift comes and goes over 50 m;"
     " told: its σ in the middle of the run. An error of which more than 90 % of the prior's σ is left is not told.",
 )
+
+
+@dataclass(frozen=True)
+class Estimated:
+    """What is said of the errors of a log and task.
+
+    Attributes:
+        names: the errors; why: these, as of a `Calibration`.
+        judged: whether a run got to its end; untold: errors of which the log says nothing.
+        before, after: the battery under plain estimators and under these (None: not enough memory).
+    """
+
+    names: tuple[str, ...]
+    why: str
+    judged: bool
+    untold: tuple[str, ...]
+    before: TrustFacts | None
+    after: TrustFacts | None
 
 
 def shown(trial: Trial, calibration: Calibration) -> list[Run]:
@@ -121,7 +123,7 @@ def of_trial(trial: Trial, calibrations: Sequence[Calibration]) -> Calibration |
 
 def systematic_section(
     folder: Path,
-    options: Options,
+    wanted: Wanted,
     trial: Trial,
     pictures: Sequence[Picture],
     calibrations: Sequence[Calibration],
@@ -131,49 +133,23 @@ def systematic_section(
     if c is None:
         return []
     runs = shown(trial, c)
-    blocks: list[Block] = ["\n".join(f"* {line}" for line in words(trial, c, runs))]
+    facts = estimated(trial, c, runs)
+    blocks: list[Block] = [say("systematic", facts)]
     if runs:
-        name, caption = (
-            stem(trial, SYSTEMATIC),
-            f"{trial.log.name}, {trial.task}, association {name_of(c.association)}.",
-        )
+        caption = f"{trial.log.name}, {trial.task}, association {name_of(c.association)}. {CAPTION}"
         table = errors_table(c.systematic, runs, trial.log.truth)
-        blocks.append(written_table(table, folder, name, f"{caption} {CAPTION}", options, fine=FINE))
+        blocks.append(written_table(table, folder, stem(trial, SYSTEMATIC), caption, wanted, fine=FINE))
     blocks += [p for p in pictures if p.stem == stem(trial, SYSTEMATIC)]
-    return [Section(f"{HEADING}: {trial.log.name}, {trial.task}", tuple(blocks), 3)]
+    return [Section(f"{HEADING}: {trial.log.name}, {trial.task}", tuple(blocks), 3, facts)]
 
 
-def words(trial: Trial, c: Calibration, runs: Sequence[Run]) -> list[str]:
-    """Why these errors, which of them the log tells, and what the battery says before and after."""
-    listed = ", ".join(f"`{name}`" for name in c.systematic.names)
-    lines = [f"Estimated along by filter and smoother alike: {listed}. {WHY[c.why]}"]
+def estimated(trial: Trial, c: Calibration, runs: Sequence[Run]) -> Estimated:
+    """The facts of a log and task."""
     judge = best(runs)
-    errors = None if judge is None else judge.errors
-    if judge is None or errors is None:
-        lines.append("No run got to its end, so nothing is said of them.")
-    else:
-        which = told(c.systematic, errors)
-        untold = [n for n, t in zip(c.systematic.names, which, strict=True) if not t]
-        if untold:
-            names = ", ".join(f"`{n}`" for n in untold)
-            lines.append(f"This log cannot tell {names}: what is known afterwards is what was known before.")
+    which = (True,) * len(c.systematic.names)
+    if judge is not None and judge.errors is not None:
+        which = told(c.systematic, judge.errors)
     terms = terms_of(trial.log.recorded)
-    lines.append(f"**Battery before** (plain estimators): {said(c.before, terms)}")
-    lines.append(f"**Battery after** (errors estimated along): {said(c.after, terms)}")
-    return lines
-
-
-def said(trust: Trust | None, terms: Terms) -> str:
-    """How much a battery objects to, and what that is; in words, with a full stop."""
-    if trust is None:
-        return "not enough memory."
-    if trust.blame is None:
-        return " ".join(trust.notes) or "too few twins."
-    b = trust.blame
-    twins = counted(len(trust.twins), "twin")
-    if not b.objected:
-        return f"none of {b.tested} statistics is outside what {twins} show."
-    verb = "is" if len(b.objected) == 1 else "are"
-    text = f"{len(b.objected)} of {b.tested} statistics {verb} outside what {twins} show (family-wise p at most 0.05)"
-    found = sentences([f for f in b.findings if f.cause != ESTIMATOR], terms)
-    return f"{text}: {'; '.join(found)}." if found else f"{text}; none of the errors that have a name explains them."
+    before, after = (None if t is None else facts_of(t, terms) for t in (c.before, c.after))
+    untold = tuple(n for n, known in zip(c.systematic.names, which, strict=True) if not known)
+    return Estimated(c.systematic.names, c.why, judge is not None, untold, before, after)

@@ -1,103 +1,54 @@
-"""What of a `Trust` stands in sentences: numbers of filter and smoother, of the twins, and of what stands out.
-
-Systematic errors and noises as a person says them: which way, how much, in which unit.
-"""
+"""What a log says about itself, as facts: numbers, names, codes. `templates/trust.md.j2` makes sentences of them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
 from data.inputs import Inputs
+from data.notice import Notice
 from data.sensors import RangeBearing
-from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, POWER
-from eval.referee.trust import Measured
+from eval.referee.attribution import POWER, Finding
 from eval.replay.settings import ESTIMATORS, FILTERS
-from eval.report.page.tables import number
 from eval.studies.trusted import Blame, Trust
 
-DEGREES = 180.0 / math.pi
-SHARE, ANGLE = ("%", 100.0), ("°", DEGREES)
-METRES, SECONDS = ("m", 1.0), ("s", 1.0)
-CURVATURE, DRIFT = ("rad/m", 1.0), ("rad/s", 1.0)
-PER_FRAME = {SECONDS: ("frames", 1.0), DRIFT: ("rad/frame", 1.0)}
+STANDS_OUT = 3.0
+"""Standard errors from which a slope is named where there are no twins to judge it by."""
+SHARE, ANGLE, CURVATURE = ("%", 100.0), ("°", 180.0 / math.pi), ("rad/m", 1.0)
+METRES, SECONDS, DRIFT = ("m", 1.0), ("s", 1.0), ("rad/s", 1.0)
+UNITS = {
+    "odometry_x_distance": SHARE,
+    "odometry_x_turn": METRES,
+    "odometry_y_distance": ANGLE,
+    "odometry_y_turn": METRES,
+    "odometry_theta_distance": CURVATURE,
+    "odometry_theta_turn": SHARE,
+    "odometry_theta_time": DRIFT,
+    "z1_constant": METRES,
+    "z1_range": SHARE,
+    "z2_constant": ANGLE,
+    "z2_range": CURVATURE,
+}
+"""A person's unit of each systematic error and its factor from SI; those not named here are times."""
+OF_POINTS = {"z2_constant": METRES, "z2_range": ANGLE}
+OF_FRAMES = {SECONDS: ("frames", 1.0), DRIFT: ("rad/frame", 1.0)}
 """Units of a log without stamps, whose time is the number of the frame."""
-
-
-@dataclass(frozen=True)
-class Phrase:
-    """A systematic error, said of a log that states more than is true, and of one that states less.
-
-    Attributes:
-        noun: the error without a size.
-        more, less: sentences with `{}` for the size.
-        unit: and its factor from SI.
-    """
-
-    noun: str
-    more: str
-    less: str
-    unit: tuple[str, float]
-
-    def sentence(self, size: float, error: float) -> str:
-        """Which way the log errs, and how much."""
-        return (self.more if size > 0.0 else self.less).format(with_error(abs(size), error, self.unit))
-
-
-def _sides(noun: str, text: str, unit: tuple[str, float], more: str, less: str) -> Phrase:
-    return Phrase(noun, f"{text} {more}", f"{text} {less}", unit)
-
-
-ODOMETRY = {
-    "odometry_x_distance": _sides(
-        "a wrong scale of the odometry's distances", "odometry states distances {} too", SHARE, "long", "short"
-    ),
-    "odometry_x_turn": _sides(
-        "odometry of a point beside the robot's own", "odometry is that of a point {} to the", METRES,
-        "right of the robot's own", "left of the robot's own",
-    ),
-    "odometry_y_distance": _sides(
-        "odometry askew to the way driven", "odometry points {} to the", ANGLE,
-        "left of the way driven", "right of the way driven",
-    ),
-    "odometry_y_turn": _sides(
-        "odometry of a point ahead of or behind the robot's own", "odometry is that of a point {}", METRES,
-        "ahead of the robot's own", "behind the robot's own",
-    ),
-    "odometry_theta_distance": _sides(
-        "a curvature of the odometry", "odometry curves {} more to the", CURVATURE,
-        "left than the way driven", "right than the way driven",
-    ),
-    "odometry_theta_turn": _sides(
-        "a wrong scale of the odometry's turns", "odometry turns {}", SHARE,
-        "more than the robot did", "less than the robot did",
-    ),
-    "odometry_theta_time": _sides(
-        "a drift of the odometry's heading", "the odometry's heading drifts {} to the", DRIFT, "left", "right"
-    ),
-}  # fmt: skip
-POLAR = {
-    "z1_constant": _sides("a bias of the ranges", "ranges are {} too", METRES, "long", "short"),
-    "z1_range": _sides("a wrong scale of the ranges", "ranges grow {} too", SHARE, "fast", "slowly"),
-    "z2_constant": _sides("a bias of the bearings", "bearings are {} too far to the", ANGLE, "left", "right"),
-    "z2_range": _sides(
-        "bearings that turn with the range", "bearings turn {} to the", CURVATURE,
-        "left as the range grows", "right as the range grows",
-    ),
-}  # fmt: skip
-POINTS = {
-    "z1_constant": _sides("a bias of the readings' x", "the readings' x is {} too", METRES, "large", "small"),
-    "z1_range": _sides("a wrong scale of the readings", "readings grow {} too", SHARE, "fast", "slowly"),
-    "z2_constant": _sides("a bias of the readings' y", "the readings' y is {} too", METRES, "large", "small"),
-    "z2_range": _sides(
-        "a sensor turned on its mount", "readings are turned {}", ANGLE, "counter-clockwise", "clockwise"
-    ),
-}  # fmt: skip
-SHOWN_BY = {"speed": "the robot's motion", "turn_rate": "its turning"}
-"""What of the motion shows that readings are late."""
+SIGMA = "sigma_"
+"""Prefix of a factor of a stated sigma among what a calibration did."""
+LATE = ("speed", "turn_rate")
+"""Regressors of readings that are stamped at the wrong instant."""
+FITTED = {
+    "odometry_x_distance": "odometry",
+    "odometry_theta_turn": "odometry",
+    "z1_constant": "bias",
+    "z2_constant": "bias",
+}
+"""Groups of `eval.tune` that have a parameter for a systematic error."""
+GROUPS = ("motion", "sensor", "bias", "odometry")
 
 
 @dataclass(frozen=True)
@@ -107,75 +58,172 @@ class Terms:
     polar: bool = True
     stamped: bool = True
 
+    def unit(self, name: str) -> tuple[str, float]:
+        """The unit in which a systematic error is said, and its factor from SI."""
+        unit = UNITS.get(name, SECONDS) if self.polar else OF_POINTS.get(name, UNITS.get(name, SECONDS))
+        return unit if self.stamped else OF_FRAMES.get(unit, unit)
+
 
 def terms_of(inputs: Inputs) -> Terms:
     """The terms of a log."""
     return Terms(isinstance(inputs.sensor, RangeBearing), not inputs.time_is_index)
 
 
-def component(name: str, terms: Terms) -> str:
-    """A component of increments or readings, as the noun whose noise is spoken of."""
-    readings = ("ranges", "bearings") if terms.polar else ("readings' x", "readings' y")
-    return {
-        "odometry_x": "odometry's forward motion", "odometry_y": "odometry's sideways motion",
-        "odometry_theta": "odometry's heading", "z1": readings[0], "z2": readings[1],
-    }[name]  # fmt: skip
+@dataclass(frozen=True)
+class Told:
+    """An explanation as it is told: kind, name and others as of a `Finding`; of a systematic error in a person's unit.
+
+    sigmas: its size in standard errors, where it was found without twins.
+    """
+
+    kind: str
+    name: str
+    size: float
+    error: float = math.nan
+    unit: str = ""
+    other: tuple[str, ...] = ()
+    sigmas: float = math.nan
 
 
-def phrase(name: str, terms: Terms) -> Phrase:
-    """How a systematic error `<component>_<regressor>` of `eval.referee.effects` is said."""
-    said = _phrase(name, terms)
-    if not terms.stamped and said.unit in PER_FRAME:
-        return replace(said, unit=PER_FRAME[said.unit])
-    return said
+@dataclass(frozen=True)
+class Apart:
+    """An online path beside the smoothed one.
+
+    Attributes:
+        estimator: whose; filters: whether that is a filter.
+        rms: m, how far apart they are; twins: least and largest of the same on the twins; empty: not known.
+        beside_twins: whether there are twins.
+        median: of the quadratic form of the difference, and what is expected; empty: not known.
+        semidefinite: share of the frames in which P_f - P_s is; None: not known.
+    """
+
+    estimator: str
+    filters: bool
+    rms: float
+    twins: tuple[float, float] | tuple[()]
+    beside_twins: bool
+    median: tuple[float, float] | tuple[()]
+    semidefinite: float | None
 
 
-def _phrase(name: str, terms: Terms) -> Phrase:
-    known = {**ODOMETRY, **(POLAR if terms.polar else POINTS)}
-    if name in known:
-        return known[name]
-    which, regressor = name.split("_", 1)
-    what = component(which, terms)
-    late = what if terms.polar else f"the {what}"
-    verb = "are" if terms.polar else "is"
-    text, shown = f"{late} {verb} {{}}", f"than stamped, as {SHOWN_BY[regressor]} shows"
-    return _sides(f"{late} stamped at the wrong instant", text, SECONDS, f"older {shown}", f"newer {shown}")
+@dataclass(frozen=True)
+class Verdict:
+    """What the battery says: the cause, how many of the statistics tested are objected to, the smallest p (or None).
+
+    unexplained: it objects, and to nothing that has a name.
+    """
+
+    cause: str
+    objected: int
+    tested: int
+    p: float | None
+    unexplained: bool
 
 
-def with_unit(value: float, unit: tuple[str, float], digits: int = 2) -> str:
-    """A size in a unit, (its name, its factor from SI)."""
-    name, factor = unit
-    return f"{number(factor * value, digits)}{'' if name == '°' else ' '}{name}"
+@dataclass(frozen=True)
+class Decided:
+    """Estimators that decide alike: wrong pairings, missed ones, all decisions, share of right ones; twins' means."""
+
+    estimators: tuple[str, ...]
+    wrong: float
+    missed: float
+    decisions: float
+    right: float
 
 
-def with_error(value: float, error: float, unit: tuple[str, float]) -> str:
-    """A size with its standard error to the same decimals, in its unit; without an error to three digits."""
-    name, factor = unit
-    if not (math.isfinite(error) and error > 0.0):
-        return with_unit(value, unit, 3)
-    # two digits of an error that begins with 1: half of it would be lost in rounding
-    exponent = math.floor(math.log10(factor * error))
-    places = max(-exponent + (factor * error < 1.95 * 10.0**exponent), 0)
-    space = "" if name == "°" else " "
-    return f"{factor * value:.{places}f}{space}{name} ± {factor * error:.{places}f}{space}{name}"
+class Step(StrEnum):
+    """What to do about findings."""
+
+    FIT = "fit"
+    CORRECT = "correct"
+    SHIFT = "shift"
+    BY_HAND = "by-hand"
+    REVISE = "revise"
+    ROBUST = "robust"
+    DECIDE_OTHERWISE = "decide-otherwise"
+    RELINEARIZE = "relinearize"
+    DISTRUST = "distrust"
 
 
-def factor_words(factor: float) -> str:
-    """What the noise is, of what is stated: too large or too small by how much."""
-    by, word = (1.0 / factor, "large") if factor < 1.0 else (factor, "small")
-    return f"{by:.2f} times too {word}" if by < 1.995 else f"{number(by, 2)} times too {word}"
+@dataclass(frozen=True)
+class Advice:
+    """What to do, in order.
+
+    Attributes:
+        steps: which.
+        groups: of `eval.tune --fit` that have parameters for what was found.
+        by_hand: systematic errors without a parameter. off: estimators whose covariances are.
+        labels: whether known association can be granted.
+    """
+
+    steps: tuple[Step, ...]
+    groups: tuple[str, ...]
+    by_hand: tuple[str, ...]
+    off: tuple[str, ...]
+    labels: bool
 
 
-def noise_words(name: str, factor: float, terms: Terms) -> str:
-    """A wrong noise: of which component, and how it is stated."""
-    return f"the noise (σ) of the {component(name, terms)} is stated {factor_words(factor)}"
+@dataclass(frozen=True)
+class TrustFacts:
+    """What a log with one way of association says about itself.
+
+    Attributes:
+        twins: how many; judged: what the battery says beside them, None: too few of them.
+        apart: online paths beside the smoothed one, filters first.
+        asked: systematic errors beyond `STANDS_OUT` standard errors, each alone, largest first.
+        findings: the weightiest first; main: those for a first page.
+        power: what would have been seen with a probability of `power_share`; brief_power: of this the first page's.
+        nees: mean pose NEES on the twins by estimator and phase. deciding: what to expect of the way of association.
+        done, after: what a calibration changed, and what the log says then.
+    """
+
+    log: str
+    task: str
+    association: str
+    terms: Terms
+    twins: int
+    judged: Verdict | None
+    apart: tuple[Apart, ...]
+    asked: tuple[Told, ...]
+    findings: tuple[Told, ...]
+    main: tuple[Told, ...]
+    power: tuple[Told, ...]
+    brief_power: tuple[Told, ...]
+    power_share: float
+    nees: tuple[tuple[str, str, float], ...]
+    deciding: tuple[Decided, ...]
+    todo: Advice
+    done: tuple[Told, ...]
+    after: TrustFacts | None
+    notices: tuple[Notice, ...]
 
 
-STANDS_OUT = 3.0
-"""Standard errors from which a slope is named where there are no twins to judge it by."""
-SYSTEMATIC = ("odometry_theta_turn", "odometry_x_distance", "odometry_theta_distance")
-"""Systematic errors of the odometry whose power is told."""
-HINT = "`--twins 100` says which of this is more than chance, and whose fault it is."
+def facts_of(trust: Trust, terms: Terms, *, labels: bool = True) -> TrustFacts:
+    """The facts of a log; `labels`: whether known association can be granted."""
+    blame = trust.blame
+    found = () if blame is None else blame.findings
+    power = () if blame is None else _power(blame, terms)
+    return TrustFacts(
+        trust.log,
+        trust.task,
+        trust.association,
+        terms,
+        len(trust.twins),
+        None if blame is None else _verdict(blame),
+        tuple(_apart(trust, name) for name in online(trust)),
+        _asked(trust, terms),
+        told(found, terms),
+        told(_main(found), terms),
+        power,
+        tuple(p for p in power if p.name in ("odometry_theta_turn", _turned(terms), "z1_range")),
+        POWER,
+        _nees(trust),
+        _deciding(trust),
+        advice(found, labels=labels),
+        _done(trust.done, terms),
+        None if trust.after is None else facts_of(trust.after, terms, labels=labels),
+        trust.notices,
+    )
 
 
 def online(trust: Trust) -> list[str]:
@@ -185,138 +233,131 @@ def online(trust: Trust) -> list[str]:
     return sorted(found, key=lambda name: name not in FILTERS)
 
 
-def who(name: str) -> str:
-    """An estimator by its kind and name."""
-    return f"the filter ({name})" if name in FILTERS else f"the online path of {name}"
-
-
-def length(value: float) -> str:
-    """A distance, below a centimetre in millimetres."""
-    return f"{number(1000.0 * value, 2)} mm" if 0.0 < value < 0.01 else f"{number(value)} m"
-
-
-def apart(trust: Trust, name: str) -> str:
-    """How far an estimator is from the smoothed path, beside the same of the twins."""
-    text = f"{who(name)} and the smoother are {length(trust.real.apart[name])} RMS apart"
+def _apart(trust: Trust, name: str) -> Apart:
     twins = [s.apart[name] for s in trust.twins if math.isfinite(s.apart.get(name, math.nan))]
-    if twins:
-        text += f", on the twins {length(min(twins))} to {length(max(twins))}"
-    elif trust.twins:
-        text += f"; {name} was not run on the twins"
-    return text
-
-
-def _median(trust: Trust, name: str) -> Measured | None:
-    """Median of the quadratic form of the difference; None if unknown."""
     median = trust.real.measured.get((name, "filter_smoother_median"))
-    known = median is not None and math.isfinite(median.value) and math.isfinite(median.expected)
-    return median if known else None
-
-
-def _with_expected(median: Measured) -> str:
-    return f"median dᵀ(P_f − P_s)⁻¹d of {number(median.value)} where {number(median.expected)} is expected"
-
-
-def median_before_and_after(before: Trust, after: Trust, name: str) -> tuple[str, str]:
-    """The median of the quadratic form after a calibration, and before; empty if one is unknown."""
-    was, now = _median(before, name), _median(after, name)
-    if was is None or now is None:
-        return "", ""
-    return f"their difference d then has a {_with_expected(now)}", number(was.value)
-
-
-def quadratic(trust: Trust, name: str) -> str:
-    """Median of the quadratic form of the difference, and how often P_f - P_s is semidefinite; empty if unknown."""
-    parts = []
-    median = _median(trust, name)
-    if median is not None:
-        parts.append(f"their difference d has a {_with_expected(median)}")
     share = trust.real.measured.get((name, "filter_smoother_semidefinite"))
-    if share is not None and math.isfinite(share.value):
-        parts.append(f"P_f − P_s is positive semidefinite in {100.0 * share.value:.3g} % of the frames")
-    return ", and ".join(parts)
-
-
-def standing_out(trust: Trust, terms: Terms, most: int) -> list[str]:
-    """Systematic errors that residuals ask for beyond `STANDS_OUT` standard errors, each alone, largest first."""
-    found = []
-    for (_, name), m in trust.real.measured.items():
-        if name.startswith("slope_") and math.isfinite(m.value) and math.isfinite(m.se) and m.se > 0.0:
-            found.append((abs(m.value) / m.se, name.removeprefix("slope_"), m))
-    found = sorted((f for f in found if f[0] > STANDS_OUT), key=lambda f: -f[0])
-    return [f"{phrase(name, terms).sentence(m.value, m.se)} ({z:.0f} standard errors)" for z, name, m in found[:most]]
-
-
-def outside(blame: Blame, twins: int) -> str:
-    """How many statistics are outside what the twins show, and the smallest family-wise p."""
-    count = f"{len(blame.objected)} of {blame.tested}" if blame.objected else f"none of {blame.tested}"
-    verb = "lies" if len(blame.objected) <= 1 else "lie"
-    p = f" ({'smallest ' if not blame.objected else ''}family-wise p {number(blame.p, 2)})"
-    return f"{count} statistics {verb} outside what {twins} twins show{p if math.isfinite(blame.p) else ''}"
-
-
-def culprit(cause: str) -> str:
-    """What a cause is called."""
-    return {NOISE: "the noise model", ASSOCIATIONS: "the associations", ESTIMATOR: "the estimator"}.get(
-        cause, "nothing to object to"
+    known = median is not None and math.isfinite(median.value) and math.isfinite(median.expected)
+    return Apart(
+        name,
+        name in FILTERS,
+        trust.real.apart[name],
+        (min(twins), max(twins)) if twins else (),
+        bool(trust.twins),
+        (median.value, median.expected) if median is not None and known else (),
+        share.value if share is not None and math.isfinite(share.value) else None,
     )
 
 
-def power(blame: Blame, terms: Terms, *, brief: bool = False) -> str:
-    """Sizes of faults that the log would have shown, one at a time (`brief`: three of them); empty if none is known."""
-    turned = "z2_constant" if terms.polar else "z2_range"
-    names = ("odometry_theta_turn", turned, "z1_range") if brief else (*SYSTEMATIC, turned, "z1_range")
-    parts = []
-    for name in names:
-        size = blame.detectable.get(name, math.nan)
-        if math.isfinite(size):
-            said = phrase(name, terms)
-            parts.append(f"{said.noun} of {with_unit(size, said.unit)}")
-    for name in () if brief else ("z1", "z2", "odometry_theta"):
-        factor = blame.detectable.get(f"residual_{name}_spread", math.nan)
-        if math.isfinite(factor):
-            least = "at least " if name.startswith("odometry") else ""
-            parts.append(f"a noise of the {component(name, terms)} {least}{factor:.2f} times as large as stated")
-    if not parts:
-        return ""
-    listed = f"{', '.join(parts[:-1])} or {parts[-1]}" if len(parts) > 1 else parts[0]
-    return f"With {100.0 * POWER:.0f} % probability it would have shown {listed}"
+def _verdict(blame: Blame) -> Verdict:
+    p = blame.p if math.isfinite(blame.p) else None
+    return Verdict(blame.cause, len(blame.objected), blame.tested, p, bool(blame.objected and not blame.findings))
 
 
-def nees_on_twins(trust: Trust) -> str:
-    """Mean pose NEES of the estimators over the twins, which have a truth; empty where unknown."""
-    parts = []
+def _systematic(name: str, size: float, error: float, terms: Terms, **more: float | tuple[str, ...]) -> Told:
+    unit, factor = terms.unit(name)
+    return Told("systematic", name, factor * size, factor * error, unit, **more)  # type: ignore[arg-type]
+
+
+def _asked(trust: Trust, terms: Terms) -> tuple[Told, ...]:
+    """Slopes of the residuals that stand out."""
+    found = []
+    for (_, name), m in trust.real.measured.items():
+        if name.startswith("slope_") and math.isfinite(m.value) and m.se > 0.0 and abs(m.value) / m.se > STANDS_OUT:
+            what = name.removeprefix("slope_")
+            found.append(_systematic(what, m.value, m.se, terms, sigmas=abs(m.value) / m.se))
+    return tuple(sorted(found, key=lambda t: -t.sigmas))
+
+
+def told(findings: Sequence[Finding], terms: Terms) -> tuple[Told, ...]:
+    """Findings whose size is known, in their order; an estimator's phases share the one that is furthest off."""
+    shown: dict[tuple[str, str], Finding] = {}
+    for f in (f for f in findings if math.isfinite(f.size)):
+        same = shown.get((f.kind, f.name))
+        if same is None or abs(math.log(abs(f.size))) > abs(math.log(abs(same.size))):
+            shown[f.kind, f.name] = f
+    return tuple(
+        _systematic(f.name, f.size, f.error, terms, other=f.other)
+        if f.kind == "systematic"
+        else Told(f.kind, f.name, f.size, f.error)
+        for f in shown.values()
+    )
+
+
+def _main(findings: Sequence[Finding]) -> list[Finding]:
+    """The weightiest finding, and the weightiest systematic error if that is another one."""
+    first = list(findings[:1])
+    return first + [f for f in findings[1:] if f.kind == "systematic" and first[0].kind != "systematic"][:1]
+
+
+def _turned(terms: Terms) -> str:
+    """The error of a sensor that is turned on its mount."""
+    return "z2_constant" if terms.polar else "z2_range"
+
+
+def _power(blame: Blame, terms: Terms) -> tuple[Told, ...]:
+    """Faults that would have been seen: systematic errors, then noises by the factor of their sigma."""
+    names = ("odometry_theta_turn", "odometry_x_distance", "odometry_theta_distance", _turned(terms), "z1_range")
+    found = [_systematic(name, blame.detectable.get(name, math.nan), math.nan, terms) for name in names]
+    for name in ("z1", "z2", "odometry_theta"):
+        found.append(Told("sigma", name, blame.detectable.get(f"residual_{name}_spread", math.nan)))
+    return tuple(t for t in found if math.isfinite(t.size))
+
+
+def _nees(trust: Trust) -> tuple[tuple[str, str, float], ...]:
+    """Means over the twins that have one."""
+    found = []
     for name, phase in dict.fromkeys(k for s in trust.twins for k in s.nees):
-        values = [s.nees[name, phase] for s in trust.twins if (name, phase) in s.nees]
-        known = np.array([v for v in values if math.isfinite(v)])
-        if len(known):
-            parts.append(f"{number(float(known.mean()))} for {name} ({phase})")
-    if not parts:
-        return ""
-    return f"The twins have a truth: mean pose NEES over them is {_listed(parts)}, where 3 is expected"
+        known = [v for s in trust.twins if math.isfinite(v := s.nees.get((name, phase), math.nan))]
+        if known:
+            found.append((name, phase, float(np.mean(known))))
+    return tuple(found)
 
 
-def deciding_on_twins(trust: Trust) -> str:
-    """Mean confusion counts over the twins of a way of deciding; empty with labels and where there are none."""
-    if trust.association == "known":
-        return ""
-    said: dict[str, list[str]] = {}
-    for name in dict.fromkeys(n for s in trust.twins for n in s.counts):
+def _deciding(trust: Trust) -> tuple[Decided, ...]:
+    """Mean confusion counts over the twins; empty with labels and where there are none."""
+    alike: dict[tuple[float, ...], list[str]] = {}
+    for name in dict.fromkeys(n for s in trust.twins for n in s.counts if trust.association != "known"):
         counts = np.array([s.counts[name] for s in trust.twins if name in s.counts], float)
-        if not counts.sum() > 0.0:
-            continue
-        tp, tn, fp, fn = counts.mean(axis=0).tolist()
-        right = 100.0 * (tp + tn) / (tp + tn + fp + fn)
-        text = (
-            f"{number(fp, 2)} wrong pairings (FP) and {number(fn, 2)} missed (FN) in {tp + tn + fp + fn:.0f} decisions,"
-            f" {right:.1f} % as batch paired them"
-        )
-        said.setdefault(text, []).append(name)
-    parts = [f"{text} ({', '.join(names)})" for text, names in said.items()]
-    if not parts:
-        return ""
-    return f"Expected of `{trust.association}` on this geometry (mean over the twins): {'; '.join(parts)}"
+        if counts.sum() > 0.0:
+            alike.setdefault(tuple(counts.mean(axis=0).tolist()), []).append(name)
+    return tuple(
+        Decided(tuple(names), fp, fn, tp + tn + fp + fn, (tp + tn) / (tp + tn + fp + fn))
+        for (tp, tn, fp, fn), names in alike.items()
+    )
 
 
-def _listed(parts: Sequence[str]) -> str:
-    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
+def _done(done: Mapping[str, float], terms: Terms) -> tuple[Told, ...]:
+    """Systematic errors taken out, then factors of stated sigmas; sizes that are unknown or nothing are left out."""
+    sizes = {name: size for name, size in done.items() if math.isfinite(size) and size != 0.0}
+    taken = [_systematic(name, size, math.nan, terms) for name, size in sizes.items() if not name.startswith(SIGMA)]
+    noises = [Told("sigma", n.removeprefix(SIGMA), s) for n, s in sizes.items() if n.startswith(SIGMA) and s > 0.0]
+    return (*taken, *noises)
+
+
+def groups_of(findings: Sequence[Finding]) -> tuple[str, ...]:
+    """Groups of `eval.tune --fit` that have parameters for what was found."""
+    wanted = {"motion" if f.name.startswith("odometry") else "sensor" for f in findings if f.kind == "sigma"}
+    wanted |= {FITTED[f.name] for f in findings if f.kind == "systematic" and f.name in FITTED}
+    return tuple(name for name in GROUPS if name in wanted)
+
+
+def advice(findings: Sequence[Finding], *, labels: bool) -> Advice:
+    """What to do about findings."""
+    groups, kinds = groups_of(findings), {f.kind for f in findings}
+    unfitted = [f.name for f in findings if f.kind == "systematic" and f.name not in FITTED]
+    by_hand = tuple(name for name in unfitted if name.split("_", 1)[1] not in LATE)
+    off = tuple(dict.fromkeys(f.name for f in findings if f.kind in ("linearization", "innovations")))
+    filters = any(name in FILTERS for name in off)
+    steps = {
+        Step.FIT: bool(groups) and labels,
+        Step.CORRECT: bool(groups) and not labels,
+        Step.SHIFT: len(unfitted) > len(by_hand),
+        Step.BY_HAND: bool(by_hand),
+        Step.REVISE: "pairings" in kinds,
+        Step.ROBUST: "tails" in kinds,
+        Step.DECIDE_OTHERWISE: "decisions" in kinds,
+        Step.RELINEARIZE: filters,
+        Step.DISTRUST: bool(off) and not filters,
+    }
+    return Advice(tuple(step for step, wanted in steps.items() if wanted), groups, by_hand, off, labels)

@@ -5,6 +5,9 @@ A template gets facts (dataclasses, numbers, names) and gives Markdown. What a t
 
 from __future__ import annotations
 
+import math
+import re
+from collections.abc import Iterable
 from dataclasses import fields, is_dataclass
 from functools import cache
 from typing import Any
@@ -31,7 +34,18 @@ def environment() -> Environment:
         keep_trailing_newline=False,
         autoescape=False,
     )
-    env.filters |= {"number": number, "counted": counted, "percent": percent}
+    env.filters |= {
+        "number": number,
+        "counted": counted,
+        "percent": percent,
+        "as_sentence": as_sentence,
+        "one_line": one_line,
+        "listed": listed,
+        "plus_minus": plus_minus,
+        "sized": sized,
+        "length": length,
+        "said": sentence,
+    }
     return env
 
 
@@ -45,6 +59,47 @@ def template_text(name: str) -> str:
 def percent(share: float, digits: int = 1) -> str:
     """A share in percent, with so many decimals and the sign."""
     return f"{100.0 * share:.{digits}f} %"
+
+
+def one_line(text: str) -> str:
+    """Words that a template broke over several lines, on one."""
+    return re.sub(r"[ \n]+", " ", text).strip()
+
+
+def as_sentence(text: str) -> str:
+    """Words on one line, capital first and full stop last; a name in code stays as it is, nothing stays nothing."""
+    line = one_line(text)
+    return f"{line[:1].upper()}{line[1:]}" + ("." if line and not line.endswith(".") else "")
+
+
+def listed(parts: Iterable[str], last: str = "and") -> str:
+    """`a, b and c`; one alone as it is."""
+    *first, end = parts
+    return f"{', '.join(first)} {last} {end}" if first else end
+
+
+def plus_minus(value: float, error: float) -> str:
+    """A number and its standard error, this to two digits and both to the same decimals; without an error, to three."""
+    if not (math.isfinite(error) and error > 0.0):
+        return number(value).replace("-", "−")
+    places = max(1 - math.floor(math.log10(error)), 0)
+    return f"{value:.{places}f} ± {error:.{places}f}".replace("-", "−")
+
+
+def sized(value: float, unit: str, error: float = math.nan, digits: int = 3) -> str:
+    """A size in its unit, with its standard error to one digit; without an error to so many digits."""
+    space = "" if unit == "°" else " "
+    if not (math.isfinite(error) and error > 0.0):
+        return f"{number(value, digits)}{space}{unit}"
+    # two digits of an error that begins with 1: half of it would be lost in rounding
+    exponent = math.floor(math.log10(error))
+    places = max(-exponent + (error < 1.95 * 10.0**exponent), 0)
+    return f"{value:.{places}f}{space}{unit} ± {error:.{places}f}{space}{unit}"
+
+
+def length(metres: float) -> str:
+    """A distance, below a centimetre in millimetres."""
+    return f"{number(1000.0 * metres, 2)} mm" if 0.0 < metres < 0.01 else f"{number(metres)} m"
 
 
 def say(template: str, facts: object = None, **more: Any) -> str:

@@ -12,9 +12,9 @@ import pandas as pd
 from data.inputs import Inputs
 from data.log import Log
 from data.motion.systematic import corrected_inputs
+from data.notice import Code, Notice, notice
 from data.result import Run
 from data.se2 import Array, BoolArray
-from data.terminal import counted
 from eval.referee import attribution, battery, effects, residuals, trust
 from eval.referee.attribution import ESTIMATOR, NOISE, NOTHING, Finding
 from eval.referee.plausibility import with_doubt
@@ -76,7 +76,7 @@ class Trust:
         real, twins: the samples.
         rows: of trust.csv.
         blame: None without enough twins.
-        notes: why something is missing, a sentence each.
+        notices: why something is missing.
         after: the same log after what `done` names was put right, if that was tried (`eval.studies.twins`).
         done: sizes of systematic errors taken out and factors of sigmas, by name.
     """
@@ -88,7 +88,7 @@ class Trust:
     twins: tuple[Sample, ...]
     rows: tuple[Row, ...]
     blame: Blame | None = None
-    notes: tuple[str, ...] = ()
+    notices: tuple[Notice, ...] = ()
     after: Trust | None = None
     done: Mapping[str, float] = field(default_factory=dict)
 
@@ -106,10 +106,10 @@ def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[
         expected = m.expected if math.isfinite(m.expected) or not len(known) else float(np.median(known))
         p_family = float(family[i]) if len(known) else math.nan
         rows.append(Row(estimator, name, m, expected, len(known), battery.rank_p(m.value, own), p_family))
-    notes = _failures(log, real, twins)
+    notices = _failures(log, real, twins)
     if smoother is not None and smoother.estimator == STAND_IN:
-        notes += (f"{PLAIN} is implausible, so {STAND_IN} under the same decisions stands in for it",)
-    made = Trust(log.name, task, association, real, tuple(twins), tuple(rows), notes=notes)
+        notices += (notice(Code.STOOD_IN, stand_in=STAND_IN).about(estimator=PLAIN),)
+    made = Trust(log.name, task, association, real, tuple(twins), tuple(rows), notices=notices)
     if len(twins) < FEWEST or smoother is None or smoother.flaw is not None:
         return made
     return replace(made, blame=_blame(made, inputs_of(log, task, association), smoother, drawn))
@@ -127,15 +127,15 @@ def _value(sample: Sample, key: Key) -> float:
     return sample.measured[key].value if key in sample.measured else math.nan
 
 
-def _failures(log: Log, real: Sample, twins: Sequence[Sample]) -> tuple[str, ...]:
-    notes = []
+def _failures(log: Log, real: Sample, twins: Sequence[Sample]) -> tuple[Notice, ...]:
+    found = []
     if is_exact(log.recorded.prior.covariance):
-        notes.append("the prior is exact in some direction, so the first frame has no covariance to compare")
-    notes += [f"{name} failed ({why}), so nothing is measured of it" for name, why in real.failures.items()]
+        found.append(notice(Code.EXACT_PRIOR))
+    found += [notice(Code.NOT_MEASURED, why=why).about(estimator=name) for name, why in real.failures.items()]
     for name in dict.fromkeys(name for s in twins for name in s.failures):
-        count = sum(name in s.failures for s in twins)
-        notes.append(f"{name} failed in {count} of {counted(len(twins), 'twin')}, which do not count for it")
-    return tuple(notes)
+        failed = sum(name in s.failures for s in twins)
+        found.append(notice(Code.NOT_MEASURED_ON_TWINS, failed=failed, twins=len(twins)).about(estimator=name))
+    return tuple(found)
 
 
 def _blame(made: Trust, inputs: Inputs, smoother: Run, drawn: Array) -> Blame:

@@ -12,13 +12,14 @@ from data.formats.open_log.writer import write_folder
 from data.inputs import Prior
 from data.log import shortened
 from data.logs import open_log
+from data.notice import Code
 from data.truth import Truth
 from eval.plan.execute import execute
 from eval.plan.experiments import make_plan
 from eval.plan.flags.options import read_options
 from eval.referee.attribution import NOISE
 from eval.studies.faults import FAULTS
-from eval.studies.trusted import trust_table
+from eval.studies.trusted import FEWEST, trust_table
 
 
 def run(folder, out, *arguments, told=lambda done, total: None):
@@ -93,14 +94,14 @@ def test_isam2_gets_twins_where_no_filter_runs(unmeasured, tmp_path):
     assert told == [(1, 2), (2, 2), (3, 4), (4, 4)], "two runs, then two twins"
     assert {r.estimator for r in trust.rows if r.twins == 2} == {"isam2", "batch"}
     assert trust.blame is None
-    assert any("too few" in note for note in trust.notes)
+    assert [(n.code, n.named) for n in trust.notices] == [(Code.TOO_FEW_TWINS, {"twins": 2, "least": FEWEST})]
 
 
 def test_a_log_too_short_for_twins_is_a_sentence_and_no_p(tmp_path):
     write_folder(shortened(open_log("arena:3"), 6), tmp_path / "short")
     (trust,) = run(tmp_path / "short", tmp_path, "--task", "localization", "--twins", "19").trust
     assert not trust.twins
-    assert any("6 frames, at least 10 are needed" in note for note in trust.notes)
+    assert [n.code for n in trust.notices] == [Code.NO_TWINS]
     assert all(np.isnan(r.p) for r in trust.rows)
 
 
@@ -109,7 +110,7 @@ def test_an_exact_prior_is_said(tmp_path):
     exact = replace(log, recorded=replace(log.recorded, prior=Prior(log.truth.pose[0], np.zeros((3, 3)))))
     write_folder(exact, tmp_path / "exact")
     (trust,) = run(tmp_path / "exact", tmp_path, "--task", "localization").trust
-    assert any("prior is exact" in note for note in trust.notes)
+    assert Code.EXACT_PRIOR in [n.code for n in trust.notices]
 
 
 @pytest.mark.slow

@@ -13,10 +13,13 @@ from data.result import Systematics
 from data.worlds.registry import named_log
 from eval.figures.claims import systematic_figure
 from eval.plan.calibrate import ALL, NAMED, Calibration, with_systematic
+from eval.referee.attribution import NOISE
 from eval.referee.score import Trial
 from eval.replay.run import compare
 from eval.report.run_files import write_run
-from eval.report.systematic import best, errors_table, told, with_sigma, words
+from eval.report.systematic import best, errors_table, estimated, told
+from eval.report.words import plus_minus, say
+from tests.eval.report.trust.said_by_hand import TURN, blamed, said
 
 ERRORS = Systematic(("scale", "curvature"), np.array([0.1, 0.05]))
 
@@ -66,15 +69,28 @@ def test_an_error_is_told_if_a_tenth_of_its_sigma_is_gone():
     [(-0.1053, 0.0045, "−0.1053 ± 0.0045"), (12.0, 3.4, "12.0 ± 3.4"), (0.5, 0.0, "0.500"), (3.0, 25.0, "3 ± 25")],
 )
 def test_estimates_have_the_decimals_of_their_sigma(value, sigma, text):
-    assert with_sigma(value, sigma) == text
+    assert plus_minus(value, sigma) == text
 
 
-def test_words_say_why_these_and_which_are_not_told(trial):
-    said = words(trial, Calibration(trial.log.name, trial.task, "known", ERRORS, NAMED), trial.runs)
-    assert "`scale`, `curvature`" in said[0]
-    assert "score test of the residuals" in said[0]
-    assert said[1].startswith("This log cannot tell `curvature`")
-    assert "names none" in words(trial, Calibration("", "", "known", ERRORS, ALL), trial.runs)[0]
+def test_facts_say_why_these_which_are_not_told_and_what_the_battery_says(trial):
+    named = Calibration(
+        trial.log.name, trial.task, "known", ERRORS, NAMED, before=blamed(TURN, cause=NOISE, objected=2)
+    )
+    facts = estimated(trial, named, trial.runs)
+    assert (facts.names, facts.why, facts.judged, facts.untold) == (ERRORS.names, NAMED, True, ("curvature",))
+    assert facts.before.judged.objected == 2
+    assert facts.after is None
+    text = say("systematic", facts)
+    assert text.startswith("* Estimated along by filter and smoother alike: `scale`, `curvature`. These are the ones")
+    assert "outside what 20 twins show (family-wise p at most 0.05): odometry turns 5.00 % ± 0.10 % less" in text
+    assert text.endswith("(errors estimated along): not enough memory.")
+
+
+def test_without_a_run_nothing_is_said_of_the_errors(trial):
+    facts = estimated(trial, Calibration("", "", "known", ERRORS, ALL, after=said()), [])
+    assert (facts.judged, facts.untold) == (False, ())
+    assert "No run got to its end" in say("systematic", facts)
+    assert say("systematic", facts).endswith("too few twins.")
 
 
 def test_the_figure_has_a_panel_for_each_error_with_truth_prior_and_estimates(trial):

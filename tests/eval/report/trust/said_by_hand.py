@@ -34,7 +34,7 @@ def sample(apart: float = 13.0, shift: float = 0.0, **more) -> Sample:
     return Sample(measured, apart={"ekf": apart}, **more)
 
 
-def said(*, twins: int = 0, association: str = "known", notes=(), **more) -> Trust:
+def said(*, twins: int = 0, association: str = "known", notices=(), **more) -> Trust:
     """A log beside `twins` twins that are 0.5 m, 0.6 m, ... from their smoother; NEES 2.9 where 3 is expected."""
     drawn = tuple(
         sample(0.5 + 0.1 * i, 0.01 * i, nees={("ekf", "online"): 2.9}, counts={"ekf": (90, 8, 1, 1)})
@@ -42,7 +42,7 @@ def said(*, twins: int = 0, association: str = "known", notes=(), **more) -> Tru
     )
     p = 1.0 / (twins + 1) if twins else math.nan
     rows = tuple(Row(e, n, m, m.expected, twins, p, p) for (e, n), m in MEASURED.items())
-    return Trust("home", "slam", association, sample(), drawn, rows, notes=tuple(notes), **more)
+    return Trust("home", "slam", association, sample(), drawn, rows, notices=tuple(notices), **more)
 
 
 def blamed(*findings: Finding, cause: str = NOTHING, objected: int = 0, **more) -> Trust:

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from eval.referee.effects import effects
 from eval.referee.residuals import Used
-from eval.report.trust_facts import Terms, factor_words, noise_words, phrase, terms_of, with_error
+from eval.report.trust_facts import Terms, Told, terms_of
+from eval.report.words import say, sized
 from tests.eval.handmade import LANDMARKS, circle_log, true_path
 
 POLAR, POINTS = Terms(), Terms(polar=False)
@@ -22,6 +23,16 @@ COMMON = (
     *(f"odometry_theta_{name}" for name in ("distance", "turn", "time")),
     *(f"z{i}_{name}" for i in (1, 2) for name in ("constant", "range", "speed", "turn_rate")),
 )
+
+
+def phrase(name, terms, size, error):
+    """A systematic error of a size in SI units, in words."""
+    unit, factor = terms.unit(name)
+    return say("effects#systematic", e=Told("systematic", name, factor * size, factor * error, unit), terms=terms)
+
+
+def noise(name, factor, terms=POLAR):
+    return say("effects#noise", name=name, factor=factor, terms=terms)
 
 
 @pytest.mark.parametrize(
@@ -42,14 +53,14 @@ COMMON = (
     ],
 )
 def test_a_systematic_error_has_its_side_and_its_unit(name, size, error, text):
-    assert phrase(name, POLAR).sentence(size, error).startswith(text)
+    assert phrase(name, POLAR, size, error).startswith(text)
 
 
 def test_points_are_spoken_of_as_points():
-    assert phrase("z1_constant", POINTS).sentence(-0.1, 0.02) == "the readings' x is 0.10 m ± 0.02 m too small"
-    assert phrase("z2_range", POINTS).sentence(0.01, math.nan) == "readings are turned 0.573° counter-clockwise"
-    assert phrase("z1_range", POINTS).sentence(-0.1, math.nan) == "readings grow 10.0 % too slowly"
-    assert "older than stamped" in phrase("z2_speed", POINTS).sentence(0.1, 0.02)
+    assert phrase("z1_constant", POINTS, -0.1, 0.02) == "the readings' x is 0.10 m ± 0.02 m too small"
+    assert phrase("z2_range", POINTS, 0.01, math.nan) == "readings are turned 0.573° counter-clockwise"
+    assert phrase("z1_range", POINTS, -0.1, math.nan) == "readings grow 10.0 % too slowly"
+    assert "older than stamped" in phrase("z2_speed", POINTS, 0.1, 0.02)
 
 
 def test_a_point_ahead_of_the_robot_moves_to_the_left_in_a_left_turn():
@@ -77,27 +88,27 @@ def test_every_systematic_error_that_is_sought_can_be_said():
     st.sampled_from(COMMON), st.builds(Terms), st.floats(-1e6, 1e6).filter(bool), st.floats(0, 1e6) | st.just(math.nan)
 )
 def test_no_sentence_has_a_number_that_is_none(name, terms, size, error):
-    text = phrase(name, terms).sentence(size, error)
+    text = phrase(name, terms, size, error)
     assert not re.search(r"\b(nan|inf|None)\b", text, re.IGNORECASE)
     assert "{" not in text
 
 
 def test_a_size_has_the_decimals_of_its_error():
-    assert with_error(12.345, 0.3, ("m", 1.0)) == "12.3 m ± 0.3 m"
-    assert with_error(12.345, 0.13, ("m", 1.0)) == "12.35 m ± 0.13 m"
-    assert with_error(12.345, 30.0, ("m", 1.0)) == "12 m ± 30 m"
+    assert sized(12.345, "m", 0.3) == "12.3 m ± 0.3 m"
+    assert sized(12.345, "m", 0.13) == "12.35 m ± 0.13 m"
+    assert sized(12.345, "m", 30.0) == "12 m ± 30 m"
 
 
 def test_a_noise_is_stated_too_large_if_it_is_smaller():
-    assert factor_words(0.2186) == "4.6 times too large"
-    assert factor_words(1.34) == "1.34 times too small"
-    assert noise_words("z2", 0.5, POLAR) == "the noise (σ) of the bearings is stated 2.0 times too large"
-    assert noise_words("odometry_theta", 2.0, POINTS).startswith("the noise (σ) of the odometry's heading")
+    assert noise("z1", 0.2186).endswith("4.6 times too large")
+    assert noise("z1", 1.34).endswith("1.34 times too small")
+    assert noise("z2", 0.5) == "the noise (σ) of the bearings is stated 2.0 times too large"
+    assert noise("odometry_theta", 2.0, POINTS).startswith("the noise (σ) of the odometry's heading")
 
 
 def test_a_log_without_stamps_has_frames_for_seconds():
     unstamped = Terms(stamped=False)
-    assert phrase("z1_speed", unstamped).sentence(0.7, 0.03).startswith("ranges are 0.70 frames ± 0.03 frames older")
-    assert "0.020 rad/frame" in phrase("odometry_theta_time", unstamped).sentence(0.02, 0.002)
+    assert phrase("z1_speed", unstamped, 0.7, 0.03).startswith("ranges are 0.70 frames ± 0.03 frames older")
+    assert "0.020 rad/frame" in phrase("odometry_theta_time", unstamped, 0.02, 0.002)
     log = circle_log()
     assert terms_of(replace(log.recorded, time_is_index=True)) == unstamped

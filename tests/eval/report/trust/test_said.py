@@ -1,4 +1,4 @@
-"""Numbers of a log and of its twins in sentences: each is the one it is said to be, and an unknown one is left out."""
+"""Facts of a log and of its twins: each number is the one it is said to be, and an unknown one is left out."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import replace
 import pytest
 
 from eval.referee.trust import Measured
-from eval.report import trust_facts as words
-from eval.report.trust_facts import Terms
+from eval.report.trust_facts import Decided, Terms, facts_of
+from eval.report.words import length
 from tests.eval.report.trust.said_by_hand import DETECTABLE, blamed, said
 
 POLAR, POINTS = Terms(), Terms(polar=False)
@@ -27,55 +27,47 @@ def with_measured(trust, measured):
     ("value", "text"), [(0.0, "0 m"), (0.0042, "4.2 mm"), (0.00999, "10 mm"), (0.01, "0.0100 m"), (13.0, "13.0 m")]
 )
 def test_a_length_below_a_centimetre_is_said_in_millimetres(value, text):
-    assert words.length(value) == text
+    assert length(value) == text
 
 
 def test_filters_come_first_then_our_smoothers_then_others_and_who_was_not_measured_is_not_there():
     trust = with_apart(said(), theirs=1.0, isam2=2.0, **{"ekf-iterated": 3.0}, ekf=4.0, batch=math.nan)
-    assert words.online(trust) == ["ekf", "ekf-iterated", "isam2", "theirs"]
-    assert words.who("ekf") == "the filter (ekf)"
-    assert words.who("isam2") == "the online path of isam2"
+    found = facts_of(trust, POLAR).apart
+    assert [(a.estimator, a.filters) for a in found] == [
+        ("ekf", True), ("ekf-iterated", True), ("isam2", False), ("theirs", False),
+    ]  # fmt: skip
 
 
 def test_twins_stand_beside_the_log_as_the_range_from_the_least_to_the_largest_that_are_known():
+    def apart(trust):
+        (a,) = facts_of(trust, POLAR).apart
+        return a.rms, a.twins, a.beside_twins
+
     trust = said(twins=3)
-    assert words.apart(trust, "ekf").endswith("13.0 m RMS apart, on the twins 0.500 m to 0.700 m")
+    assert apart(trust) == (13.0, pytest.approx((0.5, 0.7)), True)
     lost = replace(trust.twins[0], apart={"ekf": math.nan})
-    assert words.apart(replace(trust, twins=(lost, *trust.twins[1:])), "ekf").endswith("0.600 m to 0.700 m")
-    assert words.apart(replace(trust, twins=(lost,)), "ekf").endswith("apart; ekf was not run on the twins")
-    assert words.apart(said(), "ekf").endswith("RMS apart")
+    assert apart(replace(trust, twins=(lost, *trust.twins[1:]))) == (13.0, pytest.approx((0.6, 0.7)), True)
+    assert apart(replace(trust, twins=(lost,))) == (13.0, (), True)
+    assert apart(said()) == (13.0, (), False)
 
 
 MEDIAN, SHARE = ("ekf", "filter_smoother_median"), ("ekf", "filter_smoother_semidefinite")
 
 
 @pytest.mark.parametrize(
-    ("measured", "text"),
+    ("measured", "median", "semidefinite"),
     [
-        ({}, ""),
-        ({MEDIAN: Measured(2, 1.5)}, "their difference d has a median dᵀ(P_f − P_s)⁻¹d of 2.00 where 1.50 is expected"),
-        ({MEDIAN: Measured(math.nan, 1.5)}, ""),
-        ({MEDIAN: Measured(2.0)}, ""),
-        ({SHARE: Measured(0.25, 1.0)}, "P_f − P_s is positive semidefinite in 25 % of the frames"),
-        ({SHARE: Measured(math.nan, 1.0)}, ""),
+        ({}, (), None),
+        ({MEDIAN: Measured(2, 1.5)}, (2, 1.5), None),
+        ({MEDIAN: Measured(math.nan, 1.5)}, (), None),
+        ({MEDIAN: Measured(2.0)}, (), None),
+        ({SHARE: Measured(0.25, 1.0)}, (), 0.25),
+        ({SHARE: Measured(math.nan, 1.0)}, (), None),
     ],
-)  # fmt: skip
-def test_of_the_difference_only_what_is_known_is_said(measured, text):
-    assert words.quadratic(with_measured(said(), measured), "ekf") == text
-
-
-def test_both_statistics_of_the_difference_stand_in_one_sentence():
-    text = words.quadratic(said(), "ekf")
-    assert ", and P_f − P_s is positive semidefinite in 9 % of the frames" in text
-
-
-def test_before_and_after_a_calibration_are_told_if_both_are_known():
-    before, after = said(), with_measured(said(), {MEDIAN: Measured(1.6, 1.4)})
-    now, was = words.median_before_and_after(before, after, "ekf")
-    assert (now.endswith("of 1.60 where 1.40 is expected"), was) == (True, "30.3")
-    bare = with_measured(said(), {})
-    assert words.median_before_and_after(before, bare, "ekf") == words.median_before_and_after(bare, after, "ekf")
-    assert words.median_before_and_after(before, bare, "ekf") == ("", "")
+)
+def test_of_the_difference_only_what_is_known_is_a_fact(measured, median, semidefinite):
+    (a,) = facts_of(with_measured(said(), measured), POLAR).apart
+    assert (a.median, a.semidefinite) == (median, semidefinite)
 
 
 def slopes(**sizes):
@@ -88,54 +80,45 @@ def test_systematic_errors_beyond_three_standard_errors_are_named_the_largest_fi
         z1_constant=(0.07, 0.0, 0.01), odometry_theta_distance=(5.0, 0.0, 0.0), z2_constant=(math.nan, 0.0, 0.01),
         z2_range=(5.0, 0.0, math.nan), odometry_theta_time=(0.01, 0.0, 0.01),
     )  # fmt: skip
-    found = words.standing_out(trust, POLAR, 5)
-    assert [text.rsplit(" (", 1)[1] for text in found] == [
-        "20 standard errors)", "7 standard errors)", "3 standard errors)",
+    found = facts_of(trust, POLAR).asked
+    assert [(t.name, round(t.sigmas, 1)) for t in found] == [
+        ("z1_range", 20.0), ("z1_constant", 7.0), ("odometry_theta_turn", 3.0),
     ]  # fmt: skip
-    assert found[0].startswith("ranges grow 20.0 % ± 1.0 % too slowly")
-    assert words.standing_out(trust, POLAR, 2) == found[:2]
+    assert (found[0].size, found[0].error, found[0].unit) == (pytest.approx(-20.0), pytest.approx(1.0), "%")
     other = with_measured(said(), {("batch", "residual_z1_mean"): Measured(5.0, 0.0, 0.1)})
-    assert words.standing_out(other, POLAR, 5) == []
+    assert facts_of(other, POLAR).asked == ()
 
 
-@pytest.mark.parametrize(
-    ("objected", "text"),
-    [
-        (0, "none of 9 statistics lies outside what 20 twins show (smallest family-wise p 0.60)"),
-        (1, "1 of 9 statistics lies outside what 20 twins show (family-wise p 0.048)"),
-        (2, "2 of 9 statistics lie outside what 20 twins show (family-wise p 0.048)"),
-    ],
-)
-def test_how_many_statistics_are_outside_is_counted(objected, text):
-    assert words.outside(blamed(objected=objected).blame, 20) == text
+@pytest.mark.parametrize(("objected", "p"), [(0, 0.6), (2, 1 / 21)])
+def test_how_many_statistics_are_outside_is_counted(objected, p):
+    judged = facts_of(blamed(objected=objected), POLAR).judged
+    assert (judged.objected, judged.tested, judged.p) == (objected, 9, p)
 
 
-def test_a_p_that_is_not_known_is_not_said():
-    blame = replace(blamed().blame, p=math.nan)
-    assert words.outside(blame, 20) == "none of 9 statistics lies outside what 20 twins show"
+def test_a_p_that_is_not_known_is_none():
+    trust = blamed()
+    assert facts_of(replace(trust, blame=replace(trust.blame, p=math.nan)), POLAR).judged.p is None
 
 
-def power(terms=POLAR, *, brief=False, **detectable):
-    return words.power(replace(blamed().blame, detectable=detectable or DETECTABLE), terms, brief=brief)
+def power(terms=POLAR, **detectable):
+    trust = blamed()
+    return facts_of(replace(trust, blame=replace(trust.blame, detectable=detectable or DETECTABLE)), terms)
 
 
 def test_in_brief_three_sizes_are_told_that_would_have_been_seen():
-    assert power(brief=True) == (
-        "With 90 % probability it would have shown a wrong scale of the odometry's turns of 5.0 %, a bias of the"
-        " bearings of 0.40° or a wrong scale of the ranges of 3.7 %"
-    )
+    found = power().brief_power
+    assert [(t.name, t.unit) for t in found] == [("odometry_theta_turn", "%"), ("z2_constant", "°"), ("z1_range", "%")]
+    assert [t.size for t in found] == pytest.approx([5.0, math.degrees(0.007), 3.7])
 
 
 def test_sizes_of_points_and_noises_are_told_in_their_own_terms_and_unknown_ones_not():
-    text = power(POINTS)
-    assert "a sensor turned on its mount of 0.23°" in text
-    assert text.endswith(
-        "a noise of the readings' x 1.12 times as large as stated or a noise of the odometry's heading at least 1.45"
-        " times as large as stated"
-    )
-    one = power(odometry_x_distance=0.037, z1_range=math.nan, residual_z1_spread=math.nan)
-    assert one.endswith("shown a wrong scale of the odometry's distances of 3.7 %")
-    assert power(z1_range=math.nan) == ""
+    found = {(t.kind, t.name): (t.size, t.unit) for t in power(POINTS).power}
+    assert found["systematic", "z2_range"] == (pytest.approx(math.degrees(0.004)), "°")
+    assert found["sigma", "z1"] == (1.12, "")
+    assert found["sigma", "odometry_theta"] == (1.45, "")
+    one = power(odometry_x_distance=0.037, z1_range=math.nan, residual_z1_spread=math.nan).power
+    assert [t.name for t in one] == ["odometry_x_distance"]
+    assert power(z1_range=math.nan).power == ()
 
 
 def test_nees_on_twins_is_the_mean_of_those_that_have_one():
@@ -143,24 +126,17 @@ def test_nees_on_twins_is_the_mean_of_those_that_have_one():
     trust = said(twins=4)
     values = ({key: 2.0, other: math.nan}, {key: 4.0}, {key: math.nan}, {key: 6.0, other: 3.5})
     twins = tuple(replace(t, nees=n) for t, n in zip(trust.twins, values, strict=True))
-    text = words.nees_on_twins(replace(trust, twins=twins))
-    assert text == (
-        "The twins have a truth: mean pose NEES over them is 4.00 for ekf (online) and 3.50 for batch (final),"
-        " where 3 is expected"
-    )
-    assert words.nees_on_twins(said()) == ""
-    assert words.nees_on_twins(replace(trust, twins=twins[2:3])) == ""
+    assert facts_of(replace(trust, twins=twins), POLAR).nees == ((*key, 4.0), (*other, 3.5))
+    assert facts_of(said(), POLAR).nees == facts_of(replace(trust, twins=twins[2:3]), POLAR).nees == ()
 
 
-def test_decisions_on_twins_are_means_over_them_and_estimators_that_decide_alike_share_a_clause():
+def test_decisions_on_twins_are_means_over_them_and_estimators_that_decide_alike_share_a_fact():
     trust = said(twins=2, association="nn")
     alike, other = (80.0, 10.0, 6.0, 4.0), (60.0, 20.0, 12.0, 8.0)
     counts = ({"ekf": alike, "isam2": alike, "theirs": other, "idle": (0, 0, 0, 0)}, {"ekf": alike, "isam2": alike})
     twins = tuple(replace(t, counts=c) for t, c in zip(trust.twins, counts, strict=True))
-    assert words.deciding_on_twins(replace(trust, twins=twins)) == (
-        "Expected of `nn` on this geometry (mean over the twins): 6.0 wrong pairings (FP) and 4.0 missed (FN) in 100"
-        " decisions, 90.0 % as batch paired them (ekf, isam2); 12 wrong pairings (FP) and 8.0 missed (FN) in 100"
-        " decisions, 80.0 % as batch paired them (theirs)"
-    )
-    assert words.deciding_on_twins(replace(trust, association="known")) == ""
-    assert words.deciding_on_twins(said(association="nn")) == ""
+    assert facts_of(replace(trust, twins=twins), POLAR).deciding == (
+        Decided(("ekf", "isam2"), 6.0, 4.0, 100.0, 0.9), Decided(("theirs",), 12.0, 8.0, 100.0, 0.8),
+    )  # fmt: skip
+    assert facts_of(replace(trust, association="known"), POLAR).deciding == ()
+    assert facts_of(said(association="nn"), POLAR).deciding == ()
