@@ -25,8 +25,7 @@ from eval.report.answer import answer, failure_statement, gate_sentence
 from eval.report.deciding import revision_section
 from eval.report.diagnostics import origin_statement, questions_section, unused_statement
 from eval.report.headline import headlines
-from eval.report.labs.corridor_questions import lab_sections
-from eval.report.labs.visual import hand_in
+from eval.report.labs.sections import hand_in, lab_sections
 from eval.report.labs.write_up import write_up
 from eval.report.laser import against_relations, laser_sections
 from eval.report.log_sections import association_sections, beside, rows_of, trial_sections

@@ -46,6 +46,7 @@ def environment() -> Environment:
         "length": length,
         "said": sentence,
     }
+    env.tests["known"] = math.isfinite
     return env
 
 
@@ -113,6 +114,11 @@ def say(template: str, facts: object = None, **more: Any) -> str:
     found = environment().get_template(f"{name}.md.j2")
     text = getattr(found.module, macro)(**known, **more) if macro else found.render(**known, **more)
     return str(text).strip()
+
+
+def paragraph(template: str, facts: object = None, **more: Any) -> str:
+    """What `say` says as one paragraph: its sentences may stand on lines of their own in the template."""
+    return one_line(say(template, facts, **more))
 
 
 def sentence(notice: Notice) -> str:

@@ -6,18 +6,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 from scipy.special import logsumexp
 from scipy.stats import chi2
 
 from data.inputs import Increment, IntArray
 from data.log import Log
-from data.result import Run
 from data.se2 import Array, between
-from eval.referee.score import Scores, Trial
-from eval.report.labs.corridor_facts import BLIND, NAMES, TURN, Lab, rmse
-from eval.report.page.document import Block, Section, Table
-from eval.report.page.tables import number
+from eval.referee.score import Scores
+from eval.report.labs.corridor import BLIND, TURN, Judge, Judged, Lab
 
 STEPS = (-3, -2, -1, 0, 1, 2, 3)
 """Multiples of the true step that are looked at."""
@@ -103,104 +99,91 @@ def prior_likelihood(stated: Increment, step: float) -> float:
     return float(-0.5 * (off @ np.linalg.solve(P, off) + np.linalg.slogdet(2.0 * math.pi * P)[1]))
 
 
-def ambiguity_sections(lab: Lab) -> list[Section]:
-    """What the readings alone leave open, where a log without odometry was run."""
-    bare, primed = lab.trials.get(BLIND), lab.primed.get(False)
-    shown = bare or primed
-    if shown is None:
-        return []
-    blocks = _two_peaks(shown.log, None if primed is None else primed.log)
-    return [Section("Do two scans tell how far the robot went?", blocks, 3)] if blocks else []
+@dataclass(frozen=True)
+class Ambiguity:
+    """What two scans in a row leave open on a log without odometry.
+
+    Attributes:
+        moves: straight moves; both: of them, those that could as well have been one of the same length backwards (just
+            as many readings fit); likelier: of these, backwards is even the likelier one.
+        pair: of these the one whose two likelihoods are nearest to each other, None if there is none.
+        stated: how many times as likely the log's own motion makes the true move there (NaN: it is `primed` itself).
+        primed: the log with a motion prior, blank if none was run; prior: as `stated`, by it; posterior: of each peak,
+            its log-likelihood and the prior's.
+    """
+
+    log: str
+    moves: int
+    both: int
+    likelier: int
+    pair: Pair | None
+    stated: float
+    primed: str
+    prior: float
+    posterior: tuple[float, ...]
+
+    @property
+    def decides(self) -> bool:
+        """Whether the log's own motion makes one of the two much likelier."""
+        return not 1.0 / math.e < self.stated < math.e
 
 
-def prior_sections(lab: Lab, scores: Scores) -> list[Section]:
-    """What a motion prior changes, where a log with one was run."""
-    primed = lab.primed.get(False)
-    text = "" if primed is None else _what_a_prior_changes(primed, lab.trials.get(BLIND), scores)
-    return [Section("What does a motion prior change?", (text,), 3)] if text else []
-
-
-def _two_peaks(log: Log, primed: Log | None) -> tuple[Block, ...]:
-    """Text and table; empty where there is no straight move to look at."""
-    pairs = straight_pairs(log)
-    if not pairs:
-        return ()
+def ambiguity(lab: Lab) -> Ambiguity | None:
+    """What the readings alone leave open, where a log without odometry with straight moves was run."""
+    primed = None if lab.primed.get(False) is None else lab.primed[False].log
+    log = lab.trials[BLIND].log if BLIND in lab.trials else primed
+    pairs = [] if log is None else straight_pairs(log)
+    if log is None or not pairs:
+        return None
     both = [p for p in pairs if p.at(-1).fitting >= p.at(1).fitting > 0]
-    notes = [
-        f"Two scans in a row of `{log.name}` without names of points: how well does the second one fit the first one if"
-        f" the robot moved straight by so much? Of {len(pairs)} straight moves"
-    ]
-    if not both:
-        notes.append("none could as well have been a move of the same length backwards: the readings alone decide.")
-        return (" ".join(notes),)
-    better = sum(p.at(-1).likelihood >= p.at(1).likelihood for p in both)
-    notes.append(
-        f"{len(both)} could as well have been one backwards: just as many readings fit, and in {better} of them"
-        " backwards is even the likelier one. The points repeat every two steps, and a map that grew behind the"
-        " robot repeats, too."
-    )
-    pair = min(both, key=lambda p: abs(p.at(-1).likelihood - p.at(1).likelihood))
+    pair = min(both, key=lambda p: abs(p.at(-1).likelihood - p.at(1).likelihood), default=None)
+    stated = prior = math.nan
+    posterior: tuple[float, ...] = ()
+    if pair is not None and log is not primed:
+        stated = _factor(log, pair)
+    if pair is not None and primed is not None:
+        given = primed.recorded.increment(pair.frame)
+        prior = _factor(primed, pair)
+        posterior = tuple(p.likelihood + prior_likelihood(given, p.step) for p in pair.peaks)
+    likelier = sum(p.at(-1).likelihood >= p.at(1).likelihood for p in both)
+    name = "" if primed is None else primed.name
+    return Ambiguity(log.name, len(pairs), len(both), likelier, pair, stated, name, prior, posterior)
+
+
+def _factor(log: Log, pair: Pair) -> float:
+    """How many times as dense the motion stated with a log is at the true move as at the one backwards."""
     stated = log.recorded.increment(pair.frame)
     ahead, back = (prior_likelihood(stated, pair.at(m).step) for m in (1, -1))
-    if primed is None or primed is not log:
-        notes.append(
-            "The motion stated with the log does not decide either: it is as dense at the one as at the other."
-            if abs(ahead - back) < 1.0
-            else f"The motion stated with the log makes the true one {number(math.exp(ahead - back), 2)} times as"
-            " likely."
-        )
-    best = max(p.likelihood for p in pair.peaks)
-    columns: dict[str, list[object]] = {
-        "step [m]": [f"{p.step:+.2f}" for p in pair.peaks],
-        f"readings that fit, of {pair.readings}": [p.fitting for p in pair.peaks],
-        "log-likelihood − largest": [f"{p.likelihood - best:.1f}" for p in pair.peaks],
-    }
-    if primed is not None:
-        given = primed.recorded.increment(pair.frame)
-        ahead, back = (prior_likelihood(given, pair.at(m).step) for m in (1, -1))
-        notes.append(
-            f"The prior of `{primed.name}` does: there the true one is {number(math.exp(ahead - back), 2)} times as"
-            " likely before anything is seen."
-        )
-        posterior = [p.likelihood + prior_likelihood(given, p.step) for p in pair.peaks]
-        columns["with the prior − largest"] = [f"{v - max(posterior):.1f}" for v in posterior]
-    caption = (
-        f"Moves that explain the scan of frame {pair.frame}, given the one before; the true move is"
-        f" {pair.true:.2f} m. Each row is the best step length within {NEAR:g} m of a multiple of it."
-    )
-    return " ".join(notes), Table(pd.DataFrame(columns), caption)
+    return math.exp(ahead - back)
 
 
-def _what_a_prior_changes(primed: Trial, bare: Trial | None, scores: Scores) -> str:
-    """Position errors with the prior beside those without it; empty where nothing was run to the end."""
-    note = next((n for n in primed.log.notes if "motion prior" in n), "")
+@dataclass(frozen=True)
+class Primed:
+    """Runs on a log with a motion prior, each with the same on the log without, if it got to its end there.
+
+    notes: the log's own. relinearized: how many times as large the filter's error is as the iterated one's with the
+    same pairings; NaN: not known, or no larger.
+    """
+
+    log: str
+    notes: tuple[str, ...]
+    rows: tuple[tuple[Judged, Judged | None], ...]
+    relinearized: float
+
+
+def primed(lab: Lab, scores: Scores) -> Primed | None:
+    """What a motion prior changes, where anything was run to the end on a log with one."""
+    judge, trial, bare = Judge(scores), lab.primed.get(False), lab.trials.get(BLIND)
+    if trial is None:
+        return None
     rows = []
-    for run in primed.runs:
-        if run.failure is not None or run.association == "none":
-            continue
-        without = None if bare is None else bare.find(run.estimator, run.association)
-        line = f"{run.estimator} with {NAMES.get(run.association, run.association)} {_errors(scores, primed, run)}"
-        if bare is not None and without is not None and without.failure is None:
-            line += f" ({_errors(scores, bare, without)} without)"
-        rows.append(line)
-    if not rows:
-        return ""
-    notes = [
-        f"`{primed.log.name}`. {note}".strip(),
-        f"Position RMSE (online / final where there are both): {'; '.join(rows)}.",
-    ]
-    plain, again = primed.find("ekf"), primed.find("ekf-iterated")
-    if plain is not None and again is not None and plain.flaw is None and again.flaw is None:
-        a, b = rmse(scores, primed, plain), rmse(scores, primed, again)
-        if b < a:
-            notes.append(
-                f"With the same pairings one linearization at the prediction costs a factor of {number(a / b, 2)}: a"
-                " prior as wide as a turn is used well only by estimators that linearize again where the readings lead."
-            )
-    return " ".join(notes)
-
-
-def _errors(scores: Scores, trial: Trial, run: Run) -> str:
-    """Position RMSE [m] of each phase of a run, and its status if it is implausible."""
-    mark = "" if run.doubt is None else f", {run.status}"
-    return " / ".join(number(rmse(scores, trial, run, phase)) for phase in run.phases) + f" m{mark}"
+    for run in trial.runs:
+        if run.failure is None and run.association != "none":
+            without = None if bare is None else bare.find(run.estimator, run.association)
+            kept = judge.look(bare, without) if bare and without and without.failure is None else None
+            rows.append((judge.look(trial, run), kept))
+    fine = {r.estimator: r for r, _ in rows if r.association == "known" and r.status == "ok"}
+    factor = math.nan
+    if {"ekf", "ekf-iterated"} <= set(fine):
+        factor = fine["ekf"].rmse / fine["ekf-iterated"].rmse
+    return Primed(trial.log.name, trial.log.notes, tuple(rows), factor if factor > 1.0 else math.nan) if rows else None

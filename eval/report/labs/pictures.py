@@ -1,8 +1,6 @@
-"""The pictures of the corridor lab's answers: each made as a job of its own, with caption and alternative text.
+"""The pictures of the corridor lab's answers: maps, believed paths, errors, one frame from near, measured times.
 
-Figures that answer the corridor lab's questions: maps with people in them, believed paths, map maintenance.
-
-How long a filter's update takes, frame by frame, and map maintenance beside it: measured, never the same twice.
+Each is made as a job of its own, with caption and alternative text. Measured times are never the same twice.
 """
 
 from __future__ import annotations
@@ -32,7 +30,19 @@ from eval.referee.score import Trial
 from eval.replay.frontend import FrontEnd
 from eval.replay.run import front_end
 from eval.replay.settings import Setup
-from eval.report.labs.corridor_facts import BLIND, NAMES, ODOMETRY, PEOPLE, Lab, look, pair_of, run_of
+from eval.report.labs.corridor import (
+    BLIND,
+    BLIND_PEOPLE,
+    NAMES,
+    ODOMETRY,
+    PEOPLE,
+    Lab,
+    Shown,
+    has,
+    look,
+    maintained_pair,
+    run_of,
+)
 from eval.report.page.document import Picture
 from eval.report.page.files import write_table
 from eval.stepping.matching import closer_figure, methods_figure, wrong_of
@@ -78,18 +88,6 @@ def _measure(inputs: Inputs, front: FrontEnd, seconds: Array) -> None:
             end = time.perf_counter()
         front.tidy()
         seconds[:, k] = end - begin, time.perf_counter() - end
-
-
-class Shown(NamedTuple):
-    """A run and the trial it belongs to."""
-
-    trial: Trial
-    run: Run
-
-    @property
-    def log(self) -> Log:
-        """Its log."""
-        return self.trial.log
 
 
 def called(run: Run) -> str:
@@ -252,7 +250,6 @@ def _map_handles() -> list[Line2D]:
 Drawn = tuple[Figure, str, str]
 """Figure, caption (Markdown), and what it shows in a sentence."""
 TIME_HEADS = ("run", "median [ms]", "largest [ms]", "whole run [ms]", "removing landmarks [ms]")
-BLIND_PEOPLE = (True, False)
 UPDATE_TIME = "update-time"
 """The one picture that is never the same twice."""
 
@@ -279,11 +276,6 @@ def _need(lab: Lab, switches: tuple[bool, bool], method: str) -> Shown:
     if run is None:
         raise LookupError(f"{trial.log.name}: no run with {method} got to its end")
     return Shown(trial, run)
-
-
-def has(lab: Lab, switches: tuple[bool, bool], *methods: str) -> bool:
-    """Whether runs with all these methods got to their end in a condition."""
-    return all(run_of(lab.trials.get(switches), m) is not None for m in methods)
 
 
 def _frame_problem(
@@ -362,17 +354,6 @@ def _online(trial: Trial) -> list[Run]:
         if run.failure is None and run.online is not None and run.association != "none":
             found.setdefault(run.association, run)
     return list(found.values())
-
-
-def maintained_pair(lab: Lab) -> tuple[Shown, Shown] | None:
-    """The runs that the answer about map maintenance compares: without and with it."""
-    for switches in (PEOPLE, *lab.maintained):
-        plain, kept = lab.trials.get(switches), lab.maintained.get(switches)
-        for method in ("jcbb", "nn", "singles"):
-            both = pair_of(plain, kept, method)
-            if plain is not None and kept is not None and both is not None:
-                return Shown(plain, both[0]), Shown(kept, both[1])
-    return None
 
 
 def _maintenance(lab: Lab, setup: Setup) -> Drawn:

@@ -12,9 +12,9 @@ from data.inputs import Increment
 from data.worlds.corridor import Corridor, simulate
 from eval.plan.lab import switched_on
 from eval.referee.score import Trial, score
-from eval.report.labs.corridor_ambiguity import STEPS, fit, prior_likelihood, straight_pairs
-from eval.report.labs.corridor_facts import find_lab, has_prior
-from eval.report.labs.corridor_questions import lab_sections
+from eval.report.labs.corridor import find_lab, has_prior
+from eval.report.labs.corridor_ambiguity import STEPS, ambiguity, fit, prior_likelihood, straight_pairs
+from eval.report.labs.sections import lab_sections
 from eval.report.page.document import Table
 from tests.eval.handmade_lab import lab_log, lab_run
 
@@ -85,8 +85,10 @@ def answers(*trials):
 
 def test_the_report_shows_both_peaks_and_what_the_prior_makes_of_them():
     said = answers(Trial(BARE, "slam", ()), Trial(PRIMED, "slam", ()))
+    q = ambiguity(find_lab([Trial(BARE, "slam", ()), Trial(PRIMED, "slam", ())]))
+    assert (q.moves, q.both, q.decides, q.primed) == (40, 19, False, PRIMED.name)
+    assert q.prior == pytest.approx(518.0, abs=0.5)
     text, table = said[AMBIGUOUS]
-    assert "Of 40 straight moves 19 could as well have been one backwards" in text
     assert "does not decide either" in text
     assert "518 times as likely" in text
     assert isinstance(table, Table)

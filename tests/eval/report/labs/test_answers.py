@@ -11,11 +11,9 @@ from data.result import Failure
 from eval.plan.flags.options import read_options
 from eval.plan.unfinished import Unfinished
 from eval.referee.score import Trial, score
-from eval.report.labs.corridor_answers import QUESTIONS
-from eval.report.labs.corridor_facts import find_lab, run_of
-from eval.report.labs.corridor_questions import lab_sections
+from eval.report.labs.corridor import find_lab, run_of
 from eval.report.labs.pictures import KINDS, NEEDED, UPDATE_TIME
-from eval.report.labs.visual import hand_in
+from eval.report.labs.sections import QUESTIONS, hand_in, lab_sections
 from eval.report.page.document import Picture, Table
 from tests.eval.handmade_lab import FOOLED, NEW, lab_log, lab_run
 

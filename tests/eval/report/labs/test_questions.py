@@ -11,32 +11,39 @@ import pytest
 from data.worlds.corridor import Corridor, simulate
 from eval.plan.lab import switched_on
 from eval.referee.score import Trial, score
-from eval.report.labs.corridor_facts import find_lab, furthest_from_start, look, run_of, true_against_stated
-from eval.report.labs.corridor_questions import lab_sections
+from eval.report.labs.corridor import find_lab, look, reach, run_of, true_against_stated
+from eval.report.labs.questions import Answers, Lack, answers
+from eval.report.labs.sections import lab_sections
 from tests.eval.handmade import circle_log, run_with_error
 from tests.eval.handmade_lab import DISCARD, FOOLED, NEW, lab_log, lab_run
 
 QUIET, BUSY, BLIND = lab_log(), lab_log(people=True), lab_log(odometry=False)
 # the same mistakes in the log without people: rows 5 (point 2 taken for 1) and 6 (point 1 initialized twice)
 CONFUSED = {5: 0, 6: NEW}
-NN, MISSING = "Why does NN fail?", "Not answered"
+NN = "Why does NN fail?"
 PEOPLE = "Why do people break NN and SINGLES?"
 JCBB = "Why does JCBB cope better?"
 NO_ODOMETRY = "What happens without odometry?"
 UPKEEP = "What does map maintenance change?"
+RMS = math.sqrt(0.8)
+"""Of an error of 1 m in four of five frames."""
 
 
 def trial(log, *runs, **more) -> Trial:
     return Trial(log, "slam", runs, **more)
 
 
-def answers(*trials) -> dict[str, str]:
+def words(*trials) -> dict[str, str]:
     return {s.heading: s.blocks[0] for s in lab_sections(trials, score(trials))}
+
+
+def facts(*trials) -> Answers:
+    return answers(find_lab(trials), score(trials))
 
 
 def test_a_run_is_looked_at_as_counted_by_hand():
     p = look(lab_run(BUSY, "nn", error=0.3, changes=FOOLED), BUSY)
-    assert (p.counts.fp, p.counts.fn) == (5, 1)
+    assert (p.fp, p.fn) == (5, 1)
     assert (p.neighbour, p.copy, p.ghost) == (1, 1, 1)
     assert (p.clutter, p.clutter_paired, p.clutter_initializing, p.clutter_again) == (3, 2, 1, 1)
     assert look(lab_run(BUSY, "nn"), BUSY).clutter_initializing == 0, "who is discarded initializes nothing"
@@ -87,110 +94,133 @@ def test_the_filter_answers_where_it_got_to_the_end_and_otherwise_the_smoother()
 
 
 def test_why_nn_fails_is_told_with_counts_places_and_errors():
-    text = answers(trial(QUIET, lab_run(QUIET, "known"), lab_run(QUIET, "nn", error=0.3, changes=CONFUSED)))[NN]
-    assert "pairs 1 of 10 observations wrongly: 1 with the landmark of another point" in text
-    assert "0.50 m apart (median)" in text
+    given = trial(QUIET, lab_run(QUIET, "known"), lab_run(QUIET, "nn", error=0.3, changes=CONFUSED))
+    q = facts(given).nn
+    assert (q.nn.p.fp, q.nn.p.observations, q.nn.p.neighbour, q.nn.p.first_wrong, q.nn.p.duplicate) == (1, 10, 1, 2, 1)
+    assert (q.nn.p.apart, q.nn.p.off) == (pytest.approx(0.5), pytest.approx(0.3))
+    assert (q.nn.p.before, q.nn.p.after) == (pytest.approx(0.3 / math.sqrt(2.0)), pytest.approx(0.3))
+    assert (q.nn.landmarks, q.known.landmarks) == (3, 2)
+    assert (q.nn.rmse, q.known.rmse) == (pytest.approx(0.3 * RMS), pytest.approx(0.01 * RMS))
+    assert q.explained
+    assert q.costly
+    text = words(given)[NN]
     assert "0.30 m off their own point: more than half that spacing" in text
-    assert "first wrong pairing is in frame 2; the position error is 0.212 m RMS before and 0.300 m" in text
-    assert "initializes 1 landmark on points that were in the map already" in text
-    assert "ends with 3 landmarks where known association has 2" in text
-    assert "0.268 m against 0.00894 m with known association, 30 times as large" in text
+    assert text.endswith("0.268 m against 0.00894 m with known association, 30 times as large.")
 
 
 def test_nn_that_does_not_fail_is_not_said_to():
     known = lab_run(QUIET, "known")
-    assert "does not fail: none of its 8 pairings" in answers(trial(QUIET, known, lab_run(QUIET, "nn")))[NN]
-    slight = answers(trial(QUIET, known, lab_run(QUIET, "nn", changes=CONFUSED)))[NN]
-    assert "cost little" in slight
-    assert "the error of the pose alone does not explain them" in slight
+    right = trial(QUIET, known, lab_run(QUIET, "nn"))
+    assert facts(right).nn.nn.p.first_wrong is None
+    assert "does not fail: none of its 8 pairings" in words(right)[NN]
+    slight = facts(trial(QUIET, known, lab_run(QUIET, "nn", changes=CONFUSED))).nn
+    assert not slight.costly
+    assert not slight.explained, "the error of the pose alone does not explain them"
 
 
 def test_people_break_what_they_break():
     quiet = trial(QUIET, lab_run(QUIET, "nn"), lab_run(QUIET, "singles"))
     busy = [lab_run(BUSY, "nn", error=0.3, changes=FOOLED), lab_run(BUSY, "singles", changes={2: DISCARD})]
-    text = answers(quiet, trial(BUSY, *busy))[PEOPLE]
-    assert "3 of 13 observations show people" in text
-    assert "**NN** pairs 2 of them, 1 with a landmark initialized on a person and 1 with one of a point" in text
-    assert "FP go from 0 to 5" in text
-    assert "rises from 0.00894 to 0.268 m" in text
-    assert "**SINGLES** pairs 0 of them" in text
-    assert "leaves 1 observations of points unpaired that were in the map (0 without people)" in text
-    assert "People break NN here." in text
-    calm = answers(quiet, trial(BUSY, lab_run(BUSY, "nn"), lab_run(BUSY, "singles")))[PEOPLE]
-    assert "do not break them" in calm
-    assert "People break" not in calm
+    q = facts(quiet, trial(BUSY, *busy)).people
+    (nn, fooled), (singles, shy) = q.pairs
+    assert (fooled.p.clutter, fooled.p.observations, fooled.p.clutter_paired, fooled.p.clutter_again) == (3, 13, 2, 1)
+    assert (nn.p.fp, fooled.p.fp, shy.p.clutter_paired) == (0, 5, 0)
+    assert (nn.rmse, fooled.rmse) == (pytest.approx(0.01 * RMS), pytest.approx(0.3 * RMS))
+    assert (singles.p.missed, shy.p.missed) == (0, 1)
+    assert (q.broken, q.ghosts, q.points) == (("NN",), 1, 1)
+    text = words(quiet, trial(BUSY, *busy))[PEOPLE]
+    assert "FP go from 0 to 5, recall is 100.0 % without people" in text
+    assert "People break NN here. Mostly a landmark initialized on a person has moved on" in text
+    calm = trial(BUSY, lab_run(BUSY, "nn"), lab_run(BUSY, "singles"))
+    assert facts(quiet, calm).people.broken == ()
+    assert "do not break them" in words(quiet, calm)[PEOPLE]
 
 
 def test_a_method_that_was_run_on_one_log_only_is_named():
-    text = answers(trial(QUIET, lab_run(QUIET, "nn")), trial(BUSY, lab_run(BUSY, "nn")))[PEOPLE]
-    assert text.endswith("SINGLES was not run on both logs.")
+    given = trial(QUIET, lab_run(QUIET, "nn")), trial(BUSY, lab_run(BUSY, "nn"))
+    assert facts(*given).people.lost == ("SINGLES",)
+    assert words(*given)[PEOPLE].endswith("SINGLES was not run on both logs.")
 
 
 def test_jcbb_copes_better_only_where_it_does():
     good, bad = lab_run(BUSY, "jcbb", error=0.02), lab_run(BUSY, "nn", error=0.3, changes=FOOLED)
-    text = answers(trial(BUSY, good, bad, lab_run(BUSY, "known")))[JCBB]
-    assert "JCBB 0 / 0 / 0.0179 m; NN 5 / 1 / 0.268 m; known association 0 / 0 / 0.00894 m" in text
-    assert "accepts only those that agree" in text
+    given = trial(BUSY, good, bad, lab_run(BUSY, "known"))
+    q = facts(given).jcbb
+    assert [(r.name, r.p.fp, r.p.fn) for r in q.runs] == [("JCBB", 0, 0), ("NN", 5, 1), ("known association", 0, 0)]
+    assert q.better
+    assert not q.close
+    text = words(given)[JCBB]
+    assert "JCBB 0 / 0 / 0.0179 m; NN 5 / 1 / 0.268 m; known association 0 / 0 / 0.00894 m." in text
     assert "still worse than with known association (2.0 times the RMSE)" in text
-    swapped = [replace(good, association="nn"), replace(bad, association="jcbb")]
-    text = answers(trial(BUSY, *swapped))[JCBB]
-    assert "does not cope better than NN here (6 wrong decisions against 0" in text
-    assert "agree on it" not in text
+    swapped = trial(BUSY, replace(good, association="nn"), replace(bad, association="jcbb"))
+    q = facts(swapped).jcbb
+    assert not q.better
+    assert (q.jcbb.p.wrong, q.nn.p.wrong) == (6, 0)
+    assert "agree on it" not in words(swapped)[JCBB]
 
 
 def test_without_odometry_errors_and_reason_are_told():
     known = lab_run(BLIND, "known", error=0.5)
     jcbb = lab_run(BLIND, "jcbb", error=2.0, changes=dict.fromkeys(range(2, 10), 1))
     smoother = lab_run(BLIND, "known", estimator="batch")
-    text = answers(trial(BLIND, known, jcbb, smoother))[NO_ODOMETRY]
-    assert (
-        "Of 4 motions 4 are inside the 99 % ellipsoid of what is stated, so the statement is not unreasonable" in text
-    )
-    assert "With JCBB ekf has a position RMSE of 1.79 m, is up to 2.00 m off and 2.00 m at the end" in text
-    assert "batch smoother has 0.00894 m: the readings would suffice" in text
-    assert "JCBB makes 4 wrong pairings and 4 right ones" not in text
-    assert "still gets 4 pairings right and 4 wrong" in text
+    q = facts(trial(BLIND, known, jcbb, smoother)).blind
+    assert (q.motion.count, q.motion.within, q.motion.reasonable) == (4, 4, True)
+    assert (q.jcbb.rmse, q.jcbb.largest, q.jcbb.last) == (pytest.approx(2.0 * RMS), 2.0, 2.0)
+    assert q.smoother.errors == {"final": pytest.approx(0.01 * RMS)}
+    assert q.suffices
+    assert (q.jcbb.p.tp, q.jcbb.p.fp) == (4, 4)
     far = replace(BLIND, truth=replace(BLIND.truth, pose=np.outer(np.arange(5.0), [1.0, 0.0, 0.0])))
-    text = answers(trial(far, known))[NO_ODOMETRY]
+    q = facts(trial(far, known)).blind
+    assert (q.motion.moves, q.motion.step_off, q.motion.step_sigma) == pytest.approx((10.0, 1.0, 0.1))
+    assert (q.motion.within, q.motion.reasonable, q.jcbb) == (0, False, None)
+    text = words(trial(far, known))[NO_ODOMETRY]
     assert "on average 10 σ from that (moves): a step of 1.00 m where σ is 0.10 m" in text
-    assert "Of 4 motions 0 are inside" in text
     assert "JCBB was not run" in text
 
 
 def test_map_maintenance_is_told_by_size_entries_and_counts():
     kept = replace(BUSY, name=f"{BUSY.name}:maintain")
     plain = lab_run(BUSY, "jcbb", changes={4: NEW, 7: 2})
-    tidy = lab_run(kept, "jcbb", changes={4: NEW}, removed={2: 3})
-    text = answers(trial(BUSY, plain), trial(kept, tidy, beside=BUSY.name))[UPKEEP]
-    assert "the map ends with 2 landmarks with maintenance and 3 without" in text
-    assert "removed 1 landmark that had been seen only once, 1 of them initialized on people and 0 on points" in text
+    given = trial(BUSY, plain), trial(kept, lab_run(kept, "jcbb", changes={4: NEW}, removed={2: 3}), beside=BUSY.name)
+    q = facts(*given).maintenance
+    assert (q.plain.landmarks, q.kept.landmarks, q.kept.removed, q.kept.removed_people) == (3, 2, 1, 1)
     # lengths 7, 9, 9, 9, 9 and with maintenance 7, 9, 9, 9, 7
-    assert f"handles {100 * (2 * 49 + 3 * 81) / (49 + 4 * 81):.0f} % of the entries" in text
-    assert "FP are 0 instead of 1" in text
+    assert (q.plain.entries, q.kept.entries) == (49 + 4 * 81, 2 * 49 + 3 * 81)
+    assert (q.plain.p.fp, q.kept.p.fp) == (1, 0)
+    assert not q.better
+    assert not q.worse
+    text = words(*given)[UPKEEP]
+    assert "handles 91 % of the entries over the run; the seconds are in `timing.csv`." in text
+    assert "FP are 0 instead of 1 (spurious: 0 instead of 1), FN 0 as before" in text
     assert "fewer pairings are wrong" in text
-    same = lab_run(kept, "jcbb", changes={4: NEW, 7: 2}, removed={})
-    text = answers(trial(BUSY, plain), trial(kept, same, beside=BUSY.name))[UPKEEP]
+    same = trial(kept, lab_run(kept, "jcbb", changes={4: NEW, 7: 2}, removed={}), beside=BUSY.name)
+    assert facts(trial(BUSY, plain), same).maintenance.kept.removed == 0
+    text = words(trial(BUSY, plain), same)[UPKEEP]
     assert "It removed nothing." in text
     assert "made the map no smaller" in text
 
 
 def test_a_question_without_its_runs_says_what_is_missing_and_the_others_are_answered():
-    texts = answers(trial(QUIET, lab_run(QUIET, "known"), lab_run(QUIET, "nn")))
-    assert not texts[NN].startswith(MISSING)
-    assert texts[UPKEEP] == (
+    given = trial(QUIET, lab_run(QUIET, "known"), lab_run(QUIET, "nn"))
+    q = facts(given)
+    assert q.nn.lack is None
+    assert q.maintenance.lack == Lack(people=True, odometry=True, names=("JCBB",), maintained=True, is_there=False)
+    assert q.blind.lack == Lack(
+        people=False, odometry=False, names=("known association", "JCBB"), maintained=False, is_there=False
+    )
+    assert q.logs == ("corridor:0",)
+    assert words(given)[UPKEEP] == (
         "Not answered: this needs a corridor with people, with odometry, run with JCBB and once more with map"
         " maintenance; no such log was run."
     )
-    assert texts[NO_ODOMETRY].startswith("Not answered: this needs a corridor without people, without odometry")
-    assert texts["The lab's questions"].startswith("Answered from the runs on `corridor:0`")
 
 
 def test_there_is_no_section_where_nothing_can_be_answered():
-    assert answers(trial(QUIET, lab_run(QUIET, "known"))) == {}
-    assert answers(trial(circle_log(), run_with_error(np.zeros(3)))) == {}
+    assert words(trial(QUIET, lab_run(QUIET, "known"))) == {}
+    assert words(trial(circle_log(), run_with_error(np.zeros(3)))) == {}
 
 
-def test_seconds_change_nothing_in_the_text():
+def test_seconds_change_no_fact():
     def answered(seconds):
         runs = [lab_run(QUIET, m, seconds=seconds) for m in ("known", "nn", "jcbb", "singles")]
         busy = [lab_run(BUSY, m, seconds=seconds) for m in ("known", "nn", "jcbb", "singles")]
@@ -198,12 +228,14 @@ def test_seconds_change_nothing_in_the_text():
         kept = replace(BUSY, name=f"{BUSY.name}:maintain")
         tidy = lab_run(kept, "jcbb", changes={4: NEW}, removed={2: 3}, seconds=seconds)
         beside = trial(kept, tidy, beside=BUSY.name)
-        return answers(trial(QUIET, *runs), trial(BUSY, *busy), trial(BLIND, *blind), beside)
+        return facts(trial(QUIET, *runs), trial(BUSY, *busy), trial(BLIND, *blind), beside)
 
-    assert not any(text.startswith(MISSING) for text in answered(1.0).values())
-    assert answered(1.0) == answered(3.7)
+    q = answered(1.0)
+    assert [q.nn.lack, q.people.lack, q.jcbb.lack, q.blind.lack, q.maintenance.lack] == [None] * 5
+    # what is not known is NaN, which equals nothing
+    assert repr(q) == repr(answered(3.7))
 
 
 def test_the_distance_from_the_start_is_the_largest_on_the_way():
     path = np.array([[1.0, 0.0, 0.0], [4.0, 4.0, 0.0], [1.0, 1.0, 0.0]])
-    assert furthest_from_start(path) == pytest.approx(5.0)
+    assert reach(path) == pytest.approx(5.0)

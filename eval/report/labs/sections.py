@@ -1,0 +1,186 @@
+"""The corridor lab in the report: the answers of a lab that is handed in, or the questions that its runs answer.
+
+The six questions and their order are those of the assignment; each is answered from the facts in `corridor`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import pandas as pd
+
+from eval.plan.flags.options import Options
+from eval.plan.unfinished import Unfinished
+from eval.plan.work import work
+from eval.referee.score import Scores, Trial
+from eval.report.labs.corridor import (
+    BLIND,
+    BLIND_PEOPLE,
+    METHODS,
+    ODOMETRY,
+    PEOPLE,
+    Judged,
+    Lab,
+    find_lab,
+)
+from eval.report.labs.corridor_ambiguity import NEAR, Ambiguity, ambiguity, primed
+from eval.report.labs.pictures import NEEDED, UPDATE_TIME, draw
+from eval.report.labs.pictures import stem as stem_of
+from eval.report.labs.questions import Answers, answers
+from eval.report.labs.visual import visual_hand_in
+from eval.report.page.document import Block, Picture, Section, Table, written_table
+from eval.report.words import paragraph
+
+TEMPLATE = "labs/corridor"
+LAB = ("nn", "singles", "jcbb-first")
+
+
+class Question(NamedTuple):
+    """A question of the assignment.
+
+    name: of its facts in `Answers` and of its macros; heading: in a lab that is handed in, `short`: in the section of
+    other reports (blank: not asked there); shown: conditions (people, odometry, maintained) of its table, and methods.
+    """
+
+    name: str
+    heading: str
+    short: str
+    shown: tuple[tuple[bool, bool, bool], ...]
+    methods: tuple[str, ...]
+    pictures: tuple[str, ...]
+
+
+PLAIN, CROWDED, TIDIED = (*ODOMETRY, False), (*PEOPLE, False), (*PEOPLE, True)
+NOT_READ = ((*BLIND, False), (*BLIND_PEOPLE, False))
+NN, PEOPLE_DO = "Why does nearest neighbour (NN) fail?", "What do people do to NN and SINGLES?"
+JCBB = "Why does JCBB cope better?"
+NO_WHEELS, UPKEEP = "What happens without odometry?", "What does map maintenance change?"
+QUESTIONS = (
+    Question("nn", NN, "Why does NN fail?", (PLAIN,), ("known", "nn"), ("first-wrong",)),
+    Question("singles", "Does SINGLES do better?", "", (PLAIN,), LAB, ("errors",)),
+    Question("people", PEOPLE_DO, "Why do people break NN and SINGLES?", (PLAIN, CROWDED), LAB[:2], ("people",)),
+    Question("jcbb", JCBB, JCBB, (CROWDED,), METHODS, ("methods",)),
+    Question("blind", NO_WHEELS, NO_WHEELS, NOT_READ, METHODS, ("paths",)),
+    Question("maintenance", UPKEEP, UPKEEP, (CROWDED, TIDIED), LAB, ("maintenance", UPDATE_TIME)),
+)
+HEADS = (
+    "Online. TP to FN: outcomes of the decisions; RMSE: of the position; in 3σ: share of the frames (98.9 % expected);"
+    " landmarks at the end; state: mean length. "
+)
+LOST = "A run that this question is about did not get to its end; Failures says where and why."
+NAMES_OF_METHODS = (
+    "Methods by their names on the command line: jcbb-first is the lab's JCBB (of solutions with equally many pairings"
+    " the first), jcbb takes the one with the least joint distance, jcbb-hindsight may revise; known: by labels."
+)
+
+
+def hand_in(folder: Path, options: Options, trials: Sequence[Trial], scores: Scores, lost: Unfinished) -> list[Section]:
+    """The answers to a lab's questions, the first sections of its report; nothing without `--lab`."""
+    if options.lab is None:
+        return []
+    if any(t.log.evidence is not None for t in trials):
+        return visual_hand_in(folder, options, trials)
+    lab = find_lab(trials, named=False)
+    return [] if lab is None else _corridor(folder, options, lab, answers(lab, scores), lost)
+
+
+def _corridor(folder: Path, options: Options, lab: Lab, facts: Answers, lost: Unfinished) -> list[Section]:
+    """Six sections, their pictures drawn in parallel."""
+    wanted = [] if options.no_plots else [k for q in QUESTIONS for k in q.pictures if NEEDED[k](lab)]
+    formats = ("png",) if options.quick else ("pdf", "png")
+    setup = options.setup.settled(next(iter(lab.trials.values())).log.labels_are_sensed)
+    jobs = [(kind, (draw, (folder, kind, lab, setup, formats, options.formats))) for kind in wanted]
+    made: dict[str, Picture] = dict(work(jobs, options, lost=lambda kind, why: lost.say(f"lab: {kind} missing", why)))
+    sections = []
+    for n, question in enumerate(QUESTIONS, start=1):
+        q = getattr(facts, question.name)
+        caption = (
+            f"Question {n}. {HEADS}{NAMES_OF_METHODS}" if n == 1 else f"Question {n}; heads as in the first table."
+        )
+        more = {"measured": f"tables/{stem_of(UPDATE_TIME)}.csv"} if question.name == "maintenance" else {}
+        blocks: list[Block] = [
+            f"**{paragraph(f'{TEMPLATE}#{question.name}_line', q=q)}**",
+            *(made[kind] for kind in question.pictures if kind in made),
+            written_table(_numbers(question, facts), folder, f"lab-question-{n}", caption, options),
+            LOST if q.lack else paragraph(f"{TEMPLATE}#{question.name}", q=q, **more),
+        ]
+        sections.append(Section(f"Question {n}: {question.heading}", tuple(blocks), facts=q))
+    return sections
+
+
+def _numbers(question: Question, facts: Answers) -> pd.DataFrame:
+    """Outcomes and errors, online, of the runs that a question's table shows."""
+    return pd.DataFrame(
+        [
+            {
+                "condition": _condition(r),
+                "method": r.association,
+                "TP": r.p.tp,
+                "TN": r.p.tn,
+                "FP": r.p.fp,
+                "FN": r.p.fn,
+                "RMSE [m]": r.rmse,
+                "in 3σ [%]": round(100.0 * r.inside, 1),
+                "landmarks": r.landmarks,
+                "state": round(r.state) if r.state == r.state else None,
+            }
+            for condition in question.shown
+            for r in facts.rows(condition, question.methods)
+        ],
+        dtype=object,
+    )
+
+
+def _condition(r: Judged) -> str:
+    """What is special about a run's log."""
+    switches = (("people", r.people), ("no odometry", not r.odometry), ("maintained", r.maintained))
+    return ", ".join(what for what, on in switches if on) or "plain"
+
+
+def lab_sections(trials: Sequence[Trial], scores: Scores, *, answered_above: bool = False) -> list[Section]:
+    """The section with its questions; nothing where no corridor was run with what at least one of them needs.
+
+    `answered_above`: the questions stand elsewhere, and only what goes beyond them is said here.
+    """
+    lab = find_lab(trials)
+    if lab is None:
+        return []
+    beyond, prior = _ambiguity_sections(ambiguity(lab)), primed(lab, scores)
+    changes = (
+        []
+        if prior is None
+        else [Section("What does a motion prior change?", (paragraph(f"{TEMPLATE}#primed", q=prior),), 3, facts=prior)]
+    )
+    if answered_above:
+        return [Section("More on the lab", ()), *beyond, *changes] if beyond or changes else []
+    facts = answers(lab, scores)
+    asked = [(q, getattr(facts, q.name)) for q in QUESTIONS if q.short]
+    if all(q.lack for _, q in asked) and not lab.primed:
+        return []
+    sections = [Section("The lab's questions", (paragraph(f"{TEMPLATE}#logs", names=facts.logs),))]
+    for question, q in asked:
+        text = paragraph(f"{TEMPLATE}#lack", q=q.lack) if q.lack else paragraph(f"{TEMPLATE}#{question.name}", q=q)
+        section = Section(question.short, (text,), 3, facts=q)
+        sections += [*beyond, section, *changes] if question.name == "blind" else [section]
+    return sections
+
+
+def _ambiguity_sections(q: Ambiguity | None) -> list[Section]:
+    """What the readings alone leave open: text, and a table of the moves that explain one scan."""
+    if q is None:
+        return []
+    blocks: list[Block] = [paragraph(f"{TEMPLATE}#ambiguity", q=q)]
+    if q.pair is not None:
+        best = max(p.likelihood for p in q.pair.peaks)
+        columns: dict[str, list[object]] = {
+            "step [m]": [f"{p.step:+.2f}" for p in q.pair.peaks],
+            f"readings that fit, of {q.pair.readings}": [p.fitting for p in q.pair.peaks],
+            "log-likelihood − largest": [f"{p.likelihood - best:.1f}" for p in q.pair.peaks],
+        }
+        if q.posterior:
+            columns["with the prior − largest"] = [f"{v - max(q.posterior):.1f}" for v in q.posterior]
+        caption = paragraph(f"{TEMPLATE}#ambiguity_caption", q=q, near=NEAR)
+        blocks.append(Table(pd.DataFrame(columns), caption))
+    return [Section("Do two scans tell how far the robot went?", tuple(blocks), 3, facts=q)]
