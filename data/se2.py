@@ -37,6 +37,28 @@ def world_from_body(theta: float) -> Array:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
+def worlds_from_bodies(theta: Array) -> Array:
+    """The same for headings (N,): (N, 3, 3)."""
+    B = np.zeros((len(theta), 3, 3))
+    c, s = np.cos(theta), np.sin(theta)
+    B[:, 0, 0], B[:, 0, 1], B[:, 1, 0], B[:, 1, 1], B[:, 2, 2] = c, -s, s, c, 1.0
+    return B
+
+
+def covariances_in_world(theta: Array, covariance: Array) -> Array:
+    """Body-frame covariances (N, 3, 3) of poses with headings (N,) turned into the world frame: B C B'."""
+    B = worlds_from_bodies(theta)
+    world: Array = B @ covariance @ B.transpose(0, 2, 1)
+    return world
+
+
+def covariances_in_body(theta: Array, covariance: Array) -> Array:
+    """World-frame covariances (N, 3, 3) of poses with headings (N,) turned into their body frames: B' C B."""
+    B = worlds_from_bodies(theta)
+    body: Array = B.transpose(0, 2, 1) @ covariance @ B
+    return body
+
+
 def compose(T_ab: Array, T_bc: Array) -> Array:
     """Pose of c in a, heading wrapped; (..., 3) each."""
     a, b = np.asarray(T_ab, float), np.asarray(T_bc, float)

@@ -10,7 +10,7 @@ Readings of point landmarks as gtsam takes them: bearing and range, or the point
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -20,7 +20,7 @@ from gtsam.symbol_shorthand import L, X
 
 from data.errors import DataError, SlamrefError
 from data.inputs import IntArray, Prior
-from data.se2 import Array, BoolArray, world_from_body
+from data.se2 import Array, BoolArray, covariances_in_body, world_from_body
 from data.sensors import RANGE_BEARING, Sensor
 
 NEAR = 3.0
@@ -180,6 +180,41 @@ def root_information(covariance):  # type: ignore[no-untyped-def]
     return R, pivot
 
 
+def invertible_roots(covariance: Array, name: Callable[[int], str], remedy: str) -> tuple[Array, float]:
+    """`root_information` of covariances (n, d, d) of motions, and the smallest pivot of all.
+
+    Raises DataError for a singular one: a smoother needs the `remedy`; `name` says which row it is.
+    """
+    roots, pivot = root_information(covariance)
+    bad = np.flatnonzero(~(pivot > SINGULAR))
+    if len(bad):
+        raise DataError(
+            f"{name(int(bad[0]))}: its covariance is singular (variance {pivot[bad[0]]:.3g} in some direction); "
+            f"a smoother needs {remedy}"
+        )
+    return roots, float(pivot.min(initial=np.inf))
+
+
+def increment_roots(first_frame: int, covariance: Array) -> tuple[Array, float]:
+    """The same of increments (n, 3, 3) into the frames from `first_frame` on."""
+    return invertible_roots(
+        covariance, lambda i: f"increment into frame {first_frame + i}", "a covariance_floor of 1e-10 or so"
+    )
+
+
+def reading_roots(covariance: Array, R: Array, frame: IntArray) -> Array:
+    """`root_information` of covariances (m, d, d) made of R (m, 2, 2), those of readings from frames (m,).
+
+    Raises DataError for one that is not positive definite.
+    """
+    roots, pivot = root_information(covariance)
+    bad = np.flatnonzero(~(pivot > 0.0))
+    if len(bad):
+        i = bad[0]
+        raise DataError(f"frame {frame[i]}: measurement covariance {R[i].tolist()} is not positive definite")
+    return np.asarray(roots, float)
+
+
 def is_exact(prior: Prior) -> bool:
     """Whether the first pose is known exactly in every direction: a hard constraint in the graph."""
     return bool(np.linalg.eigvalsh(prior.covariance)[-1] < EXACT**2)
@@ -206,21 +241,12 @@ def between_factors(first_frame: int, mean: Array, covariance: Array) -> tuple[l
     Our increment's error is additive in the previous body frame, gtsam's sits at the end pose. Raises DataError for a
     singular covariance: a smoother needs its inverse.
     """
-    B = np.zeros_like(covariance)
-    c, s = np.cos(mean[:, 2]), np.sin(mean[:, 2])
-    B[:, 0, 0], B[:, 0, 1], B[:, 1, 0], B[:, 1, 1], B[:, 2, 2] = c, -s, s, c, 1.0
-    roots, pivot = root_information(B.transpose(0, 2, 1) @ covariance @ B)
-    bad = np.flatnonzero(~(pivot > SINGULAR))
-    if len(bad):
-        raise DataError(
-            f"increment into frame {first_frame + bad[0]}: its covariance is singular (variance {pivot[bad[0]]:.3g} in "
-            "some direction); a smoother needs a covariance_floor of 1e-10 or so"
-        )
+    roots, pivot = increment_roots(first_frame, covariances_in_body(mean[:, 2], covariance))
     factors = [
         gtsam.BetweenFactorPose2(X(k - 1), X(k), pose2(m), noise.Gaussian.SqrtInformation(R))
         for k, (m, R) in enumerate(zip(mean, roots, strict=True), first_frame)
     ]
-    return factors, float(pivot.min(initial=np.inf))
+    return factors, pivot
 
 
 def with_loss(model: gtsam.noiseModel.Base, loss: str) -> gtsam.noiseModel.Base:
@@ -235,12 +261,7 @@ def measured(sensor: Sensor, z: Array, R: Array, frame: IntArray) -> tuple[BoolA
     for which, convert in ((point, relative_point), (~point, bearing_range)):
         if which.any():
             h[which], C[which] = convert(sensor, z[which], R[which])
-    roots, pivot = root_information(C)
-    bad = np.flatnonzero(~(pivot > 0.0))
-    if len(bad):
-        i = bad[0]
-        raise DataError(f"frame {frame[i]}: measurement covariance {R[i].tolist()} is not positive definite")
-    return point, h, roots
+    return point, h, reading_roots(C, R, frame)
 
 
 def coordinate_factors(pose: int, landmark: int, point: Array, root: Array, loss: str) -> list[Factor]:

@@ -16,7 +16,7 @@ import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from data.result import MapState, Systematics, Trajectory
-from data.se2 import Array
+from data.se2 import Array, covariances_in_world
 from graph.factors import UnderConstrained
 from graph.problem import Problem
 from graph.qr.calibrated import turned_out
@@ -202,9 +202,6 @@ def poses_of(values: gtsam.Values, n: int) -> Array:
 
 
 def in_world(pose: Array, covariance: Array) -> Array:
-    """Body-frame covariances (N, 3, 3) of poses (N, 3) turned into the world frame: B S B'."""
-    B = np.zeros((len(pose), 3, 3))
-    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-    B[:, 0, 0], B[:, 0, 1], B[:, 1, 0], B[:, 1, 1], B[:, 2, 2] = c, -s, s, c, 1.0
-    world = B @ covariance @ B.transpose(0, 2, 1)
+    """Body-frame covariances (N, 3, 3) of poses (N, 3) turned into the world frame."""
+    world = covariances_in_world(pose[:, 2], covariance)
     return 0.5 * (world + world.transpose(0, 2, 1))

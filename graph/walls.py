@@ -23,11 +23,11 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
-from data.errors import DataError, UsageError
+from data.errors import UsageError
 from data.inputs import IntArray, Sightings, Systematic
 from data.se2 import Array, wrap_angle
 from data.sensors import Sensor
-from graph.factors import BEACON, Factor, Sighted, coordinate_factors, noise, root_information, with_loss
+from graph.factors import BEACON, Factor, Sighted, coordinate_factors, noise, reading_roots, with_loss
 
 
 def refuse(systematic: Systematic | None, sensor: Sensor) -> None:
@@ -54,16 +54,6 @@ def about_origin(lines: Array, covariance: Array, point: Array) -> tuple[Array, 
     return about(lines, -point), J @ covariance @ J.transpose(0, 2, 1)
 
 
-def roots(R: Array, frame: IntArray) -> Array:
-    """Root information (m, 2, 2) of covariances (m, 2, 2) of readings from frames (m,), or a DataError."""
-    found, pivot = root_information(R)
-    bad = np.flatnonzero(~(pivot > 0.0))
-    if len(bad):
-        i = bad[0]
-        raise DataError(f"frame {frame[i]}: measurement covariance {R[i].tolist()} is not positive definite")
-    return np.asarray(found, float)
-
-
 def sight_lines(
     sensor: Sensor,
     z: Array,
@@ -80,7 +70,7 @@ def sight_lines(
     origin. A loss acts on each observation as a whole.
     """
     result = []
-    for i, (f, n, root) in enumerate(zip(frame.tolist(), number.tolist(), roots(R, frame), strict=True)):
+    for i, (f, n, root) in enumerate(zip(frame.tolist(), number.tolist(), reading_roots(R, R, frame), strict=True)):
         model = with_loss(noise.Gaussian.SqrtInformation(root), loss)
         if known is None:
             keys = [X(f), L(n)]
@@ -266,7 +256,7 @@ def sight_walls(
     are variables p(first_row), ...
     """
     result, alpha = [], {n: float(line[1]) for n, line in lines.items()}
-    roots(seen.R, frame)
+    reading_roots(seen.R, seen.R, frame)
     for i, (f, n) in enumerate(zip(frame.tolist(), number.tolist(), strict=True)):
         z, R, wall, own = seen.z[i], seen.R[i], None, list[Factor]()
         if n not in alpha:
@@ -298,7 +288,7 @@ def sight_known_walls(
     Each has a beacon L(first_row), ... of its own far behind the wall, that is held.
     """
     result = []
-    roots(seen.R, frame)
+    reading_roots(seen.R, seen.R, frame)
     for i, (f, n) in enumerate(zip(frame.tolist(), number.tolist(), strict=True)):
         normal = np.array([math.cos(lines[i, 1]), math.sin(lines[i, 1])])
         beacon = pose[i, :2] + (float(about(lines[i], pose[i, :2])[0, 0]) + BEACON) * normal

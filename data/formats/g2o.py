@@ -161,16 +161,6 @@ def _edges(path: Path, rows: Sequence[tuple[int, list[float]]], tag: str) -> Edg
     return Edges(values[:, :2].astype(np.int64), values[:, 2 : 2 + d], covariance, line)
 
 
-def turned(motion: Array, covariance: Array, *, back: bool = False) -> Array:
-    """Covariances (K, 3, 3) of g2o's EDGE_SE2 error as ours, additive in the frame of the start; `back`: from ours."""
-    A = np.zeros((len(motion), 3, 3))
-    c, s = np.cos(motion[:, 2]), np.sin(motion[:, 2])
-    A[:, 0, 0], A[:, 0, 1], A[:, 1, 0], A[:, 1, 1], A[:, 2, 2] = c, -s, s, c, 1.0
-    T = A.transpose(0, 2, 1)
-    result: Array = T @ covariance @ A if back else A @ covariance @ T
-    return result
-
-
 def written(
     poses: tuple[Sequence[int], Array],
     points: tuple[Sequence[int], Array],
@@ -184,7 +174,9 @@ def written(
     lines = [_line(POSE, [i], p) for i, p in zip(*poses, strict=True)]
     lines += [_line(POINT, [i], p) for i, p in zip(*points, strict=True)]
     for tag, a, b, measured, covariance in edges:
-        P = turned(measured[None], covariance[None], back=True)[0] if tag == MOTION else np.atleast_2d(covariance)
+        P = np.atleast_2d(covariance)
+        if tag == MOTION:  # g2o's error is at the end of the edge
+            P = se2.covariances_in_body(measured[None, 2], P[None])[0]
         information = np.linalg.inv(P)
         lines.append(_line(tag, [a, b], [*np.ravel(measured), *information[np.triu_indices(len(P))]]))
     # last: gtsam's reader stops there, g2o takes it anywhere
@@ -286,7 +278,8 @@ def _chain(graph: Graph, ids: IntArray) -> tuple[Array, Array, IntArray]:
     if n == 1:
         return mean, covariance, np.zeros(0, np.int64)
     used = np.array([first[k] for k in range(1, n)], np.int64)
-    motion, P = edges.measured[used].copy(), turned(edges.measured[used], edges.covariance[used])
+    motion = edges.measured[used].copy()
+    P = se2.covariances_in_world(motion[:, 2], edges.covariance[used])
     back = edges.ends[used, 0] != ids[:-1]
     if back.any():
         # the inverse motion's additive error, to first order: J of (x, y, theta) -> inverse

@@ -20,13 +20,21 @@ import numba
 import numpy as np
 from gtsam.symbol_shorthand import X
 
-from data.errors import DataError
 from data.inputs import Increment, IntArray, Prior, Sightings
 from data.motion.systematic import forgotten
 from data.se2 import Array, world_from_body
 from data.sensors import Sensor
 from graph.calibration.variables import Errors
-from graph.factors import SINGULAR, Factor, Sighted, noise, pose2, prior_factor, root_information, sight_landmarks
+from graph.factors import (
+    Factor,
+    Sighted,
+    increment_roots,
+    noise,
+    pose2,
+    prior_factor,
+    root_information,
+    sight_landmarks,
+)
 from graph.problem import drift_key
 from graph.qr.calibrated import linearize_increments
 
@@ -205,13 +213,7 @@ class Motion:
         singular one.
         """
         mean, covariance = (np.array(rows) for rows in zip(*increments, strict=True))
-        roots, pivot = root_information(covariance)
-        bad = np.flatnonzero(~(pivot > SINGULAR))
-        if len(bad):
-            raise DataError(
-                f"increment into frame {first + bad[0]}: its covariance is singular (variance {pivot[bad[0]]:.3g} in "
-                "some direction); a smoother needs a covariance_floor of 1e-10 or so"
-            )
+        roots, pivot = increment_roots(first, covariance)
         self._mean += list(mean)
         self._covariance += list(covariance)
         self._knots += knots
@@ -219,7 +221,7 @@ class Motion:
             increment_factor(self._errors, first + i, increments[i], roots[i], knots[i], self.now)
             for i in range(len(mean))
         ]
-        return found, float(pivot.min())
+        return found, pivot
 
     def knot_of(self, frame: int) -> int:
         """Whose drift the increment into a frame of the graph has (0 of frame 0)."""

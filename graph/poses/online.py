@@ -19,11 +19,20 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
-from data.errors import DataError
 from data.inputs import IntArray, Prior
-from data.se2 import Array, compose, world_from_body
+from data.se2 import Array, compose, covariances_in_body, world_from_body
 from graph.engine import Engine, Window
-from graph.factors import LOSSES, SINGULAR, Factor, is_exact, noise, pose2, prior_factor, root_information, with_loss
+from graph.factors import (
+    LOSSES,
+    Factor,
+    invertible_roots,
+    is_exact,
+    noise,
+    pose2,
+    prior_factor,
+    root_information,
+    with_loss,
+)
 from graph.incremental import DELICATE, SETTLE
 from graph.open_end import transport
 from graph.optimum import in_world
@@ -35,24 +44,8 @@ def roots_at_end(relative: Array, covariance: Array, what: str) -> tuple[Array, 
     Covariances (n, 3, 3) are of the additive error in the frame the relative pose starts from; at the end, where gtsam
     has it, the error is that turned back by the relative heading. Raises DataError for a singular one; `what` names it.
     """
-    c, s = np.cos(relative[:, 2]), np.sin(relative[:, 2])
-    B = np.zeros((len(relative), 3, 3))
-    B[:, 0, 0], B[:, 0, 1], B[:, 1, 0], B[:, 1, 1], B[:, 2, 2] = c, -s, s, c, 1.0
-    roots, pivot = root_information(B.transpose(0, 2, 1) @ covariance @ B)
-    bad = np.flatnonzero(~(pivot > SINGULAR))
-    if len(bad):
-        number = f", number {bad[0]}" if len(relative) > 1 else ""
-        raise DataError(
-            f"{what}{number}: its covariance is singular (variance {pivot[bad[0]]:.3g} in some direction); "
-            "a smoother needs its inverse"
-        )
-    return roots, float(pivot.min(initial=np.inf))
-
-
-def relative_noise(relative: Array, covariance: Array, what: str) -> tuple[list[gtsam.noiseModel.Gaussian], float]:
-    """The same as noise models, and the smallest pivot."""
-    roots, pivot = roots_at_end(relative, covariance, what)
-    return [noise.Gaussian.SqrtInformation(root) for root in roots], pivot
+    body = covariances_in_body(relative[:, 2], covariance)
+    return invertible_roots(body, lambda i: f"{what}, number {i}" if len(relative) > 1 else what, "its inverse")
 
 
 THRESHOLD = 0.05
@@ -87,11 +80,12 @@ class PoseGraph:
 
         Raises DataError for a covariance that is singular.
         """
-        models, pivot = relative_noise(motion[None], covariance[None], f"motion into key pose {self.keys}")
+        roots, pivot = roots_at_end(motion[None], covariance[None], f"motion into key pose {self.keys}")
         if pivot < DELICATE:
             self._engine.use_qr()
         self._tip = compose(self._tip, motion)
-        self._factors.append(gtsam.BetweenFactorPose2(X(self.keys - 1), X(self.keys), pose2(motion), models[0]))
+        model = noise.Gaussian.SqrtInformation(roots[0])
+        self._factors.append(gtsam.BetweenFactorPose2(X(self.keys - 1), X(self.keys), pose2(motion), model))
         self._values.insert(X(self.keys), pose2(self._tip))
         self.keys += 1
 
@@ -102,9 +96,10 @@ class PoseGraph:
         """
         if len(key1) and not (min(key1.min(), key2.min()) >= 0 and max(key1.max(), key2.max()) < self.keys):
             raise ValueError(f"a loop closure is between key poses 0 ... {self.keys - 1}")
-        models, _ = relative_noise(relative, covariance, "loop closure")
-        for a, b, pose, model in zip(key1.tolist(), key2.tolist(), relative, models, strict=True):
-            self._factors.append(gtsam.BetweenFactorPose2(X(a), X(b), pose2(pose), with_loss(model, self.loss)))
+        roots, _ = roots_at_end(relative, covariance, "loop closure")
+        for a, b, pose, root in zip(key1.tolist(), key2.tolist(), relative, roots, strict=True):
+            model = with_loss(noise.Gaussian.SqrtInformation(root), self.loss)
+            self._factors.append(gtsam.BetweenFactorPose2(X(a), X(b), pose2(pose), model))
             self._loops = True
 
     def update(self) -> None:

@@ -29,7 +29,7 @@ from gtsam.symbol_shorthand import X
 from data.inputs import IntArray
 from data.motion.systematic import forgotten, stated
 from data.result import MapState, Systematics, Trajectory
-from data.se2 import Array, compose, world_from_body
+from data.se2 import Array, compose, covariances_in_world, world_from_body, worlds_from_bodies
 from data.sensors import wrap_angle_jit
 from graph.factors import pose2, prior_factor, root_information
 from graph.problem import CONSTANTS, Calibrated, Problem, displaced, drift_key
@@ -325,10 +325,9 @@ def turned_out(
     of_path = _joint(covariance[:n], across[:n], of_errors)
     # from the body frame there to the world, and from there to the robot's own world
     J = J[:, :, np.concatenate([np.arange(3), 3 + at])]
-    J[:, :, :3] = J[:, :, :3] @ _world_from_body(pose[:, 2])
+    J[:, :, :3] = J[:, :, :3] @ worlds_from_bodies(pose[:, 2])
     world = J @ of_path @ J.transpose(0, 2, 1)
-    B = _world_from_body(out[:1, 2])[0]
-    world[0] = B @ covariance[0] @ B.T
+    world[:1] = covariances_in_world(out[:1, 2], covariance[:1])
     path = Trajectory(out, 0.5 * (world + world.transpose(0, 2, 1)))
     if state is not None:
         rows = slice(n, n + len(state.number))
@@ -352,11 +351,3 @@ def _joint(own: Array, across: Array, of_errors: Array) -> Array:
     joint[:, :d, :d], joint[:, d:, d:] = own, of_errors
     joint[:, :d, d:], joint[:, d:, :d] = across, across.transpose(0, 2, 1)
     return joint
-
-
-def _world_from_body(heading: Array) -> Array:
-    """blockdiag(R(heading), 1), (n, 3, 3)."""
-    B = np.zeros((len(heading), 3, 3))
-    c, s = np.cos(heading), np.sin(heading)
-    B[:, 0, 0], B[:, 0, 1], B[:, 1, 0], B[:, 1, 1], B[:, 2, 2] = c, -s, s, c, 1.0
-    return B

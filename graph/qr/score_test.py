@@ -21,7 +21,7 @@ import numpy as np
 from data.inputs import Inputs, IntArray
 from data.motion.systematic import BEARING, RANGE, all_errors, corrected_inputs, knots, places, stated_all
 from data.result import Systematics
-from data.se2 import Array, between, compose, pose_error
+from data.se2 import Array, between, compose, pose_error, worlds_from_bodies
 from data.sensors import RANGE_BEARING
 from graph.factors import UnderConstrained, root_information
 from graph.qr.calibrated import drift_rows, first_frames, with_drift
@@ -247,10 +247,9 @@ def _chain(inputs: Inputs, path: Array) -> tuple[Array, Array, Array]:
     that way).
     """
     n = len(path)
-    c, s = np.cos(path[:-1, 2]), np.sin(path[:-1, 2])
     F, B, moved = np.tile(np.eye(3), (n, 1, 1)), np.tile(np.eye(3), (n, 1, 1)), np.empty((n, 3))
     F[1:, 0, 2], F[1:, 1, 2] = path[:-1, 1] - path[1:, 1], path[1:, 0] - path[:-1, 0]
-    B[1:, 0, 0], B[1:, 0, 1], B[1:, 1, 0], B[1:, 1, 1] = c, -s, s, c
+    B[1:] = worlds_from_bodies(path[:-1, 2])
     moved[0] = pose_error(inputs.prior.mean, path[0])
     moved[1:] = pose_error(compose(path[:-1], inputs.increments.mean[1:]), path[1:])
     return F, B, moved

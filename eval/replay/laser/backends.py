@@ -15,7 +15,7 @@ from association.expectation import gate_threshold
 from association.scans.constraints import SCAN, Chain, Loops
 from data.inputs import Inputs, IntArray
 from data.result import DISCARD, Failure, Innovations, Run, Trajectory
-from data.se2 import Array, compose, dead_reckoned
+from data.se2 import Array, compose, covariances_in_world, dead_reckoned
 from ekf.pose_chain import run_pose_chain
 from ekf.whole_run import run_filter
 from eval.replay.settings import Setup
@@ -113,11 +113,9 @@ def over_frames(chain: Chain, pose: Array, covariance: Array) -> Trajectory:
     """
     at, P = pose[chain.key], covariance[chain.key]
     path = compose(at, chain.since)
-    F, B = np.tile(np.eye(3), (2, len(path), 1, 1))
+    F = np.tile(np.eye(3), (len(path), 1, 1))
     F[:, 0, 2], F[:, 1, 2] = at[:, 1] - path[:, 1], path[:, 0] - at[:, 0]
-    c, s = np.cos(at[:, 2]), np.sin(at[:, 2])
-    B[:, 0, 0], B[:, 0, 1], B[:, 1, 0], B[:, 1, 1] = c, -s, s, c
-    world = F @ P @ F.transpose(0, 2, 1) + B @ chain.since_covariance @ B.transpose(0, 2, 1)
+    world = F @ P @ F.transpose(0, 2, 1) + covariances_in_world(at[:, 2], chain.since_covariance)
     return Trajectory(path, 0.5 * (world + world.transpose(0, 2, 1)))
 
 
