@@ -1,6 +1,6 @@
 """A judgement about a log or a run as typed values: what was found, how serious it is, and whom it concerns.
 
-A notice holds no sentence: `eval.report.words` renders it for terminal, Markdown and HTML. Nothing reads the result.
+A notice holds no sentence: `data.words` renders it for terminal, Markdown and HTML. Nothing reads the result.
 """
 
 from __future__ import annotations
@@ -23,6 +23,74 @@ class Severity(StrEnum):
 class Code(StrEnum):
     """Everything that can be found about a log or a run, each once; `templates/notices.j2` has the words."""
 
+    # of a log, to its author
+    TRUTH_RATE = "truth-rate"
+    LABELS = "labels"
+    LABEL_NAMES = "label-names"
+    BEARING_UNIT = "bearing-unit"
+    TURN_RATE = "turn-rate"
+    TURN_RATES = "turn-rates"
+    TIME_UNIT = "time-unit"
+    MAX_RANGE = "max-range"
+    FIELD_OF_VIEW = "field-of-view"
+    PRIOR = "prior"
+    TRUTH_FRAME = "truth-frame"
+    # of a run: how it was made
+    NOTE = "note"
+    DECIDED_BY = "decided-by"
+    OUT_OF_NODES = "out-of-nodes"
+    NO_COVARIANCE = "no-covariance"
+    NO_LANDMARKS = "no-landmarks"
+    FILTER_ONLY = "filter-only"
+    PARKED = "parked"
+    REMOVED = "removed"
+    SIGHTINGS_REJECTED = "sightings-rejected"
+    CLOSURES_GATED = "closures-gated"
+    CLOSURES_REJECTED = "closures-rejected"
+    CLOSURES_LOST = "closures-lost"
+    CORNERS = "corners"
+    READ_FROM = "read-from"
+    MATCHED = "matched"
+    NO_TRUTH = "no-truth"
+    ALIGNED = "aligned"
+    LANDMARKS_GONE = "landmarks-gone"
+    # the same of hindsight
+    LARGER_SIGMAS = "larger-sigmas"
+    REVISED = "revised"
+    REVISED_POSES = "revised-poses"
+    DECIDED_ANEW = "decided-anew"
+    NOTHING_ANEW = "nothing-anew"
+    MERGED = "merged"
+    MOVED_UNSEEN = "moved-unseen"
+    FOUND_AGAIN = "found-again"
+    PLACED = "placed"
+    MAPPED_ANEW = "mapped-anew"
+    RETRACTED = "retracted"
+    # of a run that is to be doubted
+    COST = "cost"
+    LABELS_LEFT_OUT = "labels-left-out"
+    UNUSED = "unused"
+    LANDMARKS = "landmarks"
+    AMBIGUOUS = "ambiguous"
+    DOUBLE = "double"
+    TWO_MINIMA = "two-minima"
+    NAMING = "naming"
+    # implausible, with where it began
+    NIS = "nis"
+    PATH_TOO_FAR = "path-too-far"
+    LANDMARKS_TOO_FAR = "landmarks-too-far"
+    LANDMARKS_UNSEEN = "landmarks-unseen"
+    COVARIANCE_TOO_LARGE = "covariance-too-large"
+    ORIGIN = "origin"
+    # lost
+    HARDLY_USED = "hardly-used"
+    UNPAIRED = "unpaired"
+    MISSED = "missed"
+    TEN_SIGMA = "ten-sigma"
+    BY_CHANCE = "by-chance"
+    # not there
+    STOPPED = "stopped"
+    FRONT_END_STOPPED = "front-end-stopped"
     OUT_OF_MEMORY = "out-of-memory"
     EXACT_PRIOR = "exact-prior"
     NOT_MEASURED = "not-measured"
@@ -70,3 +138,8 @@ class Notice:
 def notice(code: Code, severity: Severity = Severity.WARNING, frame: int | None = None, **values: Value) -> Notice:
     """A notice with values by name."""
     return Notice(code, tuple(sorted(values.items())), severity, frame=frame)
+
+
+def stopped(text: str) -> Notice:
+    """That an estimator stopped, in the words of the error that stopped it."""
+    return notice(Code.STOPPED, Severity.ERROR, text=text)

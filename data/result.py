@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from data.inputs import IntArray, read_only
+from data.notice import Notice
 from data.se2 import Array
 
 NEW = -1
@@ -167,12 +168,19 @@ class Failure(NamedTuple):
 
     status: str
     frame: int
-    why: str
+    notice: Notice
     trace: str = ""
 
     @property
+    def why(self) -> str:
+        """The reason in words."""
+        from data.words import sentence
+
+        return sentence(self.notice)
+
+    @property
     def text(self) -> str:
-        """Frame and reason, for a sentence about a failure; a run that was not stopped says so."""
+        """Frame and reason in words; a run that was not stopped says so."""
         return f"frame {self.frame}: {'' if self.status != 'implausible' else 'implausible, '}{self.why}"
 
 
@@ -200,7 +208,7 @@ class Run:
         state_size: (N,) length of the state vector after each frame (None for a batch smoother).
         seconds: wall time of the estimation alone.
         failure: None when it got to the end; its arrays are then complete.
-        notes: one sentence each, for the report.
+        notes: what a reader of its results should know.
         removed: (L,) by landmark number, frame after which it was no longer in the map, -1: it stayed (None: nothing
             was ever removed). If it was retracted, its observations are discarded in `final_decisions`.
         events: decisions revised in hindsight, in the order of revision.
@@ -230,7 +238,7 @@ class Run:
     state_size: IntArray | None = None
     seconds: float = float("nan")
     failure: Failure | None = None
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[Notice, ...] = ()
     removed: IntArray | None = None
     events: tuple[Event, ...] = ()
     gated: tuple[float, float] = CHI_SQUARE

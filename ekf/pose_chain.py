@@ -15,6 +15,7 @@ import numpy as np
 
 from data.inputs import IntArray, Prior
 from data.motion.velocity import carried
+from data.notice import stopped
 from data.result import Failure
 from data.se2 import Array, BoolArray, wrap_angle
 from data.sensors import wrap_angle_jit as wrapped
@@ -210,7 +211,7 @@ def run_pose_chain(
             try:
                 done = filter_.close(key1[rows], key2[rows], relative[rows], covariance[rows], threshold=threshold)
             except np.linalg.LinAlgError as fault:
-                failure = Failure("diverged", k, f"loop closures of key pose {k}: {fault}")
+                failure = Failure("diverged", k, stopped(f"loop closures of key pose {k}: {fault}"))
                 break
             used[rows], d2[rows] = done.used, done.d2
             nis[k], dof[k] = done.nis, 3 * int(done.used.sum())

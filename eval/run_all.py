@@ -18,8 +18,10 @@ from types import FrameType
 from typing import NoReturn
 
 from data.errors import UsageError
+from data.notice import Severity
 from data.terminal import INTERRUPTED, WRONG, counted, ended, told, unread
 from data.whole import whole_folder
+from data.words import sentence
 from eval.plan.flags.examples import PROG
 from eval.plan.flags.options import read_options
 from eval.plan.flags.table import Options
@@ -177,9 +179,9 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
                 console.say(f"{where} {f.status} {'at' if run.doubt is None else 'from'} frame {f.frame}: {f.why}")
                 if f.trace:
                     console.detail(f.trace.rstrip())
-            for note in run.notes:
-                if "ran out" in note or isinstance(run, GivenRun):
-                    console.say(f"{trial.log.name}, {run.task}: {run.estimator}: {note}")
+            for found in run.notes:
+                if found.severity is not Severity.INFO or isinstance(run, GivenRun):
+                    console.say(f"{trial.log.name}, {run.task}: {run.estimator}: {sentence(found)}")
     for who, question in said_after(outcome.trials):
         console.say(f"question ({who}, {question.name}): {question.text}")
     for study in outcome.studies:

@@ -23,6 +23,7 @@ from data.formats.mrclam.load import Grid, load_mrclam
 from data.inputs import Increment, IntArray, Prior, Sightings
 from data.log import Log
 from data.motion.velocity import VelocityModel, VelocityNoise, carried
+from data.notice import Code, Severity, notice
 from data.result import DISCARD, NEW, Run
 from data.se2 import Array, BoolArray, wrap_angle
 from ekf.filter import FilterOptions
@@ -168,7 +169,8 @@ def tutorial_run(log: Log, variant: Variant) -> Run:
             assert inputs.map is not None
             front.estimator = GainFromBefore(inputs.prior, inputs.sensor, inputs.map, options)
         run = driven("ekf", front, inputs, variant.task, each=variant.each)
-    return replace(with_doubt(run, inputs), notes=(*run.notes, *variant.notes))
+    told = (notice(Code.NOTE, Severity.INFO, text=text) for text in variant.notes)
+    return replace(with_doubt(run, inputs), notes=(*run.notes, *told))
 
 
 def _original(source: Mapping[str, object], variant: Variant) -> dict[str, object]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from data.inputs import Inputs
+from data.notice import stopped
 from data.result import Failure, Run
 from eval.compare import compare
 from eval.plan.experiment import Experiment, Work
@@ -36,7 +37,9 @@ def incomplete(name: str, association: str, task: str, inputs: Inputs, why: str)
     """A run of which nothing is left but the reason."""
     given = "none" if name == "dead-reckoning" else name_of(association)
     online, final = name not in BATCH, name in (*BATCH, *INCREMENTAL)
-    return no_run(name_of(name), given, task, inputs, Failure("incomplete", 0, why), online=online, final=final)
+    return no_run(
+        name_of(name), given, task, inputs, Failure("incomplete", 0, stopped(why)), online=online, final=final
+    )
 
 
 @dataclass

@@ -18,18 +18,17 @@ from data.formats.results.path import GivenPath
 from data.formats.results.space import projection
 from data.inputs import Increments, Inputs, IntArray, Observations, Prior, read_only
 from data.log import Log
+from data.notice import Code, Notice, Severity, notice
 from data.result import NEW, MapEstimate, Run, Trajectory, surviving
 from data.se2 import Array, wrap_angle
 from data.sensors import RangeBearing
 from data.truth import Truth
+from data.words import sentence
 from eval.referee.errors import align
 
 NONE, FIRST, SE2 = "none", "first", "se2"
 ALIGNMENTS = (NONE, FIRST, SE2)
-ABOUT = {
-    FIRST: "moved so that its first matched pose is the true one",
-    SE2: "moved by the best rigid fit of its positions onto the truth (Umeyama 1991, without scale)",
-}
+"""`first`: the first matched pose is the true one; `se2`: best rigid fit (Umeyama 1991, without scale)."""
 
 
 def alignment(pose: Array, truth: Array, how: str) -> Array | None:
@@ -102,14 +101,11 @@ class Match:
         read_only(self)
 
     @property
-    def text(self) -> str:
-        """Counts, in a sentence."""
-        said = f"{self.matched} of {self.matched + self.unmatched} poses matched with the truth"
-        if self.interpolated:
-            said += f", {self.interpolated} of them between two truths"
-            if math.isfinite(self.error):
-                said += f" (interpolation is off by about {self.error:.2g} m)"
-        return said + (f"; {self.unmatched} unmatched, in no number" if self.unmatched else "")
+    def notice(self) -> Notice:
+        """The counts."""
+        error = self.error if math.isfinite(self.error) else None
+        poses, between = self.matched + self.unmatched, self.interpolated
+        return notice(Code.MATCHED, Severity.INFO, matched=self.matched, poses=poses, between=between, error=error)
 
 
 def match(time: Array, truth_time: Array, truth: Array, gap: float = GAP) -> Match:
@@ -163,9 +159,6 @@ GIVEN = "given"
 """Association of a run whose decisions were handed in, too."""
 TRUTH_ALONE = "a truth alone"
 """Kind of a log's source that holds nothing else."""
-
-
-NO_TRUTH = "no true path is known, so it has no errors: only its distance from batch is measured, where that ran"
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +220,7 @@ def truth_log(name: str, path: GivenPath) -> Log:
 def with_truth(log: Log, path: GivenPath, gap: float = GAP) -> tuple[Log, Match]:
     """A log with the true path of a file in place of its own, at its frames."""
     found = match(log.recorded.time, path.time, path.pose, gap)
-    note = f"True path from {path.file}: {found.text}."
+    note = f"True path from {path.file}: {sentence(found.notice)}."
     return replace(log, truth=replace(log.truth, pose=found.truth), notes=(*log.notes, note)), found
 
 
@@ -266,16 +259,16 @@ def given_run(
     T = None if found is None else alignment(last.pose, found.truth, align)
     made = {phase: _trajectory(path) for phase, path in paths.items()}
     landmarks = kept.landmarks
-    matched = NO_TRUTH if found is None else found.text
-    notes = [f"read from {last.file} ({last.kind}): {matched}"]
+    notes = [notice(Code.READ_FROM, Severity.INFO, file=str(last.file), kind=last.kind)]
+    notes.append(notice(Code.NO_TRUTH) if found is None else found.notice)
     if last.covariance is None:
-        notes.append("its file has no covariance, so there is no NEES")
-    notes += [s for s in (projection(last), *last.notes) if s]
+        notes.append(notice(Code.NO_COVARIANCE, name=""))
+    notes += [notice(Code.NOTE, Severity.INFO, text=s) for s in (projection(last), *last.notes) if s]
     if T is not None:
         made = {phase: moved(T, path) for phase, path in made.items()}
         move = moved_map if log.recorded.sensor.sees_points else moved_walls
         landmarks = None if landmarks is None else move(T, landmarks)
-        notes.append(f"{ABOUT[align]}; its covariance is turned with it")
+        notes.append(notice(Code.ALIGNED, Severity.INFO, how=align))
     notes += _gone(kept, task)
     m = len(log.recorded.observations.frame)
     nothing = np.full(m, -2, np.int64)
@@ -290,8 +283,8 @@ def given_run(
     )  # fmt: skip
 
 
-def _gone(kept: Kept, task: str) -> list[str]:
-    """A sentence where landmarks were removed on the way, which nobody said when."""
+def _gone(kept: Kept, task: str) -> list[Notice]:
+    """A notice where landmarks were removed on the way, which nobody said when."""
     if kept.landmarks is None or kept.decisions is None or task == "localization":
         return []
     final = kept.decisions if kept.final is None else kept.final
@@ -299,8 +292,7 @@ def _gone(kept: Kept, task: str) -> list[str]:
     gone = np.setdiff1d(made[made >= 0], kept.landmarks.number)
     if not len(gone):
         return []
-    what = f"{len(gone)} landmarks of its decisions are not in its map, and nothing says when they were removed"
-    return [f"{what}: outcomes count them as there to the end"]
+    return [notice(Code.LANDMARKS_GONE, landmarks=len(gone))]
 
 
 def created_by(decisions: IntArray, final: IntArray, task: str) -> IntArray:

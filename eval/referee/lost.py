@@ -6,11 +6,10 @@ it is asked whether it uses what it sees where it thinks it is, and whether what
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from data.inputs import Inputs, IntArray
+from data.notice import Code, Notice, Severity, Value, notice
 from data.result import Run
 from data.se2 import Array, BoolArray
 from eval.referee.consistency import gated
@@ -36,15 +35,8 @@ TOGETHER = 3
 """So many innovations in a row that are all absurd: fewer may be wrong labels."""
 
 
-class Lost(NamedTuple):
-    """From which frame on, and why."""
-
-    frame: int
-    why: str
-
-
-def lost(run: Run, inputs: Inputs, label: IntArray | None = None) -> Lost | None:
-    """Where a run is lost first, or None.
+def lost(run: Run, inputs: Inputs, label: IntArray | None = None) -> Notice | None:
+    """Why a run is lost, from which frame on; of several reasons the first, of none None.
 
     Args:
         run: that got to the end; dead reckoning uses nothing and cannot be lost.
@@ -55,10 +47,14 @@ def lost(run: Run, inputs: Inputs, label: IntArray | None = None) -> Lost | None
         return None
     view = inputs if run.task == "localization" else inputs.without_map()
     found = (_unused(run, view, label), _unseen(run, view), _absurd(run, view), _by_chance(run))
-    return min((f for f in found if f is not None), key=lambda f: f.frame, default=None)
+    return min((f for f in found if f is not None), key=lambda f: f.frame or 0, default=None)
 
 
-def _unused(run: Run, inputs: Inputs, label: IntArray | None) -> Lost | None:
+def _lost(code: Code, frame: int, **values: Value) -> Notice:
+    return notice(code, Severity.ERROR, frame, **values)
+
+
+def _unused(run: Run, inputs: Inputs, label: IntArray | None) -> Notice | None:
     """A stretch in a known map whose observations are hardly ever paired, or a whole run of SLAM."""
     known = np.ones(len(run.decisions), bool)
     if label is not None:
@@ -67,14 +63,13 @@ def _unused(run: Run, inputs: Inputs, label: IntArray | None) -> Lost | None:
     if inputs.map is None:
         later = known & (frame >= FRAMES)  # before that there is not much of a map
         share = float((_decisions(run)[later] >= 0).mean()) if later.sum() >= OBSERVATIONS else 1.0
-        why = f"{100 * share:.0f} % of all observations after the first {FRAMES} frames were used"
-        return Lost(FRAMES, why) if share < SHARE else None
+        return _lost(Code.HARDLY_USED, FRAMES, share=share, after=FRAMES) if share < SHARE else None
     could = np.bincount(frame[known], minlength=n)
     did = np.bincount(frame[known & (_decisions(run) >= 0)], minlength=n)
-    return _stretch(could, did, could > 0, "{did} of {could:.0f} observations were used in frames {first} to {last}")
+    return _stretch(could, did, could > 0, Code.UNPAIRED)
 
 
-def _unseen(run: Run, inputs: Inputs) -> Lost | None:
+def _unseen(run: Run, inputs: Inputs) -> Notice | None:
     """A stretch of SLAM in which the landmarks that should be in view are hardly ever seen."""
     if inputs.map is not None or run.map is None or run.online is None:
         return None
@@ -86,9 +81,8 @@ def _unseen(run: Run, inputs: Inputs) -> Lost | None:
     rate = min(1.0, did.sum() / could.sum())
     if rate <= 0.0:
         return None
-    why = "{did} of {could:.0f} expected sightings of landmarks in view were made in frames {first} to {last}"
     # where landmarks are often hidden, neighbours are hidden together: more must be missed
-    return _stretch(rate * could, did, looked, why, OBSERVATIONS / rate)
+    return _stretch(rate * could, did, looked, Code.MISSED, OBSERVATIONS / rate)
 
 
 def old_sightings(run: Run, inputs: Inputs) -> tuple[Array, IntArray, BoolArray]:
@@ -122,7 +116,7 @@ def _well_inside(inputs: Inputs, pose: Array, xy: Array) -> BoolArray:
     return inside
 
 
-def _absurd(run: Run, inputs: Inputs) -> Lost | None:
+def _absurd(run: Run, inputs: Inputs) -> Notice | None:
     """Innovations, or a smoother's whole cost, that no noise explains."""
     frame = inputs.observations.frame
     if run.innovations is not None:
@@ -132,15 +126,14 @@ def _absurd(run: Run, inputs: Inputs) -> Lost | None:
         if len(wild) >= TOGETHER:
             row = np.flatnonzero(np.lib.stride_tricks.sliding_window_view(wild, TOGETHER).all(axis=1))
             if len(row):
-                k = int(frame[used[row[0]]])
-                return Lost(k, f"{TOGETHER} innovations in a row are more than 10 sigma large at frame {k}")
+                return _lost(Code.TEN_SIGMA, int(frame[used[row[0]]]), innovations=TOGETHER)
     total = run.total_nis
     if total is not None and total[1] > 0 and total[0] / total[1] > ABSURD:
-        return Lost(0, f"NIS per degree of freedom is {total[0] / total[1]:.3g} where 1 is expected")
+        return _lost(Code.NIS, 0, per_dof=total[0] / total[1], over_run=False)
     return None
 
 
-def _by_chance(run: Run) -> Lost | None:
+def _by_chance(run: Run) -> Notice | None:
     """Pairings whose innovations fill the gate, of few of the observations."""
     total, expected = run.total_nis, gated(run, run.phases[-1])[0]
     if total is None or total[1] < OBSERVATIONS or expected > 0.9995:
@@ -148,13 +141,12 @@ def _by_chance(run: Run) -> Lost | None:
     nis, used = total[0] / total[1], float((_decisions(run) >= 0).mean())
     if nis < CHANCE * expected or used > USED:
         return None
-    share = f"{100 * used:.0f} % of the observations are used"
-    return Lost(0, f"{share}, and their NIS per degree of freedom, {nis:.3g}, is that of chance")
+    return _lost(Code.BY_CHANCE, 0, used=used, nis=nis)
 
 
 def _stretch(
-    could: Array | IntArray, did: IntArray, looked: BoolArray, why: str, enough: float = OBSERVATIONS
-) -> Lost | None:
+    could: Array | IntArray, did: IntArray, looked: BoolArray, code: Code, enough: float = OBSERVATIONS
+) -> Notice | None:
     """The first stretch of frames (N,) that were looked at in which far less was done than could be."""
     at = np.flatnonzero(looked)
     sums = np.concatenate([[0.0], np.cumsum(could[at])])
@@ -172,7 +164,7 @@ def _stretch(
         return None
     i, j = int(bad[0]), int(end[bad[0]])
     first, last = int(at[i]), int(at[j - 1])
-    return Lost(first, why.format(did=int(done[j] - done[i]), could=sums[j] - sums[i], first=first, last=last))
+    return _lost(code, first, did=int(done[j] - done[i]), could=float(sums[j] - sums[i]), last=last)
 
 
 def _decisions(run: Run) -> IntArray:

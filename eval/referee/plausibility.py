@@ -15,8 +15,9 @@ import numpy as np
 
 from data import se2
 from data.inputs import Inputs, IntArray, LabelledObservations
+from data.notice import Code, Notice, Severity, Value, notice
 from data.result import DISCARD, Failure, Run, Trajectory
-from data.se2 import Array, BoolArray
+from data.se2 import Array
 from ekf.whole_run import run_filter
 from graph.optimum import SUSPECT
 
@@ -45,21 +46,18 @@ def judged(runs: Sequence[Run], inputs: Inputs) -> list[Run]:
     return [replace(r, notes=(*r.notes, *suspicions(r, inputs))) for r in doubted]
 
 
-def suspicions(run: Run, inputs: Inputs) -> Iterator[str]:
-    """Sentences about numbers that an honest run can give, and hardly does."""
+def suspicions(run: Run, inputs: Inputs) -> Iterator[Notice]:
+    """Numbers that an honest run can give, and hardly does."""
     if run.failure is not None:
         return
     total, o = run.total_nis, inputs.observations
     if run.final is not None and total is not None and total[0] > SUSPECT * total[1] > 0:
-        yield (
-            f"its cost is {_number(total[0] / total[1])} per degree of freedom where 1 is expected: noise is"
-            " understated, pairings are wrong, or this is not the lowest minimum"
-        )
+        yield notice(Code.COST, per_dof=total[0] / total[1])
     if run.association == "known" and isinstance(o, LabelledObservations):
         named = o.label >= 0
         share = float(np.mean(run.final_decisions[named] == DISCARD)) if named.any() else 0.0
         if share > LEFT_OUT:
-            yield f"{share:.0%} of the labelled readings were left out: noise or labels are not as stated"
+            yield notice(Code.LABELS_LEFT_OUT, share=share)
 
 
 def with_doubt(run: Run, inputs: Inputs) -> Run:
@@ -93,12 +91,11 @@ def _innovations(run: Run, inputs: Inputs) -> Iterator[Failure]:
         share = float(nis[formed].sum()) / max(int(dof[formed].sum()), 1)
         if share > ABSURD:
             first = int(np.argmax(formed & (nis > ABSURD * np.maximum(dof, 1))))
-            yield _doubt(first, f"NIS per degree of freedom is {_number(share)} over the run where 1 is expected")
+            yield _doubt(first, Code.NIS, per_dof=share, over_run=True)
             return
     total = run.total_nis
     if total is not None and total[1] > 0 and total[0] / total[1] > ABSURD:
-        why = f"NIS per degree of freedom is {_number(total[0] / total[1])} where 1 is expected"
-        yield _doubt(first_misfit(run, inputs), why)
+        yield _doubt(first_misfit(run, inputs), Code.NIS, per_dof=total[0] / total[1], over_run=False)
 
 
 def first_misfit(run: Run, inputs: Inputs) -> int:
@@ -196,10 +193,7 @@ def _path(run: Run, inputs: Inputs, reach: Array) -> Iterator[Failure]:
         beyond = away > MARGIN * reach + sight(inputs)
         if beyond.any():
             k = int(np.argmax(beyond))
-            yield _doubt(
-                k,
-                f"the {phase} path is {_number(away[k])} m from its start, {_number(reach[k])} m were driven at most",
-            )
+            yield _doubt(k, Code.PATH_TOO_FAR, phase=phase, away=float(away[k]), driven=float(reach[k]))
 
 
 def _landmarks(run: Run, inputs: Inputs, reach: Array) -> Iterator[Failure]:
@@ -215,9 +209,8 @@ def _landmarks(run: Run, inputs: Inputs, reach: Array) -> Iterator[Failure]:
     beyond = ~(away <= MARGIN * reach[-1] + seen)
     if beyond.any():
         k = int(first[beyond].min())
-        yield _doubt(
-            k, _where(beyond, f"{_number(away[beyond].max())} m from the start, {_number(reach[-1])} m were driven")
-        )
+        many, farthest = int(beyond.sum()), float(away[beyond].max())
+        yield _doubt(k, Code.LANDMARKS_TOO_FAR, landmarks=many, away=farthest, driven=float(reach[-1]))
     if run.final is None:
         return
     rows, xy = _sighted(run, inputs)
@@ -233,13 +226,8 @@ def _landmarks(run: Run, inputs: Inputs, reach: Array) -> Iterator[Failure]:
     unseen = np.isfinite(nearest) & (nearest > seen)
     if unseen.any():
         k = int(first[unseen].min())
-        yield _doubt(k, _where(unseen, f"{_number(nearest[unseen].max())} m from every pose that saw it"))
-
-
-def _where(which: BoolArray, farthest: str) -> str:
-    many = int(which.sum())
-    who = "1 landmark stands" if many == 1 else f"{many} landmarks stand"
-    return f"{who} where the sensor cannot have seen {'it' if many == 1 else 'them'} (up to {farthest})"
+        many, farthest = int(unseen.sum()), float(nearest[unseen].max())
+        yield _doubt(k, Code.LANDMARKS_UNSEEN, landmarks=many, away=farthest)
 
 
 def _covariances(run: Run, inputs: Inputs, reach: Array) -> Iterator[Failure]:
@@ -256,9 +244,8 @@ def _covariances(run: Run, inputs: Inputs, reach: Array) -> Iterator[Failure]:
         if beyond.any():
             k = int(np.argmax(beyond))
             frame = max(int(run.map.first_frame[k]), 0) if name == "landmark" and run.map is not None else k
-            yield _doubt(
-                frame, f"a {name} is claimed to {_number(sigma[k])} m where {_number(reach[-1])} m were driven at most"
-            )
+            claimed, driven = float(sigma[k]), float(reach[-1])
+            yield _doubt(frame, Code.COVARIANCE_TOO_LARGE, of=name, sigma=claimed, driven=driven)
 
 
 def _dead_reckoned(inputs: Inputs) -> float:
@@ -268,10 +255,5 @@ def _dead_reckoned(inputs: Inputs) -> float:
     return float(_longest(Trajectory(alone.pose, alone.covariance).covariance).max())
 
 
-def _number(value: float) -> str:
-    """Three digits, without an exponent while it can be read."""
-    return f"{value:.3g}" if not 1e3 <= value < 1e6 else f"{value:.0f}"
-
-
-def _doubt(frame: int, why: str) -> Failure:
-    return Failure(IMPLAUSIBLE, frame, why)
+def _doubt(frame: int, code: Code, **values: Value) -> Failure:
+    return Failure(IMPLAUSIBLE, frame, notice(code, Severity.ERROR, None, **values))

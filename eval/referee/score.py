@@ -19,6 +19,7 @@ from data.inputs import CLUTTER
 from data.log import Log
 from data.result import DISCARD, Run
 from data.se2 import Array
+from data.words import sentence
 from eval.referee import consistency, errors, result_files
 from eval.referee.confusion import WITHIN, Confusion, confuse, majority, majority_agreement, share_within
 from eval.referee.consistency import gated, nis_bounds
@@ -176,7 +177,7 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Alo
     # a laser run decides about no observation of its log; a result at other instants is asked about none
     found = None if isinstance(run, LaserRun) or log is not own else lost(run, log.recorded, labels)
     if found is not None:
-        row["lost_frame"], row["lost_why"] = found
+        row["lost_frame"], row["lost_why"] = found.frame, sentence(found)
     total = nis_of(run, phase)
     if total is not None and total[1] > 0:
         row["nis"] = total[0] / total[1]

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from data.inputs import Inputs, IntArray
+from data.notice import Code, Severity, notice, stopped
 from data.result import DISCARD, Failure, Run, Trajectory, map_estimate
 from data.se2 import BoolArray
 from graph.batch import Smoothed, Start, smooth
@@ -31,25 +32,27 @@ def batch(name: str, inputs: Inputs, front: Run, other: Callable[[], Run] | None
     no sighting is left.
     """
     if front.failure is not None or front.online is None:
-        why = f"the {front.estimator} it starts from stopped at frame {front.failure.frame if front.failure else 0}"
+        at = front.failure.frame if front.failure else 0
+        why = notice(Code.FRONT_END_STOPPED, Severity.ERROR, front=front.estimator, at=at)
         return _failed(name, front, Failure("incomplete", 0, why), len(inputs), 0.0)
     begin = time.perf_counter()
     # what was retracted has no landmark; what a filter merely forgot is smoothed like all others
     initialized = front.initialized
     start = start_at(inputs, front, initialized)
-    final, notes = front.final_decisions, [f"decisions made by {front.estimator}"]
+    final, notes = front.final_decisions, [notice(Code.DECIDED_BY, Severity.INFO, front=front.estimator)]
     try:
         if name == "gnc":
             result, accepted = gnc(inputs, final, initialized, start)
             left_out = _left_out(final, initialized, accepted)
-            notes.append(
-                f"{(~accepted & (np.where(initialized >= 0, initialized, final) >= 0)).sum()} sightings were rejected"
-            )
+            rejected = int((~accepted & (np.where(initialized >= 0, initialized, final) >= 0)).sum())
+            notes.append(notice(Code.SIGHTINGS_REJECTED, Severity.INFO, sightings=rejected))
             final, initialized = np.where(left_out, DISCARD, final), np.where(left_out, -1, initialized)
         else:
             result = _lowest(inputs, final, initialized, start, LOSSES[name], other)
     except UnderConstrained as stop:
-        return _failed(name, front, Failure("diverged", 0, str(stop)), len(inputs), time.perf_counter() - begin)
+        return _failed(
+            name, front, Failure("diverged", 0, stopped(str(stop))), len(inputs), time.perf_counter() - begin
+        )
     seconds = time.perf_counter() - begin
     state = None
     if result.map is not None:

@@ -19,9 +19,9 @@ from association.jcbb import BUDGET
 from association.truncated import Acceptance, acceptance, accepted_moments, truncated_square
 from data.errors import UsageError
 from data.inputs import Frame, IntArray, LandmarkMap, Sightings
+from data.notice import Code, Notice, Severity, notice
 from data.result import DISCARD, Event, MapState, Updated
 from data.se2 import Array
-from data.terminal import counted
 from ekf.filter import FilterOptions
 from ekf.localizer import EkfLocalizer
 from eval.replay.estimators import NO_HINDSIGHT_OF_WALLS, Estimator, capabilities, make_estimator, needed
@@ -259,20 +259,15 @@ class FrontEnd:
         """The map as it is now, parked landmarks included; a given one has no covariance."""
         return self.estimator.landmarks()
 
-    def notes(self) -> list[str]:
+    def notes(self) -> list[Notice]:
         """What a reader of the results should know."""
         notes, s = [] if self.foreign is None else self.foreign.notes(), self.setup
         if self.incomplete:
-            notes.append(
-                f"{self.association} ran out of its {BUDGET} nodes in {counted(self.incomplete, 'frame')}; "
-                "the best pairings found until then were used"
-            )
+            notes.append(notice(Code.OUT_OF_NODES, method=self.association, nodes=BUDGET, frames=self.incomplete))
         if self.slam and self.estimator.smooths and (s.forget_after is not None or s.deactivate_after is not None):
-            notes.append("landmarks are forgotten or parked in the filter's state only, not in the graph")
+            notes.append(notice(Code.FILTER_ONLY, Severity.INFO))
         if self.parking is not None:
             notes += self.parking.notes()
         if self.map_management is not None and self.map_management.removed:
-            notes.append(
-                f"{counted(len(self.map_management.removed), 'landmark was', 'landmarks were')} removed from the map"
-            )
+            notes.append(notice(Code.REMOVED, Severity.INFO, landmarks=len(self.map_management.removed)))
         return notes

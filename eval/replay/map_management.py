@@ -18,6 +18,7 @@ import numpy as np
 from association.candidates import Drift, may_be_in_view
 from association.decide import HINDSIGHT, horizon
 from data.inputs import Increment, IntArray, Sightings
+from data.notice import Code, Notice, Severity, notice
 from data.sensors import Sensor
 from ekf.epochs import LEAST, MOVED, PRODUCT, READING, STEP
 from ekf.slam import EkfSlam
@@ -183,12 +184,10 @@ class Parking:
         if len(numbers):
             self.parkable.park(numbers)
 
-    def notes(self) -> list[str]:
+    def notes(self) -> list[Notice]:
         """What a reader of the results should know."""
-        return [
-            f"landmarks unseen for {self.management.setup.deactivate_after:g} were parked: at most {self.largest} "
-            f"states were active, and landmarks were taken back {self.restored} times"
-        ]
+        after = self.management.setup.deactivate_after
+        return [notice(Code.PARKED, Severity.INFO, after=after, largest=self.largest, restored=self.restored)]
 
 
 class AutomaticParking:
@@ -256,7 +255,7 @@ class AutomaticParking:
     def park(self, numbers: IntArray) -> None:
         """Nothing has to be parked but for the time it takes."""
 
-    def notes(self) -> list[str]:
+    def notes(self) -> list[Notice]:
         """Nothing: a reader of the results need not know."""
         return []
 

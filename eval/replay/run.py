@@ -18,6 +18,7 @@ from association.expectation import SingularInnovationError, gate_threshold
 from association.scans.constraints import SCAN
 from association.truncated import truncated_square
 from data.inputs import Frame, Inputs, IntArray
+from data.notice import stopped
 from data.result import DISCARD, Failure, Finished, Innovations, Run, Trajectory, Updated, map_estimate
 from data.se2 import Array
 from ekf.epochs import run_in_epochs, worthwhile
@@ -77,7 +78,7 @@ def filter_known(
     seconds = time.perf_counter() - begin
     failure, decided = None, result.decisions
     if result.failure is not None:
-        failure = Failure("diverged", *result.failure)
+        failure = Failure("diverged", result.failure[0], stopped(result.failure[1]))
         unreached = inputs.observations.frame >= failure.frame
         decided, created = np.where(unreached, DISCARD, decided), np.where(unreached, -1, created)
     state = None
@@ -117,9 +118,9 @@ def step_by_step(
             require(name, task, association, setup)
         front = front_end(name, association, inputs, setup, options)
     except CannotError as stop:
-        return no_run(name_of(name), name_of(association), task, inputs, Failure("incomplete", 0, str(stop)))
+        return no_run(name_of(name), name_of(association), task, inputs, Failure("incomplete", 0, stopped(str(stop))))
     except ForeignError as stop:  # its constructor crashed
-        failure = Failure("diverged", 0, str(stop), stop.trace)
+        failure = Failure("diverged", 0, stopped(str(stop)), stop.trace)
         return no_run(name_of(name), name_of(association), task, inputs, failure)
     each = options is not None and options.each
     run = driven(name, front, inputs, task, each=each, finish=finish, observer=observer)
@@ -149,9 +150,9 @@ def driven(
             front.close()
             finished = front.estimator.finish()
     except DIVERGED as stop:
-        failure = Failure("diverged", front.k, str(stop))
+        failure = Failure("diverged", front.k, stopped(str(stop)))
     except ForeignError as stop:
-        failure = Failure("diverged", max(front.k, 0), str(stop), stop.trace)
+        failure = Failure("diverged", max(front.k, 0), stopped(str(stop)), stop.trace)
     return record.run(name_of(name), task, front, finished, failure, time.perf_counter() - begin)
 
 

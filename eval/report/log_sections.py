@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from data.words import sentence
 from eval.plan.calibrate import Calibration
 from eval.plan.flags.options import Options
 from eval.referee.score import Scores, Trial
@@ -80,7 +81,7 @@ def trial_sections(
         blocks += [p for p in pictures if p.stem not in {stem(trial, kind) for kind in ELSEWHERE}]
         if options.animate:
             blocks += [film for t in (trial, *others) for film in films_of(folder, t)]
-        notes = [*trial.log.notes, *(f"{r.estimator}: {n}." for r in trial.runs for n in r.notes)]
+        notes = [*trial.log.notes, *(f"{r.estimator}: {sentence(n)}." for r in trial.runs for n in r.notes)]
         notes += [f"{text}." for text in (*minima_statements(trial), *ambiguity_statements(trial))]
         if notes:
             blocks.append(Folded(NOTES, ("\n".join(f"* {n}" for n in dict.fromkeys(notes)),)))

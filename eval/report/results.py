@@ -16,12 +16,14 @@ from data.formats.results.reading import is_bag, read_path
 from data.formats.results.space import projection
 from data.formats.results.tables import Beside
 from data.log import Log
+from data.notice import Code, notice
 from data.se2 import Array
+from data.words import sentence
 from eval.plan.flags.table import Reading
 from eval.plan.results import Result, manner_of, phase_of, runs_of, true_path, truth_of
 from eval.referee import consistency, errors
 from eval.referee.consistency import QUANTITIES
-from eval.referee.given_runs import ABOUT, NONE, GivenRun, TruePath, truth_log
+from eval.referee.given_runs import NONE, GivenRun, TruePath, truth_log
 from eval.referee.metrics import OF_ESTIMATES
 from eval.referee.score import Trial, metrics_row
 from eval.report.page.tables import is_blank, number
@@ -100,7 +102,7 @@ def _scored(file: str, truth: str, reading: Reading) -> Scored:
     phase = phase_of(Path(file))
     result = Result(ESTIMATE, {phase: read_path(file, manner_of(ESTIMATE, [ESTIMATE], reading))}, Beside())
     (run,) = runs_of(result, log, "slam", asked, reading)
-    return Scored(run, log, phase, (*notes, *run.notes))
+    return Scored(run, log, phase, (*notes, *map(sentence, run.notes)))
 
 
 def scores(s: Scored) -> dict[str, float]:
@@ -168,4 +170,5 @@ def aligned_statement(trial: Trial) -> str:
     if not moved:
         return ""
     names = ", ".join(dict.fromkeys(r.estimator for r in moved))
-    return f" But aligned: {names}, {ABOUT[moved[0].aligned]} (`--align {moved[0].aligned}`)."
+    how = sentence(notice(Code.ALIGNED, how=moved[0].aligned))
+    return f" But aligned: {names}, {how} (`--align {moved[0].aligned}`)."

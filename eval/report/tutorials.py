@@ -12,6 +12,7 @@ from pathlib import Path
 import pandas as pd
 
 from data.log import folder_name
+from data.words import sentence
 from eval.figures.studies import Known, knowledge_figure
 from eval.figures.style import save
 from eval.plan.flags.options import Options
@@ -157,4 +158,4 @@ def beside_note(trial: Trial, rows: pd.DataFrame) -> str:
     original = original_of(trial)
     if original is not None:
         notes.append(f"The original program: {original[0]:g} m², position RMSE {original[1]:g} m.")
-    return " ".join([*notes, *trial.runs[0].notes])
+    return " ".join([*notes, *map(sentence, trial.runs[0].notes)])

@@ -1,6 +1,7 @@
-"""Words: the only place where facts become sentences, from the templates beside it, for terminal, Markdown and HTML.
+"""Words of a report: where the facts of a section become text, from `templates/`, for terminal, Markdown and HTML.
 
 A template gets facts (dataclasses, numbers, names) and gives Markdown. What a template does not find is an error.
+Notices have their words in `data.words`.
 """
 
 from __future__ import annotations
@@ -12,39 +13,23 @@ from dataclasses import fields, is_dataclass
 from functools import cache
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment
 
-from data.notice import Notice
-from data.terminal import counted
-from eval.report.page.tables import number
-
-NOTICES = "notices.j2"
-"""A macro for each `Code`, its dashes as underscores; it gets the notice."""
+from data import words
+from data.words import number
 
 
 @cache
 def environment() -> Environment:
-    """All templates, with the filters that numbers and counts need."""
-    # Markdown, not HTML: the page escapes what it renders
-    env = Environment(
-        loader=PackageLoader("eval.report", "templates"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=False,
-        autoescape=False,
-    )
+    """The templates of the report, with more filters than notices need."""
+    env = words.environment("eval.report")
     env.filters |= {
-        "number": number,
-        "counted": counted,
-        "percent": percent,
         "as_sentence": as_sentence,
         "one_line": one_line,
         "listed": listed,
         "plus_minus": plus_minus,
         "sized": sized,
         "length": length,
-        "said": sentence,
     }
     env.tests["known"] = math.isfinite
     return env
@@ -55,11 +40,6 @@ def template_text(name: str) -> str:
     env = environment()
     assert env.loader is not None
     return env.loader.get_source(env, name)[0]
-
-
-def percent(share: float, digits: int = 1) -> str:
-    """A share in percent, with so many decimals and the sign."""
-    return f"{100.0 * share:.{digits}f} %"
 
 
 def one_line(text: str) -> str:
@@ -119,9 +99,3 @@ def say(template: str, facts: object = None, **more: Any) -> str:
 def paragraph(template: str, facts: object = None, **more: Any) -> str:
     """What `say` says as one paragraph: its sentences may stand on lines of their own in the template."""
     return one_line(say(template, facts, **more))
-
-
-def sentence(notice: Notice) -> str:
-    """A notice in words, without a full stop and without whom it is about."""
-    macro = getattr(environment().get_template(NOTICES).module, notice.code.replace("-", "_"))
-    return str(macro(notice, **notice.named)).strip()

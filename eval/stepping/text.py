@@ -26,6 +26,7 @@ from data.result import NEW, Run
 from data.se2 import Array
 from data.terminal import counted
 from data.truth import UNKNOWN_ID
+from data.words import sentence
 from eval.referee.confusion import OUTCOMES, Confusion, confuse
 from eval.referee.metrics import metric
 from eval.referee.score import confusion_of, metrics_row
@@ -205,7 +206,7 @@ def statistics(log: Log, run: Run) -> str:
         if any(isinstance(v, (int, float)) and math.isfinite(v) for v in values):
             lines.append(f"{m.line:<40}" + "".join(f"{_number(v, m.form):>12}" for v in values))
     head = f"{f'{log.name}: {run.task}, {run.estimator}, {run.association}':<40}" + "".join(f"{p:>12}" for p in rows)
-    return "\n".join([head, *lines, *(fill(note, WIDTH, subsequent_indent="  ") for note in run.notes)])
+    return "\n".join([head, *lines, *(fill(sentence(note), WIDTH, subsequent_indent="  ") for note in run.notes)])
 
 
 def _number(value: object, form: str) -> str:

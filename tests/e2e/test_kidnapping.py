@@ -11,6 +11,7 @@ from scipy.stats import chi2
 from association.decide import decide
 from data import se2
 from data.inputs import Observations
+from data.notice import Code
 from data.result import revised
 from data.worlds.arena import Arena, simulate
 from ekf.filter import DEFAULT
@@ -197,7 +198,7 @@ def test_a_robot_moved_while_it_maps_finds_its_place_in_its_own_map(seed, estima
     assert told.found == told.alarms
     assert off[told.found[0]] < off[AT - 1] + 0.5
     assert off[-1] < off[AT - 1] + 0.5
-    assert any("moved unseen" in note for note in front.notes())
+    assert Code.MOVED_UNSEEN in [note.code for note in front.notes()]
 
 
 def test_what_was_initialized_before_the_place_was_found_is_merged_with_what_it_is():

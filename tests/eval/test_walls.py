@@ -11,6 +11,7 @@ from matplotlib.collections import PolyCollection
 from data.errors import UsageError
 from data.formats.g2o import graph_text, labelled
 from data.inputs import LandmarkMap, Systematic
+from data.notice import Code
 from data.result import MapEstimate
 from data.se2 import pose_error
 from data.truth import Truth
@@ -145,7 +146,8 @@ def test_a_wall_beyond_all_that_was_seen_is_doubted(log, run):
     xy = run.map.xy.copy()
     xy[0, 0] += 500.0
     far = replace(run, map=MapEstimate(run.map.number, xy, run.map.covariance, run.map.first_frame, run.map.times_seen))
-    assert "cannot have seen it" in doubt(far, log.inputs(labels=True)).why
+    found = doubt(far, log.inputs(labels=True)).notice
+    assert (found.code, found.named["landmarks"]) == (Code.LANDMARKS_TOO_FAR, 1)
 
 
 def test_walls_that_leave_the_state_come_back_before_they_are_paired(log, monkeypatch):

@@ -17,6 +17,7 @@ import numpy as np
 
 from association.expectation import Expectation
 from data.inputs import Increment, IntArray, LandmarkMap, Sightings
+from data.notice import Code, Notice, notice
 from data.result import NEW, Finished, MapState, PoseEstimate, Trajectory, Updated
 from data.se2 import Array, BoolArray, wrap_angle
 from eval.replay.external.guard import ForeignError, array, call, kind, whole
@@ -315,14 +316,14 @@ class Adapter:
             return finished_of(f"{self.name}.finish", self._call("finish"))
         return Finished(None, self.landmarks() if self._known is None else None)
 
-    def notes(self) -> list[str]:
+    def notes(self) -> list[Notice]:
         """What a reader of its results should know."""
-        said = []
+        found = []
         if self.lacks_covariance:
-            said.append(f"{self.name} gives no covariance: there is no NEES, no share inside 3 sigma and no ellipse")
+            found.append(notice(Code.NO_COVARIANCE, name=self.name))
         if self._known is None and not self.has("landmarks"):
-            said.append(f"{self.name} has no `landmarks`: nothing is known of its map")
-        return said
+            found.append(notice(Code.NO_LANDMARKS, name=self.name))
+        return found
 
     def _call(self, verb: str, *arguments: Any, **named: Any) -> Any:
         function = getattr(self.inner, verb, None)

@@ -13,6 +13,7 @@ import numpy as np
 
 from association.conditional import jcbb_hindsight
 from data.inputs import Frame, Increment, IntArray, LandmarkMap
+from data.notice import Code, Notice, Severity, notice
 from data.result import DISCARD
 from data.se2 import Array
 from eval.replay.hindsight import constants
@@ -123,14 +124,12 @@ class Kidnapping:
         self._same = []
         return [(away, kept) for away, kept in same.items() if away in records and kept in records and kept < away]
 
-    def notes(self) -> list[str]:
+    def notes(self) -> list[Notice]:
         """What a reader of the results should know."""
         if not self.alarms:
             return []
-        return [
-            f"the robot was moved unseen {len(self.alarms)} times (first in frame {self.alarms[0]}), and"
-            f" {len(self.found)} times its place in the map was found again"
-        ]
+        times, first = len(self.alarms), self.alarms[0]
+        return [notice(Code.MOVED_UNSEEN, Severity.INFO, times=times, first=first, found=len(self.found))]
 
 
 def anywhere(xy: Array, reach: float) -> Array:

@@ -17,10 +17,10 @@ from association.candidates import holding
 from association.conditional import Alone, alone
 from association.expectation import Expectation
 from data.inputs import Frame, IntArray
+from data.notice import Code, Notice, Severity, notice
 from data.result import DISCARD, NEW, Event, Updated
 from data.se2 import Array
 from data.sensors import Sensor
-from data.terminal import counted
 from eval.replay.hindsight import constants
 from eval.replay.hindsight.final_association import Anew, beginnings
 from eval.replay.hindsight.record import (
@@ -266,16 +266,16 @@ class Ledger:
         v, every = self._visibility, [self.records[n].evidence for n in numbers.tolist()]
         return np.array([v.rate if certain(e, v) else detection_rate(e.looks, e.missed) for e in every])
 
-    def notes(self) -> list[str]:
+    def notes(self) -> list[Notice]:
         """What a reader of the results should know."""
         events = [e for e in self.events if e.why != PAIRED_ANEW]
         anew = len({e.observation for e in self.events if e.why == PAIRED_ANEW})
         undone, again = sum(e.old >= 0 for e in events), sum(e.new >= 0 for e in events)
-        said = f"{counted(undone, 'pairing was', 'pairings were')} undone in hindsight, {again} made instead"
-        late = f"{counted(anew, 'decision')} made anew at the end, on the smoothed path"
-        return [said] * bool(events) + [late] * bool(anew)
+        revised = [notice(Code.REVISED, Severity.INFO, undone=undone, again=again)] if events else []
+        return revised + ([notice(Code.DECIDED_ANEW, Severity.INFO, decisions=anew)] if anew else [])
 
-    def merge_notes(self) -> list[str]:
+    def merge_notes(self) -> list[Notice]:
         """The same of landmarks that were merged."""
-        many = f"{counted(len(self.merged), 'landmark')} turned out to have been initialized before"
-        return [f"{many} (first in frame {self.merged[0][0]})"] if self.merged else []
+        if not self.merged:
+            return []
+        return [notice(Code.MERGED, Severity.INFO, landmarks=len(self.merged), first=self.merged[0][0])]

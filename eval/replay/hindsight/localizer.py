@@ -13,6 +13,7 @@ import numpy as np
 from association.expectation import gate_threshold
 from data.errors import UsageError
 from data.inputs import Frame, IntArray
+from data.notice import Code, Notice, Severity, notice
 from data.result import DISCARD, Event, PoseEstimate
 from data.se2 import pose_error
 from ekf.filter import FilterOptions
@@ -149,12 +150,11 @@ class HindsightLocalizer:
         both = P + estimate.covariance + constants.EXACT_VARIANCE * np.eye(3)
         return float(error @ np.linalg.solve(both, error)) > gate_threshold(constants.OTHER_PLACE, 3)
 
-    def notes(self) -> list[str]:
+    def notes(self) -> list[Notice]:
         """What a reader of the results should know."""
-        notes = [f"{len({e.observation for e in self.events})} decisions were made anew in hindsight"]
+        anew = len({e.observation for e in self.events})
+        notes = [notice(Code.REVISED_POSES, Severity.INFO, decisions=anew)]
         if self.alarms:
-            notes.append(
-                f"the monitor found the robot lost {len(self.alarms)} times (first in frame {self.alarms[0]}), "
-                f"and {len(self.found)} times its place was found again without a prior"
-            )
+            times, first = len(self.alarms), self.alarms[0]
+            notes.append(notice(Code.FOUND_AGAIN, Severity.INFO, times=times, first=first, found=len(self.found)))
         return notes

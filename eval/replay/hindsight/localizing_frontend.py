@@ -19,6 +19,7 @@ from association.decide import HINDSIGHT, Decided
 from association.expectation import Expectation, gate_threshold
 from association.truncated import Acceptance
 from data.inputs import Frame, Increment, IntArray, Prior, Sightings
+from data.notice import Notice
 from data.result import DISCARD, Event, Finished, MapState, PoseEstimate, Systematics, Trajectory, Updated
 from data.se2 import Array, BoolArray
 from ekf.filter import FilterOptions
@@ -259,6 +260,6 @@ class LocalizingFrontEnd(FrontEnd):
         """Decisions that were revised."""
         return tuple(self.localizer.events)
 
-    def notes(self) -> list[str]:
+    def notes(self) -> list[Notice]:
         """What a reader of the results should know."""
         return [*super().notes(), *self.localizer.notes()]

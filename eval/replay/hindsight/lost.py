@@ -31,6 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from data.inputs import Frame, IntArray
+from data.notice import Code, Notice, notice
 from data.se2 import Array
 from eval.replay.hindsight import constants
 from eval.replay.hindsight.ledger import Ledger
@@ -157,10 +158,6 @@ def looked(before: Suspicion, frame: int, paired: int, replaced: int) -> Suspici
     return after
 
 
-CONCLUSION = "the robot was lost, or maps places anew, and path and map are not to be trusted"
-WORDS = "most of what should be in view is missed, and newer landmarks are read instead"
-
-
 class Lost:
     """Looks at every frame that the ledger has judged.
 
@@ -189,15 +186,11 @@ class Lost:
         """The end of the log: landmarks (n,) that were read often, and those (r,) that are retracted."""
         self.often, self.gone = len(often), int(np.isin(often, retracted).sum())
 
-    def notes(self) -> list[str]:
+    def notes(self) -> list[Notice]:
         """What a reader of the results should know."""
-        s, said = self.suspicion, []
+        s, found = self.suspicion, []
         if s.alarm is not None:
-            span = f"from frame {s.alarm} {'on' if s.over is None else f'to {s.over}'}"
-            said.append(f"{span} {WORDS}: {CONCLUSION}")
+            found.append(notice(Code.MAPPED_ANEW, frame=s.alarm, over=s.over))
         if self.often >= constants.THERE_OFTEN and self.gone > constants.THERE_GONE * self.often:
-            said.append(
-                f"{self.gone} of {self.often} landmarks that were read often were missed too often in the end, and"
-                f" retracted: {CONCLUSION}"
-            )
-        return said
+            found.append(notice(Code.RETRACTED, gone=self.gone, often=self.often))
+        return found

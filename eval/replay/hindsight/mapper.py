@@ -15,6 +15,7 @@ import numpy as np
 from association.candidates import in_view
 from association.expectation import Expectation
 from data.inputs import ERRORS, Frame, IntArray, Sightings, Systematic
+from data.notice import Notice
 from data.result import Event
 from data.se2 import Array
 from ekf.slam import EkfSlam
@@ -205,10 +206,10 @@ class HindsightMapper:
         """The revisions, in order."""
         return self.ledger.events
 
-    def notes(self) -> list[str]:
+    def notes(self) -> list[Notice]:
         """What a reader of the results should know."""
         return [
             *self.restated.notes(), *self.ledger.notes(), *self.motion.notes(), *self.kidnapping.notes(),
             *self.ledger.merge_notes(), *self.lost.notes(),
-            *([self.whole.why] if self.whole.why else []),
+            *([self.whole.failed] if self.whole.failed is not None else []),
         ]  # fmt: skip

@@ -12,6 +12,7 @@ from association.decide import HINDSIGHT
 from association.truncated import truncated_square
 from data.errors import UsageError
 from data.inputs import Frame, IntArray
+from data.notice import Notice
 from data.result import Event
 from ekf.filter import FilterOptions
 from eval.replay.estimators import needed
@@ -96,6 +97,6 @@ class MappingFrontEnd(FrontEnd):
         """Decisions that were revised."""
         return tuple(self.mapper.events)
 
-    def notes(self) -> list[str]:
+    def notes(self) -> list[Notice]:
         """What a reader of the results should know."""
         return [*super().notes(), *self.mapper.notes()]

@@ -33,6 +33,7 @@ import numpy as np
 from association.candidates import holding
 from association.expectation import gate_threshold
 from data.inputs import Frame, Increment, Sightings
+from data.notice import Code, Notice, notice
 from data.se2 import Array
 from data.sensors import MIN_RANGE, RANGE_BEARING, Sensor
 from eval.replay.hindsight import constants
@@ -291,7 +292,7 @@ class Restated:
         view = self._view
         return replace(sensor, max_range=view.max_range, min_angle=view.min_angle, max_angle=view.max_angle)
 
-    def notes(self) -> list[str]:
+    def notes(self) -> list[Notice]:
         """What a reader of the results should know."""
-        more = [f"{name} {s**0.5:.1f} times" for name, s in self.shares._asdict().items() if s > 1.0]
-        return [f"sigmas are larger than stated, and were decided with so: {', '.join(more)}"] if more else []
+        more = {name: s**0.5 for name, s in self.shares._asdict().items() if s > 1.0}
+        return [notice(Code.LARGER_SIGMAS, of=tuple(more), factors=tuple(more.values()))] if more else []

@@ -11,8 +11,8 @@ import numpy as np
 
 from association.expectation import Expectation
 from data.inputs import Increment
+from data.notice import Code, Notice, notice
 from data.se2 import Array
-from data.terminal import counted
 from eval.replay.hindsight import constants
 from eval.replay.hindsight.ledger import Ledger
 from eval.replay.hindsight.placement import Memory, Placed, drifted, place, too_uncertain
@@ -60,14 +60,7 @@ class UncertainMotion:
         if paired or len(self._seen_from) == 1:
             self._motion = np.zeros((3, 3))
 
-    def notes(self) -> list[str]:
+    def notes(self) -> list[Notice]:
         """What a reader of the results should know."""
-        if not self.placed:
-            return []
-        note = (
-            f"{counted(self.placed, 'frame was', 'frames were')} placed by geometry:"
-            " the motion until then was too uncertain to predict from"
-        )
-        if 2 * self.placed > self.ledger.frames:
-            note += "; the path hangs on it, and where landmarks repeat, nothing tells one place from the next"
-        return [note]
+        mostly = 2 * self.placed > self.ledger.frames
+        return [notice(Code.PLACED, frames=self.placed, mostly=mostly)] if self.placed else []

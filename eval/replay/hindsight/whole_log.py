@@ -14,6 +14,7 @@ from association.expectation import gate_threshold
 from data.errors import DataError
 from data.inputs import Frame, Increments, Inputs, IntArray, LandmarkMap, Observations, Sightings, Systematic
 from data.motion.systematic import sensor_frame
+from data.notice import Code, Notice, notice
 from data.result import DISCARD, MapState
 from data.se2 import Array
 from eval.replay.hindsight import constants
@@ -30,14 +31,15 @@ class WholeLog:
 
     Attributes:
         managed: landmarks left the map by rules of the setup: what was read of them is no longer known.
-        why: why nothing was paired anew, if nothing could be.
+        failed: why nothing was paired anew, if nothing could be.
         settled: all that was seen: frames (m,), sightings (m) as stated, landmarks (m,) in the end; None: as decided.
         gate: squared distance under the noise as `restated` beyond which nothing was paired anew.
     """
 
     def __init__(self, given: Given) -> None:
         """Before the first frame."""
-        self.managed, self.why = False, ""
+        self.managed = False
+        self.failed: Notice | None = None
         self.settled: tuple[IntArray, Sightings, IntArray] | None = None
         self.gate = math.inf
         self._given = given
@@ -73,7 +75,7 @@ class WholeLog:
         try:
             found = smooth(log, number, np.full(len(number), -1), Start(np.array(self._path), places))
         except (DataError, UnderConstrained) as stop:  # what a filter can use may be singular for a smoother
-            self.why = f"nothing was paired anew at the end: {stop}"
+            self.failed = notice(Code.NOTHING_ANEW, text=str(stop))
             return None
         assert found.map is not None
         pose, xy, sensor = found.trajectory.pose, found.map.xy, restated.widened(log.sensor)

@@ -14,6 +14,7 @@ from scipy.special import gammainc
 from association.expectation import gate_threshold
 from association.scans.constraints import SCAN, Chain, Loops
 from data.inputs import Inputs, IntArray
+from data.notice import Code, Notice, Severity, notice, stopped
 from data.result import DISCARD, Failure, Innovations, Run, Trajectory
 from data.se2 import Array, compose, covariances_in_world, dead_reckoned
 from ekf.pose_chain import run_pose_chain
@@ -156,12 +157,13 @@ def _filter(given: _Constraints, gate: float | None) -> Solved:
     nis, dof = np.full(n, np.nan), np.zeros(n, np.int64)
     nis[c.frame], dof[c.frame] = np.where(found.dof > 0, found.nis, np.nan), found.dof
     failure: Failure | None = None
-    notes: tuple[str, ...] = ()
+    notes: tuple[Notice, ...] = ()
     if found.failure is not None:
-        failure = Failure("diverged", int(c.frame[found.failure.frame]), found.failure.why)
+        failure = Failure("diverged", int(c.frame[found.failure.frame]), found.failure.notice)
     if gate is not None:
         looked = int(np.isfinite(found.d2).sum())
-        notes = (f"the gate of {gate:g} rejected {looked - int(found.used.sum())} of {looked} loop closures",)
+        rejected = looked - int(found.used.sum())
+        notes = (notice(Code.CLOSURES_GATED, Severity.INFO, gate=gate, rejected=rejected, closures=looked),)
     run = _run(
         "ekf",
         online=over_frames(c, found.online, found.online_covariance),
@@ -197,7 +199,7 @@ def _incremental(name: str, given: _Constraints, loss: str, lag: float | None) -
         pose = graph.poses()
         if isinstance(graph, FixedLagPoseGraph):
             final = over_frames(chain, pose, graph.covariances())
-            notes = (f"{graph.fixes} loop closures led to key poses that had left, {graph.lost} between two such",)
+            notes = (notice(Code.CLOSURES_LOST, Severity.INFO, fixes=graph.fixes, lost=graph.lost),)
             run = _run(name, final=final, notes=notes)
             weight = np.full(len(given.believed), np.nan)
         else:
@@ -206,7 +208,7 @@ def _incremental(name: str, given: _Constraints, loss: str, lag: float | None) -
     except UnderConstrained as stop:
         nothing = np.full((keys, 3), np.nan)
         run = _run(name, final=over_frames(chain, nothing, np.full((keys, 3, 3), np.nan)))
-        run = replace(run, failure=Failure("diverged", int(chain.frame[k]), str(stop)))
+        run = replace(run, failure=Failure("diverged", int(chain.frame[k]), stopped(str(stop))))
         pose, weight = nothing, np.full(len(given.believed), np.nan)
     run = replace(run, online=over_frames(chain, online, covariance), state_size=size[chain.key])
     return Solved(run, pose, given.weights(weight))
@@ -233,12 +235,13 @@ def _batch(name: str, given: _Constraints) -> Solved:
         keys = len(chain.frame)
         nothing = np.full((keys, 3), np.nan)
         run = _run(name, final=over_frames(chain, nothing, np.full((keys, 3, 3), np.nan)))
-        run = replace(run, failure=Failure("diverged", 0, str(stop)))
+        run = replace(run, failure=Failure("diverged", 0, stopped(str(stop))))
         return Solved(run, nothing, np.full(len(given.loops), np.nan))
     run = _smoothed(name, given, found, loss)
     if name == "gnc":
         out = int((found.weight == 0.0).sum())
-        run = replace(run, notes=(f"{out} of {len(found.weight)} loop closures were rejected",))
+        rejected = notice(Code.CLOSURES_REJECTED, Severity.INFO, rejected=out, closures=len(found.weight))
+        run = replace(run, notes=(rejected,))
     return Solved(run, found.pose, given.weights(found.weight))
 
 

@@ -11,9 +11,9 @@ from association.scans.constraints import Chain, LaserRun
 from association.scans.corners import corners
 from data.inputs import Increments, Inputs, Observations
 from data.motion.velocity import floor_covariances
+from data.notice import Code, Severity, notice
 from data.result import Failure, Innovations, Run
 from data.sensors import RelativePoint
-from data.terminal import counted
 from eval.replay.laser.backends import over_frames
 from eval.replay.laser.comparison import run_front_end
 from eval.replay.laser.parameters import LaserParameters
@@ -74,10 +74,7 @@ def at_all_frames(run: Run, corners: CornerLog, frames: int) -> LaserRun:
     if run.map is not None:
         given["map"] = replace(run.map, first_frame=of[np.maximum(run.map.first_frame, 0)])
     seen = len(corners.inputs.observations.frame)
-    given["notes"] = (
-        *run.notes,
-        f"{counted(seen, 'corner')} in {counted(len(of), 'key scan')}, scan matching for odometry",
-    )
+    given["notes"] = (*run.notes, notice(Code.CORNERS, Severity.INFO, corners=seen, scans=len(of)))
     return LaserRun(**given)
 
 

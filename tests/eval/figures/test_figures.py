@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.path import Path as Outline
 
+from data.notice import stopped
 from data.result import Failure, MapEstimate
 from data.se2 import dead_reckoned
 from eval.figures import anees_figure, difference_figure, error_figure, map_figure, nees_figure
@@ -19,7 +20,7 @@ from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error, true_
 
 ZERO = np.zeros(3)
 OFF = np.array([0.1, -0.1, 0.02])
-STOPPED = Failure("diverged", 15, "covariance not positive semidefinite")
+STOPPED = Failure("diverged", 15, stopped("covariance not positive semidefinite"))
 
 
 def truth_with_holes():

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from data.logs import open_log
+from data.notice import stopped
 from data.result import Failure, Trajectory
 from eval.referee.errors import along
 from eval.referee.score import Trial, score
@@ -100,7 +101,7 @@ def test_a_short_log_has_scores_and_differences_without_intervals_and_says_why()
 def test_runs_that_failed_other_associations_and_logs_without_truth_are_not_compared():
     error = np.zeros(3)
     filtered, smoothed = run_with_error(error), run_with_error(error, estimator="batch", phases=("final",))
-    failed = run_with_error(error, failure=Failure("diverged", 5, "covariance not positive definite"))
+    failed = run_with_error(error, failure=Failure("diverged", 5, stopped("covariance not positive definite")))
     other = run_with_error(error, association="jcbb")
     assert len(score([Trial(circle_log(), "slam", (failed, smoothed))]).differences) == 0
     assert len(score([Trial(circle_log(), "slam", (other, smoothed))]).differences) == 0

@@ -8,11 +8,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from data.notice import stopped
 from data.result import Failure, MapEstimate
 from eval.referee.score import Trial, score
 from tests.eval.handmade import LANDMARKS, circle_log, run_with_error
 
-DOUBT = Failure("implausible", 3, "NIS per degree of freedom is 400")
+DOUBT = Failure("implausible", 3, stopped("NIS per degree of freedom is 400"))
 EKF = run_with_error(np.array([0.3, 0.0, 0.0]))
 BATCH = replace(
     run_with_error(np.array([0.1, 0.0, 0.0]), estimator="batch", phases=("final",)), iterations=7, last_step_sigma=2e-5

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from data.inputs import Observations
+from data.notice import Code, Severity, notice, stopped
 from data.result import DISCARD, NEW, Failure, Innovations, MapEstimate
 from eval.referee.lost import lost, old_sightings
 from tests.eval.handmade import FRAMES, LANDMARKS, circle_log, run_with_error
@@ -43,7 +44,8 @@ def used_but(*unused):
 
 def test_who_uses_nothing_in_ten_frames_with_thirty_observations_is_lost_from_their_first_on():
     found = lost(localizing(used_but(range(15, 25))), INPUTS)
-    assert found == (15, "0 of 30 observations were used in frames 15 to 24")
+    assert (found.code, found.frame) == (Code.UNPAIRED, 15)
+    assert found.named == {"did": 0, "could": 30.0, "last": 24}
     assert lost(localizing(used_but(range(15, 24))), INPUTS) is None
 
 
@@ -66,7 +68,7 @@ def test_dead_reckoning_and_who_failed_are_not_lost_as_well():
     run = localizing(used_but(range(FRAMES)))
     assert lost(run, INPUTS) is not None
     assert lost(replace(run, association="none"), INPUTS) is None
-    assert lost(replace(run, failure=Failure("diverged", 3, "made up")), INPUTS) is None
+    assert lost(replace(run, failure=Failure("diverged", 3, stopped("made up"))), INPUTS) is None
 
 
 def whitened(*large, size=10.5, unused=()):
@@ -80,9 +82,8 @@ def whitened(*large, size=10.5, unused=()):
 
 def test_three_innovations_in_a_row_beyond_ten_sigma_are_more_than_wrong_labels():
     run = localizing(used_but())
-    assert lost(replace(run, innovations=whitened(30, 31, 32)), INPUTS) == (
-        10, "3 innovations in a row are more than 10 sigma large at frame 10",
-    )  # fmt: skip
+    found = lost(replace(run, innovations=whitened(30, 31, 32)), INPUTS)
+    assert found == notice(Code.TEN_SIGMA, Severity.ERROR, 10, innovations=3)
     assert lost(replace(run, innovations=whitened(30, 31, 33, 34)), INPUTS) is None
     assert lost(replace(run, innovations=whitened(30, 31, 32, size=9.9)), INPUTS) is None
     # what was not used stands between

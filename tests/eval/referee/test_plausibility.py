@@ -9,6 +9,7 @@ import pytest
 
 from data.inputs import Increments, Inputs, LabelledObservations, LandmarkMap, Observations, Prior
 from data.logs import open_log
+from data.notice import Code, notice, stopped
 from data.result import DISCARD, Failure, MapEstimate, Trajectory
 from data.sensors import Line, RangeBearing
 from eval.compare import compare
@@ -41,14 +42,15 @@ def test_innovations_ten_times_as_large_as_claimed_are_implausible():
     marked = with_doubt(replace(smoother(), total_nis=(1.01 * ABSURD * 8, 8)), INPUTS)
     assert marked.status == "implausible"
     assert marked.flaw == marked.doubt
-    assert "NIS per degree of freedom is 101 " in marked.doubt.why
+    assert marked.doubt.notice.code is Code.NIS
+    assert marked.doubt.notice.named["per_dof"] == pytest.approx(101.0)
 
 
 def test_a_cost_of_twice_the_expected_is_said_and_still_ok():
     assert list(suspicions(replace(smoother(), total_nis=(16.0, 8)), INPUTS)) == []
     (run,) = judged([replace(smoother(), total_nis=(20.0, 8))], INPUTS)
     assert run.status == "ok"
-    assert run.notes[-1].startswith("its cost is 2.5 per degree of freedom where 1 is expected")
+    assert run.notes[-1] == notice(Code.COST, per_dof=2.5)
 
 
 def test_labels_left_out_by_the_gate_are_said_from_a_tenth_on():
@@ -61,7 +63,7 @@ def test_labels_left_out_by_the_gate_are_said_from_a_tenth_on():
     assert list(suspicions(run, inputs)) == []
     final[: m // 2] = DISCARD
     (said,) = suspicions(replace(run, final_decisions=final), inputs)
-    assert said.startswith("50% of the labelled readings were left out")
+    assert (said.code, said.named["share"]) == (Code.LABELS_LEFT_OUT, pytest.approx(0.5, abs=0.01))
 
 
 def test_the_frame_is_the_first_that_does_not_fit():
@@ -86,7 +88,7 @@ def test_a_landmark_where_the_sensor_cannot_have_seen_it_is_implausible():
     seen = sight(INPUTS)
     assert 16.0 < seen < 18.0  # twice the range of 8 m, and noise
     beyond = [4.0 + seen + 1.0, 0.0]  # of the first poses, which saw it
-    assert "where the sensor cannot have seen it" in with_doubt(with_map(smoother(), beyond), INPUTS).doubt.why
+    assert with_doubt(with_map(smoother(), beyond), INPUTS).doubt.notice.code is Code.LANDMARKS_UNSEEN
     assert with_doubt(with_map(smoother(), [4.0 + seen - 1.0, 0.0]), INPUTS).doubt is None
     # where a filter's landmark was seen from is known only as it was believed then
     assert with_doubt(with_map(run_with_error(np.zeros(3)), beyond), INPUTS).doubt is None
@@ -100,7 +102,8 @@ def test_a_doubt_larger_than_the_world_is_implausible():
     )):  # fmt: skip
         marked = with_doubt(run, INPUTS)
         assert marked.status == "implausible"
-        assert "is claimed to 1000 m" in marked.doubt.why
+        assert marked.doubt.notice.code is Code.COVARIANCE_TOO_LARGE
+        assert marked.doubt.notice.named["sigma"] == pytest.approx(1000.0)
 
 
 def test_who_knows_as_little_as_dead_reckoning_is_not_implausible():
@@ -114,9 +117,9 @@ def test_who_knows_as_little_as_dead_reckoning_is_not_implausible():
 
 
 def test_a_failure_comes_first():
-    failed = run_with_error(np.zeros(3), failure=Failure("diverged", 3, "NaN"))
+    failed = run_with_error(np.zeros(3), failure=Failure("diverged", 3, stopped("NaN")))
     assert with_doubt(failed, INPUTS) is failed
-    both = replace(failed, doubt=Failure("implausible", 0, "x"))
+    both = replace(failed, doubt=Failure("implausible", 0, stopped("x")))
     assert (both.status, both.flaw) == ("diverged", failed.failure)
 
 
@@ -173,4 +176,5 @@ def test_a_robot_may_be_where_it_can_have_driven_and_a_lost_one_as_far_off_as_it
         found = with_doubt(run, inputs).doubt
         assert (found is not None) == doubtful
     assert found.frame == 20
-    assert found.why == f"the final path is {away:.3g} m from its start, {reach:.3g} m were driven at most"
+    assert found.notice.code is Code.PATH_TOO_FAR
+    assert found.notice.named == pytest.approx({"phase": "final", "away": away, "driven": reach})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from data.inputs import Increments, Inputs, LabelledObservations, LandmarkMap, Prior
+from data.notice import Code
 from data.result import DISCARD, NEW
 from data.sensors import RangeBearing
 from eval.referee.score import confusion_of
@@ -113,7 +114,8 @@ def test_parked_landmarks_come_back_and_nothing_is_lost(lab):
     np.testing.assert_allclose(run.online.pose, whole.online.pose, atol=1e-9)
     np.testing.assert_allclose(run.online.covariance, whole.online.covariance, atol=1e-11)
     np.testing.assert_allclose(run.map.xy, whole.map.xy, atol=1e-9)
-    assert "taken back" in run.notes[0]
+    assert run.notes[0].code is Code.PARKED
+    assert run.notes[0].named["restored"] > 0
 
 
 def test_parked_landmarks_are_candidates_again_when_they_may_be_seen(lab):

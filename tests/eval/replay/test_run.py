@@ -11,6 +11,7 @@ import pytest
 from association.decide import METHODS
 from data.errors import UsageError
 from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
+from data.notice import Code, Severity, notice
 from data.result import DISCARD, NEW
 from data.sensors import RangeBearing
 from data.worlds.arena import Arena, simulate
@@ -64,10 +65,10 @@ def test_a_batch_takes_the_decisions_of_isam2_or_of_the_filter_if_there_is_no_is
     inputs = slam(lab, labels=True)
     _, isam2, batch = compare(inputs, "slam", ["ekf", "isam2", "batch"], "nn")
     np.testing.assert_array_equal(batch.final_decisions, isam2.final_decisions)
-    assert batch.notes[0] == "decisions made by isam2"
+    assert batch.notes[0] == notice(Code.DECIDED_BY, Severity.INFO, front="isam2")
     ekf, alone = compare(inputs, "slam", ["ekf", "batch"], "nn")
     np.testing.assert_array_equal(alone.decisions, ekf.decisions)
-    assert alone.notes[0] == "decisions made by ekf"
+    assert alone.notes[0] == notice(Code.DECIDED_BY, Severity.INFO, front="ekf")
     assert not np.array_equal(ekf.decisions, isam2.decisions)
 
 
@@ -133,7 +134,7 @@ def test_a_search_out_of_budget_is_told(lab, monkeypatch):
         replay.FrontEnd, "decide", lambda self, e, method=None: real(self, e, method)._replace(complete=False)
     )
     run = step_by_step("ekf", slam(lab), "slam", "jcbb")
-    assert "ran out of its 50000 nodes in 44 frames" in run.notes[0]
+    assert run.notes[0] == notice(Code.OUT_OF_NODES, method="jcbb", nodes=50000, frames=44)
 
 
 def test_a_singular_innovation_covariance_is_a_failure_with_frame_and_reason(lab):

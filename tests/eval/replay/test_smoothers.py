@@ -7,6 +7,7 @@ import pytest
 
 from association.decide import known_decisions
 from data.logs import open_log
+from data.notice import Code
 from data.result import DISCARD, NEW
 from data.worlds.arena import Arena, simulate
 from eval.referee import errors
@@ -99,7 +100,7 @@ def test_gnc_discards_what_is_wrong_and_its_path_is_as_good_as_without_it(clean,
         before, after = (confusion_of(gnc, wrong, phase) for phase in ("online", "final"))
         assert after.fp < 0.1 * before.fp
         assert after.tp > 0.9 * before.tp
-    assert "were rejected" in " ".join(gnc.notes)
+    assert Code.SIGHTINGS_REJECTED in [note.code for note in gnc.notes]
     assert (gnc.final_decisions[gnc.decisions == DISCARD] == DISCARD).all()
 
 

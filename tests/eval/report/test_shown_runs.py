@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from data.notice import stopped
 from data.result import Failure
 from eval.referee.score import Trial
 from eval.report.shown_runs import associations, for_growth, for_map, for_panels, left_out, worst
@@ -49,8 +50,8 @@ def test_a_map_with_several_associations_shows_a_smoother_with_its_final_path_on
 
 def test_the_worst_is_the_one_furthest_from_the_true_path_that_got_to_the_end():
     assert worst(LAB) is OTHERS[0]
-    stopped = run("ekf", "ml", 9.0, failure=Failure("diverged", 3, "lost"))
-    assert worst(Trial(LAB.log, "slam", (*LAB.runs, stopped))) is OTHERS[0]
+    halted = run("ekf", "ml", 9.0, failure=Failure("diverged", 3, stopped("lost")))
+    assert worst(Trial(LAB.log, "slam", (*LAB.runs, halted))) is OTHERS[0]
     assert worst(Trial(circle_log(truth=False), "slam", LAB.runs)) is None
     assert worst(Trial(LAB.log, "slam", tuple(KNOWN))) is None
 

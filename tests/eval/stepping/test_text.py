@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from data.logs import open_log
+from data.notice import stopped
 from data.truth import UNKNOWN_ID, Truth
 from data.worlds.arena import Arena, simulate
 from eval.referee.confusion import confuse
@@ -166,8 +167,8 @@ def test_a_run_that_stopped_says_where_and_tells_no_step_after_it():
     run = step_by_step("ekf", log.recorded, "localization", "nn")
     from data.result import Failure
 
-    stopped = dataclasses.replace(run, failure=Failure("diverged", 3, "no reason"))
-    text = run_text(log, stopped)
+    halted = dataclasses.replace(run, failure=Failure("diverged", 3, stopped("no reason")))
+    text = run_text(log, halted)
     assert "step 2:" in text
     assert "step 3:" not in text
     assert "diverged at frame 3: no reason" in text

@@ -13,6 +13,7 @@ from data.errors import UsageError
 from data.inputs import CLUTTER, Prior
 from data.log import shortened
 from data.logs import open_log
+from data.notice import stopped
 from data.result import Failure
 from eval.replay.run import compare
 from eval.replay.settings import Setup
@@ -112,7 +113,7 @@ def test_what_cannot_have_twins_is_a_sentence():
     log, runs, _ = made()
     with pytest.raises(UsageError, match="5 frames, at least 10"):
         source_of(shortened(log, 5), runs[-1], ("ekf",), Setup())
-    failed = replace(runs[-1], failure=Failure("diverged", 0, "landmark 3 is not determined"))
+    failed = replace(runs[-1], failure=Failure("diverged", 0, stopped("landmark 3 is not determined")))
     with pytest.raises(UsageError, match=r"failed .landmark 3 is not determined"):
         source_of(log, failed, ("ekf",), Setup())
 

@@ -18,13 +18,13 @@ from threadpoolctl import threadpool_limits
 
 from association.decide import HINDSIGHT
 from data.log import Log
+from data.notice import Code
 from data.result import Run
 from data.worlds.registry import named_log
 from eval.referee.errors import position_distance, rms
 from eval.referee.plausibility import judged
 from eval.referee.score import confusion_of
 from eval.replay.frontend import FrontEnd
-from eval.replay.hindsight.lost import CONCLUSION
 from eval.replay.recorder import Nobody
 from eval.replay.run import step_by_step
 from tests.research.variety.worlds import draw, log_of
@@ -94,7 +94,7 @@ def measure(log: Log, index: int, world: str, method: str, limit: float = LIMIT)
         return Row(index, method, world, *size, math.nan, 0, 0, 0, time.perf_counter() - begin, SLOW)
     seconds = time.perf_counter() - begin
     (run,) = judged([run], inputs)
-    said = any(CONCLUSION in note for note in run.notes)
+    said = any(note.code in (Code.MAPPED_ANEW, Code.RETRACTED) for note in run.notes)
     return Row(index, method, world, *size, *_scores(run, log), seconds, run.status, int(said))
 
 

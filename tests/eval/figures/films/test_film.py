@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from data.errors import SlamrefError
+from data.notice import stopped
 from data.result import Failure
 from eval.figures.film import AT_THE_END, HEADER, History, animate, at_the_end, bgr, canvas_of
 from eval.figures.plane import View
@@ -110,8 +111,8 @@ def test_metres_fall_on_pixels_with_one_scale_and_y_upward():
 @pytest.mark.parametrize("phase", ["online", "final"])
 @pytest.mark.parametrize("truth", [True, False])
 def test_any_phase_is_filmed_with_and_without_truth_and_after_a_failure(tmp_path, phase, truth):
-    stopped = Failure("diverged", 3, "covariance not positive semidefinite")
-    run = run_with_error(np.zeros(3), phases=(phase,), failure=stopped, mapped=truth)
+    halted = Failure("diverged", 3, stopped("covariance not positive semidefinite"))
+    run = run_with_error(np.zeros(3), phases=(phase,), failure=halted, mapped=truth)
     log = circle_log(truth=truth, landmarks=truth, known_map=not truth)
     animate(log, run, tmp_path / "film.webm", speed=ENDS)
     assert len(frames_of(tmp_path / "film.webm")) == 2

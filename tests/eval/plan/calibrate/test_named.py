@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from data.notice import stopped
 from data.result import Failure
 from data.worlds.registry import named_log
 from eval.plan.calibrate import every, hypotheses, named, names_of, plainly, turned, wanders
@@ -96,7 +97,7 @@ def test_what_one_log_in_twenty_shows_by_chance_is_not_named(monkeypatch):
 def test_without_a_smoother_nothing_is_named():
     log = named_log("arena:0:frames=20")
     (run,) = compare(log.inputs(labels=True), "localization", ("dead-reckoning",))
-    assert names_of(log.inputs(), replace(run, failure=Failure("diverged", 3, "no"))) == ()
+    assert names_of(log.inputs(), replace(run, failure=Failure("diverged", 3, stopped("no")))) == ()
 
 
 def test_nothing_is_asked_of_turns_that_are_noise():

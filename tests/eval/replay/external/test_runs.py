@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import slamref
+from data.notice import Code, notice
 from data.worlds.arena import Arena, simulate
 from eval.replay.run import compare, step_by_step
 from eval.replay.settings import Setup
@@ -66,7 +67,7 @@ def test_the_least_that_an_estimator_can_be_runs_with_labels():
         np.testing.assert_allclose(run.online.pose, path.online.pose, atol=1e-12)
         assert run.status == "ok"
         assert np.isnan(run.online.covariance).all()
-        assert any("gives no covariance" in note for note in run.notes)
+        assert notice(Code.NO_COVARIANCE, name="Bare") in run.notes
         (refused,) = compare(LABELLED, task, [things.Bare], "nn")
         assert (refused.status, refused.failure.frame) == ("incomplete", 0)
         assert "Bare has no `expect`" in refused.failure.why

@@ -9,6 +9,7 @@ import pytest
 
 from association.expectation import Expectation
 from data.inputs import Frame, Increment, Sightings
+from data.notice import Code, Severity, notice
 from data.result import DISCARD, NEW, Updated
 from data.sensors import RelativePoint
 from eval.replay.hindsight import constants
@@ -222,10 +223,10 @@ def test_the_ledgers_notes_count_what_was_undone_and_what_was_made_instead():
     ledger = Robot().sees(NEW, NEW).sees(0, 1).sees(NEW).sees(2).ledger
     assert ledger.notes() == ledger.merge_notes() == []
     ledger.merge([(2, 0)])
-    assert ledger.notes() == ["1 pairing was undone in hindsight, 2 made instead"]
-    assert ledger.merge_notes() == ["1 landmark turned out to have been initialized before (first in frame 3)"]
+    assert ledger.notes() == [notice(Code.REVISED, Severity.INFO, undone=1, again=2)]
+    assert ledger.merge_notes() == [notice(Code.MERGED, Severity.INFO, landmarks=1, first=3)]
     ledger._retract({1: "moved"})
-    assert ledger.notes() == ["2 pairings were undone in hindsight, 2 made instead"]
+    assert ledger.notes() == [notice(Code.REVISED, Severity.INFO, undone=2, again=2)]
 
 
 def replacing(ledger, decisions, missing):

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from data.notice import Code, notice
 from data.worlds.registry import named_log
 from eval.replay.hindsight.ledger import Ledger
-from eval.replay.hindsight.lost import CONCLUSION, WORDS, Lost, Suspicion
+from eval.replay.hindsight.lost import Lost, Suspicion
 from eval.replay.run import compare, step_by_step
 from tests.research.variety.goals import table
 from tests.research.variety.measure import measure
@@ -19,34 +19,35 @@ from tests.research.variety.worlds import draw, log_of
 
 def said(log):
     run = step_by_step("ekf", log.inputs().without_map(), "slam", "jcbb-hindsight")
-    return [note for note in run.notes if WORDS in note]
+    return [note for note in run.notes if note.code is Code.MAPPED_ANEW]
 
 
 @pytest.mark.parametrize("index", [160, pytest.param(70, marks=pytest.mark.slow)])
 def test_a_corridor_that_is_mapped_several_times_is_said_to_be(index):
     # odometry stated at a quarter, among people; RMSE is more than twice that of labels
     (note,) = said(log_of(draw(index)))
-    assert re.match(rf"from frame \d+ on {WORDS}", note)
+    assert note.frame >= 0
+    assert note.named == {"over": None}
 
 
 @pytest.mark.parametrize("name", ["corridor:0", "corridor:0:people", "arena:0:frames=150"])
 def test_where_all_is_well_nothing_is_said(name):
     run = step_by_step("ekf", named_log(name).inputs().without_map(), "slam", "jcbb-hindsight")
-    assert not any(CONCLUSION in note for note in run.notes)
+    assert not {Code.MAPPED_ANEW, Code.RETRACTED} & {note.code for note in run.notes}
 
 
 def test_a_map_most_of_which_was_not_found_again_is_said_to_be_no_map():
     # odometry stated at twice what it is, among people: the corridor is mapped anew on every lap
     run = step_by_step("ekf", log_of(draw(88)).inputs().without_map(), "slam", "jcbb-hindsight")
-    (note,) = [note for note in run.notes if "retracted" in note and CONCLUSION in note]
-    assert re.match(r"\d+ of \d+ landmarks that were read often were missed too often in the end", note)
+    (note,) = [note for note in run.notes if note.code is Code.RETRACTED]
+    assert 0 < note.named["gone"] <= note.named["often"]
 
 
 @pytest.mark.parametrize(
     ("often", "retracted", "share"),
     [
         ([1, 2, 3, 4], [3, 4, 5, 6], None),
-        ([1, 2, 3, 4], [2, 3, 4], "3 of 4"),
+        ([1, 2, 3, 4], [2, 3, 4], {"gone": 3, "often": 4}),
         ([1, 2, 3], [1, 2, 3], None),
         ([], [7], None),
     ],
@@ -54,7 +55,7 @@ def test_a_map_most_of_which_was_not_found_again_is_said_to_be_no_map():
 def test_more_than_half_of_what_was_read_often_must_go(often, retracted, share):
     lost = Lost(Ledger(named_log("corridor:0").recorded.sensor))
     lost.end(often, np.array(retracted))
-    assert [note[:6] for note in lost.notes()] == ([] if share is None else [share])
+    assert [note.named for note in lost.notes()] == ([] if share is None else [share])
 
 
 def test_a_sensor_that_misses_half_of_what_is_there_is_not_lost():
@@ -71,7 +72,7 @@ def test_the_benchmark_counts_who_said_it():
 @pytest.mark.slow
 def test_without_odometry_it_is_said_what_the_path_hangs_on():
     (run,) = compare(named_log("corridor:0:no-odometry").inputs(), "slam", ["ekf"], "jcbb-hindsight")
-    assert any("nothing tells one place from the next" in note for note in run.notes)
+    assert [note.named["mostly"] for note in run.notes if note.code is Code.PLACED] == [True]
 
 
 def test_before_the_first_frame_there_is_nothing_to_say():
@@ -109,11 +110,9 @@ def test_frames_from_one_place_are_one():
 def test_it_is_said_from_when_to_when():
     looked = Looked()
     looked.lost.suspicion = Suspicion(alarm=12, over=40)
-    assert looked.lost.notes() == [
-        f"from frame 12 to 40 {WORDS}: the robot was lost, or maps places anew, and path and map are not to be trusted"
-    ]
+    assert looked.lost.notes() == [notice(Code.MAPPED_ANEW, frame=12, over=40)]
     for alarm in (0, 3):
         looked.lost.suspicion = Suspicion(alarm=alarm)
-        assert looked.lost.notes()[0].startswith(f"from frame {alarm} on {WORDS}")
+        assert looked.lost.notes() == [notice(Code.MAPPED_ANEW, frame=alarm, over=None)]
     looked.lost.suspicion = Suspicion(score=6.0)
     assert looked.lost.notes() == []

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
 from association.decide import HINDSIGHT
 from data.inputs import Frame, Increment, Sightings
+from data.notice import Code, notice
 from data.sensors import RangeBearing
 from data.worlds.registry import named_log
 from eval.replay.hindsight.mapper import HindsightMapper
@@ -37,9 +36,8 @@ def test_understated_noise_is_restated_where_it_is():
         last = restated.see(frame)
     assert np.sqrt(last.sightings.R[:, 0, 0]) == pytest.approx(0.08, rel=0.2)
     assert np.sqrt(last.sightings.R[:, 1, 1]) == pytest.approx(0.01)
-    assert restated.notes() == [
-        f"sigmas are larger than stated, and were decided with so: range {math.sqrt(restated.shares.range):.1f} times"
-    ]
+    factor = restated.shares.range**0.5
+    assert restated.notes() == [notice(Code.LARGER_SIGMAS, of=("range",), factors=(factor,))]
 
 
 @pytest.mark.parametrize("times", [0.1, 1.0, 1.4])
@@ -106,4 +104,4 @@ def test_the_decider_gets_readings_with_the_noise_that_there_is(monkeypatch):
 def test_an_honest_log_is_decided_as_before():
     log = named_log("arena:0:frames=60")
     run = step_by_step("ekf", log.inputs().without_map(), "slam", HINDSIGHT)
-    assert not any("larger than stated" in note for note in run.notes)
+    assert Code.LARGER_SIGMAS not in [note.code for note in run.notes]

@@ -10,6 +10,7 @@ import pytest
 from association.expectation import gate_threshold
 from association.truncated import truncated_square
 from data.inputs import Frame, Increment, Increments, Inputs, Observations, Prior, Sightings, Systematic
+from data.notice import Code, Severity, notice
 from data.result import DISCARD, NEW, MapState, revised
 from data.se2 import compose
 from data.sensors import RangeBearing
@@ -107,7 +108,7 @@ def test_a_landmark_is_known_by_what_it_begins_with_in_the_end_and_at_first_if_i
 def test_how_much_was_decided_anew_is_said(crowded):
     run = crowded[1][0]
     anew = {e.observation for e in run.events if e.why == PAIRED_ANEW}
-    assert f"{len(anew)} decisions made anew at the end, on the smoothed path" in run.notes
+    assert notice(Code.DECIDED_ANEW, Severity.INFO, decisions=len(anew)) in run.notes
 
 
 def test_a_path_that_cannot_be_smoothed_leaves_decisions_as_they_are_and_says_so(monkeypatch):
@@ -120,7 +121,7 @@ def test_a_path_that_cannot_be_smoothed_leaves_decisions_as_they_are_and_says_so
     monkeypatch.setattr(whole_log, "smooth", fails)
     run = step_by_step("ekf", inputs, "slam", METHOD)
     assert all(e.why != PAIRED_ANEW for e in run.events)
-    assert "nothing was paired anew at the end: landmark 3 hangs in the air" in run.notes
+    assert notice(Code.NOTHING_ANEW, text="landmark 3 hangs in the air") in run.notes
 
 
 def test_the_nis_to_expect_in_the_end_is_what_the_gate_of_the_last_decisions_leaves(monkeypatch):
@@ -145,7 +146,7 @@ def test_a_motion_known_exactly_is_nothing_to_a_smoother_and_the_filter_goes_on(
         "ekf", replace(inputs, increments=Increments(inputs.increments.mean, covariance)), "slam", METHOD
     )
     assert run.failure is None
-    assert any(note.startswith("nothing was paired anew at the end: ") for note in run.notes)
+    assert Code.NOTHING_ANEW in [note.code for note in run.notes]
     assert all(e.why != PAIRED_ANEW for e in run.events)
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from data.notice import stopped
 from data.result import Failure
 from eval.report.diagnostics import two_minima
 from tests.eval.handmade import run_with_error
@@ -35,4 +36,4 @@ def test_other_decisions_are_another_problem_and_failures_solve_none():
     assert not two_minima(batch, replace(other, final_decisions=np.array([-1, 0, 0, -2])))
     assert not two_minima(batch, replace(other, total_nis=(90.0, 98)))
     assert not two_minima(batch, replace(other, total_nis=None))
-    assert not two_minima(batch, replace(other, failure=Failure("diverged", 0, "")))
+    assert not two_minima(batch, replace(other, failure=Failure("diverged", 0, stopped(""))))

@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from data.inputs import Observations
+from data.notice import stopped
 from data.result import Failure, Innovations
 from eval.referee.score import Trial
 from eval.report.diagnostics import origin_statement
 from tests.eval.handmade import FRAMES, circle_log, run_with_error
 
 LOG = circle_log()
-DOUBT = Failure("implausible", 0, "why")
+DOUBT = Failure("implausible", 0, stopped("why"))
 
 
 def innovative(frame):

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from data.notice import stopped
 from data.result import Failure
 from eval.plan.flags.options import read_options
 from eval.plan.unfinished import Unfinished
@@ -78,8 +79,8 @@ def test_jcbb_first_is_the_lab_s_jcbb_and_jcbb_stands_for_it_where_it_was_not_ru
 
 def test_a_run_that_did_not_get_to_its_end_is_said_and_no_picture_of_it_is_asked_for(tmp_path):
     given = trials()
-    stopped = replace(given[0].runs[1], failure=Failure("diverged", 3, "made up"))
-    given[0] = replace(given[0], runs=(given[0].runs[0], stopped, *given[0].runs[2:]))
+    halted = replace(given[0].runs[1], failure=Failure("diverged", 3, stopped("made up")))
+    given[0] = replace(given[0], runs=(given[0].runs[0], halted, *given[0].runs[2:]))
     sections = answered(tmp_path, given)
     assert "did not get to its end" in sections[0].blocks[0]
     assert "Failures says where" in sections[0].blocks[-1]

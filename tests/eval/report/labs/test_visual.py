@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
+from data.notice import stopped
 from data.result import Failure, Trajectory
 from eval.plan.flags.options import Options
 from eval.referee.score import Trial
@@ -21,7 +22,7 @@ from tests.eval.report.visual.handmade import evidence
 
 RISING = np.outer(np.linspace(0.0, 1.0, FRAMES), [0.6, 0.8, 0.0])
 """From nothing to 1 m off."""
-FAILED = Failure("diverged", 15, "made up")
+FAILED = Failure("diverged", 15, stopped("made up"))
 
 
 @pytest.fixture

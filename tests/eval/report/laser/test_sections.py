@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from association.scans.constraints import SCAN, Chain, LaserRun, Loops
+from data.notice import stopped
 from data.result import Failure
 from data.truth import Relations
 from eval.plan.flags.options import Options
@@ -25,7 +26,7 @@ LOOPS = Loops(
     np.array([0, 0, 1, 1]), np.array([7, 6, 7, 5]), np.zeros((4, 3)), np.tile(np.eye(3), (4, 1, 1)), np.ones(4),
     np.array([7, 6, 7, -1]),
 )  # fmt: skip
-STOPPED = Failure("diverged", 5, "made up")
+STOPPED = Failure("diverged", 5, stopped("made up"))
 SIDE = np.array([0.0, 1.0, 0.0])
 
 

@@ -6,11 +6,11 @@ import pytest
 from jinja2 import UndefinedError
 
 from data.notice import Code, Severity, notice
-from eval.report.words import NOTICES, environment, sentence
+from data.words import NOTICES, environment, sentence
 
 
 def test_every_code_has_its_words_and_nothing_else_has():
-    macros = {name for name in vars(environment().get_template(NOTICES).module) if not name.startswith("_")}
+    macros = {name for name in vars(environment("data").get_template(NOTICES).module) if not name.startswith("_")}
     assert macros == {code.replace("-", "_") for code in Code}
 
 
