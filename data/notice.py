@@ -92,6 +92,7 @@ class Code(StrEnum):
     STOPPED = "stopped"
     FRONT_END_STOPPED = "front-end-stopped"
     OUT_OF_MEMORY = "out-of-memory"
+    # of what a log says about itself, and its twins
     EXACT_PRIOR = "exact-prior"
     NOT_MEASURED = "not-measured"
     NOT_MEASURED_ON_TWINS = "not-measured-on-twins"
