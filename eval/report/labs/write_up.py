@@ -1,146 +1,140 @@
 """`write-up.tex`: the report's tables and figures as a text to go on from, one page per answer and per log.
 
 It is compiled in the result folder (`pdflatex write-up.tex`, twice for the numbers of tables), with packages that
-come with every TeX.
+come with every TeX. The words and the LaTeX around them are `templates/write_up.tex.j2`.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+
+from jinja2 import Template
+from markdown_it import MarkdownIt
+from markdown_it.token import Token
 
 from eval.figures.paper import tex_escape
 from eval.referee.score import Scores, Trial
 from eval.report.names import stem
-from eval.report.page.blocks import Film
-from eval.report.page.document import Block, Folded, Formula, Overview, Picture, Section, Table
+from eval.report.page.document import Picture, Section
 from eval.report.rows import rows_of, value_of
+from eval.report.words import environment
 
-PREAMBLE = r"""% Made by eval.run_all --write-up. In this folder: pdflatex write-up.tex
-\documentclass[10pt]{article}
-\usepackage[T1]{fontenc}
-\usepackage[utf8]{inputenc}
-\IfFileExists{lmodern.sty}{\usepackage{lmodern}}{}
-\usepackage{amsmath,array,booktabs,graphicx}
-\usepackage[a4paper,hmargin=14mm,vmargin=18mm]{geometry} % tables are up to 516 pt wide
-\setlength{\parindent}{0pt}
-\setlength{\parskip}{4pt}
-\makeatletter
-% tables stand where they are input, and never float to another page
-\renewenvironment{table}[1][]{\par\begin{minipage}{\linewidth}\def\@captype{table}}{\end{minipage}\par\medskip}
-\renewenvironment{table*}[1][]{\begin{table}}{\end{table}}
-\renewcommand{\@makecaption}[2]{{\footnotesize #1: #2\par}\smallskip}
-% a page is shrunk if it would be more than one
-\newsavebox{\onepage}
-\newenvironment{page}[1]{\begin{lrbox}{\onepage}\begin{minipage}[b]{\textwidth}\setlength{\parskip}{4pt}%
-  {\large\bfseries #1\par}\medskip}{\end{minipage}\end{lrbox}%
-  \ifdim\dimexpr\ht\onepage+\dp\onepage\relax>\textheight
-    \centerline{\resizebox*{!}{0.98\textheight}{\usebox{\onepage}}}%
-  \else\usebox{\onepage}\fi\clearpage}
-\newcommand{\beside}[3]{\begin{minipage}[t]{#1\linewidth}\def\@captype{figure}\centering
-  \includegraphics[width=\linewidth,height=#2\textheight,keepaspectratio]{#3}\end{minipage}}
-\makeatother
-\begin{document}
-"""
-END = "\\end{document}\n"
-LETTERS = {
-    "ω": r"$\omega$", "φ": r"$\varphi$", "ψ": r"$\psi$", "Δ": r"$\Delta$", "ν": r"$\nu$", "π": r"$\pi$",
-    "→": r"$\to$", "’": "'", "“": "``", "”": "''",
-}  # fmt: skip
-KINDS = ("map", "error")
-"""Pictures of a log's page, beside each other."""
+OTHERS = (r"$\omega$", r"$\varphi$", r"$\psi$", r"$\Delta$", r"$\pi$", r"$\to$", "'", "``", "''")
+LETTERS = dict(zip("ωφψΔπ→’“”", OTHERS, strict=True))
+"""What `tex_escape` leaves as it is."""
+MARKS = {
+    "strong_open": r"\textbf{",
+    "strong_close": "}",
+    "em_open": r"\emph{",
+    "em_close": "}",
+    "softbreak": "\n",
+    "hardbreak": "\\\\\n",
+}
+"""Tokens of Markdown that are no text, in LaTeX."""
+KINDS = ("map", "error", "difference")
+"""Pictures of a log's page, the first two there are beside each other."""
+
+
+@dataclass(frozen=True)
+class Best:
+    """The run with the least position RMSE [m] of a phase."""
+
+    phase: str
+    rmse: float
+    estimator: str
+    association: str
+
+
+@dataclass(frozen=True)
+class LogPage:
+    """The page of a log and task: how much it holds, who is nearest to the truth, stems of tables and figures."""
+
+    log: str
+    task: str
+    frames: int
+    observations: int
+    best: tuple[Best, ...]
+    tables: tuple[str, ...]
+    pictures: tuple[str, ...]
+    captions: tuple[str, ...]
+
+    @property
+    def width(self) -> float:
+        """Of a figure, as a share of the line."""
+        return min(0.98 / max(len(self.pictures), 1) - 0.01, 0.6)
 
 
 def tex(markdown: str) -> str:
-    """A paragraph of the report in LaTeX: code, bold and links as they are meant."""
-    text = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", markdown)
-    parts = re.split(r"(`[^`]*`|\*\*)", text)
-    out, bold = [], False
-    for part in parts:
-        if part == "**":
-            out.append("}" if bold else r"\textbf{")
-            bold = not bold
-        elif part.startswith("`"):
-            out.append(r"\texttt{" + _escaped(part.strip("`")) + "}")
-        else:
-            out.append(_escaped(part))
-    return "".join(out) + "}" * bold
+    """Markdown in LaTeX, paragraphs and items of lists parted by empty lines; of links the text."""
+    tokens = MarkdownIt("commonmark", {"html": False}).parse(markdown)
+    return "\n\n".join("".join(map(_inline, t.children or ())) for t in tokens if t.type == "inline")
 
 
-def _escaped(text: str) -> str:
+def _inline(token: Token) -> str:
+    text = plain(token.content)
+    return rf"\texttt{{{text}}}" if token.type == "code_inline" else MARKS.get(token.type, text)
+
+
+def plain(text: str) -> str:
+    """A text as LaTeX prints it."""
     return "".join(LETTERS.get(c, tex_escape(c)) for c in text)
+
+
+@cache
+def _template() -> Template:
+    """With delimiters that are nothing to LaTeX."""
+    made = environment().overlay(
+        block_start_string="<%",
+        block_end_string="%>",
+        variable_start_string="<<",
+        variable_end_string=">>",
+        comment_start_string="<#",
+        comment_end_string="#>",
+    )
+    made.filters = made.filters | {"tex": tex, "plain": plain, "kind": lambda block: type(block).__name__}
+    return made.get_template("write_up.tex.j2")
 
 
 def write_up(
     folder: Path, trials: Sequence[Trial], scores: Scores, answers: Sequence[Section], sections: Sequence[Section]
 ) -> None:
     """Write the file: a page for each answer of a lab, then one for each log and task with its tables and figures."""
-    pages = [_answer(section) for section in answers]
-    pages += [_log(folder, trial, scores, sections) for trial in trials if trial.beside is None]
-    if (folder / "tables" / "notes.tex").exists():
-        pages.append(_page("What the tables mean", [r"\footnotesize\input{tables/notes.tex}"]))
-    text = PREAMBLE + "\n".join(pages) + END
+    logs = [log_page(folder, trial, scores, sections) for trial in trials if trial.beside is None]
+    notes = (folder / "tables" / "notes.tex").exists()
+    text = _template().render(answers=answers, logs=logs, notes=notes).strip() + "\n"
     (folder / "write-up.tex").write_text(text, encoding="utf-8", newline="\n")
 
 
-def _page(title: str, body: Sequence[str]) -> str:
-    return "\n".join([f"\\begin{{page}}{{{_escaped(title)}}}", *(part for part in body if part), "\\end{page}\n"])
-
-
-def _answer(section: Section) -> str:
-    return _page(section.heading, [_block(block) for block in section.blocks])
-
-
-def _block(block: Block) -> str:
-    if isinstance(block, Table):
-        return rf"\input{{tables/{block.stem}.tex}}" if block.stem else ""
-    if isinstance(block, Picture):
-        return (
-            rf"\begin{{center}}\includegraphics[width=0.92\linewidth,height=0.42\textheight,keepaspectratio]"
-            rf"{{figures/{block.stem}}}\\{{\footnotesize {tex(block.caption)}}}\end{{center}}"
-        )
-    if isinstance(block, Formula):
-        return f"\\[\n{block.latex}\n\\]"
-    if isinstance(block, Folded):
-        return "\n\n".join(_block(b) for b in block.blocks)
-    if isinstance(block, Film | Overview):  # paper shows none
-        return ""
-    lines = [line.removeprefix("* ") for line in block.split("\n")]
-    return "\n\n".join(tex(line) for line in lines if line.strip()) + "\n"
-
-
-def _log(folder: Path, trial: Trial, scores: Scores, sections: Sequence[Section]) -> str:
-    """The page of a log: a sentence, its comparison, its decisions, and map and error beside each other."""
-    shown = [k for k in (*KINDS, "difference") if (folder / "figures" / f"{stem(trial, k)}.png").exists()][:2]
-    tables = [k for k in ("comparison", "association") if (folder / "tables" / f"{stem(trial, k)}.tex").exists()]
-    width = 0.98 / max(len(shown), 1) - 0.01
-    pictures = "\\hfill\n".join(rf"\beside{{{min(width, 0.6):.3f}}}{{0.4}}{{figures/{stem(trial, k)}}}" for k in shown)
-    captions = [
-        b.caption for s in sections for b in s.blocks
-        if isinstance(b, Picture) and b.stem in {stem(trial, k) for k in shown}
-    ]  # fmt: skip
-    body = [
-        tex(_sentence(trial, scores)),
-        *(rf"\input{{tables/{stem(trial, k)}.tex}}" for k in tables),
-        pictures and pictures + r"\par",
-        *(r"{\footnotesize " + tex(c) + r"\par}" for c in captions),
-    ]
-    return _page(f"{trial.log.name}, {trial.task}", body)
-
-
-def _sentence(trial: Trial, scores: Scores) -> str:
-    """How much the log holds, and who is nearest to the truth in each phase."""
+def log_page(folder: Path, trial: Trial, scores: Scores, sections: Sequence[Section]) -> LogPage:
+    """What the page of a log shows, of the tables and figures that were written and drawn."""
     r = trial.log.recorded
-    text = f"`{trial.log.name}`: {len(r)} frames, {len(r.observations.frame)} observations."
+    shown = [s for s in (stem(trial, k) for k in KINDS) if (folder / "figures" / f"{s}.png").exists()][:2]
+    tables = [s for s in (stem(trial, k) for k in ("comparison", "association")) if _written(folder, s)]
+    pictures = [b for s in sections for b in s.blocks if isinstance(b, Picture) and b.stem in shown]
     rows = rows_of(scores.metrics[(scores.metrics["log"] == trial.log.name) & (scores.metrics["task"] == trial.task)])
-    for phase, what in (("online", "with the data up to each frame"), ("final", "with all data")):
-        known = [row for row in rows if row["phase"] == phase and value_of(row, "rmse_position_m") >= 0.0]
-        known = [row for row in known if row["status"] == "ok" and row["estimator"] != "dead-reckoning"]
-        if known:
-            best = min(known, key=lambda row: value_of(row, "rmse_position_m"))
-            text += (
-                f" Least position RMSE {what}: {value_of(best, 'rmse_position_m'):.3g} m"
-                f" ({best['estimator']}, {best['association']})."
-            )
-    return text
+    best = []
+    for phase in ("online", "final"):
+        there = [
+            Best(phase, value_of(row, "rmse_position_m"), str(row["estimator"]), str(row["association"]))
+            for row in rows
+            if row["phase"] == phase and row["status"] == "ok" and row["estimator"] != "dead-reckoning"
+        ]
+        known = [b for b in there if b.rmse >= 0.0]
+        best += [min(known, key=lambda b: b.rmse)] if known else []
+    return LogPage(
+        trial.log.name,
+        trial.task,
+        len(r),
+        len(r.observations.frame),
+        tuple(best),
+        tuple(tables),
+        tuple(shown),
+        tuple(b.caption for b in pictures),
+    )
+
+
+def _written(folder: Path, name: str) -> bool:
+    return (folder / "tables" / f"{name}.tex").exists()
