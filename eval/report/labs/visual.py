@@ -2,15 +2,13 @@
 
 The assignment asks for the motion model and the observation model with their Jacobians, and for the filter's path with
 its ellipses.
-
-The first sections of a report made with `--lab`: the lab's questions, answered in their order.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +16,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from data.log import folder_name
+from data.log import Log, folder_name
 from data.result import Run
 from data.se2 import Array, dead_reckoned
 from eval.figures.error import error_figure, longest_sigma
@@ -30,7 +28,6 @@ from eval.plan.flags.options import Options
 from eval.referee.errors import position_distance, rms
 from eval.referee.score import Trial
 from eval.report.page.document import Block, Picture, Section, written_table
-from eval.report.page.tables import number
 from eval.report.visual import (
     MOTION,
     OBSERVATION,
@@ -41,10 +38,67 @@ from eval.report.visual import (
     summary,
     tiles_of,
 )
+from eval.report.words import paragraph
 
 SHOWN = ("dead-reckoning", "ekf", "ekf-iterated", "isam2", "batch")
 FEW_TILES = 2
 """Frames in the answer; the sheet with all that were kept stands below."""
+TEMPLATE = "labs/visual"
+HEADS = ("estimator", "phase", "RMSE [m]", "largest error [m]", "σ at the end [m]")
+
+
+@dataclass(frozen=True)
+class Reckoned:
+    """Dead reckoning: m of path, and at its end m off and the largest standard deviation [m]; NaN: not known."""
+
+    length: float
+    off: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What was found in the images: pictures, in so many frames, which make so many observations of corners."""
+
+    pictures: int
+    frames: int
+    observations: int
+
+
+@dataclass(frozen=True)
+class Estimated:
+    """A run in a phase: position RMSE and largest error [m], NaN: not known; at the end the largest sigma [m]."""
+
+    estimator: str
+    phase: str
+    rmse: float
+    largest: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """Those of every estimator that got to its end."""
+
+    runs: tuple[Estimated, ...]
+
+    def _rmse(self, estimator: str, phase: str) -> float:
+        return next((r.rmse for r in self.runs if (r.estimator, r.phase) == (estimator, phase)), math.nan)
+
+    @property
+    def commands(self) -> float:
+        """Position RMSE [m] of dead reckoning."""
+        return self._rmse("dead-reckoning", "online")
+
+    @property
+    def filter(self) -> float:
+        """Of the filter."""
+        return self._rmse("ekf", "online")
+
+    @property
+    def smoother(self) -> float:
+        """Of the batch smoother."""
+        return self._rmse("batch", "final")
 
 
 def visual_hand_in(folder: Path, options: Options, trials: Sequence[Trial]) -> list[Section]:
@@ -66,117 +120,90 @@ def _run(trial: Trial, estimator: str) -> Run | None:
     return None if run is None or run.failure is not None else run
 
 
-def _formats(options: Options) -> tuple[str, ...]:
-    return ("png",) if options.quick else ("pdf", "png")
+def _off(log: Log, path: Array) -> Array:
+    """Position errors [m] of the frames with truth; empty where there is none."""
+    off = np.empty(0) if log.truth.pose is None else np.asarray(position_distance(path, log.truth.pose))
+    return off[np.isfinite(off)]
+
+
+def reckoned(trial: Trial) -> Reckoned:
+    """Dead reckoning, from its run or else from the log's own increments."""
+    r, run = trial.log.recorded, _run(trial, "dead-reckoning")
+    path = dead_reckoned(r.prior.mean, r.increments.mean) if run is None else run.trajectory("online").pose
+    off, sigma = _off(trial.log, path), None if run is None else longest_sigma(run.trajectory("online"))
+    return Reckoned(
+        float(np.hypot(*np.diff(path[:, :2], axis=0).T).sum()),
+        float(off[-1]) if len(off) else math.nan,
+        math.nan if sigma is None else float(sigma[-1]),
+    )
+
+
+def estimates(trial: Trial) -> Estimates:
+    """Errors and what is claimed, by estimator and phase."""
+    found = []
+    for run in filter(None, (_run(trial, name) for name in SHOWN)):
+        for phase in run.phases:
+            path = run.trajectory(phase)
+            off, sigma = _off(trial.log, path.pose), float(longest_sigma(path)[-1])
+            rmse, largest = (rms(off), float(off.max())) if len(off) else (math.nan, math.nan)
+            found.append(Estimated(run.estimator, phase, rmse, largest, sigma))
+    return Estimates(tuple(found))
 
 
 def _motion(folder: Path, options: Options, trial: Trial) -> Section:
-    log, run = trial.log, _run(trial, "dead-reckoning")
-    path = dead_reckoned(log.recorded.prior.mean, log.recorded.increments.mean) if run is None else _path(run)
-    length = float(np.hypot(*np.diff(path[:, :2], axis=0).T).sum())
-    said = f"Commands alone lead over {number(length)} m of path"
-    if log.truth.pose is not None and log.truth.known_poses:
-        off = position_distance(path, log.truth.pose)
-        said += f" and end {number(float(off[np.isfinite(off)][-1]))} m off"
-    if run is not None:
-        said += f", with a standard deviation of {number(float(longest_sigma(run.trajectory('online'))[-1]))} m"
-    blocks: list[Block] = [f"**{said}.**"]
+    q = reckoned(trial)
+    blocks: list[Block] = [f"**{paragraph(f'{TEMPLATE}#motion', q=q)}**"]
     if not options.no_plots:
-        blocks.append(
-            _plan(
-                folder,
-                options,
-                trial,
-                ("dead-reckoning",),
-                "lab-motion",
-                "dead reckoning alone, 3σ ellipses in their size",
-            )
-        )
-    blocks += [MOTION.formula, f"{MOTION.about} {constants(log)}"]
-    return Section("Question 1: How does the robot move, and how does its uncertainty grow?", tuple(blocks))
+        what = "dead reckoning alone, 3σ ellipses in their size"
+        blocks.append(_plan(folder, options, trial, ("dead-reckoning",), "lab-motion", what))
+    blocks += [MOTION.formula, f"{MOTION.about} {constants(trial.log)}"]
+    heading = "Question 1: How does the robot move, and how does its uncertainty grow?"
+    return Section(heading, tuple(blocks), facts=q)
 
 
 def _observation(folder: Path, options: Options, trial: Trial) -> Section:
     log = trial.log
     assert log.evidence is not None  # a log made from images
-    found = log.evidence.found
-    said = (
-        f"{len(found.frame)} pictures were found in {len(found.time)} frames, four corners each:"
-        f" {len(log.recorded.observations.frame)} observations."
-    )
-    blocks: list[Block] = [f"**{said}**"]
-    tiles = tiles_of(log.evidence)
+    found, tiles = log.evidence.found, tiles_of(log.evidence)
+    q = Seen(len(found.frame), len(found.time), len(log.recorded.observations.frame))
+    blocks: list[Block] = [f"**{paragraph(f'{TEMPLATE}#observation', q=q)}**"]
     if tiles and not options.no_plots:
-        chosen = [tiles[i] for i in np.unique(np.linspace(0, len(tiles) - 1, FEW_TILES).round().astype(int))]
+        chosen = np.unique(np.linspace(0, len(tiles) - 1, FEW_TILES).round().astype(int)).tolist()
         # images are the whole figure: as PDF it would be many times as large and show no more
-        save(
-            contact_sheet(chosen, f"{log.name}: pictures found, with their numbers"),
-            folder / "figures",
-            "lab-camera",
-            ("png",),
-        )
-        names = " and ".join(tile.name.partition(",")[0] for tile in chosen)
-        blocks.append(
-            Picture(
-                "lab-camera",
-                f"`{log.name}`: {names} with the pictures found.",
-                f"Camera images of {log.name}, corners found",
-            )
-        )
+        sheet = contact_sheet([tiles[i] for i in chosen], f"{log.name}: pictures found, with their numbers")
+        save(sheet, folder / "figures", "lab-camera", ("png",))
+        frames = " and ".join(f"frame {found.tiles[i][0]}" for i in chosen)
+        caption = f"`{log.name}`: {frames} with the pictures found."
+        blocks.append(Picture("lab-camera", caption, f"Camera images of {log.name}, corners found"))
     blocks += [
         OBSERVATION.formula,
         f"{OBSERVATION.about} {summary(statistics_of(log.evidence), found).replace('**Detections.** ', 'Found: ')}",
     ]
-    return Section("Question 2: What does the camera see of a picture's corners?", tuple(blocks))
+    return Section("Question 2: What does the camera see of a picture's corners?", tuple(blocks), facts=q)
 
 
 def _filter(folder: Path, options: Options, trial: Trial) -> Section:
-    log = trial.log
-    rows, errors = [], {}
-    for name in SHOWN:
-        run = _run(trial, name)
-        for phase in () if run is None else run.phases:
-            assert run is not None  # it has phases
-            trajectory = run.trajectory(phase)
-            row: dict[str, object] = {"estimator": name, "phase": phase}
-            if log.truth.pose is not None and log.truth.known_poses:
-                off = position_distance(trajectory.pose, log.truth.pose)
-                errors[name, phase] = rms(off)
-                row |= {"RMSE [m]": rms(off), "largest error [m]": float(np.nanmax(off))}
-            row["σ at the end [m]"] = float(longest_sigma(trajectory)[-1])
-            rows.append(row)
-    blocks: list[Block] = [f"**{_in_a_line(errors)}**"]
+    log, q, run = trial.log, estimates(trial), _run(trial, "ekf")
+    blocks: list[Block] = [f"**{paragraph(f'{TEMPLATE}#estimate', q=q)}**"]
     if not options.no_plots:
         factor = options.ellipse_factor
-        size = "in their size" if factor == 1 else "enlarged as the legend says"
-        blocks.append(
-            _plan(folder, options, trial, ("dead-reckoning", "ekf"), "lab-plan", f"3σ ellipses {size}", factor)
-        )
-        run = _run(trial, "ekf")
-        if run is not None and log.truth.pose is not None and log.truth.known_poses:
+        what = f"3σ ellipses {'in their size' if factor == 1 else 'enlarged as the legend says'}"
+        blocks.append(_plan(folder, options, trial, ("dead-reckoning", "ekf"), "lab-plan", what, factor))
+        if run is not None and log.truth.known_poses:
             save(error_figure(log, [replace(run, final=None)]), folder / "figures", "lab-error", _formats(options))
-            blocks.append(
-                Picture(
-                    "lab-error",
-                    f"`{log.name}`: the filter's error with its ±3σ.",
-                    f"Errors of the filter on {log.name}",
-                )
-            )
+            caption = f"`{log.name}`: the filter's error with its ±3σ."
+            blocks.append(Picture("lab-error", caption, f"Errors of the filter on {log.name}"))
+    table = pd.DataFrame([astuple(r) for r in q.runs], columns=list(HEADS), dtype=object)
+    if not log.truth.known_poses:
+        table = table.drop(columns=list(HEADS[2:4]))
     caption = f"{log.name}, localization: position errors without alignment, and σ along the least certain direction."
-    blocks.append(written_table(pd.DataFrame(rows, dtype=object), folder, "lab-question-3", caption, options))
+    blocks.append(written_table(table, folder, "lab-question-3", caption, options))
     blocks += [UPDATE.formula, UPDATE.about]
-    return Section("Question 3: Where was the robot, and how sure is the filter of it?", tuple(blocks))
+    return Section("Question 3: Where was the robot, and how sure is the filter of it?", tuple(blocks), facts=q)
 
 
-def _in_a_line(errors: dict[tuple[str, str], float]) -> str:
-    alone, filtered = errors.get(("dead-reckoning", "online"), math.nan), errors.get(("ekf", "online"), math.nan)
-    smoothed = errors.get(("batch", "final"), math.nan)
-    if not math.isfinite(filtered):
-        return "The log has no true path: the filter's own ellipses say how sure it is; errors are not known."
-    text = f"The filter's position RMSE is {number(filtered)} m"
-    if math.isfinite(alone):
-        text += f" where commands alone have {number(alone)} m"
-    return f"{text}{f'; smoothed {number(smoothed)} m' if math.isfinite(smoothed) else ''}."
+def _formats(options: Options) -> tuple[str, ...]:
+    return ("png",) if options.quick else ("pdf", "png")
 
 
 def _plan(
@@ -199,7 +226,3 @@ def _grown(ax: Axes, run: Run) -> list[Line2D]:
     mean, covariance = along_path(series([run])[0])
     draw_ellipses(ax, mean, covariance, "#606060", 1.0, 3.5)
     return [Line2D([], [], color="#606060", marker="o", markerfacecolor="none", linestyle="none", label="3σ ellipses")]
-
-
-def _path(run: Run) -> Array:
-    return run.trajectory(run.phases[0]).pose
