@@ -13,13 +13,13 @@ import numpy as np
 
 from data import se2
 from data.errors import UsageError
-from data.inputs import CLUTTER, Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
+from data.inputs import CLUTTER, Increments, Inputs, IntArray, LandmarkMap, Observations
 from data.log import Log
-from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances, preintegrate
 from data.se2 import Array
 from data.sensors import RangeBearing, RelativePoint, Sensor
 from data.truth import Truth
 from data.worlds.erring import Erring, as_read, check_erring, reported
+from data.worlds.parameters import check_parameters, drawn_prior, driven
 
 
 @dataclass(frozen=True)
@@ -69,22 +69,18 @@ class Arena(Erring):
 
     def __post_init__(self) -> None:
         check_erring("arena", self)
-        for name in ("landmarks", "frames"):
-            if getattr(self, name) < 1:
-                raise UsageError(f"arena: {name} = {getattr(self, name)}; at least 1 is needed")
-        for name in ("side", "period", "odometry_rate", "radius", "max_range", "field_of_view"):
-            if not getattr(self, name) > 0:
-                raise UsageError(f"arena: {name} = {getattr(self, name)}; a positive number is needed")
-        for name in ("sigma_v", "sigma_omega", "min_range", "prior_sigma", "prior_sigma_heading", "clutter"):
-            if not getattr(self, name) >= 0:
-                raise UsageError(f"arena: {name} = {getattr(self, name)}; must not be negative")
-        for name in ("sigma_range", "sigma_bearing", "sigma_point"):
-            if not getattr(self, name) > 0:
-                raise UsageError(f"arena: {name} = {getattr(self, name)}; a positive number is needed")
+        check_parameters(
+            "arena",
+            self,
+            positive=(
+                *("landmarks", "frames", "side", "period", "odometry_rate", "radius", "max_range", "field_of_view"),
+                *("sigma_range", "sigma_bearing", "sigma_point"),
+            ),
+            not_negative=("sigma_v", "sigma_omega", "min_range", "prior_sigma", "prior_sigma_heading", "clutter"),
+            choices={"sensor": ("range_bearing", "relative_point")},
+        )
         if not 0.0 <= self.detection <= 1.0:
             raise UsageError(f"arena: detection = {self.detection}; a probability is needed")
-        if self.sensor not in ("range_bearing", "relative_point"):
-            raise UsageError(f"arena: sensor {self.sensor!r}; known: range_bearing, relative_point")
 
     def model(self) -> Sensor:
         """The sensor with its field of view."""
@@ -112,12 +108,9 @@ def simulate(arena: Arena, seed: int, name: str | None = None) -> Log:
     sensor = arena.model()
     frame, z, true_id = _observe(arena, sensor, truth, landmarks, sensor_rng)
     R = np.tile(np.diag(np.square(arena.sigma())), (len(z), 1, 1))
-    sigma = np.array([arena.prior_sigma, arena.prior_sigma, arena.prior_sigma_heading])
-    prior_mean = truth[0] + sigma * prior_rng.standard_normal(3)
-    prior_mean[2] = se2.wrap_angle(prior_mean[2])
     known = LandmarkMap(np.arange(arena.landmarks), landmarks)
     inputs = Inputs(
-        Prior(prior_mean, np.diag(sigma**2)),
+        drawn_prior(truth[0], arena.prior_sigma, arena.prior_sigma_heading, prior_rng),
         frame_time,
         increments,
         Observations(frame, z, R),
@@ -139,17 +132,8 @@ def _drive(arena: Arena, frame_time: Array, rng: np.random.Generator) -> tuple[A
     time = dt * np.arange(math.ceil(frame_time[-1] / dt) + 1)
     v = np.full(len(time), arena.speed)
     omega = arena.speed / arena.radius + arena.swing * np.sin(2.0 * math.pi * time / 15.0)
-    exact = VelocityModel(VelocityNoise("density"))
-    true_increments, _ = preintegrate(exact, time, v, omega, frame_time)
-    truth = np.zeros((len(frame_time), 3))
-    for k in range(1, len(truth)):
-        truth[k] = se2.compose(truth[k - 1], true_increments.mean[k])
-    noisy_v = v + arena.sigma_v / math.sqrt(dt) * rng.standard_normal(len(time))
-    noisy_omega = omega + arena.sigma_omega / math.sqrt(dt) * rng.standard_normal(len(time))
-    model = VelocityModel(VelocityNoise("density", (arena.sigma_v, arena.sigma_omega)))
-    increments, _ = preintegrate(model, time, noisy_v, noisy_omega, frame_time)
-    covariance, floored = floor_covariances(increments.covariance, 1e-10)
-    return truth, Increments(increments.mean, covariance), floored
+    density = (arena.sigma_v, arena.sigma_omega)
+    return driven(dt, v, omega, frame_time, np.zeros(3), density, rng)
 
 
 def _observe(

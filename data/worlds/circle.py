@@ -18,13 +18,13 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 
 from data.errors import UsageError
-from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
+from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations
 from data.log import Log
 from data.motion.velocity import floor_covariances
 from data.se2 import Array, wrap_angle
 from data.sensors import RelativePoint
 from data.truth import Truth
-from data.worlds.parameters import check_parameters
+from data.worlds.parameters import check_parameters, drawn_prior
 
 _CHOICES = {
     "heading_noise": ("after", "before"),
@@ -122,10 +122,8 @@ def simulate(circle: Circle, seed: int, name: str | None = None) -> Log:
     increments, floored = _odometry(circle, odometry_rng)
     frame, ids, z = _observe(circle, truth, known.xy, sensor_rng)
     R = np.tile(circle.sigma_point**2 * np.eye(2), (len(z), 1, 1))
-    mean = truth[0] + circle.prior_sigma * prior_rng.standard_normal(3)
-    mean[2] = wrap_angle(mean[2])
     inputs = Inputs(
-        Prior(mean, circle.prior_sigma**2 * np.eye(3)),
+        drawn_prior(truth[0], circle.prior_sigma, circle.prior_sigma, prior_rng),
         circle.period * np.arange(circle.frames, dtype=np.float64),
         increments,
         Observations(frame, z, R),

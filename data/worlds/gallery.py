@@ -19,14 +19,14 @@ import numpy as np
 
 from data import se2
 from data.errors import UsageError
-from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior, read_only
+from data.inputs import Increments, Inputs, LandmarkMap, Observations, read_only
 from data.log import Log
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances, preintegrate
 from data.pictures import CORNERS, VisualSetup
 from data.se2 import Array
 from data.sensors import RelativePoint
 from data.truth import Truth
-from data.worlds.parameters import check_parameters
+from data.worlds.parameters import check_parameters, drawn_prior
 
 MAY_BE_ZERO = (
     *("sigma_v", "sigma_omega", "prior_sigma", "prior_sigma_heading", "brightness", "contrast", "exposure"),
@@ -277,10 +277,8 @@ def gallery(g: Gallery, seed: int) -> Scene:
     pose[0] = -0.5 * g.straight, -g.turn_radius, 0.0
     for k in range(1, g.frames):
         pose[k] = se2.compose(pose[k - 1], exact.mean[k])
-    sigma = np.array([g.prior_sigma, g.prior_sigma, g.prior_sigma_heading])
-    mean = pose[0] + sigma * prior.standard_normal(3)
-    mean[2] = se2.wrap_angle(mean[2])
-    setup = VisualSetup(g.rotation, g.translation, corners[:, :, :2].copy(), Prior(mean, np.diag(sigma**2)))
+    first = drawn_prior(pose[0], g.prior_sigma, g.prior_sigma_heading, prior)
+    setup = VisualSetup(g.rotation, g.translation, corners[:, :, :2].copy(), first)
     return Scene(corners, time, pose, true, recorded, setup)
 
 

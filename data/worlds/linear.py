@@ -18,13 +18,13 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from data import se2
-from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
+from data.inputs import Increments, Inputs, LandmarkMap, Observations
 from data.log import Log
 from data.motion.velocity import floor_covariances
 from data.se2 import Array
 from data.sensors import RelativePoint
 from data.truth import Truth
-from data.worlds.parameters import check_parameters
+from data.worlds.parameters import check_parameters, drawn_prior
 
 
 @dataclass(frozen=True)
@@ -85,11 +85,8 @@ def simulate(world: LinearWorld, seed: int, name: str | None = None) -> Log:
     noisy = exact + world.sigma_point * sensor_rng.standard_normal(exact.shape)
     frame, ids = np.nonzero(np.hypot(exact[..., 0], exact[..., 1]) < world.max_range)
     R = np.tile(world.sigma_point**2 * np.eye(2), (len(frame), 1, 1))
-    sigma = np.array([world.prior_sigma, world.prior_sigma, world.prior_sigma_heading])
-    mean = truth[0] + sigma * prior_rng.standard_normal(3)
-    mean[2] = se2.wrap_angle(mean[2])
     inputs = Inputs(
-        Prior(mean, np.diag(sigma**2)),
+        drawn_prior(truth[0], world.prior_sigma, world.prior_sigma_heading, prior_rng),
         world.period * np.arange(world.frames, dtype=np.float64),
         increments,
         Observations(frame, noisy[frame, ids], R),

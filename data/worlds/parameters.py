@@ -1,4 +1,4 @@
-"""Checks that simulated worlds share: parameters of the right type, finite, in range; one line says what is wrong."""
+"""What simulated worlds share: checked parameters, a drive by noisy velocities, a prior about the first pose."""
 
 from __future__ import annotations
 
@@ -7,7 +7,16 @@ from collections.abc import Collection, Mapping
 from dataclasses import fields
 from typing import Any
 
+import numpy as np
+
+from data import se2
 from data.errors import UsageError
+from data.inputs import Increments, Prior
+from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances, preintegrate
+from data.se2 import Array
+
+FLOOR = 1e-10
+"""m^2, rad^2; smallest eigenvalue of an increment's covariance."""
 
 
 def check_parameters(
@@ -49,3 +58,39 @@ def check_parameters(
             raise UsageError(f"{where}; {'at least 1' if whole else 'a positive number'} is needed")
         if f.name in not_negative and value < 0:
             raise UsageError(f"{where}; must not be negative")
+
+
+def driven(
+    period: float,
+    v: Array,
+    omega: Array,
+    at: Array,
+    start: Array,
+    density: tuple[float, float],
+    rng: np.random.Generator,
+) -> tuple[Array, Increments, int]:
+    """True poses (N, 3) at the frames `at` (N,), the noisy increments between them, and how many got the floor.
+
+    v [m/s] and omega [rad/s], a sample every `period` [s], hold to the next one. Their noise has the densities
+    `density` [m and rad per sqrt(s)].
+    """
+    time = period * np.arange(len(v), dtype=np.float64)
+    exact, _ = preintegrate(VelocityModel(VelocityNoise("density")), time, v, omega, at)
+    truth = np.zeros((len(at), 3))
+    truth[0] = start
+    for k in range(1, len(truth)):
+        truth[k] = se2.compose(truth[k - 1], exact.mean[k])
+    root = math.sqrt(period)
+    noisy_v = v + density[0] / root * rng.standard_normal(len(time))
+    noisy_omega = omega + density[1] / root * rng.standard_normal(len(time))
+    increments, _ = preintegrate(VelocityModel(VelocityNoise("density", density)), time, noisy_v, noisy_omega, at)
+    covariance, floored = floor_covariances(increments.covariance, FLOOR)
+    return truth, Increments(increments.mean, covariance), floored
+
+
+def drawn_prior(pose: Array, sigma: float, sigma_heading: float, rng: np.random.Generator) -> Prior:
+    """A prior of standard deviations `sigma` [m] and `sigma_heading` [rad], its mean drawn about the true pose (3,)."""
+    sigmas = np.array([sigma, sigma, sigma_heading])
+    mean = pose + sigmas * rng.standard_normal(3)
+    mean[2] = se2.wrap_angle(mean[2])
+    return Prior(mean, np.diag(sigmas**2))

@@ -18,19 +18,16 @@ from scipy.spatial import cKDTree
 
 from data import se2
 from data.errors import UsageError
-from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
+from data.inputs import Inputs, IntArray, LandmarkMap, Observations
 from data.log import Log
-from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances, preintegrate
 from data.se2 import Array
 from data.sensors import RangeBearing
 from data.truth import Truth
 from data.worlds.erring import Erring, as_read, check_erring, reported
-from data.worlds.parameters import check_parameters
+from data.worlds.parameters import check_parameters, drawn_prior, driven
 
 RADIUS, TURN = 5, 8
 """Steps: radius of a quarter turn at a crossing, and how many (a little shorter) steps it takes."""
-FLOOR = 1e-10
-"""m^2, rad^2; smallest eigenvalue of an increment's covariance."""
 HEADINGS = ((1, 0), (0, 1), (-1, 0), (0, -1))
 """East, north, west, south."""
 
@@ -114,28 +111,16 @@ def simulate(park: Park, seed: int, name: str | None = None) -> Log:
     )
     time = park.period * np.arange(park.frames, dtype=np.float64)
     v, omega = (each / park.period for each in _route(park, route_rng))
-    exact, _ = preintegrate(VelocityModel(VelocityNoise("density")), time, v, omega, time)
-    truth = np.zeros((park.frames, 3))
-    truth[0, 0] = RADIUS * park.step
-    for k in range(1, park.frames):
-        truth[k] = se2.compose(truth[k - 1], exact.mean[k])
-    root = math.sqrt(park.period)
-    noisy_v = v + park.sigma_v / root * odometry_rng.standard_normal(park.frames)
-    noisy_omega = omega + park.sigma_omega / root * odometry_rng.standard_normal(park.frames)
-    model = VelocityModel(VelocityNoise("density", (park.sigma_v, park.sigma_omega)))
-    increments, _ = preintegrate(model, time, noisy_v, noisy_omega, time)
-    covariance, floored = floor_covariances(increments.covariance, FLOOR)
-    increments, errors = reported(park, Increments(increments.mean, covariance), seed)
+    start, density = np.array([RADIUS * park.step, 0.0, 0.0]), (park.sigma_v, park.sigma_omega)
+    truth, increments, floored = driven(park.period, v, omega, time, start, density, odometry_rng)
+    increments, errors = reported(park, increments, seed)
     trees = _trees(park, map_rng)
     sensor = park.sensor()
     frame, z, true_id = _observe(park, sensor, truth, trees, sensor_rng)
-    sigma = np.array([park.prior_sigma, park.prior_sigma, park.prior_sigma_heading])
-    mean = truth[0] + sigma * prior_rng.standard_normal(3)
-    mean[2] = se2.wrap_angle(mean[2])
     R = np.tile(np.diag([park.sigma_range**2, park.sigma_bearing**2]), (len(z), 1, 1))
     known = LandmarkMap(np.arange(len(trees)), trees)
     inputs = Inputs(
-        Prior(mean, np.diag(sigma**2)),
+        drawn_prior(truth[0], park.prior_sigma, park.prior_sigma_heading, prior_rng),
         time,
         increments,
         Observations(frame, z, R),

@@ -19,14 +19,14 @@ import numpy as np
 
 from data import se2
 from data.errors import UsageError
-from data.inputs import Increments, Inputs, Observations, Prior, Scanner, Scans
+from data.inputs import Increments, Inputs, Observations, Scanner, Scans
 from data.log import Log
 from data.motion.velocity import floor_covariances
 from data.se2 import Array, BoolArray, compose, inverse, wrap_angle
 from data.sensors import RangeBearing
 from data.truth import Truth
 from data.worlds.floorplan.building import Building, Ways, build
-from data.worlds.parameters import check_parameters
+from data.worlds.parameters import check_parameters, drawn_prior
 
 RADIUS = 0.5
 """m, of a turn where there is room for it."""
@@ -316,11 +316,8 @@ def simulate(floorplan: Floorplan, seed: int, name: str | None = None) -> Log:
     ranges = scan_ranges(truth[frame], scanner, floorplan.beams, walls, glass=of_glass, discs=crowd)
     ranges = np.maximum(ranges + floorplan.sigma_range * range_rng.standard_normal(ranges.shape), 1e-3)
     ranges[ranges >= floorplan.max_range] = 0.0
-    sigma = np.array([floorplan.prior_sigma, floorplan.prior_sigma, floorplan.prior_sigma_heading])
-    mean = truth[0] + sigma * prior_rng.standard_normal(3)
-    mean[2] = se2.wrap_angle(mean[2])
     inputs = Inputs(
-        Prior(mean, np.diag(sigma**2)),
+        drawn_prior(truth[0], floorplan.prior_sigma, floorplan.prior_sigma_heading, prior_rng),
         time,
         increments,
         Observations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2))),
