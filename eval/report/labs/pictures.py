@@ -24,7 +24,7 @@ from data.se2 import Array
 from eval.figures.error import error_figure, ticks, time_label
 from eval.figures.paper import page_width
 from eval.figures.plane import true_landmarks
-from eval.figures.style import DASHED, SOLID, TRUTH_COLOUR, colour_of_method, drawing, save
+from eval.figures.style import DASHED, SOLID, TRUTH_COLOUR, Line, colour_of_method, drawing, save
 from eval.referee.errors import landmark_true_ids, named, position_distance, rms
 from eval.referee.score import Trial
 from eval.replay.frontend import FrontEnd
@@ -107,14 +107,9 @@ def people_figure(quiet: Sequence[Shown], busy: Sequence[Shown]) -> Figure:
             below = fig.add_subplot(grid[1, k])
             for shown, line, label in ((without, DASHED, "without people"), (s, SOLID, "with people")):
                 error = _error(shown)
-                below.plot(
-                    shown.log.recorded.time, error, color=colour_of_method(shown.run.association), linestyle=line,
-                    linewidth=1.1, label=f"{label}: at most {np.nanmax(error):.2g} m",
-                )  # fmt: skip
-            below.set(
-                xlabel=time_label(s.log.recorded), ylabel="position error [m]" if k == 0 else "", ylim=(0.0, None)
-            )
-            below.yaxis.set_major_locator(ticks(4))
+                label = f"{label}: at most {np.nanmax(error):.2g} m"
+                _line(below, shown.log, error, shown.run.association, line, label, style="default")
+            _axes_over_time(below, s.log, "position error [m]" if k == 0 else "", 4)
             below.legend(loc="upper left")
         fig.legend(handles=_map_handles(), loc="outside lower center", ncols=5)
         return fig
@@ -158,12 +153,9 @@ def maintenance_figure(plain: Shown, kept: Shown) -> Figure:
         below = fig.add_subplot(grid[1, :])
         for s, line, what in ((plain, DASHED, "without"), (kept, SOLID, "with maintenance")):
             if s.run.state_size is not None:
-                below.step(
-                    s.log.recorded.time, s.run.state_size, where="post", color=colour_of_method(s.run.association),
-                    linestyle=line, linewidth=1.1, label=f"{what}: {int(s.run.state_size[-1])} at the end",
-                )  # fmt: skip
-        below.set(xlabel=time_label(plain.log.recorded), ylabel="length of the state", ylim=(0.0, None))
-        below.yaxis.set_major_locator(ticks(4))
+                label = f"{what}: {int(s.run.state_size[-1])} at the end"
+                _line(below, s.log, s.run.state_size, s.run.association, line, label)
+        _axes_over_time(below, plain.log, "length of the state", 4)
         below.legend(loc="upper left")
         fig.legend(handles=_map_handles(), loc="outside lower center", ncols=5)
         return fig
@@ -176,16 +168,26 @@ def update_time_figure(log: Log, times: Sequence[tuple[str, str, Times]], repeat
         ax = fig.add_subplot()
         for k, (label, association, seconds) in enumerate(times):
             ms, more = 1e3 * seconds.update, 1e3 * float(np.sum(seconds.maintenance))
-            ax.step(
-                log.recorded.time, ms, where="post", color=colour_of_method(association),
-                linestyle=SOLID if k else DASHED, linewidth=1.1,
-                label=f"{label}: median {np.median(ms):.3f} ms, all {np.sum(ms):.1f} ms; removal {more:.1f} ms",
-            )  # fmt: skip
-        ax.set(xlabel=time_label(log.recorded), ylabel="update of a frame [ms]", ylim=(0.0, None))
-        ax.yaxis.set_major_locator(ticks(5))
+            label = f"{label}: median {np.median(ms):.3f} ms, all {np.sum(ms):.1f} ms; removal {more:.1f} ms"
+            _line(ax, log, ms, association, SOLID if k else DASHED, label)
+        _axes_over_time(ax, log, "update of a frame [ms]", 5)
         ax.set_title(f"{log.name}: measured, the fastest of {repeats} repetitions of each frame", loc="left")
         fig.legend(loc="outside lower center", ncols=1)
         return fig
+
+
+def _line(
+    ax: Axes, log: Log, values: Array | IntArray, method: str, line: Line, label: str, style: str = "steps-post"
+) -> None:
+    """Values (N,) of the frames over time, in the colour of a way of association."""
+    look = {"color": colour_of_method(method), "drawstyle": style}
+    ax.plot(log.recorded.time, values, linestyle=line, linewidth=1.1, label=label, **look)
+
+
+def _axes_over_time(ax: Axes, log: Log, what: str, most: int) -> None:
+    """Time below, and what is shown over it from zero on with few ticks."""
+    ax.set(xlabel=time_label(log.recorded), ylabel=what, ylim=(0.0, None))
+    ax.yaxis.set_major_locator(ticks(most))
 
 
 def _error(s: Shown) -> Array:
