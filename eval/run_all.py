@@ -35,7 +35,7 @@ class Console:
 
     def __init__(self, options: Options) -> None:
         """Quiet says nothing, verbose says more; run.log gets everything."""
-        self.quiet, self.verbose = options.quiet, options.verbose
+        self.quiet, self.verbose = options.execution.quiet, options.execution.verbose
         self.lines: list[str] = []
         self.kept: Callable[[], str] = lambda: "nothing was changed"
 
@@ -76,7 +76,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
             options = read_options(arguments, prog)
             consoles.append(Console(options))
             check()
-            with staged(options.out) as folder:
+            with staged(options.output.out) as folder:
                 status = _run(options, consoles[0], folder, arguments, check)
                 check()
         return status
@@ -151,15 +151,15 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
     from eval.studies import reproduced, store
     from eval.studies.montecarlo import declared_line, failed_declarations, judge, study_lines, traces
 
-    check_columns(options.columns)
-    require_latex(options)
-    look, said = look_of(options)
+    check_columns(options.output.columns)
+    require_latex(options.drawing)
+    look, said = look_of(options.drawing)
     if said:
         console.say(said)
-    compile_if_needed(options.quiet)
+    compile_if_needed(console.quiet)
     plan = make_plan(options, console.say)
     begin = time.time()
-    console.kept = lambda: store.kept_since(options.out.absolute().parent, begin)
+    console.kept = lambda: store.kept_since(options.output.kept, begin)
     for e in plan.experiments:
         console.detail(f"{e.log.name}: {e.task}, {counted(len(e.log.recorded), 'frame')}")
         for note in e.log.notes:
@@ -167,7 +167,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
     for log in {e.log.name: e.log for e in plan.experiments if e.beside is None}.values():
         for question in ask(log):
             console.say(f"question ({log.name}, {question.name}): {question.text}")
-    with _bar("estimating", options.quiet, check) as progress:
+    with _bar("estimating", console.quiet, check) as progress:
         outcome = execute(plan, options, progress)
     judged = [j for study in outcome.studies for j in judge(study)]
     for trial in outcome.trials:
@@ -191,7 +191,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
             console.detail(trace)
     for text in [*reproduced.lines(outcome.published), *outcome.skipped]:
         console.say(text)
-    with _bar("writing", options.quiet, check) as progress, looking(look):
+    with _bar("writing", console.quiet, check) as progress, looking(look):
         missing, lines = write_results(folder, options, outcome, judged, arguments, progress)
     failed = failed_declarations(judged)
     for j in failed:
@@ -207,7 +207,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
         console.say(text)
     for text in missing:
         console.complain(text)
-    console.say(f"report: {options.out / 'report.html'}")
+    console.say(f"report: {options.output.out / 'report.html'}")
     (folder / "run.log").write_text("\n".join(console.lines) + "\n", encoding="utf-8")
     return WRONG if missing else REJECTED if failed else FINE
 

@@ -92,11 +92,12 @@ def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
         raise UsageError(f"--log {' --log '.join(logs)}: one log is needed")
     options = options_of(DEFAULTS | {row.name: given[row.name] for row in SHARED if row.name in given})
     for name in ("association", "estimator", "task"):
-        names = getattr(options, name)
+        names = TABLE[name].of(options)
         if len(names) > 1 or not (names or name == "task"):
             raise UsageError(f"--{name} {','.join(names)}: one name is needed")
-    if not steps(options.estimator[0]):
-        raise UsageError(f"--estimator {options.estimator[0]}: does not work step by step; {', '.join(STEPPING)} do")
+    estimator = options.selection.estimator[0]
+    if not steps(estimator):
+        raise UsageError(f"--estimator {estimator}: does not work step by step; {', '.join(STEPPING)} do")
     return Wish(options, given["save"], given["run_through"], _frames(given["frames"]), given["lab_text"])
 
 
@@ -121,10 +122,11 @@ def _step(wish: Wish) -> None:
     compile_if_needed()
     from eval.plan.foreign import load_all
 
-    o = wish.options
-    load_all(o.estimator, o.association)
-    log = open_log(o.log[0])
-    task, association = task_of(log, o), o.association[0]
+    asked, setup = wish.options.selection, wish.options.setup
+    (estimator,), (association,) = asked.estimator, asked.association
+    load_all(asked.estimator, asked.association)
+    log = open_log(asked.log[0])
+    task = task_of(log, asked.task)
     if association == "known" and not log.has_labels:
         raise UsageError(f"--association known: log {log.name!r} has no labels (true_id or label in observations.csv)")
     if wish.frames is not None:
@@ -139,37 +141,37 @@ def _step(wish: Wish) -> None:
     from eval.stepping.stepper import StoppedError, Walk, end
     from eval.stepping.text import lab_block, step_block
 
-    if is_foreign(o.estimator[0]) and (why := lack(o.estimator[0], task, association, o.setup)):
-        raise UsageError(f"--estimator {name_of(o.estimator[0])}: {why}")
-    if not is_foreign(o.estimator[0]) and (why := lack_with_walls(o.estimator[0], task, association, log.recorded)):
+    if is_foreign(estimator) and (why := lack(estimator, task, association, setup)):
+        raise UsageError(f"--estimator {name_of(estimator)}: {why}")
+    if not is_foreign(estimator) and (why := lack_with_walls(estimator, task, association, log.recorded)):
         raise UsageError(f"log {log.name!r} has walls: {why}")
     album = Album(wish.save, open_windows())
     inputs = log.inputs(labels=association == "known")
     if task == "slam":
         inputs = inputs.without_map()
     if inputs.labels_are_sensed:
-        print(gate_sentence(o, sensed=True))
+        print(gate_sentence(setup, sensed=True))
     pausing, block = not wish.run_through and sys.stdin.isatty(), lab_block if wish.lab_text else step_block
-    walk = Walk(log, task, name_of(o.estimator[0]), album, pausing=pausing, block=block)
+    walk = Walk(log, task, name_of(estimator), album, pausing=pausing, block=block)
     if log.evidence is not None and album.wanted:
         from data.visual.opening import Camera, open_recording
         from data.visual.outlined import frame_pictures
 
-        walk.camera = frame_pictures(open_recording(o.log[0], Camera()), log.evidence.found)
+        walk.camera = frame_pictures(open_recording(asked.log[0], Camera()), log.evidence.found)
     try:
-        run = step_by_step(o.estimator[0], inputs, task, association, o.setup, observer=walk)
+        run = step_by_step(estimator, inputs, task, association, setup, observer=walk)
         end(log, with_doubt(run, inputs), album, walk)
     except StoppedError:
         print("stopped; what was written so far is whole")
 
 
-def task_of(log: Log, options: Options) -> str:
-    """The task asked for, or else localization where there is a map; a corridor is for SLAM."""
+def task_of(log: Log, asked: Sequence[str]) -> str:
+    """The first task asked for, or else localization where there is a map; a corridor is for SLAM."""
     has_map = log.recorded.map is not None
-    if "localization" in options.task and not has_map:
+    if "localization" in asked and not has_map:
         raise UsageError(f"--task localization: log {log.name!r} has no map (landmarks.csv); only slam makes sense")
-    if options.task:
-        return options.task[0]
+    if asked:
+        return asked[0]
     return "localization" if has_map and not log.name.startswith("corridor") else "slam"
 
 

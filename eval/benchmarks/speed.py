@@ -31,7 +31,7 @@ from ekf.whole_run import run_filter
 from eval.benchmarks.timed import REPEATS, Timed, median_seconds
 from eval.plan.execute import execute
 from eval.plan.experiments import Plan
-from eval.plan.flags.options import Options
+from eval.plan.flags.table import Execution, Options, Output
 from eval.replay.run import step_by_step
 from eval.studies.scenario import Scenario, load_scenario
 from graph.bare_loop import bare_isam2
@@ -156,7 +156,7 @@ def study_seconds(scenario: Scenario, runs: int, jobs: int, scheduler: str | Non
     taken = 0.0
     for n in (2 * jobs, runs):
         with tempfile.TemporaryDirectory() as folder:
-            options = Options(out=Path(folder) / "report", jobs=jobs, scheduler=scheduler)
+            options = Options(output=Output(out=Path(folder) / "report"), execution=Execution(jobs, scheduler))
             begin = time.perf_counter()
             execute(Plan((), ((scenario, n),)), options, lambda done, total: None)
             taken = time.perf_counter() - begin

@@ -104,11 +104,12 @@ def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
     given = vars(parser(prog).parse_args(argv))
     shared = DEFAULTS | {row.name: given[row.name] for row in SHARED if row.name in given}
     options = options_of(shared)
-    if len(options.association) != 1:
-        raise UsageError(f"--association {','.join(options.association)}: one name is needed")
-    if why := UNFIT.get(options.association[0]):
-        raise UsageError(f"--association {options.association[0]}: {why}; {', '.join(FIT)} do")
-    for name in options.estimator:
+    asked = options.selection
+    if len(asked.association) != 1:
+        raise UsageError(f"--association {','.join(asked.association)}: one name is needed")
+    if why := UNFIT.get(asked.association[0]):
+        raise UsageError(f"--association {asked.association[0]}: {why}; {', '.join(FIT)} do")
+    for name in asked.estimator:
         if not steps(name):
             raise UsageError(f"--estimator {name}: does not work step by step; {', '.join(STEPPING)} do")
 
@@ -188,18 +189,18 @@ def _drive(wish: Wish, presses: Presses, stack: ExitStack) -> None:
     from eval.plan.warming import compile_if_needed
     from eval.player.document import live_document
 
-    o, name = wish.options, wish.out.absolute().name
-    association = o.association[0]
-    load_all(o.estimator, o.association)
+    setup, name = wish.options.setup, wish.out.absolute().name
+    estimators, (association, *_) = wish.options.selection.estimator, wish.options.selection.association
+    load_all(estimators, [association])
     compile_if_needed()
-    rehearse(o.estimator, association, o.setup)
+    rehearse(estimators, association, setup)
     if presses.count:
         raise KeyboardInterrupt
     noise = Noise(
         USUAL.slip if wish.slip is None else wish.slip,
         USUAL.sonar_sigma if wish.sonar_sigma is None else wish.sonar_sigma,
     )
-    feed = Feed(len(o.estimator)) if wish.page else None
+    feed = Feed(len(estimators)) if wish.page else None
     if feed is not None:
         server = stack.enter_context(Server(wish.port, live_document(name).encode(), lambda: feed.published))
     tellers: list[Callable[[Taken], None]] = []
@@ -208,7 +209,7 @@ def _drive(wish: Wish, presses: Presses, stack: ExitStack) -> None:
         for teller in tellers:
             teller(taken)
 
-    session = Session(o.estimator, association, o.setup, noise, told)
+    session = Session(estimators, association, setup, noise, told)
     # what is there by now stays; collecting it again and again would hold up a frame
     gc.collect()
     gc.freeze()
@@ -246,7 +247,7 @@ def report_words(wish: Wish) -> list[str]:
     words = ["--log", str(wish.out), "--task", "slam", "--out", f"{wish.out}{REPORT}"]
     for row in SHARED:
         if row.name in wish.given:
-            words += row.words(getattr(wish.options, row.name))
+            words += row.words(row.of(wish.options))
     return words
 
 

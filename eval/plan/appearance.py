@@ -8,8 +8,7 @@ from matplotlib import font_manager
 
 from data.errors import UsageError
 from eval.figures.paper import Look
-from eval.plan.flags.options import Options
-from eval.plan.flags.table import inches
+from eval.plan.flags.table import Drawing, inches
 
 TIMES = ("times", "times new roman", "times roman")
 LIKE_TIMES = ("Times New Roman", "Times", "Nimbus Roman", "TeX Gyre Termes", "Liberation Serif", "STIXGeneral")
@@ -19,22 +18,22 @@ NEEDED = ("latex", "dvipng")
 SYSTEMS = ("pdflatex", "xelatex", "lualatex")
 
 
-def require_latex(options: Options) -> None:
+def require_latex(drawing: Drawing) -> None:
     """Raise UsageError, before any work, where LaTeX is asked for and is not here."""
-    if options.usetex:
+    if drawing.usetex:
         for program in NEEDED:
             if shutil.which(program) is None:
                 raise UsageError(f"--usetex needs LaTeX, and there is no program {program!r} on this machine")
-    if options.pgf and _system() is None:
+    if drawing.pgf and _system() is None:
         raise UsageError(f"--pgf needs LaTeX, and there is none of {', '.join(SYSTEMS)} on this machine")
 
 
-def look_of(options: Options) -> tuple[Look, str]:
+def look_of(drawing: Drawing) -> tuple[Look, str]:
     """How figures look, and a sentence about a font that is not here (empty: all is as asked)."""
-    fonts, mathematics, said = _fonts(options.font)
-    width = None if options.figure_width is None else inches(options.figure_width)
-    pgf = _system() if options.pgf else None
-    return Look(width, fonts, mathematics, options.font_size, options.usetex, pgf), said
+    fonts, mathematics, said = _fonts(drawing.font)
+    width = None if drawing.figure_width is None else inches(drawing.figure_width)
+    pgf = _system() if drawing.pgf else None
+    return Look(width, fonts, mathematics, drawing.font_size, drawing.usetex, pgf), said
 
 
 def _system() -> str | None:

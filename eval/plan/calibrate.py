@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy import special
@@ -32,9 +31,9 @@ from data.se2 import Array
 from data.sensors import RangeBearing
 from eval.compare import compare
 from eval.plan.experiment import Experiment
-from eval.plan.flags.options import Options
+from eval.plan.flags.table import Execution
 from eval.plan.unfinished import Unfinished
-from eval.plan.work import work
+from eval.plan.work import Job, work
 from eval.referee import effects, residuals
 from eval.referee.attribution import Finding, systematic_errors
 from eval.referee.effects import Effect
@@ -237,19 +236,19 @@ class Calibration:
     after: Trust | None = None
 
 
-def check_calibrated(log: Log, options: Options) -> None:
-    """Refuse to calibrate by scans, and the sensor by walls."""
-    if options.calibrate and SCAN in options.association:
+def check_calibrated(log: Log, asked: tuple[str, ...], associations: Sequence[str]) -> None:
+    """Refuse to calibrate by scans, and the sensor by walls; `asked`: as `Setup.calibrate`."""
+    if asked and SCAN in associations:
         raise UsageError(f"--calibrate and --association {SCAN} exclude each other: errors are told by landmarks")
-    if options.calibrate and log.recorded.scans is not None and not len(log.recorded.observations.frame):
+    if asked and log.recorded.scans is not None and not len(log.recorded.observations.frame):
         raise UsageError(SCANNED.format(log.name))
-    named = options.calibrate and options.calibrate != (AUTO,)
-    if named and not log.recorded.sensor.sees_points and systematic(options.calibrate).of_sensor:
+    named = asked and asked != (AUTO,)
+    if named and not log.recorded.sensor.sees_points and systematic(asked).of_sensor:
         raise UsageError(f"--calibrate: log {log.name!r} has walls; range and bearing are errors of points")
 
 
 def settle(
-    experiments: Sequence[Experiment], options: Options, lost: Unfinished
+    experiments: Sequence[Experiment], execution: Execution, lost: Unfinished
 ) -> tuple[tuple[Experiment, ...], tuple[Calibration, ...]]:
     """The experiments on logs whose errors are estimated along, and which errors those are.
 
@@ -260,8 +259,8 @@ def settle(
         return tuple(experiments), ()
     first = {i: experiments[i].work[0].association for i in wanted if experiments[i].work}
     asked = [(i, experiments[i]) for i in first if experiments[i].setup.calibrate == (AUTO,)]
-    jobs = [(i, (plainly, (e.log, e.task, first[i], _plain(e.setup)))) for i, e in asked]
-    found = dict(work(jobs, options, lost=_missing(experiments, lost)))
+    jobs = [Job(i, plainly, (e.log, e.task, first[i], _plain(e.setup))) for i, e in asked]
+    found = dict(work(jobs, execution, lost=_missing(experiments, lost)))
     settled, made = list(experiments), []
     for i, association in first.items():
         e = experiments[i]
@@ -281,22 +280,22 @@ def examine(
     calibrations: Sequence[Calibration],
     experiments: Sequence[Experiment],
     trials: Sequence[Trial],
-    options: Options,
+    execution: Execution,
     lost: Unfinished,
 ) -> tuple[Calibration, ...]:
     """The same with what the battery says of each log, and of the log less its errors."""
     place = {(e.log.name, e.task): i for i, e in enumerate(experiments) if e.beside is None}
-    jobs: list[tuple[tuple[int, str], Any]] = []
+    jobs: list[Job[tuple[int, str]]] = []
     for k, c in enumerate(calibrations):
         e, trial = experiments[place[c.log, c.task]], trials[place[c.log, c.task]]
         runs = [r for r in trial.runs if r.association == name_of(c.association) and r.flaw is None]
         ready = runs if any(r.estimator == "batch" for r in runs) else []
         plain = with_systematic(e.log, None), c.task, c.association, _plain(e.setup), c.plain
-        jobs.append(((k, "before"), (examined, plain)))
-        jobs.append(((k, "after"), (examined, (e.log, c.task, c.association, e.setup, ready))))
+        jobs.append(Job((k, "before"), examined, plain))
+        jobs.append(Job((k, "after"), examined, (e.log, c.task, c.association, e.setup, ready)))
     at = [place[c.log, c.task] for c in calibrations]
     missing = _missing(experiments, lost)
-    found = dict(work(jobs, options, lost=lambda owner, why: missing(at[owner[0]], why)))
+    found = dict(work(jobs, execution, lost=lambda owner, why: missing(at[owner[0]], why)))
     both = [(found.get((k, "before")), found.get((k, "after"))) for k in range(len(calibrations))]
     return tuple(replace(c, before=b, after=a, plain=()) for c, (b, a) in zip(calibrations, both, strict=True))
 

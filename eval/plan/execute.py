@@ -5,31 +5,64 @@ The numbers are the same for any number of processes, and on a cluster.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import chain
 from typing import Any
 
 from data.log import Log
+from data.result import Run
 from eval.plan.calibrate import Calibration, examine, settle, with_systematic
+from eval.plan.experiment import Experiment, Work
 from eval.plan.experiments import Plan
-from eval.plan.flags.options import Options
-from eval.plan.flags.table import Variant
+from eval.plan.flags.table import Execution, Options
+from eval.plan.flags.variant import Variant
 from eval.plan.results import with_results
 from eval.plan.trust import trusted
 from eval.plan.tutorials import ABOUT, tutorial_run, variant_log
 from eval.plan.unfinished import Unfinished, estimate, estimate_one, incomplete, wanted
 from eval.plan.validation import validated
-from eval.plan.work import Call, work
+from eval.plan.work import Job, work
 from eval.referee.score import Trial
 from eval.studies import store
-from eval.studies.montecarlo import Result, Study, one_run, study_of
+from eval.studies.montecarlo import Study, one_run, study_of
 from eval.studies.reproduced import published_rows, replay_stored
+from eval.studies.scenario import Scenario
 from eval.studies.trusted import Trust
 from eval.studies.validation import Examined, Validation
 
-Owner = tuple[str, int, int]
-"""What a job belongs to: its kind, which of them, and (of a study) the seed."""
+
+@dataclass(frozen=True)
+class Part:
+    """Whose a job is: a part of the work of the experiment with this number."""
+
+    experiment: int
+    work: Work
+
+
+@dataclass(frozen=True)
+class Tutorial:
+    """Whose a job is: the pair of a log and a published tutorial with this number."""
+
+    number: int
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """Whose a job is: the scenario that replays a recording, with this number."""
+
+    number: int
+
+
+@dataclass(frozen=True)
+class Seeded:
+    """Whose a job is: a run of the study with this number."""
+
+    study: int
+    seed: int
+
+
+Owner = Part | Tutorial | Recorded | Seeded
 
 
 @dataclass(frozen=True)
@@ -56,90 +89,128 @@ class Outcome:
     missing: tuple[str, ...] = ()
 
 
-def _tutorial(log: Log, variant: Variant) -> Trial:
-    changed = variant_log(with_systematic(log, None), variant)
-    return Trial(changed, variant.task, (tutorial_run(changed, variant),), log.name, ABOUT)
-
-
 def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) -> Outcome:
     """Run everything as independent jobs: those with iSAM2 first (they take longest), each seed by itself.
 
     A run of a study is kept on disk as soon as it is done, and taken from there if it was done before. What has not
     enough memory is tried again an estimator at a time, and then missing; the rest is as it would be.
     """
-    lost = Unfinished(options)
-    settled, calibrations = settle(plan.experiments, options, lost)
-    plan = replace(plan, experiments=settled)
-    watched = not options.no_plots
-    parts = [(i, p) for i, e in enumerate(plan.experiments) for w in e.work for p in w.parts()]
-    jobs: list[tuple[Owner, Call]] = [
-        (("trial", i, k), (estimate, (plan.experiments[i], p, watched))) for k, (i, p) in enumerate(parts)
+    execution, watched = options.execution, not options.output.no_plots
+    lost = Unfinished(execution.jobs)
+    experiments, calibrations = settle(plan.experiments, execution, lost)
+    variants = [(e, v) for e in experiments for v in options.variants if e.task == v.task and e.beside is None]
+    seeds = {(i, options.study.seed + k): s for i, (s, runs) in enumerate(plan.studies) for k in range(runs)}
+    folders = [store.folder_of(options.output.kept, scenario) for scenario, _ in plan.studies]
+    done: dict[Owner, Any] = {
+        Seeded(i, seed): found for i, seed in seeds if (found := store.load(folders[i], seed)) is not None
+    }
+    jobs: list[Job[Owner]] = [
+        *_estimations(experiments, watched=watched),
+        *(Job(Tutorial(i), _tutorial, (e.log, v)) for i, (e, v) in enumerate(variants)),
+        *(Job(Recorded(i), replay_stored, asked) for i, asked in enumerate(plan.stored)),
+        *(Job(Seeded(*key), one_run, (s, key[1])) for key, s in seeds.items() if Seeded(*key) not in done),
     ]
-    variants = [(e, v) for e in plan.experiments for v in options.variants if e.task == v.task and e.beside is None]
-    jobs += [(("variant", i, 0), (_tutorial, (e.log, v))) for i, (e, v) in enumerate(variants)]
-    jobs += [(("stored", i, 0), (replay_stored, asked)) for i, asked in enumerate(plan.stored)]
-    jobs.sort(key=lambda job: not (job[0][0] == "trial" and "isam2" in job[1][1][1].estimators))
-    studies = [range(options.seed, options.seed + runs) for _, runs in plan.studies]
-    kept: dict[tuple[int, int], Result] = {}
-    folders = [store.folder_of(options.out.absolute().parent, scenario) for scenario, _ in plan.studies]
-    for i, (scenario, _) in enumerate(plan.studies):
-        for seed in studies[i]:
-            found = store.load(folders[i], seed)
-            if found is None:
-                jobs.append((("study", i, seed), (one_run, (scenario, seed))))
-            else:
-                kept[i, seed] = found
-    results: dict[tuple[str, int], list[Any]] = {}
-    far = [job for job in jobs if job[0][0] == "study"]
-    near = [job for job in jobs if job[0][0] != "study"]
-    finishing = (
-        chain(work(far, options, far=True, lost=lost), work(near, options, lost=lost))
-        if options.scheduler
-        else work(jobs, options, lost=lost)
-    )
-    for done, ((kind, i, seed), result) in enumerate(finishing, start=1):
-        if kind == "study":
-            store.save(folders[i], seed, result)
-            kept[i, seed] = result
-        else:
-            results.setdefault((kind, i), []).append(result)
-        progress(done, len(jobs))
-    again = [(owner, parts[owner[2]]) for owner in lost.jobs if owner[0] == "trial"]
-    one_by_one = [
-        ((i, p, n), (estimate_one, (plan.experiments[i], p, n, watched))) for _, (i, p) in again for n in p.estimators
-    ]
-    gone = Unfinished(options)
-    for (i, _, _), result in work(one_by_one, options, lost=gone, apart=True):
-        results.setdefault(("trial", i), []).append(result)
-    trials = []
-    for i, e in enumerate(plan.experiments):
-        runs = {(r.association, r.estimator): r for group in results.get(("trial", i), []) for r in group}
-        for (_, part, name), why in ((o, w) for o, w in gone.jobs.items() if o[0] == i):
-            run = incomplete(name, part.association, e.task, e.log.recorded, why)
-            runs[run.association, run.estimator] = run
-            lost.say(f"{e.log.name}, {e.task}: no run of {name} with association {part.association}", why)
-        trials.append(Trial(e.log, e.task, tuple(runs[key] for key in wanted(e.work)), e.beside, e.about))
-    calibrations = examine(calibrations, plan.experiments, trials, options, lost)
+    for count, (owner, result) in enumerate(_finished(jobs, execution, lost), start=1):
+        done[owner] = result
+        if isinstance(owner, Seeded):
+            store.save(folders[owner.study], owner.seed, result)
+        progress(count, len(jobs))
+    trials = _trials(experiments, done, execution, lost, watched=watched)
+    calibrations = examine(calibrations, experiments, trials, execution, lost)
+
+    def more(count: int, of: int) -> None:
+        progress(len(jobs) + count, len(jobs) + of)
+
     # before the variants, which share a log's name with its trial
-    said = trusted(plan.experiments, trials, options, lost, lambda more, of: progress(len(jobs) + more, len(jobs) + of))
-    tested = validated(plan.validations, options, lost, lambda more, of: progress(len(jobs) + more, len(jobs) + of))
-    for (kind, i, seed), why in lost.jobs.items():
-        if kind == "study":
-            lost.say(f"scenario {plan.studies[i][0].name}: no run with seed {seed}", why)
-        elif kind == "variant":
-            lost.say(f"{variants[i][0].log.name}, {variants[i][1].task}: no run of {variants[i][1].name}", why)
-        elif kind == "stored":
-            lost.say(f"scenario {plan.stored[i][0].name}: no run", why)
-    trials = list(with_results(trials, plan.given))
-    trials += [results["variant", i][0] for i in range(len(variants)) if ("variant", i) in results]
-    replayed = [results["stored", i][0] for i in range(len(plan.stored)) if ("stored", i) in results]
-    finished = []
-    for i, ((scenario, _), seeds) in enumerate(zip(plan.studies, studies, strict=True)):
-        there = [seed for seed in seeds if (i, seed) in kept]
-        if there:
-            finished.append(study_of(scenario, there, [kept[i, seed] for seed in there]))
-    published = [row for _, rows in replayed for row in rows] + [row for s in finished for row in published_rows(s)]
+    said = trusted(experiments, trials, options, lost, more)
+    tested = validated(plan.validations, options, lost, more)
+    for missing, why in lost.jobs.items():
+        match missing:
+            case Seeded(i, seed):
+                lost.say(f"scenario {plan.studies[i][0].name}: no run with seed {seed}", why)
+            case Tutorial(i):
+                lost.say(f"{variants[i][0].log.name}, {variants[i][1].task}: no run of {variants[i][1].name}", why)
+            case Recorded(i):
+                lost.say(f"scenario {plan.stored[i][0].name}: no run", why)
+    replayed = [done[Recorded(i)] for i in range(len(plan.stored)) if Recorded(i) in done]
+    studies = _studies(plan.studies, done)
     return Outcome(
-        (*trials, *(t for t, _ in replayed)), tuple(finished), tuple(published), plan.skipped, said, tested,
-        calibrations, tuple(lost.said),
-    )  # fmt: skip
+        trials=(
+            *with_results(trials, plan.given),
+            *(done[Tutorial(i)] for i in range(len(variants)) if Tutorial(i) in done),
+            *(trial for trial, _ in replayed),
+        ),
+        studies=studies,
+        published=(
+            *(row for _, rows in replayed for row in rows),
+            *(row for study in studies for row in published_rows(study)),
+        ),
+        skipped=plan.skipped,
+        trust=said,
+        validations=tested,
+        calibrations=calibrations,
+        missing=tuple(lost.said),
+    )
+
+
+def _estimations(experiments: Sequence[Experiment], *, watched: bool) -> list[Job[Part]]:
+    """All work on logs, that of iSAM2 first."""
+    parts = [Part(i, part) for i, e in enumerate(experiments) for w in e.work for part in w.parts()]
+    parts.sort(key=lambda part: "isam2" not in part.work.estimators)
+    return [Job(part, estimate, (experiments[part.experiment], part.work, watched)) for part in parts]
+
+
+def _tutorial(log: Log, variant: Variant) -> Trial:
+    changed = variant_log(with_systematic(log, None), variant)
+    return Trial(changed, variant.task, (tutorial_run(changed, variant),), log.name, ABOUT)
+
+
+def _finished(jobs: Sequence[Job[Owner]], execution: Execution, lost: Unfinished) -> Iterator[tuple[Owner, Any]]:
+    """Results as they come; with a cluster it does the runs of studies first."""
+    if not execution.scheduler:
+        return work(jobs, execution, lost=lost)
+    far = [job for job in jobs if isinstance(job.owner, Seeded)]
+    near = [job for job in jobs if not isinstance(job.owner, Seeded)]
+    return chain(work(far, execution, far=True, lost=lost), work(near, execution, lost=lost))
+
+
+def _trials(
+    experiments: Sequence[Experiment],
+    done: Mapping[Owner, list[Run]],
+    execution: Execution,
+    lost: Unfinished,
+    *,
+    watched: bool,
+) -> list[Trial]:
+    """The runs of every experiment; parts that had not enough memory are tried again, an estimator at a time."""
+    alone = [
+        Job((part, name), estimate_one, (experiments[part.experiment], part.work, name, watched))
+        for part in lost.jobs
+        if isinstance(part, Part)
+        for name in part.work.estimators
+    ]
+    gone = Unfinished(execution.jobs)
+    again = list(work(alone, execution, lost=gone, apart=True))
+    trials = []
+    for i, e in enumerate(experiments):
+        groups = [runs for owner, runs in done.items() if isinstance(owner, Part) and owner.experiment == i]
+        groups += [runs for (part, _), runs in again if part.experiment == i]
+        runs = {(r.association, r.estimator): r for group in groups for r in group}
+        for (part, name), why in gone.jobs.items():
+            if part.experiment == i:
+                run = incomplete(name, part.work.association, e.task, e.log.recorded, why)
+                runs[run.association, run.estimator] = run
+                what = f"no run of {name} with association {part.work.association}"
+                lost.say(f"{e.log.name}, {e.task}: {what}", why)
+        trials.append(Trial(e.log, e.task, tuple(runs[key] for key in wanted(e.work)), e.beside, e.about))
+    return trials
+
+
+def _studies(asked: Sequence[tuple[Scenario, int]], done: Mapping[Owner, Any]) -> tuple[Study, ...]:
+    """The studies of which there are runs."""
+    found = []
+    for i, (scenario, _) in enumerate(asked):
+        seeds = sorted(owner.seed for owner in done if isinstance(owner, Seeded) and owner.study == i)
+        if seeds:
+            found.append(study_of(scenario, seeds, [done[Seeded(i, seed)] for seed in seeds]))
+    return tuple(found)

@@ -14,12 +14,11 @@ from data.log import Log, folder_name, shortened
 from data.logs import Reading, find_logs, open_log
 from eval.plan.calibrate import check_calibrated
 from eval.plan.experiment import Experiment, Work
-from eval.plan.flags.options import Options
-from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS
+from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS, Options, Selection
 from eval.plan.foreign import check_possible, check_scenario, introduce_all, load_all
 from eval.plan.lab import lab_experiments
 from eval.plan.results import NOTHING, Asked, asked_results, truth_alone
-from eval.plan.variants import maintained, shows_noise, sparser, with_depth_noise
+from eval.plan.variants import has_depth_noise, maintained, sparser, with_depth_noise
 from eval.replay.estimators import FOR_WALLS, NO_HINDSIGHT_OF_WALLS
 from eval.replay.laser.backends import NAMES as BACK_ENDS
 from eval.replay.settings import Setup
@@ -56,41 +55,59 @@ class Plan:
 
 def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
     """Open the logs and settle what is done; raises UsageError for what makes no sense together."""
-    load_all(options.estimator, options.association)
-    introduce_all((*options.estimator, *options.association), options.result)
-    if options.scenario:
-        return _scenarios(options)
-    for folder in options.data:
+    s = options.selection
+    load_all(s.estimator, s.association)
+    introduce_all((*s.estimator, *s.association), options.results.result)
+    for folder in s.data:
         if not Path(folder).is_dir():
             raise UsageError(f"--data {folder}: no such folder")
-    if options.relations is not None and len(options.log) != 1:
-        raise UsageError(f"--relations {options.relations}: belongs to one log; give it with one --log")
-    given = asked_results(options, options.log, options.data)
-    alone = given.file is not None and not options.log
-    if options.lab is not None:
-        experiments = lab_experiments(options, options.lab, reading_of(options), say)
-    else:
-        experiments = [] if options.log or alone else _default(options, say)
+    if s.scenario:
+        return _scenarios(options)
+    relations = options.opening.relations
+    if relations is not None and len(s.log) != 1:
+        raise UsageError(f"--relations {relations}: belongs to one log; give it with one --log")
+    given = asked_results(options.results, s.log, s.data)
+    alone = given.file is not None and not s.log
     if alone:
         experiments = [Experiment(truth_alone(given), "slam", (), options.setup)]
-    asked = [open_log(name, reading_of(options), say) for name in options.log]
+    elif s.lab is not None:
+        experiments = lab_experiments(s.lab, s.estimator, options.setup, reading_of(options), say)
+    else:
+        experiments = [] if s.log else _default(options, say)
+    asked = [open_log(name, reading_of(options), say) for name in s.log]
     if asked and given.results:
         asked, given = [given.settled(asked[0])[0]], given.settled(asked[0])[1]
-    for folder in options.data:
-        found = [load() for load in find_logs(Path(folder), say)]
-        if not found:
-            raise UsageError(f"--data {folder}: no dataset found")
-        asked += found
+    asked += [log for folder in s.data for log in _found(folder, say)]
     for log in asked:
-        check_calibrated(log, options)
+        check_calibrated(log, options.setup.calibrate, s.association)
         experiments += [
-            Experiment(_cut(log, options), task, _work(log, options), _setup(log, options))
-            for task in _tasks(log, options)
+            Experiment(_cut(log, options), task, _work(log, s), _setup(log, options)) for task in _tasks(log, s)
         ]
-    if not options.quick:
+    if not options.output.quick:
         experiments += [sparse for e in experiments for sparse in sparser(e)]
-    experiments += with_depth_noise([e for e in experiments if shows_noise(e, options)])
-    names = [name for _, name in dict.fromkeys((id(e.log), e.log.name) for e in experiments)]
+        if options.opening.corner_noise == "lab":
+            experiments += with_depth_noise([e for e in experiments if has_depth_noise(e.log)])
+    _check_names(list(dict.fromkeys((id(e.log), e.log.name) for e in experiments)))
+    if options.setup.manages_map and not any(e.task == "slam" for e in experiments):
+        raise UsageError("--maintain, --forget-after, --deactivate-after: for slam; a known map is kept as it is")
+    check_possible(experiments)
+    runs = options.study.runs
+    if runs is None:
+        runs = 0 if s.log or s.lab or alone else QUICK_RUNS if options.output.quick else DEFAULT_RUNS
+    return Plan(tuple(experiments), ((load_scenario("arena"), runs),) if runs else (), given=given)
+
+
+def _found(folder: str, say: Callable[[str], None]) -> list[Log]:
+    """The logs of a folder; raises UsageError if there are none."""
+    found = [load() for load in find_logs(Path(folder), say)]
+    if not found:
+        raise UsageError(f"--data {folder}: no dataset found")
+    return found
+
+
+def _check_names(logs: Sequence[tuple[int, str]]) -> None:
+    """Raises UsageError for two logs (a number and a name each) whose folders would have the same name."""
+    names = [name for _, name in logs]
     for name in names:
         same = [n for n in names if folder_name(n) == folder_name(name)]
         if len(same) > 1:
@@ -98,43 +115,33 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
                 f"two logs are named {' and '.join(map(repr, dict.fromkeys(same)))} (in file names : and + become _); "
                 "rename one (the name stands in its log.toml)"
             )
-    if options.setup.manages_map and not any(e.task == "slam" for e in experiments):
-        raise UsageError("--maintain, --forget-after, --deactivate-after: for slam; a known map is kept as it is")
-    check_possible(experiments)
-    runs = options.runs
-    if runs is None:
-        runs = 0 if options.log or options.lab or alone else QUICK_RUNS if options.quick else DEFAULT_RUNS
-    return Plan(tuple(experiments), ((load_scenario("arena"), runs),) if runs else (), given=given)
 
 
 def _scenarios(options: Options) -> Plan:
     """Studies of the scenarios asked for; `--data` is where recordings are looked for."""
-    if options.runs == 0:
+    asked, estimators = options.selection, options.selection.estimator
+    if options.study.runs == 0:
         raise UsageError("--runs 0: a scenario needs at least one run")
-    folders = [Path(name) for name in options.data]
-    for folder in folders:
-        if not folder.is_dir():
-            raise UsageError(f"--data {folder}: no such folder")
     studies: list[tuple[Scenario, int]] = []
     stored, skipped, validations = [], [], []
-    names = scenarios() if "all" in options.scenario else list(options.scenario)
+    names = scenarios() if "all" in asked.scenario else list(asked.scenario)
     for name in names:
         validation = load_validation(name)
         if validation is not None:
             validations.append(_asked(validation, options))
             continue
         scenario = load_scenario(name)
-        if options.estimator != ALL:
-            scenario = scenario.only(options.estimator)
+        if estimators != ALL:
+            scenario = scenario.only(estimators)
         skipped += check_scenario(scenario)
         if scenario.recorded:
-            path = find_esde(folders)
+            path = find_esde([Path(name) for name in asked.data])
             if path is None:
                 skipped.append(f"scenario {scenario.name}: skipped, no {NAME} of its study in --data")
             else:
                 stored.append((scenario, path))
         else:
-            runs = options.runs or (QUICK_RUNS if options.quick else scenario.runs)
+            runs = options.study.runs or (QUICK_RUNS if options.output.quick else scenario.runs)
             studies += [(part, runs) for part in scenario.parts()]
     every = [*(s.name for s, _ in [*studies, *stored]), *(v.name for v in validations)]
     for name in every:
@@ -146,40 +153,41 @@ def _scenarios(options: Options) -> Plan:
 
 def _asked(study: Validation, options: Options) -> Validation:
     """A study of the battery with as many logs as asked for; `--quick`: few logs and twins, the largest faults."""
-    if options.estimator != ALL:
+    quick = options.output.quick
+    if options.selection.estimator != ALL:
         raise UsageError(f"--estimator: scenario {study.name} states its own")
-    runs = options.runs or (QUICK_RUNS if options.quick else study.runs)
+    runs = options.study.runs or (QUICK_RUNS if quick else study.runs)
     study = replace(study, runs=runs, power_runs=min(runs, study.power_runs))
-    if options.quick:
+    if quick:
         study = replace(study, power_runs=min(1, study.power_runs), twins=FEWEST, largest=True)
     return study
 
 
-def _tasks(log: Log, options: Options) -> Sequence[str]:
+def _tasks(log: Log, asked: Selection) -> Sequence[str]:
     """The tasks asked for a log that somebody named."""
     has_map = log.recorded.map is not None
-    if "localization" in options.task and not has_map:
+    if "localization" in asked.task and not has_map:
         raise UsageError(f"--task localization: log {log.name!r} has no map (landmarks.csv); only slam makes sense")
-    return options.task or (("localization",) if has_map else ("slam",))
+    return asked.task or (("localization",) if has_map else ("slam",))
 
 
-def _work(log: Log, options: Options) -> tuple[Work, ...]:
+def _work(log: Log, asked: Selection) -> tuple[Work, ...]:
     """Every estimator with every way of association asked for."""
     scans, seen = log.recorded.scans is not None, len(log.recorded.observations.frame) > 0
     walls = not log.recorded.sensor.sees_points
     alone = SCAN if scans and not seen else FOR_WALLS if walls else HINDSIGHT
-    associations = options.association or (("known",) if log.has_labels else (alone,))
+    associations = asked.association or (("known",) if log.has_labels else (alone,))
     if SCAN in associations and not scans:
         raise UsageError(f"--association {SCAN}: log {log.name!r} has no laser scans")
     if "known" in associations and not log.has_labels:
         raise UsageError(f"--association known: log {log.name!r} has no labels (true_id or label in observations.csv)")
     if HINDSIGHT in associations and walls:
         raise UsageError(f"--association {HINDSIGHT}: log {log.name!r} has walls; {NO_HINDSIGHT_OF_WALLS}")
-    strange = [e for e in options.estimator if e not in BACK_ENDS]
+    strange = [e for e in asked.estimator if e not in BACK_ENDS]
     if SCAN in associations and strange:
         raise UsageError(f"--estimator {strange[0]}: log {log.name!r} is a laser log; of these, {', '.join(BACK_ENDS)}")
-    scanned = (*ALL, *ROBUST) if options.estimator == ALL else options.estimator
-    return tuple(Work(a, scanned if a == SCAN else options.estimator) for a in associations)
+    scanned = (*ALL, *ROBUST) if asked.estimator == ALL else asked.estimator
+    return tuple(Work(a, scanned if a == SCAN else asked.estimator) for a in associations)
 
 
 def _setup(log: Log, options: Options) -> Setup:
@@ -188,7 +196,7 @@ def _setup(log: Log, options: Options) -> Setup:
 
 
 def _cut(log: Log, options: Options) -> Log:
-    return shortened(log, QUICK_FRAMES) if options.quick else log
+    return shortened(log, QUICK_FRAMES) if options.output.quick else log
 
 
 ALL = DEFAULT_ESTIMATORS
@@ -213,38 +221,36 @@ PRIMED_WORK = (Work("known", ("ekf", "ekf-iterated", "isam2")), Work(HINDSIGHT, 
 
 def reading_of(options: Options) -> Reading:
     """How logs with images are read."""
-    cache = options.out.absolute().parent / ".detections"
-    relations = None if options.relations is None else Path(options.relations)
-    return Reading(
-        options.camera_translation, options.camera_reading, options.corner_noise, options.trust_pickle, cache, relations
-    )
+    o = options.opening
+    relations = None if o.relations is None else Path(o.relations)
+    cache = options.output.kept / ".detections"
+    return Reading(o.camera_translation, o.camera_reading, o.corner_noise, o.trust_pickle, cache, relations)
 
 
 def _default(options: Options, say: Callable[[str], None]) -> list[Experiment]:
     """The suite of a run without `--log`. Estimators or associations asked for replace its selection."""
-    asked = bool(options.association) or options.estimator != ALL
-    park: tuple[Work, ...] = KNOWN if options.quick else PARK
+    s, quick, full = options.selection, options.output.quick, options.study.full
+    asked = bool(s.association) or s.estimator != ALL
+    park: tuple[Work, ...] = KNOWN if quick else PARK
     corridors: tuple[str, ...] = CORRIDORS
     lab: tuple[Work, ...] = LAB
     arena: tuple[Work, ...] = KNOWN
-    if options.quick:
+    if quick:
         corridors, lab = ("corridor:0:people",), (*KNOWN, Work("nn", ("ekf",)), Work("jcbb", ("ekf",)))
-    if options.full:
+    if full:
         park, lab, arena = EVERYTHING, EVERYTHING, EVERYTHING
-    rows = [
-        ("victoria-park", "slam", park), ("arena:0", "localization", arena), ("arena:0", "slam", arena),
-        *((name, "slam", lab) for name in corridors),
-    ]  # fmt: skip
-    if not options.quick:
+    rows = [("victoria-park", "slam", park), ("arena:0", "localization", arena), ("arena:0", "slam", arena)]
+    rows += [(name, "slam", lab) for name in corridors]
+    if not quick:
         rows.append((PRIMED, "slam", PRIMED_WORK))
         rows.append((f"visual:0:frames={SHORT_GALLERY}", "localization", (Work("known", VISUAL),)))
-    rows = [row for row in rows if not options.task or row[1] in options.task]
+    rows = [row for row in rows if not s.task or row[1] in s.task]
     logs = {name: _cut(open_log(name, reading_of(options), say), options) for name, _, _ in rows}
     experiments = []
     for name, task, work in rows:
         log = logs[name]
-        experiments.append(Experiment(log, task, _work(log, options) if asked else work, _setup(log, options)))
-        if not asked and ":people" in name and not options.quick and not options.setup.manages_map:
-            kept = lab if options.full else (Work("jcbb", ("ekf",)),)
+        experiments.append(Experiment(log, task, _work(log, s) if asked else work, _setup(log, options)))
+        if not asked and ":people" in name and not quick and not options.setup.manages_map:
+            kept = lab if full else (Work("jcbb", ("ekf",)),)
             experiments.append(maintained(experiments[-1], kept))
     return experiments

@@ -18,9 +18,9 @@ from data.inputs import CLUTTER
 from data.log import Log
 from data.logs import Reading, find_logs, open_log
 from eval.plan.experiment import Experiment, Work
-from eval.plan.flags.options import Options
 from eval.plan.flags.table import DEFAULT_ESTIMATORS
 from eval.plan.variants import maintained
+from eval.replay.settings import Setup
 
 CONDITIONS = {
     (False, True): "", (True, True): "people", (False, False): "no-odometry", (True, False): "people+no-odometry",
@@ -32,21 +32,23 @@ METHODS = ("nn", "singles", "jcbb-first", "jcbb")
 VISUAL = ("dead-reckoning", "ekf", "ekf-iterated", "isam2", "batch")
 
 
-def lab_experiments(options: Options, lab: str, reading: Reading, say: Callable[[str], None]) -> list[Experiment]:
+def lab_experiments(
+    lab: str, estimators: tuple[str, ...], setup: Setup, reading: Reading, say: Callable[[str], None]
+) -> list[Experiment]:
     """Every run of a lab. Raises UsageError for a name that is no lab, and for a folder that lacks a condition."""
     if lab.startswith("corridor:"):
         logs: Sequence[Log] = [open_log(name, reading, say) for name in corridor_names(lab)]
-        return _corridor(options, logs)
+        return _corridor(estimators, setup, logs)
     if lab.startswith("visual:"):
-        return _visual(options, open_log(_with_colon(lab), reading, say))
+        return _visual(estimators, setup, open_log(_with_colon(lab), reading, say))
     folder = Path(lab)
     if not folder.is_dir():
         raise UsageError(f"--lab {lab}: no such folder, and neither corridor:SEED+KEY=VALUE nor visual:SEED")
     from data.formats.lab.folder import is_lab
 
     if is_lab(folder) and not (folder / "log.toml").exists():
-        return _visual(options, open_log(lab, reading, say))
-    return _corridor(options, list(_recorded(folder, say).values()))
+        return _visual(estimators, setup, open_log(lab, reading, say))
+    return _corridor(estimators, setup, list(_recorded(folder, say).values()))
 
 
 def _with_colon(name: str) -> str:
@@ -115,24 +117,24 @@ def _recorded(folder: Path, say: Callable[[str], None]) -> dict[tuple[bool, bool
     return {c: found[c] for c in CONDITIONS}
 
 
-def _corridor(options: Options, logs: Sequence[Log]) -> list[Experiment]:
-    own = options.estimator != DEFAULT_ESTIMATORS
-    if own and not {"ekf", "isam2"} & set(options.estimator):
-        raise UsageError(f"--estimator {','.join(options.estimator)}: the lab is answered from ekf, or else isam2")
-    known = options.estimator if own else ("ekf", "batch")
-    estimators = options.estimator if own else ("ekf",)
-    setup = replace(options.setup, maintain=False)
+def _corridor(asked: tuple[str, ...], setup: Setup, logs: Sequence[Log]) -> list[Experiment]:
+    own = asked != DEFAULT_ESTIMATORS
+    if own and not {"ekf", "isam2"} & set(asked):
+        raise UsageError(f"--estimator {','.join(asked)}: the lab is answered from ekf, or else isam2")
+    known = asked if own else ("ekf", "batch")
+    estimators = asked if own else ("ekf",)
+    plain = replace(setup, maintain=False)
     experiments = []
     for log in logs:
         work = (Work("known", known), *(Work(m, estimators) for m in (*METHODS, HINDSIGHT)))
-        first = Experiment(log, "slam", work, setup.settled(log.labels_are_sensed))
+        first = Experiment(log, "slam", work, plain.settled(log.labels_are_sensed))
         kept = tuple(w for w in work if w.association in METHODS)
         experiments += [first, maintained(first, kept)]
     return experiments
 
 
-def _visual(options: Options, log: Log) -> list[Experiment]:
-    own = options.estimator != DEFAULT_ESTIMATORS
-    work = (Work("known", options.estimator if own else VISUAL),)
-    setup = options.setup.settled(log.labels_are_sensed)
-    return [Experiment(log, task, work, setup) for task in ("localization", "slam")]
+def _visual(asked: tuple[str, ...], setup: Setup, log: Log) -> list[Experiment]:
+    own = asked != DEFAULT_ESTIMATORS
+    work = (Work("known", asked if own else VISUAL),)
+    settled = setup.settled(log.labels_are_sensed)
+    return [Experiment(log, task, work, settled) for task in ("localization", "slam")]

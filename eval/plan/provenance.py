@@ -30,8 +30,8 @@ def command_of(options: Options) -> str:
     """
     words = PROG.split()
     for row in rows(Options).values():
-        value = getattr(options, row.name)
-        by_lab = row.name == "new_gate" and options.lab is not None  # a lab's default is another one
+        value = row.of(options)
+        by_lab = row.name == "new_gate" and options.selection.lab is not None  # a lab's default is another one
         if row.numbers and (value != row.default or row.name in options.stated or by_lab):
             if row.name in ("estimator", "association"):
                 value = tuple(shown(text) for text in value)
@@ -57,7 +57,7 @@ def provenance(
             "slamref": version("slamref"), "python": platform.python_version(), **{p: version(p) for p in PACKAGES},
         },
         "platform": f"{sys.platform} {platform.machine()}",
-        "seed": options.seed,
+        "seed": options.study.seed,
         "foreign": sources_of(foreign),
         "inputs": {log.name: {**_plain(log), "sha256": input_digest(log)} for log in logs},
     }  # fmt: skip

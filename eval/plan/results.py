@@ -218,8 +218,7 @@ def asked_results(reading: Results, logs: Sequence[str], folders: Sequence[str])
     names = [r.name for r in results]
     file = None if reading.truth is None else true_path(reading.truth, names, reading)
     truth = None if file is None else TruePath(file.time, file.pose)
-    plain = Reading(**{row.name: getattr(reading, row.name) for row in rows(Reading).values()})
-    return Asked(results, file, truth, plain)
+    return Asked(results, file, truth, reading)
 
 
 def truth_alone(asked: Asked) -> Log:

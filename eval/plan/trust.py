@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from data.errors import UsageError
 from data.log import Log
@@ -13,9 +12,9 @@ from data.notice import Code, Notice, notice
 from data.result import Run
 from eval.compare import compare
 from eval.plan.experiment import Experiment
-from eval.plan.flags.options import Options
+from eval.plan.flags.table import Options, Study
 from eval.plan.unfinished import Unfinished
-from eval.plan.work import work
+from eval.plan.work import Job, work
 from eval.referee.attribution import NOISE
 from eval.referee.score import Trial
 from eval.replay.external.spec import is_foreign, name_of
@@ -54,22 +53,23 @@ def trusted(
 
     A log of which that needs too much memory is left out, and `lost` told.
     """
-    groups = [g for e, t in zip(experiments, trials, strict=True) for g in _groups(e, t, options)]
-
-    found = dict(work([(i, (said_by, (g,))) for i, g in enumerate(groups)], options, lost=_missing(groups, lost)))
+    groups = [g for e, t in zip(experiments, trials, strict=True) for g in _groups(e, t, options.study)]
+    jobs = [Job(i, said_by, (g,)) for i, g in enumerate(groups)]
+    found = dict(work(jobs, options.execution, lost=_missing(groups, lost)))
     groups, said = [groups[i] for i in sorted(found)], [found[i] for i in sorted(found)]
-    done = _with_twins([(g, *s) for g, s in zip(groups, said, strict=True)], _count(options), options, lost, progress)
-    if not _count(options):
+    count = _count(options.study)
+    done = _with_twins([(g, *s) for g, s in zip(groups, said, strict=True)], count, options, lost, progress)
+    if not count:
         return done
     wrong = [
         i for i, t in enumerate(done)
         if t.blame is not None and t.blame.cause == NOISE and any(f.cause == NOISE for f in t.blame.findings)
     ]  # fmt: skip
-    jobs = [(i, (calibrated_group, (groups[i], said[i][1], _named(done[i])))) for i in wrong]
-    tried = work(jobs, options, lost=_missing(groups, lost))
+    jobs = [Job(i, calibrated_group, (groups[i], said[i][1], _named(done[i]))) for i in wrong]
+    tried = work(jobs, options.execution, lost=_missing(groups, lost))
     better = {i: result for i, result in tried if result is not None}
     again = [better[i][0] for i in sorted(better)]
-    after = _with_twins(again, min(AFTERWARDS, _count(options)), options, lost, progress)
+    after = _with_twins(again, min(AFTERWARDS, count), options, lost, progress)
     put_right = {i: replace(done[i], after=t, done=better[i][1]) for i, t in zip(sorted(better), after, strict=True)}
     return tuple(put_right.get(i, t) for i, t in enumerate(done))
 
@@ -84,21 +84,21 @@ def _missing(groups: Sequence[Group], lost: Unfinished) -> Callable[[int, str], 
     return missing
 
 
-def _count(options: Options) -> int:
+def _count(study: Study) -> int:
     """Twins of each log."""
-    return (FULL_TWINS if options.full else 0) if options.twins is None else options.twins
+    return (FULL_TWINS if study.full else 0) if study.twins is None else study.twins
 
 
-def _groups(e: Experiment, trial: Trial, options: Options) -> list[Group]:
+def _groups(e: Experiment, trial: Trial, study: Study) -> list[Group]:
     groups = []
     for association in dict.fromkeys(w.association for w in e.work):
         runs = tuple(r for r in trial.runs if r.association == name_of(association))
         texts = {name_of(text): text for w in e.work for text in w.estimators if is_foreign(text)}
         filters = tuple(texts.get(r.estimator, r.estimator) for r in runs if r.estimator in (*FILTERS, *texts))
         twins = filters or tuple(r.estimator for r in runs if steps(r.estimator))
-        if options.full and options.twins is None:
+        if study.full and study.twins is None:
             twins = ("ekf",) if association == "known" and "ekf" in filters else ()
-        if not _count(options) or e.beside is not None:
+        if not _count(study) or e.beside is not None:
             twins = ()
         groups.append(Group(e.log, e.task, association, e.setup, runs, twins))
     return [g for g in groups if any(steps(r.estimator) for r in g.runs)]
@@ -117,7 +117,6 @@ def _with_twins(
     said: Sequence[tuple[Group, Sample, Run | None]], count: int, options: Options, lost: Unfinished, progress: Progress
 ) -> tuple[Trust, ...]:
     """Every log beside its twins, which are kept on disk as soon as done, and taken from there if they were."""
-    root = options.out.absolute().parent
     sources: dict[int, tuple[Source, Path]] = {}
     none: dict[int, Notice] = {}
     for i, (group, _, smoother) in enumerate(said):
@@ -127,28 +126,33 @@ def _with_twins(
             except UsageError as fault:
                 none[i] = notice(Code.NO_TWINS, why=str(fault))
                 continue
-            sources[i] = source, store.kept_folder(root, f"{group.log.name}-twins", digest_of(source))
+            sources[i] = source, store.kept_folder(options.output.kept, f"{group.log.name}-twins", digest_of(source))
     kept: dict[tuple[int, int], Sample] = {}
-    jobs: list[tuple[tuple[int, int], Any]] = []
+    seeds = range(options.study.seed, options.study.seed + count)
+    jobs: list[Job[tuple[int, int]]] = []
     for i, (source, folder) in sources.items():
-        for seed in range(options.seed, options.seed + count):
+        for seed in seeds:
             found = sampled.load(folder / f"{seed}.json")
             if found is None:
-                jobs.append(((i, seed), (one_twin, (source, seed))))
+                jobs.append(Job((i, seed), one_twin, (source, seed)))
             else:
                 kept[i, seed] = found
     missing = _missing([group for group, _, _ in said], lost)
-    drawn = work(jobs, options, far=True, lost=lambda owner, why: missing(owner[0], f"twin {owner[1]}: {why}"))
+
+    def twin_missing(owner: tuple[int, int], why: str) -> None:
+        missing(owner[0], f"twin {owner[1]}: {why}")
+
+    drawn = work(jobs, options.execution, far=True, lost=twin_missing)
     for done, ((i, seed), sample) in enumerate(drawn, start=1):
         sampled.save(sources[i][1] / f"{seed}.json", sample)
         kept[i, seed] = sample
         progress(done, len(jobs))
     asked = []
     for i, (group, real, smoother) in enumerate(said):
-        seeds = range(options.seed, options.seed + count)
         own = [kept[i, seed] for seed in seeds if (i, seed) in kept]
-        asked.append((i, (judged, (group.log, group.task, name_of(group.association), real, own, smoother))))
-    result = dict(work(asked, options))
+        arguments = (group.log, group.task, name_of(group.association), real, own, smoother)
+        asked.append(Job(i, judged, arguments))
+    result = dict(work(asked, options.execution))
     return tuple(_noted(result[i], none.get(i), g, count) for i, (g, _, _) in enumerate(said))
 
 

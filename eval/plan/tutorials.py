@@ -28,7 +28,7 @@ from data.result import DISCARD, NEW, Run
 from data.se2 import Array, BoolArray, wrap_angle
 from ekf.filter import FilterOptions
 from ekf.localizer import EkfLocalizer
-from eval.plan.flags.table import Variant
+from eval.plan.flags.variant import Variant
 from eval.referee.plausibility import with_doubt
 from eval.referee.score import Trial
 from eval.replay.frontend import FrontEnd

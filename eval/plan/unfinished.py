@@ -11,7 +11,6 @@ from data.notice import stopped
 from data.result import Failure, Run
 from eval.compare import compare
 from eval.plan.experiment import Experiment, Work
-from eval.plan.flags.options import Options
 from eval.player.watch import Watch
 from eval.replay.external.spec import name_of
 from eval.replay.recorder import no_run
@@ -47,12 +46,12 @@ class Unfinished:
     """What had not enough memory, and what is said of it.
 
     Attributes:
-        options: of the run.
+        processes: at once.
         jobs: by what they belong to, each with the reason.
         said: a sentence each, for the person and the report.
     """
 
-    options: Options
+    processes: int
     jobs: dict[Any, str] = field(default_factory=dict)
     said: list[str] = field(default_factory=list)
 
@@ -62,7 +61,7 @@ class Unfinished:
 
     def say(self, what: str, why: str) -> None:
         """What is missing therefore, and what would help."""
-        fewer = "fewer processes at once (--jobs 1), " if self.options.jobs > 1 else ""
+        fewer = "fewer processes at once (--jobs 1), " if self.processes > 1 else ""
         self.said.append(f"{what}: {why}; {fewer}a shorter log, or a machine with more memory would help")
 
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
-from typing import Any
 
 from data.log import folder_name
-from eval.plan.flags.options import Options
+from eval.plan.flags.table import Options
 from eval.plan.unfinished import Unfinished
-from eval.plan.work import work
+from eval.plan.work import Job, work
 from eval.studies import store, validation
 from eval.studies.validation import Case, Examined, Validation
 
@@ -18,16 +17,15 @@ def validated(
     studies: Sequence[Validation], options: Options, lost: Unfinished, progress: Callable[[int, int], None]
 ) -> tuple[tuple[Validation, tuple[Examined, ...]], ...]:
     """What came out for every log of each study, in the order of `validation.cases`; `lost` hears what did not."""
-    root = options.out.absolute().parent
-    every = [validation.cases(study, options.seed) for study in studies]
-    folders = [store.kept_folder(root, study.name, content_digest(study)) for study in studies]
+    every = [validation.cases(study, options.study.seed) for study in studies]
+    folders = [store.kept_folder(options.output.kept, study.name, content_digest(study)) for study in studies]
     kept: dict[tuple[int, int], tuple[Examined, ...]] = {}
-    jobs: list[tuple[tuple[int, int], Any]] = []
+    jobs: list[Job[tuple[int, int]]] = []
     for i, study in enumerate(studies):
         for k, case in enumerate(every[i]):
             found = validation.load(folders[i] / file_of(case))
             if found is None:
-                jobs.append(((i, k), (validation.examined, (study, case))))
+                jobs.append(Job((i, k), validation.examined, (study, case)))
             else:
                 kept[i, k] = found
 
@@ -35,7 +33,7 @@ def validated(
         case = every[owner[0]][owner[1]]
         lost.say(f"scenario {studies[owner[0]].name}: no judgement of {case.world.name} with seed {case.seed}", why)
 
-    for done, ((i, k), result) in enumerate(work(jobs, options, far=True, lost=missing), start=1):
+    for done, ((i, k), result) in enumerate(work(jobs, options.execution, far=True, lost=missing), start=1):
         validation.save(folders[i] / file_of(every[i][k]), result)
         kept[i, k] = result
         progress(done, len(jobs))

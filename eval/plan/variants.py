@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from association.scans.constraints import SCAN
+from data.log import Log
 from eval.plan.experiment import Experiment, Work
-from eval.plan.flags.options import Options
 
 SPARSE = 0.2
 """Least information of a key pose in the row beside: on the Intel log three of five key poses go for 2 % of error."""
@@ -36,11 +36,10 @@ def sparser(experiment: Experiment) -> list[Experiment]:
     ]  # fmt: skip
 
 
-def shows_noise(e: Experiment, options: Options) -> bool:
-    """Whether rows with the corners' depth noise stand beside those with the lab's constants."""
-    evidence = e.log.evidence
-    found = evidence is not None and len(evidence.found.frame) > 0 and math.isfinite(evidence.found.depth_noise)
-    return found and options.corner_noise == "lab" and not options.quick
+def has_depth_noise(log: Log) -> bool:
+    """Whether a camera log has pictures in it, and their corners a known noise in depth."""
+    found = None if log.evidence is None else log.evidence.found
+    return found is not None and len(found.frame) > 0 and math.isfinite(found.depth_noise)
 
 
 def with_depth_noise(experiments: Sequence[Experiment]) -> list[Experiment]:

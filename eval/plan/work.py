@@ -1,16 +1,15 @@
 """Independent jobs done in parallel, or on a cluster; results come with their owners as they are done.
 
 A job that runs out of memory ends alone, whether it is told so (`MemoryError`) or its process is killed: all others
-are finished.
-
-Runs of a study on a Dask cluster: the same function on other machines, the same numbers (extra `distributed`).
+are finished. On a Dask cluster it is the same function on other machines, and the same numbers (extra `distributed`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from typing import Any, NamedTuple, TypeVar
+from dataclasses import dataclass
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from joblib import Parallel, delayed
 from joblib.externals.loky import ProcessPoolExecutor  # type: ignore[import-untyped]
@@ -18,12 +17,25 @@ from threadpoolctl import threadpool_limits
 
 from data.errors import SlamrefError, UsageError
 from eval.figures.paper import Look, current, looking
-from eval.plan.flags.options import Options
-from eval.replay.external.spec import acquainted, introduced
+from eval.plan.flags.table import Execution
+from eval.replay.external.spec import introduce, introduced
 
 CONNECT = 10
 """s, to reach the scheduler."""
+NEVER = 10**6
+"""s (eleven days; much more overflows) that a worker waits for the next job, or it would have to be started again."""
+Owner = TypeVar("Owner")
+OwnerT = TypeVar("OwnerT", covariant=True)
 Call = tuple[Callable[..., Any], tuple[Any, ...]]
+
+
+@dataclass(frozen=True)
+class Job(Generic[OwnerT]):
+    """A call that any process can do, and whom its result belongs to."""
+
+    owner: OwnerT
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...] = ()
 
 
 class Lost(NamedTuple):
@@ -33,6 +45,106 @@ class Lost(NamedTuple):
 
 
 KILLED = Lost("its process was killed, as happens where memory runs out")
+
+
+class OutOfMemoryError(SlamrefError):
+    """A job had not enough memory, and nobody can do without its result."""
+
+
+def work(
+    jobs: Sequence[Job[Owner]],
+    execution: Execution,
+    *,
+    far: bool = False,
+    lost: Callable[[Owner, str], None] | None = None,
+    apart: bool = False,
+) -> Iterator[tuple[Owner, Any]]:
+    """Results with their owners as they come; `far`: on the cluster, if there is one (`--scheduler`).
+
+    `apart`: one after the other, in a process of their own, which has all the memory. `lost` hears of each job that had
+    not enough memory, with the reason; without it, that raises `OutOfMemoryError`.
+    """
+    names, look = introduced(), current()
+    calls: dict[int, Call] = {i: (_done, (names, look, job.function, job.arguments)) for i, job in enumerate(jobs)}
+    if far and execution.scheduler is not None:
+        results = on_cluster(execution.scheduler, list(calls.values())) if calls else iter(())
+    else:
+        results = (_one_at_a_time if apart else _together)(calls, execution.jobs)
+    for i, result in results:
+        owner = jobs[i].owner
+        if not isinstance(result, Lost):
+            yield owner, result
+        elif lost is None:
+            raise OutOfMemoryError(f"{result.why}; fewer processes (--jobs 1) or a shorter log need less")
+        else:
+            lost(owner, result.why)
+
+
+def _done(names: tuple[str, ...], look: Look, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+    """In a worker: what a call gives, or that it had not enough memory.
+
+    Foreign names and the look of figures are as in the process that asked.
+    """
+    introduce(names)
+    # sums over two threads round otherwise than over one: the same bytes for any number of processes and cores
+    with threadpool_limits(1), looking(look):
+        try:
+            return function(*arguments)
+        except MemoryError as fault:
+            said = str(fault).rstrip(".")
+            return Lost(f"it ran out of memory ({said})" if said else "it ran out of memory")
+
+
+def _together(calls: Mapping[int, Call], processes: int) -> Iterator[tuple[int, Any]]:
+    """On this machine. After a process was killed, nobody knows over which job: the rest is done one by one.
+
+    Then each has all the memory, and only the one that needs more is lost.
+    """
+    waiting = dict(calls)
+    if not waiting:
+        return
+    try:
+        pool = Parallel(
+            n_jobs=min(processes, len(waiting)),
+            return_as="generator_unordered",
+            idle_worker_timeout=NEVER,
+            initializer=_keep_workers,
+        )
+        for i, result in pool(delayed(_numbered)(i, *call) for i, call in calls.items()):
+            del waiting[i]
+            yield i, result
+    except BrokenProcessPool:
+        yield from _one_at_a_time(waiting, processes)
+
+
+def _numbered(i: int, function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[int, Any]:
+    return i, function(*arguments)
+
+
+def _one_at_a_time(calls: Mapping[int, Call], processes: int) -> Iterator[tuple[int, Any]]:
+    """Calls in a process that nothing else runs in; a new one for the next after it was killed."""
+    pool = None
+    for i, (function, arguments) in calls.items():
+        pool = pool or ProcessPoolExecutor(max_workers=1, timeout=NEVER, initializer=_keep_workers)
+        try:
+            yield i, pool.submit(function, *arguments).result()
+        except BrokenProcessPool:
+            pool = None
+            yield i, KILLED
+    if pool is not None:
+        pool.shutdown()
+
+
+def _keep_workers() -> None:
+    """In a worker: it stays until the end, however much memory its jobs took.
+
+    A worker that has grown by 300 MB since its first job is taken by loky for one that leaks, stopped and replaced,
+    which it warns of. Ours grow because one log is larger than another, and allocators keep what they got: a new
+    process would grow as much, after compiling everything once more. There is no public switch.
+    """
+    from joblib.externals.loky import process_executor
+
+    process_executor._USE_PSUTIL = False
 
 
 def on_cluster(address: str, calls: Sequence[Call]) -> Iterator[tuple[int, Any]]:
@@ -66,116 +178,3 @@ def on_cluster(address: str, calls: Sequence[Call]) -> Iterator[tuple[int, Any]]
             except KilledWorker:  # several workers one after the other
                 result = KILLED
             yield index[future], result
-
-
-Owner = TypeVar("Owner")
-NEVER = 10**6
-"""s (eleven days; much more overflows) that a worker waits for the next job, or it would have to be started again."""
-
-
-class OutOfMemoryError(SlamrefError):
-    """A job had not enough memory, and nobody can do without its result."""
-
-
-def work(
-    jobs: Sequence[tuple[Owner, Call]],
-    options: Options,
-    far: bool = False,
-    lost: Callable[[Owner, str], None] | None = None,
-    *,
-    apart: bool = False,
-) -> Iterator[tuple[Owner, Any]]:
-    """Results with their owners as they come; `far`: on the cluster, if there is one (`--scheduler`).
-
-    `apart`: one after the other, in a process of their own, which has all the memory. `lost` hears of each job that had
-    not enough memory, with the reason; without it, that raises `OutOfMemoryError`.
-    """
-    names, look = introduced(), current()
-    calls = {i: call for i, (_, call) in enumerate(jobs)}
-    if look != Look():
-        calls = {i: (_looking, (look, *call)) for i, call in calls.items()}
-    if names:
-        calls = {i: (acquainted, (names, *call)) for i, call in calls.items()}
-    distant = far and options.scheduler is not None
-    here = _one_at_a_time if apart else _together
-    results = _on_cluster(str(options.scheduler), calls) if distant else here(calls, options.jobs)
-    for i, result in results:
-        owner = jobs[i][0]
-        if not isinstance(result, Lost):
-            yield owner, result
-        elif lost is None:
-            raise OutOfMemoryError(f"{result.why}; fewer processes (--jobs 1) or a shorter log need less")
-        else:
-            lost(owner, result.why)
-
-
-def _looking(look: Look, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
-    """In a worker, whose figures look as they would in the process that asked."""
-    with looking(look):
-        return function(*arguments)
-
-
-def _on_cluster(address: str, calls: Mapping[int, Call]) -> Iterator[tuple[int, Any]]:
-    if calls:
-        yield from on_cluster(address, [(_sheltered, call) for call in calls.values()])
-
-
-def _together(calls: Mapping[int, Call], processes: int) -> Iterator[tuple[int, Any]]:
-    """On this machine. After a process was killed, nobody knows over which job: the rest is done one by one.
-
-    Then each has all the memory, and only the one that needs more is lost.
-    """
-    waiting = dict(calls)
-    if not waiting:
-        return
-    try:
-        pool = Parallel(
-            n_jobs=min(processes, len(waiting)), return_as="generator_unordered", idle_worker_timeout=NEVER,
-            initializer=_keep_workers,
-        )  # fmt: skip
-        for i, result in pool(delayed(_numbered)(i, *call) for i, call in calls.items()):
-            del waiting[i]
-            yield i, result
-    except BrokenProcessPool:
-        yield from _one_at_a_time(waiting, processes)
-
-
-def _one_at_a_time(calls: Mapping[int, Call], processes: int) -> Iterator[tuple[int, Any]]:
-    """Calls in a process that nothing else runs in; a new one for the next after it was killed."""
-    pool = None
-    for i, call in calls.items():
-        pool = pool or ProcessPoolExecutor(max_workers=1, timeout=NEVER, initializer=_keep_workers)
-        try:
-            yield i, pool.submit(_sheltered, *call).result()
-        except BrokenProcessPool:
-            pool = None
-            yield i, KILLED
-    if pool is not None:
-        pool.shutdown()
-
-
-def _keep_workers() -> None:
-    """In a worker: it stays until the end, however much memory its jobs took.
-
-    A worker that has grown by 300 MB since its first job is taken by loky for one that leaks, stopped and replaced,
-    which it warns of. Ours grow because one log is larger than another, and allocators keep what they got: a new
-    process would grow as much, after compiling everything once more. There is no public switch.
-    """
-    from joblib.externals.loky import process_executor
-
-    process_executor._USE_PSUTIL = False
-
-
-def _numbered(i: int, function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[int, Any]:
-    return i, _sheltered(function, arguments)
-
-
-def _sheltered(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
-    """What a call gives, or that it had not enough memory."""
-    # sums over two threads round otherwise than over one: the same bytes for any number of processes and cores
-    with threadpool_limits(1):
-        try:
-            return function(*arguments)
-        except MemoryError as fault:
-            said = str(fault).rstrip(".")
-            return Lost(f"it ran out of memory ({said})" if said else "it ran out of memory")

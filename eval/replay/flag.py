@@ -1,13 +1,15 @@
 """A row of a table of flags, and the kinds of values: what serves command line, config files and scenario files alike.
 
-A table is a dataclass whose fields carry a `Flag`; it stands this low because `Setup` is such a table.
+A table is a dataclass whose fields carry a `Flag`, or are such tables themselves; it stands this low because `Setup`
+is one.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -29,7 +31,7 @@ class Flag:
         repeatable: given once for each value.
         short: one letter.
         bare: the value of a flag that is given without one; empty: a value is needed.
-        name, default: of the field.
+        name, default: of the field; part: of the field that holds its table, empty where it stands in the table itself.
     """
 
     read: Read
@@ -41,12 +43,17 @@ class Flag:
     bare: str = ""
     name: str = ""
     default: Any = None
+    part: str = ""
 
     @property
     def option(self) -> str:
         """As on the command line; a switch that is on by default is turned off."""
         name = self.name.replace("_", "-")
         return f"--no-{name}" if self.default is True else f"--{name}"
+
+    def of(self, options: Any) -> Any:
+        """Its value in a table, or in the part of it that it belongs to."""
+        return getattr(getattr(options, self.part) if self.part else options, self.name)
 
     def words(self, value: Any) -> list[str]:
         """The words of a command line that say this value."""
@@ -60,18 +67,38 @@ class Flag:
         return [word for t in texts for word in ([f"{self.option}={t}"] if t.startswith("-") else [self.option, t])]
 
 
-def flag(read: Read, metavar: str = "", help: str = "", **more: Any) -> dict[str, Flag]:
-    """Metadata of a field that makes it a row: `gate: float | None = field(default=0.99, metadata=flag(...))`."""
-    return {"flag": Flag(read, metavar, help, **more)}
+def row(default: Any, read: Read, metavar: str = "", help: str = "", **more: Any) -> Any:
+    """What makes a field of a table a row, with the field's default (MISSING: a value is needed); see `Flag`."""
+    return field(default=default, metadata={"flag": Flag(read, metavar, help, **more)})
+
+
+free_row = partial(row, numbers=False)
+"""A field on which no number depends."""
 
 
 def rows(table: type[Any]) -> dict[str, Flag]:
-    """The rows of a table by name, in its order."""
-    return {
-        f.name: replace(f.metadata["flag"], name=f.name, default=f.default)
-        for f in fields(table)
-        if "flag" in f.metadata
-    }
+    """The rows of a table by name, in its order, with those of the tables that it holds."""
+    found: dict[str, Flag] = {}
+    for f in fields(table):
+        if "flag" in f.metadata:
+            found[f.name] = replace(f.metadata["flag"], name=f.name, default=f.default)
+        elif is_dataclass(f.default):
+            found |= {name: replace(r, part=f.name) for name, r in rows(type(f.default)).items()}
+    return found
+
+
+def filled(table: type[Any], values: Mapping[str, Any]) -> Any:
+    """A table with these values by name, each in the part that it belongs to; defaults for all others."""
+    known = rows(table)
+    made: dict[str, Any] = {}
+    for f in fields(table):
+        own = {name: value for name, value in values.items() if name in known and known[name].part == f.name}
+        if f.name in values:
+            made[f.name] = values[f.name]
+        elif own:
+            part: type[Any] = type(f.default)
+            made[f.name] = part(**own)
+    return table(**made)
 
 
 def read_values(table: type[Any], given: Mapping[str, object], label: Callable[[Flag], str]) -> dict[str, Any]:
@@ -188,13 +215,13 @@ def one_of(known: Sequence[str]) -> Read:
     return read
 
 
-def names(known: Sequence[str], *, least: int = 0) -> Read:
-    """Names of a few, none twice, separated by commas or as a list."""
+def names(known: Sequence[str] | None = None, *, least: int = 0) -> Read:
+    """Names of a few (None: any), none twice, separated by commas or as a list."""
 
     def read(label: str, value: object) -> tuple[str, ...]:
         given = tuple(name.strip() for part in texts(label, value) for name in part.split(",") if name.strip())
         for name in given:
-            if name not in known:
+            if known is not None and name not in known:
                 raise UsageError(f"{label} {name}: unknown; known: {', '.join(known)}")
         if len(set(given)) != len(given):
             raise UsageError(f"{label} {','.join(given)}: named twice")

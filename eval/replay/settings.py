@@ -1,20 +1,17 @@
-"""How observations are paired and how much of the map is kept: what a person chooses beside estimator and method.
+"""What a person chooses beside the log: the names of tasks, estimators and ways of association, and their settings.
 
-The names that tasks, estimators and ways of association have everywhere: listed once, in the order of tables.
-
-Whoever gives one of them a meaning (filter options, methods, losses) is checked against these lists by a test.
-
-What is known before the first frame: all that an estimator or a front end may begin with.
+Names are listed once, in the order of tables; whoever gives one of them a meaning (filter options, methods, losses) is
+checked against these lists by a test. Imports nothing heavy, so that `--help` answers at once.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 
 from data.errors import UsageError
 from data.motion.priors import AUTO, read_errors
-from eval.replay.flag import flag, positive, positive_or_none, probability, probability_or_auto, share_or_none, switch
+from eval.replay.flag import positive, positive_or_none, probability, probability_or_auto, row, share_or_none, switch
 
 if TYPE_CHECKING:
     from data.inputs import LandmarkMap, Prior, Systematic
@@ -48,68 +45,53 @@ class Setup:
             log's residuals name, else all; empty: none.
     """
 
-    gate: float | None = field(
-        default=0.99,
-        metadata=flag(
-            probability, "P", "chi-square probability of the association gate, or none (default: 0.99; known is not "
-            "gated)",
-        ),
-    )  # fmt: skip
-    new_gate: float | None = field(
-        default=0.99999,
-        metadata=flag(
-            probability, "P", "an observation starts a landmark only outside this gate of every other, which is not "
-            "inside --gate (default: 0.99999; the lab: 0.99; ml-ratio decides by itself)",
-        ),
-    )  # fmt: skip
-    gate_known: float | Literal["auto"] | None = field(
-        default="auto",
-        metadata=flag(
-            probability_or_auto, "P", f"gate for readings paired by label: a probability, none, or auto (default): "
-            f"{SENSED_GATE} where a sensor read the labels, else none; laser logs: of the EKF's loop closures",
-        ),
-    )  # fmt: skip
-    gate_smoothers: bool = field(
-        default=True, metadata=flag(switch, "", "what the gate for labels leaves out, only filters leave out")
+    gate: float | None = row(
+        0.99,
+        probability,
+        "P",
+        "chi-square probability of the association gate, or none (default: 0.99; known is not gated)",
     )
-    in_view: bool = field(default=False, metadata=flag(switch, "", "the EKF offers only landmarks in range and view"))
-    maintain: bool = field(
-        default=False, metadata=flag(switch, "", "SLAM: remove landmarks seen once and more than two frames ago")
+    new_gate: float | None = row(
+        0.99999,
+        probability,
+        "P",
+        "an observation starts a landmark only outside this gate of every other, which is not inside --gate (default: "
+        "0.99999; the lab: 0.99; ml-ratio decides by itself)",
     )
-    forget_after: float | None = field(
-        default=None,
-        metadata=flag(
-            positive_or_none, "S", "EKF-SLAM drops landmarks unseen for S seconds (frames without stamps)"
-        ),
-    )  # fmt: skip
-    deactivate_after: float | None = field(
-        default=None,
-        metadata=flag(positive_or_none, "S", "EKF-SLAM parks such landmarks, and takes them back when seen again"),
+    gate_known: float | Literal["auto"] | None = row(
+        "auto",
+        probability_or_auto,
+        "P",
+        f"gate for readings paired by label: a probability, none, or auto (default): {SENSED_GATE} where a sensor read "
+        "the labels, else none; laser logs: of the EKF's loop closures",
     )
-    lag: float = field(
-        default=30.0,
-        metadata=flag(positive, "S", "fixed-lag keeps poses for S seconds (frames without stamps; default: 30)"),
+    gate_smoothers: bool = row(True, switch, "", "what the gate for labels leaves out, only filters leave out")
+    in_view: bool = row(False, switch, "", "the EKF offers only landmarks in range and view")
+    maintain: bool = row(False, switch, "", "SLAM: remove landmarks seen once and more than two frames ago")
+    forget_after: float | None = row(
+        None, positive_or_none, "S", "EKF-SLAM drops landmarks unseen for S seconds (frames without stamps)"
     )
-    keyframe_distance: float = field(
-        default=0.4, metadata=flag(positive, "M", "laser logs: a key pose every M metres (default: 0.4)")
+    deactivate_after: float | None = row(
+        None, positive_or_none, "S", "EKF-SLAM parks such landmarks, and takes them back when seen again"
     )
-    least_information: float | None = field(
-        default=None,
-        metadata=flag(
-            share_or_none, "SHARE", "laser logs: key poses whose scans have less than this share in what is known of "
-            "the places they see leave the graph (default: none)",
-        ),
-    )  # fmt: skip
-
-    calibrate: tuple[str, ...] = field(
-        default=(),
-        metadata=flag(
-            read_errors, "NAMES", "filters and smoothers estimate systematic errors of odometry and sensor along: "
-            "NAME[=SIGMA],... of scale, curvature, left, right, drift, range, bearing (SIGMA: known so well before); "
-            "alone or auto: those that the log's residuals name, else all with tight priors",
-            bare=AUTO,
-        ),
-    )  # fmt: skip
+    lag: float = row(30.0, positive, "S", "fixed-lag keeps poses for S seconds (frames without stamps; default: 30)")
+    keyframe_distance: float = row(0.4, positive, "M", "laser logs: a key pose every M metres (default: 0.4)")
+    least_information: float | None = row(
+        None,
+        share_or_none,
+        "SHARE",
+        "laser logs: key poses whose scans have less than this share in what is known of the places they see leave the "
+        "graph (default: none)",
+    )
+    calibrate: tuple[str, ...] = row(
+        (),
+        read_errors,
+        "NAMES",
+        "filters and smoothers estimate systematic errors of odometry and sensor along: NAME[=SIGMA],... of scale, "
+        "curvature, left, right, drift, range, bearing (SIGMA: known so well before); alone or auto: those that the "
+        "log's residuals name, else all with tight priors",
+        bare=AUTO,
+    )
 
     def settled(self, sensed: bool) -> Setup:
         """The same, `auto` settled for a log whose labels were sensed or not."""

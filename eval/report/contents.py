@@ -15,7 +15,7 @@ from eval.plan.flags.options import Options
 from eval.plan.provenance import command_of, provenance
 from eval.plan.tutorials import is_tutorial
 from eval.plan.unfinished import Unfinished
-from eval.plan.work import Call, work
+from eval.plan.work import Job, work
 from eval.player.document import played, write_player
 from eval.referee import result_files
 from eval.referee.consistency import MIN_RUNS
@@ -78,7 +78,7 @@ def write_results(
     progress: Callable[[int, int], None],
 ) -> Written:
     """Fill the result folder."""
-    lost = Unfinished(options, said=list(outcome.missing))
+    lost = Unfinished(options.execution.jobs, said=list(outcome.missing))
     scores = score(outcome.trials)
     consistency = consistency_table(judged)
     for file, table in (
@@ -165,23 +165,23 @@ def _publish_trials(
     folder: Path, options: Options, trials: Sequence[Trial], lost: Unfinished, progress: Callable[[int, int], None]
 ) -> list[list[Picture]]:
     """Write run files and pictures, each as a job of its own; returns the pictures of each trial."""
-    jobs: list[tuple[tuple[int, int], Call]] = []
+    jobs: list[Job[tuple[int, int]]] = []
     for i, trial in enumerate(trials):
         others = beside(trial, trials)
         drawn = not (options.no_plots or _shown_elsewhere(trial, trials))
         for place, kind in enumerate(kinds(trial, others, quick=options.quick) if drawn else ()):
-            jobs.append(((i, place), (partial(draw, quick=options.quick), (folder, trial, kind, others))))
+            jobs.append(Job((i, place), partial(draw, quick=options.quick), (folder, trial, kind, others)))
     for i, trial in enumerate(trials):
-        jobs.append(((i, -1), (publish_runs, (folder, options, trial))))
+        jobs.append(Job((i, -1), publish_runs, (folder, options, trial)))
     for group in () if options.no_plots else played(trials):
-        jobs.append(((trials.index(group[0]), -2), (write_player, (folder, group, options.setup))))
+        jobs.append(Job((trials.index(group[0]), -2), write_player, (folder, group, options.setup)))
     made: dict[tuple[int, int], Picture] = {}
 
     def missing(owner: tuple[int, int], why: str) -> None:
         what = {-1: "files of its runs", -2: "the player"}.get(owner[1], "a picture")
         lost.say(f"{trials[owner[0]].log.name}, {trials[owner[0]].task}: {what} missing", why)
 
-    for done, (owner, picture) in enumerate(work(jobs, options, lost=missing), start=1):
+    for done, (owner, picture) in enumerate(work(jobs, options.execution, lost=missing), start=1):
         if owner[1] >= 0:
             made[owner] = picture
         progress(done, len(jobs))
@@ -256,7 +256,7 @@ def _source_section(trials: Sequence[Trial], options: Options) -> Section:
         r = log.recorded
         labels = " Labels are sensed." if log.labels_are_sensed else ""
         if log.has_labels and log.name not in tutorials:  # those gate nothing
-            labels += f" {gate_sentence(options, sensed=log.labels_are_sensed)}"
+            labels += f" {gate_sentence(options.setup, sensed=log.labels_are_sensed)}"
         notes.append(
             f"* `{log.name}` ({kind}): {counted(len(r), 'frame')}, {counted(len(r.observations.frame), 'observation')},"
             f" sensor `{r.sensor.name}`, {counted(log.truth.known_poses, 'frame')} with truth,"

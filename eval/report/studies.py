@@ -21,7 +21,7 @@ from eval.figures import Seen, power_figure
 from eval.figures.style import save
 from eval.plan.execute import Outcome
 from eval.plan.flags.options import Options
-from eval.plan.work import Call, work
+from eval.plan.work import Job, work
 from eval.referee import battery
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE
 from eval.referee.consistency import MIN_RUNS, share_interval
@@ -272,13 +272,13 @@ def _draw(folder: Path, options: Options, studies: Sequence[Study]) -> list[list
     pictures: list[list[Picture]] = [[] for _ in studies]
     if options.no_plots or options.quick:
         return pictures
-    jobs: list[tuple[tuple[int, int], Call]] = []
+    jobs: list[Job[tuple[int, int]]] = []
     for i, study in enumerate(studies):
         for task in study.scenario.task:
             for association in names_of(study.scenario.association):
                 for kind in ("anees", "ends", "coverage"):
-                    jobs.append(((i, len(jobs)), (_picture, (folder, study, task, association, kind))))
-    made = dict(work(jobs, options))
+                    jobs.append(Job((i, len(jobs)), _picture, (folder, study, task, association, kind)))
+    made = dict(work(jobs, options.execution))
     for i, place in sorted(made):
         if made[i, place] is not None:
             pictures[i].append(made[i, place])

@@ -7,16 +7,21 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, replace
+from dataclasses import MISSING
 from pathlib import Path
 
 from data.errors import UsageError
 from eval.plan.flags.examples import PROG
-from eval.plan.flags.table import CONFIGS, Options, Variant, parser, shipped
-from eval.replay.flag import Flag, read_values, rows
+from eval.plan.flags.table import CONFIGS, Options, parser, shipped
+from eval.plan.flags.variant import Variant
+from eval.replay.flag import Flag, filled, read_values, rows
 from eval.replay.settings import Setup, check_gates
 
 __all__ = ["Options", "options_of", "read_options"]
+
+TABLE = rows(Options)
+NOT_WITH_SCENARIO = ("log", "task", "association", "twins", "result", "truth")
+NOT_WITH_LAB = (*NOT_WITH_SCENARIO, "data", "scenario", "full", "runs", "calibrate")
 
 
 def read_options(argv: Sequence[str] | None = None, prog: str = PROG) -> Options:
@@ -26,7 +31,7 @@ def read_options(argv: Sequence[str] | None = None, prog: str = PROG) -> Options
 
 def options_of(given: Mapping[str, object]) -> Options:
     """Options from values by name, as on the command line; raises UsageError for what makes no sense."""
-    configs = rows(Options)["config"].read("--config", given.get("config", []))
+    configs = TABLE["config"].read("--config", given.get("config", []))
     merged: dict[str, object] = {}
     variants: list[Variant] = []
     for name in configs:
@@ -39,13 +44,11 @@ def options_of(given: Mapping[str, object]) -> Options:
     again = {"config": configs, "stated": tuple(merged)} if variants else {}
     merged.update((key, value) for key, value in given.items() if key != "config")
     if merged.get("lab") and "new_gate" not in merged:
-        merged["new_gate"] = merged.get("gate", rows(Options)["gate"].default)  # the lab has one gate
-    values = read_values(Options, merged, _label)
-    options = Options(variants=tuple(variants), **again, **values)
-    if "jobs" not in merged:
-        options = replace(options, jobs=os.cpu_count() or 1)
-    if variants and not options.task:
-        options = replace(options, task=tuple(dict.fromkeys(v.task for v in variants)))
+        merged["new_gate"] = merged.get("gate", TABLE["gate"].default)  # the lab has one gate
+    values = {"jobs": os.cpu_count() or 1} | read_values(Options, merged, _label)
+    if variants and not values.get("task"):
+        values["task"] = tuple(dict.fromkeys(v.task for v in variants))
+    options: Options = filled(Options, {**values, **again, "variants": tuple(variants)})
     _check(options)
     return options
 
@@ -67,7 +70,7 @@ def _read_config(name: str) -> dict[str, object]:
 
     content = load_toml(path, fault, f"no such file; shipped: {', '.join(shipped())}")
     keys = {k.replace("-", "_"): v for k, v in content.items()}
-    known = rows(Options).keys() - {"config"} | {"variant", "corridor"}
+    known = TABLE.keys() - {"config"} | {"variant", "corridor"}
     unknown = sorted(set(keys) - known)
     if unknown:
         raise UsageError(f"--config {name}: unknown key {unknown[0]!r}; known: {', '.join(sorted(known))}")
@@ -100,47 +103,45 @@ def _variant(name: str, table: object) -> Variant:
     return variant
 
 
-def _check(o: Options) -> None:
+def _check(options: Options) -> None:
     """What makes no sense together; each value alone was checked when it was read."""
-    check_gates(o.gate, o.new_gate)
-    if o.forget_after is not None and o.deactivate_after is not None and o.deactivate_after >= o.forget_after:
-        raise UsageError(
-            f"--deactivate-after {o.deactivate_after:g}: must be less than --forget-after {o.forget_after:g}, "
-            "or nothing is ever parked"
-        )
-    if o.deactivate_after is not None and "ekf-invariant" in o.estimator:
-        raise UsageError(
-            "--deactivate-after: ekf-invariant moves all landmarks together, parked ones would stay behind"
-        )
-    if o.deactivate_after is not None and "ekf-fej" in o.estimator:
-        raise UsageError("--deactivate-after: ekf-fej keeps first estimates, a parked landmark would lose its own")
-    if o.quick and o.full:
+    s, setup, out = options.selection, options.setup, options.output
+    check_gates(setup.gate, setup.new_gate)
+    if setup.deactivate_after is not None:
+        if setup.forget_after is not None and setup.deactivate_after >= setup.forget_after:
+            raise UsageError(
+                f"--deactivate-after {setup.deactivate_after:g}: must be less than --forget-after "
+                f"{setup.forget_after:g}, or nothing is ever parked"
+            )
+        if "ekf-invariant" in s.estimator:
+            raise UsageError(
+                "--deactivate-after: ekf-invariant moves all landmarks together, parked ones would stay behind"
+            )
+        if "ekf-fej" in s.estimator:
+            raise UsageError("--deactivate-after: ekf-fej keeps first estimates, a parked landmark would lose its own")
+    if out.quick and options.study.full:
         raise UsageError("--quick and --full exclude each other")
-    if o.full and (o.log or o.scenario):
+    if options.study.full and (s.log or s.scenario):
         raise UsageError("--full is the default suite in full; it takes no --log and no --scenario")
-    if o.lab is not None:
-        for flag, stated in (
-            ("--log", o.log), ("--data", o.data), ("--scenario", o.scenario), ("--task", o.task),
-            ("--association", o.association), ("--full", o.full), ("--result", o.result), ("--truth", o.truth),
-            ("--config", o.variants), ("--runs", o.runs), ("--twins", o.twins), ("--calibrate", o.calibrate),
-        ):  # fmt: skip
-            if stated:
-                raise UsageError(f"{flag} and --lab exclude each other: a lab states what is run on what, and how")
-    if o.scenario:
-        for flag, stated in (
-            ("--log", o.log), ("--task", o.task), ("--association", o.association), ("--config", o.variants),
-            ("--twins", o.twins), ("--result", o.result), ("--truth", o.truth),
-        ):  # fmt: skip
-            if stated:
-                raise UsageError(f"{flag} and --scenario exclude each other: a scenario states its own")
+    if s.lab is not None and (stated := _stated(options, NOT_WITH_LAB)):
+        raise UsageError(f"{stated} and --lab exclude each other: a lab states what is run on what, and how")
+    if s.scenario:
+        if stated := _stated(options, NOT_WITH_SCENARIO):
+            raise UsageError(f"{stated} and --scenario exclude each other: a scenario states its own")
         for row in rows(Setup).values():
-            if getattr(o, row.name) != row.default:
+            if row.of(setup) != row.default:
                 raise UsageError(f"{row.option} and --scenario exclude each other: [setup] in its file")
-    if o.write_up and "tex" not in o.formats:
-        raise UsageError(f"--write-up sets the tables in LaTeX, which --formats {','.join(o.formats)} leaves out")
-    if o.quiet and o.verbose:
+    if out.write_up and "tex" not in out.formats:
+        raise UsageError(f"--write-up sets the tables in LaTeX, which --formats {','.join(out.formats)} leaves out")
+    if options.execution.quiet and options.execution.verbose:
         raise UsageError("-q and -v exclude each other")
-    if o.animate and o.no_plots:
+    if out.animate and out.no_plots:
         raise UsageError("--animate makes pictures and --no-plots forbids them")
-    if o.speed is not None and not o.animate:
-        raise UsageError(f"--speed {o.speed:g}: is about films, which --animate makes")
+    if out.speed is not None and not out.animate:
+        raise UsageError(f"--speed {out.speed:g}: is about films, which --animate makes")
+
+
+def _stated(options: Options, names: Sequence[str]) -> str:
+    """The first of these flags that was given (a config file with a variant is one, too); empty if none was."""
+    stated = [TABLE[name].option for name in names if TABLE[name].of(options)]
+    return next(iter([*stated, *(["--config"] if options.variants else [])]), "")

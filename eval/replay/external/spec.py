@@ -15,10 +15,9 @@ import os
 import re
 import sys
 import zlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from data.errors import UsageError
 from eval.replay.flag import Read, texts
@@ -248,9 +247,3 @@ def place(name: str, places: int) -> int:
 def _free(name: str, places: int, taken: set[int]) -> int:
     begin = zlib.crc32(name.encode()) % places
     return next((i for k in range(places) if (i := (begin + k) % places) not in taken), begin)
-
-
-def acquainted(names: tuple[str, ...], function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
-    """A call in a process that may not know the names of this run."""
-    introduce(names)
-    return function(*arguments)

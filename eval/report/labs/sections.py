@@ -13,7 +13,7 @@ import pandas as pd
 
 from eval.plan.flags.options import Options
 from eval.plan.unfinished import Unfinished
-from eval.plan.work import work
+from eval.plan.work import Job, work
 from eval.referee.score import Scores, Trial
 from eval.report.labs.corridor import (
     BLIND,
@@ -91,8 +91,9 @@ def _corridor(folder: Path, options: Options, lab: Lab, facts: Answers, lost: Un
     wanted = [] if options.no_plots else [k for q in QUESTIONS for k in q.pictures if NEEDED[k](lab)]
     formats = ("png",) if options.quick else ("pdf", "png")
     setup = options.setup.settled(next(iter(lab.trials.values())).log.labels_are_sensed)
-    jobs = [(kind, (draw, (folder, kind, lab, setup, formats, options.formats))) for kind in wanted]
-    made: dict[str, Picture] = dict(work(jobs, options, lost=lambda kind, why: lost.say(f"lab: {kind} missing", why)))
+    jobs = [Job(kind, draw, (folder, kind, lab, setup, formats, options.formats)) for kind in wanted]
+    drawn = work(jobs, options.execution, lost=lambda kind, why: lost.say(f"lab: {kind} missing", why))
+    made: dict[str, Picture] = dict(drawn)
     sections = []
     for n, question in enumerate(QUESTIONS, start=1):
         q = getattr(facts, question.name)

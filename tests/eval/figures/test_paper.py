@@ -96,23 +96,23 @@ def test_lengths_have_units():
 
 
 def test_a_font_that_is_not_here_is_replaced_and_that_is_said(monkeypatch):
-    look, said = appearance.look_of(read_options(["--font", "Nowhere Grotesk"]))
+    look, said = appearance.look_of(read_options(["--font", "Nowhere Grotesk"]).drawing)
     assert look.fonts == ("DejaVu Sans",)
     assert said == "--font Nowhere Grotesk: not on this machine; figures have DejaVu Sans instead"
     fonts = [f for f in appearance.font_manager.fontManager.ttflist if f.name in ("STIXGeneral", "DejaVu Sans")]
     monkeypatch.setattr(appearance.font_manager.fontManager, "ttflist", fonts)
-    look, said = appearance.look_of(read_options(["--font", "Times"]))
+    look, said = appearance.look_of(read_options(["--font", "Times"]).drawing)
     assert (look.fonts[0], look.mathematics) == ("STIXGeneral", "stix")
     assert said.endswith("figures have STIXGeneral instead")
-    assert appearance.look_of(read_options([]))[0] == Look()
+    assert appearance.look_of(read_options([]).drawing)[0] == Look()
 
 
 def test_without_latex_the_flags_that_need_it_say_so_before_any_work(monkeypatch):
     monkeypatch.setattr(appearance.shutil, "which", lambda _: None)
     with pytest.raises(UsageError, match=r"--usetex needs LaTeX, and there is no program 'latex' on this machine"):
-        appearance.require_latex(read_options(["--usetex"]))
+        appearance.require_latex(read_options(["--usetex"]).drawing)
     with pytest.raises(UsageError, match=r"--pgf needs LaTeX, and there is none of pdflatex, "):
-        appearance.require_latex(read_options(["--pgf"]))
+        appearance.require_latex(read_options(["--pgf"]).drawing)
 
 
 def test_signs_become_commands_of_latex(runs):

@@ -207,7 +207,7 @@ def test_the_ways_of_association_that_are_offered_are_those_it_takes(tmp_path, c
     taken = []
     for name in ASSOCIATIONS:
         try:
-            taken.append(*__main__.read([*link, "--association", name]).options.association)
+            taken.append(*__main__.read([*link, "--association", name]).options.selection.association)
         except UsageError:
             continue
     assert taken == offered

@@ -35,7 +35,7 @@ def test_so_it_is_in_a_config_file(tmp_path):
     config.write_text("gate = 0.999\nnew_gate = 0.5\n")
     with pytest.raises(UsageError, match=r"--new-gate 0\.5: must not be less than --gate 0\.999"):
         read_options(["--config", str(config)])
-    assert read_options(["--config", str(config), "--gate", "0.5"]).gate == 0.5
+    assert read_options(["--config", str(config), "--gate", "0.5"]).setup.gate == 0.5
 
 
 @pytest.mark.parametrize(("setup", "words"), [

@@ -19,8 +19,8 @@ FOUR = [(False, True), (True, True), (False, False), (True, False)]
 def said(*arguments: str):
     heard: list[str] = []
     options = read_options(list(arguments))
-    assert options.lab is not None
-    return lab_experiments(options, options.lab, Reading(), heard.append), heard
+    asked = options.selection
+    return lab_experiments(asked.lab, asked.estimator, options.setup, Reading(), heard.append), heard
 
 
 @pytest.mark.parametrize(("lab", "names"), [
@@ -72,12 +72,12 @@ def test_every_method_is_run_in_every_condition_without_maintenance_and_with_it(
 
 
 def test_the_lab_has_one_gate_unless_two_are_asked_for():
-    assert read_options(["--lab", "corridor:0"]).new_gate == 0.99
-    assert read_options(["--lab", "corridor:0", "--gate", "0.95"]).new_gate == 0.95
+    assert read_options(["--lab", "corridor:0"]).setup.new_gate == 0.99
+    assert read_options(["--lab", "corridor:0", "--gate", "0.95"]).setup.new_gate == 0.95
     two = read_options(["--lab", "corridor:0", "--new-gate", "0.99999"])
-    assert two.new_gate == 0.99999
+    assert two.setup.new_gate == 0.99999
     assert "--new-gate 0.99999" in command_of(two), "it is the default of other runs, and not of this one"
-    assert read_options(["--log", "corridor:0"]).new_gate == 0.99999
+    assert read_options(["--log", "corridor:0"]).setup.new_gate == 0.99999
 
 
 def test_a_folder_of_recorded_runs_must_hold_every_condition_and_others_are_skipped(tmp_path):

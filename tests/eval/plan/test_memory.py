@@ -7,19 +7,19 @@ import pytest
 from eval.plan import work as works
 from eval.plan.flags.options import read_options
 from eval.plan.unfinished import estimate
-from eval.plan.work import OutOfMemoryError, work
+from eval.plan.work import Job, OutOfMemoryError, work
 from eval.run_all import main
 from tests.eval.plan.jobs import killed, squared, stays, too_large
 
 
 def options(*arguments):
-    return read_options([*arguments])
+    return read_options([*arguments]).execution
 
 
 @pytest.mark.slow
 def test_a_killed_process_and_an_array_too_large_take_nothing_else_with_them():
-    jobs = [(i, (squared, (i,))) for i in range(3)]
-    jobs += [("killed", (killed, (0,))), ("large", (too_large, (0,))), ("stays", (stays, ()))]
+    jobs = [Job(i, squared, (i,)) for i in range(3)]
+    jobs += [Job("killed", killed, (0,)), Job("large", too_large, (0,)), Job("stays", stays, ())]
     lost = {}
     done = dict(work(jobs, options("--jobs", "2"), lost=lost.__setitem__))
     # workers are not replaced when they have grown, which loky would warn of
@@ -30,7 +30,7 @@ def test_a_killed_process_and_an_array_too_large_take_nothing_else_with_them():
 
 def test_where_nobody_can_do_without_it_is_an_error_of_one_line():
     with pytest.raises(OutOfMemoryError, match="ran out of memory"):
-        list(work([(0, (too_large, (0,)))], options("--jobs", "1")))
+        list(work([Job(0, too_large, (0,))], options("--jobs", "1")))
 
 
 @pytest.fixture

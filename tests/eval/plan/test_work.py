@@ -6,14 +6,14 @@ import pytest
 
 from eval.plan import work as works
 from eval.plan.flags.options import read_options
-from eval.plan.work import OutOfMemoryError, work
+from eval.plan.work import Job, OutOfMemoryError, work
 from tests.eval.plan.jobs import squared, too_large
 
 ADDRESS = "tcp://10.0.0.7:8786"
 
 
 def options(*arguments):
-    return read_options([*arguments])
+    return read_options([*arguments]).execution
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def cluster(monkeypatch):
 
 
 def test_a_cluster_gets_the_far_jobs_and_each_result_goes_to_its_owner(cluster):
-    jobs = [(f"job {x}", (squared, (x,))) for x in (3, 4, 5)]
+    jobs = [Job(f"job {x}", squared, (x,)) for x in (3, 4, 5)]
     done = list(work(jobs, options("--scheduler", ADDRESS), far=True))
     assert done == [("job 5", 25), ("job 4", 16), ("job 3", 9)]
     assert cluster == [ADDRESS]
@@ -40,14 +40,14 @@ def test_a_cluster_gets_the_far_jobs_and_each_result_goes_to_its_owner(cluster):
 
 def test_what_is_not_far_is_done_here_and_without_jobs_nobody_is_asked(cluster):
     asked = options("--scheduler", ADDRESS, "--jobs", "1")
-    assert list(work([("near", (squared, (3,)))], asked)) == [("near", 9)]
-    assert list(work([("far", (squared, (4,)))], options("--jobs", "1"), far=True)) == [("far", 16)]
+    assert list(work([Job("near", squared, (3,))], asked)) == [("near", 9)]
+    assert list(work([Job("far", squared, (4,))], options("--jobs", "1"), far=True)) == [("far", 16)]
     assert list(work([], asked, far=True)) == []
     assert cluster == []
 
 
 def test_a_far_job_without_enough_memory_is_lost_alone(cluster):
-    jobs, lost = [(0, (squared, (3,))), (1, (too_large, (0,)))], {}
+    jobs, lost = [Job(0, squared, (3,)), Job(1, too_large, (0,))], {}
     assert list(work(jobs, options("--scheduler", ADDRESS), far=True, lost=lost.__setitem__)) == [(0, 9)]
     assert lost == {1: "it ran out of memory (Unable to allocate 728. TiB)"}
     with pytest.raises(OutOfMemoryError, match=r"728\. TiB\); fewer processes \(--jobs 1\) or a shorter log"):

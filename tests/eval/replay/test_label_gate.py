@@ -33,7 +33,7 @@ def sensed() -> Log:
     return replace(log, label=label, labels_are_sensed=True)
 
 
-def ekf(log, setup=Setup(), task="localization"):  # noqa: B008 - frozen
+def ekf(log, setup=Setup(), task="localization"):
     return compare(log.inputs(labels=True), task, ["ekf"], setup=setup)[0]
 
 

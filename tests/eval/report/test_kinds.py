@@ -9,7 +9,7 @@ import pytest
 
 from data.inputs import Systematic
 from data.result import MapEstimate, Systematics, Trajectory
-from eval.plan.flags.options import Options
+from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.report import pictures
 from eval.report.pictures import draw, has_outcomes, kinds, publish_runs
@@ -128,8 +128,8 @@ def test_files_are_written_of_every_run_and_films_only_where_asked_for(monkeypat
     monkeypatch.setattr(pictures, "write_run", lambda folder, t, run, lab_text: written.append((run, lab_text)))
     monkeypatch.setattr(pictures, "write_laser_files", lambda folder, t: written.append("laser"))
     monkeypatch.setattr("eval.report.pictures.write_films", lambda folder, options, t: written.append("films"))
-    publish_runs(tmp_path, Options(lab_text=True), trial(FILTER, BATCH))
+    publish_runs(tmp_path, Output(lab_text=True), trial(FILTER, BATCH))
     assert written == ["laser", (FILTER, True), (BATCH, True)]
     written.clear()
-    publish_runs(tmp_path, Options(animate=True), trial(WHEELS, beside="other"))
+    publish_runs(tmp_path, Output(animate=True), trial(WHEELS, beside="other"))
     assert written == [(WHEELS, False), "films"]

@@ -28,7 +28,7 @@ def settled(monkeypatch, asked, names=()):
     monkeypatch.setattr(calibrate, "plainly", lambda log, task, association, setup: ((), names))
     options = options_of({"calibrate": asked, "jobs": 1})
     e = Experiment(LOG, "slam", (Work("known", ("ekf",)),), options.setup)
-    (found,), made = settle([e], options, Unfinished(options))
+    (found,), made = settle([e], options.execution, Unfinished(1))
     return found, made
 
 
@@ -66,9 +66,9 @@ def test_a_laser_log_has_nothing_to_be_calibrated_by():
         recorded=replace(LOG.recorded, scans=scans, observations=Observations(*(a[:0] for a in (o.frame, o.z, o.R)))),
     )
     with pytest.raises(UsageError, match="is a laser log"):
-        check_calibrated(scanned, options_of({"calibrate": "auto"}))
-    check_calibrated(scanned, options_of({}))
-    check_calibrated(LOG, options_of({"calibrate": "auto"}))
+        check_calibrated(scanned, ("auto",), ())
+    check_calibrated(scanned, (), ())
+    check_calibrated(LOG, ("auto",), ())
 
 
 @pytest.mark.slow

@@ -79,7 +79,7 @@ def test_every_row_that_changes_the_numbers_is_tried_here():
 @pytest.mark.parametrize("name", NUMBERS)
 def test_what_changes_the_numbers_is_in_the_command(name):
     options = read_options(words(name, CHANGED.get(name, "")))
-    assert getattr(options, name) != TABLE[name].default
+    assert TABLE[name].of(options) != TABLE[name].default
     assert TABLE[name].option in command_of(options).split()
     assert again(options) == options
 
@@ -99,14 +99,14 @@ def test_reading_the_command_again_gives_the_same_options(data):
 def test_what_there_may_be_several_of_is_given_once_for_each(name):
     option = TABLE[name].option
     options = read_options([option, "a=a", option, "b=b"])
-    assert getattr(options, name) == ("a=a", "b=b")
+    assert TABLE[name].of(options) == ("a=a", "b=b")
     assert again(options) == options
 
 
 def test_a_value_with_spaces_or_a_dash_in_front_is_quoted():
     options = read_options(["--log", "my log's", "--log=-odd"])
     assert shlex.split(command_of(options))[3:5] == ["--log", "my log's"]
-    assert again(options).log == ("my log's", "-odd")
+    assert again(options).selection.log == ("my log's", "-odd")
 
 
 def test_a_file_with_a_variant_is_named_and_what_flags_change_beside_it_stays(tmp_path):
@@ -116,7 +116,8 @@ def test_a_file_with_a_variant_is_named_and_what_flags_change_beside_it_stays(tm
         "grid = 0.02\nmodel = 'unicycle'\nalphas = [0.1, 0.1, 0.1, 0.1]\nsigma = [1, 1]\nprior_variance = 0.1\n"
     )
     options = read_options(["--config", str(config), "--gate", "0.99", "--forget-after", "none"])
-    assert (options.gate, options.forget_after, options.maintain) == (0.99, None, True)
+    setup = options.setup
+    assert (setup.gate, setup.forget_after, setup.maintain) == (0.99, None, True)
     assert again(options) == options
 
 

@@ -25,17 +25,19 @@ def test_flags_and_config_keys_mean_the_same_and_flags_win(tmp_path):
         'runs = 60\nseed = 7\njobs = 1\nquick = true\nformats = "csv,tex"\nno-plots = true\nout = "elsewhere"\n'
     )
     o = read_options(["--config", str(config)])
-    assert (o.log, o.task, o.estimator) == (("arena:1", "arena:2"), ("slam",), ("ekf", "batch"))
-    assert (o.gate, o.gate_known, o.runs, o.seed, o.jobs) == (0.95, 0.9999, 60, 7, 1)
-    assert (o.quick, o.formats, o.no_plots, str(o.out)) == (True, ("csv", "tex"), True, "elsewhere")
+    s = o.selection
+    assert (s.log, s.task, s.estimator) == (("arena:1", "arena:2"), ("slam",), ("ekf", "batch"))
+    assert (o.setup.gate, o.setup.gate_known, o.study.runs, o.study.seed, o.execution.jobs) == (0.95, 0.9999, 60, 7, 1)
+    out = o.output
+    assert (out.quick, out.formats, out.no_plots, str(out.out)) == (True, ("csv", "tex"), True, "elsewhere")
     same = read_options([
         "--log", "arena:1", "--log", "arena:2", "--task", "slam", "--estimator", "ekf,batch", "--gate", "0.95",
         "--gate-known", "0.9999", "--runs", "60", "--seed", "7", "--jobs", "1", "--quick", "--formats", "csv,tex",
         "--no-plots", "--out", "elsewhere",
     ])  # fmt: skip
     assert same == o
-    assert read_options(["--config", str(config), "--gate", "none", "--seed", "1"]).gate is None
-    assert read_options(["--config", str(config), "--seed", "1"]).seed == 1
+    assert read_options(["--config", str(config), "--gate", "none", "--seed", "1"]).setup.gate is None
+    assert read_options(["--config", str(config), "--seed", "1"]).study.seed == 1
 
 
 @pytest.mark.parametrize(("arguments", "words"), [
@@ -94,14 +96,17 @@ def test_a_config_file_with_faults_is_refused(tmp_path, text, words):
 def test_a_table_of_constants_in_a_config_file_is_a_corridor(tmp_path):
     config = tmp_path / "run.toml"
     config.write_text('log = "arena:0"\n[corridor]\nseed = 4\npeople = true\nodometry = false\nrange = 8\n')
-    assert read_options(["--config", str(config)]).log == ("arena:0", "corridor:4:people=on+odometry=off+range=8")
+    assert read_options(["--config", str(config)]).selection.log == (
+        "arena:0",
+        "corridor:4:people=on+odometry=off+range=8",
+    )
 
 
 def test_shipped_tutorials_hold_the_classic_numbers():
     assert shipped() == ["tutorial-step1", "tutorial-step2", "tutorial-step3", "tutorial-step4"]
     o = read_options([part for name in shipped() for part in ("--config", name)])
     one, two, three, four = o.variants
-    assert o.task == ("localization", "slam")
+    assert o.selection.task == ("localization", "slam")
     assert (one.alphas, one.sigma, one.prior_variance, one.each) == ((0.2, 0.03, 0.09, 0.08), (2.0, 3.0), 0.01, True)
     assert (three.alphas, three.prior_variance, three.new_variance) == ((0.1, 0.01, 0.18, 0.08), 0.001, 10.0)
     assert [round(s**2, 12) for s in three.sigma] == [11.8, 0.18]
@@ -171,8 +176,8 @@ def test_help_imports_nothing_heavy():
 def test_errors_to_be_calibrated_are_named_or_left_to_the_log(tmp_path, arguments, config, expected):
     file = tmp_path / "run.toml"
     file.write_text(config)
-    assert read_options([*arguments, "--no-plots"]).calibrate == expected
-    assert read_options(["--config", str(file)]).calibrate == expected
+    assert read_options([*arguments, "--no-plots"]).setup.calibrate == expected
+    assert read_options(["--config", str(file)]).setup.calibrate == expected
 
 
 def test_a_default_that_the_help_says_is_the_default():
@@ -182,10 +187,10 @@ def test_a_default_that_the_help_says_is_the_default():
         if found := re.search(r"\(default: (\d+(?:\.\d+)?)(?: [a-z]+)?\)", row.help):
             said[row.name] = float(found.group(1))
     assert {"font_size", "truth_gap"} <= said.keys()
-    assert {name: getattr(given, name) for name in said} == said
+    assert {name: rows(Options)[name].of(given) for name in said} == said
 
 
 @pytest.mark.parametrize(("word", "factor"), [("1", 1), ("2", 2), ("10", 10), ("50", 50), ("auto", None)])
 def test_ellipses_are_enlarged_as_often_as_is_said_or_as_is_needed(word, factor):
-    assert read_options(["--ellipses", word]).ellipse_factor == factor
-    assert read_options([]).ellipse_factor == 1
+    assert read_options(["--ellipses", word]).output.ellipse_factor == factor
+    assert read_options([]).output.ellipse_factor == 1

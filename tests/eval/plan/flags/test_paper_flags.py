@@ -7,7 +7,8 @@ import math
 import pytest
 
 from data.errors import UsageError
-from eval.plan.flags.table import LARGEST, SMALLEST, TYPE, columns, inches, points, width
+from eval.plan.flags.table import LARGEST, SMALLEST, TYPE, inches, points, width
+from eval.replay.flag import names
 
 
 @pytest.mark.parametrize(
@@ -44,6 +45,7 @@ def test_a_size_of_type_is_between_the_smallest_and_the_largest_that_can_be_read
 
 
 def test_columns_are_named_once_each():
+    columns = names()
     assert columns("--columns", "a, b,,c") == ("a", "b", "c")
     with pytest.raises(UsageError, match="named twice"):
         columns("--columns", "a,b,a")

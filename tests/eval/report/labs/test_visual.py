@@ -11,7 +11,7 @@ from matplotlib.colors import to_hex
 
 from data.notice import stopped
 from data.result import Failure, Trajectory
-from eval.plan.flags.options import Options
+from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.report import visual as models
 from eval.report.labs import visual
@@ -49,7 +49,7 @@ def trial(runs=RUNS, *, truth=True, name="visual:1"):
 
 
 def answers(folder, *given, **options):
-    return visual.visual_hand_in(folder, Options(formats=("csv",), quick=True, **options), given or [trial()])
+    return visual.visual_hand_in(folder, Output(formats=("csv",), quick=True, **options), given or [trial()])
 
 
 def lines(sections):
@@ -118,7 +118,7 @@ def test_only_localization_on_a_log_made_from_images_is_handed_in_and_of_several
 
 @pytest.mark.parametrize(("formats", "there"), [(("csv",), False), (("csv", "tex"), True)])
 def test_the_models_are_written_for_latex_where_that_is_asked_for(formats, there, tmp_path):
-    visual.visual_hand_in(tmp_path / "new", Options(formats=formats, no_plots=True), [trial()])
+    visual.visual_hand_in(tmp_path / "new", Output(formats=formats, no_plots=True), [trial()])
     assert (tmp_path / "new" / "tables" / "visual_1-models.tex").exists() == there
 
 
@@ -130,14 +130,14 @@ def test_without_plots_there_are_formulas_alone(tmp_path):
 
 @pytest.mark.parametrize(("quick", "drawn"), [(True, ("png",)), (False, ("pdf", "png"))])
 def test_plots_are_drawn_for_print_unless_it_has_to_be_quick_and_images_never(quick, drawn, saved, tmp_path):
-    sections = visual.visual_hand_in(tmp_path, Options(formats=("csv",), quick=quick), [trial()])
+    sections = visual.visual_hand_in(tmp_path, Output(formats=("csv",), quick=quick), [trial()])
     stems = [b.stem for s in sections for b in s.blocks if isinstance(b, Picture)]
     assert stems == ["lab-motion", "lab-camera", "lab-plan", "lab-error"] == list(saved)
     assert [saved[s][1] for s in stems] == [drawn, ("png",), drawn, drawn]
 
 
 def test_the_first_plan_shows_dead_reckoning_with_ellipses_in_their_size_and_the_second_the_filter_too(saved, tmp_path):
-    visual.visual_hand_in(tmp_path, Options(formats=("csv",), quick=True, ellipses="5"), [trial()])
+    visual.visual_hand_in(tmp_path, Output(formats=("csv",), quick=True, ellipses="5"), [trial()])
 
     def legend(stem):
         return [t.get_text() for t in saved[stem][0].legends[0].get_texts()]
@@ -162,7 +162,7 @@ def test_the_first_plan_shows_dead_reckoning_with_ellipses_in_their_size_and_the
     ("factor", "said"), [("1", "3σ ellipses in their size"), ("5", "3σ ellipses enlarged as the legend says")]
 )
 def test_a_plan_says_whether_its_ellipses_are_enlarged(factor, said, saved, tmp_path):
-    sections = visual.visual_hand_in(tmp_path, Options(formats=("csv",), quick=True, ellipses=factor), [trial()])
+    sections = visual.visual_hand_in(tmp_path, Output(formats=("csv",), quick=True, ellipses=factor), [trial()])
     (caption,) = (b.caption for b in sections[2].blocks if isinstance(b, Picture) and b.stem == "lab-plan")
     assert caption == f"`visual:1`: {said}. World frame, no alignment."
 

@@ -11,7 +11,7 @@ from association.scans.constraints import SCAN, Chain, LaserRun, Loops
 from data.notice import stopped
 from data.result import Failure
 from data.truth import Relations
-from eval.plan.flags.options import Options
+from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.report.laser import GATED, PUBLISHED, against_relations, laser_sections
 from eval.report.page.document import Folded, Picture, Table
@@ -57,7 +57,7 @@ def stretched(count=2):
 
 
 def section(tmp_path, trials, pictures=()):
-    options = Options(formats=("csv",), no_plots=True)
+    options = Output(formats=("csv",), no_plots=True)
     return laser_sections(tmp_path, options, trials, [pictures] * len(trials))
 
 

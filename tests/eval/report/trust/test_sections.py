@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from data.result import Trajectory
-from eval.plan.flags.options import Options
+from eval.plan.flags.table import Output
 from eval.referee.attribution import NOISE
 from eval.referee.score import Trial
 from eval.referee.trust import Measured
@@ -80,7 +80,7 @@ def test_every_statistic_has_a_name_that_is_none_of_the_codes():
 def test_a_section_has_words_table_and_figure(tmp_path):
     trust = blamed(TURN, cause=NOISE, objected=2)
     picture = draw(tmp_path, TRIAL, FILTER_SMOOTHER, quick=True)
-    (section,) = trust_section(tmp_path, Options(), TRIAL, [picture], [trust])
+    (section,) = trust_section(tmp_path, Output(), TRIAL, [picture], [trust])
     words, table, more, shown = section.blocks
     assert section.heading == "Trust without ground truth: home, slam"
     assert words.startswith("**Cause: the noise model.**")
