@@ -1,18 +1,14 @@
-"""The report's section on a laser log: reference relations, the graph, the filter with and without a gate, time.
+"""The report's section on a laser log and its files: map pictures, `map.pgm` and `map.yaml`, loops.csv, graph.g2o.
 
-Pictures of a laser log in the report: the map with the path, the pose graph with the fate of its loop closures.
-
-Files of a laser log that belong to no single estimator: the map as a picture and for map servers, the loops.
-
-An occupancy grid as map servers read it: `map.pgm` (a picture) and `map.yaml` (where it lies, how it is meant).
-
-Format: ROS map_server and nav2_map_server. A pixel v means occupied with (255 - v) / 255, against two thresholds; the
-first row of the picture is the northernmost, and `origin` is the pose of its lower left corner.
+The map files are as ROS map_server and nav2_map_server read them. A pixel v means occupied with (255 - v) / 255,
+against two thresholds; the first row of the picture is the northernmost, and `origin` is the pose of its lower left
+corner.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -26,10 +22,8 @@ from data.formats.g2o import MOTION, written
 from data.log import Log, folder_name
 from data.result import Run
 from data.se2 import Array
-from data.terminal import counted
 from eval.figures.laser import loop_picture, map_picture
 from eval.figures.style import save
-from eval.plan.flags.options import Options
 from eval.referee.errors import position_distance, rms
 from eval.referee.given_runs import GivenRun
 from eval.referee.laser import (
@@ -48,8 +42,9 @@ from eval.referee.laser import (
 from eval.referee.result_files import LOOPS
 from eval.referee.score import Trial
 from eval.report.names import stem
-from eval.report.page.document import Block, FinePrint, Picture, Section, folded, written_table
+from eval.report.page.document import Block, FinePrint, Picture, Section, Wanted, folded, written_table
 from eval.report.page.tables import number
+from eval.report.words import say
 
 FREE_PIXEL, OCCUPIED_PIXEL, UNKNOWN_PIXEL = 254, 0, 205
 """As map_saver writes them."""
@@ -144,10 +139,9 @@ def graph_of(run: LaserRun) -> str:
 def loops_table(loops: Loops, weight: Array | None) -> pd.DataFrame:
     """loops.csv: every loop closure looked at; accepted: it joined the graph, final: it kept its weight."""
     rows, columns = np.triu_indices(3)
-    values = [
-        loops.key1, loops.key2, *loops.relative.T, *loops.covariance[:, rows, columns].T, loops.score,
-        kept(loops, weight, "online").astype(int), kept(loops, weight, "final").astype(int),
-    ]  # fmt: skip
+    fate = [kept(loops, weight, phase).astype(int) for phase in ("online", "final")]
+    covariance = loops.covariance[:, rows, columns].T
+    values = [loops.key1, loops.key2, *loops.relative.T, *covariance, loops.score, *fate]
     return pd.DataFrame(dict(zip(LOOPS.names, values, strict=True)))
 
 
@@ -167,26 +161,18 @@ def laser_picture(trial: Trial, kind: str) -> tuple[Figure, str, str]:
     run, name = mapping_run(trial), trial.log.name
     assert run is not None
     assert run.last is not None
-    phase = phase_of(run)
+    said = {"name": name, "estimator": run.estimator, "phase": phase_of(run)}
     if kind == GRID_PICTURE:
-        return (
-            map_picture(grid_of(trial, run), run.last, name=name, estimator=run.estimator, phase=phase),
-            f"`{name}`: occupancy grid of the key scans at the key poses of `{run.estimator}` ({phase}), its path on"
-            " it. The same as `map.pgm` for map servers. Double walls would be poses that do not agree.",
-            f"Occupancy grid of {name} with the path of {run.estimator}",
-        )
+        figure = map_picture(grid_of(trial, run), run.last, **said)
+        return figure, say("laser#grid", **said), f"Occupancy grid of {name} with the path of {run.estimator}"
     assert run.loops is not None
     assert run.chain is not None
     assert run.key_pose is not None
     truth = trial.log.truth.pose
     false = None if truth is None else ~right_closures(run.loops, truth[run.chain.frame])
     weight = np.ones(len(run.loops)) if run.weight is None else run.weight
-    return (
-        loop_picture(run.key_pose, run.loops, weight, name=name, false=false, estimator=run.estimator),
-        f"`{name}`: key poses of `{run.estimator}` ({phase}) and the loop closures that the front end looked at, by"
-        " fate. Two that agree with each other are needed before any is believed.",
-        f"Pose graph of {name} with its loop closures",
-    )
+    figure = loop_picture(run.key_pose, run.loops, weight, name=name, false=false, estimator=run.estimator)
+    return figure, say("laser#loops", **said), f"Pose graph of {name} with its loop closures"
 
 
 RELATIONS_CAPTION = "errors against the reference relations, mean ± standard deviation."
@@ -197,10 +183,6 @@ RELATIONS_FINE = FinePrint(
     " sure. Errors are (a⁻¹b)·rel⁻¹; the last column has rel⁻¹·(a⁻¹b) instead (all, by row). Of the filter, *final* is"
     " the path of its last state, in which every key pose stayed.",
 )
-PUBLISHED = (
-    "Published for this log: Cartographer 0.0229 ± 0.0239 m (Hess et al., ICRA 2016), graph mapping 0.031 ± 0.026 m"
-    " (Kümmerle et al., Autonomous Robots 27, 2009), both on all scans of the recording."
-)
 GATED = ("ekf, gate 0.999", "ekf, gate 0.999, covariances as claimed")
 INTEL_RELATIONS = 2984
 """Relations of the Intel log, by whose number it is recognized."""
@@ -208,7 +190,7 @@ INTEL_RELATIONS = 2984
 
 def laser_sections(
     folder: Path,
-    options: Options,
+    wanted: Wanted,
     trials: Sequence[Trial],
     published: Sequence[Sequence[Picture]],
 ) -> list[Section]:
@@ -219,37 +201,56 @@ def laser_sections(
         if run is None or trial.beside is not None:
             continue
         beside = [t for t in trials if t.beside == trial.log.name and mapping_run(t) is not None]
-        blocks: list[Block] = list(_relations(folder, options, trial))
-        blocks += folded("\n".join(f"* {s}" for s in _statements(trial, run)), "The graph, the gate and time")
+        blocks: list[Block] = list(_relations(folder, wanted, trial))
+        facts = facts_of(trial, run)
+        blocks += folded(say("laser#statements", laser=facts), "The graph, the gate and time")
         blocks += [p for p in pictures if p.stem in (stem(trial, GRID_PICTURE), stem(trial, LOOP_PICTURE))]
         if beside:
-            blocks.append(_sizes(folder, options, [trial, *beside]))
-        sections.append(Section(f"Laser: {trial.log.name}", tuple(blocks)))
+            blocks.append(_sizes(folder, wanted, [trial, *beside]))
+        sections.append(Section(f"Laser: {trial.log.name}", tuple(blocks), facts=facts))
     return sections
 
 
 def against_relations(trial: Trial) -> str:
     """Filter, smoother and wheels against the reference relations, in a sentence; empty where there are none."""
+    relations, paths = trial.log.truth.relations, against(trial)
+    return say("laser#against", relations=len(relations), paths=paths) if relations is not None and paths else ""
+
+
+@dataclass(frozen=True)
+class Against:
+    """A path against the reference relations: mean and standard deviation [m], mean of the heading's errors [deg]."""
+
+    estimator: str
+    phase: str
+    mean: float
+    std: float
+    heading: float
+
+
+def against(trial: Trial) -> list[Against]:
+    """Filter, smoother and wheels against the relations tied by row; of the filter the last path is its last state."""
     relations = trial.log.truth.relations
-    if relations is None:
-        return ""
-    parts = []
+    found = []
     for name, association, phase in (
-        ("ekf", SCAN, "online"), ("ekf", SCAN, "final"), ("isam2", SCAN, "online"), ("isam2", SCAN, "final"),
+        ("ekf", SCAN, "online"),
+        ("ekf", SCAN, "final"),
+        ("isam2", SCAN, "online"),
+        ("isam2", SCAN, "final"),
         ("dead-reckoning", "none", "online"),
-    ):  # fmt: skip
+    ):
         run = trial.find(name, association)
         path = None if run is None or run.failure is not None else paths_of(run).get(phase)
-        e = None if path is None else relation_errors(path, relations, trial.log.recorded.time)
+        if path is None or relations is None:
+            continue
+        e = relation_errors(path, relations, trial.log.recorded.time)
         if e is not None:
             what = "last state" if (name, phase) == ("ekf", "final") else phase
-            parts.append(f"`{name}` ({what}) {e.trans_mean_m:.4f} ± {e.trans_std_m:.4f} m, {e.rot_mean_deg:.2f}°")
-    if not parts:
-        return ""
-    return f"Against {len(relations)} reference relations (tied by row): {'; '.join(parts)}."
+            found.append(Against(name, what, e.trans_mean_m, e.trans_std_m, e.rot_mean_deg))
+    return found
 
 
-def _relations(folder: Path, options: Options, trial: Trial) -> list[Block]:
+def _relations(folder: Path, wanted: Wanted, trial: Trial) -> list[Block]:
     """Every run against the reference relations."""
     relations = trial.log.truth.relations
     if relations is None:
@@ -259,8 +260,8 @@ def _relations(folder: Path, options: Options, trial: Trial) -> list[Block]:
         return []
     caption = f"{trial.log.name}: {RELATIONS_CAPTION}"
     name = stem(trial, "relations")
-    blocks: list[Block] = [written_table(pd.DataFrame(rows), folder, name, caption, options, fine=RELATIONS_FINE)]
-    return [*blocks, PUBLISHED] if len(relations) == INTEL_RELATIONS else blocks
+    blocks: list[Block] = [written_table(pd.DataFrame(rows), folder, name, caption, wanted, fine=RELATIONS_FINE)]
+    return [*blocks, say("laser#published")] if len(relations) == INTEL_RELATIONS else blocks
 
 
 def _relation_rows(run: Run, log: Log) -> list[dict[str, object]]:
@@ -288,70 +289,103 @@ def _relation_rows(run: Run, log: Log) -> list[dict[str, object]]:
     return rows
 
 
-def _statements(trial: Trial, run: LaserRun) -> list[str]:
-    """The graph, its loop closures, the filter's gate, and time, in sentences."""
+@dataclass(frozen=True)
+class Off:
+    """How far a last state is from the relations (mean and standard deviation, m), or else from the truth (RMSE, m)."""
+
+    relations: tuple[float, float] | None = None
+    rmse: float | None = None
+
+
+@dataclass(frozen=True)
+class Gate:
+    """What a gate does to the filter: believed loop closures rejected, of so many looked at, and where it ends."""
+
+    rejected: int
+    looked: int
+    off: Off
+
+
+@dataclass(frozen=True)
+class FrontEnd:
+    """s, of driving, spent on it, of 99 % of the frames at most, and of the longest one."""
+
+    span: float
+    spent: float
+    late: float
+    longest: float
+
+
+@dataclass(frozen=True)
+class LaserFacts:
+    """The graph of a laser log.
+
+    Attributes:
+        scans, frames, keys: how many. loops: closures looked at; believed: those that were.
+        left_out: loop closures that robust smoothers left out in the end.
+        scale: of the variances that scan matching claims, and its error; None: not learned.
+        ungated, gates: the filter without a gate, and with each (None: not to the end); None and empty: not run.
+        time: of the front end; None: unknown, or no stamps to compare with.
+        against: runs against the reference relations.
+    """
+
+    scans: int
+    frames: int
+    keys: int
+    loops: int
+    believed: int
+    left_out: tuple[tuple[str, int], ...]
+    scale: tuple[float, float] | None
+    ungated: Off | None
+    gates: tuple[Gate | None, ...]
+    time: FrontEnd | None
+    against: tuple[Against, ...]
+
+
+def facts_of(trial: Trial, run: LaserRun) -> LaserFacts:
+    """The facts of a laser log, whose map is drawn from a run."""
     assert run.chain is not None
     assert run.loops is not None
-    believed = int((run.loops.believed >= 0).sum())
-    log, keys = trial.log, len(run.chain.frame)
-    scans = 0 if log.recorded.scans is None else len(log.recorded.scans.frame)
-    said = [
-        f"{counted(scans, 'scan')} in {counted(len(log.recorded), 'frame')} became {counted(keys, 'key pose')};"
-        f" {counted(len(run.loops), 'loop closure was', 'loop closures were')}"
-        f" looked at, {believed} believed, each together with another one that agrees with it."
-    ]
-    for other in trial.runs:
-        if isinstance(other, LaserRun) and other.weight is not None and other.estimator in ("batch-cauchy", "gnc"):
-            out = int((other.weight < KEPT).sum())
-            said.append(f"`{other.estimator}` left {out} of them out in the end.")
-    if run.scale is not None:
-        factor, error = run.scale
-        said.append(
-            f"The variances that scan matching claims are taken times {number(factor)} ± {number(error, 2)}, learned"
-            " from how well loop closures fit the graph; 1 would be as claimed. It moves no optimum."
-        )
-    said += _gate_statement(trial)
-    if run.frame_seconds is not None and not log.recorded.time_is_index:
-        span, spent = float(log.recorded.time[-1] - log.recorded.time[0]), float(run.frame_seconds.sum())
-        late = np.quantile(run.frame_seconds, 0.99)
-        said.append(
-            f"The front end (scan matching, loop closures, online graph) took {number(spent)} s for {number(span)} s of"
-            f" driving, {number(span / spent)} times real time; 99 % of the frames less than {number(1e3 * late)} ms,"
-            f" the longest {number(1e3 * float(run.frame_seconds.max()))} ms."
-        )
-    return said
+    recorded, seconds = trial.log.recorded, run.frame_seconds
+    robust = [r for r in trial.runs if isinstance(r, LaserRun) and r.estimator in ("batch-cauchy", "gnc")]
+    time = None
+    if seconds is not None and not recorded.time_is_index:
+        span = float(recorded.time[-1] - recorded.time[0])
+        time = FrontEnd(span, float(seconds.sum()), float(np.quantile(seconds, 0.99)), float(seconds.max()))
+    ekf = trial.find("ekf", SCAN)
+    gated = isinstance(ekf, LaserRun) and ekf.with_gate is not None and ekf.failure is None
+    return LaserFacts(
+        0 if recorded.scans is None else len(recorded.scans.frame),
+        len(recorded),
+        len(run.chain.frame),
+        len(run.loops),
+        int((run.loops.believed >= 0).sum()),
+        tuple((r.estimator, int((r.weight < KEPT).sum())) for r in robust if r.weight is not None),
+        run.scale,
+        _off(ekf, trial.log) if isinstance(ekf, LaserRun) and gated else None,
+        tuple(_gate(g, trial.log) for g in ekf.with_gate or ()) if isinstance(ekf, LaserRun) and gated else (),
+        time,
+        tuple(against(trial)),
+    )
 
 
-def _gate_statement(trial: Trial) -> list[str]:
-    """What a gate does to the filter: true loop closures look wrong to one that has drifted more than it believes."""
-    run = trial.find("ekf", SCAN)
-    if not isinstance(run, LaserRun) or run.with_gate is None or run.failure is not None:
-        return []
-    parts = [f"The filter over key poses takes every believed loop closure{_off(run, trial.log)}."]
-    for twin, how in zip(
-        run.with_gate, ("With a gate of 0.999", "With that gate and unscaled covariances"), strict=True
-    ):
-        if twin.failure is not None or twin.weight is None:
-            parts.append(f"{how} it did not get to the end.")
-            continue
-        rejected, looked = int((twin.weight == 0.0).sum()), int(np.isfinite(twin.weight).sum())
-        parts.append(f"{how} it rejects {rejected} of {looked}{_off(twin, trial.log)}.")
-    return [" ".join(parts)]
+def _gate(gated: LaserRun, log: Log) -> Gate | None:
+    """True loop closures look wrong to a filter that has drifted more than it believes."""
+    if gated.failure is not None or gated.weight is None:
+        return None
+    return Gate(int((gated.weight == 0.0).sum()), int(np.isfinite(gated.weight).sum()), _off(gated, log))
 
 
-def _off(run: LaserRun, log: Log) -> str:
-    """How far its last state is from the relations, or from the truth."""
+def _off(run: LaserRun, log: Log) -> Off:
     if run.last is None:
-        return ""
+        return Off()
     if log.truth.relations is not None:
         e = relation_errors(run.last, log.truth.relations, log.recorded.time, order=CARTOGRAPHER)
-        return "" if e is None else f" and ends {e.trans_mean_m:.4f} ± {e.trans_std_m:.4f} m off the relations"
-    if log.truth.pose is None:
-        return ""
-    return f" and ends with a position RMSE of {number(rms(position_distance(run.last, log.truth.pose)))} m"
+        return Off() if e is None else Off(relations=(e.trans_mean_m, e.trans_std_m))
+    return Off() if log.truth.pose is None else Off(rmse=rms(position_distance(run.last, log.truth.pose)))
 
 
-def _sizes(folder: Path, options: Options, trials: Sequence[Trial]) -> Block:
+def _sizes(folder: Path, wanted: Wanted, trials: Sequence[Trial]) -> Block:
     """Graph size and error for several distances between key poses."""
     rows = []
     for t in trials:
@@ -359,18 +393,19 @@ def _sizes(folder: Path, options: Options, trials: Sequence[Trial]) -> Block:
         if run is None or run.chain is None or run.loops is None or run.last is None:
             continue
         row: dict[str, object] = {
-            "log": t.log.name, "key poses": len(run.chain.frame), "loop closures": int((run.loops.believed >= 0).sum()),
+            "log": t.log.name,
+            "key poses": len(run.chain.frame),
+            "loop closures": int((run.loops.believed >= 0).sum()),
             "estimator": run.estimator,
-        }  # fmt: skip
+        }
         truth, relations = t.log.truth.pose, t.log.truth.relations
         if relations is not None:
             e = relation_errors(run.last, relations, t.log.recorded.time)
             if e is not None:
                 row["relations, all by row [m]"] = f"{e.trans_mean_m:.4f} ± {e.trans_std_m:.4f}"
         if truth is not None:
-            off = np.hypot(*(run.last - truth)[:, :2].T)
-            row["position RMSE [m]"] = number(float(np.sqrt(np.nanmean(off**2))))
+            row["position RMSE [m]"] = number(rms(position_distance(run.last, truth)))
         row["seconds"] = number(run.seconds)
         rows.append(row)
     caption = f"{trials[0].log.name}: how sparse the graph may be (`--keyframe-distance`, `--least-information`)."
-    return written_table(pd.DataFrame(rows), folder, stem(trials[0], "graph-sizes"), caption, options)
+    return written_table(pd.DataFrame(rows), folder, stem(trials[0], "graph-sizes"), caption, wanted)
