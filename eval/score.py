@@ -50,12 +50,12 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     try:
         files, truths = _files(given.pop("files"), given.pop("truth"))
         reading = Reading(**read_values(Reading, given, lambda row: row.option))
-        lines, notes = _run(files, truths, reading)
+        scores, notes = _printed(files, truths, reading)
     except SlamrefError as fault:
         sys.stderr.write(f"error: {fault}\n")
         return WRONG
-    sys.stdout.write("".join(f"{line}\n" for line in lines))
-    sys.stderr.write("".join(f"note: {note}\n" for note in notes))
+    sys.stdout.write(f"{scores}\n")
+    sys.stderr.write("".join(f"note: {note}\n" for note in notes.splitlines()))
     return FINE
 
 
@@ -73,11 +73,11 @@ def _files(files: list[str], truths: list[str]) -> tuple[list[str], list[str]]:
     return files, truths
 
 
-def _run(files: Sequence[str], truths: Sequence[str], reading: Reading) -> tuple[list[str], list[str]]:
+def _printed(files: Sequence[str], truths: Sequence[str], reading: Reading) -> tuple[str, str]:
     """Lines for stdout, and notes for stderr."""
-    from eval.report.results import one, several
+    from eval.report.results import printed
 
-    return one(files[0], truths[0], reading) if len(files) == 1 else several(files, truths, reading)
+    return printed(files, truths, reading)
 
 
 if __name__ == "__main__":

@@ -105,7 +105,9 @@ def write_results(
         folder, options, outcome.trials, scores, published, outcome.trust, told, outcome.calibrations
     )
     sections += laser_sections(folder, options, outcome.trials, published)
-    sections += visual_sections(folder, options, outcome.trials)
+    sections += visual_sections(
+        folder, options, outcome.trials, in_lab=options.lab is not None, factor=options.ellipse_factor
+    )
     sections += tutorial_sections(folder, options, outcome.trials, scores)
     sections += study_sections(folder, options, outcome, judged)
     if outcome.trials:

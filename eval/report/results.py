@@ -1,12 +1,9 @@
-"""The lines of `eval.score`: one estimate with a name and a value a line, or many runs with their verdicts.
-
-What the report says of results that were handed in: their main numbers, and how they were moved.
-"""
+"""Results that were handed in: what `eval.score` prints of one or of many, and what the report says of them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,17 +19,20 @@ from data.words import sentence
 from eval.plan.flags.table import Reading
 from eval.plan.results import Result, manner_of, phase_of, runs_of, true_path, truth_of
 from eval.referee import consistency, errors
-from eval.referee.consistency import QUANTITIES
+from eval.referee.consistency import QUANTITIES, Verdict
 from eval.referee.given_runs import NONE, GivenRun, TruePath, truth_log
 from eval.referee.metrics import OF_ESTIMATES
 from eval.referee.score import Trial, metrics_row
-from eval.report.page.tables import is_blank, number
+from eval.report.page.tables import is_blank
 from eval.report.rows import Row, value_of
+from eval.report.words import one_line, say
 from eval.studies.montecarlo import Sample, verdicts
 
 ESTIMATE = "estimate"
 FIRST = tuple(f"{name}_position_m" for name in ("rmse", "mean", "median", "std", "min", "max"))
 """Absolute errors of the position stand in front."""
+SAID = ("rmse_position_m", "rpe_10m_m", "nees_pose", "rms_from_batch_m")
+"""Columns of metrics.csv that the report says of a result."""
 LEFT_OUT = ("observations", "accepted", "rejected", "landmarks", "frames", "lost_frame", "iterations", "block_frames")
 
 
@@ -46,39 +46,55 @@ class Scored:
     notes: tuple[str, ...]
 
 
-def one(file: str, truth: str, reading: Reading) -> tuple[list[str], list[str]]:
-    """Lines of the scores, a name and a value each, and what has to be said besides."""
-    s = _scored(file, truth, reading)
-    row = scores(s)
-    return [f"{name} {_six(value)}" for name, value in row.items()], list(s.notes)
+@dataclass(frozen=True)
+class Pooled:
+    """Many runs, poses of equal weight within a run.
+
+    Attributes:
+        runs: how many; least: that a verdict needs; first: the first file, which `notes` are about.
+        position, heading: m and deg, RMSE over all. verdicts: by quantity. matched, unmatched: poses.
+        bare: files without a usable covariance.
+    """
+
+    runs: int
+    least: int
+    first: str
+    position: float
+    heading: float
+    verdicts: Mapping[str, Verdict]
+    matched: int
+    unmatched: int
+    bare: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
-def several(files: Sequence[str], truths: Sequence[str], reading: Reading) -> tuple[list[str], list[str]]:
-    """Lines of verdicts on many runs: errors pooled over all poses of equal weight a run, and the mean NEES."""
+def printed(files: Sequence[str], truths: Sequence[str], reading: Reading) -> tuple[str, str]:
+    """Lines of the scores, a name and a value each, of several with their verdicts; and lines of notes."""
     found = [_scored(file, truth, reading) for file, truth in zip(files, truths, strict=True)]
+    if len(found) == 1:
+        return say("results#one", scores=scores(found[0])), "\n".join(found[0].notes)
+    p = _pooled(files, found)
+    return say("results#many", p=p), say("results#notes", p=p)
+
+
+def _pooled(files: Sequence[str], found: Sequence[Scored]) -> Pooled:
     samples = [_sample(s) for s in found]
-    lines = [f"runs {len(found)}"]
-    for name, quantity, scale in (
-        ("rmse_position_m", "position", 1.0), ("rmse_heading_deg", "heading", math.degrees(1.0)),
-    ):  # fmt: skip
-        lines.append(f"{name} {_six(scale * math.sqrt(float(np.mean([s.squares[quantity] for s in samples]))))}")
-    bare = [f for f, s in zip(files, samples, strict=True) if not math.isfinite(s.means["pose"])]
-    matched = sum(s.run.match.matched for s in found if s.run.match is not None)
-    unmatched = sum(s.run.match.unmatched for s in found if s.run.match is not None)
-    lines += [f"matched {matched}", f"unmatched {unmatched}"]
-    notes = []
-    if bare:
-        notes.append(f"no NEES, as {len(bare)} of {len(files)} estimates have no usable covariance, {bare[0]} first")
-    for quantity, v in verdicts(samples):
-        name = quantity if quantity.startswith("coverage") else f"nees_{quantity}"
-        expected = f"{v.expected:g} expected"
-        interval = f"95 % interval {number(v.lower)} to {number(v.upper)}" if math.isfinite(v.lower) else "no interval"
-        power = f", power {v.power:.2f} against 0.8 P" if math.isfinite(v.power) else ""
-        lines.append(f"{name} {_six(v.mean)} {v.word} ({interval}, {expected}{power})")
-    if len(found) < consistency.MIN_RUNS:
-        notes.append(f"a verdict needs at least {consistency.MIN_RUNS} runs; these are {len(found)}")
-    first = next((s.notes for s in found if s.notes), ())
-    return lines, [*notes, *(f"{files[0]}: {n}" for n in first)]
+    position, heading = (
+        math.sqrt(float(np.mean([s.squares[quantity] for s in samples]))) for quantity in ("position", "heading")
+    )
+    matches = [s.run.match for s in found if s.run.match is not None]
+    return Pooled(
+        len(found),
+        consistency.MIN_RUNS,
+        files[0],
+        position,
+        math.degrees(heading),
+        dict(verdicts(samples)),
+        sum(m.matched for m in matches),
+        sum(m.unmatched for m in matches),
+        tuple(f for f, s in zip(files, samples, strict=True) if not math.isfinite(s.means["pose"])),
+        next((s.notes for s in found if s.notes), ()),
+    )
 
 
 def _scored(file: str, truth: str, reading: Reading) -> Scored:
@@ -113,9 +129,11 @@ def scores(s: Scored) -> dict[str, float]:
     d = errors.position_distance(pose, truth)
     d = d[np.isfinite(d)]
     row |= {
-        "mean_position_m": float(d.mean()), "median_position_m": float(np.median(d)),
-        "std_position_m": float(d.std()), "min_position_m": float(d.min()),
-    }  # fmt: skip
+        "mean_position_m": float(d.mean()),
+        "median_position_m": float(np.median(d)),
+        "std_position_m": float(d.std()),
+        "min_position_m": float(d.min()),
+    }
     row["rmse_heading_rad"] = math.radians(errors.heading_rmse_deg(pose, truth))
     rest = [m.column for m in OF_ESTIMATES if m.column not in (*FIRST, *LEFT_OUT)]
     rest.insert(rest.index("rmse_heading_deg") + 1, "rmse_heading_rad")
@@ -140,28 +158,36 @@ def _sample(s: Scored) -> Sample:
     )
 
 
-def _six(value: float) -> str:
-    """Six significant digits; counts as they are."""
-    return str(int(value)) if float(value).is_integer() and abs(value) < 1e6 else f"{value:.6g}"
+@dataclass(frozen=True)
+class Phase:
+    """What is said of a phase of a result: its errors and NEES by column of metrics.csv, and poses matched, if any."""
+
+    estimator: str
+    phase: str
+    values: Mapping[str, float]
+    matched: int | None
+    frames: int
+
+
+def phases_of(trial: Trial, rows: Sequence[Row]) -> list[Phase]:
+    """The phases of results of a trial, from its rows of metrics.csv."""
+    names = {r.estimator for r in trial.runs if isinstance(r, GivenRun)}
+    return [
+        Phase(
+            str(row["estimator"]),
+            str(row["phase"]),
+            {c: value_of(row, c) for c in SAID if not is_blank(row[c])},
+            None if is_blank(row["matched"]) else int(value_of(row, "matched")),
+            int(value_of(row, "frames")),
+        )
+        for row in rows
+        if row["estimator"] in names
+    ]
 
 
 def results_statement(trial: Trial, rows: Sequence[Row]) -> str:
     """A sentence on each result of a trial, from its rows of metrics.csv; empty where none was handed in."""
-    names = {r.estimator for r in trial.runs if isinstance(r, GivenRun)}
-    return " ".join(_sentence(row) for row in rows if row["estimator"] in names)
-
-
-def _sentence(row: Row) -> str:
-    """Errors and NEES of one phase."""
-    said = []
-    for column, what, unit in (
-        ("rmse_position_m", "position RMSE", " m"), ("rpe_10m_m", "relative error over 10 m", " m"),
-        ("nees_pose", "mean pose NEES", " (3 expected)"), ("rms_from_batch_m", "RMS distance from batch", " m"),
-    ):  # fmt: skip
-        if not is_blank(row[column]):
-            said.append(f"{what} {number(value_of(row, column))}{unit}")
-    of = "" if is_blank(row["matched"]) else f", {row['matched']} of {row['frames']} poses matched with the truth"
-    return f"`{row['estimator']}` ({row['phase']}): {', '.join(said) or 'nothing to compare with'}{of}."
+    return one_line(say("results#statement", phases=phases_of(trial, rows)))
 
 
 def aligned_statement(trial: Trial) -> str:
@@ -169,6 +195,6 @@ def aligned_statement(trial: Trial) -> str:
     moved = [r for r in trial.runs if isinstance(r, GivenRun) and r.aligned != NONE]
     if not moved:
         return ""
-    names = ", ".join(dict.fromkeys(r.estimator for r in moved))
-    how = sentence(notice(Code.ALIGNED, how=moved[0].aligned))
-    return f" But aligned: {names}, {how} (`--align {moved[0].aligned}`)."
+    names, how = dict.fromkeys(r.estimator for r in moved), moved[0].aligned
+    about = sentence(notice(Code.ALIGNED, how=how))
+    return " " + say("results#aligned", names=list(names), about=about, how=how)

@@ -1,7 +1,4 @@
-"""The report's section on the tutorials: table and figure of knowledge taken away, and the notes beside their rows.
-
-One table of the tutorials' steps, from labels and map given to nothing, with our runs on the same log.
-"""
+"""The report's section on the tutorials: their steps, from labels and map given to nothing, with our runs beside."""
 
 from __future__ import annotations
 
@@ -15,22 +12,14 @@ from data.log import folder_name
 from data.words import sentence
 from eval.figures.studies import Known, knowledge_figure
 from eval.figures.style import save
-from eval.plan.flags.options import Options
 from eval.plan.tutorials import is_tutorial, original_of
 from eval.referee.confusion import OUTCOMES
 from eval.referee.metrics import heads
 from eval.referee.score import Scores, Trial
-from eval.report.page.document import Block, Picture, Section, written_table
-from eval.report.page.tables import drop_blank_columns, is_blank, number
+from eval.report.page.document import Block, Drawn, Picture, Section, written_table
+from eval.report.page.tables import drop_blank_columns, is_blank
+from eval.report.words import say
 
-CAPTION = (
-    "Knowledge taken away, on the same recording: {log}. Given are the map, the labels, or neither; errors in the world"
-    " frame without alignment. TP, TN, FP and FN count decisions about the observations, as they were online."
-)
-ORIGINAL = (
-    " Original: what the tutorial's own program gave on this recording with the corrected landmarks (Octave)."
-    " Σ e²: sum of squared position errors over the 50 Hz frames."
-)
 SQUARES = "Σ e² [m²]"
 HEADS = heads(("rmse_position_m", "rmse_heading_deg", "rmse_landmark_m", "landmarks"))
 COUNTS = heads(OUTCOMES)
@@ -70,11 +59,8 @@ def rows_of(log: str, trials: Sequence[Trial], scores: Scores) -> list[Row]:
 
     An estimator with two phases stands with its final one; dead reckoning uses no observations and is left out.
     """
-    counts = {
-        (r["log"], r["task"], r["estimator"], r["association"]): r
-        for r in scores.association.to_dict("records")
-        if r["phase"] == "online"
-    }
+    counts = _by_run(scores.association[scores.association["phase"] == "online"])
+    metrics = _by_run(scores.metrics)  # the last row of a run is its final phase
     made = []
     for trial in trials:
         if trial.log.name != log and not (trial.beside == log and is_tutorial(trial)):
@@ -83,13 +69,7 @@ def rows_of(log: str, trials: Sequence[Trial], scores: Scores) -> list[Row]:
             if run.association == "none":
                 continue
             key = (trial.log.name, trial.task, run.estimator, run.association)
-            rows = scores.metrics[
-                (scores.metrics["log"] == key[0])
-                & (scores.metrics["task"] == key[1])
-                & (scores.metrics["estimator"] == key[2])
-                & (scores.metrics["association"] == key[3])
-            ].to_dict("records")
-            last, tutorial = rows[-1], is_tutorial(trial)
+            last, tutorial = metrics[key], is_tutorial(trial)
             decided = counts.get(key, {})
             counted = {c: int(decided[c]) for c in OUTCOMES if not is_blank(decided.get(c))}
             name = trial.log.name.removeprefix(f"{log}:") if tutorial else f"ours: {run.estimator} ({last['phase']})"
@@ -100,39 +80,47 @@ def rows_of(log: str, trials: Sequence[Trial], scores: Scores) -> list[Row]:
     return sorted(made, key=lambda r: (order.index(r.given), not r.tutorial))
 
 
+def _by_run(table: pd.DataFrame) -> dict[tuple[object, ...], dict[Hashable, object]]:
+    """The last row of each run."""
+    return {(r["log"], r["task"], r["estimator"], r["association"]): r for r in table.to_dict("records")}
+
+
 def table_of(rows: Sequence[Row]) -> pd.DataFrame:
     """The rows as a table."""
     error, *others = HEADS
     made = []
     for row in rows:
         rmse, squares = (None, None) if row.original is None else (row.original[1], row.original[0])
-        made.append({
-            "run": row.name, "given": row.given, "association": row.association,
-            HEADS[error]: row.metrics[error], "original RMSE [m]": rmse,
+        cells = {
+            "run": row.name,
+            "given": row.given,
+            "association": row.association,
+            HEADS[error]: row.metrics[error],
+            "original RMSE [m]": rmse,
             **{HEADS[c]: row.metrics[c] for c in others},
             **({SQUARES: row.metrics["sse_position_m2"], "original Σ e² [m²]": squares} if row.tutorial else {}),
             **{COUNTS[c]: row.counts.get(c) for c in OUTCOMES},
             "status": None if row.metrics["status"] == "ok" else row.metrics["status"],
-        })  # fmt: skip
+        }
+        made.append(cells)
     return drop_blank_columns(pd.DataFrame(made, dtype=object))
 
 
-def tutorial_sections(folder: Path, options: Options, trials: Sequence[Trial], scores: Scores) -> list[Section]:
+def tutorial_sections(folder: Path, wanted: Drawn, trials: Sequence[Trial], scores: Scores) -> list[Section]:
     """For each log with several tutorials beside it: one table over all its tasks, and the same as a figure."""
     blocks: list[Block] = []
+    facts: dict[str, list[Row]] = {}
     for log in logs_with_tutorials(trials):
         rows, name = rows_of(log, trials, scores), f"{folder_name(log)}-knowledge"
-        caption = CAPTION.format(log=log) + (ORIGINAL if any(r.original for r in rows) else "")
-        blocks.append(written_table(table_of(rows), folder, name, caption, options))
-        if not options.no_plots:
+        facts[log] = rows
+        caption = say("tutorials#caption", log=log, originals=any(r.original for r in rows))
+        blocks.append(written_table(table_of(rows), folder, name, caption, wanted))
+        if not wanted.no_plots:
             figure = knowledge_figure(f"{log}: knowledge taken away", [_drawn(r) for r in rows])
-            save(figure, folder / "figures", name, ("png",) if options.quick else ("pdf", "png"))
+            save(figure, folder / "figures", name, ("png",) if wanted.quick else ("pdf", "png"))
             alt = f"Position RMSE and share of wrong decisions on {log}, from map and labels given to nothing"
-            blocks.append(Picture(name, f"`{log}`: the rows of the table. {MARKS}", alt))
-    return [Section("From labels and map to nothing", tuple(blocks))] if blocks else []
-
-
-MARKS = "Open squares: the tutorials' own programs; hatched bars: the tutorials' treatment."
+            blocks.append(Picture(name, say("tutorials#picture", log=log), alt))
+    return [Section("From labels and map to nothing", tuple(blocks), facts=facts)] if blocks else []
 
 
 def _drawn(row: Row) -> Known:
@@ -140,22 +128,20 @@ def _drawn(row: Row) -> Known:
     decided = sum(row.counts.values())
     wrong = (row.counts["fp"] + row.counts["fn"]) / decided if decided and row.association != "known" else None
     rmse = row.metrics["rmse_position_m"]
-    return Known(
-        f"{row.name}, {row.association}", row.given, row.estimator, row.tutorial,
-        None if is_blank(rmse) else float(str(rmse)), None if row.original is None else row.original[1], wrong,
-    )  # fmt: skip
+    name, original = f"{row.name}, {row.association}", None if row.original is None else row.original[1]
+    rmse = None if is_blank(rmse) else float(str(rmse))
+    return Known(name, row.given, row.estimator, row.tutorial, rmse, original, wrong)
 
 
 def beside_note(trial: Trial, rows: pd.DataFrame) -> str:
     """What the rows of a trial beside are; of a tutorial the sums of squares, the original's, and its notes."""
-    notes = [f"`{trial.log.name}` is {trial.about}."]
     if not is_tutorial(trial):
-        return notes[0]
-    for row in rows.to_dict("records"):
-        for column, what in (("sse_position_m2", "positions"), ("sse_landmark_m2", "landmarks")):
-            if not is_blank(row[column]):
-                notes.append(f"Sum of squared errors of {what}: {number(float(row[column]), 5)} m².")
-    original = original_of(trial)
-    if original is not None:
-        notes.append(f"The original program: {original[0]:g} m², position RMSE {original[1]:g} m.")
-    return " ".join([*notes, *map(sentence, trial.runs[0].notes)])
+        return say("tutorials#beside", name=trial.log.name, about=trial.about)
+    squares = [
+        (what, float(row[column]))
+        for row in rows.to_dict("records")
+        for column, what in (("sse_position_m2", "positions"), ("sse_landmark_m2", "landmarks"))
+        if not is_blank(row[column])
+    ]
+    known = {"squares": squares, "original": original_of(trial), "notes": trial.runs[0].notes}
+    return say("tutorials#beside", name=trial.log.name, about=trial.about, **known)

@@ -21,25 +21,27 @@ from data.log import Log, folder_name
 from data.pictures import Detection, Evidence, Found, InView
 from data.terminal import counted
 from data.visual.observations import COMMAND_SIGMA, true_pictures
-from eval.figures.paper import tex_escape
 from eval.figures.style import save
 from eval.figures.visual import Tile, contact_sheet, plan_figure
-from eval.plan.flags.options import Options
 from eval.referee.score import Trial
 from eval.report.names import stem
-from eval.report.page.document import Block, Formula, Picture, Section, written_table
-from eval.report.page.tables import drop_blank_columns, number
+from eval.report.page.document import Block, Drawn, Formula, Picture, Section, Wanted, written_table
+from eval.report.page.tables import drop_blank_columns
 from eval.report.shown_runs import for_map, left_out
-from eval.report.words import template_text
+from eval.report.words import one_line, say, template_text
 
 
 @dataclass(frozen=True)
 class Model:
-    """What is modelled, in words (plain text) and equations; `name` is its part of file names."""
+    """What is modelled; `name` is its part of file names."""
 
     name: str
     title: str
-    about: str
+
+    @property
+    def about(self) -> str:
+        """The model in words, plain text."""
+        return one_line(say(f"models/{self.name}"))
 
     @property
     def latex(self) -> str:
@@ -52,44 +54,14 @@ class Model:
         return Formula(self.latex, template_text(f"models/{self.name}.mathml").strip())
 
 
-MOTION = Model(
-    "motion",
-    "Motion model",
-    "The pose is (x, y, θ) in the world frame. A command (v, ω) holds for Δt and drives the robot along a circular arc,"
-    " exactly: displacement D along the arc, rotation α, and from these the step (dx, dy, α) in the robot's own frame,"
-    " composed with the pose; the heading is then wrapped to ±180°. As ω goes to zero, a goes to 1, b and a' go to 0"
-    " and b' to 1/2, and the arc becomes a straight line; the program takes these limits by series. F is the Jacobian"
-    " with respect to the pose, G the one with respect to the command, and the noise of v and ω is independent at each"
-    " command. Source: Probabilistic Robotics, section 5.3; code: data.motion.velocity.step, data.se2.compose.",
-)
-OBSERVATION = Model(
-    "observation",
-    "Observation model",
-    "Corner j of a picture is the point l in the world's plan. The stereo camera sees it at x to the right and z ahead;"
-    " rotation (by the angle φ) and translation T lead from the robot's frame to the camera's. H is the Jacobian with"
-    " respect to the pose and L the one with respect to the corner, which only SLAM needs. All corners of a frame are"
-    " stacked into one update, with independent noise. Source: Probabilistic Robotics, section 6.6, for a point instead"
-    " of range and bearing; code: data.sensors.measure.",
-)
-UPDATE = Model(
-    "update",
-    "Update",
-    "What was seen corrects what was predicted (the lab's equations 10 to 13): the innovation of all corners of a"
-    " frame, its gain, the pose and its covariance after it; quantities with a minus are predicted. S and H are those"
-    " of the observation model. Heading differences are wrapped, and in SLAM the corners are part of the state. Source:"
-    " Probabilistic Robotics, table 3.3; code: ekf.updates.",
-)
+MOTION, OBSERVATION = Model("motion", "Motion model"), Model("observation", "Observation model")
+UPDATE = Model("update", "Update")
 MODELS = (MOTION, OBSERVATION, UPDATE)
 
 
-def models_latex(models: tuple[Model, ...] = MODELS) -> str:
-    """Words and equations of models as a LaTeX fragment; it needs amsmath."""
-    greek = str.maketrans({"ω": r"$\omega$", "φ": r"$\varphi$", "ψ": r"$\psi$", "Δ": r"$\Delta$"})
-    parts = ["% \\usepackage{amsmath}"]
-    for model in models:
-        about = tex_escape(model.about).translate(greek)
-        parts.append(f"\\paragraph{{{model.title}.}} {about}\n\\[\n{model.latex}\n\\]")
-    return "\n".join(parts) + "\n"
+def models_latex() -> str:
+    """Words and equations of the models as a LaTeX fragment; it needs amsmath."""
+    return say("models/all", models=MODELS) + "\n"
 
 
 @dataclass(frozen=True)
@@ -204,22 +176,30 @@ def _tile(evidence: Evidence, frame: int, image: bytes) -> Tile:
     return Tile(f"frame {frame}, {found.time[frame] - found.time[0]:.1f} s", rgb, detections, notes)
 
 
-def visual_sections(folder: Path, options: Options, trials: Sequence[Trial]) -> list[Section]:
-    """For each log made from images: models, a plan for each task, contact sheet and statistics, below `folder`."""
+def visual_sections(
+    folder: Path, wanted: Drawn, trials: Sequence[Trial], *, in_lab: bool = False, factor: int | None = 1
+) -> list[Section]:
+    """For each log made from images: models, a plan for each task, contact sheet and statistics, below `folder`.
+
+    In a lab the answer has the models, and ellipses are as large as is needed to see them; else by a factor.
+    """
     logs = {t.log.name: t.log for t in trials if t.log.evidence is not None and t.beside is None}
     sections = []
     for name, log in logs.items():
-        blocks = [] if options.lab is not None else list(models(folder, options, log))
-        blocks += [_plan(folder, options, t) for t in trials if t.log is log and not options.no_plots]
-        blocks += _detections(folder, options, log)
-        sections.append(Section(f"Pictures as landmarks: {name}", tuple(blocks)))
+        assert log.evidence is not None
+        facts = (_constants(log), _detected(statistics_of(log.evidence), log.evidence.found))
+        blocks = [] if in_lab else list(models(folder, wanted, log))
+        own = [t for t in trials if t.log is log and not wanted.no_plots]
+        blocks += [_plan(folder, wanted, t, None if in_lab else factor) for t in own]
+        blocks += _detections(folder, wanted, log, log.evidence)
+        sections.append(Section(f"Pictures as landmarks: {name}", tuple(blocks), facts=facts))
     return sections
 
 
-def models(folder: Path, options: Options, log: Log) -> Iterator[Block]:
+def models(folder: Path, wanted: Wanted, log: Log) -> Iterator[Block]:
     """Words and formulas of every model, and their constants on a log."""
     name = folder_name(log.name)
-    if "tex" in options.formats:
+    if "tex" in wanted.formats:
         (folder / "tables").mkdir(parents=True, exist_ok=True)
         (folder / "tables" / f"{name}-models.tex").write_text(models_latex(), encoding="utf-8", newline="\n")
     for model in MODELS:
@@ -228,80 +208,92 @@ def models(folder: Path, options: Options, log: Log) -> Iterator[Block]:
     yield constants(log)
 
 
-def constants(log: Log) -> str:
-    """The models' constants on this log."""
-    inputs = log.recorded
-    sensor, R = inputs.sensor, inputs.observations.R
-    v, omega = COMMAND_SIGMA
-    text = (
-        f"On `{log.name}`: standard deviations {100.0 * v:g} cm/s of v and {math.degrees(omega):g} °/s of ω;"
-        f" φ = {math.degrees(sensor.rotation):.1f}°,"
-        f" T = ({sensor.translation[0]:.3f}, {sensor.translation[1]:.3f}) m."
-    )
+@dataclass(frozen=True)
+class Constants:
+    """Of the models on a log: sigmas of a command, pose of the camera, and of a corner.
+
+    Attributes:
+        v, omega: cm/s and deg/s; rotation: deg; translation: m.
+        side, ahead: cm, least and largest sigma to the right and ahead; empty without readings.
+        by_depth: whether they differ from corner to corner.
+    """
+
+    log: str
+    v: float
+    omega: float
+    rotation: float
+    translation: tuple[float, float]
+    side: tuple[float, ...]
+    ahead: tuple[float, ...]
+    by_depth: bool
+
+
+def _constants(log: Log) -> Constants:
+    sensor, R = log.recorded.sensor, log.recorded.observations.R
+    v, omega = 100.0 * COMMAND_SIGMA[0], math.degrees(COMMAND_SIGMA[1])
+    x, z = sensor.translation
+    camera = (math.degrees(sensor.rotation), (float(x), float(z)))
     if len(R) == 0:
-        return text
+        return Constants(log.name, v, omega, *camera, (), (), by_depth=False)
     side, ahead = 100.0 * np.sqrt(R[:, 0, 0]), 100.0 * np.sqrt(R[:, 1, 1])
-    if np.ptp(side) < 1e-9 and np.ptp(ahead) < 1e-9:
-        return f"{text} Of a corner: {side[0]:.3g} cm to the right and {ahead[0]:.3g} cm ahead."
-    return (
-        f"{text} Of a corner, from the noise of its depth: {side.min():.2g} to {side.max():.2g} cm to the right and"
-        f" {ahead.min():.2g} to {ahead.max():.2g} cm ahead, correlated along the line of sight."
-    )
+    both = [(float(each.min()), float(each.max())) for each in (side, ahead)]
+    return Constants(log.name, v, omega, *camera, *both, by_depth=max(high - low for low, high in both) >= 1e-9)
 
 
-def _plan(folder: Path, options: Options, trial: Trial) -> Picture:
+def constants(log: Log) -> str:
+    """The models' constants on this log, in words."""
+    return say("visual#constants", c=_constants(log))
+
+
+def _plan(folder: Path, wanted: Drawn, trial: Trial, factor: int | None) -> Picture:
     log, drawn, name = trial.log, for_map(trial), stem(trial, "plan")
     assert log.evidence is not None  # `visual_sections` asks for the plan of no other log
-    figure = plan_figure(
-        log, drawn, log.evidence.setup.corners, factor=None if options.lab is not None else options.ellipse_factor
-    )
-    save(figure, folder / "figures", name, ("png",) if options.quick else ("pdf", "png"))
-    truth = "" if log.truth.known_poses else " The true path is not known."
-    return Picture(
-        name,
-        f"`{log.name}`, {trial.task}: pictures on their walls, dead reckoning and estimates with 3σ (x, y)"
-        f" ellipses. World frame, no alignment.{truth}{left_out(trial, drawn)}",
-        f"Plan of {log.name} with pictures and the paths of {', '.join(r.estimator for r in drawn)}",
-    )
+    figure = plan_figure(log, drawn, log.evidence.setup.corners, factor=factor)
+    save(figure, folder / "figures", name, ("png",) if wanted.quick else ("pdf", "png"))
+    known = bool(log.truth.known_poses)
+    caption = say("visual#plan", log=log.name, task=trial.task, known=known) + left_out(trial, drawn)
+    paths = ", ".join(r.estimator for r in drawn)
+    return Picture(name, caption, f"Plan of {log.name} with pictures and the paths of {paths}")
 
 
-def _detections(folder: Path, options: Options, log: Log) -> Iterator[Block]:
-    evidence, name = log.evidence, f"{folder_name(log.name)}-detections"
-    assert evidence is not None  # see `_plan`
+def _detections(folder: Path, wanted: Drawn, log: Log, evidence: Evidence) -> Iterator[Block]:
+    name = f"{folder_name(log.name)}-detections"
     stats, found, tiles = statistics_of(evidence), evidence.found, tiles_of(evidence)
     yield summary(stats, found)
-    if tiles and not options.no_plots:
+    if tiles and not wanted.no_plots:
         # images are the whole figure: as PDF it would be many times as large and show no more
         sheet = contact_sheet(tiles, f"{log.name}: pictures found, with their numbers")
         save(sheet, folder / "figures", name, ("png",))
-        yield Picture(
-            name,
-            f"`{log.name}`: {len(tiles)} of {counted(len(found.time), 'frame')}. Outlines: pictures found;"
-            " dots: corners; the number stands at the upper left one.",
-            f"{counted(len(tiles), 'frame')} of {log.name} with outlined pictures",
-        )
+        caption = say("visual#sheet", log=log.name, shown=len(tiles), frames=len(found.time))
+        yield Picture(name, caption, f"{counted(len(tiles), 'frame')} of {log.name} with outlined pictures")
     frame = drop_blank_columns(detection_table(stats))
-    caption = f"{log.name}: detections by picture, numbered from 0 in the order of the reference images."
-    if evidence.in_view is not None:
-        caption += (
-            " In view: wholly in the image, near enough and not too oblique. Wrong: it lies on another picture, or not"
-            " where this one is. Not judged: found where none is in view by that definition."
-        )
-    caption += " Not found: frames, by the reason."
-    yield written_table(frame, folder, name, caption, options)
+    caption = say("visual#table", log=log.name, truth=evidence.in_view is not None)
+    yield written_table(frame, folder, name, caption, wanted)
+
+
+@dataclass(frozen=True)
+class Detected:
+    """All pictures together: detections in so many frames, those in view, found of these, wrong detections.
+
+    noise: of a corner in the image [px], and of depth z, times z^2 [1/m]; None: not known.
+    """
+
+    detections: int
+    frames: int
+    in_view: int
+    found: int
+    wrong: int
+    noise: tuple[float, float] | None
+
+
+def _detected(stats: Sequence[PictureStatistics], found: Found) -> Detected:
+    in_view, right = sum(s.in_view or 0 for s in stats), sum(s.found_in_view or 0 for s in stats)
+    wrong = sum(s.wrong or 0 for s in stats)
+    noise = (found.pixel_noise, found.depth_noise)
+    known = noise if np.isfinite(noise).all() else None
+    return Detected(len(found.frame), len(found.time), in_view, right, wrong, known)
 
 
 def summary(stats: Sequence[PictureStatistics], found: Found) -> str:
     """All pictures together, in a paragraph."""
-    notes = [f"**Detections.** {len(found.frame)} in {counted(len(found.time), 'frame')}."]
-    in_view = sum(s.in_view or 0 for s in stats)
-    if in_view:
-        right, wrong = sum(s.found_in_view or 0 for s in stats), sum(s.wrong or 0 for s in stats)
-        notes.append(f"Of {in_view} pictures in view {right} were found ({100.0 * right / in_view:.1f} %).")
-        notes.append(f"Wrong: {wrong}.")
-    if math.isfinite(found.pixel_noise) and math.isfinite(found.depth_noise):
-        notes.append(
-            f"Noise of a corner as this recording itself shows it: {number(found.pixel_noise)} px in the image, and in"
-            f" depth z a standard deviation of {number(found.depth_noise)} z² (z in m)."
-        )
-    return " ".join(notes)
+    return say("visual#summary", d=_detected(stats, found))

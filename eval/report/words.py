@@ -17,8 +17,101 @@ from jinja2 import Environment
 
 from data import words
 from data.words import number
+from eval.figures.paper import tex_escape
+
+GREEK: dict[str, str | int | None] = {"ω": r"$\omega$", "φ": r"$\varphi$", "ψ": r"$\psi$", "Δ": r"$\Delta$"}
 
 
 @cache
 def environment() -> Environment:
+    """The templates of the report, with more filters than notices need."""
+    env = words.environment("eval.report")
     env.globals["zip"] = zip
+    env.filters |= {
+        "as_sentence": as_sentence,
+        "one_line": one_line,
+        "listed": listed,
+        "plus_minus": plus_minus,
+        "sized": sized,
+        "distance": distance,
+        "six": six,
+        "tex": tex,
+    }
+    env.tests["known"] = math.isfinite
+    return env
+
+
+def template_text(name: str) -> str:
+    """A file of `templates/` as it is, not rendered."""
+    env = environment()
+    assert env.loader is not None
+    return env.loader.get_source(env, name)[0]
+
+
+def one_line(text: str) -> str:
+    """Words that a template broke over several lines, on one."""
+    return re.sub(r"[ \n]+", " ", text).strip()
+
+
+def as_sentence(text: str) -> str:
+    """Words on one line, capital first and full stop last; a name in code stays as it is, nothing stays nothing."""
+    line = one_line(text)
+    return f"{line[:1].upper()}{line[1:]}" + ("." if line and not line.endswith(".") else "")
+
+
+def listed(parts: Iterable[str], last: str = "and") -> str:
+    """`a, b and c`; one alone as it is."""
+    *first, end = parts
+    return f"{', '.join(first)} {last} {end}" if first else end
+
+
+def plus_minus(value: float, error: float) -> str:
+    """A number and its standard error, this to two digits and both to the same decimals; without an error, to three."""
+    if not (math.isfinite(error) and error > 0.0):
+        return number(value).replace("-", "−")
+    places = max(1 - math.floor(math.log10(error)), 0)
+    return f"{value:.{places}f} ± {error:.{places}f}".replace("-", "−")
+
+
+def sized(value: float, unit: str, error: float = math.nan, digits: int = 3) -> str:
+    """A size in its unit, with its standard error to one digit; without an error to so many digits."""
+    space = "" if unit == "°" else " "
+    if not (math.isfinite(error) and error > 0.0):
+        return f"{number(value, digits)}{space}{unit}"
+    # two digits of an error that begins with 1: half of it would be lost in rounding
+    exponent = math.floor(math.log10(error))
+    places = max(-exponent + (error < 1.95 * 10.0**exponent), 0)
+    return f"{value:.{places}f}{space}{unit} ± {error:.{places}f}{space}{unit}"
+
+
+def six(value: float) -> str:
+    """Six significant digits; counts as they are."""
+    return str(int(value)) if float(value).is_integer() and abs(value) < 1e6 else f"{value:.6g}"
+
+
+def tex(text: str) -> str:
+    """Words as LaTeX sets them, Greek letters in math mode."""
+    return tex_escape(text).translate(str.maketrans(GREEK))
+
+
+def distance(metres: float) -> str:
+    """A distance, below a centimetre in millimetres."""
+    return f"{number(1000.0 * metres, 2)} mm" if 0.0 < metres < 0.01 else f"{number(metres)} m"
+
+
+def say(template: str, facts: object = None, **more: Any) -> str:
+    """A template of `templates/` (its name without `.md.j2`), rendered with the fields of `facts` and what is named.
+
+    A name behind `#` is that of a macro in it, called with the same names as arguments: `say("answer#lost", row=row)`.
+    Empty lines around the text are removed.
+    """
+    name, _, macro = template.partition("#")
+    known = {f.name: getattr(facts, f.name) for f in fields(facts)} if is_dataclass(facts) else {}
+    found = environment().get_template(f"{name}.md.j2")
+    text = getattr(found.module, macro)(**known, **more) if macro else found.render(**known, **more)
+    return str(text).strip()
+
+
+def paragraph(template: str, facts: object = None, **more: Any) -> str:
+    """What `say` says as one paragraph: its sentences may stand on lines of their own in the template."""
+    return one_line(say(template, facts, **more))

@@ -20,11 +20,11 @@ from eval.report.page.blocks import (
     anchor,
     folded,
 )
-from eval.report.page.files import Wanted, written_table
+from eval.report.page.files import Drawn, Wanted, written_table
 from eval.report.page.render import report_html, report_markdown, write_report
 
 __all__ = [
-    "READING", "Block", "Film", "FinePrint", "Folded", "Formula", "Mark", "Overview", "OverviewRow", "Picture",
+    "READING", "Block", "Drawn", "Film", "FinePrint", "Folded", "Formula", "Mark", "Overview", "OverviewRow", "Picture",
     "Report", "Section", "Sketch", "Table", "Wanted", "anchor", "folded", "report_html", "report_markdown",
     "write_report", "written_table",
 ]  # fmt: skip

@@ -107,6 +107,18 @@ class Wanted(Protocol):
         """Keys of the columns of LaTeX tables; none: as many as there is room for."""
 
 
+class Drawn(Wanted, Protocol):
+    """What is asked of a section with figures of its own: also whether they are drawn, and whether in haste."""
+
+    @property
+    def no_plots(self) -> bool:
+        """No figures at all."""
+
+    @property
+    def quick(self) -> bool:
+        """As PNG alone."""
+
+
 def written_table(
     frame: pd.DataFrame,
     folder: Path,

@@ -9,7 +9,7 @@ import pytest
 
 from eval.referee.trust import Measured
 from eval.report.trust_facts import Decided, Terms, facts_of
-from eval.report.words import length
+from eval.report.words import distance
 from tests.eval.report.trust.said_by_hand import DETECTABLE, blamed, said
 
 POLAR, POINTS = Terms(), Terms(polar=False)
@@ -27,7 +27,7 @@ def with_measured(trust, measured):
     ("value", "text"), [(0.0, "0 m"), (0.0042, "4.2 mm"), (0.00999, "10 mm"), (0.01, "0.0100 m"), (13.0, "13.0 m")]
 )
 def test_a_length_below_a_centimetre_is_said_in_millimetres(value, text):
-    assert length(value) == text
+    assert distance(value) == text
 
 
 def test_filters_come_first_then_our_smoothers_then_others_and_who_was_not_measured_is_not_there():

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
-from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -18,6 +17,7 @@ from data.sensors import RelativePoint
 from ekf import kernels
 from eval.replay.estimators import make_estimator
 from eval.report import visual
+from eval.report.words import tex
 
 TOKEN = re.compile(r"(?:\\[a-zA-Z]+|[a-zA-Z]'?)(?:[_^](?:\{\w\}|\w|\\[a-z]+))*|\d+|[-+(){}]|\\,|\s+")
 
@@ -225,17 +225,16 @@ def test_the_update_equations_are_what_the_filter_computes():
     assert all(f"({n})" in text for n in (10, 11, 12, 13))
 
 
-def test_the_latex_of_a_model_is_a_titled_paragraph_of_its_words_and_below_it_its_equations():
-    model = replace(visual.UPDATE, title="One", about="Speed ω for Δt, φ and ψ; θ & 5 % of it.")
-    assert visual.models_latex((model,)) == (
-        "% \\usepackage{amsmath}\n"
-        "\\paragraph{One.} Speed $\\omega$ for $\\Delta$t, $\\varphi$ and $\\psi$; $\\theta$ \\& 5 \\% of it.\n"
-        f"\\[\n{model.latex}\n\\]\n"
+def test_the_words_of_a_model_are_set_in_latex_with_greek_letters_as_mathematics():
+    assert tex("Speed ω for Δt, φ and ψ; θ & 5 % of it.") == (
+        "Speed $\\omega$ for $\\Delta$t, $\\varphi$ and $\\psi$; $\\theta$ \\& 5 \\% of it."
     )
 
 
 def test_the_latex_holds_every_model_in_order_in_characters_that_latex_sets():
     text = visual.models_latex()
+    words, equations = tex(visual.MOTION.about), visual.MOTION.latex
+    assert text.startswith(f"% \\usepackage{{amsmath}}\n\\paragraph{{Motion model.}} {words}\n\\[\n{equations}\n\\]\n")
     assert re.findall(r"\\paragraph\{(.*?)\}", text) == ["Motion model.", "Observation model.", "Update."]
     at = [text.index(m.latex) for m in visual.MODELS]
     assert at == sorted(at)
