@@ -161,9 +161,10 @@ def laser_picture(trial: Trial, kind: str) -> tuple[Figure, str, str]:
     run, name = mapping_run(trial), trial.log.name
     assert run is not None
     assert run.last is not None
-    said = {"name": name, "estimator": run.estimator, "phase": phase_of(run)}
+    phase = phase_of(run)
+    said = {"name": name, "estimator": run.estimator, "phase": phase}
     if kind == GRID_PICTURE:
-        figure = map_picture(grid_of(trial, run), run.last, **said)
+        figure = map_picture(grid_of(trial, run), run.last, name=name, estimator=run.estimator, phase=phase)
         return figure, say("laser#grid", **said), f"Occupancy grid of {name} with the path of {run.estimator}"
     assert run.loops is not None
     assert run.chain is not None

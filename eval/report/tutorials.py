@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -80,7 +81,7 @@ def rows_of(log: str, trials: Sequence[Trial], scores: Scores) -> list[Row]:
     return sorted(made, key=lambda r: (order.index(r.given), not r.tutorial))
 
 
-def _by_run(table: pd.DataFrame) -> dict[tuple[object, ...], dict[Hashable, object]]:
+def _by_run(table: pd.DataFrame) -> dict[tuple[str, ...], dict[Hashable, Any]]:
     """The last row of each run."""
     return {(r["log"], r["task"], r["estimator"], r["association"]): r for r in table.to_dict("records")}
 

@@ -236,8 +236,9 @@ def _constants(log: Log) -> Constants:
     if len(R) == 0:
         return Constants(log.name, v, omega, *camera, (), (), by_depth=False)
     side, ahead = 100.0 * np.sqrt(R[:, 0, 0]), 100.0 * np.sqrt(R[:, 1, 1])
-    both = [(float(each.min()), float(each.max())) for each in (side, ahead)]
-    return Constants(log.name, v, omega, *camera, *both, by_depth=max(high - low for low, high in both) >= 1e-9)
+    right, forward = ((float(each.min()), float(each.max())) for each in (side, ahead))
+    by_depth = max(float(np.ptp(side)), float(np.ptp(ahead))) >= 1e-9
+    return Constants(log.name, v, omega, *camera, right, forward, by_depth)
 
 
 def constants(log: Log) -> str:
