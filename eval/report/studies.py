@@ -1,13 +1,14 @@
-"""The report's sections on studies: verdicts, figures, diverged runs, published numbers, and wrong associations.
+"""The report's sections on studies: verdicts, figures, diverged runs, published numbers, wrong associations.
 
-The report's section on a study of the battery: how often it objects to what is right, what it finds and names.
+A study of the battery has one of its own: how often it objects to what is right, what it finds and names.
 """
 
 from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,7 @@ from eval.referee.consistency import MIN_RUNS, share_interval
 from eval.replay.external.spec import name_of, names_of
 from eval.report import comparison
 from eval.report.page.document import Block, Picture, Section, Table, written_table
+from eval.report.words import say
 from eval.studies.broken import BROKEN
 from eval.studies.faults import FAULTS
 from eval.studies.montecarlo import DOF, Judged, Study, consistency_table
@@ -36,8 +38,10 @@ from eval.studies.reproduced import orderings, published_frame
 from eval.studies.validation import SOUND, Examined, Validation
 
 TableWriter = Callable[[pd.DataFrame, str, str], Table]
-SIZE = ("world", "task", "logs", "objected [%]", "95 % interval", "NIS alone [%]", "noise [%]", "associations [%]",
-        "estimator [%]", "failed")  # fmt: skip
+"""(frame, name, caption): writes a table in the formats asked for and hands it to the report."""
+CAUSES = (NOISE, ASSOCIATIONS, ESTIMATOR)
+SHARES = ("objected [%]", "95 % interval", "NIS alone [%]", *(f"{cause} [%]" for cause in CAUSES))
+SIZE = ("world", "task", "logs", *SHARES, "failed")
 POWER = ("fault", "size", "logs", "detected [%]", "±", "NIS alone [%]", "right cause [%]", "taken for", "failed")
 TESTS = ("battery", "NIS alone")
 SURE = 0.9
@@ -45,24 +49,52 @@ SURE = 0.9
 GOAL = 0.8
 
 
+@dataclass(frozen=True)
+class ValidationFacts:
+    """A study of the battery.
+
+    Attributes:
+        about, runs, twins, level: what was done: logs of each world, twins of each, the family-wise level.
+        sound, objected: logs that are right, and how many of them are objected to.
+        power: the world with faults; sure, met: faults detected in a share of `detected_in` of the logs, and how many
+            of them are put down to the right cause in a share of `right_in`.
+    """
+
+    about: str
+    runs: int
+    twins: int
+    level: float
+    sound: int
+    objected: int
+    power: str
+    sure: int
+    met: int
+    detected_in: float = SURE
+    right_in: float = GOAL
+
+
+def validation_facts(study: Validation, found: Sequence[Examined]) -> ValidationFacts:
+    """What is said of a study of the battery."""
+    sound = [e for e in found if e.fault == SOUND and not e.failure]
+    sure, met = _goal(found)
+    told = (study.about, study.runs, study.twins, battery.LEVEL)
+    return ValidationFacts(*told, len(sound), sum(e.objected for e in sound), study.power, sure, met)
+
+
 def validation_section(
     study: Validation, found: Sequence[Examined], table: TableWriter, figures: Path | None = None
 ) -> Section:
     """Both tables, with what they say in a line each; a figure of the power where `figures` is a folder."""
-    size, power = size_table(study, found), power_table(study, found)
-    sound = [e for e in found if e.fault == SOUND and not e.failure]
-    objected = sum(e.objected for e in sound)
-    blocks: list[Block] = [
-        f"{study.about} {study.runs} logs of each world, {study.twins} twins of each log, family-wise level"
-        f" {100 * battery.LEVEL:g} %.",
-        f"Of {len(sound)} logs that are right, {objected} are objected to ({_percent(objected, len(sound)):.1f} %).",
-        table(size, f"{study.name}_size", SIZE_CAPTION),
-    ]
+    size, power, facts = size_table(study, found), power_table(study, found), validation_facts(study, found)
+    blocks: list[Block] = [say("studies#validation", v=facts), say("studies#sound", v=facts)]
+    blocks.append(table(size, f"{study.name}_size", say("studies#size_caption")))
     if len(power) > 1:
-        blocks += [_goal(study, found), table(power, f"{study.name}_power", POWER_CAPTION)]
+        blocks.append(say("studies#goal", v=facts))
+        blocks.append(table(power, f"{study.name}_power", say("studies#power_caption")))
         if figures is not None:
             blocks.append(_validation_picture(figures, study, power))
-    return Section(f"Scenario {study.name}: what a log says about itself, tested", tuple(blocks), level=2)
+    heading = f"Scenario {study.name}: what a log says about itself, tested"
+    return Section(heading, tuple(blocks), facts=facts)
 
 
 def _validation_picture(folder: Path, study: Validation, power: pd.DataFrame) -> Picture:
@@ -75,20 +107,8 @@ def _validation_picture(folder: Path, study: Validation, power: pd.DataFrame) ->
         faults.append(Seen(called, tuple(size.split()[0] for size in own["size"]), *shares))
     title = f"{study.name}: {study.power_runs} logs of {study.power} for each fault and size"
     save(power_figure(faults, TESTS, 100.0 * battery.LEVEL, title), folder, stem)
-    caption = "share of the logs in which a fault is seen, against its size; dashed: logs without a fault, by design."
-    return Picture(stem, f"{title}: {caption}", "Power of the battery and of NIS against the size of each fault")
-
-
-SIZE_CAPTION = (
-    "Logs that are right: share that the battery objects to, with its exact (Clopper-Pearson) interval; share whose"
-    " NIS, of filter or smoother, is outside its 95 % bounds; causes named. An estimator is named where its NEES or NIS"
-    " on twins is off, which is right where linearization makes it so."
-)
-POWER_CAPTION = (
-    "Faults: share of the logs in which the battery objects (a broken filter also where its NEES or NIS on twins is"
-    " off) with its binomial standard error, and share in which NIS alone would; of the detected, the share put down to"
-    " the right cause, and the cause most often named instead."
-)
+    alt = "Power of the battery and of NIS against the size of each fault"
+    return Picture(stem, say("studies#power_picture", title=title), alt)
 
 
 def size_table(study: Validation, found: Sequence[Examined]) -> pd.DataFrame:
@@ -106,7 +126,7 @@ def _size(found: Sequence[Examined]) -> list[object]:
     good = [e for e in found if not e.failure]
     n, objected = len(good), sum(e.objected for e in good)
     lower, upper = share_interval(objected, n)
-    causes = [_percent(sum(e.cause == c for e in good), n) for c in (NOISE, ASSOCIATIONS, ESTIMATOR)]
+    causes = [_percent(sum(e.cause == c for e in good), n) for c in CAUSES]
     interval = f"{100 * lower:.1f}…{100 * upper:.1f}" if n else ""
     nis = _percent(sum(e.nis for e in good), n)
     return [n, _percent(objected, n), interval, nis, *causes, len(found) - n]
@@ -155,8 +175,8 @@ def _power(called: str, size: str, found: Sequence[Examined]) -> list[object]:
     return [called, size, n, 100.0 * share, 100.0 * error, nis, right, other, len(found) - n]
 
 
-def _goal(study: Validation, found: Sequence[Examined]) -> str:
-    """How many of the faults that are surely detected are put down to the right cause often enough."""
+def _goal(found: Sequence[Examined]) -> tuple[int, int]:
+    """Faults that are surely detected, and how many of them are put down to the right cause often enough."""
     sure, met = 0, 0
     for (fault, _), own in _groups(found).items():
         good = [e for e in own if not e.failure]
@@ -164,25 +184,51 @@ def _goal(study: Validation, found: Sequence[Examined]) -> str:
         if seen and len(seen) >= SURE * len(good):
             sure += 1
             met += sum(e.cause == right_cause(fault) for e in seen) >= GOAL * len(seen)
-    return (
-        f"In `{study.power}`, {sure} faults are detected in {100 * SURE:g} % of the logs or more; {met} of them are put"
-        f" down to the right cause in {100 * GOAL:g} % of those or more."
-    )
+    return sure, met
 
 
 def _percent(hits: int, n: int) -> float:
     return 100.0 * hits / n if n else math.nan
 
 
-OUTLIERS = ("task", "estimator", "rate", "rmse_position_m", "rmse_lower", "rmse_upper", "nees_pose", "nees_lower",
-            "nees_upper", "runs", "diverged")  # fmt: skip
-
+INTERVALS = ("rmse_position_m", "rmse_lower", "rmse_upper", "nees_pose", "nees_lower", "nees_upper")
+OUTLIERS = ("task", "estimator", "rate", *INTERVALS, "runs", "diverged")
 FINE_PRINT = {"-consistency": comparison.CONSISTENCY_FINE, "-coverage": comparison.COVERAGE_FINE}
 """Of tables by how their names end: what the report says once for all of them."""
-MOST_LISTED = 20
-"""Runs of a study that are listed one by one with what replays them."""
-Writer = Callable[[pd.DataFrame, str, str], Table]
-"""(frame, name, caption): writes a table in the formats asked for and hands it to the report."""
+
+
+@dataclass(frozen=True)
+class Diverged:
+    """A run that did not get to the end, or is implausible, why, and the command that replays it."""
+
+    task: str
+    estimator: str
+    association: str
+    seed: int
+    why: str
+    implausible: bool
+    command: str
+
+
+@dataclass(frozen=True)
+class StudyFacts:
+    """A study: what it is about, its seeds, what is declared consistent (name, quantities), and what diverged."""
+
+    about: str
+    seeds: tuple[int, ...]
+    declared: tuple[tuple[str, tuple[str, ...]], ...]
+    diverged: tuple[Diverged, ...]
+
+
+def facts_of(study: Study) -> StudyFacts:
+    """What is said of a study."""
+    s, lost = study.scenario, []
+    declared = tuple((name_of(m.name), m.must_be_consistent) for m in s.members if m.must_be_consistent)
+    for (task, estimator, association, _), seed, why, implausible in study.failures():
+        one = ["--scenario", s.source, "--estimator", estimator, "--seed", str(seed), "--runs", "1"]
+        command = f"python -m eval.run_all {shlex.join(one)}"
+        lost.append(Diverged(task, estimator, association, seed, why, implausible, command))
+    return StudyFacts(s.about, study.seeds, declared, tuple(lost))
 
 
 def study_sections(folder: Path, options: Options, outcome: Outcome, judged: Sequence[Judged]) -> list[Section]:
@@ -196,15 +242,17 @@ def study_sections(folder: Path, options: Options, outcome: Outcome, judged: Seq
     sections = [validation_section(study, found, table, plots) for study, found in outcome.validations]
     sections += _published(outcome, table)
     if outcome.studies:
-        sections.append(Section("Consistency over many simulated runs", tuple(_reading(outcome.studies))))
+        few = any(len(s.seeds) < MIN_RUNS for s in outcome.studies)
+        said = (say("studies#reading"), *([say("studies#few", least=MIN_RUNS)] if few else []))
+        sections.append(Section("Consistency over many simulated runs", said))
     plain = [s for s in outcome.studies if not _of_rates(s)]
-    drawn = _draw(folder, options, plain)
+    drawn = _draw(plots, options, plain)
     for study, pictures in zip(plain, drawn, strict=True):
         own = [j for j in judged if j.scenario == study.scenario.name]
         sections.append(_study(study, own, pictures, table))
     for source in dict.fromkeys(s.scenario.source for s in outcome.studies if _of_rates(s)):
         group = [s for s in outcome.studies if s.scenario.source == source and _of_rates(s)]
-        sections.append(_outliers(folder, options, group, table))
+        sections.append(_outliers(plots, group, table))
     return sections
 
 
@@ -213,26 +261,10 @@ def _of_rates(study: Study) -> bool:
     return study.scenario.part
 
 
-def _reading(studies: Sequence[Study]) -> Iterator[Block]:
-    yield (
-        "Every run is an independent simulated log of its seed; all estimators of a scenario get the same ones, and the"
-        " prior's mean is drawn from the prior. Only what a scenario declares to be consistent decides the exit status,"
-        " in pose, position and heading, by Holm's procedure over all declared verdicts at 0.1 %."
-    )
-    few = [s.scenario.name for s in studies if len(s.seeds) < MIN_RUNS]
-    if few:
-        yield f"With fewer than {MIN_RUNS} runs there is no verdict: a wrong covariance would pass too often."
-
-
-def _study(study: Study, judged: Sequence[Judged], pictures: Sequence[Picture], table: Writer) -> Section:
-    s = study.scenario
-    declared = [f"`{name_of(m.name)}` ({', '.join(m.must_be_consistent)})" for m in s.members if m.must_be_consistent]
-    blocks: list[Block] = [
-        f"{s.about} {counted(len(study.seeds), 'run')} (seeds {study.seeds[0]} to {study.seeds[-1]}).",
-        f"Declared to be consistent: {', '.join(declared)}." if declared else "Nothing is declared to be consistent.",
-    ]
-    if s.cite:
-        blocks.append(f"Source: {s.cite}.")
+def _study(study: Study, judged: Sequence[Judged], pictures: Sequence[Picture], table: TableWriter) -> Section:
+    s, facts = study.scenario, facts_of(study)
+    blocks: list[Block] = [say("studies#about", s=facts), say("studies#declared", s=facts)]
+    blocks += [f"Source: {s.cite}."] if s.cite else []
     name = folder_name(s.name)
     tests = [j for j in judged if not j.quantity.startswith("coverage")]
     shares = [j for j in judged if j.quantity.startswith("coverage")]
@@ -242,35 +274,18 @@ def _study(study: Study, judged: Sequence[Judged], pictures: Sequence[Picture], 
     if shares:
         made = comparison.coverage_table(consistency_table(shares))
         blocks.append(table(made, f"{name}-coverage", f"Scenario {s.name}: coverage of the last position's ellipses."))
-    blocks += pictures
-    blocks.append(_diverged(study))
-    return Section(f"Scenario {s.name}", tuple(blocks), level=3)
+    blocks += [*pictures, say("studies#diverged", lost=facts.diverged)]
+    return Section(f"Scenario {s.name}", tuple(blocks), 3, facts)
 
 
-def _diverged(study: Study) -> str:
-    """Runs that did not get to the end, each with its seed and the command that replays it."""
-    lost = study.failures()
-    if not lost:
-        return "Every run of every estimator got to its end."
-    notes = []
-    for (task, estimator, association, _), seed, why in lost:
-        asked = shlex.join(
-            ["--scenario", study.scenario.source, "--estimator", estimator, "--seed", str(seed), "--runs", "1"]
-        )
-        notes.append(f"* seed {seed}: `{estimator}` ({task}, {association}), {why}: `python -m eval.run_all {asked}`")
-    what = "diverged or are implausible" if any(": implausible, " in why for _, _, why in lost) else "diverged"
-    shown = list(dict.fromkeys(notes))
-    shown[MOST_LISTED:] = [f"* … and {len(shown) - MOST_LISTED} more"] if len(shown) > MOST_LISTED else []
-    return (
-        f"{counted(len(lost), 'run')} {what}; {'it is' if len(lost) == 1 else 'they are'} in no average:\n\n"
-        + "\n".join(shown)
-    )
+ENDS = {"ends": ("pose", figures.run_end_figure), "coverage": ("position", figures.coverage_figure)}
+"""Figures of what runs end with: of which quantity, and by what it is drawn."""
 
 
-def _draw(folder: Path, options: Options, studies: Sequence[Study]) -> list[list[Picture]]:
-    """The figures of every study, drawn in parallel."""
+def _draw(folder: Path | None, options: Options, studies: Sequence[Study]) -> list[list[Picture]]:
+    """The figures of every study, drawn in parallel; none without a folder for them."""
     pictures: list[list[Picture]] = [[] for _ in studies]
-    if options.no_plots or options.quick:
+    if folder is None:
         return pictures
     jobs: list[Job[tuple[int, int]]] = []
     for i, study in enumerate(studies):
@@ -300,20 +315,15 @@ def _picture(folder: Path, study: Study, task: str, association: str, kind: str)
         fig = figures.anees_figure(
             study.time, average, DOF["pose"], runs, title=what, time_is_index=study.time_is_index
         )
-        caption = "pose NEES averaged over the runs at each instant (of a consistent estimator 5 % lie outside)."
-    elif kind == "ends":
-        ends = {n: np.array([x.ends["pose"] for x in study.good(k)]) for n, k in keys.items()}
-        fig = figures.run_end_figure(ends, DOF["pose"], what)
-        caption = "pose NEES at the end of each run against the χ² density of a consistent estimator."
     else:
-        ends = {n: np.array([x.ends["position"] for x in study.good(k)]) for n, k in keys.items()}
-        fig = figures.coverage_figure(ends, DOF["position"], what)
-        caption = "share of the runs whose last position lies inside the ellipse of each level, with 95 % bounds."
-    save(fig, folder / "figures", stem)
-    return Picture(stem, f"{what}, {counted(runs, 'run')}: {caption}", f"{kind} of {what}")
+        quantity, drawn = ENDS[kind]
+        ends = {n: np.array([x.ends[quantity] for x in study.good(k)]) for n, k in keys.items()}
+        fig = drawn(ends, DOF[quantity], what)
+    save(fig, folder, stem)
+    return Picture(stem, say("studies#picture", what=what, runs=runs, kind=kind), f"{kind} of {what}")
 
 
-def _published(outcome: Outcome, table: Writer) -> list[Section]:
+def _published(outcome: Outcome, table: TableWriter) -> list[Section]:
     """One table of all published numbers with ours, and what is to be known of each scenario's."""
     notes = []
     for study in outcome.studies:
@@ -352,20 +362,17 @@ def _interval(e: Estimate) -> tuple[float, float, float]:
     return e.value, e.value - half, e.value + half
 
 
-def _outliers(folder: Path, options: Options, studies: Sequence[Study], table: Writer) -> Section:
-    s = studies[0].scenario
+def _outliers(plots: Path | None, studies: Sequence[Study], table: TableWriter) -> Section:
+    s, runs = studies[0].scenario, len(studies[0].seeds)
     name = folder_name(s.source if "/" not in s.source else Path(s.source).stem)
-    data = outlier_table(studies)
-    caption = (
-        f"{name}: position RMSE and mean pose NEES (expected {DOF['pose']}) with 95 % intervals over"
-        f" {counted(len(studies[0].seeds), 'run')}, against the share of wrong labels."
-    )
-    if any(study.failures() for study in studies):
-        caption += " Runs that diverged or are implausible are left out: of the others alone the mean is too small."
-    blocks: list[Block] = [f"{s.about} {counted(len(studies[0].seeds), 'run')} at each rate.", table(
-        comparison.outliers_table(data), name, caption)]  # fmt: skip
-    if not (options.no_plots or options.quick):
-        save(figures.outlier_figure(data, name), folder / "figures", name)
+    data, lost = outlier_table(studies), [facts_of(study) for study in studies]
+    caption = say("studies#outliers", name=name, runs=runs, dof=DOF["pose"], lost=any(f.diverged for f in lost))
+    blocks: list[Block] = [f"{s.about} {counted(runs, 'run')} at each rate."]
+    blocks.append(table(comparison.outliers_table(data), name, caption))
+    if plots is not None:
+        save(figures.outlier_figure(data, name), plots, name)
         blocks.append(Picture(name, caption, "RMSE and NEES against the share of wrong associations"))
-    blocks += [f"At {100 * study.scenario.wrong:g} %: {_diverged(study)}" for study in studies if study.failures()]
-    return Section(f"Wrong associations: {name}", tuple(blocks), level=3)
+    for study, f in zip(studies, lost, strict=True):
+        if f.diverged:
+            blocks.append(f"At {100 * study.scenario.wrong:g} %: {say('studies#diverged', lost=f.diverged)}")
+    return Section(f"Wrong associations: {name}", tuple(blocks), 3, tuple(lost))

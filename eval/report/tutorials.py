@@ -10,7 +10,6 @@ from typing import Any
 import pandas as pd
 
 from data.log import folder_name
-from data.words import sentence
 from eval.figures.studies import Known, knowledge_figure
 from eval.figures.style import save
 from eval.plan.tutorials import is_tutorial, original_of

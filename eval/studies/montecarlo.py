@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -43,7 +44,7 @@ class Sample:
         squares: mean squared error of `position` [m^2] and `heading` [rad^2].
         published: NEES averaged as the scenario's published numbers are.
         nees_pose: (N,) pose NEES of every frame that counts, NaN before.
-        failure: where and why it stopped, or is implausible; nothing else is then filled in.
+        failure: where and why it stopped, or is `implausible`; nothing else is then filled in.
         trace: the traceback, where foreign code crashed.
     """
 
@@ -54,6 +55,16 @@ class Sample:
     nees_pose: Array = field(default_factory=lambda: np.empty(0))
     failure: str | None = None
     trace: str = ""
+    implausible: bool = False
+
+
+class Lost(NamedTuple):
+    """A run that did not get to the end, or is implausible: which, its seed, and where and why."""
+
+    key: Key
+    seed: int
+    why: str
+    implausible: bool
 
 
 @dataclass(frozen=True)
@@ -70,10 +81,10 @@ class Study:
         """The runs that got to the end and are plausible."""
         return [s for s in self.samples[key] if s.failure is None]
 
-    def failures(self) -> list[tuple[Key, int, str]]:
-        """Every run that did not get to the end, or is implausible: which, its seed, and why."""
+    def failures(self) -> list[Lost]:
+        """Every run that did not get to the end, or is implausible."""
         return [
-            (key, seed, s.failure)
+            Lost(key, seed, s.failure, s.implausible)
             for key, samples in self.samples.items()
             for seed, s in zip(self.seeds, samples, strict=True)
             if s.failure is not None
@@ -83,15 +94,15 @@ class Study:
 def study_lines(study: Study) -> list[str]:
     """For the terminal: each run that diverged, and of each estimator how many are implausible, with the first."""
     lines, doubtful = list[str](), dict[Key, list[tuple[int, str]]]()
-    for key, seed, why in study.failures():
+    for key, seed, why, implausible in study.failures():
         task, estimator, association, _ = key
-        if IMPLAUSIBLE in why:
+        if implausible:
             doubtful.setdefault(key, []).append((seed, why))
         else:
             lines.append(f"{study.scenario.name}, {task}: {estimator} ({association}) diverged with seed {seed}, {why}")
     for (task, estimator, association, _), found in doubtful.items():
         who = f"{study.scenario.name}, {task}: {estimator} ({association})"
-        seed, why = found[0][0], found[0][1].replace(f"{IMPLAUSIBLE}, ", "")
+        seed, why = found[0]
         lines.append(
             f"{who} is {IMPLAUSIBLE} in {len(found)} of {counted(len(study.seeds), 'run')}; with seed {seed}, {why}"
         )
@@ -112,7 +123,8 @@ def sample(run: Run, phase: str, log: Log, scenario: Scenario) -> Sample:
     """Reduce a run to what the verdicts need."""
     truth = log.truth
     if run.flaw is not None:
-        return Sample(failure=run.flaw.text, trace=run.flaw.trace)
+        why = f"frame {run.flaw.frame}: {run.flaw.why}"
+        return Sample(failure=why, trace=run.flaw.trace, implausible=run.flaw.status == IMPLAUSIBLE)
     assert truth.pose is not None  # a simulator knows
     t = run.trajectory(phase)
     each = {q: consistency.nees(t.pose, t.covariance, truth.pose, q) for q in QUANTITIES}

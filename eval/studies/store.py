@@ -81,7 +81,7 @@ def kept_since(root: Path, begin: float) -> str:
 def save(folder: Path, seed: int, result: Result) -> None:
     """Keep a run; a file appears whole or not at all."""
     rows = [
-        [list(key), dict(s.means), dict(s.ends), dict(s.squares), dict(s.published), s.failure, s.trace]
+        [list(key), dict(s.means), dict(s.ends), dict(s.squares), dict(s.published), s.failure, s.trace, s.implausible]
         for key, s in result.items()
     ]
     kept: dict[str, Any] = {f"nees_{i}": s.nees_pose for i, s in enumerate(result.values())}
@@ -96,9 +96,9 @@ def load(folder: Path, seed: int) -> Result | None:
         with (folder / f"{seed}.npz").open("rb") as file, np.load(file) as kept:
             rows = json.loads(kept["samples"].tobytes())
             result: Result = {}
-            for i, (key, means, ends, squares, published, failure, trace) in enumerate(rows):
+            for i, (key, means, ends, squares, published, *rest) in enumerate(rows):
                 named: Key = tuple(key)
-                result[named] = Sample(means, ends, squares, published, kept[f"nees_{i}"], failure, trace)
+                result[named] = Sample(means, ends, squares, published, kept[f"nees_{i}"], *rest)
             return result
     except (FileNotFoundError, zipfile.BadZipFile, KeyError, ValueError, EOFError):
         return None

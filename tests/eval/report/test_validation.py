@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from eval.referee.consistency import share_interval
 from eval.report.page.document import Table
-from eval.report.studies import detected, power_table, size_table, validation_section
+from eval.report.studies import Diverged, detected, power_table, size_table, validation_facts, validation_section
+from eval.report.words import say
 from eval.studies.validation import Examined, Validation, World
 
 ARENA, CIRCLE = World("arena", "arena", "slam"), World("circle", "circle", "slam")
@@ -70,7 +73,25 @@ def test_the_section_says_how_many_right_logs_are_objected_to_and_how_many_fault
     found += [log("wrong-labels", 0.05, objected=True, cause="noise")] * 10
     stems = []
     section = validation_section(STUDY, found, lambda frame, stem, caption: stems.append(stem) or Table(frame, caption))
+    facts = validation_facts(STUDY, found)
+    assert (facts.sound, facts.objected, facts.sure, facts.met) == (20, 1, 2, 1)
     text = "\n".join(b for b in section.blocks if isinstance(b, str))
     assert "Of 20 logs that are right, 1 are objected to (5.0 %)" in text
     assert "2 faults are detected in 90 % of the logs or more; 1 of them are put down to the right cause" in text
     assert stems == ["trust_size", "trust_power"]
+
+
+def test_what_diverged_is_listed_once_with_what_replays_it():
+    run = Diverged("slam", "ekf", "nn", 3, "frame 7: lost", False, "python -m eval.run_all --seed 3")
+    doubtful = replace(run, seed=4, implausible=True)
+    assert say("studies#diverged", lost=()) == "Every run of every estimator got to its end."
+    assert say("studies#diverged", lost=(run, run)) == (
+        "2 runs diverged; they are in no average:\n\n"
+        "* seed 3: `ekf` (slam, nn), frame 7: lost: `python -m eval.run_all --seed 3`"
+    )
+    both = say("studies#diverged", lost=(run, doubtful))
+    assert both.startswith("2 runs diverged or are implausible; they are in no average:\n\n* seed 3:")
+    assert "* seed 4: `ekf` (slam, nn), implausible, frame 7: lost:" in both
+    many = say("studies#diverged", lost=tuple(replace(run, seed=n) for n in range(23)))
+    assert many.endswith("* … and 3 more")
+    assert many.count("\n* seed") == 20

@@ -99,7 +99,7 @@ def test_diverged_runs_are_counted_not_averaged_and_fail_what_is_declared():
     table = consistency_table(judged)
     assert table["diverged"].tolist() == [2, 2, 2]
     assert len(study.good(KEY)) == 58
-    assert study.failures() == [(KEY, 0, "frame 3: lost"), (KEY, 1, "frame 3: lost")]
+    assert study.failures() == [(KEY, 0, "frame 3: lost", False), (KEY, 1, "frame 3: lost", False)]
 
 
 def test_an_implausible_run_counts_as_one_that_diverged():
@@ -108,14 +108,13 @@ def test_an_implausible_run_counts_as_one_that_diverged():
     marked = replace(run, doubt=Failure("implausible", 7, stopped("NIS per degree of freedom is 400")))
     assert sample(run, "online", log, ARENA).failure is None
     found = sample(marked, "online", log, ARENA)
-    assert found.failure == "frame 7: implausible, NIS per degree of freedom is 400"
+    assert (found.failure, found.implausible) == ("frame 7: NIS per degree of freedom is 400", True)
     assert not found.means
 
 
 def test_on_the_terminal_implausible_runs_of_an_estimator_share_a_line():
-    runs = [
-        {KEY: Sample(failure=why)} for why in ("frame 3: lost", "frame 7: implausible, NIS", "frame 8: implausible, x")
-    ]
+    failed = (("frame 3: lost", False), ("frame 7: NIS", True), ("frame 8: x", True))
+    runs = [{KEY: Sample(failure=why, implausible=doubtful)} for why, doubtful in failed]
     assert study_lines(study_of(only("ekf"), (0, 1, 2), runs)) == [
         "arena, localization: ekf (known) diverged with seed 0, frame 3: lost",
         "arena, localization: ekf (known) is implausible in 2 of 3 runs; with seed 1, frame 7: NIS",
