@@ -15,7 +15,8 @@ from data.result import MapState, Systematics, Trajectory
 from data.se2 import Array
 from graph.factors import LOSSES, between_factors, sight_known, sight_landmarks
 from graph.optimum import optimize, suspect
-from graph.problem import Calibrated, Problem
+from graph.problem import Problem
+from graph.systematic import Calibrated
 from graph.walls import refuse, sight_lines
 
 
@@ -101,7 +102,7 @@ def build(inputs: Inputs, decisions: IntArray, created: IntArray, loss: str = "g
     else:
         frame = sensor_frame(inputs.systematic, inputs.sensor, inputs.prior)
         calibrated, sensor = Calibrated(inputs.systematic, frame, inputs.increments), frame.sensor(inputs.sensor)
-        motion = calibrated.motion(np.zeros((len(inputs), len(inputs.systematic.names))))
+        motion = calibrated.motion()
     number = np.where(created >= 0, created, decisions)
     used = np.flatnonzero(number >= 0)
     o = inputs.observations

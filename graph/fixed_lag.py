@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from array import array
 from bisect import bisect_left
-from collections.abc import Sequence
 
 import gtsam
 import numpy as np
@@ -15,7 +14,6 @@ from data.result import Finished, Trajectory
 from data.sensors import Sensor
 from graph.engine import Window
 from graph.incremental import SKIP, THRESHOLD, Isam2Smoother
-from graph.open_end import Left
 from graph.optimum import in_world
 
 SLACK = 0.1
@@ -92,7 +90,7 @@ class FixedLagSmoother(Isam2Smoother):
         """Marginalize the poses of all frames before `oldest`, with the copies of landmarks seen from them."""
         frames = range(self._oldest, oldest)
         if self._keeps:
-            self._keep(self._end.leaving(self._window, frames))
+            self._keep(frames)
         keys = [*(X(k) for k in frames), *self._end.forget(oldest)]
         keys += self._observed.alone(frames)
         self._window.marginalize(keys, self._end.keys)
@@ -146,7 +144,7 @@ class FixedLagSmoother(Isam2Smoother):
         self._complete()
         if not self._keeps:
             raise ValueError("its path was not kept")
-        self._keep(self._end.leaving(self._window, range(self._oldest, self.frame + 1)))
+        self._keep(range(self._oldest, self.frame + 1))
         kept = np.array(self._left).reshape(self.frame + 1, -1)
         self._oldest = self.frame + 1
         path, covariance = kept[:, :3].copy(), kept[:, 3:12].reshape(-1, 3, 3)
@@ -154,8 +152,9 @@ class FixedLagSmoother(Isam2Smoother):
         errors = self._end.history(kept[:, 12:].reshape(len(kept), 2, -1))
         return Finished(Trajectory(path, in_world(path, covariance)), found, systematic=errors)
 
-    def _keep(self, left: Sequence[Left]) -> None:
-        """Poses as they were when they left."""
-        for each in left:
-            for part in (each.pose, each.covariance, *(each.errors or ())):
+    def _keep(self, frames: range) -> None:
+        """Poses as they are when they leave."""
+        for frame in frames:
+            left = self._end.leaving(self._window, frame)
+            for part in (left.pose, left.covariance, *(left.errors or ())):
                 self._left.extend(part.ravel().tolist())

@@ -20,12 +20,12 @@ from data.se2 import Array, BoolArray
 from data.sensors import Sensor
 from graph import expected
 from graph.calibration.open_end import CalibratedEnd
-from graph.calibration.variables import errors_of
 from graph.engine import Engine
 from graph.factors import Factor, Sighted
 from graph.observed import Observed
 from graph.open_end import OpenEnd
 from graph.optimum import optimize
+from graph.systematic import errors_of
 from graph.walls import refuse
 
 THRESHOLD = 0.05
@@ -199,8 +199,6 @@ class Isam2Smoother:
     def _add(self, motion: list[Factor], seen: Sequence[Sighted], values: gtsam.Values, *, late: bool = False) -> None:
         """Give factors to the engine; those of a landmark, or of a frame in a known map, can be taken back."""
         handles = self._engine.add([*motion, *self._observed.add(seen, values, late=late)], values)
-        if motion:
-            self._end.hold(handles[: len(motion)])
         self._observed.hold(seen, handles[len(motion) :])
 
     def amend(self, frames: IntArray, sightings: Sightings, decisions: IntArray) -> None:

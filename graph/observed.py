@@ -15,11 +15,11 @@ from data.inputs import IntArray, LandmarkMap, Sightings
 from data.se2 import Array
 from data.sensors import Sensor
 from graph.calibration.factors import sight_pinned
-from graph.calibration.variables import Errors
 from graph.engine import Engine
 from graph.factors import Factor, Sighted, name_of, sight_known, sight_landmarks
 from graph.open_end import OpenEnd
 from graph.problem import Problem
+from graph.systematic import Errors
 from graph.walls import SightedWall, as_vectors, sight_known_walls, sight_lines, sight_walls
 
 

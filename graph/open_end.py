@@ -1,11 +1,8 @@
-"""The open end of the graph: the newest pose, composed from the motion since the newest pose that is in the graph.
-
-A pose carried along by increments, with its covariance and what was gathered since another one.
-"""
+"""The open end of the graph: the newest pose, composed from the motion since the newest pose that is in the graph."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import gtsam
@@ -62,11 +59,12 @@ class OpenEnd:
         self.prior = prior
         self.mean, self.P = prior.mean.copy(), prior.covariance.copy()
         self.anchor = -1
-        self._anchor_pose = self.mean
         self._increments, self._path = list[Increment](), list[Array]()
+        self._known_exactly = is_exact(prior)
+        self._motion = list[gtsam.BetweenFactorPose2]()
+        self._anchor = self.mean, self.P
         self._Q = np.zeros((3, 3))
         """Covariance gathered since the anchor."""
-        self._motion = list[gtsam.BetweenFactorPose2]()
 
     @property
     def moved(self) -> bool:
@@ -87,20 +85,25 @@ class OpenEnd:
         """The newest pose of the robot (copies)."""
         return PoseEstimate(self.mean.copy(), self.P.copy())
 
-    @property
-    def since_anchor(self) -> tuple[Array, Array]:
-        """Jacobian (3, 3) of the newest pose (world) to the anchor (its body frame), and covariance gathered since."""
-        F = transport(self.mean - self._anchor_pose) @ world_from_body(self._anchor_pose[2])
-        return F, self._Q
+    def _since_anchor(self) -> tuple[Array, Array]:
+        """Jacobian (3, n) of the newest pose (world) to the variables `keys`, and covariance (3, 3) gathered since."""
+        pose = self._anchor[0]
+        return transport(self.mean - pose) @ world_from_body(pose[2]), self._Q
 
     def carried(self, J: Array) -> Array:
-        """Joint covariance of the newest pose and landmarks (world) from that of the variables `keys` and landmarks."""
-        if self.anchor == 0 and is_exact(self.prior):
-            J[:3], J[:, :3] = 0.0, 0.0  # gtsam's joint marginal takes a hard constraint for a variance of about 1
-        F, Q = self.since_anchor
-        J[:3] = F @ J[:3]
-        J[:, :3] = J[:, :3] @ F.T
-        J[:3, :3] += Q
+        """Joint covariance of the newest pose and landmarks (as in the graph) from that of `keys` and landmarks."""
+        T, Q = self._since_anchor()
+        n, J = T.shape[1], self._free(J)
+        found = np.empty((len(J) - n + 3,) * 2)
+        across = T @ J[:n]
+        found[:3, :3] = across[:, :n] @ T.T + Q
+        found[:3, 3:], found[3:, :3], found[3:, 3:] = across[:, n:], across[:, n:].T, J[n:, n:]
+        return found
+
+    def _free(self, J: Array) -> Array:
+        """Joint covariance of the anchor and others, as it is where a hard constraint holds the anchor."""
+        if self.anchor == 0 and self._known_exactly:
+            J[:3], J[:, :3] = 0.0, 0.0  # gtsam's joint marginal takes it for a variance of about 1
         return J
 
     def move(self, increment: Increment) -> None:
@@ -119,7 +122,18 @@ class OpenEnd:
             raise ValueError("there was no motion since the last sighting")
         mean, stated = self._increments[-1]
         self._increments[-1] = Increment(mean, stated + covariance)
-        self.P, self._Q = self.P + covariance, self._Q + covariance
+        self._again()
+
+    def _again(self) -> None:
+        """All increments since the anchor once more."""
+        self._back()
+        self._path = []
+        for increment in self._increments:
+            self._advance(increment)
+
+    def _back(self) -> None:
+        """To where the newest pose is the anchor."""
+        (self.mean, self.P), self._Q = self._anchor, np.zeros((3, 3))
 
     def inside(self, pose: Array) -> Array:
         """A pose (3,) of the robot as it is in the graph."""
@@ -138,31 +152,39 @@ class OpenEnd:
         first = list[Factor]()
         if self.anchor < 0:
             self.anchor = 0
-            first.append(prior_factor(self.prior))
-            values.insert(X(0), pose2(self.prior.mean))
+            first = self._first_factors(values)
         if not self._increments:
             return first, np.inf
-        mean, covariance = (np.array(rows) for rows in zip(*self._increments, strict=True))
-        factors, pivot = between_factors(self.anchor + 1, mean, covariance)
         for k, pose in enumerate(self._path, self.anchor + 1):
             values.insert(X(k), pose2(pose))
-        self.anchor += len(factors)
+        factors, pivot = self._motion_factors(values)
+        self.anchor += len(self._increments)
         self._increments, self._path = [], []
-        self._motion += factors
-        return [*first, *factors], pivot
+        return first + factors, pivot
 
-    def hold(self, handles: Sequence[int]) -> None:
-        """The engine's handles on the factors of `join_graph`."""
+    def _first_factors(self, values: gtsam.Values) -> list[Factor]:
+        """What is known before the first frame."""
+        values.insert(X(0), pose2(self.prior.mean))
+        return [prior_factor(self.prior)]
+
+    def _motion_factors(self, values: gtsam.Values) -> tuple[list[Factor], float]:
+        """Factors of the increments since the anchor, start values of variables of their own, smallest pivot."""
+        mean, covariance = (np.array(rows) for rows in zip(*self._increments, strict=True))
+        factors, pivot = between_factors(self.anchor + 1, mean, covariance)
+        self._motion += factors
+        return [*factors], pivot
 
     def read(self, engine: Engine) -> None:
         """The graph has a new estimate of the anchor: the newest pose follows from it."""
-        pose = engine.settle(self.keys[0], pose2(self.mean))
+        self._settle(engine, pose2(self.mean))
+        self._again()
+
+    def _settle(self, engine: Engine, before: gtsam.Pose2) -> None:
+        """The anchor as the graph has it, after more updates if it jumped away from `before`."""
+        pose = engine.settle(self.keys[0], before)
         B = world_from_body(pose.theta())
         P = B @ engine.covariance(self.keys) @ B.T
-        self._anchor_pose = self.mean = np.array([pose.x(), pose.y(), pose.theta()])
-        self.P, self._Q, self._path = 0.5 * (P + P.T), np.zeros((3, 3)), []
-        for increment in self._increments:
-            self._advance(increment)
+        self._anchor = np.array([pose.x(), pose.y(), pose.theta()]), 0.5 * (P + P.T)
 
     def points(self, xy: Array) -> Array:
         """Points (n, 2) of the world from those of the graph."""
@@ -180,9 +202,9 @@ class OpenEnd:
         """Landmarks (n,) of the graph, at xy (n, 2) there; J: joint covariance of the variables `keys` and them."""
         return MapState(number, xy, diagonal_blocks(J[3:, 3:]))
 
-    def leaving(self, window: Window, frames: Iterable[int]) -> list[Left]:
-        """Poses of frames in a window, which may leave it."""
-        return [Left(window.pose(X(k)), window.covariance([X(k)])) for k in frames]
+    def leaving(self, window: Window, frame: int) -> Left:
+        """The pose of a frame in a window, which may leave it."""
+        return Left(window.pose(X(frame)), window.covariance([X(frame)]))
 
     def forget(self, oldest: int) -> list[int]:
         """Frame `oldest` becomes the first one in the graph: further variables that leave it."""

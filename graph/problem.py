@@ -3,94 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
-from data.inputs import Increments, IntArray, Prior, Systematic
-from data.motion.systematic import SensorFrame, corrected_all, knots, places
+from data.inputs import IntArray, Prior
 from data.se2 import Array
-from graph.factors import Sighted, between_factors, graph_of, noise, pose2, prior_factor, root_information
+from graph.factors import Sighted, graph_of, noise, pose2, prior_factor, root_information
+from graph.systematic import Calibrated
 from graph.walls import about
-
-CONSTANTS = gtsam.symbol("c", 0)
-"""Key of all constant systematic errors, a vector in units of their prior sigmas."""
-
-
-def drift_key(knot: int) -> int:
-    """Key of the drift of a knot, a vector (1,) in units of its sigma."""
-    return int(gtsam.symbol("d", knot))
-
-
-@dataclass(frozen=True, eq=False)
-class Calibrated:
-    """Systematic errors that are estimated along with a path of N poses; p of them, q constant ones.
-
-    Attributes:
-        systematic: which, and their priors.
-        frame: in which the poses and landmarks of the problem are.
-        increments: of the log, as odometry states them.
-        place: (p,) where each error stands among all.
-        constant: (q,) which of them are constant; `drift_at`: which one drifts, -1: none.
-        of: (N,) knot of the drift into each frame; ended: (K - 1,) m that each knot but the last held.
-    """
-
-    systematic: Systematic
-    frame: SensorFrame
-    increments: Increments
-    place: IntArray = field(init=False)
-    constant: IntArray = field(init=False)
-    drift_at: int = field(init=False)
-    of: IntArray = field(init=False)
-    ended: Array = field(init=False)
-
-    def __post_init__(self) -> None:
-        names = self.systematic.names
-        of, ended = knots(self.systematic, self.increments.mean)
-        derived = {
-            "place": places(self.systematic), "of": of, "ended": ended,
-            "constant": np.array([i for i, n in enumerate(names) if n != "drift"], np.int64),
-            "drift_at": names.index("drift") if self.systematic.drifts else -1,
-        }  # fmt: skip
-        for name, value in derived.items():
-            object.__setattr__(self, name, value)
-
-    @property
-    def knots(self) -> int:
-        """How many the drift has, 0 without one."""
-        return len(self.ended) + 1 if self.drift_at >= 0 else 0
-
-    def errors(self, values: gtsam.Values) -> Array:
-        """The errors (N, p) into each frame, in their units."""
-        found = np.empty((len(self.of), len(self.place)))
-        if len(self.constant):
-            found[:, self.constant] = values.atVector(CONSTANTS)
-        if self.drift_at >= 0:
-            found[:, self.drift_at] = np.array([values.atVector(drift_key(j))[0] for j in range(self.knots)])[self.of]
-        return found * self.systematic.sigma
-
-    def insert(self, values: gtsam.Values, errors: Array) -> None:
-        """Errors (N, p) as start values; the drift of a knot is that of its first frame."""
-        units = errors / self.systematic.sigma
-        if len(self.constant):
-            values.insert(CONSTANTS, units[-1, self.constant])
-        for j, k in enumerate(np.searchsorted(self.of, np.arange(self.knots)).tolist()):
-            values.insert(drift_key(j), units[k, [self.drift_at]])
-
-    def remove(self, values: gtsam.Values) -> None:
-        """The errors out of `values`."""
-        keys = [CONSTANTS] if len(self.constant) else []
-        for key in [*keys, *(drift_key(j) for j in range(self.knots))]:
-            values.erase(key)
-
-    def motion(self, errors: Array) -> list[gtsam.BetweenFactorPose2]:
-        """The increments as factors in the frame, under errors (N, p). Raises DataError for a singular one."""
-        mean, covariance, _ = corrected_all(
-            self.increments.mean, self.increments.covariance, errors, self.place, self.frame.mount
-        )
-        return between_factors(1, mean[1:], covariance[1:])[0]
 
 
 @dataclass(frozen=True)
@@ -161,8 +84,7 @@ class Problem:
         if self.calibrated is not None:
             covariance = _loosened(self.calibrated.increments.covariance, share)
             calibrated = replace(self.calibrated, increments=replace(self.calibrated.increments, covariance=covariance))
-            motion = calibrated.motion(np.zeros((len(covariance), len(calibrated.place))))
-            return replace(self, motion=motion, calibrated=calibrated)
+            return replace(self, motion=calibrated.motion(), calibrated=calibrated)
         root = np.array([_gaussian(f).R() for f in self.motion])
         inverse = np.linalg.inv(root)
         roots, _ = root_information(_loosened(inverse @ inverse.transpose(0, 2, 1), share))

@@ -24,7 +24,6 @@ from data.inputs import Increment, IntArray, Prior, Sightings
 from data.motion.systematic import forgotten
 from data.se2 import Array, world_from_body
 from data.sensors import Sensor
-from graph.calibration.variables import Errors
 from graph.factors import (
     Factor,
     Sighted,
@@ -35,8 +34,8 @@ from graph.factors import (
     root_information,
     sight_landmarks,
 )
-from graph.problem import drift_key
 from graph.qr.calibrated import linearize_increments
+from graph.systematic import Errors, drift_key
 
 PINNED = 1e-4
 """m. Sigma of a known landmark in the sensor's frame, where it depends on the errors and no prior can hold it exactly.

@@ -1,14 +1,12 @@
 """The open end of a graph with systematic errors: newest pose and errors, composed since the newest pose in it.
 
 All poses and covariances are in the sensor's frame, and so is the graph; what is handed out, or comes in as a pose, is
-the robot's in the world.
-
-A pose and the systematic errors carried along together: the same arithmetic as a filter's joint prediction.
+the robot's in the world. Pose and errors are carried along together, with the arithmetic of a filter's prediction.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import gtsam
 import numba
@@ -23,11 +21,11 @@ from data.result import MapState, PoseEstimate, Systematics
 from data.se2 import Array, world_from_body
 from data.sensors import wrap_angle_jit
 from graph.calibration.factors import Motion, first_factors, knot_factor
-from graph.calibration.variables import Errors
 from graph.engine import EXTRA, JUMP, Engine, Window
-from graph.factors import Factor, Sighted, is_exact, pose2
+from graph.factors import Factor, Sighted
 from graph.open_end import Left, OpenEnd
-from graph.problem import Calibrated, Problem, drift_key
+from graph.problem import Problem
+from graph.systematic import Calibrated, Errors, drift_key
 
 
 @numba.njit(cache=True)
@@ -83,21 +81,20 @@ class CalibratedEnd(OpenEnd):
         """At the prior."""
         super().__init__(prior)
         self._errors, self.frame = errors, errors.frame
-        mean, self.whole = errors.frame.prior_in(prior, errors.systematic.sigma)
-        self.mean, self.b = mean[:3], mean[3:]
+        self._known_exactly &= self.frame.same
+        mean, whole = errors.frame.prior_in(prior, errors.systematic.sigma)
+        self._origin = mean[:3], mean[3:], whole
         self._motion_log = Motion(errors)
         self._since, self._ended = 0.0, list[float]()
         """m since the last knot; of each increment since the anchor, the m that a new knot before it ended, or 0."""
-        self._path_b = list[Array]()
-        self._units = np.zeros_like(self.whole)
-        self._units[3 + errors.order, 3 + np.arange(len(self.b))] = errors.systematic.sigma[errors.order]
+        self._units = np.zeros_like(whole)
+        self._units[3 + errors.order, 3 + np.arange(len(errors.place))] = errors.systematic.sigma[errors.order]
         self._updates, self._looked = 0, 0
-        self._from_here()
+        self._back()
 
-    def _from_here(self) -> None:
-        """The newest pose is the anchor."""
-        n = len(self.whole)
-        self._anchor, self._F, self._gathered = (self.mean, self.b, self.whole), np.eye(n), np.zeros((n, n))
+    def _back(self) -> None:
+        (self.mean, self.b, self.whole), self._path_b = self._origin, list[Array]()
+        self._F, self._gathered = np.eye(len(self.whole)), np.zeros_like(self.whole)
         self.P = self.whole[:3, :3]
 
     @property
@@ -144,41 +141,14 @@ class CalibratedEnd(OpenEnd):
         self._path.append(self.mean)
         self._path_b.append(self.b)
 
-    def inflate(self, covariance: Array) -> None:
-        """So much covariance (3, 3), alike in all directions, is added to the last increment's."""
-        if not self._increments:
-            raise ValueError("there was no motion since the last sighting")
-        mean, stated = self._increments[-1]
-        self._increments[-1] = Increment(mean, stated + covariance)
-        self._again()
-
-    def _again(self) -> None:
-        """All increments since the anchor once more."""
-        (self.mean, self.b, self.whole), self._path, self._path_b = self._anchor, [], []
-        self._from_here()
-        for increment in self._increments:
-            self._advance(increment)
-
     def inside(self, pose: Array) -> Array:
         """A pose (3,) of the robot as it is in the graph."""
         there: Array = self.frame.poses_in(pose[None], self.b[None])[0]
         return there
 
-    def carried(self, J: Array) -> Array:
-        """Joint covariance of the newest pose and landmarks (there) from that of the variables `keys` and landmarks."""
-        n = len(self.whole)
-        T, J = self._F[:3] @ self._raw(self._anchor[0][2]), self._free(J)
-        found = np.empty((len(J) - n + 3,) * 2)
-        across = T @ J[:n]
-        found[:3, :3] = across[:, :n] @ T.T + self._gathered[:3, :3]
-        found[:3, 3:], found[3:, :3], found[3:, 3:] = across[:, n:], across[:, n:].T, J[n:, n:]
-        return found
-
-    def _free(self, J: Array) -> Array:
-        """Joint covariance of the anchor and others, as it is where a hard constraint holds the anchor."""
-        if self.anchor == 0 and self.frame.same and is_exact(self.prior):
-            J[:3], J[:, :3] = 0.0, 0.0  # gtsam's joint marginal takes it for a variance of about 1
-        return J
+    def _since_anchor(self) -> tuple[Array, Array]:
+        """Jacobian (3, n) of the newest pose (there) to the variables `keys`, and covariance (3, 3) gathered since."""
+        return self._F[:3] @ self._raw(self._origin[0][2]), self._gathered[:3, :3]
 
     def _raw(self, heading: float) -> Array:
         """Jacobian of anchor (world) and errors to their variables: its body frame, prior sigmas, another order."""
@@ -186,34 +156,23 @@ class CalibratedEnd(OpenEnd):
         J[:3, :3] = world_from_body(heading)
         return J
 
-    def join_graph(self, values: gtsam.Values) -> tuple[list[Factor], float]:
-        """Factors of the increments (and the prior), start values added to `values`: the newest pose is the anchor."""
+    def _first_factors(self, values: gtsam.Values) -> list[Factor]:
+        found, start = first_factors(self._errors, self.prior)
+        values.insert(start)
+        return found
+
+    def _motion_factors(self, values: gtsam.Values) -> tuple[list[Factor], float]:
         e, log = self._errors, self._motion_log
-        found = list[Factor]()
-        if self.anchor < 0:
-            self.anchor = 0
-            found, start = first_factors(e, self.prior)
-            values.insert(start)
-        if not self._increments:
-            return found, np.inf
-        first, knots = self.anchor + 1, list[int]()
+        found, knots = list[Factor](), list[int]()
         for ended, b in zip(self._ended, self._path_b, strict=True):
             if ended > 0.0:
                 found.append(knot_factor(e, log.knot, ended))
                 log.knot += 1
                 values.insert(drift_key(log.knot), b[[e.drift]] / e.systematic.sigma[e.drift])
             knots.append(log.knot)
-        for k, pose in enumerate(self._path, first):
-            values.insert(X(k), pose2(pose))
-        factors, pivot = log.extend(first, self._increments, knots)
-        self.anchor += len(self._increments)
-        self._increments, self._path, self._path_b, self._ended = [], [], [], []
+        factors, pivot = log.extend(self.anchor + 1, self._increments, knots)
+        self._path_b, self._ended = [], []
         return found + factors, pivot
-
-    def read(self, engine: Engine) -> None:
-        """The graph has a new estimate of anchor and errors: the newest pose follows from it."""
-        self._settle(engine, pose2(self.mean))
-        self._again()
 
     def _settle(self, engine: Engine, before: gtsam.Pose2) -> None:
         """As `Engine.settle`, with all that the newest pose and the errors are read from at once.
@@ -241,14 +200,10 @@ class CalibratedEnd(OpenEnd):
         pose = point.atPose2(self.keys[0]).retract(change[:3])
         at = np.concatenate([point.atVector(key) for key in self.keys[1:]]) + change[3:]
         self._motion_log.now[:] = at[: len(self._motion_log.now)]
-        self.b = np.empty_like(self.b)
-        self.b[self._errors.order] = at
-        self.b *= self._errors.systematic.sigma
-        self.mean = np.array([pose.x(), pose.y(), pose.theta()])
-        T, J = self._raw(self.mean[2]), self._free(J)
-        self.whole = T @ J @ T.T
-        self.whole = 0.5 * (self.whole + self.whole.T)
-        self._anchor = self.mean, self.b, self.whole
+        T, J = self._raw(pose.theta()), self._free(J)
+        whole = T @ J @ T.T
+        there = np.array([pose.x(), pose.y(), pose.theta()])
+        self._origin = there, self._errors.of_variables(at), 0.5 * (whole + whole.T)
         return pose
 
     def points(self, xy: Array) -> Array:
@@ -280,26 +235,21 @@ class CalibratedEnd(OpenEnd):
             C += across + across.transpose(0, 2, 1) + D @ J[3:n, 3:n] @ D.transpose(0, 2, 1)
         return MapState(number, out, C)
 
-    def leaving(self, window: Window, frames: Iterable[int]) -> list[Left]:
-        """Poses of frames in a window, which may leave it."""
-        return [self._leaving(window, k) for k in frames]
-
-    def _leaving(self, window: Window, frame: int) -> Left:
-        e, n = self._errors, len(self.whole)
-        key, knot = int(X(frame)), self._motion_log.knot_of(frame)
-        pose, b = window.pose(key), e.read(window, knot)
+    def leaving(self, window: Window, frame: int) -> Left:
+        """The pose of a frame in a window, which may leave it."""
+        e, key = self._errors, int(X(frame))
+        variables = e.keys(self._motion_log.knot_of(frame))
+        pose, b = window.pose(key), e.of_variables(np.concatenate([window.vector(k) for k in variables]))
         if self.frame.same:
             C, of_pose = window.covariance([key]), pose
-            spread = np.concatenate([np.sqrt(np.diag(window.covariance([k]))) for k in e.keys(knot)])
+            spread = np.concatenate([np.sqrt(np.diag(window.covariance([k]))) for k in variables])
         else:
-            J = window.covariance([key, *e.keys(knot)])
+            J = window.covariance([key, *variables])
             T = self._raw(pose[2])
             out, D = self.frame.poses_out(pose[None], b[None])
             of_pose, D = out[0], world_from_body(out[0, 2]).T @ D[0] @ T
             C, spread = D @ J @ D.T, np.sqrt(np.diag(J)[3:])
-        sigma = np.empty(n - 3)
-        sigma[e.order] = spread
-        return Left(of_pose, C, (b, sigma * e.systematic.sigma))
+        return Left(of_pose, C, (b, e.of_variables(spread)))
 
     def forget(self, oldest: int) -> list[int]:
         """Frame `oldest` becomes the first one in the graph: knots of the drift that leave it."""
@@ -316,16 +266,15 @@ class CalibratedEnd(OpenEnd):
         """All of the run as a problem."""
         mean, covariance = self._motion_log.raw
         calibrated = Calibrated(self._errors.systematic, self.frame, Increments(mean, covariance))
-        motion = calibrated.motion(np.zeros((len(mean), len(self.b))))
-        return Problem(self.prior, motion, sighted, known_map, calibrated)
+        return Problem(self.prior, calibrated.motion(), sighted, known_map, calibrated)
 
     def start(self, values: gtsam.Values, problem: Problem) -> gtsam.Values:
         """Where the search for the optimum starts: the present estimate, known landmarks exactly where errors put them.
 
         The first copy of the constants is that of the problem.
         """
-        if self.frame.range_at >= 0 and problem.known_map:
-            b = self._errors.read_from(values)
+        if self.frame.range_at >= 0 and problem.known_map and problem.calibrated is not None:
+            b = problem.calibrated.errors(values)[0]
             for s in problem.sighted:
                 if s.key is not None and s.xy is not None:
                     values.update(s.key, self.frame.points_in(s.xy[None], b)[0][0])

@@ -32,8 +32,9 @@ from data.result import MapState, Systematics, Trajectory
 from data.se2 import Array, compose, covariances_in_world, world_from_body, worlds_from_bodies
 from data.sensors import wrap_angle_jit
 from graph.factors import pose2, prior_factor, root_information
-from graph.problem import CONSTANTS, Calibrated, Problem, displaced, drift_key
+from graph.problem import Problem, displaced
 from graph.qr.solution import Solution
+from graph.systematic import CONSTANTS, Calibrated, drift_key
 
 SMALL = 1e-3
 """rad. Of turns below, the functions of the logarithm are taken by their series, good to 1e-15 there."""
@@ -160,7 +161,7 @@ class CalibratedRows:
         A[1:n, :, :3], A[1:n, :, 3:6] = after, before
         b[1:n, :, 0], b[1:n, :, 1:] = -residual, by_errors[:, :, c.constant]
         if c.knots:
-            A[1:n, :, 6] = by_errors[:, :, c.drift_at]
+            A[1:n, :, 6] = by_errors[:, :, c.drift]
             A[-c.knots :, 0, 0], A[-c.knots :, 0, 3] = self._own, self._earlier
             b[-c.knots :, 0, 0] = -self._drifts(values)
         if c.frame.range_at >= 0 and self._world is not None:
@@ -338,8 +339,8 @@ def turned_out(
     deviation = np.empty_like(errors)
     deviation[:, at] = np.sqrt(np.diag(of_errors))
     if calibrated.knots:
-        deviation[:, calibrated.drift_at] = (
-            np.sqrt(covariance[-calibrated.knots :, 0, 0])[calibrated.of] * sigma[calibrated.drift_at]
+        deviation[:, calibrated.drift] = (
+            np.sqrt(covariance[-calibrated.knots :, 0, 0])[calibrated.of] * sigma[calibrated.drift]
         )
     return path, state, Systematics(calibrated.systematic.names, errors, deviation)
 

@@ -12,10 +12,11 @@ from gtsam.symbol_shorthand import L, X
 from data.inputs import IntArray, Prior
 from data.se2 import Array, world_from_body
 from graph.factors import graph_of, pose2
-from graph.problem import CONSTANTS, Problem
+from graph.problem import Problem
 from graph.qr.calibrated import CalibratedRows
 from graph.qr.elimination import NO_DRIFT, Rows, Structure, ordering, structure
 from graph.qr.solution import Solution
+from graph.systematic import CONSTANTS
 
 CHUNK = 20000
 """Factors that gtsam linearizes at once: its triplets take 24 bytes a number."""

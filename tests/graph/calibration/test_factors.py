@@ -10,8 +10,7 @@ from gtsam.symbol_shorthand import X
 from data import se2
 from data.inputs import Prior, Sightings
 from graph.calibration.factors import PINNED, first_factors, knot_factor, linear_factor, sight_pinned
-from graph.calibration.variables import errors_of
-from graph.problem import CONSTANTS, drift_key
+from graph.systematic import CONSTANTS, drift_key, errors_of
 from tests.graph.calibration.worlds import ALL, CARTESIAN, CARTESIAN_OFF, ODOMETRY, P0, POLAR, POLAR_OFF, to_estimate
 
 START = np.array([2.0, -1.0, 0.4])

@@ -10,9 +10,8 @@ from gtsam.symbol_shorthand import X
 from data import se2
 from data.inputs import Increment, Prior
 from graph.calibration.factors import Motion, increment_factor
-from graph.calibration.variables import errors_of
 from graph.factors import pose2, root_information
-from graph.problem import CONSTANTS, drift_key
+from graph.systematic import CONSTANTS, drift_key, errors_of
 from tests.graph.calibration.worlds import ALL, CARTESIAN_OFF, ODOMETRY, P0, POLAR, to_estimate
 
 CASES = pytest.mark.parametrize(
