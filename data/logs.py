@@ -141,10 +141,10 @@ def _search(folder: Path, depth: int, say: Callable[[str], None]) -> Iterator[Ca
 
 
 def _mrclam(path: Path, say: Callable[[str], None]) -> Iterator[Callable[[], Log]]:
-    from data.formats.mrclam.load import corrected_landmarks, load_mrclam, robots
+    from data.formats.mrclam.load import Treatment, corrected_landmarks, load_mrclam, robots
 
     landmarks = corrected_landmarks(path)
     if landmarks is not None:
         say(f"{path.name}: landmark positions from {landmarks.name} beside it")
     for robot in robots(path):
-        yield lambda robot=robot: load_mrclam(path, robot, landmarks=landmarks)  # type: ignore[misc]
+        yield lambda robot=robot: load_mrclam(path, robot, Treatment(landmarks=landmarks))  # type: ignore[misc]

@@ -128,27 +128,26 @@ def _stretch(text: str) -> tuple[float, float]:
 def convert(args: argparse.Namespace) -> Log:
     """The log of the robot asked for."""
     from data.formats.mrclam.calibration import FROZEN, Calibration
-    from data.formats.mrclam.load import load_mrclam
+    from data.formats.mrclam.load import Grid, Treatment, load_mrclam
 
     changes = {name: value for name in CALIBRATION if (value := getattr(args, name)) is not None}
     both = [name for name in changes if name.startswith("sigma_")]
     if args.sigma is not None and both:
         raise UsageError(f"--sigma and --{both[0].replace('_', '-')} contradict each other; give one of them")
     calibration = replace(Calibration() if args.uncalibrated else FROZEN, **changes)
-    return load_mrclam(
-        args.source,
-        args.robot,
-        start=args.start,
-        stop=args.stop,
-        landmarks=args.landmarks,
-        exclude_truth=args.exclude_truth,
-        keep_robots=args.keep_robots,
-        grid=args.grid,
-        calibration=calibration,
-        motion=_motion(args, calibration.motion),
-        sigma=None if args.sigma is None else tuple(args.sigma),
-        prior_sigma=tuple(args.prior_sigma),
+    if args.sigma is not None:
+        calibration = calibration.with_sigma(*args.sigma)
+    treatment = Treatment(
+        args.start,
+        args.stop,
+        args.landmarks,
+        args.exclude_truth,
+        args.keep_robots,
+        None if args.grid is None else Grid(args.grid),
+        replace(calibration, motion=_motion(args, calibration.motion)),
+        tuple(args.prior_sigma),
     )
+    return load_mrclam(args.source, args.robot, treatment)
 
 
 def _motion(args: argparse.Namespace, default: VelocityModel) -> VelocityModel:

@@ -19,7 +19,7 @@ from association.expectation import Expectation
 from association.methods import ALPHA, RATIO
 from data.errors import UsageError
 from data.formats.mrclam.calibration import Calibration
-from data.formats.mrclam.load import Grid, load_mrclam
+from data.formats.mrclam.load import Grid, Treatment, load_mrclam
 from data.inputs import Increment, IntArray, Prior, Sightings
 from data.log import Log
 from data.motion.velocity import VelocityModel, VelocityNoise, carried
@@ -129,18 +129,19 @@ def variant_log(log: Log, variant: Variant) -> Log:
         )
     window = {k: s.get(k) for k in ("start", "stop")}
     landmarks = s.get("landmarks")
-    changed = load_mrclam(
-        source,
-        int(str(s["robot"])),
+    calibration = replace(
+        Calibration().with_sigma(*variant.sigma),
+        motion=VelocityModel(VelocityNoise(variant.noise, alphas=variant.alphas), variant.model),
+    )
+    treatment = Treatment(
         start=_later(_seconds(window["start"]), variant.start),
         stop=_seconds(window["stop"]),
         landmarks=None if landmarks is None else Path(str(landmarks)),
         exclude_truth=_pairs(s.get("exclude_truth")),
         grid=Grid(variant.grid, variant.own_odometry, variant.gapless, variant.skip_led_by),
-        calibration=Calibration(),
-        motion=VelocityModel(VelocityNoise(variant.noise, alphas=variant.alphas), variant.model),
-        sigma=variant.sigma,
+        calibration=calibration,
     )
+    changed = load_mrclam(source, int(str(s["robot"])), treatment)
     shape = np.ones((3, 3)) if variant.filled_prior else np.eye(3)
     prior = Prior(changed.recorded.prior.mean, variant.prior_variance * shape)
     return replace(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.formats.mrclam.load import load_mrclam
+from data.formats.mrclam.load import Treatment, load_mrclam
 from data.result import DISCARD, revised
 from eval.referee.confusion import share_within
 from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
@@ -42,7 +42,7 @@ def localize(log):
 
 
 def test_a_robot_is_followed_without_labels(shared_data):
-    ratio, shares = localize(load_mrclam(shared_data / "mrclam" / "MRCLAM_Dataset9.zip", 3, stop=100.0))
+    ratio, shares = localize(load_mrclam(shared_data / "mrclam" / "MRCLAM_Dataset9.zip", 3, Treatment(stop=100.0)))
     assert ratio < 1.001
     assert min(shares) == 1.0
 
@@ -50,7 +50,7 @@ def test_a_robot_is_followed_without_labels(shared_data):
 @pytest.mark.slow
 def test_a_smoother_ends_where_the_final_decisions_lead(shared_data):
     # landmarks stand 0.18 m apart: which of them was seen often shows only later
-    log = load_mrclam(shared_data / "mrclam" / "MRCLAM_Dataset6.zip", 5, stop=200.0)
+    log = load_mrclam(shared_data / "mrclam" / "MRCLAM_Dataset6.zip", 5, Treatment(stop=200.0))
     isam2, smoothed = compare(log.inputs(labels=False), "localization", ["isam2", "batch"], "jcbb-hindsight")
     assert (isam2.final_decisions != isam2.decisions).sum() > 20
     assert np.abs(isam2.final.pose - smoothed.final.pose).max() < 1e-5
@@ -61,7 +61,7 @@ def test_a_smoother_ends_where_the_final_decisions_lead(shared_data):
 
 def test_what_is_not_settled_at_the_end_is_smoothed_as_it_is_reported(shared_data):
     # after more than a minute without a sighting
-    log = load_mrclam(shared_data / "mrclam" / "MRCLAM_Dataset6.zip", 4, start=240.0, stop=342.0)
+    log = load_mrclam(shared_data / "mrclam" / "MRCLAM_Dataset6.zip", 4, Treatment(240.0, 342.0))
     isam2, smoothed = compare(log.inputs(labels=False), "localization", ["isam2", "batch"], "jcbb-hindsight")
     assert ((isam2.decisions == DISCARD) & (isam2.final_decisions >= 0)).any()
     assert np.abs(isam2.final.pose - smoothed.final.pose).max() < 1e-5
@@ -82,7 +82,7 @@ def options(folder, dataset):
 def test_it_is_as_good_as_with_labels(shared_data, dataset, robot):
     """Position within 20 % of what labels give; their wrong ones, some barcodes are misread, are gated out."""
     folder = shared_data / "mrclam"
-    log = load_mrclam(folder / f"MRCLAM_Dataset{dataset}.zip", robot, **options(folder, dataset))
+    log = load_mrclam(folder / f"MRCLAM_Dataset{dataset}.zip", robot, Treatment(**options(folder, dataset)))
     names = ["ekf", "isam2", "batch", "fixed-lag"]
     labels = log.inputs(labels=True)
     ours = compare(log.inputs(labels=False), "localization", names, "jcbb-hindsight")

@@ -9,7 +9,7 @@ import pytest
 
 from association.expectation import gate_threshold
 from data.convert.__main__ import main as convert
-from data.formats.mrclam.load import load_mrclam
+from data.formats.mrclam.load import Treatment, load_mrclam
 from eval.plan.flags.options import read_options
 from eval.plan.tutorials import original_of, tutorial_run, variant_log
 from eval.referee.score import Trial, metrics_row
@@ -24,7 +24,7 @@ BAD = [(755.0, 836.0), (945.0, 1050.0)]
 
 def errors(source, robot, **options):
     """Position RMSE [m] of the gated EKF online and of batch-cauchy over its pairings, localization."""
-    log = load_mrclam(source, robot, **options)
+    log = load_mrclam(source, robot, Treatment(**options))
     inputs = log.inputs(labels=True)
     front = filter_known(inputs, "localization", threshold=gate_threshold(0.9999))
     smoothed = batch("batch-cauchy", inputs, front)
@@ -50,7 +50,7 @@ def test_dataset_6_on_which_they_were_not(shared_data):
 
 def test_misread_barcodes_do_no_harm_by_default(shared_data):
     # four readings of a barcode that was not there, 252 to 256 s into the recording
-    log = load_mrclam(shared_data / "mrclam" / "MRCLAM_Dataset6.zip", 3, start=225.0, stop=275.0)
+    log = load_mrclam(shared_data / "mrclam" / "MRCLAM_Dataset6.zip", 3, Treatment(225.0, 275.0))
     inputs, where = log.inputs(labels=True), "localization"
     ekf, default = (score(log, r) for r in compare(inputs, where, ["ekf", "batch"]))
     gated = score(log, compare(inputs, where, ["batch"], setup=Setup(gate_known=0.9999))[0])
@@ -119,7 +119,7 @@ def test_on_their_own_recording_the_tutorials_give_the_numbers_of_their_programs
         shared_data / "mrclam" / name for name in ("MRCLAM_Dataset1.zip", "Landmark_Groundtruth.corrected.dat")
     )
     variant = read_options(["--config", f"tutorial-step{step}"]).variants[0]
-    log = variant_log(load_mrclam(source, 1, landmarks=landmarks), variant)
+    log = variant_log(load_mrclam(source, 1, Treatment(landmarks=landmarks)), variant)
     row = metrics_row(tutorial_run(log, variant), "online", log, None)
     squares, rmse = original_of(Trial(log, variant.task, ()))
     # their last frame has no ground truth and adds up to 15 m^2

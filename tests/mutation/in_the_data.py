@@ -41,7 +41,7 @@ def files():
 def load(**arguments):
     with tempfile.TemporaryDirectory() as folder:
         source = recording.save_folder(Path(folder) / "set", files())
-        return mrclam.load_mrclam(source, 1, calibration=Calibration(latency=LATENCY), **arguments)
+        return mrclam.load_mrclam(source, 1, mrclam.Treatment(calibration=Calibration(latency=LATENCY), **arguments))
 
 
 def readings_fit_the_truth():
@@ -186,7 +186,7 @@ FAULTS = (
     Fault(21, "MRCLAM: another robot taken for a landmark", ROBOTS,
           changed("data.formats.mrclam.load.identify", {"np.where(robot, CLUTTER, subject)": "subject"})),
     Fault(21, "MRCLAM: camera lag forgotten", READINGS_FIT,
-          changed("data.formats.mrclam.load.load_mrclam", {"-calibration.latency": "0.0"})),
+          changed("data.formats.mrclam.load._course", {"-calibration.latency": "0.0"})),
     Fault(21, "MRCLAM: two landmarks exchanged in the survey", SURVEY_FITS,
           replaced("data.formats.mrclam.load.read_landmarks", two_landmarks_exchanged),
           match="seen where 20 should be"),

@@ -7,7 +7,7 @@ preintegrated, so filter and smoother see the same corrected numbers.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -69,6 +69,10 @@ class Calibration:
         for name in ("odometry_delay", "latency", "range_bias", "bearing_bias"):
             if not math.isfinite(getattr(self, name)):
                 raise UsageError(f"calibration: {name} = {getattr(self, name)}; a finite number is needed")
+
+    def with_sigma(self, sigma_range: float, sigma_bearing: float) -> Calibration:
+        """The same with other standard deviations [m, rad] of a reading, whatever its range."""
+        return replace(self, sigma_range=sigma_range, sigma_bearing=sigma_bearing, sigma_range_growth=0.0)
 
     def velocities(self, v: Array, omega: Array) -> tuple[Array, Array]:
         """Corrected forward [m/s] and angular velocity [rad/s] (K,) of commands (K,)."""

@@ -3,8 +3,6 @@
 Frames are the instants with readings (all readings of one image are one frame) and keyframes in between; the odometry
 is preintegrated between them. Times are seconds after the robot's first ground-truth row (after its first odometry row
 where it has no ground truth); `Inputs.time` counts from the log's first frame.
-
-The frames of a UTIAS MRCLAM log: at the readings' own instants or on a grid, with the motion between them.
 """
 
 from __future__ import annotations
@@ -12,7 +10,7 @@ from __future__ import annotations
 import math
 import zipfile
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -206,145 +204,146 @@ def corrected_landmarks(source: Path) -> Path | None:
     return None
 
 
-def load_mrclam(
-    source: Path,
-    robot: int,
-    *,
-    start: float | None = None,
-    stop: float | None = None,
-    landmarks: Path | None = None,
-    exclude_truth: Sequence[tuple[float, float]] = (),
-    keep_robots: bool = False,
-    grid: Grid | float | None = None,
-    calibration: Calibration = FROZEN,
-    motion: VelocityModel | None = None,
-    sigma: tuple[float, float] | None = None,
-    prior_sigma: tuple[float, float] = (0.05, 0.05),
-) -> Log:
-    """One robot's log. The barcodes are sensed labels: granting them grants no truth.
+@dataclass(frozen=True)
+class Treatment:
+    """What is done with a recording.
 
-    The log starts at the first instant with truth and odometry, with the true pose there as the prior's mean, and ends
-    with the odometry. A robot without ground truth gets its prior from the first sightings that fix it, which are then
-    not part of the log (see `readings`). If none do, the prior is the zero pose and the map is withheld,
-    because the log's world frame is then the robot's own.
-
-    Args:
-        source: folder with the .dat files, directly or in one subfolder; or the published zip.
-        robot: 1 to 5.
-        start: s, beginning of the wanted window (the module's first lines say what it counts from).
-        stop: s, its end.
+    Attributes:
+        start, stop: s, the wanted window (the module's first lines say what it counts from).
         landmarks: file read instead of the dataset's Landmark_Groundtruth.dat.
         exclude_truth: stretches (from, to) [s] whose truth is bad and left out, ends included.
         keep_robots: keep sightings of the other robots, as clutter that moves.
-        grid: s; resample to frames this far apart, as the classic tutorials do (0.02): odometry interpolated at each
-            frame and held until the next, readings moved to the nearest frame; or a `Grid`, which may do otherwise.
+        grid: resample to frames a fixed time apart, as the classic tutorials do: odometry interpolated at each frame
+            and held until the next, readings moved to the nearest frame.
         calibration: corrections and noise of odometry and camera.
-        motion: replaces `calibration.motion`.
-        sigma: (m, rad), replaces the calibration's noise of a reading, whatever its range.
         prior_sigma: (m, rad), standard deviations of x and y, and of the heading, at the start.
 
     Raises:
-        DataError: anything missing or wrong in the files, with file and line; nothing in the window.
-        UsageError: arguments that make no sense.
+        UsageError: values that make no sense.
     """
-    if isinstance(grid, (int, float)):
-        grid = Grid(float(grid))
-    _check(start, stop, exclude_truth, grid, prior_sigma)
-    if motion is not None:
-        calibration = replace(calibration, motion=motion)
-    if sigma is not None:
-        calibration = replace(calibration, sigma_range=sigma[0], sigma_bearing=sigma[1], sigma_range_growth=0.0)
+
+    start: float | None = None
+    stop: float | None = None
+    landmarks: Path | None = None
+    exclude_truth: Sequence[tuple[float, float]] = ()
+    keep_robots: bool = False
+    grid: Grid | None = None
+    calibration: Calibration = FROZEN
+    prior_sigma: tuple[float, float] = (0.05, 0.05)
+
+    def __post_init__(self) -> None:
+        for name, value in (("start", self.start), ("stop", self.stop)):
+            if value is not None and not math.isfinite(value):
+                raise UsageError(f"{name} {value}: a number of seconds is needed")
+        if self.start is not None and self.stop is not None and not self.start < self.stop:
+            raise UsageError(f"stop {self.stop:g} s does not come after start {self.start:g} s")
+        for begin, end in self.exclude_truth:
+            if not begin < end:
+                raise UsageError(f"exclude truth {begin:g}:{end:g}: the end must come after the beginning")
+        if self.grid is not None and not 0.0 < self.grid.period <= MAX_GAP:
+            raise UsageError(f"grid {self.grid.period:g} s: more than 0 and at most {MAX_GAP:g} s is needed")
+        if not all(0.0 <= s < math.inf for s in self.prior_sigma):
+            raise UsageError(f"prior sigma {self.prior_sigma}: numbers from 0 up are needed")
+
+    @property
+    def spread(self) -> tuple[float, float, float]:
+        """Standard deviations of x, y [m] and heading [rad] at the start."""
+        return self.prior_sigma[0], self.prior_sigma[0], self.prior_sigma[1]
+
+    def prior(self, pose: Array) -> Prior:
+        """The prior about a pose (3,)."""
+        return Prior(pose, np.diag(np.square(self.spread)))
+
+    def described(self) -> dict[str, object]:
+        """What differs from the default, for the source of the log."""
+        given = {
+            "start": self.start,
+            "stop": self.stop,
+            "landmarks": None if self.landmarks is None else str(Path(self.landmarks).absolute()),
+            "exclude_truth": [list(map(float, s)) for s in self.exclude_truth] or None,
+            "keep_robots": self.keep_robots or None,
+            "grid": None if self.grid is None else self.grid.period,
+        }
+        return {key: value for key, value in given.items() if value is not None}
+
+
+def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) -> Log:
+    """The log of one robot (1 to 5); `source` is the published zip, or a folder with its files, or one above that.
+
+    The barcodes are sensed labels: granting them grants no truth. The log starts at the first instant with truth and
+    odometry, with the true pose there as the prior's mean, and ends with the odometry. A robot without ground truth
+    gets its prior from the first sightings that fix it, which are then not part of the log (see `readings`). If none
+    do, the prior is the zero pose and the map is withheld: the log's world frame is then the robot's own.
+
+    Raises:
+        DataError: anything missing or wrong in the files, with file and line; nothing in the window.
+    """
     source = Path(source)
     files = open_files(source)
-    subjects, survey = read_barcodes(files), read_landmarks(files, landmarks)
-    commands, measured, rows = read_odometry(files, robot), read_measurements(files, robot), read_truth(files, robot)
-
-    origin = float((commands if rows is None else rows)[0, 0])
-    velocities = calibration.velocities(commands[:, 1], commands[:, 2])
-    odometry = Odometry(np.round(calibration.instants(_since(commands[:, 0], origin)), 6), *velocities)
-    if grid is not None and grid.gapless:
-        odometry = held_back(odometry)
-    truth = None if rows is None else _TruePath(_since(rows[:, 0], origin), rows[:, 1:], tuple(exclude_truth))
-    first, last, notes = _window(files, robot, odometry, truth, start, stop)
-    seen_at = _since(measured[:, 0], origin, -calibration.latency)
-    z = calibration.readings(measured[:, 2:])
-    readings, more = identify(seen_at, measured[:, 1], z, subjects, survey, keep_robots=keep_robots)
-    notes += more
-    readings, more = within(readings, odometry.time[0], odometry.time[-1])
-    notes += more
-    course, more = lay_out(readings, odometry, first, last, grid, calibration.motion)
-    notes += more
-
-    spread = (prior_sigma[0], prior_sigma[0], prior_sigma[1])
+    survey = read_landmarks(files, treatment.landmarks)
+    course, truth, origin, notes = _course(files, robot, survey, treatment)
     pose = None
     if truth is not None:
         pose = truth.at(course.time)
-        prior: Prior | None = Prior(pose[0], np.diag(np.square(spread)))
-        notes += [f"Ground truth left out from {a:g} to {b:g} s after its first row." for a, b in exclude_truth]
+        prior: Prior | None = treatment.prior(pose[0])
+        notes += [f"Ground truth left out from {a:g} to {b:g} s after its first row." for a, b in truth.bad]
         notes += misplaced(course.readings, pose[course.frame], survey)
     else:
-        course, prior, note = _without_truth(course, survey, spread)
+        course, prior, note = _without_truth(course, survey, treatment.spread)
         notes.append(note)
-    known = None if prior is None else survey
     covariance, floored = floor_covariances(course.increments.covariance, FLOOR)
     z = course.readings.z
     recorded = Inputs(
-        prior=prior or Prior(np.zeros(3), np.diag(np.square(spread))),
+        prior=prior or treatment.prior(np.zeros(3)),
         time=course.time - course.time[0],
         increments=Increments(course.increments.mean, covariance),
-        observations=Observations(course.frame, z, calibration.noise(z)),
+        observations=Observations(course.frame, z, treatment.calibration.noise(z)),
         sensor=SENSOR,
-        map=known,
+        map=None if prior is None else survey,
         covariance_floor=FLOOR,
         floored=floored,
     )
-    given = {
-        "start": start,
-        "stop": stop,
-        "landmarks": None if landmarks is None else str(Path(landmarks).absolute()),
-        "exclude_truth": [list(map(float, s)) for s in exclude_truth] or None,
-        "keep_robots": keep_robots or None,
-        "grid": None if grid is None else grid.period,
-    }
     provenance = {
         "kind": "mrclam",
         "path": str(source.absolute()),
         "dataset": files.name,
         "robot": robot,
         "first_stamp": round(origin + float(course.time[0]), 6),
-        **{key: value for key, value in given.items() if value is not None},
-        "calibration": asdict(calibration),
+        **treatment.described(),
+        "calibration": asdict(treatment.calibration),
         "sha256": dict(sorted(files.sha256.items())),
     }
     return Log(
         name=f"{files.name.lower().replace('_dataset', '')}-robot{robot}",
         recorded=recorded,
-        truth=Truth(pose, known, course.readings.true_id),
+        truth=Truth(pose, recorded.map, course.readings.true_id),
         labels_are_sensed=True,
         source=provenance,
         notes=tuple(notes),
     )
 
 
-def _check(
-    start: float | None,
-    stop: float | None,
-    exclude_truth: Sequence[tuple[float, float]],
-    grid: Grid | None,
-    prior_sigma: tuple[float, float],
-) -> None:
-    for name, value in (("start", start), ("stop", stop)):
-        if value is not None and not math.isfinite(value):
-            raise UsageError(f"{name} {value}: a number of seconds is needed")
-    if start is not None and stop is not None and not start < stop:
-        raise UsageError(f"stop {stop:g} s does not come after start {start:g} s")
-    for begin, end in exclude_truth:
-        if not begin < end:
-            raise UsageError(f"exclude truth {begin:g}:{end:g}: the end must come after the beginning")
-    if grid is not None and not 0.0 < grid.period <= MAX_GAP:
-        raise UsageError(f"grid {grid.period:g} s: more than 0 and at most {MAX_GAP:g} s is needed")
-    if not all(0.0 <= s < math.inf for s in prior_sigma):
-        raise UsageError(f"prior sigma {prior_sigma}: numbers from 0 up are needed")
+def _course(
+    files: Files, robot: int, survey: LandmarkMap, treatment: Treatment
+) -> tuple[Course, _TruePath | None, float, list[str]]:
+    """Frames, ground truth (None: there is none), the stamp from which times count [s], and what was lost."""
+    calibration, grid = treatment.calibration, treatment.grid
+    subjects = read_barcodes(files)
+    commands, measured, rows = read_odometry(files, robot), read_measurements(files, robot), read_truth(files, robot)
+    origin = float((commands if rows is None else rows)[0, 0])
+    velocities = calibration.velocities(commands[:, 1], commands[:, 2])
+    odometry = Odometry(np.round(calibration.instants(_since(commands[:, 0], origin)), 6), *velocities)
+    if grid is not None and grid.gapless:
+        odometry = held_back(odometry)
+    bad = tuple(treatment.exclude_truth)
+    truth = None if rows is None else _TruePath(_since(rows[:, 0], origin), rows[:, 1:], bad)
+    first, last, notes = _window(files, robot, odometry, truth, treatment)
+    seen_at = _since(measured[:, 0], origin, -calibration.latency)
+    z = calibration.readings(measured[:, 2:])
+    readings, unknown = identify(seen_at, measured[:, 1], z, subjects, survey, keep_robots=treatment.keep_robots)
+    readings, outside = within(readings, odometry.time[0], odometry.time[-1])
+    course, lost = lay_out(readings, odometry, first, last, grid, calibration.motion)
+    return course, truth, origin, [*notes, *unknown, *outside, *lost]
 
 
 def _since(stamps: Array, origin: float, shift: float = 0.0) -> Array:
@@ -354,9 +353,10 @@ def _since(stamps: Array, origin: float, shift: float = 0.0) -> Array:
 
 
 def _window(
-    files: Files, robot: int, odometry: Odometry, truth: _TruePath | None, start: float | None, stop: float | None
+    files: Files, robot: int, odometry: Odometry, truth: _TruePath | None, treatment: Treatment
 ) -> tuple[float, float, list[str]]:
     """First and last instant of the log, and a sentence about what comes before the first."""
+    start, stop = treatment.start, treatment.stop
     path = files.path(robot_file(robot, "Odometry"))
     last = float(odometry.time[-1]) if stop is None else min(stop, float(odometry.time[-1]))
     first, why = float(odometry.time[0]), "the odometry starts there"

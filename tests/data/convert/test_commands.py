@@ -16,7 +16,7 @@ from data.convert.__main__ import main
 from data.convert.mrclam import CALIBRATION
 from data.errors import DataError
 from data.formats.mrclam.calibration import FROZEN, Calibration
-from data.formats.mrclam.load import load_mrclam
+from data.formats.mrclam.load import Treatment, load_mrclam
 from data.formats.open_log.reader import load_folder
 from data.log import Log
 from data.visual.opening import Camera
@@ -94,9 +94,8 @@ class TestMrclam:
             "--landmarks", str(other), "--prior-sigma", "0.2", "0.1",
         )  # fmt: skip
         wanted = load_mrclam(
-            source, 1, start=2.0, stop=9.0, exclude_truth=[(4.0, 5.0), (6.0, 6.5)], keep_robots=True,
-            landmarks=other, prior_sigma=(0.2, 0.1),
-        )  # fmt: skip
+            source, 1, Treatment(2.0, 9.0, other, [(4.0, 5.0), (6.0, 6.5)], True, prior_sigma=(0.2, 0.1))
+        )
         assert same(log, wanted)
         assert log.recorded.map is not None
         assert log.recorded.map.id.tolist() == [6, 20]
@@ -122,7 +121,7 @@ class TestMrclam:
         assert set(CALIBRATION) == {f.name for f in fields(Calibration)} - {"motion"}
 
     def test_uncalibrated_corrects_nothing(self, source: Path, convert: Callable[..., Log]) -> None:
-        assert same(convert("--uncalibrated"), load_mrclam(source, 1, calibration=Calibration()))
+        assert same(convert("--uncalibrated"), load_mrclam(source, 1, Treatment(calibration=Calibration())))
         assert Calibration().turn_limit == math.inf
 
     def test_the_tutorials_treatment(self, convert: Callable[..., Log]) -> None:

@@ -22,7 +22,7 @@ import association.candidates
 import eval.replay.hindsight.hypotheses
 import eval.replay.hindsight.two_models
 from data.errors import DataError, UsageError
-from data.formats.mrclam.load import corrected_landmarks, load_mrclam
+from data.formats.mrclam.load import Treatment, corrected_landmarks, load_mrclam
 from data.formats.recordings.victoria_park import load_victoria_park
 from data.inputs import Systematic
 from data.log import Log
@@ -263,7 +263,7 @@ def load(name: str, data: Path | None) -> Log:
         source = archive(data, number)
         if source is None:
             raise DataError(f"UTIAS Dataset {number}: not in {data}")
-        return load_mrclam(source, robot, landmarks=corrected_landmarks(source))
+        return load_mrclam(source, robot, Treatment(landmarks=corrected_landmarks(source)))
     return named_log(name)
 
 

@@ -10,7 +10,7 @@ import pytest
 from data.formats.mrclam.load import load_mrclam
 from data.log import Log
 from tests.data.formats.mrclam import world
-from tests.data.formats.mrclam.loading import PLAIN
+from tests.data.formats.mrclam.loading import PLAIN, treatment
 from tests.data.formats.mrclam.world import Texts, save_folder
 
 
@@ -24,6 +24,6 @@ def load(tmp_path: Path) -> Callable[..., Log]:
     """`load(files, **arguments)`: save as a folder and load robot 1, uncorrected unless said otherwise."""
 
     def run(files: Texts, **arguments: object) -> Log:
-        return load_mrclam(save_folder(tmp_path / "set", files), 1, **{"calibration": PLAIN, **arguments})  # type: ignore[arg-type]
+        return load_mrclam(save_folder(tmp_path / "set", files), 1, treatment(**{"calibration": PLAIN, **arguments}))
 
     return run

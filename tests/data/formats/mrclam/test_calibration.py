@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -122,7 +123,7 @@ class TestCalibration:
 
     def test_sigma_and_motion_replace_the_calibrations(self, files: Texts, load: Callable[..., Log]) -> None:
         motion = VelocityModel(VelocityNoise("density", (0.5, 0.25)))
-        log = load(files, calibration=FROZEN, sigma=(2.0, 3.0), motion=motion)
+        log = load(files, calibration=replace(FROZEN.with_sigma(2.0, 3.0), motion=motion))
         np.testing.assert_allclose(
             log.recorded.observations.R, np.tile(np.diag([4.0, 9.0]), (len(log.recorded.observations.z), 1, 1))
         )

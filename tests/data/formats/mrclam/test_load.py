@@ -12,7 +12,7 @@ import pytest
 
 from data import se2
 from data.errors import DataError, UsageError
-from data.formats.mrclam.load import is_mrclam, load_mrclam, robots
+from data.formats.mrclam.load import Treatment, is_mrclam, load_mrclam, robots
 from data.log import Log
 from tests.data.formats.mrclam import world
 from tests.data.formats.mrclam.loading import MEASURED, ODOMETRY, TRUTH, noted, starts_at
@@ -83,7 +83,7 @@ class TestANoiseFreeRecording:
 
     def test_the_source_names_file_robot_and_digest(self, files: Texts, tmp_path: Path) -> None:
         path = save_zip(tmp_path / "set.zip", files)
-        log = load_mrclam(path, 1, start=2.0, stop=9.0)
+        log = load_mrclam(path, 1, Treatment(2.0, 9.0))
         assert log.source["path"] == str(path)
         assert log.source["sha256"] == {"set.zip": hashlib.sha256(path.read_bytes()).hexdigest()}
         assert (log.source["robot"], log.source["start"], log.source["stop"]) == (1, 2.0, 9.0)

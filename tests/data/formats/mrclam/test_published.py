@@ -12,7 +12,7 @@ from data import se2
 from data.formats.mrclam.calibration import FROZEN, Calibration
 from data.formats.mrclam.load import corrected_landmarks, load_mrclam, robots
 from data.log import Log
-from tests.data.formats.mrclam.loading import PLAIN, noted
+from tests.data.formats.mrclam.loading import PLAIN, noted, treatment
 
 pytestmark = pytest.mark.usefixtures("tables_parsed_once")
 BAD_NINE = [(755.0, 836.0), (945.0, 1050.0), (376.0, 380.0)]
@@ -32,7 +32,7 @@ def published(mrclam: Path) -> Callable[..., Log]:
 
     def load(dataset: int, robot: int, **arguments: object) -> Log:
         source = mrclam / f"MRCLAM_Dataset{dataset}.zip"
-        return load_mrclam(source, robot, **{"calibration": PLAIN, **arguments})  # type: ignore[arg-type]
+        return load_mrclam(source, robot, treatment(**{"calibration": PLAIN, **arguments}))
 
     return load
 
