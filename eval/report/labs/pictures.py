@@ -180,8 +180,8 @@ def _line(
     ax: Axes, log: Log, values: Array | IntArray, method: str, line: Line, label: str, style: str = "steps-post"
 ) -> None:
     """Values (N,) of the frames over time, in the colour of a way of association."""
-    look = {"color": colour_of_method(method), "drawstyle": style}
-    ax.plot(log.recorded.time, values, linestyle=line, linewidth=1.1, label=label, **look)
+    (drawn,) = ax.plot(log.recorded.time, values, linestyle=line, linewidth=1.1, drawstyle=style, label=label)
+    drawn.set_color(colour_of_method(method))
 
 
 def _axes_over_time(ax: Axes, log: Log, what: str, most: int) -> None:
