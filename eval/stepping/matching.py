@@ -32,7 +32,6 @@ from eval.stepping.plane import (
     HALO,
     LANDMARK,
     SHOWN_WITHOUT_GATE,
-    Matching,
     Plane,
     background,
     called,
@@ -45,7 +44,7 @@ from eval.stepping.plane import (
     robot_axes,
     write_numbers,
 )
-from eval.stepping.text import TruthRow
+from eval.stepping.problem import Matching, TruthRow
 
 SHARE = 0.42
 """Of an inset in the side of its panel."""
@@ -243,7 +242,7 @@ def paint_matching(fig: Figure, m: Matching) -> None:
 
 def _counted(decisions: IntArray, truth: TruthRow | None) -> str:
     if truth is not None:
-        return "  ".join(f"{name.upper()} {n}" for name, n in truth.counts().items())
+        return "  ".join(f"{name.upper()} {n}" for name, n in truth.counts.items())
     paired, new = int((decisions >= 0).sum()), int((decisions == NEW).sum())
     return f"{paired} paired, {new} new, {len(decisions) - paired - new} left out"
 
@@ -283,7 +282,7 @@ def closer_figure(m: Matching, method: str) -> Figure:
         robot_axes(left)
         robot_axes(right, left=False)
         left.set_title("compatibility: pairs inside the gate, with their d²", loc="left")
-        counted = "" if truth is None else "  ".join(f"{name.upper()} {n}" for name, n in truth.counts().items())
+        counted = "" if truth is None else "  ".join(f"{name.upper()} {n}" for name, n in truth.counts.items())
         right.set_title(f"matching by {called(method)}: {counted}", loc="left")
         fig.legend(handles=_handles(m), loc="lower center", ncols=4)
         fig.suptitle(m.title, x=0.01, ha="left")
@@ -310,7 +309,7 @@ def methods_figure(m: Matching, methods: Sequence[str]) -> Figure:
                 continue
             truth = m.truth.get(name)
             draw_decisions(ax, p, made, truth, all_numbers=True, size=SIZE - 0.5)
-            counted = "" if truth is None else "  ".join(f"{n.upper()} {c}" for n, c in truth.counts().items())
+            counted = "" if truth is None else "  ".join(f"{n.upper()} {c}" for n, c in truth.counts.items())
             ax.set_title(f"{called(name)}: {counted}", loc="left")
         fig.legend(handles=_handles(m), loc="lower center", ncols=4)
         fig.suptitle(m.title, x=0.01, ha="left")

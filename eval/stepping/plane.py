@@ -1,13 +1,8 @@
-"""A frame's problem laid out in the robot frame, and what every picture of it has behind: landmarks, readings, robot.
-
-Seen from the robot: x forward, y left.
-
-Marks that the figures of a step share: ellipses, the robot, numbers; and measurements as points in its frame.
-"""
+"""A frame's problem laid out in the robot frame (x forward, y left), and the marks that the figures of a step share."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,12 +14,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 
-from association.expectation import Expectation, gate_threshold
+from association.expectation import gate_threshold
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
-from data.sensors import Sensor
 from eval.figures.plane import ellipses
-from eval.stepping.text import TruthRow
+from eval.stepping.problem import Matching
 
 ONE, MANY = (7.0, 5.6), (10.5, 6.8)
 """in. Size of a figure with one picture, and with one per method."""
@@ -98,30 +92,6 @@ def called(name: str, beside: Sequence[str] = ()) -> str:
     title = TITLES.get(name, name)
     same = [n for n in (*beside, name) if TITLES.get(n, n) == title]
     return name if len(set(same)) > 1 else title
-
-
-@dataclass(frozen=True, eq=False)
-class Matching:
-    """A frame's problem and its solutions.
-
-    Attributes:
-        title: of the figure.
-        expectation: what every method was given; sensor: which makes points of its measurements.
-        gate: probability of the individual test, None for none.
-        decisions: (m,) by method, in the order of the panels; a text says why a method has none.
-        chosen: the method that updates.
-        truth: by method, what the referee says; empty without true ids.
-        right: (m,) number of the right landmark, negative for none; None without true ids.
-    """
-
-    title: str
-    expectation: Expectation
-    sensor: Sensor
-    gate: float | None
-    decisions: Mapping[str, IntArray | str]
-    chosen: str
-    truth: Mapping[str, TruthRow]
-    right: IntArray | None
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -11,19 +13,54 @@ from association.expectation import Expectation, SingularInnovationError
 from data.inputs import Frame, IntArray
 from data.log import Log
 from data.result import DISCARD, NEW
-from data.truth import CLUTTER
+from data.sensors import Sensor
+from data.truth import CLUTTER, UNKNOWN_ID
+from eval.referee.confusion import OUTCOMES, Confusion, confuse
 from eval.replay.frontend import FrontEnd, Pairing
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
-from eval.stepping.plane import Matching
-from eval.stepping.text import judge_frame
 
 COMPARED = ("nn", "singles", "ml", "jcbb")
 """Methods shown side by side."""
+RIGHT = ("tp", "tn")
+
+
+class TruthRow(NamedTuple):
+    """What the referee says of one frame's m observations.
+
+    ground_truth: (m,) number of the right landmark, negative for none; outcome: (m,) index into `OUTCOMES`.
+    """
+
+    ground_truth: IntArray
+    outcome: IntArray
+
+    @property
+    def correct(self) -> list[bool]:
+        """Whether each decision is right."""
+        return [OUTCOMES[o] in RIGHT for o in self.outcome.tolist()]
+
+    @property
+    def wrong(self) -> dict[int, str]:
+        """Outcomes of the wrong decisions by observation."""
+        return {i: OUTCOMES[o] for i, o in enumerate(self.outcome.tolist()) if OUTCOMES[o] not in RIGHT}
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Observations by outcome, in the order of `OUTCOMES`."""
+        found = Counter(self.outcome.tolist())
+        return {name: found[i] for i, name in enumerate(OUTCOMES)}
+
+
+def row_of(confusion: Confusion | None, rows: slice) -> TruthRow | None:
+    """The part of a run's outcomes that belongs to some observations."""
+    return None if confusion is None else TruthRow(confusion.ground_truth[rows], confusion.outcome[rows])
 
 
 class FrameSoFar(NamedTuple):
-    """A frame that is decided about: its rows of the log, and decisions and initialized landmarks (M,) so far."""
+    """A frame that is decided about: its rows of the log, and decisions and initialized landmarks (M,) so far.
+
+    removed: as in `Run`.
+    """
 
     log: Log
     task: str
@@ -31,6 +68,49 @@ class FrameSoFar(NamedTuple):
     decisions: IntArray
     created: IntArray
     removed: IntArray | None
+
+    def judged(self, decided: IntArray | None = None) -> TruthRow | None:
+        """What the referee says of its observations as soon as they are decided about; None without true ids.
+
+        `decided` (m,): other decisions about them. What is right now depends on the observations that initialized the
+        landmarks, and on no other, so only those and its own go to the referee.
+        """
+        true_id = self.log.truth.landmark_of
+        if true_id is None or np.any(true_id == UNKNOWN_ID):
+            return None
+        first = np.flatnonzero(self.created[: self.rows.start] >= 0)
+        those = np.concatenate([first, np.arange(self.rows.start, self.rows.stop)])
+        known = self.log.recorded.map if self.task == "localization" else None
+        made = self.decisions[those]
+        if decided is not None:
+            made[len(first) :] = decided
+        frame = self.log.recorded.observations.frame[those]
+        scored = confuse(frame, true_id[those], made, self.created[those], known, self.removed)
+        return row_of(scored, slice(len(first), None))
+
+
+@dataclass(frozen=True, eq=False)
+class Matching:
+    """A frame's problem and its solutions.
+
+    Attributes:
+        title: of the figure.
+        expectation: what every method was given; sensor: which makes points of its measurements.
+        gate: probability of the individual test, None for none.
+        decisions: (m,) by method, in the order of the panels; a text says why a method has none.
+        chosen: the method that updates.
+        truth: by method, what the referee says; empty without true ids.
+        right: (m,) number of the right landmark, negative for none; None without true ids.
+    """
+
+    title: str
+    expectation: Expectation
+    sensor: Sensor
+    gate: float | None
+    decisions: Mapping[str, IntArray | str]
+    chosen: str
+    truth: Mapping[str, TruthRow]
+    right: IntArray | None
 
 
 def removed_so_far(front: FrontEnd, created: IntArray) -> IntArray | None:
@@ -45,7 +125,7 @@ def pose_problem(
     """What `methods`, and the one that updates, make of an expectation; `f.decisions` holds what that one decided."""
     made: dict[str, IntArray | str] = {}
     judged, right, true_id = {}, None, f.log.truth.landmark_of
-    this = judge_frame(f.log, f.task, f.rows, f.decisions, f.created, f.removed)
+    this = f.judged()
     if this is not None and true_id is not None:
         right = this.ground_truth
         stray = (true_id[f.rows] == CLUTTER) | (f.task == "localization")
@@ -53,14 +133,12 @@ def pose_problem(
     for name in dict.fromkeys((*methods, front.association)):
         try:
             own = name == front.association
-            made[name] = f.decisions[f.rows].copy() if own else front.decide(e, name).decisions
+            decided = f.decisions[f.rows].copy() if own else front.decide(e, name).decisions
         except SingularInnovationError:
             made[name] = "singular innovation covariance"
             continue
-        every = f.decisions.copy()
-        every[f.rows] = made[name]
-        row = judge_frame(f.log, f.task, f.rows, every, f.created, f.removed)
-        if row is not None:
+        made[name] = decided
+        if (row := f.judged(decided)) is not None:
             judged[name] = row
     return Matching(title, e, f.log.recorded.sensor, front.setup.gate, made, front.association, judged, right)
 
@@ -109,8 +187,6 @@ def problems_of(
     """
     inputs = log.inputs(labels=association == "known")
     seen = _Onlooker(log, task, frames, title, methods)
-    step_by_step(
-        estimator, inputs.without_map() if task == "slam" else inputs, task, association, setup, finish=False,
-        observer=seen,
-    )  # fmt: skip
+    inputs = inputs.without_map() if task == "slam" else inputs
+    step_by_step(estimator, inputs, task, association, setup, finish=False, observer=seen)
     return seen.found

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -12,6 +11,7 @@ from matplotlib.figure import Figure
 from data.inputs import Frame, IntArray
 from data.log import Log
 from data.result import NEW, Run
+from data.terminal import counted
 from eval.figures import error_figure
 from eval.figures.style import style_of
 from eval.replay.frontend import FrontEnd, Pairing
@@ -20,13 +20,14 @@ from eval.stepping.pictures import Album, paint_ground_truth, paint_map, paint_o
 from eval.stepping.problem import FrameSoFar, pose_problem, removed_so_far
 from eval.stepping.text import (
     Block,
+    Step,
     closing,
     compatibility_text,
-    judge_frame,
-    pose_text,
+    moved_text,
     run_text,
     statistics,
     step_block,
+    updated_text,
 )
 
 
@@ -89,14 +90,12 @@ class Walk:
         if self.log.truth.known_poses:
             self.show("ground-truth", lambda fig: paint_ground_truth(fig, self.log, self.k, self.title))
         if self.k > 0:
-            x, y, theta = r.increments.mean[self.k].tolist()
-            odometry = f"odometry {x:.3f} m, {y:.3f} m, {math.degrees(theta):.2f} deg"
-            self.say("move", f"{odometry}; {pose_text(*front.estimator.estimate())}")
+            self.say("move", moved_text(r.increments.mean[self.k], front.estimator.estimate()))
             self._map(front, "prediction")
             self.pause("move")
         seen = r.sightings(self.k)
         if len(seen.z):
-            self.say("observe", f"{len(seen.z)} observation{'s' * (len(seen.z) != 1)}")
+            self.say("observe", counted(len(seen.z), "observation"))
             self.show("observations", lambda fig: paint_observations(fig, r.sensor, *seen, self.title))
             self.pause("observe")
 
@@ -109,12 +108,9 @@ class Walk:
             expectation = front.expect(frame.sightings)
         if expectation is not None and len(expectation.number) and wanted:
             self.say("compatibility", compatibility_text(expectation, front.setup.gate))
-            problem = (
-                pose_problem(front, expectation, self._frame(front), f"{self.title} ({self.kind})")
-                if self.album.wanted
-                else None
-            )
-            if problem is not None:
+            problem = None
+            if self.album.wanted:
+                problem = pose_problem(front, expectation, self._frame(front), f"{self.title} ({self.kind})")
                 self.show("compatibility", lambda fig: paint_compatibility(fig, problem))
             self.pause("compatibility")
             if problem is not None:
@@ -135,10 +131,7 @@ class Walk:
         decisions = self.decisions[self.rows]
         new = decisions == NEW
         created = np.where(new, self.created.max(initial=-1) + np.cumsum(new), -1)
-        row = judge_frame(
-            self.log, self.task, self.rows, self.decisions, self.created, removed_so_far(front, self.created)
-        )
-        if text := self.block(self.k, row, decisions, created):
+        if text := self.block(Step(self.k, self._frame(front).judged(), decisions, created)):
             print(text, end="\n\n", flush=True)
 
     def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
@@ -153,9 +146,7 @@ class Walk:
             used, new = int((d >= 0).sum()), int((created[self.rows] >= 0).sum())
             removed = {} if front.map_management is None else front.map_management.removed
             gone = sorted(n for n, k in removed.items() if k == self.k)
-            lost = f"; removed from the map: {', '.join(map(str, gone))}" if gone else ""
-            counts = f"{used} used, {new} new, {len(d) - used - new} left out"
-            self.say("update", f"{counts}; {pose_text(*front.estimator.estimate())}{lost}")
+            self.say("update", updated_text(used, new, len(d) - used - new, gone, front.estimator.estimate()))
             self.pause("update")
 
     def _map(self, front: FrontEnd, what: str) -> None:

@@ -46,8 +46,8 @@ from eval.report.labs.corridor import (
 from eval.report.page.document import Picture
 from eval.report.page.files import write_table
 from eval.stepping.matching import closer_figure, methods_figure, wrong_of
-from eval.stepping.plane import BAD, FAINT, Matching
-from eval.stepping.problem import problems_of
+from eval.stepping.plane import BAD, FAINT
+from eval.stepping.problem import Matching, problems_of
 
 REPEATS = 15
 """Runs measured; of each frame the fastest counts, as whatever else the machine does only adds time."""

@@ -11,14 +11,15 @@ from data.logs import open_log
 from eval.referee.confusion import OUTCOMES
 from eval.replay.run import compare
 from eval.replay.settings import Setup
-from eval.stepping.text import TruthRow, lab_block, run_text
+from eval.stepping.problem import TruthRow
+from eval.stepping.text import Step, lab_block, run_text
 
 LAB = Setup(new_gate=0.99)
 
 
 def test_a_step_is_said_word_for_word():
     truth = TruthRow(np.array([2, 11, -1, 4]), np.array([OUTCOMES.index(o) for o in ("tp", "fp", "tn", "fn")]))
-    text = lab_block(4, truth, np.array([2, 3, -1, -2]), np.array([-1, -1, 5, -1]))
+    text = lab_block(Step(4, truth, np.array([2, 3, -1, -2]), np.array([-1, -1, 5, -1])))
     assert text.split("\n") == [
         "--------------------------------------------------------------",
         "Step: 5",
@@ -26,8 +27,8 @@ def test_a_step_is_said_word_for_word():
         "MY HYPOTHESIS:  3   4   0   0  ",
         "Correct (1/0)?  1   0   1   0  ",
     ]
-    assert lab_block(0, truth, np.array([-1]), np.array([0])) == ""
-    blind = lab_block(4, None, np.array([2, -2]), np.array([-1, -1]))
+    assert lab_block(Step(0, truth, np.array([-1]), np.array([0]))) == ""
+    blind = lab_block(Step(4, None, np.array([2, -2]), np.array([-1, -1])))
     assert blind.split("\n")[1:] == ["Step: 5", "MY HYPOTHESIS:  3   0  "]
 
 

@@ -20,8 +20,8 @@ from eval.figures.style import drawing
 from eval.referee.confusion import OUTCOMES
 from eval.stepping.matching import evidence, paint_compatibility, paint_matching
 from eval.stepping.pictures import field_of_view, paint_ground_truth, paint_map, paint_observations
-from eval.stepping.plane import BAD, LANDMARK, Matching
-from eval.stepping.text import TruthRow
+from eval.stepping.plane import BAD, LANDMARK
+from eval.stepping.problem import Matching, TruthRow
 
 PLAIN = RelativePoint(max_range=5.0)
 

@@ -16,17 +16,8 @@ from eval.referee.confusion import confuse
 from eval.referee.score import confusion_of
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
-from eval.stepping.text import (
-    WIDTH,
-    TruthRow,
-    closing,
-    compatibility_text,
-    judge_frame,
-    row_of,
-    run_text,
-    statistics,
-    step_block,
-)
+from eval.stepping.problem import FrameSoFar, TruthRow, row_of
+from eval.stepping.text import WIDTH, Step, closing, compatibility_text, run_text, statistics, step_block
 
 NEW, DISCARD = -1, -2
 
@@ -54,14 +45,14 @@ def test_four_right_one_new_one_neighbour_and_one_known_taken_for_new_are_told_a
     frame, true_id, decisions, created = seven()
     scored = confuse(frame, true_id, decisions, created, None)
     rows = slice(7, 14)
-    assert step_block(1, row_of(scored, rows), decisions[rows], created[rows]) == GOLDEN
+    assert step_block(Step(1, row_of(scored, rows), decisions[rows], created[rows])) == GOLDEN
 
 
 def test_a_frame_without_mistakes_agrees_and_discarded_observations_are_dashes():
     frame, true_id, decisions, created = seven()
     true_id[11], decisions[11:], created[11:] = -1, [DISCARD, 4, 6], -1
     scored = confuse(frame, true_id, decisions, created, None)
-    assert step_block(1, row_of(scored, slice(7, 14)), decisions[7:], created[7:]) == (
+    assert step_block(Step(1, row_of(scored, slice(7, 14)), decisions[7:], created[7:])) == (
         "step 1: 7 observations\n"
         "observation    0   1   2   3   4   5   6\n"
         "ground truth   0   1   2   3   -   4   6\n"
@@ -73,7 +64,7 @@ def test_a_frame_without_mistakes_agrees_and_discarded_observations_are_dashes()
 
 
 def test_without_truth_what_needs_it_is_left_out_and_the_text_says_so():
-    assert step_block(3, None, np.array([4, NEW, DISCARD]), np.array([-1, 9, -1])) == (
+    assert step_block(Step(3, None, np.array([4, NEW, DISCARD]), np.array([-1, 9, -1]))) == (
         "step 3: 3 observations\n"
         "observation   0   1   2\n"
         "hypothesis    4 NEW   -\n"
@@ -88,7 +79,7 @@ def test_columns_stand_below_each_other_and_no_line_is_too_long(m, first):
     decisions[::3] = NEW
     created = np.where(decisions == NEW, first + m + np.arange(m), -1)
     wrong = TruthRow(np.where(decisions == NEW, first, 0), np.where(decisions == NEW, 3, 2))
-    text = step_block(10, wrong, decisions, created)
+    text = step_block(Step(10, wrong, decisions, created))
     assert max(map(len, text.split("\n"))) <= WIDTH
     shown: dict[str, list[str]] = {"observation": [], "hypothesis": [], "NEW": []}
     for part in text[text.index("\n") + 1 : text.index("ground truth and")].split("\n\n"):
@@ -143,7 +134,7 @@ def test_a_frame_is_judged_at_once_as_it_is_judged_in_the_end(task):
         created = run.created.copy()
         created[rows.start :] = -1
         removed = None if run.removed is None else np.where(run.removed >= k, -1, run.removed)
-        row = judge_frame(log, task, rows, so_far, created, removed)
+        row = FrameSoFar(log, task, rows, so_far, created, removed).judged()
         assert row.outcome.tolist() == whole.outcome[rows].tolist()
         assert row.ground_truth.tolist() == whole.ground_truth[rows].tolist()
 
@@ -156,7 +147,7 @@ def test_one_unknown_true_id_leaves_the_counts_of_every_step_out():
     run = step_by_step("ekf", log.recorded, "localization", "nn")
     assert "correct   " not in run_text(log, run)
     assert closing(log, run).startswith("whole run: true ids are not known")
-    assert judge_frame(log, "localization", slice(0, 3), run.decisions, run.created, None) is None
+    assert FrameSoFar(log, "localization", slice(0, 3), run.decisions, run.created, None).judged() is None
     blind = dataclasses.replace(log, truth=Truth())
     assert "NIS per degree" in statistics(blind, run)
     assert "RMSE" not in statistics(blind, run)
