@@ -1,35 +1,21 @@
-"""All questions about a log, in the order they are asked.
+"""What a careful person would ask the author of a log before working with it: units, frames, numbers of things.
 
-Questions about numbers of things: true poses beside frames, labels beside readings.
-
-What a question is.
-
-Questions about units: bearings and turn rates that look like degrees, stamps that are no seconds.
-
-Questions about what is seen: readings beyond the stated reach, a prior from which the map is not seen.
+A question is a notice: its code says what it is about, its values are the numbers that it is asked for.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 
 from data.inputs import Inputs
 from data.log import Log
 from data.motion.velocity import carried
+from data.notice import Code, Notice, notice
 from data.se2 import Array, BoolArray, compose, wrap_angle
 from data.sensors import RELATIVE_POINT, RangeBearing
 from data.timeline import MAX_GAP
-
-
-class Question(NamedTuple):
-    """A name, and one sentence with the numbers it is asked for and what to do."""
-
-    name: str
-    text: str
-
 
 SPARSE = 0.5
 """Share of frames with a true pose below which the scores are about a sample of the run. The least in the recordings
@@ -38,7 +24,7 @@ FEW = 50
 """Fewer labelled readings say nothing about how often a landmark is seen."""
 
 
-def truth_rate(log: Log) -> list[Question]:
+def truth_rate(log: Log) -> list[Notice]:
     """True poses in a small part of the frames."""
     pose = log.truth.pose
     if pose is None or len(pose) < 2:
@@ -46,16 +32,10 @@ def truth_rate(log: Log) -> list[Question]:
     known = log.truth.known_poses
     if known >= SPARSE * len(pose):
         return []
-    return [
-        Question(
-            "truth rate",
-            f"{known} of {len(pose)} frames have a true pose, so errors are about those alone: truth is interpolated "
-            f"across at most {MAX_GAP:g} s; give it as often as that, and check that its stamps run with the log's",
-        )
-    ]
+    return [notice(Code.TRUTH_RATE, known=known, frames=len(pose), gap=MAX_GAP)]
 
 
-def labels(log: Log) -> list[Question]:
+def labels(log: Log) -> list[Notice]:
     """Labels that number the readings instead of the landmarks."""
     label = log.granted
     if label is None:
@@ -64,13 +44,7 @@ def labels(log: Log) -> list[Question]:
     distinct = len(np.unique(named))
     if len(named) < FEW or 2 * distinct <= len(named):
         return []
-    return [
-        Question(
-            "labels",
-            f"{len(named)} labelled readings name {distinct} landmarks, so most are seen once: do the labels number "
-            "the readings? A label names the landmark; leave the column out if nobody knows it",
-        )
-    ]
+    return [notice(Code.LABELS, readings=len(named), landmarks=distinct)]
 
 
 TURN = 2.0 * np.pi
@@ -86,7 +60,7 @@ SLOW_FRAMES, FAST_FRAMES = 5.0, 1e-4
 """s. Frames are at most 1 s apart by the rules of the format; 10 Hz in ms gives 100 s, ms taken for ns 1e-7 s."""
 
 
-def bearings(log: Log) -> list[Question]:
+def bearings(log: Log) -> list[Notice]:
     """Bearings beyond one half turn."""
     sensor, z = log.recorded.sensor, log.recorded.observations.z
     if not isinstance(sensor, RangeBearing) or len(z) == 0:
@@ -94,48 +68,29 @@ def bearings(log: Log) -> list[Question]:
     beyond = np.abs(z[:, 1]) > np.pi * (1.0 + 1e-6)
     if not beyond.any():
         return []
-    low, high = z[:, 1].min(), z[:, 1].max()
-    text = f"{int(beyond.sum())} of {len(z)} bearings lie beyond pi rad ({low:.4g} to {high:.4g}): "
-    if max(abs(low), abs(high)) <= TURN * (1.0 + 1e-6):
-        text += (
-            "right if they are counted from 0 to 2 pi, otherwise state their unit in z2 of observations.csv as radians"
-        )
-    else:
-        text += "are they degrees? Write radians (`data.convert table --unit bearing=deg` does)"
-    return [Question("bearing unit", text)]
+    low, high = float(z[:, 1].min()), float(z[:, 1].max())
+    one_turn = max(abs(low), abs(high)) <= TURN * (1.0 + 1e-6)
+    count = int(beyond.sum())
+    return [notice(Code.BEARING_UNIT, beyond=count, readings=len(z), low=low, high=high, one_turn=one_turn)]
 
 
-def turn_rates(log: Log) -> list[Question]:
+def turn_rates(log: Log) -> list[Notice]:
     """Odometry or truth that turns faster than a robot does, or one of them many times faster than the other."""
     inputs, pose = log.recorded, log.truth.pose
     if len(inputs) < 2:
         return []
-    advice = "write radians (`data.convert table --unit angle=deg` reads degrees)"
     odometry = _per_second(inputs.time, inputs.increments.mean[1:, 2])
     truth = None if pose is None else _per_second(inputs.time, _changes(pose[:, 2]))
     found = []
-    for what, where, rate in (("odometry", "omega or dtheta", odometry), ("truth", "theta in truth.csv", truth)):
+    for of, rate in (("odometry", odometry), ("truth", truth)):
         if rate is not None and (np.abs(rate) > FASTEST).sum() > max(2.0, SHARE * np.count_nonzero(rate)):
-            fast = int((np.abs(rate) > FASTEST).sum())
-            found.append(
-                Question(
-                    f"{what} turn rate",
-                    f"the {what} turns by more than 2 pi rad in {fast} of {len(rate)} seconds, up to "
-                    f"{np.abs(rate).max():.4g} rad/s: is {where} in degrees? If so, {advice}",
-                )
-            )
+            fast, largest = int((np.abs(rate) > FASTEST).sum()), float(np.abs(rate).max())
+            found.append(notice(Code.TURN_RATE, of=of, fast=fast, seconds=len(rate), largest=largest))
     if found or truth is None:
         return found
     one, two = (float(np.sqrt(np.mean(rate**2))) for rate in (odometry, truth))
     if min(one, two) > 0.0 and max(one, two) > TURNING and max(one / two, two / one) > RATIO:
-        larger = "odometry" if one > two else "truth"
-        found.append(
-            Question(
-                f"{larger} turn rate",
-                f"the odometry turns by {one:.3g} rad/s (root mean square), the truth by {two:.3g}: is the {larger} in "
-                f"degrees? If so, {advice}",
-            )
-        )
+        found.append(notice(Code.TURN_RATES, odometry=one, truth=two))
     return found
 
 
@@ -155,32 +110,20 @@ def _per_second(time: Array, turn: Array) -> Array:
     return rate
 
 
-def stamps(log: Log) -> list[Question]:
+def stamps(log: Log) -> list[Notice]:
     """Frames so far apart, or so close together, that the stamps are not seconds."""
     inputs = log.recorded
     if inputs.time_is_index or len(inputs) < 3:
         return []
     gap = float(np.median(np.diff(inputs.time)))
     span = float(inputs.time[-1] - inputs.time[0])
-    text = f"frames are {gap:.4g} s apart (median), {span:.6g} s in all"
-    way = (
-        "`data.convert table --unit time=` converts, and `time_is_index = true` in log.toml is for logs without stamps"
-    )
     if gap > SLOW_FRAMES:
         unit = next(name for name, limit in (("ms", 1e4), ("us", 1e7), ("ns", np.inf)) if gap < limit)
-        return [Question("time unit", f"{text}: are the stamps in {unit}? Write seconds ({way})")]
+        return [notice(Code.TIME_UNIT, gap=gap, span=span, unit=unit, blind=None)]
     if gap < FAST_FRAMES:
-        return [Question("time unit", f"{text}: are the stamps larger units than s? Write seconds ({way})")]
+        return [notice(Code.TIME_UNIT, gap=gap, span=span, unit="", blind=None)]
     blind = _blind(log)
-    if blind > 0.5:
-        return [
-            Question(
-                "time unit",
-                f"in {100.0 * blind:.0f} % of {span:.6g} s there is no odometry within 1 s: are the stamps in ms? "
-                f"Write seconds ({way})",
-            )
-        ]
-    return []
+    return [notice(Code.TIME_UNIT, gap=gap, span=span, unit="ms", blind=blind)] if blind > 0.5 else []
 
 
 def _blind(log: Log) -> float:
@@ -207,7 +150,7 @@ SLACK, SLACK_HEADING = 1.0, 0.2
 """m, rad: how far prior and first true pose may differ besides five standard deviations of the prior."""
 
 
-def reach(log: Log) -> list[Question]:
+def reach(log: Log) -> list[Notice]:
     """Readings past the sensor's stated range or angles."""
     inputs = log.recorded
     sensor, o = inputs.sensor, inputs.observations
@@ -218,31 +161,20 @@ def reach(log: Log) -> list[Question]:
     found = []
     past = polar[:, 0] > sensor.max_range + MARGIN * sigma
     if past.mean() > BEYOND:
-        found.append(
-            Question(
-                "max_range",
-                f"{int(past.sum())} of {len(past)} readings are farther than the stated max_range of "
-                f"{sensor.max_range:.4g} m, up to {polar[:, 0].max():.4g} m: state the sensor's reach in log.toml, "
-                "because what lies beyond it counts as out of view",
-            )
-        )
+        stated, farthest = sensor.max_range, float(polar[:, 0].max())
+        beyond = int(past.sum())
+        found.append(notice(Code.MAX_RANGE, past=beyond, readings=len(past), stated=stated, farthest=farthest))
     middle, half = 0.5 * (sensor.min_angle + sensor.max_angle), 0.5 * (sensor.max_angle - sensor.min_angle)
     cartesian = sensor.kind == RELATIVE_POINT
     sigma = sigma / np.maximum(polar[:, 0], 1e-6) if cartesian else np.sqrt(o.R[:, 1, 1])
     aside = np.abs(wrap_angle(polar[:, 1] - middle)) > half + MARGIN * sigma
     if aside.mean() > BEYOND:
-        low, high = np.degrees([sensor.min_angle, sensor.max_angle])
-        found.append(
-            Question(
-                "field of view",
-                f"{int(aside.sum())} of {len(aside)} readings lie outside the stated {low:.4g} to {high:.4g} deg: "
-                "state min_angle and max_angle in log.toml as the sensor sees, counter-clockwise from its x axis",
-            )
-        )
+        low, high = sensor.min_angle, sensor.max_angle
+        found.append(notice(Code.FIELD_OF_VIEW, aside=int(aside.sum()), readings=len(aside), low=low, high=high))
     return found
 
 
-def prior(log: Log) -> list[Question]:
+def prior(log: Log) -> list[Notice]:
     """A prior from which the first readings hit no landmark of the map."""
     inputs = log.recorded
     if inputs.map is None or len(inputs.map.id) == 0:
@@ -250,20 +182,18 @@ def prior(log: Log) -> list[Question]:
     hit = explained(inputs)
     if len(hit) < FEWEST or hit.mean() >= EXPLAINED:
         return []
-    x, y, theta = inputs.prior.mean
-    (x0, y0), (x1, y1) = inputs.map.xy.min(axis=0), inputs.map.xy.max(axis=0)
-    there = f"x {x0:.4g} to {x1:.4g} m, y {y0:.4g} to {y1:.4g} m"
-    if not inputs.sensor.sees_points:
-        there = f"walls, rho {x0:.4g} to {x1:.4g} m"
-    text = (
-        f"from the prior ({x:.4g}, {y:.4g}) m, {np.degrees(theta):.4g} deg, {int(hit.sum())} of the first {len(hit)} "
-        f"readings fit a landmark of the map ({there})"
-    )
-    if log.truth.pose is not None and np.isfinite(log.truth.pose[0]).all():
-        tx, ty, heading = log.truth.pose[0]
-        text += f"; the truth starts at ({tx:.4g}, {ty:.4g}) m, {np.degrees(heading):.4g} deg"
+    first = None if log.truth.pose is None else log.truth.pose[0]
     return [
-        Question("prior", f"{text}: state [prior] mean in the map's frame, or the map in the prior's (--map-transform)")
+        notice(
+            Code.PRIOR,
+            mean=tuple(inputs.prior.mean.tolist()),
+            fitting=int(hit.sum()),
+            readings=len(hit),
+            x=(float(inputs.map.xy[:, 0].min()), float(inputs.map.xy[:, 0].max())),
+            y=(float(inputs.map.xy[:, 1].min()), float(inputs.map.xy[:, 1].max())),
+            walls=not inputs.sensor.sees_points,
+            truth=None if first is None or not np.isfinite(first).all() else tuple(first.tolist()),
+        )
     ]
 
 
@@ -291,7 +221,7 @@ def explained(inputs: Inputs) -> BoolArray:
     return np.array(hits[:FIRST], bool)
 
 
-def truth_start(log: Log) -> list[Question]:
+def truth_start(log: Log) -> list[Notice]:
     """A first true pose that the prior excludes: truth in a frame of its own, so that every error is the shift."""
     pose, inputs = log.truth.pose, log.recorded
     if pose is None or not np.isfinite(pose[0]).all():
@@ -301,17 +231,10 @@ def truth_start(log: Log) -> list[Question]:
     distance, turned = float(np.hypot(*away[:2])), abs(float(wrap_angle(away[2])))
     if distance <= SLACK + 5.0 * sigma[:2].max() and turned <= SLACK_HEADING + 5.0 * sigma[2]:
         return []
-    return [
-        Question(
-            "truth frame",
-            f"the truth starts {distance:.4g} m and {np.degrees(turned):.4g} deg from the prior, whose sigmas are "
-            f"{sigma[0]:.3g} m, {sigma[1]:.3g} m, {np.degrees(sigma[2]):.3g} deg: bring both into one frame (the "
-            "prior, or `data.convert table --truth-transform`), or read aligned errors only",
-        )
-    ]
+    return [notice(Code.TRUTH_FRAME, distance=distance, turned=turned, sigma=tuple(sigma.tolist()))]
 
 
-def labels_against_map(log: Log) -> list[Question]:
+def labels_against_map(log: Log) -> list[Notice]:
     """Labels and a map whose numbers have nothing to do with each other."""
     label, known = log.granted, log.recorded.map
     if label is None or known is None or not (label >= 0).any():
@@ -320,16 +243,11 @@ def labels_against_map(log: Log) -> list[Question]:
     strange = ~np.isin(named, known.id)
     if strange.mean() <= 0.5:
         return []
-    return [
-        Question(
-            "label names",
-            f"{int(strange.sum())} of {len(named)} labelled readings name a landmark that is not in the map (labels "
-            f"{named.min()} to {named.max()}, map {known.id.min()} to {known.id.max()}): use the same ids in both",
-        )
-    ]
+    labels, ids = (int(named.min()), int(named.max())), (int(known.id.min()), int(known.id.max()))
+    return [notice(Code.LABEL_NAMES, strange=int(strange.sum()), readings=len(named), labels=labels, ids=ids)]
 
 
-CHECKS: tuple[Callable[[Log], list[Question]], ...] = (
+CHECKS: tuple[Callable[[Log], list[Notice]], ...] = (
     stamps,
     bearings,
     turn_rates,
@@ -342,6 +260,6 @@ CHECKS: tuple[Callable[[Log], list[Question]], ...] = (
 )
 
 
-def ask(log: Log) -> tuple[Question, ...]:
+def ask(log: Log) -> tuple[Notice, ...]:
     """What a careful person would ask before working with this log; nothing where it looks as it should."""
-    return tuple(question for check in CHECKS for question in check(log))
+    return tuple(question.about(log=log.name) for check in CHECKS for question in check(log))

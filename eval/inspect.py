@@ -57,6 +57,7 @@ def _inspect(name: str, plot: Path | None) -> None:
     from data.logs import open_log
     from data.questions import ask
     from data.summary import summarize
+    from data.words import sentence, title
 
     answer = door(name)
     if answer is not None:  # asked what this is: that is said, and it is no fault
@@ -66,7 +67,7 @@ def _inspect(name: str, plot: Path | None) -> None:
         return
     log = open_log(name)
     lines = summarize(log)
-    lines += [("question", f"{question.name}: {question.text}") for question in ask(log)]
+    lines += [("question", f"{title(question)}: {sentence(question)}") for question in ask(log)]
     if log.has_labels:
         from eval.replay.settings import Setup
         from eval.report.answer import gate_sentence

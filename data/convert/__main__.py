@@ -89,13 +89,14 @@ def _convert(argv: Sequence[str] | None, prog: str) -> None:
         return
     from data.formats.open_log.writer import write_folder
     from data.questions import ask
+    from data.words import sentence, title
 
     write_folder(made, args.out)
     print(f"{made.name}: {', '.join(summary(made))}.")
     for note in made.notes:
         print(f"- {note}")
     for question in ask(made):
-        print(f"question ({question.name}): {question.text}")
+        print(f"question ({title(question)}): {sentence(question)}")
     print(f"written: {Path(args.out).absolute()}")
 
 
