@@ -17,6 +17,7 @@ from association.scans.constraints import SCAN, LaserRun
 from data import card
 from data.inputs import CLUTTER
 from data.log import Log
+from data.notice import Notice
 from data.result import DISCARD, Run
 from data.se2 import Array
 from data.words import sentence
@@ -173,9 +174,7 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Alo
         row["innovation_lag1"], row["innovation_lag1_se"] = consistency.lag1_correlation(
             run.innovations.white, o.frame, decisions
         )
-    labels = log.granted if run.association == "known" else None
-    # a laser run decides about no observation of its log; a result at other instants is asked about none
-    found = None if isinstance(run, LaserRun) or log is not own else lost(run, log.recorded, labels)
+    found = lost_of(run, own)
     if found is not None:
         row["lost_frame"], row["lost_why"] = found.frame, sentence(found)
     total = nis_of(run, phase)
@@ -184,6 +183,14 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Alo
         row["nis_expected"] = gated(run, phase)[0]
         row["nis_lower"], row["nis_upper"] = nis_bounds(total[1], gated(run, phase))
     return row
+
+
+def lost_of(run: Run, log: Log) -> Notice | None:
+    """Why and from where on a run is lost; None where it is not, or cannot be asked."""
+    # a laser run decides about no observation of its log; a result at other instants is asked about none
+    if isinstance(run, LaserRun) or log_of(run, log) is not log:
+        return None
+    return lost(run, log.recorded, log.granted if run.association == "known" else None)
 
 
 def _by_majority(run: Run, phase: str, log: Log) -> Array:
