@@ -21,7 +21,7 @@ from data.errors import UsageError
 from data.notice import Severity
 from data.terminal import INTERRUPTED, WRONG, counted, ended, told, unread
 from data.whole import whole_folder
-from data.words import sentence
+from data.words import sentence, title
 from eval.plan.flags.examples import PROG
 from eval.plan.flags.options import read_options
 from eval.plan.flags.table import Options
@@ -144,9 +144,10 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
     from eval.plan.execute import execute
     from eval.plan.experiments import make_plan
     from eval.plan.warming import compile_if_needed
+    from eval.referee.diagnostics import questions_of_run
     from eval.referee.given_runs import GivenRun
     from eval.report.contents import write_results
-    from eval.report.diagnostics import said_after
+    from eval.report.diagnostics import together, whose
     from eval.report.page.latex import check_columns
     from eval.studies import reproduced, store
     from eval.studies.montecarlo import declared_line, failed_declarations, judge, study_lines, traces
@@ -166,7 +167,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
             console.detail(f"{e.log.name}: {note}")
     for log in {e.log.name: e.log for e in plan.experiments if e.beside is None}.values():
         for question in ask(log):
-            console.say(f"question ({log.name}, {question.name}): {question.text}")
+            console.say(f"question ({whose(question)}, {title(question)}): {sentence(question)}")
     with _bar("estimating", console.quiet, check) as progress:
         outcome = execute(plan, options, progress)
     judged = [j for study in outcome.studies for j in judge(study)]
@@ -182,8 +183,10 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
             for found in run.notes:
                 if found.severity is not Severity.INFO or isinstance(run, GivenRun):
                     console.say(f"{trial.log.name}, {run.task}: {run.estimator}: {sentence(found)}")
-    for who, question in said_after(outcome.trials):
-        console.say(f"question ({who}, {question.name}): {question.text}")
+    for trial in outcome.trials:
+        doubts = (n for run in trial.runs for n in questions_of_run(run, trial.log.recorded))
+        for question in together(n.about(log=trial.log.name, task=trial.task) for n in doubts):
+            console.say(f"question ({whose(question)}, {title(question)}): {sentence(question)}")
     for study in outcome.studies:
         for text in study_lines(study):
             console.say(text)

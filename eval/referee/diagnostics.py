@@ -41,6 +41,10 @@ ON_TOP = 5.0
 outside which a new landmark is made is 4.8 of them wide."""
 
 
+def _of(run: Run, code: Code, **values: Value) -> Notice:
+    return notice(code, Severity.WARNING, None, **values).about(estimator=run.estimator, association=run.association)
+
+
 def questions_of_run(run: Run, inputs: Inputs) -> list[Notice]:
     """What to ask about one run; nothing about dead reckoning or one that failed. No truth is used."""
     if run.association == "none" or run.failure is not None:
@@ -55,7 +59,7 @@ def unused(run: Run) -> Notice | None:
     used, seen = int((run.final_decisions >= 0).sum()), len(run.final_decisions)
     if seen < FEWEST or used >= UNUSED * seen:
         return None
-    return notice(Code.UNUSED, used=used, readings=seen, task=run.task)
+    return _of(run, Code.UNUSED, used=used, readings=seen, task=run.task)
 
 
 def _crowded(run: Run, inputs: Inputs) -> Notice | None:
@@ -74,10 +78,10 @@ def _crowded(run: Run, inputs: Inputs) -> Notice | None:
     doubles = len(set(apart))
     if doubles <= CROWDED * len(places):
         return None
-    return notice(Code.LANDMARKS, landmarks=len(places), doubles=doubles, reach=reach)
+    return _of(run, Code.LANDMARKS, landmarks=len(places), doubles=doubles, reach=reach)
 
 
-def ambiguity(run: Run, inputs: Inputs) -> list[Notice]:
+def ambiguity_of(run: Run, inputs: Inputs) -> list[Notice]:
     """How many landmarks of its map cannot be told from a neighbour, and how many may be two."""
     if run.map is None:
         return []
@@ -85,9 +89,9 @@ def ambiguity(run: Run, inputs: Inputs) -> list[Notice]:
     own = of == run.map.number
     apart, double, found = int(((of >= 0) & ~own).sum()), int(own.sum()), []
     if apart:
-        found.append(notice(Code.AMBIGUOUS, ambiguous=apart, landmarks=len(of)))
+        found.append(_of(run, Code.AMBIGUOUS, ambiguous=apart, landmarks=len(of)))
     if double:
-        found.append(notice(Code.DOUBLE, double=double, landmarks=len(of)))
+        found.append(_of(run, Code.DOUBLE, double=double, landmarks=len(of)))
     return found
 
 
@@ -149,7 +153,8 @@ def naming(run: Run, scores: Scores, log: str) -> Notice | None:
     off = abs(stated - by_majority) > OTHER * stated
     if not wrong and not off:
         return None
-    return notice(
+    return _of(
+        run,
         Code.NAMING,
         false_share=fp / (tp + fp) if wrong else None,
         agree=agree if wrong else None,
@@ -160,7 +165,7 @@ def naming(run: Run, scores: Scores, log: str) -> Notice | None:
 
 def _numbers(table: pd.DataFrame, key: tuple[str, ...], columns: Sequence[str]) -> list[float]:
     """Columns of a run's row, NaN where there is none."""
-    rows = table[(table[list(RUN)] == key).all(axis=1)]
+    rows = table[(table[list(RUN)] == list(key)).all(axis=1)]
     return [float("nan") if rows.empty or pd.isna(v := rows.iloc[0][c]) else float(v) for c in columns]
 
 
@@ -288,22 +293,22 @@ def notices(trials: Sequence[Trial], scores: Scores | None = None) -> list[Notic
         found += [notice(Code.NOTE, Severity.INFO, text=text).about(log=log.name) for text in log.notes]
         found += ask(log)
     for trial in trials:
-        own = [n.about(estimator=r.estimator, association=r.association) for r in trial.runs for n in _of_run(r, trial)]
-        for run in trial.runs:
-            named_so = naming(run, scores, trial.log.name)
-            if named_so is not None:
-                own.append(named_so.about(estimator=run.estimator, association=run.association))
+        own = [
+            n.about(estimator=r.estimator, association=r.association)
+            for r in trial.runs
+            for n in _all(r, trial, scores)
+        ]
         found += [n.about(log=trial.log.name, task=trial.task) for n in (*own, *minima(trial))]
     return found
 
 
-def _of_run(run: Run, trial: Trial) -> Iterator[Notice]:
-    """All about one run, but its landmarks' names."""
+def _all(run: Run, trial: Trial, scores: Scores) -> Iterator[Notice]:
+    """All about one run."""
     if run.flaw is not None:
         yield run.flaw.notice.about(frame=run.flaw.frame)
-    for found in (origin(run, trial), lost_of(run, trial.log)):
+    for found in (origin(run, trial), lost_of(run, trial.log), naming(run, scores, trial.log.name)):
         if found is not None:
             yield found
     yield from run.notes
     yield from questions_of_run(run, trial.log.recorded)
-    yield from ambiguity(run, trial.log.recorded)
+    yield from ambiguity_of(run, trial.log.recorded)

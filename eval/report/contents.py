@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from data.terminal import counted
+from data.words import sentence
 from eval.plan.execute import Outcome
 from eval.plan.flags.options import Options
 from eval.plan.provenance import command_of, provenance
@@ -19,11 +20,12 @@ from eval.plan.work import Job, work
 from eval.player.document import played, write_player
 from eval.referee import result_files
 from eval.referee.consistency import MIN_RUNS
+from eval.referee.diagnostics import notices, origin, unused
 from eval.referee.given_runs import GivenRun, is_truth_alone
 from eval.referee.score import Scores, Trial, score
 from eval.report.answer import answer, failure_statement, gate_sentence
 from eval.report.deciding import revision_section
-from eval.report.diagnostics import origin_statement, questions_section, unused_statement
+from eval.report.diagnostics import of_runs, questions_section
 from eval.report.headline import headlines
 from eval.report.labs.sections import hand_in, lab_sections
 from eval.report.labs.write_up import write_up
@@ -80,6 +82,7 @@ def write_results(
     """Fill the result folder."""
     lost = Unfinished(options.execution.jobs, said=list(outcome.missing))
     scores = score(outcome.trials)
+    found = notices(outcome.trials, scores)
     consistency = consistency_table(judged)
     for file, table in (
         (result_files.METRICS, scores.metrics),
@@ -100,7 +103,7 @@ def write_results(
     told = {(f.trial.log.name, f.trial.task): _told(f, outcome, scores) for f in facts}
     answers = hand_in(folder, options, outcome.trials, scores, lost)
     first = [*answers, *attribution_sections(facts)]
-    sections = questions_section(outcome.trials)
+    sections = questions_section(found)
     sections += trial_sections(
         folder, options, outcome.trials, scores, published, outcome.trust, told, outcome.calibrations
     )
@@ -207,7 +210,9 @@ def _failure_section(trials: Sequence[Trial], missing: Sequence[str]) -> Section
     for t, r in [(trial, run) for trial in trials for run in trial.runs]:
         if r.flaw is not None:
             said = failure_statement(t.log.name, t.task, r.estimator, r.association, r.status, r.flaw.frame, r.flaw.why)
-            notes.append("; ".join(part for part in (said, origin_statement(r, t)) if part))
+            where = origin(r, t)
+            began = "" if where is None else sentence(where)
+            notes.append("; ".join(part for part in (said, began) if part))
     blocks = ["\n".join(f"* {line}" for line in notes)] if notes else ["Every estimator got to the end of every log."]
     if any(r.doubt is not None for t in trials for r in t.runs):
         blocks.append(IMPLAUSIBLE_RUNS)
@@ -226,7 +231,8 @@ def _told(f: Facts, outcome: Outcome, scores: Scores) -> tuple[Block, ...]:
     theirs = results_statement(trial, report_rows(metrics))
     said = "" if theirs and is_truth_alone(trial.log) else said
     text = " ".join(s for s in (against_relations(trial), said, theirs) if s)
-    front = " ".join(s for s in (in_short(f), unused_statement(trial) or gauge_statement(f)) if s)
+    nothing = " ".join(of_runs(map(unused, trial.runs)))
+    front = " ".join(s for s in (in_short(f), nothing or gauge_statement(f)) if s)
     return (front, Folded("Filter and smoother in full", (text,))) if text else (front,)
 
 

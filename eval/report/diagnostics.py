@@ -35,9 +35,10 @@ def whose(notice: Notice) -> str:
     return f"{place}: {notice.estimator}" if notice.estimator else place
 
 
-def of_runs(found: Iterable[Notice]) -> list[str]:
-    """A sentence for each, the runs of one log in front."""
-    return [f"{f'{n.estimator} ({n.association}): ' if n.estimator else ''}{sentence(n)}" for n in together(found)]
+def of_runs(found: Iterable[Notice | None]) -> list[str]:
+    """A sentence for each, with the runs of one log in front that it is about."""
+    each = [(n, f"{n.estimator} ({n.association}): " if n.estimator else "") for n in together(filter(None, found))]
+    return [f"{who}{sentence(n)}." for n, who in each]
 
 
 def questions_section(found: Sequence[Notice]) -> list[Section]:

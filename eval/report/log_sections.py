@@ -10,18 +10,18 @@ import pandas as pd
 from data.words import sentence
 from eval.plan.calibrate import Calibration
 from eval.plan.flags.options import Options
+from eval.referee.diagnostics import ambiguity_of, minima, naming
 from eval.referee.score import Scores, Trial
 from eval.report import comparison
 from eval.report.comparison import CAPTION as DIFFERENCES_CAPTION
 from eval.report.comparison import FINE as DIFFERENCES_FINE
 from eval.report.comparison import differences_table, missing_intervals
-from eval.report.diagnostics import ambiguity_statements, minima_statements, naming_statements
+from eval.report.diagnostics import of_runs
 from eval.report.laser import GRID_PICTURE, LOOP_PICTURE
 from eval.report.names import SYSTEMATIC, stem
 from eval.report.page.document import Block, Folded, Picture, Section, written_table
 from eval.report.pictures import FILTER_SMOOTHER, films_of
 from eval.report.results import aligned_statement
-from eval.report.rows import rows_of as rows_by
 from eval.report.systematic import systematic_section
 from eval.report.trust import trust_section
 from eval.report.tutorials import beside_note
@@ -82,7 +82,8 @@ def trial_sections(
         if options.animate:
             blocks += [film for t in (trial, *others) for film in films_of(folder, t)]
         notes = [*trial.log.notes, *(f"{r.estimator}: {sentence(n)}." for r in trial.runs for n in r.notes)]
-        notes += [f"{text}." for text in (*minima_statements(trial), *ambiguity_statements(trial))]
+        doubted = (*minima(trial), *(n for run in trial.runs for n in ambiguity_of(run, trial.log.recorded)))
+        notes += of_runs(doubted)
         if notes:
             blocks.append(Folded(NOTES, ("\n".join(f"* {n}" for n in dict.fromkeys(notes)),)))
         sections.append(Section(f"{trial.log.name}, {trial.task}", tuple(blocks)))
@@ -127,7 +128,7 @@ def association_sections(
         fine = comparison.ASSOCIATION_FINE
         written = written_table(table, folder, name, caption, options, fine=fine)
         shown = (p for p in pictures if p.stem == name)
-        named = naming_statements(trial, *(rows_by(rows_of(t, trial)) for t in (scores.metrics, scores.association)))
+        named = of_runs(naming(run, scores, trial.log.name) for run in trial.runs)
         notes = ["\n".join(f"* {n}" for n in named)] if named else []
         sections.append(Section(f"Decisions: {what}", (written, *notes, *shown), level=3))
     if granted and any(len(rows) for rows in granted):

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, LEAST_FACTOR, NOTHING, Finding, component_of
 from eval.referee.consistency import CONSISTENT, OVERCONFIDENT
+from eval.referee.diagnostics import unused
 from eval.referee.score import Scores, Trial
 from eval.replay.settings import INCREMENTAL
 from eval.report.answer import LINEARIZATION, chosen_association, nis_verdict, pick
 from eval.report.deciding import SAME, extremes
-from eval.report.diagnostics import is_unused
 from eval.report.page.document import Mark
 from eval.report.page.tables import is_blank, number
 from eval.report.rows import Row, filters_in, rows_of, smoothers_in, value_of
@@ -96,7 +96,7 @@ def facts_of(trial: Trial, scores: Scores, trust: Sequence[Trust]) -> Facts:
     said = of_trial(trial, trust)[:1]
     return Facts(
         trial, tuple(rows), chosen, filtered, smoothed, newest, errors, related, extremes(rows, outcomes),
-        said[0] if said else None, frozenset((r.estimator, r.association) for r in trial.runs if is_unused(r)),
+        said[0] if said else None, frozenset((r.estimator, r.association) for r in trial.runs if unused(r) is not None),
     )  # fmt: skip
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +12,7 @@ import pytest
 from data.inputs import Increments, LandmarkMap, Observations, Prior
 from data.log import Log, shortened
 from data.logs import find_logs, open_log
+from data.notice import Code, Value
 from data.questions import CHECKS, ask, turn_rates
 from data.worlds.arena import Arena, simulate
 
@@ -33,8 +34,8 @@ def arena() -> Log:
     return simulate(Arena(frames=60), 0)
 
 
-def asked(log: Log) -> dict[str, str]:
-    return {question.name: question.text for question in ask(log)}
+def asked(log: Log) -> dict[Code, Mapping[str, Value]]:
+    return {question.code: question.named for question in ask(log)}
 
 
 def seen(log: Log, **changes: object) -> Log:
@@ -74,23 +75,21 @@ def test_no_recording_is_asked_anything():
 
 def test_bearings_in_degrees(arena):
     z = arena.recorded.observations.z * [1.0, np.degrees(1.0)]
-    text = asked(seen(arena, z=z))["bearing unit"]
-    assert "degrees" in text
-    assert f"{np.abs(z[:, 1]).max():.4g}"[:3] in text.replace("-", "")
+    found = asked(seen(arena, z=z))[Code.BEARING_UNIT]
+    assert not found["one_turn"]
+    assert (found["low"], found["high"]) == (z[:, 1].min(), z[:, 1].max())
 
 
 def test_bearings_counted_from_zero_to_two_pi_are_told_from_degrees(arena):
     z = arena.recorded.observations.z.copy()
     z[:, 1] %= 2.0 * np.pi
-    text = asked(seen(arena, z=z))["bearing unit"]
-    assert "from 0 to 2 pi" in text
-    assert "degrees" not in text
+    assert asked(seen(arena, z=z))[Code.BEARING_UNIT]["one_turn"]
 
 
 def test_odometry_in_degrees_per_second(arena):
     mean = arena.recorded.increments.mean * [1.0, 1.0, np.degrees(1.0)]
     wrong = recorded(arena, increments=Increments(mean, arena.recorded.increments.covariance))
-    assert "degrees" in asked(wrong)["odometry turn rate"]
+    assert asked(wrong)[Code.TURN_RATE]["of"] == "odometry"
 
 
 def test_a_slow_robot_with_odometry_in_degrees_is_told_by_its_truth(arena):
@@ -99,23 +98,24 @@ def test_a_slow_robot_with_odometry_in_degrees_is_told_by_its_truth(arena):
         recorded(arena, increments=Increments(mean, arena.recorded.increments.covariance)),
         truth=replace(arena.truth, pose=pose),
     )
-    assert "the truth by" in asked(slow)["odometry turn rate"]
+    found = asked(slow)[Code.TURN_RATES]
+    assert found["odometry"] > 5.0 * found["truth"]
 
 
 def test_truth_in_degrees(arena):
     wrong = replace(arena, truth=replace(arena.truth, pose=np.degrees(arena.truth.pose) * [0.0, 0.0, 1.0]))
-    assert "truth.csv" in asked(wrong)["truth turn rate"]
+    assert asked(wrong)[Code.TURN_RATE]["of"] == "truth"
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
 def test_stamps_in_smaller_units(arena, unit, factor):
     wrong = recorded(arena, time=factor * arena.recorded.time)
-    assert f"are the stamps in {unit}?" in asked(wrong)["time unit"]
-    assert "time unit" not in asked(recorded(wrong, time_is_index=True))
+    assert asked(wrong)[Code.TIME_UNIT]["unit"] == unit
+    assert Code.TIME_UNIT not in asked(recorded(wrong, time_is_index=True))
 
 
 def test_stamps_in_larger_units(arena):
-    assert "larger units" in asked(recorded(arena, time=1e-9 * arena.recorded.time))["time unit"]
+    assert asked(recorded(arena, time=1e-9 * arena.recorded.time))[Code.TIME_UNIT]["unit"] == ""
 
 
 def test_odometry_in_milliseconds_that_was_cut_at_loading_into_gaps(small_log_files, save, tmp_path):
@@ -124,16 +124,18 @@ def test_odometry_in_milliseconds_that_was_cut_at_loading_into_gaps(small_log_fi
     seen_at = "".join(f"{100 * k + 30},2.5,0.25,3\n" for k in range(19))
     files |= {"odometry.csv": f"t,v,omega\n{rows}", "observations.csv": f"t,z1,z2,true_id\n{seen_at}"}
     del files["truth.csv"]
-    assert "are the stamps in ms?" in asked(open_log(str(save(tmp_path / "ms", files))))["time unit"]
+    found = asked(open_log(str(save(tmp_path / "ms", files))))[Code.TIME_UNIT]
+    assert found["unit"] == "ms"
+    assert found["blind"] > 0.5
 
 
 def test_a_prior_from_which_nothing_of_the_map_is_seen(arena):
     prior = Prior(arena.recorded.prior.mean + [300.0, 0.0, 0.0], arena.recorded.prior.covariance)
-    text = asked(recorded(arena, prior=prior))["prior"]
-    assert "0 of the first 50 readings" in text
-    assert "the truth starts at" in text
+    found = asked(recorded(arena, prior=prior))[Code.PRIOR]
+    assert (found["fitting"], found["readings"]) == (0, 50)
+    assert found["truth"] == tuple(arena.truth.pose[0])
     # without a map there is nothing to see, but the truth is still elsewhere
-    assert set(asked(recorded(arena, prior=prior, map=None))) == {"truth frame"}
+    assert set(asked(recorded(arena, prior=prior, map=None))) == {Code.TRUTH_FRAME}
 
 
 def test_a_wide_prior_is_asked_nothing(arena):
@@ -143,32 +145,36 @@ def test_a_wide_prior_is_asked_nothing(arena):
 
 def test_a_max_range_below_what_is_seen(arena):
     sensor = replace(arena.recorded.sensor, max_range=4.0)
-    text = asked(recorded(arena, sensor=sensor))["max_range"]
-    farther = int((arena.recorded.observations.z[:, 0] > 4.4).sum())
-    assert f"{farther} of {len(arena.recorded.observations.z)}" in text
-    assert "4 m" in text
+    found = asked(recorded(arena, sensor=sensor))[Code.MAX_RANGE]
+    z = arena.recorded.observations.z
+    assert (found["past"], found["readings"], found["stated"]) == ((z[:, 0] > 4.4).sum(), len(z), 4.0)
 
 
 def test_a_field_of_view_narrower_than_what_is_seen(arena):
     sensor = replace(arena.recorded.sensor, min_angle=-1.0, max_angle=1.0)
-    assert "-57.3 to 57.3 deg" in asked(recorded(arena, sensor=sensor))["field of view"]
+    found = asked(recorded(arena, sensor=sensor))[Code.FIELD_OF_VIEW]
+    assert (found["low"], found["high"]) == (-1.0, 1.0)
+    assert found["aside"] > 0
 
 
 def test_truth_in_every_fifth_frame(arena):
     pose = np.full_like(arena.truth.pose, np.nan)
     pose[::5] = arena.truth.pose[::5]
     sparse = replace(arena, truth=replace(arena.truth, pose=pose))
-    assert asked(sparse)["truth rate"].startswith("12 of 60 frames")
+    found = asked(sparse)[Code.TRUTH_RATE]
+    assert (found["known"], found["frames"]) == (12, 60)
 
 
 def test_labels_that_number_the_readings(arena):
     many = replace(arena, truth=replace(arena.truth, landmark_of=np.arange(len(arena.recorded.observations.z))))
-    assert "number the readings" in asked(recorded(many, map=None))["labels"]
+    found = asked(recorded(many, map=None))[Code.LABELS]
+    assert found["readings"] == found["landmarks"] == len(arena.recorded.observations.z)
 
 
 def test_labels_that_the_map_does_not_have(arena):
     renamed = LandmarkMap(arena.recorded.map.id + 100, arena.recorded.map.xy)
-    assert "labels 0 to 23, map 100 to 124" in asked(recorded(arena, map=renamed))["label names"]
+    found = asked(recorded(arena, map=renamed))[Code.LABEL_NAMES]
+    assert (found["labels"], found["ids"]) == ((0, 23), (100, 124))
 
 
 def test_a_log_without_observations_can_be_asked(arena):

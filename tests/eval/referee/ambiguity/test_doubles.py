@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from data.notice import Code
 from data.worlds import registry
 from data.worlds.registry import name_of
 from eval.figures.map import map_figure
 from eval.referee.ambiguity import FALSE, Registered, ambiguous, doubles, log_evidence, registered
-from eval.referee.score import Trial
+from eval.referee.diagnostics import ambiguity_of
 from eval.replay.run import compare
-from eval.report.diagnostics import ambiguity_statements
 from tests.research.variety.worlds import Crowding, Drawn, Misstated, Readings, log_of
 
 SIGMA = 0.1
@@ -106,8 +106,8 @@ def test_neighbours_taken_for_one_are_marked_in_the_file_and_said(log):
     assert all(near)
     assert own.any()
     assert (own <= two).all()
-    texts = ambiguity_statements(Trial(log, "slam", (run,)))
-    assert any(f"{own.sum()} of {len(own)} landmarks may be two each" in text for text in texts)
+    found = {n.code: n.named for n in ambiguity_of(run, log.recorded)}
+    assert found[Code.DOUBLE] == {"double": own.sum(), "landmarks": len(own)}
     legend = [text.get_text() for each in map_figure(log, (run,)).legends for text in each.get_texts()]
     assert "ambiguous landmarks" in legend
 

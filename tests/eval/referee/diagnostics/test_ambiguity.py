@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import pytest
 
+from data.notice import Code
 from data.worlds.corridor import Corridor, simulate
 from eval.figures.map import map_figure
+from eval.referee.diagnostics import ambiguity_of
 from eval.referee.score import Trial
 from eval.replay.run import compare
-from eval.report.diagnostics import ambiguity_statements
 from eval.report.run_files import write_run
 
 LOG = simulate(Corridor(people=True), 0)
@@ -24,8 +25,8 @@ def legend(fig):
 
 
 def test_what_is_ambiguous_is_said_written_and_marked(trial, tmp_path):
-    (text,) = ambiguity_statements(trial)
-    assert text.startswith("ekf with jcbb: 2 of 109 landmarks cannot be told from a neighbour")
+    (found,) = ambiguity_of(trial.runs[0], LOG.recorded)
+    assert (found.code, found.named) == (Code.AMBIGUOUS, {"ambiguous": 2, "landmarks": 109})
     assert "ambiguous landmarks" in legend(map_figure(LOG, trial.runs))
     write_run(tmp_path, trial, trial.runs[0])
     (path,) = tmp_path.rglob("landmarks.csv")
@@ -38,5 +39,5 @@ def test_what_is_ambiguous_is_said_written_and_marked(trial, tmp_path):
 
 def test_where_all_can_be_told_apart_nothing_is_said():
     runs = tuple(compare(LOG.inputs(labels=True), "slam", ["ekf"]))
-    assert ambiguity_statements(Trial(LOG, "slam", runs)) == []
+    assert ambiguity_of(runs[0], LOG.recorded) == []
     assert "ambiguous landmarks" not in legend(map_figure(LOG, runs))

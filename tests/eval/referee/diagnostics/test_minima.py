@@ -9,7 +9,8 @@ import pytest
 
 from data.notice import stopped
 from data.result import Failure
-from eval.report.diagnostics import two_minima
+from data.words import sentence
+from eval.referee.diagnostics import two_minima
 from tests.eval.handmade import run_with_error
 
 
@@ -19,15 +20,21 @@ def ended(estimator, cost, error=0.0, dof=100):
 
 
 def test_both_costs_the_better_one_and_the_distance_are_told():
-    text = two_minima(ended("batch", 1627.79, 0.64), ended("isam2", 1627.34))
-    assert "isam2 at a cost of 1627.340, batch at 1627.790 (100 degrees of freedom)" in text
-    assert "isam2's is the better one" in text
-    assert "the paths are 0.640 m RMS apart, at most 0.640 m" in text
+    found = two_minima(ended("batch", 1627.79, 0.64), ended("isam2", 1627.34))
+    assert found.named == {
+        "better": "isam2",
+        "worse": "batch",
+        "costs": (1627.34, 1627.79),
+        "dof": 100,
+        "apart": pytest.approx(0.64),
+        "apart_most": pytest.approx(0.64),
+    }
+    assert "isam2 at a cost of 1627.340, batch at 1627.790 (100 degrees of freedom)" in sentence(found)
 
 
 @pytest.mark.parametrize(("apart", "told"), [(0.0, False), (0.0105, False), (0.0125, True), (-0.0125, True)])
 def test_what_converged_optimizers_may_differ_by_is_one_minimum(apart, told):
-    assert bool(two_minima(ended("batch", 1000.0), ended("isam2", 1000.0 + apart))) == told
+    assert (two_minima(ended("batch", 1000.0), ended("isam2", 1000.0 + apart)) is not None) == told
 
 
 def test_other_decisions_are_another_problem_and_failures_solve_none():

@@ -10,11 +10,13 @@ import pytest
 
 from data.inputs import Inputs, Prior
 from data.log import Log
+from data.notice import Code
 from data.worlds.arena import Arena, simulate
 from eval.inspect import main as inspect
+from eval.referee.diagnostics import notices, questions_of_run, unused
 from eval.referee.score import Trial
 from eval.replay.run import compare
-from eval.report.diagnostics import questions_of_run, questions_section, said_after, unused_statement
+from eval.report.diagnostics import asked, questions_section
 from eval.run_all import main
 
 
@@ -45,9 +47,9 @@ def test_a_map_with_several_landmarks_for_one_cone_is_asked_about():
     (question,) = questions_of_run(run, inputs)
     cones = len(np.unique(arena().truth.landmark_of))
     assert len(run.map) > 2 * cones
-    assert question.name == "landmarks"
-    assert question.text.startswith(f"{len(run.map)} landmarks")
-    (section,) = questions_section([Trial(arena(), "slam", (run,))])
+    assert question.code is Code.LANDMARKS
+    assert question.named["landmarks"] == len(run.map)
+    (section,) = questions_section([question])
     assert section.blocks[1].endswith("do better?")
 
 
@@ -63,11 +65,12 @@ def test_a_run_that_used_nothing_says_so_in_the_headline():
     runs = compare(log.recorded, "localization", ("dead-reckoning", "ekf", "batch"), "jcbb")
     trial = Trial(log, "localization", tuple(runs))
     seen = len(log.recorded.observations.z)
-    assert f"ekf (jcbb): 0 of {seen} observations used" in unused_statement(trial)
-    assert "dead-reckoning" not in unused_statement(trial).split(":")[0]
-    (said,) = said_after([trial])
-    assert said[0].endswith("ekf, batch")
-    (section,) = questions_section([trial])
+    assert unused(runs[0]) is None
+    assert all(unused(run).named == {"used": 0, "readings": seen, "task": "localization"} for run in runs[1:])
+    found = asked(notices([trial]))
+    assert [(n.code, n.estimator) for n in found if n.task] == [(Code.UNUSED, "ekf, batch")]
+    assert Code.PRIOR in [n.code for n in found]
+    (section,) = questions_section(found)
     assert "**prior**" in section.blocks[1]
     assert "**unused**" in section.blocks[1]
 
