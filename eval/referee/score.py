@@ -1,7 +1,4 @@
-"""The referee: a run and the truth in, the rows of metrics.csv, association.csv and timing.csv out.
-
-HTML of a trial and of its scores: the main numbers, and the paths of all runs over the true one.
-"""
+"""The referee: a run and the truth in, the rows of metrics.csv, association.csv and timing.csv out."""
 
 from __future__ import annotations
 
@@ -15,10 +12,10 @@ import pandas as pd
 
 from association.scans.constraints import SCAN, LaserRun
 from data import card
-from data.inputs import CLUTTER
+from data.inputs import CLUTTER, IntArray
 from data.log import Log
 from data.notice import Notice
-from data.result import DISCARD, Run
+from data.result import DISCARD, MapEstimate, Run, Trajectory
 from data.se2 import Array
 from data.words import sentence
 from eval.referee import consistency, errors, result_files
@@ -61,11 +58,8 @@ def scores_html(tables: Mapping[str, pd.DataFrame]) -> str:
     return f"{shown}<small>{', '.join(f'{name}: {len(table)} rows' for name, table in tables.items())}</small>"
 
 
-METRICS, ASSOCIATION, CONSISTENCY = (
-    result_files.METRICS.names,
-    result_files.DECISION_COUNTS.names,
-    result_files.CONSISTENCY.names,
-)
+METRICS, ASSOCIATION = result_files.METRICS.names, result_files.DECISION_COUNTS.names
+CONSISTENCY = result_files.CONSISTENCY.names
 COUNTED = tuple(c for c in ASSOCIATION if c not in (*RUN, "share_within", "within_m", "majority_agreement"))
 """Columns that `Confusion` has."""
 
@@ -94,9 +88,7 @@ def confusion_of(run: Run, log: Log, phase: str) -> Confusion | None:
     if run.association == "none" or log.truth.landmark_of is None:
         return None
     known = log.recorded.map if run.task == "localization" else None
-    decisions = run.decisions if phase == "online" else run.final_decisions
-    # in the end a landmark that was retracted has never been
-    created = run.created if phase == "online" else run.initialized
+    decisions, created = decided(run, phase)
     final = run.final_decisions if phase == "online" else None
     frame = log.recorded.observations.frame
     return confuse(frame, log.truth.landmark_of, decisions, created, known, run.removed, final)
@@ -116,72 +108,31 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Alo
     `reference` is the batch smoother with labels on the same log, or None; `path` what `along` gives, if at hand.
     """
     own, log = log, log_of(run, log)
-    frames = len(log.recorded)
-    decisions = run.decisions if phase == "online" else run.final_decisions
     row: dict[str, object] = {
-        "log": log.name, "task": run.task, "estimator": run.estimator, "association": run.association, "phase": phase,
-        "status": run.status, "frames": frames, "observations": len(log.recorded.observations.frame),
-    }  # fmt: skip
+        **_name_of(run, phase, log),
+        "status": run.status,
+        "frames": len(log.recorded),
+        "observations": len(log.recorded.observations.frame),
+    }
     if run.failure is not None:
         return row
-    trajectory = run.trajectory(phase)
-    pose, covariance = trajectory.pose, trajectory.covariance
-    if isinstance(run, LaserRun) and run.loops is not None:  # what is decided are loop closures
-        believed = kept(run.loops, run.weight, phase)
-        row["observations"] = len(believed)
-        row["accepted"], row["rejected"] = int(believed.sum()), int((~believed).sum())
-    elif run.association != "none" and not isinstance(run, LaserRun):
-        row["accepted"] = int((decisions >= 0).sum())
-        row["rejected"] = int((decisions == DISCARD).sum())
-    if run.task == "slam" and run.association not in ("none", SCAN):
-        row["landmarks"] = len(run.map) if run.map is not None else 0
-    truth = log.truth.pose
+    row |= _used(run, phase)
     path = path or along(run, phase, log)
-    if truth is not None and path is not None:
-        distance = path.distance
-        row["rmse_position_m"] = errors.rms(distance)
-        row["rmse_heading_deg"] = errors.heading_rmse_deg(pose, truth)
-        row["max_position_m"] = float(np.nanmax(distance))
-        row["rmse_aligned_m"] = errors.aligned_rmse(pose, truth)
-        row["rmse_time_m"] = errors.time_weighted_rmse(pose, truth, log.recorded.time)
-        row["sse_position_m2"] = float(np.nansum(distance**2))
-        row["nees_left_out"] = int((path.thin & np.isfinite(truth).all(axis=1)).sum())
-        row["nees_pose_median"] = consistency.median_or_nan(path.nees["pose"])
-        for quantity, values in path.nees.items():
-            row[f"nees_{quantity}"] = consistency.mean_or_nan(values)
-        row["inside_3sigma"] = consistency.inside_3sigma(path.nees["position"])
-        row |= mean_scores(pose, covariance, truth, np.isfinite(path.nees["pose"]))
-        row |= _intervals(path)
-        row |= rpe_columns(pose, truth)
+    if log.truth.pose is not None and path is not None:
+        row |= _path_columns(run.trajectory(phase), log.truth.pose, log.recorded.time, path)
     if isinstance(run, GivenRun) and run.match is not None:
-        row["matched"], row["unmatched"] = run.match.matched, run.match.unmatched
-    if run.map is not None and len(run.map):
-        ids = errors.landmark_true_ids(errors.named(run), log.truth, run.map.number)
-        off = np.hypot(*errors.landmark_errors(run.map.xy, ids, log.truth, log.recorded.sensor).T)
-        row["rmse_landmark_m"] = errors.rms(off)
-        if np.isfinite(off).any():
-            row["sse_landmark_m2"] = float(np.nansum(off**2))
-        row["rmse_landmark_majority_m"] = errors.rms(_by_majority(run, phase, log))
+        row |= {"matched": run.match.matched, "unmatched": run.match.unmatched}
+    row |= _map_columns(run, phase, log)
     if phase == "final":
-        row["iterations"], row["last_step_sigma"] = run.iterations, run.last_step_sigma
+        row |= {"iterations": run.iterations, "last_step_sigma": run.last_step_sigma}
     if reference is not None and reference.final is not None and reference.flaw is None:
         batch = reference.final.pose
         if log is not own:  # at the stamps of a result that was handed in
             batch = match(log.recorded.time, own.recorded.time, batch).truth
-        row["rms_from_batch_m"] = errors.rms(errors.position_distance(pose, batch))
-    if phase == "online" and run.innovations is not None:
-        o = log.recorded.observations
-        row["innovation_lag1"], row["innovation_lag1_se"] = consistency.lag1_correlation(
-            run.innovations.white, o.frame, decisions
-        )
-    found = lost_of(run, own)
-    if found is not None:
-        row["lost_frame"], row["lost_why"] = found.frame, sentence(found)
-    total = nis_of(run, phase)
-    if total is not None and total[1] > 0:
-        row["nis"] = total[0] / total[1]
-        row["nis_expected"] = gated(run, phase)[0]
-        row["nis_lower"], row["nis_upper"] = nis_bounds(total[1], gated(run, phase))
+        row["rms_from_batch_m"] = errors.rms(errors.position_distance(run.trajectory(phase).pose, batch))
+    row |= _innovation_columns(run, phase, log)
+    if (found := lost_of(run, own)) is not None:
+        row |= {"lost_frame": found.frame, "lost_why": sentence(found)}
     return row
 
 
@@ -193,73 +144,134 @@ def lost_of(run: Run, log: Log) -> Notice | None:
     return lost(run, log.recorded, log.granted if run.association == "known" else None)
 
 
-def _by_majority(run: Run, phase: str, log: Log) -> Array:
-    """Distance [m] of each mapped landmark from the true one that most of its observations show; NaN where unknown."""
-    assert run.map is not None
-    own, decisions = log.truth.landmark_of, run.decisions if phase == "online" else run.final_decisions
-    if own is None:
-        return np.full(len(run.map), np.nan)
-    created = run.created if phase == "online" else run.initialized
-    number = np.where(created >= 0, created, decisions)
-    named = majority(number, own, created >= 0)
-    padded = np.full(max(len(named), int(run.map.number.max()) + 1), CLUTTER, np.int64)
-    padded[: len(named)] = named
-    ids = padded[run.map.number]
-    off: Array = np.hypot(*errors.landmark_errors(run.map.xy, ids, log.truth, log.recorded.sensor).T)
-    return off
+def _name_of(run: Run, phase: str, log: Log) -> dict[str, object]:
+    return dict(zip(RUN, (log.name, run.task, run.estimator, run.association, phase), strict=True))
+
+
+def decided(run: Run, phase: str) -> tuple[IntArray, IntArray]:
+    """Decisions (M,) as they were in a phase, and the number (M,) of the landmark that each began, -1: none.
+
+    In the end a landmark that was retracted has never been.
+    """
+    return (run.decisions, run.created) if phase == "online" else (run.final_decisions, run.initialized)
+
+
+def _used(run: Run, phase: str) -> dict[str, object]:
+    """What was decided: pairings with landmarks, of laser logs loop closures; size of the map in SLAM."""
+    row: dict[str, object] = {}
+    if isinstance(run, LaserRun):
+        if run.loops is not None:
+            believed = kept(run.loops, run.weight, phase)
+            row = {"observations": len(believed), "accepted": int(believed.sum()), "rejected": int((~believed).sum())}
+    elif run.association != "none":
+        decisions, _ = decided(run, phase)
+        row = {"accepted": int((decisions >= 0).sum()), "rejected": int((decisions == DISCARD).sum())}
+    if run.task == "slam" and run.association not in ("none", SCAN):
+        row["landmarks"] = len(run.map) if run.map is not None else 0
+    return row
+
+
+def _path_columns(estimate: Trajectory, truth: Array, time: Array, path: Along) -> dict[str, object]:
+    """Errors of a path, what they say of its covariances, and what chance along the log leaves of both."""
+    pose, distance = estimate.pose, path.distance
+    return {
+        "rmse_position_m": errors.rms(distance),
+        "rmse_heading_deg": errors.heading_rmse_deg(pose, truth),
+        "max_position_m": float(np.nanmax(distance)),
+        "rmse_aligned_m": errors.aligned_rmse(pose, truth),
+        "rmse_time_m": errors.time_weighted_rmse(pose, truth, time),
+        "sse_position_m2": float(np.nansum(distance**2)),
+        "nees_left_out": int((path.thin & np.isfinite(truth).all(axis=1)).sum()),
+        "nees_pose_median": consistency.median_or_nan(path.nees["pose"]),
+        **{f"nees_{quantity}": consistency.mean_or_nan(values) for quantity, values in path.nees.items()},
+        "inside_3sigma": consistency.inside_3sigma(path.nees["position"]),
+        **mean_scores(pose, estimate.covariance, truth, np.isfinite(path.nees["pose"])),
+        **_intervals(path),
+        **rpe_columns(pose, truth),
+    }
 
 
 def _intervals(path: Along) -> dict[str, object]:
     """What chance along the log leaves of RMSE and mean NEES; blank where the log is too short to tell."""
     rmse, nees = run_intervals(path.distance**2, path.nees["pose"], np.random.default_rng(SEED))
-    used = [i.block for i in (rmse, nees) if not i.why]
-    return {
-        "rmse_position_lower": rmse.lower, "rmse_position_upper": rmse.upper,
-        "nees_pose_lower": nees.lower, "nees_pose_upper": nees.upper, "block_frames": used[0] if used else None,
-    }  # fmt: skip
+    row: dict[str, object] = {"block_frames": next((i.block for i in (rmse, nees) if not i.why), None)}
+    for name, found in (("rmse_position", rmse), ("nees_pose", nees)):
+        row |= {f"{name}_lower": found.lower, f"{name}_upper": found.upper}
+    return row
+
+
+def _map_columns(run: Run, phase: str, log: Log) -> dict[str, object]:
+    """Errors of the last map's landmarks, each named by the observation that began it, or by most of its own."""
+    if run.map is None or not len(run.map):
+        return {}
+    off = _landmark_distance(run.map, errors.landmark_true_ids(errors.named(run), log.truth, run.map.number), log)
+    row: dict[str, object] = {"rmse_landmark_m": errors.rms(off), "rmse_landmark_majority_m": math.nan}
+    if np.isfinite(off).any():
+        row["sse_landmark_m2"] = float(np.nansum(off**2))
+    if log.truth.landmark_of is not None:
+        decisions, created = decided(run, phase)
+        named = majority(np.where(created >= 0, created, decisions), log.truth.landmark_of, created >= 0)
+        padded = np.full(max(len(named), int(run.map.number.max()) + 1), CLUTTER, np.int64)
+        padded[: len(named)] = named
+        row["rmse_landmark_majority_m"] = errors.rms(_landmark_distance(run.map, padded[run.map.number], log))
+    return row
+
+
+def _landmark_distance(estimate: MapEstimate, true_id: IntArray, log: Log) -> Array:
+    """Distance [m] (L,) of each mapped landmark from the true one of an id (L,); NaN where that is unknown."""
+    distance: Array = np.hypot(*errors.landmark_errors(estimate.xy, true_id, log.truth, log.recorded.sensor).T)
+    return distance
+
+
+def _innovation_columns(run: Run, phase: str, log: Log) -> dict[str, object]:
+    """Size of innovations, or of a smoother's residuals, and how innovations are correlated from frame to frame."""
+    row: dict[str, object] = {}
+    if phase == "online" and run.innovations is not None:
+        frame = log.recorded.observations.frame
+        r, error = consistency.lag1_correlation(run.innovations.white, frame, run.decisions)
+        row = {"innovation_lag1": r, "innovation_lag1_se": error}
+    total = nis_of(run, phase)
+    if total is not None and total[1] > 0:
+        expected = gated(run, phase)
+        lower, upper = nis_bounds(total[1], expected)
+        nis = total[0] / total[1]
+        row |= {"nis": nis, "nis_expected": expected[0], "nis_lower": lower, "nis_upper": upper}
+    return row
 
 
 def association_row(run: Run, phase: str, log: Log) -> dict[str, object] | None:
     """One row of association.csv; None for a run that failed, and where there is nothing to compare with."""
+    if run.failure is not None:
+        return None
     if isinstance(run, LaserRun):
-        closures = None if run.failure is not None else closure_counts(run, log, phase)
+        closures = closure_counts(run, log, phase)
         return None if closures is None else {**_name_of(run, phase, log), **closures}
-    counts = confusion_of(run, log, phase)
-    if counts is None or run.failure is not None:
+    counts, own = confusion_of(run, log, phase), log.truth.landmark_of
+    if counts is None or own is None:
         return None
     return {
         **_name_of(run, phase, log),
-        **{k: getattr(counts, k) for k in COUNTED}, "share_within": _near(run, phase, log), "within_m": WITHIN,
-        "majority_agreement": _agreement(run, phase, log),
-    }  # fmt: skip
+        **{k: getattr(counts, k) for k in COUNTED},
+        "share_within": _near(run, phase, log, own),
+        "within_m": WITHIN,
+        "majority_agreement": majority_agreement(decided(run, phase)[0], own),
+    }
 
 
-def _name_of(run: Run, phase: str, log: Log) -> dict[str, object]:
-    return {
-        "log": log.name, "task": run.task, "estimator": run.estimator, "association": run.association, "phase": phase,
-    }  # fmt: skip
-
-
-def _agreement(run: Run, phase: str, log: Log) -> float | None:
-    """Share of the pairings that show what most of their landmark's do; None without truth."""
-    own = log.truth.landmark_of
-    return None if own is None else majority_agreement(run.decisions if phase == "online" else run.final_decisions, own)
-
-
-def _near(run: Run, phase: str, log: Log) -> float | None:
+def _near(run: Run, phase: str, log: Log, true_id: IntArray) -> float | None:
     """Share of the pairings with a landmark that truly stands within `WITHIN` of the right one; None without truth, and
     of walls.
     """
-    own, places = log.truth.landmark_of, log.truth.landmarks
-    if own is None or places is None or not log.recorded.sensor.sees_points:
+    places = log.truth.landmarks
+    if places is None or not log.recorded.sensor.sees_points:
         return None
-    decisions = run.decisions if phase == "online" else run.final_decisions
+    decisions, _ = decided(run, phase)
     taken = decisions.copy()
     if run.task != "localization":
         paired = decisions >= 0
         named = run.created if phase == "online" else errors.named(run)
         taken[paired] = errors.landmark_true_ids(named, log.truth, decisions[paired])
-    return share_within(decisions, own, taken, places)
+    return share_within(decisions, true_id, taken, places)
 
 
 def frame_of(rows: Sequence[Mapping[str, object]], columns: Sequence[str]) -> pd.DataFrame:
@@ -273,6 +285,13 @@ def frame_of(rows: Sequence[Mapping[str, object]], columns: Sequence[str]) -> pd
 
 def _blank(value: object) -> object:
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _timing_row(run: Run, log: Log) -> dict[str, object]:
+    frames, seconds = len(log.recorded), run.seconds
+    speed = frames / seconds if seconds > 0 else None
+    name = {key: value for key, value in _name_of(run, "", log).items() if key != "phase"}
+    return {**name, "frames": frames, "seconds": seconds, "frames_per_second": speed}
 
 
 @dataclass(frozen=True)
@@ -307,20 +326,12 @@ def score(trials: Sequence[Trial]) -> Scores:
                     known[i, phase] = path
                 metrics.append(metrics_row(run, phase, trial.log, reference, path))
             if run.association != "none":
-                for phase in ("online", "final"):
-                    row = association_row(run, phase, trial.log)
-                    if row is not None:
-                        association.append(row)
+                rows = (association_row(run, phase, trial.log) for phase in ("online", "final"))
+                association += [row for row in rows if row is not None]
             if log_of(run, trial.log) is trial.log:  # relations are between frames of the log
                 relations += relation_rows(run, trial.log)
-            if isinstance(run, GivenRun):
-                continue
-            frames = len(trial.log.recorded)
-            timing.append({
-                "log": trial.log.name, "task": run.task, "estimator": run.estimator, "association": run.association,
-                "frames": frames, "seconds": run.seconds,
-                "frames_per_second": frames / run.seconds if run.seconds > 0 else None,
-            })  # fmt: skip
+            if not isinstance(run, GivenRun):
+                timing.append(_timing_row(run, trial.log))
         differences += difference_rows(trial.log, trial.task, trial.runs, known)
     return Scores(
         result_files.METRICS.table(metrics),
