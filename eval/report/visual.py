@@ -295,6 +295,6 @@ def _detected(stats: Sequence[PictureStatistics], found: Found) -> Detected:
     return Detected(len(found.frame), len(found.time), in_view, right, wrong, known)
 
 
-def summary(stats: Sequence[PictureStatistics], found: Found) -> str:
-    """All pictures together, in a paragraph."""
-    return say("visual#summary", d=_detected(stats, found))
+def summary(stats: Sequence[PictureStatistics], found: Found, head: str = "**Detections.**") -> str:
+    """All pictures together, in a paragraph that begins with a word."""
+    return say("visual#summary", d=_detected(stats, found), head=head)

@@ -175,10 +175,8 @@ def _observation(folder: Path, options: Options, trial: Trial) -> Section:
         frames = " and ".join(f"frame {found.tiles[i][0]}" for i in chosen)
         caption = f"`{log.name}`: {frames} with the pictures found."
         blocks.append(Picture("lab-camera", caption, f"Camera images of {log.name}, corners found"))
-    blocks += [
-        OBSERVATION.formula,
-        f"{OBSERVATION.about} {summary(statistics_of(log.evidence), found).replace('**Detections.** ', 'Found: ')}",
-    ]
+    detected = summary(statistics_of(log.evidence), found, head="Found:")
+    blocks += [OBSERVATION.formula, f"{OBSERVATION.about} {detected}"]
     return Section("Question 2: What does the camera see of a picture's corners?", tuple(blocks), facts=q)
 
 
