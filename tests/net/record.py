@@ -73,8 +73,8 @@ def done(name: str, save: Path | None) -> Done | str:
     folder = Path(tempfile.mkdtemp(prefix=f"net-{name}-"))
     try:
         status, out = run(CASES[name], folder)
-    except RuntimeError as error:
-        return str(error)
+    except Exception as error:  # noqa: BLE001, a case that breaks is told like one that moved, and the others go on
+        return f"{type(error).__name__}: {error}"
     if save is not None:
         shutil.rmtree(save / name, ignore_errors=True)
         shutil.copytree(out, save / name)
