@@ -20,9 +20,12 @@ if TYPE_CHECKING:
     from association.decide import decide
     from association.expectation import Expectation
     from data.logs import open_log
+    from data.notice import Notice
     from data.result import DISCARD, NEW
+    from data.words import sentence
     from eval.checks.checking import association_findings, check_association, check_estimator, estimator_findings
     from eval.compare import compare
+    from eval.referee.diagnostics import notices
     from eval.referee.score import Trial, score
     from eval.replay.estimators import make_estimator
     from eval.replay.external.adapter import Samples
@@ -33,6 +36,7 @@ __all__ = [
     "DISCARD",
     "NEW",
     "Expectation",
+    "Notice",
     "Samples",
     "Trial",
     "__version__",
@@ -43,8 +47,10 @@ __all__ = [
     "decide",
     "estimator_findings",
     "make_estimator",
+    "notices",
     "open_log",
     "score",
+    "sentence",
 ]
 
 HOMES = {
@@ -54,6 +60,9 @@ HOMES = {
     "decide": "association.decide",
     "Trial": "eval.referee.score",
     "score": "eval.referee.score",
+    "notices": "eval.referee.diagnostics",
+    "Notice": "data.notice",
+    "sentence": "data.words",
     "check_estimator": "eval.checks.checking",
     "check_association": "eval.checks.checking",
     "estimator_findings": "eval.checks.checking",

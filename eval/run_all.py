@@ -21,7 +21,7 @@ from data.errors import UsageError
 from data.notice import Severity
 from data.terminal import INTERRUPTED, WRONG, counted, ended, told, unread
 from data.whole import whole_folder
-from data.words import sentence, title
+from data.words import sentence
 from eval.plan.flags.examples import PROG
 from eval.plan.flags.options import read_options
 from eval.plan.flags.table import Options
@@ -147,16 +147,16 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
     from eval.referee.diagnostics import questions_of_run
     from eval.referee.given_runs import GivenRun
     from eval.report.contents import write_results
-    from eval.report.diagnostics import together, whose
+    from eval.report.diagnostics import asked, said, together
     from eval.report.page.latex import check_columns
     from eval.studies import reproduced, store
     from eval.studies.montecarlo import declared_line, failed_declarations, judge, study_lines, traces
 
     check_columns(options.output.columns)
     require_latex(options.drawing)
-    look, said = look_of(options.drawing)
-    if said:
-        console.say(said)
+    look, about_look = look_of(options.drawing)
+    if about_look:
+        console.say(about_look)
     compile_if_needed(console.quiet)
     plan = make_plan(options, console.say)
     begin = time.time()
@@ -167,7 +167,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
             console.detail(f"{e.log.name}: {note}")
     for log in {e.log.name: e.log for e in plan.experiments if e.beside is None}.values():
         for question in ask(log):
-            console.say(f"question ({whose(question)}, {title(question)}): {sentence(question)}")
+            console.say(asked(question))
     with _bar("estimating", console.quiet, check) as progress:
         outcome = execute(plan, options, progress)
     judged = [j for study in outcome.studies for j in judge(study)]
@@ -186,7 +186,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
     for trial in outcome.trials:
         doubts = (n for run in trial.runs for n in questions_of_run(run, trial.log.recorded))
         for question in together(n.about(log=trial.log.name, task=trial.task) for n in doubts):
-            console.say(f"question ({whose(question)}, {title(question)}): {sentence(question)}")
+            console.say(asked(question))
     for study in outcome.studies:
         for text in study_lines(study):
             console.say(text)
@@ -208,8 +208,8 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
         console.say(line)
     for text in lines:
         console.say(text)
-    for text in missing:
-        console.complain(text)
+    for gone in missing:
+        console.complain(said(gone))
     console.say(f"report: {options.output.out / 'report.html'}")
     (folder / "run.log").write_text("\n".join(console.lines) + "\n", encoding="utf-8")
     return WRONG if missing else REJECTED if failed else FINE

@@ -15,9 +15,10 @@ import slamref
 
 ROOT = Path(__file__).parents[1]
 NAMES = [
-    "DISCARD", "NEW", "Expectation", "Samples", "Trial", "__version__", "association_findings", "check_association",
-    "check_estimator", "compare", "decide", "estimator_findings", "make_estimator", "open_log", "score",
-]  # fmt: skip
+    *("DISCARD", "NEW", "Expectation", "Notice", "Samples", "Trial", "__version__", "association_findings"),
+    *("check_association", "check_estimator", "compare", "decide", "estimator_findings", "make_estimator"),
+    *("notices", "open_log", "score", "sentence"),
+]
 
 
 def command(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -30,17 +31,30 @@ def test_the_names_are_those_of_the_submodules():
     from association.decide import decide
     from association.expectation import Expectation
     from data.logs import open_log
+    from data.notice import Notice
     from data.result import DISCARD, NEW
+    from data.words import sentence
     from eval.checks.checking import association_findings, check_association, check_estimator, estimator_findings
     from eval.compare import compare
+    from eval.referee.diagnostics import notices
     from eval.referee.score import Trial, score
     from eval.replay.estimators import make_estimator
     from eval.replay.external.adapter import Samples
 
     assert (dir(slamref), slamref.__all__) == (sorted(NAMES), NAMES)
     homes = (
-        *(DISCARD, NEW, Expectation, Samples, Trial, version("slamref"), association_findings, check_association),
-        *(check_estimator, compare, decide, estimator_findings, make_estimator, open_log, score),
+        *(
+            DISCARD,
+            NEW,
+            Expectation,
+            Notice,
+            Samples,
+            Trial,
+            version("slamref"),
+            association_findings,
+            check_association,
+        ),
+        *(check_estimator, compare, decide, estimator_findings, make_estimator, notices, open_log, score, sentence),
     )
     assert tuple(getattr(slamref, name) for name in NAMES) == homes
     with pytest.raises(AttributeError, match="'slamref' has no attribute 'ekf'"):
@@ -57,7 +71,9 @@ def test_importing_it_loads_no_library():
 def test_a_log_is_opened_compared_and_scored_through_it():
     log = slamref.open_log("linear:0")
     runs = slamref.compare(log.inputs(labels=True), "slam", ("ekf", "batch"))
-    metrics = slamref.score([slamref.Trial(log, "slam", tuple(runs))]).metrics
+    trials = [slamref.Trial(log, "slam", tuple(runs))]
+    assert "decisions made by ekf" in [slamref.sentence(n) for n in slamref.notices(trials)]
+    metrics = slamref.score(trials).metrics
     assert set(metrics["estimator"]) == {"ekf", "batch"}
 
 

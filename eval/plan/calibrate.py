@@ -306,6 +306,7 @@ def _plain(setup: Setup) -> Setup:
 
 def _missing(experiments: Sequence[Experiment], lost: Unfinished) -> Callable[[int, str], None]:
     def missing(i: int, why: str) -> None:
-        lost.say(f"{experiments[i].log.name}, {experiments[i].task}: what its battery says of systematic errors", why)
+        e = experiments[i]
+        lost.say("what its battery says of systematic errors", why, log=e.log.name, task=e.task)
 
     return missing

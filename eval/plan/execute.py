@@ -11,6 +11,7 @@ from itertools import chain
 from typing import Any
 
 from data.log import Log
+from data.notice import Notice
 from data.result import Run
 from eval.plan.calibrate import Calibration, examine, settle, with_systematic
 from eval.plan.experiment import Experiment, Work
@@ -76,7 +77,7 @@ class Outcome:
         trust: what each log says about itself, with each way of association.
         validations: studies of the battery, each with what came out for every log.
         calibrations: logs whose systematic errors were estimated along.
-        missing: what had not enough memory, a sentence each; everything else is whole.
+        missing: what had not enough memory; everything else is whole.
     """
 
     trials: tuple[Trial, ...]
@@ -86,7 +87,7 @@ class Outcome:
     trust: tuple[Trust, ...] = ()
     validations: tuple[tuple[Validation, tuple[Examined, ...]], ...] = ()
     calibrations: tuple[Calibration, ...] = ()
-    missing: tuple[str, ...] = ()
+    missing: tuple[Notice, ...] = ()
 
 
 def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) -> Outcome:
@@ -129,7 +130,8 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
             case Seeded(i, seed):
                 lost.say(f"scenario {plan.studies[i][0].name}: no run with seed {seed}", why)
             case Tutorial(i):
-                lost.say(f"{variants[i][0].log.name}, {variants[i][1].task}: no run of {variants[i][1].name}", why)
+                e, variant = variants[i]
+                lost.say(f"no run of {variant.name}", why, log=e.log.name, task=variant.task)
             case Recorded(i):
                 lost.say(f"scenario {plan.stored[i][0].name}: no run", why)
     replayed = [done[Recorded(i)] for i in range(len(plan.stored)) if Recorded(i) in done]
@@ -201,7 +203,7 @@ def _trials(
                 run = incomplete(name, part.work.association, e.task, e.log.recorded, why)
                 runs[run.association, run.estimator] = run
                 what = f"no run of {name} with association {part.work.association}"
-                lost.say(f"{e.log.name}, {e.task}: {what}", why)
+                lost.say(what, why, log=e.log.name, task=e.task)
         trials.append(Trial(e.log, e.task, tuple(runs[key] for key in wanted(e.work)), e.beside, e.about))
     return trials
 

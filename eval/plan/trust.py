@@ -79,7 +79,8 @@ def _missing(groups: Sequence[Group], lost: Unfinished) -> Callable[[int, str], 
 
     def missing(i: int, why: str) -> None:
         g = groups[i]
-        lost.say(f"{g.log.name}, {g.task}: part of what it says of itself (association {name_of(g.association)})", why)
+        what = f"part of what it says of itself (association {name_of(g.association)})"
+        lost.say(what, why, log=g.log.name, task=g.task)
 
     return missing
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from data.inputs import Inputs
-from data.notice import stopped
+from data.notice import Code, Notice, Severity, notice, stopped
 from data.result import Failure, Run
 from eval.compare import compare
 from eval.plan.experiment import Experiment, Work
@@ -48,21 +48,21 @@ class Unfinished:
     Attributes:
         processes: at once.
         jobs: by what they belong to, each with the reason.
-        said: a sentence each, for the person and the report.
+        said: for the person and the report.
     """
 
     processes: int
     jobs: dict[Any, str] = field(default_factory=dict)
-    said: list[str] = field(default_factory=list)
+    said: list[Notice] = field(default_factory=list)
 
     def __call__(self, owner: Any, why: str) -> None:
         """A job is lost."""
         self.jobs[owner] = why
 
-    def say(self, what: str, why: str) -> None:
-        """What is missing therefore, and what would help."""
-        fewer = "fewer processes at once (--jobs 1), " if self.processes > 1 else ""
-        self.said.append(f"{what}: {why}; {fewer}a shorter log, or a machine with more memory would help")
+    def say(self, what: str, why: str, *, log: str = "", task: str = "") -> None:
+        """What is missing therefore, of a log and task if it is of one."""
+        lost = notice(Code.OUT_OF_MEMORY, Severity.ERROR, missing=what, why=why, together=self.processes > 1)
+        self.said.append(lost.about(log=log, task=task))
 
 
 def wanted(work: Sequence[Work]) -> list[tuple[str, str]]:

@@ -7,6 +7,8 @@ where an implausible run probably went wrong.
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -21,11 +23,13 @@ from data.questions import ask
 from data.result import Run
 from data.se2 import Array
 from data.sensors import RangeBearing
+from data.words import sentence
 from eval.referee.ambiguity import ambiguous
 from eval.referee.errors import named, position_distance, rms
 from eval.referee.metrics import RUN
 from eval.referee.plausibility import ABSURD, first_misfit
 from eval.referee.residuals import Used, smoothed_residuals, used_by
+from eval.referee.result_files import NOTICES
 from eval.referee.score import Scores, Trial, lost_of, score
 
 UNUSED = 0.1
@@ -312,3 +316,26 @@ def _all(run: Run, trial: Trial, scores: Scores) -> Iterator[Notice]:
     yield from run.notes
     yield from questions_of_run(run, trial.log.recorded)
     yield from ambiguity_of(run, trial.log.recorded)
+
+
+def notices_table(found: Sequence[Notice]) -> pd.DataFrame:
+    """The rows of notices.csv."""
+    return NOTICES.table(
+        [
+            {
+                **{name: getattr(n, name) for name in ("log", "task", "estimator", "association", "frame")},
+                "code": n.code.value,
+                "severity": n.severity.value,
+                "values": json.dumps({name: _plain(value) for name, value in n.values}, ensure_ascii=False),
+                "text": " ".join(sentence(n).split()),
+            }
+            for n in found
+        ]
+    )
+
+
+def _plain(value: Value) -> object:
+    """What JSON has a word for: numbers that are not finite are unknown."""
+    if isinstance(value, tuple):
+        return [_plain(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

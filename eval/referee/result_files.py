@@ -406,4 +406,20 @@ DIFFERENCES = File(
         text("nees_pose_why", "why the interval of the NEES is missing"),
     ),
 )  # fmt: skip
-TOP = (METRICS, DECISION_COUNTS, CONSISTENCY, TRUST, RELATIONS, PUBLISHED, TIMING)
+NOTICES = File(
+    "notices.csv",
+    "Everything that was found about logs and runs: questions, notes, why runs stopped, are implausible or lost, and"
+    " what is to be doubted.",
+    (
+        text("code", "what was found, in a word: one of a fixed list"),
+        text("severity", "`info`, `warning` or `error`: a fact, something to look at, a reason not to use the result"),
+        text("log", "name of the log; blank where it is about none"),
+        text("task", "of the run or the comparison; blank where it is about the log"),
+        text("estimator", "of the run; blank where it is about no single one"),
+        text("association", "of the run; blank where it is about the log"),
+        count("frame", "frame that it is about, or that it begins in; blank: none"),
+        text("values", "its numbers and names, as JSON with the names in alphabetical order; unknown is `null`"),
+        text("text", "the sentence of the report"),
+    ),
+)
+TOP = (METRICS, DECISION_COUNTS, CONSISTENCY, TRUST, RELATIONS, PUBLISHED, NOTICES, TIMING)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from data.notice import Notice
 from data.terminal import counted
 from data.words import sentence
 from eval.plan.execute import Outcome
@@ -20,12 +21,12 @@ from eval.plan.work import Job, work
 from eval.player.document import played, write_player
 from eval.referee import result_files
 from eval.referee.consistency import MIN_RUNS
-from eval.referee.diagnostics import notices, origin, unused
+from eval.referee.diagnostics import notices, notices_table, origin, unused
 from eval.referee.given_runs import GivenRun, is_truth_alone
 from eval.referee.score import Scores, Trial, score
 from eval.report.answer import answer, failure_statement, gate_sentence
 from eval.report.deciding import revision_section
-from eval.report.diagnostics import of_runs, questions_section
+from eval.report.diagnostics import of_runs, questions_section, said
 from eval.report.headline import headlines
 from eval.report.labs.sections import hand_in, lab_sections
 from eval.report.labs.write_up import write_up
@@ -65,9 +66,9 @@ IMPLAUSIBLE_RUNS = (
 
 
 class Written(NamedTuple):
-    """What is missing from a result folder for want of memory, a sentence each, and the lines of its main numbers."""
+    """What is missing from a result folder for want of memory, and the lines of its main numbers."""
 
-    missing: tuple[str, ...]
+    missing: tuple[Notice, ...]
     headlines: tuple[str, ...]
 
 
@@ -91,6 +92,7 @@ def write_results(
         (result_files.CONSISTENCY, consistency), (result_files.TRUST, trust_table(outcome.trust)),
     ):  # fmt: skip
         file.write(table, folder)
+    found += [n.about(log=t.log, task=t.task, association=t.association) for t in outcome.trust for n in t.notices]
     if len(scores.relations):
         result_files.RELATIONS.write(scores.relations, folder)
     if outcome.published:
@@ -144,6 +146,7 @@ def write_results(
         ),
         encoding="utf-8",
     )
+    result_files.NOTICES.write(notices_table([*found, *lost.said]), folder)
     return Written(tuple(lost.said), tuple(headlines(scores, outcome.trials, outcome.studies, judged)))
 
 
@@ -184,7 +187,8 @@ def _publish_trials(
 
     def missing(owner: tuple[int, int], why: str) -> None:
         what = {-1: "files of its runs", -2: "the player"}.get(owner[1], "a picture")
-        lost.say(f"{trials[owner[0]].log.name}, {trials[owner[0]].task}: {what} missing", why)
+        of = trials[owner[0]]
+        lost.say(f"{what} missing", why, log=of.log.name, task=of.task)
 
     for done, (owner, picture) in enumerate(work(jobs, options.execution, lost=missing), start=1):
         if owner[1] >= 0:
@@ -205,19 +209,19 @@ def _seen_again(trial: Trial, other: Trial) -> bool:
     return other.log.evidence is not None and other.log.evidence is trial.log.evidence
 
 
-def _failure_section(trials: Sequence[Trial], missing: Sequence[str]) -> Section:
+def _failure_section(trials: Sequence[Trial], missing: Sequence[Notice]) -> Section:
     notes = []
     for t, r in [(trial, run) for trial in trials for run in trial.runs]:
         if r.flaw is not None:
-            said = failure_statement(t.log.name, t.task, r.estimator, r.association, r.status, r.flaw.frame, r.flaw.why)
+            stop = failure_statement(t.log.name, t.task, r.estimator, r.association, r.status, r.flaw.frame, r.flaw.why)
             where = origin(r, t)
             began = "" if where is None else sentence(where)
-            notes.append("; ".join(part for part in (said, began) if part))
+            notes.append("; ".join(part for part in (stop, began) if part))
     blocks = ["\n".join(f"* {line}" for line in notes)] if notes else ["Every estimator got to the end of every log."]
     if any(r.doubt is not None for t in trials for r in t.runs):
         blocks.append(IMPLAUSIBLE_RUNS)
     if missing:
-        blocks.append("Missing for want of memory:\n\n" + "\n".join(f"* {line}" for line in missing))
+        blocks.append("Missing for want of memory:\n\n" + "\n".join(f"* {said(n)}" for n in missing))
     return Section("Failures", tuple(blocks))
 
 

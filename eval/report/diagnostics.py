@@ -24,7 +24,7 @@ def together(found: Iterable[Notice]) -> list[Notice]:
     return [notice.about(estimator=", ".join(dict.fromkeys(who))) for notice, who in names.items()]
 
 
-def asked(found: Iterable[Notice]) -> list[Notice]:
+def questions(found: Iterable[Notice]) -> list[Notice]:
     """The questions among them."""
     return together(n for n in found if n.code in QUESTIONS)
 
@@ -35,6 +35,16 @@ def whose(notice: Notice) -> str:
     return f"{place}: {notice.estimator}" if notice.estimator else place
 
 
+def said(notice: Notice) -> str:
+    """Whom it is about, and the sentence."""
+    return ": ".join(filter(None, (whose(notice), sentence(notice))))
+
+
+def asked(question: Notice) -> str:
+    """A question as the terminal shows it."""
+    return f"question ({whose(question)}, {title(question)}): {sentence(question)}"
+
+
 def of_runs(found: Iterable[Notice | None]) -> list[str]:
     """A sentence for each, with the runs of one log in front that it is about."""
     each = [(n, f"{n.estimator} ({n.association}): " if n.estimator else "") for n in together(filter(None, found))]
@@ -43,5 +53,5 @@ def of_runs(found: Iterable[Notice | None]) -> list[str]:
 
 def questions_section(found: Sequence[Notice]) -> list[Section]:
     """A section with all questions; none where there is nothing to ask."""
-    asking = [(title(n), whose(n), sentence(n)) for n in asked(found)]
+    asking = [(title(n), whose(n), sentence(n)) for n in questions(found)]
     return [Section("Questions", (say("questions#about"), say("questions#asked", asking=asking)))] if asking else []

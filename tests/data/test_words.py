@@ -15,7 +15,7 @@ def test_every_code_has_its_words_and_nothing_else_has():
 
 
 def test_a_notice_is_said_with_its_values():
-    assert sentence(notice(Code.OUT_OF_MEMORY, Severity.ERROR, detail="3 GB")) == "it ran out of memory (3 GB)"
+    assert sentence(notice(Code.REMOVED, Severity.INFO, landmarks=1)) == "1 landmark was removed from the map"
 
 
 def test_a_value_that_a_template_does_not_know_is_an_error():

@@ -16,7 +16,7 @@ from eval.inspect import main as inspect
 from eval.referee.diagnostics import notices, questions_of_run, unused
 from eval.referee.score import Trial
 from eval.replay.run import compare
-from eval.report.diagnostics import asked, questions_section
+from eval.report.diagnostics import questions, questions_section
 from eval.run_all import main
 
 
@@ -67,7 +67,7 @@ def test_a_run_that_used_nothing_says_so_in_the_headline():
     seen = len(log.recorded.observations.z)
     assert unused(runs[0]) is None
     assert all(unused(run).named == {"used": 0, "readings": seen, "task": "localization"} for run in runs[1:])
-    found = asked(notices([trial]))
+    found = questions(notices([trial]))
     assert [(n.code, n.estimator) for n in found if n.task] == [(Code.UNUSED, "ekf, batch")]
     assert Code.PRIOR in [n.code for n in found]
     (section,) = questions_section(found)
