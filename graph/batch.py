@@ -78,10 +78,8 @@ def smooth(inputs: Inputs, decisions: IntArray, created: IntArray, start: Start,
     values = start_values(problem, start)
     found = optimize(problem, values)
     chi_square = 2.0 * found.error if loss == "gaussian" else float("nan")
-    return Smoothed(
-        found.trajectory, found.map, chi_square, problem.dof, found.iterations, found.last_step, 2.0 * found.error,
-        suspect(found.error, problem), found.systematic,
-    )  # fmt: skip
+    effort = found.iterations, found.last_step, 2.0 * found.error, suspect(found.error, problem)
+    return Smoothed(found.trajectory, found.map, chi_square, problem.dof, *effort, found.systematic)
 
 
 def start_values(problem: Problem, start: Start) -> gtsam.Values:

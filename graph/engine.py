@@ -1,6 +1,6 @@
 """gtsam's iSAM2 made dependable: QR where Cholesky breaks, and a name for what the data leave free.
 
-iSAM2 that can let go of variables: what they said about the others stays, as a linear factor.
+A `Window` can let go of variables, too: what they said about the others stays, as a linear factor.
 """
 
 from __future__ import annotations

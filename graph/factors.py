@@ -2,9 +2,8 @@
 
 Conventions that differ: gtsam's pose covariances live in the body frame of the pose they belong to (ours: world frame);
 noise of a relative pose lives at its *end* (ours: in the frame it starts from); bearing comes before range (ours:
-after). Keys: X(frame) for poses, L(number) for landmarks; in localization L(row of the observation).
-
-Readings of point landmarks as gtsam takes them: bearing and range, or the point itself, in the body frame.
+after), both of the body frame. Keys: X(frame) for poses, L(number) for landmarks; in localization L(row of the
+observation).
 """
 
 from __future__ import annotations
@@ -144,7 +143,7 @@ def pose2(pose: Array) -> gtsam.Pose2:
 
 
 @numba.njit(cache=True)
-def root_information(covariance):  # type: ignore[no-untyped-def]
+def root_information(covariance: Array) -> tuple[Array, Array]:
     """Upper triangular R (n, d, d) with R'R = C^-1 for C (n, d, d), and the smallest pivot (n,) of each C.
 
     A pivot is the variance of one coordinate given those after it; where it is not positive, R is not filled in.

@@ -22,7 +22,7 @@ from graph.problem import Problem
 
 
 @numba.njit(cache=True)
-def advance(mean, P, Q, motion, M):  # type: ignore[no-untyped-def]
+def advance(mean: Array, P: Array, Q: Array, motion: Array, M: Array) -> tuple[Array, Array, Array]:
     """Pose (3,), its covariance P and the covariance Q gathered since the anchor, one increment later."""
     wx, wy, F, B = carried(mean[2], motion)
     moved = np.array([mean[0] + wx, mean[1] + wy, wrap_angle_jit(mean[2] + motion[2])])

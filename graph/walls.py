@@ -1,15 +1,14 @@
-"""Walls in iSAM2: poses, and sightings as factors of gtsam's own, which it linearizes anew without calling Python.
+"""Walls as landmarks: in iSAM2 as poses with factors of gtsam's own, in batch problems as vectors with exact factors.
 
-A wall is a pose W on it whose x axis is the wall's normal. Where along the wall it is, no measurement says: a prior of
-its own holds it there, and changes nothing else. The direction of a reading is a difference of headings; its distance
-is that to a beacon far behind the wall, as for relative points (`graph.factors.coordinate_factors`). A factor between
-the poses would be one, but couples the place along the wall to the error of the direction: its rows are those of the
-logarithm, which turns the residual by half of that error.
+gtsam's Python API has no line in the plane. In iSAM2, which is to linearize anew without calling Python, a wall is a
+pose W on it whose x axis is the wall's normal. Where along the wall it is, no measurement says: a prior of its own
+holds it there, and changes nothing else. The direction of a reading is a difference of headings; its distance is that
+to a beacon far behind the wall, as for relative points (`graph.factors.coordinate_factors`). A factor between the poses
+would be one, but couples the place along the wall to the error of the direction: its rows are those of the logarithm,
+which turns the residual by half of that error.
 
-Sightings of walls for batch problems: exact factors, in Python, of a wall as a vector of two.
-
-gtsam's Python API has no line in the plane. A custom factor is exact and cheap where the values are our own, as in
-`graph.qr`; gtsam's own optimizers would copy all values in every call, see `graph.walls`.
+Batch problems have custom factors of a vector of two, in Python. These are exact, and cheap where the values are our
+own, as in `graph.qr`; gtsam's own optimizers would copy all values in every call.
 """
 
 from __future__ import annotations
@@ -17,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import gtsam
@@ -256,6 +256,7 @@ def sight_walls(
     are variables p(first_row), ...
     """
     result, alpha = [], {n: float(line[1]) for n, line in lines.items()}
+    made = partial(SightedWall, sensor=sensor, loss=loss)
     reading_roots(seen.R, seen.R, frame)
     for i, (f, n) in enumerate(zip(frame.tolist(), number.tolist(), strict=True)):
         z, R, wall, own = seen.z[i], seen.R[i], None, list[Factor]()
@@ -265,10 +266,8 @@ def sight_walls(
         body = _body_point(sensor, z, R)
         at = gtsam.Pose2(*pose[i].tolist()).transformFrom(body)
         point = None if np.hypot(*body) < CENTRED else (point_key(first_row + i), at)
-        s = SightedWall(
-            f, n, L(n), [], sensor=sensor, z=z, R=R, loss=loss, name=_name(alpha[n], pose[i, 2], sensor, z),
-            point=point, wall=wall,
-        )  # fmt: skip
+        name = _name(alpha[n], pose[i, 2], sensor, z)
+        s = made(f, n, L(n), [], z=z, R=R, name=name, point=point, wall=wall)
         result.append(replace(s, measured=_slam_factors(s, first_row + i) + own))
     return result
 
@@ -287,16 +286,15 @@ def sight_known_walls(
 
     Each has a beacon L(first_row), ... of its own far behind the wall, that is held.
     """
-    result = []
+    result, made = [], partial(SightedWall, sensor=sensor, loss=loss)
     reading_roots(seen.R, seen.R, frame)
     for i, (f, n) in enumerate(zip(frame.tolist(), number.tolist(), strict=True)):
         normal = np.array([math.cos(lines[i, 1]), math.sin(lines[i, 1])])
         beacon = pose[i, :2] + (float(about(lines[i], pose[i, :2])[0, 0]) + BEACON) * normal
         key = L(first_row + i)
-        s = SightedWall(
-            f, n, key, [], gtsam.PriorFactorPoint2(key, beacon, _HELD), beacon, sensor=sensor, z=seen.z[i],
-            R=seen.R[i], loss=loss, name=_name(float(lines[i, 1]), pose[i, 2], sensor, seen.z[i]),
-        )  # fmt: skip
+        name = _name(float(lines[i, 1]), pose[i, 2], sensor, seen.z[i])
+        pin = gtsam.PriorFactorPoint2(key, beacon, _HELD)
+        s = made(f, n, key, [], pin, beacon, z=seen.z[i], R=seen.R[i], name=name)
         result.append(replace(s, measured=_known_factors(s, beacon, float(lines[i, 1]))))
     return result
 

@@ -1,25 +1,21 @@
 """Which landmarks of a finished map are ambiguous: those not to be told from a neighbour, and those that may be two.
 
-A landmark that its own readings call two is ambiguous with itself (`eval.referee.ambiguity`). Two landmarks are
-told apart where one frame saw both, or where their difference is significant given the covariances of both and of a
-reading. Only marginal covariances are at hand; of neighbours, whose errors are alike, they overstate that of the
-difference, so that where a map is badly known rather too many are called ambiguous.
+Two landmarks are told apart where one frame saw both, or where their difference is significant given the covariances
+of both and of a reading. Only marginal covariances are at hand; of neighbours, whose errors are alike, they overstate
+that of the difference, so that where a map is badly known rather too many are called ambiguous.
 
-Which landmarks of a finished map may be two, by their own readings: two that were taken for one from the start.
+A landmark that its own readings call two is ambiguous with itself. Nothing is seen twice in a frame: where a landmark
+is read, another reading next to it is clutter, or two stand there. And readings of two places scatter about two points,
+not one. Both are weighed together: the likelihood of two points against that of one with clutter beside it, by the
+noise that there is. What says that there are two is learned from one half of a landmark's frames and judged on the
+other half, the more likely single point being granted: such a ratio exceeds 1 / a with a probability of at most a if
+there is one point (Wasserman, Ramdas and Balakrishnan, "Universal inference", PNAS 117, 2020), as does the mean over
+both halves. With a = 1 % over the number of landmarks, a map without any such landmark has one marked in a hundred maps
+at most (Bonferroni), if its noise and clutter are as taken.
 
-Nothing is seen twice in a frame: where a landmark is read, another reading next to it is clutter, or two stand there.
-And readings of two places scatter about two points, not one. Both are weighed together: the likelihood of two points
-against that of one with clutter beside it, by the noise that there is. What says that there are two is learned from one
-half of a landmark's frames and judged on the other half, the more likely single point being granted: such a ratio
-exceeds 1 / a with a probability of at most a if there is one point (Wasserman, Ramdas and Balakrishnan, "Universal
-inference", PNAS 117, 2020), as does the mean over both halves. With a = 1 % over the number of landmarks, a map without
-any such landmark has one marked in a hundred maps at most (Bonferroni), if its noise and clutter are as taken.
-
-Readings of a finished run laid onto its map: each where the others of its frame put it, and how exact that is.
-
-A path online is as it was known then, and later loops moved the map. Where a frame's other readings stand tells where
-it was taken in the map as it is now; what is then left of a reading is its own error. How large such errors are is
-taken from the readings, not from what was stated.
+For that, readings are laid onto the map, each where the others of its frame put it: a path online is as it was known
+then, and later loops moved the map. What is then left of a reading is its own error. How large such errors are is taken
+from the readings, not from what was stated.
 """
 
 from __future__ import annotations
@@ -36,15 +32,15 @@ from data.inputs import Inputs, IntArray
 from data.result import MapEstimate, Run
 from data.se2 import Array, BoolArray
 
-REGISTRATION_ROUNDS = 2
-"""Fits of a frame: the first by equal weights, the second without what does not fit the first."""
+FITS = 2
+"""Of a frame onto the map: the first by equal weights, the second without what does not fit the first."""
 UNKNOWN_POSE = 1e-6
 """Information (1/m^2, 1/rad^2) about a pose of which a run states no covariance."""
 MEDIAN_1, MEDIAN_2 = 0.4549, 1.3863
 """Medians of chi-square with one and two degrees of freedom."""
 ENOUGH = 4
 """Readings of a landmark whose median tells of the noise."""
-REGISTRATION_LEAST = 1e-4
+SMALLEST = 1e-4
 """Share of the stated variance that the noise has at least."""
 
 
@@ -109,7 +105,7 @@ def _by_others(
     """
     weight, W = paired.astype(np.float64), np.linalg.inv(R)
     shift, S = np.zeros_like(off), R
-    for _ in range(REGISTRATION_ROUNDS):
+    for _ in range(FITS):
         GW = np.swapaxes(Gx, 1, 2) @ (W * weight[:, None, None])
         own, pull = GW @ Gx, np.einsum("mij,mj->mi", GW, off)
         A, b = information.copy(), np.zeros((len(information), 3))
@@ -120,7 +116,7 @@ def _by_others(
         S = R + Gx @ P @ np.swapaxes(Gx, 1, 2)
         if paired.any():
             d2 = squares(off + shift, inverses(S))
-            scale = max(float(np.median(d2[paired])) / MEDIAN_2, REGISTRATION_LEAST)
+            scale = max(float(np.median(d2[paired])) / MEDIAN_2, SMALLEST)
             weight = paired * (FREEDOM + 2.0) / (FREEDOM + d2 / scale)
     return shift, S
 
@@ -131,7 +127,7 @@ def _as_it_is(off: Array, S: Array, sight: Array, row: IntArray) -> Array:
     The median over landmarks of the median over each one's readings: neither a reading nor a landmark that is none
     makes a difference.
     """
-    along = sight / np.maximum(np.hypot(sight[:, 0], sight[:, 1]), REGISTRATION_LEAST)[:, None]
+    along = sight / np.maximum(np.hypot(sight[:, 0], sight[:, 1]), SMALLEST)[:, None]
     axes = np.stack([along, np.stack([-along[:, 1], along[:, 0]], axis=1)], axis=1)
     turned = axes @ S @ np.swapaxes(axes, 1, 2)
     p = np.flatnonzero(row >= 0)
@@ -142,7 +138,7 @@ def _as_it_is(off: Array, S: Array, sight: Array, row: IntArray) -> Array:
         ratio = np.einsum("mj,mj->m", axes[p, c], off[p]) ** 2 / turned[p, c, c]
         order = np.lexsort((ratio, row[p]))
         middle = (np.cumsum(count) - count)[often] + (count[often] - 1) // 2
-        scale[c] = max(float(np.median(ratio[order][middle])) / MEDIAN_1, REGISTRATION_LEAST)
+        scale[c] = max(float(np.median(ratio[order][middle])) / MEDIAN_1, SMALLEST)
     D = np.sqrt(scale)
     found: Array = np.swapaxes(axes, 1, 2) @ (turned * D[:, None] * D[None, :]) @ axes
     return found
@@ -179,7 +175,7 @@ EDGE = 5.0
 ROUNDS = 10
 """Of expectation maximization, and of the robust mean."""
 LEAST = 0.02
-"""Of the readings are of either of two points, and as many frames read both, or not."""
+"""Share of the readings that are of either of two points at least, and of the frames that read both, or not."""
 
 
 class Pairs(NamedTuple):

@@ -62,10 +62,14 @@ def _motion(inputs: Inputs, path: Array) -> dict[str, Array]:
     distance, zero = np.copysign(np.hypot(dx, dy), dx), np.zeros(len(step))
     time = np.concatenate([[0.0], np.diff(inputs.time)])
     columns = {
-        "x_distance": (dx, dy, zero), "x_turn": (turn, zero, zero),
-        "y_distance": (-dy, dx, zero), "y_turn": (zero, turn, zero),
-        "theta_distance": (zero, zero, distance), "theta_turn": (zero, zero, turn), "theta_time": (zero, zero, time),
-    }  # fmt: skip
+        "x_distance": (dx, dy, zero),
+        "x_turn": (turn, zero, zero),
+        "y_distance": (-dy, dx, zero),
+        "y_turn": (zero, turn, zero),
+        "theta_distance": (zero, zero, distance),
+        "theta_turn": (zero, zero, turn),
+        "theta_time": (zero, zero, time),
+    }
     return {name: np.stack(parts, axis=1) for name, parts in columns.items()}
 
 

@@ -1,8 +1,7 @@
 """A run that somebody else made: its trajectory at its own stamps, beside a log whose truth is asked there.
 
-A result moved onto the truth as a whole, if that is asked for: poses, landmarks and covariances alike.
-
-The truth at a result's stamps: by interpolation where it is dense enough, unknown elsewhere.
+The truth at these stamps is interpolated where it is dense enough, unknown elsewhere. If that is asked for, the result
+is moved onto it as a whole: poses, landmarks and covariances alike.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from data.formats.results.space import projection
 from data.inputs import Increments, Inputs, IntArray, Observations, Prior, read_only
 from data.log import Log
 from data.notice import Code, Notice, Severity, notice
-from data.result import NEW, MapEstimate, Run, Trajectory, surviving
+from data.result import DISCARD, NEW, MapEstimate, Run, Trajectory, surviving
 from data.se2 import Array, wrap_angle
 from data.sensors import RangeBearing
 from data.truth import Truth
@@ -208,10 +207,8 @@ def truth_log(name: str, path: GivenPath) -> Log:
     nothing = Observations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
     known = path.pose[np.isfinite(path.pose).all(axis=1)]
     start = known[0] if len(known) else np.zeros(3)
-    inputs = Inputs(
-        Prior(start, np.zeros((3, 3))), path.time, Increments(np.zeros((n, 3)), np.zeros((n, 3, 3))), nothing,
-        RangeBearing(),
-    )  # fmt: skip
+    still = Increments(np.zeros((n, 3)), np.zeros((n, 3, 3)))
+    inputs = Inputs(Prior(start, np.zeros((3, 3))), path.time, still, nothing, RangeBearing())
     said = (f"Truth alone, read from {path.file} ({path.kind})", projection(path), *path.notes)
     notes = tuple(f"{s[0].upper()}{s[1:]}." for s in said if s)
     return Log(name, inputs, Truth(pose=path.pose), source={"kind": TRUTH_ALONE, "file": path.file}, notes=notes)
@@ -269,30 +266,37 @@ def given_run(
         move = moved_map if log.recorded.sensor.sees_points else moved_walls
         landmarks = None if landmarks is None else move(T, landmarks)
         notes.append(notice(Code.ALIGNED, Severity.INFO, how=align))
-    notes += _gone(kept, task)
     m = len(log.recorded.observations.frame)
-    nothing = np.full(m, -2, np.int64)
-    decisions = nothing if kept.decisions is None else kept.decisions
+    decisions = np.full(m, DISCARD, np.int64) if kept.decisions is None else kept.decisions
     final = decisions if kept.final is None else kept.final
     created = created_by(decisions, final, task)
     begun = begun_by(final, created)
+    notes += _gone(kept, task, created)
     return GivenRun(
-        name, "none" if kept.decisions is None else GIVEN, task, made.get("online"), made.get("final"), landmarks,
-        decisions, np.where(begun >= 0, NEW, final), created, begun=begun, notes=tuple(notes), log=at, match=found,
-        aligned=NONE if T is None else align, source={p.file: p.digest for p in paths.values()},
-    )  # fmt: skip
+        name,
+        "none" if kept.decisions is None else GIVEN,
+        task,
+        made.get("online"),
+        made.get("final"),
+        landmarks,
+        decisions,
+        np.where(begun >= 0, NEW, final),
+        created,
+        begun=begun,
+        notes=tuple(notes),
+        log=at,
+        match=found,
+        aligned=NONE if T is None else align,
+        source={p.file: p.digest for p in paths.values()},
+    )
 
 
-def _gone(kept: Kept, task: str) -> list[Notice]:
+def _gone(kept: Kept, task: str, created: IntArray) -> list[Notice]:
     """A notice where landmarks were removed on the way, which nobody said when."""
     if kept.landmarks is None or kept.decisions is None or task == "localization":
         return []
-    final = kept.decisions if kept.final is None else kept.final
-    made = created_by(kept.decisions, final, task)
-    gone = np.setdiff1d(made[made >= 0], kept.landmarks.number)
-    if not len(gone):
-        return []
-    return [notice(Code.LANDMARKS_GONE, landmarks=len(gone))]
+    gone = np.setdiff1d(created[created >= 0], kept.landmarks.number)
+    return [notice(Code.LANDMARKS_GONE, landmarks=len(gone))] if len(gone) else []
 
 
 def created_by(decisions: IntArray, final: IntArray, task: str) -> IntArray:
@@ -310,8 +314,8 @@ def begun_by(final: IntArray, created: IntArray) -> IntArray:
     """
     begun = surviving(final, created)
     numbers, first = np.unique(final, return_index=True)
-    moved = np.isin(numbers, created[created >= 0]) & ~np.isin(numbers, begun)
-    begun[first[moved & (numbers >= 0)]] = numbers[moved & (numbers >= 0)]
+    later = (numbers >= 0) & np.isin(numbers, created[created >= 0]) & ~np.isin(numbers, begun)
+    begun[first[later]] = numbers[later]
     return begun
 
 
@@ -324,9 +328,7 @@ def _at(log: Log, time: Array, truth: Array | None) -> Log:
     """The log at other instants: nothing is known of it there but the truth."""
     n, o = len(time), log.recorded.observations
     nothing = Observations(o.frame[:0], o.z[:0], o.R[:0])
-    recorded = replace(
-        log.recorded, time=time, increments=Increments(np.zeros((n, 3)), np.zeros((n, 3, 3))), observations=nothing,
-        scans=None,
-    )  # fmt: skip
+    still = Increments(np.zeros((n, 3)), np.zeros((n, 3, 3)))
+    recorded = replace(log.recorded, time=time, increments=still, observations=nothing, scans=None)
     bare = replace(log.truth, pose=truth, relations=None)
     return replace(log, recorded=recorded, truth=bare, label=None, evidence=None)

@@ -237,11 +237,10 @@ def difference_rows(
             (ours.nees["pose"], theirs.nees["pose"]),
             np.random.default_rng(SEED),
         )
-        row: dict[str, object] = {
-            "log": log.name, "task": task, "association": a.association, "a": a.estimator, "b": b.estimator,
-            "phase_a": "online", "phase_b": "final", "rmse_position_m": rmse.value, "nees_pose": nees.value,
-            "block_frames": rmse.block if not rmse.why else nees.block,
-        }  # fmt: skip
+        row: dict[str, object] = {"log": log.name, "task": task, "association": a.association}
+        row |= {"a": a.estimator, "b": b.estimator, "phase_a": "online", "phase_b": "final"}
+        row |= {"rmse_position_m": rmse.value, "nees_pose": nees.value}
+        row["block_frames"] = rmse.block if not rmse.why else nees.block
         for name, found in (("rmse_position", rmse), ("nees_pose", nees)):
             row |= {f"{name}_lower": found.lower, f"{name}_upper": found.upper, f"{name}_p": found.p}
             row[f"{name}_why"] = found.why or None

@@ -1,11 +1,12 @@
-"""Errors of a path against reference relations: the pose at one instant in the frame of the pose at another.
+"""Laser runs judged: errors against reference relations, loop closures right or wrong, NEES of relative poses.
 
-Kuemmerle, Steder, Dornhege, Ruhnke, Grisetti, Stachniss and Kleiner, "On measuring the accuracy of SLAM algorithms",
-Autonomous Robots 27, 2009. With poses a, b and the relation rel, the error is  (a^-1 b) rel^-1  in Cartographer's
-evaluation, whose figures are the published ones, and  rel^-1 (a^-1 b)  in the paper (eq. 3). The rotation's error is
-the same in both; the translation's differs by what the error of rotation does over the length of the relation.
+A reference relation is the pose at one instant in the frame of the pose at another (Kuemmerle, Steder, Dornhege,
+Ruhnke, Grisetti, Stachniss and Kleiner, "On measuring the accuracy of SLAM algorithms", Autonomous Robots 27, 2009).
+With poses a, b and the relation rel, the error is  (a^-1 b) rel^-1  in Cartographer's evaluation, whose figures are the
+published ones, and  rel^-1 (a^-1 b)  in the paper (eq. 3). The rotation's error is the same in both; the translation's
+differs by what the error of rotation does over the length of the relation.
 
-Were the loop closures right? Counted as any association is, where the true poses are known.
+Loop closures are counted as any association is, where the true poses are known.
 
                 believed                              not believed
     right       TP                                    FN
@@ -13,22 +14,18 @@ Were the loop closures right? Counted as any association is, where the true pose
 
 over all loop closures that were looked at; precision is TP / (TP + FP). Of those not believed only such count as right
 whose two scans show the same (as defined for revisits below): with less in common there was nothing to know. A loop
-closure is right if what it says of the
-two poses is near the truth, or no farther from it than its own covariance lets expect: an honest match along a corridor
-may be a metre off. Recall over what was looked at, TP / (TP + FN), says nothing of the loops that nobody looked for, so
-the second one is over places: of the key poses from which an earlier, long past one could have been recognized, the
-share that a right and believed loop closure leads to.
-
-Do relative poses claim the errors that they have? NEES of the factors of a chain, and of loop closures.
-
-Rows of relations.csv and association.csv for runs over laser logs.
+closure is right if what it says of the two poses is near the truth, or no farther from it than its own covariance lets
+expect: an honest match along a corridor may be a metre off. Recall over what was looked at, TP / (TP + FN), says
+nothing of the loops that nobody looked for, so the second one is over places: of the key poses from which an earlier,
+long past one could have been recognized, the share that a right and believed loop closure leads to.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass, replace
+from itertools import product
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -146,10 +143,7 @@ def nearest_frames(frame_stamp: Array, stamp: Array) -> IntArray:
 def _summary(trans: Array, rot: Array) -> RelationErrors:
     if not len(trans):
         return RelationErrors(0, *[math.nan] * 6)
-    return RelationErrors(
-        len(trans), float(trans.mean()), float(trans.std()), float(trans.max()),
-        float(rot.mean()), float(rot.std()), float(rot.max()),
-    )  # fmt: skip
+    return RelationErrors(len(trans), *(float(f(each)) for each in (trans, rot) for f in (np.mean, np.std, np.max)))
 
 
 NEAR_M, NEAR_RAD = 0.15, 0.02
@@ -196,10 +190,7 @@ class ClosureCounts:
 
     def __add__(self, other: ClosureCounts) -> ClosureCounts:
         """Pooled over two runs."""
-        return ClosureCounts(
-            self.tp + other.tp, self.fp + other.fp, self.tn + other.tn, self.fn + other.fn,
-            self.possible + other.possible, self.closed + other.closed,
-        )  # fmt: skip
+        return ClosureCounts(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
 
 def right_closures(loops: Loops, truth: Array) -> BoolArray:
@@ -242,24 +233,29 @@ def scan_points_of(scans: Scans, frames: IntArray) -> list[Array]:
 
 
 def count_closures(
-    loops: Loops, truth: Array, possible: BoolArray | None = None, points: Sequence[Array] | None = None
+    loops: Loops,
+    truth: Array,
+    possible: BoolArray | None = None,
+    points: Sequence[Array] | None = None,
+    believed: BoolArray | None = None,
 ) -> ClosureCounts:
     """Counts against true key poses (K, 3), with `possible` (K,) from `revisits`; None: those are not counted.
 
-    With the scans' `points` those not believed are right only if they are `knowable`.
+    With the scans' `points` those that did not join the graph are right only if they are `knowable`. `believed` (L,):
+    where that is not all that joined.
     """
-    right, believed = right_closures(loops, truth), loops.believed >= 0
+    right, joined = right_closures(loops, truth), loops.believed >= 0
     if points is not None:
-        right &= believed | knowable(loops, truth, points)
-    counts = (
-        int((right & believed).sum()), int((~right & believed).sum()),
-        int((~right & ~believed).sum()), int((right & ~believed).sum()),
-    )  # fmt: skip
+        right &= joined | knowable(loops, truth, points)
+    believed = joined if believed is None else believed
+    tp, fp, tn, fn = right & believed, ~right & believed, ~right & ~believed, right & ~believed
+    counts = ClosureCounts(*(int(np.count_nonzero(which)) for which in (tp, fp, tn, fn)))
     if possible is None:
-        return ClosureCounts(*counts)
+        return counts
     led_to = np.zeros(len(truth), np.bool_)
-    led_to[loops.key2[right & believed]] = True
-    return ClosureCounts(*counts, int(possible.sum()), int((possible & led_to).sum()))
+    led_to[loops.key2[tp]] = True
+    closed = int(np.count_nonzero(possible & led_to))
+    return replace(counts, possible=int(np.count_nonzero(possible)), closed=closed)
 
 
 def revisits(truth: Array, points: list[Array]) -> BoolArray:
@@ -277,7 +273,8 @@ def revisits(truth: Array, points: list[Array]) -> BoolArray:
         around = np.array(tree.query_ball_point(truth[k, :2], REACH), np.int64)
         past = around[way[k] - way[around] > DRIVEN]
         # the nearest first: it is the likeliest to show the same
-        for i in _nearest_first(truth, past, k):
+        distance = np.hypot(*(truth[past, :2] - truth[k, :2]).T)
+        for i in past[np.argsort(distance, kind="stable")]:
             if fits(points[i], points[k], between(truth[i], truth[k]), trees.setdefault(int(i), cKDTree(points[i]))):
                 possible[k] = True
                 break
@@ -294,11 +291,6 @@ def fits(first: Array, second: Array, relative: Array, tree: cKDTree | None = No
     if there < OVERLAP:
         return False
     return float(np.mean(cKDTree(moved).query(first, distance_upper_bound=FIT)[0] <= FIT)) >= OVERLAP
-
-
-def _nearest_first(truth: Array, past: IntArray, key: int) -> IntArray:
-    distance = np.hypot(*(truth[past, :2] - truth[key, :2]).T)
-    return past[np.argsort(distance, kind="stable")]
 
 
 DOF = 3
@@ -379,16 +371,12 @@ def relation_rows(run: Run, log: Log) -> list[dict[str, object]]:
     relations = log.truth.relations
     if relations is None or run.failure is not None:
         return []
-    rows = []
-    for phase, path in paths_of(run).items():
-        for tie in TIES:
-            for subset in SUBSETS:
-                found = relation_errors(path, relations, log.recorded.time, tie=tie, subset=subset)
-                if found is not None:
-                    rows.append({
-                        "log": log.name, "estimator": run.estimator, "association": run.association, "phase": phase,
-                        "tie": tie, "subset": subset, **asdict(found),
-                    })  # fmt: skip
+    rows = list[dict[str, object]]()
+    name = {"log": log.name, "estimator": run.estimator, "association": run.association}
+    for (phase, path), tie, subset in product(paths_of(run).items(), TIES, SUBSETS):
+        found = relation_errors(path, relations, log.recorded.time, tie=tie, subset=subset)
+        if found is not None:
+            rows.append({**name, "phase": phase, "tie": tie, "subset": subset, **asdict(found)})
     return rows
 
 
@@ -405,19 +393,11 @@ def closure_counts(run: LaserRun, log: Log, phase: str) -> dict[str, object] | N
     truth = log.truth.pose
     if truth is None or run.loops is None or run.chain is None:
         return None
-    keys = truth[run.chain.frame]
-    loops = run.loops
-    ends = np.concatenate([loops.key1, loops.key2])
-    if not np.isfinite(keys[ends]).all():
+    keys, loops, scans = truth[run.chain.frame], run.loops, log.recorded.scans
+    if not np.isfinite(keys[np.concatenate([loops.key1, loops.key2])]).all():
         return None
-    right, believed = right_closures(loops, keys), kept(loops, run.weight, phase)
-    if log.recorded.scans is not None:
-        joined = loops.believed >= 0
-        right &= joined | knowable(loops, keys, scan_points_of(log.recorded.scans, run.chain.frame))
-    tp, fp = int((right & believed).sum()), int((~right & believed).sum())
-    tn, fn = int((~right & ~believed).sum()), int((right & ~believed).sum())
-    return {
-        "tp": tp, "tn": tn, "fp": fp, "fn": fn,
-        "precision": tp / (tp + fp) if tp + fp else None, "recall": tp / (tp + fn) if tp + fn else None,
-        "wrong": fp, "spurious": 0, "duplicate": 0, "missed": fn, "deferred": 0,
-    }  # fmt: skip
+    points = None if scans is None else scan_points_of(scans, run.chain.frame)
+    c = count_closures(loops, keys, points=points, believed=kept(loops, run.weight, phase))
+    shares: dict[str, object] = {"precision": c.precision, "recall": c.recall_of_found}
+    counted: dict[str, object] = {"tp": c.tp, "tn": c.tn, "fp": c.fp, "fn": c.fn, "wrong": c.fp, "missed": c.fn}
+    return shares | counted | dict.fromkeys(("spurious", "duplicate", "deferred"), 0)

@@ -1,8 +1,7 @@
-"""What a file of the result folder holds: columns with unit and meaning, and how rows become its table and its CSV.
+"""What each file of the result folder holds: columns with unit and meaning, and how rows become its table and CSV.
 
-The files of one run, and of one log: `runs/<log>/`.
-
-The CSV files at the top of the result folder.
+First the kinds of columns and files, then the files of one run and of one log (`runs/<log>/`), those for readers, and
+the CSV files at the top.
 """
 
 from __future__ import annotations
@@ -283,7 +282,8 @@ ASSOCIATION = text(
     "association", "who paired the observations, as on the command line; `none`: nobody (dead reckoning)"
 )
 PHASE = text("phase", "`online`: each pose from the data up to its frame; `final`: every pose from all data")
-RUN = (LOG, TASK, ESTIMATOR, ASSOCIATION, PHASE)
+WHO = (LOG, TASK, ESTIMATOR, ASSOCIATION)
+RUN = (*WHO, PHASE)
 
 METRICS = File(
     "metrics.csv",
@@ -323,17 +323,19 @@ CONSISTENCY = File(
         Column("lower", "lower end of its 95 % interval"),
         Column("upper", "upper end of its 95 % interval"),
         text("verdict", "`consistent`, `overconfident`, `conservative`, or `not enough runs`"),
-        TASK, ASSOCIATION, PHASE,
+        TASK,
+        ASSOCIATION,
+        PHASE,
         Column("power", "probability that this test rejects a covariance claimed at 0.8 of the true one"),
         count("diverged", "runs that diverged or are implausible, in no average"),
     ),
-)  # fmt: skip
+)
 TRUST = File(
     "trust.csv",
     "What each log says about itself, without any truth: statistics of innovations and residuals, beside those of"
     " twins (`--twins`).",
     (
-        LOG, TASK, ESTIMATOR, ASSOCIATION,
+        *WHO,
         text("statistic", "its name: `nis`, `innovation_lag1`, `filter_smoother_...`, `residual_...`, `slope_...`"),
         Column("value", "of the log"),
         Column("expected", "by theory where there is a theory, else the median of the twins"),
@@ -343,12 +345,15 @@ TRUST = File(
         Column("se", "standard error of the value, where one is known"),
         count("frame", "frame that a largest value is found in"),
     ),
-)  # fmt: skip
+)
 RELATIONS = File(
     "relations.csv",
     "Errors of the runs against a log's reference relations.",
     (
-        LOG, ESTIMATOR, ASSOCIATION, PHASE,
+        LOG,
+        ESTIMATOR,
+        ASSOCIATION,
+        PHASE,
         text("tie", "how relations are tied to frames: `row` (of the log) or `time` (stamps)"),
         text("subset", "`all` relations, or only the `exact` ones"),
         count("relations", "how many"),
@@ -360,7 +365,7 @@ RELATIONS = File(
         Column("rot_max_deg", "largest error of the rotation", "deg"),
     ),
     when="where a log has reference relations",
-)  # fmt: skip
+)
 PUBLISHED = File(
     "published.csv",
     "Our numbers beside published ones.",
@@ -375,24 +380,28 @@ PUBLISHED = File(
         Column("difference_in_se", "the difference in standard errors of the difference"),
     ),
     when="where a scenario with published numbers ran",
-)  # fmt: skip
+)
 TIMING = File(
     "timing.csv",
     "How long each estimator took; never the same twice, so not part of any comparison of bytes.",
     (
-        LOG, TASK, ESTIMATOR, ASSOCIATION,
+        *WHO,
         count("frames", "frames of the log"),
         Column("seconds", "wall time of the estimation; of a laser log with the front end", "s"),
         Column("frames_per_second", "frames over seconds", "1/s"),
     ),
-)  # fmt: skip
+)
 DIFFERENCES = File(
     "slamref.score(...).differences",
     "Filters (a) against smoothers (b) under the same association, on logs with truth: a minus b.",
     (
-        LOG, TASK, ASSOCIATION,
-        text("a", "the filter"), text("b", "the smoother"),
-        text("phase_a", "its phase"), text("phase_b", "its phase"),
+        LOG,
+        TASK,
+        ASSOCIATION,
+        text("a", "the filter"),
+        text("b", "the smoother"),
+        text("phase_a", "its phase"),
+        text("phase_b", "its phase"),
         Column("rmse_position_m", "difference of the position RMSE", "m"),
         Column("rmse_position_lower", "lower end of its 95 % interval", "m"),
         Column("rmse_position_upper", "upper end of its 95 % interval", "m"),
@@ -405,7 +414,7 @@ DIFFERENCES = File(
         text("rmse_position_why", "why the interval of the RMSE is missing"),
         text("nees_pose_why", "why the interval of the NEES is missing"),
     ),
-)  # fmt: skip
+)
 NOTICES = File(
     "notices.csv",
     "Everything that was found about logs and runs: questions, notes, why runs stopped, are implausible or lost, and"

@@ -247,13 +247,10 @@ def consistency_table(judged: Sequence[Judged]) -> pd.DataFrame:
     """Rows of consistency.csv."""
     rows = []
     for j in judged:
-        task, estimator, association, phase = j.key
-        v = j.verdict
-        rows.append({
-            "scenario": j.scenario, "estimator": estimator, "quantity": j.quantity, "dof": v.dof, "runs": v.runs,
-            "mean": v.mean, "lower": v.lower, "upper": v.upper, "verdict": v.word, "task": task,
-            "association": association, "phase": phase, "power": v.power, "diverged": j.diverged,
-        })  # fmt: skip
+        who = dict(zip(("task", "estimator", "association", "phase"), j.key, strict=True))
+        measured = {name: getattr(j.verdict, name) for name in ("dof", "runs", "mean", "lower", "upper", "power")}
+        what = {"scenario": j.scenario, "quantity": j.quantity, "verdict": j.verdict.word, "diverged": j.diverged}
+        rows.append(who | measured | what)
     return frame_of(rows, CONSISTENCY)
 
 

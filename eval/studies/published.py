@@ -91,13 +91,6 @@ def difference(ours: Estimate, published: float, se_published: float) -> float:
 
 def row_of(scenario: str, row: Row, ours: Estimate) -> Mapping[str, object]:
     """A row of published.csv."""
-    return dict(
-        zip(
-            COLUMNS,
-            (
-                scenario, row.estimator, row.quantity, ours.value, ours.se, row.value, row.se or math.nan,
-                difference(ours, row.value, row.se),
-            ),
-            strict=True,
-        )
-    )  # fmt: skip
+    who, theirs = (scenario, row.estimator, row.quantity), (row.value, row.se or math.nan)
+    values = *who, ours.value, ours.se, *theirs, difference(ours, row.value, row.se)
+    return dict(zip(COLUMNS, values, strict=True))

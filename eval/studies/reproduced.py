@@ -88,10 +88,9 @@ def lines(rows: Sequence[Mapping[str, object]]) -> list[str]:
         return []
     table = [("scenario", "estimator", "quantity", "ours", "published", "difference [SE]")]
     for r in rows:
-        table.append((
-            str(r["scenario"]), str(r["estimator"]), str(r["quantity"]), _pair(r["ours"], r["se_ours"]),
-            _pair(r["published"], r["se_published"]), f"{float(str(r['difference_in_se'])):+.2f}",
-        ))  # fmt: skip
+        who = str(r["scenario"]), str(r["estimator"]), str(r["quantity"])
+        both = _pair(r["ours"], r["se_ours"]), _pair(r["published"], r["se_published"])
+        table.append((*who, *both, f"{float(str(r['difference_in_se'])):+.2f}"))
     return in_columns(table)
 
 
@@ -144,7 +143,6 @@ def _row(scenario: Scenario, stored: StoredRun, run: Run, tolerance: float) -> M
         ours = float(np.mean(nees[scenario.from_frame :]))
         difference = float(np.max(np.abs(nees[FIRST_COMPARED:] / theirs[FIRST_COMPARED:] - 1.0)))
     stored_mean = float(np.mean(theirs[scenario.from_frame :]))
-    values = (
-        scenario.name, run.estimator, "nees_pose", ours, math.nan, stored_mean, math.nan, difference / tolerance,
-    )  # fmt: skip
+    who = scenario.name, run.estimator, "nees_pose"
+    values = *who, ours, math.nan, stored_mean, math.nan, difference / tolerance
     return dict(zip(COLUMNS, values, strict=True))

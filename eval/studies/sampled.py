@@ -138,14 +138,17 @@ def twin_sample(
     return replace(sample, nees=nees, counts=counts)
 
 
+AS_THEY_ARE = ("failures", "outlying", "typical", "apart")
+"""Fields of a sample that a file has as they are."""
+
+
 def save(path: Path, sample: Sample) -> None:
     """Keep a sample; the file appears whole or not at all."""
     kept = {
         "measured": [[*key, *m] for key, m in sample.measured.items()],
         "nees": [[*key, value] for key, value in sample.nees.items()],
-        "failures": sample.failures, "outlying": sample.outlying,
-        "typical": sample.typical, "apart": sample.apart, "counts": sample.counts,
-    }  # fmt: skip
+        **{name: getattr(sample, name) for name in (*AS_THEY_ARE, "counts")},
+    }
     with whole_file(path) as partial:
         partial.write_bytes(json.dumps(kept).encode())
 
@@ -154,10 +157,9 @@ def load(path: Path) -> Sample | None:
     """A kept sample, or None; a file that is damaged counts as none."""
     try:
         kept = json.loads(path.read_bytes())
-        return Sample(
-            {(e, name): Measured(*m) for e, name, *m in kept["measured"]}, kept["failures"], kept["outlying"],
-            kept["typical"], kept["apart"], {(e, phase): v for e, phase, v in kept["nees"]},
-            {e: (tp, tn, fp, fn) for e, (tp, tn, fp, fn) in kept["counts"].items()},
-        )  # fmt: skip
+        measured = {(e, name): Measured(*m) for e, name, *m in kept["measured"]}
+        nees = {(e, phase): v for e, phase, v in kept["nees"]}
+        counts = {e: (tp, tn, fp, fn) for e, (tp, tn, fp, fn) in kept["counts"].items()}
+        return Sample(measured, nees=nees, counts=counts, **{name: kept[name] for name in AS_THEY_ARE})
     except (FileNotFoundError, ValueError, KeyError, TypeError):
         return None

@@ -265,13 +265,12 @@ def _detectable(made: Trust, drawn: Array) -> dict[str, float]:
 
 def trust_table(all_trust: Sequence[Trust]) -> pd.DataFrame:
     """Rows of trust.csv."""
-    rows = [
-        {
-            "log": t.log, "task": t.task, "estimator": r.estimator, "association": t.association,
-            "statistic": r.statistic, "value": r.measured.value, "expected": r.expected, "twins": r.twins, "p": r.p,
-            "p_family": r.p_family, "se": r.measured.se, "frame": r.measured.frame if r.measured.frame >= 0 else None,
-        }
-        for t in all_trust
-        for r in t.rows
-    ]  # fmt: skip
+    rows = []
+    for t in all_trust:
+        for r in t.rows:
+            m = r.measured
+            who = {"log": t.log, "task": t.task, "estimator": r.estimator, "association": t.association}
+            said = {"statistic": r.statistic, "value": m.value, "se": m.se, "frame": m.frame if m.frame >= 0 else None}
+            tested = {"expected": r.expected, "twins": r.twins, "p": r.p, "p_family": r.p_family}
+            rows.append(who | said | tested)
     return frame_of(rows, COLUMNS)

@@ -7,10 +7,9 @@ truth, and every statistic of the log its own reference distribution, linearizat
 What twins cannot see is an error that the smoother took into what now counts as truth, as a scale that distances and
 readings share.
 
-What a log would be with the systematic errors and the noise that its twins find wrong put right, tried at once.
-
-A quick calibration, not a fit: correct what is found, draw a few twins of the corrected log, look again. `eval.tune`
-fits the same parameters by maximum likelihood, which takes minutes on a long log.
+`calibrated` puts right what the twins find wrong of systematic errors and noise: a quick calibration, not a fit. It
+corrects what is found, draws a few twins of the corrected log, and looks again. `eval.tune` fits the same parameters by
+maximum likelihood, which takes minutes on a long log.
 """
 
 from __future__ import annotations
@@ -126,9 +125,11 @@ def twin(source: Source, seed: int) -> Log:
             z[seen, 0] = np.abs(z[seen, 0])  # a range is not negative
             z[seen, 1] = se2.wrap_angle(z[seen, 1])
     recorded = replace(
-        r, prior=Prior(mean, r.prior.covariance), increments=Increments(motion, r.increments.covariance),
-        observations=Observations(o.frame, z, o.R), map=r.map if source.task == "localization" else None,
-    )  # fmt: skip
+        r if source.task == "localization" else r.without_map(),
+        prior=Prior(mean, r.prior.covariance),
+        increments=Increments(motion, r.increments.covariance),
+        observations=Observations(o.frame, z, o.R),
+    )
     name = f"{source.log.name}:twin={seed}"
     told = {"kind": "twin", "twin_of": source.log.name, "seed": seed, "task": source.task}
     note = f"Drawn from batch's path and map of {source.log.name}, with the covariances as stated; batch is its truth."
@@ -152,10 +153,9 @@ def digest_of(source: Source) -> str:
         repr((source.log.name, source.task, source.association, source.estimators, source.setup, r.sensor)).encode()
     )
     digest.update(repr(digests((*source.estimators, source.association))).encode())
-    for array in (
-        r.prior.covariance, r.time, r.increments.covariance, r.observations.frame, r.observations.z, r.observations.R,
-        source.path, source.landmarks.id, source.landmarks.xy, source.landmark_of,
-    ):  # fmt: skip
+    o, places = r.observations, source.landmarks
+    stated = r.prior.covariance, r.time, r.increments.covariance, o.frame, o.z, o.R
+    for array in (*stated, source.path, places.id, places.xy, source.landmark_of):
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
 

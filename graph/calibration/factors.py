@@ -1,13 +1,10 @@
 """Factors of the systematic errors: with increments, a priori, from knot to knot, and with known landmarks.
 
-An increment with systematic errors as a factor: exact in both poses wherever they go, linear in the errors.
-
-A factor that is linear in the poses as well is exact for rigid motions of both to first order only. Far from where the
-log began poses move by metres while increments are known to millimetres, and what is left out of it throws the estimate
-about. So the residual is formed anew each time that gtsam linearizes the factor, at the errors as known then, and taken
-from there to where gtsam has them by its tangent: these may be far apart, and none of the rest need be eliminated anew.
-
-The increments of a run as factors, and whose drift each has.
+That of an increment is exact in both poses wherever they go, and linear in the errors. One that is linear in the poses
+as well is exact for rigid motions of both to first order only: far from where the log began poses move by metres while
+increments are known to millimetres, and what is left out throws the estimate about. So the residual is formed anew each
+time that gtsam linearizes the factor, at the errors as known then, and taken from there to where gtsam has them by its
+tangent: these may be far apart, and none of the rest need be eliminated anew.
 """
 
 from __future__ import annotations
@@ -86,9 +83,16 @@ def first_factors(errors: Errors, prior: Prior) -> tuple[list[Factor], gtsam.Val
 
 
 def sight_pinned(
-    errors: Errors, sensor: Sensor, seen: Sightings, frames: IntArray, number: IntArray, xy: Array, row: int, loss: str,
+    errors: Errors,
+    sensor: Sensor,
+    seen: Sightings,
+    frames: IntArray,
+    number: IntArray,
+    xy: Array,
+    row: int,
+    loss: str,
     now: Array,
-) -> list[Sighted]:  # fmt: skip
+) -> list[Sighted]:
     """Known landmarks at xy (m, 2) of the world, which depend on the errors in the sensor's frame.
 
     Copies L(row), ... for each sighting, of relative points as well; they start where errors `now` (p,) put them.
@@ -113,15 +117,25 @@ UNIT_INCREMENT = noise.Unit.Create(3)
 
 
 @numba.njit(cache=True)
-def tangent(x, y, theta, x2, y2, theta2, at, errors, order, sigma, motion, root, place, mount):  # type: ignore[no-untyped-def]
+def tangent(
+    pose: Array,
+    at: Array,
+    errors: Array,
+    order: IntArray,
+    sigma: Array,
+    motion: Array,
+    root: Array,
+    place: IntArray,
+    mount: Array,
+) -> Array:
     """Columns (3, 1 + 6 + p): the whitened residual of one increment and its Jacobians to both poses and the variables.
 
-    Poses (x, y, theta), the second one after the increment; the residual is linearized at `errors` (p,) and taken to
+    `pose` (2, 3): before and after the increment; the residual is linearized at `errors` (p,) and taken to
     variables `at` (p,). Each of these is error `order` (p,), all in units of `sigma` (p,); others as of
     `linearize_increments`.
     """
     p = len(at)
-    pose, b = np.array([[x, y, theta], [x2, y2, theta2]]), np.empty((1, p))
+    b = np.empty((1, p))
     residual, before, after, by = np.empty((1, 3)), np.empty((1, 3, 3)), np.empty((1, 3, 3)), np.empty((1, 3, p))
     for j in range(p):
         b[0, order[j]] = errors[j] * sigma[order[j]]
@@ -166,9 +180,8 @@ def _residual(errors: Errors, keys: Sequence[int], mean: Array, root: Array, now
             d = values.atVector(drift)
             at = np.concatenate([values.atVector(constants), d]) if q else d
             about = np.concatenate([now, d]) if q else d
-        found = tangent(
-            p.x(), p.y(), p.theta(), r.x(), r.y(), r.theta(), at, about, order, sigma, motion, roots, place, mount
-        )
+        poses = np.array([[p.x(), p.y(), p.theta()], [r.x(), r.y(), r.theta()]])
+        found = tangent(poses, at, about, order, sigma, motion, roots, place, mount)
         if H is not None:
             H[0], H[1] = found[:, 1:4], found[:, 4:7]
             if q:

@@ -29,7 +29,7 @@ from graph.systematic import Calibrated, Errors, drift_key
 
 
 @numba.njit(cache=True)
-def forget(b, P, F, Q, drift, stays, fresh):  # type: ignore[no-untyped-def]
+def forget(b: Array, P: Array, F: Array, Q: Array, drift: int, stays: float, fresh: float) -> None:
     """At a new knot, in place: of the drift, at `drift` among errors b (p,), a share stays, and variance comes."""
     i = 3 + drift
     b[drift] *= stays
@@ -41,7 +41,9 @@ def forget(b, P, F, Q, drift, stays, fresh):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def advance(mean, b, P, F, Q, motion, M, place, mount):  # type: ignore[no-untyped-def]
+def advance(
+    mean: Array, b: Array, P: Array, F: Array, Q: Array, motion: Array, M: Array, place: IntArray, mount: Array
+) -> tuple[Array, Array, Array, Array]:
     """Pose (3,), covariance P of pose and errors b (p,), both (3 + p), Jacobian F and gathered covariance Q since an
     anchor, one raw increment later. Errors stand at `place` among all; `mount` as of `correct`.
     """

@@ -3,11 +3,9 @@
 As `graph.optimum` does for landmarks: Gauss-Newton steps cut down until the cost falls, ended and judged by their
 length in sigmas. A robust loss is on the norm of the whole whitened residual of a loop closure, by reweighting.
 
-A pose graph linearized, as the rows that `graph.qr.elimination` takes; unknowns are poses [x, y, theta] (world).
-
-The error of a relative pose is gtsam's, so that all smoothers have the same optimum: the logarithm (so that it is the
-same seen from either end) of measured^-1 . estimated, in the frame of the end. To first order that is the additive
-error, turned there.
+Unknowns are poses [x, y, theta] (world). The error of a relative pose is gtsam's, so that all smoothers have the same
+optimum: the logarithm (so that it is the same seen from either end) of measured^-1 . estimated, in the frame of the
+end. To first order that is the additive error, turned there.
 """
 
 from __future__ import annotations
@@ -152,7 +150,7 @@ def _structure(key1: IntArray, key2: IntArray, keys: int) -> Structure:
 
 
 @numba.njit(cache=True)
-def _error(a, b, m, r):  # type: ignore[no-untyped-def]
+def _error(a: Array, b: Array, m: Array, r: Array) -> tuple[float, float, float, float, float, float, float]:
     """The logarithm r (3,) of m^-1 a^-1 b; returns what its derivatives are made of."""
     ca, sa, cm, sm = np.cos(a[2]), np.sin(a[2]), np.cos(m[2]), np.sin(m[2])
     dx, dy = b[0] - a[0], b[1] - a[1]
@@ -170,7 +168,7 @@ def _error(a, b, m, r):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _residuals(pose, key1, key2, relative, root):  # type: ignore[no-untyped-def]
+def _residuals(pose: Array, key1: IntArray, key2: IntArray, relative: Array, root: Array) -> Array:
     out, r = np.empty((len(key1), 3)), np.empty(3)
     for e in range(len(key1)):
         _error(pose[key1[e]], pose[key2[e]], relative[e], r)
@@ -179,7 +177,7 @@ def _residuals(pose, key1, key2, relative, root):  # type: ignore[no-untyped-def
 
 
 @numba.njit(cache=True)
-def _linearize(pose, key1, key2, relative, root):  # type: ignore[no-untyped-def]
+def _linearize(pose: Array, key1: IntArray, key2: IntArray, relative: Array, root: Array) -> tuple[Array, Array]:
     """Rows A (E, 3, 6), columns of key2 before those of key1, and right-hand sides b (E, 3, 1)."""
     A, rhs = np.empty((len(key1), 3, 6)), np.empty((len(key1), 3, 1))
     r, J = np.empty(3), np.empty((3, 6))

@@ -1,14 +1,11 @@
-"""iSAM2 over key poses, as they come: a chain of relative poses, and loop closures in it.
+"""iSAM2 over key poses, as they come: a chain of relative poses, and loop closures in it; of all, or of the newest.
 
-Relative poses between key poses as gtsam takes them.
-
-Fixed-lag smoothing of key poses: iSAM2 over the newest ones; those that leave are marginalized, and are places then.
-
-With landmarks (`graph.fixed_lag`) loops are closed through the landmarks, which stay. Here nothing stays but the key
-poses of the window, so a loop closure to one that has left can only be taken as a fix: the newest pose is measured
-from a place known with the pose and covariance that it left with. That the two errors have a past in common is ignored,
-as in localization by a map that is not quite right: the path comes back to the place, the poses in between do not, and
-the covariance comes out too small after many such fixes.
+With a fixed lag, key poses that leave are marginalized, and are places then. With landmarks (`graph.fixed_lag`) loops
+are closed through the landmarks, which stay. Here nothing stays but the key poses of the window, so a loop closure to
+one that has left can only be taken as a fix: the newest pose is measured from a place known with the pose and
+covariance that it left with. That the two errors have a past in common is ignored, as in localization by a map that is
+not quite right: the path comes back to the place, the poses in between do not, and the covariance comes out too small
+after many such fixes.
 """
 
 from __future__ import annotations
@@ -60,6 +57,8 @@ class PoseGraph:
     What is added counts from the next `update` on. Covariances that go in are of the additive error [m, m, rad] of the
     relative pose, in the body frame of the pose it starts at; those that come out are of poses, world frame, additive.
     """
+
+    _engine: Engine
 
     def __init__(self, prior: Prior, *, loss: str = "gaussian") -> None:
         """Key pose 0 is where the prior puts it. `loss` of loop closures; the chain is always believed."""

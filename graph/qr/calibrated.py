@@ -5,15 +5,11 @@ further right-hand sides (see `graph.qr.solution`), what a prior sigma of each a
 sensor's frame (`data.motion.systematic`), but for the first pose, which the prior knows in the world: it is there
 what moves the robot's own pose, and a column for the errors.
 
-Increments under systematic errors, linearized: whitened residuals of what odometry stated, with exact Jacobians.
-
-The residual is Log(m^-1 g(X^-1 Y, b)) for poses X, Y: of what the odometry stated, m, against what it would have stated
-of that way without noise, g (`data.motion.systematic`). Without errors it is that of gtsam's between factor. The errors
-act on the way as smoothed: acting on the one stated they would share its noise, and a scale would come out too small by
-the noise's share of the squared motion, however long the log (Fuller, "Measurement Error Models", 1987, section 1.1).
-Nor does the whitening depend on the errors: a large range error would make any residual cheap.
-
-An optimum turned out of the sensor's frame: path and map of the robot in the world, and the errors.
+The residual of an increment is Log(m^-1 g(X^-1 Y, b)) for poses X, Y: of what the odometry stated, m, against what it
+would have stated of that way without noise, g (`data.motion.systematic`). Without errors it is that of gtsam's between
+factor. The errors act on the way as smoothed: acting on the one stated they would share its noise, and a scale would
+come out too small by the noise's share of the squared motion, however long the log (Fuller, "Measurement Error Models",
+1987, section 1.1). Nor does the whitening depend on the errors: a large range error would make any residual cheap.
 """
 
 from __future__ import annotations
@@ -41,7 +37,7 @@ SMALL = 1e-3
 
 
 @numba.njit(cache=True)
-def _logarithm(theta):  # type: ignore[no-untyped-def]
+def _logarithm(theta: float) -> tuple[float, float]:
     """(theta/2) cot(theta/2), and (1 - that) / theta^2."""
     if abs(theta) < SMALL:
         square = theta * theta
@@ -51,7 +47,7 @@ def _logarithm(theta):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _product(left, right, out):  # type: ignore[no-untyped-def]
+def _product(left: Array, right: Array, out: Array) -> None:
     """Left @ right, (3, 3) each, into `out`."""
     for i in range(3):
         for j in range(3):
@@ -59,7 +55,7 @@ def _product(left, right, out):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _adjoint(x, y, theta, out):  # type: ignore[no-untyped-def]
+def _adjoint(x: float, y: float, theta: float, out: Array) -> None:
     """Of the inverse of the pose (x, y, theta), into `out` (3, 3): moves before it, as moves after it."""
     c, s = math.cos(theta), math.sin(theta)
     out[0, 0], out[0, 1], out[0, 2] = c, s, s * x - c * y
@@ -68,9 +64,18 @@ def _adjoint(x, y, theta, out):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def linearize_increments(  # type: ignore[no-untyped-def]
-    pose, motion, root, errors, place, mount, residual, before, after, by_errors
-):
+def linearize_increments(
+    pose: Array,
+    motion: Array,
+    root: Array,
+    errors: Array,
+    place: IntArray,
+    mount: Array,
+    residual: Array,
+    before: Array,
+    after: Array,
+    by_errors: Array,
+) -> None:
     """Fill in whitened residuals (n, 3) and Jacobians: to the pose before and after (n, 3, 3), body frame of each, and
     to the errors (n, 3, p); of `motion` (n, 3) from pose k to k + 1 of `pose` (n + 1, 3), each under `errors` (n, p).
 
@@ -168,9 +173,8 @@ class CalibratedRows:
             # only the way from pose to landmark is seen: what moves the landmark moves the pose the other way
             seen = np.array([s.frame for s in self._problem.sighted], np.int64)
             shift = (self._world - c.frame.origin) * c.systematic.sigma[c.frame.range_at]
-            turn = pose[seen, 2]
-            body = np.stack([np.cos(turn) * shift[:, 0] + np.sin(turn) * shift[:, 1],
-                             np.cos(turn) * shift[:, 1] - np.sin(turn) * shift[:, 0]], 1)  # fmt: skip
+            cos, sin = np.cos(pose[seen, 2]), np.sin(pose[seen, 2])
+            body = np.stack([cos * shift[:, 0] + sin * shift[:, 1], cos * shift[:, 1] - sin * shift[:, 0]], 1)
             rows, at = slice(n, n + len(seen)), 1 + int(np.searchsorted(c.constant, c.frame.range_at))
             b[rows, :, at] -= np.einsum("mij,mj->mi", A[rows, :, :2], body)
         return self._first(errors[0], pose[0])

@@ -8,11 +8,8 @@ which leaves  R x_v + S x_sep = d + N(0, I)  with the separator `sep` inside the
 
 so that every marginal follows from the parent's, by sums of squares only: no information matrix is formed or inverted,
 and increments known a hundred thousand times better in one direction than in another do no harm. Time and memory grow
-with the sum of the squared clique sizes, which for a path that closes loops is nearly proportional to its length.
-
-Symbolic elimination: which variables meet in which clique, for a given order.
-
-The order of elimination: along the path where that is all there is, COLAMD otherwise.
+with the sum of the squared clique sizes, which for a path that closes loops is nearly proportional to its length. The
+order of elimination is along the path where that is all there is, COLAMD otherwise.
 """
 
 from __future__ import annotations
@@ -68,7 +65,7 @@ def structure(variable: IntArray, order: IntArray) -> Structure:
 
 
 @numba.njit(cache=True)
-def _separators(ends, size):  # type: ignore[no-untyped-def]
+def _separators(ends: IntArray, size: int) -> tuple[IntArray, IntArray, IntArray]:
     """Parent and separator of each position, from blocks of positions `ends` (B, k), the least first."""
     count = np.zeros(size + 1, np.int64)
     others = ends.shape[1] - 1
@@ -120,7 +117,7 @@ def _separators(ends, size):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _postorder(parent):  # type: ignore[no-untyped-def]
+def _postorder(parent: IntArray) -> IntArray:
     """Positions in an order in which children come before their parents, subtree by subtree."""
     n = len(parent)
     child, sibling = np.full(n, -1), np.full(n, -1)
@@ -149,7 +146,7 @@ def _postorder(parent):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _moved(separator, start, post, new, moved):  # type: ignore[no-untyped-def]
+def _moved(separator: IntArray, start: IntArray, post: IntArray, new: IntArray, moved: IntArray) -> IntArray:
     """The separators by their new positions, each ascending."""
     out = np.empty_like(separator)
     for v in range(len(post)):
@@ -209,7 +206,7 @@ def eliminate(rows: Rows, s: Structure) -> Triangle:
 
 
 @numba.njit(cache=True)
-def _widths(dim, start, separator):  # type: ignore[no-untyped-def]
+def _widths(dim: IntArray, start: IntArray, separator: IntArray) -> IntArray:
     """Columns of each separator."""
     width = np.zeros(len(dim), np.int64)
     for v in range(len(dim)):
@@ -219,7 +216,7 @@ def _widths(dim, start, separator):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def reflect(F, columns):  # type: ignore[no-untyped-def]
+def reflect(F: Array, columns: int) -> None:
     """Householder reflections that make the first columns of F (m, n) upper triangular, in place."""
     m, n = F.shape
     w = np.empty(n)
@@ -254,9 +251,23 @@ def reflect(F, columns):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _eliminate(  # type: ignore[no-untyped-def]
-    variables, A, b, height, dims, variable, parent, children, start, separator, first, block, dim, width, at_S
-):
+def _eliminate(
+    variables: IntArray,
+    A: Array,
+    b: Array,
+    height: IntArray,
+    dims: IntArray,
+    variable: IntArray,
+    parent: IntArray,
+    children: IntArray,
+    start: IntArray,
+    separator: IntArray,
+    first: IntArray,
+    block: IntArray,
+    dim: IntArray,
+    width: IntArray,
+    at_S: IntArray,
+) -> tuple[Array, Array, Array, Array, int]:
     c, size = b.shape[2], len(variable)
     R, S, d = np.zeros((size, 3, 3)), np.empty(at_S[-1]), np.zeros((size, 3, c))
     place, column = np.empty(size, np.int64), np.empty(size, np.int64)

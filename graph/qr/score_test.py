@@ -4,12 +4,9 @@ Every hypothetical error has one unknown size, zero under the null hypothesis. A
 are regression coefficients beside path and map: eliminating those from a column for each leaves what they cannot
 explain, which gives the derivative of the log-likelihood, path and map profiled out, and its covariance (Rao, "Large
 sample tests of statistical hypotheses concerning several parameters", Proc. Cambridge Phil. Soc. 44, 1948). Systematic
-errors that the smoother estimated, with their priors, are profiled out like path and map.
-
-Systematic errors that were estimated, as unknowns of the score test: what more of each would add to a log.
-
-The log is the one less the errors found (`data.motion.systematic`), in the robot's own frame; each error more, in
-prior sigmas, has a column, and the prior of its whole size.
+errors that the smoother estimated, with their priors, are profiled out like path and map: the log is then the one less
+the errors found (`data.motion.systematic`), in the robot's own frame; each error more, in prior sigmas, has a column,
+and the prior of its whole size.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
-"""The step of an eliminated problem and its covariances, with what its further right-hand sides stand for.
+"""The step of an eliminated problem and its covariances: from the root of the elimination tree back to its leaves.
 
 With residuals A x + C c - b and a standard normal prior on c (q,), the right-hand sides of the elimination are b and
 the columns of C. What of them no x explains, `left`, gives the least-squares problem of c alone; given c, x = x_b - X c
 with the solutions of the right-hand sides, so that cov(x) = cov(x | c) + X cov(c) X' and cov(x, c) = -X cov(c).
-
-Means and marginal covariances of an eliminated problem, from the root of the elimination tree back to its leaves.
 """
 
 from __future__ import annotations
@@ -14,6 +12,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
+from data.inputs import IntArray
 from data.se2 import Array
 from graph.qr.elimination import Rows, Structure, Triangle
 
@@ -34,7 +33,17 @@ def marginals(rows: Rows, s: Structure, t: Triangle) -> Array:
 
 
 @numba.njit(cache=True)
-def _substitute(variable, start, separator, dim, R, S, at_S, d, x):  # type: ignore[no-untyped-def]
+def _substitute(
+    variable: IntArray,
+    start: IntArray,
+    separator: IntArray,
+    dim: IntArray,
+    R: Array,
+    S: Array,
+    at_S: IntArray,
+    d: Array,
+    x: Array,
+) -> None:
     c = x.shape[2]
     for v in range(len(variable) - 1, -1, -1):
         n = dim[v]
@@ -56,7 +65,18 @@ def _substitute(variable, start, separator, dim, R, S, at_S, d, x):  # type: ign
 
 
 @numba.njit(cache=True)
-def _covariances(variable, parent, children, start, separator, dim, R, S, at_S, out):  # type: ignore[no-untyped-def]
+def _covariances(
+    variable: IntArray,
+    parent: IntArray,
+    children: IntArray,
+    start: IntArray,
+    separator: IntArray,
+    dim: IntArray,
+    R: Array,
+    S: Array,
+    at_S: IntArray,
+    out: Array,
+) -> None:
     """Marginals by clique: the covariance of a clique is kept until the last of its children has taken its part."""
     size = len(variable)
     cliques, used = np.empty(1024), 0

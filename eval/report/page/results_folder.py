@@ -11,7 +11,7 @@ PAGE = Path(__file__).parents[3] / "docs" / "results-folder.md"
 HEAD = f"""\
 # The result folder
 
-<!-- Written by `make docs` out of eval/referee/files/. Do not edit. -->
+<!-- Written by `make docs` out of eval/referee/result_files.py. Do not edit. -->
 
 Every file that `slamref run` writes (default: `results/report`), and every column. SI units and radians, unless a name
 ends in a unit. In file names `:`, `+` and `/` of a log's name become `_`. A blank cell is unknown or does not apply,
