@@ -89,13 +89,9 @@ def bars(trial: Trial, beside: Sequence[Trial] = ()) -> list[Bar]:
     return found
 
 
+@drawing()
 def confusion_figure(title: str, shown: Sequence[Bar]) -> Figure:
     """Stacked bars of observation counts, FP and FN in numbers beside them; same colours in every figure."""
-    with drawing():
-        return _confusion_figure(title, shown)
-
-
-def _confusion_figure(title: str, shown: Sequence[Bar]) -> Figure:
     fig = Figure(figsize=(page_width(), 1.35 + 0.2 * len(shown)))
     ax = fig.add_subplot()
     rows = np.arange(len(shown))
@@ -159,40 +155,38 @@ class Example:
     new: IntArray
 
 
+@drawing()
 def revision_figure(log: Log, run: Run, one: Example, *, width: float | None = None) -> Figure:
     """Two maps with one scale: as decided at first, along the path known then, and in the end."""
-    with drawing():
-        width = width or page_width()
-        assert run.online is not None  # who revises decides frame by frame
-        last = run.online.pose if run.final is None else run.final.pose
-        # landmarks that stay, seen by decisions that were never in doubt
-        number = np.where(run.created >= 0, run.created, run.decisions)
-        others = np.setdiff1d(np.flatnonzero(np.isin(number, one.new[one.new >= 0])), one.rows)
-        panels = [
-            (f"as decided before frame {one.frame}", run.online.pose, one.old, BEFORE),
-            ("in the end", last, one.new, AFTER),
-        ]
-        fig = Figure(figsize=(width, 0.6 * width), layout="constrained")
-        axes = fig.subplots(1, 2, sharex=True, sharey=True)
-        boxes = []
-        for ax, (title, path, decided, colour) in zip(axes, panels, strict=True):
-            boxes.append(_panel(ax, log, run, one, path, decided, colour, others))
-            ax.set_title(title)
-            ax.set_xlabel("x [m]")
-            ax.set_aspect("equal")
-        axes[0].set_ylabel("y [m]")
-        every = np.concatenate(boxes)
-        low, high = every.min(axis=0), every.max(axis=0)
-        half = max((0.5 + MARGIN) * float((high - low).max()), LEAST)
-        for limit, middle in zip((axes[0].set_xlim, axes[0].set_ylim), 0.5 * (low + high), strict=True):
-            limit(middle - half, middle + half)
-        handles, labels = axes[0].get_legend_handles_labels()
-        more = [(h, t) for h, t in zip(*axes[1].get_legend_handles_labels(), strict=True) if t not in labels]
-        fig.legend(
-            [*handles, *(h for h, _ in more)], [*labels, *(t for _, t in more)], loc="outside lower center", ncols=3
-        )
-        settle(fig)
-        return fig
+    width = width or page_width()
+    assert run.online is not None  # who revises decides frame by frame
+    last = run.online.pose if run.final is None else run.final.pose
+    # landmarks that stay, seen by decisions that were never in doubt
+    number = np.where(run.created >= 0, run.created, run.decisions)
+    others = np.setdiff1d(np.flatnonzero(np.isin(number, one.new[one.new >= 0])), one.rows)
+    panels = [
+        (f"as decided before frame {one.frame}", run.online.pose, one.old, BEFORE),
+        ("in the end", last, one.new, AFTER),
+    ]
+    fig = Figure(figsize=(width, 0.6 * width), layout="constrained")
+    axes = fig.subplots(1, 2, sharex=True, sharey=True)
+    boxes = []
+    for ax, (title, path, decided, colour) in zip(axes, panels, strict=True):
+        boxes.append(_panel(ax, log, run, one, path, decided, colour, others))
+        ax.set_title(title)
+        ax.set_xlabel("x [m]")
+        ax.set_aspect("equal")
+    axes[0].set_ylabel("y [m]")
+    every = np.concatenate(boxes)
+    low, high = every.min(axis=0), every.max(axis=0)
+    half = max((0.5 + MARGIN) * float((high - low).max()), LEAST)
+    for limit, middle in zip((axes[0].set_xlim, axes[0].set_ylim), 0.5 * (low + high), strict=True):
+        limit(middle - half, middle + half)
+    handles, labels = axes[0].get_legend_handles_labels()
+    more = [(h, t) for h, t in zip(*axes[1].get_legend_handles_labels(), strict=True) if t not in labels]
+    fig.legend([*handles, *(h for h, _ in more)], [*labels, *(t for _, t in more)], loc="outside lower center", ncols=3)
+    settle(fig)
+    return fig
 
 
 def _panel(

@@ -77,16 +77,12 @@ def stretches_of(time: Array, run: Run, most: int = WINDOWS) -> Stretches | None
     return Stretches(np.concatenate([time[:1], time[ends]]), np.where(spent > 0, value, np.nan), bounds)
 
 
+@drawing()
 def claims_figure(log: Log, runs: Sequence[Run]) -> Figure:
     """NIS per dof over time, and the claimed standard deviations, one curve for each phase of a run; no truth is used.
 
     Standard deviations are those of the position along its least certain direction and of the heading.
     """
-    with drawing():
-        return _claims_figure(log, runs)
-
-
-def _claims_figure(log: Log, runs: Sequence[Run]) -> Figure:
     shown = [s for s in series(runs) if s.run.estimator != "dead-reckoning"] or series(runs)
     fig = Figure(figsize=(page_width(), 4.6))
     top, middle, low = fig.subplots(3, 1, sharex=True, height_ratios=(1.3, 1.0, 1.0))
@@ -149,6 +145,7 @@ def _nis_axis(ax: Axes, found: Sequence[Stretches]) -> None:
         ax.yaxis.set_major_locator(ticks(4))
 
 
+@drawing()
 def filter_smoother_figure(log: Log, runs: Sequence[Run], smoother: Run) -> Figure:
     """Online less smoothed, d, in x, y and heading over time, with the ±3 sigma that filter and smoother allow it.
 
@@ -156,11 +153,6 @@ def filter_smoother_figure(log: Log, runs: Sequence[Run], smoother: Run) -> Figu
     diagonal of P_f - P_s, blank where later data took too little away to tell; see `eval.referee.trust.difference`.
     The largest excursion of each run, in these sigmas, is marked, and named in the legend.
     """
-    with drawing():
-        return _figure(log, runs, smoother)
-
-
-def _figure(log: Log, runs: Sequence[Run], smoother: Run) -> Figure:
     assert smoother.final is not None
     found = [difference(r.online, smoother.final) for r in runs if r.online is not None]
     styles = [style_of(r.estimator) for r in runs if r.online is not None]
@@ -231,16 +223,12 @@ SETTLED = 0.2
 """Share of a log after which its estimates have to fit into their panel; before, they may leave it."""
 
 
+@drawing()
 def systematic_figure(log: Log, systematic: Systematic, runs: Sequence[Run]) -> Figure:
     """Each error over time: estimates online (dashed where there is a final one, too) and final, with ±3 sigma.
 
     Behind, as a band, ±3 sigma of what was known before; black, the true error of a simulated log.
     """
-    with drawing():
-        return _systematic_figure(log, systematic, runs)
-
-
-def _systematic_figure(log: Log, systematic: Systematic, runs: Sequence[Run]) -> Figure:
     columns = min(2, len(systematic.names))
     rows = -(-len(systematic.names) // columns)
     fig = Figure(figsize=(page_width(), 0.9 + HEIGHT * rows))

@@ -50,17 +50,13 @@ def _scale(axes: Sequence[Axes], curves: Sequence[Array], lower: float, upper: f
             ax.yaxis.set_major_locator(ticks(5))
 
 
+@drawing()
 def nees_figure(log: Log, runs: Sequence[Run]) -> Figure:
     """Pose NEES per frame of every phase, its mean, and the 95 % chi-square band of a single value with dof 3.
 
     Errors along one run are correlated, so this describes the run and proves nothing; the title says so. Frames
     without truth or with a singular covariance are gaps.
     """
-    with drawing():
-        return _nees_figure(log, runs)
-
-
-def _nees_figure(log: Log, runs: Sequence[Run]) -> Figure:
     shown, remark = panels(runs)
     rows = max(len(shown), 1)
     fig = Figure(figsize=(page_width(), 1.0 + 1.15 * rows))
@@ -98,6 +94,7 @@ def _handles(dof: int, band: str) -> list[Line2D | Patch]:
     ]
 
 
+@drawing()
 def anees_figure(
     time: Array,
     average: Mapping[str, Array],
@@ -113,31 +110,30 @@ def anees_figure(
     By design 5 % of the instants of a consistent estimator lie outside the band; the verdict is another test.
     `title` stands before the rest, e.g. scenario and task.
     """
-    with drawing():
-        fig = Figure(figsize=(page_width(), 2.7 + 0.13 * ((len(average) + 3) // 2)))
-        ax = fig.add_subplot()
-        lower, upper = anees_band(dof, runs)
-        _band(ax, lower, upper, dof)
-        handles: list[Line2D | Patch] = []
-        few = max(len(time) // MARKERS, 1)
-        for i, (name, values) in enumerate(average.items()):
-            style, first = style_of(name), few * i // len(average)
-            mean, outside = mean_or_nan(values), _share_outside(values, lower, upper)
-            measured = f": mean {_short(mean)}, {100.0 * outside:.0f} % outside" if np.isfinite(mean) else ""
-            label = style.label + measured
-            handles += ax.plot(
-                time, values, color=style.colour, linestyle=style.line, marker=style.marker, markevery=(first, few),
-                markersize=3.0, label=label, zorder=2,
-            )  # fmt: skip
-        _scale([ax], list(average.values()), lower, upper)
-        ax.set(ylabel=f"average {quantity} NEES [–]", xlabel="frame" if time_is_index else "time [s]")
-        if len(time) > 1:
-            ax.set_xlim(time[0], time[-1])
-        what = f"average {quantity} NEES over {counted(runs, 'run')}, dof {dof}"
-        ax.set_title(f"{title}: {what}" if title else what[0].upper() + what[1:], loc="left")
-        handles += _handles(dof, f"95 % band {lower:.2f} to {upper:.2f}: 5 % outside by design")
-        fig.legend(handles=handles, loc="outside lower center", ncols=2, handlelength=LONG_HANDLE)
-        return fig
+    fig = Figure(figsize=(page_width(), 2.7 + 0.13 * ((len(average) + 3) // 2)))
+    ax = fig.add_subplot()
+    lower, upper = anees_band(dof, runs)
+    _band(ax, lower, upper, dof)
+    handles: list[Line2D | Patch] = []
+    few = max(len(time) // MARKERS, 1)
+    for i, (name, values) in enumerate(average.items()):
+        style, first = style_of(name), few * i // len(average)
+        mean, outside = mean_or_nan(values), _share_outside(values, lower, upper)
+        measured = f": mean {_short(mean)}, {100.0 * outside:.0f} % outside" if np.isfinite(mean) else ""
+        label = style.label + measured
+        handles += ax.plot(
+            time, values, color=style.colour, linestyle=style.line, marker=style.marker, markevery=(first, few),
+            markersize=3.0, label=label, zorder=2,
+        )  # fmt: skip
+    _scale([ax], list(average.values()), lower, upper)
+    ax.set(ylabel=f"average {quantity} NEES [–]", xlabel="frame" if time_is_index else "time [s]")
+    if len(time) > 1:
+        ax.set_xlim(time[0], time[-1])
+    what = f"average {quantity} NEES over {counted(runs, 'run')}, dof {dof}"
+    ax.set_title(f"{title}: {what}" if title else what[0].upper() + what[1:], loc="left")
+    handles += _handles(dof, f"95 % band {lower:.2f} to {upper:.2f}: 5 % outside by design")
+    fig.legend(handles=handles, loc="outside lower center", ncols=2, handlelength=LONG_HANDLE)
+    return fig
 
 
 def _short(value: float) -> str:

@@ -126,16 +126,12 @@ def _note_outside(ax: Axes, curve: Array, limit: float, factor_unit: str) -> Non
         )
 
 
+@drawing()
 def error_figure(log: Log, runs: Sequence[Run]) -> Figure:
     """Error (estimate minus truth, heading wrapped) with the claimed ±3 sigma: rows x, y, heading; a column per phase.
 
     Frames without truth are gaps. Without any truth only the ±3 sigma are drawn, and the title says so.
     """
-    with drawing():
-        return _error_figure(log, runs)
-
-
-def _error_figure(log: Log, runs: Sequence[Run]) -> Figure:
     shown, remark = panels(runs, across(MOST_PANELS))
     columns = max(len(shown), 1)
     fig = Figure(figsize=(page_width(), 5.0))
@@ -180,6 +176,7 @@ def _error(s: Series, log: Log) -> Array:
     return np.full((len(log.recorded.time), 3), np.nan) if truth is None else pose_error(s.trajectory.pose, truth)
 
 
+@drawing()
 def difference_figure(log: Log, runs: Sequence[Run], reference: Run) -> Figure:
     """Distance [m] of every path from a reference solution (batch with known association), for a log without truth.
 
@@ -187,11 +184,6 @@ def difference_figure(log: Log, runs: Sequence[Run], reference: Run) -> Figure:
     the solution with all data has covariance P_run - P_reference, so it should stay inside; the reference's own error
     shows in neither. `reference` counts with its final phase.
     """
-    with drawing():
-        return _difference_figure(log, runs, reference)
-
-
-def _difference_figure(log: Log, runs: Sequence[Run], reference: Run) -> Figure:
     shown, remark = panels([r for r in runs if r is not reference])
     rows = max(len(shown), 1)
     fig = Figure(figsize=(page_width(), 1.0 + 1.15 * rows))

@@ -1,14 +1,7 @@
 """A film of one run: robot, rays to what it observes, landmarks as they were, ellipses, true ghost, fading paths.
 
-Where a film's metres fall on pixels, and what is drawn there with OpenCV, for speed.
-
-Landmarks as an estimator held them at each instant: what changed in which frame, and what stands after it.
-
-The pace of a film: which frame of the log each of its pictures shows, as a multiple of real time.
-
-A WebM file out of pictures: OpenCV's VP8, with the same bytes for the same pictures.
-
-Browsers play VP8 without further libraries; they refuse the MPEG-4 that OpenCV puts into MP4 files.
+VP8 in WebM, drawn and written by OpenCV, for speed: browsers play it without further libraries; they refuse the MPEG-4
+that OpenCV puts into MP4 files. The same pictures make the same bytes.
 """
 
 from __future__ import annotations
@@ -136,12 +129,8 @@ CODEC = "VP80"
 EXPECTED = b"'VP80' is not supported with codec id"
 """OpenCV looks the codec up in a list that WebM has none of, says so on the standard error stream, and goes on."""
 
-# EBML elements (RFC 8794, RFC 9559): id, and whether its content is further elements
-SEGMENT, TRACKS, TRACK_ENTRY, TRACK_UID = 0x18538067, 0x1654AE6B, 0xAE, 0x73C5
-TAGS, TAG, TARGETS, TAG_TRACK_UID = 0x1254C367, 0x7373, 0x63C0, 0x63C5
-INSIDE = {SEGMENT, TRACKS, TRACK_ENTRY, TAGS, TAG, TARGETS}
-DRAWN = {TRACK_UID, TAG_TRACK_UID}
-"""The track's number, which the muxer draws at random and refers to from the tags."""
+TRACK_UID = bytes.fromhex("73c588")
+"""Ahead of the track's number of 8 bytes in the file's head (RFC 9559), which the muxer draws at random."""
 
 
 class Film:
@@ -190,34 +179,12 @@ def _without(expected: bytes) -> Iterator[None]:
 
 
 def _number_track(path: Path) -> None:
-    """Give the track the number 1 instead of a random one, in place."""
+    """Give the track the number 1 instead of a random one, in its own element and in the tags that refer to it."""
     with path.open("r+b") as file:
         head = file.read(1 << 16)
-        for start, length in [*_drawn(head, 0, len(head))]:
-            file.seek(start)
-            file.write((1).to_bytes(length, "big"))
-
-
-def _drawn(data: bytes, at: int, end: int) -> Iterator[tuple[int, int]]:
-    """Where the random numbers stand: (offset, length) of each, between two offsets of the file's first bytes."""
-    while at < end:
-        name, at = _number(data, at, keep_marker=True)
-        length, at = _number(data, at, keep_marker=False)
-        if name in DRAWN:
-            yield at, length
-        elif name in INSIDE:
-            yield from _drawn(data, at, min(at + length, end))
-        at += length
-
-
-def _number(data: bytes, at: int, *, keep_marker: bool) -> tuple[int, int]:
-    """A number of variable length, and the offset behind it: one byte more than the first one has leading zeros.
-
-    An element's id keeps the bit that marks the length, its size does not.
-    """
-    length = 9 - data[at].bit_length()
-    value = int.from_bytes(data[at : at + length], "big")
-    return (value if keep_marker else value & ~(1 << (7 * length))), at + length
+        _, _, after = head.partition(TRACK_UID)
+        file.seek(0)
+        file.write(head.replace(after[:8], (1).to_bytes(8, "big")) if after else head)
 
 
 LONGER_SIDE = 960

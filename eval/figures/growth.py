@@ -36,13 +36,9 @@ def state_is_informative(trial: Trial, beside: Sequence[Trial] = ()) -> bool:
     return shrinks or len({r.association for r in runs}) > 1
 
 
+@drawing()
 def state_figure(trial: Trial, beside: Sequence[Trial] = ()) -> Figure:
     """Length of every filter's state vector after each frame; legend by length at the end. Trials beside are dashed."""
-    with drawing():
-        return _state_figure(trial, beside)
-
-
-def _state_figure(trial: Trial, beside: Sequence[Trial]) -> Figure:
     fig = Figure(figsize=(page_width(), 2.7))
     ax = fig.add_subplot()
     time = trial.log.recorded.time
@@ -86,17 +82,13 @@ def closing_frame(log: Log, run: Run) -> int | None:
     return None
 
 
+@drawing()
 def growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
     """Standard deviation, along its least certain direction, of the robot online and of each landmark in the last map.
 
     Landmarks stand in the order in which they were initialized. A vertical line marks the frame that closed a loop.
     Below, where the first run is a filter whose log is small enough: every landmark's over time.
     """
-    with drawing():
-        return _growth_figure(log, runs)
-
-
-def _growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
     time = log.recorded.time
     over_time = next((s for s in (landmark_sigmas(log.recorded, r) for r in runs) if s is not None), None)
     fig = Figure(figsize=(page_width(), 2.9 if over_time is None else 4.9))

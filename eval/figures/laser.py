@@ -32,38 +32,37 @@ FATES: dict[str, tuple[str, Line, float]] = {
 """Colour, line and width of a loop closure, in the order of drawing; dark, light and dashed for grey prints."""
 
 
+@drawing()
 def map_picture(
     grid: Grid, path: Array, *, name: str, estimator: str = "isam2", phase: str = "final", width: float | None = None
 ) -> Figure:
     """The occupancy grid, dark where occupied, and an estimated path (N, 3) on it; metres, equal aspect."""
-    with drawing():
-        fig = Figure()
-        ax = fig.add_subplot()
-        # free space is white and what is unknown light grey, however often either was looked at
-        p = grid.probability
-        shade = np.where(
-            grid.log_odds > 0.0, UNKNOWN_GREY * 2.0 * (1.0 - p), FREE_GREY - (FREE_GREY - UNKNOWN_GREY) * 2.0 * p
-        )
-        ax.imshow(shade, cmap="gray", vmin=0.0, vmax=1.0, origin="lower", extent=grid.extent, zorder=1)
-        style = style_of(estimator)
-        label = f"{style.label} ({phase})"
-        handles: list[Line2D | Patch] = [
-            *ax.plot(*path[:, :2].T, color=style.colour, linewidth=0.8, label=label, zorder=3)
-        ]
-        handles += _ends(ax, path)
-        handles += [
-            Patch(facecolor="black", label="occupied"),
-            Patch(facecolor="white", edgecolor="#A0A0A0", linewidth=0.5, label="free"),
-            Patch(facecolor=str(UNKNOWN_GREY), label="never seen"),
-        ]
-        low, high = _shown(grid, path)
-        title = f"{name}: occupancy grid, cells of {100.0 * grid.resolution:g} cm"
-        _on_paper(fig, ax, low, high, width or page_width(), title, handles)
-        ax.grid(False)
-        ax.set_facecolor(str(UNKNOWN_GREY))
+    fig = Figure()
+    ax = fig.add_subplot()
+    # free space is white and what is unknown light grey, however often either was looked at
+    p = grid.probability
+    shade = np.where(
+        grid.log_odds > 0.0, UNKNOWN_GREY * 2.0 * (1.0 - p), FREE_GREY - (FREE_GREY - UNKNOWN_GREY) * 2.0 * p
+    )
+    ax.imshow(shade, cmap="gray", vmin=0.0, vmax=1.0, origin="lower", extent=grid.extent, zorder=1)
+    style = style_of(estimator)
+    label = f"{style.label} ({phase})"
+    handles: list[Line2D | Patch] = [*ax.plot(*path[:, :2].T, color=style.colour, linewidth=0.8, label=label, zorder=3)]
+    handles += _ends(ax, path)
+    handles += [
+        Patch(facecolor="black", label="occupied"),
+        Patch(facecolor="white", edgecolor="#A0A0A0", linewidth=0.5, label="free"),
+        Patch(facecolor=str(UNKNOWN_GREY), label="never seen"),
+    ]
+    low, high = _shown(grid, path)
+    title = f"{name}: occupancy grid, cells of {100.0 * grid.resolution:g} cm"
+    _on_paper(fig, ax, low, high, width or page_width(), title, handles)
+    ax.grid(False)
+    ax.set_facecolor(str(UNKNOWN_GREY))
     return fig
 
 
+@drawing()
 def loop_picture(
     keys: Array,
     loops: Loops,
@@ -79,33 +78,32 @@ def loop_picture(
     `weight` (L,): what the back end gives each loop closure in the end, 0 to 1; without effect where it never believed
     it. `false` (L,): where the truth says that the loop closure is wrong; None where there is no truth.
     """
-    with drawing():
-        fig = Figure()
-        ax = fig.add_subplot()
-        style = style_of(estimator)
-        handles: list[Line2D | Patch] = [
-            *ax.plot(
-                *keys[:, :2].T, color="#404040", linewidth=0.6, marker=".", markersize=1.6, label="key poses", zorder=3
-            )
-        ]
-        handles += _ends(ax, keys)
-        fate = fates(loops, weight, false)
-        lines = np.stack([keys[loops.key1, :2], keys[loops.key2, :2]], axis=1)
-        for order, (what, (colour, line, wide)) in enumerate(FATES.items()):
-            if what == "kept, though false" and false is None:
-                continue
-            some = fate == what
-            ax.add_collection(
-                LineCollection(
-                    list(lines[some]), colors=colour, linestyles=[line], linewidths=wide, zorder=2.0 + 0.1 * order
-                ),
-                autolim=False,
-            )
-            label = f"{what}: {np.count_nonzero(some)}"
-            handles.append(Line2D([], [], color=colour, linestyle=line, linewidth=wide + 0.3, label=label))
-        low, high = keys[:, :2].min(axis=0) - AROUND, keys[:, :2].max(axis=0) + AROUND
-        title = f"{name}: pose graph of {style.label}, {len(loops)} loop closures looked at"
-        _on_paper(fig, ax, low, high, width or page_width(), title, handles)
+    fig = Figure()
+    ax = fig.add_subplot()
+    style = style_of(estimator)
+    handles: list[Line2D | Patch] = [
+        *ax.plot(
+            *keys[:, :2].T, color="#404040", linewidth=0.6, marker=".", markersize=1.6, label="key poses", zorder=3
+        )
+    ]
+    handles += _ends(ax, keys)
+    fate = fates(loops, weight, false)
+    lines = np.stack([keys[loops.key1, :2], keys[loops.key2, :2]], axis=1)
+    for order, (what, (colour, line, wide)) in enumerate(FATES.items()):
+        if what == "kept, though false" and false is None:
+            continue
+        some = fate == what
+        ax.add_collection(
+            LineCollection(
+                list(lines[some]), colors=colour, linestyles=[line], linewidths=wide, zorder=2.0 + 0.1 * order
+            ),
+            autolim=False,
+        )
+        label = f"{what}: {np.count_nonzero(some)}"
+        handles.append(Line2D([], [], color=colour, linestyle=line, linewidth=wide + 0.3, label=label))
+    low, high = keys[:, :2].min(axis=0) - AROUND, keys[:, :2].max(axis=0) + AROUND
+    title = f"{name}: pose graph of {style.label}, {len(loops)} loop closures looked at"
+    _on_paper(fig, ax, low, high, width or page_width(), title, handles)
     return fig
 
 

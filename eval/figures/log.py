@@ -27,17 +27,13 @@ SEEN_COLOUR = "#56B4E9"
 CLUTTER_COLOUR = "#D55E00"
 
 
+@drawing()
 def log_figure(log: Log) -> Figure:
     """A log seen from above, metres, equal aspect.
 
     Observations are placed from the true poses, or from dead reckoning if the log has no true pose at all; those of
     frames without truth are then left out, and the legend counts the others.
     """
-    with drawing():
-        return _log_figure(log)
-
-
-def _log_figure(log: Log) -> Figure:
     inputs, truth = log.recorded, log.truth
     fig = Figure()
     ax = fig.add_subplot()

@@ -37,42 +37,42 @@ EXPECTED_COLOUR = "#000000"
 BEYOND_HATCH = "/////"
 
 
+@drawing()
 def run_end_figure(nees: Mapping[str, Array], dof: int, title: str) -> Figure:
     """Histogram of the run-end NEES (N,) of each estimator against the chi-square density with `dof`.
 
     The last, hatched bar holds every run beyond the axis, with their number above it: its height is their share per
     bin width. Runs without a NEES (NaN) are counted in the panel.
     """
-    with drawing():
-        rows = max(math.ceil(len(nees) / across(MOST_COLUMNS)), 1)
-        columns = max(math.ceil(len(nees) / rows), 1)
-        fig = Figure(figsize=(page_width(), 0.85 + 1.55 * rows))
-        axes = fig.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-        end = float(np.ceil(stats.chi2.ppf(LAST, dof)))
-        bins = _bins(max((len(v) for v in nees.values()), default=0))
-        for ax, (name, values) in zip(axes.flat, nees.items(), strict=False):
-            _histogram(ax, name, values, dof, np.linspace(0.0, end, bins + 1))
-        for ax in axes.flat[max(len(nees), 1) :]:
-            ax.set_visible(False)
-        # a density without bound at 0 (dof 1) must not flatten the bars
-        highest = max((p.get_height() for ax in axes.flat for p in ax.patches), default=0.0)
-        first = axes.flat[0]
-        first.set_ylim(0.0, 1.35 * max(highest, _peak(dof, end / bins)))
-        first.yaxis.set_major_locator(ticks(4))
-        first.xaxis.set_major_locator(ticks(4))
-        for row in axes:
-            row[0].set_ylabel("density [–]")
-        for column in range(columns):
-            lowest = [ax for ax in axes[:, column] if ax.get_visible()][-1]
-            lowest.set_xlabel("run-end NEES [–]")
-            lowest.tick_params(labelbottom=True)
-        fig.suptitle(f"{title}: NEES at the end of each run, dof {dof}", x=0.01, ha="left")
-        handles = [
-            Line2D([], [], color=EXPECTED_COLOUR, linewidth=1.0, label=f"χ² density with dof {dof}"),
-            Patch(facecolor="white", edgecolor="#505050", hatch=BEYOND_HATCH, label=f"number of runs beyond {end:g}"),
-        ]
-        fig.legend(handles=handles, loc="outside lower center", ncols=2)
-        return fig
+    rows = max(math.ceil(len(nees) / across(MOST_COLUMNS)), 1)
+    columns = max(math.ceil(len(nees) / rows), 1)
+    fig = Figure(figsize=(page_width(), 0.85 + 1.55 * rows))
+    axes = fig.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    end = float(np.ceil(stats.chi2.ppf(LAST, dof)))
+    bins = _bins(max((len(v) for v in nees.values()), default=0))
+    for ax, (name, values) in zip(axes.flat, nees.items(), strict=False):
+        _histogram(ax, name, values, dof, np.linspace(0.0, end, bins + 1))
+    for ax in axes.flat[max(len(nees), 1) :]:
+        ax.set_visible(False)
+    # a density without bound at 0 (dof 1) must not flatten the bars
+    highest = max((p.get_height() for ax in axes.flat for p in ax.patches), default=0.0)
+    first = axes.flat[0]
+    first.set_ylim(0.0, 1.35 * max(highest, _peak(dof, end / bins)))
+    first.yaxis.set_major_locator(ticks(4))
+    first.xaxis.set_major_locator(ticks(4))
+    for row in axes:
+        row[0].set_ylabel("density [–]")
+    for column in range(columns):
+        lowest = [ax for ax in axes[:, column] if ax.get_visible()][-1]
+        lowest.set_xlabel("run-end NEES [–]")
+        lowest.tick_params(labelbottom=True)
+    fig.suptitle(f"{title}: NEES at the end of each run, dof {dof}", x=0.01, ha="left")
+    handles = [
+        Line2D([], [], color=EXPECTED_COLOUR, linewidth=1.0, label=f"χ² density with dof {dof}"),
+        Patch(facecolor="white", edgecolor="#505050", hatch=BEYOND_HATCH, label=f"number of runs beyond {end:g}"),
+    ]
+    fig.legend(handles=handles, loc="outside lower center", ncols=2)
+    return fig
 
 
 def _bins(runs: int) -> int:
@@ -105,6 +105,7 @@ def _histogram(ax: Axes, name: str, values: Array, dof: int, edges: Array) -> No
     ax.set_title(style.label, loc="left")
 
 
+@drawing()
 def coverage_figure(nees: Mapping[str, Array], dof: int, title: str) -> Figure:
     """Share of run-end NEES (N,) inside the ellipse of each nominal level, with 95 % Clopper-Pearson bounds.
 
@@ -112,40 +113,39 @@ def coverage_figure(nees: Mapping[str, Array], dof: int, title: str) -> Figure:
     staircase of bars that a consistent estimator's bounds should touch. Runs without a NEES (NaN) are left out, and the
     legend says how many.
     """
-    with drawing():
-        fig = Figure(figsize=(page_width(), 2.7 + 0.14 * math.ceil((len(nees) + 1) / MOST_COLUMNS)))
-        ax = fig.add_subplot()
-        place = np.arange(len(COVERAGE_LEVELS), dtype=float)
-        nominal = 100.0 * np.array(COVERAGE_LEVELS)
-        ax.plot(place, nominal, color=EXPECTED_COLOUR, linewidth=0.6, linestyle=DASHED, zorder=1.5)
-        ax.hlines(nominal, place - 0.42, place + 0.42, color=EXPECTED_COLOUR, linewidth=1.2, zorder=1.6)
-        handles = [Line2D([], [], color=EXPECTED_COLOUR, linewidth=1.2, label="expected: the nominal level")]
-        lowest = 100.0 * min(COVERAGE_LEVELS)
-        for i, (name, values) in enumerate(nees.items()):
-            known, style = values[np.isfinite(values)], style_of(name)
-            offset = 0.8 * ((i + 0.5) / len(nees) - 0.5)
-            left_out = f", {len(values) - len(known)} without" if len(known) < len(values) else ""
-            label = f"{style.label} ({counted(len(known), 'run')}{left_out})"
-            handles.append(Line2D([], [], color=style.colour, marker=style.marker, linestyle="none", label=label))
-            if len(known) < 2:
-                continue
-            verdicts = [coverage(known, dof, level) for level in COVERAGE_LEVELS]
-            share = 100.0 * np.array([v.mean for v in verdicts])
-            bounds = 100.0 * np.array([(v.lower, v.upper) for v in verdicts]).T
-            lowest = min(lowest, float(bounds.min()))
-            ax.errorbar(
-                place + offset, share, np.abs(bounds - share), color=style.colour, marker=style.marker,
-                linestyle="none", elinewidth=1.0, capsize=1.5, markersize=3.5, zorder=2,
-            )  # fmt: skip
-        ax.set_xticks(place, [f"{n:g}" for n in nominal])
-        ax.grid(visible=False, axis="x")
-        for boundary in place[:-1] + 0.5:
-            ax.axvline(boundary, color="#E4E4E4", linewidth=0.5, zorder=0.5)
-        ax.set(xlim=(-0.5, len(place) - 0.5), ylim=(max(0.0, lowest - 4.0), 102.0))
-        ax.set(xlabel="nominal level of the ellipse [%]", ylabel="run ends inside [%]")
-        ax.set_title(f"{title}: coverage at the end of the run, dof {dof}, 95 % bounds", loc="left")
-        fig.legend(handles=handles, loc="outside lower center", ncols=MOST_COLUMNS if len(nees) > 3 else 2)
-        return fig
+    fig = Figure(figsize=(page_width(), 2.7 + 0.14 * math.ceil((len(nees) + 1) / MOST_COLUMNS)))
+    ax = fig.add_subplot()
+    place = np.arange(len(COVERAGE_LEVELS), dtype=float)
+    nominal = 100.0 * np.array(COVERAGE_LEVELS)
+    ax.plot(place, nominal, color=EXPECTED_COLOUR, linewidth=0.6, linestyle=DASHED, zorder=1.5)
+    ax.hlines(nominal, place - 0.42, place + 0.42, color=EXPECTED_COLOUR, linewidth=1.2, zorder=1.6)
+    handles = [Line2D([], [], color=EXPECTED_COLOUR, linewidth=1.2, label="expected: the nominal level")]
+    lowest = 100.0 * min(COVERAGE_LEVELS)
+    for i, (name, values) in enumerate(nees.items()):
+        known, style = values[np.isfinite(values)], style_of(name)
+        offset = 0.8 * ((i + 0.5) / len(nees) - 0.5)
+        left_out = f", {len(values) - len(known)} without" if len(known) < len(values) else ""
+        label = f"{style.label} ({counted(len(known), 'run')}{left_out})"
+        handles.append(Line2D([], [], color=style.colour, marker=style.marker, linestyle="none", label=label))
+        if len(known) < 2:
+            continue
+        verdicts = [coverage(known, dof, level) for level in COVERAGE_LEVELS]
+        share = 100.0 * np.array([v.mean for v in verdicts])
+        bounds = 100.0 * np.array([(v.lower, v.upper) for v in verdicts]).T
+        lowest = min(lowest, float(bounds.min()))
+        ax.errorbar(
+            place + offset, share, np.abs(bounds - share), color=style.colour, marker=style.marker,
+            linestyle="none", elinewidth=1.0, capsize=1.5, markersize=3.5, zorder=2,
+        )  # fmt: skip
+    ax.set_xticks(place, [f"{n:g}" for n in nominal])
+    ax.grid(visible=False, axis="x")
+    for boundary in place[:-1] + 0.5:
+        ax.axvline(boundary, color="#E4E4E4", linewidth=0.5, zorder=0.5)
+    ax.set(xlim=(-0.5, len(place) - 0.5), ylim=(max(0.0, lowest - 4.0), 102.0))
+    ax.set(xlabel="nominal level of the ellipse [%]", ylabel="run ends inside [%]")
+    ax.set_title(f"{title}: coverage at the end of the run, dof {dof}, 95 % bounds", loc="left")
+    fig.legend(handles=handles, loc="outside lower center", ncols=MOST_COLUMNS if len(nees) > 3 else 2)
+    return fig
 
 
 LOG_RATIO = 12.0
@@ -170,6 +170,7 @@ PANELS = (
 )
 
 
+@drawing()
 def outlier_figure(table: pd.DataFrame, title: str) -> Figure:
     """Position RMSE (left) and pose NEES (right) against the share of wrong associations, one row of panels per task.
 
@@ -180,37 +181,36 @@ def outlier_figure(table: pd.DataFrame, title: str) -> Figure:
             nees_upper; one row per task, estimator and rate. Bars are the intervals given; NaN values are gaps.
         title: what was studied, e.g. scenario and number of runs.
     """
-    with drawing():
-        tasks = list(dict.fromkeys(table["task"]))
-        names = list(dict.fromkeys(table["estimator"]))
-        rates = sorted({float(r) for r in table["rate"]})
-        rows = max(len(tasks), 1)
-        columns = min(len(names) + 1, 4)
-        fig = Figure(figsize=(page_width(), 0.75 + 1.9 * rows + 0.13 * -(-(len(names) + 1) // columns)))
-        axes = fig.subplots(rows, len(PANELS), sharex=True, squeeze=False)
-        for row, task in zip(axes, tasks, strict=False):
-            for ax, panel in zip(row, PANELS, strict=True):
-                part = table[table["task"] == task]
-                for i, name in enumerate(names):
-                    offset = SPREAD * ((i + 0.5) / len(names) - 0.5)
-                    _curve(ax, part[part["estimator"] == name], panel, rates, offset)
-                if panel.value == "nees_pose":
-                    ax.axhline(POSE_DOF, color="#505050", linewidth=0.8, linestyle="--", zorder=1.5)
-                _scale(ax, part, panel)
-                ax.set_title(task, loc="left")
-                ax.set_ylabel(panel.label)
-        for ax in axes[-1]:
-            ax.set_xlabel("wrong associations [%]")
-            ax.set_xticks(range(len(rates)), [f"{100.0 * r:g}" for r in rates])
-        fig.suptitle(f"{title}: wrong associations put in", x=0.01, ha="left")
-        handles = [
-            Line2D([], [], color=s.colour, linestyle=s.line, marker=s.marker, label=s.label)
-            for s in (style_of(n) for n in names)
-        ]
-        expected = f"expected NEES: {POSE_DOF}"
-        handles.append(Line2D([], [], color="#505050", linewidth=0.8, linestyle="--", label=expected))
-        fig.legend(handles=handles, loc="outside lower center", ncols=columns, handlelength=LONG_HANDLE)
-        return fig
+    tasks = list(dict.fromkeys(table["task"]))
+    names = list(dict.fromkeys(table["estimator"]))
+    rates = sorted({float(r) for r in table["rate"]})
+    rows = max(len(tasks), 1)
+    columns = min(len(names) + 1, 4)
+    fig = Figure(figsize=(page_width(), 0.75 + 1.9 * rows + 0.13 * -(-(len(names) + 1) // columns)))
+    axes = fig.subplots(rows, len(PANELS), sharex=True, squeeze=False)
+    for row, task in zip(axes, tasks, strict=False):
+        for ax, panel in zip(row, PANELS, strict=True):
+            part = table[table["task"] == task]
+            for i, name in enumerate(names):
+                offset = SPREAD * ((i + 0.5) / len(names) - 0.5)
+                _curve(ax, part[part["estimator"] == name], panel, rates, offset)
+            if panel.value == "nees_pose":
+                ax.axhline(POSE_DOF, color="#505050", linewidth=0.8, linestyle="--", zorder=1.5)
+            _scale(ax, part, panel)
+            ax.set_title(task, loc="left")
+            ax.set_ylabel(panel.label)
+    for ax in axes[-1]:
+        ax.set_xlabel("wrong associations [%]")
+        ax.set_xticks(range(len(rates)), [f"{100.0 * r:g}" for r in rates])
+    fig.suptitle(f"{title}: wrong associations put in", x=0.01, ha="left")
+    handles = [
+        Line2D([], [], color=s.colour, linestyle=s.line, marker=s.marker, label=s.label)
+        for s in (style_of(n) for n in names)
+    ]
+    expected = f"expected NEES: {POSE_DOF}"
+    handles.append(Line2D([], [], color="#505050", linewidth=0.8, linestyle="--", label=expected))
+    fig.legend(handles=handles, loc="outside lower center", ncols=columns, handlelength=LONG_HANDLE)
+    return fig
 
 
 def _curve(ax: Axes, curve: pd.DataFrame, panel: Panel, rates: Sequence[float], offset: float) -> None:
@@ -259,6 +259,7 @@ class Seen:
     other: tuple[float, ...]
 
 
+@drawing()
 def power_figure(faults: Sequence[Seen], tests: tuple[str, str], level: float, title: str) -> Figure:
     """A panel for each fault: share of the logs in which each test sees it, against its size; sizes are not to scale.
 
@@ -268,33 +269,32 @@ def power_figure(faults: Sequence[Seen], tests: tuple[str, str], level: float, t
         level: the first one's share [%] on logs without a fault, as it should be.
         title: what was studied.
     """
-    with drawing():
-        most = across(COLUMNS)
-        rows = max(-(-len(faults) // most), 1)
-        fig = Figure(figsize=(page_width(), 0.7 + 1.35 * rows))
-        axes = fig.subplots(rows, most, sharey=True, squeeze=False).ravel()
-        for ax, f in zip(axes, faults, strict=False):
-            place = range(len(f.sizes))
-            ax.axhline(level, color="#505050", linewidth=0.6, linestyle="--", zorder=1.5)
-            ax.errorbar(
-                place, f.share, f.error, color=COLOURS[0], marker="o", markersize=3.5, elinewidth=0.8, label=tests[0]
-            )
-            ax.plot(
-                place, f.other, color=COLOURS[1], marker="s", markersize=3.5, markerfacecolor="white", zorder=1.8,
-                label=tests[1],
-            )  # fmt: skip
-            ax.set_xticks(place, f.sizes)
-            ax.set_xlim(-0.4, len(f.sizes) - 0.6)
-            ax.set_ylim(-6.0, 106.0)
-            ax.set_title(f.fault, loc="left")
-        for ax in axes[len(faults) :]:
-            ax.set_visible(False)
-        for ax in axes[::most]:
-            ax.set_ylabel("logs [%]")
-        fig.suptitle(title, x=0.01, ha="left")
-        handles, labels = axes[0].get_legend_handles_labels()
-        fig.legend(handles, labels, loc="outside lower center", ncols=2)
-        return fig
+    most = across(COLUMNS)
+    rows = max(-(-len(faults) // most), 1)
+    fig = Figure(figsize=(page_width(), 0.7 + 1.35 * rows))
+    axes = fig.subplots(rows, most, sharey=True, squeeze=False).ravel()
+    for ax, f in zip(axes, faults, strict=False):
+        place = range(len(f.sizes))
+        ax.axhline(level, color="#505050", linewidth=0.6, linestyle="--", zorder=1.5)
+        ax.errorbar(
+            place, f.share, f.error, color=COLOURS[0], marker="o", markersize=3.5, elinewidth=0.8, label=tests[0]
+        )
+        ax.plot(
+            place, f.other, color=COLOURS[1], marker="s", markersize=3.5, markerfacecolor="white", zorder=1.8,
+            label=tests[1],
+        )  # fmt: skip
+        ax.set_xticks(place, f.sizes)
+        ax.set_xlim(-0.4, len(f.sizes) - 0.6)
+        ax.set_ylim(-6.0, 106.0)
+        ax.set_title(f.fault, loc="left")
+    for ax in axes[len(faults) :]:
+        ax.set_visible(False)
+    for ax in axes[::most]:
+        ax.set_ylabel("logs [%]")
+    fig.suptitle(title, x=0.01, ha="left")
+    handles, labels = axes[0].get_legend_handles_labels()
+    fig.legend(handles, labels, loc="outside lower center", ncols=2)
+    return fig
 
 
 SHADE = "#F2F2F2"
@@ -320,16 +320,12 @@ class Known:
     wrong: float | None
 
 
+@drawing()
 def knowledge_figure(title: str, rows: Sequence[Known]) -> Figure:
     """A row per run, in groups of what is given: position RMSE, logarithmic, and the share of wrong decisions.
 
     Rows stand in the order given, those of a group together.
     """
-    with drawing():
-        return _knowledge_figure(title, rows)
-
-
-def _knowledge_figure(title: str, rows: Sequence[Known]) -> Figure:
     groups = list(dict.fromkeys(r.given for r in rows))
     place = np.array([i + 1.1 * (groups.index(r.given) + 1) for i, r in enumerate(rows)])
     fig = Figure(figsize=(page_width(), 1.1 + 0.19 * (float(place[-1]) + 1.0)))
