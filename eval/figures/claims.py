@@ -30,7 +30,7 @@ from eval.figures.error import (
     sigmas,
     thinned,
     ticks,
-    time_label,
+    time_axis,
 )
 from eval.figures.paper import page_width
 from eval.figures.style import BAND_COLOUR, DASHED, SOLID, TRUTH_COLOUR, Line, Style, drawing, series, style_of
@@ -86,7 +86,6 @@ def claims_figure(log: Log, runs: Sequence[Run]) -> Figure:
     shown = [s for s in series(runs) if s.run.estimator != "dead-reckoning"] or series(runs)
     fig = Figure(figsize=(page_width(), 4.6))
     top, middle, low = fig.subplots(3, 1, sharex=True, height_ratios=(1.3, 1.0, 1.0))
-    time = log.recorded.time
     handles: list[Line2D | Patch] = []
     found: list[Stretches] = []
     for s in shown:
@@ -109,9 +108,7 @@ def claims_figure(log: Log, runs: Sequence[Run]) -> Figure:
         ax.set_ylabel(name)
         ax.set_ylim(bottom=0.0)
         ax.yaxis.set_major_locator(ticks(4))
-    low.set_xlabel(time_label(log.recorded))
-    if len(time) > 1:
-        low.set_xlim(time[0], time[-1])
+    time_axis(low, log.recorded)
     fig.align_ylabels([top, middle, low])
     fig.suptitle(f"{log.name}: what the runs say of themselves", x=0.01, ha="left")
     if found:
@@ -174,9 +171,7 @@ def filter_smoother_figure(log: Log, runs: Sequence[Run], smoother: Run) -> Figu
         ax.set(ylim=(-limit, limit), ylabel=f"{name} [{unit}]")
         ax.yaxis.set_major_locator(ticks(6))
     handles = [_excursion(axes, time, d, style) for d, style in zip(found, styles, strict=True)]
-    axes[-1].set_xlabel(time_label(log.recorded))
-    if len(time) > 1:
-        axes[0].set_xlim(time[0], time[-1])
+    time_axis(axes[-1], log.recorded)
     fig.align_ylabels(list(axes))
     title = f"{log.name}: online less smoothed ({style_of(smoother.estimator).label}), not an error"
     fig.suptitle(title, x=0.01, ha="left")
@@ -261,9 +256,7 @@ def systematic_figure(log: Log, systematic: Systematic, runs: Sequence[Run]) -> 
         ax.set_visible(False)
     for ax in axes[max(0, len(systematic.names) - columns) : len(systematic.names)]:
         ax.tick_params(labelbottom=True)
-        ax.set_xlabel(time_label(log.recorded))
-    if len(time) > 1:
-        axes[0].set_xlim(time[0], time[-1])
+        time_axis(ax, log.recorded)
     fig.align_ylabels(axes)
     fig.suptitle(f"{log.name}: systematic errors as estimated along, with ±3σ", x=0.01, ha="left")
     handles = [

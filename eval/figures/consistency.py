@@ -15,7 +15,7 @@ from data.log import Log
 from data.result import Run
 from data.se2 import Array
 from data.terminal import counted
-from eval.figures.error import heading_of, panels, thinned, ticks, time_label
+from eval.figures.error import heading_of, panels, thinned, ticks, time_axis
 from eval.figures.paper import page_width
 from eval.figures.style import BAND_COLOUR, LONG_HANDLE, drawing, style_of
 from eval.referee.consistency import anees_band, mean_or_nan, nees
@@ -61,7 +61,6 @@ def nees_figure(log: Log, runs: Sequence[Run]) -> Figure:
     rows = max(len(shown), 1)
     fig = Figure(figsize=(page_width(), 1.0 + 1.15 * rows))
     axes = list(fig.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
-    time = log.recorded.time
     lower, upper = anees_band(POSE_DOF, 1)
     curves = []
     for ax, s in zip(axes, shown, strict=False):
@@ -77,9 +76,7 @@ def nees_figure(log: Log, runs: Sequence[Run]) -> Figure:
         ax.set_title(f"{heading_of(s)}: {measured}".replace("\n", ", "), loc="left")
         ax.set_ylabel("pose NEES [–]")
     _scale(axes, curves, lower, upper)
-    axes[-1].set_xlabel(time_label(log.recorded))
-    if len(time) > 1:
-        axes[0].set_xlim(time[0], time[-1])
+    time_axis(axes[-1], log.recorded)
     fig.suptitle(f"{log.name}: pose NEES, description, one run (no verdict){remark}", x=0.01, ha="left")
     handles = _handles(POSE_DOF, f"95 % of single values, χ² with dof {POSE_DOF}")
     fig.legend(handles=handles, loc="outside lower center", ncols=2)

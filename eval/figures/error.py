@@ -74,6 +74,13 @@ def time_label(inputs: Inputs) -> str:
     return "frame" if inputs.time_is_index else "time [s]"
 
 
+def time_axis(ax: Axes, inputs: Inputs) -> None:
+    """The axis of time, from a log's first to its last frame."""
+    ax.set_xlabel(time_label(inputs))
+    if len(inputs.time) > 1:
+        ax.set_xlim(inputs.time[0], inputs.time[-1])
+
+
 def panels(runs: Sequence[Run], most: int = MOST_PANELS) -> tuple[list[Series], str]:
     """The series that get a panel of their own (dead reckoning only if it is alone), and a remark if not all fit."""
     shown = series(runs)
@@ -136,7 +143,6 @@ def error_figure(log: Log, runs: Sequence[Run]) -> Figure:
     columns = max(len(shown), 1)
     fig = Figure(figsize=(page_width(), 5.0))
     axes = fig.subplots(3, columns, sharex=True, sharey="row", squeeze=False)
-    time = log.recorded.time
     own = [log_of(s.run, log) for s in shown]
     times = [o.recorded.time for o in own]
     errors = [_error(s, o) for s, o in zip(shown, own, strict=True)]
@@ -157,10 +163,8 @@ def error_figure(log: Log, runs: Sequence[Run]) -> Figure:
     for j, s in enumerate(shown):
         axes[0, j].set_title("\n".join(fill(line, 28) for line in heading_of(s).split("\n")))
     for ax in axes[-1]:
-        ax.set_xlabel(time_label(log.recorded))
+        time_axis(ax, log.recorded)
         ax.xaxis.set_major_locator(ticks(5 if columns > 2 else 8))
-    if len(time) > 1:
-        axes[0, 0].set_xlim(time[0], time[-1])
     fig.align_ylabels(axes[:, 0])
     what = "error and claimed ±3σ" if log.truth.known_poses else "claimed ±3σ (the log has no truth, so no error)"
     fig.suptitle(f"{log.name}: {what}, world frame, no alignment{remark}", x=0.01, ha="left")
@@ -203,9 +207,7 @@ def difference_figure(log: Log, runs: Sequence[Run], reference: Run) -> Figure:
         ax.set_title(heading_of(s).replace("\n", ": "), loc="left")
         _note_outside(ax, distance, limit, "m")
         ax.yaxis.set_major_locator(ticks(5))
-    axes[-1].set_xlabel(time_label(log.recorded))
-    if len(time) > 1:
-        axes[0].set_xlim(time[0], time[-1])
+    time_axis(axes[-1], log.recorded)
     name = series([reference])[-1].label
     fig.suptitle(f"{log.name}: distance from {name} over time (not an error: no truth){remark}", x=0.01, ha="left")
     handles = [

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from data.log import Log
 from data.result import Run
 from data.se2 import Array
-from eval.figures.error import longest_sigma, ticks, time_label
+from eval.figures.error import longest_sigma, ticks, time_axis
 from eval.figures.paper import page_width, points
 from eval.figures.plane import SIGMAS, longest_axis
 from eval.figures.style import DASHDOT, DASHED, DOTTED, SOLID, Line, colour_of_method, drawing, style_of
@@ -59,9 +59,8 @@ def state_figure(trial: Trial, beside: Sequence[Trial] = ()) -> Figure:
             line: Line = (SOLID, DOTTED, DASHDOT)[min(same, 2)] if t is trial else DASHED
             (drawn,) = ax.step(time, size, where="post", color=colour, linestyle=line, linewidth=1.1, label=label)
             lines.append((end, drawn))
-    ax.set(xlabel=time_label(trial.log.recorded), ylabel="length of the state [–]", ylim=(0.0, None))
-    if len(time) > 1:
-        ax.set_xlim(time[0], time[-1])
+    ax.set(ylabel="length of the state [–]", ylim=(0.0, None))
+    time_axis(ax, trial.log.recorded)
     ax.yaxis.set_major_locator(ticks(6))
     ax.set_title(f"{trial.log.name}:\nstate of the filters (3 for the pose, 2 for a landmark)", loc="left")
     handles = [drawn for _, drawn in sorted(lines, key=lambda pair: -pair[0])]
@@ -114,10 +113,9 @@ def growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
         )
     if over_time is not None:
         _draw_over_time(fig.add_subplot(grid[1, :]), log, over_time, closed)
-    robot.set(xlabel=time_label(log.recorded), ylabel="robot σ [m]", ylim=(0.0, None))
+    robot.set(ylabel="robot σ [m]", ylim=(0.0, None))
+    time_axis(robot, log.recorded)
     landmarks.set(xlabel="landmark number [–]", ylabel="landmark σ [m]", ylim=(0.0, None))
-    if len(time) > 1:
-        robot.set_xlim(time[0], time[-1])
     for ax in (robot, landmarks):
         ax.xaxis.set_major_locator(ticks(6))
         ax.yaxis.set_major_locator(ticks(6))
@@ -137,8 +135,7 @@ def _draw_over_time(ax: Axes, log: Log, sigma: Array, closed: int | None) -> Non
         ax.plot(time, sigma[:, n], color=colours[n], linewidth=0.7)
     if closed is not None:
         ax.axvline(time[closed], color="#505050", linestyle=DOTTED, linewidth=1.0)
-    ax.set(xlabel=time_label(log.recorded), ylabel="landmark σ [m]", ylim=(0.0, None))
-    if len(time) > 1:
-        ax.set_xlim(time[0], time[-1])
+    ax.set(ylabel="landmark σ [m]", ylim=(0.0, None))
+    time_axis(ax, log.recorded)
     ax.yaxis.set_major_locator(ticks(6))
     ax.set_title("every landmark of the filter over time; dark: the first initialized, light: the last", loc="left")

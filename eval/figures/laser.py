@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
@@ -9,18 +11,19 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import MaxNLocator
 
 from association.scans.constraints import Loops
 from association.scans.occupancy import Grid
 from data.se2 import Array, BoolArray
 from eval.figures.paper import page_width
+from eval.figures.plane import draw_start, plan_axes
 from eval.figures.style import DASHED, DOTTED, SOLID, Line, drawing, settle, style_of
 from eval.referee.laser import KEPT
 
 UNKNOWN_GREY, FREE_GREY = 0.85, 1.0
 RARE = 0.005
 """Share of the known cells that may be left out at each edge: a beam through a window does not squash the picture."""
+END_COLOUR = "#F0E442"
 AROUND = 1.0
 """m of the plan about what is shown."""
 FATES: dict[str, tuple[str, Line, float]] = {
@@ -130,27 +133,17 @@ def _shown(grid: Grid, path: Array) -> tuple[Array, Array]:
 
 def _ends(ax: Axes, path: Array) -> list[Line2D | Patch]:
     """Start, an arrowhead the way the robot looks, and end of a path."""
-    marker = (3, 0, float(np.degrees(path[0, 2])) - 90.0)
     halo = [withStroke(linewidth=2.0, foreground="white")]
-    start = ax.plot(
-        *path[0, :2], marker=marker, markersize=8, color="#F0E442", markeredgecolor="black", linestyle="none",
-        label="start", zorder=6, path_effects=halo,
-    )  # fmt: skip
-    end = ax.plot(
-        *path[-1, :2], marker="s", markersize=5, color="#F0E442", markeredgecolor="black", linestyle="none",
-        label="end", zorder=6, path_effects=halo,
-    )  # fmt: skip
-    return [*start, *end]
+    square: dict[str, Any] = {"marker": "s", "markersize": 5, "color": END_COLOUR, "markeredgecolor": "black"}
+    end = ax.plot(*path[-1, :2], linestyle="none", label="end", zorder=6, path_effects=halo, **square)
+    return [*draw_start(ax, path[0], END_COLOUR, halo), *end]
 
 
 def _on_paper(
     fig: Figure, ax: Axes, low: Array, high: Array, width: float, title: str, handles: list[Line2D | Patch]
 ) -> None:
     """Axes, title, and paper cut to the scene, so that equal aspect leaves no blank."""
-    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]")
-    ax.set_aspect("equal")
-    for axis in (ax.xaxis, ax.yaxis):
-        axis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 5, 10]))
+    plan_axes(ax, low, high)
     ax.set_title(title, loc="left")
     across = width - 0.65
     scene = across * float((high[1] - low[1]) / (high[0] - low[0]))

@@ -1,7 +1,4 @@
-"""The picture of a log as it was recorded: paths, landmarks, and where its observations say the landmarks are.
-
-The map with what became of every reading: paired, a new landmark, discarded, or decided again later.
-"""
+"""A log as it was recorded, and a map of what became of every reading: paired, new, discarded, or decided again."""
 
 from __future__ import annotations
 
@@ -20,7 +17,7 @@ from data.se2 import Array, BoolArray, dead_reckoned, transform_points
 from data.summary import granted_labels
 from data.terminal import counted
 from eval.figures.paper import page_width
-from eval.figures.plane import draw_walls
+from eval.figures.plane import draw_start, draw_walls
 from eval.figures.style import DOTTED, STYLES, TRUTH_COLOUR, drawing, settle, style_of
 
 SEEN_COLOUR = "#56B4E9"
@@ -55,13 +52,7 @@ def log_figure(log: Log) -> Figure:
         label = granted_labels(log)
         clutter = np.zeros(len(placed), bool) if label is None else label[placed] == CLUTTER
         name = f"{len(placed)} of {counted(len(o.frame), 'observation')}, from {origin}"
-        dots: dict[str, Any] = {
-            "marker": ".",
-            "linestyle": "none",
-            "markersize": 3.0,
-            "markeredgewidth": 0.0,
-            "rasterized": True,
-        }
+        dots = dict[str, Any](marker=".", linestyle="none", markersize=3.0, markeredgewidth=0.0, rasterized=True)
         ax.plot(*xy[~clutter].T, color=SEEN_COLOUR, alpha=0.6, label=name, zorder=2, **dots)
         if clutter.any():
             ax.plot(*xy[clutter].T, color=CLUTTER_COLOUR, label=f"{clutter.sum()} of them clutter", zorder=2, **dots)
@@ -72,13 +63,7 @@ def log_figure(log: Log) -> Figure:
             ax.plot(*landmarks.xy.T, "k+", markersize=5.0, markeredgewidth=0.7, label=name, zorder=5)
         else:
             draw_walls(ax, landmarks.xy, "black", label=name, zorder=1)
-    x, y, theta = inputs.prior.mean
-    start: dict[str, Any] = {
-        "marker": (3, 0, float(np.degrees(theta)) - 90.0),
-        "color": "white",
-        "markeredgecolor": "black",
-    }
-    ax.plot(x, y, markersize=8, linestyle="none", label="start", zorder=6, **start)
+    draw_start(ax, inputs.prior.mean)
 
     ax.set(xlabel="x [m]", ylabel="y [m]")
     ax.set_aspect("equal")
@@ -117,16 +102,13 @@ def fates(run: Run) -> dict[str, BoolArray]:
     }
 
 
+@drawing()
 def fate_figure(log: Log, runs: Sequence[Run]) -> Figure:
     """Readings in the world frame as each run's last path puts them, by what became of them; a map for each run.
 
     Equal aspect, metres. The first `MOST` runs are drawn. No truth is used.
     """
-    with drawing():
-        return _fate_figure(log, list(runs)[:MOST])
-
-
-def _fate_figure(log: Log, runs: Sequence[Run]) -> Figure:
+    runs = list(runs)[:MOST]
     places = [_world(log, run) for run in runs]
     paths = [run.trajectory(run.phases[-1]).pose[:, :2] for run in runs]
     low, high = _scene([*places, *paths])
@@ -135,7 +117,7 @@ def _fate_figure(log: Log, runs: Sequence[Run]) -> Figure:
     fig = Figure(figsize=(page_width(), float(np.clip(across * h / w, 1.5, HIGHEST)) + 1.0))
     axes = fig.subplots(1, max(len(runs), 1), squeeze=False, sharey=True)[0]
     for ax, run, xy, path in zip(axes, runs, places, paths, strict=False):
-        ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+        ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))  # walls are drawn across it
         _draw(ax, run, xy, path, log.recorded.sensor.sees_points)
     for ax in axes:
         ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", aspect="equal")

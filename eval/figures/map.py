@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from textwrap import fill
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,21 +13,22 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import MaxNLocator
 
 from data.inputs import IntArray
 from data.log import Log
-from data.result import Run
+from data.result import MapEstimate, Run
 from data.se2 import Array, dead_reckoned
 from eval.figures.paper import page_width, points
 from eval.figures.plane import (
     View,
     along_path,
     draw_ellipses,
+    draw_start,
     draw_walls,
     ellipses,
     enlargement,
     longest_axis,
+    plan_axes,
     true_landmarks,
     view_of,
 )
@@ -37,6 +40,8 @@ MOST_IDS = 30
 LONG_LABEL = 24
 GREY = "#606060"
 """What the legend shows of every estimator."""
+AMBIGUOUS: dict[str, Any] = {"color": "black", "marker": "D", "fillstyle": "none", "linestyle": "none"}
+"""Around landmarks that another place would suit as well."""
 Surveyed = Callable[[Axes], Sequence[Line2D]]
 """Draws what was surveyed on a map, and returns what the legend shows of it."""
 
@@ -56,6 +61,44 @@ def _label(s: Series) -> str:
     return s.label if flaw is None else f"{s.label}:\n{flaw.status} at frame {flaw.frame}"
 
 
+@dataclass(frozen=True, eq=False)
+class _Map:
+    """What is drawn on a map.
+
+    Attributes:
+        shown: all series; estimates: those with ellipses; maps: of these, with the maps they end with.
+        paths: (N, 2) by label, dead reckoning too. poses: means and covariances along the estimates' paths.
+        view: what part of the plane. factor: by how much ellipses are enlarged.
+    """
+
+    log: Log
+    shown: list[Series]
+    estimates: list[Series]
+    maps: list[tuple[Series, MapEstimate]]
+    paths: dict[str, Array]
+    poses: list[tuple[Series, Array, Array]]
+    view: View
+    factor: int
+
+
+def _gathered(log: Log, runs: Sequence[Run], factor: int | None) -> _Map:
+    shown = series(runs)
+    paths = {s.label: s.trajectory.pose[:, :2] for s in shown}
+    if not (is_truth_alone(log) or any(r.estimator == "dead-reckoning" for r in runs)):
+        reckoned = dead_reckoned(log.recorded.prior.mean, log.recorded.increments.mean)
+        paths = {STYLES["dead-reckoning"].label: reckoned[:, :2], **paths}
+    estimates = _with_ellipses(shown)
+    maps = [(s, s.run.map) for s in estimates if s.run.map is not None and len(s.run.map)]
+    of_points = maps if log.recorded.sensor.sees_points else []
+    view = view_of(log, shown, paths, {f"map of {s.label}": ellipses(m.xy, m.covariance) for s, m in of_points})
+    poses = [(s, *along_path(s)) for s in estimates]
+    if factor is None:
+        sizes = [longest_axis(P) for _, _, P in poses] + [longest_axis(m.covariance) for _, m in of_points]
+        factor = enlargement(view, np.concatenate(sizes) if sizes else np.empty(0))
+    return _Map(log, shown, estimates, maps, paths, poses, view, factor)
+
+
+@drawing()
 def map_figure(
     log: Log,
     runs: Sequence[Run],
@@ -70,103 +113,86 @@ def map_figure(
     squash the picture: it is cut, and the title names it. `surveyed` draws in place of the true landmarks; `factor` is
     by how much ellipses are enlarged (None: as is needed).
     """
-    with drawing():
-        return _map_figure(log, runs, width or page_width(), surveyed, factor)
-
-
-def _map_figure(log: Log, runs: Sequence[Run], width: float, surveyed: Surveyed | None, factor: int | None) -> Figure:
-    shown = series(runs)
-    paths = {s.label: s.trajectory.pose[:, :2] for s in shown}
-    if not (is_truth_alone(log) or any(r.estimator == "dead-reckoning" for r in runs)):
-        reckoned = dead_reckoned(log.recorded.prior.mean, log.recorded.increments.mean)
-        paths = {STYLES["dead-reckoning"].label: reckoned[:, :2], **paths}
-    estimates = _with_ellipses(shown)
-    maps = [(s, s.run.map) for s in estimates if s.run.map is not None and len(s.run.map)]
-    points_seen = log.recorded.sensor.sees_points
-    outlines = {f"map of {s.label}": ellipses(m.xy, m.covariance) for s, m in maps if points_seen}
-    view = view_of(log, shown, paths, outlines)
-    poses = [(s, *along_path(s)) for s in estimates]
-    sizes = [longest_axis(P) for _, _, P in poses] + [longest_axis(m.covariance) for _, m in maps if points_seen]
-    if factor is None:
-        factor = enlargement(view, np.concatenate(sizes) if sizes else np.empty(0))
-
+    made = _gathered(log, runs, factor)
     fig = Figure()
     ax = fig.add_subplot()
-    ax.set(xlim=(view.low[0], view.high[0]), ylim=(view.low[1], view.high[1]), xlabel="x [m]", ylabel="y [m]")
-    handles: list[Line2D | Patch] = []
+    plan_axes(ax, made.view.low, made.view.high)
+    handles: list[Line2D | Patch] = _draw_paths(ax, made)
+    handles += _draw_true_landmarks(ax, made) if surveyed is None else surveyed(ax)
+    handles += _draw_estimates(ax, made)
+    handles += draw_start(ax, log.recorded.prior.mean)
+    _fit(fig, ax, made, runs, width or page_width(), handles)
+    return fig
 
-    if log.truth.known_poses and log.truth.pose is not None:
-        handles += ax.plot(*log.truth.pose[:, :2].T, color=TRUTH_COLOUR, linewidth=1.8, label="true path", zorder=2)
-    own = {s.label: s for s in shown}
-    for label, path in paths.items():
+
+def _draw_paths(ax: Axes, m: _Map) -> list[Line2D | Patch]:
+    handles: list[Line2D | Patch] = []
+    truth = m.log.truth
+    if truth.known_poses and truth.pose is not None:
+        handles += ax.plot(*truth.pose[:, :2].T, color=TRUTH_COLOUR, linewidth=1.8, label="true path", zorder=2)
+    own = {s.label: s for s in m.shown}
+    for label, path in m.paths.items():
         s = own.get(label)
         colour, line = (STYLES["dead-reckoning"].colour, DOTTED) if s is None else (s.colour, s.line)
         name = label if s is None else _label(s)
         handles += ax.plot(*path.T, color=colour, linestyle=line, linewidth=1.0, label=name, zorder=3)
+    return handles
 
-    known = true_landmarks(log)
-    name = "true landmarks" if log.truth.landmarks is not None else "landmarks (given map)"
-    if surveyed is not None:
-        handles += surveyed(ax)
-    elif known is not None and len(known.id) and not points_seen:
-        handles += _walls(ax, known.id, known.xy, view, "black", name, MOST_IDS)
-    elif known is not None and len(known.id):
-        handles += ax.plot(*known.xy.T, "k+", markersize=6.0, markeredgewidth=1.0, label=name, zorder=4)
-        if len(known.id) <= MOST_IDS:
-            _landmark_ids(ax, known.id, known.xy, view)
-    doubtful = False
-    for s, m in maps:
-        numbered = known is None and len(m) <= MOST_IDS and s is maps[0][0]
-        if not points_seen:
-            _walls(ax, m.number, m.xy, view, s.colour, "", MOST_IDS if numbered else 0)
+
+def _draw_true_landmarks(ax: Axes, m: _Map) -> list[Line2D]:
+    known = true_landmarks(m.log)
+    if known is None or not len(known.id):
+        return []
+    name = "true landmarks" if m.log.truth.landmarks is not None else "landmarks (given map)"
+    if not m.log.recorded.sensor.sees_points:
+        return _walls(ax, known.id, known.xy, m.view, "black", name, MOST_IDS)
+    if len(known.id) <= MOST_IDS:
+        _landmark_ids(ax, known.id, known.xy, m.view)
+    return ax.plot(*known.xy.T, "k+", markersize=6.0, markeredgewidth=1.0, label=name, zorder=4)
+
+
+def _draw_estimates(ax: Axes, m: _Map) -> list[Line2D | Patch]:
+    """Maps and ellipses along the paths; landmarks whose place is ambiguous are marked."""
+    sees_points, doubtful = m.log.recorded.sensor.sees_points, False
+    for i, (s, map_) in enumerate(m.maps):
+        numbered = i == 0 and true_landmarks(m.log) is None and len(map_) <= MOST_IDS
+        if not sees_points:
+            _walls(ax, map_.number, map_.xy, m.view, s.colour, "", MOST_IDS if numbered else 0)
             continue
-        ax.plot(*m.xy.T, "o", color=s.colour, markersize=2.0, zorder=4)
-        draw_ellipses(ax, m.xy, m.covariance, s.colour, factor, 3.5)
-        unclear = m.xy[ambiguous(s.run, log.recorded) >= 0]
+        ax.plot(*map_.xy.T, "o", color=s.colour, markersize=2.0, zorder=4)
+        draw_ellipses(ax, map_.xy, map_.covariance, s.colour, m.factor, 3.5)
+        unclear = map_.xy[ambiguous(s.run, m.log.recorded) >= 0]
         if len(unclear):
-            ax.plot(*unclear.T, "D", color="black", fillstyle="none", markersize=9.0, markeredgewidth=0.8, zorder=5.2)
+            ax.plot(*unclear.T, **AMBIGUOUS, markersize=9.0, markeredgewidth=0.8, zorder=5.2)
             doubtful = True
         if numbered:
-            _landmark_ids(ax, m.number, m.xy, view)
-    for s, mean, covariance in poses:
-        draw_ellipses(ax, mean, covariance, s.colour, factor, 5.0)
-    others = [s for s in shown if s.run.estimator != "dead-reckoning" and s.run.flaw is None]
-    drawn = bool(maps) and points_seen, any(len(m) for _, m, _ in poses)
-    handles += _ellipse_handles(*drawn, factor, len(estimates) < len(others))
+            _landmark_ids(ax, map_.number, map_.xy, m.view)
+    for s, mean, covariance in m.poses:
+        draw_ellipses(ax, mean, covariance, s.colour, m.factor, 5.0)
+    handles = _ellipse_handles(m)
     if doubtful:
-        handles.append(
-            Line2D([], [], color="black", marker="D", fillstyle="none", linestyle="none", label="ambiguous landmarks")
-        )
-    if maps and not points_seen:
+        handles.append(Line2D([], [], **AMBIGUOUS, label="ambiguous landmarks"))
+    if m.maps and not sees_points:
         handles.append(Line2D([], [], color=GREY, linewidth=0.7, label="estimated landmarks"))
+    return handles
 
-    start = log.recorded.prior.mean
-    marker = (3, 0, float(np.degrees(start[2])) - 90.0)
-    handles += ax.plot(
-        start[0], start[1], marker=marker, markersize=8, color="white", markeredgecolor="black", linestyle="none",
-        label="start", zorder=6,
-    )  # fmt: skip
 
-    ax.set_aspect("equal")
-    for axis in (ax.xaxis, ax.yaxis):
-        axis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 5, 10]))
-
-    # the page is cut to the scene, so that equal aspect leaves no blank paper
-    w, h = view.size
+def _fit(fig: Figure, ax: Axes, m: _Map, runs: Sequence[Run], width: float, handles: list[Line2D | Patch]) -> None:
+    """Title and legend, and the page cut to the scene, so that equal aspect leaves no blank paper."""
+    w, h = m.view.size
     at_side = width > 5.0 and w / h < 1.7
     # labels that name the association as well are too long for two columns of a narrow picture
-    narrow = 1 if any(len(s.label) > LONG_LABEL for s in shown) else 2
+    narrow = 1 if any(len(s.label) > LONG_LABEL for s in m.shown) else 2
     columns = 1 if at_side else (3 if width > 5.0 else narrow)
     across = width - (2.7 if at_side else 0.65)
-    scene = across * float(h / w)
-    title = _title(log, runs, view, round(15.0 * across))
+    title = _title(m.log, runs, m.view, round(15.0 * across))
     ax.set_title(title, loc="left")
     lines = sum(str(handle.get_label()).count("\n") + 1 for handle in handles)
     legend_rows = 0 if at_side else -(-lines // columns)
-    fig.set_size_inches(width, float(np.clip(scene, 1.5, 6.5)) + 0.6 + 0.14 * title.count("\n") + 0.155 * legend_rows)
+    scene = float(np.clip(across * float(h / w), 1.5, 6.5))
+    fig.set_size_inches(width, scene + 0.6 + 0.14 * title.count("\n") + 0.155 * legend_rows)
     fig.legend(handles=handles, loc="outside right upper" if at_side else "outside lower left", ncols=columns)
     settle(fig)
-    return fig
 
 
 def _title(log: Log, runs: Sequence[Run], view: View, characters: int) -> str:
@@ -187,21 +213,21 @@ def _walls(ax: Axes, number: IntArray, walls: Array, view: View, colour: str, na
 
 def _landmark_ids(ax: Axes, number: IntArray, xy: Array, view: View) -> None:
     inside = np.all((xy >= view.low) & (xy <= view.high), axis=1)
+    small: dict[str, Any] = {"textcoords": "offset points", "fontsize": points(6), "color": "#404040"}
     halo = [withStroke(linewidth=1.5, foreground="white")]
     for n, (x, y) in zip(number[inside].tolist(), xy[inside].tolist(), strict=True):
-        ax.annotate(
-            str(n), (x, y), xytext=(3.0, 3.0), textcoords="offset points", fontsize=points(6), color="#404040",
-            path_effects=halo, zorder=5.5,
-        )  # fmt: skip
+        ax.annotate(str(n), (x, y), xytext=(3.0, 3.0), path_effects=halo, zorder=5.5, **small)
 
 
-def _ellipse_handles(maps: bool, poses: bool, factor: int, only_some: bool) -> list[Line2D | Patch]:
-    larger = "" if factor == 1 else f", drawn {factor} times larger"
-    which = "\n(first filter and smoother)" if only_some else ""
+def _ellipse_handles(m: _Map) -> list[Line2D | Patch]:
+    others = [s for s in m.shown if s.run.estimator != "dead-reckoning" and s.run.flaw is None]
+    of_maps = bool(m.maps) and m.log.recorded.sensor.sees_points
+    larger = "" if m.factor == 1 else f", drawn {m.factor} times larger"
+    which = "\n(first filter and smoother)" if len(m.estimates) < len(others) else ""
     found: list[Line2D | Patch] = []
-    if maps:
+    if of_maps:
         dot = Line2D([], [], color=GREY, marker="o", markersize=2.5, linestyle="none", label="estimated landmarks")
         found.append(dot)
-    if maps or poses:
+    if of_maps or any(len(mean) for _, mean, _ in m.poses):
         found.append(Patch(facecolor="#D8D8D8", edgecolor=GREY, linewidth=0.6, label=f"3σ ellipses{larger}{which}"))
     return found

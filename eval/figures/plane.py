@@ -1,7 +1,4 @@
-"""What part of the plane a map shows: truth and landmarks whole, and nothing that would squash them.
-
-Ellipses that show a covariance: their outlines, how large they are, and those of a map or along a path, drawn.
-"""
+"""The plane seen from above: what part of it a map shows, walls and start in it, and ellipses of covariances."""
 
 from __future__ import annotations
 
@@ -11,6 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
+from matplotlib.lines import Line2D
+from matplotlib.patheffects import AbstractPathEffect
+from matplotlib.ticker import MaxNLocator
 
 from data.inputs import IntArray, LandmarkMap
 from data.log import Log
@@ -103,6 +103,31 @@ def draw_walls(ax: Axes, walls: Array, colour: str, *, label: str = "", zorder: 
         text = "" if i else label
         ax.plot(*chord.T, color=colour, linewidth=0.7, label=text, zorder=zorder, scalex=False, scaley=False)
     return rows, ends
+
+
+def plan_axes(ax: Axes, low: Array, high: Array) -> None:
+    """Axes of a map in metres, from corner to corner, one scale for both."""
+    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 5, 10]))
+
+
+def draw_start(
+    ax: Axes, pose: Array, colour: str = "white", effects: Sequence[AbstractPathEffect] = ()
+) -> list[Line2D]:
+    """An arrowhead at a pose (3,), the way the robot looks; what the legend shows of it."""
+    return ax.plot(
+        pose[0],
+        pose[1],
+        marker=(3, 0, float(np.degrees(pose[2])) - 90.0),
+        markersize=8.0,
+        color=colour,
+        markeredgecolor="black",
+        linestyle="none",
+        label="start",
+        zorder=6,
+        path_effects=list(effects),
+    )
 
 
 def view_of(log: Log, shown: Sequence[Series], paths: Mapping[str, Array], maps: Mapping[str, Array]) -> View:
