@@ -92,6 +92,7 @@ class Code(StrEnum):
     STOPPED = "stopped"
     FRONT_END_STOPPED = "front-end-stopped"
     OUT_OF_MEMORY = "out-of-memory"
+    MISSING = "missing"
     # of what a log says about itself, and its twins
     EXACT_PRIOR = "exact-prior"
     NOT_MEASURED = "not-measured"

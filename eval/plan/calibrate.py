@@ -32,7 +32,7 @@ from data.sensors import RangeBearing
 from eval.compare import compare
 from eval.plan.experiment import Experiment
 from eval.plan.flags.table import Execution
-from eval.plan.unfinished import Unfinished
+from eval.plan.unfinished import NOBODY, Unfinished
 from eval.plan.work import Job, work
 from eval.referee import effects, residuals
 from eval.referee.attribution import Finding, systematic_errors
@@ -304,9 +304,8 @@ def _plain(setup: Setup) -> Setup:
     return replace(setup, calibrate=())
 
 
-def _missing(experiments: Sequence[Experiment], lost: Unfinished) -> Callable[[int, str], None]:
-    def missing(i: int, why: str) -> None:
-        e = experiments[i]
-        lost.say("what its battery says of systematic errors", why, log=e.log.name, task=e.task)
+def _missing(experiments: Sequence[Experiment], lost: Unfinished) -> Callable[[int, Notice], None]:
+    def missing(i: int, why: Notice) -> None:
+        lost.say("battery", why, NOBODY.about(log=experiments[i].log.name, task=experiments[i].task))
 
     return missing

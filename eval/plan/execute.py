@@ -21,7 +21,7 @@ from eval.plan.flags.variant import Variant
 from eval.plan.results import with_results
 from eval.plan.trust import trusted
 from eval.plan.tutorials import ABOUT, tutorial_run, variant_log
-from eval.plan.unfinished import Unfinished, estimate, estimate_one, incomplete, wanted
+from eval.plan.unfinished import NOBODY, Unfinished, estimate, estimate_one, incomplete, wanted
 from eval.plan.validation import validated
 from eval.plan.work import Job, work
 from eval.referee.score import Trial
@@ -128,12 +128,12 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
     for missing, why in lost.jobs.items():
         match missing:
             case Seeded(i, seed):
-                lost.say(f"scenario {plan.studies[i][0].name}: no run with seed {seed}", why)
+                lost.say("study", why, name=plan.studies[i][0].name, seed=seed)
             case Tutorial(i):
-                e, variant = variants[i]
-                lost.say(f"no run of {variant.name}", why, log=e.log.name, task=variant.task)
+                e, v = variants[i]
+                lost.say("run", why, NOBODY.about(log=e.log.name, task=v.task, estimator=v.name))
             case Recorded(i):
-                lost.say(f"scenario {plan.stored[i][0].name}: no run", why)
+                lost.say("study", why, name=plan.stored[i][0].name)
     replayed = [done[Recorded(i)] for i in range(len(plan.stored)) if Recorded(i) in done]
     studies = _studies(plan.studies, done)
     return Outcome(
@@ -202,8 +202,8 @@ def _trials(
             if part.experiment == i:
                 run = incomplete(name, part.work.association, e.task, e.log.recorded, why)
                 runs[run.association, run.estimator] = run
-                what = f"no run of {name} with association {part.work.association}"
-                lost.say(what, why, log=e.log.name, task=e.task)
+                run_of = NOBODY.about(log=e.log.name, task=e.task, estimator=name, association=part.work.association)
+                lost.say("run", why, run_of)
         trials.append(Trial(e.log, e.task, tuple(runs[key] for key in wanted(e.work)), e.beside, e.about))
     return trials
 

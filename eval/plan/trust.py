@@ -13,7 +13,7 @@ from data.result import Run
 from eval.compare import compare
 from eval.plan.experiment import Experiment
 from eval.plan.flags.table import Options, Study
-from eval.plan.unfinished import Unfinished
+from eval.plan.unfinished import NOBODY, Unfinished
 from eval.plan.work import Job, work
 from eval.referee.attribution import NOISE
 from eval.referee.score import Trial
@@ -74,15 +74,18 @@ def trusted(
     return tuple(put_right.get(i, t) for i, t in enumerate(done))
 
 
-def _missing(groups: Sequence[Group], lost: Unfinished) -> Callable[[int, str], None]:
+def _missing(groups: Sequence[Group], lost: Unfinished) -> Callable[[int, Notice], None]:
     """Says of which log something is missing; jobs are known by the place of their group."""
 
-    def missing(i: int, why: str) -> None:
-        g = groups[i]
-        what = f"part of what it says of itself (association {name_of(g.association)})"
-        lost.say(what, why, log=g.log.name, task=g.task)
+    def missing(i: int, why: Notice) -> None:
+        _say(groups[i], why, lost)
 
     return missing
+
+
+def _say(group: Group, why: Notice, lost: Unfinished, seed: int | None = None) -> None:
+    about = NOBODY.about(log=group.log.name, task=group.task, association=name_of(group.association))
+    lost.say("trust", why, about, seed=seed)
 
 
 def _count(study: Study) -> int:
@@ -138,10 +141,9 @@ def _with_twins(
                 jobs.append(Job((i, seed), one_twin, (source, seed)))
             else:
                 kept[i, seed] = found
-    missing = _missing([group for group, _, _ in said], lost)
 
-    def twin_missing(owner: tuple[int, int], why: str) -> None:
-        missing(owner[0], f"twin {owner[1]}: {why}")
+    def twin_missing(owner: tuple[int, int], why: Notice) -> None:
+        _say(said[owner[0]][0], why, lost, owner[1])
 
     drawn = work(jobs, options.execution, far=True, lost=twin_missing)
     for done, ((i, seed), sample) in enumerate(drawn, start=1):

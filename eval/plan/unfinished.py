@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from data.inputs import Inputs
-from data.notice import Code, Notice, Severity, notice, stopped
+from data.notice import Code, Notice, Severity, notice
 from data.result import Failure, Run
 from eval.compare import compare
 from eval.plan.experiment import Experiment, Work
@@ -32,18 +32,19 @@ def estimate_one(experiment: Experiment, part: Work, name: str, watched: bool = 
     return estimate(experiment, Work(part.association, (*kept, name)), watched)[-1:]
 
 
-def incomplete(name: str, association: str, task: str, inputs: Inputs, why: str) -> Run:
+def incomplete(name: str, association: str, task: str, inputs: Inputs, why: Notice) -> Run:
     """A run of which nothing is left but the reason."""
     given = "none" if name == "dead-reckoning" else name_of(association)
     online, final = name not in BATCH, name in (*BATCH, *INCREMENTAL)
-    return no_run(
-        name_of(name), given, task, inputs, Failure("incomplete", 0, stopped(why)), online=online, final=final
-    )
+    return no_run(name_of(name), given, task, inputs, Failure("incomplete", 0, why), online=online, final=final)
+
+
+NOBODY = notice(Code.MISSING, Severity.ERROR)
 
 
 @dataclass
 class Unfinished:
-    """What had not enough memory, and what is said of it.
+    """What had not enough memory, and what is missing therefore.
 
     Attributes:
         processes: at once.
@@ -52,17 +53,17 @@ class Unfinished:
     """
 
     processes: int
-    jobs: dict[Any, str] = field(default_factory=dict)
+    jobs: dict[Any, Notice] = field(default_factory=dict)
     said: list[Notice] = field(default_factory=list)
 
-    def __call__(self, owner: Any, why: str) -> None:
+    def __call__(self, owner: Any, why: Notice) -> None:
         """A job is lost."""
         self.jobs[owner] = why
 
-    def say(self, what: str, why: str, *, log: str = "", task: str = "") -> None:
-        """What is missing therefore, of a log and task if it is of one."""
-        lost = notice(Code.OUT_OF_MEMORY, Severity.ERROR, missing=what, why=why, together=self.processes > 1)
-        self.said.append(lost.about(log=log, task=task))
+    def say(self, what: str, why: Notice, about: Notice = NOBODY, **more: str | int | None) -> None:
+        """What is missing (a word, see `missing` in notices.j2), and why; `about`: names log, task and run."""
+        values = {**why.named, "what": what, "processes": self.processes, **more}
+        self.said.append(replace(about, values=tuple(sorted(values.items()))))
 
 
 def wanted(work: Sequence[Work]) -> list[tuple[str, str]]:

@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Callable, Sequence
 
 from data.log import folder_name
+from data.notice import Notice
 from eval.plan.flags.table import Options
 from eval.plan.unfinished import Unfinished
 from eval.plan.work import Job, work
@@ -29,9 +30,9 @@ def validated(
             else:
                 kept[i, k] = found
 
-    def missing(owner: tuple[int, int], why: str) -> None:
+    def missing(owner: tuple[int, int], why: Notice) -> None:
         case = every[owner[0]][owner[1]]
-        lost.say(f"scenario {studies[owner[0]].name}: no judgement of {case.world.name} with seed {case.seed}", why)
+        lost.say("validation", why, name=studies[owner[0]].name, world=case.world.name, seed=case.seed)
 
     for done, ((i, k), result) in enumerate(work(jobs, options.execution, far=True, lost=missing), start=1):
         validation.save(folders[i] / file_of(every[i][k]), result)

@@ -9,13 +9,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, TypeVar
 
 from joblib import Parallel, delayed
 from joblib.externals.loky import ProcessPoolExecutor  # type: ignore[import-untyped]
 from threadpoolctl import threadpool_limits
 
 from data.errors import SlamrefError, UsageError
+from data.notice import Code, Notice, Severity, notice
+from data.words import sentence
 from eval.figures.paper import Look, current, looking
 from eval.plan.flags.table import Execution
 from eval.replay.external.spec import introduce, introduced
@@ -38,13 +40,8 @@ class Job(Generic[OwnerT]):
     arguments: tuple[Any, ...] = ()
 
 
-class Lost(NamedTuple):
-    """In place of a result: why there is none."""
-
-    why: str
-
-
-KILLED = Lost("its process was killed, as happens where memory runs out")
+KILLED = notice(Code.OUT_OF_MEMORY, Severity.ERROR, killed=True)
+"""In place of a result, as every notice is: why there is none."""
 
 
 class OutOfMemoryError(SlamrefError):
@@ -56,7 +53,7 @@ def work(
     execution: Execution,
     *,
     far: bool = False,
-    lost: Callable[[Owner, str], None] | None = None,
+    lost: Callable[[Owner, Notice], None] | None = None,
     apart: bool = False,
 ) -> Iterator[tuple[Owner, Any]]:
     """Results with their owners as they come; `far`: on the cluster, if there is one (`--scheduler`).
@@ -72,12 +69,12 @@ def work(
         results = (_one_at_a_time if apart else _together)(calls, execution.jobs)
     for i, result in results:
         owner = jobs[i].owner
-        if not isinstance(result, Lost):
+        if not isinstance(result, Notice):
             yield owner, result
         elif lost is None:
-            raise OutOfMemoryError(f"{result.why}; fewer processes (--jobs 1) or a shorter log need less")
+            raise OutOfMemoryError(f"{sentence(result)}; fewer processes (--jobs 1) or a shorter log need less")
         else:
-            lost(owner, result.why)
+            lost(owner, result)
 
 
 def _done(names: tuple[str, ...], look: Look, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
@@ -91,8 +88,7 @@ def _done(names: tuple[str, ...], look: Look, function: Callable[..., Any], argu
         try:
             return function(*arguments)
         except MemoryError as fault:
-            said = str(fault).rstrip(".")
-            return Lost(f"it ran out of memory ({said})" if said else "it ran out of memory")
+            return notice(Code.OUT_OF_MEMORY, Severity.ERROR, detail=str(fault).rstrip("."))
 
 
 def _together(calls: Mapping[int, Call], processes: int) -> Iterator[tuple[int, Any]]:

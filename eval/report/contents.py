@@ -16,7 +16,7 @@ from eval.plan.execute import Outcome
 from eval.plan.flags.options import Options
 from eval.plan.provenance import command_of, provenance
 from eval.plan.tutorials import is_tutorial
-from eval.plan.unfinished import Unfinished
+from eval.plan.unfinished import NOBODY, Unfinished
 from eval.plan.work import Job, work
 from eval.player.document import played, write_player
 from eval.referee import result_files
@@ -185,10 +185,9 @@ def _publish_trials(
         jobs.append(Job((trials.index(group[0]), -2), write_player, (folder, group, options.setup)))
     made: dict[tuple[int, int], Picture] = {}
 
-    def missing(owner: tuple[int, int], why: str) -> None:
-        what = {-1: "files of its runs", -2: "the player"}.get(owner[1], "a picture")
-        of = trials[owner[0]]
-        lost.say(f"{what} missing", why, log=of.log.name, task=of.task)
+    def missing(owner: tuple[int, int], why: Notice) -> None:
+        what = {-1: "files", -2: "player"}.get(owner[1], "picture")
+        lost.say(what, why, NOBODY.about(log=trials[owner[0]].log.name, task=trials[owner[0]].task))
 
     for done, (owner, picture) in enumerate(work(jobs, options.execution, lost=missing), start=1):
         if owner[1] >= 0:

@@ -92,7 +92,7 @@ def _corridor(folder: Path, options: Options, lab: Lab, facts: Answers, lost: Un
     formats = ("png",) if options.quick else ("pdf", "png")
     setup = options.setup.settled(next(iter(lab.trials.values())).log.labels_are_sensed)
     jobs = [Job(kind, draw, (folder, kind, lab, setup, formats, options.formats)) for kind in wanted]
-    drawn = work(jobs, options.execution, lost=lambda kind, why: lost.say(f"lab: {kind} missing", why))
+    drawn = work(jobs, options.execution, lost=lambda kind, why: lost.say("picture", why, name=f"lab: {kind}"))
     made: dict[str, Picture] = dict(drawn)
     sections = []
     for n, question in enumerate(QUESTIONS, start=1):

@@ -7,7 +7,7 @@ import pytest
 from eval.plan import work as works
 from eval.plan.flags.options import read_options
 from eval.plan.unfinished import estimate
-from eval.plan.work import Job, OutOfMemoryError, work
+from eval.plan.work import KILLED, Job, OutOfMemoryError, work
 from eval.run_all import main
 from tests.eval.plan.jobs import killed, squared, stays, too_large
 
@@ -24,8 +24,8 @@ def test_a_killed_process_and_an_array_too_large_take_nothing_else_with_them():
     done = dict(work(jobs, options("--jobs", "2"), lost=lost.__setitem__))
     # workers are not replaced when they have grown, which loky would warn of
     assert done == {0: 0, 1: 1, 2: 4, "stays": False}
-    assert lost["killed"] == "its process was killed, as happens where memory runs out"
-    assert lost["large"].startswith("it ran out of memory (Unable to allocate 728. TiB")
+    assert lost["killed"] == KILLED
+    assert lost["large"].named["detail"].startswith("Unable to allocate 728. TiB")
 
 
 def test_where_nobody_can_do_without_it_is_an_error_of_one_line():
@@ -53,7 +53,7 @@ def test_estimators_are_tried_one_by_one_and_all_the_rest_is_kept(isam2_needs_mo
     assert main([*asked, "--jobs", "1", "--no-plots", "--out", str(out), "-q"]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 3
-    assert lines[0].startswith("error: arena:0, slam: no run of isam2 with association known: it ran out of memory")
+    assert lines[0].startswith("error: arena:0, slam, known: isam2: no run: it ran out of memory")
     assert lines[0].endswith("(Unable to allocate 9.2 GiB); a shorter log, or a machine with more memory would help")
     rows = [r.split(",") for r in (out / "metrics.csv").read_text().splitlines()]
     # with jcbb, batch takes its decisions from isam2

@@ -6,6 +6,7 @@ import pytest
 
 from data.logs import open_log
 from eval.plan.unfinished import incomplete
+from eval.plan.work import KILLED
 
 
 @pytest.mark.parametrize(
@@ -18,7 +19,7 @@ from eval.plan.unfinished import incomplete
     ],
 )
 def test_it_has_the_name_the_association_and_the_phases_it_would_have_had(name, association, phases):
-    run = incomplete(name, "jcbb", "slam", open_log("arena:0").inputs(), "no memory")
+    run = incomplete(name, "jcbb", "slam", open_log("arena:0").inputs(), KILLED)
     assert (run.estimator, run.association, run.task, run.phases) == (name, association, "slam", phases)
     assert run.status == "incomplete"
-    assert run.flaw.text == "frame 0: no memory"
+    assert (run.flaw.frame, run.flaw.notice) == (0, KILLED)

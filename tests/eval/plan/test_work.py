@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from data.notice import Code
 from eval.plan import work as works
 from eval.plan.flags.options import read_options
 from eval.plan.work import Job, OutOfMemoryError, work
@@ -49,6 +50,8 @@ def test_what_is_not_far_is_done_here_and_without_jobs_nobody_is_asked(cluster):
 def test_a_far_job_without_enough_memory_is_lost_alone(cluster):
     jobs, lost = [Job(0, squared, (3,)), Job(1, too_large, (0,))], {}
     assert list(work(jobs, options("--scheduler", ADDRESS), far=True, lost=lost.__setitem__)) == [(0, 9)]
-    assert lost == {1: "it ran out of memory (Unable to allocate 728. TiB)"}
+    assert {k: (why.code, why.named) for k, why in lost.items()} == {
+        1: (Code.OUT_OF_MEMORY, {"detail": "Unable to allocate 728. TiB"})
+    }
     with pytest.raises(OutOfMemoryError, match=r"728\. TiB\); fewer processes \(--jobs 1\) or a shorter log"):
         list(work(jobs, options("--scheduler", ADDRESS), far=True))
