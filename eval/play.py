@@ -19,19 +19,10 @@ from eval.replay.flag import rows
 
 PROG = "python -m eval.play"
 TABLE = rows(Options)
-SHARED = (
-    replace(
-        TABLE["task"],
-        help="localization, slam (default: localization where there is a map, but slam in a corridor)",
-    ),
-    *(
-        TABLE[name]
-        for name in (
-            "estimator", "association", "gate", "new_gate", "gate_known", "in_view", "maintain", "forget_after",
-            "deactivate_after", "lag", "keyframe_distance",
-        )
-    ),
-)  # fmt: skip
+TASKS = "localization, slam (default: localization where there is a map, but slam in a corridor)"
+HOW = ("estimator", "association", "gate", "new_gate", "gate_known", "in_view")
+LONG_LOGS = ("maintain", "forget_after", "deactivate_after", "lag", "keyframe_distance")
+SHARED = (replace(TABLE["task"], help=TASKS), *(TABLE[name] for name in (*HOW, *LONG_LOGS)))
 """Flags that mean what they mean in `eval.run_all`."""
 EXAMPLES = """\
 examples:

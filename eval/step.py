@@ -25,16 +25,14 @@ if TYPE_CHECKING:
 
 PROG = "python -m eval.step"
 TABLE = rows(Options)
+TASKS = "localization or slam (default: localization where there is a map, but slam in a corridor)"
 SHARED = (
     replace(TABLE["log"], help="open log folder, victoria-park, arena:SEED or corridor:SEED[:KEYS]"),
     replace(TABLE["association"], metavar="NAME", help=f"of {', '.join(ASSOCIATIONS)}, or your own (default: jcbb)"),
     replace(TABLE["estimator"], metavar="NAME", help=f"of {', '.join(STEPPING)}, or your own (default: ekf)"),
-    replace(
-        TABLE["task"], metavar="NAME",
-        help="localization or slam (default: localization where there is a map, but slam in a corridor)",
-    ),
+    replace(TABLE["task"], metavar="NAME", help=TASKS),
     *(TABLE[name] for name in ("gate", "new_gate", "gate_known", "in_view", "maintain")),
-)  # fmt: skip
+)
 """Flags that mean what they mean in `eval.run_all`."""
 DEFAULTS = {"association": "jcbb", "estimator": "ekf"}
 EXAMPLES = """\

@@ -127,11 +127,18 @@ def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
     port = number("port", 0.0, 65535.0)
     if port is None or not port.is_integer():
         raise UsageError(f"--port {given['port']}: a whole number from 0 to 65535 is needed")
+    plain = {name: given[name] for name in ("link", "out", "framed", "page", "estimates")}
     return Wish(
-        options, shared, given["link"], given["out"], given["drive"] == "walls", given["framed"], number("slip", 0.0),
-        number("sonar_sigma", 1e-6), number("speed", 0.01, 1000.0) or 1.0, number("seconds", 0.0), int(port),
-        given["page"], given["estimates"],
-    )  # fmt: skip
+        options,
+        shared,
+        walls=given["drive"] == "walls",
+        slip=number("slip", 0.0),
+        sonar_sigma=number("sonar_sigma", 1e-6),
+        speed=number("speed", 0.01, 1000.0) or 1.0,
+        seconds=number("seconds", 0.0),
+        port=int(port),
+        **plain,
+    )
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
@@ -178,10 +185,11 @@ def _drive(wish: Wish, presses: Presses, stack: ExitStack) -> None:
     """Until Ctrl-C or the time is over; afterwards the recording is closed and the page, which stays, has it all."""
     from threadpoolctl import threadpool_limits
 
+    from data.robot.driving import WallFollower
     from data.robot.link import Clock, Link
     from data.robot.log import USUAL, Noise
     from data.robot.traffic.recording import Recording
-    from eval.live.drive import Looking, at_rest, drive, follower
+    from eval.live.drive import Looking, at_rest, drive
     from eval.live.feed import Feed
     from eval.live.server import Server
     from eval.live.session import Estimates, Session, Taken, rehearse
@@ -232,10 +240,12 @@ def _drive(wish: Wish, presses: Presses, stack: ExitStack) -> None:
             say(f"page: {server.address}")
         say(f"recording to {wish.out}; Ctrl-C ends the drive")
         end = math.inf if wish.seconds is None else wish.seconds
-        drive(
-            link, clock, session, follower() if wish.walls else at_rest,
-            lambda: presses.count > 0 or clock.now() >= end, looking.look, looking.latencies,
-        )  # fmt: skip
+        policy = WallFollower() if wish.walls else at_rest
+
+        def over() -> bool:
+            return presses.count > 0 or clock.now() >= end
+
+        drive(link, clock, session, policy, over, looking.look, looking.latencies)
         looking.say(clock.now())
     if feed is not None:
         feed.end()

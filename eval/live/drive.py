@@ -1,6 +1,6 @@
 """The loop of a drive: a command, its answer, the estimates; and what is looked at beside, once a second.
 
-Ctrl-C and SIGTERM as a wish that is heeded when there is time for it: between two packets, not in one.
+Ctrl-C and SIGTERM are heeded when there is time for it: between two packets, not in one.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 from types import FrameType, TracebackType
 from typing import Protocol
 
-from data.robot.driving import WallFollower
 from data.robot.link import Clock
 from data.robot.packets import PERIOD, WATCHDOG, Command, command_of
 from data.robot.traffic.motion import Packet
@@ -36,11 +35,6 @@ class Stepping(Protocol):
 def at_rest(packet: Packet) -> tuple[float, float]:
     """The policy of `--drive none`."""
     return 0.0, 0.0
-
-
-def follower() -> Policy:
-    """That of `--drive walls`."""
-    return WallFollower()
 
 
 def drive(

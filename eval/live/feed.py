@@ -4,28 +4,23 @@ The driving thread adds frames and publishes; whoever serves the page reads what
 changes. Memory is bounded: single chunks are kept for two minutes, those of a minute up to `MOST` bytes in all. A page
 that asks for what is gone begins anew with what there is: each minute begins with the whole map.
 
-Frames of a drive and what estimators made of them as a chunk of the player's page (`eval.player.pack`).
-
-A `Part` holds the plain numbers of some frames in a row; parts one behind the other make a chunk. Landmarks are walls:
-x and y stand for rho [m] and alpha [rad].
-
-What the page is told beside the numbers: the estimators with their colours and states, and how things stand.
+Chunks are those of the player (`eval.player.scene`). Landmarks are walls: x and y stand for rho [m] and alpha [rad].
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
 from data.result import DISCARD, MapState
 from data.robot.log import SENSOR
-from data.se2 import Array, wrap_angle
+from data.se2 import Array
 from eval.figures.style import style_of
 from eval.live.session import Estimating, Taken
-from eval.player.pack import FURTHEST, Pack, text_of
-from eval.player.scene import COARSE, RHO, ROUGH, STEP_ANGLE, dashes, own_steps
+from eval.player.pack import TIME, Pack, text_of
+from eval.player.scene import Head, RunHead, add_changes, add_path, add_points, dashes
 from eval.player.watch import MapChanges, spread
 
 QUANTUM = 1.0e-3
@@ -75,11 +70,9 @@ def part_of(taken: Sequence[Taken], changes: Sequence[Array]) -> Part:
         blank = [np.full(len(f.sightings.z), DISCARD) for f in frames]
         decisions = [b if s is None else s.decisions for b, s in zip(blank, steps, strict=True)]
         created = [b if s is None else s.created for b, s in zip(blank, steps, strict=True)]
-        arrays |= {
-            f"{key}pose": poses, f"{key}rho": rho, f"{key}nis": nis, f"{key}change": changed,
-            f"{key}decision": np.concatenate(decisions).astype(float),
-            f"{key}created": np.concatenate(created).astype(float),
-        }  # fmt: skip
+        made, begun = (np.concatenate(rows).astype(float) for rows in (decisions, created))
+        own = {"pose": poses, "rho": rho, "nis": nis, "change": changed, "decision": made, "created": begun}
+        arrays |= {f"{key}{name}": values for name, values in own.items()}
     return Part(frames[0].number, len(frames), arrays)
 
 
@@ -93,47 +86,18 @@ def joined(parts: Sequence[Part]) -> Part:
 def chunk_of(part: Part, header: Mapping[str, object]) -> bytes:
     """A part as a chunk, in JSON; `header` is what the page is told beside."""
     pack, a = Pack(part.first, part.frames), part.arrays
-    pack.add("time", a["time"], 1.0e-4)
+    pack.add("time", a["time"], TIME)
     pack.add("count", a["count"])
-    pack.add("point", a["point"], POSE)
-    pack.add_log("point_sigma", a["point_spread"][:, :2])
-    pack.add("point_rho", a["point_spread"][:, 2], RHO)
+    add_points(pack, "point", a["point"], a["point_spread"], POSE)
     for key in sorted({name.partition(".")[0] + "." for name in a if "." in name}):
-        poses = a[f"{key}pose"]
-        pack.add(f"{key}online_xy", poses[:, :2], POSE)
-        pack.add(f"{key}online_theta", wrap_angle(poses[:, 2]), STEP_ANGLE)
-        pack.add_log(f"{key}online_sigma", poses[:, 3:])
-        pack.add(f"{key}online_rho", a[f"{key}rho"], RHO)
+        poses, changes = a[f"{key}pose"], a[f"{key}change"]
+        add_path(pack, f"{key}online", poses[:, :3], poses[:, 3:], a[f"{key}rho"], POSE)
         pack.add_log(f"{key}nis", a[f"{key}nis"])
         pack.add(f"{key}decision", a[f"{key}decision"])
         pack.add(f"{key}created", a[f"{key}created"])
-        _add_changes(pack, key, a[f"{key}change"])
+        frame, number, there = changes[:, :3].astype(np.int64).T
+        add_changes(pack, key, frame, number, there, changes[:, 3:5], changes[:, 5:], QUANTUM)
     return text_of(pack.done(header)).encode()
-
-
-def _add_changes(pack: Pack, key: str, changes: Array) -> None:
-    """As in `eval.player.scene`; differences of each landmark begin anew in each chunk."""
-    for name, column in (("frame", 0), ("number", 1), ("there", 2)):
-        pack.add(f"{key}change_{name}", changes[:, column])
-    sigma = np.round(np.log(np.maximum(changes[:, 5:7], 1.0e-9)) / COARSE)
-    place = np.clip(np.round(changes[:, 3:5] / QUANTUM), -FURTHEST, FURTHEST)
-    values = np.column_stack([place, sigma, np.round(changes[:, 7] / ROUGH)])
-    pack.add_steps(f"{key}change", own_steps(changes[:, 1].astype(np.int64), values))
-
-
-class Maps:
-    """The maps of the estimators, as far as the page knows them."""
-
-    def __init__(self, estimators: int) -> None:
-        """Nothing known yet."""
-        self._known = [MapChanges(QUANTUM) for _ in range(estimators)]
-
-    def changes(self, frame: int, maps: Sequence[MapState | None], *, whole: bool) -> list[Array]:
-        """Changes (C, 8) of each map up to a frame; of an unknown one none. `whole`: all of it, as if it were new."""
-        return [
-            np.empty((0, 8)) if state is None else known.since(frame, state, whole=whole)
-            for known, state in zip(self._known, maps, strict=True)
-        ]
 
 
 MINUTE = 240
@@ -197,7 +161,7 @@ class Feed:
     def __init__(self, estimators: int) -> None:
         """Nothing to show yet."""
         self.published = Published()
-        self._maps = Maps(estimators)
+        self._known = [MapChanges(QUANTUM) for _ in range(estimators)]
         self._waiting: list[Taken] = []
         self._parts: list[Part] = []  # of the minute that is not over
 
@@ -214,7 +178,11 @@ class Feed:
         """The frames that wait become a chunk; maps as they are after the last one. Without frames nothing happens."""
         if not self._waiting:
             return
-        changes = self._maps.changes(self._waiting[-1].frame.number, maps, whole=not self._parts)
+        frame, whole = self._waiting[-1].frame.number, not self._parts
+        changes = [
+            np.empty((0, 8)) if state is None else known.since(frame, state, whole=whole)
+            for known, state in zip(self._known, maps, strict=True)
+        ]
         part = part_of(self._waiting, changes)
         self._waiting = []
         self._parts.append(part)
@@ -240,21 +208,21 @@ def _chunk(part: Part, header: Mapping[str, object]) -> Chunk:
 
 
 def header(name: str, estimating: Sequence[Estimating], status: str) -> dict[str, object]:
-    """Of a chunk (see `eval.player.scene`, whose keys these are): a log without truth or labels, walls as landmarks."""
-    return {
-        "name": name, "indexed": False, "quantum": QUANTUM, "left_out": [], "methods": [], "gate": None,
-        "new_gate": None, "gates": ["none", "none"], "band": [0.0, 0.0], "labels": False, "laser": False,
-        "truth": False, "camera": None, "walls": True, "now": status,
-        "runs": [_run(number, each) for number, each in enumerate(estimating)],
-    }  # fmt: skip
+    """Of a chunk: a log without truth or labels, walls as landmarks, and `now`, how things stand."""
+    runs = [_run(number, each) for number, each in enumerate(estimating)]
+    return {**asdict(Head(name, QUANTUM, runs, walls=True)), "now": status}
 
 
-def _run(number: int, each: Estimating) -> dict[str, object]:
+def _run(number: int, each: Estimating) -> RunHead:
     association, style = each.front.association, style_of(each.name)
-    return {
-        "estimator": each.name, "association": association, "phases": ["online"],
-        "status": "ended" if each.failure else "ok", "why": each.failure, "decides": True, "scored": False,
-        "history": True, "every": 1, "certain": not each.front.estimator.smooths, "candidates": False, "nis": True,
-        "nis_expected": 1.0, "key": key_of(number), "name": f"{style.label} {association}", "colour": style.colour,
-        "task": "slam", "dash": dashes(style.line), "beside": "",
-    }  # fmt: skip
+    return RunHead(
+        key=key_of(number),
+        name=f"{style.label} {association}",
+        estimator=each.name,
+        association=association,
+        colour=style.colour,
+        dash=dashes(style.line),
+        status="ended" if each.failure else "ok",
+        why=each.failure,
+        certain=not each.front.estimator.smooths,
+    )

@@ -1,15 +1,9 @@
-"""From packet to estimates: one frame through the front end of each estimator, one after the other, nothing kept.
+"""Estimators on line: from packet to estimates, one frame through the front end of each, nothing kept.
 
 The steps are those of a replay (`eval.replay.run.through`), so a recording replayed gives the same numbers. What an
-estimator cannot go on from ends that one alone.
-
-Estimates as they were made, in a CSV file that grows while the robot drives.
-
-Before the robot moves: everything that a drive will call is called once, so that nothing is loaded or compiled then.
-
-A kernel that is compiled takes seconds, one that is only loaded 40 ms; a frame has 250.
-
-The line on the terminal, once a second: where each estimator takes the robot to be, walls, link, latency.
+estimator cannot go on from ends that one alone. Beside it: estimates as they were made, in a CSV file that grows while
+the robot drives; a rehearsal, so that nothing is loaded or compiled while the robot moves (a kernel that is compiled
+takes seconds, one that is only loaded 40 ms; a frame has 250); and the line on the terminal.
 """
 
 from __future__ import annotations
@@ -219,10 +213,9 @@ def frames() -> Iterator[Frame]:
     """A wall is seen, and another for longer than it takes to park the first; then all, then one, then all again."""
     seen, rng, sigma = 0, np.random.default_rng(0), 0.01
     long = round(2.0 * PARKED / PERIOD)
-    for number, walls in enumerate([
-        WALLS[:1], *[WALLS[1:2]] * long, WALLS, (), WALLS[:2], WALLS, *[WALLS[:1]] * long, WALLS,
-        WALLS[1:],
-    ]):  # fmt: skip
+    first, second = [WALLS[:1]] * long, [WALLS[1:2]] * long
+    views = [WALLS[:1], *second, WALLS, (), WALLS[:2], WALLS, *first, WALLS, WALLS[1:]]
+    for number, walls in enumerate(views):
         count = len(walls)
         z = np.array([[1.0, angle] for angle in walls]).reshape(-1, 2)
         z += 0.3 * sigma * rng.standard_normal(z.shape)

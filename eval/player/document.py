@@ -1,8 +1,6 @@
 """The page itself: one file with style, scripts and data inside, which opens from a disk and asks for nothing.
 
 The live page is the same one without data, which asks who served it for chunks (`eval.live`).
-
-Which logs get a player, and writing it.
 """
 
 from __future__ import annotations
@@ -22,10 +20,8 @@ from eval.referee.given_runs import is_truth_alone
 from eval.referee.score import Trial
 from eval.replay.settings import Setup
 
-SCRIPTS = (
-    "decode", "history", "view", "marks", "state", "map", "walls", "controls", "inspect", "matching", "camera", "plots",
-    "main",
-)  # fmt: skip
+FIRST = ("decode", "history", "view", "marks", "state", "map", "walls")
+SCRIPTS = (*FIRST, "controls", "inspect", "matching", "camera", "plots", "main")
 """In the order of loading."""
 NOTES = (
     "Candidates, gates and what other methods say are recorded while a run is made: of filters always, of smoothers"

@@ -33,6 +33,8 @@ FURTHEST = 2.0**30 - 1
 """Integers, whose differences then have 32 bits."""
 LEAST = 1.0e-12
 """What is smaller than this is taken for it in a logarithm."""
+TIME, ANGLE, RHO = 1.0e-4, 1.0e-4, 1.0e-3
+"""s, rad, and of a correlation: what these are kept to, to half of it."""
 
 
 class Pack:

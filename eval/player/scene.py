@@ -1,16 +1,13 @@
 """What the page shows of a log and its runs, as one chunk (see `eval.player.pack`).
 
-The camera's images in a log's chunk, and the corners found in them.
-
-Key poses and loop closures of a laser run in a chunk.
-
-One run in a chunk: its paths, consistency, decisions, and what an observer of it wrote down.
+The live page gets chunks with the same arrays and heads, so what is common stands here, too.
 """
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import cv2
@@ -18,12 +15,13 @@ import numpy as np
 
 from association.expectation import gate_threshold
 from association.scans.constraints import LaserRun
+from data.inputs import IntArray
 from data.log import Log
 from data.result import Run
 from data.se2 import Array, wrap_angle
 from eval.figures.laser import FATES, fates
 from eval.figures.style import Line, series, style_of
-from eval.player.pack import FURTHEST, Pack
+from eval.player.pack import ANGLE, FURTHEST, RHO, TIME, Pack
 from eval.player.watch import Watched, quantum_of, spread
 from eval.referee.errors import along
 from eval.referee.given_runs import log_of
@@ -31,8 +29,76 @@ from eval.referee.laser import right_closures
 from eval.referee.score import Trial, confusion_of
 from eval.replay.settings import Setup
 
-FINE = 0.25
-"""px of the recorded image."""
+PIXEL = 0.25
+"""Of the recorded image."""
+FINER = 0.1
+"""Poses and observations, of which there are few numbers, are kept to a tenth of the landmarks' quantum."""
+COARSE, ROUGH = 0.01, 0.02
+"""Landmarks' sigmas are kept to half a percent of themselves, their correlations to a hundredth."""
+MOST_TIME = 2**31 - 1
+
+
+@dataclass(frozen=True)
+class RunHead:
+    """What the page is told of a run beside its arrays, whose names begin with `key`.
+
+    Attributes:
+        name: as in lists; why: it is not `ok`, in words; dash: lengths of dash and gap, none of a solid line.
+        beside: what is different about its log.
+        decides, scored, candidates, nis, history: whether it has arrays about decisions, outcomes, candidates, NIS, and
+            landmarks as they were, after every so many frames; certain: with their covariances.
+        nis_expected: per degree of freedom. loops: colour, line and name of each fate a loop closure can have.
+    """
+
+    key: str
+    name: str
+    estimator: str
+    association: str
+    colour: str
+    dash: Sequence[float]
+    status: str
+    why: str
+    certain: bool
+    task: str = "slam"
+    phases: Sequence[str] = ("online",)
+    beside: str = ""
+    decides: bool = True
+    scored: bool = False
+    history: bool = True
+    every: int = 1
+    candidates: bool = False
+    nis: bool = True
+    nis_expected: float = 1.0
+    loops: Sequence[Mapping[str, Any]] = ()
+
+
+@dataclass(frozen=True)
+class Head:
+    """What the page is told of a log.
+
+    Attributes:
+        indexed: time is the number of a frame; quantum: m, of landmarks; walls: m, how far away one was read, 0 where
+            landmarks are points.
+        left_out: runs that are not shown, with the reason; methods: that were asked about each observation.
+        gate, new_gate: squared distances, None without; gates: both in percent; band: of the NEES, 95 %.
+        labels, laser, truth: whether the log has them; camera: its images.
+    """
+
+    name: str
+    quantum: float
+    runs: Sequence[RunHead]
+    walls: float
+    indexed: bool = False
+    left_out: Sequence[str] = ()
+    methods: Sequence[str] = ()
+    gate: float | None = None
+    new_gate: float | None = None
+    gates: tuple[str, str] = ("none", "none")
+    band: tuple[float, float] = (0.0, 0.0)
+    labels: bool = False
+    laser: bool = False
+    truth: bool = False
+    camera: Mapping[str, Any] | None = None
 
 
 def add_camera(pack: Pack, log: Log) -> dict[str, Any] | None:
@@ -46,13 +112,11 @@ def add_camera(pack: Pack, log: Log) -> dict[str, Any] | None:
     kept = found.frame < frames
     pack.add("camera_frame", found.frame[kept])
     pack.add("camera_picture", found.picture[kept])
-    pack.add("camera_corners", found.pixels[kept].reshape(int(np.sum(kept)), -1), FINE)
+    pack.add("camera_corners", found.pixels[kept].reshape(int(np.sum(kept)), -1), PIXEL)
     whole = cv2.imdecode(np.frombuffer(found.tiles[0][1], np.uint8), cv2.IMREAD_GRAYSCALE)
     assert whole is not None
-    images = [(k, base64.b64encode(image).decode()) for k, image in found.small if k < frames]
-    return {
-        "width": whole.shape[1], "frames": [k for k, _ in images], "images": [image for _, image in images],
-    }  # fmt: skip
+    images = {k: base64.b64encode(image).decode() for k, image in found.small if k < frames}
+    return {"width": whole.shape[1], "frames": list(images), "images": list(images.values())}
 
 
 def add_loops(pack: Pack, key: str, run: LaserRun, trial: Trial, step: float) -> list[dict[str, Any]]:
@@ -80,18 +144,44 @@ def dashes(line: Line) -> list[float]:
     return [] if line == "-" else list(line[1])
 
 
-STEP_ANGLE, RHO = 1.0e-4, 1.0e-3
+def add_path(pack: Pack, name: str, pose: Array, sigma: Array, rho: Array, step: float) -> None:
+    """Poses (N, 3) with their sigmas (N, 3) and the correlation (N,) of x and y, unknown where a sigma is."""
+    pack.add(f"{name}_xy", pose[:, :2], step)
+    pack.add(f"{name}_theta", wrap_angle(pose[:, 2]), ANGLE)
+    pack.add_log(f"{name}_sigma", sigma)
+    pack.add(f"{name}_rho", np.where(np.isfinite(sigma).all(axis=1), rho, np.nan), RHO)
 
 
-def add_run(pack: Pack, key: str, run: Run, trial: Trial, quantum: float, finer: float) -> dict[str, Any]:
-    """Arrays named `key` and a name; what the header says of the run."""
+def add_points(pack: Pack, name: str, xy: Array, shape: Array, step: float) -> None:
+    """Points (n, 2) with what `spread` says of their covariances (n, 3)."""
+    pack.add(name, xy, step)
+    pack.add_log(f"{name.removesuffix('_xy')}_sigma", shape[:, :2])
+    pack.add(f"{name.removesuffix('_xy')}_rho", shape[:, 2], RHO)
+
+
+def add_changes(
+    pack: Pack, key: str, frame: IntArray, number: IntArray, there: IntArray, xy: Array, shape: Array, quantum: float
+) -> None:
+    """Changes of landmarks (C,), as differences from the same landmark's last one in the chunk, which the page adds up.
+
+    xy: (C, 2) kept to half a quantum; shape: (C, 3) as of `spread`. A landmark further off than integers reach (a
+    thousand kilometres) is shown at that distance.
+    """
+    pack.add(f"{key}change_frame", frame)
+    pack.add(f"{key}change_number", number)
+    pack.add(f"{key}change_there", there)
+    place = np.round(np.clip(xy / quantum, -FURTHEST, FURTHEST))
+    sigma = np.round(np.log(np.maximum(shape[:, :2], 1.0e-9)) / COARSE)
+    values = np.column_stack([place, sigma, np.round(shape[:, 2] / ROUGH)])
+    pack.add_steps(f"{key}change", own_steps(number, values))
+
+
+def add_run(pack: Pack, key: str, run: Run, trial: Trial, quantum: float) -> None:
+    """Arrays of a run, named `key` and a name."""
     for phase in run.phases:
-        trajectory = run.trajectory(phase)
-        pack.add(f"{key}{phase}_xy", trajectory.pose[:, :2], quantum * finer)
-        pack.add(f"{key}{phase}_theta", wrap_angle(trajectory.pose[:, 2]), STEP_ANGLE)
-        sigma = np.sqrt(np.maximum(np.diagonal(trajectory.covariance, axis1=1, axis2=2), 0.0))
-        pack.add_log(f"{key}{phase}_sigma", sigma)
-        pack.add(f"{key}{phase}_rho", _unknown_with(spread(trajectory.covariance)[:, 2], sigma), RHO)
+        pose, covariance = run.trajectory(phase).pose, run.trajectory(phase).covariance
+        sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
+        add_path(pack, f"{key}{phase}", pose, sigma, spread(covariance)[:, 2], quantum * FINER)
         path = along(run, phase, trial.log)
         if path is not None:
             pack.add_log(f"{key}{phase}_nees", path.nees["pose"])
@@ -99,72 +189,39 @@ def add_run(pack: Pack, key: str, run: Run, trial: Trial, quantum: float, finer:
         dof = run.innovations.dof
         per_dof = np.divide(run.innovations.nis, dof, out=np.full(len(dof), np.nan), where=dof > 0)
         pack.add_log(f"{key}nis", per_dof)
-    scored = _add_decisions(pack, key, run, trial)
+    _add_decisions(pack, key, run, trial)
     if run.map is not None:
         usable = np.isfinite(run.map.xy).all(axis=1)
         pack.add(f"{key}map_number", run.map.number[usable])
         pack.add(f"{key}map_first", run.map.first_frame[usable])
-        pack.add(f"{key}map_xy", run.map.xy[usable], 0.1 * quantum)
-        _add_spread(pack, f"{key}map", spread(run.map.covariance[usable]))
-    watched = run.watched if isinstance(run.watched, Watched) else None
-    if watched is not None:
-        _add_watched(pack, key, watched, run)
-    return {
-        "estimator": run.estimator, "association": run.association, "phases": list(run.phases), "status": run.status,
-        "why": "" if run.flaw is None else run.flaw.text, "decides": f"{key}decision" in pack.names, "scored": scored,
-        "history": watched is not None and len(watched.change_frame) > 0,
-        "every": 0 if watched is None else watched.every, "certain": watched is not None and watched.certain,
-        "candidates": watched is not None and len(watched.pair_row) > 0,
-        "nis": run.innovations is not None, "nis_expected": run.gated[0],
-    }  # fmt: skip
+        add_points(pack, f"{key}map_xy", run.map.xy[usable], spread(run.map.covariance[usable]), 0.1 * quantum)
+    if isinstance(run.watched, Watched):
+        _add_watched(pack, key, run.watched, run)
 
 
-def _unknown_with(values: Array, sigma: Array) -> Array:
-    return np.where(np.isfinite(sigma).all(axis=1), values, np.nan)
-
-
-def _add_decisions(pack: Pack, key: str, run: Run, trial: Trial) -> bool:
+def _add_decisions(pack: Pack, key: str, run: Run, trial: Trial) -> None:
     if run.association == "none" or isinstance(run, LaserRun) or not len(run.decisions):
-        return False
+        return
     pack.add(f"{key}decision", run.decisions)
     pack.add(f"{key}final_decision", run.final_decisions)
     pack.add(f"{key}created", run.created)
     for phase, name in (("online", ""), ("final", "final_")):
-        found = confusion_of(run, trial.log, phase)
-        if found is None:
-            return False
-        pack.add(f"{key}{name}outcome", found.outcome)
-        pack.add(f"{key}{name}right", found.ground_truth)
-    return True
+        if (found := confusion_of(run, trial.log, phase)) is not None:
+            pack.add(f"{key}{name}outcome", found.outcome)
+            pack.add(f"{key}{name}right", found.ground_truth)
 
 
 def _add_watched(pack: Pack, key: str, w: Watched, run: Run) -> None:
-    """Changes of landmarks are differences from the same landmark's last one, which the page adds up.
-
-    A landmark further off than integers reach (a thousand kilometres) is shown at that distance.
-    """
     if len(w.change_frame):
-        pack.add(f"{key}change_frame", w.change_frame)
-        pack.add(f"{key}change_number", w.change_number)
-        pack.add(f"{key}change_there", w.change_there)
-        values = np.column_stack([
-            np.round(np.clip(w.change_xy / w.quantum, -FURTHEST, FURTHEST)),
-            np.round(np.log(np.maximum(w.change_sigma, 1.0e-9)) / COARSE),
-            np.round(w.change_rho / ROUGH),
-        ])  # fmt: skip
-        pack.add_steps(f"{key}change", own_steps(w.change_number, values))
+        shape = np.column_stack([w.change_sigma, w.change_rho])
+        add_changes(pack, key, w.change_frame, w.change_number, w.change_there, w.change_xy, shape, w.quantum)
     pack.add(f"{key}seen_frame", w.seen_frame)
     pack.add(f"{key}seen_number", w.seen_number)
-    pack.add(f"{key}seen_xy", w.seen_xy, w.quantum)
-    _add_spread(pack, f"{key}seen", np.column_stack([w.seen_sigma, w.seen_rho]))
+    add_points(pack, f"{key}seen_xy", w.seen_xy, np.column_stack([w.seen_sigma, w.seen_rho]), w.quantum)
     pack.add(f"{key}pair_row", w.pair_row)
     pack.add(f"{key}pair_number", w.pair_number)
     pack.add_log(f"{key}pair_d2", w.pair_d2, 2.0e-4)
     pack.add_steps(f"{key}said", w.said - run.decisions[:, None])
-
-
-COARSE, ROUGH = 0.01, 0.02
-"""Landmarks' sigmas are kept to half a percent of themselves, their correlations to a hundredth."""
 
 
 def own_steps(number: Any, values: Array) -> Array:
@@ -178,18 +235,6 @@ def own_steps(number: Any, values: Array) -> Array:
     return own
 
 
-def _add_spread(pack: Pack, name: str, values: Array) -> None:
-    pack.add_log(f"{name}_sigma", values[:, :2])
-    pack.add(f"{name}_rho", values[:, 2], RHO)
-
-
-ANGLE = 1.0e-4
-"""rad."""
-FINER = 0.1
-"""Poses and observations, of which there are few numbers, are kept to a tenth of the landmarks' quantum."""
-MOST_TIME = 2**31 - 1
-
-
 def scene(trials: Sequence[Trial], setup: Setup) -> dict[str, Any]:
     """The chunk of a log: its own arrays, then those of every run of the trials, which share its frames.
 
@@ -200,7 +245,7 @@ def scene(trials: Sequence[Trial], setup: Setup) -> dict[str, Any]:
     quantum = quantum_of(log.recorded)
     _add_log(pack, log, quantum)
     camera = add_camera(pack, log)
-    runs, left_out = list[dict[str, Any]](), list[str]()
+    runs, left_out = list[RunHead](), list[str]()
     for trial in trials:
         styles = {(s.run.estimator, s.run.association): s.line for s in series([r for t in trials for r in t.runs])}
         for run in trial.runs:
@@ -212,25 +257,58 @@ def scene(trials: Sequence[Trial], setup: Setup) -> dict[str, Any]:
                 left_out.append(f"{name}: {run.failure.text}.")
                 continue
             key = f"r{len(runs)}."
-            entry = add_run(pack, key, run, trial, quantum, FINER)
-            if isinstance(run, LaserRun):
-                entry["loops"] = add_loops(pack, key, run, trial, quantum * FINER)
+            add_run(pack, key, run, trial, quantum)
+            loops = add_loops(pack, key, run, trial, quantum * FINER) if isinstance(run, LaserRun) else []
             line = styles[run.estimator, run.association]
-            entry |= {
-                "key": key, "name": name, "colour": style_of(run.estimator).colour, "task": trial.task,
-                "dash": dashes(line), "beside": _beside(trial, log),
-            }  # fmt: skip
-            runs.append(entry)
-    watched = [r.watched for t in trials for r in t.runs if isinstance(r.watched, Watched)]
-    return pack.done({
-        "name": log.name, "indexed": log.recorded.time_is_index, "quantum": quantum, "runs": runs,
-        "left_out": left_out, "methods": list(watched[0].methods) if watched else [],
-        "gate": _threshold(setup.gate), "new_gate": _threshold(setup.new_gate),
-        "gates": [_percent(setup.gate), _percent(setup.new_gate)],
-        "band": [gate_threshold(p, 3) for p in (0.025, 0.975)],
-        "labels": log.label is not None or log.labels_are_sensed, "laser": log.recorded.scans is not None,
-        "truth": bool(log.truth.known_poses), "camera": camera, "walls": _seen_from(log),
-    })  # fmt: skip
+            runs.append(_head_of(pack, key, name, run, trial, _beside(trial, log), dashes(line), loops))
+    watched = next((r.watched for t in trials for r in t.runs if isinstance(r.watched, Watched)), None)
+    head = Head(
+        name=log.name,
+        quantum=quantum,
+        runs=runs,
+        walls=_seen_from(log),
+        indexed=log.recorded.time_is_index,
+        left_out=left_out,
+        methods=() if watched is None else watched.methods,
+        gate=_threshold(setup.gate),
+        new_gate=_threshold(setup.new_gate),
+        gates=(_percent(setup.gate), _percent(setup.new_gate)),
+        band=(gate_threshold(0.025, 3), gate_threshold(0.975, 3)),
+        labels=log.label is not None or log.labels_are_sensed,
+        laser=log.recorded.scans is not None,
+        truth=bool(log.truth.known_poses),
+        camera=camera,
+    )
+    return pack.done(asdict(head))
+
+
+def _head_of(
+    pack: Pack, key: str, name: str, run: Run, trial: Trial, beside: str, dash: list[float], loops: list[dict[str, Any]]
+) -> RunHead:
+    """Of a run whose arrays are in the pack."""
+    watched = run.watched if isinstance(run.watched, Watched) else None
+    return RunHead(
+        key=key,
+        name=name,
+        estimator=run.estimator,
+        association=run.association,
+        colour=style_of(run.estimator).colour,
+        dash=dash,
+        status=run.status,
+        why="" if run.flaw is None else run.flaw.text,
+        certain=watched is not None and watched.certain,
+        task=trial.task,
+        phases=run.phases,
+        beside=beside,
+        decides=f"{key}decision" in pack.names,
+        scored=f"{key}final_outcome" in pack.names,
+        history=watched is not None and len(watched.change_frame) > 0,
+        every=0 if watched is None else watched.every,
+        candidates=watched is not None and len(watched.pair_row) > 0,
+        nis=run.innovations is not None,
+        nis_expected=run.gated[0],
+        loops=loops,
+    )
 
 
 def _seen_from(log: Log) -> float:
@@ -259,12 +337,10 @@ def _add_log(pack: Pack, log: Log, quantum: float) -> None:
     r, t = log.recorded, log.truth
     fine = quantum * FINER
     span = float(np.abs(r.time).max(initial=0.0))
-    pack.add("time", r.time - r.time[0] if span > MOST_TIME * 1.0e-4 else r.time, 1.0e-4)
+    pack.add("time", r.time - r.time[0] if span > MOST_TIME * TIME else r.time, TIME)
     pack.add("count", np.diff(r.start))
     points, covariance = r.sensor.body_points(r.observations.z, r.observations.R)
-    pack.add("point", points, fine)
-    pack.add_log("point_sigma", spread(covariance)[:, :2])
-    pack.add("point_rho", spread(covariance)[:, 2], 0.001)
+    add_points(pack, "point", points, spread(covariance), fine)
     if t.pose is not None:
         pack.add("truth", t.pose[:, :2], fine)
         pack.add("truth_theta", wrap_angle(t.pose[:, 2]), ANGLE)

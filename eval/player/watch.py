@@ -203,13 +203,19 @@ class Watch:
     def left(self) -> Watched:
         """All of it, after the last frame."""
         changes, seen, pairs = _table(self._changes, 8), _table(self._seen, 7), _table(self._pairs, 3)
-        whole = changes[:, :3].astype(np.int64)
+        frame, number, there = changes[:, :3].astype(np.int64).T
+        seen_frame, seen_number = seen[:, :2].astype(np.int64).T
+        row, candidate = pairs[:, :2].astype(np.int64).T
         return Watched(
-            self.quantum, self._every, self._certain, whole[:, 0], whole[:, 1], whole[:, 2],
-            changes[:, 3:5], changes[:, 5:7], changes[:, 7],
-            seen[:, 0].astype(np.int64), seen[:, 1].astype(np.int64), seen[:, 2:4], seen[:, 4:6], seen[:, 6],
-            pairs[:, 0].astype(np.int64), pairs[:, 1].astype(np.int64), pairs[:, 2], METHODS, self._said,
-        )  # fmt: skip
+            self.quantum,
+            self._every,
+            self._certain,
+            *(frame, number, there, changes[:, 3:5], changes[:, 5:7], changes[:, 7]),
+            *(seen_frame, seen_number, seen[:, 2:4], seen[:, 4:6], seen[:, 6]),
+            *(row, candidate, pairs[:, 2]),
+            methods=METHODS,
+            said=self._said,
+        )
 
 
 def spread(covariance: Array) -> Array:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.robot.driving import SPEED
+from data.robot.driving import SPEED, WallFollower
 from data.robot.packets import AHEAD, PERIOD, SONARS, Answer, Command
 from data.robot.traffic.motion import Packet
-from eval.live.drive import REST, Looking, at_rest, drive, follower
+from eval.live.drive import REST, Looking, at_rest, drive
 from eval.live.feed import MINUTE, Feed
 from eval.live.session import Latencies, Session
 from eval.replay.settings import Setup
@@ -46,7 +46,7 @@ def blocked(ahead):
 
 
 def test_the_follower_turns_left_before_a_wall_and_each_drive_has_its_own():
-    one, other = follower(), follower()
+    one, other = WallFollower(), WallFollower()
     one(blocked(0.1))
     v, omega = one(blocked(0.1))
     assert v == 0.0
