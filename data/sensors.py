@@ -33,7 +33,7 @@ wrap_angle_jit = numba.njit(cache=True)(se2.wrap_angle)
 
 
 @numba.njit(cache=True)
-def _measure_line(extrinsic, pose, line, z_hat, Hx, Hl):  # type: ignore[no-untyped-def]
+def _measure_line(extrinsic: Array, pose: Array, line: Array, z_hat: Array, Hx: Array, Hl: Array) -> None:
     """`measure` for a wall: z = (distance, direction of the normal towards the wall).
 
     phi = alpha - theta + rotation, d = rho - n(alpha) . p + n(phi) . T. Beyond the wall d is negative, and the normal
@@ -53,7 +53,7 @@ def _measure_line(extrinsic, pose, line, z_hat, Hx, Hl):  # type: ignore[no-unty
 
 
 @numba.njit(cache=True)
-def _invert_line(extrinsic, pose, z, line, Gx, Gz):  # type: ignore[no-untyped-def]
+def _invert_line(extrinsic: Array, pose: Array, z: Array, line: Array, Gx: Array, Gz: Array) -> None:
     """`invert` for a wall: alpha = phi + theta - rotation, rho = d + n(alpha) . p - n(phi) . T."""
     alpha = z[1] + pose[2] - extrinsic[0]
     c, s = math.cos(alpha), math.sin(alpha)
@@ -68,7 +68,7 @@ def _invert_line(extrinsic, pose, z, line, Gx, Gz):  # type: ignore[no-untyped-d
 
 
 @numba.njit(cache=True)
-def measure(kind, extrinsic, pose, landmark, z_hat, Hx, Hl):  # type: ignore[no-untyped-def]
+def measure(kind: int, extrinsic: Array, pose: Array, landmark: Array, z_hat: Array, Hx: Array, Hl: Array) -> None:
     """Expected measurement z_hat (2,), Jacobians Hx (2, 3) to the world-frame pose and Hl (2, 2) to the landmark.
 
     Probabilistic Robotics, section 6.6 and Table 7.2; `extrinsic` is (rotation, Tx, Ty) of p_s = R p_b + T.
@@ -110,7 +110,7 @@ def measure(kind, extrinsic, pose, landmark, z_hat, Hx, Hl):  # type: ignore[no-
 
 
 @numba.njit(cache=True)
-def invert(kind, extrinsic, pose, z, landmark, Gx, Gz):  # type: ignore[no-untyped-def]
+def invert(kind: int, extrinsic: Array, pose: Array, z: Array, landmark: Array, Gx: Array, Gz: Array) -> None:
     """Landmark (2,) that would give z, Jacobians Gx (2, 3) to the pose and Gz (2, 2) to the measurement."""
     if kind == LINE:
         _invert_line(extrinsic, pose, z, landmark, Gx, Gz)
@@ -141,7 +141,7 @@ def invert(kind, extrinsic, pose, z, landmark, Gx, Gz):  # type: ignore[no-untyp
 
 
 @numba.njit(cache=True)
-def residual(kind, z, z_hat, out):  # type: ignore[no-untyped-def]
+def residual(kind: int, z: Array, z_hat: Array, out: Array) -> None:
     """Innovation z - z_hat (2,); the only place that wraps a measured angle.
 
     Of a wall, (d, phi) and (-d, phi + pi) are one measurement: the one whose normal is nearer counts.
@@ -154,7 +154,7 @@ def residual(kind, z, z_hat, out):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def name_as_read(kind, z, z_hat, Hx, Hl):  # type: ignore[no-untyped-def]
+def name_as_read(kind: int, z: Array, z_hat: Array, Hx: Array, Hl: Array) -> None:
     """Give a wall's expectation and its Jacobians the name that the reading z has, in place.
 
     Where it is not sure on which side of a wall the robot is, `measure` may name the other one; the noise of z is that
@@ -170,14 +170,14 @@ def name_as_read(kind, z, z_hat, Hx, Hl):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def measure_all(kind, extrinsic, pose, landmarks, z_hat, Hx, Hl):  # type: ignore[no-untyped-def]
+def measure_all(kind: int, extrinsic: Array, pose: Array, landmarks: Array, z_hat: Array, Hx: Array, Hl: Array) -> None:
     """`measure` landmarks (n, 2), each from its own pose (n, 3)."""
     for i in range(len(landmarks)):
         measure(kind, extrinsic, pose[i], landmarks[i], z_hat[i], Hx[i], Hl[i])
 
 
 @numba.njit(cache=True)
-def invert_all(kind, extrinsic, pose, z, landmark, Gx, Gz):  # type: ignore[no-untyped-def]
+def invert_all(kind: int, extrinsic: Array, pose: Array, z: Array, landmark: Array, Gx: Array, Gz: Array) -> None:
     """`invert` measurements (n, 2), each from its own pose (n, 3)."""
     for i in range(len(z)):
         invert(kind, extrinsic, pose[i], z[i], landmark[i], Gx[i], Gz[i])

@@ -61,7 +61,7 @@ def places(systematic: Systematic) -> IntArray:
 
 
 @numba.njit(cache=True)
-def correct(motion, errors, mount, mean, A, G):  # type: ignore[no-untyped-def]
+def correct(motion: Array, errors: Array, mount: Array, mean: Array, A: Array, G: Array) -> None:
     """The corrected increment `mean` (3,) of odometry's `motion` (3,) under all errors (7,).
 
     Also A (3, 7), its Jacobian to the errors, and G (3, 3), to the odometry's additive noise. `mount` (3,): pose of the
@@ -102,7 +102,9 @@ def correct(motion, errors, mount, mean, A, G):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _correct_all(motion, noise, errors, place, mount, mean, covariance, A):  # type: ignore[no-untyped-def]
+def _correct_all(
+    motion: Array, noise: Array, errors: Array, place: IntArray, mount: Array, mean: Array, covariance: Array, A: Array
+) -> None:
     all_errors, whole, G = np.zeros(7), np.zeros((3, 7)), np.zeros((3, 3))
     for k in range(len(motion)):
         for j in range(len(place)):
@@ -129,7 +131,7 @@ def corrected_all(mean: Array, covariance: Array, errors: Array, place: IntArray
 
 
 @numba.njit(cache=True)
-def knot(since, motion, step):  # type: ignore[no-untyped-def]
+def knot(since: float, motion: Array, step: float) -> tuple[float, float]:
     """Before an increment `motion` (3,), `since` metres after the last knot: metres that a new knot here ends, 0 for
     no knot; and the metres since the last knot after the increment. A knot comes where `step` metres are reached.
     """
@@ -140,7 +142,7 @@ def knot(since, motion, step):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _knots(mean, step, of, ended):  # type: ignore[no-untyped-def]
+def _knots(mean: Array, step: float, of: IntArray, ended: Array) -> int:
     since, count = 0.0, 0
     for k in range(1, len(mean)):
         end, since = knot(since, mean[k], step)
@@ -159,14 +161,14 @@ def knots(systematic: Systematic, mean: Array) -> tuple[IntArray, Array]:
 
 
 @numba.njit(cache=True)
-def forgotten(ended, length):  # type: ignore[no-untyped-def]
+def forgotten(ended: float, length: float) -> tuple[float, float]:
     """Of the drift over `ended` metres: the share that stays, and the share of its variance that comes anew."""
     stays = math.exp(-ended / length)
     return stays, 1.0 - stays * stays
 
 
 @numba.njit(cache=True)
-def stated(way, errors, mount, leftwards, m, by_way, by_errors):  # type: ignore[no-untyped-def]
+def stated(way: Array, errors: Array, mount: Array, leftwards: bool, m: Array, by_way: Array, by_errors: Array) -> None:
     """What an odometry with all errors (7,) would state, without noise, of the way (3,) of the sensor at `mount` (3,).
 
     `leftwards`: the odometry does state a turn to the left, so that its error is the one for these. Whether the way is
@@ -214,7 +216,9 @@ def stated(way, errors, mount, leftwards, m, by_way, by_errors):  # type: ignore
 
 
 @numba.njit(cache=True)
-def _stated_all(way, errors, mount, leftwards, m, by_way, by_errors):  # type: ignore[no-untyped-def]
+def _stated_all(
+    way: Array, errors: Array, mount: Array, leftwards: BoolArray, m: Array, by_way: Array, by_errors: Array
+) -> None:
     for k in range(len(way)):
         stated(way[k], errors[k], mount, leftwards[k], m[k], by_way[k], by_errors[k])
 

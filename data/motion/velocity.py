@@ -28,7 +28,7 @@ MAX_HOLD = 1.0
 
 
 @numba.njit(cache=True)
-def sinc(a):  # type: ignore[no-untyped-def]
+def sinc(a: float) -> float:
     """sin(a) / a, smooth through 0."""
     if abs(a) < 1e-4:
         return 1.0 - a * a / 6.0
@@ -36,7 +36,7 @@ def sinc(a):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def sinc_slope(a):  # type: ignore[no-untyped-def]
+def sinc_slope(a: float) -> float:
     """d/da of sin(a) / a; a series where the closed form cancels."""
     if abs(a) < 0.1:
         q = a * a
@@ -45,7 +45,7 @@ def sinc_slope(a):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def step(model, displacement, rotation, mean, G):  # type: ignore[no-untyped-def]
+def step(model: int, displacement: float, rotation: float, mean: Array, G: Array) -> None:
     """Body-frame increment `mean` (3,) of D m along an arc of A rad, and its Jacobian G (3, 2) to (D, A).
 
     `ARC`: exact integration, x = D sin(A)/A, y = D (1 - cos A)/A. `HALF_ANGLE`: the chord taken at the middle heading
@@ -65,7 +65,7 @@ def step(model, displacement, rotation, mean, G):  # type: ignore[no-untyped-def
 
 
 @numba.njit(cache=True)
-def carried(heading, motion):  # type: ignore[no-untyped-def]
+def carried(heading: float, motion: Array) -> tuple[float, float, Array, Array]:
     """A pose of this heading one increment `motion` (3,) later: how far it went in x and y, and Jacobians (3, 3).
 
     F to the pose and B to the increment: its covariance becomes F P F' + B M B'.
@@ -78,7 +78,7 @@ def carried(heading, motion):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _append(mean, cov, step_mean, step_cov):  # type: ignore[no-untyped-def]
+def _append(mean: Array, cov: Array, step_mean: Array, step_cov: Array) -> None:
     """mean, cov <- (mean, cov) followed by a step, both in the first body frame: F cov F' + G step_cov G'."""
     wx, wy, F, B = carried(mean[2], step_mean)
     cov[:, :] = F @ cov @ F.T + B @ step_cov @ B.T
@@ -88,7 +88,21 @@ def _append(mean, cov, step_mean, step_cov):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _preintegrate(model, lateral, time, v, omega, rate, hold, beyond, lead, fastest, at, mean, cov):  # type: ignore[no-untyped-def]
+def _preintegrate(
+    model: int,
+    lateral: bool,
+    time: Array,
+    v: Array,
+    omega: Array,
+    rate: Array,
+    hold: Array,
+    beyond: Array,
+    lead: float,
+    fastest: Array,
+    at: Array,
+    mean: Array,
+    cov: Array,
+) -> None:
     """Loop of `preintegrate`; rate (K, 3): variances per second of D, A and the final rotation; hold (K,), beyond (K,):
     s that sample k lasts and that pass after it without odometry; lead: s before the first; fastest (2,): largest |v|,
     |omega|.

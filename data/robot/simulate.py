@@ -9,7 +9,7 @@ import select
 import signal
 import sys
 import tty
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, TextIO
@@ -151,7 +151,7 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
-def _number(low: float, high: float):  # type: ignore[no-untyped-def]
+def _number(low: float, high: float) -> Callable[[str], float]:
     def convert(text: str) -> float:
         value = float(text)
         if not low <= value <= high:

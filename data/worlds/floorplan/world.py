@@ -19,7 +19,7 @@ import numpy as np
 
 from data import se2
 from data.errors import UsageError
-from data.inputs import Increments, Inputs, Observations, Scanner, Scans
+from data.inputs import Increments, Inputs, IntArray, Observations, Scanner, Scans
 from data.log import Log
 from data.motion.velocity import floor_covariances
 from data.se2 import Array, BoolArray, compose, inverse, wrap_angle
@@ -122,7 +122,9 @@ NOTHING = -1
 
 
 @numba.njit(cache=True)
-def _cast(poses, angle_min, angle_step, walls, discs, ranges, hit):  # type: ignore[no-untyped-def]
+def _cast(
+    poses: Array, angle_min: float, angle_step: float, walls: Array, discs: Array, ranges: Array, hit: IntArray
+) -> None:
     """Fill ranges (S, B) [m], inf where nothing is met, and hit (S, B): the segment's row, len(walls) for a disc.
 
     Each segment is tried against the beams between the bearings of its ends only, and one more on either side.
