@@ -148,6 +148,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
     from eval.referee.given_runs import GivenRun
     from eval.report.contents import write_results
     from eval.report.diagnostics import asked, said, together
+    from eval.report.headline import lines
     from eval.report.page.latex import check_columns
     from eval.studies import reproduced, store
     from eval.studies.montecarlo import declared_line, failed_declarations, judge, study_lines, traces
@@ -195,7 +196,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
     for text in [*reproduced.lines(outcome.published), *outcome.skipped]:
         console.say(text)
     with _bar("writing", console.quiet, check) as progress, looking(look):
-        missing, lines = write_results(folder, options, outcome, judged, arguments, progress)
+        missing, main_numbers = write_results(folder, options, outcome, judged, arguments, progress)
     failed = failed_declarations(judged)
     for j in failed:
         task, estimator, _, phase = j.key
@@ -206,7 +207,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
         )
     if not failed and (line := declared_line(judged)):
         console.say(line)
-    for text in lines:
+    for text in lines(main_numbers):
         console.say(text)
     for gone in missing:
         console.complain(said(gone))

@@ -27,7 +27,7 @@ from eval.referee.score import Scores, Trial, score
 from eval.report.answer import answer, failure_statement, gate_sentence
 from eval.report.deciding import revision_section
 from eval.report.diagnostics import of_runs, questions_section, said
-from eval.report.headline import headlines
+from eval.report.headline import Headlines, headlines
 from eval.report.labs.sections import hand_in, lab_sections
 from eval.report.labs.write_up import write_up
 from eval.report.laser import against_relations, laser_sections
@@ -69,7 +69,7 @@ class Written(NamedTuple):
     """What is missing from a result folder for want of memory, and the lines of its main numbers."""
 
     missing: tuple[Notice, ...]
-    headlines: tuple[str, ...]
+    headlines: Headlines
 
 
 def write_results(
@@ -147,7 +147,7 @@ def write_results(
         encoding="utf-8",
     )
     result_files.NOTICES.write(notices_table([*found, *lost.said]), folder)
-    return Written(tuple(lost.said), tuple(headlines(scores, outcome.trials, outcome.studies, judged)))
+    return Written(tuple(lost.said), headlines(scores, outcome.trials, outcome.studies, judged))
 
 
 def _results(trials: Sequence[Trial]) -> dict[str, dict[str, str]]:

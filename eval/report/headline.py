@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
-from data.terminal import counted
 from eval.referee.score import Scores, Trial
 from eval.report.answer import nis_verdict
 from eval.report.page.tables import is_blank
 from eval.report.rows import Row, value_of
 from eval.report.rows import rows_of as records
+from eval.report.words import say
 from eval.studies.montecarlo import Judged, Study
 
 LINES = 12
@@ -20,37 +21,54 @@ WIDTH = 80
 SHORTEST = 9
 """Characters that are left of a name, at least."""
 HEADS = ("log", "task", "estimator", "assoc.", "RMSE [m]", "NEES", "NIS", "verdict", "wrong")
-NAMES = 4
-"""Columns that are names."""
+NAMES, NAMES_OF_LOG = 4, 2
+"""Columns that are names; the first of these are about the log."""
 TASKS = {"slam": "SLAM", "localization": "loc."}
 Line = tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Headline:
-    """A row: what it is about, how soon it is wanted (0: first), and its cells."""
+    """A run, or an estimator of a study; NaN, blank and None: not known.
+
+    Attributes:
+        rank: how soon it is wanted (0: first).
+        rmse: of the position [m]; `by_relations`: mean error of the translation against reference relations.
+        nees, nis: means; of the pose, and per degree of freedom.
+        verdict: on NIS, over the runs of a study on NEES; or the status of a run that is not `ok`.
+        wrong: wrong pairings, and all.
+    """
 
     rank: int
-    cells: Line
+    log: str
+    task: str
+    estimator: str
+    association: str
+    rmse: float
+    nees: float
+    nis: float
+    verdict: str
+    wrong: tuple[int, int] | None = None
+    by_relations: bool = False
 
 
-def headlines(scores: Scores, trials: Sequence[Trial], studies: Sequence[Study], judged: Sequence[Judged]) -> list[str]:
-    """The lines; none where nothing was estimated."""
+class Headlines(NamedTuple):
+    """The rows that are shown, how many more there are, and whether all are of one log and task."""
+
+    rows: tuple[Headline, ...]
+    more: int
+    alone: bool
+
+
+def headlines(scores: Scores, trials: Sequence[Trial], studies: Sequence[Study], judged: Sequence[Judged]) -> Headlines:
+    """The rows that fit, those wanted first; without any where nothing was estimated."""
     found = [*_of_logs(scores, trials), *_of_studies(studies, judged)]
-    if not found:
-        return []
-    one = len({h.cells[:2] for h in found}) == 1
-    room = LINES - 2 - one
+    alone = len({(h.log, h.task) for h in found}) == 1
+    room = LINES - 2 - alone
     room -= len(found) > room
     order = sorted(range(len(found)), key=lambda i: (found[i].rank, i))
-    shown = [found[i].cells for i in sorted(order[:room])]
-    if one:
-        lines = [", ".join(found[0].cells[:2]), *_table([row[2:] for row in (HEADS, *shown)])]
-    else:
-        lines = _table([HEADS, *((log, TASKS[task], *rest) for log, task, *rest in shown)])
-    if len(found) > len(shown):
-        lines.append(f"and {counted(len(found) - len(shown), 'more row')}, in metrics.csv and consistency.csv")
-    return [*lines, _remark(lines)]
+    rows = tuple(found[i] for i in sorted(order[:room]))
+    return Headlines(rows, len(found) - len(rows), alone)
 
 
 def _of_logs(scores: Scores, trials: Sequence[Trial]) -> Iterable[Headline]:
@@ -70,14 +88,23 @@ def _of_logs(scores: Scores, trials: Sequence[Trial]) -> Iterable[Headline]:
         rank = 3 if r["estimator"] == "dead-reckoning" else 2 if key[0] in beside else min(place, 1)
         if rank == 1 and r["estimator"] == "batch":
             rank = 0
-        rmse = _number(value_of(r, "rmse_position_m"))
+        rmse = value_of(r, "rmse_position_m")
         related = errors.get((r["log"], r["estimator"], r["association"], r["phase"]), math.nan)
-        if not rmse and math.isfinite(related):
-            rmse = f"{_number(related)} rel"
-        yield Headline(rank, (
-            str(r["log"]), str(r["task"]), str(r["estimator"]), str(r["association"]), rmse,
-            _number(value_of(r, "nees_pose")), _number(value_of(r, "nis")), _verdict(r), _wrong(decided.get(_key(r))),
-        ))  # fmt: skip
+        by_relations = not math.isfinite(rmse) and math.isfinite(related)
+        log, task, estimator, association = (str(r[c]) for c in ("log", "task", "estimator", "association"))
+        yield Headline(
+            rank,
+            log,
+            task,
+            estimator,
+            association,
+            rmse=related if by_relations else rmse,
+            nees=value_of(r, "nees_pose"),
+            nis=value_of(r, "nis"),
+            verdict=_verdict(r),
+            wrong=_wrong(decided.get(_key(r))),
+            by_relations=by_relations,
+        )
 
 
 def _of_studies(studies: Sequence[Study], judged: Sequence[Judged]) -> Iterable[Headline]:
@@ -90,11 +117,10 @@ def _of_studies(studies: Sequence[Study], judged: Sequence[Judged]) -> Iterable[
             nees, nis = words.get("pose"), words.get("nis")
             task, estimator, association, _ = key
             rmse = math.sqrt(sum(squares) / len(squares)) if squares else math.nan
-            yield Headline(3 if estimator == "dead-reckoning" else 0, (
-                f"{study.scenario.name} x{len(study.seeds)}", task, estimator, association,
-                _number(rmse), "" if nees is None else _number(nees.mean), "" if nis is None else _number(nis.mean),
-                "" if nees is None else nees.word, "",
-            ))  # fmt: skip
+            mean = {name: math.nan if v is None else v.mean for name, v in (("nees", nees), ("nis", nis))}
+            rank, name = 3 if estimator == "dead-reckoning" else 0, f"{study.scenario.name} x{len(study.seeds)}"
+            verdict = "" if nees is None else nees.word
+            yield Headline(rank, name, task, estimator, association, rmse, mean["nees"], mean["nis"], verdict)
 
 
 def _key(row: Row) -> tuple[object, ...]:
@@ -118,28 +144,55 @@ def _verdict(row: Row) -> str:
     return nis_verdict(*values) if all(math.isfinite(v) for v in values) else ""
 
 
-def _wrong(row: Row | None) -> str:
-    """Wrong pairings of all."""
+def _wrong(row: Row | None) -> tuple[int, int] | None:
+    """Wrong pairings, and all."""
     if row is None or is_blank(row["fp"]):
-        return ""
-    return f"{value_of(row, 'fp'):.0f} of {value_of(row, 'tp') + value_of(row, 'fp'):.0f}"
+        return None
+    return int(value_of(row, "fp")), int(value_of(row, "tp") + value_of(row, "fp"))
 
 
-def _table(rows: Sequence[Line]) -> list[str]:
+def lines(h: Headlines) -> list[str]:
+    """The lines of the terminal; none where nothing was estimated."""
+    if not h.rows:
+        return []
+    rows = [_cells(row) for row in h.rows]
+    shown = [c for c in range(h.alone * NAMES_OF_LOG, len(HEADS)) if any(row[c] for row in rows)]
+    told = [", ".join((h.rows[0].log, h.rows[0].task))] if h.alone else []
+    told += _table([[row[c] for c in shown] for row in (HEADS, *rows)])
+    told += [say("headline#more", rows=h.more)] if h.more else []
+    wanted = {"NEES", "verdict", "wrong"} & {HEADS[c] for c in shown}
+    wanted |= {"related"} if any(row.by_relations for row in h.rows) else set()
+    remarks = [say(f"headline#{name}") for name in ("NEES", "related", "verdict", "wrong") if name in wanted]
+    while len("; ".join(remarks)) > WIDTH - 2:
+        remarks.pop()
+    return [*told, f"({'; '.join(remarks)})"]
+
+
+def _cells(row: Headline) -> Line:
+    return (
+        row.log,
+        TASKS[row.task],
+        row.estimator,
+        row.association,
+        _number(row.rmse) + (" rel" if row.by_relations else ""),
+        _number(row.nees),
+        _number(row.nis),
+        row.verdict,
+        "" if row.wrong is None else f"{row.wrong[0]} of {row.wrong[1]}",
+    )
+
+
+def _table(rows: Sequence[Sequence[str]]) -> list[str]:
     """Columns side by side, numbers to the right; the longest name is shortened until the lines fit."""
-    keep = [c for c in range(len(rows[0])) if any(row[c] for row in rows[1:])]
-    cells = [[row[c] for c in keep] for row in rows]
-    names = [i for i, head in enumerate(cells[0]) if head in HEADS[:NAMES]]
-    width = [max(len(row[i]) for row in cells) for i in range(len(keep))]
+    names = [i for i, head in enumerate(rows[0]) if head in HEADS[:NAMES]]
+    width = [max(map(len, column)) for column in zip(*rows, strict=True)]
     while sum(width) + 2 * (len(width) - 1) > WIDTH:
         longest = max(names, key=lambda i: width[i])
         if width[longest] <= SHORTEST:
             break
         width[longest] -= 1
-    left = [head in (*HEADS[:NAMES], "verdict") for head in cells[0]]
-    return [
-        "  ".join(_fit(t, w, to_left) for t, w, to_left in zip(row, width, left, strict=True)).rstrip() for row in cells
-    ]
+    left = [head in (*HEADS[:NAMES], "verdict") for head in rows[0]]
+    return ["  ".join(map(_fit, row, width, left)).rstrip() for row in rows]
 
 
 def _fit(text: str, width: int, to_left: bool) -> str:
@@ -148,18 +201,3 @@ def _fit(text: str, width: int, to_left: bool) -> str:
         end = (width - 1) // 2
         text = f"{text[: width - 1 - end]}…{text[-end:]}"
     return text.ljust(width) if to_left else text.rjust(width)
-
-
-def _remark(lines: Sequence[str]) -> str:
-    """What the columns that are shown mean, in one line."""
-    said = {
-        "NEES": "expected: NEES 3, NIS 1",
-        " rel ": "rel: of relations",
-        "verdict": "verdict on NIS, over runs on NEES",
-        "wrong": "wrong: of pairings",
-    }
-    shown = " ".join(lines)
-    texts = [text for name, text in said.items() if name in shown]
-    while len("; ".join(texts)) > WIDTH - 2:
-        texts.pop()
-    return f"({'; '.join(texts)})"

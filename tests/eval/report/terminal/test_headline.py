@@ -6,7 +6,7 @@ import pytest
 
 import slamref
 from eval import run_all
-from eval.report.headline import LINES, WIDTH, headlines
+from eval.report.headline import LINES, WIDTH, headlines, lines
 
 
 def trials(*names: str, task: str = "slam", estimators=("dead-reckoning", "ekf", "isam2", "batch")):
@@ -20,7 +20,7 @@ def trials(*names: str, task: str = "slam", estimators=("dead-reckoning", "ekf",
 
 def lines_of(*names: str) -> list[str]:
     made = trials(*names)
-    return headlines(slamref.score(made), made, (), ())
+    return lines(headlines(slamref.score(made), made, (), ()))
 
 
 def test_one_log_is_named_once_and_every_run_has_its_numbers():
@@ -47,7 +47,7 @@ def test_many_runs_are_cut_to_what_fits_and_each_log_keeps_its_filter_and_its_sm
 
 
 def test_nothing_estimated_is_no_table():
-    assert headlines(slamref.score([]), [], (), ()) == []
+    assert lines(headlines(slamref.score([]), [], (), ())) == []
 
 
 def test_the_command_prints_it_and_quiet_does_not(tmp_path, capsys):
