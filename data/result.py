@@ -295,11 +295,13 @@ class Run:
         paths = [card.Path(p, self.trajectory(p).pose[:, :2], drawn[p]) for p in self.phases]
         points = [] if self.map is None or self.walls else [card.Points("map", self.map.xy, card.BLACK)]
         facts = [
-            ("task", self.task), ("association", self.association), ("status", self.status),
+            ("task", self.task),
+            ("association", self.association),
+            ("status", self.status),
             ("frames", str(len(self.trajectory(self.phases[0]).pose)) if self.phases else "0"),
             ("phases", ", ".join(self.phases)),
             ("observations used", f"{int((self.final_decisions >= 0).sum())} of {len(self.final_decisions)}"),
-        ]  # fmt: skip
+        ]
         if self.map is not None:
             facts.append(("landmarks", str(len(self.map))))
         if self.flaw is not None:
