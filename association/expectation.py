@@ -50,9 +50,12 @@ def plain_residual(z: Array, z_hat: Array) -> Array:
 
 
 @numba.njit(cache=True)
-def _distances(nu, HPHt, R, frame, observed_frame, d2, det):  # type: ignore[no-untyped-def]
+def _distances(
+    nu: Array, HPHt: Array, R: Array, frame: IntArray, observed_frame: IntArray, d2: Array, det: Array
+) -> int:
     """Fill d2 (m, n) and det S (m, n); infinite where the frames differ. Index i * n + j of a singular pair, or -1."""
-    m, n = d2.shape
+    m: int = d2.shape[0]
+    n: int = d2.shape[1]
     for i in range(m):
         for j in range(n):
             if frame[j] != observed_frame[i]:

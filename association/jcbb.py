@@ -1,8 +1,7 @@
 """Joint compatibility branch and bound: the largest set of pairings that are compatible all together.
 
-The two compiled searches behind `association.jcbb`: most pairings with least joint distance, and first found.
-
-Shared layout: m observations and k candidates, of which every one is individually compatible with something;
+Two compiled searches: most pairings with least joint distance (`search_best`), and first found (`search_first`). Both
+take m observations and k candidates, of which every one is individually compatible with something;
 nu (m, k, 2) innovations, compatible (m, k), C (2k, 2k) joint covariance of the expectations, R (m, 2, 2),
 thresholds (m + 1,) squared joint distance at 2 q dof for q pairings, infinite for q = 0 and without a gate.
 The joint distance is bordered pairing by pairing: S = L L', w = L^-1 nu, d^2 = w'w, two more rows for one more pairing.
@@ -20,6 +19,7 @@ import numpy as np
 from association.expectation import SINGULAR, Expectation, SingularInnovationError, gate_threshold
 from data.inputs import IntArray
 from data.result import NEW
+from data.se2 import Array, BoolArray
 
 UNPAIRED = -1
 COMPLETE = 0
@@ -30,7 +30,7 @@ TIE = 1e-12
 
 
 @numba.njit(cache=True)
-def _factor(a, b, c, scale_a, scale_c):  # type: ignore[no-untyped-def]
+def _factor(a: float, b: float, c: float, scale_a: float, scale_c: float) -> tuple[float, float, float]:
     """Cholesky factor (l00, l10, l11) of [[a, b], [b, c]]; l00 = 0 where it is singular against its own scale."""
     if not a > SINGULAR * scale_a:
         return 0.0, 0.0, 0.0
@@ -42,8 +42,86 @@ def _factor(a, b, c, scale_a, scale_c):  # type: ignore[no-untyped-def]
     return l00, l10, math.sqrt(rest)
 
 
+class Given(NamedTuple):
+    """What is known of each candidate given the first q pairings, by q.
+
+    V: (m, k, 2, 2) rows of L^-1 C; shift: (m + 1, k, 2) of its expectation; D: (m + 1, k, 3) its remaining covariance
+    (xx, xy, yy).
+    """
+
+    V: Array
+    shift: Array
+    D: Array
+
+
 @numba.njit(cache=True)
-def search_best(nu, compatible, C, R, thresholds, budget):  # type: ignore[no-untyped-def]
+def _pairings(compatible: BoolArray) -> tuple[IntArray, IntArray]:
+    """Compatible pairs by observation, those of i from `first[i]` to `first[i + 1]`, and each one's candidate."""
+    m, k = compatible.shape
+    first = np.zeros(m + 1, np.int64)
+    for i in range(m):
+        first[i + 1] = first[i] + compatible[i].sum()
+    candidate = np.empty(first[m], np.int64)
+    for i in range(m):
+        p = first[i]
+        for j in range(k):
+            if compatible[i, j]:
+                candidate[p] = j
+                p += 1
+    return first, candidate
+
+
+@numba.njit(cache=True)
+def _whitened(i: int, j: int, q: int, nu: Array, R: Array, given: Given) -> tuple[float, float, float, float, float]:
+    """Innovation (x, y) of observation i and candidate j given q pairings, whitened by its factor (l00, l10, l11)."""
+    D, shift = given.D, given.shift
+    l00, l10, l11 = _factor(
+        D[q, j, 0] + R[i, 0, 0],
+        D[q, j, 1] + R[i, 1, 0],
+        D[q, j, 2] + R[i, 1, 1],
+        D[0, j, 0] + R[i, 0, 0],
+        D[0, j, 2] + R[i, 1, 1],
+    )
+    if l00 == 0.0:
+        return 0.0, 0.0, 0.0, 0.0, 0.0
+    x = (nu[i, j, 0] - shift[q, j, 0]) / l00
+    y = (nu[i, j, 1] - shift[q, j, 1] - l10 * x) / l11
+    return x, y, l00, l10, l11
+
+
+@numba.njit(cache=True)
+def _condition(
+    i: int, j: int, q: int, nu: Array, C: Array, R: Array, given: Given, need: BoolArray
+) -> tuple[float, float]:
+    """Pair i with j as pairing q: what is then known of the candidates in `need`; its whitened innovation (x, y)."""
+    V, shift, D = given
+    x, y, l00, l10, l11 = _whitened(i, j, q, nu, R, given)
+    for c in range(len(need)):
+        if not need[c]:
+            continue
+        v00, v01 = C[2 * j, 2 * c], C[2 * j, 2 * c + 1]
+        v10, v11 = C[2 * j + 1, 2 * c], C[2 * j + 1, 2 * c + 1]
+        for r in range(q):
+            a, b = V[r, j], V[r, c]
+            v00 -= a[0, 0] * b[0, 0] + a[1, 0] * b[1, 0]
+            v01 -= a[0, 0] * b[0, 1] + a[1, 0] * b[1, 1]
+            v10 -= a[0, 1] * b[0, 0] + a[1, 1] * b[1, 0]
+            v11 -= a[0, 1] * b[0, 1] + a[1, 1] * b[1, 1]
+        v00, v01 = v00 / l00, v01 / l00
+        v10, v11 = (v10 - l10 * v00) / l11, (v11 - l10 * v01) / l11
+        V[q, c, 0, 0], V[q, c, 0, 1], V[q, c, 1, 0], V[q, c, 1, 1] = v00, v01, v10, v11
+        shift[q + 1, c, 0] = shift[q, c, 0] + v00 * x + v10 * y
+        shift[q + 1, c, 1] = shift[q, c, 1] + v01 * x + v11 * y
+        D[q + 1, c, 0] = D[q, c, 0] - v00 * v00 - v10 * v10
+        D[q + 1, c, 1] = D[q, c, 1] - v00 * v01 - v10 * v11
+        D[q + 1, c, 2] = D[q, c, 2] - v01 * v01 - v11 * v11
+    return x, y
+
+
+@numba.njit(cache=True)
+def search_best(
+    nu: Array, compatible: BoolArray, C: Array, R: Array, thresholds: Array, budget: int
+) -> tuple[IntArray, float, int, int, int]:
     """Most pairings, one-to-one, jointly compatible as a whole; among these the least joint distance.
 
     Branch and bound with forward checking: at every node each pairing still open has its distance *given* those made.
@@ -57,21 +135,12 @@ def search_best(nu, compatible, C, R, thresholds, budget):  # type: ignore[no-un
     Returns (choice (m,), d^2, pairings, nodes, status).
     """
     m, k = compatible.shape
-    first = np.zeros(m + 1, np.int64)
-    for i in range(m):
-        first[i + 1] = first[i] + compatible[i].sum()
+    first, candidate = _pairings(compatible)
     pairs = first[m]
-    candidate = np.empty(pairs, np.int64)
-    for i in range(m):
-        p = first[i]
-        for j in range(k):
-            if compatible[i, j]:
-                candidate[p] = j
-                p += 1
-    # what is known of each candidate given q pairings: rows of L^-1 C, shift of its expectation, remaining covariance
-    V, shift, D = np.empty((m, k, 2, 2)), np.zeros((m + 1, k, 2)), np.empty((m + 1, k, 3))
+    given = Given(np.empty((m, k, 2, 2)), np.zeros((m + 1, k, 2)), np.empty((m + 1, k, 3)))
     for j in range(k):
-        D[0, j, 0], D[0, j, 1], D[0, j, 2] = C[2 * j, 2 * j], C[2 * j + 1, 2 * j], C[2 * j + 1, 2 * j + 1]
+        given.D[0, j, 0], given.D[0, j, 1] = C[2 * j, 2 * j], C[2 * j + 1, 2 * j]
+        given.D[0, j, 2] = C[2 * j + 1, 2 * j + 1]
     made, d2 = np.zeros(m + 1, np.int64), np.zeros(m + 1)  # by depth: pairings and joint distance
     chosen, branch, branches = np.empty(m + 1, np.int64), np.zeros(m + 1, np.int64), np.zeros(m + 1, np.int64)
     order = np.empty((m + 1, k), np.int64)
@@ -106,15 +175,9 @@ def search_best(nu, compatible, C, R, thresholds, budget):  # type: ignore[no-un
                     j = candidate[p]
                     if closed_at[p] <= t or taken[j]:
                         continue
-                    x, y = nu[i, j, 0] - shift[q, j, 0], nu[i, j, 1] - shift[q, j, 1]
-                    l00, l10, l11 = _factor(
-                        D[q, j, 0] + R[i, 0, 0], D[q, j, 1] + R[i, 1, 0], D[q, j, 2] + R[i, 1, 1],
-                        D[0, j, 0] + R[i, 0, 0], D[0, j, 2] + R[i, 1, 1],
-                    )  # fmt: skip
+                    x, y, l00, _, _ = _whitened(i, j, q, nu, R, given)
                     if l00 == 0.0:
                         return best_choice, best_d2, best, nodes, SINGULAR_JOINT
-                    x /= l00
-                    y = (y - l10 * x) / l11
                     gain[p] = x * x + y * y
                     if d2[t] + gain[p] >= limit:
                         closed_at[p] = t
@@ -178,38 +241,16 @@ def search_best(nu, compatible, C, R, thresholds, budget):  # type: ignore[no-un
                 for p in range(first[o], first[o + 1]):
                     if closed_at[p] > t:
                         need[candidate[p]] = True
-        l00, l10, l11 = _factor(
-            D[q, j, 0] + R[i, 0, 0], D[q, j, 1] + R[i, 1, 0], D[q, j, 2] + R[i, 1, 1],
-            D[0, j, 0] + R[i, 0, 0], D[0, j, 2] + R[i, 1, 1],
-        )  # fmt: skip
-        x = (nu[i, j, 0] - shift[q, j, 0]) / l00
-        y = (nu[i, j, 1] - shift[q, j, 1] - l10 * x) / l11
-        for c in range(k):
-            if not need[c]:
-                continue
-            v00, v01 = C[2 * j, 2 * c], C[2 * j, 2 * c + 1]
-            v10, v11 = C[2 * j + 1, 2 * c], C[2 * j + 1, 2 * c + 1]
-            for r in range(q):
-                a, b = V[r, j], V[r, c]
-                v00 -= a[0, 0] * b[0, 0] + a[1, 0] * b[1, 0]
-                v01 -= a[0, 0] * b[0, 1] + a[1, 0] * b[1, 1]
-                v10 -= a[0, 1] * b[0, 0] + a[1, 1] * b[1, 0]
-                v11 -= a[0, 1] * b[0, 1] + a[1, 1] * b[1, 1]
-            v00, v01 = v00 / l00, v01 / l00
-            v10, v11 = (v10 - l10 * v00) / l11, (v11 - l10 * v01) / l11
-            V[q, c, 0, 0], V[q, c, 0, 1], V[q, c, 1, 0], V[q, c, 1, 1] = v00, v01, v10, v11
-            shift[q + 1, c, 0] = shift[q, c, 0] + v00 * x + v10 * y
-            shift[q + 1, c, 1] = shift[q, c, 1] + v01 * x + v11 * y
-            D[q + 1, c, 0] = D[q, c, 0] - v00 * v00 - v10 * v10
-            D[q + 1, c, 1] = D[q, c, 1] - v00 * v01 - v10 * v11
-            D[q + 1, c, 2] = D[q, c, 2] - v01 * v01 - v11 * v11
+        x, y = _condition(i, j, q, nu, C, R, given, need)
         made[t + 1], d2[t + 1] = q + 1, d2[t] + x * x + y * y
         t += 1
     return best_choice, best_d2, best, nodes, COMPLETE
 
 
 @numba.njit(cache=True)
-def search_first(nu, compatible, C, R, thresholds, budget):  # type: ignore[no-untyped-def]
+def search_first(
+    nu: Array, compatible: BoolArray, C: Array, R: Array, thresholds: Array, budget: int
+) -> tuple[IntArray, float, int, int, int]:
     """Depth first over observations in order, candidates in order, last unpaired; the first of most pairings stays.
 
     A pairing is kept if the joint distance of those made so far and itself is below chi-square at their dof. Nothing

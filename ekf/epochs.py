@@ -25,7 +25,7 @@ from ekf.filter import DEFAULT, FilterOptions
 from ekf.kernels import NEWEST
 from ekf.parking import Triangle, root, symmetric, whitened
 from ekf.walls import frame_of
-from ekf.whole_run import FilterRun, run
+from ekf.whole_run import FilterRun, Steps, Track, blank, filter_run, rules_of, run
 
 LEAST = 300
 """Landmarks. A smaller map is never parked: some tenths of a second are gained at most, and it keeps its bytes."""
@@ -133,18 +133,16 @@ def run_in_epochs(
     """What `ekf.whole_run.run_filter` gives for EKF-SLAM, up to rounding; arguments as there."""
     n, o = len(inputs), inputs.observations
     number, total = numbers_of(decisions)
-    decided, white = np.array(decisions, np.int64), np.full((len(o.z), 2), np.nan)
+    decided = np.array(decisions, np.int64)
     of = inputs.systematic
     frame = frame_of(of, inputs.sensor, inputs.prior, options, slam=True)
     errors, sensor = systematic.as_states(of, frame), frame.sensor(inputs.sensor)
     base = 3 + len(errors.place)
-    pose, covariance = np.full((n, base), np.nan), np.full((n, base, base), np.nan)
-    stats, size = np.zeros((n, 3)), np.zeros(n, np.int64)
+    track = blank(n, base, len(o.z))
     whole = Whole(np.zeros(2 * total), Triangle(), np.zeros((2 * total, base)), np.zeros(2 * total))
     mean, P = systematic.begin(inputs.prior, of, frame)
     robot = np.array(mean, float), np.array(P, float), np.array(mean, float)
     created, failure = 0, None
-    how = options.each, options.augment_variance(0.0), options.rule_with(base - 3)
     slot_of = np.zeros(total, np.int64)
     for epoch in epochs:
         rows = slice(inputs.start[epoch.begin], inputs.start[epoch.end])
@@ -161,30 +159,29 @@ def run_in_epochs(
                 kernels.predict(*step)
             else:
                 systematic.predict_with_errors(*step, errors)
+        starts = inputs.start[epoch.begin : epoch.end + 1]
+        steps = Steps(motion, M, starts, o.z, o.R, decided, np.empty((0, 2)))
+        rules = rules_of(options, threshold, base - 3, state.first)
+        part = Track(track.pose[frames], track.covariance[frames], track.stats[frames], track.size[frames], track.white)
         d, status, stopped = run(
-            sensor.kind, sensor.extrinsic, state.mean, state.P, state.d, motion, M,
-            inputs.start[epoch.begin : epoch.end + 1], o.z, o.R, decided, np.empty((0, 2)), how, float(threshold),
-            state.first, errors, (pose[frames], covariance[frames], stats[frames], size[frames], white),
-        )  # fmt: skip
+            sensor.kind, sensor.extrinsic, state.mean, state.P, state.d, steps, rules, errors, part
+        )
         reached = epoch.end if status == kernels.OK else epoch.begin + int(stopped) + 1
-        size[epoch.begin : reached] += base + 2 * created - state.d
+        track.size[epoch.begin : reached] += base + 2 * created - state.d
         new = (d - state.d) // 2
         with np.errstate(all="ignore"):  # a filter that failed may hold anything
             robot = ended(whole, state, epoch, created, new)
         created += new
         if status != kernels.OK:
             failure = (reached - 1, kernels.FAILURES[status])
-            pose[reached - 1 :], covariance[reached - 1 :] = np.nan, np.nan
+            track.pose[reached - 1 :], track.covariance[reached - 1 :] = np.nan, np.nan
             break
     decided = np.where(decided >= 0, decisions, decided)
     blocks = whole.P.blocks()[:created]
     found = MapState(np.arange(created), whole.mean[: 2 * created].reshape(-1, 2).copy(), blocks)
     cross = whole.robot[: 2 * created, 3:].reshape(created, 2, base - 3)
-    return FilterRun(
-        *systematic.poses(pose, covariance, frame), stats[:, 0], stats[:, 2].astype(np.int64), stats[:, 1], size, white,
-        decided, systematic.landmarks(found, cross, robot[0][3:], robot[1][3:, 3:], frame), failure,
-        systematic.of_frames(of, pose, covariance),
-    )  # fmt: skip
+    found = systematic.landmarks(found, cross, robot[0][3:], robot[1][3:, 3:], frame)
+    return filter_run(track, of, frame, decided, found, failure)
 
 
 class State(NamedTuple):

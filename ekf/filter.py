@@ -196,12 +196,10 @@ class Filter:
             k = len(chosen)
             mean, P, first, moved = self._gathered(state, at[chosen], known[chosen])
             d = len(mean)
-            PHt, S = np.empty((d, 2 * k)), np.empty((2 * k, 2 * k))
-            kernels.innovate(
-                self._kind, self._extrinsic, mean, mean, P, d, moved, known[chosen],
-                z_hat[chosen], np.zeros((k, 2, 2)), np.empty(2 * k), PHt, S, first,
-            )  # fmt: skip
-            return S
+            seen = kernels.Seen(moved, known[chosen], z_hat[chosen], np.zeros((k, 2, 2)))
+            found = kernels.Innovation(np.empty(2 * k), np.empty((d, 2 * k)), np.empty((2 * k, 2 * k)))
+            kernels.innovate(self._kind, self._extrinsic, mean, mean, P, d, seen, found, first)
+            return found.S
 
         def elsewhere(pose: Array) -> Expectation:
             if version != self._version:
@@ -247,12 +245,11 @@ class Filter:
         with first estimates, at these in any case.
         """
         self._version += 1
-        keep, stats, white = np.ones(len(rows), np.bool_), np.zeros(3), np.full((len(rows), 2), np.nan)
+        done = updates.Done(np.ones(len(rows), np.bool_), np.zeros(3), np.full((len(rows), 2), np.nan))
         if len(rows):
-            rest = (
-                self._mean, self._P, self._used, at, known, sightings.z[rows], sightings.R[rows], threshold, keep,
-                stats, white, self._rule, self._first,
-            )  # fmt: skip
+            seen = kernels.Seen(at, known, sightings.z[rows], sightings.R[rows])
+            how = updates.How(threshold, *self._rule, self._first)
+            rest = self._mean, self._P, self._used, seen, how, done
             if pose is not None and not len(self._first):
                 status = updates.update_from(self._kind, self._extrinsic, self._state_at(pose), *rest)
             else:
@@ -260,4 +257,4 @@ class Filter:
                 status = step(self._kind, self._extrinsic, *rest)
             if status != kernels.OK:
                 raise FilterDivergedError(kernels.FAILURES[status])
-        return keep, stats, white
+        return done.keep, done.stats, done.white

@@ -12,10 +12,13 @@ ones.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
+from data.inputs import IntArray
+from data.se2 import Array, BoolArray
 from data.sensors import LINE, invert, measure, name_as_read, residual, wrap_angle_jit
 
 NEWEST = np.empty(0)
@@ -28,8 +31,29 @@ NOT_PSD = 2
 FAILURES = {NOT_FINITE: "the state is no longer finite", NOT_PSD: "a covariance lost positive definiteness"}
 
 
+class Seen(NamedTuple):
+    """Observations z (k, 2), R (k, 2, 2) and the landmarks that they are paired with.
+
+    `at` (k,) is the offset of each landmark in the state; where it is negative the landmark is known and stands in
+    `known` (k, 2).
+    """
+
+    at: IntArray
+    known: Array
+    z: Array
+    R: Array
+
+
+class Innovation(NamedTuple):
+    """nu (2k,), its covariance S (2k, 2k), and PHt (d, 2k), that of the state with it."""
+
+    nu: Array
+    PHt: Array
+    S: Array
+
+
 @numba.njit(cache=True)
-def predict(mean, P, d, motion, M, first):  # type: ignore[no-untyped-def]
+def predict(mean: Array, P: Array, d: int, motion: Array, M: Array, first: Array) -> None:
     """Move by a body-frame increment `motion` (3,) with covariance M (3, 3): P <- F P F' + G M G', map untouched.
 
     F differs from I in its third column only, so the cross-covariances with the map change by multiples of row 2. With
@@ -68,14 +92,15 @@ def predict(mean, P, d, motion, M, first):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def innovate(kind, extrinsic, mean, base, P, d, at, known, z, R, nu, PHt, S, first):  # type: ignore[no-untyped-def]
-    """Innovation nu (2k,), PHt (d, 2k) and S (2k, 2k) of k paired observations, all Jacobians at `mean` or `first`.
+def innovate(
+    kind: int, extrinsic: Array, mean: Array, base: Array, P: Array, d: int, seen: Seen, out: Innovation, first: Array
+) -> None:
+    """Fill `out` with the innovation of k paired observations, all Jacobians at `mean` or `first`.
 
     `base` is the prediction: nu = z - h(mean) - H (base - mean), so the two differ only where an update is iterated.
-
-    `at` (k,) is the offset of each landmark in the state; where it is negative the landmark is known and stands in
-    `known` (k, 2).
     """
+    at, known, z, R = seen
+    nu, PHt, S = out
     k = len(at)
     H = np.empty((k, 2, 5))
     z_hat, Hx, Hl = np.empty(2), np.empty((2, 3)), np.empty((2, 2))
@@ -114,7 +139,9 @@ def innovate(kind, extrinsic, mean, base, P, d, at, known, z, R, nu, PHt, S, fir
 
 
 @numba.njit(cache=True)
-def look(kind, extrinsic, mean, a, known, first, z_hat, Hx, Hl):  # type: ignore[no-untyped-def]
+def look(
+    kind: int, extrinsic: Array, mean: Array, a: int, known: Array, first: Array, z_hat: Array, Hx: Array, Hl: Array
+) -> None:
     """`measure` a landmark: at offset `a` of the state, or `known` (2,) where a < 0; Jacobians at `first` if given."""
     measure(kind, extrinsic, mean, known if a < 0 else mean[a : a + 2], z_hat, Hx, Hl)
     if len(first):
@@ -124,7 +151,7 @@ def look(kind, extrinsic, mean, a, known, first, z_hat, Hx, Hl):  # type: ignore
 
 
 @numba.njit(cache=True)
-def healthy(mean, P):  # type: ignore[no-untyped-def]
+def healthy(mean: Array, P: Array) -> int:
     """Status of the pose: finite, and no variance negative beyond rounding (1e-12 of the trace)."""
     trace = P[0, 0] + P[1, 1] + P[2, 2]
     for r in range(3):
@@ -136,7 +163,9 @@ def healthy(mean, P):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def augment(kind, extrinsic, mean, P, d, z, R, variance, first):  # type: ignore[no-untyped-def]
+def augment(
+    kind: int, extrinsic: Array, mean: Array, P: Array, d: int, z: Array, R: Array, variance: float, first: Array
+) -> None:
     """Append the landmark that z (2,) shows from the present pose; the caller has room for d + 2 states.
 
     P_new = [[P, P Gx'], [Gx P, Gx P Gx' + Gz R Gz']]. With `variance` >= 0 the landmark instead gets variance * I and
@@ -173,7 +202,7 @@ def augment(kind, extrinsic, mean, P, d, z, R, variance, first):  # type: ignore
 
 
 @numba.njit(cache=True)
-def gate(nu, S, threshold, keep):  # type: ignore[no-untyped-def]
+def gate(nu: Array, S: Array, threshold: float, keep: BoolArray) -> int:
     """Set keep (k,): is each observation's own squared Mahalanobis distance below `threshold`? Returns the count."""
     count = 0
     for i in range(len(keep)):
@@ -186,7 +215,17 @@ def gate(nu, S, threshold, keep):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def expect(kind, extrinsic, mean, P, at, known, z_hat, blocks, first):  # type: ignore[no-untyped-def]
+def expect(
+    kind: int,
+    extrinsic: Array,
+    mean: Array,
+    P: Array,
+    at: IntArray,
+    known: Array,
+    z_hat: Array,
+    blocks: Array,
+    first: Array,
+) -> None:
     """Expected measurement z_hat (n, 2) of n candidates and the blocks H P H' (n, 2, 2)."""
     Hx, Hl = np.empty((2, 3)), np.empty((2, 2))
     H, columns = np.empty((2, 5)), np.empty(5, np.int64)

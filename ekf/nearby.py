@@ -87,19 +87,42 @@ def may_be_read(
     since = np.diag([step[0, 0], step[1, 1], P[2, 2]])
     reach = reading_radius(sensor, np.maximum(since, 0.0), sightings, within * MARGIN)
     found = np.zeros(len(parked.based), np.bool_)
-    z, R = np.array(sightings.z, float), np.array(sightings.R, float)
-    _search(
-        sensor.kind, sensor.extrinsic, x, P, parked.mean, parked.D, parked.based, *around, centre,
-        reach, gate + float(np.linalg.norm(y[:k])), z, R, within * MARGIN, found,
-    )  # fmt: skip
+    seen = Sightings(np.array(sightings.z, float), np.array(sightings.R, float))
+    near = Near(centre, reach, gate + float(np.linalg.norm(y[:k])), within * MARGIN)
+    held = parked.mean, parked.D, parked.based
+    _search(sensor.kind, sensor.extrinsic, x, P, held, around, near, seen, found)
     return found
 
 
+class Near(NamedTuple):
+    """What is looked for: within a squared distance of some reading.
+
+    Landmarks farther from `centre` (2,) than `reach` [m] and so many of their `sigmas` are left out at once.
+    """
+
+    centre: Array
+    reach: float
+    sigmas: float
+    within: float
+
+
 @numba.njit(cache=True)
-def _search(  # type: ignore[no-untyped-def]
-    kind, extrinsic, x, P, mean, D, based, own, sigma, boxes, centre, reach, sigmas, z, R, within, found
-):
-    """See `may_be_read`. Landmarks farther from `centre` than `reach` and so many of their sigmas are left out."""
+def _search(
+    kind: int,
+    extrinsic: Array,
+    x: Array,
+    P: Array,
+    held: tuple[Array, Array, BoolArray],
+    around: Surroundings,
+    near: Near,
+    seen: Sightings,
+    found: BoolArray,
+) -> None:
+    """See `may_be_read`; `held` = means, D and which are based, as of `Parked`."""
+    mean, D, based = held
+    own, sigma, boxes = around
+    centre, reach, sigmas, within = near
+    z, R = seen
     k = D.shape[1]
     z_hat, Hx, Hl, nu = np.empty(2), np.empty((2, 3)), np.empty((2, 2)), np.empty(2)
     place, cross = np.empty(2), np.empty((2, 3))

@@ -158,7 +158,7 @@ def whitened(C: Array, L: Array) -> Array:
 
 
 @numba.njit(cache=True)
-def _forward(D, L, begin, end):  # type: ignore[no-untyped-def]
+def _forward(D: Array, L: Array, begin: int, end: int) -> None:
     """Solve the rows of D for their columns from `begin` before `end` by forward substitution, in place."""
     for r in range(len(D)):
         for j in range(begin, end):

@@ -99,7 +99,7 @@ class PoseChainFilter:
 
 
 @numba.njit(cache=True)
-def _augment(pose, P, keys, motion, M):  # type: ignore[no-untyped-def]
+def _augment(pose: Array, P: Array, keys: int, motion: Array, M: Array) -> None:
     n = 3 * keys
     last = pose[keys - 1]
     wx, wy, F, B = carried(last[2], motion)
@@ -115,7 +115,7 @@ def _augment(pose, P, keys, motion, M):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _innovations(pose, key1, key2, relative):  # type: ignore[no-untyped-def]
+def _innovations(pose: Array, key1: IntArray, key2: IntArray, relative: Array) -> tuple[Array, Array]:
     """Innovations (m, 3) and Jacobians (m, 3, 6) of the relative poses to key1 and key2."""
     nu, H = np.empty((len(key1), 3)), np.zeros((len(key1), 3, 6))
     for i in range(len(key1)):
@@ -131,7 +131,7 @@ def _innovations(pose, key1, key2, relative):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _columns(P, n, key1, key2, H):  # type: ignore[no-untyped-def]
+def _columns(P: Array, n: int, key1: IntArray, key2: IntArray, H: Array) -> Array:
     """H P (3m, n), of the lower triangle."""
     W = np.zeros((3 * len(key1), n))
     for i in range(len(key1)):
@@ -149,7 +149,7 @@ def _columns(P, n, key1, key2, H):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _downdate(P, V):  # type: ignore[no-untyped-def]
+def _downdate(P: Array, V: Array) -> None:
     """P -= V' V for V (r, n): one pass over the lower triangle, diagonal blocks in full."""
     r, n = V.shape
     for i in range(n):

@@ -64,7 +64,7 @@ def begin(prior: Prior, systematic: Systematic | None, frame: SensorFrame) -> tu
 
 
 @numba.njit(cache=True)
-def predict_with_errors(mean, P, d, motion, M, first, errors):  # type: ignore[no-untyped-def]
+def predict_with_errors(mean: Array, P: Array, d: int, motion: Array, M: Array, first: Array, errors: Errors) -> None:
     """`ekf.kernels.predict` by an increment whose systematic errors are states."""
     p = len(errors.place)
     a = errors.drift_at
@@ -104,7 +104,7 @@ def predict_with_errors(mean, P, d, motion, M, first, errors):  # type: ignore[n
 
 
 @numba.njit(cache=True)
-def hold_known(mean, P, d, known, first, errors):  # type: ignore[no-untyped-def]
+def hold_known(mean: Array, P: Array, d: int, known: Array, first: Array, errors: Errors) -> None:
     """Append landmarks `known` (k, 2) of the world as states, as they stand in the sensor's frame under its errors.
 
     The caller has room for d + 2k states. They follow from the range error alone: l' = o + (l - o) (1 + range).
@@ -123,7 +123,17 @@ def hold_known(mean, P, d, known, first, errors):  # type: ignore[no-untyped-def
 
 
 @numba.njit(cache=True)
-def expect_known(kind, extrinsic, mean, P, known, z_hat, blocks, first, errors):  # type: ignore[no-untyped-def]
+def expect_known(
+    kind: int,
+    extrinsic: Array,
+    mean: Array,
+    P: Array,
+    known: Array,
+    z_hat: Array,
+    blocks: Array,
+    first: Array,
+    errors: Errors,
+) -> None:
     """`ekf.kernels.expect` of landmarks `known` (n, 2) of the world that the filter sees under its range error."""
     Hx, Hl, H, columns = np.empty((2, 3)), np.empty((2, 2)), np.empty((2, 4)), np.empty(4, np.int64)
     columns[:3], columns[3] = np.arange(3), errors.range_at

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
+from data.se2 import Array, BoolArray
 from data.sensors import wrap_angle_jit
-from ekf.kernels import NEWEST, NOT_PSD, OK, gate, healthy, innovate
+from ekf.kernels import NEWEST, NOT_PSD, OK, Innovation, Seen, gate, healthy, innovate
 
 ADDITIVE = 0
 """Correction: mean += K nu."""
@@ -23,8 +25,34 @@ TILE = 16
 """States; rows and columns of a tile stay in the nearest cache while it is mirrored."""
 
 
+class How(NamedTuple):
+    """How an update is made.
+
+    threshold: squared distance of the gate, inf for none; retraction: of the correction (`ADDITIVE`, `INVARIANT` or
+    more); iterations: how often to linearize at most (1: at the start only); first: see `ekf.kernels`, not together
+    with iterations.
+    """
+
+    threshold: float
+    retraction: int
+    iterations: int
+    first: Array
+
+
+class Done(NamedTuple):
+    """What an update writes down of its k observations.
+
+    keep: (k,) passed the gate; stats: (3,) collects NIS, log-likelihood and degrees of freedom; white: (k, 2) each
+    innovation in units of its own standard deviation, NaN where it was not used.
+    """
+
+    keep: BoolArray
+    stats: Array
+    white: Array
+
+
 @numba.njit(cache=True)
-def cholesky(S, L, n):  # type: ignore[no-untyped-def]
+def cholesky(S: Array, L: Array, n: int) -> bool:
     """Lower Cholesky factor of the leading n x n block of S; False where S is not positive definite."""
     for i in range(n):
         for j in range(i + 1):
@@ -41,7 +69,7 @@ def cholesky(S, L, n):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def forward(L, b, x):  # type: ignore[no-untyped-def]
+def forward(L: Array, b: Array, x: Array) -> None:
     """X = L^-1 b for a lower triangle L (n, n); x may be b."""
     for i in range(len(b)):
         total = b[i]
@@ -51,12 +79,13 @@ def forward(L, b, x):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def correct(mean, P, d, nu, PHt, S, stats, retraction):  # type: ignore[no-untyped-def]
+def correct(mean: Array, P: Array, d: int, found: Innovation, stats: Array, retraction: int) -> int:
     """The Kalman update: mean += K nu (or see `move`), P -= W W' with W = PHt L^-T, S = L L'.
 
     Adds NIS and log-likelihood to `stats` (2,). The subtraction is computed once per pair and mirrored, so P stays
     symmetric to the bit. Returns a status.
     """
+    nu, PHt, S = found
     n = len(nu)
     L = np.empty((n, n))
     if not cholesky(S, L, n):
@@ -84,7 +113,7 @@ def correct(mean, P, d, nu, PHt, S, stats, retraction):  # type: ignore[no-untyp
 
 
 @numba.njit(cache=True)
-def subtract(P, d, W):  # type: ignore[no-untyped-def]
+def subtract(P: Array, d: int, W: Array) -> None:
     """P -= W W' on the leading d entries, W (d, n): the lower triangle, mirrored, so that P stays symmetric to the bit.
 
     Every entry is summed over n in the same order however many there are, so the bytes do not depend on the way. By
@@ -120,7 +149,7 @@ def subtract(P, d, W):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def move(mean, P, d, shift, base):  # type: ignore[no-untyped-def]
+def move(mean: Array, P: Array, d: int, shift: Array, base: int) -> None:
     """Move pose and landmarks by exp(xi) for the additive correction `shift` (d,), and take P along;
     landmarks begin at `base`, and what stands between pose and landmarks is corrected as it is.
 
@@ -165,12 +194,24 @@ def move(mean, P, d, shift, base):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def iterate(kind, extrinsic, start, mean, P, d, at, known, z, R, nu, PHt, S, iterations, stats):  # type: ignore[no-untyped-def]
+def iterate(
+    kind: int,
+    extrinsic: Array,
+    start: Array,
+    mean: Array,
+    P: Array,
+    d: int,
+    seen: Seen,
+    found: Innovation,
+    iterations: int,
+    stats: Array,
+) -> Array:
     """Where to linearize (d,): Gauss-Newton from `start`, at most `iterations` - 1 steps (Bell and Cathey 1993).
 
-    nu, PHt and S are those at `start`, whose NIS and log-likelihood are added to `stats`; they are overwritten.
+    `found` is at `start`, its NIS and log-likelihood are added to `stats`; it is overwritten.
     Ends early where no state moves by 1e-6 sigma.
     """
+    nu, PHt, S = found
     point = start[:d].copy()
     n = len(nu)
     L, white = np.empty((n, n)), np.empty(n)
@@ -193,43 +234,33 @@ def iterate(kind, extrinsic, start, mean, P, d, at, known, z, R, nu, PHt, S, ite
             point[r] = place
         if moved < 1e-6:
             break
-        innovate(kind, extrinsic, point, mean, P, d, at, known, z, R, nu, PHt, S, NEWEST)
+        innovate(kind, extrinsic, point, mean, P, d, seen, found, NEWEST)
     return point
 
 
 @numba.njit(cache=True)
-def update(  # type: ignore[no-untyped-def]
-    kind, extrinsic, mean, P, d, at, known, z, R, threshold, keep, stats, white, rule, first
-):
-    """One stacked update with k pairings; those outside the gate are left out (`keep` says which). Returns a status.
+def update(kind: int, extrinsic: Array, mean: Array, P: Array, d: int, seen: Seen, how: How, done: Done) -> int:
+    """One stacked update with k pairings; those outside the gate are left out. Returns a status.
 
     See `update_from`; the first linearization is at the prediction.
     """
-    return update_from(
-        kind, extrinsic, mean, mean, P, d, at, known, z, R, threshold, keep, stats, white, rule, first
-    )  # fmt: skip
+    return update_from(kind, extrinsic, mean, mean, P, d, seen, how, done)
 
 
 @numba.njit(cache=True)
-def update_from(  # type: ignore[no-untyped-def]
-    kind, extrinsic, start, mean, P, d, at, known, z, R, threshold, keep, stats, white, rule, first
-):
-    """An update whose first linearization is at the state `start` (d,), which may be `mean` itself.
-
-    `rule` = retraction of the correction (`ADDITIVE`, `INVARIANT` or more), and how often to linearize at most (1: at
-    `start` only).
-
-    `stats` (3,) collects NIS, log-likelihood and degrees of freedom; `white` (k, 2) gets each innovation in units of
-    its own standard deviation, NaN where it was not used. `first`: see `ekf.kernels`; not together with iterations.
-    """
-    k = len(at)
+def update_from(
+    kind: int, extrinsic: Array, start: Array, mean: Array, P: Array, d: int, seen: Seen, how: How, done: Done
+) -> int:
+    """An update whose first linearization is at the state `start` (d,), which may be `mean` itself."""
+    keep, stats = done.keep, done.stats
+    k = len(seen.at)
     nu, PHt, S = np.empty(2 * k), np.empty((d, 2 * k)), np.empty((2 * k, 2 * k))
-    innovate(kind, extrinsic, start, mean, P, d, at, known, z, R, nu, PHt, S, first)
+    innovate(kind, extrinsic, start, mean, P, d, seen, Innovation(nu, PHt, S), how.first)
     keep[:] = True
-    if threshold < np.inf:
-        count = gate(nu, S, threshold, keep)
+    if how.threshold < np.inf:
+        count = gate(nu, S, how.threshold, keep)
         if count == 0:
-            white[:] = np.nan
+            done.white[:] = np.nan
             return OK
         if count < k:
             rows = np.empty(2 * count, np.int64)
@@ -239,19 +270,19 @@ def update_from(  # type: ignore[no-untyped-def]
                     rows[n], rows[n + 1] = 2 * i, 2 * i + 1
                     n += 2
             nu, PHt, S = nu[rows], PHt[:, rows], S[rows][:, rows]
-    whiten(nu, S, keep, white)
+    whiten(nu, S, keep, done.white)
     stats[2] += len(nu)
-    retraction, iterations = rule
-    if iterations > 1:
-        at, known, z, R = at[keep], known[keep], z[keep], R[keep]
-        point = iterate(kind, extrinsic, start, mean, P, d, at, known, z, R, nu, PHt, S, iterations, stats)
-        innovate(kind, extrinsic, point, mean, P, d, at, known, z, R, nu, PHt, S, NEWEST)
+    found = Innovation(nu, PHt, S)
+    if how.iterations > 1:
+        used = Seen(seen.at[keep], seen.known[keep], seen.z[keep], seen.R[keep])
+        point = iterate(kind, extrinsic, start, mean, P, d, used, found, how.iterations, stats)
+        innovate(kind, extrinsic, point, mean, P, d, used, found, NEWEST)
         stats = np.zeros(3)  # the innovation is the one at `start`
-    return correct(mean, P, d, nu, PHt, S, stats, retraction)
+    return correct(mean, P, d, found, stats, how.retraction)
 
 
 @numba.njit(cache=True)
-def whiten(nu, S, keep, white):  # type: ignore[no-untyped-def]
+def whiten(nu: Array, S: Array, keep: BoolArray, white: Array) -> None:
     """Innovations nu (2n,) of the n observations kept, each by its own block of S: rows of `white` (k, 2)."""
     white[:] = np.nan
     n = 0
@@ -267,16 +298,12 @@ def whiten(nu, S, keep, white):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def update_each(  # type: ignore[no-untyped-def]
-    kind, extrinsic, mean, P, d, at, known, z, R, threshold, keep, stats, white, rule, first
-):
+def update_each(kind: int, extrinsic: Array, mean: Array, P: Array, d: int, seen: Seen, how: How, done: Done) -> int:
     """One update per observation, each linearized after the one before it (the classic tutorials' way)."""
-    for i in range(len(at)):
+    for i in range(len(seen.at)):
         one = slice(i, i + 1)
-        status = update(
-            kind, extrinsic, mean, P, d, at[one], known[one], z[one], R[one], threshold, keep[one], stats, white[one],
-            rule, first,
-        )  # fmt: skip
+        single = Seen(seen.at[one], seen.known[one], seen.z[one], seen.R[one])
+        status = update(kind, extrinsic, mean, P, d, single, how, Done(done.keep[one], done.stats, done.white[one]))
         if status != OK:
             return status
     return OK

@@ -11,14 +11,15 @@ import numba
 import numpy as np
 
 from data.blocks import diagonal_blocks
-from data.inputs import Inputs, IntArray
+from data.inputs import Inputs, IntArray, Systematic
+from data.motion.systematic import SensorFrame
 from data.result import DISCARD, NEW, MapState, Systematics
 from data.se2 import Array
 from ekf import kernels, systematic
 from ekf.filter import DEFAULT, FilterOptions
-from ekf.kernels import NEWEST, OK, augment, healthy, predict
-from ekf.systematic import hold_known, predict_with_errors
-from ekf.updates import update, update_each
+from ekf.kernels import NEWEST, OK, Seen, augment, healthy, predict
+from ekf.systematic import Errors, hold_known, predict_with_errors
+from ekf.updates import Done, How, update, update_each
 from ekf.walls import frame_of
 
 
@@ -77,17 +78,13 @@ def run_filter(
     capacity = base + 2 * room
     mean, P = np.zeros(capacity), np.zeros((capacity, capacity))
     mean[:base], P[:base, :base] = systematic.begin(inputs.prior, of, frame)
-    state, variance = np.full((n, base), np.nan), np.full((n, base, base), np.nan)
-    stats, size = np.zeros((n, 3)), np.zeros(n, np.int64)
+    track = blank(n, base, len(inputs.observations.z))
+    state, variance = track.pose, track.covariance
     first = mean.copy() if options.first_estimates else NEWEST
-    o = inputs.observations
-    white = np.full((len(o.z), 2), np.nan)
-    how = options.each, options.augment_variance(0.0), options.rule_with(base - 3)
-    d, status, stopped = run(
-        sensor.kind, sensor.extrinsic, mean, P, base, inputs.increments.mean, inputs.increments.covariance,
-        inputs.start, o.z, o.R, decided, known, how, float(threshold), first, errors,
-        (state, variance, stats, size, white),
-    )  # fmt: skip
+    o, moves = inputs.observations, inputs.increments
+    steps = Steps(moves.mean, moves.covariance, inputs.start, o.z, o.R, decided, known)
+    rules = rules_of(options, threshold, base - 3, first)
+    d, status, stopped = run(sensor.kind, sensor.extrinsic, mean, P, base, steps, rules, errors, track)
     failure = None
     if status != kernels.OK:
         failure = (int(stopped), kernels.FAILURES[status])
@@ -100,25 +97,91 @@ def run_filter(
         blocks = diagonal_blocks(P[base:d, base:d])
         found = MapState(np.arange(count, dtype=np.int64), mean[base:d].reshape(count, 2).copy(), blocks)
         found = systematic.landmarks(found, P[base:d, b].reshape(count, 2, base - 3), mean[b], P[b, b], frame)
+    return filter_run(track, of, frame, decided, found, failure)
+
+
+def blank(frames: int, base: int, observations: int) -> Track:
+    """Before the first frame of so many, with `base` entries of pose and errors."""
+    return Track(
+        np.full((frames, base), np.nan),
+        np.full((frames, base, base), np.nan),
+        np.zeros((frames, 3)),
+        np.zeros(frames, np.int64),
+        np.full((observations, 2), np.nan),
+    )
+
+
+def rules_of(options: FilterOptions, threshold: float, errors: int, first: Array) -> Rules:
+    """Of a filter with so many systematic errors."""
+    how = How(float(threshold), *options.rule_with(errors), first)
+    return Rules(options.each, options.augment_variance(0.0), how)
+
+
+def filter_run(
+    track: Track,
+    of: Systematic | None,
+    frame: SensorFrame,
+    decisions: IntArray,
+    state: MapState | None,
+    failure: tuple[int, str] | None,
+) -> FilterRun:
+    """What the compiled loop wrote down, in the world."""
+    nis, log_likelihood, dof = track.stats.T
+    errors = systematic.of_frames(of, track.pose, track.covariance)
+    pose, covariance = systematic.poses(track.pose, track.covariance, frame)
+    dof = dof.astype(np.int64)
     return FilterRun(
-        *systematic.poses(state, variance, frame), stats[:, 0], stats[:, 2].astype(np.int64), stats[:, 1], size, white,
-        decided, found, failure, systematic.of_frames(of, state, variance),
-    )  # fmt: skip
+        pose, covariance, nis, dof, log_likelihood, track.size, track.white, decisions, state, failure, errors
+    )
+
+
+class Steps(NamedTuple):
+    """The frames of a log with decisions made beforehand, as the compiled loop takes them.
+
+    motion (N, 3), M (N, 3, 3): increments. start (N + 1,): each frame's rows of z (M, 2), R (M, 2, 2), decision (M,),
+    which is in SLAM (`known` empty) a landmark number, `NEW` or `DISCARD`; in localization a row of `known` (L, 2) or
+    `DISCARD`.
+    """
+
+    motion: Array
+    M: Array
+    start: IntArray
+    z: Array
+    R: Array
+    decision: IntArray
+    known: Array
+
+
+class Rules(NamedTuple):
+    """each: one update per observation; variance: of a new landmark, negative: exact; how: to update."""
+
+    each: bool
+    variance: float
+    how: How
+
+
+class Track(NamedTuple):
+    """By frame: pose and errors (N, 3 + p), their covariance (N, 3 + p, 3 + p), stats (N, 3) as of `Done`, size (N,) of
+    the state; white (M, 2) by observation.
+    """
+
+    pose: Array
+    covariance: Array
+    stats: Array
+    size: IntArray
+    white: Array
 
 
 @numba.njit(cache=True)
-def run(  # type: ignore[no-untyped-def]
-    kind, extrinsic, mean, P, d, motion, M, start, z, R, decision, known, how, threshold, first, errors, out
-):
-    """A whole log with decisions made beforehand: what the step-by-step filter does, without leaving compiled code.
+def run(
+    kind: int, extrinsic: Array, mean: Array, P: Array, d: int, steps: Steps, rules: Rules, errors: Errors, track: Track
+) -> tuple[int, int, int]:
+    """Fill `track`: what the step-by-step filter does, without leaving compiled code, from a state of d entries.
 
-    `decision` (M,): SLAM (known empty): landmark number, `NEW` or `DISCARD`; localization: row of `known` (L, 2) or
-    `DISCARD`. Rejected pairings become `DISCARD` in place. `how` = each, variance of a new landmark, rule; `first` as
-    in `ekf.kernels`; `errors` as in `ekf.systematic`; `out` = pose and errors (N, 3 + p), their covariance
-    (N, 3 + p, 3 + p), stats (N, 3), state_size (N,), white (M, 2). Returns (d, status, frame of the failure).
+    Rejected pairings become `DISCARD` in `steps.decision`. Returns (d, status, frame of the failure).
     """
-    each, variance, rule = how
-    pose, covariance, stats, size, white = out
+    motion, M, start, z, R, decision, known = steps
+    first = rules.how.first
     slam = len(known) == 0
     n, base = len(motion), 3 + len(errors.place)
     held = not slam and errors.range_at >= 0
@@ -134,45 +197,43 @@ def run(  # type: ignore[no-untyped-def]
             paired += decision[i] >= 0
         status = OK
         if paired > 0:
-            at, xy = np.empty(paired, np.int64), np.empty((paired, 2))
-            zs, Rs, rows = np.empty((paired, 2)), np.empty((paired, 2, 2)), np.empty(paired, np.int64)
-            keep, own = np.empty(paired, np.bool_), np.empty((paired, 2))
+            rows = np.empty(paired, np.int64)
+            seen = Seen(
+                np.empty(paired, np.int64), np.empty((paired, 2)), np.empty((paired, 2)), np.empty((paired, 2, 2))
+            )
+            done = Done(np.empty(paired, np.bool_), track.stats[f], np.empty((paired, 2)))
             k = 0
             for i in range(begin, end):
                 if decision[i] >= 0:
-                    rows[k], zs[k], Rs[k] = i, z[i], R[i]
-                    at[k] = -1
+                    rows[k], seen.z[k], seen.R[k] = i, z[i], R[i]
+                    seen.at[k] = -1
                     if slam:
-                        at[k] = base + 2 * decision[i]
+                        seen.at[k] = base + 2 * decision[i]
                     else:
-                        xy[k] = known[decision[i]]
+                        seen.known[k] = known[decision[i]]
                     k += 1
             used = d
             if held:  # known landmarks are states while the update lasts
-                hold_known(mean, P, d, xy, first, errors)
-                at[:], used = d + 2 * np.arange(paired), d + 2 * paired
-            if each:
-                status = update_each(
-                    kind, extrinsic, mean, P, used, at, xy, zs, Rs, threshold, keep, stats[f], own, rule, first
-                )
+                hold_known(mean, P, d, seen.known, first, errors)
+                seen.at[:], used = d + 2 * np.arange(paired), d + 2 * paired
+            if rules.each:
+                status = update_each(kind, extrinsic, mean, P, used, seen, rules.how, done)
             else:
-                status = update(
-                    kind, extrinsic, mean, P, used, at, xy, zs, Rs, threshold, keep, stats[f], own, rule, first
-                )
+                status = update(kind, extrinsic, mean, P, used, seen, rules.how, done)
             for k in range(paired):
-                white[rows[k]] = own[k]
-                if not keep[k]:
+                track.white[rows[k]] = done.white[k]
+                if not done.keep[k]:
                     decision[rows[k]] = DISCARD
         if slam and status == OK:
             for i in range(begin, end):
                 if decision[i] == NEW:
-                    augment(kind, extrinsic, mean, P, d, z[i], R[i], variance, first)
+                    augment(kind, extrinsic, mean, P, d, z[i], R[i], rules.variance, first)
                     d += 2
         if status == OK:
             status = healthy(mean, P)
-        pose[f] = mean[:base]
-        covariance[f] = P[:base, :base]
-        size[f] = d
+        track.pose[f] = mean[:base]
+        track.covariance[f] = P[:base, :base]
+        track.size[f] = d
         if status != OK:
             return d, status, f
     return d, OK, n

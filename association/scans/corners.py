@@ -14,8 +14,8 @@ import math
 import numba
 import numpy as np
 
-from association.scans.points import beams_of
-from data.inputs import Scanner
+from association.scans.points import Beams, beams_of
+from data.inputs import IntArray, Scanner
 from data.se2 import Array
 
 LONGEST_STEP, STEP_SPACINGS = 0.3, 4.0
@@ -49,13 +49,14 @@ def corners(ranges: Array, scanner: Scanner) -> tuple[Array, Array]:
     beams = beams_of(scanner, n)
     xy, R = np.empty((n, 2)), np.empty((n, 2, 2))
     ranges = np.ascontiguousarray(ranges, np.float64)
-    m = _corners(ranges, beams.direction, beams.origin, beams.step, scanner.max_range, scanner.sigma, xy, R)
+    m = _corners(ranges, beams, scanner.max_range, scanner.sigma, xy, R)
     return xy[:m].copy(), R[:m].copy()
 
 
 @numba.njit(cache=True)
-def _corners(ranges, direction, origin, step, max_range, sigma, xy, R):  # type: ignore[no-untyped-def]
+def _corners(ranges: Array, beams: Beams, max_range: float, sigma: float, xy: Array, R: Array) -> int:
     """Fill xy and R, return how many."""
+    direction, origin, step = beams.direction, beams.origin, beams.step
     n, count = len(ranges), 0
     p = np.empty((n, 2))
     for i in range(n):
@@ -93,7 +94,7 @@ def _corners(ranges, direction, origin, step, max_range, sigma, xy, R):  # type:
 
 
 @numba.njit(cache=True)
-def _farthest(p, a, b):  # type: ignore[no-untyped-def]
+def _farthest(p: Array, a: int, b: int) -> tuple[int, float]:
     """The point between two that is farthest from their chord, and how far."""
     ex, ey = p[b, 0] - p[a, 0], p[b, 1] - p[a, 1]
     length = max(math.hypot(ex, ey), 1e-9)
@@ -106,7 +107,7 @@ def _farthest(p, a, b):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _vertices(p, ranges, step, begin, end, tolerance, vertex):  # type: ignore[no-untyped-def]
+def _vertices(p: Array, ranges: Array, step: float, begin: int, end: int, tolerance: float, vertex: IntArray) -> int:
     """Fill `vertex` with the corners of a polyline that all points begin..end - 1 are near to, ends included.
 
     Split at the farthest point from a chord, again and again; then each vertex is taken out if the chord without it is
@@ -149,7 +150,7 @@ def _vertices(p, ranges, step, begin, end, tolerance, vertex):  # type: ignore[n
 
 
 @numba.njit(cache=True)
-def _line(p, direction, outer, middle, c, sigma, line):  # type: ignore[no-untyped-def]
+def _line(p: Array, direction: Array, outer: int, middle: int, c: Array, sigma: float, line: Array) -> bool:
     """Fit the points between a vertex and the beam of the corner c; false if they make no good line.
 
     Fills line: normal (2), centroid (2), variances of its angle and its offset there, first and last point's number
@@ -197,7 +198,7 @@ def _line(p, direction, outer, middle, c, sigma, line):  # type: ignore[no-untyp
 
 
 @numba.njit(cache=True)
-def _meet(one, two, c, S):  # type: ignore[no-untyped-def]
+def _meet(one: Array, two: Array, c: Array, S: Array) -> bool:
     """Fill c (2,) with the point where two lines meet and S (2, 2) with its covariance; false if they are too parallel.
 
     N c = (n1 m1, n2 m2), rows of N the normals; an offset moves the right side by itself, an angle by n' (c - m), n'
@@ -218,7 +219,7 @@ def _meet(one, two, c, S):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _beam_of(c, origin, direction, first, last):  # type: ignore[no-untyped-def]
+def _beam_of(c: Array, origin: Array, direction: Array, first: int, last: int) -> int:
     """The beam between two whose direction is nearest to that of a point."""
     best, where = -2.0, first
     x, y = c[0] - origin[0], c[1] - origin[1]
@@ -230,7 +231,7 @@ def _beam_of(c, origin, direction, first, last):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _ends_near(p, one, two, c, step, ranges):  # type: ignore[no-untyped-def]
+def _ends_near(p: Array, one: Array, two: Array, c: Array, step: float, ranges: Array) -> bool:
     """Whether both lines come near the corner: lines that meet far from both are no landmark that can be recognized."""
     for line in (one, two):
         i = int(line[6])

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from association.scans.points import Points
+from data.inputs import IntArray
 from data.se2 import Array, wrap_angle
 
 CELL = 0.1
@@ -53,12 +54,12 @@ def best_pose(points: Array, reference: Pyramid, centre: Array, window: Array, l
     reach = np.ceil(window[:2] / CELL).astype(np.int64)
     floor = least * len(points) * HIGHEST
     points = np.ascontiguousarray(points)  # one compiled version, whatever was sliced
-    best, score = _search(points, reference.grid, reference.half, centre, angles, reach[0], reach[1], floor)
+    best, score = _search(points, reference.grid, reference.half, centre, angles, reach, floor)
     return best, score / max(len(points) * HIGHEST, 1)
 
 
 @numba.njit(cache=True)
-def _pyramid(xy, side):  # type: ignore[no-untyped-def]
+def _pyramid(xy: Array, side: int) -> NDArray[np.uint8]:
     grid = np.zeros((LEVELS, side, side), np.uint8)
     half = 0.5 * side * CELL
     r = math.ceil(2.0 * SPREAD / CELL)
@@ -84,7 +85,7 @@ def _pyramid(xy, side):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _score(cells, grid, level, bx, by):  # type: ignore[no-untyped-def]
+def _score(cells: IntArray, grid: NDArray[np.uint8], level: int, bx: int, by: int) -> int:
     side = grid.shape[1]
     reach = 1 << level
     total = 0
@@ -97,7 +98,16 @@ def _score(cells, grid, level, bx, by):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _search(points, grid, half, centre, angles, reach_x, reach_y, floor):  # type: ignore[no-untyped-def]
+def _search(
+    points: Array,
+    grid: NDArray[np.uint8],
+    half: float,
+    centre: Array,
+    angles: Array,
+    reach: IntArray,
+    floor: float,
+) -> tuple[Array, float]:
+    reach_x, reach_y = reach[0], reach[1]
     n = len(points)
     top = 0
     while top < LEVELS - 1 and (1 << (top + 1)) <= 2 * max(reach_x, reach_y) + 1:
@@ -195,7 +205,9 @@ class NearestGrid:
 
 
 @numba.njit(cache=True)
-def _clear(index, distance, xy, half, cell, reach):  # type: ignore[no-untyped-def]
+def _clear(
+    index: NDArray[np.int32], distance: NDArray[np.float32], xy: Array, half: float, cell: float, reach: float
+) -> None:
     side, r = len(index), int(np.ceil(reach / cell))
     for k in range(len(xy)):
         ci, cj = int(np.floor((xy[k, 0] + half) / cell)), int(np.floor((xy[k, 1] + half) / cell))
@@ -206,7 +218,9 @@ def _clear(index, distance, xy, half, cell, reach):  # type: ignore[no-untyped-d
 
 
 @numba.njit(cache=True)
-def _draw(index, distance, xy, half, cell, reach):  # type: ignore[no-untyped-def]
+def _draw(
+    index: NDArray[np.int32], distance: NDArray[np.float32], xy: Array, half: float, cell: float, reach: float
+) -> None:
     side, r = len(index), int(np.ceil(reach / cell))
     for k in range(len(xy)):
         x, y = xy[k, 0] + half, xy[k, 1] + half
@@ -262,16 +276,18 @@ def match(
     point, and of the prior's Mahalanobis distance (scale `prior_scale` standard deviations); `sigma` [m] is a
     distance's standard deviation.
     """
-    pose, hessian, cost, share = _match(
-        points.xy, points.normal, reference.xy, reference.normal, reference.nearest, reference.half, reference.cell,
-        start, prior.mean, prior.information, sigma, prior_scale,
-    )  # fmt: skip
+    pose, hessian, cost, share = _match(points, reference, start, prior, sigma, prior_scale)
     pose[2] = wrap_angle(float(pose[2]))
-    return Match(pose, np.linalg.inv(hessian), cost, share)
+    return Match(pose, np.asarray(np.linalg.inv(hessian), np.float64), cost, share)
 
 
 @numba.njit(cache=True)
-def _match(xy, normal, r_xy, r_normal, index, half, cell, start, mean, information, sigma, prior_scale):  # type: ignore[no-untyped-def]
+def _match(
+    points: Points, reference: Reference, start: Array, prior: MotionPrior, sigma: float, prior_scale: float
+) -> tuple[Array, Array, float, float]:
+    xy, normal = points
+    r_xy, r_normal, index, half, cell = reference
+    mean, information = prior
     x, y, theta = start[0], start[1], start[2]
     side = len(index)
     H = np.zeros((3, 3))

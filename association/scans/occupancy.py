@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from data.inputs import Scanner, read_only
 from data.se2 import Array, compose, inverse
@@ -61,7 +62,9 @@ class Grid:
 
 
 @numba.njit(cache=True)
-def _add_scans(origins, ends, reach, log_odds, touched):  # type: ignore[no-untyped-def]
+def _add_scans(
+    origins: Array, ends: Array, reach: NDArray[np.int8], log_odds: Array, touched: NDArray[np.int32]
+) -> None:
     """Add scans to log_odds (H, W), all in cells: origins (K, 2), ends (K, B, 2), reach (K, B).
 
     reach: 0 nothing is known of the beam, 1 all before its end is free, 2 its end is occupied too. `touched` (H, W)
@@ -154,15 +157,25 @@ def contradiction(ranges: Array, others: Array, relative: Array, scanner: Scanne
     looked up in the other: nearer than that beam's surface (and its neighbours') it contradicts, at the same range it
     agrees, behind it nothing is known.
     """
-    seen, against = _compare(
-        ranges, others, relative, scanner.angle_min, scanner.angle_step, scanner.rotation,
-        scanner.translation[0], scanner.translation[1], max_range,
-    )  # fmt: skip
+    mount = scanner.rotation, scanner.translation[0], scanner.translation[1]
+    seen, against = _compare(ranges, others, relative, (scanner.angle_min, scanner.angle_step), mount, max_range)
     return float(against / max(seen, 1))
 
 
 @numba.njit(cache=True)
-def _compare(ranges, others, relative, first, step, rotation, tx, ty, max_range):  # type: ignore[no-untyped-def]
+def _compare(
+    ranges: Array,
+    others: Array,
+    relative: Array,
+    beams: tuple[float, float],
+    mount: tuple[float, float, float],
+    max_range: float,
+) -> tuple[int, int]:
+    """How many beams are shared, and how many contradict.
+
+    `beams`: first angle and step [rad]; `mount`: rotation [rad] and translation [m] of the scanner on the body.
+    """
+    (first, step), (rotation, tx, ty) = beams, mount
     seen = against = 0
     n = len(ranges)
     for way in range(2):

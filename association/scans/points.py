@@ -53,12 +53,13 @@ def scan_points(ranges: Array, beams: Beams, max_range: float) -> Points:
     The normal is the smaller principal axis of the unbroken run of neighbours around the point, and the point is moved
     along it onto the line through them: a third less noise in the heading that matching finds.
     """
-    xy, normal = _points(ranges, beams.direction, beams.step, beams.origin, max_range)
+    xy, normal = _points(ranges, beams, max_range)
     return Points(xy, normal)
 
 
 @numba.njit(cache=True)
-def _points(ranges, direction, step, origin, max_range):  # type: ignore[no-untyped-def]
+def _points(ranges: Array, beams: Beams, max_range: float) -> tuple[Array, Array]:
+    direction, step, origin = beams.direction, beams.step, beams.origin
     n = len(ranges)
     all_xy = np.empty((n, 2))
     valid = np.zeros(n, np.bool_)

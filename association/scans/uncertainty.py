@@ -53,7 +53,7 @@ class PoseEdges:
         Each is carried along the one path whose steps have the least sum of variances (Dijkstra 1959): never less
         than what all paths together would give, and found for all keys in one pass.
         """
-        return _project(root, keys, self._head, self._next, self._keys, self._relative, self._covariance)  # type: ignore[no-any-return]
+        return _project(root, keys, self._head, self._next, self._keys, self._relative, self._covariance)
 
 
 def compose_covariances(pose: Array, covariance: Array, motion: Array, motion_covariance: Array) -> Array:
@@ -75,7 +75,9 @@ def _doubled(array: AnyArray) -> AnyArray:
 
 
 @numba.njit(cache=True)
-def _project(root, keys, head, following, ends, relative, covariance):  # type: ignore[no-untyped-def]
+def _project(
+    root: int, keys: int, head: IntArray, following: IntArray, ends: IntArray, relative: Array, covariance: Array
+) -> Array:
     result = np.full((keys, 3, 3), np.inf)
     pose = np.zeros((keys, 3))
     done = np.zeros(keys, np.bool_)
@@ -116,7 +118,7 @@ def _project(root, keys, head, following, ends, relative, covariance):  # type: 
 
 
 @numba.njit(cache=True)
-def _invert(pose, covariance, z, C):  # type: ignore[no-untyped-def]
+def _invert(pose: Array, covariance: Array, z: Array, C: Array) -> None:
     c, s = math.cos(pose[2]), math.sin(pose[2])
     z[0], z[1], z[2] = -c * pose[0] - s * pose[1], s * pose[0] - c * pose[1], -pose[2]
     # J = [-c, -s, z1; s, -c, -z0; 0, 0, -1]
@@ -130,7 +132,7 @@ def _invert(pose, covariance, z, C):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def compose_in_place(pose, covariance, z, C, out_pose, out):  # type: ignore[no-untyped-def]
+def compose_in_place(pose: Array, covariance: Array, z: Array, C: Array, out_pose: Array, out: Array) -> None:
     """Pose (3,) and covariance of the motion z with covariance C from a pose, written to `out_pose` and `out`."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     dx, dy = c * z[0] - s * z[1], s * z[0] + c * z[1]

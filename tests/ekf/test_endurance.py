@@ -9,8 +9,8 @@ import pytest
 from data.sensors import RangeBearing, RelativePoint
 from ekf import kernels
 from ekf.filter import FilterOptions
-from ekf.kernels import augment, predict
-from ekf.updates import update
+from ekf.kernels import Seen, augment, predict
+from ekf.updates import Done, How, update
 
 STEPS, BLOCK = 1_000_000, 50_000
 
@@ -41,9 +41,8 @@ def drive(kind, extrinsic, mean, P, d, landmarks, rng, steps, sigma, rule, first
             else:
                 z[i, 0], z[i, 1] = x, y
             z[i] += sigma * rng.standard_normal(2)
-        status = update(
-            kind, extrinsic, mean, P, d, at, np.zeros((2, 2)), z, Rs, np.inf, keep, stats, white, rule, first
-        )
+        seen, how = Seen(at, np.zeros((2, 2)), z, Rs), How(np.inf, rule[0], rule[1], first)
+        status = update(kind, extrinsic, mean, P, d, seen, how, Done(keep, stats, white))
         if status != 0:
             return -1.0
         for i in range(d):

@@ -28,26 +28,27 @@ def with_innovate(innovate):
     return put_in
 
 
-def unwrapped(kind, extrinsic, mean, base, P, d, at, known, z, R, nu, PHt, S, first):
-    kernels.innovate(kind, extrinsic, mean, base, P, d, at, known, z, R, nu, PHt, S, first)
-    nu[1::2] = z[:, 1] - wrap_angle(z[:, 1] - nu[1::2])  # z less what was expected, which is wrapped
+def unwrapped(kind, extrinsic, mean, base, P, d, seen, out, first):
+    kernels.innovate(kind, extrinsic, mean, base, P, d, seen, out, first)
+    bearing = seen.z[:, 1]
+    out.nu[1::2] = bearing - wrap_angle(bearing - out.nu[1::2])  # z less what was expected, which is wrapped
 
 
 def with_jacobians(choose):
     """`innovate` of a localizer, where `choose(i, landmark, H)` gives the Jacobian (2, 3) of observation i."""
 
-    def innovate(kind, extrinsic, mean, base, P, d, at, known, z, R, nu, PHt, S, first):
-        kernels.innovate(kind, extrinsic, mean, base, P, d, at, known, z, R, nu, PHt, S, first)
+    def innovate(kind, extrinsic, mean, base, P, d, seen, out, first):
+        kernels.innovate(kind, extrinsic, mean, base, P, d, seen, out, first)
         rows = []
-        for i, landmark in enumerate(known):
+        for i, landmark in enumerate(seen.known):
             H = np.empty((2, 3))
             measure(kind, extrinsic, mean, landmark, np.empty(2), H, np.empty((2, 2)))
             rows.append(choose(i, landmark, H))
         H = np.concatenate(rows)
-        PHt[:] = P[:d, :d] @ H.T
-        S[:] = H @ PHt
-        for i in range(len(at)):
-            S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += R[i]
+        out.PHt[:] = P[:d, :d] @ H.T
+        out.S[:] = H @ out.PHt
+        for i in range(len(seen.at)):
+            out.S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += seen.R[i]
 
     return innovate
 
