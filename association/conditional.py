@@ -1,4 +1,4 @@
-"""Hindsight within a frame and over a landmark's life: what all other pairings say about one pairing.
+"""What all other pairings of a frame say about one pairing.
 
 A joint test over many pairings has slack that one wrong pairing can use up: of twelve pairings at 99 % it lets one pass
 that lies four sigmas off. And a common error, a robot that turned three sigmas further than it thinks, puts every
@@ -96,7 +96,7 @@ def given(e: Expectation, decisions: IntArray, candidates: IntArray) -> Expectat
     return replace(few, z_hat=z_hat, HPHt=diagonal_blocks(P), joint=joint, elsewhere=None)
 
 
-def jcbb_hindsight(
+def jcbb_conditional(
     e: Expectation, gate: float | None, new_gate: float | None, *, budget: int = BUDGET
 ) -> tuple[IntArray, bool]:
     """Decisions (m,) of a frame, and whether the search came to its end.

@@ -1,7 +1,4 @@
-"""Decide: a method by its name, then newness; what a replay calls in every frame.
-
-Known association: pairing by the labels that an experiment grants. Needs no expectation and no filter.
-"""
+"""Decide: by labels that an experiment grants, which needs no expectation; or by a method's name, then newness."""
 
 from __future__ import annotations
 
@@ -11,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from association.conditional import jcbb_hindsight
 from association.expectation import Expectation, gate_threshold
 from association.jcbb import BUDGET, search
 from association.methods import ALPHA, RATIO, gnn, ml, ml_ratio, newness, nn, singles
@@ -33,10 +29,8 @@ SEARCHES = {"jcbb": False, "jcbb-first": True}
 """Methods with a node budget, and whether the first of the largest hypotheses stays."""
 METHODS = (*PLAIN, *SEARCHES)
 """Names of all methods that decide for themselves (`known` does not: see `association.decide`)."""
-HINDSIGHT = "jcbb-hindsight"
-"""The method whose decisions may be revised; what it decides in a frame needs no later one."""
-OWN_NEWNESS = frozenset({"ml-ratio", HINDSIGHT})
-"""Methods that say themselves what is new."""
+OWN_NEWNESS = "ml-ratio"
+"""The method that says itself what is new."""
 
 
 class Decided(NamedTuple):
@@ -52,9 +46,9 @@ def horizon(method: str, gate: float | None, new_gate: float | None, *, known_ma
     Without a gate every candidate has some. The ratio test asks how far the second best is, of what may be anywhere
     inside the gate or compete with "new".
     """
-    if method == HINDSIGHT or gate is None:
+    if gate is None:
         return math.inf
-    outer = 0.0 if known_map or method in OWN_NEWNESS else gate_threshold(new_gate)
+    outer = 0.0 if known_map or method == OWN_NEWNESS else gate_threshold(new_gate)
     return max(RATIO * max(ALPHA, gate_threshold(gate)), outer)
 
 
@@ -70,11 +64,11 @@ def decide(
     """Decisions of a frame: pair by `method`, then say which of the unpaired found a landmark.
 
     Args:
-        method: one of `METHODS`, `HINDSIGHT`, or any function that pairs as those of `PLAIN` do.
+        method: one of `METHODS`, or any function that pairs as those of `PLAIN` do.
         expectation: candidates and observations.
         gate: chi-square probability of the method's tests, None for no gate.
         new_gate: chi-square probability outside which an observation is new; None: only where there is no candidate.
-            `ml-ratio` and `jcbb-hindsight` decide that themselves.
+            `ml-ratio` decides that itself.
         known_map: the map is given, so nothing is new and the unpaired are discarded.
         budget: nodes a search may visit in this frame.
 
@@ -93,13 +87,11 @@ def decide(
     elif method in SEARCHES:
         found = search(expectation, gate, first=SEARCHES[method], budget=budget)
         decisions, complete = found.decisions, found.complete
-    elif method == HINDSIGHT:
-        decisions, complete = jcbb_hindsight(expectation, gate, new_gate, budget=budget)
     else:
-        raise UsageError(f"no association method {method!r}; there are {', '.join((*METHODS, HINDSIGHT))}")
+        raise UsageError(f"no association method {method!r}; there are {', '.join(METHODS)}")
     if known_map:
         decisions = np.where(decisions == NEW, DISCARD, decisions)
-    elif method not in OWN_NEWNESS:
+    elif method != OWN_NEWNESS:
         decisions = newness(expectation, decisions, new_gate)
     return Decided(decisions, complete)
 

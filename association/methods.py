@@ -1,12 +1,7 @@
-"""Nearest neighbour: each observation on its own takes the landmark of least Mahalanobis distance.
+"""Ways of association that need no search: each pairs what is compatible and leaves the rest at `NEW`.
 
-Maximum likelihood: each observation on its own takes the landmark that explains it best, with or without a ratio.
-
-SINGLES: only observations and landmarks that have nobody else to go with are paired.
-
-Global nearest neighbour: the one-to-one assignment of least total distance, a new landmark being an alternative.
-
-Newness: may an observation that a method left unpaired found a landmark, or is it too close to one for that?
+Nearest neighbour, maximum likelihood (with or without a ratio test), SINGLES and global nearest neighbour; and newness,
+which says of an unpaired observation whether it may found a landmark or is too close to one for that.
 """
 
 from __future__ import annotations

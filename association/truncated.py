@@ -46,13 +46,10 @@ class Acceptance(NamedTuple):
 def acceptance(method: str, gate: float | None) -> Acceptance:
     """What the pairings of a way of association had to pass: `gate` is its chi-square probability, None for no gate.
 
-    `ml-ratio` pairs only what beats "new" by its ratio, which is the narrower test. In SLAM, hindsight tests each
-    pairing given the others; its outer gate leaves out next to nothing.
+    `ml-ratio` pairs only what beats "new" by its ratio, which is the narrower test.
     """
     if method in ("jcbb", "jcbb-first"):
         return Acceptance(gate_threshold(gate), gate)
-    if method == "jcbb-hindsight":
-        return Acceptance(conditional=gate_threshold(gate))
     if method == "ml-ratio":
         return Acceptance(min(gate_threshold(gate), ALPHA / RATIO))
     return Acceptance(gate_threshold(gate))

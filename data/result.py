@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -211,7 +211,7 @@ class Run:
         notes: what a reader of its results should know.
         removed: (L,) by landmark number, frame after which it was no longer in the map, -1: it stayed (None: nothing
             was ever removed). If it was retracted, its observations are discarded in `final_decisions`.
-        events: decisions revised in hindsight, in the order of revision.
+        events: decisions that were revised later, in the order of revision.
         iterations: of a smoother's last optimization, in all its phases (None: there was none).
         last_step_sigma: largest component of the Newton step that it left, in standard deviations of that component;
             next to nothing at an optimum.
@@ -251,9 +251,16 @@ class Run:
     walls: bool = False
     begun: IntArray | None = None
     gated_final: tuple[float, float] | None = None
+    handed_in: ClassVar[bool] = False
+    """Whether another program made it."""
 
     def __post_init__(self) -> None:
         read_only(self)
+
+    @property
+    def decides(self) -> bool:
+        """Whether it decided about the observations of its log."""
+        return self.association != "none"
 
     @property
     def initialized(self) -> IntArray:

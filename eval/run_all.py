@@ -145,7 +145,6 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
     from eval.plan.experiments import make_plan
     from eval.plan.warming import compile_if_needed
     from eval.referee.diagnostics import questions_of_run
-    from eval.referee.given_runs import GivenRun
     from eval.report.contents import write_results
     from eval.report.diagnostics import asked, said, together
     from eval.report.headline import lines
@@ -182,7 +181,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
                 if f.trace:
                     console.detail(f.trace.rstrip())
             for found in run.notes:
-                if found.severity is not Severity.INFO or isinstance(run, GivenRun):
+                if found.severity is not Severity.INFO or run.handed_in:
                     console.say(f"{trial.log.name}, {run.task}: {run.estimator}: {sentence(found)}")
     for trial in outcome.trials:
         doubts = (n for run in trial.runs for n in questions_of_run(run, trial.log.recorded))

@@ -71,14 +71,13 @@ def _run(options: argparse.Namespace) -> str:
     """Estimate, draw, write; gives the report."""
     from dataclasses import replace
 
-    from association.decide import HINDSIGHT
     from data.formats.open_log.writer import write_folder
     from data.logs import open_log
     from eval.compare import compare
     from eval.plan.foreign import load_all
     from eval.replay.estimators import FOR_WALLS
     from eval.replay.external.spec import one_settled
-    from eval.replay.settings import Setup
+    from eval.replay.settings import HINDSIGHT, Setup
     from eval.studies.sampled import smoother_of
     from eval.studies.twins import inputs_of, source_of, twin
 

@@ -1,7 +1,4 @@
-"""What a laser front end hands to every back end alike: key poses in a chain, and loop closures between them.
-
-A run over a laser log: what every run has, and the pose graph behind it.
-"""
+"""What a laser front end hands to every back end alike, key poses in a chain and loop closures; and a run over them."""
 
 from __future__ import annotations
 
@@ -91,3 +88,8 @@ class LaserRun(Run):
     last: Array | None = None
     scale: tuple[float, float] | None = None
     with_gate: tuple[LaserRun, LaserRun] | None = None
+
+    @property
+    def decides(self) -> bool:
+        """It decides about loop closures, or corners of walls, and about no observation of its log."""
+        return False

@@ -1,8 +1,8 @@
-"""Point-to-line scan matching with robust residuals and a robust motion prior (Censi 2008; Cauchy weights by IRLS).
+"""Scan matching: correlative over a window, then point to line.
 
-Multi-resolution correlative scan matching: the best pose of a whole window (Olson 2009b; Hess et al. 2016).
-
-A grid that knows for each of its cells the nearest reference point: a look-up instead of a search.
+Multi-resolution correlative matching gives the best pose of a whole window (Olson 2009b; Hess et al. 2016).
+Point-to-line matching has robust residuals and a robust motion prior (Censi 2008; Cauchy weights by IRLS), and a grid
+that knows for each of its cells the nearest reference point: a look-up instead of a search.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""Occupancy grid of laser scans from known poses: log odds, each cell changed once by a scan.
+"""Occupancy grid of laser scans from known poses (log odds, each cell changed once by a scan); do two contradict?
 
 Moravec and Elfes, "High resolution maps from wide angle sonar", ICRA 1985; Probabilistic Robotics, Table 9.1. Cells
-along a beam: Amanatides and Woo, "A fast voxel traversal algorithm for ray tracing", Eurographics 1987.
-
-Whether two scans contradict each other: a surface of the one where the other looked through.
+along a beam: Amanatides and Woo, "A fast voxel traversal algorithm for ray tracing", Eurographics 1987. Two scans
+contradict each other where one has a surface and the other looked through.
 """
 
 from __future__ import annotations

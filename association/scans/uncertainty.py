@@ -1,6 +1,6 @@
 """How far one key pose can be from another: covariances along the surest paths of the graph (Olson 2009, section 3).
 
-How much too small (or large) scan-matching covariances are, learned from how well loop closures fit the graph.
+How much too small (or large) scan-matching covariances are is learned from how well loop closures fit the graph.
 """
 
 from __future__ import annotations

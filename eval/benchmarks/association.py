@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from association.decide import HINDSIGHT, decide
+from association.decide import decide
 from association.expectation import Expectation, gate_threshold
 from association.jcbb import jcbb
 from data.inputs import Increments, Inputs, IntArray, LabelledObservations, Prior
@@ -18,7 +18,7 @@ from data.sensors import RangeBearing
 from eval.benchmarks.timed import Timed, median_seconds
 from eval.replay.frontend import FrontEnd
 from eval.replay.run import front_end, step_by_step
-from eval.replay.settings import Setup
+from eval.replay.settings import HINDSIGHT, Setup
 
 GATE = 0.99
 MAP_SIZES = (66, 300, 1000, 3000)

@@ -1,9 +1,4 @@
-"""Checks of an estimator: one function each, which yields what it finds for a task.
-
-Checks of what an estimator expects to see, and of landmarks that leave its map.
-
-Checks of what an estimator is handed and hands back: inputs stay unchanged, covariances are covariances.
-"""
+"""Checks of an estimator: one function each, which yields what it finds for a task."""
 
 from __future__ import annotations
 

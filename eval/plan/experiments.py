@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from association.decide import HINDSIGHT, METHODS
+from association.decide import METHODS
 from association.scans.constraints import SCAN
 from data.errors import UsageError
 from data.formats.recordings.esde import NAME, find_esde
@@ -21,7 +21,7 @@ from eval.plan.results import NOTHING, Asked, asked_results, truth_alone
 from eval.plan.variants import has_depth_noise, maintained, sparser, with_depth_noise
 from eval.replay.estimators import FOR_WALLS, NO_HINDSIGHT_OF_WALLS
 from eval.replay.laser.backends import NAMES as BACK_ENDS
-from eval.replay.settings import Setup
+from eval.replay.settings import HINDSIGHT, Setup
 from eval.studies.scenario import Scenario, load_scenario
 from eval.studies.shipped import scenarios
 from eval.studies.trusted import FEWEST

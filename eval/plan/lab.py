@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-from association.decide import HINDSIGHT
 from data.errors import UsageError
 from data.inputs import CLUTTER
 from data.log import Log
@@ -20,7 +19,7 @@ from data.logs import Reading, find_logs, open_log
 from eval.plan.experiment import Experiment, Work
 from eval.plan.flags.table import DEFAULT_ESTIMATORS
 from eval.plan.variants import maintained
-from eval.replay.settings import Setup
+from eval.replay.settings import HINDSIGHT, Setup
 
 CONDITIONS = {
     (False, True): "", (True, True): "people", (False, False): "no-odometry", (True, False): "people+no-odometry",

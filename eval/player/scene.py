@@ -200,7 +200,7 @@ def add_run(pack: Pack, key: str, run: Run, trial: Trial, quantum: float) -> Non
 
 
 def _add_decisions(pack: Pack, key: str, run: Run, trial: Trial) -> None:
-    if run.association == "none" or isinstance(run, LaserRun) or not len(run.decisions):
+    if not run.decides or not len(run.decisions):
         return
     pack.add(f"{key}decision", run.decisions)
     pack.add(f"{key}final_decision", run.final_decisions)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -189,6 +190,7 @@ class GivenRun(Run):
     match: Match | None = None
     aligned: str = NONE
     source: Mapping[str, str] = field(default_factory=dict)
+    handed_in: ClassVar[bool] = True
 
 
 def log_of(run: Run, log: Log) -> Log:

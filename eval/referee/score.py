@@ -159,11 +159,10 @@ def decided(run: Run, phase: str) -> tuple[IntArray, IntArray]:
 def _used(run: Run, phase: str) -> dict[str, object]:
     """What was decided: pairings with landmarks, of laser logs loop closures; size of the map in SLAM."""
     row: dict[str, object] = {}
-    if isinstance(run, LaserRun):
-        if run.loops is not None:
-            believed = kept(run.loops, run.weight, phase)
-            row = {"observations": len(believed), "accepted": int(believed.sum()), "rejected": int((~believed).sum())}
-    elif run.association != "none":
+    if isinstance(run, LaserRun) and run.loops is not None:
+        believed = kept(run.loops, run.weight, phase)
+        row = {"observations": len(believed), "accepted": int(believed.sum()), "rejected": int((~believed).sum())}
+    elif run.decides:
         decisions, _ = decided(run, phase)
         row = {"accepted": int((decisions >= 0).sum()), "rejected": int((decisions == DISCARD).sum())}
     if run.task == "slam" and run.association not in ("none", SCAN):
@@ -330,7 +329,7 @@ def score(trials: Sequence[Trial]) -> Scores:
                 association += [row for row in rows if row is not None]
             if log_of(run, trial.log) is trial.log:  # relations are between frames of the log
                 relations += relation_rows(run, trial.log)
-            if not isinstance(run, GivenRun):
+            if not run.handed_in:
                 timing.append(_timing_row(run, trial.log))
         differences += difference_rows(trial.log, trial.task, trial.runs, known)
     return Scores(

@@ -6,7 +6,6 @@ from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from association.decide import HINDSIGHT
 from association.expectation import Expectation
 from data.errors import UsageError
 from data.inputs import Increment, IntArray, Sightings
@@ -21,7 +20,7 @@ from eval.replay.external.guard import call
 from eval.replay.external.make import CannotError
 from eval.replay.external.make import estimator as foreign_estimator
 from eval.replay.external.spec import is_foreign
-from eval.replay.settings import STEPPING, Given, Setup
+from eval.replay.settings import HINDSIGHT, STEPPING, Given, Setup
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
 

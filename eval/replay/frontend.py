@@ -1,7 +1,4 @@
-"""One estimator with one way of association, frame by frame: what a replay and the step-through command share.
-
-Known association frame by frame: labels that come with the frames decide.
-"""
+"""One estimator with one way of association, frame by frame: what a replay, a live drive and the step-through share."""
 
 from __future__ import annotations
 
@@ -12,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from association.candidates import in_view
-from association.decide import HINDSIGHT, Decided, decide, horizon, pair_by_label
+from association.decide import Decided, decide, horizon, pair_by_label
 from association.expectation import Expectation, gate_threshold
 from association.faces import Faces, named_as_read
 from association.jcbb import BUDGET
@@ -30,7 +27,7 @@ from eval.replay.external.load import load
 from eval.replay.external.make import Method, locked
 from eval.replay.external.spec import is_foreign, name_of
 from eval.replay.map_management import AutomaticParking, MapManagement, Parking, automatic_parking
-from eval.replay.settings import Beginning, Given, Setup
+from eval.replay.settings import HINDSIGHT, Beginning, Given, Setup
 
 
 class KnownAssociation:
@@ -113,9 +110,11 @@ class FrontEnd:
         self.use(make_estimator(estimator, given, options, lag=setup.lag))
         self.slam = given.map is None
         self.k, self.incomplete = -1, 0
-        if isinstance(self.estimator, EkfLocalizer) and association != "known":
-            gate = None if is_foreign(association) else setup.gate  # nobody knows how far a foreign method looks
-            self.estimator.within = horizon(association, gate, setup.new_gate, known_map=True)
+        # labels and hindsight look at no distance, and nobody knows how far a foreign method looks
+        far = association in ("known", HINDSIGHT) or is_foreign(association)
+        within = math.inf if far else horizon(association, setup.gate, setup.new_gate, known_map=not self.slam)
+        if isinstance(self.estimator, EkfLocalizer):
+            self.estimator.within = within
         # a graph need not park, and what leaves it is as if never seen: that is not forgetting
         kept = replace(setup, forget_after=None, deactivate_after=None) if self.estimator.smooths else setup
         self.map_management: MapManagement | None = None
@@ -123,8 +122,6 @@ class FrontEnd:
         if self.slam and (kept.manages_map or self.revises_map):
             self.map_management = MapManagement(kept)
             if kept.deactivate_after is not None:
-                known_or_foreign = association == "known" or is_foreign(association)
-                within = math.inf if known_or_foreign else horizon(association, setup.gate, setup.new_gate)
                 self.parking = Parking(self.estimator, self.can, self.map_management, given.sensor, within)
             if kept.maintain or kept.forget_after is not None:
                 needed(self.can.removable, "`remove`", "--maintain" if kept.maintain else "--forget-after")

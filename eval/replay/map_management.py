@@ -1,11 +1,9 @@
 """Which landmarks leave the map, and when: map maintenance, forgetting and parking.
 
-Parked landmarks come back into a filter's state when they may be seen again, or when something is paired with them.
-
-A bound on each one's uncertainty says when that may be, so that what is parked costs nothing in the meantime.
-
 Landmarks are parked where a person asks for it, those unseen for a time (`Parking`), or in a large map without being
-asked, as it is faster and nothing else changes (`AutomaticParking`).
+asked, as it is faster and nothing else changes (`AutomaticParking`). They come back into a filter's state when they may
+be seen again, or when something is paired with them; a bound on each one's uncertainty says when that may be, so that
+what is parked costs nothing in the meantime.
 """
 
 from __future__ import annotations
@@ -16,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from association.candidates import Drift, may_be_in_view
-from association.decide import HINDSIGHT, horizon
+from association.decide import horizon
 from data.inputs import Increment, IntArray, Sightings
 from data.notice import Code, Notice, Severity, notice
 from data.sensors import Sensor
@@ -24,7 +22,7 @@ from ekf.epochs import LEAST, MOVED, PRODUCT, READING, STEP
 from ekf.slam import EkfSlam
 from eval.replay.estimators import Capabilities, Estimator, needed
 from eval.replay.external.spec import is_foreign
-from eval.replay.settings import Setup
+from eval.replay.settings import HINDSIGHT, Setup
 
 MAINTENANCE_FRAMES = 2
 """A landmark seen only once is removed when its sighting is more frames ago than this."""

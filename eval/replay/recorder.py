@@ -1,9 +1,4 @@
-"""What a run leaves behind, collected frame by frame.
-
-Who looks on while a log is replayed, such as the step-through command.
-
-A run of which nothing is there but the reason.
-"""
+"""What a run leaves behind, collected frame by frame; and who looks on while a log is replayed."""
 
 from __future__ import annotations
 

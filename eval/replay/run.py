@@ -1,7 +1,4 @@
-"""Replay: one log through an estimator and a way of association, giving a `Run`; `compare` does so for many of them.
-
-A filter's run once more with the decisions that it made, to see what it does not keep: its map at every instant.
-"""
+"""Replay: one log through an estimator and a way of association, giving a `Run`; `compare` does so for many of them."""
 
 from __future__ import annotations
 
@@ -13,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from association.decide import HINDSIGHT, known_decisions
+from association.decide import known_decisions
 from association.expectation import SingularInnovationError, gate_threshold
 from association.scans.constraints import SCAN
 from association.truncated import truncated_square
@@ -37,7 +34,7 @@ from eval.replay.hindsight.mapping_frontend import MappingFrontEnd
 from eval.replay.laser.comparison import compare_laser
 from eval.replay.laser.landmarks import at_all_frames, corner_log
 from eval.replay.recorder import Nobody, Observer, Recorder, Writing, no_run
-from eval.replay.settings import BATCH, FILTERS, Given, Setup
+from eval.replay.settings import BATCH, FILTERS, HINDSIGHT, Given, Setup
 from graph.factors import UnderConstrained
 
 PLAIN = Setup()

@@ -127,9 +127,11 @@ TASKS = ("localization", "slam")
 FILTERS = ("ekf", "ekf-iterated", "ekf-fej", "ekf-invariant")
 INCREMENTAL = ("isam2", "fixed-lag")
 STEPPING = (*FILTERS, *INCREMENTAL)
+HINDSIGHT = "jcbb-hindsight"
+"""The way of association whose decisions may be revised later (`eval.replay.hindsight`)."""
 BATCH = ("batch", "batch-huber", "batch-cauchy", "gnc")
 ESTIMATORS = ("dead-reckoning", *STEPPING, *BATCH)
-ASSOCIATIONS = ("known", "nn", "ml", "ml-ratio", "singles", "jcbb", "jcbb-first", "gnn", "jcbb-hindsight", "scan")
+ASSOCIATIONS = ("known", "nn", "ml", "ml-ratio", "singles", "jcbb", "jcbb-first", "gnn", HINDSIGHT, "scan")
 
 
 def steps(name: str) -> bool:

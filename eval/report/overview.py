@@ -20,7 +20,6 @@ from data.log import folder_name
 from data.result import Run
 from data.se2 import Array
 from data.terminal import counted
-from eval.referee.given_runs import GivenRun
 from eval.report.names import stem
 from eval.report.overview_facts import CAUSE, EITHER, FILTER, NEITHER, SMOOTHER, Facts, claims, whom_to_trust
 from eval.report.page.blocks import Block, Mark, Overview, OverviewRow, Section, Sketch, Value, folded
@@ -41,7 +40,7 @@ def compared(facts: Sequence[Facts]) -> str:
     logs = len({f.trial.log.name for f in facts})
     names = {side: _names(facts, side) for side in ("filtered", "smoothed")}
     who = [f"{kind} ({', '.join(n)})" for kind, n in zip(("filter", "smoother"), names.values(), strict=True) if n]
-    given = len({r.estimator for f in facts for r in f.trial.runs if isinstance(r, GivenRun)})
+    given = len({r.estimator for f in facts for r in f.trial.runs if r.handed_in})
     more = f", {counted(given, 'result')} handed in" if given else ""
     return (
         f"{' and '.join(who).capitalize() or 'Estimators'} on identical inputs from {counted(logs, 'log')}{more},"
@@ -230,7 +229,7 @@ NAMED = 2
 
 def overview(facts: Sequence[Facts], folder: Path, *, drawn: bool = True) -> Overview:
     """The table; small pictures are also written into `figures/` where pictures are wanted (`drawn`)."""
-    given = any(isinstance(r, GivenRun) for f in facts for r in f.trial.runs)
+    given = any(r.handed_in for f in facts for r in f.trial.runs)
     heads = (*HEADS[:5], GIVEN, *HEADS[5:]) if given else HEADS
     rows = []
     for f in facts:
@@ -322,7 +321,7 @@ def _failed(f: Facts) -> str:
 
 def _given(f: Facts) -> str:
     """The best of the results that were handed in."""
-    names = {r.estimator for r in f.trial.runs if isinstance(r, GivenRun)}
+    names = {r.estimator for r in f.trial.runs if r.handed_in}
     rows = [r for r in f.rows if r["estimator"] in names]
     known = [r for r in rows if math.isfinite(value_of(r, "rmse_position_m"))]
     if not known:

@@ -171,7 +171,7 @@ class Phase:
 
 def phases_of(trial: Trial, rows: Sequence[Row]) -> list[Phase]:
     """The phases of results of a trial, from its rows of metrics.csv."""
-    names = {r.estimator for r in trial.runs if isinstance(r, GivenRun)}
+    names = {r.estimator for r in trial.runs if r.handed_in}
     return [
         Phase(
             str(row["estimator"]),

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from association.scans.constraints import SCAN, LaserRun
+from association.scans.constraints import SCAN
 from data.log import folder_name
 from data.result import Run, Systematics, Trajectory
 from data.se2 import Array
@@ -16,7 +16,7 @@ from eval.referee import result_files
 from eval.referee.ambiguity import ambiguous
 from eval.referee.confusion import OUTCOMES
 from eval.referee.errors import landmark_true_ids, named
-from eval.referee.given_runs import GivenRun, log_of
+from eval.referee.given_runs import log_of
 from eval.referee.score import Trial, confusion_of
 from eval.stepping.text import lab_block, run_text
 
@@ -87,7 +87,7 @@ def _append(table: pd.DataFrame, errors: Systematics | None) -> None:
 def _write_map(place: Path, trial: Trial, run: Run) -> None:
     m = run.map
     if m is None:
-        bare = isinstance(run, GivenRun) or run.association in ("none", SCAN)
+        bare = run.handed_in or run.association in ("none", SCAN)
         if run.task != "slam" or bare or run.failure is not None:
             return
         raise AssertionError(f"{run.estimator} did SLAM but returned no map")
@@ -104,7 +104,7 @@ def _write_map(place: Path, trial: Trial, run: Run) -> None:
 
 def _write_decisions(place: Path, trial: Trial, run: Run) -> None:
     """One row per observation; truth and outcome are blank where the true id is unknown."""
-    if run.association == "none" or isinstance(run, LaserRun):  # these decide about no observation of the log
+    if not run.decides:
         return
     recorded = trial.log.recorded
     frame = recorded.observations.frame

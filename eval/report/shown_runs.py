@@ -7,13 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from association.decide import HINDSIGHT
 from data.result import Run
 from eval.figures.error import MOST_PANELS
 from eval.referee.errors import position_distance, rms
-from eval.referee.given_runs import GivenRun, log_of
+from eval.referee.given_runs import log_of
 from eval.referee.score import Trial
-from eval.replay.settings import ASSOCIATIONS, ESTIMATORS, FILTERS
+from eval.replay.settings import ASSOCIATIONS, ESTIMATORS, FILTERS, HINDSIGHT
 
 FIRST = ("known", "jcbb", "jcbb-first")
 """Ways of association that are shown before all others."""
@@ -100,8 +99,8 @@ def for_map(trial: Trial, most: int = MOST_PATHS) -> list[Run]:
         return _final_only(trial.runs)
     others = [r for r in trial.runs if r.estimator == "dead-reckoning"]
     astray, estimates = worst(trial), finished(trial)
-    handed = [r for r in estimates if isinstance(r, GivenRun)]
-    ours = [r for r in estimates if not isinstance(r, GivenRun)]
+    handed = [r for r in estimates if r.handed_in]
+    ours = [r for r in estimates if not r.handed_in]
     ranked = [*handed, *_by_importance(ours, ((0, 0), (2, 0), (0, 1), (2, 1), (1, 0), (1, 1)))]
     room = most - len(others) - (astray is not None)
     chosen = [r for r in ranked if r is not astray][:room]
@@ -137,10 +136,10 @@ def for_panels(runs: Sequence[Run], most: int = MOST_PANELS, complete: Sequence[
         ranked = _by_importance(single, ((0, 0), (0, 1), (1, 1), (2, 1), (1, 0), (2, 0)))
     chosen: list[Run] = []
     # what was handed in is what the reader came for; at least one of ours stands beside it
-    handed, room = [r for r in ranked if isinstance(r, GivenRun)], most - 1
-    ranked = [*handed, *(r for r in ranked if not isinstance(r, GivenRun))]
+    room = most - 1
+    ranked.sort(key=lambda r: not r.handed_in)
     for run in ranked:
-        if sum(len(r.phases) for r in (*chosen, run)) <= (room if isinstance(run, GivenRun) else most):
+        if sum(len(r.phases) for r in (*chosen, run)) <= (room if run.handed_in else most):
             chosen.append(run)
     return _in_order(chosen)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from association.conditional import alone, beside, given, jcbb_hindsight, prune
+from association.conditional import alone, beside, given, jcbb_conditional, prune
 from association.expectation import Expectation, SingularInnovationError, gate_threshold
 from association.jcbb import jcbb
 from data.result import DISCARD, NEW
@@ -92,16 +92,16 @@ def test_what_is_given_the_pairings_is_what_a_linear_update_expects(seed):
 def test_a_common_error_outside_every_single_gate_hides_nothing():
     e = turned(turn=4.0 * 0.035)
     assert (jcbb(e, GATE) >= 0).sum() <= 1
-    assert jcbb_hindsight(e, GATE, NEW_GATE)[0].tolist() == list(range(8))
+    assert jcbb_conditional(e, GATE, NEW_GATE)[0].tolist() == list(range(8))
 
 
 def test_a_step_aside_that_passes_the_joint_test_is_undone_and_founds_a_landmark():
     e = turned(shift=(3, np.array([0.05, 0.03])))
     assert jcbb(e, GATE)[3] == 3
-    decisions, complete = jcbb_hindsight(e, GATE, 0.999)
+    decisions, complete = jcbb_conditional(e, GATE, 0.999)
     assert complete
     assert decisions.tolist() == [0, 1, 2, NEW, 4, 5, 6, 7]
-    assert jcbb_hindsight(e, GATE, NEW_GATE)[0][3] == DISCARD
+    assert jcbb_conditional(e, GATE, NEW_GATE)[0][3] == DISCARD
 
 
 def test_the_worst_is_undone_first_so_that_it_takes_no_other_with_it():
@@ -121,7 +121,7 @@ def test_without_a_gate_nothing_is_undone():
 
 def test_without_candidates_everything_is_new():
     e = Expectation.from_arrays(np.ones((2, 2)), np.empty((0, 2)), np.empty((0, 0)), np.tile(EYE, (2, 1, 1)))
-    assert jcbb_hindsight(e, GATE, NEW_GATE)[0].tolist() == [NEW, NEW]
+    assert jcbb_conditional(e, GATE, NEW_GATE)[0].tolist() == [NEW, NEW]
 
 
 def test_what_is_left_beside_a_landmark_that_was_seen_is_another_one():

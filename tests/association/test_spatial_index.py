@@ -34,7 +34,6 @@ def test_no_candidate_beyond_the_horizon_has_any_influence(seed, method, known_m
 def test_without_a_gate_there_is_no_horizon():
     assert horizon("jcbb", None, 0.99) == np.inf
     assert horizon("jcbb", 0.99, None) == np.inf
-    assert horizon("jcbb-hindsight", 0.99, 0.999) == np.inf
     assert np.isfinite(horizon("jcbb", 0.99, None, known_map=True))
 
 

@@ -7,12 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from association.conditional import jcbb_hindsight
+from association.conditional import jcbb_conditional
 from association.decide import decide
 from association.expectation import Expectation, gate_threshold
 from association.truncated import Acceptance, acceptance, accepted_moments, truncated_square
 
 GATE = 0.99
+CONDITIONAL = "jcbb-conditional"
 
 
 def test_without_a_gate_innovations_are_chi_square():
@@ -49,15 +50,16 @@ def _problem(rng: np.random.Generator, k: int, common: float) -> tuple[Expectati
     return Expectation.from_arrays(z_hat + nu.reshape(k, 2), z_hat, P, R), S
 
 
-@pytest.mark.parametrize("method", ["nn", "singles", "gnn", "jcbb", "jcbb-first", "jcbb-hindsight"])
+@pytest.mark.parametrize("method", ["nn", "singles", "gnn", "jcbb", "jcbb-first", CONDITIONAL])
 @pytest.mark.parametrize("common", [0.1, pytest.param(5.0, marks=pytest.mark.slow)])
 def test_what_a_method_accepts_has_the_expected_mean_and_spread(method, common):
     rng, total, mean, variance, dof = np.random.default_rng(5), 0.0, 0.0, 0.0, 0
-    passed = acceptance(method, GATE)
+    conditional = Acceptance(conditional=gate_threshold(GATE))
+    passed = conditional if method == CONDITIONAL else acceptance(method, GATE)
     for turn in range(1500):
         e, S = _problem(rng, 3, common)
-        if method == "jcbb-hindsight":
-            decisions = jcbb_hindsight(e, GATE, 0.99999)[0]
+        if method == CONDITIONAL:
+            decisions = jcbb_conditional(e, GATE, 0.99999)[0]
         else:
             decisions = decide(method, e, GATE, 0.99999).decisions
         rows = np.flatnonzero(decisions >= 0)

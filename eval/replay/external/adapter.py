@@ -1,8 +1,6 @@
-"""A foreign estimator with all the verbs of ours: what it need not write is supplied, what it returns is checked.
+"""A foreign estimator among ours: what it need not write is supplied, what it returns is checked and in our types.
 
-What a foreign estimator returns, in our types: what may be left out is filled in, what cannot be used is said.
-
-An estimate given by weighted samples, as a particle filter has it.
+Its pose may also be given by weighted samples, as a particle filter has it (`Samples`).
 """
 
 from __future__ import annotations

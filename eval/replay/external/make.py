@@ -1,7 +1,4 @@
-"""A foreign estimator is constructed exactly as ours; before that, whether it can do what is asked of it.
-
-Somebody else's way of association, `f(expectation, gate) -> decisions`, called as our own are.
-"""
+"""Makes a foreign estimator as ours are made, or a way of association; and says beforehand what it lacks for a run."""
 
 from __future__ import annotations
 
@@ -22,10 +19,9 @@ from eval.replay.external.adapter import Adapter
 from eval.replay.external.guard import ForeignError, call, whole
 from eval.replay.external.load import Loaded, load
 from eval.replay.external.spec import is_foreign
-from eval.replay.settings import TASKS, Given, Setup
+from eval.replay.settings import HINDSIGHT, TASKS, Given, Setup
 
 SIGNATURES = "one of (prior, sensor, options) does SLAM, of (prior, sensor, map, options) localization"
-HINDSIGHT = "jcbb-hindsight"
 VERBS = ("predict", "update", "estimate")
 """What it must have."""
 

@@ -3,10 +3,9 @@
 Such a text is settled early: with a name, and with a place that another process in another folder finds, too. Nothing
 is imported here, and nothing heavy, so that `--help` and a mistyped name answer at once.
 
-Which look a name that is not ours gets: the same in every figure and every process, and different for each.
-
-A name's place follows from its letters, so that it looks the same in tomorrow's report; where two of one run would get
-the same, the later one (in the order of the alphabet) moves on. That is why the names of a run are introduced.
+A name also settles the look in figures: it follows from its letters, so that it is the same tomorrow and in every
+process; where two names of one run would look the same, the later one (in the order of the alphabet) moves on. That is
+why the names of a run are introduced.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Step 9, landmarks of SLAM that were initialized twice: found by their constellation, or alone where one stands.
 
-What was initialized since the robot came back is compared with the old map as a whole (`association.geometry
-.constellation`). Landmarks that were seen in one frame cannot be the same.
+What was initialized since the robot came back is compared with the old map as a whole (`constellation`). Landmarks that
+were seen in one frame cannot be the same.
 """
 
 from __future__ import annotations

@@ -1,21 +1,15 @@
-"""Step 4, gates learned in a run of SLAM: what only the stated noise explains is put off until several sightings agree.
-
-See `eval.replay.hindsight.gates` for how wide gates really are and `eval.replay.hindsight.gates` for what waits.
-
-Gates by the noise that there is: how wide expectations are, learned apart for the sensor and for map and motion.
+"""Steps 3 and 4 of SLAM: a frame is paired, and what only the stated noise explains waits for later sightings.
 
 Stated noise is often several times too wide, and then a new landmark is inside the gate of its neighbour. What is
-believed tells how much of the stated covariances there is (`noise`). Sensor and motion are learned
-apart, because a landmark seen in every frame tells of the sensor only: what the map and a long drive add to its
-expectation may still be as stated.
+believed tells how much of the stated covariances there is (`LearnedGates`, by `noise`): learned apart for the sensor and for
+map and motion, because a landmark seen in every frame tells of the sensor only; what the map and a long drive add to
+its expectation may still be as stated.
 
-Sightings that may be of a new landmark, put off until several agree.
+What lies outside a landmark's usual spread but inside what the stated noise allows is a new landmark next to it, or the
+landmark itself after the robot slipped (`Tentative`). The next sightings tell: after a slip, no landmark is where it is
+expected until the pose is right again; next to a new landmark, the others stay where they are.
 
-What lies outside a landmark's usual spread but inside what the stated noise allows is a new landmark next to it, or
-the landmark itself after the robot slipped. The next sightings tell: after a slip, no landmark is where it is expected
-until the pose is right again; next to a new landmark, the others stay where they are.
-
-Step 3, pairing a frame of SLAM: joint compatibility; no single observation chooses among dense landmarks.
+A frame is paired by joint compatibility (`pair`); no single observation chooses among dense landmarks.
 """
 
 from __future__ import annotations
@@ -26,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from association.conditional import beside, jcbb_hindsight, settled
+from association.conditional import beside, jcbb_conditional, settled
 from association.expectation import Expectation, gate_threshold
 from data.inputs import IntArray
 from data.result import NEW
@@ -246,7 +240,7 @@ def pair(e: Expectation, slam: EkfSlam, ledger: Ledger, scales: Scales, setup: S
         setup: its gates.
     """
     real = scaled(e, scales)
-    found = Paired(e, *jcbb_hindsight(real, setup.gate, setup.new_gate))
+    found = Paired(e, *jcbb_conditional(real, setup.gate, setup.new_gate))
     if not len(e.number) or not len(e.z):
         return found
     unclear = dense(e, slam, ledger, setup)
@@ -256,7 +250,7 @@ def pair(e: Expectation, slam: EkfSlam, ledger: Ledger, scales: Scales, setup: S
     if ledger.travelled - ledger.epoch.begun > constants.WINDOW_SPAN * ledger.range:
         ledger.begin_epoch()
     few = clear(e, unclear, ledger)
-    return Paired(e.only(few), *jcbb_hindsight(real.only(few), setup.gate, setup.new_gate))
+    return Paired(e.only(few), *jcbb_conditional(real.only(few), setup.gate, setup.new_gate))
 
 
 def clear(e: Expectation, dense: BoolArray, ledger: Ledger) -> IntArray:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from association.conditional import jcbb_hindsight
+from association.conditional import jcbb_conditional
 from data.inputs import Frame, Increment, IntArray, LandmarkMap
 from data.notice import Code, Notice, Severity, notice
 from data.result import DISCARD
@@ -77,7 +77,7 @@ class Kidnapping:
             return Relocated(*found, kidnapped)
         e = slam.expect(frame.sightings)
         few = e.only(clear(e, dense(e, slam, ledger, self.setup), ledger))
-        return Relocated(jcbb_hindsight(few, self.setup.gate, self.setup.new_gate)[0], None, kidnapped)
+        return Relocated(jcbb_conditional(few, self.setup.gate, self.setup.new_gate)[0], None, kidnapped)
 
     def _alarm(self, seen: int, paired: int) -> bool:
         """Whether this frame raises the alarm; `seen`: observations, `paired`: with certain landmarks.

@@ -2,9 +2,8 @@
 
 A filter is set to the bank's mixture wherever there is more than one hypothesis. A smoother gets what most of them
 decide, by weight: a decision that has to wait is handed over when later frames have settled it, and one that they
-contradict is replaced. If it turns out to be elsewhere than the bank is sure of all the same, it is begun anew there.
-
-A smoother that can be begun anew in the middle of a log, as a filter can be reset.
+contradict is replaced. If it turns out to be elsewhere than the bank is sure of all the same, it is begun anew there
+(`Stretches`), as a filter can be reset.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from association.decide import HINDSIGHT, Decided
+from association.decide import Decided
 from association.expectation import Expectation, gate_threshold
 from association.truncated import Acceptance
 from data.inputs import Frame, Increment, IntArray, Prior, Sightings
@@ -27,7 +26,7 @@ from eval.replay.estimators import Estimator, capabilities, make_estimator, need
 from eval.replay.frontend import FrontEnd, Pairing
 from eval.replay.hindsight import constants, hypotheses
 from eval.replay.hindsight.localizer import HindsightLocalizer
-from eval.replay.settings import Given, Setup
+from eval.replay.settings import HINDSIGHT, Given, Setup
 
 
 class Stretches:

@@ -1,24 +1,17 @@
-"""Lost while mapping: a run's own evidence that its map is not to be believed is said; nothing is decided by it.
+"""Lost: is the pose that the pairings assume, or the map that is being made, still right?
 
-See `eval.replay.hindsight.lost` for the test at every frame. At the end a second one: a robot that finds again what it
-mapped keeps it; of a map that is bent most goes, because it is missed where it should be.
+Cumulative-sum tests: every frame adds the log-likelihood ratio of "lost" against "healthy" to a score that never falls
+below zero (Page, Biometrika 41, 1954); where a score last left zero is where the trouble began.
 
-Monitor: is the pose that the pairings assume still the right one? Cumulative-sum tests on what they leave behind.
-
-A robot that was moved unseen, or believes a wrong place, finds its observations unpaired, or pairs what fits badly.
-Each of the two has a score, to which every frame adds the log-likelihood ratio of "lost" against "healthy" and which
-never falls below zero (Page, Biometrika 41, 1954); where a score last left zero is where the trouble began.
-
-Is what should be in view still there? A cumulative-sum test on a map that is being made.
+In a known map, a robot that was moved unseen, or believes a wrong place, finds its observations unpaired, or pairs what
+fits badly: a score each.
 
 A robot that is lost while it maps sees its surroundings anew: what certain landmarks should be in view is missed, and
 what is read is newer than them. One that explores misses nothing old; one whose sensor often fails misses much, but
 reads old landmarks beside. So two kinds count: certain landmarks that are paired, and certain ones that are missed
-where something was read that came after they had been seen last.
-
-The score adds the log-likelihood ratio of "lost" against "healthy" and never falls below zero (Page, Biometrika 41,
-1954). A frame is one piece of evidence, however much it holds: its errors have one cause. Frames from one place are
-one, too.
+where something was read that came after they had been seen last. A frame is one piece of evidence, however much it
+holds: its errors have one cause. Frames from one place are one, too. At the end a second test: a robot that finds again
+what it mapped keeps it; of a map that is bent most goes. All this is said; nothing is decided by it.
 """
 
 from __future__ import annotations

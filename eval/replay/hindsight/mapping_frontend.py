@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from association.decide import HINDSIGHT
-from association.truncated import truncated_square
+from association.expectation import gate_threshold
+from association.truncated import Acceptance, truncated_square
 from data.errors import UsageError
 from data.inputs import Frame, IntArray
 from data.notice import Notice
@@ -18,7 +18,7 @@ from ekf.filter import FilterOptions
 from eval.replay.estimators import needed
 from eval.replay.frontend import FrontEnd, Pairing
 from eval.replay.hindsight.mapper import HindsightMapper
-from eval.replay.settings import Given, Setup
+from eval.replay.settings import HINDSIGHT, Given, Setup
 
 
 class MappingFrontEnd(FrontEnd):
@@ -45,6 +45,11 @@ class MappingFrontEnd(FrontEnd):
         super().__init__(estimator, association, given, setup, options)
         self._map = needed(self.can.revisable, "`remove` and `merge`", f"--association {HINDSIGHT}")
         self.mapper = HindsightMapper(given, setup)
+
+    @property
+    def passed(self) -> Acceptance:
+        """Each pairing is tested given the others; the outer gate leaves out next to nothing."""
+        return Acceptance(conditional=gate_threshold(self.setup.gate))
 
     def move(self, frame: Frame) -> None:
         """The next frame comes."""

@@ -1,24 +1,20 @@
-"""Scale of the noise, learned from what is believed: how well pairings should fit, whatever the stated noise says.
+"""How much noise there is, whatever is stated: learned from what is believed, and told before any map.
 
-Stated noise is often several times too wide, because errors that last are to count for less than their spread says. It
-is right for the estimate then, but not for comparing explanations: one that fits ten times as well as the other, in
-terms of the noise that there really is, would count as equally good. So squared innovations are taken relative to
-their usual size, and as slips happen, their distribution has Student's tails.
+*By innovations.* Stated noise is often several times too wide, because errors that last are to count for less than
+their spread says. It is right for the estimate then, but not for comparing explanations: one that fits ten times as
+well as the other, in terms of the noise that there really is, would count as equally good. So squared innovations are
+taken relative to their usual size, and as slips happen, their distribution has Student's tails.
 
-Noise told by the differences of consecutive frames, before any map: variances of ranges, of bearings, of motion.
+*By differences of consecutive frames.* What one frame read is expected in the next one, moved by odometry. Readings
+that are each other's nearest neighbours differ by the noise of both, each of its own, and by that of the motion, which
+all pairs of a step have in common: variance components, fitted by expectation maximization (Dempster, Laird and Rubin,
+Journal of the Royal Statistical Society B 39, 1977). A pair may be of something that moved, whose differences are
+wider, or of two landmarks: these differ as neighbours do by chance, at the density of the readings in the view. Errors
+that last, of a calibration say, cancel.
 
-What one frame read is expected in the next one, moved by odometry. Readings that are each other's nearest neighbours
-differ by the noise of both, each of its own, and by that of the motion, which all pairs of a step have in common:
-variance components, fitted by expectation maximization (Dempster, Laird and Rubin, Journal of the Royal Statistical
-Society B 39, 1977). A pair may be of something that moved, whose differences are wider, or of two landmarks: these
-differ as neighbours do by chance, at the density of the readings in the view.
-
-Only errors that are new in every frame make a difference. Those that last, of a calibration say, cancel.
-
-What is stated of odometry and sensor, put right where the log shows more noise or a wider view.
-
-Noise is only ever taken for more than was stated. Differences of consecutive frames hide errors that last, so that less
-of them is no reason to believe in less noise: gates are narrowed by innovations (`eval.replay.hindsight.gates`).
+Where the log shows more noise or a wider view than is stated, the statement is put right (`Restated`). Noise is only
+ever taken for more: differences hide errors that last, so that less of them is no reason to believe in less noise;
+gates are narrowed by innovations (`gates`).
 """
 
 from __future__ import annotations

@@ -1,18 +1,13 @@
 """Placement: the pose of a frame by geometry, where the motion is too uncertain for an expectation at its mean.
 
 A linearized expectation says nothing about a robot that may have turned by a radian. Two observations and two
-landmarks as far apart give a pose exactly (as in `eval.replay.hindsight.relocalize`); those that the motion allows are
+landmarks as far apart give a pose exactly, without a start, as in `relocalize`; those that the motion allows are
 verified with the estimator's own joint covariance, linearized there, and the best of them is where the frame is decided
-about.
+about. Poses that pair alike are one.
 
 Which is the best? A world may repeat itself. That what lies ahead looks like what is mapped behind is no evidence of
 being there, so an observation beyond what was ever in view speaks neither for a pose nor against it; what should have
 been seen and was not, then or now, speaks against it, and for the rest the motion decides.
-
-Poses from pairs: two observations and two landmarks as far apart from each other give the pose of a frame.
-
-They need no linearization, and no start. Each pose is judged by what else it pairs, as in
-`eval.replay.hindsight.relocalize`, but only where a motion allows it; poses that pair alike are one.
 """
 
 from __future__ import annotations

@@ -1,20 +1,16 @@
-"""What the ledger of SLAM in hindsight notes of a landmark, of a frame, and of a stretch of the log.
+"""Evidence for a landmark: how often it was seen, how often it should have been, and whether it stood still.
 
-Evidence for a landmark: how often it was seen, how often it should have been, and whether it stood still.
+Each sighting brings the landmark's innovation given the other pairings of its frame (`association.conditional.alone`).
+Of a landmark that stands still these are independent, their squares chi-square and their weighted mean in the world
+zero; one that moves drags its estimate behind it, so that they all point where it goes.
 
-Each sighting brings the landmark's innovation given the other pairings of its frame
-(`association.conditional.alone`). Of a landmark that stands still these are independent, their squares chi-square
-and their weighted mean in the world zero; one that moves drags its estimate behind it, so that they all point where it
-goes.
-
-Which landmarks of a log are there for good, and which for a while: clutter, people, what a bent map has twice.
-
-Every landmark that was initialized is a row of looks: places from which it should have been seen, and was or was not.
-One kind stays: it is seen and missed as a Markov chain has it, each landmark with rates of its own around the common
-ones (beta distributions). The other kind goes: at once after the reading that it was initialized by (clutter), or at
-each later look (people); from then on it is read by chance only. Which shares the kinds have, how soon the second one
-goes and how often the first one is seen is fitted to all landmarks of the log together, by expectation maximization.
-What is missed at the end of a row of looks does not tell how often landmarks are missed: they may be gone.
+Which landmarks of a log are there for good, and which for a while (clutter, people, what a bent map has twice)? Every
+landmark that was initialized is a row of looks: places from which it should have been seen, and was or was not. One
+kind stays: it is seen and missed as a Markov chain has it, each landmark with rates of its own around the common ones
+(beta distributions). The other kind goes: at once after the reading that it was initialized by (clutter), or at each
+later look (people); from then on it is read by chance only. Which shares the kinds have, how soon the second one goes
+and how often the first one is seen is fitted to all landmarks of the log together, by expectation maximization. What is
+missed at the end of a row of looks does not tell how often landmarks are missed: they may be gone.
 """
 
 from __future__ import annotations

@@ -4,11 +4,9 @@ Geometric constraints, branch and bound (Neira, Tardos and Castellanos, ICRA 200
 landmarks such that all distances between them agree; the hypotheses with most pairings are verified by a rigid fit and
 its joint distance, and the best of them counts only if no other place explains the scan nearly as well.
 
-Accumulated scan: what was seen over a few frames, as points in the newest body frame with their joint covariance.
-
-A map of the surroundings that knows no world frame (robot-centred: Castellanos, Martinez-Cantin, Tardos and Neira,
-Robotics and Autonomous Systems 55, 2007): the robot stands at its origin without error, its motion moves the points,
-and the uncertainty of that motion is common to all of them.
+The scan is accumulated over a few frames, a map of the surroundings that knows no world frame (robot-centred:
+Castellanos, Martinez-Cantin, Tardos and Neira, Robotics and Autonomous Systems 55, 2007): the robot stands at its
+origin without error, its motion moves the points, and the uncertainty of that motion is common to all of them.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Back ends compared on one laser log: the front end once, then every estimator on its constraints.
 
-A laser log replayed frame by frame: key poses by scan matching, loop closures, and the pose graph they feed.
-
-Frames without a scan, in the end: the odometry between two scans, made to lead from the one to the other.
+The front end replays the log frame by frame: key poses by scan matching, loop closures, and the pose graph they feed.
+Frames without a scan get the odometry between two scans in the end, made to lead from the one to the other.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ from typing import get_type_hints
 
 import pytest
 
-from association.decide import HINDSIGHT, METHODS
+from association.decide import METHODS
 from association.scans.constraints import SCAN
 from data.errors import UsageError
 from data.worlds.arena import Arena, simulate
@@ -17,6 +17,7 @@ from eval.replay.estimators import OPTIONS, Estimator, capabilities, make_estima
 from eval.replay.external.load import text_of
 from eval.replay.hindsight.localizing_frontend import Stretches
 from eval.replay.run import compare
+from eval.replay.settings import HINDSIGHT
 from graph import factors
 from tests.eval.replay.external import things
 

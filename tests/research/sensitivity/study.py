@@ -19,7 +19,6 @@ import numpy as np
 from joblib import Parallel, delayed
 from threadpoolctl import threadpool_limits
 
-from association.decide import HINDSIGHT
 from data.log import Log
 from data.result import Run
 from data.worlds.registry import named_log
@@ -29,6 +28,7 @@ from eval.referee.score import confusion_of
 from eval.replay.frontend import FrontEnd
 from eval.replay.recorder import Nobody
 from eval.replay.run import step_by_step
+from eval.replay.settings import HINDSIGHT
 from tests.research.sensitivity.cases import (
     DIRECTIONS,
     DOUBLED,

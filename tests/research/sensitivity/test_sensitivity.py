@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from association.decide import HINDSIGHT
 from data.errors import UsageError
 from eval.replay.hindsight import constants
 from eval.replay.run import step_by_step
+from eval.replay.settings import HINDSIGHT
 from tests.research.__main__ import main
 from tests.research.sensitivity import study
 from tests.research.sensitivity.cases import (

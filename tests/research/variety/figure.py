@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from association.decide import HINDSIGHT
 from eval.figures.paper import page_width
 from eval.figures.style import BAND_COLOUR, DASHED, TRUTH_COLOUR, colour_of_method, drawing
+from eval.replay.settings import HINDSIGHT
 from tests.research.variety.goals import NEAR, WORSE, World
 from tests.research.variety.measure import JCBB
 

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from association.decide import HINDSIGHT
 from data.se2 import Array
+from eval.replay.settings import HINDSIGHT
 from tests.research.variety.measure import JCBB, KNOWN, OK, Row
 
 WORSE = 1.2

@@ -16,7 +16,6 @@ from typing import NamedTuple, get_type_hints
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from association.decide import HINDSIGHT
 from data.log import Log
 from data.notice import Code
 from data.result import Run
@@ -27,6 +26,7 @@ from eval.referee.score import confusion_of
 from eval.replay.frontend import FrontEnd
 from eval.replay.recorder import Nobody
 from eval.replay.run import step_by_step
+from eval.replay.settings import HINDSIGHT
 from tests.research.variety.worlds import draw, log_of
 
 JCBB = "jcbb"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from association.decide import HINDSIGHT
 from data.inputs import Frame, Increment, Sightings
 from data.notice import Code, notice
 from data.sensors import RangeBearing
@@ -13,7 +12,7 @@ from data.worlds.registry import named_log
 from eval.replay.hindsight.mapper import HindsightMapper
 from eval.replay.hindsight.noise import AS_STATED, Differences, Restated, Shares
 from eval.replay.run import step_by_step
-from eval.replay.settings import Setup
+from eval.replay.settings import HINDSIGHT, Setup
 from tests.research.variety.worlds import draw, log_of
 
 SENSOR = RangeBearing(max_range=5.0, min_angle=-1.0, max_angle=1.0)
