@@ -1,9 +1,9 @@
 """Steps 3 and 4 of SLAM: a frame is paired, and what only the stated noise explains waits for later sightings.
 
 Stated noise is often several times too wide, and then a new landmark is inside the gate of its neighbour. What is
-believed tells how much of the stated covariances there is (`LearnedGates`, by `noise`): learned apart for the sensor and for
-map and motion, because a landmark seen in every frame tells of the sensor only; what the map and a long drive add to
-its expectation may still be as stated.
+believed tells how much of the stated covariances there is (`LearnedGates`, by `noise`): learned apart for the sensor
+and for map and motion, because a landmark seen in every frame tells of the sensor only; what the map and a long drive
+add to its expectation may still be as stated.
 
 What lies outside a landmark's usual spread but inside what the stated noise allows is a new landmark next to it, or the
 landmark itself after the robot slipped (`Tentative`). The next sightings tell: after a slip, no landmark is where it is
