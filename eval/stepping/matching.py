@@ -1,15 +1,13 @@
-"""The figures of a frame's problem and its solutions: compatibility and matching, a panel for each method.
+"""The figures of a frame's problem and its solutions, seen from the robot (x forward, y left).
 
-Seen from the robot: x forward, y left.
-
-Decisions drawn over a frame's problem, and enlarged where they are wrong.
-
-One frame looked at from near, as a figure of the report: what could be paired, and what a method made of it.
+Compatibility and matching with a panel for each method, as a walk shows them; and one frame looked at from near, as the
+report shows it: what could be paired, and what a method made of it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -134,12 +132,22 @@ def _corner(ax: Axes, p: Plane) -> tuple[float, float, float, float]:
     return x, y, wide, SHARE
 
 
+def _mark(marker: str, label: str, colour: str = GOOD, **look: Any) -> Line2D:
+    """A marker in a legend."""
+    return Line2D([], [], marker=marker, color=colour, linestyle="none", label=label, **look)
+
+
+def _stroke(label: str, colour: str = GOOD, **look: Any) -> Line2D:
+    """A line in a legend."""
+    return Line2D([], [], color=colour, label=label, **{"linewidth": 1.3, **look})
+
+
 def _background_handles(gate: float | None) -> list[Line2D | Patch]:
     inside = f"d² inside {SHOWN_WITHOUT_GATE:g} (no gate: every pair is compatible)"
     return [
-        Line2D([], [], marker="+", color=DULL, linestyle="none", label="predicted landmark, 3σ ellipse"),
-        Line2D([], [], marker="$7$", color=LANDMARK, linestyle="none", markersize=4.0, label="number of a landmark"),
-        Line2D([], [], color=FAINT, linewidth=0.8, label=inside if gate is None else "individually compatible pair"),
+        _mark("+", "predicted landmark, 3σ ellipse", DULL),
+        _mark("$7$", "number of a landmark", LANDMARK, markersize=4.0),
+        _stroke(inside if gate is None else "individually compatible pair", FAINT, linewidth=0.8),
     ]
 
 
@@ -166,9 +174,12 @@ def evidence(name: str, m: Matching) -> list[tuple[int, int]]:
 
 
 EVIDENCE = {
-    "truth": "right pairs", "nn": "nearest of each", "ml": "likeliest of each", "singles": "pairs without rivals",
+    "truth": "right pairs",
+    "nn": "nearest of each",
+    "ml": "likeliest of each",
+    "singles": "pairs without rivals",
     "known": "pairs by label",
-}  # fmt: skip
+}
 
 
 def paint_compatibility(fig: Figure, m: Matching) -> None:
@@ -193,14 +204,13 @@ def paint_compatibility(fig: Figure, m: Matching) -> None:
         ax.set_title(f"{called(name, names)}: {EVIDENCE.get(name, rest)} ({len(pairs)}{out})")
         robot_axes(ax, left=at % 3 == 0, bottom=at >= len(names) - 3)
     handles: list[Line2D | Patch] = [
-        Line2D([], [], marker="o", color=GOOD, linestyle="none", markersize=4.0, label="observation, 3σ ellipse"),
-        Line2D([], [], marker="o", color=GOOD, markerfacecolor="white", linestyle="none", markersize=4.0,
-               label="observation without such a pair"),
+        _mark("o", "observation, 3σ ellipse", markersize=4.0),
+        _mark("o", "observation without such a pair", markerfacecolor="white", markersize=4.0),
         *_background_handles(m.gate),
-        Line2D([], [], color=GOOD, linewidth=1.3, label="pair on which the method builds"),
-    ]  # fmt: skip
+        _stroke("pair on which the method builds"),
+    ]
     if "truth" in names:
-        handles.append(Line2D([], [], color=BAD, linestyle=DASHES, label="true pair that is not compatible"))
+        handles.append(_stroke("true pair that is not compatible", BAD, linestyle=DASHES))
     legend(fig, place, handles)
     fig.suptitle(f"{m.title}: compatibility, robot frame", x=0.01, ha="left")
 
@@ -226,23 +236,28 @@ def paint_matching(fig: Figure, m: Matching) -> None:
         robot_axes(ax, left=at % 3 == 0, bottom=at >= len(names) - 3)
     shapes = (("o", "paired"), ("*", "NEW"), ("x", "left out"))
     handles: list[Line2D | Patch] = [
-        *(Line2D([], [], marker=s, color=GOOD, linestyle="none", label=f"observation: {what}") for s, what in shapes),
+        *(_mark(shape, f"observation: {what}") for shape, what in shapes),
         *_background_handles(m.gate),
-        Line2D([], [], color=GOOD, linewidth=1.3, label="pairing"),
-    ]  # fmt: skip
+        _stroke("pairing"),
+    ]
     if m.right is not None:
         handles += [
-            Line2D([], [], color=BAD, linewidth=1.3, linestyle=DASHES, label="wrong pairing"),
-            Line2D([], [], color=BAD, marker="o", linestyle="none", label="wrong (FP or FN), numbered"),
-            Line2D([], [], color=BAD, linewidth=0.9, linestyle=":", label="to the landmark that is right"),
+            _stroke("wrong pairing", BAD, linestyle=DASHES),
+            _mark("o", "wrong (FP or FN), numbered", BAD),
+            _stroke("to the landmark that is right", BAD, linewidth=0.9, linestyle=":"),
         ]
     legend(fig, place, handles)
     fig.suptitle(f"{m.title}: matching, robot frame", x=0.01, ha="left")
 
 
+def _tally(truth: TruthRow | None) -> str:
+    """Counts of the outcomes, nothing where they are not known."""
+    return "" if truth is None else "  ".join(f"{name.upper()} {n}" for name, n in truth.counts.items())
+
+
 def _counted(decisions: IntArray, truth: TruthRow | None) -> str:
     if truth is not None:
-        return "  ".join(f"{name.upper()} {n}" for name, n in truth.counts.items())
+        return _tally(truth)
     paired, new = int((decisions >= 0).sum()), int((decisions == NEW).sum())
     return f"{paired} paired, {new} new, {len(decisions) - paired - new} left out"
 
@@ -253,6 +268,8 @@ TALL, FLAT = 4.4, 3.3
 """in. Heights of a figure with two panels, and with one per method."""
 SIZE = 7.0
 """pt, of the numbers."""
+DISTANCE: dict[str, Any] = {"fontsize": 5.5, "color": "#303030", "path_effects": HALO, "ha": "center", "va": "center"}
+"""How the d² of a pair is written."""
 
 
 def closer_figure(m: Matching, method: str) -> Figure:
@@ -274,16 +291,12 @@ def closer_figure(m: Matching, method: str) -> Figure:
         for i, j in np.argwhere(p.near):
             at = 0.5 * (p.xy[i] + p.landmarks[j])
             if np.all(np.abs(at - middle) < 0.95 * half):
-                left.annotate(
-                    f"{d2[i, j]:.2g}", at, fontsize=5.5, color="#303030", path_effects=HALO, ha="center", va="center",
-                    zorder=9,
-                )  # fmt: skip
+                left.annotate(f"{d2[i, j]:.2g}", at, zorder=9, **DISTANCE)
         draw_decisions(right, p, decided, truth, all_numbers=True, size=SIZE)
         robot_axes(left)
         robot_axes(right, left=False)
         left.set_title("compatibility: pairs inside the gate, with their d²", loc="left")
-        counted = "" if truth is None else "  ".join(f"{name.upper()} {n}" for name, n in truth.counts.items())
-        right.set_title(f"matching by {called(method)}: {counted}", loc="left")
+        right.set_title(f"matching by {called(method)}: {_tally(truth)}", loc="left")
         fig.legend(handles=_handles(m), loc="lower center", ncols=4)
         fig.suptitle(m.title, x=0.01, ha="left")
         return fig
@@ -309,8 +322,7 @@ def methods_figure(m: Matching, methods: Sequence[str]) -> Figure:
                 continue
             truth = m.truth.get(name)
             draw_decisions(ax, p, made, truth, all_numbers=True, size=SIZE - 0.5)
-            counted = "" if truth is None else "  ".join(f"{n.upper()} {c}" for n, c in truth.counts.items())
-            ax.set_title(f"{called(name)}: {counted}", loc="left")
+            ax.set_title(f"{called(name)}: {_tally(truth)}", loc="left")
         fig.legend(handles=_handles(m), loc="lower center", ncols=4)
         fig.suptitle(m.title, x=0.01, ha="left")
         return fig
@@ -345,17 +357,15 @@ def _scene(ax: Axes, p: Plane, middle: Array, half: float, wrong: IntArray | Non
 
 def _handles(m: Matching) -> list[Line2D | Patch]:
     handles: list[Line2D | Patch] = [
-        Line2D([], [], marker="o", color=GOOD, linestyle="none", label="observation, its number black"),
-        Line2D([], [], marker="+", color=DULL, linestyle="none", label="predicted landmark, 3σ"),
-        Line2D([], [], marker="$7$", color=LANDMARK, linestyle="none", label="number of a landmark"),
-        Line2D([], [], color=FAINT, linewidth=0.9, label="compatible pair"),
-        Line2D([], [], color=GOOD, linewidth=1.3, label="pairing"),
+        _mark("o", "observation, its number black"),
+        _mark("+", "predicted landmark, 3σ", DULL),
+        _mark("$7$", "number of a landmark", LANDMARK),
+        _stroke("compatible pair", FAINT, linewidth=0.9),
+        _stroke("pairing"),
+        _mark("*", "NEW"),
+        _mark("x", "left out"),
     ]
-    shapes = (("*", "NEW"), ("x", "left out"))
-    handles += [Line2D([], [], marker=s, color=GOOD, linestyle="none", label=what) for s, what in shapes]
     if m.right is not None:
-        handles += [
-            Line2D([], [], color=BAD, marker="o", linewidth=1.3, linestyle=DASHES, label="wrong"),
-            Line2D([], [], color=BAD, linewidth=0.9, linestyle=":", label="to the right landmark"),
-        ]
+        handles.append(_stroke("wrong", BAD, marker="o", linestyle=DASHES))
+        handles.append(_stroke("to the right landmark", BAD, linewidth=0.9, linestyle=":"))
     return handles

@@ -1,9 +1,6 @@
-"""The figures of one step: ground truth, map, observations, compatibility and matching, as in the university lab.
+"""The figures of one step: ground truth, map and observations, as in the university lab; and where pictures go.
 
-Each function paints on a figure that is given, so that a window can be painted again and a file once. The last three
-are seen from the robot: x forward, y left.
-
-Where the pictures of a walk through a log go: windows, files, both, or nowhere.
+Each function paints on a figure that is given, so that a window can be painted again and a file once.
 """
 
 from __future__ import annotations
@@ -135,10 +132,8 @@ def paint_map(
     ax.plot(*path.T, color=style.colour, linewidth=1.0, label="estimated path", zorder=3)
     if np.any(landmarks.covariance) and points:
         outlines(ax, landmarks.xy, landmarks.covariance, style.colour)
-        ax.plot(
-            *landmarks.xy.T, ".", color=style.colour, markersize=3.0,
-            label=f"{counted(len(landmarks.xy), 'landmark')}, numbered",
-        )  # fmt: skip
+        label = f"{counted(len(landmarks.xy), 'landmark')}, numbered"
+        ax.plot(*landmarks.xy.T, ".", color=style.colour, markersize=3.0, label=label)
         write_numbers(ax, landmarks.xy, [str(n) for n in landmarks.number], LANDMARK, 4.5, (1.5, 1.5))
     outlines(ax, now.mean[None, :2], now.covariance[None, :2, :2], "#202020", 5.0)
     mark_robot(ax, now.mean, style.colour, "robot")

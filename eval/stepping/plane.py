@@ -25,10 +25,12 @@ ONE, MANY = (7.0, 5.6), (10.5, 6.8)
 GOOD, BAD, DULL, FAINT = "#0064A8", "#D55E00", "#606060", "#B0B0B0"
 LANDMARK = "#6A3D9A"
 """Of a landmark's number; a reading's is black, a wrong one's like its mark."""
-TITLES = {
-    "truth": "ground truth", "nn": "NN", "singles": "SINGLES", "ml": "ML", "jcbb": "JCBB", "gnn": "GNN",
-    "jcbb-first": "JCBB", "jcbb-hindsight": "hindsight", "known": "by labels",
-}  # fmt: skip
+TITLES = {name: name.upper() for name in ("nn", "singles", "ml", "jcbb", "gnn")} | {
+    "truth": "ground truth",
+    "jcbb-first": "JCBB",
+    "jcbb-hindsight": "hindsight",
+    "known": "by labels",
+}
 """The lab's JCBB is `jcbb-first`; where `jcbb` stands beside it the titles have the names as they are."""
 SHOWN_WITHOUT_GATE = 0.99
 """Without a gate every pair is compatible; only those inside this one are drawn."""
@@ -51,10 +53,8 @@ def outlines(ax: Axes, xy: Array, covariance: Array, colour: str, order: float =
 def mark_robot(ax: Axes, pose: Array, colour: str, label: str, order: float = 6.0) -> None:
     """The robot as a triangle that points where it looks."""
     marker = (3, 0, float(np.degrees(pose[2])) - 90.0)
-    ax.plot(
-        pose[0], pose[1], marker=marker, markersize=9, color=colour, markeredgecolor="white", markeredgewidth=0.5,
-        linestyle="none", label=label, zorder=order,
-    )  # fmt: skip
+    edge: dict[str, Any] = {"markeredgecolor": "white", "markeredgewidth": 0.5, "linestyle": "none"}
+    ax.plot(pose[0], pose[1], marker=marker, markersize=9, color=colour, label=label, zorder=order, **edge)
 
 
 def fit(ax: Axes, points: Array, margin: float = 0.06) -> None:
@@ -75,11 +75,10 @@ def write_numbers(
 ) -> None:
     """Texts beside points, `offset` pt from them."""
     across, up = "left" if offset[0] >= 0 else "right", "baseline" if offset[1] >= 0 else "top"
+    look: dict[str, Any] = {"fontsize": size, "color": colour, "ha": across, "va": up, "path_effects": HALO}
+    place: dict[str, Any] = {"xytext": offset, "textcoords": "offset points", "annotation_clip": True}
     for (x, y), text in zip(xy.tolist(), texts, strict=True):
-        ax.annotate(
-            text, (x, y), xytext=offset, textcoords="offset points", fontsize=size, color=colour, ha=across, va=up,
-            path_effects=HALO, zorder=8, annotation_clip=True,
-        )  # fmt: skip
+        ax.annotate(text, (x, y), zorder=8, **place, **look)
 
 
 def robot_axes(ax: Axes, left: bool = True, bottom: bool = True) -> None:
