@@ -27,6 +27,7 @@ not in the map, or the observation was clutter.
 From Python, `slamref.score(trials)` has the same tables as attributes: `metrics`, `association` (association.csv),
 `timing`, `relations` and `differences`, with the types below: words are `{BLANKS["text"]}`, numbers
 `{BLANKS["number"]}` (unknown: NaN), counts `{BLANKS["count"]}` (unknown: `pd.NA`).
+`slamref.notices(trials)` has what notices.csv holds, with types; `slamref.sentence(notice)` is its text.
 """
 
 
