@@ -7,7 +7,7 @@ is moved onto it as a whole: poses, landmarks and covariances alike.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
@@ -246,34 +246,23 @@ def given_run(
 
     Phases have the same stamps (the caller sees to that). Where they are the frames of the log, the run is on that log.
     """
-    first = next(iter(paths.values()))
-    time = first.time
+    own, time = log.recorded.time, next(iter(paths.values())).time
+    last = paths.get("final") or next(iter(paths.values()))
     found = None
     if truth is not None:
         found = match(time, truth.time, truth.pose, 0.0 if log.recorded.time_is_index else gap)
-    own = log.recorded.time
     same = len(time) == len(own) and bool((np.abs(time - own) <= SAME).all())
-    at = log if same else _at(log, time, None if found is None else found.truth)
-    last = paths.get("final") or first
     T = None if found is None else alignment(last.pose, found.truth, align)
-    made = {phase: _trajectory(path) for phase, path in paths.items()}
-    landmarks = kept.landmarks
-    notes = [notice(Code.READ_FROM, Severity.INFO, file=str(last.file), kind=last.kind)]
-    notes.append(notice(Code.NO_TRUTH) if found is None else found.notice)
-    if last.covariance is None:
-        notes.append(notice(Code.NO_COVARIANCE, name=""))
-    notes += [notice(Code.NOTE, Severity.INFO, text=s) for s in (projection(last), *last.notes) if s]
+    made, landmarks = {phase: _trajectory(path) for phase, path in paths.items()}, kept.landmarks
     if T is not None:
         made = {phase: moved(T, path) for phase, path in made.items()}
         move = moved_map if log.recorded.sensor.sees_points else moved_walls
         landmarks = None if landmarks is None else move(T, landmarks)
-        notes.append(notice(Code.ALIGNED, Severity.INFO, how=align))
     m = len(log.recorded.observations.frame)
     decisions = np.full(m, DISCARD, np.int64) if kept.decisions is None else kept.decisions
     final = decisions if kept.final is None else kept.final
     created = created_by(decisions, final, task)
     begun = begun_by(final, created)
-    notes += _gone(kept, task, created)
     return GivenRun(
         name,
         "none" if kept.decisions is None else GIVEN,
@@ -285,12 +274,23 @@ def given_run(
         np.where(begun >= 0, NEW, final),
         created,
         begun=begun,
-        notes=tuple(notes),
-        log=at,
+        notes=(*_notes(last, found, "" if T is None else align), *_gone(kept, task, created)),
+        log=log if same else _at(log, time, None if found is None else found.truth),
         match=found,
         aligned=NONE if T is None else align,
         source={p.file: p.digest for p in paths.values()},
     )
+
+
+def _notes(path: GivenPath, found: Match | None, aligned: str) -> Iterator[Notice]:
+    """What is to be known of a path that was read; `aligned`: how it was moved, empty: it was not."""
+    yield notice(Code.READ_FROM, Severity.INFO, file=str(path.file), kind=path.kind)
+    yield notice(Code.NO_TRUTH) if found is None else found.notice
+    if path.covariance is None:
+        yield notice(Code.NO_COVARIANCE, name="")
+    yield from (notice(Code.NOTE, Severity.INFO, text=s) for s in (projection(path), *path.notes) if s)
+    if aligned:
+        yield notice(Code.ALIGNED, Severity.INFO, how=aligned)
 
 
 def _gone(kept: Kept, task: str, created: IntArray) -> list[Notice]:

@@ -136,10 +136,9 @@ def tangent(
     """
     p = len(at)
     b = np.empty((1, p))
-    residual, before, after, by = np.empty((1, 3)), np.empty((1, 3, 3)), np.empty((1, 3, 3)), np.empty((1, 3, p))
     for j in range(p):
         b[0, order[j]] = errors[j] * sigma[order[j]]
-    linearize_increments(pose, motion, root, b, place, mount, residual, before, after, by)
+    residual, before, after, by = linearize_increments(pose, motion, root, b, place, mount)
     found = np.empty((3, 7 + p))
     for i in range(3):
         found[i, 0] = residual[0, i]

@@ -65,24 +65,16 @@ def _adjoint(x: float, y: float, theta: float, out: Array) -> None:
 
 @numba.njit(cache=True)
 def linearize_increments(
-    pose: Array,
-    motion: Array,
-    root: Array,
-    errors: Array,
-    place: IntArray,
-    mount: Array,
-    residual: Array,
-    before: Array,
-    after: Array,
-    by_errors: Array,
-) -> None:
-    """Fill in whitened residuals (n, 3) and Jacobians: to the pose before and after (n, 3, 3), body frame of each, and
-    to the errors (n, 3, p); of `motion` (n, 3) from pose k to k + 1 of `pose` (n + 1, 3), each under `errors` (n, p).
+    pose: Array, motion: Array, root: Array, errors: Array, place: IntArray, mount: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Whitened residuals (n, 3) and Jacobians: to the pose before and after (n, 3, 3), body frame of each, and to the
+    errors (n, 3, p); of `motion` (n, 3) from pose k to k + 1 of `pose` (n + 1, 3), each under `errors` (n, p).
 
     `root` (n, 3, 3): R with R'R the information of the odometry's own noise; `place` (p,) and `mount` (3,) as of
     `data.motion.systematic`.
     """
     n, p = errors.shape
+    residual, before, after, by_errors = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3, 3)), np.empty((n, 3, p))
     all_errors, way, m, A = np.zeros(7), np.zeros(3), np.zeros(3), np.zeros((3, 7))
     H, B, J, Ad = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
     W, K = np.zeros((3, 3)), np.zeros((3, 3))
@@ -126,6 +118,7 @@ def linearize_increments(
         for i in range(3):
             for j in range(3):
                 before[k, i, j] = -K[i, j]
+    return residual, before, after, by_errors
 
 
 class CalibratedRows:
@@ -161,7 +154,7 @@ class CalibratedRows:
         """
         c, n = self._of, len(self._of.of)
         pose, errors = self._state(values)
-        residual, after, before, by_errors = self._increments(pose, errors)
+        residual, before, after, by_errors = self._increments(pose, errors)
         by_errors *= c.systematic.sigma
         A[1:n, :, :3], A[1:n, :, 3:6] = after, before
         b[1:n, :, 0], b[1:n, :, 1:] = -residual, by_errors[:, :, c.constant]
@@ -186,15 +179,9 @@ class CalibratedRows:
         return self._last[1:]
 
     def _increments(self, pose: Array, errors: Array) -> tuple[Array, Array, Array, Array]:
-        """Residuals (N - 1, 3), Jacobians (N - 1, 3, 3) to the poses after and before, and (N - 1, 3, p) to errors."""
-        c, n = self._of, len(pose) - 1
-        residual, after, before = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3, 3))
-        by_errors = np.empty((n, 3, len(c.place)))
-        motion = c.increments.mean[1:]
-        linearize_increments(
-            pose, motion, self._root, errors[1:], c.place, c.frame.mount, residual, before, after, by_errors
-        )
-        return residual, after, before, by_errors
+        """As `linearize_increments`, of poses (N, 3) and errors (N, p)."""
+        c = self._of
+        return linearize_increments(pose, c.increments.mean[1:], self._root, errors[1:], c.place, c.frame.mount)
 
     def _drifts(self, values: gtsam.Values) -> Array:
         """Whitened steps of the drift (K,) from knot to knot, the first from zero."""
@@ -232,7 +219,7 @@ class CalibratedRows:
 
     def cost(self, values: gtsam.Values) -> float:
         """Half the sum of squares of increments, drift and priors; see `graph.qr.rows.Linearizer.cost`."""
-        residual, *_ = self._increments(*self._state(values))
+        residual, _, _, _ = self._increments(*self._state(values))
         total = float(np.sum(residual**2))
         if self.constants:
             total += float(np.sum(values.atVector(CONSTANTS) ** 2))

@@ -201,7 +201,7 @@ def eliminate(rows: Rows, s: Structure) -> Triangle:
     dim = rows.dim[s.variable]
     width = _widths(dim, s.start, s.separator)
     at_S = np.concatenate([[0], np.cumsum(dim * width)])
-    R, S, d, left, free = _eliminate(*rows, *s, dim, width, at_S)
+    R, S, d, left, free = _eliminate(rows, s, dim, width, at_S)
     return Triangle(R, S, d, at_S, int(s.variable[free]) if free >= 0 else -1, left)
 
 
@@ -252,22 +252,10 @@ def reflect(F: Array, columns: int) -> None:
 
 @numba.njit(cache=True)
 def _eliminate(
-    variables: IntArray,
-    A: Array,
-    b: Array,
-    height: IntArray,
-    dims: IntArray,
-    variable: IntArray,
-    parent: IntArray,
-    children: IntArray,
-    start: IntArray,
-    separator: IntArray,
-    first: IntArray,
-    block: IntArray,
-    dim: IntArray,
-    width: IntArray,
-    at_S: IntArray,
+    rows: Rows, s: Structure, dim: IntArray, width: IntArray, at_S: IntArray
 ) -> tuple[Array, Array, Array, Array, int]:
+    variables, A, b, height, _ = rows
+    variable, parent, children, start, separator, first, block = s
     c, size = b.shape[2], len(variable)
     R, S, d = np.zeros((size, 3, 3)), np.empty(at_S[-1]), np.zeros((size, 3, c))
     place, column = np.empty(size, np.int64), np.empty(size, np.int64)

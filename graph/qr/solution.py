@@ -20,30 +20,21 @@ from graph.qr.elimination import Rows, Structure, Triangle
 def means(rows: Rows, s: Structure, t: Triangle) -> Array:
     """Solution (V, 3, c) of the least-squares problem, for each right-hand side; beyond a variable's dimension 0."""
     x = np.zeros((len(rows.dim), 3, t.d.shape[2]))
-    _substitute(s.variable, s.start, s.separator, rows.dim[s.variable], t.R, t.S, t.at_S, t.d, x)
+    _substitute(s, t, rows.dim[s.variable], x)
     return x
 
 
 def marginals(rows: Rows, s: Structure, t: Triangle) -> Array:
     """Marginal covariances (V, 3, 3); beyond a variable's dimension 0."""
     covariance = np.zeros((len(rows.dim), 3, 3))
-    dim = rows.dim[s.variable]
-    _covariances(s.variable, s.parent, s.children, s.start, s.separator, dim, t.R, t.S, t.at_S, covariance)
+    _covariances(s, t, rows.dim[s.variable], covariance)
     return covariance
 
 
 @numba.njit(cache=True)
-def _substitute(
-    variable: IntArray,
-    start: IntArray,
-    separator: IntArray,
-    dim: IntArray,
-    R: Array,
-    S: Array,
-    at_S: IntArray,
-    d: Array,
-    x: Array,
-) -> None:
+def _substitute(s: Structure, t: Triangle, dim: IntArray, x: Array) -> None:
+    variable, start, separator = s.variable, s.start, s.separator
+    R, S, d, at_S = t.R, t.S, t.d, t.at_S
     c = x.shape[2]
     for v in range(len(variable) - 1, -1, -1):
         n = dim[v]
@@ -65,19 +56,10 @@ def _substitute(
 
 
 @numba.njit(cache=True)
-def _covariances(
-    variable: IntArray,
-    parent: IntArray,
-    children: IntArray,
-    start: IntArray,
-    separator: IntArray,
-    dim: IntArray,
-    R: Array,
-    S: Array,
-    at_S: IntArray,
-    out: Array,
-) -> None:
+def _covariances(s: Structure, t: Triangle, dim: IntArray, out: Array) -> None:
     """Marginals by clique: the covariance of a clique is kept until the last of its children has taken its part."""
+    variable, parent, children, start, separator = s.variable, s.parent, s.children, s.start, s.separator
+    R, S, at_S = t.R, t.S, t.at_S
     size = len(variable)
     cliques, used = np.empty(1024), 0
     begin, open_children = np.empty(size, np.int64), children.copy()

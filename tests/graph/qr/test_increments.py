@@ -29,11 +29,7 @@ def world(mount):
 
 
 def linearized(pose, motion, covariance, errors, place, mount):
-    r, before, after = np.empty((N, 3)), np.empty((N, 3, 3)), np.empty((N, 3, 3))
-    by_errors = np.empty((N, 3, len(place)))
-    root = root_information(covariance)[0]
-    linearize_increments(pose, motion, root, errors, place, mount, r, before, after, by_errors)
-    return r, before, after, by_errors
+    return linearize_increments(pose, motion, root_information(covariance)[0], errors, place, mount)
 
 
 def test_without_errors_the_cost_is_that_of_gtsams_factors():
