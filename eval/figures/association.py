@@ -1,12 +1,10 @@
-"""The figure of association outcomes: a bar per run, split into right and wrong decisions of every kind.
-
-The figure of one revision: sightings as they were decided about at first, and as they are in the end.
-"""
+"""Figures of association: outcomes of the decisions, a bar per run; and one revision, as decided at first and last."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -37,6 +35,12 @@ class Part:
     outcome: str
     label: str
     hatch: str = ""
+
+    @property
+    def look(self) -> dict[str, Any]:
+        """As matplotlib draws it."""
+        edge: dict[str, Any] = {"edgecolor": "#303030", "linewidth": 0.4, "hatch": self.hatch, "hatch_linewidth": 0.5}
+        return {"facecolor": OUTCOME_COLOURS[self.outcome], **edge}
 
 
 PARTS = (
@@ -99,10 +103,7 @@ def confusion_figure(title: str, shown: Sequence[Bar]) -> Figure:
     present = [p for p in PARTS if any(b.length(p.key) for b in shown)]
     for part in present:
         width = np.array([b.length(part.key) for b in shown], float)
-        ax.barh(
-            rows, width, left=left, height=0.74, color=OUTCOME_COLOURS[part.outcome], edgecolor="#303030",
-            linewidth=0.4, hatch=part.hatch, hatch_linewidth=0.5,
-        )  # fmt: skip
+        ax.barh(rows, width, left=left, height=0.74, **part.look)
         left += width
     ax.set_yticks(rows, [b.label for b in shown])
     ax.set_ylim(len(shown) - 0.5, -0.5)
@@ -112,14 +113,7 @@ def confusion_figure(title: str, shown: Sequence[Bar]) -> Figure:
     ax.set_xlabel("observations [–]")
     _numbers(ax, shown)
     ax.set_title(title, loc="left")
-    handles = [
-        Patch(
-            facecolor=OUTCOME_COLOURS[p.outcome], edgecolor="#303030", linewidth=0.4, hatch=p.hatch,
-            hatch_linewidth=0.5, label=p.label,
-        )
-        for p in present
-    ]  # fmt: skip
-    fig.legend(handles=handles, loc="outside lower center", ncols=3)
+    fig.legend(handles=[Patch(label=p.label, **p.look) for p in present], loc="outside lower center", ncols=3)
     return fig
 
 

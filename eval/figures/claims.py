@@ -1,14 +1,9 @@
-"""What runs claim over time: NIS per degree of freedom with its bounds, standard deviations of position and heading.
-
-Figure of the filter-smoother test: how far each online estimate is from the smoothed one, and how far it may be.
-
-Figure of systematic errors over time: what filter and smoother make of each, how sure they are, and the truth.
-"""
+"""What runs claim over time: NIS and sigmas, the filter-smoother test, and systematic errors estimated along."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -33,7 +28,7 @@ from eval.figures.error import (
     time_axis,
 )
 from eval.figures.paper import page_width
-from eval.figures.style import BAND_COLOUR, DASHED, SOLID, TRUTH_COLOUR, Line, Style, drawing, series, style_of
+from eval.figures.style import BAND, DASHED, SOLID, TRUTH_COLOUR, Line, Style, drawing, series, style_of
 from eval.referee.consistency import nis_bounds
 from eval.referee.given_runs import log_of
 from eval.referee.trust import Difference, difference
@@ -91,18 +86,16 @@ def claims_figure(log: Log, runs: Sequence[Run]) -> Figure:
     for s in shown:
         own = log_of(s.run, log).recorded.time
         stretches = stretches_of(own, s.run) if s.phase == "online" else None
-        label = s.label
+        label, look = s.label, dict[str, Any](color=s.colour, linestyle=s.line, linewidth=0.9)
         if stretches is not None:
             found.append(stretches)
-            top.stairs(
-                stretches.nis, stretches.edge, color=s.colour, linestyle=s.line, linewidth=0.9, baseline=None, zorder=3
-            )  # fmt: skip
+            top.stairs(stretches.nis, stretches.edge, baseline=None, zorder=3, **look)
             inside = (stretches.nis >= stretches.bounds[:, 0]) & (stretches.nis <= stretches.bounds[:, 1])
             label += f": NIS inside in {int(inside.sum())} of {len(inside)} stretches"
         for ax, curve in ((middle, longest_sigma(s.trajectory)), (low, np.degrees(sigmas(s.trajectory)[:, 2]))):
             keep = thinned(curve, BINS)
-            ax.plot(own[keep], curve[keep], color=s.colour, linestyle=s.line, linewidth=0.9)
-        handles.append(Line2D([], [], label=label, color=s.colour, linestyle=s.line, linewidth=0.9))
+            ax.plot(own[keep], curve[keep], **look)
+        handles.append(Line2D([], [], label=label, **look))
     _nis_axis(top, found)
     for ax, name in ((middle, "position σ [m]"), (low, "heading σ [deg]")):
         ax.set_ylabel(name)
@@ -112,7 +105,7 @@ def claims_figure(log: Log, runs: Sequence[Run]) -> Figure:
     fig.align_ylabels([top, middle, low])
     fig.suptitle(f"{log.name}: what the runs say of themselves", x=0.01, ha="left")
     if found:
-        handles.append(Patch(facecolor=BAND_COLOUR, alpha=0.45, linewidth=0.0, label="95 % bounds of NIS"))
+        handles.append(Patch(label="95 % bounds of NIS", **BAND))
         handles.append(Line2D([], [], color="#505050", linewidth=0.6, linestyle="--", label="expected NIS"))
     fig.legend(handles=handles, loc="outside lower center", ncols=2)
     return fig
@@ -126,19 +119,17 @@ def _nis_axis(ax: Axes, found: Sequence[Stretches]) -> None:
         return
     # stretches of the runs differ by a few frames; the widest bounds are those of the fewest degrees of freedom
     first = max(found, key=lambda s: float(np.nanmax(np.ptp(s.bounds, axis=1))))
-    ax.stairs(
-        first.bounds[:, 1], first.edge, baseline=first.bounds[:, 0], fill=True, color=BAND_COLOUR, alpha=0.45,
-        linewidth=0.0,
-    )  # fmt: skip
+    lower, upper = first.bounds.T
+    ax.stairs(upper, first.edge, baseline=lower, fill=True, **BAND)
     expected = float(np.nanmean(first.bounds))
     ax.axhline(expected, color="#505050", linewidth=0.6, linestyle="--", zorder=1.5)
     values = np.concatenate([s.nis[np.isfinite(s.nis)] for s in found])
-    upper = float(np.nanmax(first.bounds))
-    if values.max() > LOG_ABOVE * upper:
+    highest = float(np.nanmax(first.bounds))
+    if values.max() > LOG_ABOVE * highest:
         ax.set_yscale("log")
         ax.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:g}"))
     else:
-        ax.set_ylim(0.0, 1.08 * max(float(values.max()), upper))
+        ax.set_ylim(0.0, 1.08 * max(float(values.max()), highest))
         ax.yaxis.set_major_locator(ticks(4))
 
 
@@ -197,19 +188,15 @@ def _excursion(axes: Sequence[Axes], time: Array, d: Difference, style: Style) -
     label = style.label
     in_sigmas = np.abs(d.d / d.sigma)
     marker = ""
+    look: dict[str, Any] = {"markerfacecolor": style.colour, "markeredgecolor": "black", "markeredgewidth": 0.7}
     if np.isfinite(in_sigmas).any():
         frame, i = divmod(int(np.nanargmax(in_sigmas)), 3)
         name, _, factor = COORDINATES[i]
-        axes[i].plot(
-            time[frame], factor * d.d[frame, i], color="black", marker=style.marker, markerfacecolor=style.colour,
-            markersize=5.0, markeredgewidth=0.7, clip_on=False, zorder=3,
-        )  # fmt: skip
         marker = style.marker
+        axes[i].plot(time[frame], factor * d.d[frame, i], marker, markersize=5.0, clip_on=False, zorder=3, **look)
         label += f": largest {in_sigmas[frame, i]:.3g}σ, {name}, frame {frame}"
-    return Line2D(
-        [], [], color=style.colour, linestyle=style.line, linewidth=0.9, marker=marker, markerfacecolor=style.colour,
-        markeredgecolor="black", markersize=4.5, markeredgewidth=0.7, label=label,
-    )  # fmt: skip
+    line = style.look | {"marker": marker, "linewidth": 0.9}
+    return Line2D([], [], markersize=4.5, label=label, **line, **look)
 
 
 HEIGHT = 1.25
@@ -232,7 +219,7 @@ def systematic_figure(log: Log, systematic: Systematic, runs: Sequence[Run]) -> 
     time, truth = log.recorded.time, log.truth.errors
     for i, (name, ax) in enumerate(zip(systematic.names, axes, strict=False)):
         before = 3.0 * float(systematic.sigma[i])
-        ax.axhspan(-before, before, color=BAND_COLOUR, alpha=0.45, linewidth=0.0)
+        ax.axhspan(-before, before, **BAND)
         ax.axhline(0.0, color="#909090", linewidth=0.5)
         reach = 0.0
         for run, errors, line, _ in drawn:
@@ -267,7 +254,7 @@ def systematic_figure(log: Log, systematic: Systematic, runs: Sequence[Run]) -> 
     ]
     if truth is not None:
         handles.append(Line2D([], [], color=TRUTH_COLOUR, linestyle=DASHED, linewidth=0.8, label="true error"))
-    known = Patch(facecolor=BAND_COLOUR, alpha=0.45, label="known before (±3σ)")
+    known = Patch(label="known before (±3σ)", **BAND)
     fig.legend(handles=[*handles, known], loc="outside lower center", ncols=4)
     return fig
 

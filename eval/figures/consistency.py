@@ -17,7 +17,7 @@ from data.se2 import Array
 from data.terminal import counted
 from eval.figures.error import heading_of, panels, thinned, ticks, time_axis
 from eval.figures.paper import page_width
-from eval.figures.style import BAND_COLOUR, LONG_HANDLE, drawing, style_of
+from eval.figures.style import BAND, LONG_HANDLE, drawing, style_of
 from eval.referee.consistency import anees_band, mean_or_nan, nees
 from eval.referee.given_runs import log_of
 
@@ -29,7 +29,7 @@ LOG_ABOVE = 10.0
 
 
 def _band(ax: Axes, lower: float, upper: float, dof: int) -> None:
-    ax.axhspan(lower, upper, color=BAND_COLOUR, alpha=0.45, linewidth=0.0, zorder=1)
+    ax.axhspan(lower, upper, zorder=1, **BAND)
     ax.axhline(dof, color="#505050", linewidth=0.6, linestyle="--", zorder=1.5)
 
 
@@ -86,7 +86,7 @@ def nees_figure(log: Log, runs: Sequence[Run]) -> Figure:
 def _handles(dof: int, band: str) -> list[Line2D | Patch]:
     expected = f"expected of a consistent estimator: {dof}"
     return [
-        Patch(facecolor=BAND_COLOUR, alpha=0.45, linewidth=0.0, label=band),
+        Patch(label=band, **BAND),
         Line2D([], [], color="#505050", linewidth=0.6, linestyle="--", label=expected),
     ]
 
@@ -118,10 +118,7 @@ def anees_figure(
         mean, outside = mean_or_nan(values), _share_outside(values, lower, upper)
         measured = f": mean {_short(mean)}, {100.0 * outside:.0f} % outside" if np.isfinite(mean) else ""
         label = style.label + measured
-        handles += ax.plot(
-            time, values, color=style.colour, linestyle=style.line, marker=style.marker, markevery=(first, few),
-            markersize=3.0, label=label, zorder=2,
-        )  # fmt: skip
+        handles += ax.plot(time, values, markevery=(first, few), markersize=3.0, label=label, zorder=2, **style.look)
     _scale([ax], list(average.values()), lower, upper)
     ax.set(ylabel=f"average {quantity} NEES [–]", xlabel="frame" if time_is_index else "time [s]")
     if len(time) > 1:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
@@ -101,11 +102,9 @@ def growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
         robot.plot(time, sigma, color=style.colour, linestyle=SOLID if i == 0 else DASHED, linewidth=1.2, label=label)
         if run.map is not None and len(run.map):
             last = longest_axis(run.map.covariance) / SIGMAS
-            face = style.colour if i == 0 else "none"
-            landmarks.plot(
-                run.map.number, last, linestyle="none", marker="o", markersize=2.2 if i == 0 else 4.0,
-                markerfacecolor=face, markeredgecolor=style.colour, markeredgewidth=0.7,
-            )  # fmt: skip
+            face, size = (style.colour, 2.2) if i == 0 else ("none", 4.0)
+            look = dict[str, Any](markeredgecolor=style.colour, markeredgewidth=0.7)
+            landmarks.plot(run.map.number, last, "o", markersize=size, markerfacecolor=face, **look)
     closed = next((f for f in (closing_frame(log, r) for r in runs) if f is not None), None)
     if closed is not None:
         robot.axvline(

@@ -151,15 +151,13 @@ def _wrap(text: Text, room: float) -> int:
 
 def _relegend(fig: Figure, legend: Legend) -> float:
     """A legend below everything, in as many columns as there is room for; how much longer [in] the page has to be."""
-    handles, labels = list(legend.legend_handles), [t.get_text() for t in legend.get_texts()]
-    before, title = legend.get_window_extent().height, legend.get_title().get_text()
+    handles = [h for h in legend.legend_handles if h is not None]
+    labels = [t.get_text() for t in legend.get_texts()]
+    before, title = legend.get_window_extent().height, legend.get_title().get_text() or None
     length = legend.handlelength
     legend.remove()
     for columns in (3, 2, 1):
-        made = fig.legend(
-            handles=[h for h in handles if h is not None], labels=labels, loc="outside lower center", ncols=columns,
-            handlelength=length, title=title or None,
-        )  # fmt: skip
+        made = fig.legend(handles, labels, loc="outside lower center", ncols=columns, handlelength=length, title=title)
         fig.draw_without_rendering()
         if columns == 1 or made.get_window_extent().width <= fig.bbox.width - MARGIN * fig.dpi:
             break

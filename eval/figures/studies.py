@@ -1,18 +1,11 @@
-"""Figures of run-end errors, one value per Monte Carlo run: NEES against the chi-square law, and coverage by level.
-
-Figure of the outlier study: error and consistency of each estimator against the rate of wrong associations.
-
-Figure of a power study: how often a test sees each fault, at each of its sizes, beside another test.
-
-The figure of knowledge taken away: error and wrong decisions, from labels and map given to nothing.
-"""
+"""Figures of studies: what runs end with, rates of wrong associations, the power of a test, knowledge taken away."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -92,10 +85,8 @@ def _histogram(ax: Axes, name: str, values: Array, dof: int, edges: Array) -> No
     counts = np.histogram(known, edges)[0]
     beyond = int(np.count_nonzero(known > end))
     ax.bar(edges[:-1], scale * counts, width, align="edge", color=style.colour, alpha=0.55, linewidth=0.0)
-    ax.bar(
-        end + 0.6 * width, scale * beyond, 1.6 * width, align="edge", color="white", edgecolor=style.colour,
-        hatch=BEYOND_HATCH, linewidth=0.8,
-    )  # fmt: skip
+    look = dict[str, Any](color="white", edgecolor=style.colour, hatch=BEYOND_HATCH, linewidth=0.8)
+    ax.bar(end + 0.6 * width, scale * beyond, 1.6 * width, align="edge", **look)
     ax.text(end + 1.4 * width, scale * beyond, f"{beyond}", ha="center", va="bottom", fontsize=points(7))
     x = np.linspace(edges[0], end, 400)[1:]
     ax.plot(x, stats.chi2.pdf(x, dof), color=EXPECTED_COLOUR, linewidth=1.0)
@@ -133,10 +124,8 @@ def coverage_figure(nees: Mapping[str, Array], dof: int, title: str) -> Figure:
         share = 100.0 * np.array([v.mean for v in verdicts])
         bounds = 100.0 * np.array([(v.lower, v.upper) for v in verdicts]).T
         lowest = min(lowest, float(bounds.min()))
-        ax.errorbar(
-            place + offset, share, np.abs(bounds - share), color=style.colour, marker=style.marker,
-            linestyle="none", elinewidth=1.0, capsize=1.5, markersize=3.5, zorder=2,
-        )  # fmt: skip
+        look = style.look | {"linestyle": "none", "elinewidth": 1.0, "capsize": 1.5}
+        ax.errorbar(place + offset, share, np.abs(bounds - share), markersize=3.5, zorder=2, **look)
     ax.set_xticks(place, [f"{n:g}" for n in nominal])
     ax.grid(visible=False, axis="x")
     for boundary in place[:-1] + 0.5:
@@ -203,10 +192,7 @@ def outlier_figure(table: pd.DataFrame, title: str) -> Figure:
         ax.set_xlabel("wrong associations [%]")
         ax.set_xticks(range(len(rates)), [f"{100.0 * r:g}" for r in rates])
     fig.suptitle(f"{title}: wrong associations put in", x=0.01, ha="left")
-    handles = [
-        Line2D([], [], color=s.colour, linestyle=s.line, marker=s.marker, label=s.label)
-        for s in (style_of(n) for n in names)
-    ]
+    handles = [Line2D([], [], label=s.label, **s.look) for s in (style_of(n) for n in names)]
     expected = f"expected NEES: {POSE_DOF}"
     handles.append(Line2D([], [], color="#505050", linewidth=0.8, linestyle="--", label=expected))
     fig.legend(handles=handles, loc="outside lower center", ncols=columns, handlelength=LONG_HANDLE)
@@ -221,10 +207,8 @@ def _curve(ax: Axes, curve: pd.DataFrame, panel: Panel, rates: Sequence[float], 
     x = np.searchsorted(rates, part["rate"].to_numpy(float)) + offset
     y = part[panel.value].to_numpy(float)
     bars = np.abs(np.stack([y - part[panel.lower].to_numpy(float), part[panel.upper].to_numpy(float) - y]))
-    ax.errorbar(
-        x, y, np.where(np.isfinite(bars), bars, 0.0), color=style.colour, linestyle=style.line, marker=style.marker,
-        markersize=3.5, elinewidth=0.8, capsize=1.2, zorder=2,
-    )  # fmt: skip
+    bars = np.where(np.isfinite(bars), bars, 0.0)
+    ax.errorbar(x, y, bars, markersize=3.5, elinewidth=0.8, capsize=1.2, zorder=2, **style.look)
 
 
 def _scale(ax: Axes, part: pd.DataFrame, panel: Panel) -> None:
@@ -276,13 +260,9 @@ def power_figure(faults: Sequence[Seen], tests: tuple[str, str], level: float, t
     for ax, f in zip(axes, faults, strict=False):
         place = range(len(f.sizes))
         ax.axhline(level, color="#505050", linewidth=0.6, linestyle="--", zorder=1.5)
-        ax.errorbar(
-            place, f.share, f.error, color=COLOURS[0], marker="o", markersize=3.5, elinewidth=0.8, label=tests[0]
-        )
-        ax.plot(
-            place, f.other, color=COLOURS[1], marker="s", markersize=3.5, markerfacecolor="white", zorder=1.8,
-            label=tests[1],
-        )  # fmt: skip
+        own, other = ({"color": c, "marker": m, "label": t} for c, m, t in zip(COLOURS, "os", tests, strict=True))
+        ax.errorbar(place, f.share, f.error, markersize=3.5, elinewidth=0.8, **own)
+        ax.plot(place, f.other, markersize=3.5, markerfacecolor="white", zorder=1.8, **other)
         ax.set_xticks(place, f.sizes)
         ax.set_xlim(-0.4, len(f.sizes) - 0.6)
         ax.set_ylim(-6.0, 106.0)
@@ -337,8 +317,8 @@ def knowledge_figure(title: str, rows: Sequence[Known]) -> Figure:
         if row.original is not None:
             error.plot(row.original, y, "s", markersize=points(7.0), markerfacecolor="none", color="#000000")
         if row.wrong is not None:
-            wrong.barh(y, 100.0 * row.wrong, height=0.7, color=style.colour, hatch="////" if row.tutorial else "",
-                       edgecolor="#FFFFFF", linewidth=0.0)  # fmt: skip
+            look = dict[str, Any](color=style.colour, edgecolor="#FFFFFF", linewidth=0.0)
+            wrong.barh(y, 100.0 * row.wrong, height=0.7, hatch="////" if row.tutorial else "", **look)
     error.set_xscale("log")
     error.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     error.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
@@ -354,8 +334,8 @@ def knowledge_figure(title: str, rows: Sequence[Known]) -> Figure:
         _shade(ax, rows, place)
     for given in groups:
         y = float(place[[r.given == given for r in rows]].min()) - 0.95
-        error.text(0.01, y, f"given: {given}", transform=error.get_yaxis_transform(), va="center", weight="bold",
-                   fontsize=points(7.0))  # fmt: skip
+        look = dict[str, Any](va="center", weight="bold", fontsize=points(7.0))
+        error.text(0.01, y, f"given: {given}", transform=error.get_yaxis_transform(), **look)
     error.set_title(title, loc="left")
     fig.legend(handles=_handles(rows), loc="outside lower center", ncols=4)
     return fig
@@ -374,13 +354,9 @@ def _handles(rows: Sequence[Known]) -> list[Line2D]:
         style = style_of(name)
         found.append(Line2D([], [], color=style.colour, marker=style.marker, linestyle="none", label=style.label))
     if any(r.tutorial for r in rows):
-        style = style_of("ekf")
-        found.append(
-            Line2D([], [], color=style.colour, marker="s", linestyle="none", label="a tutorial's treatment, run here")
-        )
+        colour, label = style_of("ekf").colour, "a tutorial's treatment, run here"
+        found.append(Line2D([], [], color=colour, marker="s", linestyle="none", label=label))
     if any(r.original is not None for r in rows):
-        found.append(
-            Line2D([], [], color="#000000", marker="s", markersize=points(7.0), markerfacecolor="none",
-                   linestyle="none", label="the tutorial's own program")
-        )  # fmt: skip
+        look = dict[str, Any](color="#000000", marker="s", markersize=points(7.0), markerfacecolor="none")
+        found.append(Line2D([], [], linestyle="none", label="the tutorial's own program", **look))
     return found

@@ -36,6 +36,8 @@ Line = Literal["-"] | tuple[int, tuple[float, ...]]
 
 TRUTH_COLOUR = "#000000"
 BAND_COLOUR = "#C8C8C8"
+BAND: dict[str, Any] = {"color": BAND_COLOUR, "alpha": 0.45, "linewidth": 0.0}
+"""Where something is expected to be."""
 
 RC: dict[RcKeyType, Any] = {
     "font.family": ["DejaVu Sans"],  # comes with matplotlib, so a figure does not depend on the machine's fonts
@@ -77,6 +79,11 @@ class Style:
     line: Line = SOLID
     marker: str = "+"
 
+    @property
+    def look(self) -> dict[str, Any]:
+        """Colour, line and marker, as matplotlib calls them."""
+        return {"color": self.colour, "linestyle": self.line, "marker": self.marker}
+
 
 STYLES: dict[str, Style] = {
     "dead-reckoning": Style("#A6A6A6", "dead reckoning", DOTTED, "x"),
@@ -92,14 +99,26 @@ STYLES: dict[str, Style] = {
     "fixed-lag": Style("#999933", "fixed lag", LONG, "X"),
 }
 METHOD_COLOURS = {
-    "known": "#000000", "nn": "#D55E00", "ml": "#E69F00", "ml-ratio": "#7B3F00", "singles": "#CC79A7", "gnn": "#999933",
-    "jcbb": "#0072B2", "jcbb-first": "#56B4E9", "jcbb-hindsight": "#332288",
+    "known": "#000000",
+    "nn": "#D55E00",
+    "ml": "#E69F00",
+    "ml-ratio": "#7B3F00",
+    "singles": "#CC79A7",
+    "gnn": "#999933",
+    "jcbb": "#0072B2",
+    "jcbb-first": "#56B4E9",
+    "jcbb-hindsight": "#332288",
     "scan": "#117733",
-}  # fmt: skip
+}
 """Ways of association, where lines tell these apart and not the estimators; independent tests warm, joint ones blue."""
 OTHERS = (
-    ("#8000E0", "*"), ("#800000", "h"), ("#806080", "d"), ("#E00040", "1"), ("#E040E0", "2"), ("#C080C0", "3"),
-)  # fmt: skip
+    ("#8000E0", "*"),
+    ("#800000", "h"),
+    ("#806080", "d"),
+    ("#E00040", "1"),
+    ("#E040E0", "2"),
+    ("#C080C0", "3"),
+)
 """Colour and marker of names that are not ours, as far from ours and from each other as colours go (CIELAB, for all
 colour-blind readers): each with every one of these lines, so that so many names look different."""
 OTHER_LINES: tuple[Line, ...] = (DASHDOT, LONG, DASHDOTDOT)

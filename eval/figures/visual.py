@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from textwrap import fill
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -96,12 +96,11 @@ def _paint(ax: Axes, tile: Tile) -> None:
         u, v = found.pixels[0].tolist()
         # above the corner, or below it where the image ends
         inside = v < 0.09 * height
-        ax.annotate(
-            str(found.picture), (u, v), xytext=(0.0, -3.5 if inside else 3.5), textcoords="offset points",
-            ha="left", va="top" if inside else "bottom", fontsize=TAG, fontweight="bold", color=EDGE,
-            annotation_clip=False, bbox={"boxstyle": "square,pad=0.18", "facecolor": OUTLINE, "edgecolor": EDGE,
-                                         "linewidth": 0.5},
-        )  # fmt: skip
+        away, side = (-3.5, "top") if inside else (3.5, "bottom")
+        box = {"boxstyle": "square,pad=0.18", "facecolor": OUTLINE, "edgecolor": EDGE, "linewidth": 0.5}
+        look = dict[str, Any](fontsize=TAG, fontweight="bold", color=EDGE, annotation_clip=False, bbox=box)
+        at = dict[str, Any](xytext=(0.0, away), textcoords="offset points", ha="left", va=side)
+        ax.annotate(str(found.picture), (u, v), **at, **look)
 
 
 def plan_figure(
@@ -119,16 +118,13 @@ def draw_pictures(ax: Axes, corners: Array) -> list[Line2D]:
     halo = [withStroke(linewidth=1.5, foreground="white")]
     drawn: list[Line2D] = []
     for number, (left, right) in enumerate(corners[:, :2]):
-        drawn = ax.plot(
-            *np.stack([left, right], axis=1), color="black", linewidth=3.2, solid_capstyle="butt", zorder=4,
-            label="pictures (number behind)",
-        )  # fmt: skip
+        look = dict[str, Any](color="black", linewidth=3.2, solid_capstyle="butt", zorder=4)
+        drawn = ax.plot(*np.stack([left, right], axis=1), label="pictures (number behind)", **look)
         # seen from in front the left corner is to the left, so what is behind is a quarter turn left of left to right
         along = right - left
         length = math.hypot(*along.tolist())
         behind = np.array([-along[1], along[0]]) / length if length > 0.0 else np.zeros(2)
-        ax.annotate(
-            str(number), tuple(0.5 * (left + right)), xytext=tuple(6.5 * behind), textcoords="offset points",
-            ha="center", va="center_baseline", fontsize=6.5, color="black", path_effects=halo, zorder=5.5,
-        )  # fmt: skip
+        at = dict[str, Any](textcoords="offset points", ha="center", va="center_baseline", fontsize=6.5)
+        middle, away = tuple(0.5 * (left + right)), tuple(6.5 * behind)
+        ax.annotate(str(number), middle, xytext=away, color="black", path_effects=halo, zorder=5.5, **at)
     return drawn
