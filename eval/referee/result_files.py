@@ -247,6 +247,7 @@ OF_LOGS = (
 OTHERS = (
     File("report.html", "The report, in one file."),
     File("report.md", "The same in Markdown."),
+    File("report.json", "The facts that its sentences were written from: numbers, names and codes, without words."),
     File(
         "players/<log>.html",
         "Every run on a log, frame by frame, in a browser: one file, which loads nothing.",

@@ -1,19 +1,19 @@
 """The tables of the report, made from the rows of metrics.csv, association.csv and consistency.csv, for reading.
 
-Which is better on this log: paired differences between filters and smoothers, as a table and as a sentence.
+Which is better on this log: paired differences between filters and smoothers.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import pandas as pd
 
 from eval.referee.metrics import OF_DECISIONS, RUN, heads, is_share, metric
-from eval.report.page.document import FinePrint
-from eval.report.page.tables import drop_blank_columns, is_blank, number
-from eval.report.rows import Row, rows_of, value_of
+from eval.report.page.tables import drop_blank_columns, interval, is_blank
+from eval.report.rows import Row, Scored, rows_of, value_of
 
 COMPARISON: dict[str, str] = {
     **heads((*RUN, "status")),
@@ -33,12 +33,7 @@ ASSOCIATION: Mapping[str, str] = {
 }
 
 CONSISTENCY: Mapping[str, str] = {
-    "scenario": "scenario",
-    "task": "task",
-    "estimator": "estimator",
-    "association": "association",
-    "phase": "phase",
-    "quantity": "quantity",
+    **{name: name for name in ("scenario", "task", "estimator", "association", "phase", "quantity")},
     "dof": "expected",
     "mean": "mean",
     "interval": "95 % interval of the mean",
@@ -49,10 +44,7 @@ CONSISTENCY: Mapping[str, str] = {
 }
 
 PUBLISHED: Mapping[str, str] = {
-    "scenario": "scenario",
-    "estimator": "estimator",
-    "quantity": "quantity",
-    "ours": "ours",
+    **{name: name for name in ("scenario", "estimator", "quantity", "ours")},
     "se_ours": "± SE",
     "published": "published",
     "se_published": "± SE of it",
@@ -69,54 +61,6 @@ OUTLIERS: Mapping[str, str] = {
     "nees": "95 % interval of the NEES",
     "diverged": "diverged",
 }
-
-COMPARISON_CAPTION = (
-    "Errors in the world frame, no alignment, all with the same prior and inputs. Online: each pose given the data up"
-    " to its frame; final: given all data."
-)
-COMPARISON_FINE = FinePrint(
-    "Errors and consistency of one log",
-    "Phase online: each pose given the data up to its frame; final: every pose given all data, so a final row is"
-    " expected to be the more accurate one. The aligned RMSE is after the rigid motion that fits the true path best:"
-    " SLAM fixes its frame at the first pose, so what the heading errs in the first seconds turns the whole map and"
-    " path, and that part of the error is the gauge's, not the estimator's. NEES of one run describes and proves"
-    " nothing; NIS per dof against its 95 % bounds (behind a gate less than 1 is expected, and the bounds are lower),"
-    " and the correlation of a landmark's innovations in successive frames against 0, are tests, conditional on the"
-    " association. Blank: unknown or not applicable. A status is shown where some run did not get to the end or is"
-    " implausible, a time-weighted RMSE where it differs from the plain one by more than 5 %.",
-)
-ASSOCIATION_FINE = FinePrint(
-    "Decisions",
-    "Outcomes of every observation's decision H against the truth GT. TP: H is a landmark and right; TN: both none;"
-    " FP: H is a wrong landmark (GT another: wrong; GT none: spurious); FN: H none though GT is in the map (a second"
-    " landmark initialized: duplicate; discarded: missed or deferred). Estimators with the same outcomes share a row; a"
-    " row for the final phase stands only where revised decisions turned out differently.",
-)
-CONSISTENCY_CAPTION = (
-    "Mean NEES (NIS per dof for the quantity nis) over independent simulated runs, with Student's t 95 % interval."
-)
-CONSISTENCY_FINE = FinePrint(
-    "Consistency over simulated runs",
-    "Mean over independent simulated runs of each run's mean NEES (NIS per dof for the quantity nis), with Student's t"
-    " 95 % interval of that mean. Consistent: the interval holds the expected value;"
-    " overconfident: wholly above; conservative: wholly below. Power: probability that this test, with as many runs and"
-    " this spread, rejects a covariance claimed at 0.8 of the true one. Whiteness: correlation of a landmark's"
-    " innovations in successive frames, expected 0; a covariance scaled as a whole leaves it 0, so it has no power"
-    " against that. NIS and whiteness of an estimator that decides for itself are conditional on its decisions.",
-)
-COVERAGE_CAPTION = "Share of the runs [%] whose last position lies inside the estimator's own ellipse of each level."
-COVERAGE_FINE = FinePrint(
-    "Coverage",
-    "Share of the runs [%] whose last position lies inside the estimator's own ellipse of each level, with"
-    " Clopper–Pearson 95 % bounds; marked where the level lies outside them (o: too few inside, overconfident;"
-    " c: too many, conservative).",
-)
-PUBLISHED_CAPTION = (
-    "Our numbers beside published ones, with standard errors of the Monte Carlo means (of the difference: root of the"
-    " sum of their squares). A difference within ±3 is chance. For a replay of a stored run it is the largest relative"
-    " difference of any step over the tolerance, so below 1 is agreement."
-)
-
 
 TableRow = dict[str, object]
 SAME = 0.05
@@ -262,14 +206,6 @@ def outliers_table(outliers: pd.DataFrame) -> pd.DataFrame:
 
 CHANCE = 0.05
 """A larger p is called chance, and so is a difference whose interval holds zero: near the edge the two may differ."""
-CAPTION = "Which is better on this log: filter (online) minus smoother (final), on the same frames."
-FINE = FinePrint(
-    "Filters against smoothers",
-    "RMSE difference positive: the smoother is closer to the truth. Intervals and p of no difference: stationary"
-    " bootstrap with blocks of the mean length given. They are about stretches of this log and not about other logs: in"
-    " SLAM what the whole map errs is not in them. The fewer blocks, the more they are too narrow (coverage:"
-    " docs/verdicts.md). Blank: the log is worth too few independent frames.",
-)
 
 
 def differences_table(rows: pd.DataFrame) -> pd.DataFrame:
@@ -295,8 +231,8 @@ def differences_table(rows: pd.DataFrame) -> pd.DataFrame:
     return drop_blank_columns(table)
 
 
-def missing_intervals(rows: pd.DataFrame) -> str:
-    """Why intervals are missing from the table, a sentence for each reason; empty if none is."""
+def missing_intervals(rows: pd.DataFrame) -> list[tuple[str, list[str], str]]:
+    """Of what intervals are missing from the table, for which pairs of estimators, and why; each reason once."""
     whys: dict[tuple[str, str], list[str]] = {}
     several = rows["association"].nunique() > 1
     for row in rows_of(rows):
@@ -304,36 +240,40 @@ def missing_intervals(rows: pd.DataFrame) -> str:
         for name, what in (("rmse_position", "RMSE"), ("nees_pose", "NEES")):
             if not is_blank(row[f"{name}_why"]):
                 whys.setdefault((what, str(row[f"{name}_why"])), []).append(pair)
-    return "\n".join(f"* {what} of {', '.join(pairs)}: no interval; {why}." for (what, why), pairs in whys.items())
+    return [(what, pairs, why) for (what, why), pairs in whys.items()]
 
 
-def difference_sentence(differences: Sequence[Row], filtered: Row, smoothed: Row) -> str:
-    """Filter and smoother of two rows of metrics.csv in one sentence; empty if their difference was not taken."""
-    for row in differences:
-        if (row["a"], row["b"], row["association"]) == (
-            filtered["estimator"],
-            smoothed["estimator"],
-            filtered["association"],
-        ):
-            return _sentence(row)
-    return ""
+@dataclass(frozen=True)
+class Difference:
+    """RMSE of a filter less that of a smoother on the same frames [m], with its 95 % interval and p of no difference.
+
+    block_frames: over so many frames errors are correlated; own_map: both err with a map that they made themselves;
+    why: there is no interval (p is NaN then).
+    """
+
+    metres: float
+    lower: float
+    upper: float
+    p: float
+    block_frames: float
+    own_map: bool
+    why: str
+
+    @property
+    def chance(self) -> bool:
+        """Whether it may be."""
+        return self.p > CHANCE or self.lower <= 0.0 <= self.upper
 
 
-def _sentence(row: Row) -> str:
-    difference, lower, upper, p = (
-        value_of(row, c) for c in ("rmse_position_m", "rmse_position_lower", "rmse_position_upper", "rmse_position_p")
-    )
-    if not math.isfinite(p):
-        return f"Whether the difference is chance this log cannot tell: {row['rmse_position_why']}."
-    word = "lower" if difference >= 0.0 else "higher"
-    if difference < 0.0:
-        difference, lower, upper = -difference, -upper, -lower
-    chance = ", so it may be chance" if p > CHANCE or lower <= 0.0 <= upper else ""
-    whole = ", and another log's map would err otherwise" if row["task"] == "slam" else ""
-    return (
-        f"The smoother's RMSE is {word} by {number(difference)} m, 95 % interval {_range(lower, upper)} m, p = {p:.3f};"
-        f" one log, errors correlated over about {value_of(row, 'block_frames'):.0f} frames{whole}{chance}."
-    )
+def difference_of(differences: Sequence[Row], filtered: Scored, smoothed: Scored) -> Difference | None:
+    """The difference between two runs; None if it was not taken."""
+    pair = (filtered.estimator, smoothed.estimator, filtered.association)
+    row = next((r for r in differences if (r["a"], r["b"], r["association"]) == pair), None)
+    if row is None:
+        return None
+    size, lower, upper, p = (value_of(row, f"rmse_position_{c}") for c in ("m", "lower", "upper", "p"))
+    why = "" if is_blank(row["rmse_position_why"]) else str(row["rmse_position_why"])
+    return Difference(size, lower, upper, p, value_of(row, "block_frames"), row["task"] == "slam", why)
 
 
 def _p(row: Row, name: str) -> str | None:
@@ -343,11 +283,4 @@ def _p(row: Row, name: str) -> str | None:
 
 def _row_interval(row: Row, name: str) -> str | None:
     lower, upper = value_of(row, f"{name}_lower"), value_of(row, f"{name}_upper")
-    return _range(lower, upper) if math.isfinite(lower) else None
-
-
-def _range(lower: float, upper: float) -> str:
-    """Both ends with as many decimals as the larger one needs for three digits."""
-    size = max(abs(lower), abs(upper))
-    places = min(max(2 - math.floor(math.log10(size)), 0), 6) if size > 0.0 else 0
-    return f"{lower:.{places}f} to {upper:.{places}f}".replace("-", "−")
+    return interval(lower, upper) if math.isfinite(lower) else None

@@ -1,13 +1,11 @@
-"""How the ways of deciding without labels did, in a sentence: the best and the worst, by decisions and by path.
-
-Decisions that were revised: how many, why, and one example for the report.
-"""
+"""How the ways of deciding without labels did, and which decisions were revised: how many, why, and one example."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,16 +13,15 @@ import pandas as pd
 
 from data.log import folder_name
 from data.result import DISCARD, NEW, Event, Run
-from data.terminal import counted
 from eval.figures.association import Example, revision_figure
 from eval.figures.style import save
-from eval.plan.flags.options import Options
 from eval.referee.score import Trial
 from eval.replay.hindsight.ledger import MERGED, PAIRED_ANEW, UNREAD
 from eval.replay.settings import steps
-from eval.report.page.document import Picture, Section, written_table
-from eval.report.page.tables import is_blank, number
-from eval.report.rows import Row, filters_in, value_of
+from eval.report.page.blocks import Picture, Section
+from eval.report.page.files import Drawn, written_table
+from eval.report.rows import Row, Scored, filters_in, value_of
+from eval.report.words import paragraph
 
 SAME = 0.02
 """Relative difference of two RMSE values below which they are called equal."""
@@ -32,117 +29,105 @@ USABLE = 0.9
 """A way of deciding is usable whose path has less than this share of dead reckoning's error."""
 
 
-def f1(row: Row) -> float:
-    """Harmonic mean of precision and recall, 2 TP / (2 TP + FP + FN); NaN where nothing was or should be paired."""
-    tp, wrong = value_of(row, "tp"), value_of(row, "fp") + value_of(row, "fn")
-    return 2.0 * tp / (2.0 * tp + wrong) if tp + wrong > 0 else math.nan
+@dataclass(frozen=True)
+class Way:
+    """How a run decided without labels: outcomes in its last phase, position RMSE [m] and size of its map (or NaN)."""
+
+    association: str
+    estimator: str
+    tp: int
+    tn: int
+    fp: int
+    fn: int
+    rmse: float = math.nan
+    landmarks: float = math.nan
+    lost: bool = False
+
+    @property
+    def decisions(self) -> int:
+        """All of them."""
+        return self.tp + self.tn + self.fp + self.fn
+
+    @property
+    def f1(self) -> float:
+        """Harmonic mean of precision and recall, 2 TP / (2 TP + FP + FN); NaN: nothing was or should be paired."""
+        wrong = self.fp + self.fn
+        return 2.0 * self.tp / (2.0 * self.tp + wrong) if self.tp + wrong > 0 else math.nan
+
+    @property
+    def quality(self) -> tuple[float, int]:
+        """By which ways of deciding are ordered."""
+        return self.f1, -self.fp - self.fn
 
 
-def deciding_rows(rows: Sequence[Row], outcomes: Sequence[Row]) -> list[Row]:
-    """Outcomes of the runs that decided for themselves, got to the end and are plausible, in their last phase."""
-    ended = {(r["estimator"], r["association"]) for r in rows if r["status"] == "ok"}
+@dataclass(frozen=True)
+class Deciding:
+    """How the ways of deciding without labels did on one log and task.
+
+    Attributes:
+        first, worst: by their decisions alone; the same if there is one.
+        best: by its decisions, of those with a usable path (of all, where none has one).
+        usable: whether one has: not lost, and nearer to the truth than dead reckoning.
+        nearest: whose path is clearly nearer to the truth than that of the best, if one is.
+        measured: whether errors of paths are known; dead_reckoning: its RMSE [m], or NaN.
+        labelled: landmarks that the log's ids tell apart.
+    """
+
+    first: Way
+    worst: Way
+    best: Way
+    usable: bool
+    nearest: Way | None
+    measured: bool
+    dead_reckoning: float
+    labelled: int | None = None
+
+
+def deciding(rows: Sequence[Scored], metrics: Sequence[Row], outcomes: Sequence[Row]) -> list[Way]:
+    """The runs that decided for themselves, got to the end and are plausible, in their last phase.
+
+    `rows` are those of metrics.csv (`metrics`) typed; `outcomes` are rows of association.csv.
+    """
+    ended = {(r.estimator, r.association) for r in rows if r.status == "ok"}
     filters = filters_in(rows)
-    deciding = [
-        r
-        for r in outcomes
-        if r["association"] not in ("known", "none")
-        and (r["estimator"], r["association"]) in ended
-        and r["phase"] == ("online" if r["estimator"] in filters else "final")
-    ]
+    by_phase = {(r.estimator, r.association, r.phase): r for r in reversed(rows)}
+    sizes = {(str(r["estimator"]), str(r["association"])): value_of(r, "landmarks") for r in metrics}
+    own = []
+    for r in outcomes:
+        estimator, association, phase = (str(r[c]) for c in ("estimator", "association", "phase"))
+        last = "online" if estimator in filters else "final"
+        if association in ("known", "none") or (estimator, association) not in ended or phase != last:
+            continue
+        tp, tn, fp, fn = (int(value_of(r, c)) for c in ("tp", "tn", "fp", "fn"))
+        row, size = by_phase.get((estimator, association, phase)), sizes.get((estimator, association), math.nan)
+        rmse, lost = (math.nan, False) if row is None else (row.rmse, bool(row.lost_why))
+        own.append(Way(association, estimator, tp, tn, fp, fn, rmse, size, lost))
     # batch smoothers take the decisions of another run, which speaks for itself where it is there
-    own = [r for r in deciding if steps(str(r["estimator"]))] or deciding
-    own = [r for r in own if math.isfinite(f1(r))]
-    return own
+    own = [w for w in own if steps(w.estimator)] or own
+    return [w for w in own if math.isfinite(w.f1)]
 
 
-def extremes(rows: Sequence[Row], outcomes: Sequence[Row]) -> tuple[Row, Row] | None:
-    """The best way of deciding, by F1, of those with a usable path (of all, where none has one), and the worst."""
-    own = deciding_rows(rows, outcomes)
+def deciding_facts(
+    rows: Sequence[Scored], metrics: Sequence[Row], outcomes: Sequence[Row], labelled: int | None = None
+) -> Deciding | None:
+    """The best and the worst way of deciding; None where nobody decided. Arguments as of `deciding`."""
+    own = deciding(rows, metrics, outcomes)
     if not own:
         return None
-    usable = [r for r in own if _usable(r, rows)] or own
-    return max(usable, key=quality), min(own, key=quality)
-
-
-def quality(row: Row) -> tuple[float, float]:
-    """By which ways of deciding are ordered."""
-    return f1(row), -value_of(row, "fp") - value_of(row, "fn")
-
-
-def best_and_worst(rows: Sequence[Row], outcomes: Sequence[Row], labelled: int | None) -> str:
-    """How the methods that decide for themselves did: the best and the worst, or against labels in a log without path.
-
-    Only runs that got to the end and are plausible count: the others' decisions end with them.
-    """
-    own = deciding_rows(rows, outcomes)
-    if not own:
-        return ""
-    path = any(math.isfinite(value_of(r, "rmse_position_m")) for r in rows)
-
-    best, worst = max(own, key=quality), min(own, key=quality)
-    if not path:
-        return " ".join(_agreement(r, rows, labelled) for r in ([best] if best is worst else [best, worst]))
-    if best is worst:
-        return f"Deciding itself, {_outcome(best)}."
-    if f1(best) == 0.0:
-        return "Of the ways of deciding without labels none made a single right pairing."
-    usable = [r for r in own if _usable(r, rows)]
-    if not usable:
-        least = f"{_outcome(best)} is least bad by F1{_path(best, rows)}"
-        return f"Without labels no way of deciding gives a usable path; {least}."
-    best = max(usable, key=quality)
-    text = f"Without labels, {_outcome(best)} decides best{_path(best, rows)} and {_outcome(worst)} worst"
-    nearest = min(usable, key=lambda r: _rmse(r, rows))
-    if _rmse(nearest, rows) < (1.0 - SAME) * _rmse(best, rows):
-        text += f"; the path is best with {_outcome(nearest)}{_path(nearest, rows)}"
-    return f"{text}; even the best is mostly wrong." if f1(best) < 0.5 else f"{text}."
-
-
-def _scored(row: Row, rows: Sequence[Row]) -> Row:
-    """The row of metrics of the run and phase that a row of decisions is about; empty if there is none."""
-    return next((r for r in rows if all(r[c] == row[c] for c in ("estimator", "association", "phase"))), {})
-
-
-def _rmse(row: Row, rows: Sequence[Row]) -> float:
-    return value_of(_scored(row, rows), "rmse_position_m")
-
-
-def _dead_reckoned(rows: Sequence[Row]) -> float:
-    """Position RMSE of dead reckoning, NaN if it did not run."""
-    return next((value_of(r, "rmse_position_m") for r in rows if r["estimator"] == "dead-reckoning"), math.nan)
-
-
-def _path(row: Row, rows: Sequence[Row]) -> str:
-    """Its error, with that of dead reckoning where that ran."""
-    own, reckoned = _rmse(row, rows), _dead_reckoned(rows)
-    compared = f" where dead reckoning has {number(reckoned)} m" if math.isfinite(reckoned) else ""
-    return f" (path {number(own)} m{compared})" if math.isfinite(own) else ""
-
-
-def _usable(row: Row, rows: Sequence[Row]) -> bool:
-    """Whether deciding so is better than not looking: not lost, and nearer to the truth than dead reckoning."""
-    lost = not is_blank(_scored(row, rows).get("lost_why"))
-    return not lost and not _rmse(row, rows) >= USABLE * _dead_reckoned(rows)
-
-
-def _outcome(row: Row) -> str:
-    counts = {c: int(value_of(row, c)) for c in ("tp", "tn", "fp", "fn")}
-    numbers = f"{counts['fp']} FP and {counts['fn']} FN in {sum(counts.values())} decisions, F1 {f1(row):.2f}"
-    return f"{row['association']} ({row['estimator']}: {numbers})"
-
-
-def _agreement(row: Row, rows: Sequence[Row], labelled: int | None) -> str:
-    """Decisions against a log's own labels, which may be wrong themselves, and the size of the map."""
-    right, total = (int(sum(value_of(row, c) for c in columns)) for columns in (("tp", "tn"), ("tp", "tn", "fp", "fn")))
-    text = (
-        f"Deciding itself with {row['association']}, {row['estimator']} agrees with the log's labels in {right} of"
-        f" {total} decisions ({100.0 * right / total:.0f} %)"
+    reckoned = next((r.rmse for r in rows if r.estimator == "dead-reckoning"), math.nan)
+    usable = [w for w in own if not w.lost and not w.rmse >= USABLE * reckoned]
+    best = max(usable or own, key=lambda w: w.quality)
+    nearest = min(usable, key=lambda w: w.rmse, default=best)
+    return Deciding(
+        first=max(own, key=lambda w: w.quality),
+        worst=min(own, key=lambda w: w.quality),
+        best=best,
+        usable=bool(usable),
+        nearest=nearest if nearest.rmse < (1.0 - SAME) * best.rmse else None,
+        measured=any(math.isfinite(r.rmse) for r in rows),
+        dead_reckoning=reckoned,
+        labelled=labelled,
     )
-    same = [r for r in rows if (r["estimator"], r["association"]) == (row["estimator"], row["association"])]
-    size = value_of(same[-1], "landmarks") if same else math.nan
-    if math.isfinite(size) and labelled is not None:
-        text += f"; its map has {counted(int(size), 'landmark')} where the labels tell {labelled} apart"
-    return text + "."
 
 
 LATE = ("uncertain", "put off until the end", PAIRED_ANEW, UNREAD)
@@ -150,12 +135,6 @@ LATE = ("uncertain", "put off until the end", PAIRED_ANEW, UNREAD)
 COLUMNS = (
     *("deciding for", "pairings undone", "made instead", "put off, then made", "landmarks merged", "retracted"),
     "paired anew at the end",
-)
-CAPTION = (
-    "Decisions revised in hindsight. Undone: a pairing given up, made instead: another one put in its place; put off,"
-    " then made: an observation used only later; merged: a landmark that turned out to be another one; retracted: one"
-    " that was never there; paired anew at the end: observations that another landmark of the smoothed map explains, or"
-    " none of it."
 )
 
 
@@ -220,21 +199,21 @@ def revising(trial: Trial) -> list[tuple[Run, str]]:
     return [(run, ", ".join(names)) for run, names in found]
 
 
-def revision_section(folder: Path, options: Options, trials: Sequence[Trial]) -> list[Section]:
+def revision_section(folder: Path, wanted: Drawn, trials: Sequence[Trial]) -> list[Section]:
     """What was taken back on all logs, and a picture of one example each; nothing where nothing was."""
     rows, pictures = [], []
     for trial in trials:
         for run, names in revising(trial):
             rows.append({"log": trial.log.name, "task": trial.task, COLUMNS[0]: names, **tally(run)})
-        picture = None if options.no_plots else _picture(folder, options, trial)
+        picture = None if wanted.no_plots else _picture(folder, trial, quick=wanted.quick)
         pictures += [] if picture is None else [picture]
     if not rows:
         return []
-    table = written_table(pd.DataFrame(rows), folder, "revisions", CAPTION, options)
-    return [Section("Decisions taken back", (table, *pictures), 3)]
+    table = written_table(pd.DataFrame(rows), folder, "revisions", paragraph("deciding#revisions"), wanted)
+    return [Section("Decisions taken back", (table, *pictures), 3, facts=rows)]
 
 
-def _picture(folder: Path, options: Options, trial: Trial) -> Picture | None:
+def _picture(folder: Path, trial: Trial, *, quick: bool) -> Picture | None:
     """One example of a trial: of a run that knows its whole path in the end, if there is one."""
     runs = [run for run, _ in revising(trial) if run.flaw is None]
     known = [r for r in trial.runs if r.events and r.flaw is None and r.final is not None]
@@ -242,14 +221,16 @@ def _picture(folder: Path, options: Options, trial: Trial) -> Picture | None:
     one = None if run is None else example(run)
     if run is None or one is None:
         return None
-    name = f"{folder_name(trial.log.name)}-{trial.task}-revision"
-    save(revision_figure(trial.log, run, one), folder / "figures", name, ("png",) if options.quick else ("pdf", "png"))
-    numbers = counted(len(np.unique(one.old[one.old >= 0])), "landmark")
-    return Picture(
-        name,
-        f"`{trial.log.name}`, {trial.task}, {run.estimator}: what frame {one.frame} revised ({one.why}):"
-        f" {counted(len(one.rows), 'sighting')} of {numbers}. Left: sightings where the path known then puts them, with"
-        " the decisions made then; right: the same with the decisions and the path in the end. Where nothing was"
-        " decided instead, lines lead to the poses it was seen from, with their frames.",
-        f"Sightings on {trial.log.name} before and after frame {one.frame} revised the decisions about them",
+    name, log = f"{folder_name(trial.log.name)}-{trial.task}-revision", trial.log.name
+    save(revision_figure(trial.log, run, one), folder / "figures", name, ("png",) if quick else ("pdf", "png"))
+    caption = paragraph(
+        "deciding#revision",
+        log=log,
+        task=trial.task,
+        estimator=run.estimator,
+        frame=one.frame,
+        why=one.why,
+        sightings=len(one.rows),
+        landmarks=len(np.unique(one.old[one.old >= 0])),
     )
+    return Picture(name, caption, paragraph("deciding#revision_alt", log=log, frame=one.frame))

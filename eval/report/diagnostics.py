@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from data.notice import Code, Notice
 from data.words import sentence, title
-from eval.report.page.document import Section
+from eval.report.page.blocks import Section
 from eval.report.words import say
 
 QUESTIONS = (

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from eval.referee.score import Scores, Trial
-from eval.report.answer import nis_verdict
 from eval.report.page.tables import is_blank
-from eval.report.rows import Row, value_of
+from eval.report.rows import Row, nis_verdict, value_of
 from eval.report.rows import rows_of as records
 from eval.report.words import say
 from eval.studies.montecarlo import Judged, Study

@@ -42,7 +42,8 @@ from eval.referee.laser import (
 from eval.referee.result_files import LOOPS
 from eval.referee.score import Trial
 from eval.report.names import stem
-from eval.report.page.document import Block, FinePrint, Picture, Section, Wanted, folded, written_table
+from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
+from eval.report.page.files import Wanted, written_table
 from eval.report.page.tables import number
 from eval.report.words import say
 

@@ -1,142 +1,163 @@
-"""The report's sections on each log: its comparison, and the decisions made on it."""
+"""The report's sections on each log: filter and smoother compared, and the decisions made on it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from data.words import sentence
 from eval.plan.calibrate import Calibration
-from eval.plan.flags.options import Options
-from eval.referee.diagnostics import ambiguity_of, minima, naming
+from eval.plan.flags.table import Output
+from eval.referee.diagnostics import ambiguity_of, minima, naming, unused
+from eval.referee.given_runs import is_truth_alone
 from eval.referee.score import Scores, Trial
-from eval.report import comparison
-from eval.report.comparison import CAPTION as DIFFERENCES_CAPTION
-from eval.report.comparison import FINE as DIFFERENCES_FINE
-from eval.report.comparison import differences_table, missing_intervals
+from eval.report.answer import AnswerFacts, answer, answer_facts
+from eval.report.comparison import association_table, comparison_table, differences_table, missing_intervals
 from eval.report.diagnostics import of_runs
-from eval.report.laser import GRID_PICTURE, LOOP_PICTURE
-from eval.report.names import SYSTEMATIC, stem
-from eval.report.page.document import Block, Folded, Picture, Section, written_table
-from eval.report.pictures import FILTER_SMOOTHER, films_of
-from eval.report.results import aligned_statement
+from eval.report.laser import GRID_PICTURE, LOOP_PICTURE, against_relations
+from eval.report.names import SYSTEMATIC, beside, stem
+from eval.report.overview import gauge_statement, in_short
+from eval.report.overview_facts import LogFacts
+from eval.report.page.blocks import Block, Folded, Picture, Section, Table
+from eval.report.page.files import written_table
+from eval.report.pictures import FILTER_SMOOTHER
+from eval.report.publish import films_of
+from eval.report.results import aligned_statement, results_statement
+from eval.report.rows import rows_of
 from eval.report.systematic import systematic_section
-from eval.report.trust import trust_section
+from eval.report.trust import first_said, trust_section
 from eval.report.tutorials import beside_note
+from eval.report.words import fine_print, paragraph, say
 from eval.studies.trusted import Trust
 
-
-def beside(trial: Trial, trials: Sequence[Trial]) -> tuple[Trial, ...]:
-    """The trials that stand beside one."""
-    if trial.beside is not None:
-        return ()
-    return tuple(t for t in trials if t.beside == trial.log.name and t.task == trial.task)
-
-
-def rows_of(frame: pd.DataFrame, trial: Trial) -> pd.DataFrame:
-    """Rows of one of the tables of `Scores` that belong to a trial."""
-    return frame[(frame["log"] == trial.log.name) & (frame["task"] == trial.task)]
-
-
+IN_FULL, WHY_MISSING = "Filter and smoother in full", "Why intervals are missing"
 BESIDE, NOTES = "Rows that stand beside, and why", "Notes on the log and its runs"
 """What folded texts are called."""
 ELSEWHERE = ("association", FILTER_SMOOTHER, SYSTEMATIC, GRID_PICTURE, LOOP_PICTURE)
 """Pictures that stand in a section of their own."""
 
 
+def of_trial(frame: pd.DataFrame, trial: Trial) -> pd.DataFrame:
+    """Rows of one of the tables of `Scores` that belong to a trial."""
+    return frame[(frame["log"] == trial.log.name) & (frame["task"] == trial.task)]
+
+
 def trial_sections(
     folder: Path,
-    options: Options,
+    output: Output,
     trials: Sequence[Trial],
+    facts: Sequence[LogFacts],
     scores: Scores,
     published: Sequence[Sequence[Picture]],
     trust: Sequence[Trust] = (),
-    told: Mapping[tuple[str, str], Sequence[Block]] | None = None,
     calibrations: Sequence[Calibration] = (),
 ) -> list[Section]:
     """A section per log and task, with what it says about itself; a tutorial's row stands in the table of its log.
 
-    `told`: filter and smoother in words, by log and task; they stand under the table.
+    `facts` are of the trials that stand beside no other, in their order; `published` are the pictures of every trial.
     """
-    sections = []
+    sections, told = [], iter(facts)
     for trial, pictures in zip(trials, published, strict=True):
         if trial.beside is not None:
             continue
-        rows = rows_of(scores.metrics, trial)
-        blocks: list[Block] = []
         others = beside(trial, trials)
-        every = pd.concat([rows, *(rows_of(scores.metrics, t) for t in others)])
-        table = comparison.comparison_table(every, aligned=True)
-        wide = comparison.comparison_table(every, options.columns)
-        caption = f"{trial.log.name}, {trial.task}. {comparison.COMPARISON_CAPTION}{aligned_statement(trial)}"
-        name, fine = stem(trial, "comparison"), comparison.COMPARISON_FINE
-        apart = tuple(i for i, status in enumerate(every["status"].tolist()) if status != "ok")
-        blocks.append(written_table(table, folder, name, caption, options, for_paper=wide, fine=fine, apart=apart))
-        blocks += (told or {}).get((trial.log.name, trial.task), ())
-        beside_notes = [beside_note(t, rows_of(scores.metrics, t)) for t in others]
-        blocks += [Folded(BESIDE, tuple(beside_notes))] if beside_notes else []
-        blocks += _differences(folder, options, trial, rows_of(scores.differences, trial))
+        made = _answer_facts(trial, scores)
+        blocks: list[Block] = [_comparison(folder, output, trial, others, scores)]
+        blocks += _told(trial, next(told), made, scores, first_said(trial, trust))
+        beside_notes = tuple(beside_note(t, of_trial(scores.metrics, t)) for t in others)
+        blocks += [Folded(BESIDE, beside_notes)] if beside_notes else []
+        blocks += _differences(folder, output, trial, of_trial(scores.differences, trial))
         blocks += [p for p in pictures if p.stem not in {stem(trial, kind) for kind in ELSEWHERE}]
-        if options.animate:
+        if output.animate:
             blocks += [film for t in (trial, *others) for film in films_of(folder, t)]
         notes = [*trial.log.notes, *(f"{r.estimator}: {sentence(n)}." for r in trial.runs for n in r.notes)]
-        doubted = (*minima(trial), *(n for run in trial.runs for n in ambiguity_of(run, trial.log.recorded)))
-        notes += of_runs(doubted)
+        notes += of_runs([*minima(trial), *(n for run in trial.runs for n in ambiguity_of(run, trial.log.recorded))])
         if notes:
             blocks.append(Folded(NOTES, ("\n".join(f"* {n}" for n in dict.fromkeys(notes)),)))
-        sections.append(Section(f"{trial.log.name}, {trial.task}", tuple(blocks)))
-        sections += systematic_section(folder, options, trial, pictures, calibrations)
-        sections += trust_section(folder, options, trial, pictures, trust)
+        sections.append(Section(f"{trial.log.name}, {trial.task}", tuple(blocks), facts=made))
+        sections += systematic_section(folder, output, trial, pictures, calibrations)
+        sections += trust_section(folder, output, trial, pictures, trust)
     return sections
 
 
-def _differences(folder: Path, options: Options, trial: Trial, rows: pd.DataFrame) -> list[Block]:
+def _comparison(folder: Path, output: Output, trial: Trial, others: Sequence[Trial], scores: Scores) -> Table:
+    """Every run of a trial and of those that stand beside it."""
+    rows = pd.concat([of_trial(scores.metrics, t) for t in (trial, *others)])
+    caption = paragraph("comparison#errors", where=_where(trial), aligned=aligned_statement(trial))
+    return written_table(
+        comparison_table(rows, aligned=True),
+        folder,
+        stem(trial, "comparison"),
+        caption,
+        output,
+        for_paper=comparison_table(rows, output.columns),
+        fine=fine_print("Errors and consistency of one log"),
+        apart=tuple(i for i, status in enumerate(rows["status"].tolist()) if status != "ok"),
+    )
+
+
+def _where(trial: Trial) -> str:
+    return f"{trial.log.name}, {trial.task}"
+
+
+def _answer_facts(trial: Trial, scores: Scores) -> AnswerFacts:
+    true_id = trial.log.truth.landmark_of
+    labelled = None if true_id is None else len(np.unique(true_id[true_id >= 0]))
+    tables = (of_trial(t, trial) for t in (scores.metrics, scores.association, scores.differences))
+    metrics, decided, differences = tables
+    return answer_facts(metrics, decided, labelled, differences)
+
+
+def _told(trial: Trial, f: LogFacts, made: AnswerFacts, scores: Scores, trust: str) -> list[Block]:
+    """Filter and smoother on one log and task: at most three lines in front, in full below."""
+    theirs = results_statement(trial, rows_of(of_trial(scores.metrics, trial)))
+    said = "" if theirs and is_truth_alone(trial.log) else answer(made, trust)
+    text = " ".join(s for s in (against_relations(trial), said, theirs) if s)
+    nothing = " ".join(of_runs(map(unused, trial.runs)))
+    front = " ".join(s for s in (in_short(f), nothing or gauge_statement(f)) if s)
+    return [front, Folded(IN_FULL, (text,))] if text else [front]
+
+
+def _differences(folder: Path, output: Output, trial: Trial, rows: pd.DataFrame) -> list[Block]:
     """Filters against smoothers on a log with truth, and why intervals are missing."""
     if not len(rows):
         return []
-    name, caption = stem(trial, "differences"), f"{trial.log.name}, {trial.task}. {DIFFERENCES_CAPTION}"
-    table = written_table(differences_table(rows), folder, name, caption, options, fine=DIFFERENCES_FINE)
+    caption, fine = paragraph("comparison#differences", where=_where(trial)), fine_print("Filters against smoothers")
+    table = written_table(differences_table(rows), folder, stem(trial, "differences"), caption, output, fine=fine)
     missing = missing_intervals(rows)
-    return [table, Folded("Why intervals are missing", (missing,))] if missing else [table]
+    return [table, Folded(WHY_MISSING, (say("comparison#missing", intervals=missing),))] if missing else [table]
 
 
 def association_sections(
-    folder: Path,
-    options: Options,
-    trials: Sequence[Trial],
-    scores: Scores,
-    published: Sequence[Sequence[Picture]],
+    folder: Path, output: Output, trials: Sequence[Trial], scores: Scores, published: Sequence[Sequence[Picture]]
 ) -> list[Section]:
     """Decisions of every log where some were made without labels, and in one table the logs with labels alone."""
     head = "Data association"
     if not len(scores.association):
-        return [Section(head, ("No log states which landmark each observation shows, so decisions cannot be scored.",))]
-    blocks: list[Block] = []
+        return [Section(head, (paragraph("comparison#nothing_decided"),))]
+
+    def table(rows: pd.DataFrame, name: str, where: str) -> Table:
+        caption, fine = paragraph("comparison#decisions", where=where), fine_print("Decisions")
+        return written_table(association_table(rows), folder, name, caption, output, fine=fine)
+
     sections, granted = [], []
     for trial, pictures in zip(trials, published, strict=True):
         if trial.beside is not None:
             continue
-        rows = pd.concat([rows_of(scores.association, t) for t in (trial, *beside(trial, trials))])
+        rows = pd.concat([of_trial(scores.association, t) for t in (trial, *beside(trial, trials))])
         if not (rows["association"] != "known").any():
             granted.append(rows)
             continue
-        table = comparison.association_table(rows)
-        name, what = stem(trial, "association"), f"{trial.log.name}, {trial.task}"
-        caption = f"{what}: outcomes of the decisions, estimators with the same ones share a row."
-        fine = comparison.ASSOCIATION_FINE
-        written = written_table(table, folder, name, caption, options, fine=fine)
-        shown = (p for p in pictures if p.stem == name)
+        name = stem(trial, "association")
         named = of_runs(naming(run, scores, trial.log.name) for run in trial.runs)
         notes = ["\n".join(f"* {n}" for n in named)] if named else []
-        sections.append(Section(f"Decisions: {what}", (written, *notes, *shown), level=3))
-    if granted and any(len(rows) for rows in granted):
-        blocks.append(
-            "With known association the labels decide: a wrong pairing is a wrong label, a missed one was gated out."
-        )
-        table = comparison.association_table(pd.concat(granted))
-        caption = "Logs on which only known association was run: outcomes of the decisions."
-        fine = comparison.ASSOCIATION_FINE
-        blocks.append(written_table(table, folder, "association", caption, options, fine=fine))
-    return [Section(head, tuple(blocks)), *sections]
+        shown = (p for p in pictures if p.stem == name)
+        block = table(rows, name, _where(trial))
+        sections.append(Section(f"Decisions: {_where(trial)}", (block, *notes, *shown), level=3))
+    first: tuple[Block, ...] = ()
+    if any(len(rows) for rows in granted):
+        first = (paragraph("comparison#granted"), table(pd.concat(granted), "association", ""))
+    return [Section(head, first), *sections]

@@ -1,6 +1,8 @@
-"""Names of the files of a trial in the result folder."""
+"""Names of the files of a trial in the result folder, and which trials stand beside it."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 from data.log import folder_name
 from eval.referee.score import Trial
@@ -12,3 +14,10 @@ SYSTEMATIC = "systematic"
 def stem(trial: Trial, what: str) -> str:
     """Name of a trial's file, without suffix."""
     return f"{folder_name(trial.log.name)}-{trial.task}-{what}"
+
+
+def beside(trial: Trial, trials: Sequence[Trial]) -> tuple[Trial, ...]:
+    """The trials that stand beside one."""
+    if trial.beside is not None:
+        return ()
+    return tuple(t for t in trials if t.beside == trial.log.name and t.task == trial.task)

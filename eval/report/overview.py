@@ -1,8 +1,4 @@
-"""The first table of the report: a row for each log and task, filter beside smoother, and whom to trust.
-
-The two sentences at the top, what was compared and what to conclude, and the attribution of logs without truth.
-
-What of a SLAM error is the frame's: one sentence with the aligned RMSE beside the plain one.
+"""The first screen: what was compared, what follows, and a row for each log and task that says whom to trust.
 
 The small picture of a log and task: true path, filter and smoother from above, as SVG, the same bytes each time.
 """
@@ -10,7 +6,6 @@ The small picture of a log and task: true path, filter and smoother from above, 
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -19,131 +14,145 @@ import numpy as np
 from data.log import folder_name
 from data.result import Run
 from data.se2 import Array
-from data.terminal import counted
+from eval.referee.attribution import NOTHING
+from eval.referee.consistency import CONSISTENT, OVERCONFIDENT
+from eval.referee.score import Trial
 from eval.report.names import stem
-from eval.report.overview_facts import CAUSE, EITHER, FILTER, NEITHER, SMOOTHER, Facts, claims, whom_to_trust
-from eval.report.page.blocks import Block, Mark, Overview, OverviewRow, Section, Sketch, Value, folded
+from eval.report.overview_facts import LogFacts, Verdict, conclusion
+from eval.report.page.blocks import Block, Cell, Mark, Overview, OverviewRow, Section, Sketch, Value, folded
 from eval.report.page.tables import number
-from eval.report.rows import Row, value_of
-from eval.report.trust import HEADING, first_words
+from eval.report.rows import Scored
+from eval.report.trust import HEADING, first_words, of_trial
 from eval.report.trust_facts import terms_of
+from eval.report.words import paragraph
+from eval.studies.trusted import Trust
 
-MOST = 4
-"""Logs that are named in the conclusion."""
 ATTRIBUTION = "Whose fault: logs without truth"
+HEADS = (
+    *("log, task", "trust", "map", "filter [m]", "smoother [m]", "handed in [m]", "ratio", "filter's claims"),
+    *("best association", "worst", "failed runs"),
+)
+GIVEN = HEADS.index("handed in [m]")
+NOTHING_KNOWN = "–"
+NAMED = 2
+"""Failed runs that are named."""
 
 
-def compared(facts: Sequence[Facts]) -> str:
-    """The first sentence: what was compared."""
-    if not facts:
-        return "No log was estimated: this report is about simulated runs alone."
-    logs = len({f.trial.log.name for f in facts})
-    names = {side: _names(facts, side) for side in ("filtered", "smoothed")}
-    who = [f"{kind} ({', '.join(n)})" for kind, n in zip(("filter", "smoother"), names.values(), strict=True) if n]
-    given = len({r.estimator for f in facts for r in f.trial.runs if r.handed_in})
-    more = f", {counted(given, 'result')} handed in" if given else ""
-    return (
-        f"{' and '.join(who).capitalize() or 'Estimators'} on identical inputs from {counted(logs, 'log')}{more},"
-        " scored by one referee."
-    )
+def introduction(facts: Sequence[LogFacts]) -> str:
+    """What was compared, and what to conclude."""
+    return paragraph("overview#introduction", found=conclusion(facts)) if facts else paragraph("overview#nothing")
 
 
-def _names(facts: Sequence[Facts], side: str) -> list[str]:
-    rows = [getattr(f, side) for f in facts]
-    return list(dict.fromkeys(str(r["estimator"]) for r in rows if r is not None))[:3]
-
-
-def concluded(facts: Sequence[Facts]) -> str:
-    """The second sentence: what to conclude."""
-    words = [(f, whom_to_trust(f).word) for f in facts if f.measured]
-    parts = []
-    smoother = [f for f, word in words if word == SMOOTHER]
-    if smoother:
-        both = [f.errors for f in smoother if f.sound(f.filtered) and f.sound(f.smoothed)]
-        ratios = [a / b for a, b in both if b > 0.0]
-        size = f" (the filter's RMSE is {_range(ratios)} times as large)" if ratios else ""
-        gone = counted(len(smoother) - len(both), "row")
-        size += f", where the filter fails on {gone}" if len(both) < len(smoother) else ""
-        where = "" if len(smoother) == len(facts) else f" on {_where(smoother, facts)}"
-        parts.append(f"for the path after the fact trust the smoother{where}{size}")
-    for word, said in (
-        (EITHER, "trust either on {}"), (FILTER, "the filter is closer on {}"), (NEITHER, "trust neither on {}"),
-    ):  # fmt: skip
-        found = [f for f, w in words if w == word]
-        parts += [said.format(_where(found, facts))] if found else []
-    causes: dict[str, list[Facts]] = {}
-    for f in facts:
-        if not f.measured:
-            causes.setdefault(whom_to_trust(f).word, []).append(f)
-    parts += [f"no truth on {_where(found, facts)}, {word}" for word, found in causes.items()]
-    text = "; ".join(parts)
-    return f"{text[:1].upper()}{text[1:]}." if text else ""
-
-
-def _range(ratios: Sequence[float]) -> str:
-    low, high = number(min(ratios)), number(max(ratios))
-    return low if low == high else f"{low} to {high}"
-
-
-def _where(facts: Sequence[Facts], of: Sequence[Facts]) -> str:
-    """Logs by name, with the task of those that have several rows."""
-    rows = Counter(f.trial.log.name for f in of)
-    names = [f"{f.trial.log.name}{f' ({f.trial.task})' if rows[f.trial.log.name] > 1 else ''}" for f in facts]
-    if len(names) > MOST:
-        return f"{len(names)} rows"
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-
-
-def in_short(f: Facts) -> str:
+def in_short(f: LogFacts) -> str:
     """Whom to trust on one log and task, in a few words."""
-    mark = whom_to_trust(f)
-    word = mark.word.capitalize() if mark.word.startswith(CAUSE) else f"Trust: {mark.word}"
-    return f"{mark.symbol} **{word}**{f' ({mark.note})' if mark.note else ''}."
+    return paragraph("overview#in_short", f=f, mark=trust_mark(f))
 
 
-def attribution_sections(facts: Sequence[Facts]) -> list[Section]:
+def gauge_statement(f: LogFacts) -> str:
+    """What of a SLAM error is the frame's; empty where nothing is known of that."""
+    return paragraph("overview#gauge", f=f, gauge=f.gauge) if f.gauge is not None else ""
+
+
+def trust_mark(f: LogFacts) -> Mark:
+    """The estimator to trust for the path; of a log without truth what is to blame."""
+    sound = f.verdict in (Verdict.SMOOTHER, Verdict.EITHER) and all(f.trusted)
+    if sound or (f.verdict == Verdict.CAUSE and f.cause == NOTHING):
+        tone = "good"
+    elif f.verdict in (Verdict.SMOOTHER, Verdict.FILTER, Verdict.CAUSE):
+        tone = "fair"
+    else:
+        tone = "bad" if f.verdict == Verdict.NEITHER else "none"
+    return Mark(paragraph("overview#trust", f=f), tone, paragraph("overview#trust_note", f=f))
+
+
+def claims(f: LogFacts) -> Mark | None:
+    """Whether the filter's innovations are as large as it claims; None where none were formed."""
+    row = f.filtered or f.smoothed
+    if row is None or row.status not in ("ok", "implausible") or not row.nis_verdict:
+        return None
+    tone = {CONSISTENT: "good", OVERCONFIDENT: "bad"}.get(row.nis_verdict, "fair")
+    return Mark(row.nis_verdict, tone, f"NIS {number(row.nis)}")
+
+
+def attribution_sections(trials: Sequence[tuple[Trial, LogFacts]], said: Sequence[Trust]) -> list[Section]:
     """What the logs without truth say of themselves, one paragraph each; none where all have one."""
     blocks: list[Block] = []
-    for f in facts:
-        if f.measured or f.trust is None:
-            continue
-        mark, name = whom_to_trust(f), f"{f.trial.log.name}, {f.trial.task}"
-        words = first_words(f.trust, terms=terms_of(f.trial.log.recorded), measured=False)
-        blocks += folded(f"**{name}, {mark.word}** ({mark.note}). {words}", f"More under “{HEADING}: {name}”", 900)
+    for trial, f in trials:
+        for trust in of_trial(trial, said)[: not f.measured]:
+            words = first_words(trust, terms=terms_of(trial.log.recorded), measured=False)
+            text = paragraph("overview#attribution", f=f, mark=trust_mark(f), words=words)
+            blocks += folded(text, f"More under “{HEADING}: {f.name}”", 900)
     return [Section(ATTRIBUTION, tuple(blocks))] if blocks else []
 
 
-MOSTLY = 1.5
-"""So many times the aligned RMSE, the plain one is half due to the frame in variance (1.5 squared is 2.25)."""
-
-DIFFERENT = 0.1
-"""Relative change of the ratio of filter and smoother that is worth a word."""
-
-
-def gauge_statement(f: Facts) -> str:
-    """The sentence; empty in localization, where the map fixes the frame, and where no error is known."""
-    if f.trial.task != "slam" or f.filtered is None or f.smoothed is None:
-        return ""
-    (a, a_fit), (b, b_fit) = _both(f.filtered), _both(f.smoothed)
-    if not all(math.isfinite(v) and v > 0.0 for v in (a, a_fit, b, b_fit)):
-        return ""
-    first, second = f.filtered["estimator"], f.smoothed["estimator"]
-    sizes = (
-        f"aligned, `{first}` has {number(a_fit)} m instead of {number(a)} m and `{second}` {number(b_fit)} m instead of"
-        f" {number(b)} m"
-    )
-    if a <= MOSTLY * a_fit and b <= MOSTLY * b_fit:
-        return f"SLAM fixes its frame at the first pose; here that makes little difference: {sizes}."
-    other = abs(a_fit / b_fit / (a / b) - 1.0) > DIFFERENT
-    ratio = f" (the ratio is then {number(a_fit / b_fit)}, not {number(a / b)})" if other else ""
-    return (
-        "SLAM fixes its frame at the first pose, and the heading error of the first seconds turns the whole path:"
-        f" {sizes}{ratio}."
-    )
+def overview(trials: Sequence[tuple[Trial, LogFacts]], folder: Path, *, drawn: bool = True) -> Overview:
+    """The table; small pictures are also written into `figures/` where pictures are wanted (`drawn`)."""
+    left_out = () if any(f.given for _, f in trials) else (GIVEN,)
+    rows = []
+    for trial, f in trials:
+        cells: list[Cell] = [trust_mark(f), _sketch(trial, f, folder, drawn)]
+        cells += [
+            _error(f, f.filtered, f.errors[0]),
+            _error(f, f.smoothed, f.errors[1]),
+            _given(f),
+            _ratio(f),
+            claims(f),
+        ]
+        cells += [*_associations(f), _failed(f)]
+        kept = tuple(c for head, c in enumerate(cells, start=1) if head not in left_out)
+        rows.append(OverviewRow(f.name, f.name, kept, _links(f, folder)))
+    heads = tuple(h for i, h in enumerate(HEADS) if i not in left_out)
+    return Overview(heads, tuple(rows), paragraph("overview#caption"))
 
 
-def _both(row: Row) -> tuple[float, float]:
-    return value_of(row, "rmse_position_m"), value_of(row, "rmse_aligned_m")
+def _error(f: LogFacts, row: Scored | None, error: float) -> Value | None:
+    """The error of filter or smoother, or what stands in for it."""
+    if row is None:
+        return None
+    if math.isfinite(error):
+        related, flag = " (relations)" if f.related else "", "" if row.status == "ok" else f", {row.status}"
+        return Value(number(error), f"{row.estimator}{related}{flag}")
+    if row.status not in ("ok", "implausible"):
+        return Value(row.status, row.estimator)
+    return Value(f"NIS {number(row.nis)}" if math.isfinite(row.nis) else NOTHING_KNOWN, row.estimator)
+
+
+def _given(f: LogFacts) -> Value | None:
+    """The best of the results that were handed in."""
+    if f.given_best is not None:
+        return Value(number(f.given_best.rmse), f.given_best.estimator)
+    return Value(NOTHING_KNOWN, ", ".join(f.given)) if f.given else None
+
+
+def _ratio(f: LogFacts) -> Value | None:
+    """The filter's error over the smoother's; without truth how far they are apart."""
+    if all(map(math.isfinite, f.errors)):
+        return Value(number(f.ratio) if math.isfinite(f.ratio) else NOTHING_KNOWN)
+    if f.filtered is None or f.smoothed is None or not math.isfinite(f.apart):
+        return None
+    return Value(f"{number(f.apart)} m", "apart")
+
+
+def _associations(f: LogFacts) -> tuple[Value | None, Value | None]:
+    if f.best is None or f.worst is None:
+        return (Value("labels") if f.association == "known" else None, None)
+    best, worst = (Value(w.association, f"{w.fp} FP / {w.fn} FN ({w.estimator})") for w in (f.best, f.worst))
+    return best, None if f.best == f.worst else worst
+
+
+def _failed(f: LogFacts) -> Value:
+    """How many, and which."""
+    if not f.failed:
+        return Value("0")
+    named = ", ".join(" ".join(names) for names in f.failed[:NAMED])
+    more = f" and {len(f.failed) - NAMED} more" if len(f.failed) > NAMED else ""
+    return Value(f"{len(f.failed)} of {f.runs}", f"{named}{more}")
+
+
+def _links(f: LogFacts, folder: Path) -> tuple[tuple[str, str], ...]:
+    """The player of the log, where one was written."""
+    place = f"players/{folder_name(f.log)}.html"
+    return (("play", place),) if (folder / place).exists() else ()
 
 
 WIDTH, HEIGHT, EDGE = 96.0, 60.0, 3.0
@@ -154,26 +163,34 @@ TRUTH, ONLINE, SMOOTHED = ("#b8b8b8", 3.0), ("#d55e00", 1.1), ("#0064a8", 1.1)
 """Colour and width of truth, filter and smoother: filters are warm, smoothers cool, as in all figures."""
 
 
-def sketch(f: Facts, stem: str | None = None) -> Sketch | None:
+def _sketch(trial: Trial, f: LogFacts, folder: Path, drawn: bool) -> Sketch | None:
+    small = sketch(trial, f, stem(trial, "small") if drawn else None)
+    if small is not None and small.stem is not None:
+        (folder / "figures").mkdir(exist_ok=True)
+        # a file of its own needs the name of its language
+        svg = small.svg.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1)
+        (folder / "figures" / f"{small.stem}.svg").write_text(svg + "\n", encoding="utf-8", newline="\n")
+    return small
+
+
+def sketch(trial: Trial, f: LogFacts, stem: str | None = None) -> Sketch | None:
     """The picture; None where nothing is known of any path."""
     lines: list[tuple[Array, tuple[str, float]]] = []
     names = []
-    truth = f.trial.log.truth.pose
-    if truth is not None and f.trial.log.truth.known_poses:
+    truth = trial.log.truth.pose
+    if truth is not None and trial.log.truth.known_poses:
         lines.append((truth[:, :2], TRUTH))
         names.append("the true path")
     for row, phase, look in ((f.filtered, "online", ONLINE), (f.smoothed, "final", SMOOTHED)):
-        path = _path(f, row, phase)
+        path = _path(trial, row, phase)
         if row is not None and path is not None:
             lines.append((path, look))
-            names.append(str(row["estimator"]))
-    if not names:
-        return None
-    return Sketch(drawn(lines), f"Map of {f.trial.log.name}: {', '.join(names)}", stem)
+            names.append(row.estimator)
+    return Sketch(drawn(lines), paragraph("overview#sketch", log=f.log, names=names), stem) if names else None
 
 
-def _path(f: Facts, row: Row | None, phase: str) -> Array | None:
-    run: Run | None = None if row is None else f.trial.find(str(row["estimator"]), str(row["association"]))
+def _path(trial: Trial, row: Scored | None, phase: str) -> Array | None:
+    run: Run | None = None if row is None else trial.find(row.estimator, row.association)
     if run is None or run.failure is not None:
         return None
     trajectory = run.online if phase == "online" else run.final
@@ -206,125 +223,3 @@ def drawn(lines: Sequence[tuple[Array, tuple[str, float]]]) -> str:
     box = f'width="{WIDTH:g}" height="{HEIGHT:g}" viewBox="0 0 {WIDTH:g} {HEIGHT:g}"'
     inside = f'<rect {box.split(" viewBox")[0]} fill="#ffffff"/><g fill="none" stroke-linejoin="round">'
     return f"<svg {box}>{inside}{''.join(parts)}</g></svg>"
-
-
-def as_file(svg: str) -> str:
-    """The picture as a file of its own, which needs the name of its language."""
-    return svg.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1) + "\n"
-
-
-HEADS = (
-    "log, task", "trust", "map", "filter [m]", "smoother [m]", "ratio", "filter's claims", "best association", "worst",
-    "failed runs",
-)  # fmt: skip
-GIVEN = "handed in [m]"
-CAPTION = (
-    "Filter: online, smoother: final; position RMSE in metres, and the filter's over the smoother's. Without truth:"
-    " NIS per dof, and the filter's RMS distance from the smoother. Association: FP / FN. Maps: truth grey, filter"
-    " orange, smoother blue."
-)
-NAMED = 2
-"""Failed runs that are named."""
-
-
-def overview(facts: Sequence[Facts], folder: Path, *, drawn: bool = True) -> Overview:
-    """The table; small pictures are also written into `figures/` where pictures are wanted (`drawn`)."""
-    given = any(r.handed_in for f in facts for r in f.trial.runs)
-    heads = (*HEADS[:5], GIVEN, *HEADS[5:]) if given else HEADS
-    rows = []
-    for f in facts:
-        name = f"{f.trial.log.name}, {f.trial.task}"
-        small, errors = _sketch(f, folder, drawn), _errors(f)
-        cells: list[Mark | Sketch | str | None] = [
-            whom_to_trust(f),
-            small,
-            *errors,
-            _ratio(f),
-            claims(f),
-            *_associations(f),
-            _failed(f),
-        ]
-        if given:
-            cells.insert(4, _given(f))
-        made = tuple(Value(*c.split("\n")) if isinstance(c, str) else c for c in cells)
-        rows.append(OverviewRow(name, name, made, _links(f, folder)))
-    return Overview(heads, tuple(rows), CAPTION)
-
-
-def _sketch(f: Facts, folder: Path, drawn: bool) -> Sketch | None:
-    small = sketch(f, stem(f.trial, "small") if drawn else None)
-    if small is not None and small.stem is not None:
-        (folder / "figures").mkdir(exist_ok=True)
-        (folder / "figures" / f"{small.stem}.svg").write_text(as_file(small.svg), encoding="utf-8", newline="\n")
-    return small
-
-
-def _links(f: Facts, folder: Path) -> tuple[tuple[str, str], ...]:
-    """The player of the log, where one was written."""
-    place = f"players/{folder_name(f.trial.log.name)}.html"
-    return (("play", place),) if (folder / place).exists() else ()
-
-
-def _errors(f: Facts) -> tuple[str, str]:
-    """Errors of filter and smoother, or what stands in for them, with their names below."""
-    made = []
-    for row, error in zip((f.filtered, f.smoothed), f.errors, strict=True):
-        if row is None:
-            made.append("")
-        elif math.isfinite(error):
-            made.append(f"{number(error)}\n{row['estimator']}{' (relations)' if f.related else ''}{_flag(row)}")
-        elif row["status"] not in ("ok", "implausible"):
-            made.append(f"{row['status']}\n{row['estimator']}")
-        else:
-            nis = value_of(row, "nis")
-            made.append(f"{f'NIS {number(nis)}' if math.isfinite(nis) else '–'}\n{row['estimator']}")
-    return made[0], made[1]
-
-
-def _flag(row: Row) -> str:
-    return "" if row["status"] == "ok" else f", {row['status']}"
-
-
-def _ratio(f: Facts) -> str:
-    """The filter's error over the smoother's; without truth how far they are apart."""
-    a, b = f.errors
-    if math.isfinite(a) and math.isfinite(b):
-        return number(a / b) if b > 0.0 and f.sound(f.filtered) and f.sound(f.smoothed) else "–"
-    if f.filtered is None or f.smoothed is None:
-        return ""
-    apart = math.nan if f.trust is None else f.trust.real.apart.get(str(f.filtered["estimator"]), math.nan)
-    if not math.isfinite(apart):
-        apart = value_of(f.filtered, "rms_from_batch_m")
-    return f"{number(apart)} m\napart" if math.isfinite(apart) else ""
-
-
-def _associations(f: Facts) -> tuple[str, str]:
-    if f.decided is None:
-        return ("labels" if f.association == "known" else "", "")
-    best, worst = f.decided
-    return _outcome(best), "" if best is worst else _outcome(worst)
-
-
-def _outcome(row: Row) -> str:
-    return f"{row['association']}\n{value_of(row, 'fp'):.0f} FP / {value_of(row, 'fn'):.0f} FN ({row['estimator']})"
-
-
-def _failed(f: Facts) -> str:
-    """How many, and which."""
-    failed = f.failed
-    if not failed:
-        return "0"
-    named = [f"{r['estimator']} {r['association']}" for r in failed[:NAMED]]
-    more = f" and {len(failed) - NAMED} more" if len(failed) > NAMED else ""
-    return f"{len(failed)} of {f.runs}\n{', '.join(named)}{more}"
-
-
-def _given(f: Facts) -> str:
-    """The best of the results that were handed in."""
-    names = {r.estimator for r in f.trial.runs if r.handed_in}
-    rows = [r for r in f.rows if r["estimator"] in names]
-    known = [r for r in rows if math.isfinite(value_of(r, "rmse_position_m"))]
-    if not known:
-        return "–\n" + ", ".join(sorted(names)) if names else ""
-    best = min(known, key=lambda r: value_of(r, "rmse_position_m"))
-    return f"{number(value_of(best, 'rmse_position_m'))}\n{best['estimator']}"

@@ -1,118 +1,251 @@
-"""What the first screen knows of a log and task: the filter and the smoother compared, and what failed.
-
-Which estimator to trust on a log, and what its claims are worth: a word each, with a symbol and a colour.
-
-Whose fault, in a word: odometry, sensor, estimator, associations, or nothing.
-"""
+"""What the first screen knows of a log and task: whom to trust, and whose fault it is where the truth is not known."""
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, LEAST_FACTOR, NOTHING, Finding, component_of
-from eval.referee.consistency import CONSISTENT, OVERCONFIDENT
 from eval.referee.diagnostics import unused
 from eval.referee.score import Scores, Trial
 from eval.replay.settings import INCREMENTAL
-from eval.report.answer import LINEARIZATION, chosen_association, nis_verdict, pick
-from eval.report.deciding import SAME, extremes
-from eval.report.page.document import Mark
-from eval.report.page.tables import is_blank, number
-from eval.report.rows import Row, filters_in, rows_of, smoothers_in, value_of
+from eval.report.answer import LINEARIZATION, chosen_association, nearer, pick
+from eval.report.deciding import SAME, Deciding, Way, deciding_facts
+from eval.report.rows import Scored, filters_in, rows_of, scored, smoothers_in, value_of
 from eval.report.trust import of_trial
 from eval.report.trust_facts import STANDS_OUT
 from eval.studies.trusted import Blame, Trust
 
 
+class Verdict(StrEnum):
+    """The estimator to trust for the path, or why none is named."""
+
+    SMOOTHER = "smoother"
+    EITHER = "either"
+    FILTER = "filter"
+    NEITHER = "neither"
+    ONLY = "only one ran"
+    NOTHING = "nothing ran"
+    CAUSE = "cause"
+    UNKNOWN = "unknown"
+
+
+class Online(StrEnum):
+    """What a smoother that steps has at the same instants as the filter, with the same data."""
+
+    UNKNOWN = "unknown"
+    EQUAL = "equal"
+    FAR_BETTER = "far better"
+    OTHER = "other"
+
+
 @dataclass(frozen=True)
-class Facts:
+class Gauge:
+    """What of a SLAM error is the frame's: RMSE [m] of filter and smoother as they are and after alignment.
+
+    mostly: the frame makes at least one of them what it is; ratio_differs: of filter and smoother, once aligned.
+    """
+
+    plain: tuple[float, float]
+    aligned: tuple[float, float]
+    mostly: bool
+    ratio_differs: bool
+
+
+@dataclass(frozen=True)
+class LogFacts:
     """Of one log and task.
 
     Attributes:
-        trial: whose.
-        rows: of metrics.csv.
         association: under which filter and smoother are compared, None: nothing decides.
-        filtered, smoothed: their rows; None: none ran.
-        newest: the online row of a smoother that steps, plausible.
-        errors: position error [m] of both: RMSE, or with reference relations alone the mean of theirs; NaN: unknown.
-        related: whether the errors are those of relations.
-        decided: best and worst way of deciding, rows of association.csv.
-        trust: what the log says of itself; None: nothing.
-        unused: runs that paired next to nothing, (estimator, association).
+        filtered, smoothed: their rows; None: none ran. trusted: which of these two got to the end, are plausible, not
+            lost, and more than dead reckoning; unused: names of those that are no more.
+        newest: the online row of a smoother that steps, plausible; online: what it says.
+        measured: whether errors are known at all. errors: position error [m] of both: RMSE, or with reference relations
+            alone (`related`) the mean of theirs; NaN: unknown.
+        apart: RMS distance [m] of the filter from the smoother.
+        best, worst: ways of deciding without labels.
+        runs: how many; failed: those that did not get to the end, are implausible, lost, or dead reckoning.
+        given: results that were handed in; given_best: the one with the least RMSE.
+        cause: what is to blame, by what the log says of itself; twins: so many of its twins were made; None: no word.
     """
 
-    trial: Trial
-    rows: tuple[Row, ...]
+    log: str
+    task: str
     association: str | None
-    filtered: Row | None
-    smoothed: Row | None
-    newest: Row | None
+    filtered: Scored | None
+    smoothed: Scored | None
+    trusted: tuple[bool, bool]
+    unused: tuple[str, ...]
+    newest: Scored | None
+    online: Online
+    measured: bool
     errors: tuple[float, float]
     related: bool
-    decided: tuple[Row, Row] | None
-    trust: Trust | None
-    unused: frozenset[tuple[str, str]] = frozenset()
-
-    def sound(self, row: Row | None) -> bool:
-        """Whether a row is there, got to the end, is plausible and not lost, and more than dead reckoning."""
-        return row is not None and sound(row) and (row["estimator"], row["association"]) not in self.unused
-
-    @property
-    def measured(self) -> bool:
-        """Whether errors are known at all."""
-        return self.trial.log.truth.known_poses > 0 or self.trial.log.truth.relations is not None
-
-    @property
-    def failed(self) -> list[Row]:
-        """Rows of runs that did not get to the end, are implausible, lost or dead reckoning, at the last phase."""
-        last = {(r["estimator"], r["association"]): r for r in self.rows}
-        return [r for r in last.values() if not self.sound(r)]
+    apart: float
+    best: Way | None
+    worst: Way | None
+    runs: int
+    failed: tuple[tuple[str, str], ...]
+    given: tuple[str, ...]
+    given_best: Scored | None
+    cause: str | None
+    twins: int | None
+    verdict: Verdict
+    gauge: Gauge | None
 
     @property
-    def runs(self) -> int:
-        """How many there were."""
-        return len({(r["estimator"], r["association"]) for r in self.rows})
+    def name(self) -> str:
+        """As headings have it."""
+        return f"{self.log}, {self.task}"
+
+    @property
+    def ratio(self) -> float:
+        """The filter's error over the smoother's, where both are to be trusted."""
+        a, b = self.errors
+        return a / b if all(self.trusted) and b > 0.0 else math.nan
 
 
-def sound(row: Row) -> bool:
-    """Whether a run got to the end, is plausible and not lost."""
-    return row["status"] == "ok" and is_blank(row.get("lost_why"))
-
-
-def facts_of(trial: Trial, scores: Scores, trust: Sequence[Trust]) -> Facts:
+def facts_of(trial: Trial, scores: Scores, trust: Sequence[Trust]) -> LogFacts:
     """Everything the first screen needs of a log and task."""
-    rows = [r for r in rows_of(scores.metrics) if (r["log"], r["task"]) == (trial.log.name, trial.task)]
-    outcomes = [r for r in rows_of(scores.association) if (r["log"], r["task"]) == (trial.log.name, trial.task)]
-    chosen = chosen_association(rows)
-    own = [r for r in rows if r["association"] == chosen]
-    filtered, smoothed = pick(own, filters_in(own), "online"), pick(own, smoothers_in(own), "final")
-    newest = pick([r for r in own if sound(r)], INCREMENTAL, "online")
-    errors = (_error(filtered), _error(smoothed))
-    related = not any(map(math.isfinite, errors)) and trial.log.truth.relations is not None
-    if related:
-        errors = (_relation(filtered, scores), _relation(smoothed, scores))
+    here = {"log": trial.log.name, "task": trial.task}
+    metrics, outcomes = (
+        [r for r in rows_of(table) if all(r[k] == v for k, v in here.items())]
+        for table in (scores.metrics, scores.association)
+    )
     said = of_trial(trial, trust)[:1]
-    return Facts(
-        trial, tuple(rows), chosen, filtered, smoothed, newest, errors, related, extremes(rows, outcomes),
-        said[0] if said else None, frozenset((r.estimator, r.association) for r in trial.runs if unused(r) is not None),
-    )  # fmt: skip
+    return log_facts(
+        trial,
+        [scored(r) for r in metrics],
+        relations=_relations(scores) if trial.log.truth.relations is not None else {},
+        decided=deciding_facts([scored(r) for r in metrics], metrics, outcomes),
+        trust=said[0] if said else None,
+        idle=frozenset((r.estimator, r.association) for r in trial.runs if unused(r) is not None),
+    )
 
 
-def _error(row: Row | None) -> float:
-    return math.nan if row is None else value_of(row, "rmse_position_m")
+def log_facts(
+    trial: Trial,
+    rows: Sequence[Scored],
+    *,
+    relations: Mapping[tuple[str, ...], float] = {},
+    decided: Deciding | None = None,
+    trust: Trust | None = None,
+    idle: frozenset[tuple[str, str]] = frozenset(),
+) -> LogFacts:
+    """The facts of a trial from its rows of metrics.csv.
+
+    relations: mean errors [m] against reference relations, by log, estimator, association and phase; idle: runs that
+    paired next to nothing, (estimator, association).
+    """
+    log, truth = trial.log.name, trial.log.truth
+    chosen = chosen_association(rows)
+    own = [r for r in rows if r.association == chosen]
+    filtered, smoothed = pick(own, filters_in(own), "online"), pick(own, smoothers_in(own), "final")
+    newest = pick([r for r in own if r.ok], INCREMENTAL, "online")
+
+    def sound(row: Scored | None) -> bool:
+        return row is not None and row.ok and (row.estimator, row.association) not in idle
+
+    errors = [math.nan if r is None else r.rmse for r in (filtered, smoothed)]
+    related = not any(map(math.isfinite, errors)) and truth.relations is not None
+    if related:
+        errors = [
+            math.nan if r is None else relations.get((log, r.estimator, r.association, r.phase), math.nan)
+            for r in (filtered, smoothed)
+        ]
+    last = {(r.estimator, r.association): r for r in rows}
+    names = {r.estimator for r in trial.runs if r.handed_in}
+    handed = [r for r in rows if r.estimator in names and math.isfinite(r.rmse)]
+    apart = math.nan if trust is None or filtered is None else trust.real.apart.get(filtered.estimator, math.nan)
+    if filtered is not None and not math.isfinite(apart):
+        apart = filtered.from_batch
+    measured, trusted = truth.known_poses > 0 or truth.relations is not None, (sound(filtered), sound(smoothed))
+    return LogFacts(
+        log=log,
+        task=trial.task,
+        association=chosen,
+        filtered=filtered,
+        smoothed=smoothed,
+        trusted=trusted,
+        unused=tuple(r.estimator for r in (filtered, smoothed) if r is not None and r.ok and not sound(r)),
+        newest=newest,
+        online=Online.UNKNOWN if related or newest is None else _online(errors[0], newest.rmse),
+        measured=measured,
+        errors=(errors[0], errors[1]),
+        related=related,
+        apart=apart,
+        best=decided.best if decided else None,
+        worst=decided.worst if decided else None,
+        runs=len(last),
+        failed=tuple(key for key, r in last.items() if not sound(r)),
+        given=tuple(sorted(names)),
+        given_best=min(handed, key=lambda r: r.rmse, default=None),
+        cause=None if trust is None else cause_word(trust),
+        twins=None if trust is None or trust.blame is None else len(trust.twins),
+        verdict=_verdict(
+            filtered, smoothed, trusted, (errors[0], errors[1]), measured=measured, caused=trust is not None
+        ),
+        gauge=_gauge(filtered, smoothed) if trial.task == "slam" else None,
+    )
 
 
-def _relation(row: Row | None, scores: Scores) -> float:
-    """Mean error against the reference relations, all of them tied by row."""
-    if row is None:
-        return math.nan
+def _verdict(
+    filtered: Scored | None,
+    smoothed: Scored | None,
+    trusted: tuple[bool, bool],
+    errors: Sequence[float],
+    *,
+    measured: bool,
+    caused: bool,
+) -> Verdict:
+    """The estimator to trust for the path; of a log without truth the cause is named instead."""
+    if filtered is None and smoothed is None:
+        return Verdict.NOTHING
+    if trusted[1] and not trusted[0]:
+        return Verdict.SMOOTHER
+    if trusted[0] and not trusted[1]:
+        return Verdict.ONLY if smoothed is None else Verdict.FILTER
+    if not trusted[0]:
+        return Verdict.NEITHER
+    if not measured:
+        return Verdict.CAUSE if caused else Verdict.UNKNOWN
+    return Verdict(nearer(*errors).value)
+
+
+def _online(filtered: float, online: float) -> Online:
+    if not math.isfinite(online):
+        return Online.UNKNOWN
+    if abs(online - filtered) <= SAME * filtered:
+        return Online.EQUAL
+    return Online.FAR_BETTER if filtered > LINEARIZATION * online else Online.OTHER
+
+
+def _relations(scores: Scores) -> dict[tuple[str, ...], float]:
+    """Mean errors [m] against all reference relations, tied by row."""
     keys = ("log", "estimator", "association", "phase")
-    for r in rows_of(scores.relations):
-        if (r["tie"], r["subset"]) == ("row", "all") and all(r[k] == row[k] for k in keys):
-            return value_of(r, "trans_mean_m")
-    return math.nan
+    rows = [r for r in rows_of(scores.relations) if (r["tie"], r["subset"]) == ("row", "all")]
+    return {tuple(str(r[k]) for k in keys): value_of(r, "trans_mean_m") for r in reversed(rows)}
+
+
+MOSTLY = 1.5
+"""So many times the aligned RMSE, the plain one is half due to the frame in variance (1.5 squared is 2.25)."""
+DIFFERENT = 0.1
+"""Relative change of the ratio of filter and smoother that is worth a word."""
+
+
+def _gauge(filtered: Scored | None, smoothed: Scored | None) -> Gauge | None:
+    """None where no error is known; in localization the map fixes the frame."""
+    if filtered is None or smoothed is None:
+        return None
+    (a, a_fit), (b, b_fit) = ((r.rmse, r.aligned) for r in (filtered, smoothed))
+    if not all(math.isfinite(v) and v > 0.0 for v in (a, a_fit, b, b_fit)):
+        return None
+    mostly = a > MOSTLY * a_fit or b > MOSTLY * b_fit
+    return Gauge((a, b), (a_fit, b_fit), mostly, abs(a_fit / b_fit / (a / b) - 1.0) > DIFFERENT)
 
 
 ODOMETRY, SENSOR = "odometry", "sensor"
@@ -170,83 +303,62 @@ def _largest(sizes: Mapping[str, float]) -> str:
     return side(max(sizes, key=lambda name: sizes[name])) if sizes else ""
 
 
-CAUSE = "cause: "
-"""Before the word that a log without truth gets."""
-SMOOTHER, EITHER, FILTER, NEITHER = "smoother", "either", "filter", "neither"
+@dataclass(frozen=True)
+class Conclusion:
+    """All logs and tasks together; logs are named with their task where several rows are on them.
+
+    Attributes:
+        logs: how many. filters, smoothers: names of those compared, three at most. given: results handed in.
+        smoother, either, filter, neither: logs with truth with this verdict; everywhere: the first is all there are.
+        ratios: least and largest error of the filter over the smoother's, None: no pair. filter_fails: so many rows.
+        blind: of the logs without truth those with one word, by the facts of the first of them.
+    """
+
+    logs: int
+    filters: tuple[str, ...]
+    smoothers: tuple[str, ...]
+    given: int
+    smoother: tuple[str, ...]
+    either: tuple[str, ...]
+    filter: tuple[str, ...]
+    neither: tuple[str, ...]
+    everywhere: bool
+    ratios: tuple[float, float] | None
+    filter_fails: int
+    blind: tuple[tuple[LogFacts, tuple[str, ...]], ...]
 
 
-def whom_to_trust(f: Facts) -> Mark:
-    """The estimator to trust for the path; of a log without truth what is to blame."""
-    if f.filtered is None and f.smoothed is None:
-        return Mark("nothing ran", "none")
-    if not f.sound(f.filtered) or not f.sound(f.smoothed):
-        return _one_left(f)
-    if not f.measured:
-        return cause_mark(f)
-    a, b = f.errors
-    if not (math.isfinite(a) and math.isfinite(b)):
-        return Mark("unknown", "none", "no errors to compare")
-    if b < a * (1.0 - SAME):
-        return Mark(SMOOTHER, "good", _online(f, a))
-    if b <= a * (1.0 + SAME):
-        return Mark(EITHER, "good", "equal in accuracy")
-    return Mark(FILTER, "fair", "closer on this log: chance, or a noise model that does not fit")
+def conclusion(facts: Sequence[LogFacts]) -> Conclusion:
+    """What was compared, and what follows."""
+    tasks = Counter(f.log for f in facts)
 
+    def named(found: Sequence[LogFacts]) -> tuple[str, ...]:
+        return tuple(f"{f.log} ({f.task})" if tasks[f.log] > 1 else f.log for f in found)
 
-def _online(f: Facts, rmse: float) -> str:
-    """What the fair comparison at the same instants says."""
-    online = math.nan if f.newest is None else value_of(f.newest, "rmse_position_m")
-    if f.newest is None or not math.isfinite(online) or f.related:
-        return "for the path after the fact"
-    if abs(online - rmse) <= SAME * rmse:
-        return "later data; online both are equal"
-    if rmse > LINEARIZATION * online:
-        return f"also online ({f.newest['estimator']} {number(online)} m)"
-    return f"online {f.newest['estimator']} {number(online)} m"
-
-
-def _one_left(f: Facts) -> Mark:
-    """Where one of the two did not run, or is not to be believed."""
-    gone = [r for r in (f.filtered, f.smoothed) if r is not None and not f.sound(r)]
-    why = "; ".join(f"{r['estimator']} {_fate(r)}" for r in gone)
-    if f.sound(f.smoothed):
-        return Mark(SMOOTHER, "fair", why or f"only {f.smoothed['estimator']} ran" if f.smoothed else why)
-    if f.sound(f.filtered) and f.filtered is not None:
-        if not gone:
-            return Mark(f"only {f.filtered['estimator']}", "none", "no smoother ran")
-        return Mark(FILTER, "fair", why)
-    return Mark(NEITHER, "bad", why)
-
-
-def _fate(row: Row) -> str:
-    if row["status"] != "ok":
-        return str(row["status"])
-    frame = value_of(row, "lost_frame")
-    return f"lost from frame {frame:.0f}" if math.isfinite(frame) else "used next to no reading"
-
-
-def cause_mark(f: Facts) -> Mark:
-    """Of a log without truth: the cause, from its twins or as a hint."""
-    if f.trust is None:
-        return Mark("unknown", "none", "no truth, and no smoother to compare with")
-    word = cause_word(f.trust)
-    if word == NOTHING:
-        return Mark(f"{CAUSE}{word}", "good", f"{_basis(f.trust)}: trust the smoother")
-    return Mark(f"{CAUSE}{word}", "fair", f"{_basis(f.trust)}: mind all sigmas; the smoother's path")
-
-
-def _basis(trust: Trust) -> str:
-    return "a hint, without twins" if trust.blame is None else f"from {len(trust.twins)} twins"
-
-
-def claims(f: Facts) -> Mark | None:
-    """Whether the filter's innovations are as large as it claims; None where none were formed."""
-    row = f.filtered if f.filtered is not None else f.smoothed
-    if row is None or row["status"] not in ("ok", "implausible"):
-        return None
-    nis, lower, upper = (value_of(row, c) for c in ("nis", "nis_lower", "nis_upper"))
-    if not all(map(math.isfinite, (nis, lower, upper))):
-        return None
-    word = nis_verdict(nis, lower, upper)
-    tone = "good" if word == CONSISTENT else "bad" if word == OVERCONFIDENT else "fair"
-    return Mark(word, tone, f"NIS {number(nis)}")
+    by_verdict = {v: [f for f in facts if f.measured and f.verdict == v] for v in Verdict}
+    smoother = by_verdict[Verdict.SMOOTHER]
+    both = [f for f in smoother if all(f.trusted)]
+    ratios = [f.ratio for f in both if math.isfinite(f.ratio)]
+    blind: dict[tuple[object, ...], list[LogFacts]] = {}
+    for f in facts:
+        if not f.measured:
+            only = f.filtered if f.verdict == Verdict.ONLY else None
+            blind.setdefault(
+                (f.verdict, f.cause if f.verdict == Verdict.CAUSE else None, only and only.estimator), []
+            ).append(f)
+    sides = ([f.filtered for f in facts], [f.smoothed for f in facts])
+    filters, smoothers = (tuple(dict.fromkeys(r.estimator for r in rows if r is not None))[:3] for rows in sides)
+    return Conclusion(
+        logs=len(tasks),
+        filters=filters,
+        smoothers=smoothers,
+        given=len({name for f in facts for name in f.given}),
+        smoother=named(smoother),
+        either=named(by_verdict[Verdict.EITHER]),
+        filter=named(by_verdict[Verdict.FILTER]),
+        neither=named(by_verdict[Verdict.NEITHER]),
+        everywhere=len(smoother) == len(facts),
+        ratios=(min(ratios), max(ratios)) if ratios else None,
+        filter_fails=len(smoother) - len(both),
+        blind=tuple((found[0], named(found)) for found in blind.values()),
+    )

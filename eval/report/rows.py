@@ -1,12 +1,14 @@
-"""Rows of metrics.csv and association.csv as the sentences of the report read them."""
+"""Rows of metrics.csv and association.csv, typed as far as the report speaks of them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import pandas as pd
 
+from eval.referee.consistency import CONSERVATIVE, CONSISTENT, OVERCONFIDENT
 from eval.replay.settings import BATCH, ESTIMATORS, FILTERS, INCREMENTAL
 from eval.report.page.tables import is_blank
 
@@ -24,19 +26,83 @@ def rows_of(frame: pd.DataFrame) -> list[Row]:
     return [{str(k): v for k, v in r.items()} for r in frame.to_dict("records")]
 
 
-def filters_in(rows: Sequence[Row]) -> tuple[str, ...]:
+@dataclass(frozen=True)
+class Scored:
+    """A row of metrics.csv: one run in one phase. Unknown: NaN, no `lost_why`.
+
+    rmse, aligned, from_batch: position RMSE [m] against the truth, after alignment, and against the batch solution.
+    nees, nees_median: of the pose, over the frames but `nees_left_out` of nearly singular covariance.
+    nis with its bounds and expectation: per degree of freedom; rejected: observations left out.
+    """
+
+    estimator: str
+    association: str
+    phase: str
+    status: str
+    rmse: float
+    aligned: float
+    from_batch: float
+    nees: float
+    nees_median: float
+    nees_left_out: float
+    nis: float
+    nis_lower: float
+    nis_upper: float
+    nis_expected: float
+    rejected: float
+    lost_frame: float
+    lost_why: str
+
+    @property
+    def ok(self) -> bool:
+        """Whether it got to the end, is plausible and not lost."""
+        return self.status == "ok" and not self.lost_why
+
+    @property
+    def nis_verdict(self) -> str:
+        """`overconfident`, `conservative` or `consistent`; empty where no innovations were formed."""
+        known = all(map(math.isfinite, (self.nis, self.nis_lower, self.nis_upper)))
+        return nis_verdict(self.nis, self.nis_lower, self.nis_upper) if known else ""
+
+
+def nis_verdict(nis: float, lower: float, upper: float) -> str:
+    """`overconfident`, `conservative` or `consistent` of a NIS per dof against its bounds."""
+    return OVERCONFIDENT if nis > upper else CONSERVATIVE if nis < lower else CONSISTENT
+
+
+NUMBERS = {
+    "rmse": "rmse_position_m",
+    "aligned": "rmse_aligned_m",
+    "from_batch": "rms_from_batch_m",
+    "nees": "nees_pose",
+    "nees_median": "nees_pose_median",
+} | {name: name for name in (
+    "nees_left_out", "nis", "nis_lower", "nis_upper", "nis_expected", "rejected", "lost_frame",
+)}  # fmt: skip
+"""Fields of `Scored` that are numbers, and their columns."""
+
+
+def scored(row: Row) -> Scored:
+    """A row of metrics.csv, typed."""
+    estimator, association, phase, status = (str(row[c]) for c in ("estimator", "association", "phase", "status"))
+    why = row.get("lost_why")
+    numbers = {name: value_of(row, column) for name, column in NUMBERS.items()}
+    return Scored(estimator, association, phase, status, lost_why="" if is_blank(why) else str(why), **numbers)
+
+
+def filters_in(rows: Sequence[Scored]) -> tuple[str, ...]:
     """The estimators that do not revise their past: ours, and of others those that have no final row."""
     return (*FILTERS, *(name for name in _others(rows) if name not in _finals(rows)))
 
 
-def smoothers_in(rows: Sequence[Row]) -> tuple[str, ...]:
+def smoothers_in(rows: Sequence[Scored]) -> tuple[str, ...]:
     """The estimators that do."""
     return (*BATCH, *INCREMENTAL, *(name for name in _others(rows) if name in _finals(rows)))
 
 
-def _others(rows: Sequence[Row]) -> list[str]:
-    return list(dict.fromkeys(str(r["estimator"]) for r in rows if r["estimator"] not in ESTIMATORS))
+def _others(rows: Sequence[Scored]) -> list[str]:
+    return list(dict.fromkeys(r.estimator for r in rows if r.estimator not in ESTIMATORS))
 
 
-def _finals(rows: Sequence[Row]) -> set[str]:
-    return {str(r["estimator"]) for r in rows if r["phase"] == "final"}
+def _finals(rows: Sequence[Scored]) -> set[str]:
+    return {r.estimator for r in rows if r.phase == "final"}

@@ -13,6 +13,7 @@ from eval.referee.errors import position_distance, rms
 from eval.referee.given_runs import log_of
 from eval.referee.score import Trial
 from eval.replay.settings import ASSOCIATIONS, ESTIMATORS, FILTERS, HINDSIGHT
+from eval.report.words import paragraph
 
 FIRST = ("known", "jcbb", "jcbb-first")
 """Ways of association that are shown before all others."""
@@ -187,7 +188,7 @@ def left_out(trial: Trial, shown: Sequence[Run]) -> str:
     names = [_name(r) for r in shown if r.estimator != "dead-reckoning"]
     if len(names) == len(finished(trial)):
         return ""
-    return f" Shown are {', '.join(names)}; the other runs' files are in `runs/`."
+    return f" {paragraph('pictures#shown', names=names)}"
 
 
 def _name(run: Run) -> str:

@@ -28,8 +28,9 @@ from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE
 from eval.referee.consistency import MIN_RUNS, share_interval
 from eval.replay.external.spec import name_of, names_of
 from eval.report import comparison
-from eval.report.page.document import Block, Picture, Section, Table, written_table
-from eval.report.words import say
+from eval.report.page.blocks import Block, Picture, Section, Table
+from eval.report.page.files import written_table
+from eval.report.words import fine_print, paragraph, say
 from eval.studies.broken import BROKEN
 from eval.studies.faults import FAULTS
 from eval.studies.montecarlo import DOF, Judged, Study, consistency_table
@@ -193,7 +194,7 @@ def _percent(hits: int, n: int) -> float:
 
 INTERVALS = ("rmse_position_m", "rmse_lower", "rmse_upper", "nees_pose", "nees_lower", "nees_upper")
 OUTLIERS = ("task", "estimator", "rate", *INTERVALS, "runs", "diverged")
-FINE_PRINT = {"-consistency": comparison.CONSISTENCY_FINE, "-coverage": comparison.COVERAGE_FINE}
+FINE_PRINT = {"-consistency": "Consistency over simulated runs", "-coverage": "Coverage"}
 """Of tables by how their names end: what the report says once for all of them."""
 
 
@@ -235,7 +236,8 @@ def study_sections(folder: Path, options: Options, outcome: Outcome, judged: Seq
     """All that is said about the studies of a report; nothing where there is none."""
 
     def table(frame: pd.DataFrame, name: str, caption: str) -> Table:
-        fine = next((text for ending, text in FINE_PRINT.items() if name.endswith(ending)), None)
+        title = next((t for ending, t in FINE_PRINT.items() if name.endswith(ending)), None)
+        fine = None if title is None else fine_print(title)
         return written_table(frame, folder, name, caption, options, fine=fine)
 
     plots = None if options.no_plots or options.quick else folder / "figures"
@@ -335,7 +337,7 @@ def _published(outcome: Outcome, table: TableWriter) -> list[Section]:
     blocks: list[Block] = []
     if outcome.published:
         made = comparison.published_table(published_frame(outcome.published))
-        blocks.append(table(made, "published", comparison.PUBLISHED_CAPTION))
+        blocks.append(table(made, "published", paragraph("comparison#published")))
     if notes:
         blocks.append("\n".join(notes))
     return [Section("Published numbers reproduced", tuple(blocks))] if blocks else []

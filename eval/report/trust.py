@@ -14,7 +14,8 @@ from data.se2 import Array
 from eval.referee import battery
 from eval.referee.score import Trial
 from eval.report.names import stem
-from eval.report.page.document import Block, FinePrint, Picture, Section, Wanted, folded, written_table
+from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
+from eval.report.page.files import Wanted, written_table
 from eval.report.page.tables import drop_blank_columns, number
 from eval.report.pictures import FILTER_SMOOTHER
 from eval.report.shown_runs import associations

@@ -16,7 +16,8 @@ from eval.plan.tutorials import is_tutorial, original_of
 from eval.referee.confusion import OUTCOMES
 from eval.referee.metrics import heads
 from eval.referee.score import Scores, Trial
-from eval.report.page.document import Block, Drawn, Picture, Section, written_table
+from eval.report.page.blocks import Block, Picture, Section
+from eval.report.page.files import Drawn, written_table
 from eval.report.page.tables import drop_blank_columns, is_blank
 from eval.report.words import say
 

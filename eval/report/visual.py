@@ -25,7 +25,8 @@ from eval.figures.style import save
 from eval.figures.visual import Tile, contact_sheet, plan_figure
 from eval.referee.score import Trial
 from eval.report.names import stem
-from eval.report.page.document import Block, Drawn, Formula, Picture, Section, Wanted, written_table
+from eval.report.page.blocks import Block, Formula, Picture, Section
+from eval.report.page.files import Drawn, Wanted, written_table
 from eval.report.page.tables import drop_blank_columns
 from eval.report.shown_runs import for_map, left_out
 from eval.report.words import one_line, say, template_text

@@ -18,6 +18,8 @@ from jinja2 import Environment
 from data import words
 from data.words import number
 from eval.figures.paper import tex_escape
+from eval.report.page.blocks import FinePrint
+from eval.report.page.tables import interval
 
 GREEK: dict[str, str | int | None] = {"ω": r"$\omega$", "φ": r"$\varphi$", "ψ": r"$\psi$", "Δ": r"$\Delta$"}
 
@@ -28,6 +30,7 @@ def environment() -> Environment:
     env = words.environment("eval.report")
     env.globals["zip"] = zip
     env.filters |= {
+        "interval": interval,
         "as_sentence": as_sentence,
         "one_line": one_line,
         "listed": listed,
@@ -115,3 +118,8 @@ def say(template: str, facts: object = None, **more: Any) -> str:
 def paragraph(template: str, facts: object = None, **more: Any) -> str:
     """What `say` says as one paragraph: its sentences may stand on lines of their own in the template."""
     return one_line(say(template, facts, **more))
+
+
+def fine_print(title: str) -> FinePrint:
+    """What captions leave to the section on reading: the macro of `reading.md.j2` that is called as the title is."""
+    return FinePrint(title, paragraph(f"reading#{re.sub(r'[^a-z0-9]+', '_', title.lower())}"))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import pytest
 
 from eval.report.page.blocks import Overview, OverviewRow, Report, Section
-from eval.report.page.document import write_report
+from eval.report.render import write_report
 from tests.browser.opened import WIDTHS
 
 pytestmark = pytest.mark.browser

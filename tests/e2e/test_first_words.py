@@ -14,7 +14,7 @@ import pytest
 from data.logs import open_log
 from eval.referee.score import Trial, score
 from eval.replay import compare
-from eval.report.answer import nis_verdict
+from eval.report.rows import nis_verdict
 from tests.eval.referee.wrecks import stated
 
 WORLDS = ("arena:{}", "corridor:{}", "arena:{}:sensor=relative_point+landmarks=60+max_range=6")

@@ -43,7 +43,7 @@ from eval.report.labs.corridor import (
     maintained_pair,
     run_of,
 )
-from eval.report.page.document import Picture
+from eval.report.page.blocks import Picture
 from eval.report.page.files import write_table
 from eval.stepping.matching import closer_figure, methods_figure, wrong_of
 from eval.stepping.plane import BAD, FAINT

@@ -30,7 +30,8 @@ from eval.report.labs.pictures import NEEDED, UPDATE_TIME, draw
 from eval.report.labs.pictures import stem as stem_of
 from eval.report.labs.questions import Answers, answers
 from eval.report.labs.visual import visual_hand_in
-from eval.report.page.document import Block, Picture, Section, Table, written_table
+from eval.report.page.blocks import Block, Picture, Section, Table
+from eval.report.page.files import written_table
 from eval.report.words import paragraph
 
 TEMPLATE = "labs/corridor"

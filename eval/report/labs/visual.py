@@ -27,7 +27,8 @@ from eval.figures.visual import contact_sheet, draw_pictures, plan_figure
 from eval.plan.flags.options import Options
 from eval.referee.errors import position_distance, rms
 from eval.referee.score import Trial
-from eval.report.page.document import Block, Picture, Section, written_table
+from eval.report.page.blocks import Block, Picture, Section
+from eval.report.page.files import written_table
 from eval.report.visual import (
     MOTION,
     OBSERVATION,

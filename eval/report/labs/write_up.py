@@ -18,7 +18,7 @@ from markdown_it.token import Token
 from eval.figures.paper import tex_escape
 from eval.referee.score import Scores, Trial
 from eval.report.names import stem
-from eval.report.page.document import Picture, Section
+from eval.report.page.blocks import Picture, Section
 from eval.report.rows import rows_of, value_of
 from eval.report.words import environment
 

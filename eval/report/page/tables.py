@@ -1,7 +1,4 @@
-"""Tables a person reads: rounded, blank where nothing is known, and in Markdown; for a paper column by column.
-
-Numbers as a reader wants them.
-"""
+"""Numbers and tables as a person reads them: rounded, blank where nothing is known, and in Markdown."""
 
 from __future__ import annotations
 
@@ -13,6 +10,14 @@ from typing import Any
 import pandas as pd
 
 from data.words import number as number
+
+
+def interval(lower: float, upper: float) -> str:
+    """`lower to upper`, both with as many decimals as the larger one needs for three digits."""
+    size = max(abs(lower), abs(upper))
+    places = min(max(2 - math.floor(math.log10(size)), 0), 6) if size > 0.0 else 0
+    return f"{lower:.{places}f} to {upper:.{places}f}".replace("-", "−")
+
 
 DIGITS = 3
 """Significant digits of a column's middle value."""

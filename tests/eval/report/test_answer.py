@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from eval.referee.score import ASSOCIATION, METRICS, frame_of
-from eval.report.answer import answer
+from eval.report.answer import answer, answer_facts
 
 FILTER = {
     "log": "arena", "task": "slam", "estimator": "ekf", "association": "known", "phase": "online", "status": "ok",
@@ -16,8 +16,12 @@ FILTER = {
 SMOOTHER = FILTER | {"estimator": "batch", "phase": "final", "rmse_position_m": 0.1, "nees_pose": 2.9, "nis": None}
 
 
-def answered(*rows) -> str:
-    return answer(frame_of(rows, METRICS))
+def facts_of(*rows):
+    return answer_facts(frame_of(rows, METRICS))
+
+
+def answered(*rows, trust="") -> str:
+    return answer(facts_of(*rows), trust)
 
 
 def test_the_answer_compares_filter_and_smoother_in_at_most_four_sentences():
@@ -61,14 +65,14 @@ def test_without_truth_the_difference_is_not_called_an_error():
 def test_what_a_log_without_truth_says_of_itself_comes_first_and_replaces_what_innovations_say():
     blank = {"rmse_position_m": None, "nees_pose": None}
     own = "By its own data **the noise model** is not to be trusted."
-    text = answer(frame_of([FILTER | blank, SMOOTHER | blank], METRICS), trust=own)
+    text = answered(FILTER | blank, SMOOTHER | blank, trust=own)
     assert (
         text
         == f"{own} The log has no true path, so the errors of the filter (ekf) and the smoother (batch) are not known."
     )
-    assert answer(frame_of([FILTER, SMOOTHER], METRICS), trust=own).endswith(f"exists. {own}")
+    assert answered(FILTER, SMOOTHER, trust=own).endswith(f"exists. {own}")
     gone = {"lost_frame": 12, "lost_why": "0 of 35 observations were used"}
-    assert answer(frame_of([FILTER | blank | gone, SMOOTHER | blank], METRICS), trust=own).startswith("Lost: ")
+    assert answered(FILTER | blank | gone, SMOOTHER | blank, trust=own).startswith("Lost: ")
 
 
 def test_a_failure_is_named_instead_of_compared():
@@ -79,7 +83,7 @@ def test_a_failure_is_named_instead_of_compared():
 def test_one_kind_of_estimator_alone_is_said_to_be_alone():
     assert answered(FILTER) == "Only ekf ran: without a smoother there is nothing to compare it with."
     assert "without a filter" in answered(SMOOTHER)
-    assert "Neither" in answer(pd.DataFrame(columns=METRICS))
+    assert "Neither" in answer(answer_facts(pd.DataFrame(columns=METRICS)))
 
 
 def test_known_association_is_compared_first_and_other_decisions_are_called_conditional():
@@ -92,7 +96,7 @@ OUTCOMES = {"log": "arena", "task": "slam", "estimator": "ekf", "association": "
 
 
 def decided(metrics, outcomes, labelled=None) -> str:
-    return answer(frame_of(metrics, METRICS), frame_of(outcomes, ASSOCIATION), labelled)
+    return answer(answer_facts(frame_of(metrics, METRICS), frame_of(outcomes, ASSOCIATION), labelled))
 
 
 def counted(association, tp, tn, fp, fn, estimator="ekf", phase="online"):

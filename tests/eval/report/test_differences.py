@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from eval.referee.intervals import DIFFERENCES
 from eval.referee.score import METRICS, frame_of
-from eval.report.answer import answer
-from eval.report.comparison import difference_sentence, differences_table, missing_intervals
+from eval.report.answer import answer, answer_facts
+from eval.report.comparison import difference_of, differences_table, missing_intervals
+from eval.report.rows import scored
+from eval.report.words import paragraph, say
 from tests.eval.report.test_answer import FILTER, SMOOTHER
 
 ROW = {
@@ -19,8 +21,12 @@ SILENT = dict.fromkeys(c for c in ROW if c.endswith(("_lower", "_upper", "_p")))
 }  # fmt: skip
 
 
+def difference(**changed):
+    return difference_of([ROW | changed], scored(FILTER), scored(SMOOTHER))
+
+
 def sentence(**changed) -> str:
-    return difference_sentence([ROW | changed], FILTER, SMOOTHER)
+    return paragraph("comparison#difference", d=difference(**changed))
 
 
 def test_the_sentence_says_by_how_much_with_interval_p_and_what_it_rests_on():
@@ -35,9 +41,9 @@ def test_a_worse_smoother_is_higher_with_the_interval_turned_round():
     text = sentence(rmse_position_m=-0.02, rmse_position_lower=-0.0412, rmse_position_upper=0.0031, rmse_position_p=0.2)
     assert "is higher by 0.0200 m, 95 % interval −0.0031 to 0.0412 m, p = 0.200;" in text
     assert text.endswith("would err otherwise, so it may be chance.")
-    assert "chance" not in sentence()
-    assert "may be chance" in sentence(rmse_position_p=0.06)
-    assert "may be chance" in sentence(rmse_position_lower=-0.001)
+    assert not difference().chance
+    assert difference(rmse_position_p=0.06).chance
+    assert difference(rmse_position_lower=-0.001).chance
 
 
 def test_without_an_interval_it_says_why_and_no_number():
@@ -46,14 +52,15 @@ def test_without_an_interval_it_says_why_and_no_number():
 
 
 def test_only_the_pair_that_is_compared_is_spoken_of():
-    assert sentence(b="isam2") == sentence(association="jcbb") == difference_sentence([], FILTER, SMOOTHER) == ""
+    assert difference(b="isam2") is difference(association="jcbb") is None
+    assert difference_of([], scored(FILTER), scored(SMOOTHER)) is None
 
 
 def test_the_answer_has_the_sentence_beside_the_errors():
     metrics, apart = frame_of([FILTER, SMOOTHER], METRICS), frame_of([ROW], DIFFERENCES)
-    text = answer(metrics, differences=apart)
+    text = answer(answer_facts(metrics, differences=apart))
     assert f"times the smoother's. {sentence()} Mean pose NEES" in text
-    assert answer(metrics) == text.replace(f" {sentence()}", "")
+    assert answer(answer_facts(metrics)) == text.replace(f" {sentence()}", "")
 
 
 def test_the_table_has_a_row_for_each_pair_and_names_the_association_only_where_there_are_several():
@@ -73,10 +80,11 @@ def test_the_table_has_a_row_for_each_pair_and_names_the_association_only_where_
 
 def test_reasons_for_missing_intervals_are_said_once_each():
     rows = frame_of([ROW, ROW | SILENT, ROW | SILENT | {"b": "isam2"}], DIFFERENCES)
-    assert missing_intervals(rows) == (
-        "* RMSE of ekf and batch, ekf and isam2: no interval; 40 frames are too few.\n"
-        "* NEES of ekf and batch, ekf and isam2: no interval; 40 frames are too few."
+    why, pairs = "40 frames are too few", ["ekf and batch", "ekf and isam2"]
+    assert missing_intervals(rows) == [("RMSE", pairs, why), ("NEES", pairs, why)]
+    assert say("comparison#missing", intervals=missing_intervals(rows)[:1]) == (
+        "* RMSE of ekf and batch, ekf and isam2: no interval; 40 frames are too few."
     )
-    assert missing_intervals(frame_of([ROW], DIFFERENCES)) == ""
+    assert missing_intervals(frame_of([ROW], DIFFERENCES)) == []
     decided = frame_of([ROW | SILENT, ROW | SILENT | {"association": "jcbb"}], DIFFERENCES)
-    assert missing_intervals(decided).startswith("* RMSE of ekf and batch (known), ekf and batch (jcbb): no interval")
+    assert missing_intervals(decided)[0][1] == ["ekf and batch (known)", "ekf and batch (jcbb)"]

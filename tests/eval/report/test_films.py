@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from eval.plan.flags.options import read_options
 from eval.referee.score import Trial
-from eval.report.page.document import Report, Section, write_report
-from eval.report.pictures import films_of, write_films
+from eval.report.page.blocks import Report, Section
+from eval.report.publish import films_of, write_films
+from eval.report.render import write_report
 from tests.eval.handmade import circle_log, run_with_error
-
-ENDS = ["--animate", "--speed", "400"]
-"""Films of the circle with its first and last frame only."""
 
 
 def test_runs_that_differ_in_their_association_alone_get_a_film_each_and_the_report_shows_them(tmp_path):
@@ -19,7 +16,7 @@ def test_runs_that_differ_in_their_association_alone_get_a_film_each_and_the_rep
     runs = tuple(run_with_error(np.zeros(3), association=name) for name in ("known", "nn", "jcbb", "jcbb-first"))
     trial = Trial(log, "slam", runs)
     assert films_of(tmp_path, trial) == []
-    write_films(tmp_path, read_options(ENDS), trial)
+    write_films(tmp_path, trial, speed=400.0)
     names = [f"corridor_0-slam-ekf-{name}.webm" for name in ("known", "nn", "jcbb", "jcbb-first")]
     assert sorted(f.name for f in (tmp_path / "figures").iterdir()) == sorted(names)
     films = films_of(tmp_path, trial)

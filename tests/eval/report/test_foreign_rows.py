@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import pandas as pd
-
 from eval.referee.score import Trial, score
-from eval.report.answer import answer
-from eval.report.rows import filters_in, rows_of, smoothers_in
+from eval.report.answer import answer_facts
+from eval.report.rows import filters_in, rows_of, scored, smoothers_in
 from eval.report.shown_runs import associations, for_growth, for_map, for_panels
 from tests.eval.handmade import circle_log, run_with_error
 
@@ -19,16 +17,15 @@ def made(*runs):
 
 def test_who_has_a_final_row_is_a_smoother_and_who_has_none_a_filter():
     trial = made({"estimator": "mine"}, {"estimator": "theirs", "phases": ("online", "final")}, {"estimator": "ekf"})
-    rows = rows_of(score([trial]).metrics)
+    rows = [scored(r) for r in rows_of(score([trial]).metrics)]
     assert [n for n in filters_in(rows) if n in ("mine", "theirs", "ekf")] == ["ekf", "mine"]
     assert [n for n in smoothers_in(rows) if n in ("mine", "theirs", "ekf")] == ["theirs"]
 
 
 def test_the_answer_compares_a_foreign_filter_with_a_foreign_smoother():
     trial = made({"estimator": "mine"}, {"estimator": "theirs", "phases": ("online", "final")})
-    said = answer(pd.DataFrame(score([trial]).metrics))
-    assert "the filter (mine, each pose from the data up to it)" in said
-    assert "the smoother (theirs, every pose from all data)" in said
+    facts = answer_facts(score([trial]).metrics)
+    assert [r.estimator for r in (facts.filtered, facts.smoothed) if r is not None] == ["mine", "theirs"]
 
 
 def test_who_brought_an_estimator_sees_it_in_the_figures():

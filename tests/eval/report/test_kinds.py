@@ -11,8 +11,9 @@ from data.inputs import Systematic
 from data.result import MapEstimate, Systematics, Trajectory
 from eval.plan.flags.table import Output
 from eval.referee.score import Trial
-from eval.report import pictures
-from eval.report.pictures import draw, has_outcomes, kinds, publish_runs
+from eval.report import pictures, publish
+from eval.report.pictures import draw, has_outcomes, kinds
+from eval.report.publish import publish_runs
 from tests.eval.handmade import FRAMES, circle_log, run_with_error
 
 ZERO, OFF = np.zeros(3), np.array([0.1, -0.1, 0.02])
@@ -125,9 +126,9 @@ def test_the_difference_from_batch_is_that_of_the_others_and_not_of_batch_itself
 
 def test_files_are_written_of_every_run_and_films_only_where_asked_for(monkeypatch, tmp_path):
     written = []
-    monkeypatch.setattr(pictures, "write_run", lambda folder, t, run, lab_text: written.append((run, lab_text)))
-    monkeypatch.setattr(pictures, "write_laser_files", lambda folder, t: written.append("laser"))
-    monkeypatch.setattr("eval.report.pictures.write_films", lambda folder, options, t: written.append("films"))
+    monkeypatch.setattr(publish, "write_run", lambda folder, t, run, lab_text: written.append((run, lab_text)))
+    monkeypatch.setattr(publish, "write_laser_files", lambda folder, t: written.append("laser"))
+    monkeypatch.setattr(publish, "write_films", lambda folder, t, speed: written.append("films"))
     publish_runs(tmp_path, Output(lab_text=True), trial(FILTER, BATCH))
     assert written == ["laser", (FILTER, True), (BATCH, True)]
     written.clear()

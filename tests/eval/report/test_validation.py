@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from eval.referee.consistency import share_interval
-from eval.report.page.document import Table
+from eval.report.page.blocks import Table
 from eval.report.studies import Diverged, detected, power_table, size_table, validation_facts, validation_section
 from eval.report.words import say
 from eval.studies.validation import Examined, Validation, World

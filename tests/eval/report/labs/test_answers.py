@@ -15,7 +15,7 @@ from eval.referee.score import Trial, score
 from eval.report.labs.corridor import find_lab, run_of
 from eval.report.labs.pictures import KINDS, NEEDED, UPDATE_TIME
 from eval.report.labs.sections import QUESTIONS, hand_in, lab_sections
-from eval.report.page.document import Picture, Table
+from eval.report.page.blocks import Picture, Table
 from tests.eval.handmade_lab import FOOLED, NEW, lab_log, lab_run
 
 CONDITIONS = [(False, True), (True, True), (False, False), (True, False)]

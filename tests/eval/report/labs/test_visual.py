@@ -15,7 +15,7 @@ from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.report import visual as models
 from eval.report.labs import visual
-from eval.report.page.document import Formula, Picture, Table
+from eval.report.page.blocks import Formula, Picture, Table
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error
 from tests.eval.report.visual.handmade import evidence
 

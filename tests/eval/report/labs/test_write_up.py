@@ -11,7 +11,7 @@ import pytest
 
 from eval.referee.score import Trial, score
 from eval.report.labs.write_up import log_page, tex, write_up
-from eval.report.page.document import Folded, Formula, Picture, Section, Table
+from eval.report.page.blocks import Folded, Formula, Picture, Section, Table
 from tests.eval.handmade import circle_log, run_with_error
 
 SIDE = np.array([0.0, 1.0, 0.0])

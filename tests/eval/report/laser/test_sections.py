@@ -14,7 +14,7 @@ from data.truth import Relations
 from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.report.laser import GATED, against, against_relations, facts_of, laser_sections
-from eval.report.page.document import Folded, Picture, Table
+from eval.report.page.blocks import Folded, Picture, Table
 from eval.report.words import say
 from tests.eval.handmade import FRAMES, circle_log, run_with_error, true_path
 

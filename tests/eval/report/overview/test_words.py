@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,8 +12,9 @@ from data.truth import Truth
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, NOTHING, Finding
 from eval.referee.score import Trial
 from eval.referee.trust import Measured
-from eval.report.overview import compared, concluded, drawn, gauge_statement
-from eval.report.overview_facts import Facts, cause_word, claims, whom_to_trust
+from eval.report.overview import claims, drawn, gauge_statement, introduction, trust_mark
+from eval.report.overview_facts import Gauge, Online, Verdict, cause_word, conclusion, log_facts
+from eval.report.rows import scored
 from eval.studies.sampled import Sample
 from eval.studies.trusted import Blame, Trust
 from tests.eval.handmade import circle_log
@@ -26,11 +26,9 @@ LOG = circle_log(name="home")
 BLIND = Log("blind", LOG.recorded, Truth())
 
 
-def facts(filtered=EKF, smoothed=BATCH, log=LOG, trust=None, newest=None, unused=frozenset()):
-    rows = tuple(r for r in (filtered, smoothed) if r is not None)
-    errors = tuple(math.nan if r is None else r["rmse_position_m"] for r in (filtered, smoothed))
-    trial = Trial(log, "slam", ())
-    return Facts(trial, rows, "known", filtered, smoothed, newest, errors, False, None, trust, unused)
+def facts(filtered=EKF, smoothed=BATCH, log=LOG, trust=None, newest=None, unused=frozenset(), task="slam"):
+    rows = [scored(r) for r in (filtered, newest, smoothed) if r is not None]
+    return log_facts(Trial(log, task, ()), rows, trust=trust, idle=unused)
 
 
 @pytest.mark.parametrize(
@@ -47,13 +45,13 @@ def facts(filtered=EKF, smoothed=BATCH, log=LOG, trust=None, newest=None, unused
     ],
 )
 def test_the_word_follows_the_errors_and_who_got_to_the_end(filtered, smoothed, word, tone):
-    mark = whom_to_trust(facts(filtered, smoothed))
+    mark = trust_mark(facts(filtered, smoothed))
     assert (mark.word, mark.tone) == (word, tone)
 
 
 def test_an_estimate_that_used_no_reading_is_not_to_be_trusted():
     both = frozenset({("ekf", "known"), ("batch", "known")})
-    mark = whom_to_trust(facts(unused=both))
+    mark = trust_mark(facts(unused=both))
     assert mark.word == "neither"
     assert "ekf used next to no reading" in mark.note
 
@@ -121,33 +119,56 @@ def trust(cause=None, *findings, measured=None, objected=()):
 def test_the_cause_is_one_word_also_without_twins(said, word):
     assert cause_word(said) == word
     f = facts(EKF | {"rmse_position_m": math.nan}, BATCH | {"rmse_position_m": math.nan}, BLIND, said)
-    assert whom_to_trust(f).word == f"cause: {word}"
-    assert concluded([f]) == f"No truth on blind, cause: {word}."
+    assert (f.verdict, f.cause) == (Verdict.CAUSE, word)
+    assert trust_mark(f).word == f"cause: {word}"
+    assert introduction([f]).endswith(f"one referee. No truth on blind, cause: {word}.")
 
 
 def test_the_sentences_say_what_was_compared_and_how_much_better_where_both_got_there():
     bad = facts(EKF | {"status": "implausible"})
-    assert compared([facts()]).startswith("Filter (ekf) and smoother (batch) on identical inputs from 1 log, scored")
-    assert concluded([facts()]) == (
-        "For the path after the fact trust the smoother (the filter's RMSE is 8.42 times as large)."
+    assert introduction([facts()]) == (
+        "Filter (ekf) and smoother (batch) on identical inputs from 1 log, scored by one referee."
+        " For the path after the fact trust the smoother (the filter's RMSE is 8.42 times as large)."
     )
-    assert concluded([facts(), bad]).endswith("8.42 times as large), where the filter fails on 1 row.")
+    found = conclusion([facts(), bad])
+    assert (found.logs, found.filters, found.smoothers, found.everywhere) == (1, ("ekf",), ("batch",), True)
+    assert (found.filter_fails, found.ratios) == (1, pytest.approx((8.417, 8.417), abs=1e-3))
+    assert introduction([facts(), bad]).endswith("8.42 times as large), where the filter fails on 1 row.")
 
 
 def test_rows_of_one_log_are_told_apart_by_their_task():
-    closer = replace(facts(EKF | {"rmse_position_m": 0.01}), trial=Trial(LOG, "localization", ()))
-    said = concluded([facts(), closer])
+    closer = facts(EKF | {"rmse_position_m": 0.01}, task="localization")
+    found = conclusion([facts(), closer])
+    assert (found.smoother, found.filter) == (("home (slam)",), ("home (localization)",))
+    said = introduction([facts(), closer])
     assert "trust the smoother on home (slam) (the" in said
     assert said.endswith("the filter is closer on home (localization).")
+
+
+@pytest.mark.parametrize(
+    ("rmse", "online", "note"),
+    [
+        (0.4041, Online.EQUAL, "later data; online both are equal"),
+        (0.3, Online.OTHER, "online isam2 0.300 m"),
+        (0.1, Online.FAR_BETTER, "also online (isam2 0.100 m)"),
+        (None, Online.UNKNOWN, "for the path after the fact"),
+    ],
+)
+def test_an_online_smoother_tells_later_data_from_the_kind_of_estimator(rmse, online, note):
+    f = facts(newest=EKF | {"estimator": "isam2", "rmse_position_m": rmse})
+    assert f.online == online
+    assert trust_mark(f).note == note
 
 
 def test_the_error_of_the_frame_is_told_from_that_of_the_path():
     text = gauge_statement(facts())
     assert "`ekf` has 0.112 m instead of 0.404 m and `batch` 0.0440 m instead of 0.0480 m" in text
     assert "(the ratio is then 2.55, not 8.42)" in text
-    same = gauge_statement(facts(EKF | {"rmse_aligned_m": 0.4}))
-    assert "makes little difference" in same
-    assert gauge_statement(replace(facts(), trial=Trial(LOG, "localization", ()))) == ""
+    assert facts().gauge == Gauge((0.404, 0.048), (0.112, 0.044), mostly=True, ratio_differs=True)
+    same = facts(EKF | {"rmse_aligned_m": 0.4})
+    assert not same.gauge.mostly
+    assert "here that makes little difference: aligned" in gauge_statement(same)
+    assert facts(task="localization").gauge is None
 
 
 def test_a_small_map_shows_every_path_inside_its_frame_and_is_the_same_each_time():

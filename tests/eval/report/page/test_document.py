@@ -13,7 +13,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from eval.figures.style import save
-from eval.report.page.document import Picture, Report, Section, Table, anchor, write_report
+from eval.report.page.blocks import Picture, Report, Section, Table, anchor
+from eval.report.render import write_report
 
 TABLE = pd.DataFrame({"estimator": ["ekf<1>", "batch"], "position RMSE [m]": [0.0991, None]}, dtype=object)
 REPORT = Report(

@@ -12,7 +12,7 @@ from eval.plan.flags.table import Output
 from eval.referee.attribution import NOISE
 from eval.referee.score import Trial
 from eval.referee.trust import Measured
-from eval.report.page.document import Folded, Table
+from eval.report.page.blocks import Folded, Table
 from eval.report.pictures import FILTER_SMOOTHER, draw, kinds
 from eval.report.trust import MOST, first_said, of_trial, statistic_words, trust_frame, trust_section
 from eval.report.trust_facts import Terms

@@ -13,7 +13,7 @@ from eval.figures.style import style_of
 from eval.plan.flags.options import read_options
 from eval.plan.tutorials import ABOUT
 from eval.referee.score import Trial, score
-from eval.report.page.document import Picture, Table
+from eval.report.page.blocks import Picture, Table
 from eval.report.tutorials import beside_note, tutorial_sections
 from tests.eval.handmade import circle_log, run_with_error
 

@@ -11,8 +11,9 @@ import pytest
 from eval.plan.flags.table import Options, Output
 from eval.referee.score import Trial
 from eval.report import visual
-from eval.report.page.document import Formula, Picture, Report, Table, write_report
+from eval.report.page.blocks import Formula, Picture, Report, Table
 from eval.report.page.tables import drop_blank_columns
+from eval.report.render import write_report
 from eval.report.visual import PictureStatistics, detection_table, statistics_of, tiles_of, visual_sections
 from tests.eval.handmade import circle_log, run_with_error
 from tests.eval.report.visual.handmade import evidence

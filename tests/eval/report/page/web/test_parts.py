@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from eval.figures.style import save
-from eval.report.page.document import (
+from eval.report.page.blocks import (
     FinePrint,
     Folded,
     Mark,
@@ -21,8 +21,8 @@ from eval.report.page.document import (
     Sketch,
     Table,
     folded,
-    write_report,
 )
+from eval.report.render import write_report
 
 FINE = FinePrint("Errors", "What all errors mean.")
 FRAME = pd.DataFrame({"estimator": ["ekf", "lost", "batch"], "RMSE": [0.1, 9e7, 0.05]})

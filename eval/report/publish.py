@@ -1,0 +1,129 @@
+"""Run files, films and pictures of all trials and the player of each log, written as jobs beside each other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from data.notice import Notice
+from data.result import Run
+from eval.figures.film import AS_THEN, History
+from eval.plan.flags.table import Execution, Output
+from eval.plan.unfinished import NOBODY, Unfinished
+from eval.plan.work import Job, work
+from eval.player.document import played, write_player
+from eval.player.watch import Watched
+from eval.referee.given_runs import log_of
+from eval.referee.score import Trial
+from eval.replay.settings import Setup
+from eval.report.laser import write_laser_files
+from eval.report.names import beside, stem
+from eval.report.page.blocks import Film, Picture
+from eval.report.pictures import draw, kinds
+from eval.report.run_files import write_run
+from eval.report.words import paragraph
+
+RUN_FILES, PLAYER = -1, -2
+"""Places of jobs that are no pictures."""
+MISSING = {RUN_FILES: "files", PLAYER: "player"}
+"""What is missing without them; see `missing` in notices.j2."""
+
+
+def publish(
+    folder: Path,
+    output: Output,
+    setup: Setup,
+    trials: Sequence[Trial],
+    lost: Unfinished,
+    execution: Execution,
+    progress: Callable[[int, int], None],
+) -> list[list[Picture]]:
+    """Write everything; returns the pictures of each trial. What there was no memory for is said to `lost`."""
+    jobs: list[Job[tuple[int, int]]] = []
+    for i, trial in enumerate(trials):
+        others = beside(trial, trials)
+        drawn = not (output.no_plots or _shown_elsewhere(trial, trials))
+        for place, kind in enumerate(kinds(trial, others, quick=output.quick) if drawn else ()):
+            jobs.append(Job((i, place), partial(draw, quick=output.quick), (folder, trial, kind, others)))
+    for i, trial in enumerate(trials):
+        jobs.append(Job((i, RUN_FILES), publish_runs, (folder, output, trial)))
+    for group in () if output.no_plots else played(trials):
+        jobs.append(Job((trials.index(group[0]), PLAYER), write_player, (folder, group, setup)))
+
+    def missing(owner: tuple[int, int], why: Notice) -> None:
+        trial = trials[owner[0]]
+        lost.say(MISSING.get(owner[1], "picture"), why, NOBODY.about(log=trial.log.name, task=trial.task))
+
+    made: dict[tuple[int, int], Picture] = {}
+    for done, (owner, picture) in enumerate(work(jobs, execution, lost=missing), start=1):
+        if owner[1] >= 0:
+            made[owner] = picture
+        progress(done, len(jobs))
+    return [[made[owner] for owner in sorted(made) if owner[0] == i] for i in range(len(trials))]
+
+
+def _shown_elsewhere(trial: Trial, trials: Sequence[Trial]) -> bool:
+    """Whether a trial is on the very recording or images of the one it stands beside, whose pictures show it."""
+    log = trial.log
+    return any(
+        t.log.recorded is log.recorded or (t.log.evidence is not None and t.log.evidence is log.evidence)
+        for t in trials
+        if trial in beside(t, trials)
+    )
+
+
+def publish_runs(folder: Path, output: Output, trial: Trial) -> None:
+    """Write the run files of a trial, and its films if asked for."""
+    if trial.beside is None:
+        write_laser_files(folder, trial)
+    for run in trial.runs:
+        write_run(folder, trial, run, lab_text=output.lab_text)
+    if output.animate:
+        write_films(folder, trial, output.speed)
+
+
+def film_stem(trial: Trial, run: Run) -> str:
+    """Name of a run's film: as its folder below `runs/`, so that no two runs of a report share one."""
+    return stem(trial, f"{run.estimator}-{run.association}")
+
+
+def write_films(folder: Path, trial: Trial, speed: float | None = None) -> None:
+    """Film every run of a trial that got to the end; `speed`: seconds of the log in one of the film."""
+    from eval.figures.film import animate  # OpenCV is loaded only where films are wanted
+
+    for run in _filmed(trial):
+        path = folder / "figures" / f"{film_stem(trial, run)}.webm"
+        animate(log_of(run, trial.log), run, path, speed=speed, history=history_of(run))
+
+
+def history_of(run: Run) -> History | None:
+    """Landmarks as they were at each instant, where somebody wrote them down while the run was made.
+
+    Of a smoother only their places were, so that its landmarks are dots.
+    """
+    watched = run.watched
+    if not isinstance(watched, Watched) or not len(watched.change_frame):
+        return None
+    sigma, product = watched.change_sigma, watched.change_rho * watched.change_sigma.prod(axis=1)
+    covariance = np.empty((len(sigma), 2, 2))
+    covariance[:, 0, 0], covariance[:, 1, 1] = np.square(sigma).T
+    covariance[:, 0, 1] = covariance[:, 1, 0] = product
+    there = watched.change_there.astype(bool)
+    return History(watched.change_frame, watched.change_number, there, watched.change_xy, covariance, AS_THEN)
+
+
+def films_of(folder: Path, trial: Trial) -> list[Film]:
+    """The films of a trial that were written."""
+    found = []
+    for run in _filmed(trial):
+        film = Film(film_stem(trial, run), paragraph("pictures#film", log=trial.log.name, task=trial.task, run=run))
+        if (folder / film.path).exists():
+            found.append(film)
+    return found
+
+
+def _filmed(trial: Trial) -> Iterator[Run]:
+    return (run for run in trial.runs if run.failure is None)
