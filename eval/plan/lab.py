@@ -22,8 +22,11 @@ from eval.plan.variants import maintained
 from eval.replay.settings import HINDSIGHT, Setup
 
 CONDITIONS = {
-    (False, True): "", (True, True): "people", (False, False): "no-odometry", (True, False): "people+no-odometry",
-}  # fmt: skip
+    (False, True): "",
+    (True, True): "people",
+    (False, False): "no-odometry",
+    (True, False): "people+no-odometry",
+}
 """(people, odometry) of the lab's four logs, and how the name of a simulated one says so."""
 WITH_PEOPLE = ("crowd", "sv_people", "sa_people")
 METHODS = ("nn", "singles", "jcbb-first", "jcbb")
