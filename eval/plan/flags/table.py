@@ -12,7 +12,6 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from data.errors import UsageError
 from eval.plan.flags.examples import EPILOG, PROG
@@ -371,27 +370,6 @@ class Options:
     )
     stated: tuple[str, ...] = ()
     variants: tuple[Variant, ...] = ()
-
-    def __getattr__(self, name: str) -> Any:
-        """A field of a part."""
-        if name.startswith("__"):
-            raise AttributeError(name)
-        return getattr(self.selection if name in ("lab", "estimator", "association") else self.output, name)
-
-    @property
-    def formats(self) -> tuple[str, ...]:
-        """Of the output."""
-        return self.output.formats
-
-    @property
-    def table_width(self) -> str:
-        """Of the output."""
-        return self.output.table_width
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Of the output."""
-        return self.output.columns
 
 
 def parser(prog: str = PROG) -> argparse.ArgumentParser:

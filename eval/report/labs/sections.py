@@ -79,20 +79,21 @@ NAMES_OF_METHODS = (
 
 def hand_in(folder: Path, options: Options, trials: Sequence[Trial], scores: Scores, lost: Unfinished) -> list[Section]:
     """The answers to a lab's questions, the first sections of its report; nothing without `--lab`."""
-    if options.lab is None:
+    if options.selection.lab is None:
         return []
     if any(t.log.evidence is not None for t in trials):
-        return visual_hand_in(folder, options, trials)
+        return visual_hand_in(folder, options.output, trials)
     lab = find_lab(trials, named=False)
     return [] if lab is None else _corridor(folder, options, lab, answers(lab, scores), lost)
 
 
 def _corridor(folder: Path, options: Options, lab: Lab, facts: Answers, lost: Unfinished) -> list[Section]:
     """Six sections, their pictures drawn in parallel."""
-    wanted = [] if options.no_plots else [k for q in QUESTIONS for k in q.pictures if NEEDED[k](lab)]
-    formats = ("png",) if options.quick else ("pdf", "png")
+    output = options.output
+    wanted = [] if output.no_plots else [k for q in QUESTIONS for k in q.pictures if NEEDED[k](lab)]
+    formats = ("png",) if output.quick else ("pdf", "png")
     setup = options.setup.settled(next(iter(lab.trials.values())).log.labels_are_sensed)
-    jobs = [Job(kind, draw, (folder, kind, lab, setup, formats, options.formats)) for kind in wanted]
+    jobs = [Job(kind, draw, (folder, kind, lab, setup, formats, output.formats)) for kind in wanted]
     drawn = work(jobs, options.execution, lost=lambda kind, why: lost.say("picture", why, name=f"lab: {kind}"))
     made: dict[str, Picture] = dict(drawn)
     sections = []
@@ -105,7 +106,7 @@ def _corridor(folder: Path, options: Options, lab: Lab, facts: Answers, lost: Un
         blocks: list[Block] = [
             f"**{paragraph(f'{TEMPLATE}#{question.name}_line', q=q)}**",
             *(made[kind] for kind in question.pictures if kind in made),
-            written_table(_numbers(question, facts), folder, f"lab-question-{n}", caption, options),
+            written_table(_numbers(question, facts), folder, f"lab-question-{n}", caption, output),
             LOST if q.lack else paragraph(f"{TEMPLATE}#{question.name}", q=q, **more),
         ]
         sections.append(Section(f"Question {n}: {question.heading}", tuple(blocks), facts=q))

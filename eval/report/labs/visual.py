@@ -24,7 +24,7 @@ from eval.figures.map import map_figure
 from eval.figures.plane import along_path, draw_ellipses
 from eval.figures.style import save, series
 from eval.figures.visual import contact_sheet, draw_pictures, plan_figure
-from eval.plan.flags.options import Options
+from eval.plan.flags.table import Output
 from eval.referee.errors import position_distance, rms
 from eval.referee.score import Trial
 from eval.report.page.blocks import Block, Picture, Section
@@ -102,18 +102,18 @@ class Estimates:
         return self._rmse("batch", "final")
 
 
-def visual_hand_in(folder: Path, options: Options, trials: Sequence[Trial]) -> list[Section]:
+def visual_hand_in(folder: Path, output: Output, trials: Sequence[Trial]) -> list[Section]:
     """Three sections on the first log made from images; nothing where there is none."""
     trial = next(
         (t for t in trials if t.log.evidence is not None and t.beside is None and t.task == "localization"), None
     )
     if trial is None:
         return []
-    if "tex" in options.formats:
+    if "tex" in output.formats:
         (folder / "tables").mkdir(parents=True, exist_ok=True)
         models = folder / "tables" / f"{folder_name(trial.log.name)}-models.tex"
         models.write_text(models_latex(), encoding="utf-8", newline="\n")
-    return [_motion(folder, options, trial), _observation(folder, options, trial), _filter(folder, options, trial)]
+    return [_motion(folder, output, trial), _observation(folder, output, trial), _filter(folder, output, trial)]
 
 
 def _run(trial: Trial, estimator: str) -> Run | None:
@@ -151,24 +151,24 @@ def estimates(trial: Trial) -> Estimates:
     return Estimates(tuple(found))
 
 
-def _motion(folder: Path, options: Options, trial: Trial) -> Section:
+def _motion(folder: Path, output: Output, trial: Trial) -> Section:
     q = reckoned(trial)
     blocks: list[Block] = [f"**{paragraph(f'{TEMPLATE}#motion', q=q)}**"]
-    if not options.no_plots:
+    if not output.no_plots:
         what = "dead reckoning alone, 3σ ellipses in their size"
-        blocks.append(_plan(folder, options, trial, ("dead-reckoning",), "lab-motion", what))
+        blocks.append(_plan(folder, output, trial, ("dead-reckoning",), "lab-motion", what))
     blocks += [MOTION.formula, f"{MOTION.about} {constants(trial.log)}"]
     heading = "Question 1: How does the robot move, and how does its uncertainty grow?"
     return Section(heading, tuple(blocks), facts=q)
 
 
-def _observation(folder: Path, options: Options, trial: Trial) -> Section:
+def _observation(folder: Path, output: Output, trial: Trial) -> Section:
     log = trial.log
     assert log.evidence is not None  # a log made from images
     found, tiles = log.evidence.found, tiles_of(log.evidence)
     q = Seen(len(found.frame), len(found.time), len(log.recorded.observations.frame))
     blocks: list[Block] = [f"**{paragraph(f'{TEMPLATE}#observation', q=q)}**"]
-    if tiles and not options.no_plots:
+    if tiles and not output.no_plots:
         chosen = np.unique(np.linspace(0, len(tiles) - 1, FEW_TILES).round().astype(int)).tolist()
         # images are the whole figure: as PDF it would be many times as large and show no more
         sheet = contact_sheet([tiles[i] for i in chosen], f"{log.name}: pictures found, with their numbers")
@@ -181,32 +181,32 @@ def _observation(folder: Path, options: Options, trial: Trial) -> Section:
     return Section("Question 2: What does the camera see of a picture's corners?", tuple(blocks), facts=q)
 
 
-def _filter(folder: Path, options: Options, trial: Trial) -> Section:
+def _filter(folder: Path, output: Output, trial: Trial) -> Section:
     log, q, run = trial.log, estimates(trial), _run(trial, "ekf")
     blocks: list[Block] = [f"**{paragraph(f'{TEMPLATE}#estimate', q=q)}**"]
-    if not options.no_plots:
-        factor = options.ellipse_factor
+    if not output.no_plots:
+        factor = output.ellipse_factor
         what = f"3σ ellipses {'in their size' if factor == 1 else 'enlarged as the legend says'}"
-        blocks.append(_plan(folder, options, trial, ("dead-reckoning", "ekf"), "lab-plan", what, factor))
+        blocks.append(_plan(folder, output, trial, ("dead-reckoning", "ekf"), "lab-plan", what, factor))
         if run is not None and log.truth.known_poses:
-            save(error_figure(log, [replace(run, final=None)]), folder / "figures", "lab-error", _formats(options))
+            save(error_figure(log, [replace(run, final=None)]), folder / "figures", "lab-error", _formats(output))
             caption = f"`{log.name}`: the filter's error with its ±3σ."
             blocks.append(Picture("lab-error", caption, f"Errors of the filter on {log.name}"))
     table = pd.DataFrame([astuple(r) for r in q.runs], columns=list(HEADS), dtype=object)
     if not log.truth.known_poses:
         table = table.drop(columns=list(HEADS[2:4]))
     caption = f"{log.name}, localization: position errors without alignment, and σ along the least certain direction."
-    blocks.append(written_table(table, folder, "lab-question-3", caption, options))
+    blocks.append(written_table(table, folder, "lab-question-3", caption, output))
     blocks += [UPDATE.formula, UPDATE.about]
     return Section("Question 3: Where was the robot, and how sure is the filter of it?", tuple(blocks), facts=q)
 
 
-def _formats(options: Options) -> tuple[str, ...]:
-    return ("png",) if options.quick else ("pdf", "png")
+def _formats(output: Output) -> tuple[str, ...]:
+    return ("png",) if output.quick else ("pdf", "png")
 
 
 def _plan(
-    folder: Path, options: Options, trial: Trial, names: Sequence[str], stem: str, what: str, factor: int | None = 1
+    folder: Path, output: Output, trial: Trial, names: Sequence[str], stem: str, what: str, factor: int | None = 1
 ) -> Picture:
     log = trial.log
     assert log.evidence is not None  # a log made from images
@@ -216,7 +216,7 @@ def _plan(
         figure = map_figure(log, runs, surveyed=lambda ax: [*draw_pictures(ax, corners), *_grown(ax, runs[0])])
     else:
         figure = plan_figure(log, runs, corners, factor=factor)
-    save(figure, folder / "figures", stem, _formats(options))
+    save(figure, folder / "figures", stem, _formats(output))
     return Picture(stem, f"`{log.name}`: {what}. World frame, no alignment.", f"Plan of {log.name}: {what}")
 
 

@@ -31,7 +31,7 @@ def trials():
 
 
 def test_the_originals_numbers_stand_beside_their_row_alone(trials, tmp_path):
-    (section,) = tutorial_sections(tmp_path, read_options(["--quick"]), trials, score(trials))
+    (section,) = tutorial_sections(tmp_path, read_options(["--quick"]).output, trials, score(trials))
     table, picture = section.blocks
     assert isinstance(table, Table)
     assert isinstance(picture, Picture)
@@ -49,7 +49,7 @@ def test_the_originals_numbers_stand_beside_their_row_alone(trials, tmp_path):
 
 
 def test_without_plots_there_is_the_table_alone(trials, tmp_path: Path):
-    (section,) = tutorial_sections(tmp_path, read_options(["--no-plots"]), trials, score(trials))
+    (section,) = tutorial_sections(tmp_path, read_options(["--no-plots"]).output, trials, score(trials))
     assert [type(b) for b in section.blocks] == [Table]
 
 

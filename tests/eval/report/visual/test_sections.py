@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eval.plan.flags.table import Options, Output
+from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.report import visual
 from eval.report.page.blocks import Formula, Picture, Report, Table
@@ -73,7 +73,7 @@ def trials(**what) -> list[Trial]:
 
 
 def test_the_section_of_a_log_is_written_once_with_a_plan_for_each_task(tmp_path):
-    made = visual_sections(tmp_path, Options(), [*trials(), Trial(circle_log(), "slam", ())])
+    made = visual_sections(tmp_path, Output(), [*trials(), Trial(circle_log(), "slam", ())])
     assert [s.heading for s in made] == ["Pictures as landmarks: visual:1"]
     blocks = made[0].blocks
     assert [b for b in blocks if isinstance(b, Formula)] == [m.formula for m in visual.MODELS]
@@ -91,7 +91,7 @@ def test_the_section_of_a_log_is_written_once_with_a_plan_for_each_task(tmp_path
 
 @pytest.mark.slow
 def test_formulas_are_mathml_in_the_page_and_latex_in_markdown(tmp_path):
-    made = visual_sections(tmp_path, Options(output=Output(quick=True)), trials())
+    made = visual_sections(tmp_path, Output(quick=True), trials())
     write_report(tmp_path, Report("Title", "command", ("First.",), tuple(made)))
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert page.count('<div class="formula"><math display="block">') == 3
@@ -102,7 +102,7 @@ def test_formulas_are_mathml_in_the_page_and_latex_in_markdown(tmp_path):
 
 
 def test_formulas_are_shown_also_without_plots(tmp_path):
-    made = visual_sections(tmp_path, Options(output=Output(no_plots=True, formats=("csv",))), trials(truth=False))
+    made = visual_sections(tmp_path, Output(no_plots=True, formats=("csv",)), trials(truth=False))
     assert sum(isinstance(b, Formula) for b in made[0].blocks) == 3
     assert not (tmp_path / "figures").exists()
     assert [p.name for p in (tmp_path / "tables").iterdir()] == ["visual_1-detections.csv"]
@@ -110,5 +110,5 @@ def test_formulas_are_shown_also_without_plots(tmp_path):
 
 
 def test_a_log_without_images_has_no_such_section(tmp_path):
-    assert visual_sections(tmp_path, Options(), [Trial(circle_log(), "slam", ())]) == []
+    assert visual_sections(tmp_path, Output(), [Trial(circle_log(), "slam", ())]) == []
     assert not any(tmp_path.iterdir())
