@@ -238,9 +238,9 @@ def study_sections(folder: Path, options: Options, outcome: Outcome, judged: Seq
     def table(frame: pd.DataFrame, name: str, caption: str) -> Table:
         title = next((t for ending, t in FINE_PRINT.items() if name.endswith(ending)), None)
         fine = None if title is None else fine_print(title)
-        return written_table(frame, folder, name, caption, options, fine=fine)
+        return written_table(frame, folder, name, caption, options.output, fine=fine)
 
-    plots = None if options.no_plots or options.quick else folder / "figures"
+    plots = None if options.output.no_plots or options.output.quick else folder / "figures"
     sections = [validation_section(study, found, table, plots) for study, found in outcome.validations]
     sections += _published(outcome, table)
     if outcome.studies:
