@@ -37,9 +37,12 @@ exit status: 0 fine, 2 wrong usage or bad data"""
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """The whole command, called `prog`; returns the exit status."""
     parser = argparse.ArgumentParser(
-        prog=prog, description=HELP, epilog=EXAMPLES.replace(PROG, prog),
-        formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False,
-    )  # fmt: skip
+        prog=prog,
+        description=HELP,
+        epilog=EXAMPLES.replace(PROG, prog),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
     parser.add_argument("files", metavar="FILE", nargs="+", help="ESTIMATE TRUTH, or estimates alone with --truth")
     parser.add_argument(
         "--truth", metavar="FILE", nargs="+", default=[], help="one truth for all estimates, or one for each, in order"

@@ -84,13 +84,18 @@ def _tune_as_asked(argv: Sequence[str] | None, prog: str) -> None:
     parser.add_argument("log", metavar="LOG", help="an open log folder with labels, or a name: arena:SEED, ...")
     parser.add_argument("out", metavar="OUT", type=Path, help="folder of the copy; an earlier tuned log is replaced")
     parser.add_argument(
-        "--fit", metavar="GROUPS", help="what may change, of motion,sensor,bias,odometry,latency,growth; default: all "
+        "--fit",
+        metavar="GROUPS",
+        help="what may change, of motion,sensor,bias,odometry,latency,growth; default: all "
         "but growth (a range's sigma as a power of the range)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--gate", default="auto", metavar="P", help="leave out pairings beyond this chi-square probability under the "
+        "--gate",
+        default="auto",
+        metavar="P",
+        help="leave out pairings beyond this chi-square probability under the "
         f"noise as stated, or none, or auto (default): {SENSED_GATE} where a sensor read the labels, else none",
-    )  # fmt: skip
+    )
     parser.add_argument("--use", metavar="TUNED", type=Path, help="fit nothing: apply the numbers of this tuned log")
     options = parser.parse_args(argv)
     from eval.plan.warming import compile_if_needed

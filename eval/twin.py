@@ -50,10 +50,11 @@ def _twin_as_asked(argv: Sequence[str] | None, prog: str) -> None:
         "--task", choices=TASKS, help="whose path is the truth (default: localization where LOG has a map, else slam)"
     )
     parser.add_argument(
-        "--association", metavar="NAME",
+        "--association",
+        metavar="NAME",
         help=f"who pairs the readings: of {', '.join(ASSOCIATIONS)}, or your own (default: known where LOG has labels, "
         "else jcbb-hindsight, of walls jcbb)",
-    )  # fmt: skip
+    )
     options = parser.parse_args(argv)
     from eval.plan.warming import compile_if_needed
 

@@ -170,16 +170,24 @@ def association_lines(quick: bool) -> list[Timed]:
         Timed("peer: JCBB in plain Python", plain, 1, "frames", f"{plain / fast:.0f}"),
         Timed(
             f"corridor ({len(inputs)} steps, {len(log.recorded.observations.frame)} observations), EKF and JCBB",
-            run, len(inputs), "frames", "", "< 0.25 s",
+            run,
+            len(inputs),
+            "frames",
+            "",
+            "< 0.25 s",
         ),
-    ]  # fmt: skip
+    ]
     for size in MAP_SIZES[:1] if quick else MAP_SIZES:
         world = line_world(size)
         for name, setup in (("ekf", Setup()), ("ekf", Setup(in_view=True)), ("isam2", Setup())):
             seconds, seen, candidates = frame_seconds(name, world, setup)
             cut = ", in view" if setup.in_view else ""
             lines.append(
-                Timed(f"association of a frame, {name}{cut}, map of {size} ({seen} seen, {candidates} candidates)",
-                      seconds, 1, "frames")
-            )  # fmt: skip
+                Timed(
+                    f"association of a frame, {name}{cut}, map of {size} ({seen} seen, {candidates} candidates)",
+                    seconds,
+                    1,
+                    "frames",
+                )
+            )
     return lines

@@ -1,7 +1,4 @@
-"""Time and memory against size: parks of a thousand to a hundred thousand frames, each run in a process of its own.
-
-Figure of scaling: time and memory of each estimator against the length of the log, with the exponents of growth.
-"""
+"""Time and memory against size: parks of a thousand to a hundred thousand frames, each run in a process of its own."""
 
 from __future__ import annotations
 
@@ -128,10 +125,6 @@ def line_of(m: Measured) -> str:
     )
 
 
-if __name__ == "__main__":
-    sys.stdout.write(json.dumps(measure(*sys.argv[1:])) + "\n")
-
-
 PEERS = {BARE: ("isam2", "bare gtsam loop"), BARE_BATCH: ("batch", "bare gtsam batch")}
 """Whose peer each is, and what it is called."""
 
@@ -151,9 +144,13 @@ def scaling_figure(found: Sequence[Measured]) -> Figure:
                 style = _style(estimator)
                 exponent = f", $n^{{{slope(frames, values):.2f}}}$" if len(own) > 2 else ""
                 ax.plot(
-                    frames, values, color=style.colour, linestyle=style.line, marker=style.marker,
+                    frames,
+                    values,
+                    color=style.colour,
+                    linestyle=style.line,
+                    marker=style.marker,
                     label=style.label + exponent,
-                )  # fmt: skip
+                )
             ax.set(xscale="log", yscale="log", xlabel="frames n [–]", ylabel=label)
             ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=2)  # below: lines fill the panel
         return fig
@@ -164,3 +161,7 @@ def _style(estimator: str) -> Style:
         return style_of(estimator)
     ours, label = PEERS[estimator]
     return replace(style_of(ours), label=label, line=DOTTED, marker="o")
+
+
+if __name__ == "__main__":
+    sys.stdout.write(json.dumps(measure(*sys.argv[1:])) + "\n")

@@ -68,14 +68,20 @@ def measure_plan(name: str) -> PlanRun:
         return rms(position_distance(pose, truth))
 
     return PlanRun(
-        error(final.pose), aligned_rmse(final.pose, truth), error(online.pose), error(ekf.trajectory("online").pose),
+        error(final.pose),
+        aligned_rmse(final.pose, truth),
+        error(online.pose),
+        error(ekf.trajectory("online").pose),
         error(wheels.trajectory("online").pose),
         mean_or_nan(nees(final.pose, final.covariance, truth, "pose")),
         mean_or_nan(nees(online.pose, online.covariance, truth, "pose")),
-        chain_squares(isam2.chain, keys), loop_squares(isam2.loops, keys),
-        count_closures(isam2.loops, keys, revisits(keys, points), points), isam2.scale or (np.nan, np.nan),
-        float(isam2.frame_seconds.sum()), float(log.recorded.time[-1] - log.recorded.time[0]),
-    )  # fmt: skip
+        chain_squares(isam2.chain, keys),
+        loop_squares(isam2.loops, keys),
+        count_closures(isam2.loops, keys, revisits(keys, points), points),
+        isam2.scale or (np.nan, np.nan),
+        float(isam2.frame_seconds.sum()),
+        float(log.recorded.time[-1] - log.recorded.time[0]),
+    )
 
 
 def measure_plans(seeds: Sequence[int] = range(SEEDS), keys: str = "") -> list[PlanRun]:

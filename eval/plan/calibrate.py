@@ -1,11 +1,9 @@
-"""Which errors each log is calibrated by, settled before its runs, and what the battery says when they are done.
+"""Systematic errors that are estimated along: which ones, and what the battery says before and after.
 
-The errors that a log names under plain estimators, and its battery of trust with and without them.
-
-Which systematic errors a log names under plain estimators, by the score test of its residuals; no twins are needed.
-
-An error of `data.inputs.ERRORS` is named if the data ask for it beyond what chance makes the largest of all hypotheses
-ask for (Bonferroni). Hypotheses that are none of these errors, as delays, stand beside them and may explain it all.
+Without names from a person, a log names its errors under plain estimators, by the score test of its residuals; no twins
+are needed. An error of `data.inputs.ERRORS` is named if the data ask for it beyond what chance makes the largest of all
+hypotheses ask for (Bonferroni). Hypotheses that are none of these errors, as delays, stand beside them and may explain
+it all.
 """
 
 from __future__ import annotations

@@ -54,13 +54,15 @@ def provenance(
     content = {
         "command": [*PROG.split(), *arguments],
         "versions": {
-            "slamref": version("slamref"), "python": platform.python_version(), **{p: version(p) for p in PACKAGES},
+            "slamref": version("slamref"),
+            "python": platform.python_version(),
+            **{p: version(p) for p in PACKAGES},
         },
         "platform": f"{sys.platform} {platform.machine()}",
         "seed": options.study.seed,
         "foreign": sources_of(foreign),
         "inputs": {log.name: {**_plain(log), "sha256": input_digest(log)} for log in logs},
-    }  # fmt: skip
+    }
     if results:
         content["results"] = {name: dict(files) for name, files in results.items()}
     return json.dumps(content, indent=2, sort_keys=True) + "\n"

@@ -61,10 +61,8 @@ def trusted(
     done = _with_twins([(g, *s) for g, s in zip(groups, said, strict=True)], count, options, lost, progress)
     if not count:
         return done
-    wrong = [
-        i for i, t in enumerate(done)
-        if t.blame is not None and t.blame.cause == NOISE and any(f.cause == NOISE for f in t.blame.findings)
-    ]  # fmt: skip
+    blames = [(i, t.blame) for i, t in enumerate(done) if t.blame is not None and t.blame.cause == NOISE]
+    wrong = [i for i, blame in blames if any(f.cause == NOISE for f in blame.findings)]
     jobs = [Job(i, calibrated_group, (groups[i], said[i][1], _named(done[i]))) for i in wrong]
     tried = work(jobs, options.execution, lost=_missing(groups, lost))
     better = {i: result for i, result in tried if result is not None}

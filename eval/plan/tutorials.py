@@ -1,8 +1,6 @@
 """The classic UTIAS tutorials' treatment of a recording, as one more row beside ours.
 
-What the tutorials' programs do otherwise than the algorithms they teach, so that their numbers can be had.
-
-Nothing here is for any other use: both are faults.
+What their programs do otherwise than the algorithms they teach is here and nowhere else: these are faults.
 """
 
 from __future__ import annotations

@@ -29,11 +29,15 @@ def sparser(experiment: Experiment) -> list[Experiment]:
         settings.insert(0, (f"least-information={SPARSE:g}", replace(setup, least_information=SPARSE), about))
     return [
         Experiment(
-            replace(experiment.log, name=f"{name}:{changed}"), experiment.task, work, other, name,
+            replace(experiment.log, name=f"{name}:{changed}"),
+            experiment.task,
+            work,
+            other,
+            name,
             f"the same log {about} (`--{changed.split('=')[0]}`)",
         )
         for changed, other, about in settings
-    ]  # fmt: skip
+    ]
 
 
 def has_depth_noise(log: Log) -> bool:
@@ -53,11 +57,14 @@ def with_depth_noise(experiments: Sequence[Experiment]) -> list[Experiment]:
     }
     return [
         replace(
-            e, log=logs[e.log.name], beside=e.log.name, about=about,
+            e,
+            log=logs[e.log.name],
+            beside=e.log.name,
+            about=about,
             work=tuple(Work(w.association, tuple(n for n in w.estimators if n != "dead-reckoning")) for w in e.work),
         )
         for e in experiments
-    ]  # fmt: skip
+    ]
 
 
 def maintained(experiment: Experiment, work: tuple[Work, ...]) -> Experiment:

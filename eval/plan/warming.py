@@ -1,6 +1,4 @@
-"""Every compiled kernel used once, on small worlds: each task, sensor, estimator and association method.
-
-The first use after an installation: all kernels are compiled, with progress, before anybody waits in silence.
+"""The first use after an installation: every compiled kernel used once, with progress, before anybody waits in silence.
 
 What is compiled is kept by numba beside the modules (or in the user's cache, where those cannot be written to). A mark
 beside it says for which versions all is there, so that every later start is spared the look.
