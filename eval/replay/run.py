@@ -245,44 +245,68 @@ def _compare(
         inputs = inputs.without_map()
     if association != "known":
         inputs = inputs.without_labels()
-    setup = setup.settled(inputs.labels_are_sensed)
-    done: dict[str, Run] = {}
-
-    def ahead(name: str) -> Run:
-        if name not in done:
-            quick = name in FILTERS and association == "known" and not (setup.manages_map and task == "slam")
-            quick = quick and lack_with_walls(name, task, association, inputs) is None
-            threshold = gate_threshold(setup.label_gate)
-            run = filter_known(inputs, task, name=name, threshold=threshold) if quick else None
-            if run is None or watch is not None:  # what is compiled cannot be watched: the same steps once more
-                observer = None if watch is None else watch(inputs)
-                slow = step_by_step(name, inputs, task, association, setup, observer=observer or NOBODY)
-                if observer is not None:
-                    run = run or replace(slow, seconds=slow.seconds - observer.seconds)
-                    slow = replace(run, watched=observer.left())
-                run = slow
-            done[name] = run
-        return done[name]
-
-    def batch_of(name: str) -> Run:
-        if association == "known":
-            # whatever else was asked for; the iterated filter's path is better where the plain one gets lost
-            front = ahead("ekf")
-            if front.failure is not None:
-                front = ahead("ekf-iterated")
-            if not setup.gate_smoothers:
-                decisions, created = known_decisions(inputs)
-                front = replace(front, decisions=decisions, final_decisions=decisions, created=created, begun=None)
-        else:
-            front = ahead("isam2" if "isam2" in estimators else "ekf")
-        other = (lambda: ahead("ekf-iterated")) if association == "known" else None
-        return batch(name, inputs, front, other)
-
-    runs = [
-        dead_reckoning(inputs, task) if name == "dead-reckoning" else batch_of(name) if name in BATCH else ahead(name)
-        for name in estimators
-    ]
+    each = _Comparison(inputs, task, estimators, association, setup.settled(inputs.labels_are_sensed), watch)
+    runs = [each.run(name) for name in estimators]
     return runs if inputs.sensor.sees_points else [replace(run, walls=True) for run in runs]
+
+
+class _Comparison:
+    """The runs of one comparison; each front end runs once, whoever needs it."""
+
+    def __init__(
+        self,
+        inputs: Inputs,
+        task: str,
+        estimators: Sequence[str],
+        association: str,
+        setup: Setup,
+        watch: Callable[[Inputs], Writing] | None,
+    ) -> None:
+        self.inputs, self.task, self.estimators, self.association = inputs, task, estimators, association
+        self.setup, self.watch = setup, watch
+        self._done: dict[str, Run] = {}
+
+    def run(self, name: str) -> Run:
+        """An estimator by its name."""
+        if name == "dead-reckoning":
+            return dead_reckoning(self.inputs, self.task)
+        return self._batch(name) if name in BATCH else self._ahead(name)
+
+    def _ahead(self, name: str) -> Run:
+        if name not in self._done:
+            self._done[name] = self._stepping(name)
+        return self._done[name]
+
+    def _stepping(self, name: str) -> Run:
+        """In one compiled loop where that can be; what is compiled cannot be watched: the same steps once more."""
+        quick = self._compiled(name)
+        if quick is not None and self.watch is None:
+            return quick
+        observer = None if self.watch is None else self.watch(self.inputs)
+        slow = step_by_step(name, self.inputs, self.task, self.association, self.setup, observer=observer or NOBODY)
+        if observer is None:
+            return slow
+        return replace(quick or replace(slow, seconds=slow.seconds - observer.seconds), watched=observer.left())
+
+    def _compiled(self, name: str) -> Run | None:
+        managed = self.setup.manages_map and self.task == "slam"
+        if name not in FILTERS or self.association != "known" or managed:
+            return None
+        if lack_with_walls(name, self.task, self.association, self.inputs) is not None:
+            return None
+        return filter_known(self.inputs, self.task, name=name, threshold=gate_threshold(self.setup.label_gate))
+
+    def _batch(self, name: str) -> Run:
+        if self.association != "known":
+            return batch(name, self.inputs, self._ahead("isam2" if "isam2" in self.estimators else "ekf"), None)
+        # whatever else was asked for; the iterated filter's path is better where the plain one gets lost
+        front = self._ahead("ekf")
+        if front.failure is not None:
+            front = self._ahead("ekf-iterated")
+        if not self.setup.gate_smoothers:
+            decisions, created = known_decisions(self.inputs)
+            front = replace(front, decisions=decisions, final_decisions=decisions, created=created, begun=None)
+        return batch(name, self.inputs, front, lambda: self._ahead("ekf-iterated"))
 
 
 MOST_WORK = 3e7
