@@ -132,7 +132,9 @@ def _agreeing(new: Landmarks, old: Landmarks, cross: Array, i: IntArray, j: IntA
 
 
 @numba.njit(cache=True)
-def _vote(x, y, allowed, tolerance, max_turn, long, fewest, kept):  # type: ignore[no-untyped-def]
+def _vote(
+    x: Array, y: Array, allowed: BoolArray, tolerance: Array, max_turn: float, long: float, fewest: int, kept: int
+) -> tuple[IntArray, IntArray, Array]:
     """Lay every pair of points x (m, 2) onto every allowed pair of y (n, 2); the other points vote, nearest first.
 
     Returns the best `kept` assignments (h, m), -1 for none, with their number of pairings and sum of squared misfits.

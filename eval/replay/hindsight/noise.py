@@ -28,7 +28,7 @@ import numpy as np
 
 from association.candidates import holding
 from association.expectation import gate_threshold
-from data.inputs import Frame, Increment, Sightings
+from data.inputs import Frame, Increment, IntArray, Sightings
 from data.notice import Code, Notice, notice
 from data.se2 import Array
 from data.sensors import MIN_RANGE, RANGE_BEARING, Sensor
@@ -188,7 +188,19 @@ def fitted(steps: list[Step]) -> Shares:
 
 
 @numba.njit(cache=True)
-def _fit(first, covariance, nu, H, by_range, by_bearing, chance, prior, rounds, wide, some):  # type: ignore[no-untyped-def]
+def _fit(
+    first: IntArray,
+    covariance: Array,
+    nu: Array,
+    H: Array,
+    by_range: Array,
+    by_bearing: Array,
+    chance: float,
+    prior: float,
+    rounds: int,
+    wide: float,
+    some: Array,
+) -> Array:
     """Shares (3,) after so many rounds, where `prior` pairs and steps say that all is as stated.
 
     The pairs of step f are rows first[f] to first[f + 1] - 1. A pair is as it should be, of something that moves (its
@@ -247,7 +259,7 @@ def _fit(first, covariance, nu, H, by_range, by_bearing, chance, prior, rounds, 
 
 
 @numba.njit(cache=True)
-def _normal(x, S):  # type: ignore[no-untyped-def]
+def _normal(x: Array, S: Array) -> float:
     """Density at x (2,) of a normal variable of covariance S (2, 2)."""
     det = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
     d2 = (S[1, 1] * x[0] * x[0] - (S[0, 1] + S[1, 0]) * x[0] * x[1] + S[0, 0] * x[1] * x[1]) / det

@@ -62,9 +62,20 @@ def candidates(e: Expectation, sensor: Sensor, motion: Array) -> list[tuple[floa
 
 
 @numba.njit(cache=True)
-def _poses(  # type: ignore[no-untyped-def]
-    seen, sigma, seen_sigma, surest, there, there_sigma, information, threshold, sigmas, long, fewest, kept
-):  # fmt: skip
+def _poses(
+    seen: Array,
+    sigma: Array,
+    seen_sigma: Array,
+    surest: IntArray,
+    there: Array,
+    there_sigma: Array,
+    information: Array,
+    threshold: float,
+    sigmas: float,
+    long: float,
+    fewest: int,
+    kept: int,
+) -> tuple[IntArray, Array, int]:
     """Poses (x, y, a) with there = R(a) seen + (x, y) that two pairs of points give, and what they pair.
 
     seen (m, 2) of standard deviations (m,), seen_sigma (m, m) those of their distances; there (n, 2), there_sigma

@@ -233,7 +233,9 @@ def _verify(xy: Array, P: Array, landmarks: Array, choice: IntArray, gate: float
 
 
 @numba.njit(cache=True)
-def _search(xy, tolerance, landmarks, fewest, slack, kept, budget):  # type: ignore[no-untyped-def]
+def _search(
+    xy: Array, tolerance: Array, landmarks: Array, fewest: int, slack: int, kept: int, budget: int
+) -> tuple[IntArray, bool]:
     """Interpretation tree over points (m, 2) in order, every landmark or none for each; depth first.
 
     A pairing is added if its distances to all points paired before agree within `tolerance` (m, m), and if it lies on
@@ -311,7 +313,7 @@ def _search(xy, tolerance, landmarks, fewest, slack, kept, budget):  # type: ign
 
 
 @numba.njit(cache=True)
-def _side(a, b, p):  # type: ignore[no-untyped-def]
+def _side(a: Array, b: Array, p: Array) -> float:
     """Signed distance of p from the line through a and b; 0 where these are one point."""
     dx, dy = b[0] - a[0], b[1] - a[1]
     length = math.hypot(dx, dy)
