@@ -244,7 +244,8 @@ def update(kind: int, extrinsic: Array, mean: Array, P: Array, d: int, seen: See
 
     See `update_from`; the first linearization is at the prediction.
     """
-    return update_from(kind, extrinsic, mean, mean, P, d, seen, how, done)
+    status: int = update_from(kind, extrinsic, mean, mean, P, d, seen, how, done)
+    return status
 
 
 @numba.njit(cache=True)

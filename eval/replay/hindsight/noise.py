@@ -179,8 +179,9 @@ def fitted(steps: list[Step]) -> Shares:
     first = np.concatenate([[0], np.cumsum([len(s.nu) for s in steps])])
     covariance = np.stack([s.covariance for s in steps])
     nu, H, by_range, by_bearing, chance = (np.concatenate(c) for c in list(zip(*steps, strict=True))[1:])
-    settings = constants.DIFFERENCES_PRIOR, constants.DIFFERENCES_ROUNDS, constants.DIFFERENCES_WIDE, SOME
-    found = Shares(*_fit(first, covariance, nu, H, by_range, by_bearing, chance, *settings).tolist())
+    prior, rounds, wide = constants.DIFFERENCES_PRIOR, constants.DIFFERENCES_ROUNDS, constants.DIFFERENCES_WIDE
+    share = _fit(first, covariance, nu, H, by_range, by_bearing, chance, prior, rounds, wide, SOME)
+    found = Shares(*share.tolist())
     moved = H @ covariance[np.repeat(np.arange(len(steps)), np.diff(first))] @ H.transpose(0, 2, 1)
     S = found.range * by_range + found.bearing * by_bearing + found.motion * moved
     others = chance * math.pi * gate_threshold(constants.DENSE_GATE) * np.sqrt(np.linalg.det(S))
@@ -195,11 +196,11 @@ def _fit(
     H: Array,
     by_range: Array,
     by_bearing: Array,
-    chance: float,
+    chance: Array,
     prior: float,
     rounds: int,
     wide: float,
-    some: Array,
+    some: float,
 ) -> Array:
     """Shares (3,) after so many rounds, where `prior` pairs and steps say that all is as stated.
 

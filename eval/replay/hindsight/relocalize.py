@@ -319,4 +319,5 @@ def _side(a: Array, b: Array, p: Array) -> float:
     length = math.hypot(dx, dy)
     if length == 0.0:
         return 0.0
-    return (dx * (p[1] - a[1]) - dy * (p[0] - a[0])) / length
+    distance: float = (dx * (p[1] - a[1]) - dy * (p[0] - a[0])) / length
+    return distance
