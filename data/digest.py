@@ -1,8 +1,4 @@
-"""A digest of whole packages of this program and of the libraries under them, for what is kept from run to run.
-
-Whatever is kept of a computation depends on all code that it executes. Lists of single files go stale; the folders
-that a computation stays in do not.
-"""
+"""A digest of all code that a kept computation executes: whole packages of this program and libraries under them."""
 
 from __future__ import annotations
 

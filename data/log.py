@@ -77,11 +77,13 @@ class Log:
         points = [] if known is None or not r.sensor.sees_points else [card.Points("landmarks", known.xy, card.GREY)]
         span = "no stamps" if r.time_is_index else f"{r.time[-1] - r.time[0]:.1f} s"
         facts = [
-            ("frames", f"{len(r)} ({span})"), ("observations", str(len(r.observations.frame))),
-            ("sensor", r.sensor.name), ("map", "none" if r.map is None else f"{len(r.map.id)} landmarks"),
+            ("frames", f"{len(r)} ({span})"),
+            ("observations", str(len(r.observations.frame))),
+            ("sensor", r.sensor.name),
+            ("map", "none" if r.map is None else f"{len(r.map.id)} landmarks"),
             ("truth", f"in {truth.known_poses} frames" if truth.known_poses else "none"),
             ("labels", "yes" if self.has_labels else "none"),
-        ]  # fmt: skip
+        ]
         return card.card(f"Log {self.name}", facts, paths, points)
 
 

@@ -1,13 +1,11 @@
-"""Sensors: what of a landmark is measured, its field of view, and the compiled formulas (`data.sensors`).
-
-Measurement models of a landmark: a point by range and bearing or by its place in the sensor's frame, or a wall.
+"""Measurement models of a landmark: a point by range and bearing or by its place in the sensor's frame, or a wall.
 
 A point landmark is (x, y); a wall is the straight line n(alpha) . x = rho, n = (cos alpha, sin alpha), by its signed
 distance rho [m] from the origin and the direction alpha [rad] of its normal; (-rho, alpha + pi) is the same line. Both
 are two numbers and so is every measurement.
 
 The formulas stand once, compiled, for one observation (`measure`, `invert`, `residual`); the filters' kernels call
-them and the sensor classes of the package loop them over arrays. Frames: w world, b body, s sensor, p_s = R p_b + T.
+them and the sensor classes here loop them over arrays. Frames: w world, b body, s sensor, p_s = R p_b + T.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 """How a command ends: what a person can mend is one line on stderr and exit status 2, never a traceback, never 1.
 
 Status 1 says that an estimator was rejected, so nothing that merely went wrong may end with it.
-
-Counted things in words, and rows of text in columns.
 """
 
 from __future__ import annotations

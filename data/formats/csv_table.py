@@ -1,6 +1,4 @@
-"""A table of numbers read from a file, and the checks that name file, line, column and value.
-
-Strict numeric CSV: columns by name as float64 arrays, and a `DataError` with line and column for whatever is wrong.
+"""Strict numeric CSV: columns by name as float64 arrays; errors name file, line, column and value.
 
 A file is a header and one row per line, without comments, quoted numbers or blank lines (but at its end). A byte
 order mark, CRLF line ends and spaces around fields are accepted. Columns come in any order.
@@ -9,15 +7,14 @@ order mark, CRLF line ends and spaces around fields are accepted. Columns come i
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from data.errors import LARGEST, DataError
 from data.inputs import IntArray
-from data.se2 import Array
+from data.se2 import Array, BoolArray
 
 FIRST_ROW = 2
 """Line of the first row below a line of names."""
@@ -53,6 +50,11 @@ class Table:
         """All columns side by side, (K, columns), in the order of the file."""
         return self.stack(tuple(self.columns))
 
+    def part(self, rows: IntArray | BoolArray) -> Table:
+        """Some of its rows, in this order."""
+        columns = {name: values[rows] for name, values in self.columns.items()}
+        return replace(self, columns=columns, line=None if self.line is None else self.line[rows])
+
     def symmetric(self, names: Sequence[str]) -> Array:
         """Symmetric matrices (K, d, d) from their upper triangles, row by row."""
         d = {3: 2, 6: 3}[len(names)]
@@ -61,7 +63,7 @@ class Table:
             matrix[:, i, j] = matrix[:, j, i] = self.columns[name]
         return matrix
 
-    def require(self, fine: NDArray[np.bool_], name: str, what: str) -> None:
+    def require(self, fine: BoolArray, name: str, what: str) -> None:
         """Raise at the first row where `fine` (K,) is false; `{}` in `what` stands for the value in column `name`."""
         if not fine.all():
             row = int(np.argmin(fine))

@@ -1,4 +1,4 @@
-"""Text of a g2o graph in the plane, read and written.
+"""g2o graphs in the plane: their text read and written, a graph as a log, a log with decisions as a graph.
 
     VERTEX_SE2 id x y theta                        pose [m, m, rad]
     VERTEX_XY id x y                               landmark [m]
@@ -7,14 +7,9 @@
     EDGE_SE2_XY i l x y I11 I12 I22                landmark l in the frame of pose i
     EDGE_BEARING_SE2_XY i l bearing I              direction of landmark l from pose i
 
-I: information matrix, upper triangle row by row. An EDGE_SE2's error is that of the relative pose seen from its
-measured end, (R(dtheta)' (t - t_measured), theta - theta_measured); the landmark edges' errors are additive (g2o's
-types_slam2d).
-Poses and landmarks share one set of ids.
-
-A g2o graph as a log: its chain of poses is the odometry, its landmark edges are labelled readings.
-
-A log with decisions as a g2o graph: its poses in a chain, its landmarks, an edge for every pairing.
+I: information matrix, upper triangle row by row. Poses and landmarks share one set of ids. An EDGE_SE2's error is that
+of the relative pose seen from its measured end, (R(dtheta)' (t - t_measured), theta - theta_measured); the landmark
+edges' errors are additive (g2o's types_slam2d).
 """
 
 from __future__ import annotations
@@ -104,16 +99,14 @@ def read_graph(path: Path) -> Graph:
             raise DataError.at(path, f"{tag}: a graph in space; graphs in the plane ({POSE}) are read", line=number)
         elif tag:
             other[tag] += 1
-    vertices = {tag: _vertices(path, rows[tag]) for tag in (POSE, POINT)}
-    ids = np.concatenate([vertices[POSE][0], vertices[POINT][0]])
+    vertices = _vertices(rows[POSE]), _vertices(rows[POINT])
+    ids = np.concatenate([i for i, _ in vertices])
     found, times = np.unique(ids, return_counts=True)
     if (times > 1).any():
         raise DataError.at(path, f"vertex {found[np.argmax(times > 1)]} stands there twice; ids are for one each")
-    edges = {tag: _edges(path, rows[tag], tag) for tag in (MOTION, SIGHTING, BEARING)}
-    return Graph(
-        path, vertices[POSE], vertices[POINT], np.array(fixed, np.int64), edges[MOTION], edges[SIGHTING],
-        edges[BEARING], dict(other),
-    )  # fmt: skip
+    edges = [_edges(path, rows[tag], tag) for tag in (MOTION, SIGHTING, BEARING)]
+    held = np.array(fixed, np.int64)
+    return Graph(path, *vertices, held, *edges, dict(other))
 
 
 def _values(path: Path, line: int, tag: str, fields: Sequence[str]) -> list[float]:
@@ -139,7 +132,7 @@ def _numbers(path: Path, line: int, tag: str, fields: Sequence[str], count: int,
     return values
 
 
-def _vertices(path: Path, rows: Sequence[tuple[int, list[float]]]) -> tuple[IntArray, Array]:
+def _vertices(rows: Sequence[tuple[int, list[float]]]) -> tuple[IntArray, Array]:
     if not rows:
         return np.zeros(0, np.int64), np.zeros((0, 3))
     values = np.array([v for _, v in rows])
@@ -170,7 +163,7 @@ def written(
     """Text of a graph: poses and points by id, ids held, and edges (tag, id, id, measured (d,), covariance (d, d)).
 
     An EDGE_SE2's covariance is that of the additive error in the frame of its start.
-    """  # fmt: skip
+    """
     lines = [_line(POSE, [i], p) for i, p in zip(*poses, strict=True)]
     lines += [_line(POINT, [i], p) for i, p in zip(*points, strict=True)]
     for tag, a, b, measured, covariance in edges:

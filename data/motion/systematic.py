@@ -1,29 +1,20 @@
-"""Systematic errors of odometry and sensor: what each does to an increment, with Jacobians.
+"""Systematic errors of odometry and sensor: what each does to an increment, its inverse, and the frame without them.
 
 Uneven wheels and a steering that is off centre turn a robot a little with every metre, and not as far as it thinks with
 every turn (Borenstein and Feng, "Measurement and correction of systematic odometry errors in mobile robots", IEEE
 Transactions on Robotics and Automation 12, 1996). The robot that measured (m, t) has moved by (1 + scale) R(e/2) m and
 turned by t + e, where e = d (curvature + drift) + left max(t, 0) + right min(t, 0) and d is |m|, negative backwards.
-
-A sensor whose ranges are (1 + range) times the true ones and whose bearings are true + bearing sees everything right
-from a frame that is turned by -bearing in a world that is larger by (1 + range). In that frame, the sensor's (see
-`data.motion.systematic`), the measurement model has no error, and the increments have all of them. So filters and
-smoothers take the errors in one place, as a function of the increments:
-
-    increment(b) = (1 + range) Rot(bearing) E^-1 (corrected odometry) E Rot(-bearing),    E the sensor's mount.
-
 The drift is an Ornstein-Uhlenbeck process over the distance travelled, constant between knots.
 
-What an odometry with systematic errors would state of a way, were it not for its noise, with Jacobians.
+A sensor whose ranges are (1 + range) times the true ones and whose bearings are true + bearing sees everything right
+from a frame that is turned by -bearing in a world that is larger by (1 + range): a pose X of the robot is there
+X' = S X E Rot(-bearing), a point l is S l, where E is the sensor's mount on the robot and S scales the world by
+(1 + range) about a fixed origin. In that frame, the sensor's, the measurement model has no error, and the increments
+have all of them. So filters and smoothers take the errors in one place, as a function of the increments:
 
-The inverse of `data.motion.systematic.correct`.
+    increment(b) = (1 + range) Rot(bearing) E^-1 (corrected odometry) E Rot(-bearing).
 
-The frame in which a sensor's systematic errors vanish: there and back, with Jacobians.
-
-A pose X of the robot is there X' = S X E Rot(-bearing), a point l is S l: E is the sensor's mount on the robot, S
-scales the world by (1 + range) about a fixed origin. Bearings measured true + bearing and ranges measured (1 + range)
-times the true ones are right there, whatever the errors are. `data.motion.systematic` says what becomes of the
-increments.
+All functions give Jacobians.
 """
 
 from __future__ import annotations

@@ -2,8 +2,7 @@
 
 Inside there is one form of control noise: a variance per second, of displacement D = v dt [m] and rotation
 A = omega dt [rad], that holds for the whole length of a sample; cutting a sample in two does not change the total.
-
-The smallest eigenvalue that an increment's covariance has: information forms need its inverse.
+Information forms need a covariance's inverse, so its eigenvalues get a floor.
 """
 
 from __future__ import annotations

@@ -1,11 +1,8 @@
-"""A recording of the link as a log: the same packets, frames and numbers as while it was recorded.
-
-`--log LOG` opens the folder finished or cut off; `complete` adds the files of an open log, which others can read.
-
-From packets to frames, one at a time: what an estimator gets while the robot moves, and again when it is replayed.
+"""From packets to frames, one at a time, and a recording of the link as a log: what a live estimator got, replayed.
 
 Every packet is a frame. Its increment is the difference of odometry with the covariance of wheel slip and of rounding
 to whole mm and mrad; its observations are the walls that the packet completes (`data.robot.observe`).
+`--log LOG` opens the folder finished or cut off; `complete` adds the files of an open log, which others can read.
 """
 
 from __future__ import annotations
@@ -106,10 +103,8 @@ def inputs_of(frames: Sequence[Frame], at_rest: int, known: LandmarkMap | None =
         np.concatenate([frame.sightings.R for frame in frames]),
     )
     time = np.array([frame.time for frame in frames])
-    return Inputs(
-        prior(), time, Increments(mean, covariance), observations, SENSOR, known,
-        covariance_floor=FLOOR, floored=at_rest,
-    )  # fmt: skip
+    motion = Increments(mean, covariance)
+    return Inputs(prior(), time, motion, observations, SENSOR, known, covariance_floor=FLOOR, floored=at_rest)
 
 
 def _increment(before: Packet, after: Packet, slip: float) -> Increment:

@@ -1,4 +1,4 @@
-"""What goes over the robot's serial line, byte for byte: command, answer, sonar controller, and the framed variant.
+"""The robot as numbers, and its serial line byte for byte: command, answer, sonar controller, and the framed variant.
 
     command   4 bytes: int16 speed [mm/s], int16 turn rate [mrad/s]
     answer   22 bytes: eight int16 sonar distances [mm], int16 x, y [mm], int16 heading [mrad]
@@ -7,8 +7,6 @@
 The low byte comes first. x, y and heading are counted on and overflow at 32.767 m and rad. Framed, a packet is
 `MARKER`, the same bytes, and a CRC-16 of these, low byte first: the polynomial 0x1021 of CCITT, begun at 0xFFFF so
 that leading zeros count, not reflected (`binascii.crc_hqx`; known as CRC-16/IBM-3740).
-
-The robot as numbers: where its sonars sit, how it is driven, how fast it can be.
 
 A round hobby robot on two driven wheels. Body frame: x ahead, y to the left, the origin midway between the wheels.
 """

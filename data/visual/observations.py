@@ -268,9 +268,7 @@ def _load(path: Path) -> Found | None:
                 tuple((k, kept[f"{kind}_{k}"].tobytes()) for k in which)
                 for kind, which in zip(("tile", "small"), numbers, strict=True)
             )
-            return Found(
-                **{name: kept[name] for name in ARRAYS}, refused=tuple(refused), tiles=tiles, small=small,
-                focal=focal, pixel_noise=pixel_noise, depth_noise=depth_noise,
-            )  # fmt: skip
+            arrays = (kept[name] for name in ARRAYS)
+            return Found(*arrays, tuple(refused), tiles, small, focal, pixel_noise, depth_noise)
     except (OSError, zipfile.BadZipFile, KeyError, ValueError, EOFError):
         return None

@@ -108,10 +108,8 @@ def open_lab_log(folder: Path, camera: Camera, say: Say) -> Log:
     notes = [*recording.notes, *([note] if note else [])]
     if len(found.frame):
         first = found.frame == found.frame[0]
-        suspicion = unit_suspicion(
-            recording.setup, found.points[first], found.picture[first],
-            translation_unit=recording.translation_unit, reading=recording.reading,
-        )  # fmt: skip
+        read = {"translation_unit": recording.translation_unit, "reading": recording.reading}
+        suspicion = unit_suspicion(recording.setup, found.points[first], found.picture[first], **read)
         if suspicion:
             say(f"{folder.name}: {suspicion}")
             notes.append(suspicion)

@@ -1,14 +1,12 @@
 """The corridor lab: a robot drives once round a square of four corridors; people may walk about, odometry may be off.
 
-World, motion and constants of the university lab on data association built around Neira and Tardos, "Data association
-in stochastic mapping using the joint compatibility test", IEEE Trans. Robotics & Automation 17(6), 2001. Unlike the
-lab's program, R comes from the measured range and bearing, so that no truth leaks into the inputs.
+World (88 points), motion and constants of the university lab on data association built around Neira and Tardos, "Data
+association in stochastic mapping using the joint compatibility test", IEEE Trans. Robotics & Automation 17(6), 2001.
+Unlike the lab's program, R comes from the measured range and bearing, so that no truth leaks into the inputs.
 
 Odometry noise, sensor noise, the walks of people and the noise of seeing them come from independent streams of the
 seed, and noise is drawn for unseen points, too: people, range or angles leave every reading they do not concern as it
 was.
-
-The corridor lab's world: 88 points along a square of four corridors, the true path, and where people walk.
 """
 
 from __future__ import annotations

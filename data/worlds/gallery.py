@@ -1,13 +1,9 @@
-"""The gallery: a robot drives loops in a room with pictures on its walls; the world, the drive, logs without images.
+"""The gallery: a robot drives loops among pictures on walls; parameters, world, drive, logs without images.
 
 World: z up, origin on the floor in the middle of the room, the long walls along x. The camera is level, so in plan it
 sees (x, z) of `data.pictures`. The commands hold from one frame to the next (exact arcs); every straight and every turn
 takes a whole number of frames, so that the loop closes. Layout, command noise, prior and sensor noise come from
 independent streams of the seed. The noise is that of a university lab: 2 cm and 5 cm, 1 cm/s and 4 deg/s.
-
-How the gallery's camera sees its pictures: points in the camera's frame, pixels, and what counts as in view.
-
-Parameters of the simulated gallery and what follows from them: the loop, the camera, the pictures of each wall.
 """
 
 from __future__ import annotations

@@ -75,13 +75,11 @@ class Park(Erring):
 
     def __post_init__(self) -> None:
         check_erring("park", self)
-        check_parameters(
-            "park",
-            self,
-            positive=("frames", "period", "step", "block", "revisits", "spacing", "strip", "sigma_v", "sigma_omega",
-                      "sigma_range", "sigma_bearing", "max_range", "field_of_view", "detection"),
-            not_negative=("min_range", "prior_sigma", "prior_sigma_heading"),
-        )  # fmt: skip
+        layout = ("frames", "period", "step", "block", "revisits", "spacing", "strip")
+        sensing = ("sigma_range", "sigma_bearing", "max_range", "field_of_view", "detection")
+        positive = (*layout, "sigma_v", "sigma_omega", *sensing)
+        not_negative = ("min_range", "prior_sigma", "prior_sigma_heading")
+        check_parameters("park", self, positive=positive, not_negative=not_negative)
         if self.block < 20:
             raise UsageError(f"park: block = {self.block}; at least 20 is needed, or the turns do not fit")
         if self.detection > 1.0:

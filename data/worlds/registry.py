@@ -1,13 +1,11 @@
-"""The simulated worlds, each listed once: its module, its parameters, what a person is told, logs of it by name.
+"""The simulated worlds, each listed once: its module, its parameters, its flags, what a person is told, logs by name.
 
 A world is imported when it is asked for, so that `--help` and a mistyped flag do not wait for it.
 
-Names of simulated logs: `world:SEED[:KEY=VALUE+KEY+no-KEY+...]`; keys are the fields of the world's parameters.
-
-A switch is said by its name alone or with `no-` before it, `-` and `_` are the same, a field kept in radians whose
-metadata say `unit: deg` is written in degrees, and one whose metadata have an `alias` is understood by that, too.
-
-Command-line flags of the simulated worlds, one for every field of their parameters.
+Names of simulated logs: `world:SEED[:KEY=VALUE+KEY+no-KEY+...]`; keys are the fields of the world's parameters, and so
+are the flags. A switch is said by its name alone or with `no-` before it, `-` and `_` are the same, a field kept in
+radians whose metadata say `unit: deg` is written in degrees, and one whose metadata have an `alias` is understood by
+that, too.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A recording in the university lab's format: a folder with a configuration, a log, and reference images.
+"""A recording in the university lab's format, read and written: configuration, log, and reference images.
 
     my_recording/
       config.mat           camera_to_body, landmark, pose_init (cm, degrees); see data.formats.lab.configuration
@@ -6,8 +6,6 @@
       landmark/            a reference image for each row of landmark.xpos, in the order of their names
 
 The two files are told by what is in them, whatever they are called; one .mat may hold both.
-
-Write a recording in the lab's format, frame by frame, so that anybody's robot can be exchanged through it.
 """
 
 from __future__ import annotations

@@ -1,12 +1,8 @@
-"""The bytes of a MATLAB file of versions 5 to 7: its header, byte order, and sources that give as many as asked for.
-
-Read MATLAB files of versions 5 to 7 piece by piece: a struct array comes one element at a time, however long it is.
+"""MATLAB files of versions 5 to 7, read piece by piece and written: a struct array comes one element at a time.
 
 A file is a header of 128 bytes and elements, each a tag (type, number of bytes) and its content; a variable is a
 matrix element, in version 7 wrapped into a zlib stream of its own. After the MAT-File Format description of The
 MathWorks, Level 5.
-
-Write a struct array as a MATLAB file of version 5, uncompressed, one element in memory at a time.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""Where the files of a UTIAS MRCLAM dataset are: in a folder, or in the published zip (read in memory, never unpacked).
-
-What they hold is in `data.formats.mrclam.files`.
-
-What the files of a UTIAS MRCLAM dataset hold: checked tables of numbers.
+"""The files of a UTIAS MRCLAM dataset, in a folder or in the published zip (never unpacked), as checked tables.
 
     Barcodes.dat               subject, barcode                          subjects 1-5 are robots
     Landmark_Groundtruth.dat   subject, x [m], y [m], x std, y std

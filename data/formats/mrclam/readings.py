@@ -1,9 +1,8 @@
-"""Camera readings of a UTIAS MRCLAM robot: whose barcode each shows, which are kept, whether the survey fits them.
+"""Camera readings of a UTIAS MRCLAM robot: whose barcode each shows, whether the survey fits, a first pose from them.
 
-Where a robot is, from its first sightings of known landmarks: a prior for a log without ground truth.
-
-Readings of a few seconds are carried to one body frame with the odometry and laid onto the map by a rigid fit (closed
-form, least squares). The readings used are spent: the log starts after them, so they are not counted twice.
+For a log without ground truth the first sightings of known landmarks give the prior: readings of a few seconds are
+carried to one body frame with the odometry and laid onto the map by a rigid fit (closed form, least squares). They are
+spent: the log starts after them, so they are not counted twice.
 """
 
 from __future__ import annotations

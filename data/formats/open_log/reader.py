@@ -7,21 +7,15 @@
     truth.csv           x,y,theta per frame, blank or nan where unknown     with odometry.csv: t,x,y,theta; optional
     landmarks.csv       id,x,y[,sx,sy]                                      optional
     scans.npz           range scans (see `scans`); then observations.csv and [sensor] may be missing
-    relations.csv       reference relations between frames (see `data.formats.open_log.reader`)          optional
+    relations.csv       row1,row2,x,y,theta[,exact][,stamp1,stamp2]         optional
 
+Columns come in any order; others are left out.
 frames.csv of a log with relations may have a column stamp: stamps as recorded, which need not increase.
 true_id: -1 clutter, blank unknown. label: what the sensor claimed, where that can differ; absent, it is true_id.
 With odometry.csv the frames are the instants with observations, and keyframes where those are more than 1 s apart.
-
-`landmarks.csv` of an open log folder: id,x,y[,sx,sy].
-
-`relations.csv`: reference relations between the frames of a log, by which it is scored where no true path is known.
-
-    row1,row2,x,y,theta[,exact][,stamp1,stamp2]     pose of frame row2 in that of frame row1 [m, m, rad], rows from 0;
-                                                    exact: 1 where both rows are sure, 0 where not; stamps [s] that the
-                                                    reference's author tied the relation to
-
-Columns come in any order; others are left out.
+relations.csv: reference relations by which a log without a true path is scored. x,y,theta: pose of frame row2 in that
+of frame row1 [m, m, rad], rows from 0; exact: 1 where both rows are sure, 0 where not; stamps [s] that the reference's
+author tied the relation to.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """`scans.npz` of an open log folder: the range scans of a laser log; [scanner] in `log.toml` says what took them.
 
-frame   (S,) whole numbers      frame of each scan, ascending, none twice
-ranges  (S, B) numbers [m]      of each beam; 0 or NaN: nothing came back, and so from max_range on
+    frame   (S,) whole numbers      frame of each scan, ascending, none twice
+    ranges  (S, B) numbers [m]      of each beam; 0 or NaN: nothing came back, and so from max_range on
 
-Zip files that can be read in little memory: stored or deflated, as NumPy and every common program write them.
+Files stored or deflated are read in little memory, as NumPy and every common program write them.
 """
 
 from __future__ import annotations

@@ -3,11 +3,10 @@
 Every ODOM line is a frame, row k (from 0) being the k-th of them; where there is none, every scan is. A scan belongs
 to the ODOM line before it in line order, which is the true order: stamps of such logs come in bursts and go back.
 
-Raw odometry out of a CARMEN log whose poses a particle filter has corrected.
-
-Such a log states the corrected pose in each scan line that the filter used; the ODOM lines up to the next one are that
-pose with the raw increments behind it. A scan line is stated at the instant of the ODOM line before it. Some programs
-write the corrected pose once more, as an ODOM line without a stamp of its own, before the NEFF line.
+Raw odometry is recovered from a log whose poses a particle filter has corrected: it states the corrected pose in each
+scan line that the filter used, at the instant of the ODOM line before it, and the ODOM lines up to the next one are
+that pose with the raw increments behind it. Some programs write the corrected pose once more, as an ODOM line without a
+stamp of its own, before the NEFF line.
 """
 
 from __future__ import annotations

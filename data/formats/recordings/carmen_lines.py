@@ -1,4 +1,4 @@
-"""CARMEN log text: lines of odometry and of a front laser as arrays, with file and line of whatever is wrong.
+"""CARMEN log text, packed by gzip or not: lines of odometry and of a front laser as arrays.
 
 Fields are separated by blanks; a line is known by its first word:
 
@@ -11,8 +11,6 @@ Fields are separated by blanks; a line is known by its first word:
 
 Any other line is left out and counted, but comments (#) and blank lines, which are not counted.
 Source: the CARMEN toolkit's log format (M. Montemerlo, N. Roy, S. Thrun), as its logs state it in their first lines.
-
-Bytes of a recorded log, packed by gzip or not.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
-"""Messages of a ROS bag as arrays: laser scans, odometry, and where the laser is mounted. Needs `rosbags`.
+"""A ROS bag as a laser log: every scan is a frame, with the odometry at its stamp; tf says where the laser is.
 
-Fixed transforms between the frames of a robot, as tf states them: chains of rotations and translations.
-
-A laser log out of the messages of a ROS bag: every scan is a frame, with the odometry at its stamp.
+Needs `rosbags`.
 """
 
 from __future__ import annotations
@@ -265,11 +263,9 @@ class _Messages:
             if not messages:
                 raise DataError.at(self.path, f"no message of {topic}; at least one is needed")
         robot, laser = self.frames
-        return Bag(
-            self.scan_topic, self.odometry_topic, np.array(self.scan_stamp), np.array(self.odometry_stamp),
-            self.geometry, np.array(self.ranges), np.array(self.pose), self.transforms.between(robot, laser),
-            (robot, laser),
-        )  # fmt: skip
+        topics, stamps = (self.scan_topic, self.odometry_topic), map(np.array, (self.scan_stamp, self.odometry_stamp))
+        held = self.geometry, np.array(self.ranges), np.array(self.pose)
+        return Bag(*topics, *stamps, *held, self.transforms.between(robot, laser), (robot, laser))
 
 
 def stamp_of(message: Any, recorded: float) -> float:

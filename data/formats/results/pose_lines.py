@@ -1,10 +1,10 @@
-"""TUM trajectories: `t x y z qx qy qz qw` a line; the wide form with the covariance behind; covariances in a file of
-their own; and SQUARE files of `smfeval`, whose header says what the covariance is of.
+"""Trajectories of one pose a line: TUM, SQUARE and KITTI.
 
-The covariance is the lower triangle, row by row (c11 c21 c22 c31 ... c66), of the 6x6 covariance of the tangent,
-translation first; without a header T = T_mean Exp(xi), in the body's axes, as `smfeval` takes it.
-
-KITTI poses: the upper three rows of the 4x4 pose, row by row, 12 numbers a line; stamps in a file of their own.
+TUM: `t x y z qx qy qz qw`; the wide form has the covariance behind, or covariances stand in a file of their own.
+SQUARE files of `smfeval` are the wide form with a header that says what the covariance is of. The covariance is the
+lower triangle, row by row (c11 c21 c22 c31 ... c66), of the 6x6 covariance of the tangent, translation first; without a
+header T = T_mean Exp(xi), in the body's axes, as `smfeval` takes it.
+KITTI: the upper three rows of the 4x4 pose, row by row, 12 numbers a line; stamps in a file of their own.
 """
 
 from __future__ import annotations

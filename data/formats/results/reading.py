@@ -1,9 +1,7 @@
-"""A result by its file: the format is recognized by content, and read.
+"""A result by its file: the format is recognized by content, and read; and poses of a ROS bag.
 
-Poses of a ROS bag: `PoseWithCovarianceStamped` and `Odometry`, with their 6x6 covariance, row by row.
-
-The message definitions give the covariance about fixed axes of the frame named in the header: it is `world` here. All
-zeros, or -1 in front, mean that it is not known.
+Bags: `PoseWithCovarianceStamped` and `Odometry`, with their 6x6 covariance, row by row, by definition about fixed axes
+of the frame named in the header: it is `world` here. All zeros, or -1 in front, mean that it is not known.
 """
 
 from __future__ import annotations

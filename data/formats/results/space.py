@@ -1,12 +1,11 @@
-"""From space to the plane: poses with their 6x6 covariances, what is kept of them, and what lies outside.
+"""From space to the plane: poses with their 6x6 covariances, and SQUARE files, which state what a covariance is of.
 
 Kept are x, y and the yaw of Z-Y-X angles, atan2(R10, R00). The covariance of these three follows to first order from
 that of the pose, whatever its tangent: with p the position, c the first column of R, and a small turn w in the
 world's axes, dyaw = w_z - c_z (c_x w_x + c_y w_y) / (c_x^2 + c_y^2).
 
-The header of SQUARE files, `#%KEY value` lines, and what it declares; the columns of a pose.
-
-SQUARE files of samples (`ensemble_se3`): a particle a line, reduced to mean and covariance in the plane.
+SQUARE: `#%KEY value` lines declare columns and tangent; its files of samples (`ensemble_se3`), a particle a line, are
+reduced to mean and covariance in the plane.
 """
 
 from __future__ import annotations
@@ -109,10 +108,9 @@ def on_plane(spatial: Spatial, manner: Manner) -> GivenPath:
     notes = s.notes
     if len(keep) < len(s.time):
         notes += (f"{len(s.time) - len(keep)} of {len(s.time)} poses share their stamp with a later one, which counts",)
-    return GivenPath(
-        s.file, s.kind, s.time[keep], pose[keep], None if planar is None else planar[keep],
-        frame if planar is not None else "", _outside(p, R), notes,
-    )  # fmt: skip
+    if planar is None:
+        return GivenPath(s.file, s.kind, s.time[keep], pose[keep], outside=_outside(p, R), notes=notes)
+    return GivenPath(s.file, s.kind, s.time[keep], pose[keep], planar[keep], frame, _outside(p, R), notes)
 
 
 def _planar_covariance(p: Array, R: Array, C: Array, frame: str) -> Array:

@@ -1,8 +1,7 @@
-"""CSV results: our own `online.csv` and `final.csv`, `truth.csv` of an open log, and EuRoC's ground truth.
+"""CSV results: our own `online.csv` and `final.csv`, `truth.csv` of an open log, EuRoC's ground truth.
 
-What may stand beside a result: `landmarks.csv` and `decisions.csv` with the columns of our result folder.
-
-A `landmarks.csv` without a column `landmark` is the map of an open log and no result, so it is left alone.
+Beside a result may stand `landmarks.csv` and `decisions.csv` with the columns of our result folder. A `landmarks.csv`
+without a column `landmark` is the map of an open log and no result, so it is left alone.
 """
 
 from __future__ import annotations
@@ -82,14 +81,14 @@ def read_plane(text: Text, manner: Manner) -> GivenPath:
     time = rows[:, 0]
     require_order(Text(text.path, text.fields[1:], text.line[1:], (), True), time)
     keep = in_order(time)
-    notes = (f"{len(rows) - len(keep)} poses share their stamp with a later one, which counts",)
-    pose = np.column_stack([rows[:, 1:3], wrap_angle(rows[:, 3])])
-    covariance = _covariance(text, rows[:, 4:]) if there else None
-    return GivenPath(
-        str(text.path), "CSV of t, x, y, theta" + (" and covariance" if there else ""), time[keep], pose[keep],
-        None if covariance is None else covariance[keep], WORLD if there else "", None,
-        notes if len(keep) < len(rows) else (),
-    )  # fmt: skip
+    shared = len(rows) - len(keep)
+    notes = (f"{shared} poses share their stamp with a later one, which counts",) if shared else ()
+    pose = np.column_stack([rows[:, 1:3], wrap_angle(rows[:, 3])])[keep]
+    path, kind = str(text.path), "CSV of t, x, y, theta"
+    if not there:
+        return GivenPath(path, kind, time[keep], pose, notes=notes)
+    covariance = _covariance(text, rows[:, 4:])[keep]
+    return GivenPath(path, f"{kind} and covariance", time[keep], pose, covariance, WORLD, notes=notes)
 
 
 def _covariance(text: Text, entries: Array) -> Array:

@@ -1,11 +1,8 @@
-"""A CSV file of another program: separator, header and decimal comma are found, its fields are kept as text.
+"""CSV files of another program: their text, which column holds what (`--columns t=stamp,truth.x=px`), and units.
 
 Comma, semicolon, tab or spaces; with a line of names or without; lines that start with `#` or `%` are comments, but the
-last one above the first row is the line of names where it has as many fields as the row. Fields may be quoted.
-
-Which column of which file holds what: `--columns t=stamp,v=speed,truth.x=px`, and the values in SI units.
-
-Units of a foreign table: what `--unit angle=deg,time=ns,v=km/h` says, as factors to SI.
+last one above the first row is the line of names where it has as many fields as the row. Fields may be quoted; they are
+kept as text until a column is read in SI units (`--unit angle=deg,time=ns,v=km/h`).
 """
 
 from __future__ import annotations
@@ -377,7 +374,7 @@ class Columns:
 
         Raises:
             DataError: a column is missing, a field is no number, or blank where that is not allowed.
-        """  # fmt: skip
+        """
         columns = dict(zip(quantities, self.require(file, role, quantities), strict=True))
         columns |= {q: c for q in optional if (c := self.find(file, role, q)) is not None}
         empty = np.ones(len(file), bool)

@@ -1,7 +1,4 @@
-"""What `python -m data.convert table` was asked for: texts of flags or of a mapping file, as values in SI units.
-
-What was asked of a table's conversion, in SI units.
-"""
+"""What `python -m data.convert table` was asked for: texts of flags or of a mapping file, as values in SI units."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""A log out of the tables of another program: frames, increments, observations, map, truth and prior in SI units.
-
-Readings of a foreign table, in the order of their stamps, and its columns of ids.
-"""
+"""A log out of the tables of another program: frames, increments, observations, map, truth and prior in SI units."""
 
 from __future__ import annotations
 
@@ -40,12 +37,8 @@ class Sightings:
 
     def part(self, rows: IntArray) -> Sightings:
         """Some of them, in this order."""
-        table = replace(
-            self.table, columns={q: v[rows] for q, v in self.table.columns.items()},
-            line=None if self.table.line is None else self.table.line[rows],
-        )  # fmt: skip
         texts = {q: [fields[i] for i in rows.tolist()] for q, fields in self.texts.items()}
-        return replace(self, table=table, texts=texts, z=self.z[rows], at=self.at[rows])
+        return replace(self, table=self.table.part(rows), texts=texts, z=self.z[rows], at=self.at[rows])
 
 
 def sightings(file: TextTable, wanted: Wanted, odometry: Odometry) -> Sightings:
@@ -54,10 +47,8 @@ def sightings(file: TextTable, wanted: Wanted, odometry: Odometry) -> Sightings:
     polar = columns.find(file, "observations", "range") is not None
     polar |= columns.find(file, "observations", "bearing") is not None
     if not polar and not columns.has(file, "observations", ("x", "y")):
-        raise DataError.at(
-            file.path, f"no readings: {file.described()}; needed are range and bearing, or x and y in the body frame; "
-            "name them as in --columns range=DIST,bearing=ANGLE",
-        )  # fmt: skip
+        what = f"no readings: {file.described()}; needed are range and bearing, or x and y in the body frame"
+        raise DataError.at(file.path, f"{what}; name them as in --columns range=DIST,bearing=ANGLE")
     by_stamp = odometry.stamped and columns.find(file, "observations", "t") is not None
     key = "t" if by_stamp else "frame"
     if not by_stamp and columns.find(file, "observations", "frame") is None:
@@ -147,18 +138,16 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Log:
         covariance_floor=FLOOR,
         floored=floored,
     )
+    files = {role: str(path) for role, path in wanted.files.items()}
     return Log(
         name,
         inputs,
         Truth(pose, known, labels.get("true_id")),
         label=labels.get("label"),
         labels_are_sensed=wanted.sensed,
-        source={
-            "kind": "table", **{role: str(path) for role, path in wanted.files.items()},
-            "columns": dict(columns.said), "unit": dict(columns.units.said),
-        },
+        source={"kind": "table", **files, "columns": dict(columns.said), "unit": dict(columns.units.said)},
         notes=tuple(notes),
-    )  # fmt: skip
+    )
 
 
 def _frames(odometry: Odometry, seen: Sightings, wanted: Wanted, notes: list[str]) -> tuple[Array, IntArray, Sightings]:
@@ -168,26 +157,24 @@ def _frames(odometry: Odometry, seen: Sightings, wanted: Wanted, notes: list[str
     first, last = float(odometry.time[0]), float(odometry.time[-1])
     inside = (seen.at >= first) & (seen.at <= last)
     if len(inside) and not inside.any():
-        raise DataError.at(
-            seen.table.path, f"readings from {seen.at[0]:.15g} to {seen.at[-1]:.15g} s, odometry from {first:.15g} to "
-            f"{last:.15g} s: they have no time in common; units of each are stated as in --unit odometry.t=ms",
-        )  # fmt: skip
+        apart = f"readings from {_span(seen.at)} s, odometry from {_span(odometry.time)} s: they have no time in common"
+        raise DataError.at(seen.table.path, f"{apart}; units of each are stated as in --unit odometry.t=ms")
     if odometry.velocity is not None:  # a robot without samples may have moved: the covariance grows, as on loading
         first, last = min(first, seen.at.min(initial=first)), max(last, seen.at.max(initial=last))
     elif not inside.all():
-        outside = int((~inside).sum())
-        notes.append(
-            f"{outside} of {len(inside)} readings before or after all odometry, {first:.15g} to {last:.15g} s, left out"
-        )
+        some = f"{(~inside).sum()} of {len(inside)} readings"
+        notes.append(f"{some} before or after all odometry, {_span(odometry.time)} s, left out")
         seen = seen.part(np.flatnonzero(inside))
     if last - first > LONGEST:
-        raise DataError.at(
-            odometry.table.path, f"the stamps span {last - first:.6g} s, {(last - first) / 86400.0:.3g} days; if they "
-            "are not seconds, say so as in --unit time=ns",
-        )  # fmt: skip
+        span = f"the stamps span {last - first:.6g} s, {(last - first) / 86400.0:.3g} days"
+        raise DataError.at(odometry.table.path, f"{span}; if they are not seconds, say so as in --unit time=ns")
     at = np.concatenate([seen.at, odometry.time]) if wanted.every_row else seen.at
     time = frame_times(at, first, last)
     return time, np.searchsorted(time, seen.at).astype(np.int64), seen
+
+
+def _span(time: Array) -> str:
+    return f"{time[0]:.15g} to {time[-1]:.15g}"
 
 
 def _map(file: TextTable, wanted: Wanted) -> LandmarkMap:
@@ -225,10 +212,8 @@ def _truth(file: TextTable, wanted: Wanted, time: Array, notes: list[str], *, st
     there = np.isfinite(world).all(axis=1)
     result = truth_at(values["t"], world, time)
     if there.any() and not np.isfinite(result).any():
-        raise DataError.at(
-            file.path, f"truth from {values['t'][0]:.15g} to {values['t'][-1]:.15g} s, frames from {time[0]:.15g} to "
-            f"{time[-1]:.15g} s: no frame has one within {MAX_GAP:g} s; units are stated as in --unit truth.t=ms",
-        )  # fmt: skip
+        apart = f"truth from {_span(values['t'])} s, frames from {_span(time)} s: no frame has one within {MAX_GAP:g} s"
+        raise DataError.at(file.path, f"{apart}; units are stated as in --unit truth.t=ms")
     return result
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -91,10 +91,8 @@ def kind_of(file: TextTable, columns: Columns, said: str | None) -> str:
         return (named or found)[0]
     listed = "; ".join(f"{k} ({', '.join(qs)})" for k, qs in KINDS.items())
     if not found:
-        raise DataError.at(
-            file.path, f"no odometry: {file.described()}; needed is one of {listed}; name them as in "
-            "--columns v=SPEED,omega=TURN_RATE",
-        )  # fmt: skip
+        what = f"no odometry: {file.described()}; needed is one of {listed}"
+        raise DataError.at(file.path, f"{what}; name them as in --columns v=SPEED,omega=TURN_RATE")
     raise DataError.at(file.path, f"holds {' and '.join(named or found)}; say which: --odometry-kind {found[0]}")
 
 
@@ -137,11 +135,7 @@ def read_odometry(file: TextTable, columns: Columns, kind: str, wheels: Wheels |
             notes.append(
                 f"{file.path.name}: {int((~last).sum())} odometry rows share the stamp of the next; that counts"
             )
-            table = replace(
-                table, columns={q: v[last] for q, v in table.columns.items()},
-                line=None if table.line is None else table.line[last],
-            )  # fmt: skip
-            time = time[last]
+            table, time = table.part(last), time[last]
     if skipped:
         notes.append(f"{file.path.name}: {skipped} rows without odometry")
     values = table.columns

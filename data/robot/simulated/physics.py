@@ -1,9 +1,8 @@
 """How the simulated robot moves and what its sonars hear, in steps of its own time.
 
-The same generator, room and commands with their times give the same path and answers. Each wheel's loop brings it to
-the speed it is told; the ground does not follow exactly (slip), the encoders do. A wall holds the body, not the wheels.
-
-The speed loop of one wheel: PI with anti-windup on the encoder's speed, and the motor it drives.
+The same generator, room and commands with their times give the same path and answers. Each wheel's loop (PI with
+anti-windup on the encoder's speed) brings it to the speed it is told; the ground does not follow exactly (slip), the
+encoders do. A wall holds the body, not the wheels.
 
 The motor is a first-order lag from duty to speed, with friction; a load of up to all it has can hold it. The loop's
 zero cancels the motor's lag, so without a load the wheel follows as a lag of `RESPONSE` (pole cancellation; Astrom and

@@ -1,4 +1,4 @@
-"""Where answers begin in a stream of bytes that has no marker and no checksum.
+"""Records of a line to packets and faults: where answers begin in bytes that have no marker and no checksum.
 
 A lost byte shifts everything behind it. Evidence that an answer begins at a byte, in points:
 
@@ -12,8 +12,7 @@ A lost byte shifts everything behind it. Evidence that an answer begins at a byt
 goes before it or no other place begins three answers in a row. Three in a row that the robot can only have reached
 while the line was held up (it drives on until its watchdog stops it) are used as well; three that it cannot have
 reached at all show that its odometry began anew. What is not possible is never used, whatever its evidence.
-
-Records of a line to packets and faults: the same code while they come in and when they are read again.
+The same code runs while records come in and when they are read again.
 """
 
 from __future__ import annotations

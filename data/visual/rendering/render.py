@@ -3,10 +3,9 @@
 A picture is warped into the image by its exact homography. Its surveyed corners are the outer corners of its own
 image: half a pixel outside the centres of the corner pixels.
 
-What a stereo camera makes of exact depths: points with noise that grows with the square of the depth, and holes.
-
-A disparity d = f b / z is read with an error of sigma_d px, which neighbouring pixels share in part, and is rounded;
-z = f b / d then has a standard deviation of z^2 sigma_d / (f b), and x and y err along the ray.
+Stereo: a disparity d = f b / z is read with an error of sigma_d px, which neighbouring pixels share in part, and is
+rounded; z = f b / d then has a standard deviation of z^2 sigma_d / (f b), x and y err along the ray, and some pixels
+are holes.
 """
 
 from __future__ import annotations

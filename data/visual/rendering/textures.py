@@ -1,11 +1,8 @@
-"""Images for simulated walls: pictures full of features, each unlike the others, and the plain surfaces between them.
+"""The gallery's surfaces: pictures full of features, each unlike the others, and the bare room as its camera sees it.
 
-Everything is drawn from a random generator; the same generator gives the same bytes.
-
-The bare room of the gallery as its camera sees it: colour of walls, floor and ceiling, and the exact depth.
-
-The camera is level, so the depth z at which a pixel's ray meets a wall depends on its column alone, and that of floor
-and ceiling on its row alone; the nearest of them is what is seen, for the room is convex.
+Everything is drawn from a random generator; the same generator gives the same bytes. The camera is level, so the depth
+z at which a pixel's ray meets a wall depends on its column alone, and that of floor and ceiling on its row alone; the
+nearest of them is what is seen, for the room is convex.
 """
 
 from __future__ import annotations
@@ -239,11 +236,9 @@ class Room:
         wall_y = np.float32(g.room_height - g.camera_height) + self.down.astype(np.float32)[:, None] * depth
         flat_y = self._plan(1, eye, ray, depth) + np.float32(self.below)
         map_y = np.where(hits_wall, wall_y, flat_y)
-        scale = np.float32(self.density)
-        rgb = cv2.remap(
-            self.painted, scale * map_x - np.float32(0.5), scale * map_y - np.float32(0.5), cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        )  # fmt: skip
+        scale, half = np.float32(self.density), np.float32(0.5)
+        x, y = scale * map_x - half, scale * map_y - half
+        rgb = cv2.remap(self.painted, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return View(np.asarray(rgb, np.uint8), depth, wall)
 
     def _plan(self, axis: int, eye: Array, ray: Array, depth: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -1,9 +1,8 @@
-"""A building by seed: corridors that cross, rooms off them with door openings, furniture, and ways to drive on.
+"""A building by seed: corridors that cross, rooms off them with door openings, furniture, and a graph of ways to drive.
 
 Corridors are strips from wall to wall or from corridor to corridor; what lies between them is cut into rooms. Every
 room has a door to a corridor or to a room that has one. Walls are thick: each has two faces, and a door has jambs.
-
-Ways through a building, a graph of points: along the middle of corridors, through doors, about in rooms.
+Ways lead along the middle of corridors, through doors, about in rooms.
 """
 
 from __future__ import annotations

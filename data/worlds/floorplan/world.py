@@ -1,11 +1,10 @@
 """The floor plan world: scans of rooms and corridors from a robot whose path is known exactly and its odometry is poor.
 
+It drives in straight lines and arcs to where it has been least, now and then elsewhere. Its scanner measures the
+nearest hit along each beam among walls (line segments) and people (discs).
+
 Building, route, odometry noise, range noise, glass, people and the error of the prior mean come from independent
 streams of the seed, so that changing one parameter does not reshuffle the others.
-
-A drive through a building: places where it has been least, now and then others, in straight lines and arcs.
-
-What a scanner measures among walls (line segments) and people (discs): the nearest hit along each beam.
 """
 
 from __future__ import annotations
@@ -269,14 +268,11 @@ class Floorplan:
     prior_sigma_heading: float = 0.0
 
     def __post_init__(self) -> None:
-        check_parameters(
-            "floorplan",
-            self,
-            positive=("frames", "period", "thin", "speed", "turn_rate", "beams", "field_of_view", "max_range",
-                      "sigma_range"),
-            not_negative=("sigma_along", "sigma_across", "sigma_turn", "slip", "panes", "crowd", "prior_sigma",
-                          "prior_sigma_heading"),
-        )  # fmt: skip
+        scans = ("beams", "field_of_view", "max_range", "sigma_range")
+        positive = ("frames", "period", "thin", "speed", "turn_rate", *scans)
+        odometry = ("sigma_along", "sigma_across", "sigma_turn", "slip")
+        not_negative = (*odometry, "panes", "crowd", "prior_sigma", "prior_sigma_heading")
+        check_parameters("floorplan", self, positive=positive, not_negative=not_negative)
         for name in ("slip", "panes"):
             if getattr(self, name) > 1.0:
                 raise UsageError(f"floorplan: {name} = {getattr(self, name)}; a share of 1 is needed")
