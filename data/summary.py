@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from data.inputs import CLUTTER, UNLABELLED, IntArray
 from data.log import Log
-from data.se2 import Array
+from data.se2 import Array, BoolArray
+from data.terminal import counted
 from data.timeline import MAX_GAP
 from data.truth import UNKNOWN_ID
 
@@ -20,7 +20,6 @@ SHOWN = 5
 """That many places of an oddity are named."""
 
 Line = tuple[str, str]
-Mask = NDArray[np.bool_]
 
 
 def summarize(log: Log) -> list[Line]:
@@ -47,10 +46,6 @@ def _plain(value: object) -> str:
     return value if isinstance(value, str) else json.dumps(value, default=str, ensure_ascii=False)
 
 
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"
-
-
 def _share(part: int, whole: int) -> str:
     return f"{part} of {whole}" + (f" ({100.0 * part / whole:.1f} %)" if whole else "")
 
@@ -59,7 +54,7 @@ def _unit(log: Log) -> str:
     return "steps" if log.recorded.time_is_index else "s"
 
 
-def longest_run(mask: Mask) -> tuple[int, int]:
+def longest_run(mask: BoolArray) -> tuple[int, int]:
     """First index and length of the longest run of true values; length 0 if there is none."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     if len(edges) == 0:
@@ -72,7 +67,7 @@ def longest_run(mask: Mask) -> tuple[int, int]:
 def _frames(log: Log) -> list[Line]:
     time = log.recorded.time
     n, span, unit = len(time), float(time[-1] - time[0]), _unit(log)
-    lines = [("frames", _count(n, "frame") + (", without stamps (t is a frame number)" if unit == "steps" else ""))]
+    lines = [("frames", counted(n, "frame") + (", without stamps (t is a frame number)" if unit == "steps" else ""))]
     text = f"{span:.6g} {unit}, from {time[0]:.15g} to {time[-1]:.15g}"
     lines.append(("span", text + (f"; rate {(n - 1) / span:.4g} per s" if n > 1 and unit == "s" else "")))
     if n > 1:
@@ -128,7 +123,7 @@ def _observations(log: Log) -> list[Line]:
     lines.append(("observations", f"{m}, {counts}{rate}"))
     first, blind = longest_run(per_frame == 0)
     without = _share(int((per_frame == 0).sum()), len(per_frame))
-    where = f"; longest stretch {_count(blind, 'frame')} from frame {first}" if blind else ""
+    where = f"; longest stretch {counted(blind, 'frame')} from frame {first}" if blind else ""
     lines.append(("unseen", f"{without} frames without observation{where}"))
     polar = sensor.polar(o.z)
     bearing = np.degrees(polar[:, 1])
@@ -145,7 +140,7 @@ def _scans(log: Log) -> list[Line]:
         return []
     s, (count, beams) = scans.scanner, scans.ranges.shape
     last = s.angle_min + (beams - 1) * s.angle_step
-    text = f"{_count(beams, 'beam')} from {np.degrees(s.angle_min):.4g} to {np.degrees(last):.4g} deg, "
+    text = f"{counted(beams, 'beam')} from {np.degrees(s.angle_min):.4g} to {np.degrees(last):.4g} deg, "
     text += f"up to {s.max_range:g} m, sigma {s.sigma:g} m"
     if s.rotation or any(s.translation):
         tx, ty = s.translation
@@ -162,7 +157,7 @@ def _relations(log: Log) -> list[Line]:
     relations = log.truth.relations
     if relations is None:
         return []
-    text = f"{_count(len(relations), 'relation')} between {len(np.union1d(relations.row1, relations.row2))} frames"
+    text = f"{counted(len(relations), 'relation')} between {len(np.union1d(relations.row1, relations.row2))} frames"
     if relations.exact is not None:
         text += f", {int(relations.exact.sum())} exact"
     text += ", with stamps" if relations.stamp is not None else ", by row only"
@@ -202,8 +197,8 @@ def _labels(log: Log) -> list[Line]:
     return [("labels", text)]
 
 
-def _known(pose: Array) -> Mask:
-    known: Mask = np.all(np.isfinite(pose), axis=1)
+def _known(pose: Array) -> BoolArray:
+    known: BoolArray = np.all(np.isfinite(pose), axis=1)
     return known
 
 
@@ -215,7 +210,7 @@ def _truth(log: Log) -> list[Line]:
         first, missing = longest_run(~_known(pose))
         text = f"{_share(log.truth.known_poses, len(pose))} frames with a pose"
         if missing:
-            text += f"; longest stretch without {_count(missing, 'frame')} from frame {first}"
+            text += f"; longest stretch without {counted(missing, 'frame')} from frame {first}"
     if ids is None:
         return [("truth", text + "; no ids")]
     return [("truth", f"{text}; {_share(int((ids != UNKNOWN_ID).sum()), len(ids))} observations with an id")]
@@ -244,7 +239,7 @@ def _places(what: str, where: IntArray) -> list[str]:
     if len(where) == 0:
         return []
     shown = ", ".join(str(i) for i in where[:SHOWN].tolist()) + (", ..." if len(where) > SHOWN else "")
-    return [f"{_count(len(where), what)} {shown}"]
+    return [f"{counted(len(where), what)} {shown}"]
 
 
 def repeated_in_frame(frame: IntArray, label: IntArray) -> IntArray:

@@ -29,14 +29,10 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     )
     sub.add_argument("source", metavar="SOURCE", type=Path, help="log file: ODOM, FLASER or ROBOTLASER1 lines")
     sub.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
-    sub.add_argument(
-        "--undo-correction", action="store_true",
-        help="poses are a particle filter's, stated at its scans, with raw odometry between: recover the raw odometry",
-    )  # fmt: skip
-    sub.add_argument(
-        "--relations", metavar="FILE", type=Path,
-        help="reference relations by frame (default: NAME.relations.csv beside the log)",
-    )  # fmt: skip
+    text = "poses are a particle filter's, stated at its scans, with raw odometry between: recover the raw odometry"
+    sub.add_argument("--undo-correction", action="store_true", help=text)
+    text = "reference relations by frame (default: NAME.relations.csv beside the log)"
+    sub.add_argument("--relations", metavar="FILE", type=Path, help=text)
 
 
 def convert(args: argparse.Namespace) -> Log:

@@ -34,11 +34,8 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     sub.add_argument("source", metavar="SOURCE", help=f"a {SUFFIX} file, or a log by path or name")
     sub.add_argument("out", metavar="OUT", type=Path, help=f"log folder to write, or {SUFFIX} file")
     sub.add_argument("--true", action="store_true", help="of a graph: its vertices are the true values")
-    sub.add_argument(
-        "--run", metavar="FOLDER", type=Path,
-        help="of a log: poses, map and pairings of this run in a report, runs/LOG/TASK-ESTIMATOR-ASSOCIATION (default: "
-        "dead reckoning and labels)",
-    )  # fmt: skip
+    run = "of a log: poses, map and pairings of this run in a report, runs/LOG/TASK-ESTIMATOR-ASSOCIATION"
+    sub.add_argument("--run", metavar="FOLDER", type=Path, help=f"{run} (default: dead reckoning and labels)")
 
 
 def convert(args: argparse.Namespace) -> Log | str:

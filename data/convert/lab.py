@@ -30,10 +30,8 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     sub.add_argument("source", metavar="FOLDER", type=Path, help="with configuration, log file and folder landmark/")
     sub.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
     sub.add_argument("--camera-translation", choices=("cm", "mm", "m"), default="cm", help="unit of T (default: cm)")
-    sub.add_argument(
-        "--camera-reading", choices=("to-camera", "to-body"), default="to-camera",
-        help="what R and T do (default: p_c = R p_b + T)",
-    )  # fmt: skip
+    text = "what R and T do (default: p_c = R p_b + T)"
+    sub.add_argument("--camera-reading", choices=("to-camera", "to-body"), default="to-camera", help=text)
     sub.add_argument("--corner-noise", choices=("lab", "depth"), default="lab", help="of the corners (default: lab)")
     sub.add_argument("--trust-pickle", action="store_true", help="read object arrays: they can run code")
 

@@ -84,21 +84,16 @@ FLAGS = {
 def add_parsers(add: Add, *, parameters: bool) -> None:
     """The parser of `table`; `parameters` is for kinds whose flags take long to load."""
     sub = add("table", help="CSV files of another program", description=TEXT, epilog=EXAMPLES)
-    sub.add_argument(
-        "source", metavar="SOURCE", type=Path, help="file with the odometry, and the readings if not stated; or .toml: "
-        "these flags as keys, odometry = FILE, [columns] and [unit] as tables; paths relative to it; flags win",
-    )  # fmt: skip
+    sub.argument_default = argparse.SUPPRESS
+    mapping = "these flags as keys, odometry = FILE, [columns] and [unit] as tables; paths relative to it; flags win"
+    text = f"file with the odometry, and the readings if not stated; or .toml: {mapping}"
+    sub.add_argument("source", metavar="SOURCE", type=Path, help=text)
     sub.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
     for name, (metavar, text) in FLAGS.items():
-        repeatable = name in ("columns", "unit")
-        sub.add_argument(
-            f"--{name}", dest=name, metavar=metavar, help=text, default=argparse.SUPPRESS,
-            action="append" if repeatable else "store",
-        )  # fmt: skip
-    sub.add_argument(
-        f"--{SENSED}", dest=SENSED, action="store_true", default=argparse.SUPPRESS,
-        help="a sensor read the labels (barcodes), so some may be wrong",
-    )  # fmt: skip
+        action = "append" if name in ("columns", "unit") else "store"
+        sub.add_argument(f"--{name}", dest=name, metavar=metavar, help=text, action=action)
+    text = "a sensor read the labels (barcodes), so some may be wrong"
+    sub.add_argument(f"--{SENSED}", dest=SENSED, action="store_true", help=text)
 
 
 def convert(args: argparse.Namespace) -> Log:

@@ -269,6 +269,6 @@ def _load(path: Path) -> Found | None:
                 for kind, which in zip(("tile", "small"), numbers, strict=True)
             )
             arrays = (kept[name] for name in ARRAYS)
-            return Found(*arrays, tuple(refused), tiles, small, focal, pixel_noise, depth_noise)
+            return Found(*arrays, tuple(refused), tiles, focal, pixel_noise, depth_noise, small)
     except (OSError, zipfile.BadZipFile, KeyError, ValueError, EOFError):
         return None

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from data import se2
 from data.formats.mrclam.files import ROBOTS
 from data.inputs import CLUTTER, IntArray, LandmarkMap, Prior
-from data.se2 import Array
+from data.se2 import Array, BoolArray
+from data.terminal import counted
 
 UNKNOWN_BARCODE = -2
 MISPLACED = 1.0
@@ -34,7 +34,7 @@ class Readings:
     true_id: IntArray
     z: Array
 
-    def where(self, rows: NDArray[np.bool_]) -> Readings:
+    def where(self, rows: BoolArray) -> Readings:
         """Some of them, in order."""
         return Readings(self.time[rows], self.true_id[rows], self.z[rows])
 
@@ -68,14 +68,16 @@ def identify(
     stray = ~nobody & ~robot & ~np.isin(subject, survey.id)
     if nobody.any():
         codes = ", ".join(f"{b:g}" for b in np.unique(barcode[nobody]))
-        notes.append(f"{_count(nobody)} of a barcode that no subject has ({codes}): skipped.")
+        notes.append(f"{counted(nobody.sum(), 'reading')} of a barcode that no subject has ({codes}): skipped.")
     if robot.any():
         share = 100.0 * robot.sum() / len(robot)
         what = "kept as clutter" if keep_robots else "dropped"
-        notes.append(f"{_count(robot)} of other robots ({share:.0f} % of all): {what}.")
+        notes.append(f"{counted(robot.sum(), 'reading')} of other robots ({share:.0f} % of all): {what}.")
     if stray.any():
         who = ", ".join(map(str, np.unique(subject[stray])))
-        notes.append(f"{_count(stray)} of subjects that the landmark file does not have ({who}): dropped.")
+        notes.append(
+            f"{counted(stray.sum(), 'reading')} of subjects that the landmark file does not have ({who}): dropped."
+        )
     keep = ~nobody & ~stray
     if not keep_robots:
         keep &= ~robot
@@ -86,7 +88,7 @@ def within(readings: Readings, first: float, last: float) -> tuple[Readings, lis
     """Readings between the first and the last odometry, and a sentence for each end that lost some."""
     early, late = readings.time < first, readings.time > last
     notes = [
-        f"{_count(lost)} {where} odometry: dropped."
+        f"{counted(lost.sum(), 'reading')} {where} odometry: dropped."
         for lost, where in ((early, "before the first"), (late, "after the last"))
         if lost.any()
     ]
@@ -114,11 +116,6 @@ def misplaced(readings: Readings, pose: Array, survey: LandmarkMap) -> list[str]
         return []
     who = ", ".join(findings)
     return [f"The readings contradict the landmark file (or the ground truth is wrong); median miss of landmark {who}."]
-
-
-def _count(rows: NDArray[np.bool_]) -> str:
-    n = int(rows.sum())
-    return f"{n} reading{'s' * (n != 1)}"
 
 
 SPAN = 10.0
