@@ -177,7 +177,7 @@ FAULTS = (
     Fault(8, "true pose of the frame before", READINGS_FIT,
           replaced("data.formats.mrclam.load.truth_at", truth_of_the_frame_before)),
     Fault(14, "prior covariance filled with one constant", FRESH_NEES,
-          replaced("data.worlds.arena.Prior", lambda real: lambda mean, P: Prior(mean, np.full((3, 3), P[0, 0]))),
+          replaced("data.worlds.parameters.Prior", lambda real: lambda mean, P: Prior(mean, np.full((3, 3), P[0, 0]))),
           match="overconfident"),
     Fault(20, "readings moved to a grid of 0.03 s", READINGS_FIT,
           replaced("data.formats.mrclam.load.lay_out", on_a_grid)),

@@ -69,7 +69,7 @@ FAULTS = (
     Fault(11, "noise as [range, bearing] to gtsam", BATCH_NIS,
           replaced("graph.factors.bearing_range", range_before_bearing)),
     Fault(26, "robot at rest, covariance without a floor", AT_REST,
-          replaced("data.worlds.arena.floor_covariances", lambda real: lambda covariance, floor: (covariance, 0)),
+          replaced("data.worlds.parameters.floor_covariances", lambda real: lambda covariance, floor: (covariance, 0)),
           by=DataError, match="covariance is singular"),
     Fault(27, "iSAM2 hardly ever relinearizes", INCREMENTAL, no_relinearization),
 )  # fmt: skip

@@ -73,7 +73,7 @@ def test_a_name_that_makes_no_sense_is_refused_in_one_line(world, rest, wrong):
 
 @pytest.mark.parametrize(("name", "wrong"), [
     ("arena:0:sigma_v=fast", "arena:0:sigma_v=fast: sigma_v=fast: a number is needed"),
-    ("arena:0:sensor=sonar", "arena: sensor 'sonar'; known: range_bearing, relative_point"),
+    ("arena:0:sensor=sonar", "arena: sensor = 'sonar'; known: range_bearing, relative_point"),
     ("circle:0:speed=nan", "circle:0:speed=nan: speed=nan: a number is needed"),
     ("circle:0:layout=star", "circle: layout = 'star'; known: ring, scatter"),
     ("corridor:0:people=20", "people=20: on or off is needed; their number is crowd=N"),

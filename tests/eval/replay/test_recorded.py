@@ -21,8 +21,9 @@ def part(number, first, count):
 
 def front(**changed):
     """Of a filter without systematic errors that nothing was revised in."""
-    estimator = SimpleNamespace(smooths=False, errors=None, estimate=lambda: (np.arange(3.0), 2.0 * np.eye(3)))
+    estimator = SimpleNamespace(smooths=False, estimate=lambda: (np.arange(3.0), 2.0 * np.eye(3)))
     given = {"k": 1, "estimator": estimator, "state_size": 7, "map_management": None, "association": "jcbb"}
+    given["can"] = SimpleNamespace(calibrating=None)
     return SimpleNamespace(**{**given, "events": lambda: (), "notes": list, "gated_final": None, **changed})
 
 
@@ -100,8 +101,8 @@ def test_without_any_pairing_there_are_no_innovations():
 def test_systematic_errors_are_those_of_a_frame_and_their_sigmas():
     recorder = Recorder(2, 0, Systematic(("scale", "left"), np.array([0.1, 0.1]), 1.0))
     assert ran(recorder, front()).errors_online is None, "they are not known yet"
-    knows = SimpleNamespace(**{**vars(front().estimator), "errors": (np.array([0.5, -1.0]), np.diag([4.0, 0.25]))})
-    recorder.estimate(front(estimator=knows))
+    knows = SimpleNamespace(errors=(np.array([0.5, -1.0]), np.diag([4.0, 0.25])))
+    recorder.estimate(front(can=SimpleNamespace(calibrating=knows)))
     found = ran(recorder, front()).errors_online
     assert found.names == ("scale", "left")
     assert found.mean[1].tolist() == [0.5, -1.0]

@@ -169,7 +169,7 @@ def test_first_estimates_are_taken_nowhere_else(primed):
     decisions = np.zeros(len(sightings.z), np.int64) - 2
     decisions[0] = 0
     for at in (None, np.zeros(3)):
-        front = FrontEnd("ekf-fej", METHOD, inputs, Setup())
+        front = FrontEnd("ekf-fej", "jcbb", inputs, Setup())
         front.move(inputs.frame(0))
         front.update(inputs.frame(0), front.associate(inputs.frame(0)))
         front.move(inputs.frame(1))

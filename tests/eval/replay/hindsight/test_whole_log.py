@@ -225,7 +225,7 @@ def test_the_path_is_smoothed_with_the_noise_there_is_and_without_a_motion_that_
     np.testing.assert_allclose(log.increments.mean[1:], [[1.0, 0.0, 0.1]] * 3)
     np.testing.assert_allclose(log.observations.R, np.tile(np.diag([0.16, 0.09]), (4, 1, 1)))
     assert log.observations.frame.tolist() == [0, 1, 2, 3]
-    assert whole.why.endswith("enough")
+    assert whole.failed.named["text"].endswith("enough")
     whole.settle({0: record})
     frames, stated, number = whole.settled
     assert frames.tolist() == [0, 1, 2, 3]
