@@ -33,15 +33,19 @@ def read_only(obj: object) -> None:
             object.__setattr__(obj, f.name, locked)
 
 
+class Locked:
+    """Base of a frozen dataclass whose arrays are locked when it is made."""
+
+    def __post_init__(self) -> None:
+        read_only(self)
+
+
 @dataclass(frozen=True, eq=False)
-class Prior:
+class Prior(Locked):
     """Gaussian belief about the first pose: mean (3,) world frame, covariance (3, 3); zero covariance is allowed."""
 
     mean: Array
     covariance: Array
-
-    def __post_init__(self) -> None:
-        read_only(self)
 
 
 class Increment(NamedTuple):
@@ -52,14 +56,11 @@ class Increment(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Increments:
+class Increments(Locked):
     """Mean (N, 3) and covariance (N, 3, 3) of the motion into frame i, in the body frame of i-1; row 0 is zero."""
 
     mean: Array
     covariance: Array
-
-    def __post_init__(self) -> None:
-        read_only(self)
 
 
 class Sightings(NamedTuple):
@@ -70,15 +71,12 @@ class Sightings(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Observations:
+class Observations(Locked):
     """frame (M,) ascending, z (M, 2), R (M, 2, 2): what the sensor measured, without names."""
 
     frame: IntArray
     z: Array
     R: Array
-
-    def __post_init__(self) -> None:
-        read_only(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,15 +183,12 @@ class Scanner:
 
 
 @dataclass(frozen=True, eq=False)
-class Scans:
+class Scans(Locked):
     """Range scans: frame (S,) strictly ascending, ranges (S, B) [m], 0 where nothing came back."""
 
     scanner: Scanner
     frame: IntArray
     ranges: Array
-
-    def __post_init__(self) -> None:
-        read_only(self)
 
     def of(self, frame: int) -> Array | None:
         """The scan (B,) of a frame, None where there is none."""
@@ -202,14 +197,11 @@ class Scans:
 
 
 @dataclass(frozen=True, eq=False)
-class LandmarkMap:
+class LandmarkMap(Locked):
     """Known landmarks: id (L,) ascending and >= 0, xy (L, 2) in the world frame. Estimators take them as exact."""
 
     id: IntArray
     xy: Array
-
-    def __post_init__(self) -> None:
-        read_only(self)
 
     def rows(self, ids: IntArray) -> IntArray:
         """Row (m,) of each landmark of ids (m,), -1 for one that the map does not have."""

@@ -9,7 +9,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from data.inputs import IntArray, read_only
+from data.inputs import IntArray, Locked
 from data.notice import Notice
 from data.se2 import Array
 
@@ -76,18 +76,15 @@ class Finished(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class Trajectory(Locked):
     """Poses (N, 3) and covariances (N, 3, 3): world frame, error additive in [x, y, theta]."""
 
     pose: Array
     covariance: Array
 
-    def __post_init__(self) -> None:
-        read_only(self)
-
 
 @dataclass(frozen=True, eq=False)
-class MapEstimate:
+class MapEstimate(Locked):
     """Landmarks of a run: number (L,), xy (L, 2), covariance (L, 2, 2), first_frame (L,), times_seen (L,).
 
     A landmark number is its order of creation in SLAM and the map's own id in localization.
@@ -98,9 +95,6 @@ class MapEstimate:
     covariance: Array
     first_frame: IntArray
     times_seen: IntArray
-
-    def __post_init__(self) -> None:
-        read_only(self)
 
     def __len__(self) -> int:
         return len(self.number)
@@ -119,7 +113,7 @@ def map_estimate(state: MapState, frame: IntArray, decisions: IntArray, created:
 
 
 @dataclass(frozen=True, eq=False)
-class Innovations:
+class Innovations(Locked):
     """Per frame (N,): NIS, its degrees of freedom, log-likelihood of the accepted innovations; NaN: not formed.
 
     `white` (M, 2): each observation's innovation in units of its own standard deviation; NaN: not used, or not formed.
@@ -129,9 +123,6 @@ class Innovations:
     dof: IntArray
     log_likelihood: Array
     white: Array
-
-    def __post_init__(self) -> None:
-        read_only(self)
 
 
 class Event(NamedTuple):
@@ -189,7 +180,7 @@ CHI_SQUARE = (1.0, 2.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class Run(Locked):
     """One estimator over one log.
 
     Attributes:
@@ -253,9 +244,6 @@ class Run:
     gated_final: tuple[float, float] | None = None
     handed_in: ClassVar[bool] = False
     """Whether another program made it."""
-
-    def __post_init__(self) -> None:
-        read_only(self)
 
     @property
     def decides(self) -> bool:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data.inputs import CLUTTER, IntArray, LandmarkMap, read_only
+from data.inputs import CLUTTER, IntArray, LandmarkMap, Locked
 from data.result import Systematics
 from data.se2 import Array
 
@@ -15,7 +15,7 @@ UNKNOWN_ID = -2
 
 
 @dataclass(frozen=True, eq=False)
-class Relations:
+class Relations(Locked):
     """Reference relations: the pose at one frame in the frame of the pose at another, known without a true path.
 
     Attributes:
@@ -33,15 +33,12 @@ class Relations:
     stamp: Array | None = None
     frame_stamp: Array | None = None
 
-    def __post_init__(self) -> None:
-        read_only(self)
-
     def __len__(self) -> int:
         return len(self.row1)
 
 
 @dataclass(frozen=True, eq=False)
-class Truth:
+class Truth(Locked):
     """Ground truth; any part may be absent (None), and metrics that need it are then left blank.
 
     Attributes:
@@ -57,9 +54,6 @@ class Truth:
     landmark_of: IntArray | None = None
     relations: Relations | None = None
     errors: Systematics | None = None
-
-    def __post_init__(self) -> None:
-        read_only(self)
 
     @property
     def known_poses(self) -> int:

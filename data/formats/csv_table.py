@@ -57,11 +57,7 @@ class Table:
 
     def symmetric(self, names: Sequence[str]) -> Array:
         """Symmetric matrices (K, d, d) from their upper triangles, row by row."""
-        d = {3: 2, 6: 3}[len(names)]
-        matrix = np.empty((len(self), d, d))
-        for name, i, j in zip(names, *np.triu_indices(d), strict=True):
-            matrix[:, i, j] = matrix[:, j, i] = self.columns[name]
-        return matrix
+        return symmetric(self.stack(names))
 
     def require(self, fine: BoolArray, name: str, what: str) -> None:
         """Raise at the first row where `fine` (K,) is false; `{}` in `what` stands for the value in column `name`."""
@@ -107,20 +103,33 @@ class Table:
         return np.where(empty, 0 if blank is None else blank, np.where(empty, 0.0, values)).astype(np.int64)
 
 
-def _shown(field: bytes) -> str:
+def symmetric(entries: Array, *, lower: bool = False) -> Array:
+    """Symmetric matrices (K, d, d) from their upper (or `lower`) triangles (K, d (d + 1) / 2), row by row."""
+    d = {1: 1, 3: 2, 6: 3, 21: 6}[entries.shape[1]]
+    i, j = np.tril_indices(d) if lower else np.triu_indices(d)
+    matrices = np.empty((len(entries), d, d))
+    matrices[:, i, j] = matrices[:, j, i] = entries
+    return matrices
+
+
+def shown(field: bytes) -> str:
     """A field as an error message shows it: one line, not too long."""
     text = field.decode("utf-8", "replace").strip()
     return repr(text if len(text) <= 40 else text[:37] + "...")
 
 
+def bytes_of(path: Path, *, missing: str = "") -> bytes:
+    """Contents of a file; DataError where it cannot be read, which says `missing` where there is none."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        gone = missing if isinstance(error, FileNotFoundError) else ""
+        raise DataError.at(path, gone or f"cannot be read: {error.strerror}") from None
+
+
 def _lines(path: Path) -> list[bytes]:
     """Lines of a file without line ends, byte order mark and blank lines at the end."""
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        raise DataError.at(path, "no such file") from None
-    except OSError as error:
-        raise DataError.at(path, f"cannot be read: {error.strerror}") from None
+    content = bytes_of(path, missing="no such file")
     content = content.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").replace(b"\r", b"\n").rstrip()
     return content.split(b"\n")
 
@@ -129,7 +138,7 @@ def _header(path: Path, line: bytes, required: Sequence[str]) -> list[str]:
     names = [name.strip().strip('"') for name in line.decode("utf-8", "replace").split(",")]
     for name in required:
         if name not in names:
-            found = "the line is blank" if names == [""] else f"found {_shown(line)}"
+            found = "the line is blank" if names == [""] else f"found {shown(line)}"
             raise DataError.at(
                 path, f"no such column; {found}, wanted at least {','.join(required)}", line=1, column=name
             )
@@ -202,7 +211,7 @@ def _not_a_number(path: Path, name: str, column: list[bytes], *, blank: bool) ->
         try:
             float(field)
         except ValueError:
-            return DataError.at(path, f"{_shown(field)} is not a number", line=i + FIRST_ROW, column=name)
+            return DataError.at(path, f"{shown(field)} is not a number", line=i + FIRST_ROW, column=name)
         if b"_" in field:
-            return DataError.at(path, f"{_shown(field)} is not a number", line=i + FIRST_ROW, column=name)
+            return DataError.at(path, f"{shown(field)} is not a number", line=i + FIRST_ROW, column=name)
     raise AssertionError("called for a column whose fields are all numbers")

@@ -24,7 +24,7 @@ import numpy as np
 
 from data import se2
 from data.errors import LARGEST, DataError, UsageError
-from data.formats.csv_table import read_table
+from data.formats.csv_table import bytes_of, read_table, symmetric
 from data.formats.recordings.laser import FLOOR
 from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import Log
@@ -82,17 +82,15 @@ def read_graph(path: Path) -> Graph:
         DataError: not readable, a line with too few or other fields, an information matrix that is not positive
             definite, an id twice, or a graph in space.
     """
-    try:
-        text = path.read_text("utf-8", "replace")
-    except OSError as error:
-        raise DataError.at(path, f"cannot be read: {error.strerror}") from None
+    text = bytes_of(path).decode("utf-8", "replace")
     rows: dict[str, list[tuple[int, list[float]]]] = {tag: [] for tag in NUMBERS}
     fixed: list[int] = []
     other: Counter[str] = Counter()
     for number, line in enumerate(text.splitlines(), start=1):
         tag, *fields = line.split("#")[0].split() or [""]
         if tag in NUMBERS:
-            rows[tag].append((number, _values(path, number, tag, fields)))
+            ids, measured, information = NUMBERS[tag]
+            rows[tag].append((number, _numbers(path, number, tag, fields, ids + measured + information, ids)))
         elif tag == FIX:
             fixed += [int(v) for v in _numbers(path, number, tag, fields, len(fields))]
         elif tag in SPATIAL:
@@ -107,12 +105,6 @@ def read_graph(path: Path) -> Graph:
     edges = [_edges(path, rows[tag], tag) for tag in (MOTION, SIGHTING, BEARING)]
     held = np.array(fixed, np.int64)
     return Graph(path, *vertices, held, *edges, dict(other))
-
-
-def _values(path: Path, line: int, tag: str, fields: Sequence[str]) -> list[float]:
-    """Numbers of a line, the ids first."""
-    ids, measured, information = NUMBERS[tag]
-    return _numbers(path, line, tag, fields, ids + measured + information, ids)
 
 
 def _numbers(path: Path, line: int, tag: str, fields: Sequence[str], count: int, ids: int | None = None) -> list[float]:
@@ -141,11 +133,9 @@ def _vertices(rows: Sequence[tuple[int, list[float]]]) -> tuple[IntArray, Array]
 
 def _edges(path: Path, rows: Sequence[tuple[int, list[float]]], tag: str) -> Edges:
     _, d, _ = NUMBERS[tag]
-    values = np.array([v for _, v in rows]).reshape(len(rows), -1) if rows else np.zeros((0, sum(NUMBERS[tag])))
+    values = np.array([v for _, v in rows]).reshape(-1, sum(NUMBERS[tag]))
     line = np.array([n for n, _ in rows], np.int64)
-    information = np.empty((len(values), d, d))
-    i, j = np.triu_indices(d)
-    information[:, i, j] = information[:, j, i] = values[:, 2 + d :]
+    information = symmetric(values[:, 2 + d :])
     bad = np.linalg.eigvalsh(information)[:, 0] <= 0.0 if len(values) else np.zeros(0, bool)
     if bad.any():
         what = f"{tag}: its information matrix is not positive definite"

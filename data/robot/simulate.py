@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, TextIO
 
 from data.errors import UsageError
 from data.terminal import ended
+from data.worlds.registry import seed
 
 if TYPE_CHECKING:
     from data.robot.link import Clock
@@ -144,7 +145,7 @@ def parser() -> argparse.ArgumentParser:
         "--speed", type=_number(0.01, 1000.0), default=1.0, metavar="X", help="robot seconds in a second (default: 1)"
     )
     top.add_argument("--framed", action="store_true", help="packets between a marker and a checksum, both ways")
-    top.add_argument("--seed", type=_seed, default=0, metavar="N", help="of slip, sonars and faults (default: 0)")
+    top.add_argument("--seed", type=seed, default=0, metavar="N", help="of slip, sonars and faults (default: 0)")
     top.add_argument(
         "--truth", type=Path, metavar="FILE", help="CSV to write the true path to: t,x,y,theta, 20 a second"
     )
@@ -162,19 +163,13 @@ def _number(low: float, high: float) -> Callable[[str], float]:
     return convert
 
 
-def _seed(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 up")
-    return int(text)
-
-
 def _told_to_end(*_: object) -> None:
     raise SystemExit(0)
 
 
 def _simulate(argv: Sequence[str] | None) -> None:
     args = parser().parse_args(argv)
-    seed = seed_of(args.world)
+    where = seed_of(args.world)
     import numpy as np
 
     from data.robot.link import Clock
@@ -183,7 +178,7 @@ def _simulate(argv: Sequence[str] | None) -> None:
     from data.robot.simulated.wire import Faults, Wire
 
     body, line = np.random.default_rng(args.seed).spawn(2)
-    wire = Wire(Robot(room(seed), body), Faults(args.drop, args.flip, args.stall), line, with_frames=args.framed)
+    wire = Wire(Robot(room(where), body), Faults(args.drop, args.flip, args.stall), line, with_frames=args.framed)
     for name in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         signal.signal(name, _told_to_end)
     truth = None if args.truth is None else args.truth.open("w", buffering=1)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from data.formats.lab.configuration import unit_suspicion
-from data.formats.lab.folder import open_lab
+from data.formats.lab.folder import LabRecording, open_lab
 from data.log import Log
 from data.pictures import Found, InView, VisualRecording
 from data.terminal import counted
@@ -47,11 +47,14 @@ def parse_name(name: str) -> tuple[Gallery, int, int | None]:
 def open_recording(name: str, camera: Camera) -> VisualRecording:
     """The images of `visual:SEED[...]`, or of a folder in the lab's format."""
     if not name.startswith("visual:"):
-        return open_lab(
-            Path(name), translation_unit=camera.translation, reading=camera.reading, trust_pickle=camera.trust_pickle
-        )
+        return _open_lab(Path(name), camera)
     gallery, seed, frames = parse_name(name)
     return Rendered(gallery, seed, frames=frames)
+
+
+def _open_lab(folder: Path, camera: Camera) -> LabRecording:
+    unit, reading = camera.translation, camera.reading
+    return open_lab(folder, translation_unit=unit, reading=reading, trust_pickle=camera.trust_pickle)
 
 
 def open_rendered(name: str, camera: Camera, say: Say, cache: Path | None) -> Log:
@@ -96,9 +99,7 @@ def in_view_of(recording: Rendered) -> InView:
 
 def open_lab_log(folder: Path, camera: Camera, say: Say) -> Log:
     """The log of a folder in the lab's format; what was found in its images is kept in the folder."""
-    recording = open_lab(
-        folder, translation_unit=camera.translation, reading=camera.reading, trust_pickle=camera.trust_pickle
-    )
+    recording = _open_lab(folder, camera)
 
     def look() -> Found:
         say(f"{folder.name}: looking for pictures in {counted(len(recording), 'frame')}")

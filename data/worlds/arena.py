@@ -19,7 +19,7 @@ from data.se2 import Array
 from data.sensors import RangeBearing, RelativePoint, Sensor
 from data.truth import Truth
 from data.worlds.erring import Erring, as_read, check_erring, reported
-from data.worlds.parameters import check_parameters, drawn_prior, driven
+from data.worlds.parameters import check_parameters, drawn_prior, driven, streams
 
 
 @dataclass(frozen=True)
@@ -97,9 +97,7 @@ class Arena(Erring):
 
 def simulate(arena: Arena, seed: int, name: str | None = None) -> Log:
     """One log of the arena. Same parameters and seed: same bytes."""
-    map_rng, odometry_rng, sensor_rng, prior_rng = (
-        np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4)
-    )
+    map_rng, odometry_rng, sensor_rng, prior_rng = streams(seed, 4)
     centre = np.array([0.0, arena.radius])
     landmarks = centre + map_rng.uniform(-0.5 * arena.side, 0.5 * arena.side, (arena.landmarks, 2))
     frame_time = arena.period * np.arange(arena.frames, dtype=np.float64)

@@ -24,7 +24,7 @@ from data.motion.velocity import floor_covariances
 from data.se2 import Array, wrap_angle
 from data.sensors import RelativePoint
 from data.truth import Truth
-from data.worlds.parameters import check_parameters, drawn_prior
+from data.worlds.parameters import check_parameters, drawn_prior, streams
 
 _CHOICES = {
     "heading_noise": ("after", "before"),
@@ -116,7 +116,7 @@ class Circle:
 
 def simulate(circle: Circle, seed: int, name: str | None = None) -> Log:
     """One log of the circle world; labels are the true ids, ascending in each frame. Same arguments: same bytes."""
-    odometry_rng, sensor_rng, prior_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
+    odometry_rng, sensor_rng, prior_rng = streams(seed, 3)
     truth = _path(circle)
     known = _landmarks(circle)
     increments, floored = _odometry(circle, odometry_rng)

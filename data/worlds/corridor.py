@@ -25,6 +25,7 @@ from data.se2 import Array, wrap_angle
 from data.sensors import RelativePoint
 from data.truth import Truth
 from data.worlds.erring import Erring, as_read, check_erring, described, reported
+from data.worlds.parameters import streams
 from data.worlds.registry import name_of, written
 
 SIDE = 10
@@ -202,9 +203,7 @@ def simulate(corridor: Corridor, seed: int, name: str | None = None) -> Log:
     Observations of a frame come by landmark id (1 to 88), then people (true id -1); frames are numbered, not timed; the
     prior is exact.
     """
-    odometry_rng, sensor_rng, walk_rng, people_rng = (
-        np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4)
-    )
+    odometry_rng, sensor_rng, walk_rng, people_rng = streams(seed, 4)
     truth, turned = path(corridor.frames)
     increments, floored = _odometry(corridor, turned, odometry_rng)
     increments, errors = reported(corridor, increments, seed)

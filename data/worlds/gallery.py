@@ -15,14 +15,14 @@ import numpy as np
 
 from data import se2
 from data.errors import UsageError
-from data.inputs import Increments, Inputs, LandmarkMap, Observations, read_only
+from data.inputs import Increments, Inputs, LandmarkMap, Locked, Observations
 from data.log import Log
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances, preintegrate
 from data.pictures import CORNERS, VisualSetup
 from data.se2 import Array
 from data.sensors import RelativePoint
 from data.truth import Truth
-from data.worlds.parameters import check_parameters, drawn_prior
+from data.worlds.parameters import check_parameters, drawn_prior, streams
 
 MAY_BE_ZERO = (
     *("sigma_v", "sigma_omega", "prior_sigma", "prior_sigma_heading", "brightness", "contrast", "exposure"),
@@ -231,15 +231,13 @@ def in_view(g: Gallery, corners: Array, pose: Array) -> list[Projection]:
     ]
 
 
-__all__ = ["Gallery", "Scene", "gallery", "simulate"]
-
 COVARIANCE_FLOOR = 1e-10
 NORMALS = np.array([[0.0, 1.0], [-1.0, 0.0], [0.0, -1.0], [1.0, 0.0]])
 """Of the walls, into the room, in the order in which the robot passes them."""
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class Scene(Locked):
     """One gallery with its drive.
 
     Attributes:
@@ -257,13 +255,10 @@ class Scene:
     recorded: Array
     setup: VisualSetup
 
-    def __post_init__(self) -> None:
-        read_only(self)
-
 
 def gallery(g: Gallery, seed: int) -> Scene:
     """World and drive of a seed. Same arguments: same bytes."""
-    layout, command, prior, _ = _streams(seed)
+    layout, command, prior, _ = streams(seed, 4)
     corners = _hang(g, layout)
     time = np.arange(g.frames) / g.rate
     true = _commands(g)
@@ -283,7 +278,7 @@ def simulate(g: Gallery, seed: int, name: str | None = None) -> Log:
 
     Landmark ids are 4 * picture + corner; upper and lower corners share their place. Those of a frame come by id.
     """
-    scene, rng = gallery(g, seed), _streams(seed)[3]
+    scene, rng = gallery(g, seed), streams(seed, 4)[3]
     noise = np.array([g.sigma_x, g.sigma_z]) * rng.standard_normal((g.frames, g.pictures, CORNERS, 2))
     frame, ids, z = [], [], []
     for k, pose in enumerate(scene.pose):
@@ -308,11 +303,6 @@ def simulate(g: Gallery, seed: int, name: str | None = None) -> Log:
     )
     source = {"kind": "visual", "seed": seed, "gallery": asdict(g)}
     return Log(name or f"visual:{seed}", inputs, Truth(scene.pose, known, np.array(ids, np.int64)), source=source)
-
-
-def _streams(seed: int) -> list[np.random.Generator]:
-    """Of layout, commands, prior and corner noise."""
-    return [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4)]
 
 
 def _hang(g: Gallery, rng: np.random.Generator) -> Array:

@@ -24,7 +24,7 @@ from data.motion.velocity import floor_covariances
 from data.se2 import Array
 from data.sensors import RelativePoint
 from data.truth import Truth
-from data.worlds.parameters import check_parameters, drawn_prior
+from data.worlds.parameters import check_parameters, drawn_prior, streams
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class LinearWorld:
 
 def simulate(world: LinearWorld, seed: int, name: str | None = None) -> Log:
     """One log of the linear world; labels are the true ids, ascending in each frame. Same arguments: same bytes."""
-    odometry_rng, sensor_rng, prior_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
+    odometry_rng, sensor_rng, prior_rng = streams(seed, 3)
     truth, known = _path(world), _grid(world)
     increments, floored = _odometry(world, truth, odometry_rng)
     sensor = RelativePoint(max_range=world.max_range)

@@ -60,6 +60,11 @@ def check_parameters(
             raise UsageError(f"{where}; must not be negative")
 
 
+def streams(seed: int, count: int) -> list[np.random.Generator]:
+    """Independent generators of a seed."""
+    return [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(count)]
+
+
 def driven(
     period: float,
     v: Array,

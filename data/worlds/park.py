@@ -24,7 +24,7 @@ from data.se2 import Array
 from data.sensors import RangeBearing
 from data.truth import Truth
 from data.worlds.erring import Erring, as_read, check_erring, reported
-from data.worlds.parameters import check_parameters, drawn_prior, driven
+from data.worlds.parameters import check_parameters, drawn_prior, driven, streams
 
 RADIUS, TURN = 5, 8
 """Steps: radius of a quarter turn at a crossing, and how many (a little shorter) steps it takes."""
@@ -104,9 +104,7 @@ class Park(Erring):
 
 def simulate(park: Park, seed: int, name: str | None = None) -> Log:
     """One log of the park. Same parameters and seed: same bytes."""
-    route_rng, map_rng, odometry_rng, sensor_rng, prior_rng = (
-        np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(5)
-    )
+    route_rng, map_rng, odometry_rng, sensor_rng, prior_rng = streams(seed, 5)
     time = park.period * np.arange(park.frames, dtype=np.float64)
     v, omega = (each / park.period for each in _route(park, route_rng))
     start, density = np.array([RADIUS * park.step, 0.0, 0.0]), (park.sigma_v, park.sigma_omega)

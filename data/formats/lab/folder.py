@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from data.errors import DataError, UsageError
+from data.formats.csv_table import bytes_of
 from data.formats.lab.configuration import PARTS, REFERENCES, configuration, read_configuration, unit_suspicion
 from data.formats.lab.frames import FIELDS, MM, LogFile, MatLog, check_fields, frames
 from data.formats.lab.matlab import Variable, variables, write_struct_array
@@ -330,10 +331,7 @@ def _require_bearable(path: Path, content: bytes) -> None:
 
 def read_image(path: Path) -> NDArray[np.uint8]:
     """An image as RGB (H, W, 3) uint8. Raises DataError for a file that is none."""
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise DataError.at(path, f"cannot be read: {error.strerror}") from error
+    content = bytes_of(path)
     _require_bearable(path, content)
     image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
     if image is None:

@@ -24,7 +24,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from data.errors import DataError
-from data.formats.csv_table import Table
+from data.formats.csv_table import Table, bytes_of, shown
 from data.formats.open_log.scans import open_archive
 from data.inputs import IntArray, LandmarkMap
 from data.se2 import Array
@@ -106,14 +106,9 @@ def _open_folder(source: Path) -> Files:
     home = _one_home(source, names)
     folder = source / home
 
-    def read(name: str) -> bytes:
-        try:
-            return (folder / name).read_bytes()
-        except OSError as error:
-            raise DataError.at(folder / name, f"cannot be read: {error.strerror}") from None
-
     inside = frozenset(n.name for n in names if n.parent == home)
-    return Files(folder.resolve().name, inside, read, lambda name: str(folder / name), False, {})
+    name = folder.resolve().name
+    return Files(name, inside, lambda n: bytes_of(folder / n), lambda n: str(folder / n), False, {})
 
 
 def _open_zip(source: Path) -> Files:
@@ -195,9 +190,7 @@ def _not_a_number(path: str, data: list[int], rows: list[list[bytes]], columns: 
             except ValueError:
                 fine = False
             if not fine:
-                shown = field.decode("utf-8", "replace")
-                shown = repr(shown if len(shown) <= 40 else shown[:37] + "...")
-                return DataError.at(path, f"{shown} is not a number", line=i + 1, column=column)
+                return DataError.at(path, f"{shown(field)} is not a number", line=i + 1, column=column)
     raise AssertionError("called for rows that are all numbers")
 
 
@@ -205,8 +198,8 @@ def _require_whole_end(table: Table, rows: list[list[bytes]]) -> None:
     """Without a line end the last number may be cut: it is if it shows fewer decimals than every other row's."""
     decimals = [len(row[-1].partition(b".")[2]) for row in rows]
     if len(rows) > 1 and decimals[-1] < min(decimals[:-1]):
-        shown = rows[-1][-1].decode("utf-8", "replace")
-        what = f"{shown} has fewer decimals than any other row and no line end: the file was cut off"
+        last = rows[-1][-1].decode("utf-8", "replace")
+        what = f"{last} has fewer decimals than any other row and no line end: the file was cut off"
         raise table.error(len(rows) - 1, list(table.columns)[-1], what)
 
 
@@ -241,10 +234,7 @@ def read_landmarks(files: Files, replacement: Path | None = None) -> LandmarkMap
     if replacement is None:
         content = files.content(LANDMARKS)
     else:
-        try:
-            content = replacement.read_bytes()
-        except OSError as error:
-            raise DataError.at(replacement, f"cannot be read: {error.strerror}") from None
+        content = bytes_of(replacement)
         files.sha256[replacement.name] = hashlib.sha256(content).hexdigest()
     table = parse(path, content, ("subject", "x", "y", "x std-dev", "y std-dev"))
     subject = table.integers("subject", 0)

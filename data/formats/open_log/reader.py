@@ -107,13 +107,8 @@ def relations_columns(relations: Relations) -> tuple[list[str], list[list[object
 
 
 HEADER = "log.toml"
-FRAMES, ODOMETRY, OBSERVATIONS, TRUTH, LANDMARKS = (
-    "frames.csv",
-    "odometry.csv",
-    "observations.csv",
-    "truth.csv",
-    "landmarks.csv",
-)
+FRAMES, ODOMETRY, OBSERVATIONS = "frames.csv", "odometry.csv", "observations.csv"
+TRUTH, LANDMARKS = "truth.csv", "landmarks.csv"
 SCANS, RELATIONS = "scans.npz", "relations.csv"
 FILES = (HEADER, FRAMES, ODOMETRY, OBSERVATIONS, TRUTH, LANDMARKS, SCANS, RELATIONS)
 

@@ -271,6 +271,3 @@ def _mounting(scans: ScanLines, offset: float | None) -> tuple[Array, list[str]]
     return stated, [
         "The two poses of ROBOTLASER1 lines do not keep their distance; the laser's place is the parameter's."
     ]
-
-
-__all__ = ["is_carmen", "is_named_carmen", "load_carmen", "log_name", "log_of", "relations_beside"]

@@ -28,7 +28,7 @@ from pathlib import Path
 import numpy as np
 
 from data.errors import LARGEST, DataError
-from data.formats.csv_table import Table
+from data.formats.csv_table import Table, shown
 from data.formats.open_log.scans import DENSEST, LARGE
 from data.inputs import IntArray
 from data.se2 import Array
@@ -164,13 +164,8 @@ def _count(path: Path, line: int, kind: str, fields: list[bytes], at: int, what:
     except IndexError:
         raise DataError.at(path, f"{kind} line ends before its number of {what} (was it cut off?)", line=line) from None
     if not text.isdigit():
-        raise DataError.at(path, f"{kind} with {_shown(text)} {what}; a whole number is needed", line=line)
+        raise DataError.at(path, f"{kind} with {shown(text)} {what}; a whole number is needed", line=line)
     return int(text)
-
-
-def _shown(field: bytes) -> str:
-    text = field.decode("utf-8", "replace")
-    return repr(text if len(text) <= 40 else text[:37] + "...")
 
 
 def _complete(path: Path, line: int, kind: str, fields: list[bytes], needed: int, because: str) -> None:
@@ -267,7 +262,7 @@ def _not_a_number(path: Path, line: int, row: list[bytes], names: Sequence[str])
         except ValueError:
             fine = False
         if not fine:
-            return DataError.at(path, f"{_shown(field)} is not a number", line=line, column=name)
+            return DataError.at(path, f"{shown(field)} is not a number", line=line, column=name)
     raise AssertionError("called for a line whose fields are all numbers")
 
 

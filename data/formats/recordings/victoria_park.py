@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from data.errors import LARGEST, DataError
+from data.formats.csv_table import bytes_of, symmetric
 from data.inputs import Increments, Inputs, Observations, Prior
 from data.log import Log
 from data.motion.velocity import floor_covariances
@@ -59,21 +60,18 @@ def load_victoria_park(path: Path | None = None) -> Log:
         DataError: gtsam or the file missing, or something wrong in it, with line and column.
     """
     file = bundled_file() if path is None else Path(path)
-    try:
-        content = file.read_bytes()
-    except OSError as error:
-        raise DataError.at(file, f"cannot be read: {error.strerror}") from None
+    content = bytes_of(file)
     odometry, sightings = _parse(file, content.decode("utf-8", "replace"))
     n = len(odometry) + 1
     mean, covariance = np.zeros((n, 3)), np.zeros((n, 3, 3))
     mean[1:] = odometry[:, :3]
-    covariance[1:] = _symmetric(odometry[:, 3:], 3)
+    covariance[1:] = symmetric(odometry[:, 3:])
     covariance, floored = floor_covariances(covariance, FLOOR)
     recorded = Inputs(
         prior=Prior(np.zeros(3), np.zeros((3, 3))),
         time=np.arange(n, dtype=float),
         increments=Increments(mean, covariance),
-        observations=Observations(sightings[:, 0].astype(np.int64), sightings[:, 2:4], _symmetric(sightings[:, 4:], 2)),
+        observations=Observations(sightings[:, 0].astype(np.int64), sightings[:, 2:4], symmetric(sightings[:, 4:])),
         sensor=SENSOR,
         time_is_index=True,
         covariance_floor=FLOOR,
@@ -136,18 +134,10 @@ def _numbers(path: Path, line: int, kind: str, fields: list[str]) -> list[float]
     return values
 
 
-def _symmetric(upper: Array, d: int) -> Array:
-    """Symmetric matrices (K, d, d) from their upper triangles, row by row."""
-    matrices = np.empty((len(upper), d, d))
-    rows, columns = np.triu_indices(d)
-    matrices[:, rows, columns] = matrices[:, columns, rows] = upper
-    return matrices
-
-
 def _require_covariance(path: Path, line: int, upper: list[float], d: int) -> None:
     """Positive definite for a reading (d = 2), semidefinite for an increment (d = 3)."""
     if d == 2 or any(upper[k] for k in (1, 2, 4)):
-        matrix = _symmetric(np.array([upper]), d)[0]
+        matrix = symmetric(np.array([upper]))[0]
         low, trace = float(np.linalg.eigvalsh(matrix)[0]), float(np.trace(matrix))
     else:  # diagonal, as every increment of the bundled file
         low, trace = min(upper[0], upper[3], upper[5]), upper[0] + upper[3] + upper[5]

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from data.errors import LARGEST, DataError
-from data.inputs import IntArray, read_only
+from data.inputs import Locked
 from data.se2 import Array
 
 WORLD, LOCAL, LEFT = "world", "local", "left"
@@ -36,7 +36,7 @@ class Outside:
 
 
 @dataclass(frozen=True, eq=False)
-class GivenPath:
+class GivenPath(Locked):
     """A trajectory as a file gives it, in the plane.
 
     Attributes:
@@ -59,9 +59,6 @@ class GivenPath:
     frame: str = ""
     outside: Outside | None = None
     notes: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        read_only(self)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -107,6 +104,10 @@ class Text:
     line: tuple[int, ...]
     comments: tuple[tuple[int, str], ...]
     commas: bool
+
+    def place(self, row: int) -> str:
+        """Where a row of data stands, for messages."""
+        return f"line {self.line[row]}"
 
 
 def read_text(path: Path) -> Text:
@@ -167,8 +168,3 @@ def require_order(text: Text, time: Array) -> None:
             f"stamp {float(time[k])!r} is before {float(time[k - 1])!r} of the line above; ascending stamps are needed"
         )
         raise DataError.at(text.path, what, line=text.line[k])
-
-
-def lines_of(text: Text) -> IntArray:
-    """Line number (n,) of each row of data."""
-    return np.array(text.line, np.int64)

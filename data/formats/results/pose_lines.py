@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from data.errors import DataError, UsageError
-from data.formats.results.path import LOCAL, GivenPath, Manner, Text, lines_of, numbers, read_text, require_order
+from data.formats.csv_table import symmetric
+from data.formats.results.path import LOCAL, GivenPath, Manner, Text, numbers, read_text, require_order
 from data.formats.results.space import (
     ORDERS,
     POSE,
@@ -47,7 +48,7 @@ def read_tum(text: Text, manner: Manner) -> GivenPath:
 def read_wide(text: Text, manner: Manner) -> GivenPath:
     """A wide TUM file: the covariance stands behind the pose."""
     rows = numbers(text, (*POSE, *TRIANGLE))
-    return _path(text, "TUM with covariance", rows[:, :8], _symmetric(rows[:, 8:]), LOCAL, manner)
+    return _path(text, "TUM with covariance", rows[:, :8], symmetric(rows[:, 8:], lower=True), LOCAL, manner)
 
 
 def read_square(text: Text, manner: Manner) -> GivenPath:
@@ -72,20 +73,12 @@ def read_square(text: Text, manner: Manner) -> GivenPath:
     assert frame is not None  # checked in the loop
     header.one_of(text, "ROTATION_PARAM", ("axis_angle",))
     rows = numbers(text, (*POSE, *TRIANGLE))
-    covariance = _ordered(_symmetric(rows[:, 8:]), order)
+    covariance = _ordered(symmetric(rows[:, 8:], lower=True), order)
     return _path(text, f"{version}, {what}", _in_seconds(rows[:, :8], unit), covariance, frame, manner, declared=True)
 
 
 def _in_seconds(rows: Array, unit: float) -> Array:
     return rows if unit == 1.0 else np.column_stack([rows[:, 0] * unit, rows[:, 1:]])
-
-
-def _symmetric(entries: Array) -> Array:
-    """Matrices (n, 6, 6) of their lower triangles (n, 21), row by row."""
-    rows, columns = np.tril_indices(6)
-    full = np.zeros((len(entries), 6, 6))
-    full[:, rows, columns] = full[:, columns, rows] = entries
-    return full
 
 
 def _ordered(covariance: Array, order: str | None) -> Array:
@@ -109,7 +102,7 @@ def _sidecar(path: Path, time: Array, poses: Text) -> tuple[Array, str, bool]:
         what = f"stamp {rows[k, 0]!r}; {time[k]!r} is needed, of the pose in line {poses.line[k]} of {poses.path}"
         raise DataError.at(path, what, line=text.line[k])
     frame, order = tangent(text, header)
-    return _ordered(_symmetric(rows[:, 1:]), order), frame or LOCAL, frame is not None
+    return _ordered(symmetric(rows[:, 1:], lower=True), order), frame or LOCAL, frame is not None
 
 
 def _path(
@@ -117,14 +110,9 @@ def _path(
 ) -> GivenPath:
     """Rows t x y z qx qy qz qw (n, 8) with covariances, in the plane."""
     require_order(text, rows[:, 0])
-    line = lines_of(text)
     file = str(text.path)
-
-    def place(k: int) -> str:
-        return f"line {line[k]}"
-
-    R = rotations(rows[:, 4:8], file, place)
-    return on_plane(Spatial(file, kind, rows[:, 0], rows[:, 1:4], R, covariance, frame, place, declared), manner)
+    R = rotations(rows[:, 4:8], file, text.place)
+    return on_plane(Spatial(file, kind, rows[:, 0], rows[:, 1:4], R, covariance, frame, text.place, declared), manner)
 
 
 ENTRIES = tuple(f"r{i}{j}" if j < 4 else f"t{i}" for i in (1, 2, 3) for j in (1, 2, 3, 4))
@@ -141,11 +129,9 @@ def read_kitti(text: Text, manner: Manner) -> GivenPath:
         what = f"{len(time)} stamps; {text.path} has {len(rows)} poses, one each is needed"
         raise DataError.at(manner.times, what)
     require_order(stamps, time)
-    line, file = lines_of(text), str(text.path)
-    R = rows[:, :, :3]
+    file, R = str(text.path), rows[:, :, :3]
     off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
     bad = np.flatnonzero((off > UNIT) | (np.linalg.det(R) < 0.0))
     if len(bad):
-        raise DataError.at(file, "its first three columns are no rotation", line=int(line[bad[0]]))
-    spatial = Spatial(file, "KITTI poses", time, rows[:, :, 3], R, None, "", lambda k: f"line {line[k]}")
-    return on_plane(spatial, manner)
+        raise DataError.at(file, "its first three columns are no rotation", line=text.line[bad[0]])
+    return on_plane(Spatial(file, "KITTI poses", time, rows[:, :, 3], R, None, "", text.place), manner)

@@ -15,7 +15,6 @@ import numpy as np
 from data.errors import DataError, UsageError
 from data.formats.recordings.ros import ODOMETRY, opened, stamp_of
 from data.formats.results import pose_lines, tables
-from data.formats.results import pose_lines as tum
 from data.formats.results.path import WORLD, GivenPath, Manner, Text, is_number, read_text
 from data.formats.results.space import Spatial, header_of, on_plane, rotations
 
@@ -99,7 +98,7 @@ def read_path(name: str, manner: Manner = AS_SAID) -> GivenPath:
     else:
         text = read_text(path)
         read = _reader(text)
-        found, cov, times = read(text, manner), read is tum.read_tum, read is pose_lines.read_kitti
+        found, cov, times = read(text, manner), read is pose_lines.read_tum, read is pose_lines.read_kitti
     if manner.cov is not None and not cov:
         raise UsageError(f"--cov {manner.cov}: for a TUM file of 8 columns; {name} is {found.kind}")
     if manner.times is not None and not times:
@@ -120,13 +119,13 @@ def _with_topic(name: str) -> tuple[Path, str | None]:
 def _reader(text: Text) -> Callable[[Text, Manner], GivenPath]:
     """Which format a text is in."""
     if "FORMAT" in header_of(text).values:
-        return tum.read_square
+        return pose_lines.read_square
     if tables.is_plane(text):
         return tables.read_plane
     if tables.is_euroc(text):
         return tables.read_euroc
     first = text.fields[0]
-    by_width = {8: tum.read_tum, 29: tum.read_wide, 12: pose_lines.read_kitti}
+    by_width = {8: pose_lines.read_tum, 29: pose_lines.read_wide, 12: pose_lines.read_kitti}
     if not text.commas and len(first) in by_width and is_number(first[0]):
         return by_width[len(first)]
     shown = f"{len(first)} fields, {','.join(first)[:40]!r}"

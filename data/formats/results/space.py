@@ -27,7 +27,6 @@ from data.formats.results.path import (
     Outside,
     Text,
     in_order,
-    lines_of,
     numbers,
     require_order,
 )
@@ -233,16 +232,11 @@ def read_samples(text: Text, header: Header, unit: float, manner: Manner) -> Giv
     rows = numbers(text, columns)
     time = rows[:, 0] * unit
     require_order(text, time)
-    line, file = lines_of(text), str(text.path)
-
-    def place(k: int) -> str:
-        return f"line {line[k]}"
-
-    first = 3 if weighted else 2
-    R = rotations(rows[:, first + 3 :], file, place)
+    file, first = str(text.path), 3 if weighted else 2
+    R = rotations(rows[:, first + 3 :], file, text.place)
     stamps, start, count = np.unique(time, return_index=True, return_counts=True)
     # each particle on the plane by itself (the stamps of one instant made different), then their moments
-    apart = Spatial(file, "", np.arange(len(rows), dtype=float), rows[:, first : first + 3], R, None, "", place)
+    apart = Spatial(file, "", np.arange(len(rows), dtype=float), rows[:, first : first + 3], R, None, "", text.place)
     flat = on_plane(apart, Manner(axes=manner.axes))
     pose, covariance = np.empty((len(stamps), 3)), np.full((len(stamps), 3, 3), np.nan)
     for k, (i, n) in enumerate(zip(start.tolist(), count.tolist(), strict=True)):
@@ -250,7 +244,7 @@ def read_samples(text: Text, header: Header, unit: float, manner: Manner) -> Giv
         if weighted and logarithmic:
             weight = np.exp(weight - weight.max())
         if weight.min() < 0.0 or not weight.sum() > 0.0:
-            raise DataError.at(text.path, "weights of an instant must not be negative, nor all zero", line=line[i])
+            raise DataError.at(text.path, "weights of an instant must not be negative, nor all zero", line=text.line[i])
         pose[k], covariance[k] = _moments(flat.pose[i : i + n], weight / weight.sum())
     few = int((count < FEWEST).sum())
     covariance[count < FEWEST] = np.nan

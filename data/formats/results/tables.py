@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from data.errors import LARGEST, DataError
-from data.formats.csv_table import FIRST_ROW, read_table
+from data.formats.csv_table import FIRST_ROW, read_table, symmetric
 from data.formats.results.path import (
     WORLD,
     GivenPath,
@@ -20,7 +20,6 @@ from data.formats.results.path import (
     Text,
     in_order,
     is_number,
-    lines_of,
     numbers,
     require_order,
 )
@@ -93,9 +92,7 @@ def read_plane(text: Text, manner: Manner) -> GivenPath:
 
 def _covariance(text: Text, entries: Array) -> Array:
     """Matrices (n, 3, 3) of their upper triangles (n, 6)."""
-    rows, columns = np.triu_indices(3)
-    P = np.empty((len(entries), 3, 3))
-    P[:, rows, columns] = P[:, columns, rows] = entries
+    P = symmetric(entries)
     require_covariances(P, str(text.path), lambda k: f"line {text.line[k + 1]}")
     return P
 
@@ -114,13 +111,9 @@ def read_euroc(text: Text, manner: Manner) -> GivenPath:
     # whole nanoseconds have more digits than a float: split before dividing
     time = np.array([_seconds(fields[0]) for fields in text.fields])
     require_order(text, time)
-    line, file = lines_of(text), str(text.path)
-
-    def place(k: int) -> str:
-        return f"line {line[k]}"
-
-    R = rotations(rows[:, [5, 6, 7, 4]], file, place)
-    return on_plane(Spatial(file, "EuRoC CSV", time, rows[:, 1:4], R, None, "", place), manner)
+    file = str(text.path)
+    R = rotations(rows[:, [5, 6, 7, 4]], file, text.place)
+    return on_plane(Spatial(file, "EuRoC CSV", time, rows[:, 1:4], R, None, "", text.place), manner)
 
 
 def _seconds(stamp: str) -> float:

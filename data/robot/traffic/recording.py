@@ -126,10 +126,7 @@ def read_recording(folder: Path) -> Recorded:
     if len(noise) == 1 or not all(isinstance(v, float | int) and 0.0 <= v < math.inf for v in noise):
         raise DataError.at(header, f"[source] {' and '.join(NOISE)}: two numbers from 0 up, or neither")
     path = folder / PACKETS
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise DataError.at(path, f"cannot be read: {error.strerror}") from None
+    data = bytes_of(path)
     if not data.startswith(MAGIC) and not MAGIC.startswith(data):
         raise DataError.at(path, f"begins with {data[: len(MAGIC)]!r}; {MAGIC!r} is needed")
     records, end = _records(path, data)

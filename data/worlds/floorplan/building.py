@@ -17,7 +17,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from data.inputs import IntArray, read_only
+from data.inputs import IntArray, Locked
 from data.se2 import Array
 
 INSIDE = 0.7
@@ -39,7 +39,7 @@ class Door(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Ways:
+class Ways(Locked):
     """A connected graph of places.
 
     Attributes:
@@ -51,9 +51,6 @@ class Ways:
     place: Array
     edge: IntArray
     target: IntArray
-
-    def __post_init__(self) -> None:
-        read_only(self)
 
     def trace(self) -> Array:
         """Points (P, 2) of every way, at most 0.1 m apart."""
@@ -203,7 +200,7 @@ class Face(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Building:
+class Building(Locked):
     """A building.
 
     Attributes:
@@ -215,9 +212,6 @@ class Building:
     walls: Array
     faces: int
     ways: Ways
-
-    def __post_init__(self) -> None:
-        read_only(self)
 
 
 def build(rng: np.random.Generator) -> Building:

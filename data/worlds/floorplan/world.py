@@ -25,7 +25,7 @@ from data.se2 import Array, BoolArray, compose, inverse, wrap_angle
 from data.sensors import RangeBearing
 from data.truth import Truth
 from data.worlds.floorplan.building import Building, Ways, build
-from data.worlds.parameters import check_parameters, drawn_prior
+from data.worlds.parameters import check_parameters, drawn_prior, streams
 
 RADIUS = 0.5
 """m, of a turn where there is room for it."""
@@ -293,14 +293,12 @@ class Floorplan:
 
 def plan_of(seed: int) -> Building:
     """The building of a seed; no parameter changes it."""
-    return build(np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0]))
+    return build(streams(seed, 1)[0])
 
 
 def simulate(floorplan: Floorplan, seed: int, name: str | None = None) -> Log:
     """One log of the floor plan. Same parameters and seed: same bytes."""
-    _, route_rng, odometry_rng, range_rng, glass_rng, people_rng, prior_rng = (
-        np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(7)
-    )
+    _, route_rng, odometry_rng, range_rng, glass_rng, people_rng, prior_rng = streams(seed, 7)
     building = plan_of(seed)
     time = floorplan.period * np.arange(floorplan.frames, dtype=np.float64)
     truth = drive(building.ways, route_rng, time, floorplan.speed, floorplan.turn_rate)
