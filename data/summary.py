@@ -172,16 +172,8 @@ def _out_of_view(log: Log) -> IntArray:
     return np.flatnonzero(~inside)
 
 
-def granted_labels(log: Log) -> IntArray | None:
-    """The labels (M,) an experiment with known association would be given, or None."""
-    if log.label is not None or log.truth.landmark_of is None:
-        return log.label
-    truth = log.truth.landmark_of
-    return np.where(truth == UNKNOWN_ID, UNLABELLED, truth)
-
-
 def _labels(log: Log) -> list[Line]:
-    label, truth = granted_labels(log), log.truth.landmark_of
+    label, truth = log.granted, log.truth.landmark_of
     if label is None:
         return [("labels", "none")]
     origin = "sensed" if log.labels_are_sensed else ("claimed" if log.label is not None else "from the true ids")
@@ -252,7 +244,7 @@ def repeated_in_frame(frame: IntArray, label: IntArray) -> IntArray:
 
 def _oddities(log: Log) -> list[str]:
     """Rows that are valid and still deserve a look."""
-    inputs, label = log.recorded, granted_labels(log)
+    inputs, label = log.recorded, log.granted
     o = inputs.observations
     odd: list[str] = []
     if log.truth.pose is not None:

@@ -89,22 +89,20 @@ def read_graph(path: Path) -> Graph:
     for number, line in enumerate(text.splitlines(), start=1):
         tag, *fields = line.split("#")[0].split() or [""]
         if tag in NUMBERS:
-            ids, measured, information = NUMBERS[tag]
-            rows[tag].append((number, _numbers(path, number, tag, fields, ids + measured + information, ids)))
+            rows[tag].append((number, _numbers(path, number, tag, fields, sum(NUMBERS[tag]), NUMBERS[tag][0])))
         elif tag == FIX:
             fixed += [int(v) for v in _numbers(path, number, tag, fields, len(fields))]
         elif tag in SPATIAL:
             raise DataError.at(path, f"{tag}: a graph in space; graphs in the plane ({POSE}) are read", line=number)
         elif tag:
             other[tag] += 1
-    vertices = _vertices(rows[POSE]), _vertices(rows[POINT])
-    ids = np.concatenate([i for i, _ in vertices])
+    pose, point = _vertices(rows[POSE]), _vertices(rows[POINT])
+    ids = np.concatenate([pose[0], point[0]])
     found, times = np.unique(ids, return_counts=True)
     if (times > 1).any():
         raise DataError.at(path, f"vertex {found[np.argmax(times > 1)]} stands there twice; ids are for one each")
-    edges = [_edges(path, rows[tag], tag) for tag in (MOTION, SIGHTING, BEARING)]
-    held = np.array(fixed, np.int64)
-    return Graph(path, *vertices, held, *edges, dict(other))
+    motion, sighting, bearing = (_edges(path, rows[tag], tag) for tag in (MOTION, SIGHTING, BEARING))
+    return Graph(path, pose, point, np.array(fixed, np.int64), motion, sighting, bearing, dict(other))
 
 
 def _numbers(path: Path, line: int, tag: str, fields: Sequence[str], count: int, ids: int | None = None) -> list[float]:

@@ -268,7 +268,8 @@ def _load(path: Path) -> Found | None:
                 tuple((k, kept[f"{kind}_{k}"].tobytes()) for k in which)
                 for kind, which in zip(("tile", "small"), numbers, strict=True)
             )
-            arrays = (kept[name] for name in ARRAYS)
-            return Found(*arrays, tuple(refused), tiles, focal, pixel_noise, depth_noise, small)
+            values: dict[str, Any] = {name: kept[name] for name in ARRAYS}
+            values |= {"refused": tuple(refused), "tiles": tiles, "small": small}
+            return Found(**values, focal=focal, pixel_noise=pixel_noise, depth_noise=depth_noise)
     except (OSError, zipfile.BadZipFile, KeyError, ValueError, EOFError):
         return None

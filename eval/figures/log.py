@@ -14,7 +14,6 @@ from data.inputs import CLUTTER, IntArray
 from data.log import Log
 from data.result import DISCARD, NEW, Run
 from data.se2 import Array, BoolArray, dead_reckoned, transform_points
-from data.summary import granted_labels
 from data.terminal import counted
 from eval.figures.paper import page_width
 from eval.figures.plane import draw_start, draw_walls
@@ -49,7 +48,7 @@ def log_figure(log: Log) -> Figure:
             xy = inputs.sensor.inverse(pose[o.frame[placed]], o.z[placed])[0]
         else:  # where the wall is nearest to the sensor
             xy = transform_points(pose[o.frame[placed]], inputs.sensor.body_points(o.z[placed], o.R[placed])[0])
-        label = granted_labels(log)
+        label = log.granted
         clutter = np.zeros(len(placed), bool) if label is None else label[placed] == CLUTTER
         name = f"{len(placed)} of {counted(len(o.frame), 'observation')}, from {origin}"
         dots = dict[str, Any](marker=".", linestyle="none", markersize=3.0, markeredgewidth=0.0, rasterized=True)

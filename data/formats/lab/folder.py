@@ -32,7 +32,7 @@ from PIL import Image
 
 from data.errors import DataError, UsageError
 from data.formats.csv_table import bytes_of
-from data.formats.lab.configuration import PARTS, REFERENCES, configuration, read_configuration, unit_suspicion
+from data.formats.lab.configuration import PARTS, REFERENCES, configuration, read_configuration
 from data.formats.lab.frames import FIELDS, MM, LogFile, MatLog, check_fields, frames
 from data.formats.lab.matlab import Variable, variables, write_struct_array
 from data.formats.lab.numpy_files import NpyLog, NpzLog, npy_fields, npz_arrays
@@ -147,8 +147,6 @@ WRITERS: dict[str, Callable[[Path, VisualRecording], None]] = {"mat": _write_mat
 
 
 T = TypeVar("T")
-__all__ = ["LabRecording", "is_lab", "open_lab", "unit_suspicion", "write_lab"]
-
 LOG_VARIABLE = "log"
 MOST_PIXELS = 5e7
 """Of a reference image; the largest cameras have as many."""

@@ -263,9 +263,17 @@ class _Messages:
             if not messages:
                 raise DataError.at(self.path, f"no message of {topic}; at least one is needed")
         robot, laser = self.frames
-        topics, stamps = (self.scan_topic, self.odometry_topic), map(np.array, (self.scan_stamp, self.odometry_stamp))
-        held = self.geometry, np.array(self.ranges), np.array(self.pose)
-        return Bag(*topics, *stamps, *held, self.transforms.between(robot, laser), (robot, laser))
+        return Bag(
+            self.scan_topic,
+            self.odometry_topic,
+            np.array(self.scan_stamp),
+            np.array(self.odometry_stamp),
+            self.geometry,
+            np.array(self.ranges),
+            np.array(self.pose),
+            self.transforms.between(robot, laser),
+            (robot, laser),
+        )
 
 
 def stamp_of(message: Any, recorded: float) -> float:

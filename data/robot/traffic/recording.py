@@ -23,6 +23,7 @@ from typing import NamedTuple
 import tomli_w
 
 from data.errors import DataError, UsageError
+from data.formats.csv_table import bytes_of
 from data.formats.open_log.header import FORMAT
 from data.toml_table import load_toml
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from data.errors import UsageError
-from data.formats.lab.folder import open_lab, unit_suspicion
+from data.formats.lab.configuration import unit_suspicion
+from data.formats.lab.folder import open_lab
 from data.pictures import VisualSetup
 from tests.data.formats.lab.handmade import LOGS, configuration, lab, log_arrays
 
