@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from data.inputs import Increment, IntArray, Sightings
+from data.inputs import FrameObservations, Increment, IntArray
 from data.se2 import Array, BoolArray
 from data.sensors import MIN_RANGE, RANGE_BEARING, RELATIVE_POINT, Sensor
 
@@ -78,7 +78,7 @@ def view_radius(sensor: Sensor, P: Array) -> float:
     return sensor.max_range + lever + SIGMAS * (math.sqrt(P[0, 0] + P[1, 1]) + lever * math.sqrt(P[2, 2])) + 1e-9
 
 
-def reading_radius(sensor: Sensor, P: Array, sightings: Sightings, within: float) -> float:
+def reading_radius(sensor: Sensor, P: Array, observations: FrameObservations, within: float) -> float:
     """Farther than this [m] from a robot of covariance P (3, 3) no known landmark is within a squared distance.
 
     A reading z and an expectation within a squared Mahalanobis distance g have |range(z) - range| <= sqrt(g S) with S
@@ -87,9 +87,9 @@ def reading_radius(sensor: Sensor, P: Array, sightings: Sightings, within: float
     if not sensor.sees_points:
         return math.inf
     gate, lever = math.sqrt(within), math.hypot(*sensor.translation)
-    R = sightings.R
+    R = observations.R
     noise = R[:, 0, 0] if sensor.kind == RANGE_BEARING else np.trace(R, axis1=1, axis2=2)
-    reach = float((sensor.polar(sightings.z)[:, 0] + gate * np.sqrt(noise)).max(initial=0.0))
+    reach = float((sensor.polar(observations.z)[:, 0] + gate * np.sqrt(noise)).max(initial=0.0))
     return reach + lever + gate * (math.sqrt(P[0, 0] + P[1, 1]) + lever * math.sqrt(P[2, 2])) + 1e-9
 
 
@@ -128,17 +128,17 @@ class Drift:
         mean, P = increment
         self._now = self._now + np.array([P[0, 0] + P[1, 1], P[2, 2], math.hypot(mean[0], mean[1])])
 
-    def see(self, sensor: Sensor, sightings: Sightings, numbers: IntArray, covariance: Array) -> None:
+    def see(self, sensor: Sensor, observations: FrameObservations, numbers: IntArray, covariance: Array) -> None:
         """Landmarks `numbers` (m,) were seen from a pose of this covariance (3, 3)."""
         if not len(numbers):
             return
         more = int(numbers.max()) + 1 - len(self._then)
         if more > 0:
             self._then = np.concatenate([self._then, np.full((more, 6), np.inf)])
-        variance = np.trace(sightings.R, axis1=1, axis2=2)
-        r = sensor.polar(sightings.z)[:, 0]
+        variance = np.trace(observations.R, axis1=1, axis2=2)
+        r = sensor.polar(observations.z)[:, 0]
         if sensor.kind == RANGE_BEARING:
-            variance = sightings.R[:, 0, 0] + r**2 * sightings.R[:, 1, 1]
+            variance = observations.R[:, 0, 0] + r**2 * observations.R[:, 1, 1]
         self._then[numbers, :3], self._then[numbers, 3], self._then[numbers, 4] = self._now, variance, r
         lever = r + math.hypot(*sensor.translation)
         own = np.sqrt(covariance[0, 0] + covariance[1, 1]) + lever * math.sqrt(covariance[2, 2]) + np.sqrt(variance)

@@ -99,7 +99,7 @@ def decide(
 def known_decisions(inputs: Inputs) -> tuple[IntArray, IntArray]:
     """Pairing by label: decisions (M,) and the number (M,) of the landmark each observation initializes (-1: none).
 
-    Localization: the label, if the map has it. SLAM: the first sighting of a label is `NEW`, later ones its number;
+    Localization: the label, if the map has it. SLAM: the first observation of a label is `NEW`, later ones its number;
     a label seen twice in the frame that creates its landmark: the first creates, the others are discarded. Clutter and
     blank labels are discarded. Labels do not depend on the estimate, so this needs no filter.
     """

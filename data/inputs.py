@@ -5,8 +5,9 @@ All arrays are float64 (ids int64), read-only, SI units and radians. Nothing her
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field, fields, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from data.se2 import Array
 from data.sensors import Sensor
 
 IntArray = NDArray[np.int64]
+T = TypeVar("T")
 
 CLUTTER = -1
 """Label or true id of an observation that comes from no landmark."""
@@ -63,11 +65,23 @@ class Increments(Locked):
     covariance: Array
 
 
-class Sightings(NamedTuple):
+class FrameObservations(NamedTuple):
     """The observations of one frame: z (m, 2) and R (m, 2, 2)."""
 
     z: Array
     R: Array
+
+
+def _renamed(old: str, new: str, value: T) -> T:
+    warnings.warn(f"{old} is now {new}", DeprecationWarning, stacklevel=3)
+    return value
+
+
+def __getattr__(name: str) -> Any:
+    """Former names; they warn. Raises AttributeError for all others."""
+    if name == "Sightings":
+        return _renamed("Sightings", "FrameObservations", FrameObservations)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +157,7 @@ class Frame(NamedTuple):
         number: of the frame, from 0.
         time: s (the number of the frame where there are no stamps).
         increment: motion from the frame before; None in the first frame.
-        sightings: z (m, 2), R (m, 2, 2).
+        observations: z (m, 2), R (m, 2, 2).
         label: (m,) as in `LabelledObservations`, or None where labels were not granted.
         first: how many observations came before, so that observation i of this frame is number first + i of the log.
     """
@@ -151,16 +165,21 @@ class Frame(NamedTuple):
     number: int
     time: float
     increment: Increment | None
-    sightings: Sightings
+    observations: FrameObservations
     label: IntArray | None
     first: int
 
+    @property
+    def sightings(self) -> FrameObservations:
+        """Former name of `observations`; warns."""
+        return _renamed("Frame.sightings", "Frame.observations", self.observations)
+
     def part(self, rows: slice) -> Frame:
         """The same instant with some of its observations."""
-        begin, stop, _ = rows.indices(len(self.sightings.z))
+        begin, stop, _ = rows.indices(len(self.observations.z))
         label = None if self.label is None else self.label[begin:stop]
-        seen = Sightings(self.sightings.z[begin:stop], self.sightings.R[begin:stop])
-        return self._replace(sightings=seen, label=label, first=self.first + begin)
+        seen = FrameObservations(self.observations.z[begin:stop], self.observations.R[begin:stop])
+        return self._replace(observations=seen, label=label, first=self.first + begin)
 
 
 @dataclass(frozen=True)
@@ -263,17 +282,21 @@ class Inputs:
         """Motion into a frame."""
         return Increment(self.increments.mean[frame], self.increments.covariance[frame])
 
-    def sightings(self, frame: int) -> Sightings:
+    def frame_observations(self, frame: int) -> FrameObservations:
         """Observations of a frame."""
         rows = slice(self.start[frame], self.start[frame + 1])
-        return Sightings(self.observations.z[rows], self.observations.R[rows])
+        return FrameObservations(self.observations.z[rows], self.observations.R[rows])
+
+    def sightings(self, frame: int) -> FrameObservations:
+        """Former name of `frame_observations`; warns."""
+        return _renamed("Inputs.sightings", "Inputs.frame_observations", self.frame_observations(frame))
 
     def frame(self, number: int) -> Frame:
         """Everything about one frame."""
         o, first = self.observations, int(self.start[number])
         label = o.label[first : self.start[number + 1]] if isinstance(o, LabelledObservations) else None
         increment = self.increment(number) if number else None
-        return Frame(number, float(self.time[number]), increment, self.sightings(number), label, first)
+        return Frame(number, float(self.time[number]), increment, self.frame_observations(number), label, first)
 
     @property
     def labels_are_sensed(self) -> bool:

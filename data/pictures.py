@@ -133,7 +133,7 @@ class Found:
 
 @dataclass(frozen=True, eq=False)
 class InView:
-    """The truth about E sightings that could have been: pictures fully in view, near enough and not too oblique.
+    """The truth about E observations that could have been: pictures fully in view, near enough and not too oblique.
 
     frame, picture (E,); pixels (E, 4, 2) of the corners.
     """

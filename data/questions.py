@@ -208,7 +208,7 @@ def explained(inputs: Inputs) -> BoolArray:
             _, _, F, B = carried(pose[2], step.mean)
             P = F @ P @ F.T + B @ step.covariance @ B.T
             pose = compose(pose, step.mean)
-        seen = inputs.sightings(k)
+        seen = inputs.frame_observations(k)
         if len(seen.z) == 0:
             continue
         z_hat, Hx, _ = inputs.sensor.linearize(pose, inputs.map.xy)

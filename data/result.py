@@ -235,7 +235,7 @@ class Run(Locked):
     gated: tuple[float, float] = CHI_SQUARE
     iterations: int | None = None
     last_step_sigma: float | None = None
-    doubt: Failure | None = None
+    implausible: Failure | None = None
     errors_online: Systematics | None = None
     errors_final: Systematics | None = None
     watched: object | None = None
@@ -258,7 +258,7 @@ class Run(Locked):
     @property
     def flaw(self) -> Failure | None:
         """Why none of its numbers may enter an average, a comparison or a headline: `failure`, or else `doubt`."""
-        return self.failure if self.failure is not None else self.doubt
+        return self.failure if self.failure is not None else self.implausible
 
     @property
     def status(self) -> str:

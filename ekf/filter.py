@@ -8,7 +8,7 @@ import numpy as np
 
 from association.expectation import Expectation
 from data.blocks import coordinates_from
-from data.inputs import Increment, IntArray, Prior, Sightings, Systematic
+from data.inputs import FrameObservations, Increment, IntArray, Prior, Systematic
 from data.result import PoseEstimate
 from data.se2 import Array, BoolArray, wrap_angle
 from data.sensors import Sensor
@@ -173,13 +173,13 @@ class Filter:
         return state
 
     def _expect(
-        self, sightings: Sightings, number: IntArray, at: IntArray, known: Array, pose: Array | None = None
+        self, observations: FrameObservations, number: IntArray, at: IntArray, known: Array, pose: Array | None = None
     ) -> Expectation:
         """Expectation over candidates that stand at offsets `at` of the state, or in `known` where `at` is negative.
 
         It is linearized at the mean, or at another `pose` (3,).
         """
-        n, m = len(number), len(sightings.z)
+        n, m = len(number), len(observations.z)
         z_hat, blocks = np.empty((n, 2)), np.empty((n, 2, 2))
         version, state = self._version, self._mean
         if pose is not None:
@@ -204,11 +204,11 @@ class Filter:
         def elsewhere(pose: Array) -> Expectation:
             if version != self._version:
                 raise RuntimeError("the filter has moved on since this expectation was formed")
-            return self._expect(sightings, number, at, known, pose)
+            return self._expect(observations, number, at, known, pose)
 
         frames = np.zeros(n, np.int64), np.zeros(m, np.int64)
         return Expectation(
-            number, z_hat, blocks, frames[0], sightings.z, sightings.R, frames[1], self.sensor.residual, joint,
+            number, z_hat, blocks, frames[0], observations.z, observations.R, frames[1], self.sensor.residual, joint,
             None if len(self._first) else elsewhere,
         )  # fmt: skip
 
@@ -233,7 +233,7 @@ class Filter:
 
     def _correct(
         self,
-        sightings: Sightings,
+        observations: FrameObservations,
         rows: IntArray,
         at: IntArray,
         known: Array,
@@ -247,7 +247,7 @@ class Filter:
         self._version += 1
         done = updates.Done(np.ones(len(rows), np.bool_), np.zeros(3), np.full((len(rows), 2), np.nan))
         if len(rows):
-            seen = kernels.Seen(at, known, sightings.z[rows], sightings.R[rows])
+            seen = kernels.Seen(at, known, observations.z[rows], observations.R[rows])
             how = updates.How(threshold, *self._rule, self._first)
             rest = self._mean, self._P, self._used, seen, how, done
             if pose is not None and not len(self._first):

@@ -8,7 +8,7 @@ import numpy as np
 
 from association.candidates import Places, reading_radius
 from association.expectation import Expectation
-from data.inputs import IntArray, LandmarkMap, Prior, Sightings, Systematic
+from data.inputs import FrameObservations, IntArray, LandmarkMap, Prior, Systematic
 from data.result import Finished, MapState, Updated
 from data.se2 import Array
 from data.sensors import Sensor
@@ -45,15 +45,15 @@ class EkfLocalizer(Filter):
             raise ValueError(f"decisions {decisions.tolist()} name a landmark the map does not have")
         return rows
 
-    def expect(self, sightings: Sightings) -> Expectation:
+    def expect(self, observations: FrameObservations) -> Expectation:
         """What the filter expects of the landmarks of the map. Valid until the next `predict` or `update`."""
-        near = self._places.around(*self._surroundings(sightings))
-        return self._expect(sightings, self.map.id[near], np.full(len(near), -1, np.int64), self.map.xy[near])
+        near = self._places.around(*self._surroundings(observations))
+        return self._expect(observations, self.map.id[near], np.full(len(near), -1, np.int64), self.map.xy[near])
 
-    def _surroundings(self, sightings: Sightings) -> tuple[Array, float]:
+    def _surroundings(self, observations: FrameObservations) -> tuple[Array, float]:
         """Where (2,) in the world, and within what radius [m], the landmarks of `within` must be."""
         P, a = self._P, self._errors.range_at
-        radius = reading_radius(self.sensor, P[:3, :3], sightings, self.within)
+        radius = reading_radius(self.sensor, P[:3, :3], observations, self.within)
         if a < 0 or not math.isfinite(radius):
             return self._mean[:2], radius
         # a landmark that stands r from the sensor in the world and q from the origin is expected at (1 + range) r, and
@@ -87,7 +87,7 @@ class EkfLocalizer(Filter):
 
     def update(
         self,
-        sightings: Sightings,
+        observations: FrameObservations,
         decisions: IntArray,
         *,
         threshold: float = np.inf,
@@ -107,7 +107,7 @@ class EkfLocalizer(Filter):
             self._grow(len(paired))
             hold_known(self._mean, self._P, self.base, known, self._first, self._errors)
             given, self._carried = self.base + 2 * np.arange(len(paired), dtype=np.int64), 2 * len(paired)
-        keep, stats, white = self._correct(sightings, paired, given, known, threshold, at)
+        keep, stats, white = self._correct(observations, paired, given, known, threshold, at)
         self._carried = 0
         used, whitened = np.zeros(len(decisions), np.bool_), np.full((len(decisions), 2), np.nan)
         used[paired], whitened[paired] = keep, white

@@ -22,7 +22,7 @@ import numba
 import numpy as np
 
 from association.candidates import reading_radius
-from data.inputs import Sightings
+from data.inputs import FrameObservations
 from data.se2 import Array, BoolArray
 from data.sensors import LINE, Sensor, measure, residual
 from ekf.parking import Parked
@@ -45,7 +45,7 @@ class Surroundings(NamedTuple):
     boxes: Array
 
 
-NOBODY = Surroundings(np.empty((0, 2, 2)), np.empty(0), np.empty((0, 5)))
+EMPTY = Surroundings(np.empty((0, 2, 2)), np.empty(0), np.empty((0, 5)))
 """No landmark is parked."""
 
 
@@ -65,7 +65,13 @@ def surroundings(parked: Parked, C: Array, P_xx: Array) -> Surroundings:
 
 
 def may_be_read(
-    parked: Parked, around: Surroundings, sensor: Sensor, x: Array, P: Array, sightings: Sightings, within: float
+    parked: Parked,
+    around: Surroundings,
+    sensor: Sensor,
+    x: Array,
+    P: Array,
+    observations: FrameObservations,
+    within: float,
 ) -> BoolArray:
     """Which landmarks (n,) of these rows may be within a squared distance of some reading.
 
@@ -75,7 +81,7 @@ def may_be_read(
         sensor: of the readings.
         x: (3 + k,) present mean of the pose and of y.
         P: (3 + k, 3 + k) their covariance.
-        sightings: the readings.
+        observations: the readings.
         within: the squared Mahalanobis distance.
     """
     k, robot = parked.k, parked.robot[:2]
@@ -85,9 +91,9 @@ def may_be_read(
     step = robot @ (P_yy[:3, :3] + np.eye(3)) @ robot.T - 2.0 * P[:2, 3:6] @ robot.T + P[:2, :2]
     centre = x[:2] - robot @ y[:3]
     since = np.diag([step[0, 0], step[1, 1], P[2, 2]])
-    reach = reading_radius(sensor, np.maximum(since, 0.0), sightings, within * MARGIN)
+    reach = reading_radius(sensor, np.maximum(since, 0.0), observations, within * MARGIN)
     found = np.zeros(len(parked.based), np.bool_)
-    seen = Sightings(np.array(sightings.z, float), np.array(sightings.R, float))
+    seen = FrameObservations(np.array(observations.z, float), np.array(observations.R, float))
     near = Near(centre, reach, gate + float(np.linalg.norm(y[:k])), within * MARGIN)
     held = parked.mean, parked.D, parked.based
     _search(sensor.kind, sensor.extrinsic, x, P, held, around, near, seen, found)
@@ -115,7 +121,7 @@ def _search(
     held: tuple[Array, Array, BoolArray],
     around: Surroundings,
     near: Near,
-    seen: Sightings,
+    seen: FrameObservations,
     found: BoolArray,
 ) -> None:
     """See `may_be_read`; `held` = means, D and which are based, as of `Parked`."""

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from data.blocks import coordinates, coordinates_from
-from data.inputs import IntArray, Prior, Sightings, Systematic
+from data.inputs import FrameObservations, IntArray, Prior, Systematic
 from data.result import MapState
 from data.se2 import Array
 from data.sensors import Sensor
 from ekf import systematic
 from ekf.filter import DEFAULT, Filter, FilterOptions
-from ekf.nearby import MARGIN, NOBODY, may_be_read, surroundings
+from ekf.nearby import EMPTY, MARGIN, may_be_read, surroundings
 from ekf.parking import LONGEST, Parked
 
 
@@ -30,7 +30,7 @@ class SlamState(Filter):
         super().__init__(prior, sensor, options, systematic, landmarks=16)
         self._number = np.empty(0, np.int64)
         self._offset: dict[int, int] = {}
-        self._parked, self._around = Parked(), NOBODY
+        self._parked, self._around = Parked(), EMPTY
         self.created = 0
 
     def _shrink(self) -> None:
@@ -79,19 +79,19 @@ class SlamState(Filter):
         xy = np.concatenate([p.xy(self._mean[d:r]), self._mean[r : self._used][: 2 * len(p.recent)].reshape(-1, 2)])
         return self._frame.points_out(xy[np.argsort(number)], self._mean[3 : self.base])[0]
 
-    def parked_within(self, sightings: Sightings, within: float) -> IntArray:
+    def parked_within(self, observations: FrameObservations, within: float) -> IntArray:
         """Parked landmarks (r,) that may be within a squared Mahalanobis distance of some reading; no other one is."""
         parked, d, r = self._parked, self.size, self._recent
-        if not len(sightings.z) or not np.isfinite(within):
-            return parked.numbers if len(sightings.z) else np.empty(0, np.int64)
+        if not len(observations.z) or not np.isfinite(within):
+            return parked.numbers if len(observations.z) else np.empty(0, np.int64)
         count = len(parked.recent)
-        e = self._expect(sightings, parked.recent, r + 2 * np.arange(count), np.zeros((count, 2)))
+        e = self._expect(observations, parked.recent, r + 2 * np.arange(count), np.zeros((count, 2)))
         found = parked.recent[(e.individual_distances() <= within * MARGIN).any(axis=0)]
         if not parked.based.any():
             return found
         used = np.concatenate([np.arange(3), np.arange(d, r)])
         x, P = self._mean[used], self._P[np.ix_(used, used)]
-        near = may_be_read(parked, self._around, self.sensor, x, P, sightings, within)
+        near = may_be_read(parked, self._around, self.sensor, x, P, observations, within)
         return np.concatenate([found, np.flatnonzero(near)])
 
     def park(self, numbers: IntArray, *, begin_epoch: bool = False) -> None:
@@ -201,7 +201,7 @@ class SlamState(Filter):
         if short:
             all_of_them = coordinates(parked.numbers)
             x[d:e], P[d:e, d:e] = parked.empty()
-            self._around = NOBODY
+            self._around = EMPTY
             P[d:e, :d] = C[all_of_them]
             P[:d, d:e] = P[d:e, :d].T
         else:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from association.expectation import Expectation
-from data.inputs import IntArray, Sightings
+from data.inputs import FrameObservations, IntArray
 from data.result import NEW, Finished, Updated
 from data.se2 import Array, wrap_angle
 from ekf import kernels
@@ -22,14 +22,14 @@ class EkfSlam(SlamState):
     For its buffers, and for landmarks that are parked, see `ekf.parkable`.
     """
 
-    def expect(self, sightings: Sightings) -> Expectation:
+    def expect(self, observations: FrameObservations) -> Expectation:
         """What the filter expects of every active landmark. Valid until the next `predict` or `update`."""
         at = self.base + 2 * np.arange(len(self._number), dtype=np.int64)
-        return self._expect(sightings, self._number, at, np.zeros((len(self._number), 2)))
+        return self._expect(observations, self._number, at, np.zeros((len(self._number), 2)))
 
     def update(
         self,
-        sightings: Sightings,
+        observations: FrameObservations,
         decisions: IntArray,
         *,
         threshold: float = np.inf,
@@ -49,7 +49,7 @@ class EkfSlam(SlamState):
             if self._parked.holds(unknown.args[0]):
                 raise ValueError(f"landmark {unknown} is parked: restore it first") from None
             raise ValueError(f"no landmark has number {unknown}") from None
-        keep, stats, white = self._correct(sightings, paired, offset, np.zeros((len(paired), 2)), threshold, at)
+        keep, stats, white = self._correct(observations, paired, offset, np.zeros((len(paired), 2)), threshold, at)
         used, whitened = np.zeros(len(decisions), np.bool_), np.full((len(decisions), 2), np.nan)
         used[paired], whitened[paired] = keep, white
         created = np.full(len(decisions), -1, np.int64)
@@ -57,10 +57,10 @@ class EkfSlam(SlamState):
         self._grow(len(fresh))
         end = self._used
         for i in fresh:
-            distance = float(self.sensor.polar(sightings.z[i : i + 1])[0, 0])
+            distance = float(self.sensor.polar(observations.z[i : i + 1])[0, 0])
             kernels.augment(
                 self._kind, self._extrinsic, self._mean, self._P, end,
-                sightings.z[i], sightings.R[i], self.options.augment_variance(distance), self._first,
+                observations.z[i], observations.R[i], self.options.augment_variance(distance), self._first,
             )  # fmt: skip
             end += 2
         if self._carried and len(fresh):

@@ -91,7 +91,7 @@ def _play(wish: Wish) -> None:
     compile_if_needed()
     trials = []
     for e in make_plan(wish.options, print).experiments:
-        if e.beside is not None:
+        if e.variant_of is not None:
             continue
         e = e if wish.frames is None else replace(e, log=shortened(e.log, wish.frames))
         runs = {(r.association, r.estimator): r for w in e.work for r in estimate(e, w, watched=True)}

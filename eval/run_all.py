@@ -139,8 +139,8 @@ def staged(out: Path) -> Iterator[Path]:
 
 def _run(options: Options, console: Console, folder: Path, arguments: Sequence[str], check: Callable[[], None]) -> int:
     from data.questions import ask
-    from eval.figures.paper import looking
-    from eval.plan.appearance import look_of, require_latex
+    from eval.figures.paper import figure_style
+    from eval.plan.appearance import figure_style_of, require_latex
     from eval.plan.execute import execute
     from eval.plan.experiments import make_plan
     from eval.plan.warming import compile_if_needed
@@ -154,7 +154,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
 
     check_columns(options.output.columns)
     require_latex(options.drawing)
-    look, about_look = look_of(options.drawing)
+    look, about_look = figure_style_of(options.drawing)
     if about_look:
         console.say(about_look)
     compile_if_needed(console.quiet)
@@ -165,7 +165,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
         console.detail(f"{e.log.name}: {e.task}, {counted(len(e.log.recorded), 'frame')}")
         for note in e.log.notes:
             console.detail(f"{e.log.name}: {note}")
-    for log in {e.log.name: e.log for e in plan.experiments if e.beside is None}.values():
+    for log in {e.log.name: e.log for e in plan.experiments if e.variant_of is None}.values():
         for question in ask(log):
             console.say(asked(question))
     with _bar("estimating", console.quiet, check) as progress:
@@ -176,8 +176,10 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
             if run.flaw is not None:
                 f = run.flaw
                 where = f"{trial.log.name}, {run.task}: {run.estimator}"
-                where += f" ({run.association})" if run.doubt is not None else ""
-                console.say(f"{where} {f.status} {'at' if run.doubt is None else 'from'} frame {f.frame}: {f.why}")
+                where += f" ({run.association})" if run.implausible is not None else ""
+                console.say(
+                    f"{where} {f.status} {'at' if run.implausible is None else 'from'} frame {f.frame}: {f.why}"
+                )
                 if f.trace:
                     console.detail(f.trace.rstrip())
             for found in run.notes:
@@ -194,7 +196,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
             console.detail(trace)
     for text in [*reproduced.lines(outcome.published), *outcome.skipped]:
         console.say(text)
-    with _bar("writing", console.quiet, check) as progress, looking(look):
+    with _bar("writing", console.quiet, check) as progress, figure_style(look):
         missing, main_numbers = write_results(folder, options, outcome, judged, arguments, progress)
     failed = failed_declarations(judged)
     for j in failed:

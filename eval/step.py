@@ -129,13 +129,13 @@ def _step(wish: Wish) -> None:
         raise UsageError(f"--association known: log {log.name!r} has no labels (true_id or label in observations.csv)")
     if wish.frames is not None:
         log = shortened(log, wish.frames)
-    from eval.referee.plausibility import with_doubt
+    from eval.referee.plausibility import with_plausibility
     from eval.replay.estimators import lack_with_walls
     from eval.replay.external.make import lack
     from eval.replay.external.spec import is_foreign, name_of
     from eval.replay.run import step_by_step
     from eval.report.answer import gate_sentence
-    from eval.stepping.pictures import Album, open_windows
+    from eval.stepping.pictures import ImageWriter, open_windows
     from eval.stepping.stepper import StoppedError, Walk, end
     from eval.stepping.text import lab_block, step_block
 
@@ -143,22 +143,22 @@ def _step(wish: Wish) -> None:
         raise UsageError(f"--estimator {name_of(estimator)}: {why}")
     if not is_foreign(estimator) and (why := lack_with_walls(estimator, task, association, log.recorded)):
         raise UsageError(f"log {log.name!r} has walls: {why}")
-    album = Album(wish.save, open_windows())
+    images = ImageWriter(wish.save, open_windows())
     inputs = log.inputs(labels=association == "known")
     if task == "slam":
         inputs = inputs.without_map()
     if inputs.labels_are_sensed:
         print(gate_sentence(setup, sensed=True))
     pausing, block = not wish.run_through and sys.stdin.isatty(), lab_block if wish.lab_text else step_block
-    walk = Walk(log, task, name_of(estimator), album, pausing=pausing, block=block)
-    if log.evidence is not None and album.wanted:
+    walk = Walk(log, task, name_of(estimator), images, pausing=pausing, block=block)
+    if log.evidence is not None and images.wanted:
         from data.visual.opening import Camera, open_recording
         from data.visual.outlined import frame_pictures
 
         walk.camera = frame_pictures(open_recording(asked.log[0], Camera()), log.evidence.found)
     try:
         run = step_by_step(estimator, inputs, task, association, setup, observer=walk)
-        end(log, with_doubt(run, inputs), album, walk)
+        end(log, with_plausibility(run, inputs), images, walk)
     except StoppedError:
         print("stopped; what was written so far is whole")
 

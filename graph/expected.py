@@ -9,7 +9,7 @@ import numpy as np
 from association.candidates import MARGIN, SIGMAS, Drift, Places, may_be_in_view
 from association.expectation import Expectation
 from data.blocks import coordinates, diagonal_blocks
-from data.inputs import Increment, IntArray, LandmarkMap, Sightings
+from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap
 from data.se2 import Array, pose_error
 from data.sensors import Sensor
 
@@ -91,10 +91,10 @@ class Candidates:
         """The newest pose was corrected by (2,) [m]."""
         self._near.corrected(step)
 
-    def see(self, sightings: Sightings, number: IntArray, P: Array) -> None:
+    def see(self, observations: FrameObservations, number: IntArray, P: Array) -> None:
         """Landmarks (m,) of SLAM were seen from a pose of covariance P (3, 3)."""
         if self.sensor.sees_points:
-            self._drift.see(self.sensor, sightings, number, P)
+            self._drift.see(self.sensor, observations, number, P)
 
     def know(self, number: IntArray, J: Array) -> None:
         """J: joint covariance in the world of others and, last, landmarks (n,) of SLAM."""
@@ -148,7 +148,7 @@ def form(
     covariance: Array,
     number: IntArray,
     xy: Array,
-    sightings: Sightings,
+    observations: FrameObservations,
     at: Array | None = None,
     inside: Callable[[Array], Array] | None = None,
 ) -> Expectation:
@@ -158,7 +158,7 @@ def form(
 
     `covariance`, world frame: (3 + 2n, 3 + 2n) of pose and landmarks, or (3, 3) of the pose where they are known.
     """
-    n, m = len(number), len(sightings.z)
+    n, m = len(number), len(observations.z)
     z_hat, Hx, Hl = sensor.linearize(pose if at is None else at, xy)
     if at is not None:
         z_hat = z_hat + Hx @ pose_error(pose, at)
@@ -187,8 +187,8 @@ def form(
         return 0.5 * (S + S.T)
 
     def elsewhere(at: Array) -> Expectation:
-        return form(sensor, pose, covariance, number, xy, sightings, at if inside is None else inside(at), inside)
+        return form(sensor, pose, covariance, number, xy, observations, at if inside is None else inside(at), inside)
 
     return Expectation(
-        number, z_hat, blocks, zeros[:n], sightings.z, sightings.R, zeros[:m], sensor.residual, joint, elsewhere
+        number, z_hat, blocks, zeros[:n], observations.z, observations.R, zeros[:m], sensor.residual, joint, elsewhere
     )

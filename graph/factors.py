@@ -1,4 +1,4 @@
-"""Our inputs as gtsam factors: prior, increments, sightings of landmarks.
+"""Our inputs as gtsam factors: prior, increments, observations of landmarks.
 
 Conventions that differ: gtsam's pose covariances live in the body frame of the pose they belong to (ours: world frame);
 noise of a relative pose lives at its *end* (ours: in the frame it starts from); bearing comes before range (ours:

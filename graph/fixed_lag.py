@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
-from data.inputs import Increment, IntArray, LandmarkMap, Prior, Sightings, Systematic
+from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap, Prior, Systematic
 from data.result import Finished, Trajectory
 from data.sensors import Sensor
 from graph.engine import Window
@@ -49,7 +49,7 @@ class FixedLagSmoother(Isam2Smoother):
         """Start at the prior; with a map localize in it, without do SLAM.
 
         A pose stays for at least `lag` >= 0 after its own time, and at most for (1 + `slack`) times that, at the next
-        sighting: a slack of 0 marginalizes frame by frame, which takes half as long again on Victoria Park with a lag
+        observation: a slack of 0 marginalizes frame by frame, which takes 1.5 times as long on Victoria Park with a lag
         of 30 frames, three times as long with 100.
         """
         if not lag >= 0.0 or not slack >= 0.0:
@@ -79,9 +79,9 @@ class FixedLagSmoother(Isam2Smoother):
             raise ValueError(f"frame {self.frame} at {time} is not after the one before, at {self._time[-2]}")
         self._time[-1] = time
 
-    def _extend(self, sightings: Sightings, number: IntArray) -> None:
-        """Add the motion since the anchor and these sightings, then let go of what is too old."""
-        super()._extend(sightings, number)
+    def _extend(self, observations: FrameObservations, number: IntArray) -> None:
+        """Add the motion since the anchor and these observations, then let go of what is too old."""
+        super()._extend(observations, number)
         now = self._time[-1]
         if now - self._time[self._oldest - self._timed] > (1.0 + self.slack) * self.lag:
             self._forget(self._timed + bisect_left(self._time, now - self.lag))
@@ -99,7 +99,7 @@ class FixedLagSmoother(Isam2Smoother):
         self._oldest = self._timed = oldest
         self._read()
 
-    def amend(self, frames: IntArray, sightings: Sightings, decisions: IntArray) -> None:
+    def amend(self, frames: IntArray, observations: FrameObservations, decisions: IntArray) -> None:
         """As `Isam2Smoother.amend`, for frames in the window; what older ones saw cannot be taken back any more.
 
         In SLAM nothing is: its path is kept as it was when it left the window.
@@ -108,12 +108,12 @@ class FixedLagSmoother(Isam2Smoother):
             return
         keep = np.flatnonzero(frames >= self._oldest)
         if len(keep):
-            super().amend(frames[keep], Sightings(sightings.z[keep], sightings.R[keep]), decisions[keep])
+            super().amend(frames[keep], FrameObservations(observations.z[keep], observations.R[keep]), decisions[keep])
 
     def remove(self, numbers: IntArray) -> None:
-        """Drop landmarks with their sightings from poses in the window.
+        """Drop landmarks with their observations from poses in the window.
 
-        What older sightings said about everything else cannot be taken back any more, as in a filter.
+        What older observations said about everything else cannot be taken back any more, as in a filter.
         """
         gone = np.asarray(numbers).tolist()
         super().remove(numbers)
@@ -139,7 +139,7 @@ class FixedLagSmoother(Isam2Smoother):
     def finish(self) -> Finished:
         """Every pose as it was when it left the window, those in it as they are now; there is no cost to sum up.
 
-        Motion since the last sighting joins the window; nothing is optimized that was not during the run.
+        Motion since the last observation joins the window; nothing is optimized that was not during the run.
         """
         self._complete()
         if not self._keeps:

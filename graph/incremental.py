@@ -14,7 +14,7 @@ from gtsam.symbol_shorthand import L
 
 from association.candidates import in_view, view_radius
 from association.expectation import Expectation
-from data.inputs import Increment, IntArray, LandmarkMap, Prior, Sightings, Systematic
+from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap, Prior, Systematic
 from data.result import NEW, Finished, MapState, PoseEstimate, Updated
 from data.se2 import Array, BoolArray
 from data.sensors import Sensor
@@ -105,7 +105,7 @@ class Isam2Smoother:
         """Landmark numbers in the map, ascending."""
         return self._observed.numbers
 
-    def expect(self, sightings: Sightings) -> Expectation:
+    def expect(self, observations: FrameObservations) -> Expectation:
         """What it expects of the landmarks in view: sensor range and angles, widened by 3 sigma and 5 degrees."""
         if self.map is not None:
             number, xy = self._candidates.known(*self._end.reach(view_radius(self.sensor, self._end.P)))
@@ -116,14 +116,14 @@ class Isam2Smoother:
             candidates = self._candidates.of_slam(self.numbers, self._end.mean, self._end.P, look)
             joint = self._joint(candidates[0])
         pose = self._end.mean
-        every = expected.form(self.sensor, pose, joint, *candidates, sightings)
+        every = expected.form(self.sensor, pose, joint, *candidates, observations)
         keep = in_view(self.sensor, every.z_hat, every.HPHt)
         if self.map is None:
             self._candidates.expect(candidates[0], every.z_hat, every.HPHt)
         if len(joint) > len(pose):
             joint = joint[np.ix_(*[np.concatenate([np.ones(3, np.bool_), np.repeat(keep, 2)])] * 2)]
         number, xy = candidates[0][keep], candidates[1][keep]
-        return expected.form(self.sensor, pose, joint, number, xy, sightings, inside=self._end.inside)
+        return expected.form(self.sensor, pose, joint, number, xy, observations, inside=self._end.inside)
 
     def _joint(self, number: IntArray) -> Array:
         """World-frame covariance of the newest pose and landmarks of SLAM."""
@@ -137,7 +137,7 @@ class Isam2Smoother:
 
     def update(
         self,
-        sightings: Sightings,
+        observations: FrameObservations,
         decisions: IntArray,
         *,
         threshold: float = np.inf,
@@ -154,7 +154,7 @@ class Isam2Smoother:
             raise ValueError(f"no landmark has number {unknown[0]}")
         nis, dof, likelihood = np.nan, 0, np.nan
         if (innovations or threshold < np.inf) and used.any():
-            nis, dof, likelihood = self._gate(sightings, decisions, used, threshold, at)
+            nis, dof, likelihood = self._gate(observations, decisions, used, threshold, at)
         created = np.full(len(decisions), -1, np.int64)
         if self.map is None:
             fresh = np.flatnonzero(decisions == NEW)
@@ -164,11 +164,13 @@ class Isam2Smoother:
         if len(take):
             if at is not None:
                 self._end.place(at)
-            self._extend(Sightings(sightings.z[take], sightings.R[take]), np.where(used, decisions, created)[take])
+            self._extend(
+                FrameObservations(observations.z[take], observations.R[take]), np.where(used, decisions, created)[take]
+            )
         return Updated(used, created, nis, dof, likelihood)
 
     def _gate(
-        self, sightings: Sightings, decisions: IntArray, used: BoolArray, threshold: float, at: Array | None
+        self, observations: FrameObservations, decisions: IntArray, used: BoolArray, threshold: float, at: Array | None
     ) -> tuple[float, int, float]:
         """Take pairings with d^2 not below the threshold out of `used`; NIS, dof and log-likelihood of the others."""
         rows = np.flatnonzero(used)
@@ -177,22 +179,22 @@ class Isam2Smoother:
             xy, joint = self._end.known(self.map.positions(number))
         else:
             xy, joint = self._engine.points(number.tolist()), self._joint(number)
-        e = expected.form(self.sensor, self._end.mean, joint, number, xy, sightings, at)
-        nu, R = self.sensor.residual(sightings.z[rows], e.z_hat[which]), sightings.R[rows]
+        e = expected.form(self.sensor, self._end.mean, joint, number, xy, observations, at)
+        nu, R = self.sensor.residual(observations.z[rows], e.z_hat[which]), observations.R[rows]
         distance = np.einsum("mi,mi->m", nu, np.linalg.solve(e.HPHt[which] + R, nu[..., None])[..., 0])
         keep = distance < threshold
         used[rows[~keep]] = False
         return e.innovation_statistics(rows[keep], which[keep])
 
-    def _extend(self, sightings: Sightings, number: IntArray) -> None:
-        """Add the motion since the anchor and these sightings to the graph, and read the newest pose."""
+    def _extend(self, observations: FrameObservations, number: IntArray) -> None:
+        """Add the motion since the anchor and these observations to the graph, and read the newest pose."""
         motion, values = self._flush()
         seen = self._observed.sight(
-            sightings, np.full(len(number), self.frame), number, self._end, self._engine, values
+            observations, np.full(len(number), self.frame), number, self._end, self._engine, values
         )
         if self.map is None:
-            self._observed.start(sightings, number, self._end.mean, values)
-            self._candidates.see(sightings, number, self._end.P)
+            self._observed.start(observations, number, self._end.mean, values)
+            self._candidates.see(observations, number, self._end.P)
         self._add(motion, seen, values)
         self._read()
 
@@ -201,20 +203,20 @@ class Isam2Smoother:
         handles = self._engine.add([*motion, *self._observed.add(seen, values, late=late)], values)
         self._observed.hold(seen, handles[len(motion) :])
 
-    def amend(self, frames: IntArray, sightings: Sightings, decisions: IntArray) -> None:
+    def amend(self, frames: IntArray, observations: FrameObservations, decisions: IntArray) -> None:
         """Take what frames (m,) up to now saw (m) for other landmarks than before; negative decisions (m,) for none.
 
         These frames' former pairings are forgotten. In SLAM it is for `finish` alone, and of all that was seen.
         """
         if self.map is None:
-            self._observed.replace(frames, sightings, decisions)
+            self._observed.replace(frames, observations, decisions)
             return
         again, take = np.unique(frames).tolist(), np.flatnonzero(decisions >= 0)
         former = self._observed.take_back(again)
         if former:
             self._engine.drop(former)
         motion, values = self._flush()
-        again_seen = Sightings(sightings.z[take], sightings.R[take])
+        again_seen = FrameObservations(observations.z[take], observations.R[take])
         seen = self._observed.sight(again_seen, frames[take], decisions[take], self._end, self._engine, values)
         self._add(motion, seen, values, late=True)
         self.refine()
@@ -234,7 +236,7 @@ class Isam2Smoother:
         self._candidates.corrected(self._end.mean[:2] - before[:2])
 
     def remove(self, numbers: IntArray) -> None:
-        """Drop landmarks with all their sightings, as if they had never been seen."""
+        """Drop landmarks with all their observations, as if they had never been seen."""
         if self.map is not None:
             raise ValueError("a known map is given; landmarks cannot be removed from it")
         gone = np.unique(numbers)
@@ -284,7 +286,7 @@ class Isam2Smoother:
         return self._end.points(self._engine.points(numbers.tolist()))
 
     def _complete(self) -> None:
-        """Motion since the last sighting joins the graph."""
+        """Motion since the last observation joins the graph."""
         motion, values = self._flush()
         if motion:
             self._add(motion, [], values)

@@ -11,7 +11,7 @@ import numpy as np
 from gtsam import symbolIndex
 from gtsam.symbol_shorthand import L, X
 
-from data.inputs import IntArray, LandmarkMap, Sightings
+from data.inputs import FrameObservations, IntArray, LandmarkMap
 from data.se2 import Array
 from data.sensors import Sensor
 from graph.calibration.factors import sight_pinned
@@ -56,7 +56,7 @@ class Observed:
 
     def sight(
         self,
-        seen: Sightings,
+        seen: FrameObservations,
         frames: IntArray,
         number: IntArray,
         end: OpenEnd,
@@ -79,22 +79,22 @@ class Observed:
         return sight_walls(self.sensor, seen, frames, number, pose, old, row, self.loss)
 
     def _points(
-        self, sightings: Sightings, frames: IntArray, number: IntArray, errors: tuple[Array, Array] | None
+        self, observations: FrameObservations, frames: IntArray, number: IntArray, errors: tuple[Array, Array] | None
     ) -> list[Sighted]:
         """Observations of points; `errors` as known now."""
         if self.map is None:
-            return sight_landmarks(self.sensor, *sightings, frames, number, self.loss)
+            return sight_landmarks(self.sensor, *observations, frames, number, self.loss)
         xy = self.map.positions(number)
         self._copies += len(number)
         row = self._copies - len(number)
-        plain = sight_known(self.sensor, *sightings, frames, number, xy, row, self.loss)
+        plain = sight_known(self.sensor, *observations, frames, number, xy, row, self.loss)
         if self._errors is None or errors is None:
             return plain
         self._plain.update(enumerate(plain, row))
-        pinned = sight_pinned(self._errors, self.sensor, sightings, frames, number, xy, row, self.loss, errors[0])
+        pinned = sight_pinned(self._errors, self.sensor, observations, frames, number, xy, row, self.loss, errors[0])
         return pinned
 
-    def start(self, seen: Sightings, number: IntArray, pose: Array, values: gtsam.Values) -> None:
+    def start(self, seen: FrameObservations, number: IntArray, pose: Array, values: gtsam.Values) -> None:
         """Start values of the points that are new, seen from a pose (3,); walls bring theirs along."""
         for n in dict.fromkeys(self.missing(number) if self.sensor.sees_points else []):
             i = int(np.flatnonzero(number == n)[0])
@@ -109,10 +109,10 @@ class Observed:
             turned = {n for n, opposite in zip(other, np.cos(a - b) < 0.0, strict=True) if opposite}
         return [s.renumbered(other[s.number], opposite=s.number in turned) for s in moved]
 
-    def replace(self, frames: IntArray, seen: Sightings, number: IntArray) -> None:
+    def replace(self, frames: IntArray, seen: FrameObservations, number: IntArray) -> None:
         """In SLAM, for `problem` alone: what points were seen, ascending by frame; number (m,), negative for none."""
         take = np.flatnonzero(number >= 0)
-        found = Sightings(seen.z[take], seen.R[take])
+        found = FrameObservations(seen.z[take], seen.R[take])
         self.sighted = sight_landmarks(self.sensor, *found, frames[take], number[take], self.loss)
 
     def problem(self, end: OpenEnd, values: gtsam.Values) -> Problem:

@@ -119,7 +119,7 @@ class OpenEnd:
     def inflate(self, covariance: Array) -> None:
         """So much covariance (3, 3), alike in all directions, is added to the last increment's."""
         if not self._increments:
-            raise ValueError("there was no motion since the last sighting")
+            raise ValueError("there was no motion since the last observation")
         mean, stated = self._increments[-1]
         self._increments[-1] = Increment(mean, stated + covariance)
         self._again()

@@ -13,7 +13,7 @@ import gtsam
 import numpy as np
 
 from association.expectation import gate_threshold
-from data.inputs import Inputs, IntArray, Prior, Sightings
+from data.inputs import FrameObservations, Inputs, IntArray, Prior
 from data.result import DISCARD
 from data.se2 import Array, BoolArray
 from graph.batch import Smoothed, Start, build, smooth, start_values
@@ -32,7 +32,7 @@ def gnc(
     Conventions of `graph.batch.smooth`. Prior, motion and known landmarks are believed. An observation is rejected
     where its squared whitened residual (2 dof), at this optimum, is not below the chi-square quantile of `probability`:
     so many of the right ones stay, and without the others chi-square and covariances come out a little small. A
-    landmark that loses all its sightings leaves the map. It is a local method: where wrong pairings agree with each
+    landmark that loses all its observations leaves the map. It is a local method: where wrong pairings agree with each
     other better than the right ones do, they win.
 
     Raises `UnderConstrained`, DataError for a singular covariance, ValueError for a probability not in (0, 1).
@@ -57,7 +57,7 @@ def gnc(
         start = _as_start(result, start)
         square = _squares(problem, start)
         if result.map is not None:
-            # a landmark without a sighting has no position that could win one back
+            # a landmark without an observation has no position that could win one back
             square[~np.isin([s.number for s in problem.sighted], result.map.number)] = np.inf
         cost = float(np.minimum(square, threshold).sum())
         believed, last = square < threshold, believed
@@ -84,7 +84,7 @@ class _Walls(NamedTuple):
 def _walls(inputs: Inputs, used: IntArray, number: IntArray, start: Start) -> _Walls:
     """Observations `used` (m,) of walls `number` (M,): gtsam's optimizers cannot use the factors of the problem."""
     o, values, believed = inputs.observations, gtsam.Values(), list[Factor]()
-    seen, frame, of = Sightings(o.z[used], o.R[used]), o.frame[used], number[used]
+    seen, frame, of = FrameObservations(o.z[used], o.R[used]), o.frame[used], number[used]
     pose = start.pose[frame]
     if inputs.map is not None:
         found = sight_known_walls(inputs.sensor, seen, frame, of, pose, inputs.map.positions(of), 0)
@@ -104,7 +104,7 @@ def _walls(inputs: Inputs, used: IntArray, number: IntArray, start: Start) -> _W
 def _graduate(
     problem: Problem, start: Start, probability: float, *, qr: bool, walls: _Walls | None = None
 ) -> tuple[Start, BoolArray]:
-    """The solution of gtsam, and which sightings have a weight above one half there: all their factors.
+    """The solution of gtsam, and which observations have a weight above one half there: all their factors.
 
     Systematic errors stay as they are at the start: what is believed then is judged again while they are estimated.
 
@@ -182,7 +182,7 @@ def _as_start(result: Smoothed, start: Start) -> Start:
 
 
 def _squares(problem: Problem, at: Start) -> Array:
-    """Squared whitened residual of every sighting."""
+    """Squared whitened residual of every observation."""
     values = start_values(problem, at)
     if problem.calibrated is not None:
         problem = problem.held(problem.calibrated.errors(values))

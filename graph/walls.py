@@ -24,7 +24,7 @@ import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from data.errors import UsageError
-from data.inputs import IntArray, Sightings, Systematic
+from data.inputs import FrameObservations, IntArray, Systematic
 from data.se2 import Array, wrap_angle
 from data.sensors import Sensor
 from graph.factors import BEACON, Factor, Sighted, coordinate_factors, noise, reading_roots, with_loss
@@ -242,7 +242,7 @@ def _name(alpha: float, theta: float, sensor: Sensor, z: Array) -> int:
 
 def sight_walls(
     sensor: Sensor,
-    seen: Sightings,
+    seen: FrameObservations,
     frame: IntArray,
     number: IntArray,
     pose: Array,
@@ -274,7 +274,7 @@ def sight_walls(
 
 def sight_known_walls(
     sensor: Sensor,
-    seen: Sightings,
+    seen: FrameObservations,
     frame: IntArray,
     number: IntArray,
     pose: Array,

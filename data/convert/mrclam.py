@@ -27,7 +27,7 @@ examples:
 """
 TEXT = """\
 UTIAS MRCLAM (Leung et al., IJRR 2011). The log starts at the first instant with ground truth and odometry, and the
-mean of its prior is the true pose there; without ground truth the prior is a fit to the first sightings. Times are
+mean of its prior is the true pose there; without ground truth the prior is a fit to the first observations. Times are
 seconds after the robot's first ground-truth row (after its first odometry row where it has no ground truth).
 """
 CALIBRATION = {
@@ -61,7 +61,7 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     sub.add_argument("--landmarks", type=Path, metavar="FILE", help=text)
     text = "blank the ground truth there, both ends included (repeatable)"
     sub.add_argument("--exclude-truth", type=_stretch, metavar="FROM:TO", action="append", default=[], help=text)
-    text = "keep sightings of the other robots, as clutter that moves"
+    text = "keep observations of the other robots, as clutter that moves"
     sub.add_argument("--keep-robots", action="store_true", help=text)
     text = "resample to frames this far apart, as the classic tutorials do (0.02); default: the recorded stamps"
     sub.add_argument("--grid", type=number, metavar="S", help=text)

@@ -61,7 +61,7 @@ class Graph:
         path: where it was read, for messages.
         pose, point: estimates by id, in the order of the file: id (K,), value (K, 3) or (K, 2).
         fixed: ids held where they are.
-        motion, sighting, bearing: edges.
+        motion, observation, bearing: edges.
         other: lines with any other tag, by tag.
     """
 
@@ -70,7 +70,7 @@ class Graph:
     point: tuple[IntArray, Array]
     fixed: IntArray
     motion: Edges
-    sighting: Edges
+    observation: Edges
     bearing: Edges
     other: dict[str, int]
 
@@ -101,8 +101,8 @@ def read_graph(path: Path) -> Graph:
     found, times = np.unique(ids, return_counts=True)
     if (times > 1).any():
         raise DataError.at(path, f"vertex {found[np.argmax(times > 1)]} stands there twice; ids are for one each")
-    motion, sighting, bearing = (_edges(path, rows[tag], tag) for tag in (MOTION, SIGHTING, BEARING))
-    return Graph(path, pose, point, np.array(fixed, np.int64), motion, sighting, bearing, dict(other))
+    motion, observation, bearing = (_edges(path, rows[tag], tag) for tag in (MOTION, SIGHTING, BEARING))
+    return Graph(path, pose, point, np.array(fixed, np.int64), motion, observation, bearing, dict(other))
 
 
 def _numbers(path: Path, line: int, tag: str, fields: Sequence[str], count: int, ids: int | None = None) -> list[float]:
@@ -218,13 +218,13 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
 
 def _frames(graph: Graph) -> IntArray:
     """Pose ids (N,) in the order of frames."""
-    ends = [graph.motion.ends.ravel(), graph.sighting.ends[:, 0], graph.bearing.ends[:, 0]]
+    ends = [graph.motion.ends.ravel(), graph.observation.ends[:, 0], graph.bearing.ends[:, 0]]
     ids = graph.pose[0] if len(graph.pose[0]) else np.unique(np.concatenate(ends))
     if len(ids) == 0:
         raise DataError.at(graph.path, "no pose: neither VERTEX_SE2 nor EDGE_SE2")
     strange = [(int(e), edges) for edges in (graph.motion,) for e in np.setdiff1d(edges.ends, ids)]
     strange += [
-        (int(e), edges) for edges in (graph.sighting, graph.bearing) for e in np.setdiff1d(edges.ends[:, 0], ids)
+        (int(e), edges) for edges in (graph.observation, graph.bearing) for e in np.setdiff1d(edges.ends[:, 0], ids)
     ]
     for i, edges in strange:
         line = int(edges.line[(edges.ends == i).any(axis=1)][0])
@@ -280,7 +280,7 @@ def _chain(graph: Graph, ids: IntArray) -> tuple[Array, Array, IntArray]:
 def _readings(graph: Graph, ids: IntArray, notes: list[str]) -> tuple[IntArray, IntArray, Array, Array, Sensor]:
     """Frame (M,), label (M,), z (M, 2), R (M, 2, 2) by frame, and the sensor: points, or ranges with bearings."""
     at = {int(i): k for k, i in enumerate(ids)}
-    points, rays = graph.sighting, graph.bearing
+    points, rays = graph.observation, graph.bearing
     frame = np.array([at[int(i)] for i in [*points.ends[:, 0], *rays.ends[:, 0]]], np.int64)
     label = np.concatenate([points.ends[:, 1], rays.ends[:, 1]])
     z, R = points.measured, points.covariance

@@ -17,7 +17,7 @@ import numpy as np
 
 from data.errors import DataError
 from data.formats.open_log.writer import contents
-from data.inputs import Frame, Increment, Increments, Inputs, LandmarkMap, Observations, Prior, Sightings
+from data.inputs import Frame, FrameObservations, Increment, Increments, Inputs, LandmarkMap, Observations, Prior
 from data.log import Log
 from data.robot.observe import SLIP, WallObserver
 from data.robot.packets import FASTEST, FASTEST_TURN, LONGEST_RANGE, RADIUS, WATCHDOG, WHEEL_BASE
@@ -81,7 +81,7 @@ class Framing:
             array.setflags(write=False)
         number, first = self.count, self.observations
         self.count, self.observations = number + 1, first + len(seen.z)
-        return Frame(number, packet.t, increment, Sightings(seen.z, seen.R), None, first)
+        return Frame(number, packet.t, increment, FrameObservations(seen.z, seen.R), None, first)
 
 
 def prior() -> Prior:
@@ -96,11 +96,11 @@ def inputs_of(frames: Sequence[Frame], at_rest: int, known: LandmarkMap | None =
     for k, frame in enumerate(frames):
         if frame.increment is not None:
             mean[k], covariance[k] = frame.increment
-    counts = [len(frame.sightings.z) for frame in frames]
+    counts = [len(frame.observations.z) for frame in frames]
     observations = Observations(
         np.repeat(np.arange(n, dtype=np.int64), counts),
-        np.concatenate([frame.sightings.z for frame in frames]),
-        np.concatenate([frame.sightings.R for frame in frames]),
+        np.concatenate([frame.observations.z for frame in frames]),
+        np.concatenate([frame.observations.R for frame in frames]),
     )
     time = np.array([frame.time for frame in frames])
     motion = Increments(mean, covariance)

@@ -111,9 +111,9 @@ def frame_seconds(estimator: str, inputs: Inputs, setup: Setup) -> tuple[float, 
         front.update(inputs.frame(k), front.associate(inputs.frame(k)))
         front.tidy()
     front.move(inputs.frame(last))
-    sightings = inputs.sightings(last)
-    seconds = median_seconds(lambda: decide("jcbb", front.expect(sightings), GATE, 0.99999), 20)
-    return seconds, len(sightings.z), len(front.expect(sightings).number)
+    observations = inputs.frame_observations(last)
+    seconds = median_seconds(lambda: decide("jcbb", front.expect(observations), GATE, 0.99999), 20)
+    return seconds, len(observations.z), len(front.expect(observations).number)
 
 
 def each_frame(estimator: str, association: str, inputs: Inputs) -> Array:
@@ -125,7 +125,7 @@ def each_frame(estimator: str, association: str, inputs: Inputs) -> Array:
             begin = time.perf_counter()
             frame = inputs.frame(k)
             front.move(frame)
-            if len(frame.sightings.z):
+            if len(frame.observations.z):
                 front.update(frame, front.associate(frame))
             front.tidy()
             front.estimator.estimate()

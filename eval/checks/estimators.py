@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from data.inputs import Frame, Increment, Inputs, LandmarkMap, Prior, Sightings
+from data.inputs import Frame, FrameObservations, Increment, Inputs, LandmarkMap, Prior
 from data.result import DISCARD, Run
 from data.se2 import Array, world_from_body, wrap_angle
 from eval.checks import worlds
@@ -138,9 +138,12 @@ def empty_frames(text: str, task: str) -> Iterator[Finding]:
     yield Finding(name, True, f"frames without readings are bridged, at most {far:.2g} sigma from our EKF")
     front = driven(text, inputs, task, 5)
     before = front.estimator.estimate()
-    seen = inputs.frame(5).sightings
-    for what, sightings in (("no reading", Sightings(np.empty((0, 2)), np.empty((0, 2, 2)))), ("DISCARD alone", seen)):
-        front.estimator.update(sightings, np.full(len(sightings.z), DISCARD, np.int64))
+    seen = inputs.frame(5).observations
+    for what, observations in (
+        ("no reading", FrameObservations(np.empty((0, 2)), np.empty((0, 2, 2)))),
+        ("DISCARD alone", seen),
+    ):
+        front.estimator.update(observations, np.full(len(observations.z), DISCARD, np.int64))
         after = front.estimator.estimate()
         moved = off(after.mean[None], before.mean[None], r.online.covariance[4:5])
         yield graded(f"{name}, {what}", moved, f"an update with {what} leaves the pose where it is")
@@ -206,7 +209,7 @@ def driven(text: str, inputs: Inputs, task: str, frames: int) -> FrontEnd:
 
 def _through(front: FrontEnd, frame: Frame) -> None:
     front.move(frame)
-    if len(frame.sightings.z):
+    if len(frame.observations.z):
         front.update(frame, front.associate(frame))
     front.tidy()
 
@@ -259,7 +262,7 @@ def expectation(text: str, task: str) -> Iterator[Finding]:
     frame = inputs.frame(HALF)
     front.move(frame)
     try:
-        e = front.estimator.expect(frame.sightings)
+        e = front.estimator.expect(frame.observations)
         rows = np.arange(min(len(e.number), 4))
         joint = e.joint(rows)
     except ForeignError as stop:
@@ -336,9 +339,11 @@ def purity(text: str, task: str) -> Iterator[Finding]:
                     _kept(f"increment.{n} of frame {k}", a) for n, a in zip(increment._fields, increment, strict=True)
                 ]
                 frame = frame._replace(increment=increment)
-            sightings = Sightings(*(np.array(a) for a in frame.sightings))
-            kept += [_kept(f"sightings.{n} of frame {k}", a) for n, a in zip(sightings._fields, sightings, strict=True)]
-            _through(front, frame._replace(sightings=sightings))
+            observations = FrameObservations(*(np.array(a) for a in frame.observations))
+            kept += [
+                _kept(f"sightings.{n} of frame {k}", a) for n, a in zip(observations._fields, observations, strict=True)
+            ]
+            _through(front, frame._replace(observations=observations))
             front.estimator.estimate()
     except ForeignError as stop:
         yield Finding("purity", False, f"{stop}")

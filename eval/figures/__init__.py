@@ -8,13 +8,28 @@ from eval.figures.consistency import anees_figure, nees_figure
 from eval.figures.error import difference_figure, error_figure
 from eval.figures.growth import growth_figure, state_figure
 from eval.figures.laser import loop_picture, map_picture
-from eval.figures.log import fate_figure
+from eval.figures.log import loop_state_figure
 from eval.figures.map import map_figure
 from eval.figures.studies import Seen, coverage_figure, outlier_figure, power_figure, run_end_figure
 
 __all__ = [
-    "Seen", "anees_figure", "claims_figure", "confusion_figure", "coverage_figure", "difference_figure", "error_figure",
-    "fate_figure", "filter_smoother_figure", "growth_figure", "loop_picture", "map_figure", "map_picture",
-    "nees_figure", "outlier_figure", "power_figure", "run_end_figure", "state_figure",
+    "Seen",
+    "anees_figure",
+    "claims_figure",
+    "confusion_figure",
+    "coverage_figure",
+    "difference_figure",
+    "error_figure",
+    "filter_smoother_figure",
+    "growth_figure",
+    "loop_picture",
+    "loop_state_figure",
+    "map_figure",
+    "map_picture",
+    "nees_figure",
+    "outlier_figure",
+    "power_figure",
+    "run_end_figure",
+    "state_figure",
     "systematic_figure",
 ]  # fmt: skip

@@ -65,13 +65,13 @@ class Bar:
         return int(getattr(self.counts, key)) + (self.counts.deferred if key == "missed" else 0)
 
 
-def bars(trial: Trial, beside: Sequence[Trial] = ()) -> list[Bar]:
+def bars(trial: Trial, variants: Sequence[Trial] = ()) -> list[Bar]:
     """A bar per run that decided, and for each trial beside; runs with the same decisions share one.
 
     Where revised decisions turned out differently, each phase has a bar.
     """
     found: list[Bar] = []
-    for t in (trial, *beside):
+    for t in (trial, *variants):
         extra = t.log.name.removeprefix(trial.log.name).strip(":+ ")
         grouped: dict[tuple[str, bytes, bytes], list[Run]] = {}
         for run in t.runs:
@@ -81,8 +81,8 @@ def bars(trial: Trial, beside: Sequence[Trial] = ()) -> list[Bar]:
         for runs in grouped.values():
             first, names = runs[0], ", ".join(style_of(r.estimator).label for r in runs)
             label = f"{first.association} ({names})" + (f", {extra}" if extra and t is not trial else "")
-            doubtful = [style_of(r.estimator).label for r in runs if r.doubt is not None]
-            label += f", implausible: {', '.join(doubtful)}" if doubtful else ""
+            implausible = [style_of(r.estimator).label for r in runs if r.implausible is not None]
+            label += f", implausible: {', '.join(implausible)}" if implausible else ""
             online, final = (confusion_of(first, t.log, phase) for phase in ("online", "final"))
             if online is None or final is None:
                 continue
@@ -120,14 +120,14 @@ def confusion_figure(title: str, shown: Sequence[Bar]) -> Figure:
 def _numbers(ax: Axes, shown: Sequence[Bar]) -> None:
     """FP and FN of each bar, in columns to the right of it."""
     for column, (place, key) in enumerate(((1.065, "fp"), (1.125, "fn")), start=1):
-        above, beside = ax.transAxes, ax.get_yaxis_transform()
+        above, variants = ax.transAxes, ax.get_yaxis_transform()
         if page_width() < NARROW:  # there a share of the axes has no room for four digits
             place, right = 1.0, ScaledTranslation(points(NUMBER) * column / 72.0, 0.0, ax.figure.dpi_scale_trans)
-            above, beside = above + right, beside + right
+            above, variants = above + right, variants + right
         ax.text(place, 1.02, key.upper(), transform=above, ha="right", va="bottom", fontsize=points(7), weight="bold")
         for row, bar in enumerate(shown):
             text = str(getattr(bar.counts, key))
-            ax.text(place, row, text, transform=beside, ha="right", va="center", fontsize=points(7))
+            ax.text(place, row, text, transform=variants, ha="right", va="center", fontsize=points(7))
 
 
 BEFORE, AFTER, PATH = "#D55E00", "#0072B2", "#808080"
@@ -221,9 +221,9 @@ def _panel(
         shown.append(path[from_there, :2])
     given_up = decided < 0
     if given_up.any():
-        ax.plot(*seen[given_up].T, "x", color=PATH, ms=4, zorder=4, label="sighting not used")
+        ax.plot(*seen[given_up].T, "x", color=PATH, ms=4, zorder=4, label="observation not used")
     if (~given_up).any():
-        label = "sighting, decision given up" if decided is one.old else "sighting, decision made instead"
+        label = "observation, decision given up" if decided is one.old else "observation, decision made instead"
         ax.plot(*seen[~given_up].T, ".", color=colour, ms=4, zorder=4, label=label)
     for n in np.unique(decided[~given_up]).tolist():
         own = seen[decided == n]

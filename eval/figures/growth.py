@@ -30,21 +30,21 @@ def sized(trial: Trial) -> list[Run]:
     return [r for r in trial.runs if r.task == "slam" and r.association != "none" and r.state_size is not None]
 
 
-def state_is_informative(trial: Trial, beside: Sequence[Trial] = ()) -> bool:
+def state_is_informative(trial: Trial, variants: Sequence[Trial] = ()) -> bool:
     """Whether the length of the state tells something: several methods to compare, or landmarks that leave."""
-    runs = [r for t in (trial, *beside) for r in sized(t)]
+    runs = [r for t in (trial, *variants) for r in sized(t)]
     shrinks = any(np.any(np.diff(r.state_size) < 0) for r in runs if r.state_size is not None)
     return shrinks or len({r.association for r in runs}) > 1
 
 
 @drawing()
-def state_figure(trial: Trial, beside: Sequence[Trial] = ()) -> Figure:
+def state_figure(trial: Trial, variants: Sequence[Trial] = ()) -> Figure:
     """Length of every filter's state vector after each frame; legend by length at the end. Trials beside are dashed."""
     fig = Figure(figsize=(page_width(), 2.7))
     ax = fig.add_subplot()
     time = trial.log.recorded.time
     lines: list[tuple[int, Line2D]] = []
-    for t in (trial, *beside):
+    for t in (trial, *variants):
         extra = t.log.name.removeprefix(trial.log.name).strip(":+ ")
         for run in sized(t):
             if run.state_size is None or (t is not trial and len(run.state_size) != len(time)):
@@ -54,7 +54,7 @@ def state_figure(trial: Trial, beside: Sequence[Trial] = ()) -> Figure:
             end = int(run.state_size[run.state_size > 0][-1]) if np.any(run.state_size > 0) else 0
             name = run.association if run.estimator == "ekf" else f"{run.association}, {style_of(run.estimator).label}"
             label = f"{name}{f', {extra}' if extra and t is not trial else ''}: {end}"
-            label += "" if run.doubt is None else f", {run.status} at frame {run.doubt.frame}"
+            label += "" if run.implausible is None else f", {run.status} at frame {run.implausible.frame}"
             colour = colour_of_method(run.association)
             same = sum(drawn.get_color() == colour for _, drawn in lines)
             line: Line = (SOLID, DOTTED, DASHDOT)[min(same, 2)] if t is trial else DASHED

@@ -26,7 +26,7 @@ RARE = 0.005
 END_COLOUR = "#F0E442"
 AROUND = 1.0
 """m of the plan about what is shown."""
-FATES: dict[str, tuple[str, Line, float]] = {
+LOOP_STATES: dict[str, tuple[str, Line, float]] = {
     "not believed": ("#BBBBBB", DOTTED, 0.7),
     "believed and kept": ("#0072B2", SOLID, 0.7),
     "believed, later switched off": ("#E69F00", DASHED, 1.3),
@@ -90,12 +90,12 @@ def loop_picture(
         )
     ]
     handles += _ends(ax, keys)
-    fate = fates(loops, weight, false)
+    loop_state = loop_states(loops, weight, false)
     lines = np.stack([keys[loops.key1, :2], keys[loops.key2, :2]], axis=1)
-    for order, (what, (colour, line, wide)) in enumerate(FATES.items()):
+    for order, (what, (colour, line, wide)) in enumerate(LOOP_STATES.items()):
         if what == "kept, though false" and false is None:
             continue
-        some = fate == what
+        some = loop_state == what
         ax.add_collection(
             LineCollection(
                 list(lines[some]), colors=colour, linestyles=[line], linewidths=wide, zorder=2.0 + 0.1 * order
@@ -110,14 +110,14 @@ def loop_picture(
     return fig
 
 
-def fates(loops: Loops, weight: Array, false: BoolArray | None = None) -> Array:
+def loop_states(loops: Loops, weight: Array, false: BoolArray | None = None) -> Array:
     """What became of each loop closure, (L,) of the keys of `FATES`."""
     kept = weight >= KEPT
-    fate = np.where(kept, "believed and kept", "believed, later switched off").astype(object)
+    loop_state = np.where(kept, "believed and kept", "believed, later switched off").astype(object)
     if false is not None:
-        fate[kept & false] = "kept, though false"
-    fate[loops.believed < 0] = "not believed"
-    return fate
+        loop_state[kept & false] = "kept, though false"
+    loop_state[loops.believed < 0] = "not believed"
+    return loop_state
 
 
 def _shown(grid: Grid, path: Array) -> tuple[Array, Array]:

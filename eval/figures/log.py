@@ -74,7 +74,7 @@ def log_figure(log: Log) -> Figure:
     return fig
 
 
-FATES = {
+LOOP_STATES = {
     "paired": ("#9FC2DE", ".", 3.0, "paired with a landmark"),
     "new": ("#009E73", "^", 3.5, "made a new landmark"),
     "discarded": ("#D55E00", "x", 3.5, "discarded"),
@@ -89,7 +89,7 @@ EDGE = 0.04
 """Share of the scene left free around it."""
 
 
-def fates(run: Run) -> dict[str, BoolArray]:
+def loop_states(run: Run) -> dict[str, BoolArray]:
     """Which readings (M,) had which fate; each has one: a reading that was decided again counts as that alone."""
     revised = run.final_decisions != run.decisions
     final = run.final_decisions
@@ -102,7 +102,7 @@ def fates(run: Run) -> dict[str, BoolArray]:
 
 
 @drawing()
-def fate_figure(log: Log, runs: Sequence[Run]) -> Figure:
+def loop_state_figure(log: Log, runs: Sequence[Run]) -> Figure:
     """Readings in the world frame as each run's last path puts them, by what became of them; a map for each run.
 
     Equal aspect, metres. The first `MOST` runs are drawn. No truth is used.
@@ -124,8 +124,8 @@ def fate_figure(log: Log, runs: Sequence[Run]) -> Figure:
     fig.suptitle(f"{log.name}: what became of the readings", x=0.01, ha="left")
     handles = [
         Line2D([], [], color=c, marker=m, markersize=s + 1.0, linestyle="none", label=text)
-        for name, (c, m, s, text) in FATES.items()
-        if any(fates(run)[name].any() for run in runs)
+        for name, (c, m, s, text) in LOOP_STATES.items()
+        if any(loop_states(run)[name].any() for run in runs)
     ]
     if log.recorded.sensor.sees_points:
         handles.append(Line2D([], [], color="black", marker="+", markersize=5.0, linestyle="none", label="landmark"))
@@ -138,9 +138,9 @@ def fate_figure(log: Log, runs: Sequence[Run]) -> Figure:
 
 def _draw(ax: Axes, run: Run, xy: Array, path: Array, points: bool) -> None:
     ax.plot(*path.T, color=style_of(run.estimator).colour, linewidth=0.7, zorder=2)
-    fate = fates(run)
-    for name, (colour, marker, size, _) in FATES.items():
-        rows = fate[name]
+    loop_state = loop_states(run)
+    for name, (colour, marker, size, _) in LOOP_STATES.items():
+        rows = loop_state[name]
         ax.plot(
             *xy[rows].T, color=colour, marker=marker, markersize=size, markeredgewidth=0.7, linestyle="none", zorder=3
         )
@@ -148,7 +148,7 @@ def _draw(ax: Axes, run: Run, xy: Array, path: Array, points: bool) -> None:
         ax.plot(*run.map.xy.T, "k+", markersize=4.0, markeredgewidth=0.7, zorder=4)
     elif run.map is not None:
         draw_walls(ax, run.map.xy, "black", zorder=4)
-    counted = ", ".join(f"{int(rows.sum())} {name}" for name, rows in fate.items() if rows.any())
+    counted = ", ".join(f"{int(rows.sum())} {name}" for name, rows in loop_state.items() if rows.any())
     ax.set_title(f"{style_of(run.estimator).label}, {run.association}\n{counted}", loc="left")
 
 

@@ -28,7 +28,7 @@ MARGIN = 0.06
 
 
 @dataclass(frozen=True)
-class Look:
+class FigureStyle:
     """What is wished for: width [in] (None: as usual), fonts by preference, type size [pt], LaTeX, pgf."""
 
     width: float | None = None
@@ -58,23 +58,23 @@ class Look:
         return made
 
 
-USUAL = Look()
-_LOOK: ContextVar[Look] = ContextVar("look", default=USUAL)
+USUAL = FigureStyle()
+_FIGURE_STYLE: ContextVar[FigureStyle] = ContextVar("look", default=USUAL)
 
 
-def current() -> Look:
+def current() -> FigureStyle:
     """What is wished for now."""
-    return _LOOK.get()
+    return _FIGURE_STYLE.get()
 
 
 @contextmanager
-def looking(look: Look) -> Iterator[None]:
+def figure_style(look: FigureStyle) -> Iterator[None]:
     """Figures made within have this look."""
-    token = _LOOK.set(look)
+    token = _FIGURE_STYLE.set(look)
     try:
         yield
     finally:
-        _LOOK.reset(token)
+        _FIGURE_STYLE.reset(token)
 
 
 def page_width() -> float:

@@ -51,11 +51,11 @@ def key_of(number: int) -> str:
 def part_of(taken: Sequence[Taken], changes: Sequence[Array]) -> Part:
     """Frames, at least one, with the changes (C, 8) of each estimator's map meanwhile."""
     frames = [t.frame for t in taken]
-    z, R = (np.concatenate([getattr(f.sightings, name) for f in frames]) for name in ("z", "R"))
+    z, R = (np.concatenate([getattr(f.observations, name) for f in frames]) for name in ("z", "R"))
     points, covariance = SENSOR.body_points(z, R)
     arrays: dict[str, Array] = {
         "time": np.array([f.time for f in frames]),
-        "count": np.array([float(len(f.sightings.z)) for f in frames]),
+        "count": np.array([float(len(f.observations.z)) for f in frames]),
         "point": points,
         "point_spread": spread(covariance),
     }
@@ -67,7 +67,7 @@ def part_of(taken: Sequence[Taken], changes: Sequence[Array]) -> Part:
             if step is not None:
                 poses[k, :3], poses[k, 3:] = step.mean, np.sqrt(np.maximum(np.diag(step.covariance), 0.0))
                 rho[k], nis[k] = spread(step.covariance[None])[0, 2], step.nis
-        blank = [np.full(len(f.sightings.z), DISCARD) for f in frames]
+        blank = [np.full(len(f.observations.z), DISCARD) for f in frames]
         decisions = [b if s is None else s.decisions for b, s in zip(blank, steps, strict=True)]
         created = [b if s is None else s.created for b, s in zip(blank, steps, strict=True)]
         made, begun = (np.concatenate(rows).astype(float) for rows in (decisions, created))

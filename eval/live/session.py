@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from data.errors import UsageError
-from data.inputs import Frame, Increment, IntArray, Sightings
+from data.inputs import Frame, FrameObservations, Increment, IntArray
 from data.result import DISCARD, MapState, Updated
 from data.robot.driving import WallFollower
 from data.robot.log import SENSOR, USUAL, Framing, Noise, prior
@@ -97,7 +97,7 @@ class Estimating:
         """The next frame; None if it has ended, now or before."""
         if self.failure:
             return None
-        nothing = len(frame.sightings.z)
+        nothing = len(frame.observations.z)
         decided, created, nis = np.full(nothing, DISCARD, np.int64), np.full(nothing, -1, np.int64), np.nan
 
         def used(part: Frame, decisions: IntArray, done: Updated) -> None:
@@ -145,7 +145,7 @@ class Session:
     def take(self, packet: Packet) -> Taken:
         """A packet to a frame, the frame to every estimator."""
         frame = self._framing.frame(packet)
-        self.frames, self.observations = frame.number + 1, frame.first + len(frame.sightings.z)
+        self.frames, self.observations = frame.number + 1, frame.first + len(frame.observations.z)
         taken = Taken(frame, tuple(each.take(frame) for each in self.estimating))
         self._told(taken)
         return taken
@@ -223,7 +223,7 @@ def frames() -> Iterator[Frame]:
         increment = Increment(np.zeros(3), 1e-6 * np.eye(3)) if number else None
         for array in (z, R, *(increment or ())):
             array.setflags(write=False)
-        yield Frame(number, PERIOD * number, increment, Sightings(z, R), None, seen)
+        yield Frame(number, PERIOD * number, increment, FrameObservations(z, R), None, seen)
         seen += count
 
 

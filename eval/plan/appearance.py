@@ -7,7 +7,7 @@ import shutil
 from matplotlib import font_manager
 
 from data.errors import UsageError
-from eval.figures.paper import Look
+from eval.figures.paper import FigureStyle
 from eval.plan.flags.table import Drawing, inches
 
 TIMES = ("times", "times new roman", "times roman")
@@ -28,12 +28,12 @@ def require_latex(drawing: Drawing) -> None:
         raise UsageError(f"--pgf needs LaTeX, and there is none of {', '.join(SYSTEMS)} on this machine")
 
 
-def look_of(drawing: Drawing) -> tuple[Look, str]:
+def figure_style_of(drawing: Drawing) -> tuple[FigureStyle, str]:
     """How figures look, and a sentence about a font that is not here (empty: all is as asked)."""
     fonts, mathematics, said = _fonts(drawing.font)
     width = None if drawing.figure_width is None else inches(drawing.figure_width)
     pgf = _system() if drawing.pgf else None
-    return Look(width, fonts, mathematics, drawing.font_size, drawing.usetex, pgf), said
+    return FigureStyle(width, fonts, mathematics, drawing.font_size, drawing.usetex, pgf), said
 
 
 def _system() -> str | None:

@@ -30,7 +30,7 @@ from data.sensors import RangeBearing
 from eval.compare import compare
 from eval.plan.experiment import Experiment
 from eval.plan.flags.table import Execution
-from eval.plan.unfinished import NOBODY, Unfinished
+from eval.plan.unfinished import MISSING_RUN, Unfinished
 from eval.plan.work import Job, work
 from eval.referee import effects, residuals
 from eval.referee.attribution import Finding, systematic_errors
@@ -45,7 +45,7 @@ from eval.studies.twins import Source, inputs_of, source_of, twin
 
 WANDERS = 3.0
 """Standard errors by which successive stretches must err alike: 1 in 700 logs that do not drift has as much."""
-FEWEST_TOLD = 10
+FEWEST_DISTINGUISHED = 10
 """Stretches, below which their correlation is nobody's witness."""
 WRONGLY = 0.01
 """Of logs without errors, the share at most in which an error is named."""
@@ -150,7 +150,7 @@ def wanders(inputs: Inputs, path: Array) -> bool:
     score = np.bincount(stretch, weight * se2.wrap_angle(off[:, 2]))
     information = np.bincount(stretch, weight * distance)
     told = information > 0.0
-    if told.sum() < FEWEST_TOLD or not score.any():
+    if told.sum() < FEWEST_DISTINGUISHED or not score.any():
         return False
     score, information = score[told], information[told]
     left = (score - score.sum() / information.sum() * information) / np.sqrt(information)
@@ -269,7 +269,7 @@ def settle(
             stated, why = (written(names), NAMED) if names else (written(every(inputs), tight=True), ALL)
         errors = systematic(stated)
         settled[i] = replace(e, log=with_systematic(e.log, errors), setup=replace(e.setup, calibrate=stated))
-        if e.beside is None:
+        if e.variant_of is None:
             made.append(Calibration(e.log.name, e.task, association, errors, why, plain))
     return tuple(settled), tuple(made)
 
@@ -282,7 +282,7 @@ def examine(
     lost: Unfinished,
 ) -> tuple[Calibration, ...]:
     """The same with what the battery says of each log, and of the log less its errors."""
-    place = {(e.log.name, e.task): i for i, e in enumerate(experiments) if e.beside is None}
+    place = {(e.log.name, e.task): i for i, e in enumerate(experiments) if e.variant_of is None}
     jobs: list[Job[tuple[int, str]]] = []
     for k, c in enumerate(calibrations):
         e, trial = experiments[place[c.log, c.task]], trials[place[c.log, c.task]]
@@ -304,6 +304,6 @@ def _plain(setup: Setup) -> Setup:
 
 def _missing(experiments: Sequence[Experiment], lost: Unfinished) -> Callable[[int, Notice], None]:
     def missing(i: int, why: Notice) -> None:
-        lost.say("battery", why, NOBODY.about(log=experiments[i].log.name, task=experiments[i].task))
+        lost.say("battery", why, MISSING_RUN.about(log=experiments[i].log.name, task=experiments[i].task))
 
     return missing

@@ -21,7 +21,7 @@ from eval.plan.flags.variant import Variant
 from eval.plan.results import with_results
 from eval.plan.trust import trusted
 from eval.plan.tutorials import ABOUT, tutorial_run, variant_log
-from eval.plan.unfinished import NOBODY, Unfinished, estimate, estimate_one, incomplete, wanted
+from eval.plan.unfinished import MISSING_RUN, Unfinished, estimate, estimate_one, incomplete, wanted
 from eval.plan.validation import validated
 from eval.plan.work import Job, work
 from eval.referee.score import Trial
@@ -99,7 +99,7 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
     execution, watched = options.execution, not options.output.no_plots
     lost = Unfinished(execution.jobs)
     experiments, calibrations = settle(plan.experiments, execution, lost)
-    variants = [(e, v) for e in experiments for v in options.variants if e.task == v.task and e.beside is None]
+    variants = [(e, v) for e in experiments for v in options.variants if e.task == v.task and e.variant_of is None]
     seeds = {(i, options.study.seed + k): s for i, (s, runs) in enumerate(plan.studies) for k in range(runs)}
     folders = [store.folder_of(options.output.kept, scenario) for scenario, _ in plan.studies]
     done: dict[Owner, Any] = {
@@ -131,7 +131,7 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
                 lost.say("study", why, name=plan.studies[i][0].name, seed=seed)
             case Tutorial(i):
                 e, v = variants[i]
-                lost.say("run", why, NOBODY.about(log=e.log.name, task=v.task, estimator=v.name))
+                lost.say("run", why, MISSING_RUN.about(log=e.log.name, task=v.task, estimator=v.name))
             case Recorded(i):
                 lost.say("study", why, name=plan.stored[i][0].name)
     replayed = [done[Recorded(i)] for i in range(len(plan.stored)) if Recorded(i) in done]
@@ -202,9 +202,11 @@ def _trials(
             if part.experiment == i:
                 run = incomplete(name, part.work.association, e.task, e.log.recorded, why)
                 runs[run.association, run.estimator] = run
-                run_of = NOBODY.about(log=e.log.name, task=e.task, estimator=name, association=part.work.association)
+                run_of = MISSING_RUN.about(
+                    log=e.log.name, task=e.task, estimator=name, association=part.work.association
+                )
                 lost.say("run", why, run_of)
-        trials.append(Trial(e.log, e.task, tuple(runs[key] for key in wanted(e.work)), e.beside, e.about))
+        trials.append(Trial(e.log, e.task, tuple(runs[key] for key in wanted(e.work)), e.variant_of, e.about))
     return trials
 
 

@@ -40,5 +40,5 @@ class Experiment:
     task: str
     work: tuple[Work, ...]
     setup: Setup
-    beside: str | None = None
+    variant_of: str | None = None
     about: str = ""

@@ -12,7 +12,7 @@ import numpy as np
 from data.errors import DataError, UsageError
 from data.formats.results.path import FRAMES, GivenPath, Manner
 from data.formats.results.reading import is_bag, read_path
-from data.formats.results.tables import Beside, beside
+from data.formats.results.tables import Companions, companions
 from data.inputs import IntArray
 from data.log import Log
 from data.se2 import Array
@@ -36,7 +36,7 @@ class Result:
 
     name: str
     paths: dict[str, GivenPath]
-    beside: Beside
+    companions: Companions
 
 
 def read_results(asked: Sequence[str], reading: Reading) -> tuple[Result, ...]:
@@ -63,8 +63,8 @@ def _result(name: str, file: str, manner: Manner) -> Result:
         there = {phase: path / f"{phase}.csv" for phase in PHASES if (path / f"{phase}.csv").is_file()}
         if not there:
             raise DataError.at(path, "a folder without online.csv and final.csv; a file, or the folder of a run")
-        return Result(name, {p: read_path(str(f), manner) for p, f in there.items()}, beside(path))
-    return Result(name, {phase_of(path): read_path(file, manner)}, beside(path.parent))
+        return Result(name, {p: read_path(str(f), manner) for p, f in there.items()}, companions(path))
+    return Result(name, {phase_of(path): read_path(file, manner)}, companions(path.parent))
 
 
 def phase_of(path: Path) -> str:
@@ -149,7 +149,7 @@ def _span(time: Array) -> str:
 
 def _kept(result: Result, log: Log) -> Kept:
     """Map and decisions, if the latter are about the observations of the log."""
-    b = result.beside
+    b = result.companions
     if b.decisions is None or not len(log.recorded.observations.frame):
         return Kept(b.landmarks)
     decisions: IntArray = b.decisions
@@ -232,9 +232,9 @@ def truth_alone(asked: Asked) -> Log:
 def with_results(trials: Sequence[Trial], asked: Asked) -> tuple[Trial, ...]:
     """The trials, with the results among the runs of their log: of SLAM where a map is handed in, else of the first."""
     made = list(trials)
-    hosts = [i for i, t in enumerate(made) if t.beside is None]
+    hosts = [i for i, t in enumerate(made) if t.variant_of is None]
     for result in asked.results:
-        slam = [i for i in hosts if made[i].task == "slam" and result.beside.landmarks is not None]
+        slam = [i for i in hosts if made[i].task == "slam" and result.companions.landmarks is not None]
         i = (slam or hosts)[0]
         host = made[i]
         runs = tuple(runs_of(result, host.log, host.task, asked.truth, asked.reading))

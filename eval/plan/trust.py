@@ -13,7 +13,7 @@ from data.result import Run
 from eval.compare import compare
 from eval.plan.experiment import Experiment
 from eval.plan.flags.table import Options, Study
-from eval.plan.unfinished import NOBODY, Unfinished
+from eval.plan.unfinished import MISSING_RUN, Unfinished
 from eval.plan.work import Job, work
 from eval.referee.attribution import NOISE
 from eval.referee.score import Trial
@@ -82,7 +82,7 @@ def _missing(groups: Sequence[Group], lost: Unfinished) -> Callable[[int, Notice
 
 
 def _say(group: Group, why: Notice, lost: Unfinished, seed: int | None = None) -> None:
-    about = NOBODY.about(log=group.log.name, task=group.task, association=name_of(group.association))
+    about = MISSING_RUN.about(log=group.log.name, task=group.task, association=name_of(group.association))
     lost.say("trust", why, about, seed=seed)
 
 
@@ -100,7 +100,7 @@ def _groups(e: Experiment, trial: Trial, study: Study) -> list[Group]:
         twins = filters or tuple(r.estimator for r in runs if steps(r.estimator))
         if study.full and study.twins is None:
             twins = ("ekf",) if association == "known" and "ekf" in filters else ()
-        if not _count(study) or e.beside is not None:
+        if not _count(study) or e.variant_of is not None:
             twins = ()
         groups.append(Group(e.log, e.task, association, e.setup, runs, twins))
     return [g for g in groups if any(steps(r.estimator) for r in g.runs)]

@@ -18,7 +18,7 @@ from association.methods import ALPHA, RATIO
 from data.errors import UsageError
 from data.formats.mrclam.calibration import Calibration
 from data.formats.mrclam.load import Grid, Treatment, load_mrclam
-from data.inputs import Increment, IntArray, Prior, Sightings
+from data.inputs import FrameObservations, Increment, IntArray, Prior
 from data.log import Log
 from data.motion.velocity import VelocityModel, VelocityNoise, carried
 from data.notice import Code, Severity, notice
@@ -27,7 +27,7 @@ from data.se2 import Array, BoolArray, wrap_angle
 from ekf.filter import FilterOptions
 from ekf.localizer import EkfLocalizer
 from eval.plan.flags.variant import Variant
-from eval.referee.plausibility import with_doubt
+from eval.referee.plausibility import with_plausibility
 from eval.referee.score import Trial
 from eval.replay.frontend import FrontEnd
 from eval.replay.run import driven
@@ -54,7 +54,7 @@ class GainFromBefore(EkfLocalizer):
 
     def _correct(
         self,
-        sightings: Sightings,
+        observations: FrameObservations,
         rows: IntArray,
         at: IntArray,
         known: Array,
@@ -65,8 +65,8 @@ class GainFromBefore(EkfLocalizer):
         stats, white = np.zeros(3), np.full((len(rows), 2), np.nan)
         for i, row in enumerate(rows.tolist()):
             z_hat, Hx, _ = (a[0] for a in self.sensor.linearize(self._mean[:3], known[i : i + 1]))
-            nu = self.sensor.residual(sightings.z[row], z_hat)
-            S = Hx @ self._P[:3, :3] @ Hx.T + sightings.R[row]
+            nu = self.sensor.residual(observations.z[row], z_hat)
+            S = Hx @ self._P[:3, :3] @ Hx.T + observations.R[row]
             K = self._before @ Hx.T @ np.linalg.inv(S)
             white[i] = np.linalg.solve(np.linalg.cholesky(0.5 * (S + S.T)), nu)
             nis = float(white[i] @ white[i])
@@ -169,7 +169,7 @@ def tutorial_run(log: Log, variant: Variant) -> Run:
             front.estimator = GainFromBefore(inputs.prior, inputs.sensor, inputs.map, options)
         run = driven("ekf", front, inputs, variant.task, each=variant.each)
     told = (notice(Code.NOTE, Severity.INFO, text=text) for text in variant.notes)
-    return replace(with_doubt(run, inputs), notes=(*run.notes, *told))
+    return replace(with_plausibility(run, inputs), notes=(*run.notes, *told))
 
 
 def _original(source: Mapping[str, object], variant: Variant) -> dict[str, object]:

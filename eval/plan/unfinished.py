@@ -39,7 +39,7 @@ def incomplete(name: str, association: str, task: str, inputs: Inputs, why: Noti
     return no_run(name_of(name), given, task, inputs, Failure("incomplete", 0, why), online=online, final=final)
 
 
-NOBODY = notice(Code.MISSING, Severity.ERROR)
+MISSING_RUN = notice(Code.MISSING, Severity.ERROR)
 
 
 @dataclass
@@ -60,7 +60,7 @@ class Unfinished:
         """A job is lost."""
         self.jobs[owner] = why
 
-    def say(self, what: str, why: Notice, about: Notice = NOBODY, **more: str | int | None) -> None:
+    def say(self, what: str, why: Notice, about: Notice = MISSING_RUN, **more: str | int | None) -> None:
         """What is missing (a word, see `missing` in notices.j2), and why; `about`: names log, task and run."""
         values = {**why.named, "what": what, "processes": self.processes, **more}
         self.said.append(replace(about, values=tuple(sorted(values.items()))))

@@ -59,7 +59,7 @@ def with_depth_noise(experiments: Sequence[Experiment]) -> list[Experiment]:
         replace(
             e,
             log=logs[e.log.name],
-            beside=e.log.name,
+            variant_of=e.log.name,
             about=about,
             work=tuple(Work(w.association, tuple(n for n in w.estimators if n != "dead-reckoning")) for w in e.work),
         )

@@ -57,8 +57,8 @@ def _methods(sensor: str, task: str) -> None:
     step_by_step("ekf", view, task)
     for name in ("ekf", "isam2"):
         estimator = make_estimator(name, view)
-        estimator.update(view.sightings(0), np.full(len(view.sightings(0).z), -2))
-        expectation = estimator.expect(view.sightings(0))
+        estimator.update(view.frame_observations(0), np.full(len(view.frame_observations(0).z), -2))
+        expectation = estimator.expect(view.frame_observations(0))
         expectation.joint(np.arange(len(expectation.number)))
         candidates(expectation, view.sensor, np.eye(3))
 

@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 from data.errors import SlamrefError, UsageError
 from data.notice import Code, Notice, Severity, notice
 from data.words import sentence
-from eval.figures.paper import Look, current, looking
+from eval.figures.paper import FigureStyle, current, figure_style
 from eval.plan.flags.table import Execution
 from eval.replay.external.spec import introduce, introduced
 
@@ -77,14 +77,14 @@ def work(
             lost(owner, result)
 
 
-def _done(names: tuple[str, ...], look: Look, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+def _done(names: tuple[str, ...], look: FigureStyle, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
     """In a worker: what a call gives, or that it had not enough memory.
 
     Foreign names and the look of figures are as in the process that asked.
     """
     introduce(names)
     # sums over two threads round otherwise than over one: the same bytes for any number of processes and cores
-    with threadpool_limits(1), looking(look):
+    with threadpool_limits(1), figure_style(look):
         try:
             return function(*arguments)
         except MemoryError as fault:

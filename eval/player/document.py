@@ -88,10 +88,10 @@ def played(trials: Sequence[Trial]) -> list[tuple[Trial, ...]]:
     """Trials by log, those of one player together: all tasks, and what stands beside them on the same recording."""
     found: dict[str, list[Trial]] = {}
     for trial in trials:
-        if trial.beside is None and trial.runs and not is_truth_alone(trial.log):
+        if trial.variant_of is None and trial.runs and not is_truth_alone(trial.log):
             found.setdefault(trial.log.name, []).append(trial)
     for trial in trials:
-        hosts = found.get(trial.beside or "", [])
+        hosts = found.get(trial.variant_of or "", [])
         if hosts and trial.log.recorded is hosts[0].log.recorded:
             hosts.append(trial)
     return [tuple(group) for group in found.values()]

@@ -19,7 +19,7 @@ from data.inputs import IntArray
 from data.log import Log
 from data.result import Run
 from data.se2 import Array, wrap_angle
-from eval.figures.laser import FATES, fates
+from eval.figures.laser import LOOP_STATES, loop_states
 from eval.figures.style import Line, series, style_of
 from eval.player.pack import ANGLE, FURTHEST, RHO, TIME, Pack
 from eval.player.watch import Watched, quantum_of, spread
@@ -61,7 +61,7 @@ class RunHead:
     certain: bool
     task: str = "slam"
     phases: Sequence[str] = ("online",)
-    beside: str = ""
+    variant: str = ""
     decides: bool = True
     scored: bool = False
     history: bool = True
@@ -126,15 +126,15 @@ def add_loops(pack: Pack, key: str, run: LaserRun, trial: Trial, step: float) ->
     truth = trial.log.truth.pose
     false = None if truth is None else ~right_closures(run.loops, truth[run.chain.frame])
     weight = np.ones(len(run.loops)) if run.weight is None else run.weight
-    names = list(FATES)
-    fate = fates(run.loops, weight, false)
+    names = list(LOOP_STATES)
+    loop_state = loop_states(run.loops, weight, false)
     pack.add(f"{key}key_frame", run.chain.frame)
     pack.add(f"{key}key_xy", run.key_pose[:, :2], step)
     pack.add(f"{key}loop_keys", np.column_stack([run.loops.key1, run.loops.key2]))
-    pack.add(f"{key}loop_fate", np.array([names.index(f) for f in fate]))
+    pack.add(f"{key}loop_fate", np.array([names.index(f) for f in loop_state]))
     return [
         {"name": name, "colour": colour, "dash": dashes(line)}
-        for name, (colour, line, _) in FATES.items()
+        for name, (colour, line, _) in LOOP_STATES.items()
         if false is not None or name != names[-1]
     ]
 
@@ -283,7 +283,14 @@ def scene(trials: Sequence[Trial], setup: Setup) -> dict[str, Any]:
 
 
 def _head_of(
-    pack: Pack, key: str, name: str, run: Run, trial: Trial, beside: str, dash: list[float], loops: list[dict[str, Any]]
+    pack: Pack,
+    key: str,
+    name: str,
+    run: Run,
+    trial: Trial,
+    variant: str,
+    dash: list[float],
+    loops: list[dict[str, Any]],
 ) -> RunHead:
     """Of a run whose arrays are in the pack."""
     watched = run.watched if isinstance(run.watched, Watched) else None
@@ -299,7 +306,7 @@ def _head_of(
         certain=watched is not None and watched.certain,
         task=trial.task,
         phases=run.phases,
-        beside=beside,
+        variant=variant,
         decides=f"{key}decision" in pack.names,
         scored=f"{key}final_outcome" in pack.names,
         history=watched is not None and len(watched.change_frame) > 0,

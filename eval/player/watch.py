@@ -158,7 +158,7 @@ class Watch:
             and isinstance(front.estimator, Filter)
             and not (front.can.parkable is not None and len(front.can.parkable.parked))
         ):
-            e = front.expect(frame.sightings)
+            e = front.expect(frame.observations)
         if e is not None and len(e.number):
             try:
                 self._compare(front, frame, e.by_age(), pairing.decisions)

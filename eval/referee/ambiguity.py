@@ -241,12 +241,12 @@ def log_evidence(r: Registered, landmarks: Array, frame: IntArray, place: IntArr
     count = np.bincount(number, minlength=len(landmarks))
     square = squares(r.xy[p] - landmarks[number], inverses(r.covariance[p]))
     scatter = np.bincount(number, np.minimum(square, EDGE * 2.0), len(landmarks)) / np.maximum(count, 1)
-    doubtful = (np.bincount(number[beside >= 0], minlength=len(landmarks)) > 0) | (scatter > SCATTERED)
+    tested = (np.bincount(number[beside >= 0], minlength=len(landmarks)) > 0) | (scatter > SCATTERED)
     _, cell, alike = np.unique(
         number * (int(place.max()) + 1) + place[frame[p]], return_inverse=True, return_counts=True
     )
-    looks = np.bincount(number, 1.0 / alike[cell], len(landmarks))
-    asked = np.flatnonzero(doubtful & (looks >= 2 * FEWEST))
+    opportunities = np.bincount(number, 1.0 / alike[cell], len(landmarks))
+    asked = np.flatnonzero(tested & (opportunities >= 2 * FEWEST))
     if not len(asked):
         return evidence
     pairs = _pairs(r, landmarks, asked, p, beside, 1.0 / alike[cell])
@@ -299,9 +299,9 @@ def _pairs(r: Registered, landmarks: Array, asked: IntArray, p: IntArray, beside
     few = np.flatnonzero(k[r.row[p]] >= 0)
     few = few[np.argsort(r.row[p[few]], kind="stable")]
     number, share = r.row[p[few]], share[few]
-    looks = np.bincount(k[number], share)
-    so_far = np.cumsum(share) - share - (np.cumsum(looks) - looks)[k[number]]
-    group = 2 * k[number] + (so_far >= 0.5 * looks[k[number]])
+    opportunities = np.bincount(k[number], share)
+    so_far = np.cumsum(share) - share - (np.cumsum(opportunities) - opportunities)[k[number]]
+    group = 2 * k[number] + (so_far >= 0.5 * opportunities[k[number]])
     there = np.flatnonzero(beside[few] >= 0)
     every = np.concatenate([p[few], beside[few[there]]])
     S, x = r.covariance[every], r.xy[every] - landmarks[np.concatenate([number, number[there]])]

@@ -181,7 +181,7 @@ NEAR = 3.0
 
 def origin(run: Run, trial: Trial) -> Notice | None:
     """What happened first, in which frame, and to which pairing; None for a run without doubt."""
-    if run.doubt is None:
+    if run.implausible is None:
         return None
     inputs = trial.log.recorded if run.task == "localization" else trial.log.recorded.without_map()
     found = [_difference(run, trial), _innovations(run)]
@@ -293,7 +293,7 @@ def notices(trials: Sequence[Trial], scores: Scores | None = None) -> list[Notic
     """
     scores = scores or score(trials)
     found: list[Notice] = []
-    for log in {t.log.name: t.log for t in trials if t.beside is None}.values():
+    for log in {t.log.name: t.log for t in trials if t.variant_of is None}.values():
         found += [notice(Code.NOTE, Severity.INFO, text=text).about(log=log.name) for text in log.notes]
         found += ask(log)
     for trial in trials:

@@ -17,11 +17,11 @@ from eval.referee.consistency import gated
 FRAMES = 10
 """A stretch is judged that has so many frames with observations, ..."""
 OBSERVATIONS = 30
-"""... and in which so many could be paired, or so many sightings are expected: one in ten of them is no accident."""
+"""... and in which so many could be paired, or so many observations are expected: one in ten of them is no accident."""
 SHARE = 0.1
 """Below this share of them the estimator is lost; clutter alone leaves more."""
 ESTABLISHED = 3
-"""Sightings that a landmark of SLAM needs before it is missed."""
+"""Observations that a landmark of SLAM needs before it is missed."""
 OLD = 20
 """Frames after its initialization a landmark is missed: a robot that was moved initializes others at once."""
 EDGE = 0.9
@@ -75,7 +75,7 @@ def _unseen(run: Run, inputs: Inputs) -> Notice | None:
         return None
     if not inputs.sensor.sees_points:  # whether a wall is in view depends on where it ends
         return None
-    could, did, looked = old_sightings(run, inputs)
+    could, did, looked = former_observations(run, inputs)
     if not could.sum():
         return None
     rate = min(1.0, did.sum() / could.sum())
@@ -85,7 +85,7 @@ def _unseen(run: Run, inputs: Inputs) -> Notice | None:
     return _stretch(rate * could, did, looked, Code.MISSED, OBSERVATIONS / rate)
 
 
-def old_sightings(run: Run, inputs: Inputs) -> tuple[Array, IntArray, BoolArray]:
+def former_observations(run: Run, inputs: Inputs) -> tuple[Array, IntArray, BoolArray]:
     """By frame (N,): old landmarks well in view, old landmarks that were paired, and whether there was an observation.
 
     In SLAM, a landmark is old so many frames after its initialization, and counts if it was seen several times.

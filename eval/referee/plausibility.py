@@ -42,8 +42,8 @@ LEFT_OUT = 0.1
 
 def judged(runs: Sequence[Run], inputs: Inputs) -> list[Run]:
     """The runs on these inputs, each with its doubt if there is one, and with what may be doubted in its notes."""
-    doubted = [with_doubt(r, inputs) for r in runs]
-    return [replace(r, notes=(*r.notes, *suspicions(r, inputs))) for r in doubted]
+    tested = [with_plausibility(r, inputs) for r in runs]
+    return [replace(r, notes=(*r.notes, *suspicions(r, inputs))) for r in tested]
 
 
 def suspicions(run: Run, inputs: Inputs) -> Iterator[Notice]:
@@ -60,10 +60,10 @@ def suspicions(run: Run, inputs: Inputs) -> Iterator[Notice]:
             yield notice(Code.LABELS_LEFT_OUT, share=share)
 
 
-def with_doubt(run: Run, inputs: Inputs) -> Run:
+def with_plausibility(run: Run, inputs: Inputs) -> Run:
     """The run, marked if an honest run gives no such number; `inputs` as it had them, in SLAM perhaps with a map."""
     found = doubt(run, inputs)
-    return run if found is None else replace(run, doubt=found)
+    return run if found is None else replace(run, implausible=found)
 
 
 def doubt(run: Run, inputs: Inputs) -> Failure | None:
@@ -91,11 +91,11 @@ def _innovations(run: Run, inputs: Inputs) -> Iterator[Failure]:
         share = float(nis[formed].sum()) / max(int(dof[formed].sum()), 1)
         if share > ABSURD:
             first = int(np.argmax(formed & (nis > ABSURD * np.maximum(dof, 1))))
-            yield _doubt(first, Code.NIS, per_dof=share, over_run=True)
+            yield _failure(first, Code.NIS, per_dof=share, over_run=True)
             return
     total = run.total_nis
     if total is not None and total[1] > 0 and total[0] / total[1] > ABSURD:
-        yield _doubt(first_misfit(run, inputs), Code.NIS, per_dof=total[0] / total[1], over_run=False)
+        yield _failure(first_misfit(run, inputs), Code.NIS, per_dof=total[0] / total[1], over_run=False)
 
 
 def first_misfit(run: Run, inputs: Inputs) -> int:
@@ -193,7 +193,7 @@ def _path(run: Run, inputs: Inputs, reach: Array) -> Iterator[Failure]:
         beyond = away > MARGIN * reach + sight(inputs)
         if beyond.any():
             k = int(np.argmax(beyond))
-            yield _doubt(k, Code.PATH_TOO_FAR, phase=phase, away=float(away[k]), driven=float(reach[k]))
+            yield _failure(k, Code.PATH_TOO_FAR, phase=phase, away=float(away[k]), driven=float(reach[k]))
 
 
 def _landmarks(run: Run, inputs: Inputs, reach: Array) -> Iterator[Failure]:
@@ -210,7 +210,7 @@ def _landmarks(run: Run, inputs: Inputs, reach: Array) -> Iterator[Failure]:
     if beyond.any():
         k = int(first[beyond].min())
         many, farthest = int(beyond.sum()), float(away[beyond].max())
-        yield _doubt(k, Code.LANDMARKS_TOO_FAR, landmarks=many, away=farthest, driven=float(reach[-1]))
+        yield _failure(k, Code.LANDMARKS_TOO_FAR, landmarks=many, away=farthest, driven=float(reach[-1]))
     if run.final is None:
         return
     rows, xy = _sighted(run, inputs)
@@ -227,7 +227,7 @@ def _landmarks(run: Run, inputs: Inputs, reach: Array) -> Iterator[Failure]:
     if unseen.any():
         k = int(first[unseen].min())
         many, farthest = int(unseen.sum()), float(nearest[unseen].max())
-        yield _doubt(k, Code.LANDMARKS_UNSEEN, landmarks=many, away=farthest)
+        yield _failure(k, Code.LANDMARKS_UNSEEN, landmarks=many, away=farthest)
 
 
 def _covariances(run: Run, inputs: Inputs, reach: Array) -> Iterator[Failure]:
@@ -245,7 +245,7 @@ def _covariances(run: Run, inputs: Inputs, reach: Array) -> Iterator[Failure]:
             k = int(np.argmax(beyond))
             frame = max(int(run.map.first_frame[k]), 0) if name == "landmark" and run.map is not None else k
             claimed, driven = float(sigma[k]), float(reach[-1])
-            yield _doubt(frame, Code.COVARIANCE_TOO_LARGE, of=name, sigma=claimed, driven=driven)
+            yield _failure(frame, Code.COVARIANCE_TOO_LARGE, of=name, sigma=claimed, driven=driven)
 
 
 def _dead_reckoned(inputs: Inputs) -> float:
@@ -255,5 +255,5 @@ def _dead_reckoned(inputs: Inputs) -> float:
     return float(_longest(Trajectory(alone.pose, alone.covariance).covariance).max())
 
 
-def _doubt(frame: int, code: Code, **values: Value) -> Failure:
+def _failure(frame: int, code: Code, **values: Value) -> Failure:
     return Failure(IMPLAUSIBLE, frame, notice(code, Severity.ERROR, None, **values))

@@ -71,7 +71,7 @@ class Trial:
     log: Log
     task: str
     runs: tuple[Run, ...]
-    beside: str | None = None
+    variant_of: str | None = None
     about: str = ""
 
     def find(self, estimator: str, association: str = "known") -> Run | None:

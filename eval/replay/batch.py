@@ -29,7 +29,7 @@ def batch(name: str, inputs: Inputs, front: Run, other: Callable[[], Run] | None
     same landmark numbers) is tried as well, and the lowest minimum counts.
 
     `gnc` chooses among them itself: a pairing that it leaves out is discarded in the end, and so is a landmark of which
-    no sighting is left.
+    no observation is left.
     """
     if front.failure is not None or front.online is None:
         at = front.failure.frame if front.failure else 0
@@ -45,7 +45,7 @@ def batch(name: str, inputs: Inputs, front: Run, other: Callable[[], Run] | None
             result, accepted = gnc(inputs, final, initialized, start)
             left_out = _left_out(final, initialized, accepted)
             rejected = int((~accepted & (np.where(initialized >= 0, initialized, final) >= 0)).sum())
-            notes.append(notice(Code.SIGHTINGS_REJECTED, Severity.INFO, sightings=rejected))
+            notes.append(notice(Code.OBSERVATIONS_REJECTED, Severity.INFO, observations=rejected))
             final, initialized = np.where(left_out, DISCARD, final), np.where(left_out, -1, initialized)
         else:
             result = _lowest(inputs, final, initialized, start, LOSSES[name], other)
@@ -96,7 +96,7 @@ def _lowest(
 
 
 def _left_out(decisions: IntArray, initialized: IntArray, accepted: BoolArray) -> BoolArray:
-    """Which observations (M,) are discarded in the end: rejected pairings, and landmarks without a sighting left."""
+    """Observations (M,) discarded at the end: rejected pairings, and those of landmarks without any left."""
     number = np.where(initialized >= 0, initialized, decisions)
     alive = np.unique(number[accepted])
     return (number >= 0) & np.where(initialized >= 0, ~np.isin(number, alive), ~accepted)

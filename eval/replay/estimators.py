@@ -8,7 +8,7 @@ import numpy as np
 
 from association.expectation import Expectation
 from data.errors import UsageError
-from data.inputs import Increment, IntArray, Sightings
+from data.inputs import FrameObservations, Increment, IntArray
 from data.result import Finished, MapState, PoseEstimate, Updated
 from data.se2 import Array
 from ekf import walls
@@ -48,13 +48,13 @@ class Estimator(Protocol):
         """Move by an increment."""
         ...
 
-    def expect(self, sightings: Sightings) -> Expectation:
+    def expect(self, observations: FrameObservations) -> Expectation:
         """What it expects to see."""
         ...
 
     def update(
         self,
-        sightings: Sightings,
+        observations: FrameObservations,
         decisions: IntArray,
         *,
         threshold: float = np.inf,
@@ -154,7 +154,7 @@ class Revisable(Removable, Protocol):
 class Amendable(Protocol):
     """A smoother whose pairings can be decided otherwise later."""
 
-    def amend(self, frames: IntArray, sightings: Sightings, decisions: IntArray) -> None:
+    def amend(self, frames: IntArray, observations: FrameObservations, decisions: IntArray) -> None:
         """What frames (m,) up to now saw (m) was for other landmarks (m,) than decided before, negative: for none.
 
         In SLAM this is asked once, of all that was seen, after the last frame and before `finish`.

@@ -15,7 +15,7 @@ from association.faces import Faces, named_as_read
 from association.jcbb import BUDGET
 from association.truncated import Acceptance, acceptance, accepted_moments, truncated_square
 from data.errors import UsageError
-from data.inputs import Frame, IntArray, LandmarkMap, Sightings
+from data.inputs import Frame, FrameObservations, IntArray, LandmarkMap
 from data.notice import Code, Notice, Severity, notice
 from data.result import DISCARD, Event, MapState, Updated
 from data.se2 import Array
@@ -152,7 +152,7 @@ class FrontEnd:
         """Expect and decide, about (a part of) this frame's observations; `known` needs no expectation."""
         if self.known is not None:
             return Pairing(self.known.decide(frame))
-        expectation = self.expect(frame.sightings)
+        expectation = self.expect(frame.observations)
         decisions, complete = self.decide(expectation)
         self.incomplete += not complete
         return Pairing(decisions, expectation, S=expectation.joint_innovation(*expectation.paired(decisions))[1])
@@ -162,11 +162,11 @@ class FrontEnd:
         """The gates that a pairing has passed when it is used."""
         return Acceptance(self._threshold) if self.known is not None else acceptance(self.association, self.setup.gate)
 
-    def expect(self, sightings: Sightings) -> Expectation:
+    def expect(self, observations: FrameObservations) -> Expectation:
         """What the estimator expects of its candidates: parked landmarks that may be in view are taken back first."""
         if self.parking is not None:
-            self.parking.offer(sightings)
-        e = self.estimator.expect(sightings)
+            self.parking.offer(observations)
+        e = self.estimator.expect(observations)
         if not self.given.sensor.sees_points:
             e = named_as_read(e, self.given.sensor)
         if self.faces is not None and len(e.number):
@@ -189,7 +189,7 @@ class FrontEnd:
         if pairing.expectation is not None and (self.estimator.smooths or self.foreign is not None):
             formed = pairing.expectation.innovation_statistics(*pairing.expectation.paired(pairing.decisions))
         done = self.estimator.update(
-            frame.sightings,
+            frame.observations,
             pairing.decisions,
             threshold=self._threshold,
             at=pairing.at,
@@ -200,11 +200,11 @@ class FrontEnd:
         numbers = np.where(done.used, pairing.decisions, done.created)
         seen = np.flatnonzero(numbers >= 0)
         if self.faces is not None:
-            self.faces.see(self.estimator.estimate().mean, numbers[seen], frame.sightings.z[seen])
+            self.faces.see(self.estimator.estimate().mean, numbers[seen], frame.observations.z[seen])
         if self.map_management is not None:
             self.map_management.see(numbers[seen])
         if self.parking is not None:
-            self.parking.see(Sightings(frame.sightings.z[seen], frame.sightings.R[seen]), numbers[seen])
+            self.parking.see(FrameObservations(frame.observations.z[seen], frame.observations.R[seen]), numbers[seen])
         if formed is not None and (self.estimator.smooths or math.isnan(done.nis)):
             done = done._replace(nis=formed[0], dof=formed[1], log_likelihood=formed[2])
         return done._replace(moments=self._moments(pairing.S, done.dof))

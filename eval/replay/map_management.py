@@ -15,7 +15,7 @@ import numpy as np
 
 from association.candidates import Drift, may_be_in_view
 from association.decide import horizon
-from data.inputs import Increment, IntArray, Sightings
+from data.inputs import FrameObservations, Increment, IntArray
 from data.notice import Code, Notice, Severity, notice
 from data.sensors import Sensor
 from ekf.epochs import LEAST, MOVED, PRODUCT, READING, STEP
@@ -25,7 +25,7 @@ from eval.replay.external.spec import is_foreign
 from eval.replay.settings import HINDSIGHT, Setup
 
 MAINTENANCE_FRAMES = 2
-"""A landmark seen only once is removed when its sighting is more frames ago than this."""
+"""A landmark seen only once is removed when its observation is more frames ago than this."""
 
 
 class Leaving(NamedTuple):
@@ -50,7 +50,7 @@ class MapManagement:
         self.removed: dict[int, int] = {}
         self.retracted: set[int] = set()
         self._frame, self._now = 0, 0.0
-        # by landmark: frame of the first sighting, number of sightings, time of the last one, time since which it is
+        # by landmark: frame of its first observation, their number, time of the last one, time since which it is
         # active (seen or restored last)
         self._first, self._times = np.empty(0, np.int64), np.empty(0, np.int64)
         self._last, self._active = np.empty(0), np.empty(0)
@@ -148,11 +148,11 @@ class Parking:
         """Length of the state; what is parked does not count."""
         return 0 if self._state is None else self._state.size
 
-    def offer(self, sightings: Sightings) -> None:
+    def offer(self, observations: FrameObservations) -> None:
         """Restore what may be in view, of walls what some reading might be of, before anything is expected."""
         parked = self.parkable.parked
         if len(parked) and not self.sensor.sees_points:  # where a wall is tells little of whether it is in view
-            self._restore(parked if self._slam is None else self._slam.parked_within(sightings, self.within))
+            self._restore(parked if self._slam is None else self._slam.parked_within(observations, self.within))
         elif len(parked):
             pose, covariance = self.estimator.estimate()
             bounds = self._drift.sigmas(parked, covariance)
@@ -169,9 +169,9 @@ class Parking:
             self.management.restored(numbers)
             self.restored += len(numbers)
 
-    def see(self, sightings: Sightings, numbers: IntArray) -> None:
+    def see(self, observations: FrameObservations, numbers: IntArray) -> None:
         """Landmarks (m,) were seen."""
-        self._drift.see(self.sensor, sightings, numbers, self.estimator.estimate().covariance)
+        self._drift.see(self.sensor, observations, numbers, self.estimator.estimate().covariance)
 
     def measure(self) -> None:
         """How large the state is now."""
@@ -211,10 +211,10 @@ class AutomaticParking:
         """The robot moved."""
         self._frame += 1
 
-    def offer(self, sightings: Sightings) -> None:
+    def offer(self, observations: FrameObservations) -> None:
         """Restore what some reading might be of, before anything is expected."""
         if len(self.slam.parked):
-            self._restore(self.slam.parked_within(sightings, self.within))
+            self._restore(self.slam.parked_within(observations, self.within))
 
     def restore(self, numbers: IntArray) -> None:
         """Restore those of some landmarks (n,) that are parked; decisions that are no landmark are left alone."""
@@ -226,7 +226,7 @@ class AutomaticParking:
             self.slam.restore(numbers)
             self._last[numbers] = self._frame
 
-    def see(self, sightings: Sightings, numbers: IntArray) -> None:
+    def see(self, observations: FrameObservations, numbers: IntArray) -> None:
         """Landmarks (m,) were seen."""
         self._pairings += len(numbers)
         more = self.slam.created - len(self._last)

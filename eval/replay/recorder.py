@@ -157,7 +157,7 @@ class Writing(Observer, Protocol):
         ...
 
 
-class Nobody:
+class NullObserver:
     """Nobody looks on."""
 
     def moved(self, front: FrontEnd) -> None:

@@ -33,12 +33,12 @@ from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.hindsight.mapping_frontend import MappingFrontEnd
 from eval.replay.laser.comparison import compare_laser
 from eval.replay.laser.landmarks import at_all_frames, corner_log
-from eval.replay.recorder import Nobody, Observer, Recorder, Writing, no_run
+from eval.replay.recorder import NullObserver, Observer, Recorder, Writing, no_run
 from eval.replay.settings import BATCH, FILTERS, HINDSIGHT, Given, Setup
 from graph.factors import UnderConstrained
 
 PLAIN = Setup()
-NOBODY = Nobody()
+NULL_OBSERVER = NullObserver()
 DIVERGED = (FilterDivergedError, UnderConstrained, SingularInnovationError)
 """What an estimator of ours raises when it cannot go on."""
 
@@ -101,7 +101,7 @@ def step_by_step(
     *,
     options: FilterOptions | None = None,
     finish: bool = True,
-    observer: Observer = NOBODY,
+    observer: Observer = NULL_OBSERVER,
 ) -> Run:
     """Any step-by-step estimator with any way of association; `finish=False` stops without the final phase.
 
@@ -132,7 +132,7 @@ def driven(
     *,
     each: bool = False,
     finish: bool = True,
-    observer: Observer = NOBODY,
+    observer: Observer = NULL_OBSERVER,
 ) -> Run:
     """A front end before its first frame, driven over a whole log; arguments as of `step_by_step`."""
     begin = time.perf_counter()
@@ -159,7 +159,7 @@ def through(
     used: Callable[[Frame, IntArray, Updated], None],
     *,
     each: bool = False,
-    observer: Observer = NOBODY,
+    observer: Observer = NULL_OBSERVER,
 ) -> None:
     """One frame through a front end, from a log or while a robot drives; afterwards the estimator has its estimate.
 
@@ -190,7 +190,7 @@ def front_end(
 
 def _parts(frame: Frame, each: bool) -> list[Frame]:
     """A frame's observations: together, or one by one."""
-    count = len(frame.sightings.z)
+    count = len(frame.observations.z)
     if each:
         return [frame.part(slice(i, i + 1)) for i in range(count)]
     return [frame] if count else []
@@ -283,7 +283,9 @@ class _Comparison:
         if quick is not None and self.watch is None:
             return quick
         observer = None if self.watch is None else self.watch(self.inputs)
-        slow = step_by_step(name, self.inputs, self.task, self.association, self.setup, observer=observer or NOBODY)
+        slow = step_by_step(
+            name, self.inputs, self.task, self.association, self.setup, observer=observer or NULL_OBSERVER
+        )
         if observer is None:
             return slow
         return replace(quick or replace(slow, seconds=slow.seconds - observer.seconds), watched=observer.left())
@@ -332,9 +334,9 @@ def landmark_sigmas(inputs: Inputs, run: Run) -> Array | None:
         frame = inputs.frame(k)
         if frame.increment is not None:
             estimator.predict(frame.increment)
-        rows = slice(frame.first, frame.first + len(frame.sightings.z))
+        rows = slice(frame.first, frame.first + len(frame.observations.z))
         if rows.stop > rows.start:
-            done = estimator.update(frame.sightings, run.decisions[rows])
+            done = estimator.update(frame.observations, run.decisions[rows])
             if not np.array_equal(done.created, run.created[rows]):
                 return None
         if run.removed is not None and np.any(run.removed == k):

@@ -52,7 +52,7 @@ class Because(StrEnum):
 
     LATER_DATA = "later data"
     LINEARIZATION = "linearization"
-    NOT_TOLD = "not told"
+    NOT_STATED = "not told"
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ def because(filtered: float, smoothed: float, online: float) -> Because:
     """The fair comparison: the RMSE of an online smoother (or NaN), which has seen exactly what the filter has."""
     if abs(online - filtered) <= SAME * filtered and nearer(filtered, smoothed) == Nearer.SMOOTHER:
         return Because.LATER_DATA
-    return Because.LINEARIZATION if filtered > LINEARIZATION * online else Because.NOT_TOLD
+    return Because.LINEARIZATION if filtered > LINEARIZATION * online else Because.NOT_STATED
 
 
 def fits(filtered: Scored, smoothed: Scored) -> bool:

@@ -71,7 +71,7 @@ def write_results(
     (folder / "runs").mkdir()
     write_truths(folder, trials)
     published = publish(folder, output, options.setup, trials, lost, options.execution, progress)
-    main = [(t, facts_of(t, scores, outcome.trust)) for t in trials if t.beside is None]
+    main = [(t, facts_of(t, scores, outcome.trust)) for t in trials if t.variant_of is None]
     facts = [f for _, f in main]
     answers = hand_in(folder, options, trials, scores, lost)
     first = [*answers, *attribution_sections(main, outcome.trust)]
@@ -166,7 +166,9 @@ def _failure_section(trials: Sequence[Trial], missing: Sequence[Notice]) -> Sect
         if r.flaw is not None
     ]
     blocks = [say("failures#stopped", runs=failed)]
-    blocks += [paragraph("failures#implausible")] if any(r.doubt is not None for t in trials for r in t.runs) else []
+    blocks += (
+        [paragraph("failures#implausible")] if any(r.implausible is not None for t in trials for r in t.runs) else []
+    )
     blocks += [say("failures#missing", texts=[said(n) for n in missing])] if missing else []
     return Section("Failures", tuple(blocks), facts=failed)
 

@@ -16,7 +16,7 @@ from data.result import DISCARD, NEW, Event, Run
 from eval.figures.association import Example, revision_figure
 from eval.figures.style import save
 from eval.referee.score import Trial
-from eval.replay.hindsight.ledger import MERGED, PAIRED_ANEW, UNREAD
+from eval.replay.hindsight.ledger import MERGED, REASSOCIATED, UNREAD
 from eval.replay.settings import steps
 from eval.report.page.blocks import Picture, Section
 from eval.report.page.files import Drawn, written_table
@@ -130,7 +130,7 @@ def deciding_facts(
     )
 
 
-LATE = ("uncertain", "put off until the end", PAIRED_ANEW, UNREAD)
+LATE = ("uncertain", "put off until the end", REASSOCIATED, UNREAD)
 """Reasons that only say that the log was over."""
 COLUMNS = (
     *("deciding for", "pairings undone", "made instead", "put off, then made", "landmarks merged", "retracted"),
@@ -169,8 +169,8 @@ def example(run: Run) -> Example | None:
 
 def tally(run: Run) -> dict[str, str]:
     """A row of the table: counts, and the reasons why landmarks left the map."""
-    anew = {e.observation for e in run.events if e.why == PAIRED_ANEW}
-    on_the_way = [e for e in run.events if e.why != PAIRED_ANEW]
+    anew = {e.observation for e in run.events if e.why == REASSOCIATED}
+    on_the_way = [e for e in run.events if e.why != REASSOCIATED]
     undone = [e for e in on_the_way if e.old >= 0]
     initializing = [e for e in on_the_way if e.old == NEW]
     why = Counter(e.why for e in initializing if e.new == DISCARD)
@@ -230,7 +230,7 @@ def _picture(folder: Path, trial: Trial, *, quick: bool) -> Picture | None:
         estimator=run.estimator,
         frame=one.frame,
         why=one.why,
-        sightings=len(one.rows),
+        observations=len(one.rows),
         landmarks=len(np.unique(one.old[one.old >= 0])),
     )
     return Picture(name, caption, paragraph("deciding#revision_alt", log=log, frame=one.frame))

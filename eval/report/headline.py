@@ -72,7 +72,7 @@ def headlines(scores: Scores, trials: Sequence[Trial], studies: Sequence[Study],
 
 def _of_logs(scores: Scores, trials: Sequence[Trial]) -> Iterable[Headline]:
     """A row for each run, with what is known in the end; filter and last smoother of each log are wanted first."""
-    beside = {t.log.name for t in trials if t.beside is not None}
+    variants = {t.log.name for t in trials if t.variant_of is not None}
     decided = {_key(r): r for r in records(scores.association)}
     errors = {
         (r["log"], r["estimator"], r["association"], r["phase"]): value_of(r, "trans_mean_m")
@@ -84,7 +84,7 @@ def _of_logs(scores: Scores, trials: Sequence[Trial]) -> Iterable[Headline]:
     for key, r in last.items():
         place = counted_so_far.get(key[:2], 0)
         counted_so_far[key[:2]] = place + (r["estimator"] != "dead-reckoning")
-        rank = 3 if r["estimator"] == "dead-reckoning" else 2 if key[0] in beside else min(place, 1)
+        rank = 3 if r["estimator"] == "dead-reckoning" else 2 if key[0] in variants else min(place, 1)
         if rank == 1 and r["estimator"] == "batch":
             rank = 0
         rmse = value_of(r, "rmse_position_m")

@@ -140,9 +140,9 @@ def graph_of(run: LaserRun) -> str:
 def loops_table(loops: Loops, weight: Array | None) -> pd.DataFrame:
     """loops.csv: every loop closure looked at; accepted: it joined the graph, final: it kept its weight."""
     rows, columns = np.triu_indices(3)
-    fate = [kept(loops, weight, phase).astype(int) for phase in ("online", "final")]
+    loop_state = [kept(loops, weight, phase).astype(int) for phase in ("online", "final")]
     covariance = loops.covariance[:, rows, columns].T
-    values = [loops.key1, loops.key2, *loops.relative.T, *covariance, loops.score, *fate]
+    values = [loops.key1, loops.key2, *loops.relative.T, *covariance, loops.score, *loop_state]
     return pd.DataFrame(dict(zip(LOOPS.names, values, strict=True)))
 
 
@@ -200,15 +200,15 @@ def laser_sections(
     sections = []
     for trial, pictures in zip(trials, published, strict=True):
         run = mapping_run(trial)
-        if run is None or trial.beside is not None:
+        if run is None or trial.variant_of is not None:
             continue
-        beside = [t for t in trials if t.beside == trial.log.name and mapping_run(t) is not None]
+        variants = [t for t in trials if t.variant_of == trial.log.name and mapping_run(t) is not None]
         blocks: list[Block] = list(_relations(folder, wanted, trial))
         facts = facts_of(trial, run)
         blocks += folded(say("laser#statements", laser=facts), "The graph, the gate and time")
         blocks += [p for p in pictures if p.stem in (stem(trial, GRID_PICTURE), stem(trial, LOOP_PICTURE))]
-        if beside:
-            blocks.append(_sizes(folder, wanted, [trial, *beside]))
+        if variants:
+            blocks.append(_sizes(folder, wanted, [trial, *variants]))
         sections.append(Section(f"Laser: {trial.log.name}", tuple(blocks), facts=facts))
     return sections
 

@@ -18,7 +18,7 @@ from eval.report.answer import AnswerFacts, answer, answer_facts
 from eval.report.comparison import association_table, comparison_table, differences_table, missing_intervals
 from eval.report.diagnostics import of_runs
 from eval.report.laser import GRID_PICTURE, LOOP_PICTURE, against_relations
-from eval.report.names import SYSTEMATIC, beside, stem
+from eval.report.names import SYSTEMATIC, stem, variants
 from eval.report.overview import gauge_statement, in_short
 from eval.report.overview_facts import LogFacts
 from eval.report.page.blocks import Block, Folded, Picture, Section, Table
@@ -61,9 +61,9 @@ def trial_sections(
     """
     sections, told = [], iter(facts)
     for trial, pictures in zip(trials, published, strict=True):
-        if trial.beside is not None:
+        if trial.variant_of is not None:
             continue
-        others = beside(trial, trials)
+        others = variants(trial, trials)
         made = _answer_facts(trial, scores)
         blocks: list[Block] = [_comparison(folder, output, trial, others, scores)]
         blocks += _told(trial, next(told), made, scores, first_said(trial, trust))
@@ -145,9 +145,9 @@ def association_sections(
 
     sections, granted = [], []
     for trial, pictures in zip(trials, published, strict=True):
-        if trial.beside is not None:
+        if trial.variant_of is not None:
             continue
-        rows = pd.concat([of_trial(scores.association, t) for t in (trial, *beside(trial, trials))])
+        rows = pd.concat([of_trial(scores.association, t) for t in (trial, *variants(trial, trials))])
         if not (rows["association"] != "known").any():
             granted.append(rows)
             continue

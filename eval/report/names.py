@@ -16,8 +16,8 @@ def stem(trial: Trial, what: str) -> str:
     return f"{folder_name(trial.log.name)}-{trial.task}-{what}"
 
 
-def beside(trial: Trial, trials: Sequence[Trial]) -> tuple[Trial, ...]:
+def variants(trial: Trial, trials: Sequence[Trial]) -> tuple[Trial, ...]:
     """The trials that stand beside one."""
-    if trial.beside is not None:
+    if trial.variant_of is not None:
         return ()
-    return tuple(t for t in trials if t.beside == trial.log.name and t.task == trial.task)
+    return tuple(t for t in trials if t.variant_of == trial.log.name and t.task == trial.task)

@@ -25,9 +25,9 @@ from eval.report.page.blocks import Picture
 from eval.report.results import aligned_statement
 from eval.report.shown_runs import (
     finished,
-    for_fate,
     for_filter_smoother,
     for_growth,
+    for_loop_states,
     for_map,
     for_panels,
     has_covariance,
@@ -39,7 +39,7 @@ from eval.report.shown_runs import (
 from eval.report.words import paragraph
 
 FILTER_SMOOTHER = "filter-smoother"
-Beside = Sequence[Trial]
+Variants = Sequence[Trial]
 Facts = Mapping[str, Any]
 """What the caption of a picture speaks of, by the names that its macros in `pictures.md.j2` have."""
 
@@ -48,23 +48,23 @@ Facts = Mapping[str, Any]
 class Kind:
     """A kind of picture: of which trials (and those beside them) there is one, the figure with its caption's facts."""
 
-    applies: Callable[[Trial, Beside], bool]
-    drawn: Callable[[Trial, Beside], tuple[Figure, Facts]]
+    applies: Callable[[Trial, Variants], bool]
+    drawn: Callable[[Trial, Variants], tuple[Figure, Facts]]
     in_quick: bool = False
 
 
-def kinds(trial: Trial, beside: Beside = (), *, quick: bool = False) -> tuple[str, ...]:
+def kinds(trial: Trial, variants: Variants = (), *, quick: bool = False) -> tuple[str, ...]:
     """Which pictures a trial gets, with the trials that stand beside it."""
-    return tuple(name for name, kind in KINDS.items() if (kind.in_quick or not quick) and kind.applies(trial, beside))
+    return tuple(name for name, kind in KINDS.items() if (kind.in_quick or not quick) and kind.applies(trial, variants))
 
 
-def draw(folder: Path, trial: Trial, kind: str, beside: Beside = (), *, quick: bool = False) -> Picture:
+def draw(folder: Path, trial: Trial, kind: str, variants: Variants = (), *, quick: bool = False) -> Picture:
     """Draw one picture of `kinds`, as files below the result folder: PDF and PNG, in a quick report PNG alone."""
     name = stem(trial, kind)
     if kind in (GRID_PICTURE, LOOP_PICTURE):
         figure, caption, alt = laser_picture(trial, kind)
     else:
-        figure, facts = KINDS[kind].drawn(trial, beside)
+        figure, facts = KINDS[kind].drawn(trial, variants)
         macro = f"pictures#{kind.replace('-', '_')}"
         caption, alt = (paragraph(m, log=trial.log.name, task=trial.task, **facts) for m in (macro, f"{macro}_alt"))
     save(figure, folder / "figures", name, ("png",) if quick else ("pdf", "png"))
@@ -84,56 +84,56 @@ def _claiming(trial: Trial) -> list[Run]:
     return [r for r in finished(trial) if has_covariance(r)]
 
 
-def has_outcomes(trial: Trial, beside: Beside = ()) -> bool:
+def has_outcomes(trial: Trial, variants: Variants = ()) -> bool:
     """Whether decisions were made (not only labels read) that can be scored."""
     return any(
         confusion_of(r, t.log, "online") is not None
-        for t in (trial, *beside)
+        for t in (trial, *variants)
         for r in t.runs
         if r.association != "known" and r.failure is None
     )
 
 
-def _map(trial: Trial, _: Beside) -> tuple[Figure, Facts]:
+def _map(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     drawn, astray = for_map(trial), worst(trial)
     shown = astray is not None and len(drawn) < len(trial.runs) and any(same(r, astray) for r in drawn)
     facts = {"runs": drawn, "astray": astray if shown else None, "aligned": aligned_statement(trial)}
     return figures.map_figure(trial.log, drawn), {**facts, "others": left_out(trial, drawn)}
 
 
-def _error(trial: Trial, _: Beside) -> tuple[Figure, Facts]:
+def _error(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     shown = for_panels(finished(trial))
     return figures.error_figure(trial.log, shown), {"others": left_out(trial, shown)}
 
 
-def _nees(trial: Trial, _: Beside) -> tuple[Figure, Facts]:
+def _nees(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     shown = for_panels(_claiming(trial))
     return figures.nees_figure(trial.log, shown), {"others": left_out(trial, shown)}
 
 
-def _has_difference(trial: Trial, _: Beside) -> bool:
+def _has_difference(trial: Trial, _: Variants) -> bool:
     reference = trial.find("batch")
     return _blind(trial) and reference is not None and reference.flaw is None and len(finished(trial)) > 1
 
 
-def _difference(trial: Trial, _: Beside) -> tuple[Figure, Facts]:
+def _difference(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     reference = trial.find("batch")
     assert reference is not None  # or there is no such picture
     rows = for_panels([r for r in finished(trial) if r is not reference], complete=(reference.association,))
     return figures.difference_figure(trial.log, rows, reference), {"others": left_out(trial, [*rows, reference])}
 
 
-def _claims(trial: Trial, _: Beside) -> tuple[Figure, Facts]:
+def _claims(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     shown = for_panels(_claiming(trial))
     return figures.claims_figure(trial.log, shown), {"others": left_out(trial, shown)}
 
 
-def _fate(trial: Trial, _: Beside) -> tuple[Figure, Facts]:
-    shown = for_fate(trial)
-    return figures.fate_figure(trial.log, shown), {"others": left_out(trial, shown)}
+def _loop_state(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
+    shown = for_loop_states(trial)
+    return figures.loop_state_figure(trial.log, shown), {"others": left_out(trial, shown)}
 
 
-def _filter_smoother(trial: Trial, _: Beside) -> tuple[Figure, Facts]:
+def _filter_smoother(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     alike = for_filter_smoother(trial)
     assert alike is not None  # or there is no such picture
     runs, smoother = alike
@@ -149,7 +149,7 @@ def _calibrated(trial: Trial) -> list[Run]:
     return [r for r in there if r.association == there[0].association]
 
 
-def _systematic(trial: Trial, _: Beside) -> tuple[Figure, Facts]:
+def _systematic(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     runs, systematic = _calibrated(trial), trial.log.recorded.systematic
     assert systematic is not None  # or nothing was estimated
     return figures.systematic_figure(trial.log, systematic, runs), {"runs": runs}
@@ -182,24 +182,24 @@ def _growing(trial: Trial, run: Run) -> Growth:
     return Growth(*made, (float(each[0]), float(each[-1]), float(each[largest])), int(run.map.number[largest]))
 
 
-def _growth(trial: Trial, _: Beside) -> tuple[Figure, Facts]:
+def _growth(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     runs = for_growth(trial)
     grown = [_growing(trial, r) for r in runs]
     return figures.growth_figure(trial.log, runs), {"association": runs[0].association, "grown": grown}
 
 
-def _state(trial: Trial, beside: Beside) -> tuple[Figure, Facts]:
-    return figures.state_figure(trial, beside), {}
+def _state(trial: Trial, variants: Variants) -> tuple[Figure, Facts]:
+    return figures.state_figure(trial, variants), {}
 
 
-def _association(trial: Trial, beside: Beside) -> tuple[Figure, Facts]:
-    return figures.confusion_figure(f"{trial.log.name}, {trial.task}: decisions", bars(trial, beside)), {}
+def _association(trial: Trial, variants: Variants) -> tuple[Figure, Facts]:
+    return figures.confusion_figure(f"{trial.log.name}, {trial.task}: decisions", bars(trial, variants)), {}
 
 
 def _laser(name: str) -> Kind:
     """Drawn and described where the laser's section is."""
 
-    def drawn(trial: Trial, _: Beside) -> tuple[Figure, Facts]:
+    def drawn(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
         return laser_picture(trial, name)[0], {}
 
     return Kind(lambda trial, _: name in laser_kinds(trial), drawn, in_quick=name == GRID_PICTURE)
@@ -213,11 +213,13 @@ KINDS: Mapping[str, Kind] = {
     "nees": Kind(lambda trial, _: _measured(trial) and bool(_claiming(trial)), _nees),
     "difference": Kind(_has_difference, _difference, in_quick=True),
     "claims": Kind(lambda trial, _: _blind(trial) and bool(_claiming(trial)), _claims),
-    "fate": Kind(lambda trial, _: _blind(trial) and bool(for_fate(trial)), _fate),
+    "fate": Kind(lambda trial, _: _blind(trial) and bool(for_loop_states(trial)), _loop_state),
     FILTER_SMOOTHER: Kind(
-        lambda trial, _: trial.beside is None and for_filter_smoother(trial) is not None, _filter_smoother
+        lambda trial, _: trial.variant_of is None and for_filter_smoother(trial) is not None, _filter_smoother
     ),
-    SYSTEMATIC: Kind(lambda trial, _: trial.beside is None and bool(_calibrated(trial)), _systematic, in_quick=True),
+    SYSTEMATIC: Kind(
+        lambda trial, _: trial.variant_of is None and bool(_calibrated(trial)), _systematic, in_quick=True
+    ),
     "growth": Kind(
         lambda trial, _: trial.task == "slam" and trial.log.truth.known_poses > 0 and bool(for_growth(trial)), _growth
     ),

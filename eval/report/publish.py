@@ -12,7 +12,7 @@ from data.notice import Notice
 from data.result import Run
 from eval.figures.film import AS_THEN, History
 from eval.plan.flags.table import Execution, Output
-from eval.plan.unfinished import NOBODY, Unfinished
+from eval.plan.unfinished import MISSING_RUN, Unfinished
 from eval.plan.work import Job, work
 from eval.player.document import played, write_player
 from eval.player.watch import Watched
@@ -20,7 +20,7 @@ from eval.referee.given_runs import log_of
 from eval.referee.score import Trial
 from eval.replay.settings import Setup
 from eval.report.laser import write_laser_files
-from eval.report.names import beside, stem
+from eval.report.names import stem, variants
 from eval.report.page.blocks import Film, Picture
 from eval.report.pictures import draw, kinds
 from eval.report.run_files import write_run
@@ -44,7 +44,7 @@ def publish(
     """Write everything; returns the pictures of each trial. What there was no memory for is said to `lost`."""
     jobs: list[Job[tuple[int, int]]] = []
     for i, trial in enumerate(trials):
-        others = beside(trial, trials)
+        others = variants(trial, trials)
         drawn = not (output.no_plots or _shown_elsewhere(trial, trials))
         for place, kind in enumerate(kinds(trial, others, quick=output.quick) if drawn else ()):
             jobs.append(Job((i, place), partial(draw, quick=output.quick), (folder, trial, kind, others)))
@@ -55,7 +55,7 @@ def publish(
 
     def missing(owner: tuple[int, int], why: Notice) -> None:
         trial = trials[owner[0]]
-        lost.say(MISSING.get(owner[1], "picture"), why, NOBODY.about(log=trial.log.name, task=trial.task))
+        lost.say(MISSING.get(owner[1], "picture"), why, MISSING_RUN.about(log=trial.log.name, task=trial.task))
 
     made: dict[tuple[int, int], Picture] = {}
     for done, (owner, picture) in enumerate(work(jobs, execution, lost=missing), start=1):
@@ -71,13 +71,13 @@ def _shown_elsewhere(trial: Trial, trials: Sequence[Trial]) -> bool:
     return any(
         t.log.recorded is log.recorded or (t.log.evidence is not None and t.log.evidence is log.evidence)
         for t in trials
-        if trial in beside(t, trials)
+        if trial in variants(t, trials)
     )
 
 
 def publish_runs(folder: Path, output: Output, trial: Trial) -> None:
     """Write the run files of a trial, and its films if asked for."""
-    if trial.beside is None:
+    if trial.variant_of is None:
         write_laser_files(folder, trial)
     for run in trial.runs:
         write_run(folder, trial, run, lab_text=output.lab_text)

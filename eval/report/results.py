@@ -11,7 +11,7 @@ import numpy as np
 
 from data.formats.results.reading import is_bag, read_path
 from data.formats.results.space import projection
-from data.formats.results.tables import Beside
+from data.formats.results.tables import Companions
 from data.log import Log
 from data.notice import Code, notice
 from data.se2 import Array
@@ -116,7 +116,7 @@ def _scored(file: str, truth: str, reading: Reading) -> Scored:
 
         raise DataError.at(truth, "has no true poses (truth.csv)")
     phase = phase_of(Path(file))
-    result = Result(ESTIMATE, {phase: read_path(file, manner_of(ESTIMATE, [ESTIMATE], reading))}, Beside())
+    result = Result(ESTIMATE, {phase: read_path(file, manner_of(ESTIMATE, [ESTIMATE], reading))}, Companions())
     (run,) = runs_of(result, log, "slam", asked, reading)
     return Scored(run, log, phase, (*notes, *map(sentence, run.notes)))
 

@@ -145,7 +145,7 @@ def for_panels(runs: Sequence[Run], most: int = MOST_PANELS, complete: Sequence[
     return _in_order(chosen)
 
 
-def for_fate(trial: Trial) -> list[Run]:
+def for_loop_states(trial: Trial) -> list[Run]:
     """For each way of association the last smoother, else the filter: decisions in hindsight first, labels last."""
     deciding = [
         r

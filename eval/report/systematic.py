@@ -117,7 +117,7 @@ def shown(trial: Trial, calibration: Calibration) -> list[Run]:
 
 def of_trial(trial: Trial, calibrations: Sequence[Calibration]) -> Calibration | None:
     """The calibration of a trial, if there is one."""
-    if trial.beside is not None:
+    if trial.variant_of is not None:
         return None
     return next((c for c in calibrations if (c.log, c.task) == (trial.log.name, trial.task)), None)
 

@@ -125,7 +125,7 @@ def _text(value: float, digits: int = 3) -> str | None:
 
 def of_trial(trial: Trial, said: Sequence[Trust]) -> list[Trust]:
     """What is told of a log and task: all ways of association that have twins, else the first one alone."""
-    own = [t for t in said if (t.log, t.task) == (trial.log.name, trial.task) and trial.beside is None]
+    own = [t for t in said if (t.log, t.task) == (trial.log.name, trial.task) and trial.variant_of is None]
     order = associations(trial.runs)
     own.sort(key=lambda t: order.index(t.association) if t.association in order else len(order))
     asked = [t for t in own if t.twins or any(n.code == Code.NO_TWINS for n in t.notices)]

@@ -34,8 +34,8 @@ def given(task: str, association: str) -> str:
 
 def logs_with_tutorials(trials: Sequence[Trial]) -> list[str]:
     """Names of the logs beside which two tutorials or more stand."""
-    beside = [t.beside for t in trials if t.beside is not None and is_tutorial(t)]
-    return [name for name in dict.fromkeys(beside) if beside.count(name) > 1]
+    variants = [t.variant_of for t in trials if t.variant_of is not None and is_tutorial(t)]
+    return [name for name in dict.fromkeys(variants) if variants.count(name) > 1]
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ def rows_of(log: str, trials: Sequence[Trial], scores: Scores) -> list[Row]:
     metrics = _by_run(scores.metrics)  # the last row of a run is its final phase
     made = []
     for trial in trials:
-        if trial.log.name != log and not (trial.beside == log and is_tutorial(trial)):
+        if trial.log.name != log and not (trial.variant_of == log and is_tutorial(trial)):
             continue
         for run in trial.runs:
             if run.association == "none":

@@ -184,7 +184,7 @@ def visual_sections(
 
     In a lab the answer has the models, and ellipses are as large as is needed to see them; else by a factor.
     """
-    logs = {t.log.name: t.log for t in trials if t.log.evidence is not None and t.beside is None}
+    logs = {t.log.name: t.log for t in trials if t.log.evidence is not None and t.variant_of is None}
     sections = []
     for name, log in logs.items():
         assert log.evidence is not None

@@ -187,7 +187,7 @@ def open_windows() -> Any:
     return pyplot if pyplot.get_backend().lower().startswith(WINDOWED) else None
 
 
-class Album:
+class ImageWriter:
     """Where pictures go: windows, files, both, or nowhere."""
 
     def __init__(self, folder: Path | None, windows: Any) -> None:

@@ -16,7 +16,7 @@ from eval.figures import error_figure
 from eval.figures.style import style_of
 from eval.replay.frontend import FrontEnd, Pairing
 from eval.stepping.matching import paint_compatibility, paint_matching
-from eval.stepping.pictures import Album, paint_ground_truth, paint_map, paint_observations
+from eval.stepping.pictures import ImageWriter, paint_ground_truth, paint_map, paint_observations
 from eval.stepping.problem import FrameSoFar, pose_problem, removed_so_far
 from eval.stepping.text import (
     Block,
@@ -39,12 +39,12 @@ class Walk:
     """Looks on while a log is replayed: prints, paints and waits for Enter (see `eval.replay.recorder.Observer`)."""
 
     def __init__(
-        self, log: Log, task: str, estimator: str, album: Album, *, pausing: bool, block: Block = step_block
+        self, log: Log, task: str, estimator: str, images: ImageWriter, *, pausing: bool, block: Block = step_block
     ) -> None:
         """Before the first frame; `block` makes the text of a step."""
         self.block = block
         self.camera: Iterator[bytes] = iter(())  # an image for each frame, of a log made from images
-        self.log, self.task, self.estimator, self.album, self.pausing = log, task, estimator, album, pausing
+        self.log, self.task, self.estimator, self.images, self.pausing = log, task, estimator, images, pausing
         m = len(log.recorded.observations.frame)
         self.decisions, self.created = np.full(m, -2, np.int64), np.full(m, -1, np.int64)
         self.path: list[Any] = []
@@ -78,7 +78,7 @@ class Walk:
 
     def show(self, what: str, paint: Callable[[Figure], object]) -> None:
         """A picture of this step."""
-        self.album.show(what, paint, f"step-{self.k:0{self.digits}d}-{what}")
+        self.images.show(what, paint, f"step-{self.k:0{self.digits}d}-{what}")
 
     def moved(self, front: FrontEnd) -> None:
         """Move and observe."""
@@ -86,14 +86,14 @@ class Walk:
         r = self.log.recorded
         self.rows = slice(int(r.start[self.k]), int(r.start[self.k + 1]))
         if (image := next(self.camera, None)) is not None:
-            self.album.show_image("camera", image, f"step-{self.k:0{self.digits}d}-camera")
+            self.images.show_image("camera", image, f"step-{self.k:0{self.digits}d}-camera")
         if self.log.truth.known_poses:
             self.show("ground-truth", lambda fig: paint_ground_truth(fig, self.log, self.k, self.title))
         if self.k > 0:
             self.say("move", moved_text(r.increments.mean[self.k], front.estimator.estimate()))
             self._map(front, "prediction")
             self.pause("move")
-        seen = r.sightings(self.k)
+        seen = r.frame_observations(self.k)
         if len(seen.z):
             self.say("observe", counted(len(seen.z), "observation"))
             self.show("observations", lambda fig: paint_observations(fig, r.sensor, *seen, self.title))
@@ -103,13 +103,13 @@ class Walk:
         """Compatibility and matching, once there is a map."""
         decisions, expectation = pairing.decisions, pairing.expectation
         self.decisions[frame.first : frame.first + len(decisions)] = decisions
-        wanted = self.album.wanted or self.pausing
+        wanted = self.images.wanted or self.pausing
         if expectation is None and wanted:
-            expectation = front.expect(frame.sightings)
+            expectation = front.expect(frame.observations)
         if expectation is not None and len(expectation.number) and wanted:
             self.say("compatibility", compatibility_text(expectation, front.setup.gate))
             problem = None
-            if self.album.wanted:
+            if self.images.wanted:
                 problem = pose_problem(front, expectation, self._frame(front), f"{self.title} ({self.kind})")
                 self.show("compatibility", lambda fig: paint_compatibility(fig, problem))
             self.pause("compatibility")
@@ -151,25 +151,25 @@ class Walk:
 
     def _map(self, front: FrontEnd, what: str) -> None:
         """The map as predicted or updated: two files, and one window where one replaces the other."""
-        if not self.album.wanted:
+        if not self.images.wanted:
             return
         now, landmarks = front.estimator.estimate(), front.landmarks()
         path = np.array([*self.path, now.mean[:2]] if what == "prediction" else self.path)
         title = f"{self.title} ({self.kind}, {front.association})" + (", predicted" if what == "prediction" else "")
-        self.album.show(
+        self.images.show(
             "map",
             lambda fig: paint_map(fig, self.log, self.k, self.estimator, path, now, landmarks, title),
             f"step-{self.k:0{self.digits}d}-{what}",
         )
 
 
-def end(log: Log, run: Run, album: Album, walk: Walk) -> None:
+def end(log: Log, run: Run, images: ImageWriter, walk: Walk) -> None:
     """Statistics and the figure of error."""
     numbers = statistics(log, run)
     print(f"{closing(log, run)}\n\n{numbers}", flush=True)
-    if not album.wanted:
+    if not images.wanted:
         return
-    album.write("steps.txt", f"{run_text(log, run, block=walk.block)}\n\n{numbers}\n".encode())
-    album.show_made("error", error_figure(log, [run]))
-    if album.windows is not None:
+    images.write("steps.txt", f"{run_text(log, run, block=walk.block)}\n\n{numbers}\n".encode())
+    images.show_made("error", error_figure(log, [run]))
+    if images.windows is not None:
         walk.pause("end")

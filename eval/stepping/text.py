@@ -130,7 +130,7 @@ def closing(log: Log, run: Run, phase: str = "online") -> str:
     c = confusion_of(run, log, phase)
     counts = None if c is None else {name: int(getattr(c, name)) for name in OUTCOMES}
     steps = int(np.count_nonzero(np.diff(log.recorded.start)))
-    return _wrapped(_say("closing", failure=run.failure, doubt=run.doubt, counts=counts, steps=steps))
+    return _wrapped(_say("closing", failure=run.failure, implausible=run.implausible, counts=counts, steps=steps))
 
 
 def statistics(log: Log, run: Run) -> str:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from data.errors import UsageError
-from data.inputs import Increment, Increments, Inputs, IntArray, Sightings
+from data.inputs import FrameObservations, Increment, Increments, Inputs, IntArray
 from data.motion.velocity import carried
 from data.result import Run, Trajectory, Updated
 from data.se2 import Array
@@ -102,7 +102,7 @@ class Forgetful(EkfSlam):
 
     def update(
         self,
-        sightings: Sightings,
+        observations: FrameObservations,
         decisions: IntArray,
         *,
         threshold: float = np.inf,
@@ -111,7 +111,7 @@ class Forgetful(EkfSlam):
     ) -> Updated:
         """As usual, then the blocks beside those of the new landmarks shrink: (1 - s) P + s diag(P) is a covariance."""
         begin = self.size
-        done = super().update(sightings, decisions, threshold=threshold, at=at, innovations=innovations)
+        done = super().update(observations, decisions, threshold=threshold, at=at, innovations=innovations)
         for new in range(begin, self.size, 2):
             self._P[new : new + 2, :new] *= 1.0 - self._share
             self._P[:new, new : new + 2] *= 1.0 - self._share

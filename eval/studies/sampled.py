@@ -17,7 +17,7 @@ from data.result import Run
 from data.whole import whole_file
 from eval.compare import compare
 from eval.referee import consistency, errors, trust
-from eval.referee.plausibility import with_doubt
+from eval.referee.plausibility import with_plausibility
 from eval.referee.score import confusion_of
 from eval.referee.trust import Key, Measured
 from eval.replay.batch import batch
@@ -63,10 +63,10 @@ def same_decisions(front: Run, runs: Sequence[Run], inputs: Inputs) -> Run:
     Where that is implausible, the robust `STAND_IN` under the same decisions, unless that is, too.
     """
     alike = {r.estimator: r for r in runs if np.array_equal(r.final_decisions, front.final_decisions)}
-    plain = alike.get(PLAIN) or with_doubt(batch(PLAIN, inputs, front), inputs)
-    if plain.doubt is None:
+    plain = alike.get(PLAIN) or with_plausibility(batch(PLAIN, inputs, front), inputs)
+    if plain.implausible is None:
         return plain
-    robust = alike.get(STAND_IN) or with_doubt(batch(STAND_IN, inputs, front), inputs)
+    robust = alike.get(STAND_IN) or with_plausibility(batch(STAND_IN, inputs, front), inputs)
     return robust if robust.flaw is None else plain
 
 
@@ -99,7 +99,7 @@ def sample_of(
         if own is not None and own.final is not None and run.online is not None:
             apart[run.estimator] = errors.rms(errors.position_distance(run.online.pose, own.final.pose))
     if smoother is not None and smoother.flaw is not None:
-        failures[smoother.estimator] = smoother.flaw.why if smoother.doubt is None else smoother.doubt.text
+        failures[smoother.estimator] = smoother.flaw.why if smoother.implausible is None else smoother.implausible.text
     if smoother is None or smoother.flaw is not None:
         return Sample(measured, failures, apart=apart)
     if said is None:

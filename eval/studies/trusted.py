@@ -17,7 +17,7 @@ from data.result import Run
 from data.se2 import Array, BoolArray
 from eval.referee import attribution, battery, effects, residuals, trust
 from eval.referee.attribution import ESTIMATOR, NOISE, NOTHING, Finding
-from eval.referee.plausibility import with_doubt
+from eval.referee.plausibility import with_plausibility
 from eval.referee.residuals import Used
 from eval.referee.result_files import TRUST
 from eval.referee.score import frame_of
@@ -198,7 +198,7 @@ def _noise(made: Trust, inputs: Inputs, smoother: Run, threshold: float) -> list
     if systematic:
         sizes = {f.name: f.size for f in systematic}
         corrected = effects.without(less, path, used, sizes)
-        again = with_doubt(batch("batch", corrected, _as_front(fitted)), corrected)
+        again = with_plausibility(batch("batch", corrected, _as_front(fitted)), corrected)
         if again.flaw is None:
             outliers, less, fitted, left_out = _outliers(made, effects.without(inputs, path, used, sizes), again)
             kept = _without(residuals.used_by(fitted, less), left_out)
@@ -216,7 +216,7 @@ def _outliers(made: Trust, inputs: Inputs, smoother: Run) -> tuple[list[Finding]
     usual = [s.outlying for s in made.twins]
     if not attribution.outlier_errors(made.real.outlying, 0, usual):
         return [], inputs, smoother, nothing
-    robust = with_doubt(batch("batch-cauchy", inputs, _as_front(smoother)), inputs)
+    robust = with_plausibility(batch("batch-cauchy", inputs, _as_front(smoother)), inputs)
     if robust.flaw is not None:
         robust = smoother
     path, used = _path(robust), residuals.used_by(robust, inputs)
@@ -232,7 +232,7 @@ def _outliers(made: Trust, inputs: Inputs, smoother: Run) -> tuple[list[Finding]
     o = inputs.observations
     R = np.where(left_out[:, None, None], UNINFORMATIVE * o.R, o.R)
     less = replace(inputs, observations=replace(o, R=R))
-    again = with_doubt(batch("batch", less, _as_front(robust)), less)
+    again = with_plausibility(batch("batch", less, _as_front(robust)), less)
     return (findings, less, again, left_out) if again.flaw is None else (findings, inputs, smoother, nothing)
 
 

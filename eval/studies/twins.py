@@ -31,7 +31,7 @@ from data.sensors import RELATIVE_POINT
 from data.truth import Truth
 from eval.compare import compare
 from eval.referee import attribution, effects, residuals
-from eval.referee.plausibility import with_doubt
+from eval.referee.plausibility import with_plausibility
 from eval.replay.batch import batch
 from eval.replay.external.load import digests
 from eval.replay.settings import Setup
@@ -86,7 +86,7 @@ def source_of(
         raise UsageError(f"no twins of {log.name}: it has {len(inputs)} frames, at least {SHORTEST} are needed")
     if smoother.flaw is not None or smoother.final is None:
         why = smoother.flaw.why if smoother.flaw is not None else "it has no path"
-        what = "failed" if smoother.doubt is None else f"is {smoother.status}"
+        what = "failed" if smoother.implausible is None else f"is {smoother.status}"
         raise UsageError(f"no twins of {log.name}: batch, which they would be drawn from, {what} ({why})")
     used = residuals.used_by(smoother, inputs)
     if smoother.errors_final is not None:
@@ -209,7 +209,7 @@ def calibrated(
             done[name] = done.get(name, 0.0) + size
         for name, factor in wrong.items():
             done[f"sigma_{name}"] = done.get(f"sigma_{name}", 1.0) * factor
-        smoother = with_doubt(batch("batch", inputs, replace(smoother, online=smoother.final)), inputs)
+        smoother = with_plausibility(batch("batch", inputs, replace(smoother, online=smoother.final)), inputs)
     return replace(log, recorded=_recorded(log, inputs)), done
 
 

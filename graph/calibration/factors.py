@@ -17,7 +17,7 @@ import numba
 import numpy as np
 from gtsam.symbol_shorthand import X
 
-from data.inputs import Increment, IntArray, Prior, Sightings
+from data.inputs import FrameObservations, Increment, IntArray, Prior
 from data.motion.systematic import forgotten
 from data.se2 import Array, world_from_body
 from data.sensors import Sensor
@@ -85,7 +85,7 @@ def first_factors(errors: Errors, prior: Prior) -> tuple[list[Factor], gtsam.Val
 def sight_pinned(
     errors: Errors,
     sensor: Sensor,
-    seen: Sightings,
+    seen: FrameObservations,
     frames: IntArray,
     number: IntArray,
     xy: Array,
@@ -95,7 +95,7 @@ def sight_pinned(
 ) -> list[Sighted]:
     """Known landmarks at xy (m, 2) of the world, which depend on the errors in the sensor's frame.
 
-    Copies L(row), ... for each sighting, of relative points as well; they start where errors `now` (p,) put them.
+    Copies L(row), ... for each observation, of relative points as well; they start where errors `now` (p,) put them.
     """
     copies = np.arange(row, row + len(number))
     there, _ = errors.frame.points_in(xy, now)

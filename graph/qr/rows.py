@@ -67,14 +67,14 @@ class Linearizer:
         self._dim = np.repeat(np.array([3, 2], np.int64), [n, len(self.numbers)])
         if self.calibrated is not None:
             self._variable, self._height, self._dim = self.calibrated.extended(variable, self._height, self._dim)
-            self._chunks, self._graph = self._sightings([s.measured for s in problem.sighted])
+            self._chunks, self._graph = self._observations([s.measured for s in problem.sighted])
         else:
-            sightings, _ = self._sightings([s.measured for s in problem.sighted])
-            self._chunks, self._graph = [*self._chunked(problem.motion, 1, 3), *sightings], problem.graph()
+            observations, _ = self._observations([s.measured for s in problem.sighted])
+            self._chunks, self._graph = [*self._chunked(problem.motion, 1, 3), *observations], problem.graph()
         drift = NO_DRIFT if self.calibrated is None else self.calibrated.first_of
         self.structure: Structure = structure(self._variable, ordering(self._variable, n, len(self._dim), drift))
 
-    def _sightings(
+    def _observations(
         self, measured: Sequence[Sequence[gtsam.NonlinearFactor]]
     ) -> tuple[list[_Chunk], gtsam.NonlinearFactorGraph]:
         """The factors of all observations, in chunks and together."""
@@ -187,7 +187,7 @@ class Linearizer:
         """Factors that hold a known landmark, where the errors of `values` put it."""
         measured = None if self.calibrated is None else self.calibrated.measured(values)
         if measured is not None:
-            self._chunks, self._graph = self._sightings(measured)
+            self._chunks, self._graph = self._observations(measured)
 
 
 def put_prior(

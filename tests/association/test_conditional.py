@@ -1,4 +1,4 @@
-"""What all other pairings of a frame say about one, and what the sightings of a landmark say about it."""
+"""What all other pairings of a frame say about one, and what the observations of a landmark say about it."""
 
 import numpy as np
 import pytest
@@ -135,9 +135,9 @@ def test_what_is_left_beside_a_landmark_that_was_seen_is_another_one():
     assert not beside(e, np.array([DISCARD, DISCARD]), NEW_GATE).any()  # neither landmark was seen
 
 
-def usual(rate, looks=10_000):
+def usual(rate, opportunities=10_000):
     """Landmarks in view seen with a rate, each time independently."""
-    seen, missed = round(looks * rate), round(looks * (1.0 - rate))
+    seen, missed = round(opportunities * rate), round(opportunities * (1.0 - rate))
     return Visibility(round(seen * rate), round(missed * rate), round(seen * (1 - rate)), round(missed * (1 - rate)))
 
 
@@ -270,7 +270,7 @@ def test_where_landmarks_are_rarely_seen_two_sightings_make_one_certain():
 
 def test_against_a_certain_landmark_there_must_be_more():
     v, few = usual(0.8), INITIALIZED
-    sure = INITIALIZED._replace(seen=20, looks=20)
+    sure = INITIALIZED._replace(seen=20, opportunities=20)
     for _ in range(5):
         few, sure = overlooked(few), overlooked(sure)
     assert verdict(few, v) == "missed"
@@ -289,5 +289,5 @@ def test_a_sighting_that_no_other_pairing_judges_says_nothing_about_moving():
 
 
 def test_sightings_from_one_place_are_one_look():
-    assert sighted(INITIALIZED, None, False).looks == 1
-    assert sighted(INITIALIZED, None, True).looks == 2
+    assert sighted(INITIALIZED, None, False).opportunities == 1
+    assert sighted(INITIALIZED, None, True).opportunities == 2

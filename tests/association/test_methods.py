@@ -15,7 +15,7 @@ from association.decide import METHODS, decide
 from association.expectation import Expectation, SingularInnovationError
 from association.methods import gnn, ml, ml_ratio, newness, nn, singles
 from data.errors import UsageError
-from data.inputs import LandmarkMap, Prior, Sightings
+from data.inputs import FrameObservations, LandmarkMap, Prior
 from data.result import DISCARD, NEW
 from data.sensors import RangeBearing, RelativePoint
 from ekf.localizer import EkfLocalizer
@@ -244,13 +244,13 @@ def test_two_landmarks_at_one_place_and_one_at_the_robot_give_decisions(method, 
     f = EkfSlam(Prior(np.zeros(3), np.zeros((3, 3))), sensor)
     z = np.array([[2.0, 0.1], [2.0, 0.1], [0.0, 0.0], [3.0, -0.5]])
     R = np.tile(1e-4 * np.eye(2), (4, 1, 1))
-    f.update(Sightings(z, R), np.full(4, NEW))
-    e = f.expect(Sightings(z, R))
+    f.update(FrameObservations(z, R), np.full(4, NEW))
+    e = f.expect(FrameObservations(z, R))
     assert np.isfinite(e.HPHt).all()
     decisions = decide(method, e, 0.99, 0.99999).decisions
     assert decisions[2:].tolist() == [2, 3]
     assert set(decisions[:2].tolist()) <= {0, 1, DISCARD}
-    f.update(Sightings(z, R), decisions)
+    f.update(FrameObservations(z, R), decisions)
     assert np.isfinite(f.mean).all()
 
 
@@ -259,7 +259,7 @@ def test_the_localizer_and_arrays_state_the_same_problem(method):
     rng = np.random.default_rng(2)
     known = LandmarkMap(np.array([4, 9, 17]), np.array([[2.0, 0.0], [2.2, 0.1], [-1.0, 3.0]]))
     f = EkfLocalizer(Prior(np.zeros(3), np.diag([0.01, 0.01, 0.001])), RelativePoint(), known)
-    s = Sightings(known.xy[[1, 0, 2]] + 0.02 * rng.normal(size=(3, 2)), np.tile(4e-4 * np.eye(2), (3, 1, 1)))
+    s = FrameObservations(known.xy[[1, 0, 2]] + 0.02 * rng.normal(size=(3, 2)), np.tile(4e-4 * np.eye(2), (3, 1, 1)))
     e = f.expect(s)
     same = Expectation.from_arrays(s.z, e.z_hat, e.joint(np.arange(3)), s.R, number=known.id)
     np.testing.assert_array_equal(

@@ -31,10 +31,10 @@ def replay(inputs, method, new_gate=0.99):
     for k in range(len(inputs)):
         if k > 0:
             f.predict(inputs.increment(k))
-        sightings = inputs.sightings(k)
-        decided = decide(method, f.expect(sightings), 0.99, new_gate)
+        observations = inputs.frame_observations(k)
+        decided = decide(method, f.expect(observations), 0.99, new_gate)
         assert decided.complete
-        done = f.update(sightings, decided.decisions)
+        done = f.update(observations, decided.decisions)
         decisions.append(decided.decisions)
         created.append(done.created)
         pose.append(f.estimate().mean)

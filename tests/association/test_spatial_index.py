@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from association.candidates import FEW, Places, reading_radius, view_radius
 from association.decide import METHODS, decide, horizon
-from data.inputs import LandmarkMap, Prior, Sightings
+from data.inputs import FrameObservations, LandmarkMap, Prior
 from data.sensors import RangeBearing, RelativePoint
 from ekf.localizer import EkfLocalizer
 from tests.association.problems import problem
@@ -49,11 +49,11 @@ def test_a_localizer_expects_what_may_be_near_a_reading_and_decides_the_same(sen
         truth = pose + np.linalg.cholesky(P) @ rng.normal(size=3)
         inside = np.flatnonzero(sensor.in_view(sensor.predict(truth, known.xy)))[:6]
         z = sensor.predict(truth, known.xy[inside]) + 0.02 * rng.normal(size=(len(inside), 2))
-        sightings = Sightings(z, np.tile(4e-4 * np.eye(2), (len(inside), 1, 1)))
-        every = f.expect(sightings)
+        observations = FrameObservations(z, np.tile(4e-4 * np.eye(2), (len(inside), 1, 1)))
+        every = f.expect(observations)
         assert len(every.number) == 2000
         f.within = horizon("jcbb", 0.99, None, known_map=True)
-        e = f.expect(sightings)
+        e = f.expect(observations)
         a, b = (decide("jcbb", each, 0.99, None, known_map=True).decisions for each in (e, every))
         np.testing.assert_array_equal(a, b)
         may = every.number[(every.individual_distances() <= f.within).any(axis=0)]
@@ -75,5 +75,5 @@ def test_radii_are_those_on_paper():
     sensor = RangeBearing(max_range=10.0, translation=(3.0, 4.0))
     P = np.diag([9.0, 16.0, 0.04])
     assert view_radius(sensor, P) == pytest.approx(10.0 + 5.0 + 3.0 * (5.0 + 5.0 * 0.2))
-    z = Sightings(np.array([[7.0, 0.0], [2.0, 1.0]]), np.tile(np.diag([0.25, 0.1]), (2, 1, 1)))
+    z = FrameObservations(np.array([[7.0, 0.0], [2.0, 1.0]]), np.tile(np.diag([0.25, 0.1]), (2, 1, 1)))
     assert reading_radius(sensor, P, z, 4.0) == pytest.approx(7.0 + 2.0 * 0.5 + 5.0 + 2.0 * (5.0 + 5.0 * 0.2))

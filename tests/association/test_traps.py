@@ -16,7 +16,7 @@ from association.decide import METHODS, decide
 from association.expectation import Expectation, SingularInnovationError, plain_residual
 from association.jcbb import jcbb
 from association.methods import ml, nn
-from data.inputs import LandmarkMap, Prior, Sightings
+from data.inputs import FrameObservations, LandmarkMap, Prior
 from data.result import NEW
 from data.sensors import RangeBearing
 from ekf.localizer import EkfLocalizer
@@ -42,7 +42,7 @@ def check_a_landmark_behind_is_recognised_across_the_cut(expectation_of):
     half = math.radians(0.1)
     known = LandmarkMap(np.array([0, 1]), 5.0 * np.array([[-math.cos(half), -math.sin(half)], [0.0, 1.0]]))
     f = EkfLocalizer(Prior(np.zeros(3), np.diag([1e-4, 1e-4, 1e-4])), RangeBearing(), known)
-    e = expectation_of(f, Sightings(np.array([[5.0, math.pi - half]]), np.diag([0.01, 1e-4])[None]))
+    e = expectation_of(f, FrameObservations(np.array([[5.0, math.pi - half]]), np.diag([0.01, 1e-4])[None]))
     for method in METHODS:
         assert decide(method, e, GATE, GATE, known_map=True).decisions.tolist() == [0]
 
@@ -146,7 +146,7 @@ def test_trap_10_the_joint_covariance_comes_in_the_order_of_its_keys():
 def check_a_landmark_at_the_robot_is_expected_with_finite_numbers(expectation_of):
     known = LandmarkMap(np.array([0, 1]), np.array([[0.0, 0.0], [3.0, 0.0]]))
     f = EkfLocalizer(Prior(np.zeros(3), np.diag([1e-2, 1e-2, 1e-3])), RangeBearing(), known)
-    e = expectation_of(f.expect(Sightings(np.array([[3.0, 0.0]]), np.diag([0.01, 1e-3])[None])))
+    e = expectation_of(f.expect(FrameObservations(np.array([[3.0, 0.0]]), np.diag([0.01, 1e-3])[None])))
     for method in METHODS:
         assert decide(method, e, GATE, GATE, known_map=True).decisions.tolist() == [1]
 

@@ -65,7 +65,7 @@ def test_a_notebook_shows_who_ran_how_far_and_what_was_decided_with_paths_and_ma
 def test_a_notebook_says_why_a_run_is_not_believed_or_did_not_end():
     _, facts, *_ = shown(failure=Failure("diverged", 2, stopped("it left the world")))
     assert (facts["status"], facts["why"]) == ("diverged", "frame 2: it left the world")
-    _, facts, *_ = shown(doubt=Failure("implausible", 1, stopped("300 m/s")))
+    _, facts, *_ = shown(implausible=Failure("implausible", 1, stopped("300 m/s")))
     assert (facts["status"], facts["why"]) == ("implausible", "frame 1: implausible, 300 m/s")
 
 

@@ -19,10 +19,10 @@ class Mine(EkfSlam):
     pass
 
 class Crashing(EkfSlam):
-    def update(self, sightings, decisions, **more):
+    def update(self, observations, decisions, **more):
         if self.created > 3:
             raise RuntimeError("no room")
-        return super().update(sightings, decisions, **more)
+        return super().update(observations, decisions, **more)
 
 def refusing(expectation, gate):
     raise LookupError("nothing here")

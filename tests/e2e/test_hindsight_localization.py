@@ -24,7 +24,7 @@ def localize(log):
     for k in range(len(inputs)):
         frame = inputs.frame(k)
         front.move(frame)
-        if len(frame.sightings.z):
+        if len(frame.observations.z):
             pairing = front.associate(frame)
             front.update(frame, pairing)
             decisions[frame.first : frame.first + len(pairing.decisions)] = pairing.decisions
@@ -60,7 +60,7 @@ def test_a_smoother_ends_where_the_final_decisions_lead(shared_data):
 
 
 def test_what_is_not_settled_at_the_end_is_smoothed_as_it_is_reported(shared_data):
-    # after more than a minute without a sighting
+    # after more than a minute without an observation
     log = load_mrclam(shared_data / "mrclam" / "MRCLAM_Dataset6.zip", 4, Treatment(240.0, 342.0))
     isam2, smoothed = compare(log.inputs(labels=False), "localization", ["isam2", "batch"], "jcbb-hindsight")
     assert ((isam2.decisions == DISCARD) & (isam2.final_decisions >= 0)).any()

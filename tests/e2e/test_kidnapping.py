@@ -52,7 +52,7 @@ def replay(inputs, estimator="ekf"):
     for k in range(len(inputs)):
         frame = inputs.frame(k)
         front.move(frame)
-        if len(frame.sightings.z):
+        if len(frame.observations.z):
             pairing = front.associate(frame)
             used = front.update(frame, pairing).used
             decisions[frame.first : frame.first + len(used)] = np.where(used, pairing.decisions, -2)
@@ -109,7 +109,7 @@ def test_a_textbook_filter_does_not_come_back():
     for k in range(len(inputs)):
         if k:
             plain.predict(inputs.increment(k))
-        seen = inputs.sightings(k)
+        seen = inputs.frame_observations(k)
         plain.update(seen, decide("jcbb", plain.expect(seen), 0.99, None, known_map=True).decisions)
     assert np.hypot(*(plain.estimate().mean - truth[-1])[:2]) > 2.0
     assert front.localizer.found
@@ -137,7 +137,7 @@ def test_without_a_kidnapping_labels_are_not_missed():
         if k:
             labelled.predict(inputs.increment(k))
         rows = slice(inputs.start[k], inputs.start[k + 1])
-        labelled.update(inputs.sightings(k), truth.landmark_of[rows])
+        labelled.update(inputs.frame_observations(k), truth.landmark_of[rows])
     assert np.hypot(*(pose[-1] - labelled.estimate().mean)[:2]) < 0.05
 
 
@@ -160,15 +160,15 @@ def test_a_filter_that_is_reset_believes_only_that():
         anew, fresh = (EkfLocalizer(inputs.prior, inputs.sensor, inputs.map, options) for _ in range(2))
         for k in range(5):
             anew.predict(inputs.increment(k + 1))
-            anew.update(inputs.sightings(k), np.full(len(inputs.sightings(k).z), -2))
+            anew.update(inputs.frame_observations(k), np.full(len(inputs.frame_observations(k).z), -2))
         mean, P = np.array([3.0, -1.0, 2.0]), np.diag([0.04, 0.01, 0.02])
-        expectation = anew.expect(inputs.sightings(5))
+        expectation = anew.expect(inputs.frame_observations(5))
         anew.reset(mean, P)
         with pytest.raises(RuntimeError, match="moved on"):
             expectation.joint(np.arange(2))
         fresh = EkfLocalizer(replace(inputs.prior, mean=mean, covariance=P), inputs.sensor, inputs.map, options)
         for f in (anew, fresh):
-            f.update(inputs.sightings(5), np.full(len(inputs.sightings(5).z), -2))
+            f.update(inputs.frame_observations(5), np.full(len(inputs.frame_observations(5).z), -2))
             f.predict(inputs.increment(6))
         assert np.array_equal(anew.mean, fresh.mean)
         assert np.array_equal(anew.covariance, fresh.covariance)
@@ -182,7 +182,7 @@ def mapped(seed, estimator="ekf", frames=60):
     for k in range(len(inputs)):
         frame = inputs.frame(k)
         front.move(frame)
-        if len(frame.sightings.z):
+        if len(frame.observations.z):
             front.update(frame, front.associate(frame))
         front.tidy()
         off.append(np.hypot(*(front.estimator.estimate().mean - truth[k])[:2]))
@@ -217,7 +217,7 @@ def test_mapping_undisturbed_raises_no_alarm():
         for k in range(60):
             frame = log.recorded.frame(k)
             front.move(frame)
-            if len(frame.sightings.z):
+            if len(frame.observations.z):
                 front.update(frame, front.associate(frame))
             front.tidy()
         assert front.mapper.kidnapping.alarms == []

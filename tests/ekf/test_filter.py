@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from association.decide import known_decisions
 from data import se2
-from data.inputs import LabelledObservations, LandmarkMap, Observations, Prior, Sightings
+from data.inputs import FrameObservations, LabelledObservations, LandmarkMap, Observations, Prior
 from data.result import DISCARD, NEW
 from data.sensors import RangeBearing, RelativePoint
 from data.worlds.arena import Arena, simulate
@@ -29,7 +29,7 @@ def replay(filter_, inputs, decisions, threshold=np.inf):
         if k:
             filter_.predict(inputs.increment(k))
         rows = slice(inputs.start[k], inputs.start[k + 1])
-        filter_.update(inputs.sightings(k), decisions[rows], threshold=threshold)
+        filter_.update(inputs.frame_observations(k), decisions[rows], threshold=threshold)
         mean, P = filter_.estimate()
         pose.append(mean)
         covariance.append(P)
@@ -74,7 +74,7 @@ def test_extrinsic_moves_the_sensor_off_the_robot():
     z = reference.expected(0, (0.7, 0.3, -0.2), prior.mean, landmark[0])[None] + [[0.05, 0.02]]
     R = np.array([[[0.01, 0.001], [0.001, 0.002]]])
     f = EkfLocalizer(prior, sensor, LandmarkMap(np.array([4]), landmark))
-    f.update(Sightings(z, R), np.array([4]))
+    f.update(FrameObservations(z, R), np.array([4]))
     x, P, *_ = reference.run(
         0, (0.7, 0.3, -0.2), prior.mean, prior.covariance, [np.zeros(3)], [np.zeros((3, 3))], [0], z, R, [0], landmark
     )
@@ -87,7 +87,7 @@ def test_bearing_innovation_is_wrapped_at_the_seam(heading):
     prior = Prior(np.array([0.0, 0.0, heading]), np.diag([1e-4, 1e-4, 1e-4]))
     behind = LandmarkMap(np.array([0]), np.array([[-5.0 * np.cos(heading), -5.0 * np.sin(heading)]]))
     f = EkfLocalizer(prior, RangeBearing(), behind)
-    f.update(Sightings(np.array([[5.0, -np.pi + 0.001]]), np.diag([0.01, 1e-4])[None]), np.array([0]))
+    f.update(FrameObservations(np.array([[5.0, -np.pi + 0.001]]), np.diag([0.01, 1e-4])[None]), np.array([0]))
     assert abs(se2.wrap_angle(f.estimate().mean[2] - heading)) < 0.01
 
 
@@ -106,7 +106,7 @@ def test_new_landmarks_carry_full_cross_covariance():
     prior = Prior(np.array([1.0, 2.0, 0.4]), np.diag([0.04, 0.09, 0.01]))
     f = EkfSlam(prior, RelativePoint())
     z, R = np.array([[3.0, 1.0]]), np.array([[[0.02, 0.005], [0.005, 0.03]]])
-    f.update(Sightings(z, R), np.array([NEW]))
+    f.update(FrameObservations(z, R), np.array([NEW]))
     rot = se2.rotation(0.4)
     w = rot @ z[0]
     Gx = np.array([[1, 0, -w[1]], [0, 1, w[0]]])
@@ -120,20 +120,20 @@ def test_tutorial_options_update_one_by_one_and_add_uncorrelated_landmarks():
     landmarks = LandmarkMap(np.arange(2), np.array([[3.0, 1.0], [2.0, -2.0]]))
     z, R = np.array([[3.0, 0.3], [2.9, -0.7]]), np.tile(np.diag([0.04, 0.01]), (2, 1, 1))
     both = EkfLocalizer(prior, RangeBearing(), landmarks, FilterOptions(each=True))
-    both.update(Sightings(z, R), np.array([0, 1]))
+    both.update(FrameObservations(z, R), np.array([0, 1]))
     singly = EkfLocalizer(prior, RangeBearing(), landmarks)
     for i in range(2):
-        singly.update(Sightings(z[i : i + 1], R[i : i + 1]), np.array([i]))
+        singly.update(FrameObservations(z[i : i + 1], R[i : i + 1]), np.array([i]))
     assert np.array_equal(both.estimate().mean, singly.estimate().mean)
     stacked = EkfLocalizer(prior, RangeBearing(), landmarks)
-    stacked.update(Sightings(z, R), np.array([0, 1]))
+    stacked.update(FrameObservations(z, R), np.array([0, 1]))
     assert np.abs(stacked.estimate().mean - both.estimate().mean).max() > 1e-6
     slam = EkfSlam(prior, RangeBearing(), FilterOptions(new_variance=10.0))
-    slam.update(Sightings(z[:1], R[:1]), np.array([NEW]))
+    slam.update(FrameObservations(z[:1], R[:1]), np.array([NEW]))
     assert np.array_equal(slam.covariance[3:, 3:], 10.0 * np.eye(2))
     assert not slam.covariance[3:, :3].any()
     slam = EkfSlam(prior, RangeBearing(), FilterOptions(new_variance_per_square=1 / 130))
-    slam.update(Sightings(z[:1], R[:1]), np.array([NEW]))
+    slam.update(FrameObservations(z[:1], R[:1]), np.array([NEW]))
     np.testing.assert_allclose(slam.covariance[3:, 3:], z[0, 0] ** 2 / 130 * np.eye(2), rtol=1e-15)
     assert not slam.covariance[3:, :3].any()
 
@@ -142,13 +142,13 @@ def test_growing_the_buffers_changes_nothing():
     rng = np.random.default_rng(0)
     n = 60
     z = np.stack([rng.uniform(1, 5, n), rng.uniform(-1, 1, n)], 1)
-    sightings = Sightings(z, np.tile(0.01 * np.eye(2), (n, 1, 1)))
+    observations = FrameObservations(z, np.tile(0.01 * np.eye(2), (n, 1, 1)))
     prior = Prior(np.zeros(3), 0.01 * np.eye(3))
     small, large = EkfSlam(prior, RangeBearing()), EkfSlam(prior, RangeBearing())
     large._grow(2 * n)
     for f in (small, large):
-        f.update(sightings, np.full(n, NEW))
-        f.update(sightings, np.arange(n))
+        f.update(observations, np.full(n, NEW))
+        f.update(observations, np.arange(n))
     assert np.array_equal(small.mean, large.mean)
     assert np.array_equal(small.covariance, large.covariance)
 
@@ -165,12 +165,12 @@ def test_removing_a_landmark_marginalizes_it_out_and_its_number_is_not_reused():
     assert np.array_equal(f.mean, before[stay])
     assert np.array_equal(f.covariance, P[np.ix_(stay, stay)])
     last = f.created
-    f.update(Sightings(np.array([[2.0, 0.0]]), 0.01 * np.eye(2)[None]), np.array([NEW]))
+    f.update(FrameObservations(np.array([[2.0, 0.0]]), 0.01 * np.eye(2)[None]), np.array([NEW]))
     assert f.finish().map.number[-1] == last
     with pytest.raises(ValueError, match="not all are in the map"):
         f.remove(np.array([1]))
     with pytest.raises(ValueError, match="no landmark has number 1"):
-        f.update(Sightings(np.array([[2.0, 0.0]]), 0.01 * np.eye(2)[None]), np.array([1]))
+        f.update(FrameObservations(np.array([[2.0, 0.0]]), 0.01 * np.eye(2)[None]), np.array([1]))
 
 
 def test_expectation_blocks_are_those_of_the_joint_and_go_stale():
@@ -179,7 +179,7 @@ def test_expectation_blocks_are_those_of_the_joint_and_go_stale():
     decisions, _ = known_decisions(inputs)
     f = EkfSlam(inputs.prior, inputs.sensor)
     replay(f, inputs, decisions)
-    e = f.expect(inputs.sightings(0))
+    e = f.expect(inputs.frame_observations(0))
     joint = e.joint(np.arange(len(e.number)))
     for i in range(len(e.number)):
         assert np.allclose(joint[2 * i : 2 * i + 2, 2 * i : 2 * i + 2], e.HPHt[i], atol=1e-14)
@@ -198,7 +198,7 @@ def test_expectation_blocks_are_those_of_the_joint_and_go_stale():
 
 def test_landmark_at_the_robot_carries_no_information_and_no_nan():
     f = EkfLocalizer(Prior(np.zeros(3), 0.01 * np.eye(3)), RangeBearing(), LandmarkMap(np.array([0]), np.zeros((1, 2))))
-    f.update(Sightings(np.array([[0.1, 0.2]]), np.diag([0.01, 0.01])[None]), np.array([0]))
+    f.update(FrameObservations(np.array([[0.1, 0.2]]), np.diag([0.01, 0.01])[None]), np.array([0]))
     mean, P = f.estimate()
     assert np.isfinite(mean).all()
     assert np.array_equal(P, 0.01 * np.eye(3))
@@ -209,7 +209,7 @@ def test_singular_innovation_covariance_is_a_divergence_not_a_nan():
         Prior(np.zeros(3), np.zeros((3, 3))), RangeBearing(), LandmarkMap(np.array([0]), np.array([[1.0, 0]]))
     )
     with pytest.raises(FilterDivergedError, match="positive definite"):
-        f.update(Sightings(np.array([[1.0, 0.0]]), np.zeros((1, 2, 2))), np.array([0]))
+        f.update(FrameObservations(np.array([[1.0, 0.0]]), np.zeros((1, 2, 2))), np.array([0]))
 
 
 def test_failure_in_the_whole_run_blanks_the_rest_and_names_the_frame():
@@ -262,7 +262,7 @@ def test_unpaired_observations_leave_the_filter_alone():
         Prior(np.zeros(3), 0.01 * np.eye(3)), RangeBearing(), LandmarkMap(np.array([0]), np.array([[1.0, 0]]))
     )
     before = f.estimate()
-    done = f.update(Sightings(np.array([[1.0, 0.0]]), 0.01 * np.eye(2)[None]), np.array([DISCARD]))
+    done = f.update(FrameObservations(np.array([[1.0, 0.0]]), 0.01 * np.eye(2)[None]), np.array([DISCARD]))
     assert not done.used.any()
     assert np.array_equal(f.estimate().mean, before.mean)
     assert Observations(np.array([0]), np.zeros((1, 2)), np.eye(2)[None]).z.flags.writeable is False

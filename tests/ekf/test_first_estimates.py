@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.inputs import Prior, Sightings
+from data.inputs import FrameObservations, Prior
 from data.sensors import RelativePoint
 from data.worlds.arena import Arena, simulate
 from ekf.filter import FilterOptions
@@ -102,7 +102,7 @@ def test_every_step_is_that_of_a_dense_filter(log):
             dense.x, dense.P = dense.x[stay], dense.P[np.ix_(stay, stay)]
             del dense.initialized[s]
             dense.slot = {n: i - (i > s) for n, i in dense.slot.items()}
-        done = f.update(inputs.sightings(k), np.array([number.get(i, -1) for i in ids], np.int64))
+        done = f.update(inputs.frame_observations(k), np.array([number.get(i, -1) for i in ids], np.int64))
         number.update((i, int(n)) for i, n in zip(ids, done.created, strict=True) if n >= 0)
         dense.update(o.z[rows], o.R[rows], ids)
         dense.x[2] = np.arctan2(np.sin(dense.x[2]), np.cos(dense.x[2]))
@@ -113,13 +113,15 @@ def test_every_step_is_that_of_a_dense_filter(log):
 def test_the_expectation_is_formed_with_the_jacobians_of_the_update(log):
     inputs = log.inputs(labels=True).without_map()
     f = EkfSlam(inputs.prior, inputs.sensor, FEJ)
-    n = len(inputs.sightings(0).z)
-    f.update(inputs.sightings(0), np.full(n, -1))
+    n = len(inputs.frame_observations(0).z)
+    f.update(inputs.frame_observations(0), np.full(n, -1))
     for k in range(1, 4):
         f.predict(inputs.increment(k))
-        f.update(Sightings(inputs.sightings(0).z + 0.05 * k, inputs.sightings(0).R), np.arange(n))
+        f.update(
+            FrameObservations(inputs.frame_observations(0).z + 0.05 * k, inputs.frame_observations(0).R), np.arange(n)
+        )
     f.predict(inputs.increment(5))
-    e = f.expect(inputs.sightings(5))
+    e = f.expect(inputs.frame_observations(5))
     S = e.joint(np.arange(n))
     for i in range(n):
         np.testing.assert_allclose(S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2], e.HPHt[i], atol=1e-12)
@@ -157,6 +159,6 @@ def test_what_first_estimates_exclude_is_refused():
         with pytest.raises(ValueError, match="first estimates"):
             FilterOptions(first_estimates=True, **more)
     f = EkfSlam(Prior(np.zeros(3), 0.01 * np.eye(3)), RelativePoint(), FEJ)
-    f.update(Sightings(np.array([[2.0, 1.0]]), 0.01 * np.eye(2)[None]), np.array([-1]))
+    f.update(FrameObservations(np.array([[2.0, 1.0]]), 0.01 * np.eye(2)[None]), np.array([-1]))
     with pytest.raises(ValueError, match="first estimate"):
         f.park(np.array([0]))

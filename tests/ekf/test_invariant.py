@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.io import loadmat
 from scipy.linalg import expm
 
-from data.inputs import Increment, Prior, Sightings
+from data.inputs import FrameObservations, Increment, Prior
 from data.sensors import RelativePoint
 from data.worlds.arena import Arena, simulate
 from ekf import updates
@@ -78,7 +78,7 @@ def test_a_stored_run_of_others_is_replayed_step_by_step(shared_data, invariant,
         slots = np.flatnonzero(z[2, :, k] > 0)
         ids = z[2, slots, k].astype(int).tolist()
         R = np.tile(0.01 * np.eye(2), (len(slots), 1, 1))
-        done = f.update(Sightings(z[:2, slots, k].T, R), np.array([number.get(i, -1) for i in ids], np.int64))
+        done = f.update(FrameObservations(z[:2, slots, k].T, R), np.array([number.get(i, -1) for i in ids], np.int64))
         number.update((i, int(n)) for i, n in zip(ids, done.created, strict=True) if n >= 0)
         pose, P = f.estimate()
         nees[k] = consistency.nees(pose[None], P[None], truth[:, k][None], "pose")[0]
@@ -114,6 +114,6 @@ def test_whole_run_and_step_by_step_are_one_filter():
 
 def test_landmarks_of_the_invariant_filter_cannot_be_parked():
     f = EkfSlam(Prior(np.zeros(3), 0.01 * np.eye(3)), RelativePoint(), FilterOptions(invariant=True))
-    f.update(Sightings(np.array([[2.0, 1.0]]), 0.01 * np.eye(2)[None]), np.array([-1]))
+    f.update(FrameObservations(np.array([[2.0, 1.0]]), 0.01 * np.eye(2)[None]), np.array([-1]))
     with pytest.raises(ValueError, match="invariant"):
         f.park(np.array([0]))

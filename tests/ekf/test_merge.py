@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from data.inputs import Increment, Prior, Sightings
+from data.inputs import FrameObservations, Increment, Prior
 from data.result import NEW
 from data.sensors import RangeBearing
 from ekf.slam import JOINED, EkfSlam
@@ -17,11 +17,11 @@ def mapped():
     rng = np.random.default_rng(1)
     f = EkfSlam(Prior(np.zeros(3), np.diag([0.01, 0.01, 0.001]) ** 2), SENSOR)
     z = np.array([[5.0, 0.2], [6.0, -0.5], [7.0, 0.8], [4.0, 1.2]])
-    f.update(Sightings(z, np.tile(R, (4, 1, 1))), np.full(4, NEW))
+    f.update(FrameObservations(z, np.tile(R, (4, 1, 1))), np.full(4, NEW))
     for _ in range(10):
         f.predict(Increment(np.array([0.01, 0.0, 0.0]), np.diag([0.05, 0.05, 0.01]) ** 2))
     z = z[:2] + rng.normal(0.0, [0.05, 0.01], (2, 2))
-    f.update(Sightings(z, np.tile(R, (2, 1, 1))), np.full(2, NEW))
+    f.update(FrameObservations(z, np.tile(R, (2, 1, 1))), np.full(2, NEW))
     return f
 
 
@@ -44,7 +44,7 @@ def test_joined_landmarks_are_gone_and_numbers_are_not_used_again():
     f = mapped()
     f.merge(np.array([5]), np.array([1]))
     assert f.finish().map.number.tolist() == [0, 1, 2, 3, 4]
-    again = f.update(Sightings(np.array([[9.0, 0.0]]), R[None]), np.array([NEW]))
+    again = f.update(FrameObservations(np.array([[9.0, 0.0]]), R[None]), np.array([NEW]))
     assert again.created.tolist() == [6]
 
 

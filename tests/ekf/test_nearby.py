@@ -8,7 +8,7 @@ from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
 from data import se2
-from data.inputs import Increment, Prior, Sightings
+from data.inputs import FrameObservations, Increment, Prior
 from data.result import NEW
 from data.sensors import Line, RangeBearing, RelativePoint
 from ekf.slam import EkfSlam
@@ -45,19 +45,19 @@ def test_no_parked_landmark_inside_the_gate_is_missed(seed, sensor, within, drif
             g.predict(Increment(u, P))
         seen = np.argsort(np.hypot(*(places - truth[:2]).T))[: 4 if k else 8]
         z = sensor.predict(truth, places[seen]) + rng.normal(size=(len(seen), 2)) * [0.05, 0.02]
-        sightings = Sightings(z, np.tile(np.diag([0.0025, 0.0004]), (len(seen), 1, 1)))
+        observations = FrameObservations(z, np.tile(np.diag([0.0025, 0.0004]), (len(seen), 1, 1)))
         parked = f.parked
-        near = f.parked_within(sightings, within)
+        near = f.parked_within(observations, within)
         if len(parked):
-            e = full.expect(sightings)
+            e = full.expect(observations)
             d2 = e.individual_distances()[:, np.isin(e.number, parked)].min(axis=0)
             must = parked[d2 <= within]
             assert np.isin(must, near).all(), f"missed {np.setdiff1d(must, near)}"
             inside, asked, found_in_all = inside + len(must), asked + len(parked), found_in_all + len(near)
         decisions = np.array([number.get(p, NEW) for p in seen.tolist()])
         f.restore(np.intersect1d(decisions, f.parked))
-        done = f.update(sightings, decisions)
-        full.update(sightings, decisions)
+        done = f.update(observations, decisions)
+        full.update(observations, decisions)
         number.update((int(p), int(n)) for p, n in zip(seen, done.created) if n >= 0)
         if rng.random() < 0.3:
             f.park(f.active[rng.random(len(f.active)) < 0.8], begin_epoch=True)
@@ -72,15 +72,15 @@ def test_a_landmark_that_was_put_right_far_from_where_it_was_parked_is_found():
     R = 1e-6 * np.eye(2)
     seven = np.stack([20.0 + np.arange(7), np.zeros(7)], 1)
     for g in (f, full):
-        g.update(Sightings(np.array([[10.0, 0.0]]), R[None]), np.array([NEW]))
+        g.update(FrameObservations(np.array([[10.0, 0.0]]), R[None]), np.array([NEW]))
         g.predict(Increment(np.zeros(3), np.diag([1e-8, 1e-8, 0.04])))
-        g.update(Sightings(seven, np.tile(R, (7, 1, 1))), np.full(7, NEW))
+        g.update(FrameObservations(seven, np.tile(R, (7, 1, 1))), np.full(7, NEW))
     f.park(np.arange(1, 8), begin_epoch=True)
     for g in (f, full):
-        g.update(Sightings(np.array([[10.0, -0.4]]), R[None]), np.array([0]))
+        g.update(FrameObservations(np.array([[10.0, -0.4]]), R[None]), np.array([0]))
         g.predict(Increment(np.array([19.0, 0.0, 0.0]), 1e-8 * np.eye(3)))
-    reading = full.expect(Sightings(np.empty((0, 2)), np.empty((0, 2, 2)))).z_hat[1:2]
-    assert 1 in f.parked_within(Sightings(reading, R[None]), 0.01)
+    reading = full.expect(FrameObservations(np.empty((0, 2)), np.empty((0, 2, 2)))).z_hat[1:2]
+    assert 1 in f.parked_within(FrameObservations(reading, R[None]), 0.01)
 
 
 def test_far_away_landmarks_are_not_taken_for_near():
@@ -90,7 +90,7 @@ def test_far_away_landmarks_are_not_taken_for_near():
     f = EkfSlam(Prior(np.zeros(3), np.diag([100.0, 100.0, 1e-6])), sensor)
     for k in range(300):
         f.predict(Increment(np.array([1.0, 0.0, 0.0]), 1e-6 * np.eye(3)))
-        seen = Sightings(sensor.predict(f.mean[:3], f.mean[:2] + [[0.5, 2.0]]), 1e-4 * np.eye(2)[None])
+        seen = FrameObservations(sensor.predict(f.mean[:3], f.mean[:2] + [[0.5, 2.0]]), 1e-4 * np.eye(2)[None])
         assert not len(f.parked_within(seen, 9.2)), k
         f.update(seen, np.array([NEW]))
         if k >= 150 and k % 10 == 9:
@@ -107,11 +107,11 @@ def test_of_what_was_parked_just_now_those_inside_the_gate_are_near(within, near
     places = np.array(
         [[9.0, 9.0], [5.0, 0.0], [5.0, 0.6], [4.0, 0.0], [5.0, -8.0], *[[-9.0, 1.0 + k] for k in range(9)]]
     )
-    f.update(Sightings(places, np.tile(R, (len(places), 1, 1))), np.full(len(places), NEW))
+    f.update(FrameObservations(places, np.tile(R, (len(places), 1, 1))), np.full(len(places), NEW))
     f.park(np.arange(1, 5))
     far = np.array([[-20.0, 0.0], [5.0, 0.0]])
-    assert sorted(f.parked_within(Sightings(far, np.tile(R, (2, 1, 1))), within).tolist()) == near
-    nothing = Sightings(np.empty((0, 2)), np.empty((0, 2, 2)))
+    assert sorted(f.parked_within(FrameObservations(far, np.tile(R, (2, 1, 1))), within).tolist()) == near
+    nothing = FrameObservations(np.empty((0, 2)), np.empty((0, 2, 2)))
     assert f.parked_within(nothing, within).tolist() == []
 
 
@@ -120,13 +120,15 @@ def test_what_was_parked_long_ago_and_what_was_parked_just_now_are_both_near():
     f = EkfSlam(Prior(np.zeros(3), 1e-12 * np.eye(3)), RelativePoint())
     R = 0.02 * np.eye(2)
     places = np.stack([10.0 * np.arange(15), np.ones(15)], 1)
-    f.update(Sightings(places, np.tile(R, (15, 1, 1))), np.full(15, NEW))
+    f.update(FrameObservations(places, np.tile(R, (15, 1, 1))), np.full(15, NEW))
     f.park(np.arange(10), begin_epoch=True)
     f.park(np.array([10]))
     assert (np.flatnonzero(f._parked.based).tolist(), f._parked.recent.tolist()) == (list(range(10)), [10])
 
     def near(*numbers, within=9.0):
-        return sorted(f.parked_within(Sightings(places[list(numbers)], np.tile(R, (len(numbers), 1, 1))), within))
+        return sorted(
+            f.parked_within(FrameObservations(places[list(numbers)], np.tile(R, (len(numbers), 1, 1))), within)
+        )
 
     assert near(2, 10) == [2, 10]
     assert near(2) == [2]

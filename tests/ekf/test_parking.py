@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from association.decide import known_decisions
 from data import se2
 from data.formats.recordings.victoria_park import load_victoria_park
-from data.inputs import Increment, Prior, Sightings
+from data.inputs import FrameObservations, Increment, Prior
 from data.result import DISCARD, NEW
 from data.sensors import Line, RangeBearing, RelativePoint
 from ekf import kernels
@@ -20,7 +20,7 @@ from ekf.filter import FilterOptions
 from ekf.slam import EkfSlam
 
 NOBODY = np.empty(0, np.int64)
-NOTHING_SEEN = Sightings(np.empty((0, 2)), np.empty((0, 2, 2)))
+NOTHING_SEEN = FrameObservations(np.empty((0, 2)), np.empty((0, 2, 2)))
 PRIOR = Prior(np.array([1.0, -2.0, 3.0]), np.diag([0.04, 0.01, 0.002]))
 
 
@@ -99,8 +99,8 @@ def test_a_filter_that_parks_equals_one_that_never_does(seed, sensor, threshold,
         seen = np.array([p for p in rng.permutation(len(places))[:4] if held.get(p) not in parked], np.int64)
         decisions = np.array([held.get(p, rng.choice([NEW, DISCARD])) for p in seen], np.int64)
         z = sensor.predict(truth, places[seen]) + rng.normal(size=(len(seen), 2)) * [0.1, 0.03]
-        sightings = Sightings(z, np.tile(np.diag([0.01, 0.0009]), (len(seen), 1, 1)))
-        done, expected = (g.update(sightings, decisions, threshold=threshold) for g in (f, full))
+        observations = FrameObservations(z, np.tile(np.diag([0.01, 0.0009]), (len(seen), 1, 1)))
+        done, expected = (g.update(observations, decisions, threshold=threshold) for g in (f, full))
         assert np.array_equal(done.used, expected.used)
         assert np.array_equal(done.created, expected.created)
         assert done.dof == expected.dof
@@ -120,7 +120,7 @@ def test_a_filter_that_parks_equals_one_that_never_does(seed, sensor, threshold,
 def initialized(n=4):
     f = EkfSlam(PRIOR, RelativePoint())
     z = np.stack([np.arange(1.0, n + 1), np.ones(n)], 1)
-    f.update(Sightings(z, np.tile(0.01 * np.eye(2), (n, 1, 1))), np.full(n, NEW))
+    f.update(FrameObservations(z, np.tile(0.01 * np.eye(2), (n, 1, 1))), np.full(n, NEW))
     return f
 
 
@@ -128,7 +128,7 @@ def test_what_cannot_be_parked_restored_or_paired_is_named_and_changes_nothing()
     f = initialized()
     f.park(np.array([2]))
     before = f.covariance
-    one = Sightings(np.array([[2.0, 1.0]]), 0.01 * np.eye(2)[None])
+    one = FrameObservations(np.array([[2.0, 1.0]]), 0.01 * np.eye(2)[None])
     with pytest.raises(ValueError, match="cannot park landmark 2: it is parked already"):
         f.park(np.array([1, 2]))
     with pytest.raises(ValueError, match="cannot park landmark 9: no landmark has this number"):
@@ -168,7 +168,7 @@ def test_numbers_of_parked_and_removed_landmarks_are_not_given_again():
     f = initialized()
     f.park(np.array([3, 1]))
     f.remove(np.array([3]))
-    done = f.update(Sightings(np.array([[2.0, 0.0]]), 0.01 * np.eye(2)[None]), np.array([NEW]))
+    done = f.update(FrameObservations(np.array([[2.0, 0.0]]), 0.01 * np.eye(2)[None]), np.array([NEW]))
     assert done.created.tolist() == [4]
     assert f.finish().map.number.tolist() == [0, 1, 2, 4]
     assert f.size == 3 + 2 * 3
@@ -211,7 +211,7 @@ def test_victoria_park_with_landmarks_parked_that_are_unseen_for_a_minute():
         for g in (f, full):
             if k:
                 g.predict(inputs.increment(k))
-            g.update(inputs.sightings(k), decisions[rows])
+            g.update(inputs.frame_observations(k), decisions[rows])
         last[seen[seen >= 0]] = inputs.time[k]
         f.park(np.setdiff1d(np.flatnonzero(inputs.time[k] - last > unseen), f.parked))
         largest = max(largest, f.size)

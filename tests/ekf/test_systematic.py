@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from data import se2
-from data.inputs import Increment, LandmarkMap, Prior, Sightings, Systematic
+from data.inputs import FrameObservations, Increment, LandmarkMap, Prior, Systematic
 from data.motion.systematic import BETWEEN_KNOTS, corrected, places, sensor_frame
 from data.result import NEW
 from data.sensors import RangeBearing
@@ -25,7 +25,7 @@ ALL = Systematic((*ODOMETRY.names, "range", "bearing"), np.append(ODOMETRY.sigma
 
 
 def seen(*z):
-    return Sightings(np.array(z, float), np.tile(R, (len(z), 1, 1)))
+    return FrameObservations(np.array(z, float), np.tile(R, (len(z), 1, 1)))
 
 
 @pytest.mark.parametrize("of", [ODOMETRY, ALL], ids=["odometry", "all"])
@@ -82,7 +82,9 @@ def drive(f, xy, seed, of=None, errors=None, frames=60, number=None):
         z = z[here] * [1.0 + named.get("range", 0.0), 1.0] + [0.0, named.get("bearing", 0.0)]
         z += rng.multivariate_normal(np.zeros(2), R, len(here))
         z[:, 1] = se2.wrap_angle(z[:, 1])
-        done = f.update(Sightings(z, np.tile(R, (len(here), 1, 1))), np.array([number.get(i, NEW) for i in here]))
+        done = f.update(
+            FrameObservations(z, np.tile(R, (len(here), 1, 1))), np.array([number.get(i, NEW) for i in here])
+        )
         number.update({i: n for i, n in zip(here.tolist(), done.created.tolist()) if n >= 0})
         mean, P = f.estimate()
         e = se2.pose_error(mean, pose)

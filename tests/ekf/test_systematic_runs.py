@@ -9,7 +9,7 @@ import pytest
 
 from association.decide import known_decisions
 from data import se2
-from data.inputs import Increment, LandmarkMap, Prior, Sightings, Systematic
+from data.inputs import FrameObservations, Increment, LandmarkMap, Prior, Systematic
 from data.result import DISCARD
 from data.sensors import RangeBearing
 from data.worlds.arena import Arena, simulate
@@ -50,7 +50,7 @@ def stepped(inputs, options=DEFAULT, threshold=np.inf):
         if k:
             f.predict(inputs.increment(k))
         now = slice(inputs.start[k], inputs.start[k + 1])
-        done = f.update(inputs.sightings(k), decisions[now], threshold=threshold)
+        done = f.update(inputs.frame_observations(k), decisions[now], threshold=threshold)
         errors = (np.zeros(0), np.zeros((0, 0))) if f.errors is None else f.errors
         rows.append((*f.estimate(), errors[0], np.sqrt(np.diag(errors[1])), done.nis))
     return [np.array(column) for column in zip(*rows, strict=True)], f
@@ -88,7 +88,7 @@ def test_a_filter_that_parks_equals_one_that_never_does(arena):
         for g in (f, full):
             if k:
                 g.predict(inputs.increment(k))
-            g.update(inputs.sightings(k), decisions[rows])
+            g.update(inputs.frame_observations(k), decisions[rows])
         if k == 60:
             for g in (f, full):
                 g.remove(np.array([1, 4]))
@@ -146,7 +146,7 @@ def localizer(seed=0, count=400, options=DEFAULT):
         pose = se2.compose(pose, step)
         z = sensor.predict(pose, xy)
         near = np.argsort(z[:, 0])[:3]
-        seen = Sightings(z[near] * [1.04, 1.0] + [0.0, 0.02], np.tile(np.diag([0.1, 0.02]) ** 2, (3, 1, 1)))
+        seen = FrameObservations(z[near] * [1.04, 1.0] + [0.0, 0.02], np.tile(np.diag([0.1, 0.02]) ** 2, (3, 1, 1)))
         f.update(seen, near)
     return f, seen, near
 
@@ -216,7 +216,7 @@ def test_more_doubt_of_the_last_motion_is_doubt_of_the_robots_pose():
 def test_landmarks_come_and_go_and_the_errors_stay(arena):
     f = EkfSlam(arena.prior, arena.sensor, systematic=ALL)
     assert (f.size, f.base) == (10, 10)
-    seen = Sightings(np.array([[3.0, 0.1], [4.0, -0.4], [5.0, 0.9]]), np.tile(0.01 * np.eye(2), (3, 1, 1)))
+    seen = FrameObservations(np.array([[3.0, 0.1], [4.0, -0.4], [5.0, 0.9]]), np.tile(0.01 * np.eye(2), (3, 1, 1)))
     f._mean[3:10] = 1e-3 * np.arange(7)
     f.update(seen, np.full(3, -1))
     f.remove(np.array([1]))

@@ -23,7 +23,7 @@ def true_path() -> Array:
 
 
 def circle_log(*, truth: bool = True, landmarks: bool = True, known_map: bool = False, name: str = "circle") -> Log:
-    """One sighting of landmark 3 in each of the first four frames; time in steps of half a second."""
+    """One observation of landmark 3 in each of the first four frames; time in steps of half a second."""
     path = true_path()
     mean = np.zeros((FRAMES, 3))
     mean[1:] = between(path[:-1], path[1:])

@@ -16,7 +16,7 @@ from data.sensors import RangeBearing
 from data.summary import longest_run, repeated_in_frame, summarize
 from data.truth import UNKNOWN_ID, Truth
 from eval.figures.log import log_figure
-from eval.figures.paper import Look, looking
+from eval.figures.paper import FigureStyle, figure_style
 from eval.inspect import main
 
 
@@ -186,7 +186,7 @@ def test_the_page_is_as_wide_as_all_and_as_high_as_the_scene_within_limits(corne
 def test_in_a_narrow_figure_the_page_is_lower_too():
     known = LandmarkMap(np.array([1, 4]), np.array([[-50.0, -20.0], [150.0, 130.0]]))
     drawn = dataclasses.replace(small_log(), recorded=dataclasses.replace(small_log().recorded, map=known))
-    with looking(Look(width=4.0)):
+    with figure_style(FigureStyle(width=4.0)):
         assert log_figure(drawn).get_size_inches() == pytest.approx([4.0, 4.0 * 0.75 + 0.9])
 
 

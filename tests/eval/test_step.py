@@ -14,11 +14,11 @@ from matplotlib.figure import Figure
 
 from data.logs import open_log
 from eval import step
-from eval.referee.plausibility import with_doubt
+from eval.referee.plausibility import with_plausibility
 from eval.replay.run import step_by_step
 from eval.step import main
 from eval.stepping import pictures
-from eval.stepping.pictures import Album
+from eval.stepping.pictures import ImageWriter
 from eval.stepping.stepper import Walk
 from eval.stepping.text import run_text
 
@@ -85,14 +85,14 @@ def test_what_is_printed_on_the_way_is_what_the_referee_says_in_the_end(argument
         inputs = log.inputs(labels=association == "known")
         inputs = inputs.without_map() if task == "slam" else inputs
         setup = step.read(["--log", "corridor:0:people", *arguments]).options.setup
-        run = with_doubt(step_by_step("ekf", inputs, task, association, setup), inputs)
+        run = with_plausibility(step_by_step("ekf", inputs, task, association, setup), inputs)
         assert out.startswith(run_text(log, run))
     sums = np.array([line.split()[1::2] for line in out.split("\n") if line.startswith("TP") and "FN" in line], int)
     counts = {line[:2]: int(line.split()[1]) for line in out.split("\n") if line.endswith("%")}
     assert dict(zip(("TP", "TN", "FP", "FN"), sums.sum(axis=0).tolist())) == counts
 
 
-class Unpainted(Album):
+class Unpainted(ImageWriter):
     """Asks for all that pictures need, and paints none."""
 
     def show(self, name, paint, stem) -> None:
@@ -187,7 +187,7 @@ def test_an_interrupt_while_a_file_is_written_leaves_no_part_of_it(tmp_path, mon
     def interrupted(self: Path, target: Path) -> Path:
         raise KeyboardInterrupt
 
-    saved = Album(tmp_path, None)
+    saved = ImageWriter(tmp_path, None)
     saved.write("one.png", b"whole")
     monkeypatch.setattr(Path, "replace", interrupted)
     with pytest.raises(KeyboardInterrupt):

@@ -17,7 +17,7 @@ from data.se2 import pose_error
 from data.truth import Truth
 from ekf.filter import FilterOptions
 from eval.compare import compare
-from eval.figures import fate_figure, map_figure
+from eval.figures import loop_state_figure, map_figure
 from eval.figures.log import log_figure
 from eval.figures.plane import chords
 from eval.plan.calibrate import every
@@ -131,7 +131,7 @@ def test_a_wall_has_no_position_to_be_scored(log, run):
 
 
 def test_nobody_expects_to_see_a_wall_beyond_its_ends(log, run, monkeypatch):
-    monkeypatch.setattr(lost, "old_sightings", lambda run, inputs: pytest.fail("a wall was expected to be in view"))
+    monkeypatch.setattr(lost, "former_observations", lambda *_: pytest.fail("a wall was expected to be in view"))
     assert lost.lost(run, log.recorded) is None
 
 
@@ -139,7 +139,7 @@ def test_a_far_origin_of_the_world_is_no_reason_for_doubt():
     log = line_log(3, World(origin=(3000.0, 3000.0), seconds=30.0))
     for task in ("slam", "localization"):
         (found,) = compare(log.inputs(labels=True), task, ["ekf"])
-        assert found.doubt is None
+        assert found.implausible is None
 
 
 def test_a_wall_beyond_all_that_was_seen_is_doubted(log, run):
@@ -190,7 +190,7 @@ def test_the_map_shows_walls_as_lines_across_it_and_no_ellipses_of_them(log, run
     assert len(ellipses) == 2, "those along the path, filled and outlined"
 
 
-@pytest.mark.parametrize("draw", [lambda log, run: log_figure(log), lambda log, run: fate_figure(log, [run])])
+@pytest.mark.parametrize("draw", [lambda log, run: log_figure(log), lambda log, run: loop_state_figure(log, [run])])
 def test_other_pictures_stay_in_the_room(log, run, draw):
     ax = draw(log, run).axes[0]
     assert np.ptp(ax.get_xlim()) < 20.0

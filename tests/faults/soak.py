@@ -19,7 +19,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from data import se2
-from data.inputs import Frame, Increment, LandmarkMap, Prior, Sightings, Systematic
+from data.inputs import Frame, FrameObservations, Increment, LandmarkMap, Prior, Systematic
 from data.sensors import RangeBearing
 from ekf.filter import Filter
 from eval.replay.frontend import FrontEnd
@@ -125,7 +125,7 @@ def frames_of(count: int, poses: np.ndarray, step: np.ndarray, rng: np.random.Ge
         z, label, R = seen[k % ROUND]
         z = z + reading * rng.standard_normal(z.shape)
         increment = Increment(step + motion * rng.standard_normal(3), Q) if k else None
-        yield Frame(k, PERIOD * k, increment, Sightings(z, R), label, first)
+        yield Frame(k, PERIOD * k, increment, FrameObservations(z, R), label, first)
         first += len(z)
 
 

@@ -37,7 +37,7 @@ def drive(inputs, decisions, *, gate=np.inf, until=None, smoother=None, **option
             s.stamp(inputs.time[k])
         rows = slice(inputs.start[k], inputs.start[k + 1])
         if rows.stop > rows.start:
-            done.append(s.update(inputs.sightings(k), decisions[rows], threshold=gate))
+            done.append(s.update(inputs.frame_observations(k), decisions[rows], threshold=gate))
         pose, covariance = s.estimate()
         poses.append(pose)
         covariances.append(covariance)
@@ -45,7 +45,7 @@ def drive(inputs, decisions, *, gate=np.inf, until=None, smoother=None, **option
 
 
 def parted(inputs, decisions, created, landmark, later):
-    """Decisions that initialize a landmark again at its first sighting after frame `later`, with that number."""
+    """Decisions that initialize a landmark again at its first observation after frame `later`, with that number."""
     o, number = inputs.observations, np.where(created >= 0, created, decisions)
     again = np.flatnonzero((number == landmark) & (o.frame > later))
     apart = decisions.copy()

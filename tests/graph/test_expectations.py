@@ -9,7 +9,7 @@ import pytest
 
 from association.candidates import Drift, in_view, may_be_in_view, polar_sigma
 from association.decide import known_decisions
-from data.inputs import LabelledObservations, Prior, Sightings
+from data.inputs import FrameObservations, LabelledObservations, Prior
 from data.sensors import RangeBearing, RelativePoint
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
@@ -36,7 +36,7 @@ def test_it_expects_what_the_filter_expects(sensor, task):
     for k in (20, 21):
         s.predict(inputs.increment(k))
         twin.predict(inputs.increment(k))
-    ours, filters = s.expect(inputs.sightings(21)), twin.expect(inputs.sightings(21))
+    ours, filters = s.expect(inputs.frame_observations(21)), twin.expect(inputs.frame_observations(21))
     assert 0 < len(ours.number) < len(filters.number)
     rows = np.searchsorted(filters.number, ours.number)
     np.testing.assert_array_equal(filters.number[rows], ours.number)
@@ -45,7 +45,7 @@ def test_it_expects_what_the_filter_expects(sensor, task):
     pick = np.array([2, 0, 1])
     np.testing.assert_allclose(ours.joint(pick), filters.joint(rows[pick]), atol=1e-8)
     np.testing.assert_array_equal(ours.frame, 0)
-    assert (ours.z == inputs.sightings(21).z).all()
+    assert (ours.z == inputs.frame_observations(21).z).all()
 
 
 def test_candidates_are_cut_by_the_field_of_view_and_three_sigma_and_five_degrees():
@@ -75,11 +75,11 @@ def test_the_quick_cut_keeps_everything_the_exact_one_keeps(sensor):
         xy, P = twin.mean[3:].reshape(n, 2), twin.covariance
         if k:
             drift.move(inputs.increment(k))
-        everything = expected.form(narrow, twin.mean[:3], P, np.arange(n), xy, inputs.sightings(k))
+        everything = expected.form(narrow, twin.mean[:3], P, np.arange(n), xy, inputs.frame_observations(k))
         exact = in_view(narrow, everything.z_hat, everything.HPHt)
         rows = slice(inputs.start[k], inputs.start[k + 1])
         number = np.where(created[rows] >= 0, created[rows], decisions[rows])
-        drift.see(sensor, inputs.sightings(k), number, P[:3, :3])
+        drift.see(sensor, inputs.frame_observations(k), number, P[:3, :3])
         quick = may_be_in_view(narrow, twin.mean[:3], xy, *drift.sigmas(np.arange(n), P[:3, :3]))
         assert not (exact & ~quick).any()
         kept += quick.sum() < n
@@ -98,9 +98,9 @@ def test_the_bounds_on_relative_uncertainty_are_bounds_and_stay_small_far_from_t
             drift.move(inputs.increment(k))
             twin.predict(inputs.increment(k))
         rows = slice(inputs.start[k], inputs.start[k + 1])
-        twin.update(inputs.sightings(k), decisions[rows])
+        twin.update(inputs.frame_observations(k), decisions[rows])
         number = np.where(created[rows] >= 0, created[rows], decisions[rows])
-        drift.see(sensor, inputs.sightings(k), number, twin.estimate().covariance)
+        drift.see(sensor, inputs.frame_observations(k), number, twin.estimate().covariance)
         n = (twin.size - 3) // 2
         c, s = np.cos(twin.mean[2]), np.sin(twin.mean[2])
         C = np.array([[c, s], [-s, c]])
@@ -156,20 +156,20 @@ def test_the_first_expectations_are_the_filters_whatever_the_prior(sensor, varia
     ours, twin = Isam2Smoother(inputs.prior, inputs.sensor), EkfSlam(inputs.prior, inputs.sensor)
     for k in range(3):
         rows = slice(inputs.start[k], inputs.start[k + 1])
-        sightings = inputs.sightings(k)
+        observations = inputs.frame_observations(k)
         if k:
-            a, b = (e.predict(inputs.increment(k)) or e.expect(sightings).by_age() for e in (ours, twin))
+            a, b = (e.predict(inputs.increment(k)) or e.expect(observations).by_age() for e in (ours, twin))
             both = np.intersect1d(a.number, b.number)
             assert len(both) > 2
             A, B = (e.joint(np.searchsorted(e.number, both)) for e in (a, b))
             np.testing.assert_allclose(A, B, atol=1e-4 * np.abs(B).max())
         for e in (ours, twin):
-            e.update(sightings, decisions[rows])
+            e.update(observations, decisions[rows])
 
 
 @every_sensor
 def test_what_was_expected_bounds_from_then_on_what_may_be_in_view(sensor):
-    """The bound right after is the expectation's own, and grows by odometry as after a sighting."""
+    """The bound right after is the expectation's own, and grows by odometry as after an observation."""
     inputs, _, _ = circle(sensor, noise=0.0, landmarks=25)
     inputs = inputs.without_map()
     decisions, _ = known_decisions(inputs)
@@ -178,9 +178,9 @@ def test_what_was_expected_bounds_from_then_on_what_may_be_in_view(sensor):
     xy, P, number = twin.mean[3:].reshape(n, 2), twin.covariance, np.arange(n)
     drift = Drift()
     first = inputs.sensor.predict(twin.mean[:3], xy)
-    drift.see(sensor, Sightings(first, np.tile(np.eye(2), (n, 1, 1))), number, 1e6 * np.eye(3))
+    drift.see(sensor, FrameObservations(first, np.tile(np.eye(2), (n, 1, 1))), number, 1e6 * np.eye(3))
     loose = drift.sigmas(number, 1e6 * np.eye(3))[0]
-    e = expected.form(sensor, twin.mean[:3], P, number, xy, inputs.sightings(6))
+    e = expected.form(sensor, twin.mean[:3], P, number, xy, inputs.frame_observations(6))
     drift.expect(sensor, number, e.z_hat, e.HPHt)
     tight = drift.sigmas(number, 1e6 * np.eye(3))[0]
     r, own = sensor.polar(e.z_hat)[:, 0], polar_sigma(sensor, e.z_hat, e.HPHt)

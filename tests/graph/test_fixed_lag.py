@@ -117,7 +117,7 @@ def test_gtsams_fixed_lag_smoother_that_refreshes_every_landmark_says_the_same(s
         seen = [s for s in problem.sighted if s.frame == k]
         values, mean = gtsam.Values(), ours.estimate().mean
         values.insert(X(k), pose2(mean))
-        for s, z in zip(seen, inputs.sightings(k).z):
+        for s, z in zip(seen, inputs.frame_observations(k).z):
             if s.number not in known:
                 known.add(s.number)
                 values.insert(L(s.number), inputs.sensor.inverse(mean, z[None])[0][0])
@@ -125,7 +125,7 @@ def test_gtsams_fixed_lag_smoother_that_refreshes_every_landmark_says_the_same(s
         stamps = {X(k): float(k)} | {L(n): float(k) for n in known}
         theirs.update(graph_of(moved + [f for s in seen for f in s.factors]), values, stamps)
         assert seen
-        ours.update(inputs.sightings(k), decisions[inputs.start[k] : inputs.start[k + 1]])
+        ours.update(inputs.frame_observations(k), decisions[inputs.start[k] : inputs.start[k + 1]])
         for _ in range(3):
             theirs.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), {})
         ours.refine(3)
@@ -185,7 +185,7 @@ def test_it_expects_what_the_filter_expects(sensor, task):
     for k in (20, 21):
         s.predict(inputs.increment(k))
         twin.predict(inputs.increment(k))
-    ours, filters = s.expect(inputs.sightings(21)), twin.expect(inputs.sightings(21))
+    ours, filters = s.expect(inputs.frame_observations(21)), twin.expect(inputs.frame_observations(21))
     rows = np.searchsorted(filters.number, ours.number)
     np.testing.assert_array_equal(filters.number[rows], ours.number)
     np.testing.assert_allclose(ours.z_hat, filters.z_hat[rows], atol=1e-6)

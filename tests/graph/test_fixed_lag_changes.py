@@ -10,7 +10,7 @@ from gtsam.symbol_shorthand import L
 
 from association.decide import known_decisions
 from data import se2
-from data.inputs import Increment, Increments, Sightings
+from data.inputs import FrameObservations, Increment, Increments
 from data.result import DISCARD, NEW
 from ekf.slam import EkfSlam
 from ekf.whole_run import run_filter
@@ -58,7 +58,7 @@ def test_a_loop_is_closed_over_any_time(sensor):
 
 @every_sensor
 def test_removal_takes_back_the_sightings_in_the_window(sensor):
-    """As if they had never been, for landmarks whose sightings are all in the window."""
+    """As if they had never been, for landmarks whose observations are all in the window."""
     inputs, _, _ = circle(sensor, frames=30)
     inputs = inputs.without_map()
     decisions, created = known_decisions(inputs)
@@ -85,14 +85,14 @@ def test_removal_takes_back_the_sightings_in_the_window(sensor):
     with pytest.raises(ValueError, match="not all are in the map"):
         s.remove(gone)
     s.predict(extra)
-    seen = inputs.sightings(0)
+    seen = inputs.frame_observations(0)
     assert s.update(seen, np.full(len(seen.z), NEW)).created.min() > created.max()
 
 
 @two_sensors
 @pytest.mark.parametrize("P0", [None, np.zeros((3, 3))], ids=["P0", "zero"])
 def test_removal_of_an_old_landmark_leaves_the_rest_as_a_filter_does(sensor, P0):
-    """Its last sighting left the window long ago: estimate and map of the others do not change, then or later."""
+    """Its last observation left the window long ago: estimate and map of the others do not change, then or later."""
     inputs, truth, _ = circle(sensor, noise=0.0, frames=40, P0=P0)
     inputs = inputs.without_map()
     decisions, created = known_decisions(inputs)
@@ -113,7 +113,7 @@ def test_removal_of_an_old_landmark_leaves_the_rest_as_a_filter_does(sensor, P0)
             assert not any(s._engine.holds(L(n)) for n in gone.tolist())
             np.testing.assert_allclose(s.estimate().covariance, before.covariance, atol=1e-9)
         for e in (s, twin):
-            e.update(inputs.sightings(k), decisions[inputs.start[k] : inputs.start[k + 1]])
+            e.update(inputs.frame_observations(k), decisions[inputs.start[k] : inputs.start[k + 1]])
     np.testing.assert_allclose(s.estimate().covariance, twin.estimate().covariance, atol=2e-8)
     np.testing.assert_allclose(se2.pose_error(s.estimate().mean, truth[-1]), 0.0, atol=1e-6)
     ours, theirs = s.finish().map, twin.finish().map
@@ -188,7 +188,7 @@ def test_pairings_are_amended_in_the_window_only():
     recent = np.where(o.frame == 36, right, wrong)
     s, *_ = drive(inputs, wrong, smoother=lagged(inputs, 10.0, **TIGHT))
     expected, *_ = drive(inputs, recent, smoother=lagged(inputs, 10.0, **TIGHT))
-    s.amend(o.frame[rows], Sightings(o.z[rows], o.R[rows]), right[rows])
+    s.amend(o.frame[rows], FrameObservations(o.z[rows], o.R[rows]), right[rows])
     expected.refine(10)
     s.refine(10)
     for a, b in zip(s.estimate(), expected.estimate(), strict=True):

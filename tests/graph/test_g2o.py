@@ -119,9 +119,9 @@ def test_a_graph_comes_back_as_it_was(arena_graph, tmp_path):
     one, two = read_graph(arena_graph), read_graph(tmp_path / "back.g2o")
     assert two.motion.measured == pytest.approx(one.motion.measured)
     assert two.motion.covariance == pytest.approx(one.motion.covariance)
-    assert two.sighting.measured == pytest.approx(one.sighting.measured)
-    assert two.sighting.covariance == pytest.approx(one.sighting.covariance)
-    assert two.sighting.ends.tolist() == one.sighting.ends.tolist()
+    assert two.observation.measured == pytest.approx(one.observation.measured)
+    assert two.observation.covariance == pytest.approx(one.observation.covariance)
+    assert two.observation.ends.tolist() == one.observation.ends.tolist()
 
 
 def test_edges_written_from_the_later_pose_mean_the_same_motion(arena_graph, tmp_path):

@@ -11,7 +11,7 @@ import pytest
 from association.decide import known_decisions
 from data import se2
 from data.errors import DataError
-from data.inputs import Increment, Increments, Sightings
+from data.inputs import FrameObservations, Increment, Increments
 from data.result import DISCARD, NEW
 from data.sensors import RangeBearing
 from ekf.whole_run import run_filter
@@ -160,7 +160,7 @@ def test_a_landmark_initialized_at_range_zero_is_at_the_robot_as_well_as_its_ran
     inputs, _, _ = circle(RangeBearing(), P0=np.zeros((3, 3)))
     s = Isam2Smoother(inputs.prior, inputs.sensor)
     R = np.tile(np.diag([0.01, 0.0004]), (2, 1, 1))
-    done = s.update(Sightings(np.array([[2.0, 0.3], [0.0, 0.1]]), R), np.array([NEW, NEW]))
+    done = s.update(FrameObservations(np.array([[2.0, 0.3], [0.0, 0.1]]), R), np.array([NEW, NEW]))
     assert done.created.tolist() == [0, 1]
     found = s.finish().map
     np.testing.assert_allclose(found.xy[1], inputs.prior.mean[:2], atol=1e-6)
@@ -179,7 +179,7 @@ def test_what_the_data_leave_free_is_named(qr):
 
 def test_senseless_requests_are_refused():
     inputs, _, _ = circle(SENSORS["range-bearing"])
-    seen = inputs.sightings(0)
+    seen = inputs.frame_observations(0)
     s = Isam2Smoother(inputs.prior, inputs.sensor)
     with pytest.raises(ValueError, match="no landmark has number 3"):
         s.update(seen, np.full(len(seen.z), 3))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from association.decide import known_decisions
-from data.inputs import Increment, Sightings
+from data.inputs import FrameObservations, Increment
 from data.result import DISCARD, NEW
 from ekf.slam import EkfSlam
 from graph.incremental import Isam2Smoother
@@ -44,7 +44,9 @@ def test_removing_a_landmark_leaves_what_there_would_be_without_its_sightings(se
     # numbers are never used again
     s.predict(extra)
     assert (
-        s.update(Sightings(*inputs.sightings(0)), np.full(len(inputs.sightings(0).z), NEW)).created.min()
+        s.update(
+            FrameObservations(*inputs.frame_observations(0)), np.full(len(inputs.frame_observations(0).z), NEW)
+        ).created.min()
         > created.max()
     )
 
@@ -66,7 +68,7 @@ def test_a_motion_that_is_not_believed_is_as_uncertain_as_said(sensor):
     np.testing.assert_allclose(s.estimate().covariance, twin.estimate().covariance, atol=1e-6)
     assert s.estimate().covariance[0, 0] > 25.0
     for f in (s, twin):
-        f.update(inputs.sightings(20), decisions[rows])
+        f.update(inputs.frame_observations(20), decisions[rows])
     np.testing.assert_allclose(s.estimate().covariance, twin.estimate().covariance, atol=1e-4)
     assert s.estimate().covariance[0, 0] < 1.0
     with pytest.raises(ValueError, match="no motion"):
@@ -110,10 +112,10 @@ def test_amended_pairings_leave_no_trace_of_what_they_replace(sensor):
     wrong[amended] = np.where(rng.random(len(amended)) < 0.5, DISCARD, (right[amended] + 1) % 6)
     straight, *_ = drive(inputs, right, until=30, **TIGHT)
     detour, *_ = drive(inputs, wrong, until=30, **TIGHT)
-    detour.predict(inputs.increment(30))  # the newest frame may be without a sighting yet
+    detour.predict(inputs.increment(30))  # the newest frame may be without an observation yet
     straight.predict(inputs.increment(30))
     whole = np.flatnonzero(np.isin(o.frame, o.frame[amended]) & (o.frame < 30))
-    detour.amend(o.frame[whole], Sightings(o.z[whole], o.R[whole]), right[whole])
+    detour.amend(o.frame[whole], FrameObservations(o.z[whole], o.R[whole]), right[whole])
     detour.refine(10)
     straight.refine(10)
     for a, b in zip(detour.estimate(), straight.estimate(), strict=True):
@@ -122,7 +124,7 @@ def test_amended_pairings_leave_no_trace_of_what_they_replace(sensor):
         for k in range(30, 40):
             if k > 30:
                 s.predict(inputs.increment(k))
-            s.update(inputs.sightings(k), right[inputs.start[k] : inputs.start[k + 1]])
+            s.update(inputs.frame_observations(k), right[inputs.start[k] : inputs.start[k + 1]])
     ended, expected_end = detour.finish(), straight.finish()
     assert np.allclose(ended.final.pose, expected_end.final.pose, atol=1e-6)
     assert np.allclose(ended.final.covariance, expected_end.final.covariance, rtol=1e-3, atol=1e-8)
@@ -136,5 +138,5 @@ def test_a_pairing_can_be_taken_back_without_another_one():
     s, *_ = drive(inputs, decisions, **TIGHT)
     other, *_ = drive(inputs, fewer, **TIGHT)
     rows = slice(inputs.start[4], inputs.start[5])
-    s.amend(np.full(rows.stop - rows.start, 4), inputs.sightings(4), fewer[rows])
+    s.amend(np.full(rows.stop - rows.start, 4), inputs.frame_observations(4), fewer[rows])
     assert np.allclose(s.finish().final.pose, other.finish().final.pose, atol=1e-6)

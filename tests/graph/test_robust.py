@@ -187,7 +187,7 @@ def test_a_first_pose_known_exactly_stays_where_it_is(kind, task, P0):
 
 @pytest.mark.parametrize("kind", ["range-bearing", "relative point"])
 def test_known_landmarks_are_held_while_it_chooses(kind):
-    """The choice alone, before anything is judged again: a landmark that gives way would agree with any sighting."""
+    """The choice alone, before anything is judged again: a landmark that gives way would agree with any observation."""
     import graph.robust as module
 
     inputs, _, _ = circle(SENSORS[kind], frames=30)

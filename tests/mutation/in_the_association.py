@@ -30,8 +30,8 @@ def method(name):
     return lambda e, gate: decide(name, e, gate, gate).decisions
 
 
-def ordinary_expectation(f, sightings):
-    return f.expect(sightings)
+def ordinary_expectation(f, observations):
+    return f.expect(observations)
 
 
 def jcbb(e, gate):

@@ -75,7 +75,7 @@ def bad_truth_is_left_out():
 
 READINGS_FIT = Check("a noise-free reading is what the sensor predicts", readings_fit_the_truth)
 SURVEY_FITS = Check("the readings agree with the landmark file", survey_fits_the_readings)
-ROBOTS = Check("sightings of other robots are clutter", robots_are_clutter)
+ROBOTS = Check("observations of other robots are clutter", robots_are_clutter)
 BAD_TRUTH = Check("truth that is marked bad is unknown", bad_truth_is_left_out)
 
 

@@ -163,6 +163,6 @@ FAULTS = (
     Fault(None, HALVED, LOCALIZER_NEES, replaced(INCREMENT, half_the_noise), match="overconfident"),
     Fault(None, HALVED, LOCALIZER_NIS, replaced(INCREMENT, half_the_noise)),
     Fault(None, HALVED, LOCALIZER_WHITENESS, replaced(INCREMENT, half_the_noise), match="overconfident"),
-    Fault(None, "Jacobian of the first sighting", LOCALIZER_NEES, jacobian_of_the_first_sighting,
+    Fault(None, "Jacobian of the first observation", LOCALIZER_NEES, jacobian_of_the_first_sighting,
           match="overconfident"),
 )  # fmt: skip

@@ -53,7 +53,7 @@ def test_the_five_broken_twins_must_be_called_overconfident():
     twins = Counter(fault.what for fault in FAULTS if fault.match == "overconfident" and "NEES" in fault.check.name)
     for what in (
         "covariance times 0.8", "process noise halved", "bearing innovation not wrapped",
-        "Jacobian of the first sighting", "body-frame covariance for world-frame",
+        "Jacobian of the first observation", "body-frame covariance for world-frame",
     ):  # fmt: skip
         assert twins[what] == 1, what
 

@@ -35,7 +35,7 @@ def run(inputs, fault="none"):
             H = np.zeros((len(r), 2, 3))
             H[:, 0, 0], H[:, 0, 1] = -d[:, 0] / r, -d[:, 1] / r
             H[:, 1, 0], H[:, 1, 1], H[:, 1, 2] = d[:, 1] / r**2, -d[:, 0] / r**2, -1
-            if fault == "stale Jacobian":  # every landmark keeps the Jacobian of its first sighting
+            if fault == "stale Jacobian":  # every landmark keeps the Jacobian of its first observation
                 H = np.array([first_H.setdefault(int(j), h) for j, h in zip(labels, H, strict=True)])
             H = H.reshape(-1, 3)
             R = np.zeros((len(H), len(H)))

@@ -10,7 +10,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from data.inputs import Increments, Inputs, Observations, Prior, Sightings
+from data.inputs import FrameObservations, Increments, Inputs, Observations, Prior
 from data.result import NEW
 from data.sensors import RelativePoint
 from ekf.slam import EkfSlam
@@ -34,7 +34,7 @@ def l(j):  # noqa: E743
 
 @pytest.fixture(scope="module")
 def world():
-    """(motions, headings, sightings (frame, landmark, z), prior mean)."""
+    """(motions, headings, observations (frame, landmark, z), prior mean)."""
     rng = np.random.default_rng(4)
     landmarks = rng.uniform(-6.0, 6.0, (LANDMARKS, 2))
     turn = rng.uniform(-0.4, 0.6, FRAMES)
@@ -60,7 +60,7 @@ def rotation(a):
 
 @pytest.fixture(scope="module")
 def oracle(world):
-    """Path (N, 2) with covariances, map in order of first sighting with covariances, and twice the minimal error."""
+    """Path (N, 2) with covariances, map in order of first observation with covariances, and twice the minimal error."""
     motions, _, heading, seen, start = world
     graph, one = gtsam.GaussianFactorGraph(), np.eye(2)
 
@@ -125,7 +125,7 @@ def test_ekf_slam_ends_where_the_linear_solution_does(world, oracle):
     for k in range(FRAMES):
         if k:
             stepwise.predict(inputs.increment(k))
-        stepwise.update(inputs.sightings(k), decisions[inputs.start[k] : inputs.start[k + 1]])
+        stepwise.update(inputs.frame_observations(k), decisions[inputs.start[k] : inputs.start[k + 1]])
     np.testing.assert_allclose(stepwise.estimate().mean[:2], path[-1], atol=1e-6)
     np.testing.assert_allclose(stepwise.estimate().covariance[:2, :2], path_covariance[-1], atol=1e-6)
 
@@ -141,7 +141,7 @@ def test_batch_and_isam2_find_the_linear_solution(world, oracle):
     for k in range(FRAMES):
         if k:
             s.predict(inputs.increment(k))
-        s.update(Sightings(*inputs.sightings(k)), decisions[inputs.start[k] : inputs.start[k + 1]])
+        s.update(FrameObservations(*inputs.frame_observations(k)), decisions[inputs.start[k] : inputs.start[k + 1]])
     online, finished = s.estimate(), s.finish()
     np.testing.assert_allclose(online.mean[:2], path[-1], atol=1e-6)
     np.testing.assert_allclose(online.covariance[:2, :2], path_covariance[-1], atol=1e-6)

@@ -212,7 +212,7 @@ class Treatment:
         start, stop: s, the wanted window (the module's first lines say what it counts from).
         landmarks: file read instead of the dataset's Landmark_Groundtruth.dat.
         exclude_truth: stretches (from, to) [s] whose truth is bad and left out, ends included.
-        keep_robots: keep sightings of the other robots, as clutter that moves.
+        keep_robots: keep observations of the other robots, as clutter that moves.
         grid: resample to frames a fixed time apart, as the classic tutorials do: odometry interpolated at each frame
             and held until the next, readings moved to the nearest frame.
         calibration: corrections and noise of odometry and camera.
@@ -272,7 +272,7 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
 
     The barcodes are sensed labels: granting them grants no truth. The log starts at the first instant with truth and
     odometry, with the true pose there as the prior's mean, and ends with the odometry. A robot without ground truth
-    gets its prior from the first sightings that fix it, which are then not part of the log (see `readings`). If none
+    gets its prior from the first observations that fix it, which are then not part of the log (see `readings`). If none
     do, the prior is the zero pose and the map is withheld: the log's world frame is then the robot's own.
 
     Raises:

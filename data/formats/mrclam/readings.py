@@ -1,6 +1,6 @@
 """Camera readings of a UTIAS MRCLAM robot: whose barcode each shows, whether the survey fits, a first pose from them.
 
-For a log without ground truth the first sightings of known landmarks give the prior: readings of a few seconds are
+For a log without ground truth the first observations of known landmarks give the prior: readings of a few seconds are
 carried to one body frame with the odometry and laid onto the map by a rigid fit (closed form, least squares). They are
 spent: the log starts after them, so they are not counted twice.
 """
@@ -59,7 +59,7 @@ def identify(
         z: (M, 2) range [m] and bearing [rad].
         subjects: subject by barcode.
         survey: the landmarks whose places are known; readings of any other are left out.
-        keep_robots: keep sightings of robots.
+        keep_robots: keep observations of robots.
     """
     notes = []
     subject = np.array([subjects.get(int(b), UNKNOWN_BARCODE) for b in barcode], np.int64)

@@ -148,17 +148,17 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
             )
         if header.motion is None:
             raise DataError.at(folder / HEADER, f"no [motion] table; {ODOMETRY} needs one")
-        sightings = _sightings(folder / OBSERVATIONS, header, "t")
-        motion, frame, gaps = _odometry(folder / ODOMETRY, header.motion, sightings.table)
+        observations = _observations(folder / OBSERVATIONS, header, "t")
+        motion, frame, gaps = _odometry(folder / ODOMETRY, header.motion, observations.table)
         pose = _stamped_truth(folder / TRUTH, motion.time)
     else:
-        sightings = _sightings(folder / OBSERVATIONS, header, "frame")
+        observations = _observations(folder / OBSERVATIONS, header, "frame")
         motion, gaps = _frames(folder / FRAMES, header.motion_prior), 0
-        frame = sightings.table.integers("frame", 0)
-        sightings.table.require(
+        frame = observations.table.integers("frame", 0)
+        observations.table.require(
             frame < len(motion.time), "frame", f"{{}} is out of range; there are frames 0 to {len(motion.time) - 1}"
         )
-        sightings.table.require_ascending("frame", strictly=False)
+        observations.table.require_ascending("frame", strictly=False)
         pose = _truth_per_frame(folder / TRUTH, len(motion.time))
     landmarks, survey = read_landmarks(folder / LANDMARKS)
     scans = _scans(folder, header, len(motion.time), by_stamp=by_stamp)
@@ -168,12 +168,12 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
         related = read_relations(reference, len(motion.time), motion.stamp)
     covariance, floored = floor_covariances(motion.increments.covariance, header.covariance_floor)
 
-    table = sightings.table
+    table = observations.table
     recorded = Inputs(
         prior=header.prior,
         time=motion.time,
         increments=Increments(motion.increments.mean, covariance),
-        observations=Observations(frame, table.stack(("z1", "z2")), sightings.R),
+        observations=Observations(frame, table.stack(("z1", "z2")), observations.R),
         sensor=header.sensor,
         map=landmarks,
         time_is_index=header.time_is_index,
@@ -191,8 +191,8 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
     return Log(
         name=header.name,
         recorded=recorded,
-        truth=Truth(pose, landmarks, sightings.true_id, related),
-        label=sightings.label,
+        truth=Truth(pose, landmarks, observations.true_id, related),
+        label=observations.label,
         labels_are_sensed=header.labels_are_sensed,
         source=header.source,
         notes=tuple(notes),
@@ -205,7 +205,7 @@ class _Motion(NamedTuple):
     stamp: Array | None = None
 
 
-class _Sightings(NamedTuple):
+class _FrameObservations(NamedTuple):
     """Observations before their frames are known; R (M, 2, 2), true_id and label (M,) or None."""
 
     table: Table
@@ -252,11 +252,13 @@ def _frames(path: Path, prior: MotionPrior | None) -> _Motion:
     return _Motion(table.columns["t"], Increments(table.stack(MEAN), covariance), stamp)
 
 
-def _sightings(path: Path, header: Header, key: str) -> _Sightings:
+def _observations(path: Path, header: Header, key: str) -> _FrameObservations:
     """observations.csv, checked but for the range and order of `key` (frame or t)."""
     if header.scanner is not None and not path.exists():
         nothing = np.zeros(0)
-        return _Sightings(Table(path, {key: nothing, "z1": nothing, "z2": nothing}), np.zeros((0, 2, 2)), None, None)
+        return _FrameObservations(
+            Table(path, {key: nothing, "z1": nothing, "z2": nothing}), np.zeros((0, 2, 2)), None, None
+        )
     ids = ("true_id", "label")
     other = "t" if key == "frame" else "frame"
     table = read_table(path, (key, "z1", "z2"), (*NOISE, *ids, other), may_be_blank=(*ids, other))
@@ -264,7 +266,7 @@ def _sightings(path: Path, header: Header, key: str) -> _Sightings:
     table.require_finite([n for n in ids if n in table], blank=True)
     if not isinstance(header.sensor, RelativePoint):
         table.require(table.columns["z1"] >= 0.0, "z1", "{} is a negative range")
-    return _Sightings(
+    return _FrameObservations(
         table,
         _noise(table, header),
         table.integers("true_id", CLUTTER, blank=UNKNOWN_ID) if "true_id" in table else None,
@@ -307,16 +309,16 @@ def _scans(folder: Path, header: Header, frames: int, *, by_stamp: bool) -> Scan
     return read_scans(path, header.scanner, frames)
 
 
-def _odometry(path: Path, model: VelocityModel, sightings: Table) -> tuple[_Motion, IntArray, int]:
+def _odometry(path: Path, model: VelocityModel, observations: Table) -> tuple[_Motion, IntArray, int]:
     """odometry.csv preintegrated between the frames; frame of each observation (M,); number of gaps in the odometry."""
     table = read_table(path, ("t", "v", "omega"))
     if len(table) == 0:
         raise DataError.at(table.path, "no rows; at least one sample is needed", line=1)
     table.require_finite(("t", "v", "omega"))
     table.require_ascending("t", strictly=True)
-    sightings.require_ascending("t", strictly=False)
-    stamps, seen = table.columns["t"], sightings.columns["t"]
-    for part in (table, sightings):
+    observations.require_ascending("t", strictly=False)
+    stamps, seen = table.columns["t"], observations.columns["t"]
+    for part in (table, observations):
         part.require(
             np.abs(part.columns["t"] - stamps[0]) <= LONGEST,
             "t",

@@ -61,7 +61,7 @@ def load_victoria_park(path: Path | None = None) -> Log:
     """
     file = bundled_file() if path is None else Path(path)
     content = bytes_of(file)
-    odometry, sightings = _parse(file, content.decode("utf-8", "replace"))
+    odometry, observations = _parse(file, content.decode("utf-8", "replace"))
     n = len(odometry) + 1
     mean, covariance = np.zeros((n, 3)), np.zeros((n, 3, 3))
     mean[1:] = odometry[:, :3]
@@ -71,7 +71,9 @@ def load_victoria_park(path: Path | None = None) -> Log:
         prior=Prior(np.zeros(3), np.zeros((3, 3))),
         time=np.arange(n, dtype=float),
         increments=Increments(mean, covariance),
-        observations=Observations(sightings[:, 0].astype(np.int64), sightings[:, 2:4], symmetric(sightings[:, 4:])),
+        observations=Observations(
+            observations[:, 0].astype(np.int64), observations[:, 2:4], symmetric(observations[:, 4:])
+        ),
         sensor=SENSOR,
         time_is_index=True,
         covariance_floor=FLOOR,
@@ -80,16 +82,16 @@ def load_victoria_park(path: Path | None = None) -> Log:
     return Log(
         name="victoria-park",
         recorded=recorded,
-        truth=Truth(landmark_of=sightings[:, 1].astype(np.int64)),
+        truth=Truth(landmark_of=observations[:, 1].astype(np.int64)),
         source={"kind": "victoria-park", "path": str(file.absolute()), "sha256": hashlib.sha256(content).hexdigest()},
         notes=("No ground truth: poses are compared with the batch smoother's.",),
     )
 
 
 def _parse(path: Path, text: str) -> tuple[Array, Array]:
-    """Odometry (N - 1, 9): increment and covariance; sightings (M, 7): frame, landmark, x, y, covariance."""
+    """Odometry (N - 1, 9): increment and covariance; observations (M, 7): frame, landmark, x, y, covariance."""
     odometry: list[list[float]] = []
-    sightings: list[list[float]] = []
+    observations: list[list[float]] = []
     newest: float | None = None
     for number, line in enumerate(text.rstrip().split("\n"), start=1):
         kind, *fields = line.split() or [""]
@@ -106,11 +108,11 @@ def _parse(path: Path, text: str) -> tuple[Array, Array]:
             newest = values[1]
         else:
             newest = values[0]
-            sightings.append([float(len(odometry)), *values[1:]])
+            observations.append([float(len(odometry)), *values[1:]])
         _require_covariance(path, number, values[5:] if kind == ODOMETRY else values[4:], 3 if kind == ODOMETRY else 2)
     if not odometry:
         raise DataError.at(path, f"no {ODOMETRY} line", line=1)
-    return np.array(odometry), np.array(sightings).reshape(-1, 7)
+    return np.array(odometry), np.array(observations).reshape(-1, 7)
 
 
 def _numbers(path: Path, line: int, kind: str, fields: list[str]) -> list[float]:

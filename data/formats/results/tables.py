@@ -124,7 +124,7 @@ MAP_COVARIANCE = ("c_xx", "c_xy", "c_yy")
 
 
 @dataclass(frozen=True, eq=False)
-class Beside:
+class Companions:
     """What was found beside a result; None: not there.
 
     Attributes:
@@ -138,13 +138,13 @@ class Beside:
     file: Path | None = None
 
 
-def beside(folder: Path) -> Beside:
+def companions(folder: Path) -> Companions:
     """Landmarks and decisions in a folder, if they are there; DataError for a number in them that makes no sense."""
     landmarks, decisions = folder / "landmarks.csv", folder / "decisions.csv"
     known = _landmarks(landmarks) if _has(landmarks, "landmark") else None
     if not _has(decisions, "decision"):
-        return Beside(known)
-    return Beside(known, _decisions(decisions), decisions)
+        return Companions(known)
+    return Companions(known, _decisions(decisions), decisions)
 
 
 def _has(path: Path, column: str) -> bool:

@@ -25,7 +25,7 @@ from data.truth import UNKNOWN_ID, Truth
 
 
 @dataclass(frozen=True, eq=False)
-class Sightings:
+class FrameObservations:
     """Readings in the order of their stamps: z (M, 2), t (M,) s or frame numbers, whether range and bearing."""
 
     table: Table
@@ -35,13 +35,13 @@ class Sightings:
     polar: bool
     notes: tuple[str, ...]
 
-    def part(self, rows: IntArray) -> Sightings:
+    def part(self, rows: IntArray) -> FrameObservations:
         """Some of them, in this order."""
         texts = {q: [fields[i] for i in rows.tolist()] for q, fields in self.texts.items()}
         return replace(self, table=self.table.part(rows), texts=texts, z=self.z[rows], at=self.at[rows])
 
 
-def sightings(file: TextTable, wanted: Wanted, odometry: Odometry) -> Sightings:
+def observations(file: TextTable, wanted: Wanted, odometry: Odometry) -> FrameObservations:
     """The readings of a file: range and bearing, or x and y in the sensor's frame."""
     columns = wanted.columns
     polar = columns.find(file, "observations", "range") is not None
@@ -65,7 +65,7 @@ def sightings(file: TextTable, wanted: Wanted, odometry: Odometry) -> Sightings:
         rows = table.integers("frame", 0)
         last = len(odometry.time) - 1
         table.require(rows <= last, "frame", f"{{}} is out of range; the odometry has rows 0 to {last}")
-    found = Sightings(table, texts, z, at, polar, tuple(notes))
+    found = FrameObservations(table, texts, z, at, polar, tuple(notes))
     back = int((np.diff(at) < 0.0).sum())
     if back:
         found = found.part(np.argsort(at, kind="stable").astype(np.int64))
@@ -111,7 +111,7 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Log:
     odometry = read_odometry(
         texts["odometry"], columns, kind_of(texts["odometry"], columns, wanted.kind), wanted.wheels
     )
-    seen = sightings(texts["observations"], wanted, odometry)
+    seen = observations(texts["observations"], wanted, odometry)
     notes = [*odometry.notes, *seen.notes]
     time, frame, seen = _frames(odometry, seen, wanted, notes)
     increments, counted = odometry.increments(time, wanted.noise)
@@ -150,7 +150,9 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Log:
     )
 
 
-def _frames(odometry: Odometry, seen: Sightings, wanted: Wanted, notes: list[str]) -> tuple[Array, IntArray, Sightings]:
+def _frames(
+    odometry: Odometry, seen: FrameObservations, wanted: Wanted, notes: list[str]
+) -> tuple[Array, IntArray, FrameObservations]:
     """Time (N,) of the frames, the frame (M,) of each reading, and the readings that have odometry."""
     if "t" not in seen.table:
         return odometry.time, seen.at.astype(np.int64), seen
@@ -239,7 +241,7 @@ def _prior(wanted: Wanted, pose: Array | None, known: LandmarkMap | None) -> Pri
     return Prior(mean, np.diag(wanted.prior_sigma**2))
 
 
-def _sensor(wanted: Wanted, seen: Sightings, notes: list[str]) -> Sensor:
+def _sensor(wanted: Wanted, seen: FrameObservations, notes: list[str]) -> Sensor:
     """The sensor, its field of view stated or as far as it was seen."""
     kind = RangeBearing if seen.polar else RelativePoint
     polar = kind().polar(seen.z)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from association.expectation import Expectation
-from data.inputs import Increment, IntArray, LandmarkMap, Sightings
+from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap
 from data.notice import Code, Notice, notice
 from data.result import NEW, Finished, MapState, PoseEstimate, Trajectory, Updated
 from data.se2 import Array, BoolArray, wrap_angle
@@ -90,11 +90,11 @@ def check_covariance(who: str, P: Any) -> None:
         raise ForeignError(f"{who}: the covariance is not positive semidefinite: an eigenvalue is {least:.3g}")
 
 
-def expectation_of(who: str, given: Any, sightings: Sightings) -> Expectation:
+def expectation_of(who: str, given: Any, observations: FrameObservations) -> Expectation:
     """An expectation of the present observations, whose functions are guarded, too."""
     if not isinstance(given, Expectation):
         raise ForeignError(f"{who} returned {kind(given)}; an association.expectation.Expectation is needed")
-    n, m = len(given.number), len(sightings.z)
+    n, m = len(given.number), len(observations.z)
     number = whole(who, given.number, n, "number")
     if len(np.unique(number)) != n or (number < 0).any():
         raise ForeignError(f"{who}: number {number.tolist()}: a candidate is named twice, or by a negative number")
@@ -106,7 +106,7 @@ def expectation_of(who: str, given: Any, sightings: Sightings) -> Expectation:
 
     def moved(pose: Any) -> Expectation:
         assert elsewhere is not None
-        return expectation_of(who, call(f"{who}: elsewhere", elsewhere, pose), sightings)
+        return expectation_of(who, call(f"{who}: elsewhere", elsewhere, pose), observations)
 
     return replace(
         given,
@@ -237,13 +237,13 @@ class Adapter:
         """The present frame's time [s]."""
         self._call("stamp", time)
 
-    def expect(self, sightings: Sightings) -> Expectation:
+    def expect(self, observations: FrameObservations) -> Expectation:
         """What it expects to see."""
-        return expectation_of(f"{self.name}.expect", self._call("expect", sightings), sightings)
+        return expectation_of(f"{self.name}.expect", self._call("expect", observations), observations)
 
     def update(
         self,
-        sightings: Sightings,
+        observations: FrameObservations,
         decisions: IntArray,
         *,
         threshold: float = math.inf,
@@ -252,7 +252,7 @@ class Adapter:
     ) -> Updated:
         """Use the pairings; of the keywords it gets those that it takes."""
         given = {"threshold": threshold, "at": at, "innovations": innovations}
-        done = self._call("update", sightings, decisions.copy(), **{k: given[k] for k in self._takes})
+        done = self._call("update", observations, decisions.copy(), **{k: given[k] for k in self._takes})
         new = (decisions == NEW) if self._known is None else np.zeros(len(decisions), np.bool_)
         found = updated_of(f"{self.name}.update", done, decisions, new, self._created)
         self._created += int((found.created >= 0).sum())
@@ -290,9 +290,9 @@ class Adapter:
         """Be at another pose."""
         self._call("reset", mean.copy(), covariance.copy())
 
-    def amend(self, frames: IntArray, sightings: Sightings, decisions: IntArray) -> None:
+    def amend(self, frames: IntArray, observations: FrameObservations, decisions: IntArray) -> None:
         """What frames saw was for other landmarks."""
-        self._call("amend", frames.copy(), sightings, decisions.copy())
+        self._call("amend", frames.copy(), observations, decisions.copy())
 
     def estimate(self) -> PoseEstimate:
         """The newest pose; NaN for the covariance where it gives none."""

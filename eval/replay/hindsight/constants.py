@@ -32,17 +32,17 @@ SCALES_PRIOR = 3.0
 LEAST_SHARE = 1e-12
 """What an innovation tells of a scale is divided by its share in the covariance, or by this where that is none."""
 LEFT_OUT = 0.01
-"""Share of sightings that the gate of pairings is to leave out."""
+"""Share of observations that the gate of pairings is to leave out."""
 TAILS_STEP = 0.1
-"""Of the logarithm of the gate, for one sighting left out, at most; ..."""
+"""Of the logarithm of the gate, for one observation left out, at most; ..."""
 TAILS_HORIZON = 30.0
-"""... later this by the number of sightings, as much as one in a tail that falls with d^-4 tells; ..."""
+"""... later this by the number of observations, as much as one in a tail that falls with d^-4 tells; ..."""
 TAILS_SLOWEST = 0.03
 """... and at least this: the tails may change."""
 AGREE = 3
-"""Sightings that must agree with each other, and with no landmark, to be a new one."""
+"""Observations that must agree with each other, and with no landmark, to be a new one."""
 AGREE_GATE = 0.99
-"""Probability inside which two sightings agree, by the stated noise of the sensor."""
+"""Probability inside which two observations agree, by the stated noise of the sensor."""
 
 # --- Noise told by consecutive frames (eval/replay/hindsight/noise.py, eval/replay/hindsight/noise.py) --------
 
@@ -62,9 +62,9 @@ variety 1.4 to 1.6 give the same within three worlds."""
 # --- Evidence for a landmark (eval/replay/hindsight/record.py, eval/replay/hindsight/ledger.py) ---------------------
 
 CERTAIN = 4
-"""Sightings that make a landmark certain, if it is always seen; people are mostly seen two or three times as one."""
+"""Observations that make a landmark certain, if it is always seen; people are mostly seen two or three times as one."""
 CERTAIN_AT_LEAST = 2.0
-"""Sightings that make a landmark certain, however seldom landmarks in view are seen."""
+"""Observations that make a landmark certain, however seldom landmarks in view are seen."""
 JUDGED_BY = 2
 """A pairing is judged by more others than this: three coordinates of the pose are common to all of them."""
 MOVED = 0.9999
@@ -100,18 +100,18 @@ PERMANENCE_LATER_LEAST = 0.15
 give the same within two of a hundred maps."""
 PERMANENCE_ROUNDS = 20
 """Of expectation maximization. 40 change 17 of 7381 landmarks of 135 logs, 10 change 36."""
-ANEW_GATE = 0.999
+REASSOCIATION_GATE = 0.999
 """Probability of the gate in which readings are paired anew with the smoothed map. On the choosing half 0.99 gives as
 many wrong pairings, and leaves half as many readings again unpaired that have a landmark."""
-ANEW_QUANTILE = 0.9
+REASSOCIATION_QUANTILE = 0.9
 """Of squared distances from it, by which the noise that there is is told: the median forgets the tails, and leaves more
 readings unpaired."""
-ANEW_SIGHTINGS = 4
+REASSOCIATION_OBSERVATIONS = 4
 """A landmark read so often tells of the noise: of one read once the reading itself says where it stands."""
 STAYS = 2.0 / 3.0
 """A landmark is kept at the end if it stays by odds of two to one; at even odds maps of people have too many."""
 STAYS_FEWEST = 0.05
-"""Share of those that are kept so, with the fewest sightings, that does not tell how many one needs. Up to CERTAIN; 0.1
+"""Share of kept landmarks, those with the fewest observations, that does not tell how many one needs. To CERTAIN; 0.1
 loses a map of a hundred simulated ones, and 11 landmarks of Victoria Park."""
 
 # --- A frame without a prediction: pairs of observations on pairs of landmarks (placement.py) -------------------------
@@ -146,7 +146,7 @@ REMEMBERED_FRAMES = 100
 FADED = 1.0
 """m; a point known worse than this is left behind."""
 SAME_POINT = 0.99
-"""Probability inside which a sighting is of a point that the local map has already."""
+"""Probability inside which an observation is of a point that the local map has already."""
 
 # --- Relocalization: a local map in the whole one, without a prior (relocalize.py) ----------------------------------
 
@@ -205,9 +205,9 @@ WINDOW_SPAN = 2.0
 WINDOW_AGE = 6.0
 """In ranges: what was initialized longer ago than this is old."""
 WINDOW_EVERY = 5
-"""Frames with sightings between two looks at the window, where nothing new is initialized."""
-WINDOW_SIGHTINGS = 2
-"""Sightings that a landmark needs to be compared."""
+"""Frames with observations between two looks at the window, where nothing new is initialized."""
+WINDOW_OBSERVATIONS = 2
+"""Observations that a landmark needs to be compared."""
 WINDOW_MOST = 16
 """Landmarks of a constellation, those seen last."""
 WINDOW_GATE = 0.999
@@ -252,7 +252,7 @@ HEALTH_STRAYS_LEAST = 0.01
 """Share of the observations that are unpaired in a healthy frame at least, as the test uses it."""
 ELSEWHERE_SHARE = 0.2
 """A robot that is elsewhere in SLAM takes something for a landmark so much less often than one that sees it."""
-ENOUGH_LOOKS = 100
+ENOUGH_OPPORTUNITIES = 100
 """At certain landmarks in view, before it is known how often these are missed."""
 PAIRING_TRUST = 2.0
 """What a pairing with a certain landmark takes off the score in SLAM: it may be wrong, one in e^2."""
@@ -264,7 +264,7 @@ FOUND_AGAIN = 0.1
 # --- Several pose hypotheses in a known map (localizer.py) ----------------------------------------------------------
 
 HYPOTHESIS_ITERATIONS = 10
-"""Of an update of a hypothesis: far travelled without sightings, the first one is far from linear."""
+"""Of an update of a hypothesis: far travelled without observations, the first one is far from linear."""
 MAYBE = 0.5
 """A decision that fewer of the hypotheses share, by weight, is put off."""
 OTHER_PLACE = 0.9999

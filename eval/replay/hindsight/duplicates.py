@@ -30,7 +30,7 @@ class Duplicates:
         """Before the first frame."""
         self.ledger = ledger
         self._looked = (0, 0)
-        """Landmarks initialized, and frames with sightings, when the window was looked at last."""
+        """Landmarks initialized, and frames with observations, when the window was looked at last."""
 
     def find(self, slam: EkfSlam, scale: float) -> Pairs:
         """Landmarks of the window that were initialized before; `scale`: share of the stated variance that there is."""
@@ -40,7 +40,7 @@ class Duplicates:
             return []
         self._looked = ledger.created, ledger.frames
         span, age = constants.WINDOW_SPAN * ledger.range, constants.WINDOW_AGE * ledger.range
-        known = [n for n, r in records.items() if r.times >= constants.WINDOW_SIGHTINGS]
+        known = [n for n, r in records.items() if r.times >= constants.WINDOW_OBSERVATIONS]
         window = [n for n in known if ledger.travelled - records[n].last <= span]
         young = [n for n in window if ledger.travelled - records[n].first <= age]
         old = [n for n in known if ledger.travelled - records[n].first > age]

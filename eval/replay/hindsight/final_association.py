@@ -20,7 +20,7 @@ from data.sensors import Sensor
 from eval.replay.hindsight import constants
 
 
-class Anew(NamedTuple):
+class Reassociation(NamedTuple):
     """Landmark (m,) of every reading, -1 for none; alone (m,): that no other landmark's gate holds it."""
 
     number: IntArray
@@ -34,32 +34,32 @@ def noise_share(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observati
     of the others the reading itself says where they stand. 1 where there are none; at least `FINEST`. pose: (N, 3).
     """
     times = np.bincount(number[number >= 0], minlength=1)
-    rows = np.flatnonzero((number >= 0) & (times[np.maximum(number, 0)] >= constants.ANEW_SIGHTINGS))
+    rows = np.flatnonzero((number >= 0) & (times[np.maximum(number, 0)] >= constants.REASSOCIATION_OBSERVATIONS))
     if not len(rows):
         return 1.0
     nu = sensor.residual(seen.z[rows], sensor.predict(pose[seen.frame[rows]], known.positions(number[rows])))
     d2 = (nu * np.linalg.solve(seen.R[rows], nu[..., None])[..., 0]).sum(axis=1)
-    share = float(np.quantile(d2, constants.ANEW_QUANTILE)) / gate_threshold(constants.ANEW_QUANTILE)
+    share = float(np.quantile(d2, constants.REASSOCIATION_QUANTILE)) / gate_threshold(constants.REASSOCIATION_QUANTILE)
     return max(share, constants.FINEST)
 
 
-def pair_anew(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observations) -> Anew:
+def reassociate(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observations) -> Reassociation:
     """Global nearest neighbour in every frame, from poses (N, 3), of readings (m) ascending by frame.
 
     Gate: `ANEW_GATE`. Poses and landmarks are taken as exact.
     """
     number, alone = np.full(len(seen.frame), -1, np.int64), np.zeros(len(seen.frame), np.bool_)
-    threshold = gate_threshold(constants.ANEW_GATE)
+    threshold = gate_threshold(constants.REASSOCIATION_GATE)
     begin = np.searchsorted(seen.frame, np.arange(len(pose) + 1))
     for k in np.unique(seen.frame).tolist():
         rows = slice(begin[k], begin[k + 1])
         e = _expected(sensor, pose[k], known, seen.z[rows], seen.R[rows])
-        number[rows] = gnn(e, constants.ANEW_GATE)
+        number[rows] = gnn(e, constants.REASSOCIATION_GATE)
         alone[rows] = (e.individual_distances() < threshold).sum(axis=1) == 1
-    return Anew(number, alone & (number >= 0))
+    return Reassociation(number, alone & (number >= 0))
 
 
-def beginnings(found: Anew) -> dict[int, int]:
+def beginnings(found: Reassociation) -> dict[int, int]:
     """The reading that each landmark begins with: the first one that is of nobody else, or where there is none, the
     first of all. A landmark is known by it: had it been a neighbour's, all right ones after it would be wrong.
     """

@@ -1,4 +1,4 @@
-"""Steps 3 and 4 of SLAM: a frame is paired, and what only the stated noise explains waits for later sightings.
+"""Steps 3 and 4 of SLAM: a frame is paired, and what only the stated noise explains waits for later observations.
 
 Stated noise is often several times too wide, and then a new landmark is inside the gate of its neighbour. What is
 believed tells how much of the stated covariances there is (`LearnedGates`, by `noise`): learned apart for the sensor
@@ -6,7 +6,7 @@ and for map and motion, because a landmark seen in every frame tells of the sens
 add to its expectation may still be as stated.
 
 What lies outside a landmark's usual spread but inside what the stated noise allows is a new landmark next to it, or the
-landmark itself after the robot slipped (`Tentative`). The next sightings tell: after a slip, no landmark is where it is
+landmark itself after the robot slipped (`Tentative`). Later observations tell: after a slip, no landmark is where it is
 expected until the pose is right again; next to a new landmark, the others stay where they are.
 
 A frame is paired by joint compatibility (`pair`); no single observation chooses among dense landmarks.
@@ -36,13 +36,13 @@ from eval.replay.settings import Setup
 class Scales(NamedTuple):
     """What is learned of the sensor's noise, and of that of map and motion; of the tails beyond Student's.
 
-    `log_tails` is the logarithm of a factor on variances, `sightings` those that it was learned from.
+    `log_tails` is the logarithm of a factor on variances, `observations` those that it was learned from.
     """
 
     sensor: NoiseScale
     motion: NoiseScale
     log_tails: float = 0.0
-    sightings: float = 0.0
+    observations: float = 0.0
 
 
 def as_stated() -> Scales:
@@ -74,14 +74,14 @@ def _core(scales: Scales) -> float:
 
 
 def counted(scales: Scales, inside: int, outside: int) -> Scales:
-    """After sightings inside and outside the gate that are not new: the gate goes to where it leaves out its share.
+    """After observations inside and outside the gate that are not new: the gate goes to where it leaves out its share.
 
     (Robbins and Monro, Annals of Mathematical Statistics 22, 1951.)
     """
-    sightings = max(scales.sightings + inside + outside, 1.0)
-    step = max(min(constants.TAILS_STEP, constants.TAILS_HORIZON / sightings), constants.TAILS_SLOWEST)
+    observations = max(scales.observations + inside + outside, 1.0)
+    step = max(min(constants.TAILS_STEP, constants.TAILS_HORIZON / observations), constants.TAILS_SLOWEST)
     log = max(0.0, scales.log_tails + step * (outside * (1.0 - constants.LEFT_OUT) - inside * constants.LEFT_OUT))
-    return scales._replace(log_tails=min(log, -math.log(_core(scales))), sightings=sightings)
+    return scales._replace(log_tails=min(log, -math.log(_core(scales))), observations=observations)
 
 
 def relearned(scales: Scales, e: Expectation, decisions: IntArray) -> Scales:
@@ -112,14 +112,14 @@ def _toward(before: NoiseScale, part: Array, S: Array, v: Array, weight: Array) 
     return NoiseScale(max(scale, constants.FINEST), memory)
 
 
-class Sighting(NamedTuple):
+class TentativeObservation(NamedTuple):
     """Place (2,) [m] in the world, its covariance (2, 2) by the sensor alone, the distance travelled [m] until then."""
 
     xy: Array
     covariance: Array
     travelled: float
 
-    def distance(self, other: Sighting) -> float:
+    def distance(self, other: TentativeObservation) -> float:
         """Squared Mahalanobis distance to another one."""
         nu = self.xy - other.xy
         return float(nu @ np.linalg.solve(self.covariance + other.covariance, nu))
@@ -127,9 +127,9 @@ class Sighting(NamedTuple):
 
 @dataclass(eq=False)
 class _Place:
-    """The latest sighting, how many there were, and the pairings in the run before the first."""
+    """The latest observation, how many there were, and the pairings in the run before the first."""
 
-    last: Sighting
+    last: TentativeObservation
     times: int
     pairings: int
 
@@ -140,34 +140,34 @@ class Tentative:
     def __init__(self) -> None:
         """None yet."""
         self._places: list[_Place] = []
-        self._doubts: list[Sighting] = []
+        self._suspects: list[TentativeObservation] = []
 
-    def see(self, sighting: Sighting, pairings: int, reach: float) -> bool:
-        """Another such sighting; whether it is a new landmark by now.
+    def see(self, observation: TentativeObservation, pairings: int, reach: float) -> bool:
+        """Another such observation; whether it is a new landmark by now.
 
-        `pairings` so far in the run: one between the first sighting and this one says that the pose is right. A place
-        is forgotten after `reach` [m] travelled since its last sighting.
+        `pairings` so far in the run: one between the first observation and this one confirms the pose. A place
+        is forgotten after `reach` [m] travelled since its last observation.
         """
-        self._places = [p for p in self._places if sighting.travelled - p.last.travelled <= reach]
-        self._doubts = [d for d in self._doubts if sighting.travelled - d.travelled <= reach]
-        near = min(self._places, key=lambda p: p.last.distance(sighting), default=None)
-        if near is None or near.last.distance(sighting) >= gate_threshold(constants.AGREE_GATE):
-            self._places.append(_Place(sighting, 1, pairings))
+        self._places = [p for p in self._places if observation.travelled - p.last.travelled <= reach]
+        self._suspects = [d for d in self._suspects if observation.travelled - d.travelled <= reach]
+        near = min(self._places, key=lambda p: p.last.distance(observation), default=None)
+        if near is None or near.last.distance(observation) >= gate_threshold(constants.AGREE_GATE):
+            self._places.append(_Place(observation, 1, pairings))
             return False
-        near.last, near.times = sighting, near.times + 1
+        near.last, near.times = observation, near.times + 1
         if near.times < constants.AGREE or pairings <= near.pairings:
             return False
         self._places.remove(near)
         return True
 
-    def doubt(self, sighting: Sighting) -> None:
+    def suspect(self, observation: TentativeObservation) -> None:
         """It was counted as one that a landmark's gate left out."""
-        self._doubts.append(sighting)
+        self._suspects.append(observation)
 
-    def settle(self, sighting: Sighting) -> int:
+    def settle(self, observation: TentativeObservation) -> int:
         """A landmark was initialized there: how many were counted that are its own; they are forgotten."""
-        own = [d for d in self._doubts if d.distance(sighting) < gate_threshold(constants.AGREE_GATE)]
-        self._doubts = [d for d in self._doubts if not any(d is o for o in own)]
+        own = [d for d in self._suspects if d.distance(observation) < gate_threshold(constants.AGREE_GATE)]
+        self._suspects = [d for d in self._suspects if not any(d is o for o in own)]
         return len(own)
 
 
@@ -201,21 +201,21 @@ class LearnedGates:
         ledger, sensor, reach = self.ledger, self.ledger.sensor, self.ledger.range
         stated, nearest = settled(e, decisions, new_gate), e.individual_distances()
         waiting = (decisions == NEW) & (stated != NEW)
-        if widest(self.scales) == 1.0:  # where less noise is there than was stated, three sightings agree too easily
+        if widest(self.scales) == 1.0:  # where less noise is there than was stated, three observations agree too easily
             waiting |= beside(e, stated, new_gate)
         paired = stated[stated >= 0].tolist()
         self._pairings += len(paired)
         inside, outside = sum(ledger.gated_elsewhere(n, True) for n in paired), 0
         for i in np.flatnonzero(stated < 0).tolist():
             xy, _, Gz = sensor.inverse(pose, e.z[i : i + 1])
-            sighting = Sighting(xy[0], Gz[0] @ e.R[i] @ Gz[0].T, ledger.travelled)
-            if waiting[i] and self._tentative.see(sighting, self._pairings, reach):
+            observation = TentativeObservation(xy[0], Gz[0] @ e.R[i] @ Gz[0].T, ledger.travelled)
+            if waiting[i] and self._tentative.see(observation, self._pairings, reach):
                 stated[i] = NEW
             if stated[i] == NEW:
                 # what was in doubt there was not of the landmark next to it
-                outside -= self._tentative.settle(sighting)
+                outside -= self._tentative.settle(observation)
             elif ledger.gated_elsewhere(int(e.number[np.argmin(nearest[i])]), False):
-                self._tentative.doubt(sighting)
+                self._tentative.suspect(observation)
                 outside += 1
         self.scales = counted(self.scales, inside, outside)
         return stated

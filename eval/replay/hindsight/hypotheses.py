@@ -16,7 +16,7 @@ import numpy as np
 
 from association.expectation import gate_threshold
 from data import se2
-from data.inputs import Increment, IntArray, LandmarkMap, Prior, Sightings
+from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap, Prior
 from data.result import DISCARD, PoseEstimate
 from data.se2 import Array
 from data.sensors import RANGE_BEARING, Sensor
@@ -120,15 +120,15 @@ class Hypotheses:
         for h in self.members:
             kernels.predict(h.mean, h.P, 3, increment.mean, increment.covariance, kernels.NEWEST)
 
-    def observe(self, sightings: Sightings, first_row: int) -> Standing:
+    def observe(self, observations: FrameObservations, first_row: int) -> Standing:
         """Branch over the observations of a frame, which are the rows of the log from `first_row` on."""
         for h in self.members:
             h.taken, h.squares = frozenset(), ()
-        m = len(sightings.z)
+        m = len(observations.z)
         for i in range(m):
             children: list[Hypothesis] = []
             for h in self.members:
-                children += self._branches(h, sightings.z[i : i + 1], sightings.R[i : i + 1], first_row + i)
+                children += self._branches(h, observations.z[i : i + 1], observations.R[i : i + 1], first_row + i)
             self._keep(children)
         self._miss()
         self._learn()
@@ -242,7 +242,7 @@ class Hypotheses:
         P = np.einsum("h,hij->ij", share, np.array([h.P for h in self.members])) + (spread.T * share) @ spread
         return PoseEstimate(mean, 0.5 * (P + P.T))
 
-    def begin_anew(self, mean: Array, covariance: Array) -> None:
+    def restart(self, mean: Array, covariance: Array) -> None:
         """One hypothesis at another pose: the robot was found there. The leader's past stays its past."""
         self.members = [Hypothesis(mean.copy(), covariance.copy(), 0.0, self.members[0].past)]
 

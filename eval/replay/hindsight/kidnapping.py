@@ -75,7 +75,7 @@ class Kidnapping:
         found = self._search(frame, LandmarkMap(known.number[held], known.xy[held]))
         if found is not None:
             return Relocated(*found, kidnapped)
-        e = slam.expect(frame.sightings)
+        e = slam.expect(frame.observations)
         few = e.only(clear(e, dense(e, slam, ledger, self.setup), ledger))
         return Relocated(jcbb_conditional(few, self.setup.gate, self.setup.new_gate)[0], None, kidnapped)
 
@@ -101,15 +101,15 @@ class Kidnapping:
         Landmarks initialized since the trouble began are no part of the map: the scan would find itself.
         """
         old = known.id < self._before
-        rows = np.arange(frame.first, frame.first + len(frame.sightings.z))
-        self._scan = extended(self._scan, self.ledger.sensor, frame.sightings, rows)
+        rows = np.arange(frame.first, frame.first + len(frame.observations.z))
+        self._scan = extended(self._scan, self.ledger.sensor, frame.observations, rows)
         place = relocalize(self._scan, LandmarkMap(known.id[old], known.xy[old]))
         if place is None:
             return None
         self._recover()
         pairs = zip(place.pairings.tolist(), self._scan.rows, strict=True)
         number_of = {row: number for number, points in pairs if number >= 0 for row in points}
-        initialized = {r.sightings[0][0]: n for n, r in self.ledger.records.items()}
+        initialized = {r.observations[0][0]: n for n, r in self.ledger.records.items()}
         self._same = [(initialized[row], n) for row, n in number_of.items() if row in initialized]
         return np.array([number_of.get(row, DISCARD) for row in rows.tolist()], np.int64), place.pose
 

@@ -22,7 +22,7 @@ from data.result import DISCARD, NEW, Event, Updated
 from data.se2 import Array
 from data.sensors import Sensor
 from eval.replay.hindsight import constants
-from eval.replay.hindsight.final_association import Anew, beginnings
+from eval.replay.hindsight.final_association import Reassociation, beginnings
 from eval.replay.hindsight.record import (
     Epoch,
     Judged,
@@ -39,7 +39,7 @@ from eval.replay.hindsight.record import (
 )
 
 MERGED = "the same landmark as one initialized before"
-PAIRED_ANEW = "paired anew on the smoothed path"
+REASSOCIATED = "paired anew on the smoothed path"
 UNREAD = "none of its readings is left"
 
 
@@ -50,7 +50,7 @@ class Ledger:
         records: of the landmarks in the map, by their numbers, in the order in which they were initialized.
         created: how many were initialized so far; the number of the next one.
         frame: the newest one.
-        frames: how many had sightings.
+        frames: how many had observations.
         travelled: m, until the newest frame.
         epoch: see there.
         events: the revisions, in order.
@@ -97,7 +97,7 @@ class Ledger:
 
     def see(self, frame: Frame, decisions: IntArray, done: Updated, pose: Array) -> None:
         """Take in what was judged, and done with the decisions (m,); `pose` (3,) is where the frame was seen from."""
-        judged, z = self._judged, frame.sightings.z
+        judged, z = self._judged, frame.observations.z
         self.frames += 1
         self._read = holding(self._read, self.sensor.polar(z))
         for n in judged.missing.tolist():
@@ -112,7 +112,7 @@ class Ledger:
                 judgement = Judgement(judged.alone.innovation[q], judged.alone.information[q], Gz[i])
             record, elsewhere = self.records[n], self._look(n, pose, seen=True)
             record.evidence = sighted(record.evidence, judgement, elsewhere)
-            record.sightings.append((frame.first + i, n))
+            record.observations.append((frame.first + i, n))
             self._touched.add(n)
         for i in np.flatnonzero(done.created >= 0).tolist():
             self._initialize(int(done.created[i]), frame.first + i, pose)
@@ -135,12 +135,12 @@ class Ledger:
         record = self.records[number]
         x, y = record.looked_from
         if math.hypot(pose[0] - x, pose[1] - y) < constants.SAME_PLACE * self.range:
-            if seen and not record.looks:
-                record.looks.append(True)
+            if seen and not record.opportunities:
+                record.opportunities.append(True)
             return False
         record.looked_from = float(pose[0]), float(pose[1])
         if seen or number in self._judged.in_read:
-            record.looks.append(seen)
+            record.opportunities.append(seen)
         if certain(record.evidence, self._visibility):
             self._visibility = self._visibility.counting(record.evidence.row > 0, seen)
         return True
@@ -167,38 +167,38 @@ class Ledger:
         self._touched.clear()
         return self._retract({n: why for n, why in found.items() if why})
 
-    def pair_anew(self, found: Anew) -> IntArray:
+    def reassociate(self, found: Reassociation) -> IntArray:
         """Take all readings (M,) of the log for landmarks of the map; those of which none is left (r,) are taken back.
 
         The reading that names a landmark is its first one, and what was taken for it before is discarded.
         """
         first = beginnings(found)
         gone = self._retract({n: UNREAD for n in self.records if n not in first})
-        former = {row: (n, decision) for n, r in self.records.items() for row, decision in r.sightings}
+        former = {row: (n, decision) for n, r in self.records.items() for row, decision in r.observations}
         for record in self.records.values():
-            record.sightings.clear()
+            record.observations.clear()
         for row, n in enumerate(found.number.tolist()):
             before, new = former.get(row, (-1, DISCARD)), DISCARD
             if n >= 0 and row >= first[n]:
                 new = NEW if row == first[n] else n
-                self.records[n].sightings.append((row, new))
+                self.records[n].observations.append((row, new))
             if before == (n, new) or before[1] == new == DISCARD:
                 continue
             steps = [before[1], *([n] if new == NEW and before[1] != n else []), new]
-            self.events += [Event(self.frame, row, old, then, PAIRED_ANEW) for old, then in pairwise(steps)]
+            self.events += [Event(self.frame, row, old, then, REASSOCIATED) for old, then in pairwise(steps)]
         return gone
 
     def uncertain(self) -> IntArray:
         """Landmarks (r,) that may have been there for a while only; at the end of a run they are taken back."""
         every = self.records.values()
-        sightings = np.array([r.evidence.seen for r in every], np.int64)
-        keep = lasting([r.looks for r in every], self._former, sightings)
+        observations = np.array([r.evidence.seen for r in every], np.int64)
+        keep = lasting([r.opportunities for r in every], self._former, observations)
         return self._retract(dict.fromkeys(np.array(list(self.records))[~keep].tolist(), "uncertain"))
 
     def _retract(self, gone: dict[int, str]) -> IntArray:
         for n, why in gone.items():
-            self.events += [Event(self.frame, row, old, DISCARD, why) for row, old in self.records[n].sightings]
-        self._former += [bytes(self.records[n].looks) for n in gone]
+            self.events += [Event(self.frame, row, old, DISCARD, why) for row, old in self.records[n].observations]
+        self._former += [bytes(self.records[n].opportunities) for n in gone]
         self.drop(numbers := np.array(list(gone), np.int64))
         return numbers
 
@@ -212,18 +212,21 @@ class Ledger:
         """Landmarks are one with others, (away, kept): what was decided for the first is decided for the second."""
         for away, kept in pairs:
             gone, stays = self.records.pop(away), self.records[kept]
-            self.events += [Event(self.frame, row, old, kept, MERGED) for row, old in gone.sightings]
+            self.events += [Event(self.frame, row, old, kept, MERGED) for row, old in gone.observations]
             self.merged.append((self.frame, away, kept))
-            stays.sightings += [(row, kept) for row, _ in gone.sightings]
+            stays.observations += [(row, kept) for row, _ in gone.observations]
             stays.looked_from = gone.looked_from
             stays.last, stays.times = max(stays.last, gone.last), stays.times + gone.times
             e, more = stays.evidence, gone.evidence
             # where it stood was judged against another estimate: its shifts say nothing about this one
             stays.evidence = e._replace(
-                seen=e.seen + more.seen, looks=e.looks + more.looks, missed=e.missed + more.missed, row=0
+                seen=e.seen + more.seen,
+                opportunities=e.opportunities + more.opportunities,
+                missed=e.missed + more.missed,
+                row=0,
             )
             # what was missed where the other one was seen was seen
-            stays.looks = bytearray(bytes(stays.looks).rstrip(b"\0") + b"\1" + gone.looks)
+            stays.opportunities = bytearray(bytes(stays.opportunities).rstrip(b"\0") + b"\1" + gone.opportunities)
             for n in gone.covisible:
                 self.records[n].covisible.discard(away)
                 if n != kept:
@@ -233,12 +236,12 @@ class Ledger:
     def surprise(self) -> float:
         """Log-likelihood ratio of being elsewhere against being here, of certain landmarks the judged frame missed."""
         v, total = self._visibility, 0.0
-        if sum(v) < constants.ENOUGH_LOOKS:
+        if sum(v) < constants.ENOUGH_OPPORTUNITIES:
             return 0.0
         for n in self._judged.missing.tolist():
             e = self.records[n].evidence
             if certain(e, v):
-                rate = min(v.rate, detection_rate(e.looks, e.missed - e.row))
+                rate = min(v.rate, detection_rate(e.opportunities, e.missed - e.row))
                 here = v.row(e.row + 1, rate) / v.row(e.row, rate)
                 total += max(0.0, math.log((1.0 - constants.ELSEWHERE_SHARE * rate) / here))
         return total
@@ -264,15 +267,15 @@ class Ledger:
     def rates(self, numbers: IntArray) -> Array:
         """With which rate (n,) landmarks of the map are seen where they are in view: the common one once certain."""
         v, every = self._visibility, [self.records[n].evidence for n in numbers.tolist()]
-        return np.array([v.rate if certain(e, v) else detection_rate(e.looks, e.missed) for e in every])
+        return np.array([v.rate if certain(e, v) else detection_rate(e.opportunities, e.missed) for e in every])
 
     def notes(self) -> list[Notice]:
         """What a reader of the results should know."""
-        events = [e for e in self.events if e.why != PAIRED_ANEW]
-        anew = len({e.observation for e in self.events if e.why == PAIRED_ANEW})
+        events = [e for e in self.events if e.why != REASSOCIATED]
+        anew = len({e.observation for e in self.events if e.why == REASSOCIATED})
         undone, again = sum(e.old >= 0 for e in events), sum(e.new >= 0 for e in events)
         revised = [notice(Code.REVISED, Severity.INFO, undone=undone, again=again)] if events else []
-        return revised + ([notice(Code.DECIDED_ANEW, Severity.INFO, decisions=anew)] if anew else [])
+        return revised + ([notice(Code.REASSOCIATED_AT_END, Severity.INFO, decisions=anew)] if anew else [])
 
     def merge_notes(self) -> list[Notice]:
         """The same of landmarks that were merged."""

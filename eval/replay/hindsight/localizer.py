@@ -67,7 +67,7 @@ class HindsightLocalizer:
     def decide(self, frame: Frame) -> IntArray:
         """Decisions (m,) about observations of this frame: landmark id, or `DISCARD` where they are to wait."""
         past = self.bank.members[0].past
-        standing = self.bank.observe(frame.sightings, frame.first)
+        standing = self.bank.observe(frame.observations, frame.first)
         self._revise(past, self.bank.members[0].past)
         before, paired = self.health, int((standing.decisions >= 0).sum())
         self.health = watch(self.monitor, before, len(standing.decisions), paired, standing.nis, standing.dof)
@@ -92,11 +92,11 @@ class HindsightLocalizer:
         """The scan with this frame's observations, or none while the score is zero."""
         if score <= 0.0:
             return EMPTY
-        seen = frame.sightings
+        seen = frame.observations
         return extended(scan, self.sensor, seen, np.arange(frame.first, frame.first + len(seen.z)))
 
     def _go_to(self, place: Place, scan: Scan) -> IntArray:
-        """Go on from where the scan was taken; decisions about its sightings, oldest first."""
+        """Go on from where the scan was taken; decisions about its observations, oldest first."""
         by_row = {
             row: number if number >= 0 else DISCARD
             for number, rows in zip(place.pairings.tolist(), scan.rows, strict=True)
@@ -105,7 +105,7 @@ class HindsightLocalizer:
         for row in sorted(by_row):
             self._change(row, by_row[row], "its place was found without a prior")
         self._anew = max(by_row) + 1
-        self.bank.begin_anew(place.pose, place.covariance)
+        self.bank.restart(place.pose, place.covariance)
         self.health, self._scans = recovered(self.health), (EMPTY, EMPTY)
         self.found.append(self._k)
         return np.array([by_row[row] for row in sorted(by_row)], np.int64)

@@ -17,7 +17,7 @@ import numpy as np
 from association.decide import Decided
 from association.expectation import Expectation, gate_threshold
 from association.truncated import Acceptance
-from data.inputs import Frame, Increment, IntArray, Prior, Sightings
+from data.inputs import Frame, FrameObservations, Increment, IntArray, Prior
 from data.notice import Notice
 from data.result import DISCARD, Event, Finished, MapState, PoseEstimate, Systematics, Trajectory, Updated
 from data.se2 import Array, BoolArray
@@ -44,7 +44,7 @@ class Stretches:
         self._can = capabilities(self._now)
         self._first, self._frame, self._time = 0, 0, 0.0
         self._given = 0
-        """First frame whose sightings are the present smoother's: those of the one it began in are in its prior."""
+        """First frame whose observations are the present smoother's: those of the one it began in are in its prior."""
         self._done: list[Finished] = []
 
     def predict(self, increment: Increment) -> None:
@@ -58,13 +58,13 @@ class Stretches:
         if self._can.timed is not None:
             self._can.timed.stamp(time)
 
-    def expect(self, sightings: Sightings) -> Expectation:
+    def expect(self, observations: FrameObservations) -> Expectation:
         """What the present smoother expects to see."""
-        return self._now.expect(sightings)
+        return self._now.expect(observations)
 
     def update(
         self,
-        sightings: Sightings,
+        observations: FrameObservations,
         decisions: IntArray,
         *,
         threshold: float = math.inf,
@@ -72,13 +72,13 @@ class Stretches:
         innovations: bool = False,
     ) -> Updated:
         """Use the pairings."""
-        return self._now.update(sightings, decisions, threshold=threshold, at=at, innovations=innovations)
+        return self._now.update(observations, decisions, threshold=threshold, at=at, innovations=innovations)
 
-    def amend(self, frames: IntArray, sightings: Sightings, decisions: IntArray) -> None:
+    def amend(self, frames: IntArray, observations: FrameObservations, decisions: IntArray) -> None:
         """Take what frames (m,) saw for other landmarks than before; what stretches before this one saw stays."""
         keep = np.flatnonzero(frames >= self._given)
         if len(keep) and self._can.amendable is not None:
-            seen = Sightings(sightings.z[keep], sightings.R[keep])
+            seen = FrameObservations(observations.z[keep], observations.R[keep])
             self._can.amendable.amend(frames[keep] - self._first, seen, decisions[keep])
 
     @property
@@ -139,7 +139,7 @@ class Handed(NamedTuple):
 
     def and_then(self, frame: Frame, number: IntArray) -> Handed:
         """Also those of (a part of) a frame."""
-        new = np.full(len(number), frame.number), *frame.sightings, number
+        new = np.full(len(number), frame.number), *frame.observations, number
         return Handed(*(np.concatenate(both) for both in zip(self, new, strict=True)))
 
 
@@ -234,7 +234,7 @@ class LocalizingFrontEnd(FrontEnd):
             held.number[rows[changed]] = number[changed]
             whole = held.of(np.isin(held.frame, held.frame[rows[changed]]))
             if self.can.amendable is not None:
-                self.can.amendable.amend(whole.frame, Sightings(whole.z, whole.R), whole.number)
+                self.can.amendable.amend(whole.frame, FrameObservations(whole.z, whole.R), whole.number)
         undecided = np.flatnonzero(sure < 1.0)
         self._open = self._open + int(undecided[0]) if len(undecided) else stop
         oldest = held.frame[rows[undecided[0]]] if len(undecided) else self.k

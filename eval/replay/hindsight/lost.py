@@ -183,7 +183,7 @@ class Lost:
         """What a reader of the results should know."""
         s, found = self.suspicion, []
         if s.alarm is not None:
-            found.append(notice(Code.MAPPED_ANEW, frame=s.alarm, over=s.over))
+            found.append(notice(Code.MAP_RESTARTED, frame=s.alarm, over=s.over))
         if self.often >= constants.THERE_OFTEN and self.gone > constants.THERE_GONE * self.often:
             found.append(notice(Code.RETRACTED, gone=self.gone, often=self.often))
         return found

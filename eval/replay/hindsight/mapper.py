@@ -14,7 +14,7 @@ import numpy as np
 
 from association.candidates import in_view
 from association.expectation import Expectation
-from data.inputs import ERRORS, Frame, IntArray, Sightings, Systematic
+from data.inputs import ERRORS, Frame, FrameObservations, IntArray, Systematic
 from data.notice import Notice
 from data.result import Event
 from data.se2 import Array
@@ -123,7 +123,7 @@ class HindsightMapper:
     def decide(self, frame: Frame) -> Mapped:
         """Steps 2 to 7: decisions about observations of this frame, used by the filter, too."""
         frame = self.restated.restated(frame)
-        e = self._expect(frame.sightings)
+        e = self._expect(frame.observations)
         placed = self.motion.place(e, self.filter.estimate().mean)  # 2
         if placed is None:
             decisions, complete = self._pair(e)  # 3, 4
@@ -141,11 +141,11 @@ class HindsightMapper:
             decided = decided._replace(S=e.joint_innovation(*e.paired(decided.decisions))[1])
         self._update(frame, decided)  # 7
         if decided.kidnapped is not None:
-            self.whole.doubt(decided.kidnapped)
+            self.whole.loosen(decided.kidnapped)
         return decided
 
-    def _expect(self, sightings: Sightings) -> Expectation:
-        e = self.filter.expect(sightings)
+    def _expect(self, observations: FrameObservations) -> Expectation:
+        e = self.filter.expect(observations)
         return e.only(np.flatnonzero(in_view(self.restated.widened(self.filter.sensor), e.z_hat, e.HPHt)))
 
     def _pair(self, e: Expectation) -> tuple[IntArray, bool]:
@@ -159,7 +159,7 @@ class HindsightMapper:
     def _update(self, frame: Frame, decided: Mapped) -> None:
         """Step 7, update the filter with the decisions, initialize landmarks, and note what was seen."""
         self.lost.look(frame, decided.decisions, self.filter.estimate().mean)
-        done = self.filters.update(frame.sightings, decided.decisions, at=decided.at)
+        done = self.filters.update(frame.observations, decided.decisions, at=decided.at)
         pose = self.filter.estimate().mean
         self.ledger.see(frame, decided.decisions, done, pose)
         self.motion.see(pose, bool(done.used.any()))
@@ -188,8 +188,8 @@ class HindsightMapper:
         """
         often = [n for n, r in self.ledger.records.items() if r.evidence.seen >= constants.CERTAIN]
         errs = self._systematic if self.filters.errs else None
-        anew = self.whole.pair_anew(self.ledger.records, self.filter.landmarks(), self.restated, errs)
-        unread = self._remove(self.ledger.pair_anew(anew)) if anew is not None else np.empty(0, np.int64)
+        anew = self.whole.reassociate(self.ledger.records, self.filter.landmarks(), self.restated, errs)
+        unread = self._remove(self.ledger.reassociate(anew)) if anew is not None else np.empty(0, np.int64)
         gone = self.ledger.uncertain()
         if anew is not None:
             self.whole.settle(self.ledger.records)

@@ -28,7 +28,7 @@ import numpy as np
 
 from association.candidates import holding
 from association.expectation import gate_threshold
-from data.inputs import Frame, Increment, IntArray, Sightings
+from data.inputs import Frame, FrameObservations, Increment, IntArray
 from data.notice import Code, Notice, notice
 from data.se2 import Array
 from data.sensors import MIN_RANGE, RANGE_BEARING, Sensor
@@ -108,20 +108,20 @@ class Differences:
     def __init__(self, sensor: Sensor) -> None:
         """Before the first frame."""
         self._sensor, self._shares = sensor, AS_STATED
-        self._before: Sightings | None = None
+        self._before: FrameObservations | None = None
         self._steps: list[Step] = []
         self._farthest = MIN_RANGE
 
-    def see(self, increment: Increment | None, sightings: Sightings) -> Shares:
+    def see(self, increment: Increment | None, observations: FrameObservations) -> Shares:
         """The next frame, its motion and what was read; what is known of the noise by now."""
         if len(self._steps) >= constants.DIFFERENCES_MOST:
             return self._shares
-        before, self._before = self._before, sightings if len(sightings.z) else None
-        if not len(sightings.z):
+        before, self._before = self._before, observations if len(observations.z) else None
+        if not len(observations.z):
             return self._shares
-        self._farthest = max(self._farthest, float(self._sensor.polar(sightings.z)[:, 0].max()))
+        self._farthest = max(self._farthest, float(self._sensor.polar(observations.z)[:, 0].max()))
         if before is not None and increment is not None:
-            step = paired(self._sensor, before, increment, sightings, self._farthest)
+            step = paired(self._sensor, before, increment, observations, self._farthest)
             exact = min(np.linalg.det(step.covariance), *np.linalg.det(step.by_range + step.by_bearing)) <= 0.0
             if not exact:  # what is stated to be without noise has no share of it
                 self._steps.append(step)
@@ -139,15 +139,17 @@ def axes(sensor: Sensor, z: Array) -> Array:
     return np.stack([along, np.stack([-along[:, 1], along[:, 0]], axis=1)], axis=-1)
 
 
-def with_shares(sensor: Sensor, sightings: Sightings, shares: Shares) -> Sightings:
+def with_shares(sensor: Sensor, observations: FrameObservations, shares: Shares) -> FrameObservations:
     """The same readings with such shares of the stated variances."""
-    z, R = sightings
+    z, R = observations
     T = axes(sensor, z)
     D = T @ np.diag(np.sqrt([shares.range, shares.bearing])) @ T.transpose(0, 2, 1)
-    return Sightings(z, D @ R @ D)
+    return FrameObservations(z, D @ R @ D)
 
 
-def paired(sensor: Sensor, before: Sightings, increment: Increment, now: Sightings, reach: float) -> Step:
+def paired(
+    sensor: Sensor, before: FrameObservations, increment: Increment, now: FrameObservations, reach: float
+) -> Step:
     """Readings of two frames that are each other's nearest neighbours, by the stated noise; `reach` [m] of the view."""
     xy, _, Gz = sensor.inverse(np.zeros(3), before.z)
     z_hat, H, Hl = sensor.linearize(increment.mean, xy)
@@ -160,16 +162,16 @@ def paired(sensor: Sensor, before: Sightings, increment: Increment, now: Sightin
     nearest = d2.argmin(axis=1)
     rows = np.flatnonzero(d2.argmin(axis=0)[nearest] == np.arange(len(nu)))
     at = nearest[rows]
-    here = _by_direction(sensor, Sightings(now.z[rows], now.R[rows]))
-    there = _by_direction(sensor, Sightings(before.z[at], before.R[at]))
+    here = _by_direction(sensor, FrameObservations(now.z[rows], now.R[rows]))
+    there = _by_direction(sensor, FrameObservations(before.z[at], before.R[at]))
     by_range, by_bearing = (a + J[at] @ b @ J[at].transpose(0, 2, 1) for a, b in zip(here, there, strict=True))
     return Step(increment.covariance, nu[rows, at], H[at], by_range, by_bearing, density * per_unit[rows])
 
 
-def _by_direction(sensor: Sensor, sightings: Sightings) -> tuple[Array, Array]:
+def _by_direction(sensor: Sensor, observations: FrameObservations) -> tuple[Array, Array]:
     """The parts (m, 2, 2) of R that are noise of the range and of the bearing, without what these have in common."""
-    T = axes(sensor, sightings.z)
-    variance = np.einsum("mij,mik,mkj->mj", T, sightings.R, T)
+    T = axes(sensor, observations.z)
+    variance = np.einsum("mij,mik,mkj->mj", T, observations.R, T)
     along, across = (variance[:, i, None, None] * T[:, :, None, i] * T[:, None, :, i] for i in range(2))
     return along, across
 
@@ -282,8 +284,8 @@ class Restated:
 
     def see(self, frame: Frame) -> Frame:
         """The next frame, with the noise that is known after it."""
-        self._view = holding(self._view, self._sensor.polar(frame.sightings.z))
-        told = self._differences.see(frame.increment, frame.sightings)
+        self._view = holding(self._view, self._sensor.polar(frame.observations.z))
+        told = self._differences.see(frame.increment, frame.observations)
         self.shares = Shares(*(s if s > constants.UNDERSTATED**2 else 1.0 for s in told))
         return self.restated(frame)
 
@@ -294,7 +296,9 @@ class Restated:
         increment = frame.increment
         if increment is not None:
             increment = increment._replace(covariance=self.shares.motion * increment.covariance)
-        return frame._replace(increment=increment, sightings=with_shares(self._sensor, frame.sightings, self.shares))
+        return frame._replace(
+            increment=increment, observations=with_shares(self._sensor, frame.observations, self.shares)
+        )
 
     def widened(self, sensor: Sensor) -> Sensor:
         """A sensor with the view that holds all that was read so far."""

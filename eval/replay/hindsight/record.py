@@ -1,6 +1,6 @@
 """Evidence for a landmark: how often it was seen, how often it should have been, and whether it stood still.
 
-Each sighting brings the landmark's innovation given the other pairings of its frame (`association.conditional.alone`).
+An observation gives the landmark's innovation given its frame's other pairings (`association.conditional.alone`).
 Of a landmark that stands still these are independent, their squares chi-square and their weighted mean in the world
 zero; one that moves drags its estimate behind it, so that they all point where it goes.
 
@@ -36,14 +36,14 @@ from eval.replay.hindsight import constants
 class Evidence(NamedTuple):
     """What speaks for one landmark and against it.
 
-    seen: sightings, `looks` of them from different places; missed: places where it should have been seen and was not,
-    `row` of them since the last sighting;
-    judged: sightings judged by others of their frame; squares: the sum of these squared; pull (2,),
+    seen: observations, `opportunities` of them from different places; missed: places of a missed detection,
+    `row` of them since the last observation;
+    judged: observations judged by others of their frame; squares: the sum of these squared; pull (2,),
     information (2, 2): these in the world, weighted, summed.
     """
 
     seen: int
-    looks: int
+    opportunities: int
     missed: int
     row: int
     judged: int
@@ -57,7 +57,7 @@ INITIALIZED = Evidence(1, 1, 0, 0, 0, 0.0, np.zeros(2), np.zeros((2, 2)))
 
 
 class Judgement(NamedTuple):
-    """Innovation (2,) of a sighting given others of its frame, its information (2, 2); G (2, 2): to the world."""
+    """Innovation (2,) of an observation given others of its frame, its information (2, 2); G (2, 2): to the world."""
 
     innovation: Array
     information: Array
@@ -65,8 +65,8 @@ class Judgement(NamedTuple):
 
 
 def sighted(e: Evidence, judged: Judgement | None, elsewhere: bool) -> Evidence:
-    """One more sighting, and what the others of the frame say about it; `elsewhere`: not from the place of the last."""
-    e = e._replace(seen=e.seen + 1, looks=e.looks + elsewhere, row=0)
+    """Add an observation, judged by the others of its frame; `elsewhere`: from another place than the last."""
+    e = e._replace(seen=e.seen + 1, opportunities=e.opportunities + elsewhere, row=0)
     if judged is None:
         return e
     inverse = np.linalg.inv(judged.G)
@@ -85,7 +85,7 @@ def overlooked(e: Evidence) -> Evidence:
 
 
 class Visibility(NamedTuple):
-    """How often certain landmarks in view were seen and missed: sightings and misses after a sighting, after a miss.
+    """Counts over confirmed landmarks in view: seen and missed after an observation, and after a miss.
 
     A landmark that is hidden from here stays hidden for a while, so misses come in rows; where a sensor sees all there
     is in view, a second miss in a row is as unlikely as the first.
@@ -127,7 +127,7 @@ class Visibility(NamedTuple):
 
 
 def detection_rate(seen: int, missed: int) -> float:
-    """Mean of the beta distribution of a rate after so many sightings and misses, from a uniform prior."""
+    """Mean of the beta distribution of a rate after so many observations and misses, from a uniform prior."""
     return (seen + 1) / (seen + missed + 2)
 
 
@@ -147,7 +147,7 @@ def verdict(e: Evidence, v: Visibility) -> str:
             return "moved"
     if certain(e, v):
         v = v.without(e.row)
-        own = min(v.rate, detection_rate(e.looks, e.missed - e.row))
+        own = min(v.rate, detection_rate(e.opportunities, e.missed - e.row))
         return "missed" if v.row(e.row, own) < constants.UNLIKELY**constants.UNLIKELY_POWER else ""
     return "missed" if v.row(e.row, v.rate) < constants.UNLIKELY else ""
 
@@ -171,17 +171,17 @@ class Record:
     """What is known of one landmark of the map, but for where it stands.
 
     Attributes:
-        sightings: (observation, decision) of all that are taken for it; the first one initialized it.
+        observations: (observation, decision) of all that are taken for it; the first one initialized it.
         looked_from: (x, y) [m] of the robot where it was last seen, or should have been.
-        first, last: distances travelled [m] at its first and its last sighting.
-        times: sightings, by the decisions that were used.
+        first, last: distances travelled [m] at its first and its last observation.
+        times: observations, by the decisions that were used.
         evidence: what speaks for it and against it.
         covisible: landmarks that were seen in one frame with it: they cannot be the same.
-        gated: distance travelled [m] where its gate was judged last, by whether the sighting was inside.
-        looks: at it after the first sighting: the second one, and from other places; 1 seen, 0 missed in the view read.
+        gated: distance travelled [m] where its gate was judged last, by whether the observation was inside.
+        opportunities: detection opportunities after the first observation; 1 seen, 0 missed.
     """
 
-    sightings: list[tuple[int, int]]
+    observations: list[tuple[int, int]]
     looked_from: tuple[float, float]
     first: float
     last: float
@@ -189,7 +189,7 @@ class Record:
     evidence: Evidence = INITIALIZED
     covisible: set[int] = field(default_factory=set)
     gated: dict[bool, float] = field(default_factory=dict)
-    looks: bytearray = field(default_factory=bytearray)
+    opportunities: bytearray = field(default_factory=bytearray)
 
 
 class Judged(NamedTuple):
@@ -213,11 +213,11 @@ class Epoch(NamedTuple):
     first: int = 0
 
 
-Looks = Sequence[bytes | bytearray]
+Opportunities = Sequence[bytes | bytearray]
 """Of each landmark, after the reading that it was initialized by: 1 seen, 0 missed, in their order."""
 
 
-class Permanence(NamedTuple):
+class Persistence(NamedTuple):
     """What a log's landmarks are like.
 
     stays: share of those that are there for good; at_once, later: probability that one of the others is gone at the
@@ -232,36 +232,38 @@ class Permanence(NamedTuple):
     again: float
 
 
-def permanence(looks: Looks) -> Permanence:
+def persistence(opportunities: Opportunities) -> Persistence:
     """Of the landmarks (n) of a log, those that were retracted included; without any it is the prior."""
     own, chance, least = constants.PERMANENCE_OWN, constants.PERMANENCE_CHANCE, constants.PERMANENCE_LATER_LEAST
     prior = np.array([constants.PERMANENCE_MEANS, constants.PERMANENCE_WORTH])
-    return Permanence(*_fitted(*_packed(looks), prior, own, chance, least, constants.PERMANENCE_ROUNDS).tolist())
+    return Persistence(
+        *_fitted(*_packed(opportunities), prior, own, chance, least, constants.PERMANENCE_ROUNDS).tolist()
+    )
 
 
-def staying(looks: Looks, p: Permanence) -> Array:
+def persistent(opportunities: Opportunities, p: Persistence) -> Array:
     """Probability (n,) that each of n landmarks is there for good."""
-    return _staying(*_packed(looks), np.array(p), constants.PERMANENCE_OWN, constants.PERMANENCE_CHANCE)
+    return _staying(*_packed(opportunities), np.array(p), constants.PERMANENCE_OWN, constants.PERMANENCE_CHANCE)
 
 
-def lasting(looks: Looks, former: Looks, sightings: IntArray) -> BoolArray:
+def lasting(opportunities: Opportunities, former: Opportunities, observations: IntArray) -> BoolArray:
     """Which landmarks (n,) of a map stay in it at the end of a log.
 
     Those that stay by odds of two to one (`STAYS`). Where most of these are read often, one that was read two or three
-    times is somebody who came along in the end: it needs as many sightings as all but the fewest of them have, or
+    times is somebody who came along in the end: it needs as many observations as all but the fewest of them have, or
     `CERTAIN`. Where that leaves less than half of those that may be expected to stay, their number is better known than
     which they are: then it is as many, the likeliest.
 
     Args:
-        looks: at each of the map's landmarks (n).
+        opportunities: at each of the map's landmarks (n).
         former: at the landmarks that were retracted before.
-        sightings: (n,) of each of the map's.
+        observations: (n,) of each of the map's.
     """
-    often = sightings >= constants.CERTAIN_AT_LEAST
-    stay = np.where(often, staying(looks, permanence([*looks, *former])), 0.0)
+    often = observations >= constants.CERTAIN_AT_LEAST
+    stay = np.where(often, persistent(opportunities, persistence([*opportunities, *former])), 0.0)
     keep: BoolArray = stay > constants.STAYS
     if keep.any():
-        keep &= sightings >= min(constants.CERTAIN, float(np.quantile(sightings[keep], constants.STAYS_FEWEST)))
+        keep &= observations >= min(constants.CERTAIN, float(np.quantile(observations[keep], constants.STAYS_FEWEST)))
     expected = round(float(stay.sum()))
     if 2 * keep.sum() < expected:
         keep = np.zeros(len(stay), np.bool_)
@@ -269,10 +271,10 @@ def lasting(looks: Looks, former: Looks, sightings: IntArray) -> BoolArray:
     return keep
 
 
-def _packed(looks: Looks) -> tuple[IntArray, IntArray]:
+def _packed(opportunities: Opportunities) -> tuple[IntArray, IntArray]:
     """All looks in a row (m,), and where those of each landmark begin (n + 1,)."""
-    begin = np.cumsum(np.array([0, *(len(s) for s in looks)], np.int64))
-    return np.frombuffer(b"".join(looks), np.uint8).astype(np.int64), begin
+    begin = np.cumsum(np.array([0, *(len(s) for s in opportunities)], np.int64))
+    return np.frombuffer(b"".join(opportunities), np.uint8).astype(np.int64), begin
 
 
 @njit(cache=True)
@@ -283,34 +285,34 @@ def _betas(seen: float, missed: float, mean: float, own: float) -> float:
 
 
 @njit(cache=True)
-def _transitions(looks: IntArray) -> tuple[Array, int]:
-    """Counts (2, 2) of looks [after a miss or a sighting, missed or seen], and how many misses are at the end."""
+def _transitions(opportunities: IntArray) -> tuple[Array, int]:
+    """Counts (2, 2) of looks [after a miss or an observation, missed or seen], and how many misses are at the end."""
     counts, before, row = np.zeros((2, 2)), 1, 0
-    for now in looks:
+    for now in opportunities:
         counts[before, now] += 1.0
         before, row = now, 0 if now else row + 1
     return counts, row
 
 
 @njit(cache=True)
-def _goes(looks: IntArray, p: Array, chance: float, expected: Array) -> float:
+def _goes(opportunities: IntArray, p: Array, chance: float, expected: Array) -> float:
     """Log-likelihood of the looks at a landmark that goes: the sum over the looks k before which it may have gone.
 
     expected (4,), written: gone at once or not, for a landmark that was looked at; gone at a later look, and looks that
     it lasted.
     """
-    at_once, later, seen, n = p[1], p[2], p[3], len(looks)
+    at_once, later, seen, n = p[1], p[2], p[3], len(opportunities)
     terms = np.empty(n + 2)
     after = 0.0
     for k in range(n, -1, -1):  # by chance alone from look k on
         terms[k] = after
         if k:
-            after += log(chance) if looks[k - 1] else log(1.0 - chance)
+            after += log(chance) if opportunities[k - 1] else log(1.0 - chance)
     terms[n + 1] = terms[0] + log(at_once)
     before = log(1.0 - at_once)
     for k in range(n):
         terms[k] += before + log(later)
-        before += log(1.0 - later) + (log(seen) if looks[k] else log(1.0 - seen))
+        before += log(1.0 - later) + (log(seen) if opportunities[k] else log(1.0 - seen))
     terms[n] = before
     top = terms.max()
     total = top + log(np.exp(terms - top).sum())
@@ -326,25 +328,25 @@ def _goes(looks: IntArray, p: Array, chance: float, expected: Array) -> float:
 
 
 @njit(cache=True)
-def _stays(looks: IntArray, counts: Array, p: Array, own: float, chance: float, expected: Array) -> float:
+def _stays(opportunities: IntArray, counts: Array, p: Array, own: float, chance: float, expected: Array) -> float:
     """Probability that a landmark stays, given the looks at it and their counts (2, 2); `expected` as of `_goes`."""
     there = log(p[0]) + _betas(counts[1, 1], counts[1, 0], p[3], own) + _betas(counts[0, 1], counts[0, 0], p[4], own)
-    gone = log(1.0 - p[0]) + _goes(looks, p, chance, expected)
+    gone = log(1.0 - p[0]) + _goes(opportunities, p, chance, expected)
     return 1.0 / (1.0 + exp(min(gone - there, 700.0)))
 
 
 @njit(cache=True)
-def _staying(looks: IntArray, begin: IntArray, p: Array, own: float, chance: float) -> Array:
+def _staying(opportunities: IntArray, begin: IntArray, p: Array, own: float, chance: float) -> Array:
     stays, expected = np.empty(len(begin) - 1), np.empty(4)
     for i in range(len(stays)):
-        of = looks[begin[i] : begin[i + 1]]
+        of = opportunities[begin[i] : begin[i + 1]]
         stays[i] = _stays(of, _transitions(of)[0], p, own, chance, expected)
     return stays
 
 
 @njit(cache=True)
 def _fitted(
-    looks: IntArray, begin: IntArray, prior: Array, own: float, chance: float, least: float, rounds: int
+    opportunities: IntArray, begin: IntArray, prior: Array, own: float, chance: float, least: float, rounds: int
 ) -> Array:
     """`Permanence` as an array (5,); prior (2, 5): mean of each, and what it is worth."""
     p: Array = prior[0].copy()
@@ -352,7 +354,7 @@ def _fitted(
     for _ in range(rounds):
         yes, every = prior[0] * prior[1], prior[1].copy()
         for i in range(len(begin) - 1):
-            of = looks[begin[i] : begin[i + 1]]
+            of = opportunities[begin[i] : begin[i + 1]]
             counts, row = _transitions(of)
             there = _stays(of, counts, p, own, chance, expected)
             gone = 1.0 - there

@@ -21,7 +21,7 @@ import numpy as np
 from association.expectation import gate_threshold
 from data import se2
 from data.blocks import add_to_diagonal, blocks_of, coordinates, diagonal_blocks, of_points
-from data.inputs import Increment, IntArray, LandmarkMap, Sightings
+from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap
 from data.se2 import Array
 from data.sensors import Sensor
 from eval.replay.hindsight import constants
@@ -60,13 +60,13 @@ def moved(scan: Scan, increment: Increment) -> Scan:
     return Scan(xy[clear], of_points(whole.covariance, clear), tuple(whole.rows[i] for i in clear))
 
 
-def extended(scan: Scan, sensor: Sensor, sightings: Sightings, rows: IntArray) -> Scan:
-    """The scan with a frame's sightings (m), whose rows of the log are `rows` (m,).
+def extended(scan: Scan, sensor: Sensor, observations: FrameObservations, rows: IntArray) -> Scan:
+    """The scan with a frame's observations (m), whose rows of the log are `rows` (m,).
 
-    A sighting of a point that is there already (nearest first, one to one, d^2 inside `SAME_POINT`) corrects the scan;
+    An observation of a known point (nearest first, one to one, d^2 inside `SAME_POINT`) corrects the scan;
     any other is a new point.
     """
-    xy, R = sensor.body_points(*sightings)
+    xy, R = sensor.body_points(*observations)
     n, old = len(scan), _pairs(scan, xy, R)
     mean, P, seen = scan.xy.ravel().copy(), scan.covariance, [list(r) for r in scan.rows]
     if old:
@@ -91,7 +91,7 @@ def extended(scan: Scan, sensor: Sensor, sightings: Sightings, rows: IntArray) -
 
 
 def _pairs(scan: Scan, xy: Array, R: Array) -> list[tuple[int, int]]:
-    """Sightings and the points they show again: nearest pair first, one to one."""
+    """Observations and the points they show again: nearest pair first, one to one."""
     n = len(scan)
     blocks = diagonal_blocks(scan.covariance)
     nu = xy[:, None] - scan.xy[None]

@@ -8,7 +8,7 @@ probability ratio test (Wald, "Sequential tests of statistical hypotheses", Anna
 
 from __future__ import annotations
 
-from data.inputs import Increment, IntArray, Prior, Sightings, Systematic
+from data.inputs import FrameObservations, Increment, IntArray, Prior, Systematic
 from data.result import Updated
 from data.se2 import Array
 from data.sensors import Sensor
@@ -50,9 +50,9 @@ class TwoModels:
         for each in self._kept:
             each.predict(increment)
 
-    def update(self, sightings: Sightings, decisions: IntArray, *, at: Array | None = None) -> Updated:
+    def update(self, observations: FrameObservations, decisions: IntArray, *, at: Array | None = None) -> Updated:
         """As `EkfSlam.update`; what the filter did that was believed before the frame."""
-        before, done = self.believed, {each: each.update(sightings, decisions, at=at) for each in self._kept}
+        before, done = self.believed, {each: each.update(observations, decisions, at=at) for each in self._kept}
         if len(done) > 1 and done[before].dof:
             self.log_odds += done[self._erring].log_likelihood - done[self._stated].log_likelihood
             if abs(self.log_odds) > DECIDED:

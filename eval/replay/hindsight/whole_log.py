@@ -12,13 +12,13 @@ import numpy as np
 
 from association.expectation import gate_threshold
 from data.errors import DataError
-from data.inputs import Frame, Increments, Inputs, IntArray, LandmarkMap, Observations, Sightings, Systematic
+from data.inputs import Frame, FrameObservations, Increments, Inputs, IntArray, LandmarkMap, Observations, Systematic
 from data.motion.systematic import sensor_frame
 from data.notice import Code, Notice, notice
 from data.result import DISCARD, MapState
 from data.se2 import Array
 from eval.replay.hindsight import constants
-from eval.replay.hindsight.final_association import Anew, noise_share, pair_anew
+from eval.replay.hindsight.final_association import Reassociation, noise_share, reassociate
 from eval.replay.hindsight.noise import Restated, with_shares
 from eval.replay.hindsight.record import Record
 from eval.replay.settings import Given
@@ -32,7 +32,7 @@ class WholeLog:
     Attributes:
         managed: landmarks left the map by rules of the setup: what was read of them is no longer known.
         failed: why nothing was paired anew, if nothing could be.
-        settled: all that was seen: frames (m,), sightings (m) as stated, landmarks (m,) in the end; None: as decided.
+        settled: frames (m,), observations (m) as stated, final landmarks (m,); None: as decided.
         gate: squared distance under the noise as `restated` beyond which nothing was paired anew.
     """
 
@@ -40,28 +40,28 @@ class WholeLog:
         """Before the first frame."""
         self.managed = False
         self.failed: Notice | None = None
-        self.settled: tuple[IntArray, Sightings, IntArray] | None = None
+        self.settled: tuple[IntArray, FrameObservations, IntArray] | None = None
         self.gate = math.inf
         self._given = given
         self._frames: list[Frame] = []
-        self._doubt: dict[int, Array] = {}
+        self._loosened: dict[int, Array] = {}
         self._path: list[Array] = []
 
     def move(self, frame: Frame) -> None:
         """The next frame comes, as it is stated."""
         self._frames.append(frame)
 
-    def doubt(self, covariance: Array) -> None:
+    def loosen(self, covariance: Array) -> None:
         """The motion into this frame turned out to be unknown: (3, 3) more of it."""
-        self._doubt[len(self._frames) - 1] = covariance
+        self._loosened[len(self._frames) - 1] = covariance
 
     def end_frame(self, pose: Array) -> None:
         """Where (3,) it was taken, by all that is known at its end."""
         self._path.append(pose)
 
-    def pair_anew(
+    def reassociate(
         self, records: dict[int, Record], landmarks: MapState, restated: Restated, systematic: Systematic | None
-    ) -> Anew | None:
+    ) -> Reassociation | None:
         """All readings of the log for the landmarks that there are records of; None where the path cannot be smoothed.
 
         Noise as `restated`; `systematic`: errors of odometry that are believed in.
@@ -75,7 +75,7 @@ class WholeLog:
         try:
             found = smooth(log, number, np.full(len(number), -1), Start(np.array(self._path), places))
         except (DataError, UnderConstrained) as stop:  # what a filter can use may be singular for a smoother
-            self.failed = notice(Code.NOTHING_ANEW, text=str(stop))
+            self.failed = notice(Code.NO_REASSOCIATION, text=str(stop))
             return None
         assert found.map is not None
         pose, xy, sensor = found.trajectory.pose, found.map.xy, restated.widened(log.sensor)
@@ -85,17 +85,17 @@ class WholeLog:
             pose, sensor = frame.poses_in(pose, found.systematic.mean), frame.sensor(sensor)
         known, seen = LandmarkMap(found.map.number, xy), log.observations
         share = noise_share(sensor, pose, known, seen, number)
-        self.gate = share * gate_threshold(constants.ANEW_GATE)
-        return pair_anew(sensor, pose, known, Observations(seen.frame, seen.z, share * seen.R))
+        self.gate = share * gate_threshold(constants.REASSOCIATION_GATE)
+        return reassociate(sensor, pose, known, Observations(seen.frame, seen.z, share * seen.R))
 
     def settle(self, records: dict[int, Record]) -> None:
         """The landmarks that there are records of are those that stay."""
         seen = self._seen()
-        self.settled = seen.frame, Sightings(seen.z, seen.R), _numbers(records, len(seen.frame))
+        self.settled = seen.frame, FrameObservations(seen.z, seen.R), _numbers(records, len(seen.frame))
 
     def _seen(self) -> Observations:
         """All readings as they are stated."""
-        each = [f.sightings for f in self._frames]
+        each = [f.observations for f in self._frames]
         of = np.repeat(np.arange(len(each)), [len(s.z) for s in each])
         return Observations(of, np.concatenate([s.z for s in each]), np.concatenate([s.R for s in each]))
 
@@ -105,8 +105,8 @@ class WholeLog:
         for k, frame in enumerate(self._frames[1:], 1):
             assert frame.increment is not None
             mean[k], covariance[k] = frame.increment.mean, restated.shares.motion * frame.increment.covariance
-            covariance[k] += self._doubt.get(k, 0.0)
-        R = with_shares(self._given.sensor, Sightings(seen.z, seen.R), restated.shares).R
+            covariance[k] += self._loosened.get(k, 0.0)
+        R = with_shares(self._given.sensor, FrameObservations(seen.z, seen.R), restated.shares).R
         return Inputs(
             self._given.prior, np.arange(n, dtype=float), Increments(mean, covariance),
             Observations(seen.frame, seen.z, R), self._given.sensor, systematic=systematic,
@@ -117,5 +117,5 @@ def _numbers(records: dict[int, Record], readings: int) -> IntArray:
     """Landmark (m,) of so many readings, `DISCARD` for none."""
     number = np.full(readings, DISCARD, np.int64)
     for n, record in records.items():
-        number[[row for row, _ in record.sightings]] = n
+        number[[row for row, _ in record.observations]] = n
     return number

@@ -64,7 +64,7 @@ def at_all_frames(run: Run, corners: CornerLog, frames: int) -> LaserRun:
         "online": paths.get("online"), "final": paths.get("final"), "decisions": none, "final_decisions": none,
         "created": none, "begun": None, "removed": None, "events": (), "seconds": run.seconds + corners.seconds,
         "state_size": None if run.state_size is None else run.state_size[chain.key],
-        "failure": _at(run.failure, corners), "doubt": _at(run.doubt, corners),
+        "failure": _at(run.failure, corners), "implausible": _at(run.implausible, corners),
     }  # fmt: skip
     if run.innovations is not None:
         nis, dof = np.full(frames, np.nan), np.zeros(frames, np.int64)

@@ -201,9 +201,9 @@ def find_lab(trials: Sequence[Trial], *, named: bool = True) -> Lab | None:
         constants = {k: v for k, v in made.items() if k not in left_out} if isinstance(made, Mapping) else {}
         own = f"{trial.log.source.get('seed')} {sorted(constants.items())}" if named else ""
         lab = groups.setdefault(own, Lab({}, {}))
-        if trial.beside is None and has_prior(trial.log):
+        if trial.variant_of is None and has_prior(trial.log):
             lab.primed.setdefault(switched_on(trial.log)[0], trial)
-        elif trial.beside is None:
+        elif trial.variant_of is None:
             lab.trials.setdefault(switched_on(trial.log), trial)
         elif any(r.removed is not None for r in trial.runs):
             lab.maintained.setdefault(switched_on(trial.log), trial)
@@ -378,8 +378,8 @@ class Judge:
             run.status,
             people,
             odometry,
-            maintained=trial.beside is not None,
-            implausible_from=None if run.doubt is None else run.doubt.frame,
+            maintained=trial.variant_of is not None,
+            implausible_from=None if run.implausible is None else run.implausible.frame,
             errors={q: value_of(row, "rmse_position_m") for q, row in rows.items()},
             inside=value_of(rows[p], "inside_3sigma"),
             nees=value_of(rows[p], "nees_pose"),

@@ -81,7 +81,7 @@ def _measure(inputs: Inputs, front: FrontEnd, seconds: Array) -> None:
         frame = inputs.frame(k)
         front.move(frame)
         begin = end = time.perf_counter()
-        if len(frame.sightings.z):
+        if len(frame.observations.z):
             pairing = front.associate(frame)
             begin = time.perf_counter()
             front.update(frame, pairing)

@@ -105,7 +105,7 @@ class Estimates:
 def visual_hand_in(folder: Path, output: Output, trials: Sequence[Trial]) -> list[Section]:
     """Three sections on the first log made from images; nothing where there is none."""
     trial = next(
-        (t for t in trials if t.log.evidence is not None and t.beside is None and t.task == "localization"), None
+        (t for t in trials if t.log.evidence is not None and t.variant_of is None and t.task == "localization"), None
     )
     if trial is None:
         return []

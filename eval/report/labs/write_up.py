@@ -102,7 +102,7 @@ def write_up(
     folder: Path, trials: Sequence[Trial], scores: Scores, answers: Sequence[Section], sections: Sequence[Section]
 ) -> None:
     """Write the file: a page for each answer of a lab, then one for each log and task with its tables and figures."""
-    logs = [log_page(folder, trial, scores, sections) for trial in trials if trial.beside is None]
+    logs = [log_page(folder, trial, scores, sections) for trial in trials if trial.variant_of is None]
     notes = (folder / "tables" / "notes.tex").exists()
     text = _template().render(answers=answers, logs=logs, notes=notes).strip() + "\n"
     (folder / "write-up.tex").write_text(text, encoding="utf-8", newline="\n")

@@ -89,8 +89,8 @@ def test_frames_put_together_give_the_same_frames_again():
     for k, frame in enumerate(frames):
         again = inputs.frame(k)
         assert (again.time, again.first, again.number) == (frame.time, frame.first, frame.number)
-        assert again.sightings.z.tobytes() == frame.sightings.z.tobytes()
-        assert again.sightings.R.tobytes() == frame.sightings.R.tobytes()
+        assert again.observations.z.tobytes() == frame.observations.z.tobytes()
+        assert again.observations.R.tobytes() == frame.observations.R.tobytes()
         assert k == 0 or again.increment.covariance.tobytes() == frame.increment.covariance.tobytes()
     steps = np.zeros(3)
     for mean in inputs.increments.mean:
@@ -104,7 +104,7 @@ def test_a_frame_cannot_be_written_into_as_those_of_a_log():
     frames = [framing.frame(p) for p in driven.packets]
     again = inputs_of(frames, framing.at_rest)
     for frame in frames:
-        ours, theirs = ([*f.sightings, *(f.increment or ())] for f in (frame, again.frame(frame.number)))
+        ours, theirs = ([*f.observations, *(f.increment or ())] for f in (frame, again.frame(frame.number)))
         for a, b in zip(ours, theirs, strict=True):
             assert not a.flags.writeable
             assert not b.flags.writeable

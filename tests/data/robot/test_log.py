@@ -63,7 +63,7 @@ def test_it_holds_the_frames_that_came_to_the_bit(driven):
     for k, frame in enumerate(frames):
         again = log.recorded.frame(k)
         assert again.time == frame.time
-        assert again.sightings.R.tobytes() == frame.sightings.R.tobytes()
+        assert again.observations.R.tobytes() == frame.observations.R.tobytes()
         assert k == 0 or again.increment.covariance.tobytes() == frame.increment.covariance.tobytes()
     assert log.name == "log"
     assert "Faults of the link" in log.notes[0]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from association.decide import known_decisions
-from data.inputs import Increment, LandmarkMap, Prior, Sightings, Systematic
+from data.inputs import FrameObservations, Increment, LandmarkMap, Prior, Systematic
 from data.result import NEW
 from data.se2 import wrap_angle
 from data.sensors import Line
@@ -56,7 +56,7 @@ def test_slam_is_a_dense_filter_about_the_first_pose(log, first):
         if motion is not None:
             f.predict(motion)
             dense.predict(*motion)
-        done = f.update(Sightings(z, R), np.array([number.get(i, NEW) for i in ids], np.int64))
+        done = f.update(FrameObservations(z, R), np.array([number.get(i, NEW) for i in ids], np.int64))
         number.update((i, int(n)) for i, n in zip(ids, done.created, strict=True) if n >= 0)
         dense.update(z, R, ids)
         assert_pose(f.estimate(), dense.x + [*origin, *np.zeros(len(dense.x) - 2)], dense.P)
@@ -78,7 +78,7 @@ def test_localization_is_a_dense_filter_in_the_known_map(log):
         if motion is not None:
             f.predict(motion)
             dense.predict(*motion)
-        f.update(Sightings(z, R), np.array(ids, np.int64))
+        f.update(FrameObservations(z, R), np.array(ids, np.int64))
         dense.update(z, R, ids)
         assert_pose(f.estimate(), dense.x, dense.P)
 
@@ -144,7 +144,7 @@ def test_two_estimates_of_one_wall_become_one_whichever_normals_they_have(turned
     f = EkfSlam(Prior(np.array([0.0, 0.0, 0.2]), np.diag([0.01, 0.01, 0.01]) ** 2), Line())
     R = np.array([[1.0, 0.5], [0.5, 1.0]]) * 1e-4
     z = np.array([[1.0, 1.0], [0.001, 2.0], [0.002, wrap_angle(2.01 + turned * np.pi)]])
-    f.update(Sightings(z, np.tile(R, (3, 1, 1))), np.full(3, NEW))
+    f.update(FrameObservations(z, np.tile(R, (3, 1, 1))), np.full(3, NEW))
     mean, P = f.mean, f.covariance
     H = np.zeros((2, 9))
     H[:, 5:7] = -np.eye(2)
@@ -211,7 +211,7 @@ def test_a_wall_of_a_large_map_is_a_candidate_wherever_its_numbers_are():
     f.predict(Increment(np.zeros(3), 1e-6 * np.eye(3)))
     near = int(np.argmin(np.abs(Line().predict(pose, lines)[:, 0])))
     z = Line().predict(pose, lines[near : near + 1])
-    assert near in f.expect(Sightings(z, 1e-4 * np.eye(2)[None])).number
+    assert near in f.expect(FrameObservations(z, 1e-4 * np.eye(2)[None])).number
 
 
 @pytest.mark.parametrize("options", [FilterOptions(), FilterOptions(iterations=3), FEJ, FilterOptions(each=True)])
@@ -221,7 +221,7 @@ def test_an_update_does_not_depend_on_a_walls_name_even_if_the_robot_is_believed
     P = np.array([[0.1, 0.01, 0.0], [0.01, 0.09, 0.004], [0.0, 0.004, 0.01]])
     prior = Prior(np.array([3.0, y, 0.1]), P)
     R = np.array([[[0.02**2, -0.9 * 0.02 * 0.05], [-0.9 * 0.02 * 0.05, 0.05**2]]])
-    seen = Sightings(np.array([[0.5, -0.5 * np.pi]]), R)
+    seen = FrameObservations(np.array([[0.5, -0.5 * np.pi]]), R)
     expected = None
     for name in ([0.0, -0.5 * np.pi], [0.0, 0.5 * np.pi]):
         f = EkfLocalizer(prior, Line(), LandmarkMap(np.array([7]), np.array([name])), options)

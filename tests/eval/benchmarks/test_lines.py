@@ -170,6 +170,6 @@ def test_the_plain_numpy_localizer_expects_what_ours_does_at_every_frame(monkeyp
         labels = inputs.observations.label[inputs.observations.frame == k]
         x, P = front.estimate()
         H = np.concatenate(inputs.sensor.jacobians(x, inputs.map.positions(labels))[0])
-        R = block_diag(*frame.sightings.R)
+        R = block_diag(*frame.observations.R)
         np.testing.assert_allclose(S, H @ P @ H.T + R, rtol=1e-7, atol=1e-12)
-        front.update(frame.sightings, labels)
+        front.update(frame.observations, labels)

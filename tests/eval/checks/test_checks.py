@@ -58,7 +58,7 @@ WRONG = [
     (estimators.linear_world, "localization", wrong.Drifting, "sigma off where the exact solution"),
     (estimators.linear_world, "slam", wrong.Timid, r"sigmas are 5, 5, 5 times the exact ones .*; a factor of 2"),
     (handed.covariances, "slam", wrong.Asymmetric, "frame 0: Asymmetric.estimate: the covariance is not symmetric"),
-    (handed.purity, "slam", wrong.Writing, "sightings.z of frame 0 was changed by up to 0.5: copy what is kept"),
+    (handed.purity, "slam", wrong.Writing, "observations.z of frame 0 was changed by up to 0.5: copy what is kept"),
     (handed.purity, "slam", wrong.Keeping, "prior.mean was changed by up to "),
     (estimators.determinism, "slam", wrong.Unseeded, "m apart on the same input: random numbers without a seed"),
     (estimators.determinism, "slam", wrong.Sharing, "or state shared by all objects of the class"),

@@ -64,9 +64,9 @@ class Asymmetric(EkfSlam):
 
 
 class Writing(EkfSlam):
-    def update(self, sightings, decisions, **more):
-        done = super().update(sightings, decisions, **more)
-        sightings.z[:, 0] += 0.5
+    def update(self, observations, decisions, **more):
+        done = super().update(observations, decisions, **more)
+        observations.z[:, 0] += 0.5
         return done
 
 
@@ -102,14 +102,14 @@ class Sharing(EkfSlam):
 class Shaken(EkfLocalizer):
     """It takes what is discarded for pairings with the first landmark."""
 
-    def update(self, sightings, decisions, **more):
-        return super().update(sightings, np.where(decisions == -2, self.map.id[0], decisions), **more)
+    def update(self, observations, decisions, **more):
+        return super().update(observations, np.where(decisions == -2, self.map.id[0], decisions), **more)
 
 
 class Empty(EkfSlam):
-    def update(self, sightings, decisions, **more):
-        assert sightings.z.max() > 0.0
-        return super().update(sightings, decisions, **more)
+    def update(self, observations, decisions, **more):
+        assert observations.z.max() > 0.0
+        return super().update(observations, decisions, **more)
 
 
 class Swapped(EkfSlam):
@@ -133,18 +133,18 @@ class Returning(EkfSlam):
 class Blurred(EkfSlam):
     """Its joint covariance is not that of its parts."""
 
-    def expect(self, sightings):
+    def expect(self, observations):
         from dataclasses import replace
 
-        e = super().expect(sightings)
+        e = super().expect(observations)
         return replace(e, HPHt=1.5 * e.HPHt)
 
 
 class Shifted(EkfSlam):
-    def expect(self, sightings):
+    def expect(self, observations):
         from dataclasses import replace
 
-        e = super().expect(sightings)
+        e = super().expect(observations)
         return replace(e, z_hat=e.z_hat[::-1].copy())
 
 

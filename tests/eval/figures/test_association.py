@@ -8,6 +8,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgba
+from tests.eval.figures.opportunities import SEEN_BY, lab, within
 
 from data.result import MapEstimate, Trajectory
 from eval.figures import confusion_figure, growth_figure, state_figure
@@ -16,7 +17,6 @@ from eval.figures.error import longest_sigma
 from eval.figures.growth import closing_frame, state_is_informative
 from eval.referee.score import Trial
 from eval.report.pictures import draw, kinds
-from tests.eval.figures.looks import SEEN_BY, lab, within
 from tests.eval.handmade import circle_log, run_with_error
 from tests.eval.handmade_lab import DISCARD, FOOLED, NEW, lab_log, lab_run
 
@@ -39,7 +39,7 @@ def test_estimators_with_the_same_decisions_share_a_bar():
 
 def test_revised_decisions_have_a_bar_each_and_trials_beside_are_named():
     tidy = lab_run(KEPT, "jcbb", changes={4: NEW, 7: 2}, removed={2: 4})
-    shown = bars(trial(KNOWN), [trial(tidy, log=KEPT, beside=LOG.name)])
+    shown = bars(trial(KNOWN), [trial(tidy, log=KEPT, variant_of=LOG.name)])
     assert [b.label for b in shown] == [
         "known (EKF)", "jcbb (EKF), maintain, online", "jcbb (EKF), maintain, final",
     ]  # fmt: skip
@@ -81,7 +81,7 @@ def test_an_outcome_has_one_colour_in_every_figure_and_kinds_of_it_differ_by_hat
 
 METHODS = ("known", "nn", "ml", "ml-ratio", "singles", "gnn", "jcbb", "jcbb-first")
 MANY = [lab_run(LOG, m, estimator=e, changes={i: DISCARD}) for i, m in enumerate(METHODS, 2) for e in ("ekf", "isam2")]
-BESIDE = [trial(lab_run(KEPT, "jcbb", changes={4: NEW, 7: 2}, removed={2: 4}), log=KEPT, beside=LOG.name)]
+BESIDE = [trial(lab_run(KEPT, "jcbb", changes={4: NEW, 7: 2}, removed={2: 4}), log=KEPT, variant_of=LOG.name)]
 
 
 @pytest.mark.parametrize("runs", [[], [KNOWN], MANY], ids=["none", "one", "many"])
@@ -110,7 +110,7 @@ def test_states_are_shown_where_methods_differ_or_landmarks_leave():
     assert not state_is_informative(trial(KNOWN, lab_run(LOG, "nn", estimator="isam2")))
     assert state_is_informative(trial(KNOWN, FOOL))
     kept = [
-        trial(lab_run(KEPT, "known", changes={4: NEW}, removed=gone), log=KEPT, beside=LOG.name)
+        trial(lab_run(KEPT, "known", changes={4: NEW}, removed=gone), log=KEPT, variant_of=LOG.name)
         for gone in ({}, {2: 3})
     ]
     assert not state_is_informative(trial(KNOWN), kept[:1])
@@ -121,7 +121,7 @@ def test_states_are_shown_where_methods_differ_or_landmarks_leave():
 
 def test_the_legend_of_states_gives_the_length_at_the_end_largest_first():
     tidy = lab_run(KEPT, "jcbb", changes={4: NEW}, removed={2: 3})
-    fig = state_figure(trial(KNOWN, FOOL), [trial(tidy, log=KEPT, beside=LOG.name)])
+    fig = state_figure(trial(KNOWN, FOOL), [trial(tidy, log=KEPT, variant_of=LOG.name)])
     assert [t.get_text() for t in fig.legends[0].get_texts()] == ["nn: 11", "known: 7", "jcbb, maintain: 7"]
     lines = {line.get_label(): np.asarray(line.get_ydata()).tolist() for line in fig.axes[0].lines}
     # a person becomes a landmark in frame 1; NN initializes a point twice in frame 3, the person is then removed

@@ -50,7 +50,7 @@ FIGURES = {
     "nees": lambda: figures.nees_figure(circle_log(), [ONLINE, FINAL]),
     "difference": lambda: figures.difference_figure(circle_log(truth=False), [ONLINE], FINAL),
     "claims": lambda: figures.claims_figure(circle_log(truth=False), [WITH_INNOVATIONS, FINAL]),
-    "fate": lambda: figures.fate_figure(circle_log(), [ONLINE]),
+    "fate": lambda: figures.loop_state_figure(circle_log(), [ONLINE]),
     "filter and smoother": lambda: figures.filter_smoother_figure(circle_log(), [ONLINE], SURE),
     "average nees": lambda: figures.anees_figure(np.arange(20.0), {"ekf": np.full(20, 3.0)}, 3, 50),
     "growth": lambda: figures.growth_figure(circle_log(), [ONLINE]),

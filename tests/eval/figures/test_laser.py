@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_hex
+from tests.eval.figures.opportunities import SEEN_BY, lab, within
 
 from association.scans.constraints import Loops
 from association.scans.occupancy import Grid
 from eval.figures import loop_picture, map_picture
-from eval.figures.laser import FATES, fates
+from eval.figures.laser import LOOP_STATES, loop_states
 from eval.figures.style import save, style_of
 from eval.referee.laser import KEPT
-from tests.eval.figures.looks import SEEN_BY, lab, within
 
 KEYS = np.array([[0.0, 0, 0], [4, 0, 0.5], [4, 3, 2], [0, 3, 3], [0, 0.5, -1]])
 WEIGHT = np.array([1.0, 0.0, 0.9, 0.5])
@@ -42,38 +42,38 @@ def grid():
 
 def test_every_loop_closure_has_its_fate(loops):
     with_truth = ["believed and kept", "believed, later switched off", "kept, though false", "not believed"]
-    assert fates(loops, WEIGHT, FALSE).tolist() == with_truth
-    assert fates(loops, WEIGHT).tolist() == [*with_truth[:2], "believed and kept", "not believed"]
+    assert loop_states(loops, WEIGHT, FALSE).tolist() == with_truth
+    assert loop_states(loops, WEIGHT).tolist() == [*with_truth[:2], "believed and kept", "not believed"]
 
 
 def test_a_loop_closure_is_switched_off_below_the_least_weight_that_counts_as_kept(loops):
     weight = np.array([KEPT, np.nextafter(KEPT, 0.0), KEPT, KEPT])
     kept, off = "believed and kept", "believed, later switched off"
-    assert fates(loops, weight, FALSE).tolist() == [kept, off, "kept, though false", "not believed"]
+    assert loop_states(loops, weight, FALSE).tolist() == [kept, off, "kept, though false", "not believed"]
     false = np.array([False, True, False, True])  # what is left out may be false, and is not counted as kept
-    assert fates(loops, weight, false).tolist() == [kept, off, kept, "not believed"]
+    assert loop_states(loops, weight, false).tolist() == [kept, off, kept, "not believed"]
 
 
 def test_a_loop_closure_believed_at_the_first_key_pose_counts_as_believed(loops):
     first = replace(loops, believed=np.array([0, 0, 4, -1]))
-    assert fates(first, WEIGHT).tolist() == fates(loops, WEIGHT).tolist()
+    assert loop_states(first, WEIGHT).tolist() == loop_states(loops, WEIGHT).tolist()
 
 
 def test_a_line_joins_the_two_keys_of_each_loop_and_the_legend_counts_them(loops):
     fig = loop_picture(KEYS, loops, WEIGHT, name="here", false=FALSE)
     drawn = [c for c in fig.axes[0].collections if isinstance(c, LineCollection)]
-    assert [to_hex(c.get_colors()[0]).upper() for c in drawn] == [colour for colour, _, _ in FATES.values()]
+    assert [to_hex(c.get_colors()[0]).upper() for c in drawn] == [colour for colour, _, _ in LOOP_STATES.values()]
     ends = {tuple(map(tuple, s.tolist())) for c in drawn for s in c.get_segments()}
     assert ends == {(tuple(KEYS[i, :2]), tuple(KEYS[j, :2])) for i, j in ((0, 4), (0, 3), (1, 4), (1, 3))}
     texts = [t.get_text() for t in fig.legends[0].get_texts()]
-    assert [f"{what}: 1" for what in FATES] == texts[-4:]
+    assert [f"{what}: 1" for what in LOOP_STATES] == texts[-4:]
     without = [t.get_text() for t in loop_picture(KEYS, loops, WEIGHT, name="here").legends[0].get_texts()]
     assert not any("false" in t for t in without)
 
 
 @pytest.mark.parametrize("seen", SEEN_BY.values(), ids=SEEN_BY.keys())
 def test_fates_stay_apart_for_colour_blind_readers(seen):
-    for (a, *_), (b, *_) in combinations(FATES.values(), 2):
+    for (a, *_), (b, *_) in combinations(LOOP_STATES.values(), 2):
         assert np.linalg.norm(lab(a, seen) - lab(b, seen)) > 12.0, (a, b)
 
 

@@ -12,13 +12,13 @@ from matplotlib.text import Text
 import slamref
 from data.errors import UsageError
 from eval import figures
-from eval.figures.paper import Look, across, looking, page_width, translate
+from eval.figures.paper import FigureStyle, across, figure_style, page_width, translate
 from eval.figures.style import drawing, save
 from eval.plan import appearance
 from eval.plan.flags.options import read_options
 from eval.plan.flags.table import inches
 
-COLUMN = Look(width=3.4, fonts=("STIXGeneral", "DejaVu Sans"), mathematics="stix")
+COLUMN = FigureStyle(width=3.4, fonts=("STIXGeneral", "DejaVu Sans"), mathematics="stix")
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def texts(fig):
 def test_a_figure_for_a_column_has_room_for_every_title_and_legend(name, runs, tmp_path, monkeypatch):
     log, made = runs
     seen = {}
-    with looking(COLUMN), drawing():
+    with figure_style(COLUMN), drawing():
         fig = getattr(figures, name)(log, made)
         monkeypatch.setattr(fig, "clear", lambda: None)
         (path,) = save(fig, tmp_path, "f", ("png",))
@@ -70,7 +70,7 @@ def test_a_saved_page_is_longer_by_the_lines_of_its_title_where_a_width_is_wishe
     with drawing():
         fig = titled()
     assert pixels(*save(fig, tmp_path / "usual", "f", ("png",))) == (400, 400)
-    with looking(Look(width=2.0)), drawing():
+    with figure_style(FigureStyle(width=2.0)), drawing():
         written = save(titled(), tmp_path / "column", "f", ("png",))
     height, width = pixels(*written)
     lines = (height - 400) / (8.0 * 1.25 / 72.0 * 200.0)  # type of 8 pt in lines of 10 pt
@@ -81,7 +81,7 @@ def test_a_saved_page_is_longer_by_the_lines_of_its_title_where_a_width_is_wishe
 
 def test_panels_side_by_side_are_two_at_most_in_a_column():
     assert (page_width(), across(4)) == (7.0, 4)
-    with looking(COLUMN):
+    with figure_style(COLUMN):
         assert (page_width(), across(4)) == (3.4, 2)
     assert page_width() == 7.0
 
@@ -96,15 +96,15 @@ def test_lengths_have_units():
 
 
 def test_a_font_that_is_not_here_is_replaced_and_that_is_said(monkeypatch):
-    look, said = appearance.look_of(read_options(["--font", "Nowhere Grotesk"]).drawing)
+    look, said = appearance.figure_style_of(read_options(["--font", "Nowhere Grotesk"]).drawing)
     assert look.fonts == ("DejaVu Sans",)
     assert said == "--font Nowhere Grotesk: not on this machine; figures have DejaVu Sans instead"
     fonts = [f for f in appearance.font_manager.fontManager.ttflist if f.name in ("STIXGeneral", "DejaVu Sans")]
     monkeypatch.setattr(appearance.font_manager.fontManager, "ttflist", fonts)
-    look, said = appearance.look_of(read_options(["--font", "Times"]).drawing)
+    look, said = appearance.figure_style_of(read_options(["--font", "Times"]).drawing)
     assert (look.fonts[0], look.mathematics) == ("STIXGeneral", "stix")
     assert said.endswith("figures have STIXGeneral instead")
-    assert appearance.look_of(read_options([]).drawing)[0] == Look()
+    assert appearance.figure_style_of(read_options([]).drawing)[0] == FigureStyle()
 
 
 def test_without_latex_the_flags_that_need_it_say_so_before_any_work(monkeypatch):

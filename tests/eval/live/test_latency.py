@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from data.inputs import Frame, Sightings
+from data.inputs import Frame, FrameObservations
 from data.robot.packets import encode_answer
 from data.robot.traffic.recording import RECEIVED, SENT, Record, Recording
 from data.robot.traffic.stream import Exchange
@@ -25,7 +25,7 @@ def with_walls(name, association):
     session = Session((name,), association, Setup())
     alpha = np.repeat(np.linspace(-math.pi, math.pi, WALLS // 4, endpoint=False), 4)
     z = np.column_stack([np.tile([12.0, 14.0, 16.0, 18.0], WALLS // 4), alpha])
-    first = Frame(0, -1.0, None, Sightings(z, np.tile(np.diag([1e-4, 1e-4]), (WALLS, 1, 1))), None, 0)
+    first = Frame(0, -1.0, None, FrameObservations(z, np.tile(np.diag([1e-4, 1e-4]), (WALLS, 1, 1))), None, 0)
     session.estimating[0].take(first)
     return session
 

@@ -59,7 +59,7 @@ def test_a_lab_states_logs_tasks_and_methods_itself(other):
 
 def test_every_method_is_run_in_every_condition_without_maintenance_and_with_it():
     experiments, _ = said("--lab", "corridor:3")
-    plain, kept = ([e for e in experiments if (e.beside is None) == first] for first in (True, False))
+    plain, kept = ([e for e in experiments if (e.variant_of is None) == first] for first in (True, False))
     assert [switched_on(e.log) for e in plain] == [switched_on(e.log) for e in kept] == FOUR
     for e in plain:
         assert {*METHODS, "known"} < {w.association for w in e.work}
@@ -89,7 +89,7 @@ def test_a_folder_of_recorded_runs_must_hold_every_condition_and_others_are_skip
     write_folder(logs[3], tmp_path / logs[3].name)
     write_folder(replace(logs[0], name="zz"), tmp_path / "zz")
     experiments, heard = said("--lab", str(tmp_path))
-    assert [e.log.name for e in experiments if e.beside is None] == [log.name for log in logs]
+    assert [e.log.name for e in experiments if e.variant_of is None] == [log.name for log in logs]
     assert heard == ["skipped zz: log0 has the same condition"]
     with pytest.raises(UsageError, match="one log; the lab's folder holds one for each condition"):
         said("--lab", str(tmp_path / "zz"))

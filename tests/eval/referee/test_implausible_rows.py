@@ -29,7 +29,7 @@ def test_its_numbers_are_shown_and_nothing_is_measured_against_it():
     sound, with_both = rows(EKF, BATCH)
     assert sound["ekf"]["rms_from_batch_m"] == pytest.approx(0.2)
     assert len(with_both.differences) == 1
-    marked, scores = rows(EKF, replace(BATCH, doubt=DOUBT))
+    marked, scores = rows(EKF, replace(BATCH, implausible=DOUBT))
     assert marked["batch"]["status"] == "implausible"
     assert marked["batch"]["rmse_position_m"] == pytest.approx(0.1)
     assert pd.isna(marked["ekf"]["rms_from_batch_m"])

@@ -10,7 +10,7 @@ import pytest
 from data.inputs import Observations
 from data.notice import Code, Severity, notice, stopped
 from data.result import DISCARD, NEW, Failure, Innovations, MapEstimate
-from eval.referee.lost import lost, old_sightings
+from eval.referee.lost import former_observations, lost
 from tests.eval.handmade import FRAMES, LANDMARKS, circle_log, run_with_error
 
 PER_FRAME = 3
@@ -102,13 +102,13 @@ def slam(decisions=None, *, times_seen=3, first=0):
 
 def test_a_landmark_is_expected_twenty_frames_after_it_was_made_if_it_was_seen_three_times():
     inputs = observing(known_map=False)
-    could, did, looked = old_sightings(slam(first=5), inputs)
+    could, did, looked = former_observations(slam(first=5), inputs)
     assert looked.all()
     # well inside: 0.9 of 8 m; the robot is at most 10 m from (6, 0) on its circle of 4 m
     away = np.linalg.norm(circle_log().truth.pose[:, :2] - LANDMARKS.xy[0], axis=1)
     assert could.tolist() == ((away < 7.2) & (np.arange(FRAMES) >= 25)).astype(float).tolist()
     assert did.tolist() == [3 * (k >= 25) for k in range(FRAMES)]
-    seldom, done, _ = old_sightings(slam(times_seen=2), inputs)
+    seldom, done, _ = former_observations(slam(times_seen=2), inputs)
     assert not seldom.any()
     assert not done.any()
 

@@ -13,7 +13,7 @@ from data.notice import Code, notice, stopped
 from data.result import DISCARD, Failure, MapEstimate, Trajectory
 from data.sensors import Line, RangeBearing
 from eval.compare import compare
-from eval.referee.plausibility import ABSURD, first_misfit, judged, sight, suspicions, with_doubt
+from eval.referee.plausibility import ABSURD, first_misfit, judged, sight, suspicions, with_plausibility
 from tests.eval.handmade import FRAMES, circle_log, run_with_error, true_path
 
 INPUTS = circle_log().recorded
@@ -33,17 +33,17 @@ def with_map(run, xy, sigma=0.2):
 
 def test_being_wrong_is_not_implausible():
     for error in (0.0, 0.3, 3.0):
-        assert with_doubt(smoother(error), INPUTS).status == "ok"
-        assert with_doubt(run_with_error(np.full(3, error)), INPUTS).doubt is None
+        assert with_plausibility(smoother(error), INPUTS).status == "ok"
+        assert with_plausibility(run_with_error(np.full(3, error)), INPUTS).implausible is None
 
 
 def test_innovations_ten_times_as_large_as_claimed_are_implausible():
-    assert with_doubt(replace(smoother(), total_nis=(ABSURD * 8, 8)), INPUTS).doubt is None
-    marked = with_doubt(replace(smoother(), total_nis=(1.01 * ABSURD * 8, 8)), INPUTS)
+    assert with_plausibility(replace(smoother(), total_nis=(ABSURD * 8, 8)), INPUTS).implausible is None
+    marked = with_plausibility(replace(smoother(), total_nis=(1.01 * ABSURD * 8, 8)), INPUTS)
     assert marked.status == "implausible"
-    assert marked.flaw == marked.doubt
-    assert marked.doubt.notice.code is Code.NIS
-    assert marked.doubt.notice.named["per_dof"] == pytest.approx(101.0)
+    assert marked.flaw == marked.implausible
+    assert marked.implausible.notice.code is Code.NIS
+    assert marked.implausible.notice.named["per_dof"] == pytest.approx(101.0)
 
 
 def test_a_cost_of_twice_the_expected_is_said_and_still_ok():
@@ -71,39 +71,39 @@ def test_the_frame_is_the_first_that_does_not_fit():
     path[20:, 0] += 5.0  # a jump that the odometry, known to a centimetre, does not have
     run = replace(smoother(), final=Trajectory(path, np.tile(np.eye(3), (FRAMES, 1, 1))), total_nis=(1e4, 8))
     assert first_misfit(run, INPUTS) == 20
-    assert with_doubt(run, INPUTS).doubt.frame == 20
+    assert with_plausibility(run, INPUTS).implausible.frame == 20
 
 
 def test_a_path_longer_than_was_driven_is_implausible():
     path = true_path()
     path[25:, 1] += 4.0 * WAY
     run = replace(smoother(), final=Trajectory(path, np.tile(0.01 * np.eye(3), (FRAMES, 1, 1))))
-    assert with_doubt(run, INPUTS).doubt.frame == 25
+    assert with_plausibility(run, INPUTS).implausible.frame == 25
     path[25:, 1] -= 3.5 * WAY
     run = replace(run, final=Trajectory(path, run.final.covariance))
-    assert with_doubt(run, INPUTS).doubt is None
+    assert with_plausibility(run, INPUTS).implausible is None
 
 
 def test_a_landmark_where_the_sensor_cannot_have_seen_it_is_implausible():
     seen = sight(INPUTS)
     assert 16.0 < seen < 18.0  # twice the range of 8 m, and noise
     beyond = [4.0 + seen + 1.0, 0.0]  # of the first poses, which saw it
-    assert with_doubt(with_map(smoother(), beyond), INPUTS).doubt.notice.code is Code.LANDMARKS_UNSEEN
-    assert with_doubt(with_map(smoother(), [4.0 + seen - 1.0, 0.0]), INPUTS).doubt is None
+    assert with_plausibility(with_map(smoother(), beyond), INPUTS).implausible.notice.code is Code.LANDMARKS_UNSEEN
+    assert with_plausibility(with_map(smoother(), [4.0 + seen - 1.0, 0.0]), INPUTS).implausible is None
     # where a filter's landmark was seen from is known only as it was believed then
-    assert with_doubt(with_map(run_with_error(np.zeros(3)), beyond), INPUTS).doubt is None
-    assert with_doubt(with_map(run_with_error(np.zeros(3)), [1e4, 0.0]), INPUTS).status == "implausible"
-    assert with_doubt(with_map(run_with_error(np.zeros(3)), [np.inf, 0.0]), INPUTS).status == "implausible"
+    assert with_plausibility(with_map(run_with_error(np.zeros(3)), beyond), INPUTS).implausible is None
+    assert with_plausibility(with_map(run_with_error(np.zeros(3)), [1e4, 0.0]), INPUTS).status == "implausible"
+    assert with_plausibility(with_map(run_with_error(np.zeros(3)), [np.inf, 0.0]), INPUTS).status == "implausible"
 
 
 def test_a_doubt_larger_than_the_world_is_implausible():
     for run in (with_map(smoother(), [6.0, 0.0], 1e3), replace(
         smoother(), final=Trajectory(true_path(), np.tile(1e6 * np.eye(3), (FRAMES, 1, 1)))
     )):  # fmt: skip
-        marked = with_doubt(run, INPUTS)
+        marked = with_plausibility(run, INPUTS)
         assert marked.status == "implausible"
-        assert marked.doubt.notice.code is Code.COVARIANCE_TOO_LARGE
-        assert marked.doubt.notice.named["sigma"] == pytest.approx(1000.0)
+        assert marked.implausible.notice.code is Code.COVARIANCE_TOO_LARGE
+        assert marked.implausible.notice.named["sigma"] == pytest.approx(1000.0)
 
 
 def test_who_knows_as_little_as_dead_reckoning_is_not_implausible():
@@ -112,14 +112,14 @@ def test_who_knows_as_little_as_dead_reckoning_is_not_implausible():
     inputs = replace(INPUTS, increments=replace(INPUTS.increments, covariance=vague))
     (reckoned,) = compare(inputs, "slam", ["dead-reckoning"])
     assert np.sqrt(reckoned.online.covariance[-1, 0, 0]) > 2.0 * (WAY + 40.0)
-    assert replace(smoother(), final=reckoned.online, association="known").doubt is None
-    assert not judged([replace(smoother(), final=reckoned.online, map=None)], inputs)[0].doubt
+    assert replace(smoother(), final=reckoned.online, association="known").implausible is None
+    assert not judged([replace(smoother(), final=reckoned.online, map=None)], inputs)[0].implausible
 
 
 def test_a_failure_comes_first():
     failed = run_with_error(np.zeros(3), failure=Failure("diverged", 3, stopped("NaN")))
-    assert with_doubt(failed, INPUTS) is failed
-    both = replace(failed, doubt=Failure("implausible", 0, stopped("x")))
+    assert with_plausibility(failed, INPUTS) is failed
+    both = replace(failed, implausible=Failure("implausible", 0, stopped("x")))
     assert (both.status, both.flaw) == ("diverged", failed.failure)
 
 
@@ -173,7 +173,7 @@ def test_a_robot_may_be_where_it_can_have_driven_and_a_lost_one_as_far_off_as_it
         final = Trajectory(path, np.tile(0.01 * np.eye(3), (FRAMES, 1, 1)))
         decisions = np.empty(0, np.int64)
         run = smoother(final=final, task=task, map=None, decisions=decisions, final_decisions=decisions)
-        found = with_doubt(run, inputs).doubt
+        found = with_plausibility(run, inputs).implausible
         assert (found is not None) == doubtful
     assert found.frame == 20
     assert found.notice.code is Code.PATH_TOO_FAR

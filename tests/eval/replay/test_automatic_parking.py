@@ -59,9 +59,9 @@ def watched(monkeypatch):
     sizes, back = [], []
     see, restore = map_management.AutomaticParking.see, map_management.AutomaticParking._restore
 
-    def seen(self, sightings, numbers):
+    def seen(self, observations, numbers):
         sizes.append(self.slam.size)
-        see(self, sightings, numbers)
+        see(self, observations, numbers)
 
     def restored(self, numbers):
         back.append(len(numbers))

@@ -28,7 +28,7 @@ def alone(name, association, inputs, setup):
     while frames:
         frame = frames.pop(0)
         front.move(frame)
-        if len(frame.sightings.z):
+        if len(frame.observations.z):
             pairing = front.associate(frame)
             done = front.update(frame, pairing)
             decisions += np.where((pairing.decisions >= 0) & ~done.used, -2, pairing.decisions).tolist()
@@ -60,7 +60,7 @@ def test_a_log_cut_short_is_decided_as_the_whole_was(inputs, association):
     front = front_end("isam2", association, given, Setup())
     for k in range(short):
         front.move(given.frame(k))
-        if len(given.frame(k).sightings.z):
+        if len(given.frame(k).observations.z):
             pairing = front.associate(given.frame(k))
             done = front.update(given.frame(k), pairing)
             decisions += np.where((pairing.decisions >= 0) & ~done.used, -2, pairing.decisions).tolist()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from data.errors import UsageError
-from data.inputs import Frame, Increment, LandmarkMap, Prior, Sightings
+from data.inputs import Frame, FrameObservations, Increment, LandmarkMap, Prior
 from data.notice import Code, Severity, notice
 from data.result import DISCARD
 from data.sensors import RelativePoint
@@ -44,7 +44,7 @@ class Robot:
 
     def sees(self, z):
         z = np.asarray(z, float)
-        seen = Sightings(z, np.tile(R, (len(z), 1, 1)))
+        seen = FrameObservations(z, np.tile(R, (len(z), 1, 1)))
         frame = Frame(self.frames, 0.1 * self.frames, STILL if self.frames else None, seen, None, self.rows)
         self.localizer.move(frame)
         decisions = self.localizer.decide(frame).tolist()

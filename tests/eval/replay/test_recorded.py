@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from data.inputs import Frame, Sightings, Systematic
+from data.inputs import Frame, FrameObservations, Systematic
 from data.result import CHI_SQUARE, DISCARD, NEW, Event, Finished, MapState, Updated
 from eval.replay.recorder import Recorder
 
@@ -15,7 +15,7 @@ NOTHING = Finished(None, None)
 
 
 def part(number, first, count):
-    seen = Sightings(np.zeros((count, 2)), np.tile(np.eye(2), (count, 1, 1)))
+    seen = FrameObservations(np.zeros((count, 2)), np.tile(np.eye(2), (count, 1, 1)))
     return Frame(number, float(number), None, seen, None, first)
 
 

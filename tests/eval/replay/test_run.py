@@ -89,7 +89,7 @@ def test_the_cut_to_what_is_in_view_asks_for_fewer_candidates_and_is_the_same_wh
         front, sizes = FrontEnd("ekf", "jcbb", inputs, Setup(in_view=in_view)), []
         for k in range(len(inputs)):
             front.move(inputs.frame(k))
-            sizes.append(len(front.expect(inputs.sightings(k)).number))
+            sizes.append(len(front.expect(inputs.frame_observations(k)).number))
             front.update(inputs.frame(k), front.associate(inputs.frame(k)))
         asked[in_view] = sizes
     assert max(asked[False]) == 88

@@ -96,11 +96,11 @@ def test_gnc_discards_what_is_wrong_and_its_path_is_as_good_as_without_it(clean,
     rejected = gnc.final_decisions[paired] == DISCARD
     assert rejected[lie].mean() > 0.9
     assert rejected[~lie].mean() < 0.1
-    if task == "localization":  # in SLAM the referee takes a landmark for what its first sighting was
+    if task == "localization":  # in SLAM the referee takes a landmark for what its first observation was
         before, after = (confusion_of(gnc, wrong, phase) for phase in ("online", "final"))
         assert after.fp < 0.1 * before.fp
         assert after.tp > 0.9 * before.tp
-    assert Code.SIGHTINGS_REJECTED in [note.code for note in gnc.notes]
+    assert Code.OBSERVATIONS_REJECTED in [note.code for note in gnc.notes]
     assert (gnc.final_decisions[gnc.decisions == DISCARD] == DISCARD).all()
 
 

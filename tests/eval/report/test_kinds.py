@@ -72,7 +72,7 @@ def test_growth_is_of_slam_with_truth_and_the_tests_without_truth_of_a_log_of_it
     known = replace(FILTER, task="localization", map=None)
     assert "growth" not in kinds(trial(known, log=circle_log(known_map=True), task="localization"))
     assert "filter-smoother" in kinds(trial(FILTER, BATCH))
-    assert "filter-smoother" not in kinds(trial(FILTER, BATCH, beside="other"))
+    assert "filter-smoother" not in kinds(trial(FILTER, BATCH, variant_of="other"))
 
 
 def calibrated(run):
@@ -86,7 +86,7 @@ def test_systematic_errors_have_a_picture_where_they_were_estimated(saved, tmp_p
     given = trial(calibrated(FILTER), calibrated(NN), BATCH, log=log)
     assert "systematic" in kinds(given)
     assert "systematic" not in kinds(trial(FILTER, BATCH, log=log))
-    assert "systematic" not in kinds(replace(given, beside="other"))
+    assert "systematic" not in kinds(replace(given, variant_of="other"))
     picture = draw(tmp_path, given, "systematic")
     assert "association known" in picture.caption
     assert picture.alt.endswith("as ekf estimate them")
@@ -132,5 +132,5 @@ def test_files_are_written_of_every_run_and_films_only_where_asked_for(monkeypat
     publish_runs(tmp_path, Output(lab_text=True), trial(FILTER, BATCH))
     assert written == ["laser", (FILTER, True), (BATCH, True)]
     written.clear()
-    publish_runs(tmp_path, Output(animate=True), trial(WHEELS, beside="other"))
+    publish_runs(tmp_path, Output(animate=True), trial(WHEELS, variant_of="other"))
     assert written == [(WHEELS, False), "films"]

@@ -11,7 +11,7 @@ from data.worlds.registry import named_log
 from eval.figures.association import AFTER, BEFORE, Example, revision_figure
 from eval.figures.style import save
 from eval.referee.score import Trial
-from eval.replay.hindsight.ledger import MERGED, PAIRED_ANEW
+from eval.replay.hindsight.ledger import MERGED, REASSOCIATED
 from eval.replay.run import compare
 from eval.report.deciding import example, revising, tally
 from tests.eval.handmade import LANDMARKS, circle_log, run_with_error, true_path
@@ -35,13 +35,13 @@ def people():
 def test_counts_are_those_of_the_events(people):
     _, runs = people
     row = tally(runs[0])
-    events = [e for e in runs[0].events if e.why != PAIRED_ANEW]
+    events = [e for e in runs[0].events if e.why != REASSOCIATED]
     undone = [e for e in events if e.old >= 0]
     assert row["pairings undone"] == str(len(undone))
     assert row["made instead"] == "0"
     assert row["retracted"].startswith(str(sum(e.old == NEW for e in events)) + " (")
     assert row["landmarks merged"] == "0"
-    anew = {e.observation for e in runs[0].events if e.why == PAIRED_ANEW}
+    anew = {e.observation for e in runs[0].events if e.why == REASSOCIATED}
     assert row["paired anew at the end"] == str(len(anew))
     assert anew
 

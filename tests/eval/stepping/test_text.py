@@ -171,7 +171,7 @@ def test_compatible_pairs_are_counted_by_observation():
 
     front = FrontEnd("ekf", "nn", log.recorded, Setup())
     front.move(log.recorded.frame(0))
-    e = front.expect(log.recorded.sightings(0))
+    e = front.expect(log.recorded.frame_observations(0))
     m = len(e.z)
     text = compatibility_text(e, None)
     assert text.startswith(f"{m * len(e.number)} compatible pairs with {len(e.number)} landmarks")

@@ -9,7 +9,7 @@ from data.log import shortened
 from data.logs import open_log
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
-from eval.stepping.pictures import Album, _picture
+from eval.stepping.pictures import ImageWriter, _picture
 from eval.stepping.stepper import Walk
 
 
@@ -25,10 +25,10 @@ class Windows:
 
 def test_a_picture_that_is_saved_and_drawn_again_needs_no_layout(tmp_path):
     """Warnings are errors here; seen: layoutgrids, of a figure whose axes stand where they were put."""
-    album = Album(tmp_path, Windows)
+    images = ImageWriter(tmp_path, Windows)
     try:
         for step in ("1", "2"):
-            album.show("picture", lambda fig: _picture(fig).plot([0.0, 1.0]), step)
+            images.show("picture", lambda fig: _picture(fig).plot([0.0, 1.0]), step)
             pyplot.figure("picture").canvas.draw()
     finally:
         pyplot.close("all")
@@ -38,7 +38,7 @@ def test_a_picture_that_is_saved_and_drawn_again_needs_no_layout(tmp_path):
 @pytest.mark.slow
 def test_windows_are_drawn_again_and_again_without_a_warning(tmp_path):
     log = shortened(open_log("corridor:0:people"), 2)
-    walk = Walk(log, "slam", "ekf", Album(tmp_path, Windows), pausing=False)
+    walk = Walk(log, "slam", "ekf", ImageWriter(tmp_path, Windows), pausing=False)
     try:
         step_by_step("ekf", log.inputs().without_map(), "slam", "jcbb", Setup(), observer=walk)
         assert len(pyplot.get_fignums()) > 2

@@ -84,7 +84,7 @@ def steps(kind, *share):
     inputs, _ = arena(0)
     given = for_task(inputs, "slam" if issubclass(kind, EkfSlam) else "localization")
     filter_ = kind(*share, given) if share else kind(given.prior, given.sensor, *([given.map] if given.map else []))
-    seen = given.sightings(0)
+    seen = given.frame_observations(0)
     label = inputs.observations.label[: len(seen.z)]
     filter_.update(seen, np.full(len(seen.z), NEW) if given.map is None else label)
     return filter_, Increment(np.array([0.5, 0.1, 0.3]), np.diag([0.01, 0.02, 0.003]))

@@ -105,7 +105,7 @@ def test_diverged_runs_are_counted_not_averaged_and_fail_what_is_declared():
 def test_an_implausible_run_counts_as_one_that_diverged():
     log = ARENA.simulate(0)
     (run,) = compare(log.inputs(labels=True), "slam", ("ekf",))
-    marked = replace(run, doubt=Failure("implausible", 7, stopped("NIS per degree of freedom is 400")))
+    marked = replace(run, implausible=Failure("implausible", 7, stopped("NIS per degree of freedom is 400")))
     assert sample(run, "online", log, ARENA).failure is None
     found = sample(marked, "online", log, ARENA)
     assert (found.failure, found.implausible) == ("frame 7: NIS per degree of freedom is 400", True)

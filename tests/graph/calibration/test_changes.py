@@ -9,7 +9,7 @@ import pytest
 
 from association.decide import known_decisions
 from data import se2
-from data.inputs import LabelledObservations, Sightings
+from data.inputs import FrameObservations, LabelledObservations
 from data.result import DISCARD
 from ekf.slam import EkfSlam
 from graph.batch import Start, smooth
@@ -81,7 +81,7 @@ def test_pairings_amended_leave_what_they_would_have_been_from_the_start(names):
     sigma = np.sqrt(np.diag(right.errors[1]))
     assert (np.abs(s.errors[0] - right.errors[0]) > 0.5 * sigma).any()
     rows = np.flatnonzero(swapped)
-    s.amend(frame[rows], Sightings(inputs.observations.z[rows], inputs.observations.R[rows]), decisions[rows])
+    s.amend(frame[rows], FrameObservations(inputs.observations.z[rows], inputs.observations.R[rows]), decisions[rows])
     s.refine()
     assert (np.abs(s.errors[0] - right.errors[0]) < 0.01 * sigma).all()
     np.testing.assert_allclose(s.estimate().mean, right.estimate().mean, atol=1e-4)
@@ -97,7 +97,7 @@ def test_an_update_may_start_at_any_pose_of_the_robot():
     for off in (None, np.zeros(3), np.array([0.4, -0.3, 0.2])):
         s = drive(inputs, np.where(last, DISCARD, decisions), smoother=calibrated(inputs, **TIGHT))[0]
         at = None if off is None else s.estimate().mean + off
-        nis.append(s.update(inputs.sightings(19), decisions[last], at=at, innovations=True).nis)
+        nis.append(s.update(inputs.frame_observations(19), decisions[last], at=at, innovations=True).nis)
         s.refine()
         s.refine()
         found.append(np.concatenate([s.estimate().mean, s.errors[0]]))

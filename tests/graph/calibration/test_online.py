@@ -93,7 +93,7 @@ def test_finish_is_the_batch_solution_and_the_newest_frame_is_near_it_before(sen
 
 
 def test_prediction_carries_pose_and_errors_together():
-    """Without any sighting: what the errors add is their Jacobian, by central differences of the whole way."""
+    """Without any observation: what the errors add is their Jacobian, by central differences of the whole way."""
     inputs, *_ = erring(to_estimate(*ODOMETRY, "bearing"), POLAR_OFF, frames=30)
     nothing = np.full(len(inputs.observations.frame), DISCARD)
     s, poses, covariances, _ = drive(inputs, nothing, smoother=calibrated(inputs))
@@ -152,7 +152,7 @@ def test_in_a_known_map_that_is_expected_which_is_in_view_whatever_the_range_err
     place, radius = s._end.reach(8.0)
     np.testing.assert_allclose(place, at, atol=1e-9)
     assert radius == pytest.approx(8.0 / share)
-    e = s.expect(inputs.sightings(len(inputs) - 1))
+    e = s.expect(inputs.frame_observations(len(inputs) - 1))
     expected = set(e.number.tolist())
     # the sensor reads up to 8 m, which is less in the world; its uncertainty lets it expect a little more
     away = np.hypot(*(everywhere - at).T)
@@ -181,8 +181,8 @@ def test_landmarks_go_and_are_joined_and_a_motion_is_doubted_with_errors_as_with
     np.testing.assert_allclose(np.diag(added)[2], 1.0, rtol=1e-4)
     assert added[0, 0] > 0.9
     elsewhere = s.estimate().mean + [0.3, -0.2, 0.1]
-    e = s.expect(inputs.sightings(len(inputs) - 1))
+    e = s.expect(inputs.frame_observations(len(inputs) - 1))
     there = e.elsewhere(s.estimate().mean)
     np.testing.assert_allclose(there.z_hat, e.z_hat, atol=1e-9)
-    done = s.update(inputs.sightings(len(inputs) - 1), np.full(len(e.z), DISCARD), at=elsewhere)
+    done = s.update(inputs.frame_observations(len(inputs) - 1), np.full(len(e.z), DISCARD), at=elsewhere)
     assert not done.used.any()

@@ -11,11 +11,11 @@ from graph.qr.elimination import SLACK, Rows, eliminate, ordering, reflect, stru
 from graph.qr.solution import marginals, means
 
 
-def drive(rng, poses, landmarks, sightings, sides=1):
+def drive(rng, poses, landmarks, observations, sides=1):
     """A chain of poses with random rows, each landmark seen at least once; whitened, of very different weight."""
     variable = [[0, -1], *([k, k - 1] for k in range(1, poses))]
     count = [3] * poses
-    for i in range(max(sightings, 2 * landmarks) if landmarks else sightings):
+    for i in range(max(observations, 2 * landmarks) if landmarks else observations):
         variable.append([int(rng.integers(poses)), poses + i % landmarks if landmarks else -1])
         count.append(2)
     B = len(variable)
@@ -51,9 +51,9 @@ def solved(rows, order):
 @given(
     st.integers(0, 2**31), st.integers(1, 30), st.integers(0, 8), st.integers(0, 60), st.booleans(), st.integers(1, 3)
 )
-def test_any_order_gives_the_dense_solution_and_covariance(seed, poses, landmarks, sightings, shuffled, sides):
+def test_any_order_gives_the_dense_solution_and_covariance(seed, poses, landmarks, observations, shuffled, sides):
     rng = np.random.default_rng(seed)
-    rows = drive(rng, poses, landmarks, sightings, sides)
+    rows = drive(rng, poses, landmarks, observations, sides)
     size = poses + landmarks
     order = rng.permutation(size) if shuffled else ordering(rows.variable, poses, size)
     x, covariance, t = solved(rows, order)

@@ -133,7 +133,7 @@ def test_at_the_optimum_the_score_is_the_slope_of_the_batch_smoothers_cost(senso
 
 @pytest.mark.parametrize("task", ["localization", "slam"])
 def test_what_the_data_cannot_tell_has_no_information(task):
-    """An increment after the last sighting, an unused reading; in SLAM with an exact start the map may be anywhere."""
+    """An increment after the last observation, an unused one; in SLAM the map may be anywhere."""
     inputs, number, path, xy, motion, readings = problem(SENSORS["relative point"], task)
     motion, readings = np.zeros((len(path), 3, 4)), np.zeros((len(number), 2, 4))
     number = np.where(inputs.observations.frame == len(path) - 1, -1, number)

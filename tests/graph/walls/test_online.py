@@ -9,7 +9,7 @@ import pytest
 
 from association.decide import known_decisions
 from data import se2
-from data.inputs import Increments, Inputs, LabelledObservations, Prior, Sightings, Systematic
+from data.inputs import FrameObservations, Increments, Inputs, LabelledObservations, Prior, Systematic
 from data.result import DISCARD, NEW
 from data.sensors import Line
 from graph.incremental import Isam2Smoother
@@ -113,7 +113,7 @@ def test_it_expects_what_dense_least_squares_expects(name, task):
     inputs, _, decisions, (pose, lines, C, _) = exactly(name, task)
     sensor, last = inputs.sensor, len(inputs) - 1
     s, *_ = drive(inputs, decisions, **TIGHT)
-    expected = s.expect(inputs.sightings(last))
+    expected = s.expect(inputs.frame_observations(last))
     lines = inputs.map.xy if task == "localization" else lines
     assert len(expected.number) >= 3
     seen = lines[expected.number]
@@ -148,9 +148,9 @@ def test_the_quick_cut_keeps_what_the_exact_one_keeps(known, monkeypatch):
     if known:
         s.landmarks()
         monkeypatch.setattr(s, "_joint", lambda number, joint=s._joint: [asked.append(len(number)), joint(number)][1])
-    cut = s.expect(inputs.sightings(49))
+    cut = s.expect(inputs.frame_observations(49))
     monkeypatch.setattr(s._candidates, "of_slam", lambda number, pose, P, look: (number, look(number.tolist())))
-    every = s.expect(inputs.sightings(49))
+    every = s.expect(inputs.frame_observations(49))
     assert 0 < len(cut.number) < 25
     np.testing.assert_array_equal(cut.number, every.number)
     np.testing.assert_allclose(cut.HPHt, every.HPHt, rtol=1e-6, atol=1e-12)
@@ -230,7 +230,7 @@ def test_amended_pairings_leave_no_trace_of_what_they_replace(sensor):
     straight, *_ = drive(inputs, right, until=30, **TIGHT)
     detour, *_ = drive(inputs, wrong, until=30, **TIGHT)
     whole = np.flatnonzero(np.isin(o.frame, o.frame[amended]) & (o.frame < 30))
-    detour.amend(o.frame[whole], Sightings(o.z[whole], o.R[whole]), right[whole])
+    detour.amend(o.frame[whole], FrameObservations(o.z[whole], o.R[whole]), right[whole])
     for s in (detour, straight):
         s.refine(10)
     for a, b in zip(detour.estimate(), straight.estimate(), strict=True):
@@ -263,7 +263,7 @@ def test_a_new_wall_is_where_the_reading_has_it():
     for R in (INDEPENDENT, np.array([[1e-4, -1.2e-4], [-1.2e-4, 4e-4]])):
         s = Isam2Smoother(prior, sensor)
         z = np.array([[2.0, -2.8], [4.0, 0.3]])
-        s.update(Sightings(z, np.tile(R, (2, 1, 1))), np.array([NEW, NEW]))
+        s.update(FrameObservations(z, np.tile(R, (2, 1, 1))), np.array([NEW, NEW]))
         found, (line, Gx, Gz) = s.landmarks(), sensor.inverse(prior.mean, z)
         np.testing.assert_allclose(found.xy, line, atol=1e-6)
         C = Gx @ prior.covariance @ Gx.transpose(0, 2, 1) + Gz @ R @ Gz.transpose(0, 2, 1)

@@ -26,7 +26,7 @@ from eval.referee.errors import position_distance, rms
 from eval.referee.plausibility import judged
 from eval.referee.score import confusion_of
 from eval.replay.frontend import FrontEnd
-from eval.replay.recorder import Nobody
+from eval.replay.recorder import NullObserver
 from eval.replay.run import step_by_step
 from eval.replay.settings import HINDSIGHT
 from tests.research.sensitivity.cases import (
@@ -142,7 +142,7 @@ class Outcome(NamedTuple):
     status: str
 
 
-class Deadline(Nobody):
+class Deadline(NullObserver):
     """Ends a replay at the first frame that begins too late, by the time of the processor: others may be busy here."""
 
     def __init__(self, seconds: float) -> None:
@@ -309,9 +309,9 @@ def read_lines(base: Sequence[Row], constants: Sequence[Constant]) -> list[str]:
         cells = []
         for task in tasks:
             of = [r for r in base if r.task == task]
-            looks = sum(counts_in(r.reads).get(c.name, 0) for r in of)
+            opportunities = sum(counts_in(r.reads).get(c.name, 0) for r in of)
             on = sum(reads(c, task, r.reads) for r in of)
-            cells.append(f"{on} of {len(of)} | {'every run' if c.task == task else looks}")
+            cells.append(f"{on} of {len(of)} | {'every run' if c.task == task else opportunities}")
         lines.append(f"| `{c.name}` | {c.value} | " + " | ".join(cells) + " |")
     return lines
 

@@ -24,7 +24,7 @@ from eval.referee.errors import position_distance, rms
 from eval.referee.plausibility import judged
 from eval.referee.score import confusion_of
 from eval.replay.frontend import FrontEnd
-from eval.replay.recorder import Nobody
+from eval.replay.recorder import NullObserver
 from eval.replay.run import step_by_step
 from eval.replay.settings import HINDSIGHT
 from tests.research.variety.worlds import draw, log_of
@@ -67,7 +67,7 @@ class OutOfTimeError(Exception):
     """A run was not done in time."""
 
 
-class Deadline(Nobody):
+class Deadline(NullObserver):
     """An observer who ends a replay at the first frame that begins too late."""
 
     def __init__(self, seconds: float) -> None:
@@ -94,7 +94,7 @@ def measure(log: Log, index: int, world: str, method: str, limit: float = LIMIT)
         return Row(index, method, world, *size, math.nan, 0, 0, 0, time.perf_counter() - begin, SLOW)
     seconds = time.perf_counter() - begin
     (run,) = judged([run], inputs)
-    said = any(note.code in (Code.MAPPED_ANEW, Code.RETRACTED) for note in run.notes)
+    said = any(note.code in (Code.MAP_RESTARTED, Code.RETRACTED) for note in run.notes)
     return Row(index, method, world, *size, *_scores(run, log), seconds, run.status, int(said))
 
 

@@ -1,4 +1,4 @@
-"""UTIAS MRCLAM: corrections of odometry and camera, the survey of landmarks, and the fit to the first sightings."""
+"""UTIAS MRCLAM: corrections of odometry and camera, the survey of landmarks, and the fit to the first observations."""
 
 from __future__ import annotations
 

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import chi2
+from tests.eval.figures.opportunities import within
 
 from data.result import DISCARD, NEW, Innovations
-from eval.figures import claims_figure, fate_figure
+from eval.figures import claims_figure, loop_state_figure
 from eval.figures.claims import stretches_of
-from eval.figures.log import fates
+from eval.figures.log import loop_states
 from eval.referee.score import Trial
 from eval.report.pictures import draw, kinds
-from tests.eval.figures.looks import within
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error
 
 OFF = np.array([0.1, -0.1, 0.02])
@@ -72,14 +72,14 @@ def test_every_reading_has_one_fate():
     run = replace(
         run_with_error(OFF), decisions=np.array([NEW, 0, DISCARD, 0]), final_decisions=np.array([NEW, 0, DISCARD, 1])
     )
-    found = fates(run)
+    found = loop_states(run)
     assert {name: rows.tolist() for name, rows in found.items()} == {
         "paired": [False, True, False, False],
         "new": [True, False, False, False],
         "discarded": [False, False, True, False],
         "revised": [False, False, False, True],
     }
-    fig = fate_figure(circle_log(truth=False), [run])
+    fig = loop_state_figure(circle_log(truth=False), [run])
     assert "1 paired, 1 new, 1 discarded, 1 revised" in fig.axes[0].get_title(loc="left")
     # a reading stands where the path puts it
     log = circle_log()
@@ -96,7 +96,7 @@ def test_nothing_is_cut(runs):
         with_innovations(run_with_error(OFF, association=a), np.full(FRAMES, 4.0), np.full(FRAMES, 4))
         for a in ("jcbb-hindsight", "known")[:runs]
     ]
-    for fig in (claims_figure(circle_log(truth=False), given), fate_figure(circle_log(truth=False), given)):
+    for fig in (claims_figure(circle_log(truth=False), given), loop_state_figure(circle_log(truth=False), given)):
         fig.draw_without_rendering()
         for part in [*fig.axes, *fig.legends]:
             box = part.get_tightbbox() if part in fig.axes else part.get_window_extent()

@@ -7,7 +7,7 @@ import pytest
 
 from association.expectation import Expectation
 from association.methods import ml_ratio
-from data.inputs import Increment, LandmarkMap, Prior, Sightings
+from data.inputs import FrameObservations, Increment, LandmarkMap, Prior
 from data.result import DISCARD, NEW
 from data.sensors import RangeBearing
 from ekf.filter import FilterOptions
@@ -22,7 +22,7 @@ def test_the_gain_is_formed_with_the_covariance_from_before_the_prediction():
     f = GainFromBefore(Prior(mean, P0), RangeBearing(), known, FilterOptions(each=True))
     u, M, z, R = np.array([0.2, 0.01, 0.1]), np.diag([0.01, 0.02, 0.03]), np.array([[3.8, -0.4]]), np.diag([0.2, 0.1])
     f.predict(Increment(u, M))
-    f.update(Sightings(z, R[None]), np.array([6]))
+    f.update(FrameObservations(z, R[None]), np.array([6]))
     # by the book, but for P0 in the gain
     c, s = np.cos(mean[2]), np.sin(mean[2])
     B = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

@@ -28,8 +28,8 @@ def test_a_run_that_stopped_says_why_and_where():
 
 
 def test_an_implausible_run_says_why_and_where_it_probably_began():
-    doubt = Failure("implausible", 2, notice(Code.NIS, Severity.ERROR, per_dof=400.0, over_run=True))
-    run = replace(run_with_error(np.zeros(3)), doubt=doubt)
+    flaw = Failure("implausible", 2, notice(Code.NIS, Severity.ERROR, per_dof=400.0, over_run=True))
+    run = replace(run_with_error(np.zeros(3)), implausible=flaw)
     assert [n.code for n in found(run)][:2] == [Code.NIS, Code.ORIGIN]
 
 

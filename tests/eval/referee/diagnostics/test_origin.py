@@ -25,7 +25,7 @@ def innovative(frame):
     nis[1:4], dof[1:4] = 2.0, 2
     nis[frame], white[frame] = 900.0, [30.0, 0.0]
     run = run_with_error(np.zeros(3))
-    return replace(run, innovations=Innovations(nis, dof, np.full(FRAMES, np.nan), white), doubt=DOUBT)
+    return replace(run, innovations=Innovations(nis, dof, np.full(FRAMES, np.nan), white), implausible=DOUBT)
 
 
 def told(run, log=LOG):
@@ -69,7 +69,7 @@ def test_the_difference_of_filter_and_smoother_tells_the_frame_where_there_are_n
     off = np.zeros((FRAMES, 3))
     off[3:, 0] = 1.5  # of 0.1 m claimed
     run = run_with_error(np.zeros(3), estimator="isam2", phases=("online", "final"))
-    run = replace(run, online=run_with_error(off).online, doubt=DOUBT)
+    run = replace(run, online=run_with_error(off).online, implausible=DOUBT)
     assert seen(run) == (3, "path", "isam2", 15.0)
     assert told(run).named["observation"] == 0
 
@@ -78,7 +78,7 @@ def test_a_frame_without_observations_says_so():
     off = np.zeros((FRAMES, 3))
     off[9:, 0] = 1.5
     run = run_with_error(np.zeros(3), estimator="isam2", phases=("online", "final"))
-    run = replace(run, online=run_with_error(off).online, doubt=DOUBT)
+    run = replace(run, online=run_with_error(off).online, implausible=DOUBT)
     assert told(run).named["observation"] is None
     assert sentence(told(run)).endswith("no observation of that frame was used")
 

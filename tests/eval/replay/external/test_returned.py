@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from association.expectation import Expectation
-from data.inputs import Sightings
+from data.inputs import FrameObservations
 from eval.replay.external.adapter import Samples, expectation_of, map_of, pose_of, updated_of
 from eval.replay.external.guard import ForeignError
 from eval.replay.external.load import load, text_of
@@ -99,12 +99,14 @@ def problem(**changed):
 )
 def test_an_expectation_that_cannot_be_is_said(given, words):
     with pytest.raises(ForeignError, match=words):
-        expectation_of("F.expect", given, Sightings(np.zeros((2, 2)), np.tile(np.eye(2), (2, 1, 1))))
+        expectation_of("F.expect", given, FrameObservations(np.zeros((2, 2)), np.tile(np.eye(2), (2, 1, 1))))
 
 
 def test_a_joint_covariance_of_another_shape_is_said_when_it_is_asked_for():
     e = expectation_of(
-        "F.expect", problem(joint=lambda rows: np.eye(3)), Sightings(np.zeros((2, 2)), np.tile(np.eye(2), (2, 1, 1)))
+        "F.expect",
+        problem(joint=lambda rows: np.eye(3)),
+        FrameObservations(np.zeros((2, 2)), np.tile(np.eye(2), (2, 1, 1))),
     )
     with pytest.raises(ForeignError, match=r"F.expect: joint: what it returned has shape \(3, 3\); \(4, 4\)"):
         e.joint(np.array([0, 1]))

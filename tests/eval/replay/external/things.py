@@ -31,7 +31,7 @@ class Bare:
     def predict(self, increment):
         self.pose = compose(self.pose, increment.mean)
 
-    def update(self, sightings, decisions):
+    def update(self, observations, decisions):
         pass
 
     def estimate(self):
@@ -46,8 +46,8 @@ class NoCovariance(EkfSlam):
 class Silent(EkfSlam):
     """It says nothing of its innovations."""
 
-    def update(self, sightings, decisions, **more):
-        super().update(sightings, decisions, **more)
+    def update(self, observations, decisions, **more):
+        super().update(observations, decisions, **more)
 
 
 class Smoothing(Mine):
@@ -70,10 +70,10 @@ class Smoothing(Mine):
 
 
 class Crashing(EkfSlam):
-    def update(self, sightings, decisions, **more):
+    def update(self, observations, decisions, **more):
         if self.created > 8:
             raise RuntimeError("no room\nfor more")
-        return super().update(sightings, decisions, **more)
+        return super().update(observations, decisions, **more)
 
 
 class Unborn(EkfSlam):
@@ -82,9 +82,9 @@ class Unborn(EkfSlam):
 
 
 class Writing(EkfSlam):
-    def update(self, sightings, decisions, **more):
-        sightings.z[:] += 1.0
-        return super().update(sightings, decisions, **more)
+    def update(self, observations, decisions, **more):
+        observations.z[:] += 1.0
+        return super().update(observations, decisions, **more)
 
 
 def returning(what):

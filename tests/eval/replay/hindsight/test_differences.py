@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import minimize
 
 from data import se2
-from data.inputs import Increment, Sightings
+from data.inputs import FrameObservations, Increment
 from data.sensors import RangeBearing, RelativePoint, Sensor
 from data.worlds.registry import named_log
 from eval.replay.hindsight import constants
@@ -38,24 +38,24 @@ def drive(sensor: Sensor, times: Shares, frames: int, seed: int, *, clutter: int
         yield increment, readings(sensor, np.concatenate([polar, stray]))
 
 
-def readings(sensor: Sensor, polar) -> Sightings:
+def readings(sensor: Sensor, polar) -> FrameObservations:
     """As stated."""
     R = np.diag([RANGE**2, BEARING**2])
     if isinstance(sensor, RangeBearing):
-        return Sightings(polar, np.tile(R, (len(polar), 1, 1)))
+        return FrameObservations(polar, np.tile(R, (len(polar), 1, 1)))
     r, b = polar.T
     z = r[:, None] * np.stack([np.cos(b), np.sin(b)], axis=1)
     T = np.stack([z / r[:, None], np.stack([-np.sin(b), np.cos(b)], axis=1)], axis=-1)
     S = np.zeros((len(r), 2, 2))
     S[:, 0, 0], S[:, 1, 1] = RANGE**2, (r * BEARING) ** 2
-    return Sightings(z, T @ S @ T.transpose(0, 2, 1))
+    return FrameObservations(z, T @ S @ T.transpose(0, 2, 1))
 
 
 def told(sensor: Sensor, frames) -> Shares:
     differences = Differences(sensor)
     shares = AS_STATED
-    for increment, sightings in frames:
-        shares = differences.see(increment, sightings)
+    for increment, observations in frames:
+        shares = differences.see(increment, observations)
     return shares
 
 
@@ -74,8 +74,8 @@ def test_a_few_frames_tell_already():
 
 def test_readings_at_zero_range_and_without_noise_do_no_harm():
     sensor = RelativePoint(max_range=6.0)
-    here = Sightings(np.array([[0.0, 0.0], [2.0, 1.0]]), np.tile(1e-4 * np.eye(2), (2, 1, 1)))
-    exact = Sightings(here.z, np.zeros((2, 2, 2)))
+    here = FrameObservations(np.array([[0.0, 0.0], [2.0, 1.0]]), np.tile(1e-4 * np.eye(2), (2, 1, 1)))
+    exact = FrameObservations(here.z, np.zeros((2, 2, 2)))
     assert np.linalg.det(axes(sensor, here.z)) == pytest.approx([1.0, 1.0])
     for frame in (here, exact):
         for covariance in (MOTION, np.zeros((3, 3))):
@@ -117,16 +117,16 @@ def test_nothing_is_told_where_a_nearest_neighbour_may_be_any(seed):
     inputs = named_log(f"corridor:{seed}:no-odometry").inputs().without_labels()
     frames = (inputs.frame(k) for k in range(len(inputs)))
     # noise is as stated; the motion is a guess
-    assert max(told(inputs.sensor, ((f.increment, f.sightings) for f in frames))[:2]) < constants.UNDERSTATED**2
+    assert max(told(inputs.sensor, ((f.increment, f.observations) for f in frames))[:2]) < constants.UNDERSTATED**2
 
 
 def test_nothing_after_the_last_step_that_is_looked_at_counts():
     sensor = RangeBearing(max_range=6.0)
     differences = Differences(sensor)
-    for increment, sightings in drive(sensor, AS_STATED, constants.DIFFERENCES_MOST + 1, 5):
-        before = differences.see(increment, sightings)
-    for increment, sightings in drive(sensor, Shares(4.0, 4.0, 4.0), 3, 6):
-        assert differences.see(increment or Increment(STEP, MOTION), sightings) == before
+    for increment, observations in drive(sensor, AS_STATED, constants.DIFFERENCES_MOST + 1, 5):
+        before = differences.see(increment, observations)
+    for increment, observations in drive(sensor, Shares(4.0, 4.0, 4.0), 3, 6):
+        assert differences.see(increment or Increment(STEP, MOTION), observations) == before
 
 
 def test_an_empty_frame_begins_anew():
@@ -134,7 +134,7 @@ def test_an_empty_frame_begins_anew():
     differences = Differences(sensor)
     (_, first), (increment, second) = drive(sensor, Shares(4.0, 4.0, 4.0), 2, 7)
     differences.see(None, first)
-    differences.see(increment, Sightings(np.empty((0, 2)), np.empty((0, 2, 2))))
+    differences.see(increment, FrameObservations(np.empty((0, 2)), np.empty((0, 2, 2))))
     assert differences.see(increment, second) == AS_STATED
 
 
@@ -152,7 +152,7 @@ def test_covariance_of_a_difference_is_that_of_both_readings():
     sensor = RelativePoint(max_range=6.0)
     before, now = (readings(sensor, np.array([[3.0, 0.7]])) for _ in range(2))
     turn = Increment(np.array([0.0, 0.0, 0.4]), MOTION)
-    step = paired(sensor, before, turn, Sightings(now.z @ se2.rotation(-0.4).T, now.R), 6.0)
+    step = paired(sensor, before, turn, FrameObservations(now.z @ se2.rotation(-0.4).T, now.R), 6.0)
     u = np.array([math.cos(0.3), math.sin(0.3)])
     n = np.array([-u[1], u[0]])
     earlier = RANGE**2 * np.outer(u, u)
@@ -163,21 +163,21 @@ def test_covariance_of_a_difference_is_that_of_both_readings():
 
 def test_the_noise_of_a_reading_turns_with_the_robot():
     sensor = RelativePoint(max_range=6.0)
-    before = Sightings(np.array([[2.0, 0.0]]), np.diag([1.0, 1e-4])[None])
+    before = FrameObservations(np.array([[2.0, 0.0]]), np.diag([1.0, 1e-4])[None])
     # after a left turn it is expected at (0, -2), as uncertain along y as it was along x
-    now = Sightings(np.array([[0.3, -2.0], [0.0, -2.8]]), np.tile(1e-4 * np.eye(2), (2, 1, 1)))
+    now = FrameObservations(np.array([[0.3, -2.0], [0.0, -2.8]]), np.tile(1e-4 * np.eye(2), (2, 1, 1)))
     step = paired(sensor, before, Increment(np.array([0.0, 0.0, math.pi / 2]), 1e-6 * np.eye(3)), now, 6.0)
     assert step.nu == pytest.approx(np.array([[0.0, -0.8]]))
 
 
 @pytest.mark.parametrize("sensor", [RangeBearing(), RelativePoint()])
 def test_shares_of_the_noise_scale_its_sigmas_along_and_across(sensor):
-    sightings = readings(sensor, np.array([[2.0, 0.5], [4.0, -2.0]]))
-    more = with_shares(sensor, sightings, Shares(4.0, 9.0, 1.0))
-    T = axes(sensor, sightings.z)
-    before, after = (np.einsum("mij,mik,mkj->mj", T, s.R, T) for s in (sightings, more))
+    observations = readings(sensor, np.array([[2.0, 0.5], [4.0, -2.0]]))
+    more = with_shares(sensor, observations, Shares(4.0, 9.0, 1.0))
+    T = axes(sensor, observations.z)
+    before, after = (np.einsum("mij,mik,mkj->mj", T, s.R, T) for s in (observations, more))
     assert after == pytest.approx(before * [4.0, 9.0])
-    assert more.z is sightings.z
+    assert more.z is observations.z
 
 
 def test_the_fit_is_the_most_likely_one(monkeypatch):

@@ -97,13 +97,13 @@ def test_single_pairs_are_looked_for_among_the_old_first_and_then_more_strictly_
 
 def test_it_is_looked_when_something_is_new_and_every_few_frames(monkeypatch):
     asked = Asked(monkeypatch, OLD, YOUNG)
-    looks = []
+    opportunities = []
     for frames, created in ((50, 2), (51, 2), (54, 2), (55, 2), (56, 3), (57, 3), (61, 3)):
         asked.ledger.frames, asked.ledger.created = frames, created
         before = len(asked.together)
         asked.find()
-        looks.append(len(asked.together) > before)
-    assert looks == [True, False, False, True, True, False, True]
+        opportunities.append(len(asked.together) > before)
+    assert opportunities == [True, False, False, True, True, False, True]
 
 
 def test_without_anything_young_there_is_nothing_to_compare(monkeypatch):

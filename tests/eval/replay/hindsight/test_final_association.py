@@ -14,7 +14,7 @@ from data.inputs import LandmarkMap, Observations
 from data.se2 import wrap_angle
 from data.sensors import RangeBearing, RelativePoint
 from eval.replay.hindsight import constants
-from eval.replay.hindsight.final_association import Anew, beginnings, noise_share, pair_anew
+from eval.replay.hindsight.final_association import Reassociation, beginnings, noise_share, reassociate
 
 SENSORS = (RangeBearing(max_range=8.0), RelativePoint(max_range=8.0))
 each_sensor = pytest.mark.parametrize("sensor", SENSORS, ids=["range-bearing", "point"])
@@ -91,8 +91,8 @@ def test_each_frame_is_paired_at_least_cost_and_what_one_landmark_alone_explains
     frame = np.array([0, 0, 1, 1, 1])
     R = np.tile(np.diag([0.2, 0.1]) ** 2, (5, 1, 1))
     z = sensor.predict(pose[frame], known.xy[rng.integers(3, size=5)]) + 0.3 * rng.standard_normal((5, 2))
-    found = pair_anew(sensor, pose, known, Observations(frame, z, R))
-    gate = gate_threshold(constants.ANEW_GATE)
+    found = reassociate(sensor, pose, known, Observations(frame, z, R))
+    gate = gate_threshold(constants.REASSOCIATION_GATE)
     for k in (0, 1):
         rows = np.flatnonzero(frame == k)
         nu = z[rows][:, None] - sensor.predict(pose[k], known.xy)[None]
@@ -107,7 +107,7 @@ def test_each_frame_is_paired_at_least_cost_and_what_one_landmark_alone_explains
 
 def test_what_is_nowhere_near_a_landmark_is_nobodys():
     sensor = SENSORS[0]
-    found = pair_anew(
+    found = reassociate(
         sensor, np.zeros((1, 3)), LandmarkMap(np.array([0]), np.array([[40.0, 0.0]])),
         Observations(np.array([0]), np.array([[40.0, 0.0]]), np.eye(2)[None]),
     )  # fmt: skip
@@ -118,5 +118,5 @@ def test_what_is_nowhere_near_a_landmark_is_nobodys():
 def test_a_landmark_begins_with_its_first_reading_that_is_of_nobody_else():
     number = np.array([4, 4, -1, 6, 4, 6, 9, 9])
     alone = np.array([False, True, False, True, True, True, False, False])
-    assert beginnings(Anew(number, alone)) == {4: 1, 6: 3, 9: 6}
-    assert beginnings(Anew(number[:0], alone[:0])) == {}
+    assert beginnings(Reassociation(number, alone)) == {4: 1, 6: 3, 9: 6}
+    assert beginnings(Reassociation(number[:0], alone[:0])) == {}

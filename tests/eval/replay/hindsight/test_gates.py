@@ -1,4 +1,4 @@
-"""What only the stated noise explains waits until several sightings agree; gates learn from what is inside and out."""
+"""Tentative landmarks wait until several observations agree; gates learn from what is inside and outside."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_each_landmark_is_inside_and_outside_its_gate_once_from_one_place():
     gated = {n: sorted(r.gated) for n, r in frames.gates.ledger.records.items()}
     assert gated == {3: [False, True], 7: [True]}, "the nearest landmark left it out"
     frames.put_off([*LANDMARKS, BESIDE], [3, 7, NEW])
-    assert frames.gates.scales.sightings == 3.0
+    assert frames.gates.scales.observations == 3.0
 
 
 def test_a_landmark_that_is_new_in_the_end_takes_back_what_was_counted_against_its_neighbour():
@@ -97,20 +97,20 @@ def test_a_sighting_waits_with_the_noise_of_its_reading_turned_to_the_world():
     seen = []
 
     class Spy:
-        def see(self, sighting, pairings, reach):
-            seen.append((sighting, pairings, reach))
+        def see(self, observation, pairings, reach):
+            seen.append((observation, pairings, reach))
             return False
 
-        def doubt(self, sighting):
-            assert sighting is seen[-1][0]
+        def suspect(self, observation):
+            assert observation is seen[-1][0]
 
     frames, R = Frames(FINE), np.diag([0.09, 0.01])
     frames.gates._tentative, frames.gates.ledger.travelled = Spy(), 4.0
     frames.put_off([LANDMARKS[0], BESIDE], [3, NEW], (1.0, -2.0, math.pi / 2), R)
-    ((sighting, pairings, reach),) = seen
-    assert sighting.xy == pytest.approx(BESIDE)
-    assert sighting.covariance == pytest.approx(np.diag([0.01, 0.09]))
-    assert (sighting.travelled, pairings, reach) == (4.0, 1, 20.0)
+    ((observation, pairings, reach),) = seen
+    assert observation.xy == pytest.approx(BESIDE)
+    assert observation.covariance == pytest.approx(np.diag([0.01, 0.09]))
+    assert (observation.travelled, pairings, reach) == (4.0, 1, 20.0)
 
 
 def test_a_new_log_begins_with_what_was_stated_and_learns_from_its_pairings():

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import multivariate_t
 
 from data import se2
-from data.inputs import Increment, LandmarkMap, Prior, Sightings
+from data.inputs import FrameObservations, Increment, LandmarkMap, Prior
 from data.result import DISCARD
 from data.sensors import RangeBearing, RelativePoint
 from ekf.localizer import EkfLocalizer
@@ -22,7 +22,7 @@ STILL = Increment(np.zeros(3), 0.01 * np.eye(3))
 
 
 def one(x, y):
-    return Sightings(np.array([[x, y]], float), R[None])
+    return FrameObservations(np.array([[x, y]], float), R[None])
 
 
 def bank(xy, sigma=(1.0, 1.0, 0.01), sensor=SENSOR):
@@ -35,7 +35,7 @@ def test_weights_are_the_posterior_of_all_pairings():
     b, known = bank(xy, sigma=(0.6, 0.6, 1e-6))
     b._seen[:] = 0.0  # a miss says nothing here
     z = np.array([[5.6, 0.1], [5.4, 2.9]])
-    b.observe(Sightings(z, np.array([R, R])), 0)
+    b.observe(FrameObservations(z, np.array([R, R])), 0)
     reach = max(float(np.hypot(*np.ptp(known.xy, axis=0))), 1.0)
     stray = np.log(STRAY / (0.5 * reach**2 * 2 * np.pi))
     P0, weight = 0.36 * np.eye(2), {}
@@ -69,7 +69,7 @@ def test_what_fits_better_than_usual_leads_where_the_noise_is_stated_too_wide():
             far = [(0.0, 8.0), (-8.0, 0.0)][k % 2]
             b.observe(one(far[0] + 0.02 * (-1) ** (k // 2), far[1]), k)
             b.predict(Increment(np.zeros(3), 1e-6 * np.eye(3)))
-        b.begin_anew(np.zeros(3), np.diag([0.2, 0.05, 0.01]) ** 2)
+        b.restart(np.zeros(3), np.diag([0.2, 0.05, 0.01]) ** 2)
         b.observe(one(5.15, 0.0), often)
         shares.append(sum(np.exp(h.weight) for h in b.members if h.past.number == 10))
     assert b.noise.scale < 0.12
@@ -89,7 +89,7 @@ def test_an_opinion_tells_what_all_agree_on():
     assert number[1] == b.members[0].past.number == 10
     assert share[1] == pytest.approx(by_hand[10])
     assert 0.5 < share[1] < 1.0
-    b.begin_anew(np.zeros(3), np.eye(3))
+    b.restart(np.zeros(3), np.eye(3))
     assert b.opinion(2)[0].tolist() == number.tolist()
     assert b.opinion(2)[1].tolist() == [1.0, 1.0]
 
@@ -107,10 +107,10 @@ def test_one_hypothesis_is_the_localizer():
         ekf.predict(step)
         pose = se2.compose(pose, step.mean)
         z = sensor.predict(pose, known.xy[k % 4 : k % 4 + 1]) + 0.01 * rng.standard_normal((1, 2))
-        seen = Sightings(z, np.diag([1e-4, 1e-4])[None])
+        seen = FrameObservations(z, np.diag([1e-4, 1e-4])[None])
         assert b.observe(seen, k).decisions.tolist() == [k % 4]
         ekf.update(seen, np.array([k % 4]))
-        # others, in which a sighting was a stray, have next to no weight
+        # others, in which an observation was a stray, have next to no weight
         leader = b.members[0]
         assert leader.weight > -1e-3
         assert np.array_equal(leader.mean, ekf.estimate().mean)
@@ -118,7 +118,7 @@ def test_one_hypothesis_is_the_localizer():
 
 
 def test_a_wrong_pairing_is_revised_when_later_sightings_contradict_it():
-    # 0.9 m off: the first sighting is nearest to the wrong one of two landmarks; the third landmark tells
+    # 0.9 m off: the first observation is nearest to the wrong one of two landmarks; the third landmark tells
     b, _ = bank([[5.0, 0.0], [6.6, 0.0], [0.0, 8.0]])
     truth = np.array([0.9, 0.0])
     first = b.observe(one(*(np.array([6.6, 0.0]) - truth)), 0)
@@ -148,7 +148,7 @@ def test_the_mixture_has_mean_and_covariance_of_its_members():
 
 def test_a_landmark_is_taken_once_in_a_frame():
     b, _ = bank([[5.0, 0.0]])
-    seen = b.observe(Sightings(np.array([[5.0, 0.0], [5.0, 0.05]]), np.array([R, R])), 0)
+    seen = b.observe(FrameObservations(np.array([[5.0, 0.0], [5.0, 0.05]]), np.array([R, R])), 0)
     assert sorted(seen.decisions.tolist()) == [DISCARD, 10]
 
 
@@ -160,7 +160,7 @@ def test_clutter_is_not_paired():
 def test_landmarks_that_should_have_been_seen_tell_against_a_hypothesis():
     # seen alone, 4 m ahead: from the one place another landmark should be in view, from the other place two
     sensor = RangeBearing(max_range=8.0, min_angle=-1.0, max_angle=1.0)
-    z = Sightings(np.array([[4.0, 0.0]]), np.diag([0.05, 0.02])[None] ** 2)
+    z = FrameObservations(np.array([[4.0, 0.0]]), np.diag([0.05, 0.02])[None] ** 2)
     share = []
     for seen in (0.0, 9.0):
         b, _ = bank([[4.0, 0.0], [5.5, 0.0], [9.2, 0.0]], sigma=(0.8, 0.05, 0.01), sensor=sensor)
@@ -180,7 +180,7 @@ def seen_and_expected(b):
 def test_how_often_landmarks_are_seen_is_learned_by_their_distance():
     # up to 20 m in ten parts of 2 m: at 1, 5, 5.5 and 17 m in view, at 19.9 m too near the edge, at 30 m out of view
     b, _ = bank([[1.0, 0.0], [0.0, 5.0], [-5.5, 0.0], [0.0, -17.0], [19.9, 0.0], [30.0, 0.0]], sigma=(0.1, 0.1, 1e-3))
-    b.observe(Sightings(np.array([[0.0, 5.0], [1.0, 0.0]]), np.array([R, R])), 0)
+    b.observe(FrameObservations(np.array([[0.0, 5.0], [1.0, 0.0]]), np.array([R, R])), 0)
     seen, expected = seen_and_expected(b)
     assert seen == [1, 0, 1, 0, 0, 0, 0, 0, 0, 0]
     assert expected == [1, 0, 2, 0, 0, 0, 0, 0, 1, 0]
@@ -223,7 +223,7 @@ def test_the_number_of_hypotheses_is_bounded():
 def test_beginning_anew_keeps_the_past():
     b, _ = bank([[5.0, 0.0]])
     b.observe(one(5.0, 0.0), 0)
-    b.begin_anew(np.array([1.0, 2.0, 3.0]), np.eye(3))
+    b.restart(np.array([1.0, 2.0, 3.0]), np.eye(3))
     assert len(b.members) == 1
     assert b.estimate().mean.tolist() == [1.0, 2.0, 3.0]
     assert b.decisions(1).tolist() == [10]

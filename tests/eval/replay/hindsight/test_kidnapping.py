@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from association.expectation import Expectation
-from data.inputs import Frame, Increment, Sightings
+from data.inputs import Frame, FrameObservations, Increment
 from data.notice import Code, Severity, notice
 from data.result import DISCARD, NEW
 from data.sensors import RelativePoint
@@ -42,9 +42,9 @@ class World:
         self.filters = SimpleNamespace(believed=slam, inflate=self.inflated.append)
         monkeypatch.setattr(kidnapping, "relocalize", self.relocalize)
 
-    def expect(self, sightings):
+    def expect(self, observations):
         joint = 0.01 * np.eye(2 * len(PLACES))
-        return Expectation.from_arrays(sightings.z, PLACES, joint, sightings.R)
+        return Expectation.from_arrays(observations.z, PLACES, joint, observations.R)
 
     def relocalize(self, scan, known):
         self.asked.append((scan, known.id.tolist()))
@@ -54,8 +54,8 @@ class World:
         self.surprise, self.ledger.frame = surprise, self.ledger.frame + 1
         n = len(decisions)
         z = 20.0 * np.arange(1, 1 + 2 * n).reshape(-1, 2) if z is None else z
-        sightings = Sightings(z, np.tile(0.01 * np.eye(2), (n, 1, 1)))
-        here = Frame(self.ledger.frame, 0.0, None, sightings, None, 100 * self.ledger.frame)
+        observations = FrameObservations(z, np.tile(0.01 * np.eye(2), (n, 1, 1)))
+        here = Frame(self.ledger.frame, 0.0, None, observations, None, 100 * self.ledger.frame)
         return self.kidnapping.decide(self.filters, here, np.array(decisions, np.int64))
 
 

@@ -1,4 +1,4 @@
-"""What speaks for a landmark and against it: counts, a chain of sightings and misses, and shifts in the world."""
+"""What speaks for a landmark and against it: counts, a chain of observations and misses, and shifts in the world."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ ALWAYS = Visibility(seen_seen=10**6)
 def test_sightings_and_misses_are_counted_and_a_sighting_ends_a_row():
     assert INITIALIZED[:6] == (1, 1, 0, 0, 0, 0.0)
     e = overlooked(overlooked(sighted(sighted(INITIALIZED, None, True), None, False)))
-    assert (e.seen, e.looks, e.missed, e.row, e.judged) == (3, 2, 2, 2, 0)
+    assert (e.seen, e.opportunities, e.missed, e.row, e.judged) == (3, 2, 2, 2, 0)
     e = overlooked(sighted(e, None, True))
-    assert (e.seen, e.looks, e.missed, e.row) == (4, 3, 3, 1)
+    assert (e.seen, e.opportunities, e.missed, e.row) == (4, 3, 3, 1)
 
 
 def test_shifts_are_summed_in_the_world_weighed_by_their_information():
@@ -116,7 +116,7 @@ def test_a_landmark_moved_if_all_shifts_point_one_way_or_are_too_large_together(
     [(2, 1, 0.8), (20, constants.UNLIKELY_POWER, 8 / 9)],
 )
 def test_a_landmark_is_not_there_if_so_many_misses_in_a_row_are_unlikely_of_a_certain_one_more_so(seen, power, rate):
-    v, e = Visibility(seen_seen=7, seen_missed=1), INITIALIZED._replace(seen=seen, looks=200)
+    v, e = Visibility(seen_seen=7, seen_missed=1), INITIALIZED._replace(seen=seen, opportunities=200)
     assert certain(e, v) == (power > 1)
     needed = math.ceil(power * math.log(constants.UNLIKELY) / math.log(1.0 - rate))
     told = [verdict(e._replace(missed=n, row=n), v) for n in (0, needed - 1, needed)]
@@ -124,7 +124,9 @@ def test_a_landmark_is_not_there_if_so_many_misses_in_a_row_are_unlikely_of_a_ce
 
 
 def test_a_certain_landmark_has_its_own_rate_if_that_is_lower():
-    often, seldom = (INITIALIZED._replace(seen=20, looks=looks, missed=20, row=0) for looks in (10**6, 18))
+    often, seldom = (
+        INITIALIZED._replace(seen=20, opportunities=opportunities, missed=20, row=0) for opportunities in (10**6, 18)
+    )
     assert verdict(overlooked(overlooked(often)), ALWAYS) == "missed"
     assert verdict(overlooked(overlooked(seldom)), ALWAYS) == ""
     # by its own rate, 19 / 40, misses before this row counted: 22 in a row are as unlikely as need be

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from association.expectation import Expectation
-from data.inputs import Frame, Increment, Sightings
+from data.inputs import Frame, FrameObservations, Increment
 from data.result import DISCARD, NEW, Updated
 from data.sensors import RelativePoint
 from eval.replay.hindsight.ledger import MERGED, Ledger
@@ -18,7 +18,7 @@ FAR = np.array([[5.0, 0.0], [5.0, 4.0], [5.0, -4.0]])
 def frame(number, points, first):
     points = np.asarray(points, float).reshape(-1, 2)
     step = Increment(np.array([0.0, 1.0, 0.0]), np.zeros((3, 3)))
-    seen = Sightings(points, np.tile(0.01 * np.eye(2), (len(points), 1, 1)))
+    seen = FrameObservations(points, np.tile(0.01 * np.eye(2), (len(points), 1, 1)))
     return Frame(number, float(number), None if number == 0 else step, seen, None, first)
 
 
@@ -33,9 +33,9 @@ class Story:
         here = frame(ledger.frame + 1, points[: len(decisions)], self.rows)
         ledger.move(here)
         paired = np.flatnonzero(decisions >= 0)
-        z_hat = here.sightings.z[paired]
+        z_hat = here.observations.z[paired]
         e = Expectation.from_arrays(
-            here.sightings.z, z_hat, 0.01 * np.eye(2 * len(paired)), here.sightings.R, number=decisions[paired]
+            here.observations.z, z_hat, 0.01 * np.eye(2 * len(paired)), here.observations.R, number=decisions[paired]
         )
         ledger.judge(e, decisions)
         created = np.full(len(decisions), -1, np.int64)
@@ -51,7 +51,7 @@ def test_a_record_holds_what_a_landmark_was_seen_as():
     ledger = Story().see([NEW, NEW]).see([0]).see([DISCARD, NEW]).ledger
     assert list(ledger.records) == [0, 1, 2]
     assert ledger.created == 3
-    assert [r.sightings for r in ledger.records.values()] == [[(0, NEW), (2, 0)], [(1, NEW)], [(4, NEW)]]
+    assert [r.observations for r in ledger.records.values()] == [[(0, NEW), (2, 0)], [(1, NEW)], [(4, NEW)]]
     assert [(r.first, r.last, r.times) for r in ledger.records.values()] == [
         (0.0, 1.0, 2),
         (0.0, 0.0, 1),
@@ -67,7 +67,7 @@ def test_what_is_merged_leaves_all_it_had_to_the_other():
     ledger.merge([(2, 0)])
     assert list(ledger.records) == [0, 1, 3]
     kept = ledger.records[0]
-    assert kept.sightings == [(0, NEW), (2, 0), (4, 0)]
+    assert kept.observations == [(0, NEW), (2, 0), (4, 0)]
     assert (kept.last, kept.times, kept.evidence.seen) == (2.0, 3, 3)
     assert [r.covisible for r in ledger.records.values()] == [{1, 3}, {0}, {0}]
     assert [(e.observation, e.old, e.new, e.why) for e in ledger.events] == [(2, NEW, 0, MERGED), (4, 2, 0, MERGED)]
@@ -115,27 +115,27 @@ def test_a_landmark_has_its_looks_from_different_places_in_their_order():
     story = Story().see([NEW, NEW, NEW])
     for decisions in ([0], [], [], [0]):
         looked(story, decisions, FAR[:1] if decisions else 0.9 * FAR[:1])
-    assert bytes(story.ledger.records[0].looks) == bytes([1, 0, 0, 1])
+    assert bytes(story.ledger.records[0].opportunities) == bytes([1, 0, 0, 1])
     looked(story, [], 0.9 * FAR[:1], stride=0.0)
     looked(story, [], 0.9 * FAR[:1], stride=0.0)
-    assert bytes(story.ledger.records[0].looks) == bytes([1, 0, 0, 1, 0]), "from one place it is one look"
+    assert bytes(story.ledger.records[0].opportunities) == bytes([1, 0, 0, 1, 0]), "from one place it is one look"
 
 
 def test_a_miss_where_nothing_was_ever_read_is_no_look():
     story = Story().see([NEW, NEW, NEW])
     outside = np.array([[-5.0, 0.5]])  # in the stated view, all around, and behind all that was read
     looked(story, [], outside)
-    assert (bytes(story.ledger.records[0].looks), story.ledger.records[0].evidence.missed) == (b"", 1)
+    assert (bytes(story.ledger.records[0].opportunities), story.ledger.records[0].evidence.missed) == (b"", 1)
     looked(story, [], 0.9 * FAR[:1])
-    assert bytes(story.ledger.records[0].looks) == b"\0"
+    assert bytes(story.ledger.records[0].opportunities) == b"\0"
 
 
 def test_what_was_missed_while_it_was_read_as_another_one_was_seen():
     story = Story().see([NEW, NEW, NEW])
     records = story.ledger.records
-    records[0].looks, records[2].looks = bytearray(b"\1\0\1\0\0\0"), bytearray(b"\1\0")
+    records[0].opportunities, records[2].opportunities = bytearray(b"\1\0\1\0\0\0"), bytearray(b"\1\0")
     story.ledger.merge([(2, 0)])
-    assert bytes(records[0].looks) == b"\1\0\1" + b"\1" + b"\1\0"
+    assert bytes(records[0].opportunities) == b"\1\0\1" + b"\1" + b"\1\0"
 
 
 def test_what_was_retracted_still_tells_what_the_log_is_like():
@@ -144,9 +144,9 @@ def test_what_was_retracted_still_tells_what_the_log_is_like():
     def remains(clutter):
         story = Story().see([NEW])
         ledger, one = story.ledger, story.ledger.records[0]
-        one.looks, one.evidence = bytearray(b"\1\1\0"), one.evidence._replace(seen=3)
+        one.opportunities, one.evidence = bytearray(b"\1\1\0"), one.evidence._replace(seen=3)
         ledger.records |= {
-            n: Record([], (0.0, 0.0), 0.0, 0.0, looks=bytearray(b"\1\1\0\0\0\0")) for n in range(1, 1 + clutter)
+            n: Record([], (0.0, 0.0), 0.0, 0.0, opportunities=bytearray(b"\1\1\0\0\0\0")) for n in range(1, 1 + clutter)
         }
         ledger._retract(dict.fromkeys(range(1, 1 + clutter), "missed"))
         return ledger.uncertain().tolist() == []

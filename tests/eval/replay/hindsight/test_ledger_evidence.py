@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from association.expectation import Expectation
-from data.inputs import Frame, Increment, Sightings
+from data.inputs import Frame, FrameObservations, Increment
 from data.notice import Code, Severity, notice
 from data.result import DISCARD, NEW, Updated
 from data.sensors import RelativePoint
@@ -34,7 +34,7 @@ class Robot:
         self.x = self.x + (0.0 if move is None else move)
         z, R = PLACES[:n], np.tile(0.01 * np.eye(2), (n, 1, 1))
         increment = None if move is None else Increment(move, np.zeros((3, 3)))
-        here = Frame(ledger.frame + 1, 0.0, increment, Sightings(z, R), None, self.rows)
+        here = Frame(ledger.frame + 1, 0.0, increment, FrameObservations(z, R), None, self.rows)
         ledger.move(here)
         ledger.judge(self.expects(chosen, missing), chosen)
         created = np.full(n, -1, np.int64)
@@ -79,7 +79,7 @@ OFTEN = Visibility(180, 10, 5, 5)
 
 
 @pytest.mark.parametrize(
-    ("looks", "missed", "row", "rate"),
+    ("opportunities", "missed", "row", "rate"),
     [
         (300, 0, 0, 186 / 202),  # its own would be higher
         (12, 8, 0, 13 / 22),  # its own is lower
@@ -87,8 +87,8 @@ OFTEN = Visibility(180, 10, 5, 5)
         (12, 10, 2, 13 / 22),
     ],
 )
-def test_a_miss_surprises_by_how_much_likelier_it_is_of_a_robot_that_is_elsewhere(looks, missed, row, rate):
-    robot = known(OFTEN, seen=20, looks=looks, missed=missed, row=row)
+def test_a_miss_surprises_by_how_much_likelier_it_is_of_a_robot_that_is_elsewhere(opportunities, missed, row, rate):
+    robot = known(OFTEN, seen=20, opportunities=opportunities, missed=missed, row=row)
     prior = constants.INDEPENDENT_MISSES
     again = max((5 + prior * (1.0 - rate)) / (10 + prior), 1.0 - rate)
     here, elsewhere = again if row else 1.0 - rate, 1.0 - constants.ELSEWHERE_SHARE * rate
@@ -96,7 +96,7 @@ def test_a_miss_surprises_by_how_much_likelier_it_is_of_a_robot_that_is_elsewher
 
 
 def test_surprises_of_all_certain_landmarks_add_up_and_no_other_counts():
-    robot = known(OFTEN, seen=20, looks=300)
+    robot = known(OFTEN, seen=20, opportunities=300)
     one = misses(robot, 0).surprise()
     assert one > 0.0
     assert misses(robot, 0, 1).surprise() == one, "the other one is not certain"
@@ -106,15 +106,15 @@ def test_surprises_of_all_certain_landmarks_add_up_and_no_other_counts():
     assert misses(robot).surprise() == 0.0
 
 
-@pytest.mark.parametrize("looks", [constants.ENOUGH_LOOKS - 1, constants.ENOUGH_LOOKS])
-def test_nothing_surprises_before_it_is_known_how_often_landmarks_are_missed(looks):
-    surprise = misses(known(Visibility(seen_seen=looks), seen=20, looks=300), 0).surprise()
-    assert (surprise > 0.0) == (looks == constants.ENOUGH_LOOKS)
+@pytest.mark.parametrize("opportunities", [constants.ENOUGH_OPPORTUNITIES - 1, constants.ENOUGH_OPPORTUNITIES])
+def test_nothing_surprises_before_it_is_known_how_often_landmarks_are_missed(opportunities):
+    surprise = misses(known(Visibility(seen_seen=opportunities), seen=20, opportunities=300), 0).surprise()
+    assert (surprise > 0.0) == (opportunities == constants.ENOUGH_OPPORTUNITIES)
 
 
 def test_a_miss_that_is_likelier_here_than_elsewhere_takes_nothing_back():
     """Who is missed is missed again here, nearly surely; elsewhere something is taken for it now and then."""
-    robot = known(Visibility(50, 50, 0, 1000), seen=20, looks=60, row=3, missed=43)
+    robot = known(Visibility(50, 50, 0, 1000), seen=20, opportunities=60, row=3, missed=43)
     assert misses(robot, 0).surprise() == 0.0
 
 
@@ -133,16 +133,16 @@ def test_a_landmark_is_looked_at_again_only_from_another_place(step, elsewhere):
     robot = Robot().sees(NEW, NEW, NEW).sees(0).sees(0, step=step)
     one = robot.ledger.records[0]
     assert one.evidence.seen == 3
-    assert one.evidence.looks == 2 + elsewhere
-    assert len(one.looks) == 1 + elsewhere
+    assert one.evidence.opportunities == 2 + elsewhere
+    assert len(one.opportunities) == 1 + elsewhere
     robot.sees(0, step=(1.0, 0.0)).sees(missing=[0], step=step)
     assert one.evidence.missed == elsewhere
 
 
 def test_the_second_sighting_is_a_look_wherever_it_is_from():
     robot = Robot().sees(NEW, NEW, NEW).sees(0, step=(0.0, 0.0)).sees(0, step=(0.0, 0.0))
-    assert bytes(robot.ledger.records[0].looks) == b"\1"
-    assert robot.ledger.records[0].evidence.looks == 1
+    assert bytes(robot.ledger.records[0].opportunities) == b"\1"
+    assert robot.ledger.records[0].evidence.opportunities == 1
 
 
 @pytest.mark.parametrize(("bearing", "look"), [(0.5, False), (-0.9, False), (-0.3, True)])
@@ -151,15 +151,15 @@ def test_the_view_read_is_that_of_readings_alone(bearing, look):
     ledger = Ledger(RelativePoint(max_range=20.0))
     z, R, nothing = PLACES[[0, 2]], np.tile(0.01 * np.eye(2), (2, 1, 1)), np.empty(0, np.int64)  # at 0 and -0.67 rad
     none = Updated(np.zeros(2, np.bool_), np.array([0, 1]), 0.0, 0, 0.0, np.empty((2, 2)))
-    ledger.see(Frame(0, 0.0, None, Sightings(z, R), None, 0), np.array([NEW, NEW]), none, np.zeros(3))
+    ledger.see(Frame(0, 0.0, None, FrameObservations(z, R), None, 0), np.array([NEW, NEW]), none, np.zeros(3))
     there = 3.0 * np.array([[math.cos(bearing), math.sin(bearing)]])
     e = Expectation.from_arrays(np.empty((0, 2)), there, 1e-6 * np.eye(2), np.empty((0, 2, 2)))
     ledger.judge(e, nothing)
-    empty = Sightings(np.empty((0, 2)), np.empty((0, 2, 2)))
+    empty = FrameObservations(np.empty((0, 2)), np.empty((0, 2, 2)))
     done = Updated(nothing >= 0, nothing, 0.0, 0, 0.0, np.empty((0, 2)))
     ledger.see(Frame(1, 1.0, None, empty, None, 2), nothing, done, np.array([9.0, 0.0, 0.0]))
     assert ledger.records[0].evidence.missed == 1
-    assert bytes(ledger.records[0].looks) == b"\0" * look
+    assert bytes(ledger.records[0].opportunities) == b"\0" * look
 
 
 def test_certain_landmarks_tell_how_often_landmarks_in_view_are_seen():
@@ -177,9 +177,9 @@ def test_certain_landmarks_tell_how_often_landmarks_in_view_are_seen():
 
 
 def test_rates_are_common_once_a_landmark_is_certain_and_its_own_before():
-    robot = known(OFTEN, seen=20, looks=30, missed=30)
+    robot = known(OFTEN, seen=20, opportunities=30, missed=30)
     records = robot.ledger.records
-    records[1].evidence = records[1].evidence._replace(seen=2, looks=2, missed=1)
+    records[1].evidence = records[1].evidence._replace(seen=2, opportunities=2, missed=1)
     assert robot.ledger.rates(np.array([1, 0])) == pytest.approx([3 / 5, OFTEN.rate])
     assert robot.ledger.certain().tolist() == [0]
 
@@ -201,12 +201,12 @@ def test_what_is_merged_adds_up():
     robot = Robot().sees(NEW, NEW, NEW).sees(NEW, NEW)
     ledger = robot.sees(0, 3, missing=[1, 4]).sees(1, 0).ledger
     kept, away = ledger.records[0], ledger.records[3]
-    kept.evidence = kept.evidence._replace(seen=5, looks=4, missed=3, row=2, judged=2, squares=7.0)
-    away.evidence = away.evidence._replace(seen=20, looks=10, missed=6, row=1, judged=1, squares=1.0)
+    kept.evidence = kept.evidence._replace(seen=5, opportunities=4, missed=3, row=2, judged=2, squares=7.0)
+    away.evidence = away.evidence._replace(seen=20, opportunities=10, missed=6, row=1, judged=1, squares=1.0)
     from_where = away.looked_from
     ledger.merge([(3, 0)])
     e = ledger.records[0].evidence
-    assert (e.seen, e.looks, e.missed, e.row, e.judged, e.squares) == (25, 14, 9, 0, 2, 7.0)
+    assert (e.seen, e.opportunities, e.missed, e.row, e.judged, e.squares) == (25, 14, 9, 0, 2, 7.0)
     assert (kept.first, kept.last, kept.times) == (0.0, 3.0, 3 + 2)
     assert kept.looked_from == from_where
     assert kept.covisible == {1, 2, 4}

@@ -8,7 +8,7 @@ from data.result import DISCARD, NEW, Event, revised
 from data.worlds.registry import named_log
 from ekf.filter import FilterOptions
 from eval.referee.score import confusion_of
-from eval.replay.hindsight.ledger import PAIRED_ANEW
+from eval.replay.hindsight.ledger import REASSOCIATED
 from eval.replay.run import compare, step_by_step
 from eval.replay.settings import Setup
 
@@ -29,7 +29,7 @@ def runs(people):
 def test_people_are_retracted_and_points_are_kept(people, runs, name):
     for log, run in zip(people, runs[name]):
         online, final = confusion_of(run, log, "online"), confusion_of(run, log, "final")
-        known = int((log.truth.landmark_of >= 0).sum()) - 88  # the first sighting of each point initializes it
+        known = int((log.truth.landmark_of >= 0).sum()) - 88  # the first observation of each point initializes it
         assert online.fp > final.fp
         assert final.fp <= 7
         assert final.tp >= 0.96 * known
@@ -74,15 +74,15 @@ def test_events_come_in_the_order_of_frames_and_name_their_reason(runs):
     for run in runs["ekf"]:
         frames = [e.frame for e in run.events]
         assert frames == sorted(frames)
-        assert {e.why for e in run.events} <= {"moved", "missed", "uncertain", PAIRED_ANEW}
+        assert {e.why for e in run.events} <= {"moved", "missed", "uncertain", REASSOCIATED}
         assert {e.why for e in run.events if e.frame < frames[-1]} >= {"missed"}
-        assert {e.new for e in run.events if e.why != PAIRED_ANEW} == {DISCARD}
+        assert {e.new for e in run.events if e.why != REASSOCIATED} == {DISCARD}
 
 
 def test_without_people_nothing_is_taken_back():
     log = named_log("corridor:1")
     run = compare(log.inputs(), "slam", ["ekf"], METHOD)[0]
-    assert {e.why for e in run.events} <= {PAIRED_ANEW}
+    assert {e.why for e in run.events} <= {REASSOCIATED}
     assert run.removed is None or np.all(run.removed < 0)
     assert len(run.map) == 88
     assert confusion_of(run, log, "final").fp == 0

@@ -19,7 +19,7 @@ from tests.research.variety.worlds import draw, log_of
 
 def said(log):
     run = step_by_step("ekf", log.inputs().without_map(), "slam", "jcbb-hindsight")
-    return [note for note in run.notes if note.code is Code.MAPPED_ANEW]
+    return [note for note in run.notes if note.code is Code.MAP_RESTARTED]
 
 
 @pytest.mark.parametrize("index", [160, pytest.param(70, marks=pytest.mark.slow)])
@@ -33,7 +33,7 @@ def test_a_corridor_that_is_mapped_several_times_is_said_to_be(index):
 @pytest.mark.parametrize("name", ["corridor:0", "corridor:0:people", "arena:0:frames=150"])
 def test_where_all_is_well_nothing_is_said(name):
     run = step_by_step("ekf", named_log(name).inputs().without_map(), "slam", "jcbb-hindsight")
-    assert not {Code.MAPPED_ANEW, Code.RETRACTED} & {note.code for note in run.notes}
+    assert not {Code.MAP_RESTARTED, Code.RETRACTED} & {note.code for note in run.notes}
 
 
 def test_a_map_most_of_which_was_not_found_again_is_said_to_be_no_map():
@@ -110,9 +110,9 @@ def test_frames_from_one_place_are_one():
 def test_it_is_said_from_when_to_when():
     looked = Looked()
     looked.lost.suspicion = Suspicion(alarm=12, over=40)
-    assert looked.lost.notes() == [notice(Code.MAPPED_ANEW, frame=12, over=40)]
+    assert looked.lost.notes() == [notice(Code.MAP_RESTARTED, frame=12, over=40)]
     for alarm in (0, 3):
         looked.lost.suspicion = Suspicion(alarm=alarm)
-        assert looked.lost.notes() == [notice(Code.MAPPED_ANEW, frame=alarm, over=None)]
+        assert looked.lost.notes() == [notice(Code.MAP_RESTARTED, frame=alarm, over=None)]
     looked.lost.suspicion = Suspicion(score=6.0)
     assert looked.lost.notes() == []

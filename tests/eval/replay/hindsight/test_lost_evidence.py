@@ -10,9 +10,9 @@ import pytest
 from eval.replay.hindsight.lost import Suspicion, looked
 
 
-def after(looks, s=None):
+def after(opportunities, s=None):
     s = Suspicion() if s is None else s
-    for k, (paired, replaced) in enumerate(looks, start=s.since):
+    for k, (paired, replaced) in enumerate(opportunities, start=s.since):
         s = looked(s, k, paired, replaced)
     return s
 

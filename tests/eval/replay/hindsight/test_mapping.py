@@ -31,7 +31,7 @@ def runs(world):
 
 
 def who_is_who(run, who):
-    """Sightings of each landmark by true id, final decisions."""
+    """Observations of each landmark by true id, final decisions."""
     number = np.where(run.final_decisions == NEW, run.created, run.final_decisions)
     return {n: Counter(who[number == n].tolist()) for n in np.unique(number[number >= 0]).tolist()}
 
@@ -128,7 +128,7 @@ def test_the_odometrys_errors_are_found_on_the_way(world):
     for k in range(len(inputs)):
         frame = inputs.frame(k)
         front.move(frame)
-        if len(frame.sightings.z):
+        if len(frame.observations.z):
             front.update(frame, front.associate(frame))
         front.tidy()
     mean, P = front.mapper.filter.errors

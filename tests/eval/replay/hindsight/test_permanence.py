@@ -9,17 +9,17 @@ from hypothesis import strategies as st
 from scipy.special import betaln
 
 from eval.replay.hindsight import constants
-from eval.replay.hindsight.record import Permanence, lasting, permanence, staying
+from eval.replay.hindsight.record import Persistence, lasting, persistence, persistent
 
 SHARES = st.floats(0.02, 0.98)
-DRAWN = st.builds(Permanence, SHARES, SHARES, SHARES, SHARES, SHARES)
+DRAWN = st.builds(Persistence, SHARES, SHARES, SHARES, SHARES, SHARES)
 LOOKS = st.lists(st.integers(0, 1), max_size=12).map(bytes)
 
 
-def likelihood_of_what_stays(looks, p):
+def likelihood_of_what_stays(opportunities, p):
     """Beta-binomial, the order of looks as it was: rates drawn once for each landmark."""
     counts = {(before, now): 0 for before in (0, 1) for now in (0, 1)}
-    for before, now in zip(b"\1" + looks, looks, strict=False):
+    for before, now in zip(b"\1" + opportunities, opportunities, strict=False):
         counts[before, now] += 1
     total = 0.0
     for before, mean in ((1, p.seen), (0, p.again)):
@@ -28,18 +28,21 @@ def likelihood_of_what_stays(looks, p):
     return math.exp(total)
 
 
-def likelihood_of_what_goes(looks, p):
+def likelihood_of_what_goes(opportunities, p):
     """Forward through the looks, in two states: still there, gone."""
     there, gone = 1 - p.at_once, p.at_once
-    for seen in looks:
+    for seen in opportunities:
         there, gone = there * (1 - p.later), gone + there * p.later
         there *= p.seen if seen else 1 - p.seen
         gone *= constants.PERMANENCE_CHANCE if seen else 1 - constants.PERMANENCE_CHANCE
     return there + gone
 
 
-def plain(looks, p):
-    stays, goes = p.stays * likelihood_of_what_stays(looks, p), (1 - p.stays) * likelihood_of_what_goes(looks, p)
+def plain(opportunities, p):
+    stays, goes = (
+        p.stays * likelihood_of_what_stays(opportunities, p),
+        (1 - p.stays) * likelihood_of_what_goes(opportunities, p),
+    )
     return stays / (stays + goes)
 
 
@@ -47,60 +50,64 @@ def drawn(rng, count, p):
     """Looks at landmarks, up to thirty at each, by the model; and which of them stay."""
     every, stays = [], rng.random(count) < p.stays
     for stay in stays:
-        looks, before, there = [], 1, bool(stay or rng.random() > p.at_once)
+        opportunities, before, there = [], 1, bool(stay or rng.random() > p.at_once)
         for _ in range(rng.integers(31)):
             there = there and bool(stay or rng.random() > p.later)
             rate = constants.PERMANENCE_CHANCE if not there else p.seen if before or not stay else p.again
             before = int(rng.random() < rate)
-            looks.append(before)
-        every.append(bytes(looks))
+            opportunities.append(before)
+        every.append(bytes(opportunities))
     return every, stays
 
 
 @given(st.lists(LOOKS, min_size=1, max_size=5), DRAWN)
-def test_it_is_bayes_rule_for_the_two_kinds(looks, p):
-    assert staying(looks, p) == pytest.approx([plain(s, p) for s in looks], rel=1e-9, abs=1e-12)
+def test_it_is_bayes_rule_for_the_two_kinds(opportunities, p):
+    assert persistent(opportunities, p) == pytest.approx([plain(s, p) for s in opportunities], rel=1e-9, abs=1e-12)
 
 
 def test_a_landmark_that_was_never_looked_at_is_of_the_kind_that_most_are():
-    p = Permanence(0.3, 0.5, 0.2, 0.9, 0.5)
-    assert staying([b""], p) == pytest.approx([0.3])
-    assert staying([], p).shape == (0,)
+    p = Persistence(0.3, 0.5, 0.2, 0.9, 0.5)
+    assert persistent([b""], p) == pytest.approx([0.3])
+    assert persistent([], p).shape == (0,)
 
 
 @pytest.mark.parametrize(
     "p",
-    [Permanence(0.6, 0.6, 0.3, 0.95, 0.8), Permanence(0.2, 0.3, 0.25, 0.9, 0.6), Permanence(0.5, 0.8, 0.2, 0.7, 0.4)],
+    [
+        Persistence(0.6, 0.6, 0.3, 0.95, 0.8),
+        Persistence(0.2, 0.3, 0.25, 0.9, 0.6),
+        Persistence(0.5, 0.8, 0.2, 0.7, 0.4),
+    ],
 )
 def test_what_a_log_is_like_is_found_again(p):
-    looks, stays = drawn(np.random.default_rng(1), 1500, p)
-    found = permanence(looks)
+    opportunities, stays = drawn(np.random.default_rng(1), 1500, p)
+    found = persistence(opportunities)
     assert found.stays == pytest.approx(p.stays, abs=0.05)
     assert found.at_once == pytest.approx(p.at_once, abs=0.1)
     assert found.later == pytest.approx(p.later, abs=0.05)
     assert found.seen == pytest.approx(p.seen, abs=0.05)  # misses at the end are left out, of short rows some too many
     assert found.again == pytest.approx(p.again, abs=0.1)
-    told = staying(looks, found)
+    told = persistent(opportunities, found)
     assert np.mean((told > 0.5) == stays) > 0.9
     sure = (told > 0.8) & (told < 0.95)
     assert np.mean(stays[sure]) == pytest.approx(np.mean(told[sure]), abs=0.1), "probabilities are what they say"
 
 
 def test_of_no_landmarks_the_prior_is_known():
-    assert permanence([]) == pytest.approx(constants.PERMANENCE_MEANS)
+    assert persistence([]) == pytest.approx(constants.PERMANENCE_MEANS)
 
 
 def test_one_step_of_the_fit_is_the_expected_counts_by_hand(monkeypatch):
     """Two landmarks, one round: everything that can be counted, weighed by what is believed before."""
     monkeypatch.setattr(constants, "PERMANENCE_ROUNDS", 1)
-    before = Permanence(*constants.PERMANENCE_MEANS)
+    before = Persistence(*constants.PERMANENCE_MEANS)
     worth = constants.PERMANENCE_WORTH
-    looks = [bytes([1, 0, 1, 0, 0]), b""]
-    (a, b), own = staying(looks, before), 1.0
+    opportunities = [bytes([1, 0, 1, 0, 0]), b""]
+    (a, b), own = persistent(opportunities, before), 1.0
     chance, c = constants.PERMANENCE_CHANCE, before.seen
     # of the first one, if it goes: weights of having gone at once, and before look 0, 1, ... 4, never
-    gone = [chance if s else 1 - chance for s in looks[0]]
-    here = [c if s else 1 - c for s in looks[0]]
+    gone = [chance if s else 1 - chance for s in opportunities[0]]
+    here = [c if s else 1 - c for s in opportunities[0]]
     later = [
         (1 - before.at_once) * before.later * (1 - before.later) ** k * math.prod(here[:k]) * math.prod(gone[k:])
         for k in range(5)
@@ -118,22 +125,22 @@ def test_one_step_of_the_fit_is_the_expected_counts_by_hand(monkeypatch):
         (worth[4] * before.again + a) / (worth[4] + a),
     ]
     expected[2] = max(expected[2], constants.PERMANENCE_LATER_LEAST)
-    assert list(permanence(looks)) == pytest.approx(expected, rel=1e-9)
+    assert list(persistence(opportunities)) == pytest.approx(expected, rel=1e-9)
 
 
 def test_misses_at_the_end_do_not_tell_how_often_landmarks_are_missed():
     """They may be gone: people who were read ten times each, and long since missed, leave the others' rates alone."""
     stay, people = [bytes([1] * 20)] * 30, [bytes([1] * 5 + [0] * 40)] * 30
-    found = permanence([*stay, *people])
+    found = persistence([*stay, *people])
     assert found.seen > 0.95
-    told = staying([stay[0], people[0]], found)
+    told = persistent([stay[0], people[0]], found)
     assert told[0] > 0.9
     assert told[1] < 0.01
 
 
 def test_what_goes_does_not_take_longer_than_can_be_told():
-    looks = [bytes([1] * 30)] * 20 + [bytes([1] * 29 + [0])] * 20
-    assert permanence(looks).later == constants.PERMANENCE_LATER_LEAST
+    opportunities = [bytes([1] * 30)] * 20 + [bytes([1] * 29 + [0])] * 20
+    assert persistence(opportunities).later == constants.PERMANENCE_LATER_LEAST
 
 
 def test_of_a_map_stays_what_stays_by_odds_of_two_to_one():
@@ -144,38 +151,38 @@ def test_of_a_map_stays_what_stays_by_odds_of_two_to_one():
 
 
 def test_what_was_read_once_does_not_stay():
-    looks = [bytes([1] * 10)] * 10 + [b""]
-    assert lasting(looks, [], np.full(11, 2))[-1]
-    assert not lasting(looks, [], np.array([2] * 10 + [1]))[-1]
+    opportunities = [bytes([1] * 10)] * 10 + [b""]
+    assert lasting(opportunities, [], np.full(11, 2))[-1]
+    assert not lasting(opportunities, [], np.array([2] * 10 + [1]))[-1]
 
 
 @pytest.mark.parametrize(("others", "needed"), [(2, 2), (3, 3), (4, 4), (30, 4)])
 def test_where_most_are_read_often_two_sightings_are_too_few(others, needed):
-    looks = [bytes([1] * 10)] * 40 + [b"\1"]
-    keep = [lasting(looks, [], np.array([others] * 40 + [n]))[-1] for n in (1, 2, 3, 4)]
+    opportunities = [bytes([1] * 10)] * 40 + [b"\1"]
+    keep = [lasting(opportunities, [], np.array([others] * 40 + [n]))[-1] for n in (1, 2, 3, 4)]
     assert keep == [n >= needed for n in (1, 2, 3, 4)]
 
 
 def test_the_fewest_of_those_that_stay_do_not_tell_how_many_sightings_are_needed():
-    looks = [bytes([1] * 10)] * 40
-    assert lasting(looks, [], np.array([2] + [9] * 39)).tolist() == [False] + [True] * 39
-    assert lasting(looks, [], np.array([2] * 4 + [9] * 36)).all()
+    opportunities = [bytes([1] * 10)] * 40
+    assert lasting(opportunities, [], np.array([2] + [9] * 39)).tolist() == [False] + [True] * 39
+    assert lasting(opportunities, [], np.array([2] * 4 + [9] * 36)).all()
 
 
 def test_what_was_retracted_before_tells_what_the_rest_is_like():
-    looks = [b"\1"] * 8
-    mixed = [*[b"\1" * 12] * 3, *looks]
-    told = [staying(looks, permanence([*mixed, *[b"\0" * 6] * n]))[0] for n in (0, 5, 40)]
+    opportunities = [b"\1"] * 8
+    mixed = [*[b"\1" * 12] * 3, *opportunities]
+    told = [persistent(opportunities, persistence([*mixed, *[b"\0" * 6] * n]))[0] for n in (0, 5, 40)]
     assert told[0] > told[1] > told[2]
 
 
 def test_where_it_is_not_known_which_stay_the_likeliest_do_as_many_as_are_expected():
     """Looks so few that none stays by odds of two to one: an empty map would be the one thing that is surely wrong."""
-    looks = [b"\1"] * 30 + [b"\1\0"] * 10
+    opportunities = [b"\1"] * 30 + [b"\1\0"] * 10
     former = [b"\0\0\0"] * 20 + [b"\1\1\0\0\0\0"] * 30
-    often = np.full(len(looks), 3)
-    told = staying(looks, permanence([*looks, *former]))
+    often = np.full(len(opportunities), 3)
+    told = persistent(opportunities, persistence([*opportunities, *former]))
     assert told.max() < constants.STAYS
-    keep = lasting(looks, former, often)
+    keep = lasting(opportunities, former, often)
     assert keep.sum() == round(told.sum())
     assert told[keep].min() >= told[~keep].max()

@@ -7,7 +7,7 @@ import pytest
 
 from association.expectation import Expectation
 from data import se2
-from data.inputs import Increment, LandmarkMap, Prior, Sightings
+from data.inputs import FrameObservations, Increment, LandmarkMap, Prior
 from data.result import NEW
 from data.sensors import RangeBearing, RelativePoint
 from ekf.localizer import EkfLocalizer
@@ -30,12 +30,12 @@ def apart(rng, count, side):
 
 
 def look(sensor, pose, xy, rng):
-    """Sightings of points (n, 2), and which of them are in view."""
+    """Observations of points (n, 2), and which of them are in view."""
     z = sensor.predict(pose, xy)
     seen = np.flatnonzero(sensor.in_view(z))
     sigma = np.array([SIGMA, 0.01]) if isinstance(sensor, RangeBearing) else np.full(2, SIGMA)
     z = z[seen] + sigma * rng.standard_normal((len(seen), 2))
-    return Sightings(z, np.tile(np.diag(sigma**2), (len(seen), 1, 1))), seen
+    return FrameObservations(z, np.tile(np.diag(sigma**2), (len(seen), 1, 1))), seen
 
 
 def at_start(sensor, known, mean=START, motion=FORWARD):
@@ -44,8 +44,8 @@ def at_start(sensor, known, mean=START, motion=FORWARD):
     return EkfLocalizer(Prior(mean, B @ motion @ B.T), sensor, known)
 
 
-def placed(filter_, sightings, seen_from=(), rate=0.99, strays=0.01, motion=FORWARD):
-    e = filter_.expect(sightings)
+def placed(filter_, observations, seen_from=(), rate=0.99, strays=0.01, motion=FORWARD):
+    e = filter_.expect(observations)
     memory = Memory(list(seen_from), np.full(len(e.number), rate), strays)
     return place(e, filter_.sensor, filter_.estimate().mean, motion, memory, GATE, NEW_GATE)
 
@@ -57,8 +57,8 @@ def test_pose_and_pairings_are_found_after_a_turn_no_linearization_survives(sens
         rng = np.random.default_rng(seed)
         known = LandmarkMap(np.arange(40) * 3 + 5, START[:2] + apart(rng, 40, 9.0))
         pose = se2.compose(START, np.array([0.5, 0.1, turn]))
-        sightings, seen = look(sensor, pose, known.xy, rng)
-        found = placed(at_start(sensor, known), sightings)
+        observations, seen = look(sensor, pose, known.xy, rng)
+        found = placed(at_start(sensor, known), observations)
         assert found is not None
         assert np.abs(se2.pose_error(found.pose, pose)).max() < 4 * SIGMA
         paired = found.decisions >= 0
@@ -70,8 +70,8 @@ def test_a_point_that_no_landmark_is_near_is_new():
     rng = np.random.default_rng(3)
     known = LandmarkMap(np.arange(12), START[:2] + rng.uniform(-4, 4, (12, 2)))
     pose, sensor = se2.compose(START, np.array([0.2, 0.0, 1.2])), RelativePoint(max_range=9.0)
-    sightings, _ = look(sensor, pose, np.concatenate([known.xy, [[9.0, -2.0]]]), rng)
-    found = placed(at_start(sensor, known), sightings)
+    observations, _ = look(sensor, pose, np.concatenate([known.xy, [[9.0, -2.0]]]), rng)
+    found = placed(at_start(sensor, known), observations)
     assert found is not None
     assert (found.decisions[:-1] != NEW).all()
     assert found.decisions[-1] == NEW
@@ -92,9 +92,9 @@ def test_where_the_world_repeats_itself_the_motion_decides_and_not_the_number_of
     # mapped are the points behind the robot and those in view from x = 0: a move backwards would pair everything
     for seed in range(5):
         rng = np.random.default_rng(seed)
-        sightings, seen = look(AHEAD, np.array([1.0, 0.0, 0.0]), ROWS, rng)
+        observations, seen = look(AHEAD, np.array([1.0, 0.0, 0.0]), ROWS, rng)
         expected = np.array([0.5 * step, 0.0, 0.0])
-        found = placed(at_start(AHEAD, rows(-10, 4), expected), sightings, [np.zeros(3)])
+        found = placed(at_start(AHEAD, rows(-10, 4), expected), observations, [np.zeros(3)])
         assert found is not None
         assert found.pose[0] == pytest.approx(step, abs=0.1)
         mapped = ROWS[seen, 0] <= 4
@@ -108,13 +108,13 @@ BACK = np.array([-0.4, 0.0, 0.0])  # the motion speaks for -1, where only the ma
 
 
 def test_a_landmark_that_should_be_seen_and_is_not_speaks_against_a_pose():
-    sightings, _ = look(AHEAD, np.array([1.0, 0.0, 0.0]), ROWS, np.random.default_rng(1))
+    observations, _ = look(AHEAD, np.array([1.0, 0.0, 0.0]), ROWS, np.random.default_rng(1))
     marks = np.array([[0.3, 0.1], [0.5, 0.1], [0.7, 0.2]])  # ahead of -1, behind 1
     known = LandmarkMap(np.arange(len(ROWS) + 3), np.concatenate([ROWS, marks]))
 
     def step(landmarks, rate):
         filter_ = at_start(AHEAD, landmarks, BACK, NARROW)
-        return placed(filter_, sightings, rate=rate, motion=NARROW).pose[0]
+        return placed(filter_, observations, rate=rate, motion=NARROW).pose[0]
 
     assert step(rows(-10, 15), 0.99) == pytest.approx(-1.0, abs=0.1)
     assert step(known, 0.99) == pytest.approx(1.0, abs=0.1)
@@ -124,16 +124,16 @@ def test_a_landmark_that_should_be_seen_and_is_not_speaks_against_a_pose():
 def test_a_point_that_should_have_been_seen_before_speaks_against_a_pose():
     strange = np.array([[2.0, 0.1], [2.4, -0.1], [2.7, 0.2]])  # if the robot were at -1, they would be 2 m nearer
     points = np.concatenate([ROWS, strange])
-    sightings, _ = look(AHEAD, np.array([1.0, 0.0, 0.0]), points, np.random.default_rng(2))
+    observations, _ = look(AHEAD, np.array([1.0, 0.0, 0.0]), points, np.random.default_rng(2))
     filter_ = at_start(AHEAD, rows(-10, 15), BACK, NARROW)
-    free = placed(filter_, sightings, motion=NARROW)
+    free = placed(filter_, observations, motion=NARROW)
     assert free.pose[0] == pytest.approx(-1.0, abs=0.1)
     assert free.sudden == 0
     # from -3.5 one sees as far as 1.5: where they would stand if the robot were at -1, and not where they stand
-    held = placed(filter_, sightings, [np.array([-3.5, 0.0, 0.0])], motion=NARROW)
+    held = placed(filter_, observations, [np.array([-3.5, 0.0, 0.0])], motion=NARROW)
     assert held.pose[0] == pytest.approx(1.0, abs=0.1)
     assert held.sudden == 0
-    assert placed(filter_, sightings, [np.array([-3.5, 0.0, 0.0])], strays=0.9, motion=NARROW).sudden == 3
+    assert placed(filter_, observations, [np.array([-3.5, 0.0, 0.0])], strays=0.9, motion=NARROW).sudden == 3
 
 
 def test_landmarks_that_stand_close_are_told_apart_by_all_pairings_together():
@@ -141,16 +141,16 @@ def test_landmarks_that_stand_close_are_told_apart_by_all_pairings_together():
     xy = START[:2] + apart(rng, 12, 4.0)
     known = LandmarkMap(np.arange(24), np.concatenate([xy, xy + [0.11, 0.0]]))
     sensor, pose = RelativePoint(max_range=12.0), se2.compose(START, np.array([0.2, 0.0, 1.2]))
-    sightings, seen = look(sensor, pose, known.xy, rng)
-    assert (placed(at_start(sensor, known), sightings).decisions == seen).mean() > 0.95
+    observations, seen = look(sensor, pose, known.xy, rng)
+    assert (placed(at_start(sensor, known), observations).decisions == seen).mean() > 0.95
 
 
 def test_every_landmark_is_given_to_one_observation():
     rng = np.random.default_rng(5)
     known = LandmarkMap(np.arange(15), START[:2] + rng.uniform(-4, 4, (15, 2)))
     sensor, pose = RelativePoint(max_range=9.0), se2.compose(START, np.array([0.2, 0.0, 1.2]))
-    sightings, _ = look(sensor, pose, np.concatenate([known.xy, known.xy + 0.03]), rng)
-    found = placed(at_start(sensor, known), sightings)
+    observations, _ = look(sensor, pose, np.concatenate([known.xy, known.xy + 0.03]), rng)
+    found = placed(at_start(sensor, known), observations)
     paired = found.decisions[found.decisions >= 0]
     assert len(paired) >= 10
     assert len(set(paired.tolist())) == len(paired)
@@ -160,8 +160,8 @@ def test_every_landmark_is_given_to_one_observation():
 def test_too_few_observations_give_no_pose(count):
     rng = np.random.default_rng(0)
     known = LandmarkMap(np.arange(9), rng.uniform(-4, 4, (9, 2)))
-    sightings, _ = look(RelativePoint(max_range=20.0), np.zeros(3), known.xy, rng)
-    few = Sightings(sightings.z[:count], sightings.R[:count])
+    observations, _ = look(RelativePoint(max_range=20.0), np.zeros(3), known.xy, rng)
+    few = FrameObservations(observations.z[:count], observations.R[:count])
     assert placed(at_start(RelativePoint(max_range=20.0), known, np.zeros(3)), few) is None
 
 
@@ -169,8 +169,8 @@ def test_a_scan_of_another_place_gives_no_pose():
     rng = np.random.default_rng(7)
     known = LandmarkMap(np.arange(9), rng.uniform(-4, 4, (9, 2)))
     sensor = RelativePoint(max_range=20.0)
-    sightings, _ = look(sensor, np.zeros(3), rng.uniform(-4, 4, (9, 2)), rng)
-    assert placed(at_start(sensor, known, np.zeros(3)), sightings, motion=FORWARD / 4) is None
+    observations, _ = look(sensor, np.zeros(3), rng.uniform(-4, 4, (9, 2)), rng)
+    assert placed(at_start(sensor, known, np.zeros(3)), observations, motion=FORWARD / 4) is None
 
 
 def test_covariance_of_a_motion_is_that_of_sampled_motions_in_the_frame_where_they_should_end():

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import chi2
 
 from data import se2
-from data.inputs import Increment, LandmarkMap, Sightings
+from data.inputs import FrameObservations, Increment, LandmarkMap
 from data.sensors import RangeBearing, RelativePoint
 from eval.replay.hindsight.relocalize import EMPTY, Scan, _search, extended, moved, relocalize
 
@@ -138,10 +138,10 @@ def test_a_scan_over_several_frames_is_consistent_in_the_newest_body_frame(senso
                 scan = moved(scan, Increment(step + root @ rng.standard_normal(3), M))
             seen = np.array([0, 1, 2]) if k < 3 else np.array([1, 3, 4])
             z = sensor.predict(pose, world[seen]) + np.sqrt(np.diag(R)) * rng.standard_normal((3, 2))
-            scan = extended(scan, sensor, Sightings(z, np.tile(R, (3, 1, 1))), row + np.arange(3))
+            scan = extended(scan, sensor, FrameObservations(z, np.tile(R, (3, 1, 1))), row + np.arange(3))
             row += 3
         if len(scan) != 5:
-            continue  # a sighting outside its gate made a second point
+            continue  # an observation outside its gate made a second point
         e = (scan.xy - se2.transform_points(se2.inverse(pose), world)).ravel()
         d2, dof = d2 + e @ np.linalg.solve(scan.covariance, e), dof + 10
         assert sorted(r for rows in scan.rows for r in rows) == list(range(row))
@@ -152,7 +152,7 @@ def test_a_scan_over_several_frames_is_consistent_in_the_newest_body_frame(senso
 def test_two_sightings_of_one_frame_are_two_points():
     sensor = RelativePoint()
     R = np.tile(0.01 * np.eye(2), (2, 1, 1))
-    scan = extended(EMPTY, sensor, Sightings(np.array([[1.0, 0.0], [1.01, 0.0]]), R), np.arange(2))
-    scan = extended(scan, sensor, Sightings(np.array([[1.0, 0.0], [1.002, 0.0]]), R), np.arange(2, 4))
+    scan = extended(EMPTY, sensor, FrameObservations(np.array([[1.0, 0.0], [1.01, 0.0]]), R), np.arange(2))
+    scan = extended(scan, sensor, FrameObservations(np.array([[1.0, 0.0], [1.002, 0.0]]), R), np.arange(2, 4))
     assert len(scan) == 2
     assert sorted(map(len, scan.rows)) == [2, 2]

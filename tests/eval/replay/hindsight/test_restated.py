@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.inputs import Frame, Increment, Sightings
+from data.inputs import Frame, FrameObservations, Increment
 from data.notice import Code, notice
 from data.sensors import RangeBearing
 from data.worlds.registry import named_log
@@ -26,15 +26,15 @@ def frames(times: float, n: int = 20):
     for k in range(n):
         z = polar + np.array([0.02 * times, 0.01]) * rng.standard_normal((10, 2))
         motion = None if k == 0 else Increment(np.zeros(3), 1e-8 * np.eye(3))
-        yield Frame(k, float(k), motion, Sightings(z, R), None, 10 * k)
+        yield Frame(k, float(k), motion, FrameObservations(z, R), None, 10 * k)
 
 
 def test_understated_noise_is_restated_where_it_is():
     restated = Restated(SENSOR)
     for frame in frames(4.0):
         last = restated.see(frame)
-    assert np.sqrt(last.sightings.R[:, 0, 0]) == pytest.approx(0.08, rel=0.2)
-    assert np.sqrt(last.sightings.R[:, 1, 1]) == pytest.approx(0.01)
+    assert np.sqrt(last.observations.R[:, 0, 0]) == pytest.approx(0.08, rel=0.2)
+    assert np.sqrt(last.observations.R[:, 1, 1]) == pytest.approx(0.01)
     factor = restated.shares.range**0.5
     assert restated.notes() == [notice(Code.LARGER_SIGMAS, of=("range",), factors=(factor,))]
 
@@ -51,7 +51,7 @@ def test_the_view_holds_all_that_was_read():
     restated = Restated(SENSOR)
     assert restated.widened(SENSOR) == SENSOR
     z = np.array([[7.0, 0.2], [2.0, -1.5]])
-    restated.see(Frame(0, 0.0, None, Sightings(z, np.tile(1e-4 * np.eye(2), (2, 1, 1))), None, 0))
+    restated.see(Frame(0, 0.0, None, FrameObservations(z, np.tile(1e-4 * np.eye(2), (2, 1, 1))), None, 0))
     seen = restated.widened(SENSOR)
     assert (seen.max_range, seen.min_angle, seen.max_angle) == (7.0, -1.5, 1.0)
 

@@ -7,7 +7,7 @@ import pytest
 
 from association.decide import known_decisions
 from data import se2
-from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior, Sightings
+from data.inputs import FrameObservations, Increments, Inputs, LandmarkMap, Observations, Prior
 from data.result import DISCARD
 from data.sensors import RelativePoint
 from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd, Stretches
@@ -28,12 +28,12 @@ def run(inputs, decisions, amended=None, late=None):
             s.predict(inputs.increment(k))
         rows = slice(inputs.start[k], inputs.start[k + 1])
         if rows.stop > rows.start:
-            s.update(inputs.sightings(k), decisions[rows])
+            s.update(inputs.frame_observations(k), decisions[rows])
         if k == AT:
             s.reset(s.estimate().mean + 0.01, 0.01 * np.eye(3))
     if amended is not None:
         rows = np.flatnonzero(np.isin(o.frame, amended))
-        s.amend(o.frame[rows], Sightings(o.z[rows], o.R[rows]), late[rows])
+        s.amend(o.frame[rows], FrameObservations(o.z[rows], o.R[rows]), late[rows])
     return s.finish().final.pose
 
 

@@ -1,14 +1,14 @@
-"""Sightings that are put off: several must agree, and the pose must have been right in between."""
+"""Observations that are put off: several must agree, and the pose must have been right in between."""
 
 import numpy as np
 
-from eval.replay.hindsight.gates import Sighting, Tentative
+from eval.replay.hindsight.gates import Tentative, TentativeObservation
 
 REACH = 10.0
 
 
 def at(x, travelled=0.0):
-    return Sighting(np.array([x, 0.0]), 0.01 * np.eye(2), travelled)
+    return TentativeObservation(np.array([x, 0.0]), 0.01 * np.eye(2), travelled)
 
 
 def test_the_third_that_agrees_is_new_once_the_pose_was_confirmed():
@@ -36,5 +36,5 @@ def test_a_place_is_forgotten_after_a_distance_travelled():
 def test_a_landmark_takes_its_own_doubts_and_leaves_the_others():
     seen = Tentative()
     for x in (1.0, 1.1, 4.0):
-        seen.doubt(at(x))
+        seen.implausible(at(x))
     assert (seen.settle(at(1.0)), seen.settle(at(1.0)), seen.settle(at(4.0))) == (2, 0, 1)

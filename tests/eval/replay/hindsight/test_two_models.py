@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from association.decide import known_decisions
-from data.inputs import Increment, Prior, Sightings, Systematic
+from data.inputs import FrameObservations, Increment, Prior, Systematic
 from data.result import NEW
 from data.sensors import RangeBearing
 from data.worlds.park import Park, simulate
@@ -29,8 +29,8 @@ def test_the_model_that_the_log_was_driven_with_stays_alone(error, model):
                 mean, covariance = frame.increment
                 wrong = mean - np.array([0.0, 0.0, error * np.hypot(*mean[:2])])
                 each.predict(Increment(wrong, covariance))
-            if len(frame.sightings.z):
-                each.update(frame.sightings, decisions[frame.first : frame.first + len(frame.sightings.z)])
+            if len(frame.observations.z):
+                each.update(frame.observations, decisions[frame.first : frame.first + len(frame.observations.z)])
     assert (both.believed.errors is None) == (model is None)
     assert abs(both.log_odds) > DECIDED
     np.testing.assert_array_equal(both.believed.mean, alone.mean)
@@ -40,7 +40,7 @@ def test_the_model_that_the_log_was_driven_with_stays_alone(error, model):
 def test_what_is_taken_back_leaves_both():
     both = TwoModels(Prior(np.zeros(3), np.zeros((3, 3))), RangeBearing(), ERRORS)
     points = np.array([[5.0, 0.0], [6.0, 0.1], [7.0, 0.5]])
-    both.update(Sightings(points, np.tile(R, (3, 1, 1))), np.full(3, NEW))
+    both.update(FrameObservations(points, np.tile(R, (3, 1, 1))), np.full(3, NEW))
     both.merge(np.array([1]), np.array([0]))
     both.remove(np.array([2]))
     both.inflate(3.0 * np.eye(3))
@@ -57,6 +57,6 @@ def test_errors_that_the_run_asks_for_are_not_doubted():
         frame = LOG.frame(k)
         if frame.increment is not None:
             both.predict(frame.increment)
-        both.update(frame.sightings, decisions[frame.first : frame.first + len(frame.sightings.z)])
+        both.update(frame.observations, decisions[frame.first : frame.first + len(frame.observations.z)])
     assert both.log_odds == 0.0
     assert both.believed.errors is not None

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from gtsam.symbol_shorthand import L, X
 
-from data.inputs import Sightings
+from data.inputs import FrameObservations
 from data.notice import Code
 from data.result import NEW
 from data.se2 import pose_error, wrap_angle
@@ -72,10 +72,10 @@ def test_a_filter_that_linearizes_nowhere_else_gets_the_same_decisions(primed):
 
 @pytest.fixture
 def begun(primed):
-    """A filter and a smoother that saw the first frame and moved once, and the sightings of the second."""
+    """A filter and a smoother that saw the first frame and moved once, and the observations of the second."""
     inputs = primed[0].inputs().without_map()
     o = inputs.observations
-    first, second = (Sightings(o.z[o.frame == k], o.R[o.frame == k]) for k in (0, 1))
+    first, second = (FrameObservations(o.z[o.frame == k], o.R[o.frame == k]) for k in (0, 1))
     both = EkfSlam(inputs.prior, inputs.sensor), Isam2Smoother(inputs.prior, inputs.sensor)
     for estimator in both:
         estimator.update(first, np.full(len(first.z), NEW))
@@ -85,8 +85,8 @@ def begun(primed):
 
 def test_an_expectation_elsewhere_is_the_tangent_there_taken_to_the_mean(begun):
     pose = np.array([1.1, -0.1, 1.2])
-    ekf, _, sightings = begun
-    e = ekf.expect(sightings).elsewhere(pose)
+    ekf, _, observations = begun
+    e = ekf.expect(observations).elsewhere(pose)
     state, P = ekf.mean, ekf.covariance
 
     def h(x):
@@ -103,8 +103,8 @@ def test_an_expectation_elsewhere_is_the_tangent_there_taken_to_the_mean(begun):
 
 def test_filter_and_smoother_expect_the_same_elsewhere(begun):
     pose = np.array([0.9, 0.1, -0.8])
-    ekf, isam2, sightings = begun
-    e = ekf.expect(sightings), isam2.expect(sightings)
+    ekf, isam2, observations = begun
+    e = ekf.expect(observations), isam2.expect(observations)
     some = e[1].number[2:9]
     a, b = (each.only(np.searchsorted(each.number, some)).elsewhere(pose) for each in e)
     every = np.arange(7)
@@ -114,15 +114,15 @@ def test_filter_and_smoother_expect_the_same_elsewhere(begun):
 
 
 def test_a_smoother_begins_where_it_is_told_to(begun):
-    _, isam2, sightings = begun
-    labels = np.full(len(sightings.z), -2)
+    _, isam2, observations = begun
+    labels = np.full(len(observations.z), -2)
     turn = 3.0  # what is seen of five landmarks, from a pose that Gauss-Newton does not find from the prediction
     pose = np.array([0.6, 0.1, turn])
     labels[:5] = [1, 3, 5, 7, 9]
     xy = isam2.landmarks().xy[[1, 3, 5, 7, 9]]
-    z = sightings.z.copy()
+    z = observations.z.copy()
     z[:5] = isam2.sensor.predict(pose, xy)
-    isam2.update(Sightings(z, sightings.R), labels, at=pose)
+    isam2.update(FrameObservations(z, observations.R), labels, at=pose)
     assert np.abs(pose_error(isam2.estimate().mean, pose)).max() < 0.05
 
 
@@ -140,15 +140,15 @@ def test_a_landmark_that_is_there_no_longer_is_missed_in_placed_frames(primed):
 
 
 def test_an_update_at_a_pose_is_one_gauss_newton_step_from_there(begun):
-    ekf, _, sightings = begun
-    decisions = np.full(len(sightings.z), -2)
+    ekf, _, observations = begun
+    decisions = np.full(len(observations.z), -2)
     decisions[[0, 3, 5]] = [2, 4, 6]
     pose = np.array([1.0, 0.0, 2.0 * np.pi + 0.9])  # however the angle is written
-    e = ekf.expect(sightings).elsewhere(pose)
+    e = ekf.expect(observations).elsewhere(pose)
     chosen = np.array([2, 4, 6])
     mean, S = ekf.mean, e.joint(chosen)
-    nu = (sightings.z[[0, 3, 5]] - e.z_hat[chosen]).ravel()
-    for i, R in enumerate(sightings.R[[0, 3, 5]]):
+    nu = (observations.z[[0, 3, 5]] - e.z_hat[chosen]).ravel()
+    for i, R in enumerate(observations.R[[0, 3, 5]]):
         S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += R
     _, Hx, Hl = ekf.sensor.linearize(pose, mean[3:].reshape(-1, 2)[chosen])
     H = np.zeros((6, len(mean)))
@@ -156,7 +156,7 @@ def test_an_update_at_a_pose_is_one_gauss_newton_step_from_there(begun):
         H[2 * i : 2 * i + 2, :3], H[2 * i : 2 * i + 2, 3 + 2 * c : 5 + 2 * c] = Hx[i], Hl[i]
     gain = ekf.covariance @ H.T @ np.linalg.inv(S)
     expected, P = mean + gain @ nu, ekf.covariance - gain @ H @ ekf.covariance
-    done = ekf.update(sightings, decisions, at=pose)
+    done = ekf.update(observations, decisions, at=pose)
     assert done.nis == pytest.approx(nu @ np.linalg.solve(S, nu))
     assert wrap_angle(float(ekf.mean[2] - expected[2])) == pytest.approx(0.0, abs=1e-8)
     np.testing.assert_allclose(np.delete(ekf.mean, 2), np.delete(expected, 2), atol=1e-8)
@@ -165,16 +165,16 @@ def test_an_update_at_a_pose_is_one_gauss_newton_step_from_there(begun):
 
 def test_first_estimates_are_taken_nowhere_else(primed):
     inputs = primed[0].inputs().without_map()
-    sightings, poses = inputs.frame(1).sightings, []
-    decisions = np.zeros(len(sightings.z), np.int64) - 2
+    observations, poses = inputs.frame(1).observations, []
+    decisions = np.zeros(len(observations.z), np.int64) - 2
     decisions[0] = 0
     for at in (None, np.zeros(3)):
         front = FrontEnd("ekf-fej", "jcbb", inputs, Setup())
         front.move(inputs.frame(0))
         front.update(inputs.frame(0), front.associate(inputs.frame(0)))
         front.move(inputs.frame(1))
-        assert front.estimator.expect(sightings).elsewhere is None
-        front.estimator.update(sightings, decisions, at=at)
+        assert front.estimator.expect(observations).elsewhere is None
+        front.estimator.update(observations, decisions, at=at)
         poses.append(front.estimator.estimate().mean)
     np.testing.assert_array_equal(*poses)
 
@@ -182,7 +182,7 @@ def test_first_estimates_are_taken_nowhere_else(primed):
 def test_a_large_joint_covariance_is_the_same_in_parts(primed):
     inputs = primed[0].inputs().without_map()
     isam2, o = Isam2Smoother(inputs.prior, inputs.sensor), inputs.observations
-    first = Sightings(o.z[o.frame == 0], o.R[o.frame == 0])
+    first = FrameObservations(o.z[o.frame == 0], o.R[o.frame == 0])
     isam2.update(first, np.full(len(first.z), NEW))
     for keys in ([L(3), X(0), L(1)], [X(0), *(L(n) for n in range(len(first.z)))]):
         whole = isam2._engine.isam.jointMarginalCovariance(keys).fullMatrix()

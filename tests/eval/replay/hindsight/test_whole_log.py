@@ -9,7 +9,7 @@ import pytest
 
 from association.expectation import gate_threshold
 from association.truncated import truncated_square
-from data.inputs import Frame, Increment, Increments, Inputs, Observations, Prior, Sightings, Systematic
+from data.inputs import Frame, FrameObservations, Increment, Increments, Inputs, Observations, Prior, Systematic
 from data.notice import Code, Severity, notice
 from data.result import DISCARD, NEW, MapState, revised
 from data.se2 import compose
@@ -18,7 +18,7 @@ from eval.referee.confusion import confuse
 from eval.referee.errors import named
 from eval.referee.score import Trial, score
 from eval.replay.hindsight import constants, whole_log
-from eval.replay.hindsight.ledger import PAIRED_ANEW, UNREAD
+from eval.replay.hindsight.ledger import REASSOCIATED, UNREAD
 from eval.replay.hindsight.noise import Restated, Shares
 from eval.replay.hindsight.record import Record
 from eval.replay.run import compare, step_by_step
@@ -43,7 +43,7 @@ def wrong(log, run):
 
 def test_fewer_pairings_are_wrong_than_without(crowded, monkeypatch):
     log, (run, *_) = crowded
-    monkeypatch.setattr(whole_log.WholeLog, "pair_anew", lambda *_: None)
+    monkeypatch.setattr(whole_log.WholeLog, "reassociate", lambda *_: None)
     before = step_by_step("ekf", log.inputs(labels=False).without_map(), "slam", METHOD)
     assert 5 * wrong(log, run) < wrong(log, before)
     # and no online decision is another one
@@ -86,7 +86,7 @@ def test_events_lead_from_what_was_decided_to_the_end_and_each_begins_where_the_
         now[e.observation] = e.new
     assert np.array_equal(now, run.final_decisions)
     assert np.array_equal(revised(run.decisions, run.events), run.final_decisions)
-    late = {e.frame for e in run.events if e.why in (PAIRED_ANEW, UNREAD)}
+    late = {e.frame for e in run.events if e.why in (REASSOCIATED, UNREAD)}
     assert late == {int(run.online.pose.shape[0]) - 1}
 
 
@@ -107,8 +107,8 @@ def test_a_landmark_is_known_by_what_it_begins_with_in_the_end_and_at_first_if_i
 
 def test_how_much_was_decided_anew_is_said(crowded):
     run = crowded[1][0]
-    anew = {e.observation for e in run.events if e.why == PAIRED_ANEW}
-    assert notice(Code.DECIDED_ANEW, Severity.INFO, decisions=len(anew)) in run.notes
+    anew = {e.observation for e in run.events if e.why == REASSOCIATED}
+    assert notice(Code.REASSOCIATED_AT_END, Severity.INFO, decisions=len(anew)) in run.notes
 
 
 def test_a_path_that_cannot_be_smoothed_leaves_decisions_as_they_are_and_says_so(monkeypatch):
@@ -120,8 +120,8 @@ def test_a_path_that_cannot_be_smoothed_leaves_decisions_as_they_are_and_says_so
 
     monkeypatch.setattr(whole_log, "smooth", fails)
     run = step_by_step("ekf", inputs, "slam", METHOD)
-    assert all(e.why != PAIRED_ANEW for e in run.events)
-    assert notice(Code.NOTHING_ANEW, text="landmark 3 hangs in the air") in run.notes
+    assert all(e.why != REASSOCIATED for e in run.events)
+    assert notice(Code.NO_REASSOCIATION, text="landmark 3 hangs in the air") in run.notes
 
 
 def test_the_nis_to_expect_in_the_end_is_what_the_gate_of_the_last_decisions_leaves(monkeypatch):
@@ -129,7 +129,7 @@ def test_the_nis_to_expect_in_the_end_is_what_the_gate_of_the_last_decisions_lea
     monkeypatch.setattr(whole_log, "noise_share", lambda *_: 0.5)
     log = log_of(draw(10))
     runs = compare(log.inputs(labels=False).without_map(), "slam", ["ekf", "isam2", "batch"], METHOD)
-    mean, variance = truncated_square(0.5 * gate_threshold(constants.ANEW_GATE))
+    mean, variance = truncated_square(0.5 * gate_threshold(constants.REASSOCIATION_GATE))
     for run in runs:
         assert run.gated_final == pytest.approx((0.5 * mean, 0.5 * variance))
     table = score([Trial(log, "slam", tuple(runs))]).metrics.set_index(["estimator", "phase"])["nis_expected"]
@@ -146,18 +146,18 @@ def test_a_motion_known_exactly_is_nothing_to_a_smoother_and_the_filter_goes_on(
         "ekf", replace(inputs, increments=Increments(inputs.increments.mean, covariance)), "slam", METHOD
     )
     assert run.failure is None
-    assert Code.NOTHING_ANEW in [note.code for note in run.notes]
-    assert all(e.why != PAIRED_ANEW for e in run.events)
+    assert Code.NO_REASSOCIATION in [note.code for note in run.notes]
+    assert all(e.why != REASSOCIATED for e in run.events)
 
 
 def test_where_landmarks_left_by_rules_of_the_setup_nothing_is_paired_anew():
     log = log_of(draw(10))
     inputs = log.inputs(labels=False).without_map()
     plain = step_by_step("ekf", inputs, "slam", METHOD)
-    assert any(e.why == PAIRED_ANEW for e in plain.events)
+    assert any(e.why == REASSOCIATED for e in plain.events)
     managed = step_by_step("ekf", inputs, "slam", METHOD, Setup(maintain=True))
     assert managed.removed is not None
-    assert all(e.why != PAIRED_ANEW for e in managed.events)
+    assert all(e.why != REASSOCIATED for e in managed.events)
 
 
 def pair_of_rounds(share=1.0):
@@ -209,17 +209,17 @@ def test_the_path_is_smoothed_with_the_noise_there_is_and_without_a_motion_that_
     monkeypatch.setattr(whole_log, "smooth", smooth)
     sensor, M, more = RangeBearing(), np.diag([0.1, 0.2, 0.3]), np.diag([9.0, 9.0, 1.0])
     whole = whole_log.WholeLog(Beginning(Prior(np.zeros(3), np.eye(3)), sensor))
-    seen = Sightings(np.array([[2.0, 0.5]]), np.diag([0.04, 0.01])[None])
+    seen = FrameObservations(np.array([[2.0, 0.5]]), np.diag([0.04, 0.01])[None])
     for k in range(4):
         whole.move(Frame(k, float(k), Increment(np.array([1.0, 0.0, 0.1]), M) if k else None, seen, None, k))
         if k == 2:
-            whole.doubt(more)
+            whole.implausible(more)
         whole.end_frame(np.zeros(3))
     restated = Restated(sensor)
     restated.shares = Shares(4.0, 9.0, 2.0)
     record = Record([(0, NEW), (1, 0), (3, 0)], (0.0, 0.0), 0.0, 0.0)
     landmarks = MapState(np.array([0]), np.ones((1, 2)), np.eye(2)[None])
-    assert whole.pair_anew({0: record}, landmarks, restated, None) is None
+    assert whole.reassociate({0: record}, landmarks, restated, None) is None
     (log,) = asked
     np.testing.assert_allclose(log.increments.covariance[1:], [2.0 * M, 2.0 * M + more, 2.0 * M])
     np.testing.assert_allclose(log.increments.mean[1:], [[1.0, 0.0, 0.1]] * 3)

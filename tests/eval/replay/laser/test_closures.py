@@ -66,7 +66,7 @@ SEEN = scan(np.zeros(3), ROOM)
 USUAL = 1e-4 * np.eye(3)
 
 
-def looking(keys, last=SEEN, covariance=USUAL):
+def figure_style(keys, last=SEEN, covariance=USUAL):
     """A robot that stands in a room for some key poses; `last` is what it sees from the newest."""
     found = LoopCloser(LaserParameters(), SCANNER)
     for key in range(keys):
@@ -82,8 +82,8 @@ def looked_at(found, poses):
 
 
 def test_the_first_key_pose_is_looked_at_as_soon_as_it_is_the_gap_away():
-    assert looked_at(looking(GAP), np.zeros((GAP, 3))) == []
-    found = looking(GAP + 1)
+    assert looked_at(figure_style(GAP), np.zeros((GAP, 3))) == []
+    found = figure_style(GAP + 1)
     assert looked_at(found, np.zeros((GAP + 1, 3))) == [(0, GAP)]
     (closure,) = found.looked_at
     assert not closure.refused
@@ -93,7 +93,7 @@ def test_the_first_key_pose_is_looked_at_as_soon_as_it_is_the_gap_away():
 
 def test_where_the_scans_say_that_the_robot_is_there_the_closure_says_so():
     moved = np.array([0.06, -0.04, 0.02])
-    found = looking(GAP + 1, scan(moved, ROOM))
+    found = figure_style(GAP + 1, scan(moved, ROOM))
     assert looked_at(found, np.zeros((GAP + 1, 3))) == [(0, GAP)]
     (closure,) = found.looked_at
     assert not closure.refused
@@ -104,7 +104,7 @@ def test_of_many_candidates_two_are_looked_at_the_nearest_one_and_the_next_that_
     keys = GAP + 18
     poses = np.zeros((keys, 3))
     poses[:-1, 0] = 0.05 * np.abs(np.arange(keys - 1) - 16)  # where the robot is now it was at key pose 16
-    assert sorted(looked_at(looking(keys), poses)) == [(8, keys - 1), (16, keys - 1)]
+    assert sorted(looked_at(figure_style(keys), poses)) == [(8, keys - 1), (16, keys - 1)]
 
 
 @pytest.mark.parametrize(("off", "refused"), [(0.18, False), (0.23, True)])
@@ -115,14 +115,14 @@ def test_a_closure_too_far_from_where_the_way_between_its_key_poses_leads_is_ref
     poses = np.zeros((keys, 3))
     poses[: keys - GAP - 1, 0] = 30.0  # far away
     poses[-1, 0] = off
-    found = looking(keys, covariance=np.diag([0.05**2, 0.05**2, 1e-5]) / GAP)
+    found = figure_style(keys, covariance=np.diag([0.05**2, 0.05**2, 1e-5]) / GAP)
     assert looked_at(found, poses) == [(keys - GAP - 1, keys - 1)]
     assert [c.refused for c in found.looked_at] == [refused]
 
 
 @pytest.mark.parametrize("off", [0.0, 0.5])
 def test_closures_of_two_key_poses_that_agree_are_believed_at_the_second_unless_one_is_refused(off):
-    found = looking(GAP + 1)
+    found = figure_style(GAP + 1)
     assert looked_at(found, np.zeros((GAP + 1, 3))) == [(0, GAP)]
     found.add_key(SEEN, found._keys[-1].points, np.zeros(3), USUAL)
     poses = np.zeros((GAP + 2, 3))
@@ -135,7 +135,7 @@ def test_closures_of_two_key_poses_that_agree_are_believed_at_the_second_unless_
 
 @pytest.mark.parametrize(("points", "expected"), [(9, []), (10, [(0, GAP)])])
 def test_a_scan_of_fewer_than_ten_points_closes_no_loop(points, expected):
-    found = looking(GAP + 1)
+    found = figure_style(GAP + 1)
     key = found._keys[-1]
     key.points = Points(key.points.xy[:points], key.points.normal[:points])
     assert looked_at(found, np.zeros((GAP + 1, 3))) == expected
@@ -149,5 +149,5 @@ def test_key_poses_farther_apart_than_the_path_between_allows_are_not_looked_at(
     for away, expected in ((most - 0.002, [(0, GAP)]), (most + 0.002, [])):
         poses = np.zeros((GAP + 1, 3))
         poses[-1, 0] = away
-        found = looking(GAP + 1, covariance=steps * np.diag([0.0005, 0.0015, 1e-6]))
+        found = figure_style(GAP + 1, covariance=steps * np.diag([0.0005, 0.0015, 1e-6]))
         assert looked_at(found, poses) == expected

@@ -79,7 +79,7 @@ def test_switches_are_read_from_the_data_and_seeds_are_not_mixed():
     kept = replace(BUSY, name=f"{BUSY.name}:maintain")
     tidied = lab_run(kept, "jcbb", removed={2: 4}, changes={4: NEW})
     other = trial(lab_log(people=True, seed=7))
-    trials = [other, trial(QUIET), trial(BUSY), trial(kept, tidied, beside=BUSY.name), trial(circle_log())]
+    trials = [other, trial(QUIET), trial(BUSY), trial(kept, tidied, variant_of=BUSY.name), trial(circle_log())]
     lab = find_lab(trials)
     assert {k: t.log.name for k, t in lab.trials.items()} == {(False, True): "corridor:0", (True, True): BUSY.name}
     assert {k: t.log.name for k, t in lab.maintained.items()} == {(True, True): kept.name}
@@ -181,7 +181,10 @@ def test_without_odometry_errors_and_reason_are_told():
 def test_map_maintenance_is_told_by_size_entries_and_counts():
     kept = replace(BUSY, name=f"{BUSY.name}:maintain")
     plain = lab_run(BUSY, "jcbb", changes={4: NEW, 7: 2})
-    given = trial(BUSY, plain), trial(kept, lab_run(kept, "jcbb", changes={4: NEW}, removed={2: 3}), beside=BUSY.name)
+    given = (
+        trial(BUSY, plain),
+        trial(kept, lab_run(kept, "jcbb", changes={4: NEW}, removed={2: 3}), variant_of=BUSY.name),
+    )
     q = facts(*given).maintenance
     assert (q.plain.landmarks, q.kept.landmarks, q.kept.removed, q.kept.removed_people) == (3, 2, 1, 1)
     # lengths 7, 9, 9, 9, 9 and with maintenance 7, 9, 9, 9, 7
@@ -193,7 +196,7 @@ def test_map_maintenance_is_told_by_size_entries_and_counts():
     assert "handles 91 % of the entries over the run; the seconds are in `timing.csv`." in text
     assert "FP are 0 instead of 1 (spurious: 0 instead of 1), FN 0 as before" in text
     assert "fewer pairings are wrong" in text
-    same = trial(kept, lab_run(kept, "jcbb", changes={4: NEW, 7: 2}, removed={}), beside=BUSY.name)
+    same = trial(kept, lab_run(kept, "jcbb", changes={4: NEW, 7: 2}, removed={}), variant_of=BUSY.name)
     assert facts(trial(BUSY, plain), same).maintenance.kept.removed == 0
     text = words(trial(BUSY, plain), same)[UPKEEP]
     assert "It removed nothing." in text
@@ -227,8 +230,8 @@ def test_seconds_change_no_fact():
         blind = [lab_run(BLIND, m, seconds=seconds) for m in ("known", "jcbb")]
         kept = replace(BUSY, name=f"{BUSY.name}:maintain")
         tidy = lab_run(kept, "jcbb", changes={4: NEW}, removed={2: 3}, seconds=seconds)
-        beside = trial(kept, tidy, beside=BUSY.name)
-        return facts(trial(QUIET, *runs), trial(BUSY, *busy), trial(BLIND, *blind), beside)
+        variants = trial(kept, tidy, variant_of=BUSY.name)
+        return facts(trial(QUIET, *runs), trial(BUSY, *busy), trial(BLIND, *blind), variants)
 
     q = answered(1.0)
     assert [q.nn.lack, q.people.lack, q.jcbb.lack, q.blind.lack, q.maintenance.lack] == [None] * 5

@@ -108,9 +108,11 @@ def test_a_filter_is_not_compared_with_runs_that_are_not_there_or_did_not_get_to
 
 def test_only_localization_on_a_log_made_from_images_is_handed_in_and_of_several_the_first(tmp_path):
     plain = Trial(circle_log(known_map=True), "localization", RUNS)
-    mapping, beside = replace(trial(), task="slam"), replace(trial(), beside="visual:1")
-    assert answers(tmp_path, plain, mapping, beside, no_plots=True) == []
-    sections = answers(tmp_path, plain, mapping, beside, trial(name="visual:7"), trial(name="visual:8"), no_plots=True)
+    mapping, variants = replace(trial(), task="slam"), replace(trial(), variant_of="visual:1")
+    assert answers(tmp_path, plain, mapping, variants, no_plots=True) == []
+    sections = answers(
+        tmp_path, plain, mapping, variants, trial(name="visual:7"), trial(name="visual:8"), no_plots=True
+    )
     text = "".join(b for s in sections for b in s.blocks if isinstance(b, str))
     assert "visual:7" in text
     assert "visual:8" not in text

@@ -96,7 +96,7 @@ def test_the_nearest_to_the_truth_is_named_in_each_phase_but_never_dead_reckonin
 
 def test_a_log_s_page_tells_of_its_own_task_alone_and_trials_beside_it_have_none(tmp_path):
     known = Trial(circle_log(name="hall", known_map=True), "localization", (replace(RUNS[1], task="localization"),))
-    found = dict(pages(tmp_path, [TRIAL, known, replace(TRIAL, log=circle_log(name="other"), beside="hall")]))
+    found = dict(pages(tmp_path, [TRIAL, known, replace(TRIAL, log=circle_log(name="other"), variant_of="hall")]))
     assert list(found) == ["hall, slam", "hall, localization"]
     assert "0.5 m (ekf, known)" in found["hall, localization"]
     assert "with all data" not in found["hall, localization"]

@@ -98,7 +98,7 @@ def test_ways_of_association_are_told_apart_where_they_have_twins():
     both = [blamed(association="jcbb"), blamed()]
     assert [t.association for t in of_trial(trial, both)] == ["known", "jcbb"]
     assert [t.association for t in of_trial(trial, [said(association="jcbb"), said()])] == ["known"]
-    assert of_trial(replace(TRIAL, beside="other"), both) == []
+    assert of_trial(replace(TRIAL, variant_of="other"), both) == []
 
 
 def test_a_log_with_truth_is_told_on_the_first_page_only_what_twins_say():

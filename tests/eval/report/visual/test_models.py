@@ -213,7 +213,7 @@ def test_the_update_equations_are_what_the_filter_computes():
         LandmarkMap(np.array([7]), corner[None]),
     )  # fmt: skip
     filtered = make_estimator("ekf", inputs)
-    seen = inputs.frame(0).sightings
+    seen = inputs.frame(0).observations
     filtered.update(seen, np.array([7]))
     H, _ = sensor.jacobians(x, corner[None])
     nu = seen.z[0] - sensor.predict(x, corner[None])[0]
