@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+import slamref
 from data.convert.__main__ import parser as convert_parser
 from eval.plan.flags.options import read_options
 
@@ -20,7 +21,7 @@ COMMANDS = [
     shlex.split(line)
     for block in re.findall(r"```sh\n(.*?)```", SHEET, re.DOTALL)
     for line in block.splitlines()
-    if line.startswith("python -m ")
+    if line.startswith("slamref ")
 ]
 
 
@@ -50,15 +51,15 @@ def test_every_row_names_a_function_and_no_file_is_named_in_any_other_way():
 def test_there_are_ten_exercises_each_with_its_command():
     parts = re.split(r"^\*\*(\d+)\. .*?\*\*", SHEET, flags=re.MULTILINE)
     assert parts[1::2] == [str(n) for n in range(1, 11)]
-    assert all("```sh\npython -m " in text for text in parts[2::2])
+    assert all("```sh\nslamref " in text for text in parts[2::2])
 
 
-@pytest.mark.parametrize("words", COMMANDS, ids=lambda words: " ".join(words[2:7]))
+@pytest.mark.parametrize("words", COMMANDS, ids=lambda words: " ".join(words[1:6]))
 def test_every_command_is_understood(words):
-    module, arguments = words[2], words[3:]
-    if module == "eval.run_all":
+    name, arguments = words[1], words[2:]
+    if name == "run":
         read_options(arguments)
-    elif module == "data.convert":
+    elif name == "convert":
         convert_parser().parse_args(arguments)
     else:
-        assert (ROOT / f"{module.replace('.', '/')}.py").exists()
+        assert name in slamref.COMMANDS
