@@ -73,24 +73,31 @@ HOMES = {
     "DISCARD": "data.result",
 }
 COMMANDS = {
-    "run": ("eval.run_all", "run filters and smoothers on identical inputs, referee them, write the report"),
-    "step": ("eval.step", "walk through a log one Enter at a time"),
-    "live": (
-        "eval.live.__main__",
-        "run filters and smoothers on line while a small robot drives, recorded, with a page",
-    ),
-    "play": ("eval.play", "write a page that plays a log in the browser"),
-    "twin": ("eval.twin", "draw a log again as it says of itself, with a truth"),
-    "convert": ("data.convert.__main__", "turn a recording or a simulation into an open log folder"),
-    "inspect": ("eval.inspect", "print what a log holds and what is odd about it"),
-    "score": ("eval.score", "score a trajectory that another program made against a truth"),
-    "check": ("eval.check", "check your own estimator or way of association, a sentence for each check"),
-    "detect": ("eval.detect", "find reference pictures in a photo of your own"),
-    "tune": ("eval.tune", "fit noise, biases and odometry scales to a labelled log"),
-    "benchmark": ("eval.benchmark", "time the estimators beside their peers"),
-    "warm": ("eval.warm", "compile every kernel once, into the cache"),
+    "run": ("eval.run_all:main", "run filters and smoothers on identical inputs, score them, write a report"),
+    "lab": ("eval.run_all:lab", "do a whole lab and answer its questions: corridor:SEED, visual:SEED"),
+    "study": ("eval.run_all:study", "Monte Carlo study of a simulated world, with consistency verdicts"),
+    "report": ("eval.open_report:main", "show a report in the browser"),
+    "inspect": ("eval.inspect:main", "print the contents of a log and what is unusual about it"),
+    "convert": ("data.convert.__main__:main", "turn a recording or a simulation into an open log folder"),
+    "score": ("eval.score:main", "score a trajectory of another program against a ground truth"),
+    "check": ("eval.check:main", "check your own estimator or association method"),
+    "step": ("eval.step:main", "walk through a log, one frame at each press of Enter"),
+    "play": ("eval.play:main", "write a page that replays a log in the browser"),
+    "live": ("eval.live.__main__:main", "run filters and smoothers online while a small robot drives"),
+    "twin": ("eval.twin:main", "draw a bootstrap replicate of a log from its own noise model"),
+    "tune": ("eval.tune:main", "fit noise, biases and odometry scales to a labelled log"),
+    "detect": ("eval.detect:main", "find reference pictures in a photo"),
+    "benchmark": ("eval.benchmark:main", "time the estimators beside their peers"),
+    "warm": ("eval.warm:main", "compile all kernels into the cache"),
 }
-"""Module of each subcommand and what it does."""
+"""Module and function of each subcommand, and what it does."""
+FIRST = """\
+slamref scores EKF and smoother estimates of one robot log, and their data associations.
+  slamref run arena:0      a simulated log: table on the terminal, report in results/report
+  slamref lab corridor:3   a university lab, its questions answered
+  slamref inspect my_log   what a log of yours contains
+slamref --help lists all commands.
+"""
 
 
 def __getattr__(name: str) -> Any:
@@ -112,25 +119,33 @@ def main(argv: Sequence[str] | None = None) -> int:
     """The command `slamref`: hands on to a subcommand and returns its exit status; 2 if there is no such one."""
     # a package `data` or `eval` of somebody else, in the working directory or on PYTHONPATH, must not hide ours
     sys.path.insert(0, str(Path(__file__).parent))
+    from data.command import completed
     from data.terminal import ended
 
-    return ended(lambda: _command(list(sys.argv[1:] if argv is None else argv) or ["--help"]))
+    words = list(sys.argv[1:] if argv is None else argv)
+    return ended(lambda: _command(completed(words, COMMANDS)))
 
 
 def _command(words: list[str]) -> int:
-    name, *rest = words
+    name, *rest = words or [""]
     if name in COMMANDS:
-        status: int = import_module(COMMANDS[name][0]).main(rest, f"slamref {name}")
+        module, _, function = COMMANDS[name][0].partition(":")
+        status: int = getattr(import_module(module), function)(rest, f"slamref {name}")
         return status
-    if name in ("-h", "--help"):
+    if name in ("", "-h", "--help", "--version"):
         lines = [f"  {command:<11}{about}" for command, (_, about) in COMMANDS.items()]
-        usage = ["usage: slamref COMMAND ...", "", *lines, "", "slamref COMMAND --help shows its flags, with examples."]
-        sys.stdout.write("\n".join([*usage, ""]))
+        usage = [
+            "usage: slamref COMMAND ...",
+            "",
+            *lines,
+            "",
+            "slamref COMMAND --help shows its flags, with examples.",
+            "",
+        ]
+        version = f"slamref {__getattr__('__version__')}\n" if name == "--version" else ""
+        sys.stdout.write(version or ("\n".join(usage) if name else FIRST))
         return 0
-    if name == "--version":
-        sys.stdout.write(f"slamref {__getattr__('__version__')}\n")
-        return 0
-    sys.stderr.write(f"slamref: no command {name!r}; there are {', '.join(COMMANDS)} (see --help)\n")
+    sys.stderr.write(f"slamref: {name}: no such command; there are {', '.join(COMMANDS)}\n")
     return 2
 
 

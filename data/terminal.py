@@ -98,7 +98,7 @@ def _silence() -> None:
     os.close(nowhere)
 
 
-def _wrong(text: str, status: int = WRONG, mark: str = "error: ") -> int:
+def _wrong(text: str, status: int = WRONG, mark: str = "slamref: ") -> int:
     """Say it on stderr, if that can be written to."""
     try:
         sys.stderr.write(f"{mark}{text}\n")

@@ -21,7 +21,7 @@ def _require_ours() -> None:
                 "folder, or use the command `slamref`, which does not look into the working directory"
             )
             if sys.argv[:1] == ["-m"]:  # as a command: Python is still looking for the module
-                sys.stderr.write(f"error: {said}\n")
+                sys.stderr.write(f"slamref: {said}\n")
                 raise SystemExit(2)
             raise ImportError(said)
 

@@ -6,12 +6,12 @@ they travel between machines, absolute seconds do not. Only the parser is import
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from data.command import Command
 from data.terminal import ended
 
 if TYPE_CHECKING:
@@ -26,9 +26,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
 
 
 def _benchmark(argv: Sequence[str] | None, prog: str) -> None:
-    p = argparse.ArgumentParser(
-        prog=prog, description="How fast the estimators are, beside their peers timed in the same run."
-    )
+    p = Command(prog, PROG, "How fast the estimators are, beside their peers timed in the same run.")
     p.add_argument("--quick", action="store_true", help="a tenth of the work, to see that it runs")
     p.add_argument(
         "--large",
@@ -41,7 +39,7 @@ def _benchmark(argv: Sequence[str] | None, prog: str) -> None:
         action="store_true",
         help="instead: errors, consistency and loop closures of 50 simulated floor plans",
     )
-    args = p.parse_args(argv)
+    args = p.read(argv)
     quick = args.quick
     if args.laser:
         from eval.benchmarks.laser import SEEDS, measure_plans, plan_lines

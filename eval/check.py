@@ -5,11 +5,12 @@ Only the parser is imported at once, so that `--help` does not wait for the nume
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 
-from data.errors import SlamrefError, UsageError
+from data.command import Command
+from data.errors import UsageError
+from data.terminal import ended
 from eval.replay.external.spec import FORM, OURS, entry_points, is_foreign, one_settled, settled
 from eval.replay.settings import ASSOCIATIONS, ESTIMATORS
 
@@ -28,15 +29,9 @@ What an estimator or a way of association is, and how runs use it: docs/extendin
 exit status: 0 every check passed, 1 one failed, 2 wrong usage"""
 
 
-def parser(prog: str = PROG) -> argparse.ArgumentParser:
+def parser(prog: str = PROG) -> Command:
     """The flags."""
-    p = argparse.ArgumentParser(
-        prog=prog,
-        description="Check an estimator or a way of association: a sentence for each check.",
-        epilog=EXAMPLES.replace(PROG, prog),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
+    p = Command(prog, PROG, "Check an estimator or a way of association: a sentence for each check.", EXAMPLES)
     p.add_argument("what", metavar="WHAT", nargs="+", help=f"{FORM}, or a name of ours")
     p.add_argument(
         "--as", dest="kind", choices=KINDS, help="what it is (default: a class with `update` is an estimator)"
@@ -46,13 +41,8 @@ def parser(prog: str = PROG) -> argparse.ArgumentParser:
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """The whole command, called `prog`; returns the exit status."""
-    options = parser(prog).parse_args(argv)
-    try:
-        asked = [_settled(text, options.kind) for text in options.what]
-        return max(_check(text, kind) for text, kind in asked)
-    except SlamrefError as fault:
-        print(f"error: {fault}", file=sys.stderr)
-        return WRONG
+    options = parser(prog).read(argv)
+    return ended(lambda: max(_check(*asked) for asked in [_settled(text, options.kind) for text in options.what]))
 
 
 def _settled(text: str, kind: str | None) -> tuple[str, str]:

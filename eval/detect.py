@@ -5,12 +5,12 @@ Only the parser is imported at once, so that `--help` does not wait for the nume
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+from data.command import Command
 from data.errors import DataError, UsageError
 from data.terminal import ended
 
@@ -37,11 +37,11 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
 
 
 def _detect_as_asked(argv: Sequence[str] | None, prog: str) -> None:
-    parser = argparse.ArgumentParser(
-        prog=prog,
-        description="Find reference pictures in a photo: SIFT, a homography, and checks that make a find trustworthy.",
-        epilog=EXAMPLES.replace(PROG, prog),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    parser = Command(
+        prog,
+        PROG,
+        "Find reference pictures in a photo, by SIFT and a checked homography.",
+        EXAMPLES,
     )
     parser.add_argument("image", metavar="IMAGE", type=Path, help="the photo")
     parser.add_argument(
@@ -50,7 +50,7 @@ def _detect_as_asked(argv: Sequence[str] | None, prog: str) -> None:
     parser.add_argument(
         "--out", metavar="FILE.png", type=Path, help="write the photo with the outlines of what was found"
     )
-    options = parser.parse_args(argv)
+    options = parser.read(argv)
     if options.out is not None and options.out.suffix.lower() != ".png":
         raise UsageError(f"--out {options.out}: a file name that ends in .png is needed")
     _detect(options.image, options.references, options.out)

@@ -5,11 +5,11 @@ Only the parser is imported at once, so that `--help` does not wait for the nume
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from data.command import Command
 from data.errors import UsageError
 from data.terminal import ended
 
@@ -32,24 +32,19 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
 
 
 def _inspect_as_asked(argv: Sequence[str] | None, prog: str) -> None:
-    parser = argparse.ArgumentParser(
-        prog=prog,
-        description="Print what a log holds, what is odd about it, and questions about what may be meant otherwise.",
-        epilog=EXAMPLES.replace(PROG, prog),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    about = "Print the contents of a log, what is unusual about it, and questions about what may be ambiguous."
+    parser = Command(prog, PROG, about, EXAMPLES)
     parser.add_argument(
         "log",
         metavar="LOG",
         help="an open log folder, a CARMEN log, or a name: victoria-park, arena:SEED, corridor:SEED[:KEYS]; of a UTIAS "
-        "MRCLAM folder or zip, or a .mat file, the command is said that makes a log of it",
+        "MRCLAM folder or zip, or a .mat file: the command that converts it",
     )
     parser.add_argument("--plot", metavar="FILE", type=Path, help="write a picture of the log (.png or .pdf)")
-    options = parser.parse_args(argv)
-    _inspect(options.log, options.plot)
+    _inspect(**vars(parser.read(argv)))
 
 
-def _inspect(name: str, plot: Path | None) -> None:
+def _inspect(log: str, plot: Path | None) -> None:
     """Print the summary; write the picture if one is wanted."""
     if plot is not None and plot.suffix not in PICTURES:
         raise UsageError(f"--plot {plot}: a file name that ends in {' or '.join(PICTURES)} is needed")
@@ -59,20 +54,20 @@ def _inspect(name: str, plot: Path | None) -> None:
     from data.summary import summarize
     from data.words import sentence, title
 
-    answer = door(name)
+    answer = door(log)
     if answer is not None:  # asked what this is: that is said, and it is no fault
         if plot is not None:
-            raise UsageError(f"--plot {plot}: {name} is no log yet, there is nothing to draw")
+            raise UsageError(f"--plot {plot}: {log} is no log yet, there is nothing to draw")
         print("\n".join(answer))
         return
-    log = open_log(name)
-    lines = summarize(log)
-    lines += [("question", f"{title(question)}: {sentence(question)}") for question in ask(log)]
-    if log.has_labels:
+    opened = open_log(log)
+    lines = summarize(opened)
+    lines += [("question", f"{title(question)}: {sentence(question)}") for question in ask(opened)]
+    if opened.has_labels:
         from eval.replay.settings import Setup
         from eval.report.answer import gate_sentence
 
-        lines.append(("label gate", gate_sentence(Setup(), sensed=log.labels_are_sensed)))
+        lines.append(("label gate", gate_sentence(Setup(), sensed=opened.labels_are_sensed)))
     width = max(len(key) for key, _ in lines)
     for key, text in lines:
         print(f"{key:<{width}}  {text}")
@@ -81,7 +76,7 @@ def _inspect(name: str, plot: Path | None) -> None:
         from eval.figures.style import save
 
         try:
-            save(log_figure(log), plot.parent, plot.stem, (plot.suffix[1:],))
+            save(log_figure(opened), plot.parent, plot.stem, (plot.suffix[1:],))
         except OSError as fault:
             raise UsageError(f"--plot {plot}: cannot be written: {fault.strerror}") from fault
 

@@ -5,12 +5,12 @@ Only the parser is imported at once, so that `--help` does not wait for the nume
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from data.command import Command
 from data.errors import UsageError
 from data.terminal import ended, told
 from eval.plan.flags.options import options_of
@@ -45,15 +45,10 @@ class Wish:
     frames: int | None
 
 
-def parser(prog: str = PROG) -> argparse.ArgumentParser:
+def parser(prog: str = PROG) -> Command:
     """The flags."""
-    p = argparse.ArgumentParser(
-        prog=prog,
-        description="Write a page that plays a log in the browser.",
-        epilog=EXAMPLES.replace(PROG, prog),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    p.add_argument("log", metavar="LOG", help="as for --log of eval.run_all")
+    p = Command(prog, PROG, "Write a page that plays a log in the browser.", EXAMPLES)
+    p.add_argument("log", metavar="LOG", help="as for `slamref run`")
     add_flags(p, SHARED)
     p.add_argument("--frames", metavar="N", help="only the first N frames")
     p.add_argument("--out", metavar="FILE", type=Path, help="the page (default: the log's name with .html)")
@@ -62,7 +57,7 @@ def parser(prog: str = PROG) -> argparse.ArgumentParser:
 
 def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
     """Flags, checked as those of `eval.run_all` are; raises UsageError for what makes no sense."""
-    given = vars(parser(prog).parse_args(argv))
+    given = vars(parser(prog).read(argv))
     frames, out = given["frames"], given["out"]
     if frames is not None and (not frames.isascii() or not frames.isdigit() or int(frames) < 1):
         raise UsageError(f"--frames {frames}: a whole number from 1 up is needed")

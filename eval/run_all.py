@@ -22,12 +22,15 @@ from data.notice import Severity
 from data.terminal import INTERRUPTED, WRONG, counted, ended, told, unread
 from data.whole import whole_folder
 from data.words import sentence
-from eval.plan.flags.examples import PROG
+from eval.open_report import show
+from eval.plan.flags.help import PROG
 from eval.plan.flags.options import read_options
 from eval.plan.flags.table import Options
 
 FINE, REJECTED = 0, 1
 MARK = "provenance.json"
+COLOURS = {"good": "32", "fair": "33", "bad": "31"}
+"""ANSI colours of the sentence on whom to trust, by the tone of its mark."""
 
 
 class Console:
@@ -37,18 +40,19 @@ class Console:
         """Quiet says nothing, verbose says more; run.log gets everything."""
         self.quiet, self.verbose = options.execution.quiet, options.execution.verbose
         self.lines: list[str] = []
+        self.coloured = sys.stdout.isatty() and "NO_COLOR" not in os.environ
         self.kept: Callable[[], str] = lambda: "nothing was changed"
 
-    def say(self, text: str) -> None:
-        """A sentence everybody wants to see."""
+    def say(self, text: str, colour: str = "") -> None:
+        """A sentence everybody wants to see, on a terminal in a colour (ANSI)."""
         self.lines.append(text)
         if not self.quiet:
-            _print(text)
+            _print(f"\033[{colour}m{text}\033[0m" if colour and self.coloured else text)
 
     def complain(self, text: str) -> None:
         """An error that did not end the command at once; nobody is spared it."""
-        self.lines.append(f"error: {text}")
-        print(f"error: {text}", file=sys.stderr, flush=True)
+        self.lines.append(f"slamref: {text}")
+        print(f"slamref: {text}", file=sys.stderr, flush=True)
 
     def detail(self, text: str) -> None:
         """A sentence for -v and run.log."""
@@ -66,19 +70,31 @@ def _print(text: str) -> None:
             raise
 
 
-def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
-    """The whole command, called `prog`; returns the exit status."""
+def lab(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+    """The same with `--lab` for words without a flag."""
+    return main(argv, prog, "lab")
+
+
+def study(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+    """The same with `--scenario` for words without a flag."""
+    return main(argv, prog, "scenario")
+
+
+def main(argv: Sequence[str] | None = None, prog: str = PROG, positional: str = "log") -> int:
+    """The whole command, called `prog`; words without a flag are values of `positional`. Returns the exit status."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     consoles: list[Console] = []
 
     def body() -> int:
         with heeding_interruption() as check:
-            options = read_options(arguments, prog)
+            options = read_options(arguments, prog, positional)
             consoles.append(Console(options))
             check()
             with staged(options.output.out) as folder:
                 status = _run(options, consoles[0], folder, arguments, check)
                 check()
+        if options.output.open:
+            show(options.output.out)
         return status
 
     return ended(body, lambda: f"interrupted; {consoles[0].kept() if consoles else 'nothing was changed'}")
@@ -145,9 +161,12 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
     from eval.plan.experiments import make_plan
     from eval.plan.warming import compile_if_needed
     from eval.referee.diagnostics import questions_of_run
+    from eval.referee.score import score
     from eval.report.contents import write_results
     from eval.report.diagnostics import asked, said, together
-    from eval.report.headline import lines
+    from eval.report.headline import headlines, lines, trust_line
+    from eval.report.overview import trust_mark
+    from eval.report.overview_facts import facts_of
     from eval.report.page.latex import check_columns
     from eval.studies import reproduced, store
     from eval.studies.montecarlo import declared_line, failed_declarations, judge, study_lines, traces
@@ -196,8 +215,17 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
             console.detail(trace)
     for text in [*reproduced.lines(outcome.published), *outcome.skipped]:
         console.say(text)
+    scores = score(outcome.trials)
+    in_lab = options.selection.lab is not None  # its answers say it all
+    for text in [] if in_lab else lines(headlines(scores, outcome.trials, outcome.studies, judged)):
+        console.say(text)
+    for trial in outcome.trials:
+        if trial.variant_of is None and not in_lab:
+            facts = facts_of(trial, scores, outcome.trust)
+            mark = trust_mark(facts)
+            console.say(trust_line(facts, mark), COLOURS.get(mark.tone, ""))
     with _bar("writing", console.quiet, check) as progress, figure_style(look):
-        missing, main_numbers = write_results(folder, options, outcome, judged, arguments, progress)
+        missing, answers = write_results(folder, options, outcome, scores, judged, arguments, progress)
     failed = failed_declarations(judged)
     for j in failed:
         task, estimator, _, phase = j.key
@@ -208,11 +236,11 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
         )
     if not failed and (line := declared_line(judged)):
         console.say(line)
-    for text in lines(main_numbers):
+    for text in answers:
         console.say(text)
     for gone in missing:
         console.complain(said(gone))
-    console.say(f"report: {options.output.out / 'report.html'}")
+    console.say(f"report: {options.output.out / 'report.html'}  (slamref report {options.output.out})")
     (folder / "run.log").write_text("\n".join(console.lines) + "\n", encoding="utf-8")
     return WRONG if missing else REJECTED if failed else FINE
 

@@ -5,16 +5,17 @@ Only the parser is imported at once, so that `--help` does not wait for the nume
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
+from typing import Any
 
-from data.errors import SlamrefError, UsageError
+from data.command import Command
+from data.errors import UsageError
+from data.terminal import ended
 from eval.plan.flags.table import Reading, add_flags
 from eval.replay.flag import read_values, rows
 
 PROG = "python -m eval.score"
-FINE, WRONG = 0, 2
 HELP = """\
 Score a trajectory against a truth: errors, relative errors, and with a covariance NEES. Both may be CSV with the
 columns t,x,y,theta, TUM (also with covariance), SQUARE, EuRoC, KITTI poses or a topic of a ROS bag; the truth also a
@@ -36,30 +37,25 @@ exit status: 0 fine, 2 wrong usage or bad data"""
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     """The whole command, called `prog`; returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog=prog,
-        description=HELP,
-        epilog=EXAMPLES.replace(PROG, prog),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
+    parser = Command(prog, PROG, HELP, EXAMPLES)
     parser.add_argument("files", metavar="FILE", nargs="+", help="ESTIMATE TRUTH, or estimates alone with --truth")
     parser.add_argument(
         "--truth", metavar="FILE", nargs="+", default=[], help="one truth for all estimates, or one for each, in order"
     )
     table = rows(Reading)
     add_flags(parser, table.values())
-    given = vars(parser.parse_args(argv))
-    try:
-        files, truths = _files(given.pop("files"), given.pop("truth"))
-        reading = Reading(**read_values(Reading, given, lambda row: row.option))
-        scores, notes = _printed(files, truths, reading)
-    except SlamrefError as fault:
-        sys.stderr.write(f"error: {fault}\n")
-        return WRONG
+    given = vars(parser.read(argv))
+    return ended(lambda: _score(given))
+
+
+def _score(given: dict[str, Any]) -> None:
+    from eval.report.results import printed
+
+    files, truths = _files(given.pop("files"), given.pop("truth"))
+    reading = Reading(**read_values(Reading, given, lambda row: row.option))
+    scores, notes = printed(files, truths, reading)
     sys.stdout.write(f"{scores}\n")
     sys.stderr.write("".join(f"note: {note}\n" for note in notes.splitlines()))
-    return FINE
 
 
 def _files(files: list[str], truths: list[str]) -> tuple[list[str], list[str]]:
@@ -74,13 +70,6 @@ def _files(files: list[str], truths: list[str]) -> tuple[list[str], list[str]]:
     if len(truths) != len(files):
         raise UsageError(f"{len(files)} estimates and {len(truths)} truths; one for all is needed, or one for each")
     return files, truths
-
-
-def _printed(files: Sequence[str], truths: Sequence[str], reading: Reading) -> tuple[str, str]:
-    """Lines for stdout, and notes for stderr."""
-    from eval.report.results import printed
-
-    return printed(files, truths, reading)
 
 
 if __name__ == "__main__":

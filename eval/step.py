@@ -6,13 +6,13 @@ Only the parser is imported at once, so that `--help` does not wait for the nume
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from data.command import Command
 from data.errors import UsageError
 from data.terminal import ended
 from eval.plan.flags.options import options_of
@@ -37,14 +37,14 @@ SHARED = (
 DEFAULTS = {"association": "jcbb", "estimator": "ekf"}
 EXAMPLES = """\
 examples:
-  python -m eval.step --log corridor:0 --association jcbb               the lab, one Enter at a time
-  python -m eval.step --log corridor:0:people --association nn          people in the way, nearest neighbour
-  python -m eval.step --log corridor:0 --estimator isam2 --save steps   the smoother; a picture of each stage in steps/
-  python -m eval.step --log corridor:0 --association known --run-through
-  python -m eval.step --log corridor:0:people --gate 0.95 --new-gate 0.99 --maintain --run-through
-  python -m eval.step --log arena:0 --task localization --frames 20     a known map; the first 20 frames
-  python -m eval.step --log path/to/my_log --association gnn --in-view
-  python -m eval.step --log corridor:0 --association nn --new-gate 0.99 --run-through --lab-text
+  python -m eval.step corridor:0 --association jcbb               the lab, one Enter at a time
+  python -m eval.step corridor:0:people --association nn          people in the way, nearest neighbour
+  python -m eval.step corridor:0 --estimator isam2 --save steps   the smoother; a picture of each stage in steps/
+  python -m eval.step corridor:0 --association known --run-through
+  python -m eval.step corridor:0:people --gate 0.95 --new-gate 0.99 --maintain --run-through
+  python -m eval.step arena:0 --task localization --frames 20     a known map; the first 20 frames
+  python -m eval.step path/to/my_log --association gnn --in-view
+  python -m eval.step corridor:0 --association nn --new-gate 0.99 --run-through --lab-text
 
 At a pause: Enter goes on, r and Enter runs through to the end, q and Enter (or end of file, or Ctrl-C) stops.
 Pictures come in windows where matplotlib can open them (MPLBACKEND=Agg: never), and as PNG files with --save.
@@ -63,14 +63,10 @@ class Wish:
     lab_text: bool
 
 
-def parser(prog: str = PROG) -> argparse.ArgumentParser:
+def parser(prog: str = PROG) -> Command:
     """The flags."""
-    p = argparse.ArgumentParser(
-        prog=prog,
-        description="Walk through a log: move, observe, compatibility, matching, update.",
-        epilog=EXAMPLES.replace(PROG, prog),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    p = Command(prog, PROG, "Walk through a log: move, observe, compatibility, matching, update.", EXAMPLES)
+    p.add_argument("words", nargs="*", metavar="LOG", help="the same as --log")
     add_flags(p, SHARED)
     add = p.add_argument
     add("--save", metavar="DIR", type=Path, help="write the pictures and the text of all steps there")
@@ -82,12 +78,10 @@ def parser(prog: str = PROG) -> argparse.ArgumentParser:
 
 def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
     """Flags, checked as those of `eval.run_all` are; raises UsageError for what makes no sense."""
-    given = vars(parser(prog).parse_args(argv))
-    logs = given.get("log", [])
-    if not logs:
-        raise UsageError("--log: a log is needed, as in --log corridor:0")
-    if len(logs) > 1:
-        raise UsageError(f"--log {' --log '.join(logs)}: one log is needed")
+    given = vars(parser(prog).read(argv))
+    given["log"] = logs = [*given.pop("words"), *given.get("log", [])]
+    if len(logs) != 1:
+        raise UsageError(f"{' '.join(logs) or 'no log'}: one log is needed, as in `{prog} corridor:0`")
     options = options_of(DEFAULTS | {row.name: given[row.name] for row in SHARED if row.name in given})
     for name in ("association", "estimator", "task"):
         names = TABLE[name].of(options)

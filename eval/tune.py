@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from data.command import Command
 from data.errors import DataError, UsageError
 from data.terminal import counted, ended, in_columns
 from eval.replay.flag import probability_or_auto
@@ -74,13 +75,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
 
 
 def _tune_as_asked(argv: Sequence[str] | None, prog: str) -> None:
-    parser = argparse.ArgumentParser(
-        prog=prog,
-        description=HELP,
-        epilog=EXAMPLES.replace(PROG, prog),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
+    parser = Command(prog, PROG, HELP, EXAMPLES)
     parser.add_argument("log", metavar="LOG", help="an open log folder with labels, or a name: arena:SEED, ...")
     parser.add_argument("out", metavar="OUT", type=Path, help="folder of the copy; an earlier tuned log is replaced")
     parser.add_argument(
@@ -97,7 +92,7 @@ def _tune_as_asked(argv: Sequence[str] | None, prog: str) -> None:
         f"noise as stated, or none, or auto (default): {SENSED_GATE} where a sensor read the labels, else none",
     )
     parser.add_argument("--use", metavar="TUNED", type=Path, help="fit nothing: apply the numbers of this tuned log")
-    options = parser.parse_args(argv)
+    options = parser.read(argv)
     from eval.plan.warming import compile_if_needed
 
     compile_if_needed()

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from data.command import Command
 from data.errors import UsageError
 from data.terminal import counted, ended
 from eval.replay.settings import ASSOCIATIONS, TASKS
@@ -36,13 +37,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
 
 
 def _twin_as_asked(argv: Sequence[str] | None, prog: str) -> None:
-    parser = argparse.ArgumentParser(
-        prog=prog,
-        description=HELP,
-        epilog=EXAMPLES.replace(PROG, prog),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
+    parser = Command(prog, PROG, HELP, EXAMPLES)
     parser.add_argument("log", metavar="LOG", help="an open log folder, or a name: victoria-park, arena:SEED, ...")
     parser.add_argument("out", metavar="OUT", type=Path, help="folder of the twin; an earlier log there is replaced")
     parser.add_argument("--seed", type=_seed, default=0, metavar="S", help="of everything that is drawn (default: 0)")
@@ -55,7 +50,7 @@ def _twin_as_asked(argv: Sequence[str] | None, prog: str) -> None:
         help=f"who pairs the readings: of {', '.join(ASSOCIATIONS)}, or your own (default: known where LOG has labels, "
         "else jcbb-hindsight, of walls jcbb)",
     )
-    options = parser.parse_args(argv)
+    options = parser.read(argv)
     from eval.plan.warming import compile_if_needed
 
     compile_if_needed()

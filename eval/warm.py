@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from collections.abc import Sequence
 
+from data.command import Command
 from data.terminal import ended
 
 PROG = "python -m eval.warm"
@@ -20,9 +20,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
 
 
 def _warm(argv: Sequence[str] | None, prog: str) -> None:
-    argparse.ArgumentParser(
-        prog=prog, description="Compile every kernel once, into the cache, so that no first run has to wait for it."
-    ).parse_args(argv)
+    Command(prog, PROG, "Compile every kernel once, into the cache.").read(argv)
     from eval.plan.warming import compile_all, mark
 
     begin = time.monotonic()

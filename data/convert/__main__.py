@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from data.command import COMPLETION, complete
 from data.convert import carmen, g2o, lab, mrclam, rosbag, table, victoria_park, visual, worlds
 from data.convert.parsers import Parser
 from data.terminal import counted, ended
@@ -82,7 +84,9 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
 
 def _convert(argv: Sequence[str] | None, prog: str) -> None:
     given = list(sys.argv[1:] if argv is None else argv)
-    args = parser(simulators=any(kind in given for kind in SIMULATORS), prog=prog).parse_args(given)
+    reader = parser(simulators=any(kind in given for kind in SIMULATORS) or COMPLETION in os.environ, prog=prog)
+    complete(reader)
+    args = reader.parse_args(given)
     made = CONVERTERS[args.kind](args)
     if isinstance(made, str):
         print(made)

@@ -5,7 +5,6 @@ Only the parser is imported at once, so that `--help` does not wait for the nume
 
 from __future__ import annotations
 
-import argparse
 import gc
 import math
 import sys
@@ -15,6 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from data.command import Command
 from data.errors import UsageError
 from data.terminal import INTERRUPTED, WRONG, ended, unread
 from eval.plan.flags.options import options_of
@@ -75,13 +75,13 @@ class Wish:
     estimates: Path | None
 
 
-def parser(prog: str = PROG) -> argparse.ArgumentParser:
+def parser(prog: str = PROG) -> Command:
     """The flags."""
-    p = argparse.ArgumentParser(
-        prog=prog,
-        description="Drive a small robot and say where it is: filters and smoothers on line, recorded, with a page.",
-        epilog=EXAMPLES.replace(PROG, prog),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    p = Command(
+        prog,
+        PROG,
+        "Run filters and smoothers online while a small robot drives; record it and show a page.",
+        EXAMPLES,
     )
     add = p.add_argument
     add("--link", metavar="DEVICE", type=Path, required=True, help="serial device of the robot")
@@ -101,7 +101,7 @@ def parser(prog: str = PROG) -> argparse.ArgumentParser:
 
 def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
     """Flags, checked as those of `eval.run_all` are; raises UsageError for what makes no sense."""
-    given = vars(parser(prog).parse_args(argv))
+    given = vars(parser(prog).read(argv))
     shared = DEFAULTS | {row.name: given[row.name] for row in SHARED if row.name in given}
     options = options_of(shared)
     asked = options.selection

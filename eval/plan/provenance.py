@@ -14,7 +14,7 @@ from importlib.metadata import version
 import numpy as np
 
 from data.log import Log
-from eval.plan.flags.examples import PROG
+from eval.plan.flags.help import PROG
 from eval.plan.flags.table import Options
 from eval.plan.foreign import sources_of
 from eval.replay.external.spec import shown

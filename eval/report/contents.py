@@ -18,13 +18,12 @@ from eval.referee import result_files
 from eval.referee.consistency import CONSISTENT, MIN_RUNS
 from eval.referee.diagnostics import notices, notices_table, origin
 from eval.referee.given_runs import GivenRun
-from eval.referee.score import Scores, Trial, score
+from eval.referee.score import Scores, Trial
 from eval.replay.settings import Setup
 from eval.report.answer import gate_sentence
 from eval.report.deciding import revision_section
 from eval.report.diagnostics import questions_section, said
 from eval.report.facts import write_facts
-from eval.report.headline import Headlines, headlines
 from eval.report.labs.sections import hand_in, lab_sections
 from eval.report.labs.write_up import write_up
 from eval.report.laser import laser_sections
@@ -47,16 +46,17 @@ TITLE = "Filter or smoother: which estimate can be trusted?"
 
 
 class Written(NamedTuple):
-    """What is missing from a result folder for want of memory, and the lines of its main numbers."""
+    """What is missing from a result folder for want of memory, and a lab's answers in a line each."""
 
     missing: tuple[Notice, ...]
-    headlines: Headlines
+    answers: tuple[str, ...]
 
 
 def write_results(
     folder: Path,
     options: Options,
     outcome: Outcome,
+    scores: Scores,
     judged: Sequence[Judged],
     arguments: Sequence[str],
     progress: Callable[[int, int], None],
@@ -64,7 +64,6 @@ def write_results(
     """Fill the result folder."""
     trials, output = outcome.trials, options.output
     lost = Unfinished(options.execution.jobs, said=list(outcome.missing))
-    scores = score(trials)
     found = notices(trials, scores)
     found += [n.about(log=t.log, task=t.task, association=t.association) for t in outcome.trust for n in t.notices]
     _write_tables(folder, outcome, scores, judged)
@@ -93,7 +92,7 @@ def write_results(
     write_facts(folder, told, [*first, *sections])
     _write_provenance(folder, options, outcome, arguments)
     result_files.NOTICES.write(notices_table([*found, *lost.said]), folder)
-    return Written(tuple(lost.said), headlines(scores, trials, outcome.studies, judged))
+    return Written(tuple(lost.said), tuple(s.answer for s in answers if s.answer))
 
 
 def _write_tables(folder: Path, outcome: Outcome, scores: Scores, judged: Sequence[Judged]) -> None:

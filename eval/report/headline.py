@@ -1,4 +1,4 @@
-"""The main numbers on the terminal at the end of a run: at most twelve lines that fit a screen of 80 columns."""
+"""The main numbers on the terminal: a table for each log and task that fits 80 columns, and whom to trust."""
 
 from __future__ import annotations
 
@@ -8,21 +8,23 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from eval.referee.score import Scores, Trial
+from eval.report.overview_facts import LogFacts
+from eval.report.page.blocks import Mark
 from eval.report.page.tables import is_blank
 from eval.report.rows import Row, nis_verdict, value_of
 from eval.report.rows import rows_of as records
-from eval.report.words import say
+from eval.report.words import paragraph, say
 from eval.studies.montecarlo import Judged, Study
 
-LINES = 12
+ROWS = 10
+"""Rows of a log that is alone; of several logs the best and the worst row of each are shown."""
 WIDTH = 80
 """Characters of a line."""
-SHORTEST = 9
-"""Characters that are left of a name, at least."""
-HEADS = ("log", "task", "estimator", "assoc.", "RMSE [m]", "NEES", "NIS", "verdict", "wrong")
-NAMES, NAMES_OF_LOG = 4, 2
-"""Columns that are names; the first of these are about the log."""
-TASKS = {"slam": "SLAM", "localization": "loc."}
+HEADS = ("estimator", "association", "RMSE [m]", "NEES", "NIS", "verdict", "wrong pairings")
+LEFT = ("estimator", "association", "verdict")
+DISPENSABLE = ("NIS", "NEES")
+"""Columns that are left out where a line would not fit, in this order."""
+TASKS = {"slam": "SLAM", "localization": "localization"}
 Line = tuple[str, ...]
 
 
@@ -51,23 +53,34 @@ class Headline:
     by_relations: bool = False
 
 
-class Headlines(NamedTuple):
-    """The rows that are shown, how many more there are, and whether all are of one log and task."""
+class Group(NamedTuple):
+    """The rows of a log and task, or of a study, that are shown, and how many more there are."""
 
+    log: str
+    task: str
     rows: tuple[Headline, ...]
     more: int
-    alone: bool
 
 
-def headlines(scores: Scores, trials: Sequence[Trial], studies: Sequence[Study], judged: Sequence[Judged]) -> Headlines:
-    """The rows that fit, those wanted first; without any where nothing was estimated."""
-    found = [*_of_logs(scores, trials), *_of_studies(studies, judged)]
-    alone = len({(h.log, h.task) for h in found}) == 1
-    room = LINES - 2 - alone
-    room -= len(found) > room
-    order = sorted(range(len(found)), key=lambda i: (found[i].rank, i))
-    rows = tuple(found[i] for i in sorted(order[:room]))
-    return Headlines(rows, len(found) - len(rows), alone)
+def headlines(
+    scores: Scores, trials: Sequence[Trial], studies: Sequence[Study], judged: Sequence[Judged]
+) -> list[Group]:
+    """The rows of every log and study; none where nothing was estimated."""
+    groups: dict[tuple[str, str], list[Headline]] = {}
+    for row in [*_of_logs(scores, trials), *_of_studies(studies, judged)]:
+        groups.setdefault((row.log, row.task), []).append(row)
+    return [_shown(log, task, rows, alone=len(groups) == 1) for (log, task), rows in groups.items()]
+
+
+def _shown(log: str, task: str, rows: list[Headline], alone: bool) -> Group:
+    """All rows of a log that is alone, up to `ROWS`, those wanted first; else the best and the worst by RMSE."""
+    if alone:
+        order = sorted(range(len(rows)), key=lambda i: (rows[i].rank, i))[:ROWS]
+    else:
+        usual = [i for i, row in enumerate(rows) if row.rank < 3] or list(range(len(rows)))
+        known = sorted((i for i in usual if math.isfinite(rows[i].rmse)), key=lambda i: rows[i].rmse) or usual
+        order = list(dict.fromkeys((known[0], known[-1])))
+    return Group(log, task, tuple(rows[i] for i in (sorted(order) if alone else order)), len(rows) - len(order))
 
 
 def _of_logs(scores: Scores, trials: Sequence[Trial]) -> Iterable[Headline]:
@@ -150,27 +163,31 @@ def _wrong(row: Row | None) -> tuple[int, int] | None:
     return int(value_of(row, "fp")), int(value_of(row, "tp") + value_of(row, "fp"))
 
 
-def lines(h: Headlines) -> list[str]:
+def lines(groups: Sequence[Group]) -> list[str]:
     """The lines of the terminal; none where nothing was estimated."""
-    if not h.rows:
+    if not groups:
         return []
-    rows = [_cells(row) for row in h.rows]
-    shown = [c for c in range(h.alone * NAMES_OF_LOG, len(HEADS)) if any(row[c] for row in rows)]
-    told = [", ".join((h.rows[0].log, h.rows[0].task))] if h.alone else []
-    told += _table([[row[c] for c in shown] for row in (HEADS, *rows)])
-    told += [say("headline#more", rows=h.more)] if h.more else []
-    wanted = {"NEES", "verdict", "wrong"} & {HEADS[c] for c in shown}
-    wanted |= {"related"} if any(row.by_relations for row in h.rows) else set()
-    remarks = [say(f"headline#{name}") for name in ("NEES", "related", "verdict", "wrong") if name in wanted]
-    while len("; ".join(remarks)) > WIDTH - 2:
-        remarks.pop()
-    return [*told, f"({'; '.join(remarks)})"]
+    cells = [_cells(row) for g in groups for row in g.rows]
+    shown = [c for c in range(len(HEADS)) if any(row[c] for row in cells)]
+    table = _table([[row[c] for c in shown] for row in (HEADS, *cells)])
+    named = {HEADS[c] for c in shown}
+    told, place = [], 1
+    for g in groups:
+        more = f" ({say('headline#more', rows=g.more)})" if g.more else ""
+        told += ["", f"{g.log}, {TASKS[g.task]}{more}", table[0], *table[place : place + len(g.rows)]]
+        place += len(g.rows)
+    wanted = [name for name in ("NEES", "related", "verdict") if name in named]
+    wanted += ["related"] if any(row.by_relations for g in groups for row in g.rows) else []
+    return [*told[1:], *(f"({say(f'headline#{name}')})" for name in wanted)]
+
+
+def trust_line(facts: LogFacts, mark: Mark) -> str:
+    """Whom to trust on a log and task, in a sentence."""
+    return paragraph("headline#trust", f=facts, mark=mark)
 
 
 def _cells(row: Headline) -> Line:
     return (
-        row.log,
-        TASKS[row.task],
         row.estimator,
         row.association,
         _number(row.rmse) + (" rel" if row.by_relations else ""),
@@ -182,21 +199,15 @@ def _cells(row: Headline) -> Line:
 
 
 def _table(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Columns side by side, numbers to the right; the longest name is shortened until the lines fit."""
-    names = [i for i, head in enumerate(rows[0]) if head in HEADS[:NAMES]]
-    width = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    while sum(width) + 2 * (len(width) - 1) > WIDTH:
-        longest = max(names, key=lambda i: width[i])
-        if width[longest] <= SHORTEST:
+    """Columns side by side, numbers to the right; a column is left out before a line is too long."""
+    kept = list(range(len(rows[0])))
+    for head in ("", *DISPENSABLE):
+        kept = [c for c in kept if rows[0][c] != head]
+        width = {c: max(len(row[c]) for row in rows) for c in kept}
+        if sum(width.values()) + 2 * len(kept) <= WIDTH:
             break
-        width[longest] -= 1
-    left = [head in (*HEADS[:NAMES], "verdict") for head in rows[0]]
-    return ["  ".join(map(_fit, row, width, left)).rstrip() for row in rows]
 
+    def cell(row: Sequence[str], c: int) -> str:
+        return row[c].ljust(width[c]) if rows[0][c] in LEFT else row[c].rjust(width[c])
 
-def _fit(text: str, width: int, to_left: bool) -> str:
-    """The text in so many characters; of a name that is too long the middle is left out, its end tells more."""
-    if len(text) > width:
-        end = (width - 1) // 2
-        text = f"{text[: width - 1 - end]}…{text[-end:]}"
-    return text.ljust(width) if to_left else text.rjust(width)
+    return ["  " + "  ".join(cell(row, c) for c in kept).rstrip() for row in rows]

@@ -24,12 +24,12 @@ def raising(fault):
 
 
 @pytest.mark.parametrize(("fault", "said"), [
-    (DataError("log.csv: line 3: no number"), "error: log.csv: line 3: no number\n"),
-    (FULL, "error: output cannot be written: No space left on device; free some space, or write to another place\n"),
-    (PermissionError(errno.EACCES, "Permission denied", "out/a.csv"), "error: out/a.csv: Permission denied\n"),
-    (OSError(errno.EROFS, "Read-only file system", "out"), "error: out: Read-only file system\n"),
-    (ConnectionResetError("gone"), "error: gone\n"),
-    (MemoryError("3 GiB"), "error: out of memory (3 GiB); a shorter log, or a machine with more memory would help\n"),
+    (DataError("log.csv: line 3: no number"), "slamref: log.csv: line 3: no number\n"),
+    (FULL, "slamref: output cannot be written: No space left on device; free some space, or write to another place\n"),
+    (PermissionError(errno.EACCES, "Permission denied", "out/a.csv"), "slamref: out/a.csv: Permission denied\n"),
+    (OSError(errno.EROFS, "Read-only file system", "out"), "slamref: out: Read-only file system\n"),
+    (ConnectionResetError("gone"), "slamref: gone\n"),
+    (MemoryError("3 GiB"), "slamref: out of memory (3 GiB); a shorter log, or a machine with more memory would help\n"),
 ])  # fmt: skip
 def test_it_is_one_line_and_status_2(fault, said, capsys):
     assert ended(raising(fault)) == 2
@@ -70,13 +70,13 @@ def test_a_reader_that_has_seen_enough_is_no_error(monkeypatch, capsys):
 
 def test_a_broken_pipe_to_somebody_else_is_an_error(capsys):
     assert ended(raising(BrokenPipeError(errno.EPIPE, "Broken pipe"))) == 2
-    assert capsys.readouterr().err == "error: Broken pipe\n"
+    assert capsys.readouterr().err == "slamref: Broken pipe\n"
 
 
 def test_a_package_that_is_missing_is_named_with_the_way_to_install_it(monkeypatch, tmp_path, capsys):
     assert ended(raising(ModuleNotFoundError("No module named 'numba.core'", name="numba.core"))) == 2
     said = capsys.readouterr().err
-    assert said.startswith(f"error: the package 'numba' is not installed for {sys.executable}; run `make venv` in ")
+    assert said.startswith(f"slamref: the package 'numba' is not installed for {sys.executable}; run `make venv` in ")
     assert said.count("\n") == 1
     monkeypatch.setattr(terminal, "ROOT", tmp_path)
     assert missing("gtsam").endswith("run `pip install slamref`, or `pip install .` in a checkout")

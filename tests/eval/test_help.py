@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import re
 import resource
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
+
+from eval import open_report
 
 ROOT = Path(__file__).parents[2]
 HEAVY = ("numpy", "scipy", "numba", "pandas", "gtsam", "matplotlib", "cv2", "joblib", "tqdm")
@@ -17,7 +22,7 @@ COMMANDS = {
     "run": "eval.run_all", "step": "eval.step", "play": "eval.play", "convert": "data.convert.__main__",
     "detect": "eval.detect", "inspect": "eval.inspect", "live": "eval.live.__main__",
     "tune": "eval.tune", "twin": "eval.twin", "score": "eval.score", "check": "eval.check",
-    "benchmark": "eval.benchmark", "warm": "eval.warm",
+    "benchmark": "eval.benchmark", "warm": "eval.warm", "report": "eval.open_report",
 }  # fmt: skip
 HELP = """
 import sys
@@ -44,7 +49,7 @@ def python(*arguments: str) -> subprocess.CompletedProcess[str]:
     ("module", "arguments"),
     [
         *((module, ["--help"]) for module in COMMANDS.values()),
-        *(("slamref", [*name, "--help"]) for name in ([], *([c] for c in COMMANDS))),
+        *(("slamref", [*name, "--help"]) for name in ([], *([c] for c in (*COMMANDS, "lab", "study")))),
     ],
 )
 def test_help_answers_at_once_and_loads_nothing_heavy(module, arguments):
@@ -65,9 +70,9 @@ def test_a_subcommand_is_the_module_under_another_name(name, module):
 
 
 @pytest.mark.parametrize(("name", "wrong", "words"), [
-    ("run", ["--gate", "1"], "error: --gate 1: a probability"),
-    ("step", [], "error: --log: a log is needed"),
-    ("inspect", ["nowhere"], "error: --log nowhere: no such folder"),
+    ("run", ["--gate", "1"], "slamref: --gate 1: a probability"),
+    ("step", [], "slamref: no log: one log is needed"),
+    ("inspect", ["nowhere"], "slamref: --log nowhere: no such folder"),
     ("convert", ["moon"], "slamref convert: argument KIND: invalid choice: 'moon'"),
 ])  # fmt: skip
 def test_a_subcommand_hands_on_its_exit_status(name, wrong, words):
@@ -75,3 +80,37 @@ def test_a_subcommand_hands_on_its_exit_status(name, wrong, words):
     assert done.returncode == 2
     assert done.stderr.startswith(words)
     assert done.stderr.count("\n") == 1
+
+
+def test_slamref_alone_says_what_it_is_for_and_names_three_commands():
+    done = python("-m", "slamref")
+    assert done.returncode == 0
+    assert re.findall(r"^  slamref (\w+)", done.stdout, re.M) == ["run", "lab", "inspect"]
+    assert len(done.stdout.splitlines()) == 5
+
+
+@pytest.mark.parametrize(("line", "expected"), [
+    ("slamref ru", {"run "}),
+    ("slamref run --es", {"--estimator "}),
+    ("slamref score --ali", {"--align "}),
+    ("slamref lab --write", {"--write-up "}),
+    ("slamref convert mrc", {"mrclam "}),
+])  # fmt: skip
+def test_the_shell_completes_commands_and_flags(line, expected):
+    environment = os.environ | {"COMP_LINE": line, "COMP_POINT": str(len(line)), "_ARGCOMPLETE": "1"}
+    with tempfile.NamedTemporaryFile("r") as answer:
+        environment["_ARGCOMPLETE_STDOUT_FILENAME"] = answer.name
+        subprocess.run([sys.executable, "slamref.py"], env=environment, cwd=ROOT, check=False)
+        assert set(answer.read().split("\x0b")) == expected
+
+
+def test_a_report_is_opened_in_the_browser_or_its_address_is_printed(tmp_path, monkeypatch, capsys):
+    opened = []
+    monkeypatch.setattr(open_report.webbrowser, "open", lambda address: opened.append(address) or len(opened) == 1)
+    assert open_report.main([str(tmp_path)]) == 2
+    assert "no report.html" in capsys.readouterr().err
+    (tmp_path / "report.html").write_text("<p>")
+    assert open_report.main([str(tmp_path)]) == 0
+    assert capsys.readouterr().out == ""
+    assert open_report.main([str(tmp_path)]) == 0
+    assert opened[1] in capsys.readouterr().out

@@ -70,7 +70,7 @@ def test_a_full_disk_under_standard_output_is_said_once(words):
             check=False,
         )  # fmt: skip
     assert done.returncode == 2
-    assert done.stderr.startswith("error: output cannot be written: No space left on device")
+    assert done.stderr.startswith("slamref: output cannot be written: No space left on device")
     assert done.stderr.count("\n") == 1
 
 
@@ -123,7 +123,7 @@ def test_python_dash_m_with_a_strange_package_says_which_and_where(tmp_path):
         env={**os.environ, "PYTHONPATH": str(ROOT)}, check=False,
     )  # fmt: skip
     assert done.returncode == 2
-    assert done.stderr.startswith(f"error: the package 'association' found first is {tmp_path / 'association'}")
+    assert done.stderr.startswith(f"slamref: the package 'association' found first is {tmp_path / 'association'}")
     assert done.stderr.count("\n") == 1
 
 

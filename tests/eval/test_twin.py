@@ -59,7 +59,7 @@ def test_what_makes_no_sense_is_one_line(unmeasured, tmp_path, capsys):
     ):
         assert main([*arguments, str(tmp_path / "out")]) == 2
         error = capsys.readouterr().err
-        assert error.startswith("error: ")
+        assert error.startswith("slamref: ")
         assert words in error
         assert error.count("\n") == 1
 

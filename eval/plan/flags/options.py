@@ -11,7 +11,7 @@ from dataclasses import MISSING
 from pathlib import Path
 
 from data.errors import UsageError
-from eval.plan.flags.examples import PROG
+from eval.plan.flags.help import PROG
 from eval.plan.flags.table import CONFIGS, Options, parser, shipped
 from eval.plan.flags.variant import Variant
 from eval.replay.flag import Flag, filled, read_values, rows
@@ -24,9 +24,21 @@ NOT_WITH_SCENARIO = ("log", "task", "association", "twins", "result", "truth")
 NOT_WITH_LAB = (*NOT_WITH_SCENARIO, "data", "scenario", "full", "runs", "calibrate")
 
 
-def read_options(argv: Sequence[str] | None = None, prog: str = PROG) -> Options:
-    """Options from the command line and its config files; raises UsageError for what makes no sense."""
-    return options_of(vars(parser(prog).parse_args(argv)))
+def read_options(argv: Sequence[str] | None = None, prog: str = PROG, positional: str = "log") -> Options:
+    """Options from the command line and its config files; words without a flag are values of `positional`.
+
+    Raises:
+        UsageError: for what makes no sense.
+    """
+    given = vars(parser(prog, positional).read(argv))
+    words = given.pop("words")
+    if words and TABLE[positional].repeatable:
+        given[positional] = [*words, *given.get(positional, [])]
+    elif words:
+        if len(words) > 1 or positional in given:
+            raise UsageError(f"{' '.join(words)}: one {positional} is needed")
+        given[positional] = words[0]
+    return options_of(given)
 
 
 def options_of(given: Mapping[str, object]) -> Options:

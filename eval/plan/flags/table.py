@@ -13,8 +13,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from data.command import Command
 from data.errors import UsageError
-from eval.plan.flags.examples import EPILOG, PROG
+from eval.plan.flags.help import ABOUT, EXAMPLES, GROUPS, PROG, show_everyday
 from eval.plan.flags.variant import Variant
 from eval.replay.external.spec import FORM, own_or_foreign
 from eval.replay.flag import (
@@ -288,6 +289,7 @@ class Output:
         "leave lab.txt with each run: its steps as the lab's program prints them, numbers from 1",
     )
     no_plots: bool = free_row(False, switch, "", "tables only")
+    open: bool = free_row(False, switch, "", "show the report in the browser when it is written")
     ellipses: str = free_row(
         "1",
         one_of(FACTORS),
@@ -372,19 +374,27 @@ class Options:
     variants: tuple[Variant, ...] = ()
 
 
-def parser(prog: str = PROG) -> argparse.ArgumentParser:
-    """The flags. Only what was given is in the result, so that a config file can fill in the rest."""
-    p = argparse.ArgumentParser(
-        prog=prog,
-        description="Run filters and smoothers on identical inputs, score them with one referee, and write the report.",
-        epilog=EPILOG.replace(PROG, prog),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+def parser(prog: str = PROG, positional: str = "log") -> Command:
+    """The flags; words without one are values of the flag `positional`, under the name `words`.
+
+    Only what was given is in the result, so that a config file can fill in the rest.
+    """
+    usage = f"{prog} [{positional.upper()} ...] [flags]"
+    p = Command(prog, PROG, ABOUT[positional], EXAMPLES, usage=usage, add_help=False)
+    groups = {part: p.add_argument_group(title) for part, title in GROUPS.items()}
+    words = groups["selection"].add_argument("words", nargs="*", metavar=positional.upper())
+    words.help = f"the same as --{positional}"
+    for flag in rows(Options).values():
+        add_flags(groups[flag.part], [flag])
+    show = show_everyday(positional)
+    groups[""].add_argument(
+        "-h", "--help", nargs=0, dest=argparse.SUPPRESS, action=show, help="the flags of everyday use"
     )
-    add_flags(p, rows(Options).values())
+    groups[""].add_argument("--help-all", action="help", help="all flags")
     return p
 
 
-def add_flags(p: argparse.ArgumentParser, wanted: Iterable[Flag]) -> None:
+def add_flags(p: argparse._ActionsContainer, wanted: Iterable[Flag]) -> None:
     """Rows of a table as flags of a parser."""
     for each in wanted:
         kind: dict[str, object] = {"action": "append" if each.repeatable else "store", "metavar": each.metavar}

@@ -103,13 +103,15 @@ def _corridor(folder: Path, options: Options, lab: Lab, facts: Answers, lost: Un
             f"Question {n}. {HEADS}{NAMES_OF_METHODS}" if n == 1 else f"Question {n}; heads as in the first table."
         )
         more = {"measured": f"tables/{stem_of(UPDATE_TIME)}.csv"} if question.name == "maintenance" else {}
+        line = paragraph(f"{TEMPLATE}#{question.name}_line", q=q)
         blocks: list[Block] = [
-            f"**{paragraph(f'{TEMPLATE}#{question.name}_line', q=q)}**",
+            f"**{line}**",
             *(made[kind] for kind in question.pictures if kind in made),
             written_table(_numbers(question, facts), folder, f"lab-question-{n}", caption, output),
             LOST if q.lack else paragraph(f"{TEMPLATE}#{question.name}", q=q, **more),
         ]
-        sections.append(Section(f"Question {n}: {question.heading}", tuple(blocks), facts=q))
+        answer = f"{n}. {question.heading} {line}"
+        sections.append(Section(f"Question {n}: {question.heading}", tuple(blocks), facts=q, answer=answer))
     return sections
 
 

@@ -139,12 +139,16 @@ Block = str | Table | Picture | Formula | Film | Folded | Overview
 
 @dataclass(frozen=True)
 class Section:
-    """A heading of level 2 to 4 and what stands below it, in order; `facts` it was written from, for report.json."""
+    """A heading of level 2 to 4 and the blocks below it.
+
+    `facts` it was written from, for report.json; `answer` of a lab's question, in a line for the terminal.
+    """
 
     heading: str
     blocks: tuple[Block, ...]
     level: int = 2
     facts: object = field(default=None, compare=False, repr=False)
+    answer: str = field(default="", compare=False, repr=False)
 
 
 @dataclass(frozen=True)

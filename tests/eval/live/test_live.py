@@ -227,6 +227,6 @@ def test_the_ways_of_association_that_are_offered_are_those_it_takes(tmp_path, c
 def test_what_makes_no_sense_is_one_line(tmp_path, capsys, words, why):
     assert __main__.main(["--link", "robot", "--out", str(tmp_path / "log"), *words]) == 2
     said = capsys.readouterr().err
-    assert said.startswith(f"error: {why}")
+    assert said.startswith(f"slamref: {why}")
     assert said.count("\n") == 1
     assert os.listdir(tmp_path) == []

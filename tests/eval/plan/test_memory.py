@@ -53,7 +53,7 @@ def test_estimators_are_tried_one_by_one_and_all_the_rest_is_kept(isam2_needs_mo
     assert main([*asked, "--jobs", "1", "--no-plots", "--out", str(out), "-q"]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 3
-    assert lines[0].startswith("error: arena:0, slam, known: isam2: no run: it ran out of memory")
+    assert lines[0].startswith("slamref: arena:0, slam, known: isam2: no run: it ran out of memory")
     assert lines[0].endswith("(Unable to allocate 9.2 GiB); a shorter log, or a machine with more memory would help")
     rows = [r.split(",") for r in (out / "metrics.csv").read_text().splitlines()]
     # with jcbb, batch takes its decisions from isam2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import re
 import resource
 import subprocess
@@ -11,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from data.errors import UsageError
+from eval.plan.flags.help import everyday
 from eval.plan.flags.options import read_options
 from eval.plan.flags.table import Options, parser, shipped
 from eval.replay.flag import rows
@@ -147,16 +149,44 @@ def test_a_variant_that_contradicts_itself_is_refused(tmp_path, changed, message
         read_options(["--config", str(config)])
 
 
-def test_help_shows_an_example_of_every_flag_and_answers_at_once():
+def shown_help(*words: str) -> str:
     begin = children_cpu()
-    done = subprocess.run(
-        [sys.executable, "-m", "eval.run_all", "--help"], capture_output=True, text=True, cwd=ROOT, check=True
-    )
+    done = subprocess.run([sys.executable, "slamref.py", *words], capture_output=True, text=True, cwd=ROOT, check=True)
     assert children_cpu() - begin < 0.5  # a tenth, unless the numerical libraries are imported
-    examples = done.stdout.split("examples:")[1]
+    return done.stdout
+
+
+def test_help_shows_the_flags_of_everyday_use_and_answers_at_once():
+    text = shown_help("run", "--help")
+    assert max(map(len, text.splitlines())) <= 80
+    assert sum(line.startswith("  -") for line in text.splitlines()) == 12
+    assert "--help-all" in text
+
+
+@pytest.mark.parametrize(("command", "positional"), [("run", "log"), ("lab", "lab"), ("study", "scenario")])
+def test_every_example_of_everyday_use_is_a_command_that_can_be_read(monkeypatch, tmp_path, command, positional):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my_run.toml").write_text("quick = true\n")
+    examples = re.findall(rf"^ +slamref {command} (.+)$", everyday(f"slamref {command}", positional), re.M)
+    assert len(examples) >= 7
+    for example in examples:
+        read_options([w for w in example.split() if w != "--help-all"], f"slamref {command}", positional)
+
+
+def test_help_of_all_flags_shows_an_example_of_each():
+    examples = shown_help("run", "--help-all").split("examples:")[1]
     for action in parser()._actions:
-        if action.dest not in ("help",):
+        if action.dest not in (argparse.SUPPRESS, "help", "words", "open", "help_all"):
             assert any(s in examples.split() for s in action.option_strings), action.option_strings
+
+
+def test_words_without_a_flag_are_logs_and_may_stand_between_flags():
+    options = read_options(["arena:0", "--task", "slam", "arena:1", "--log", "arena:2"])
+    assert options.selection.log == ("arena:0", "arena:1", "arena:2")
+    assert read_options(["corridor:3"], positional="lab").selection.lab == "corridor:3"
+    assert read_options(["arena", "--runs", "3"], positional="scenario").selection.scenario == ("arena",)
+    with pytest.raises(UsageError, match="one lab is needed"):
+        read_options(["corridor:3", "corridor:4"], positional="lab")
 
 
 def test_help_imports_nothing_heavy():

@@ -1,0 +1,64 @@
+"""How a command reads its words: completion in the shell, one line for a wrong word, examples under its own name."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Iterable, Sequence
+from typing import Any, NoReturn
+
+COMPLETION = "_ARGCOMPLETE"
+"""Environment variable by which the shell asks for completions (argcomplete)."""
+
+
+class Command(argparse.ArgumentParser):
+    """The parser of a command.
+
+    Args:
+        prog: what the command is called; `module` in the examples is replaced by it.
+        description, examples: what `--help` shows first and last.
+    """
+
+    def __init__(self, prog: str, module: str, description: str, examples: str = "", **options: Any) -> None:
+        super().__init__(
+            prog=prog,
+            description=description,
+            epilog=examples.replace(module, prog),
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            allow_abbrev=False,
+            **options,
+        )
+
+    def read(self, argv: Sequence[str] | None = None) -> argparse.Namespace:
+        """Values by name. Positional words and flags may be mixed; ends the process as argparse does."""
+        complete(self)
+        return self.parse_intermixed_args(argv)
+
+    def error(self, message: str) -> NoReturn:
+        """One line, status 2."""
+        self.exit(2, f"{self.prog}: {message}; {self.prog} --help shows the flags\n")
+
+
+def complete(parser: argparse.ArgumentParser) -> None:
+    """Answer the shell and end the process, if it asks for completions."""
+    if COMPLETION in os.environ:
+        import argcomplete
+
+        argcomplete.autocomplete(parser)
+
+
+def completed(words: list[str], commands: Iterable[str]) -> list[str]:
+    """The words of `slamref`; if the shell asks for completions, those of the subcommand, which answers.
+
+    Names of commands are completed here, and the process ends.
+    """
+    if COMPLETION not in os.environ:
+        return words
+    before = os.environ["COMP_LINE"][: int(os.environ["COMP_POINT"])].split(" ")
+    if len([w for w in before if w]) > 1 + (before[-1] != ""):
+        os.environ[COMPLETION] = "2"  # the shell's first two words are the command
+        return before[1:2]
+    parser = argparse.ArgumentParser(prog="slamref")
+    parser.add_argument("command", choices=list(commands))
+    complete(parser)
+    return words
