@@ -93,7 +93,7 @@ def test_cut_off_it_ends_earlier_and_says_so(folder):
 
 def test_without_an_answer_it_is_no_log(tmp_path):
     Recording(tmp_path / "log").close()
-    with pytest.raises(DataError, match=r"packets.bin: 0 records, and no answer"):
+    with pytest.raises(DataError, match=r"packets.bin: 0 records, none of them an answer"):
         open_log(str(tmp_path / "log"))
 
 
