@@ -17,7 +17,7 @@ unexport PYTHONHOME PYTHONPATH VIRTUAL_ENV PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv report test test-slow test-browser benchmark variety sensitivity docs lock clean
+.PHONY: help venv report test test-slow test-browser benchmark variety sensitivity docs site lock clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z-]+):.*## (.*)/  \1\t\2/' | expand -t 14
@@ -52,6 +52,9 @@ sensitivity: .venv/.warm ## jcbb-hindsight with its constants halved and doubled
 
 docs: .venv/.warm ## write docs/results-folder.md anew
 	$(BIN)/python -m eval.report.page.results_folder
+
+site: .venv/.warm ## build the documentation site into build/site, strict
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --site-dir build/site
 
 lock: ## pin requirements.lock anew; LOCK_ARGS=--upgrade for the newest versions
 	$(PYTHON) -m venv .venv/lock

@@ -77,10 +77,7 @@ def inverse(T_ab: Array) -> Array:
     """Pose of a in b; (..., 3)."""
     a = np.asarray(T_ab, float)
     c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
-    return np.stack(
-        [-c * a[..., 0] - s * a[..., 1], s * a[..., 0] - c * a[..., 1], wrap_angle(-a[..., 2])],
-        axis=-1,
-    )
+    return np.stack([-c * a[..., 0] - s * a[..., 1], s * a[..., 0] - c * a[..., 1], wrap_angle(-a[..., 2])], axis=-1)
 
 
 def between(T_wa: Array, T_wb: Array) -> Array:
@@ -100,8 +97,7 @@ def transform_points(T_wb: Array, points_b: Array) -> Array:
     pose, p = np.asarray(T_wb, float), np.asarray(points_b, float)
     c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
     return np.stack(
-        [pose[..., 0] + c * p[..., 0] - s * p[..., 1], pose[..., 1] + s * p[..., 0] + c * p[..., 1]],
-        axis=-1,
+        [pose[..., 0] + c * p[..., 0] - s * p[..., 1], pose[..., 1] + s * p[..., 0] + c * p[..., 1]], axis=-1
     )
 
 

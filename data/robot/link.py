@@ -1,6 +1,6 @@
-"""The serial link: a command every 0.25 s, the answer awaited, all of it recorded; a device that goes is opened again.
+"""Serial link: a command every 0.25 s, its answer awaited and recorded; a device that disappears is opened again.
 
-Whatever comes or does not come, `Link.step` returns in its time and raises nothing: it is a fault, counted by name.
+`Link.step` keeps its period whatever happens on the line, and raises nothing: faults are counted by name.
 """
 
 from __future__ import annotations
@@ -12,31 +12,21 @@ from collections.abc import Callable
 from typing import Protocol
 
 from data.errors import UsageError
-from data.robot.packets import (
-    ANSWER_BYTES,
-    ANSWER_TIMEOUT,
-    BAUD,
-    FRAME_BYTES,
-    PERIOD,
-    Command,
-    encode_command,
-    framed,
-)
+from data.robot.packets import ANSWER_BYTES, ANSWER_TIMEOUT, BAUD, FRAME_BYTES, PERIOD, Command, encode_command, framed
 from data.robot.traffic.motion import Packet
 from data.robot.traffic.recording import GONE, OPENED, RECEIVED, SENT, Record, Recording, to_microseconds
 from data.robot.traffic.stream import Exchange
 
 REST = 0.03
-"""s that the rest of an answer is waited for once its first byte is there: 22 bytes take 0.023 s."""
+"""s to wait for the rest of an answer after its first byte: 22 bytes take 0.023 s."""
 BROKEN = (OSError, termios.error)
-"""What a device that is gone raises; pyserial's own error is an OSError."""
+"""Errors of a device that disappeared; pyserial's own error is an OSError."""
 
 
 class Clock:
-    """Time since the clock was made [s]; `speed` robot seconds pass in one."""
+    """Robot time [s] since construction; `speed` robot seconds pass in a second of real time."""
 
     def __init__(self, speed: float = 1.0) -> None:
-        """The clock stands at 0 now."""
         self.speed = speed
         self._start = time.monotonic()
 
@@ -45,32 +35,32 @@ class Clock:
         return (time.monotonic() - self._start) * self.speed
 
     def sleep(self, seconds: float) -> None:
-        """Let robot time [s] pass."""
+        """Wait for an interval of robot time [s]."""
         if seconds > 0.0:
             time.sleep(seconds / self.speed)
 
 
 class Port(Protocol):
-    """An open serial device, as pyserial has it; `timeout` is real time [s]."""
+    """An open serial device with pyserial's interface; `timeout` is real time [s]."""
 
     timeout: float | None
 
     @property
     def in_waiting(self) -> int:
-        """Bytes that have come and were not read."""
+        """Bytes received and not yet read."""
 
     def read(self, size: int, /) -> bytes:
-        """Up to so many bytes; fewer after the timeout."""
+        """At most `size` bytes; fewer after the timeout."""
 
     def write(self, data: bytes, /) -> int | None:
         """Send."""
 
     def close(self) -> None:
-        """Let go of the device."""
+        """Release the device."""
 
 
 def open_serial(device: str) -> Port:
-    """The device at 9600 8N1, for this process alone; what it sent before is thrown away."""
+    """Open the device at 9600 8N1, exclusively, and discard pending input."""
     from serial import Serial
 
     port = Serial(device, BAUD, timeout=ANSWER_TIMEOUT, write_timeout=PERIOD, exclusive=True)
@@ -80,11 +70,7 @@ def open_serial(device: str) -> Port:
 
 
 class Link:
-    """A link to the robot; `with` closes it.
-
-    Attributes:
-        exchange: what became of commands and answers, faults included.
-    """
+    """A link to the robot; `with` closes it. `exchange` counts commands, answers and faults."""
 
     def __init__(
         self,
@@ -95,11 +81,7 @@ class Link:
         with_frames: bool = False,
         open_port: Callable[[str], Port] = open_serial,
     ) -> None:
-        """Open the device.
-
-        Raises:
-            UsageError: it cannot be opened. Later it may go and come.
-        """
+        """Open the device; UsageError where that fails. Later it may disappear and return."""
         self.exchange = Exchange(framed=with_frames)
         self._device, self._clock, self._recording, self._open_port = device, clock, recording, open_port
         self._framed = with_frames
@@ -110,18 +92,17 @@ class Link:
         try:
             self._port = open_port(device)
         except BROKEN as error:
-            raise UsageError(f"{device}: cannot be opened as a serial line: {_reason(error)}") from None
+            reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
+            raise UsageError(f"{device}: cannot be opened as a serial line: {reason}") from None
         self._keep(OPENED)
 
     def step(self, command: Command) -> list[Packet]:
-        """Wait for the next period, send a command, wait for its answer at most until the period's end.
+        """Wait for the next period, send a command, and wait for its answer until the period ends.
 
-        Returns:
-            The packets that came, oldest first: one as a rule, none if the answer is not there in time, several if some
-            came late.
+        Returns the packets received, oldest first: usually one, none without an answer, several if some were late.
         """
         packets = self._listen(self._next, first=False)
-        if self._clock.now() - self._next > PERIOD:  # held up: the periods begin anew, nothing is made up for
+        if self._clock.now() - self._next > PERIOD:  # delayed: periods restart, none is caught up
             self._next = self._clock.now()
         self._next += PERIOD
         if self._port is None:
@@ -131,7 +112,7 @@ class Link:
         return packets + self._listen(self._next, first=True)
 
     def _listen(self, until: float, *, first: bool) -> list[Packet]:
-        """What comes until a time; `first`: no longer than to the first packets."""
+        """Packets received until a time; `first`: stop after the first ones."""
         packets: list[Packet] = []
         while (left := until - self._clock.now()) > 0.0 and not (first and packets):
             if self._port is None:
@@ -143,7 +124,7 @@ class Link:
         return packets
 
     def _read(self, port: Port, left: float) -> bytes:
-        """Bytes that belong together, as far as they come; none if nothing does, or the device is gone."""
+        """Bytes of one answer, as far as they arrive; none where nothing does or the device disappeared."""
         try:
             port.timeout = left / self._clock.speed
             data = port.read(1)
@@ -167,7 +148,7 @@ class Link:
 
     def _gone(self) -> None:
         if self._port is not None:
-            with contextlib.suppress(*BROKEN):  # gone is gone
+            with contextlib.suppress(*BROKEN):
                 self._port.close()
             self._port = None
             self._keep(GONE)
@@ -180,7 +161,7 @@ class Link:
         self._keep(OPENED)
 
     def _keep(self, kind: bytes, data: bytes = b"") -> list[Packet]:
-        """Record it, on disk before anything is made of it; times of records increase."""
+        """Record an event on disk before it is used; times of records increase."""
         self._stamp = to_microseconds(max(self._clock.now(), self._stamp + 1e-6))
         record = Record(kind, self._stamp, data)
         if self._recording is not None:
@@ -188,7 +169,7 @@ class Link:
         return self.exchange.consume(record)
 
     def close(self) -> None:
-        """Let go of the device; the robot stops by itself."""
+        """Release the device; the robot's watchdog stops it."""
         if self._port is not None:
             self._port.close()
             self._port = None
@@ -198,7 +179,3 @@ class Link:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def _reason(error: BaseException) -> str:
-    return getattr(error, "strerror", None) or str(error) or type(error).__name__

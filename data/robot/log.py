@@ -1,8 +1,8 @@
-"""From packets to frames, one at a time, and a recording of the link as a log: what a live estimator got, replayed.
+"""Packets to frames, and a recording of the link as a log: a replay of what the live estimator received.
 
-Every packet is a frame. Its increment is the difference of odometry with the covariance of wheel slip and of rounding
-to whole mm and mrad; its observations are the walls that the packet completes (`data.robot.observe`).
-`--log LOG` opens the folder finished or cut off; `complete` adds the files of an open log, which others can read.
+Every packet is a frame. Its increment is the odometry difference with the covariance of wheel slip and rounding; its
+observations are the walls the packet completes (`data.robot.observe`). `--log LOG` opens finished and truncated
+recordings; `complete` adds the files of an open log.
 """
 
 from __future__ import annotations
@@ -30,41 +30,35 @@ from data.sensors import Line
 from data.truth import Truth
 
 SENSOR = Line(max_range=LONGEST_RANGE + RADIUS)
-"""Distances are from the robot's middle, sonars sit on its rim."""
+"""Distances are from the robot's centre; the sonars sit on its rim."""
 ROUNDING = 1e-3 * math.sqrt(2.0 / 12.0)
-"""m, rad, standard deviation of the difference of two numbers that were rounded to whole mm or mrad. With half of its
-variance the increments' NEES is 3.9 of 3, with it 2.9; over many steps such errors cancel, which is not made use of."""
+"""m, rad, standard deviation of a difference of two numbers rounded to whole mm or mrad; measured increment NEES 2.9
+(expected 3). These errors cancel over many steps, which the model ignores."""
 FLOOR = 1e-10
-"""m^2, rad^2, of a robot at rest, whose counters stand still; the smallest eigenvalue of an open log's increments."""
+"""m^2, rad^2, variance of a robot at rest: the smallest eigenvalue of an open log's increments."""
 
 
 class Noise(NamedTuple):
-    """What a robot's numbers are worth.
-
-    Attributes:
-        slip: m per square root of a metre of a wheel's way, standard deviation, each wheel for itself.
-        sonar_sigma: m, standard deviation of a distance.
-    """
+    """Slip [m per sqrt(m) of a wheel's travel] of each wheel, and standard deviation of a sonar distance [m]."""
 
     slip: float = SLIP
     sonar_sigma: float = SIGMA
 
 
 USUAL = Noise()
-"""Of the simulated robot."""
+"""Noise of the simulated robot."""
 
 
 class Framing:
-    """Makes the frames; the first frame is the world's origin.
+    """Make frames of packets; the first frame is the world's origin.
 
     Attributes:
         count: frames so far.
-        observations: walls seen so far.
-        at_rest: frames so far whose increments hold the floor.
+        observations: wall observations so far.
+        at_rest: frames so far whose increment has the floor covariance.
     """
 
     def __init__(self, noise: Noise = USUAL) -> None:
-        """Before the first packet."""
         self.count = self.observations = self.at_rest = 0
         self._noise, self._walls = noise, WallObserver(noise.sonar_sigma, noise.slip)
         self._before: Packet | None = None
@@ -76,7 +70,7 @@ class Framing:
         if increment is not None:
             self.at_rest += bool(increment.covariance[0, 0] == FLOOR)
         seen = self._walls.observe(packet)
-        # as the arrays of `Inputs` are: compiled functions make a difference
+        # as the arrays of `Inputs` are: compiled functions distinguish them
         for array in (seen.z, seen.R, *(() if increment is None else increment)):
             array.setflags(write=False)
         number, first = self.count, self.observations
@@ -85,12 +79,12 @@ class Framing:
 
 
 def prior() -> Prior:
-    """The first frame is the origin."""
+    """Exact prior: the first frame is the origin."""
     return Prior(np.zeros(3), np.zeros((3, 3)))
 
 
 def inputs_of(frames: Sequence[Frame], at_rest: int, known: LandmarkMap | None = None) -> Inputs:
-    """Frames as one log's inputs, at least one; the same numbers to the bit. `at_rest`: of `Framing`."""
+    """Frames (at least one) as the inputs of a log, bit for bit; `at_rest` as in `Framing`."""
     n = len(frames)
     mean, covariance = np.zeros((n, 3)), np.zeros((n, 3, 3))
     for k, frame in enumerate(frames):
@@ -108,29 +102,25 @@ def inputs_of(frames: Sequence[Frame], at_rest: int, known: LandmarkMap | None =
 
 
 def _increment(before: Packet, after: Packet, slip: float) -> Increment:
-    """Motion (3,) from packet to packet in the body frame of the first, with its covariance (3, 3).
+    """Motion (3,) between packets in the body frame of the first, with covariance (3, 3).
 
-    Of an unknown motion the covariance is that of a robot at its fastest until its watchdog stopped it.
+    An unknown motion has the covariance of a robot at full speed until its watchdog stopped it.
     """
     mean = between(before.odometry, after.odometry)
     if not after.joined:
         far = min(after.t - before.t, WATCHDOG) + WATCHDOG
         turn = min(FASTEST_TURN * far, math.pi)
         return Increment(np.zeros(3), np.diag([(FASTEST * far) ** 2, (FASTEST * far) ** 2, turn**2]))
-    moved = (after.answer.x, after.answer.y, after.answer.heading) != (
-        *(before.answer.x, before.answer.y, before.answer.heading),
-    )
-    if not moved:
+    if after.answer[1:] == before.answer[1:]:
         return Increment(np.zeros(3), FLOOR * np.eye(3))
     return Increment(mean, slip_covariance(mean, slip) + ROUNDING**2 * np.eye(3))
 
 
 def slip_covariance(motion: Array, slip: float) -> Array:
-    """Covariance (3, 3) of a motion (3,) by the slip of each wheel, in the body frame it begins in.
+    """Covariance (3, 3) of a motion (3,) from the slip of each wheel, in the body frame at its start.
 
-    On an arc that turns by theta the wheels' ways are f -+ b theta / 2, b the wheels' base. A slip s of the left or the
-    right one moves the middle by s / 2 in the direction of the chord and turns by -+ s / b, which turns the chord by
-    half of that.
+    On an arc that turns by theta the wheels travel f -+ b theta / 2, with base b. A slip s of one wheel moves the
+    centre by s / 2 along the chord and turns the body by -+ s / b, the chord by half of that.
     """
     half = 0.5 * float(motion[2])
     c, s = math.cos(half), math.sin(half)
@@ -145,39 +135,37 @@ def slip_covariance(motion: Array, slip: float) -> Array:
 
 
 def is_recording(folder: Path) -> bool:
-    """Whether a folder holds what went over a robot's link."""
+    """Whether a folder holds the recording of a robot's link."""
     return (folder / PACKETS).exists()
 
 
 def load_recording(folder: Path) -> Log:
-    """The log of a recording, without labels or truth; what was cut off or went wrong on the line is in its notes.
+    """The log of a recording, without labels or truth; its notes name truncation and faults of the line.
 
-    Raises:
-        DataError: it is damaged, or not one packet came over the line.
+    Raises DataError if it is damaged or holds no packet.
     """
     recorded = read_recording(folder)
     packets, faults = decoded(recorded.records, framed=recorded.framed)
     if not packets:
-        raise DataError.at(folder / PACKETS, f"{len(recorded.records)} records, and no answer of the robot among them")
+        raise DataError.at(folder / PACKETS, f"{len(recorded.records)} records, none of them an answer of the robot")
     framing = Framing(Noise(*recorded.noise))
     frames = [framing.frame(packet) for packet in packets]
     counted = [f"{count} {name}" for name, count in faults.items() if count]
     notes = [f"Faults of the link: {', '.join(counted)}."] if counted else []
     again = sum(not packet.joined for packet in packets[1:])
     if again:
-        notes.append(f"Odometry began anew {again} times; how far the robot moved meanwhile is not known.")
+        notes.append(f"The odometry restarted {again} times; the motion in between is unknown.")
     if recorded.cut:
-        notes.append(f"The recording was cut off: {recorded.cut} bytes of an unfinished record at its end.")
+        notes.append(f"The recording is truncated: it ends with {recorded.cut} bytes of an unfinished record.")
     return Log(
         folder.absolute().name, inputs_of(frames, framing.at_rest), Truth(), source=recorded.source, notes=tuple(notes)
     )
 
 
 def complete(folder: Path) -> Log:
-    """Add the files of an open log to a recording that has ended, each whole or not at all, `log.toml` last.
+    """Add the files of an open log to a finished recording, each atomically, `log.toml` last.
 
-    Raises:
-        DataError: as of `load_recording`, or a file cannot be written.
+    Raises DataError as `load_recording`, or where a file cannot be written.
     """
     log = load_recording(folder)
     files = contents(log, log.name)

@@ -1,17 +1,15 @@
-"""From packet to packet: the walls an answer completes, as observations z = (rho, alpha) with covariance R.
+"""Wall observations z = (rho, alpha) with covariance R, completed by packets.
 
-Each sonar collects readings while it hears one thing; a smooth wall is heard by the one sonar that points within 22.5
-degrees of its normal. Once readings make a line that is good enough, the line is an observation and they are used up:
-no reading counts twice, so errors of observations are independent of each other as far as the sonars go.
+Each sonar collects readings while it hears one smooth wall, which only the sonar within 22.5 degrees of the wall's
+normal does. Once its readings make a good enough line, the line is an observation and the readings are used up: no
+reading counts twice, so sonar errors of observations are independent.
 
-A wall's end sends its echo through the whole cone, 26 cm wide at a metre, and an arc about a point is a line at an
-angle to any sonar that passes. It is the first a sonar hears of a wall and the last, so readings count only when the
-cone has swept its own width since it began to hear the wall, and again before it ceases. What the first packet
-hears has not just begun.
+A wall's end echoes through the whole cone, 26 cm wide at a metre, and looks like a tilted line to a passing sonar. So a
+reading counts only after the cone has swept its own width since it began to hear the wall, and again before it ceases;
+the first packet of a log is exempt from the former.
 
-Readings of several packets are joined by odometry, whose errors the estimator meets again in its motion model. The
-covariance holds their part in the line (`_of_odometry`), not that they are correlated with the motion's: so `LONGEST`
-is short.
+Odometry joins readings of several packets, and the estimator's motion model contains the same odometry errors. R
+includes them (`_of_odometry`) but not their correlation with the motion, so `LONGEST` is short.
 """
 
 from __future__ import annotations
@@ -30,26 +28,26 @@ from data.robot.walls import MIRROR, SIGMA, Line, echo_points, fit_weighted, geo
 from data.se2 import Array, between, compose, wrap_angle
 
 SLIP = 0.005
-"""m per square root of a metre of a wheel's way: that of the simulated robot (`data.robot.simulated.physics`)."""
+"""m per sqrt(m) of a wheel's travel, as of the simulated robot (`data.robot.simulated.physics`)."""
 FEWEST = 5
-"""Readings of a line: two fix it, three are left to doubt it."""
+"""Fewest readings of a line: two fix it, three check it."""
 LONGEST = 0.8
-"""m of way of either wheel since the oldest reading of a line."""
+"""m, longest travel of either wheel since the oldest reading of a line."""
 OLDEST = 64
-"""Packets that are kept, however slowly it drives: 16 s."""
+"""Most packets kept: 16 s."""
 VAGUEST = 0.05
-"""rad, standard deviation of alpha by the sonars' noise; the fewest readings, 5.5 cm apart, give 0.03."""
+"""rad, largest standard deviation of alpha from sonar noise; the fewest readings, 5.5 cm apart, give 0.03."""
 MISSES = 2
-"""Packets in a row without an echo that end what a sonar collects; a single echo is missed now and then."""
+"""Consecutive packets without an echo that end a sonar's collection."""
 GOOD = 0.7
-"""Weight of the readings, on average, of a line they are taken for; good ones weigh 0.9, so one in five is lost."""
+"""Smallest mean weight of a line's readings; good ones weigh 0.9, so one in five may be an outlier."""
 RESIDUAL = 2.0
-"""Sigmas; readings that spread more about their line are not of one wall."""
+"""Sigmas, largest RMS residual of readings of one wall."""
 CONE_WIDTH = 2.0 * math.tan(CONE_HALF_ANGLE)
-"""Of the distance."""
+"""Width of the cone over the distance."""
 ACROSS = math.radians(45.0)
-"""rad, at least, between a wall's normal and the way of the sonar. Straight towards a wall all echoes come from one
-point; the distance falls as the cosine of the angle, which is even and flat there: noise becomes an angle."""
+"""rad, least angle between a wall's normal and the sonar's path: straight towards a wall all echoes come from one
+point, and noise becomes an angle."""
 
 
 Rows = NDArray[np.int64]
@@ -57,12 +55,8 @@ Rows = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Seen:
-    """Walls that a packet completes, in its body frame.
-
-    Attributes:
-        z: (m, 2) rho [m] and alpha [rad].
-        R: (m, 2, 2) covariance [m, rad].
-        sonars: (m,) rows of `body.SONARS` that saw them.
+    """Walls that a packet completes, in its body frame: z (m, 2) rho [m] and alpha [rad], R (m, 2, 2), and the sonars'
+    rows (m,).
     """
 
     z: Array
@@ -71,7 +65,7 @@ class Seen:
 
 
 class _Reading(NamedTuple):
-    """Of one sonar: packet's number, distance [m], pose (3,) of the sonar by odometry, way its cone has swept [m]."""
+    """One sonar reading: packet number, distance [m], sonar pose (3,) by odometry, distance its cone has swept [m]."""
 
     packet: int
     distance: float
@@ -80,54 +74,52 @@ class _Reading(NamedTuple):
 
 
 class _Run:
-    """What one sonar hears while it hears one thing."""
+    """Readings of one sonar while it hears one wall."""
 
     def __init__(self, sigma: float) -> None:
         self._noise = 4.0 * math.sqrt(2.0) * sigma
         self.readings: list[_Reading] = []
-        self._used = -1  # number of the packet up to which readings are used up
-        self._doubtful: tuple[int, float, Array] | None = None
+        self.used = -1  # number of the last packet whose reading is used up
+        self._pending: tuple[int, float, Array] | None = None
         self._silent = 0
-        self._began = 0.0  # what of `swept` is a wall's end
+        self._began = 0.0  # part of `swept` that is a wall's end
 
     def add(self, packet: int, distance: float, sensor: Array) -> None:
-        """The next reading, inf where nothing was heard; one that does not go on from the last waits for a second."""
+        """Add a reading, inf for no echo; one that does not continue the last waits for a second."""
         if math.isinf(distance):
             self._silent += 1
             if self._silent >= MISSES:
                 self.readings = []
             return
         self._silent = 0
-        new, doubtful = (packet, distance, sensor), self._doubtful
-        self._doubtful = None
+        new, pending = (packet, distance, sensor), self._pending
+        self._pending = None
         if not self.readings:
             self._began = 0.0 if packet else -math.inf
             self.readings = [_Reading(packet, distance, sensor, 0.0)]
-        elif self._goes_on(self.readings[-1], new):
+        elif self._continues(self.readings[-1], new):
             last = self.readings[-1]
             step = between(last.sensor, sensor)
             swept = abs(float(step[1])) + distance * abs(float(step[2]))
             self.readings.append(_Reading(packet, distance, sensor, last.swept + swept))
-        elif doubtful is None:
-            self._doubtful = new
-        elif self._goes_on(_Reading(*doubtful, 0.0), new):
-            self._began, self.readings = 0.0, [_Reading(*doubtful, 0.0)]
+        elif pending is not None and self._continues(_Reading(*pending, 0.0), new):
+            self._began, self.readings = 0.0, [_Reading(*pending, 0.0)]
             self.add(*new)
         else:
-            self._doubtful = new
+            self._pending = new
 
-    def _goes_on(self, last: _Reading, new: tuple[int, float, Array]) -> bool:
-        """Whether one wall can give both: it comes nearer by no more than the sonar's way, and by its turn."""
+    def _continues(self, last: _Reading, new: tuple[int, float, Array]) -> bool:
+        """Whether one wall can give both: the distance changes by at most the sonar's travel and turn."""
         step = between(last.sensor, new[2])
         possible = math.hypot(step[0], step[1]) + math.tan(MIRROR) * last.distance * abs(float(step[2]))
         return abs(new[1] - last.distance) < possible + self._noise
 
     def complete(self, oldest: int) -> list[_Reading]:
-        """Readings not used up, of packets from `oldest` on, that are not of the wall's ends."""
+        """Unused readings of packets from `oldest` on, without those of the wall's ends."""
         if not self.readings:
             return []
         last = self.readings[-1]
-        oldest = max(oldest, self._used + 1)
+        oldest = max(oldest, self.used + 1)
         self.readings = [r for r in self.readings if r.packet >= oldest] or [last]
         return [
             r
@@ -135,16 +127,14 @@ class _Run:
             if r.packet >= oldest and min(r.swept - self._began, last.swept - r.swept) >= CONE_WIDTH * r.distance
         ]
 
-    def use_up(self, packet: int) -> None:
-        """Readings up to this packet's."""
-        self._used = packet
-
 
 class WallObserver:
-    """Collects readings of the last packets and hands out walls."""
+    """Collect readings of the last packets and return walls.
+
+    `sigma`: m, of a sonar distance; `slip`: m per sqrt(m) of a wheel's travel.
+    """
 
     def __init__(self, sigma: float = SIGMA, slip: float = SLIP) -> None:
-        """Of sonars with a standard deviation sigma [m], and wheels that slip [m per square root of a metre]."""
         self._sigma, self._slip = sigma, slip
         self._restart()
 
@@ -154,7 +144,7 @@ class WallObserver:
         self._runs = [_Run(self._sigma) for _ in SONARS]
 
     def observe(self, packet: Packet) -> Seen:
-        """The walls of which this packet has the last reading that was wanted."""
+        """The walls that this packet completes."""
         if not packet.joined:
             self._restart()
         self._odometry.append(packet.odometry)
@@ -169,14 +159,14 @@ class WallObserver:
             if line is not None:
                 rows.append(row)
                 lines.append(line)
-                run.use_up(readings[-1].packet)
+                run.used = readings[-1].packet
         z = np.array([[line.rho, line.alpha] for line in lines]).reshape(-1, 2)
         R = np.array([line.cov for line in lines]).reshape(-1, 2, 2)
         R = 0.5 * (R + R.transpose(0, 2, 1))
         return Seen(z, R, np.array(rows, np.int64))
 
     def _forget(self) -> None:
-        """Drop packets from more than `LONGEST` or `OLDEST` ago."""
+        """Drop packets older than `LONGEST` or `OLDEST`."""
         ways = _wheel_ways(np.array(self._odometry))
         ago = np.cumsum(ways[::-1], axis=0).max(axis=1)[::-1]
         for _ in range(max(int(np.sum(ago > LONGEST)), len(self._odometry) - OLDEST)):
@@ -184,7 +174,7 @@ class WallObserver:
             self._first += 1
 
     def _line(self, readings: list[_Reading]) -> Line | None:
-        """The line through readings in the newest body frame, if it is one and good enough; odometry's errors in it."""
+        """The line through readings in the newest body frame, or None where it is not good enough."""
         odometry = np.array(self._odometry)
         sensors = between(odometry[-1], np.array([r.sensor for r in readings]))
         ranges = np.array([r.distance for r in readings])
@@ -196,7 +186,7 @@ class WallObserver:
             return None
         J = w[:, None] * geometry(sensors, ranges, line.alpha)
         information = J.T @ geometry(sensors, ranges, line.alpha)
-        # by the sonar's sigma, not by the residuals: so few tell little of their own size
+        # from the sonar's sigma: so few residuals say little about their own spread
         sonar = self._sigma**2 * np.linalg.inv(information)
         if not sonar[1, 1] < VAGUEST**2:
             return None
@@ -207,14 +197,14 @@ class WallObserver:
 
 
 def _crossed(line: Line, sensors: Array) -> bool:
-    """Whether the sonars (N, 3) moved across the line's normal, as far as they moved."""
+    """Whether the sonars (N, 3) moved across the line's normal."""
     way = sensors[-1, :2] - sensors[0, :2]
     along = abs(way @ (math.cos(line.alpha), math.sin(line.alpha)))
     return bool(along <= math.cos(ACROSS) * math.hypot(way[0], way[1]))
 
 
 def _wheel_ways(odometry: Array) -> Array:
-    """Ways (F - 1, 2) [m] of the left and right rim between poses (F, 3), without sign."""
+    """Travel (F - 1, 2) [m] of the left and right wheel between poses (F, 3), unsigned."""
     steps = between(odometry[:-1], odometry[1:])
     forward = steps[:, 0] * np.cos(0.5 * steps[:, 2]) + steps[:, 1] * np.sin(0.5 * steps[:, 2])
     ways: Array = np.abs(
@@ -226,16 +216,16 @@ def _wheel_ways(odometry: Array) -> Array:
 def _of_odometry(odometry: Array, packets: Rows, points: Array, alpha: float, gain: Array, slip: float) -> Array:
     """Covariance (2, 2) of rho and alpha from the slip of each wheel on each step since the readings.
 
-    Slip of a wheel by a metre moves the body half a metre ahead and turns it by 1 / WHEEL_BASE; for the newest frame,
-    what was seen before the step is then half a metre farther back and turned the other way about where the robot was.
+    Slip of a wheel by s moves the body by s / 2 and turns it by s / WHEEL_BASE. In the newest frame, points seen before
+    the step move back by s / 2 and turn the other way about the robot's position then.
 
     Args:
-        odometry: (F, 3) poses of the body.
-        packets: (N,) rows of it at which the echoes came.
-        points: (N, 2) the echoes in the last body frame [m].
-        alpha: rad, of the line's normal.
+        odometry: (F, 3) body poses.
+        packets: (N,) rows of `odometry` at which the echoes came.
+        points: (N, 2) echoes in the last body frame [m].
+        alpha: rad, direction of the line's normal.
         gain: (2, N) change of rho and alpha by the points' distances from the line.
-        slip: m per square root of a metre.
+        slip: m per sqrt(m).
     """
     poses = between(odometry[-1], odometry)
     normal = np.array([math.cos(alpha), math.sin(alpha)])

@@ -1,14 +1,12 @@
-"""The robot as numbers, and its serial line byte for byte: command, answer, sonar controller, and the framed variant.
+"""The robot's dimensions, and its serial protocol byte for byte: command, answer, and the framed variant.
 
     command   4 bytes: int16 speed [mm/s], int16 turn rate [mrad/s]
     answer   22 bytes: eight int16 sonar distances [mm], int16 x, y [mm], int16 heading [mrad]
-    sonars   16 bytes: eight uint16 echo times [us]
 
-The low byte comes first. x, y and heading are counted on and overflow at 32.767 m and rad. Framed, a packet is
-`MARKER`, the same bytes, and a CRC-16 of these, low byte first: the polynomial 0x1021 of CCITT, begun at 0xFFFF so
-that leading zeros count, not reflected (`binascii.crc_hqx`; known as CRC-16/IBM-3740).
+Little-endian. x, y and heading overflow at 32.767 m and rad. A framed packet is `MARKER`, the same bytes, and their
+CRC-16 (0x1021, initial value 0xFFFF, not reflected: `binascii.crc_hqx`, CRC-16/IBM-3740), little-endian.
 
-A round hobby robot on two driven wheels. Body frame: x ahead, y to the left, the origin midway between the wheels.
+A round hobby robot with differential drive. Body frame: x ahead, y left, origin midway between the wheels.
 """
 
 from __future__ import annotations
@@ -23,7 +21,7 @@ import numpy as np
 from data.se2 import Array
 
 RADIUS = 0.15
-"""m, of the round body; the sonars sit on its rim."""
+"""m, of the body; the sonars sit on its rim."""
 
 
 def _ring(count: int) -> Array:
@@ -36,82 +34,70 @@ def _ring(count: int) -> Array:
 SONARS: Array = _ring(8)
 """Poses (8, 3) of the sonars on the body [m, m, rad], counter-clockwise from the one ahead.
 
-Steps of 45 degrees all round: whatever the heading, one sonar points within 22.5 degrees of a wall's normal, which is
-where a smooth wall stops to send an echo back (see `data.robot.simulated.physics`). A ring that is denser ahead would
-lose the walls beside and behind, from which a position along a corridor comes.
+At 45 degree steps one sonar is always within 22.5 degrees of a wall's normal, the limit at which a smooth wall returns
+an echo (`data.robot.simulated.physics`).
 """
 SONARS.setflags(write=False)
-AHEAD, LEFT, BEHIND, RIGHT = 0, 2, 4, 6
+AHEAD, RIGHT = 0, 6
 """Rows of `SONARS`."""
 
 CONE_HALF_ANGLE = math.radians(7.5)
-"""rad. A sonar hears the nearest thing inside 15 degrees and does not know in which direction it is."""
+"""rad. A sonar measures the nearest point inside its cone of 15 degrees, not that point's direction."""
 TIMEOUT_MM = 4000
-"""mm. The distance that stands for "nothing seen".
-
-All eight are fired in turn within a cycle of 0.25 s: 8 echoes of 5.8 us/mm x 4000 mm = 0.19 s; 5000 mm would not fit.
-"""
+"""mm, the distance that stands for "no echo". Eight echoes of 5.8 us/mm x 4000 mm fit into a cycle of 0.25 s."""
 LONGEST_RANGE = TIMEOUT_MM / 1000.0
-"""m. An echo from here on is not waited for."""
+"""m."""
 
 WHEEL_BASE = 0.25
-"""m, between the tracks of the two wheels."""
+"""m, track width."""
 WHEEL_RADIUS = 0.0325
-"""m; 65 mm is the common wheel of such kits."""
+"""m."""
 TICKS_PER_TURN = 960
-"""Encoder ticks of one turn of a wheel; 0.21 mm of way each."""
+"""Encoder ticks per turn of a wheel, 0.21 mm each."""
 FASTEST_WHEEL = 0.4
-"""m/s of a wheel's rim; commands beyond are brought down to it."""
+"""m/s of a wheel's rim; faster commands are limited to it."""
 FASTEST = FASTEST_WHEEL
 """m/s of the body."""
 FASTEST_TURN = 2.0 * FASTEST_WHEEL / WHEEL_BASE
-"""rad/s, both wheels at their fastest against each other."""
+"""rad/s, with the wheels at full speed in opposite directions."""
 
 
 def wheel_speeds(v: float, omega: float) -> tuple[float, float]:
-    """Speeds of the left and the right rim [m/s] for a body speed v [m/s] and turn rate omega [rad/s]."""
+    """Speeds of the left and the right wheel [m/s] for a body speed v [m/s] and turn rate omega [rad/s]."""
     return v - 0.5 * WHEEL_BASE * omega, v + 0.5 * WHEEL_BASE * omega
-
-
-def body_speeds(left: float, right: float) -> tuple[float, float]:
-    """Body speed v [m/s] and turn rate omega [rad/s] from the rims' speeds [m/s]; undoes `wheel_speeds`."""
-    return 0.5 * (left + right), (right - left) / WHEEL_BASE
 
 
 PERIOD = 0.25
 """s between commands."""
 ANSWER_TIMEOUT = 0.25
-"""s that an answer is waited for."""
+"""s to wait for an answer."""
 WATCHDOG = 1.0
-"""s without a command after which the robot stops by itself."""
+"""s without a command after which the robot stops itself."""
 BAUD = 9600
-"""bit/s; a byte is 10 bits on the line (8N1)."""
+"""bit/s; a byte takes 10 bits (8N1)."""
 BYTE_TIME = 10.0 / BAUD
 """s."""
 
 SONAR_COUNT = 8
 _COMMAND = struct.Struct("<2h")
 _ANSWER = struct.Struct(f"<{SONAR_COUNT + 3}h")
-_ECHOES = struct.Struct(f"<{SONAR_COUNT}H")
-COMMAND_BYTES, ANSWER_BYTES, SONAR_BYTES = _COMMAND.size, _ANSWER.size, _ECHOES.size
-MICROSECONDS_PER_MM = 5.8
-"""There and back: 2 x 29 us/cm."""
+COMMAND_BYTES, ANSWER_BYTES = _COMMAND.size, _ANSWER.size
 
 MARKER = b"\xa5\x5a"
 FRAME_BYTES = len(MARKER) + 2
-"""Bytes that a frame has more than what it holds."""
+"""Bytes a frame adds to its content."""
 _LOW, _HIGH = -(1 << 15), (1 << 15) - 1
 
 
 class Command(NamedTuple):
-    """What the robot is told: speed [mm/s], turn rate [mrad/s], counter-clockwise."""
+    """A command: speed [mm/s] and turn rate [mrad/s], counter-clockwise."""
 
     speed: int
     turn: int
 
 
 class Answer(NamedTuple):
-    """What the robot tells: distances (8) [mm], x, y [mm] and heading [mrad] of its odometry, as int16 they are."""
+    """An answer: eight distances [mm], and the odometry's x, y [mm] and heading [mrad] as int16."""
 
     distances: tuple[int, ...]
     x: int
@@ -120,44 +106,34 @@ class Answer(NamedTuple):
 
 
 def command_of(v: float, omega: float) -> Command:
-    """The command nearest to v [m/s] and omega [rad/s]; what an int16 cannot hold is brought to its ends."""
+    """The command nearest to v [m/s] and omega [rad/s], clipped to int16."""
     return Command(*(min(max(round(1000.0 * value), _LOW), _HIGH) for value in (v, omega)))
 
 
 def overflowed(value: int) -> int:
-    """An int16 that counted on to `value`: modulo 2^16, -32768 to 32767."""
+    """A value as int16: modulo 2^16, -32768 to 32767."""
     return (value - _LOW) % (1 << 16) + _LOW
 
 
 def encode_command(command: Command) -> bytes:
-    """4 bytes."""
+    """Bytes (4) of a command."""
     return _COMMAND.pack(*command)
 
 
 def decode_command(data: bytes) -> Command:
-    """Of 4 bytes."""
+    """The command of 4 bytes."""
     return Command(*_COMMAND.unpack(data))
 
 
 def encode_answer(answer: Answer) -> bytes:
-    """22 bytes."""
+    """Bytes (22) of an answer."""
     return _ANSWER.pack(*answer.distances, answer.x, answer.y, answer.heading)
 
 
 def decode_answer(data: bytes) -> Answer:
-    """Of 22 bytes, whatever they are; nothing is judged here."""
+    """The answer of 22 bytes, unchecked."""
     values = _ANSWER.unpack(data)
     return Answer(values[:SONAR_COUNT], *values[SONAR_COUNT:])
-
-
-def encode_echoes(distances: tuple[int, ...]) -> bytes:
-    """16 bytes of the sonar controller for distances [mm]."""
-    return _ECHOES.pack(*(round(MICROSECONDS_PER_MM * d) for d in distances))
-
-
-def decode_echoes(data: bytes) -> tuple[int, ...]:
-    """Distances (8) [mm] of the sonar controller's 16 bytes; from `TIMEOUT_MM` on nothing was seen, and it says so."""
-    return tuple(min(round(echo / MICROSECONDS_PER_MM), TIMEOUT_MM) for echo in _ECHOES.unpack(data))
 
 
 def checksum(data: bytes) -> bytes:
@@ -166,17 +142,15 @@ def checksum(data: bytes) -> bytes:
 
 
 def framed(data: bytes) -> bytes:
-    """A packet's bytes between marker and checksum."""
+    """The bytes of a packet between marker and checksum."""
     return MARKER + data + checksum(data)
 
 
 def next_frame(pending: bytearray, size: int) -> tuple[int, bytes | None]:
-    """The first intact frame that holds `size` bytes.
+    """The first intact frame with `size` bytes of content.
 
-    Returns:
-        How many of the pending bytes are done with (the frame and all before it, or what can no longer become one), and
-        the frame's content, or None where none is complete. After a marker that is none only one byte is done with, so
-        an intact frame behind a damaged one is found.
+    Returns how many pending bytes are consumed, and the content, or None. After a false marker one byte is consumed, so
+    an intact frame behind a damaged one is found.
     """
     at = 0
     while True:

@@ -1,8 +1,9 @@
-"""The simulated robot on a pseudo-terminal, with the same bytes as the real one: `python -m data.robot.simulate`."""
+"""The simulated robot on a pseudo-terminal, byte-compatible with the real one: `python -m data.robot.simulate`."""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import re
 import select
@@ -11,7 +12,6 @@ import sys
 import tty
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, TextIO
 
 from data.errors import UsageError
@@ -25,9 +25,7 @@ if TYPE_CHECKING:
 TRUTH_PERIOD = 0.05
 """s of robot time between rows of the truth."""
 LONGEST_WAIT = 0.05
-"""s of real time after which the robot's time goes on though no byte came."""
-TERMINALS = "/dev/"
-"""Where pseudo-terminals have their names."""
+"""s of real time to wait for a byte before the robot moves on."""
 EXAMPLE = """\
 example:
   python -m data.robot.simulate --world walls:0 --link /tmp/robot &
@@ -36,14 +34,12 @@ example:
 
 
 class Terminal:
-    """A pseudo-terminal with a symbolic link to the end that is opened as a serial device; `with` removes it."""
+    """A pseudo-terminal with a symbolic link to the end that serves as serial device; `with` removes it."""
 
     def __init__(self, path: Path) -> None:
-        """Open it.
+        """Open it; UsageError where the path cannot become a link.
 
-        Raises:
-            UsageError: the path cannot become a link. One to a terminal, or to where there was one, is replaced: a
-                simulator that was killed leaves it behind, and numbers of terminals are given out again.
+        A link to a terminal is replaced: a simulator that was killed leaves it behind.
         """
         self._path = path
         self.master, self._slave = os.openpty()
@@ -51,27 +47,25 @@ class Terminal:
         os.set_blocking(self.master, False)
         self._device = os.ttyname(self._slave)
         try:
-            if path.is_symlink() and os.readlink(path).startswith(TERMINALS):
+            if path.is_symlink() and os.readlink(path).startswith("/dev/"):
                 path.unlink()
             path.symlink_to(self._device)
         except FileExistsError:
             self._close()
-            raise UsageError(f"--link {path}: there is something already; remove it or name another path") from None
+            raise UsageError(f"--link {path}: exists already; remove it or name another path") from None
         except OSError as error:
             self._close()
             raise UsageError(f"--link {path}: {error.strerror}") from None
 
     def read(self, wait: float) -> bytes:
-        """Bytes that have come, within a real time [s]."""
+        """Bytes received within a real time [s]."""
         ready, _, _ = select.select([self.master], [], [], max(wait, 0.0))
         return os.read(self.master, 4096) if ready else b""
 
     def write(self, data: bytes) -> None:
-        """Send; what nobody reads is lost, as on a line."""
-        try:
+        """Send; bytes that nobody reads are lost, as on a line."""
+        with contextlib.suppress(BlockingIOError):
             os.write(self.master, data)
-        except BlockingIOError:
-            return
 
     def _close(self) -> None:
         os.close(self.master)
@@ -80,16 +74,14 @@ class Terminal:
     def __enter__(self) -> Terminal:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._path.is_symlink() and os.readlink(self._path) == self._device:
             self._path.unlink()
         self._close()
 
 
 def run(wire: Wire, terminal: Terminal, clock: Clock, truth: TextIO | None = None) -> None:
-    """Let the robot live by the clock until the process is told to end; its true path to `truth`, t,x,y,theta."""
+    """Run the robot by the clock until the process is terminated; its true path (t,x,y,theta) goes to `truth`."""
     rows = 0
     if truth is not None:
         truth.write("t,x,y,theta\n")
@@ -108,47 +100,30 @@ def run(wire: Wire, terminal: Terminal, clock: Clock, truth: TextIO | None = Non
             wire.write(clock.now(), came)
 
 
-def seed_of(world: str) -> int:
-    """The seed of a world's name, `walls:SEED`."""
-    match = re.fullmatch(r"walls:([0-9]{1,9})", world)
-    if match is None:
-        raise UsageError(f"--world {world}: no such world; walls:SEED is one, with a whole number from 0 up")
-    return int(match[1])
-
-
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     top = argparse.ArgumentParser(
         prog="python -m data.robot.simulate",
-        description="A small robot on a pseudo-terminal, until it is interrupted. It stops by itself 1 s after the last"
-        " command.",
+        description="Run a small robot on a pseudo-terminal until interrupted. It stops 1 s after the last command.",
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    top.add_argument("--world", default="walls:0", metavar="walls:SEED", help="its room (default: walls:0)")
-    top.add_argument(
-        "--link", type=Path, required=True, metavar="PATH", help="symbolic link to the terminal; there when it is ready"
-    )
+    top.add_argument("--world", default="walls:0", metavar="walls:SEED", help="room (default: walls:0)")
+    text = "symbolic link to the terminal; exists once the robot is ready"
+    top.add_argument("--link", type=Path, required=True, metavar="PATH", help=text)
     share = _number(0.0, 1.0)
     top.add_argument("--drop", type=share, default=0.0, metavar="P", help="probability that a byte is lost")
-    top.add_argument("--flip", type=share, default=0.0, metavar="P", help="probability that a bit of a byte turns over")
-    top.add_argument(
-        "--stall",
-        type=_number(0.0, 3600.0),
-        default=0.0,
-        metavar="SECONDS",
-        help="how long a direction stands still, about once a minute (once in 6000 bytes): answers come late, commands"
-        " are lost",
-    )
-    top.add_argument(
-        "--speed", type=_number(0.01, 1000.0), default=1.0, metavar="X", help="robot seconds in a second (default: 1)"
-    )
+    top.add_argument("--flip", type=share, default=0.0, metavar="P", help="probability that a byte has a flipped bit")
+    text = "length of a stall of one direction, about once a minute: answers are late, commands are lost"
+    top.add_argument("--stall", type=_number(0.0, 3600.0), default=0.0, metavar="SECONDS", help=text)
+    text = "robot seconds per second (default: 1)"
+    top.add_argument("--speed", type=_number(0.01, 1000.0), default=1.0, metavar="X", help=text)
     top.add_argument("--framed", action="store_true", help="packets between a marker and a checksum, both ways")
-    top.add_argument("--seed", type=seed, default=0, metavar="N", help="of slip, sonars and faults (default: 0)")
-    top.add_argument(
-        "--truth", type=Path, metavar="FILE", help="CSV to write the true path to: t,x,y,theta, 20 a second"
-    )
+    text = "seed of slip, sonars and faults (default: 0)"
+    top.add_argument("--seed", type=seed, default=0, metavar="N", help=text)
+    text = "CSV file for the true path: t,x,y,theta, 20 rows per second"
+    top.add_argument("--truth", type=Path, metavar="FILE", help=text)
     return top
 
 
@@ -163,13 +138,15 @@ def _number(low: float, high: float) -> Callable[[str], float]:
     return convert
 
 
-def _told_to_end(*_: object) -> None:
+def _terminated(*_: object) -> None:
     raise SystemExit(0)
 
 
 def _simulate(argv: Sequence[str] | None) -> None:
     args = parser().parse_args(argv)
-    where = seed_of(args.world)
+    world = re.fullmatch(r"walls:([0-9]{1,9})", args.world)
+    if world is None:
+        raise UsageError(f"--world {args.world}: no such world; walls:SEED is one, with a whole number from 0 up")
     import numpy as np
 
     from data.robot.link import Clock
@@ -178,20 +155,17 @@ def _simulate(argv: Sequence[str] | None) -> None:
     from data.robot.simulated.wire import Faults, Wire
 
     body, line = np.random.default_rng(args.seed).spawn(2)
-    wire = Wire(Robot(room(where), body), Faults(args.drop, args.flip, args.stall), line, with_frames=args.framed)
+    robot = Robot(room(int(world[1])), body)
+    wire = Wire(robot, Faults(args.drop, args.flip, args.stall), line, with_frames=args.framed)
     for name in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        signal.signal(name, _told_to_end)
-    truth = None if args.truth is None else args.truth.open("w", buffering=1)
-    try:
-        with Terminal(args.link) as terminal:
-            run(wire, terminal, Clock(args.speed), truth)
-    finally:
-        if truth is not None:
-            truth.close()
+        signal.signal(name, _terminated)
+    with contextlib.ExitStack() as stack:
+        truth = None if args.truth is None else stack.enter_context(args.truth.open("w", buffering=1))
+        run(wire, stack.enter_context(Terminal(args.link)), Clock(args.speed), truth)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Simulate until told to end; 0, or 2 with one line on stderr."""
+    """Simulate until terminated; 0, or 2 with one line on stderr."""
     return ended(lambda: _simulate(argv))
 
 

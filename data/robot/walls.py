@@ -1,12 +1,12 @@
-"""Walls from sonar readings: where on a wall an echo came from, and the straight line through several of them.
+"""Walls from sonar readings: where an echo came from, and the straight line through several of them.
 
-A line is (rho, alpha): rho >= 0 its distance from the origin [m], alpha the direction of its normal, from the origin to
-the line [rad]. Sensors and lines are in one frame, most often the robot's newest body frame.
+A line is (rho, alpha): rho >= 0 its distance from the origin [m], alpha the direction of its normal [rad], from the
+origin to the line. Sensors and lines share one frame, usually the newest body frame.
 
-Model of a reading: the distance to the nearest point inside the cone. If the wall's normal is inside the cone, that
-point is the foot of the perpendicular, wherever in the cone it is; if not, it is where the cone's nearer edge meets the
-wall. So a line fixes the direction of each echo, and directions and line are found in turns. Taking each echo for one
-on the sonar's axis instead puts the wall too near or too far, by up to 1 - cos(22.5 degrees) = 7.6 % of the distance.
+A reading is the distance to the nearest point inside the cone: the foot of the perpendicular if the wall's normal is
+inside the cone, else the point where the nearer edge of the cone meets the wall. So a line fixes the direction of each
+echo, and directions and line are found by iteration. Echoes taken on the sonar's axis would misplace the wall by up to
+1 - cos(22.5 degrees) = 7.6 % of the distance.
 """
 
 from __future__ import annotations
@@ -17,35 +17,27 @@ from typing import NamedTuple
 import numpy as np
 
 from data.robot.packets import CONE_HALF_ANGLE, SONARS
-from data.se2 import Array, BoolArray, between, compose, wrap_angle
+from data.se2 import Array, between, compose, wrap_angle
 
 SIGMA = 0.005
-"""m, standard deviation of a distance: that of the simulated sonars (`data.robot.simulated.physics`)."""
+"""m, standard deviation of a distance, as of the simulated sonars (`data.robot.simulated.physics`)."""
 MIRROR = math.radians(15.0)
-"""rad between an echo's way and the wall's normal; met at a larger angle, a smooth wall sends the sound elsewhere."""
+"""rad, largest angle between an echo and the wall's normal at which a smooth wall returns the sound."""
 WELSCH = 2.985
-"""Standard deviations. The weight exp(-(d / (WELSCH sigma))^2) loses 5 % of precision on data without outliers (Holland
-and Welsch 1977)."""
+"""Standard deviations. The weight exp(-(d / (WELSCH sigma))^2) has 95 % efficiency on normal errors (Holland and Welsch
+1977)."""
 NORMAL_MEDIAN = 1.4826
-"""Standard deviation of normal residuals over the median of their sizes."""
-INLIER = 1.96
-"""Standard deviations; 95 % of good readings are within (Hartley and Zisserman, section 4.7.1)."""
-SAMPLES = 100
-"""Pairs of readings that RANSAC tries. 17 would find two good ones among 40 % outliers 999 times in 1000; a pair near
-each other makes a poor line, though, and the pairs that lie in different halves are only half of all."""
-TRUNCATED = 0.759
-"""1 - 2 t phi(t) / (2 Phi(t) - 1), t = `INLIER`: of the change that an error makes, the share that least squares
-through the inliers shows; the rest is good readings that leave or join them."""
+"""Standard deviation of normal residuals over their median absolute value."""
 ITERATIONS = 50
 CONVERGED = 1e-9
-"""rad or m; a step this small ends the iteration."""
+"""rad or m; a smaller step ends the iteration."""
 
 
 class Line(NamedTuple):
     """A wall.
 
     Attributes:
-        rho: m, at least 0.
+        rho: m, >= 0.
         alpha: rad, (-pi, pi].
         cov: (2, 2) covariance of rho and alpha [m, rad].
         weights: (N,) of the readings, 0 to 1.
@@ -60,17 +52,14 @@ class Line(NamedTuple):
 
 
 def sensor_poses(odometry: Array) -> Array:
-    """Poses (F, 8, 3) of the sonars at the poses `odometry` (F, 3) of the body, in the body frame of the last."""
+    """Poses (F, 8, 3) of the sonars for body poses (F, 3), in the last body frame."""
     return compose(between(odometry[-1], odometry)[:, None], SONARS)
 
 
 def echo_points(sensors: Array, ranges: Array, alpha: float | Array) -> Array:
-    """Points (..., N, 2) the echoes of a wall with the normal `alpha` came from: within the cone as near it as can be.
+    """Points (..., N, 2) that the echoes came from: within the cone, nearest to the normal's direction `alpha` [rad].
 
-    Args:
-        sensors: (..., N, 3) poses of the sonars [m, m, rad].
-        ranges: (..., N) distances [m].
-        alpha: rad, one, or shaped (..., 1).
+    `sensors` (..., N, 3) are sonar poses, `ranges` (..., N) distances [m]; `alpha` is scalar or (..., 1).
     """
     turn = np.clip(wrap_angle(alpha - sensors[..., 2]), -CONE_HALF_ANGLE, CONE_HALF_ANGLE)
     way = sensors[..., 2] + turn
@@ -78,7 +67,7 @@ def echo_points(sensors: Array, ranges: Array, alpha: float | Array) -> Array:
 
 
 def predicted_ranges(sensors: Array, rho: float, alpha: float) -> Array:
-    """Readings (N,) of an endless wall by the model above, inf where no way inside the cone leads to it."""
+    """Readings (N,) of an infinite wall by the model above, inf where the cone misses it."""
     off = np.abs(wrap_angle(alpha - sensors[:, 2]))
     distance = rho - sensors[:, 0] * math.cos(alpha) - sensors[:, 1] * math.sin(alpha)
     slant = np.maximum(off - CONE_HALF_ANGLE, 0.0)
@@ -87,12 +76,10 @@ def predicted_ranges(sensors: Array, rho: float, alpha: float) -> Array:
 
 
 def total_least_squares(points: Array, weights: Array, sensors: Array) -> tuple[Array, Array]:
-    """(rho, alpha) (...) of the lines with the least weighted squared distances; the sensors are before them.
+    """(rho, alpha) (...) of the lines with least weighted squared distances from points (..., N, 2).
 
-    Args:
-        points: (..., N, 2).
-        weights: (..., N), at least two above zero.
-        sensors: (..., N, 3); rho is negative where the origin is beyond the line.
+    `weights` (..., N): at least two above zero; `sensors` (..., N, 3) lie before the lines. rho is negative where the
+    origin lies beyond its line.
     """
     total = weights.sum(-1)
     mean = (weights[..., None] * points).sum(-2) / total[..., None]
@@ -107,95 +94,50 @@ def total_least_squares(points: Array, weights: Array, sensors: Array) -> tuple[
 
 
 def fit_weighted(sensors: Array, ranges: Array, sigma: float = SIGMA) -> Line:
-    """The line through readings by weighted total least squares, w = exp(-d^2 / c).
+    """The line through N >= 3 readings by weighted total least squares, w = exp(-d^2 / c).
 
-    d is the distance from the line of the last iteration and c = (`WELSCH` sigma)^2. Least squares through all readings
-    would be no line to begin with: a few gross outliers turn it until all good readings weigh nothing. The first line
-    is that of the repeated median, and c comes down to its value from what the median of its d says, by halves of s.
-
-    Args:
-        sensors: (N, 3) poses [m, m, rad], N >= 3.
-        ranges: (N,) distances [m], finite.
-        sigma: m, of a reading.
+    d is the distance from the last line, c = (`WELSCH` sigma)^2. Iteration starts at the repeated median line, since a
+    few outliers would turn a least-squares line away from all good readings; the scale in c starts at the median of its
+    d and is halved until sigma.
     """
     rho, alpha = _repeated_median(sensors, ranges)
     scale = NORMAL_MEDIAN * float(np.median(np.abs(_distances(sensors, ranges, rho, alpha))))
     for _ in range(ITERATIONS):
         d = _distances(sensors, ranges, rho, alpha)
         weights = np.exp(-((d / (WELSCH * max(scale, sigma))) ** 2))
-        if weights.sum() < 1.0:  # not a line: what agreed widely does not agree closely
+        if weights.sum() < 1.0:  # not a line
             break
         before = rho, alpha
         rho, alpha = _least_squares(sensors, ranges, weights, alpha)
         if scale <= sigma and max(abs(rho - before[0]), abs(wrap_angle(alpha - before[1]))) < CONVERGED:
             break
         scale *= 0.5
-    return _line(sensors, ranges, rho, alpha, sigma)
-
-
-def fit_ransac(sensors: Array, ranges: Array, rng: np.random.Generator, sigma: float = SIGMA) -> Line:
-    """The line most readings agree with, by total least squares through these (Fischler and Bolles 1981).
-
-    Args:
-        sensors: (N, 3) poses [m, m, rad], N >= 3.
-        ranges: (N,) distances [m], finite.
-        rng: draws `SAMPLES` pairs of readings.
-        sigma: m, of a reading; within `INLIER` of it a reading agrees.
-    """
-    n = len(ranges)
-    first = rng.integers(n, size=SAMPLES)
-    pairs = np.stack([first, (first + rng.integers(1, n, size=SAMPLES)) % n], axis=-1)
-    two, both = sensors[pairs], np.ones(pairs.shape)
-    alpha = two[..., 2]
-    for _ in range(4):  # the first lays both echoes on their axes, the others on the way to the line
-        rho, angle = total_least_squares(echo_points(two, ranges[pairs], alpha), both, two)
-        alpha = angle[:, None]
-    d = _distances(sensors, ranges, rho[:, None], alpha)
-    agree = np.minimum((d / (INLIER * sigma)) ** 2, 1.0)  # by cost, not by count: ties among few readings are common
-    best = int(np.argmin(agree.sum(-1)))
-    line_rho, line_alpha, inliers = float(rho[best]), float(angle[best]), agree[best] < 1.0
-    for _ in range(ITERATIONS):
-        if inliers.sum() < 2:
-            break
-        before = line_rho, line_alpha
-        line_rho, line_alpha = _least_squares(sensors, ranges, inliers.astype(float), line_alpha)
-        if max(abs(line_rho - before[0]), abs(wrap_angle(line_alpha - before[1]))) < CONVERGED:
-            break
-    return _line(sensors, ranges, line_rho, line_alpha, sigma, inliers)
+    d = _distances(sensors, ranges, rho, alpha)
+    u = (d / (WELSCH * sigma)) ** 2
+    return _line(sensors, ranges, (rho, alpha), d, np.exp(-u), np.exp(-u) * (1.0 - 2.0 * u))
 
 
 def visible(line: Line, sensors: Array) -> bool:
-    """Whether a smooth wall there sends echoes back to the sensors (N, 3) of the readings that count, on the whole."""
+    """Whether a smooth wall there would return echoes to the sensors (N, 3), by the weighted mean of the angle."""
     off = np.abs(wrap_angle(line.alpha - sensors[:, 2]))
     return bool(line.weights @ off < line.weights.sum() * (CONE_HALF_ANGLE + MIRROR))
 
 
 def geometry(sensors: Array, ranges: Array, alpha: float) -> Array:
-    """Jacobian (N, 2) of the echoes' distances from a line to its rho and alpha: -1 and how far along it they lie.
+    """Jacobian (N, 2) of the echoes' distances from a line to rho and alpha: -1 and their position along it.
 
-    Where the wall's normal leaves the cone, the echo moves along the wall with it; its distance does not change for
-    that, so the Jacobian is that of points at rest.
+    An echo on the cone's edge moves along the wall with alpha, which does not change its distance.
     """
     along = echo_points(sensors, ranges, alpha) @ (-math.sin(alpha), math.cos(alpha))
     return np.stack([-np.ones(len(ranges)), along], axis=-1)
 
 
-def _line(
-    sensors: Array, ranges: Array, rho: float, alpha: float, sigma: float, inliers: BoolArray | None = None
-) -> Line:
-    """The line with its covariance, rho >= 0.
+def _line(sensors: Array, ranges: Array, fitted: tuple[float, float], d: Array, weights: Array, slope: Array) -> Line:
+    """The line with its covariance, rho >= 0; `slope` (N,): derivative of weight times distance d.
 
-    The covariance is that of an M-estimate (Huber, Robust Statistics, section 7.6) from the residuals, their number and
-    the Jacobian. For RANSAC weights are 1 or 0, and good readings that come to lie beyond `INLIER` are missing.
+    The covariance is that of an M-estimate (Huber, Robust Statistics, section 7.6).
     """
-    d = _distances(sensors, ranges, rho, alpha)
-    if inliers is None:
-        u = (d / (WELSCH * sigma)) ** 2
-        weights = np.exp(-u)
-        slope = weights * (1.0 - 2.0 * u)  # of weight times distance
-    else:
-        weights = inliers.astype(float)
-        slope = TRUNCATED * weights
+    rho, alpha = fitted
     J = geometry(sensors, ranges, alpha)
     total, curvature = float(weights.sum()), float(slope.sum())
     information = (weights[:, None] * J).T @ J
@@ -218,16 +160,15 @@ def _distances(sensors: Array, ranges: Array, rho: float | Array, alpha: float |
 
 
 def _least_squares(sensors: Array, ranges: Array, weights: Array, alpha: float) -> tuple[float, float]:
-    """Line through the echoes as a wall with the normal `alpha` would send them."""
+    """Line through the echoes of a wall with the normal `alpha`."""
     line = total_least_squares(echo_points(sensors, ranges, alpha), weights, sensors)
     return float(line[0]), float(line[1])
 
 
 def _repeated_median(sensors: Array, ranges: Array) -> tuple[float, float]:
-    """Rho and alpha of a line that half the readings may be wrong for (Siegel 1982).
+    """Rho and alpha of a line that tolerates half of the readings as outliers (Siegel 1982).
 
-    Slopes are taken across the sonars' mean axis: a wall is seen only near its normal. Laid on their axes first, the
-    echoes are laid again by the line found.
+    Slopes are taken across the sonars' mean axis. Echoes are placed on their axes first, then by the line found.
     """
     axis = math.atan2(float(np.sin(sensors[:, 2]).sum()), float(np.cos(sensors[:, 2]).sum()))
     c, s = math.cos(axis), math.sin(axis)

@@ -1,7 +1,7 @@
-"""The worlds `walls:SEED`: the simulated robot drives along the walls of a room, and what its line carried is the log.
+"""The worlds `walls:SEED`: the simulated robot follows the walls of a room over a perfect line.
 
-The line is well (`data.robot.simulate` is the one with faults). The robot starts at the world's origin; walls
-are (rho, alpha) there. An observation's true id is the wall whose distance and direction it meets; none: clutter.
+The robot starts at the world's origin; walls are (rho, alpha) there. An observation's true id is the wall it agrees
+with; none: clutter.
 """
 
 from __future__ import annotations
@@ -23,26 +23,23 @@ from data.truth import Truth
 from data.worlds.parameters import check_parameters
 
 SAME = 1e-6
-"""m, rad. Sides nearer to one line than this are one wall."""
+"""m, rad. Sides nearer to one line are one wall."""
 MEETS = (0.1, 0.15)
-"""m, rad. An observation this near to a wall shows it; parallel faces are more than half a metre apart, and an
-observation's angle has a standard deviation of 0.05 rad at most (`observe.VAGUEST`)."""
+"""m, rad. An observation this near to a wall is of it; parallel faces are more than 0.5 m apart, and the angle's
+standard deviation is at most 0.05 rad (`observe.VAGUEST`)."""
 
 
 @dataclass(frozen=True)
 class Walls:
-    """Parameters of the world; what the log states of noise is what there is.
+    """Parameters of the world; the log states the true noise. Raises UsageError for a value out of range.
 
     Attributes:
         frames: packets, four a second; 1200 are five minutes.
         room: seed of the room, 0 is 10 x 6 m with two boxes; that of the log if left out.
-        slip: m per square root of a metre of a wheel's way, standard deviation, each wheel for itself.
+        slip: m per sqrt(m) of a wheel's travel, standard deviation, independent per wheel.
         range_sigma: m, standard deviation of a sonar's distance.
         dropout: share of echoes that are missed.
         crosstalk: share of readings that are the echo of another sonar's ping.
-
-    Raises:
-        UsageError: a value of the wrong type or out of range.
     """
 
     frames: int = 1200
@@ -74,7 +71,7 @@ def simulate(walls: Walls, seed: int, name: str | None = None) -> Log:
 
 
 def lines(place: Room) -> LandmarkMap:
-    """The lines (rho, alpha) that a room's walls lie on, rho >= 0, seen from where the robot starts; ids count them."""
+    """Lines (rho, alpha) of a room's walls, rho >= 0, relative to the robot's start; ids count them."""
     ends = between(place.start, np.concatenate([place.segments, np.zeros((*place.segments.shape[:2], 1))], axis=2))
     found: list[Array] = []
     for (ax, ay, _), (bx, by, _) in ends:
@@ -87,7 +84,7 @@ def lines(place: Room) -> LandmarkMap:
 
 
 def shown(inputs: Inputs, path: Array, known: LandmarkMap) -> IntArray:
-    """Id (M,) of the wall that each observation shows, seen from the true path (N, 3)."""
+    """Id (M,) of the wall of each observation, from the true path (N, 3)."""
     o = inputs.observations
     ids = np.full(len(o.frame), CLUTTER, np.int64)
     for i, (frame, z) in enumerate(zip(o.frame.tolist(), o.z, strict=True)):

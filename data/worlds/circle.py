@@ -26,11 +26,7 @@ from data.sensors import RelativePoint
 from data.truth import Truth
 from data.worlds.parameters import check_parameters, drawn_prior, streams
 
-_CHOICES = {
-    "heading_noise": ("after", "before"),
-    "speed_noise": ("start", "end"),
-    "layout": ("ring", "scatter"),
-}
+_CHOICES = {"heading_noise": ("after", "before"), "speed_noise": ("start", "end"), "layout": ("ring", "scatter")}
 
 
 @dataclass(frozen=True)

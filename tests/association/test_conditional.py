@@ -203,7 +203,7 @@ def test_a_sighting_ends_a_row_of_misses():
 
 def test_a_certain_landmark_that_is_often_overlooked_is_given_more_time():
     known = INITIALIZED
-    for _ in range(constants.CERTAIN):
+    for _ in range(constants.CONFIRMED):
         for _ in range(3):
             known = overlooked(known)
         known = sighted(known, None, True)
@@ -265,7 +265,7 @@ def test_where_landmarks_are_rarely_seen_two_sightings_make_one_certain():
     assert certain(twice, usual(0.3))
     assert not certain(twice, usual(0.95))
     assert not certain(INITIALIZED, usual(0.05))
-    assert certain(twice._replace(seen=constants.CERTAIN), usual(0.95))
+    assert certain(twice._replace(seen=constants.CONFIRMED), usual(0.95))
 
 
 def test_against_a_certain_landmark_there_must_be_more():

@@ -13,16 +13,7 @@ import numpy as np
 
 from data.errors import LARGEST, DataError
 from data.formats.csv_table import FIRST_ROW, read_table, symmetric
-from data.formats.results.path import (
-    WORLD,
-    GivenPath,
-    Manner,
-    Text,
-    in_order,
-    is_number,
-    numbers,
-    require_order,
-)
+from data.formats.results.path import WORLD, GivenPath, Manner, Text, in_order, is_number, numbers, require_order
 from data.formats.results.space import Spatial, on_plane, require_covariances, rotations
 from data.inputs import IntArray
 from data.result import DISCARD, MapEstimate
@@ -49,9 +40,7 @@ def read_plane(text: Text, manner: Manner) -> GivenPath:
     names = _names(text)
     if "t" not in names:
         raise DataError.at(
-            text.path,
-            "no column t: these are poses of a log's frames; give its folder instead",
-            line=text.line[0],
+            text.path, "no column t: these are poses of a log's frames; give its folder instead", line=text.line[0]
         )
     if manner.frame not in (None, WORLD):
         raise DataError.at(text.path, f"its covariances are {WORLD} by definition; --cov-frame {manner.frame}")

@@ -1,1 +1,1 @@
-"""The robot that is not there: its body in a room, its wheels and sonars, and a line with faults."""
+"""The simulated robot: its body in a room, its wheels and sonars, and a line with faults."""

@@ -1,12 +1,10 @@
-"""How the simulated robot moves and what its sonars hear, in steps of its own time.
+"""Motion and sonars of the simulated robot, in steps of its own time.
 
-The same generator, room and commands with their times give the same path and answers. Each wheel's loop (PI with
-anti-windup on the encoder's speed) brings it to the speed it is told; the ground does not follow exactly (slip), the
-encoders do. A wall holds the body, not the wheels.
+The same generator, room and timed commands give the same path and answers. Each wheel's PI loop with anti-windup brings
+its encoder to the commanded speed; the ground follows with slip. A wall stops the body, not the wheels.
 
-The motor is a first-order lag from duty to speed, with friction; a load of up to all it has can hold it. The loop's
-zero cancels the motor's lag, so without a load the wheel follows as a lag of `RESPONSE` (pole cancellation; Astrom and
-Hagglund, PID Controllers, section 4.4).
+The motor is a first-order lag from duty to speed, with friction. The loop's zero cancels the motor's pole, so without a
+load the wheel follows as a lag of `RESPONSE` (Astrom and Hagglund, PID Controllers, section 4.4).
 """
 
 from __future__ import annotations
@@ -41,35 +39,30 @@ from data.robot.traffic.motion import Heard, Packet, Unwrapper
 from data.se2 import Array, compose, wrap_angle
 
 LAG = 0.1
-"""s in which the motor gets to 63 % of its speed: a geared motor of 6 V with a 65 mm wheel."""
+"""s, time constant of the motor: a geared motor of 6 V with a 65 mm wheel."""
 FULL_SPEED = 1.25 * FASTEST_WHEEL
-"""m/s of the rim at full duty without load; the rest over the fastest is for the loop to work with."""
+"""m/s of the rim at full duty without load: 25 % above the limit, as reserve of the loop."""
 RESPONSE = 0.05
-"""s, the lag of the closed loop: half the motor's own, five steps of 0.01 s."""
+"""s, time constant of the closed loop: half the motor's, five steps of 0.01 s."""
 PROPORTIONAL = LAG / (FULL_SPEED * RESPONSE)
 """Duty per m/s."""
 INTEGRAL = 1.0 / (FULL_SPEED * RESPONSE)
 """Duty per m."""
 FRICTION = 0.1
-"""Duty that does not turn the wheel yet."""
+"""Smallest duty that turns the wheel."""
 
 
 @dataclass
 class SpeedLoop:
-    """A wheel's PI controller.
-
-    Attributes:
-        integral: duty that it has come to by itself.
-    """
+    """A wheel's PI controller; `integral` is the duty it has accumulated."""
 
     integral: float = 0.0
 
     def duty(self, wanted: float, measured: float, dt: float) -> float:
         """Duty, -1 to 1, for speeds [m/s] wanted and measured, dt [s] after the last call.
 
-        When the duty is at its limit, the integral stays where it is unless the error leads away from the limit, so a
-        wheel that was held does not run on when it is let go (conditional integration). To stand it needs no integral:
-        friction holds it, and what had worked against friction would push it on.
+        At the limit the integral holds unless the error leads away from it (conditional integration). At rest it is
+        zero: friction holds the wheel.
         """
         error = wanted - measured
         if wanted == 0.0:
@@ -84,41 +77,39 @@ class SpeedLoop:
 
 
 def turned(speed: float, duty: float, dt: float, load: float = 0.0) -> float:
-    """Speed [m/s] of a motor's wheel dt [s] on; `load` in parts of what full duty can push, against the motion.
+    """Speed [m/s] of a motor's wheel after dt [s]; `load`: opposing push, in parts of that of full duty.
 
-    Friction and load hold a wheel at rest and bring a turning one to rest, not beyond.
+    Friction and load hold a wheel at rest and stop a turning one, not beyond.
     """
     against = FRICTION + load
     pushed = speed + (duty * FULL_SPEED - speed) * dt / LAG
     brake = against * FULL_SPEED * dt / LAG
-    if abs(pushed) <= brake:
-        return 0.0
-    return pushed - brake if pushed > 0.0 else pushed + brake
+    return 0.0 if abs(pushed) <= brake else pushed - math.copysign(brake, pushed)
 
 
 STEP = 0.01
-"""s of a step of motion; the firmware reads its encoders as often."""
+"""s, step of motion and of the firmware's encoders."""
 BRAKING = 0.1
-"""s in which its loop brings a wheel from its fastest to rest (`data.robot.simulated.physics`)."""
+"""s in which the loop stops a wheel from full speed."""
 PATIENCE = WATCHDOG - BRAKING - 2.0 * STEP
-"""s without a command after which the firmware brakes, so as to stand at `WATCHDOG`; either end may be in a step."""
+"""s without a command after which the firmware brakes, so that the robot stands at `WATCHDOG`."""
 METRES_PER_TICK = 2.0 * math.pi * WHEEL_RADIUS / TICKS_PER_TURN
 SHORTEST_RANGE = 0.02
-"""m. Nearer echoes come while the sonar still sends."""
+"""m. Nearer echoes return while the sonar still sends."""
 
 
 @dataclass(frozen=True)
 class Physics:
-    """What is not as it should be; the defaults are those of `python -m data.robot.simulate`.
+    """Imperfections of the robot.
 
     Attributes:
-        slip: m per square root of a metre of a wheel's way, standard deviation, each wheel for itself; 0.005 turns
-            the body by 1.6 degrees on a metre, which is what hobby wheels do on a smooth floor.
+        slip: m per sqrt(m) of a wheel's travel, standard deviation, independent per wheel; 0.005 turns the body by 1.6
+            degrees per metre, as hobby wheels do on a smooth floor.
         range_sigma: m, standard deviation of a distance.
-        mirror: rad. A wall met at a larger angle from its normal sends the sound away: nothing is seen. 15 degrees at
-            the cone's edge are 22.5 at its axis, so eight sonars round the body just see every wall (`body.SONARS`).
+        mirror: rad. A wall met at a larger angle from its normal returns no echo. 15 degrees at the cone's edge are
+            22.5 at its axis, so eight sonars just see every wall.
         dropout: share of echoes that are missed.
-        crosstalk: share of readings that are the echo of another sonar's ping: too early, any distance below the own.
+        crosstalk: share of readings that are another sonar's ping: any distance below the true one.
     """
 
     slip: float = 0.005
@@ -129,23 +120,22 @@ class Physics:
 
 
 class Robot:
-    """The simulated body with its wheels, encoders, sonars and watchdog, at rest at the start of its room.
+    """The simulated body with wheels, encoders, sonars and watchdog, at rest at the start of its room.
 
     Attributes:
         pose: (3,) true pose [m, m, rad], world frame, heading wrapped.
-        wheels: speeds [m/s] of the left and the right rim.
-        time: s, up to which it has moved.
+        wheels: speeds [m/s] of the left and the right wheel.
     """
 
     def __init__(self, room: Room, rng: np.random.Generator, physics: Physics | None = None) -> None:
-        """Motion and sonars draw from generators of their own, so how often it is asked does not change its path."""
+        """Motion and sonars draw from separate generators, so the number of answers does not change the path."""
         self.room, self.physics = room, physics or Physics()
         self._ground, self._sound = rng.spawn(2)
         self.pose = np.array(room.start, float)
         self.wheels = (0.0, 0.0)
         self._loops = (SpeedLoop(), SpeedLoop())
-        self._wanted = (0.0, 0.0)
-        self._told = -math.inf
+        self._wanted: tuple[float, ...] = (0.0, 0.0)
+        self._commanded = -math.inf
         self._steps = 0
         self._turned = [0.0, 0.0]
         self._ticks = [0, 0]
@@ -154,27 +144,27 @@ class Robot:
 
     @property
     def time(self) -> float:
-        """Of the last step [s]."""
+        """Time of the last step [s]."""
         return self._steps * STEP
 
     def command(self, t: float, command: Command) -> None:
-        """Obey from time t [s] on; speeds beyond the wheels' fastest are brought down to it, each wheel for itself."""
+        """Obey from time t [s] on, within the limits of each wheel."""
         self.advance(t)
         left, right = wheel_speeds(command.speed / 1000.0, command.turn / 1000.0)
-        self._wanted = (_within(left, FASTEST_WHEEL), _within(right, FASTEST_WHEEL))
-        self._told = t
+        self._wanted = tuple(min(max(speed, -FASTEST_WHEEL), FASTEST_WHEEL) for speed in (left, right))
+        self._commanded = t
 
     def advance(self, t: float) -> None:
-        """Move on to the last step not after t [s]; a time that has passed changes nothing."""
+        """Move to the last step not after t [s]; a past time changes nothing."""
         for _ in range(math.floor(t / STEP + 1e-9) - self._steps):
             self._step()
 
     def _step(self) -> None:
-        wanted = self._wanted if self.time - self._told < PATIENCE - 1e-9 else (0.0, 0.0)
+        wanted = self._wanted if self.time - self._commanded < PATIENCE - 1e-9 else (0.0, 0.0)
         self._steps += 1
         before = self.wheels
-        told = zip(self._loops, before, wanted, strict=True)
-        left, right = (turned(now, loop.duty(goal, now, STEP), STEP) for loop, now, goal in told)
+        each = zip(self._loops, before, wanted, strict=True)
+        left, right = (turned(now, loop.duty(goal, now, STEP), STEP) for loop, now, goal in each)
         self.wheels = (left, right)
         if left == right == 0.0 and before == (0.0, 0.0):
             return
@@ -185,7 +175,7 @@ class Robot:
         self._move(0.5 * (true[0] + true[1]), (true[1] - true[0]) / WHEEL_BASE)
 
     def _encode(self, ways: list[float]) -> None:
-        """Count whole ticks and carry the firmware's odometry on with them."""
+        """Count whole ticks and advance the firmware's odometry by them."""
         counted = []
         for i in (0, 1):
             self._turned[i] += ways[i]
@@ -198,7 +188,7 @@ class Robot:
         self._odometry = [x + forward * math.cos(middle), y + forward * math.sin(middle), heading + turn]
 
     def _move(self, forward: float, turn: float) -> None:
-        """Move the body unless a wall is in the way; how far the walls are is asked only when they may be reached."""
+        """Move the body unless a wall is in the way; clearance is computed only where a wall may be reached."""
         x, y, theta = self.pose.tolist()
         middle = theta + 0.5 * turn
         to = (x + forward * math.cos(middle), y + forward * math.sin(middle))
@@ -213,7 +203,7 @@ class Robot:
         self.pose = np.array([to[0], to[1], wrap_angle(theta + turn)])
 
     def answer(self, t: float) -> Answer:
-        """What the firmware answers at time t [s]: distances as of now, odometry in whole mm and mrad, overflowed."""
+        """The firmware's answer at time t [s]: present distances, odometry in whole mm and mrad, overflowed."""
         self.advance(t)
         x, y, heading = (overflowed(round(1000.0 * value)) for value in self._odometry)
         return Answer(tuple(self._distances()), x, y, heading)
@@ -230,12 +220,10 @@ class Robot:
 
 
 class Drive(NamedTuple):
-    """A drive without a line.
+    """A drive without a line: N packets, one a period from time 0 on.
 
-    Attributes:
-        packets: N, one a period from time 0 on.
-        commands: (N, 2) speed [m/s] and turn rate [rad/s] as whole mm/s and mrad/s, given after each packet.
-        poses: (N, 3) true poses [m, m, rad] at the packets' times, world frame.
+    `commands` (N, 2) [m/s, rad/s] in whole mm/s and mrad/s follow each packet; `poses` (N, 3) are the true poses at its
+    time [m, m, rad], world frame.
     """
 
     packets: list[Packet]
@@ -250,14 +238,9 @@ def drive(
     rng: np.random.Generator,
     physics: Physics | None = None,
 ) -> Drive:
-    """Drive through a room as fast as it can be computed: what the link does on a line that is always well.
+    """Drive through a room without waiting, as over a perfect line, for seconds / PERIOD packets.
 
-    Args:
-        room: where.
-        policy: speed [m/s] and turn rate [rad/s] to command after a packet.
-        seconds: how long; N = seconds / PERIOD.
-        rng: of slip and sonars.
-        physics: of the robot; the default ones if None.
+    `policy` returns the speed [m/s] and turn rate [rad/s] to command after a packet; `rng` draws slip and sonars.
     """
     robot, unwrapper = Robot(room, rng, physics), Unwrapper()
     packets, commands, poses = [], [], []
@@ -269,7 +252,3 @@ def drive(
         commands.append(command)
         robot.command(t, command)
     return Drive(packets, np.array(commands, float).reshape(-1, 2) / 1000.0, np.array(poses).reshape(-1, 3))
-
-
-def _within(value: float, limit: float) -> float:
-    return min(max(value, -limit), limit)

@@ -1,4 +1,4 @@
-"""Rooms of straight walls for the robot, and what a sonar's cone meets in them: the worlds `walls:SEED`."""
+"""Rooms of straight walls, and the echo of a sonar's cone in them: the worlds `walls:SEED`."""
 
 from __future__ import annotations
 
@@ -12,29 +12,24 @@ from data.robot.packets import CONE_HALF_ANGLE, RADIUS
 from data.se2 import Array
 
 GAP = 6.0 * RADIUS
-"""m, at least, between things in a room: three robots wide, so a wall follower gets through on either side."""
+"""m, least distance between objects in a room: three robots wide, so a wall follower gets through."""
 TRIES = 1000
 
 
 @dataclass(frozen=True)
 class Room:
-    """Walls and the pose a robot starts at.
-
-    Attributes:
-        segments: (S, 2, 2) end points [m] of the walls, world frame.
-        start: (3,) pose [m, m, rad], world frame.
-    """
+    """Walls (S, 2, 2) by their end points [m], and the start pose (3,) [m, m, rad], world frame."""
 
     segments: Array
     start: Array
 
 
 class Echo(NamedTuple):
-    """The nearest point of any wall in each of N cones.
+    """The nearest wall point in each of N cones.
 
     Attributes:
         distance: (N,) m, inf where the cone is empty.
-        incidence: (N,) rad, 0 to pi/2, between the way to that point and the wall's normal there.
+        incidence: (N,) rad, 0 to pi/2, between the direction of that point and the wall's normal.
         wall: (N,) row of `Room.segments`, -1 where the cone is empty.
     """
 
@@ -44,7 +39,7 @@ class Echo(NamedTuple):
 
 
 def _box(x0: float, y0: float, x1: float, y1: float) -> Array:
-    """Sides (4, 2, 2) of a rectangle with its sides along the axes."""
+    """Sides (4, 2, 2) of an axis-parallel rectangle."""
     corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], float)
     return np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
 
@@ -52,7 +47,7 @@ def _box(x0: float, y0: float, x1: float, y1: float) -> Array:
 def room(seed: int) -> Room:
     """The room of a seed: 0 is 10 x 6 m with two boxes; others vary in size, boxes and partition walls.
 
-    Everything is at least `GAP` apart; the robot starts a metre from two walls, facing along the one on its right.
+    Objects are at least `GAP` apart; the robot starts a metre from two walls, facing along the one on its right.
     """
     start = np.array([1.0, 1.0, 0.0])
     if seed == 0:
@@ -90,10 +85,10 @@ def _apart(a: tuple[float, float, float, float], b: tuple[float, float, float, f
 
 
 def cast(room: Room, poses: Array, half_angle: float = CONE_HALF_ANGLE) -> Echo:
-    """Nearest point of any wall inside the cones of sensors at `poses` (N, 3) [m, m, rad] in the world, exactly.
+    """Nearest wall point inside the cones of sensors at `poses` (N, 3) [m, m, rad], world frame; exact.
 
-    The nearest point of what a cone cuts out of a segment is the foot of the perpendicular, an end, or where an edge of
-    the cone meets it; nothing can hide the nearest of all. A half angle of 0 is a beam, pi looks all round.
+    In each segment it is the foot of the perpendicular, an end, or an intersection with an edge of the cone. A half
+    angle of 0 is a beam, pi the whole circle.
     """
     poses = np.asarray(poses, float)
     a = room.segments[None, :, 0] - poses[:, None, :2]

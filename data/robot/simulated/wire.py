@@ -1,6 +1,6 @@
-"""The line between a program and the simulated robot, byte by byte, with its faults, and the robot's firmware.
+"""The line to the simulated robot, byte by byte with its faults, and the robot's firmware.
 
-Times are handed in, so a terminal runs it by the clock and a test without one.
+Times are arguments, so it runs by a clock or without one.
 """
 
 from __future__ import annotations
@@ -11,31 +11,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data.robot.packets import (
-    BYTE_TIME,
-    COMMAND_BYTES,
-    decode_command,
-    encode_answer,
-    framed,
-    next_frame,
-)
+from data.robot.packets import BYTE_TIME, COMMAND_BYTES, decode_command, encode_answer, framed, next_frame
 from data.robot.simulated.physics import Robot
 
 COMMAND_PAUSE = 0.05
-"""s after which the firmware takes a byte for the first of a command; a command is 4 ms long."""
+"""s of silence after which a byte begins a command; a command is 4 ms long."""
 BETWEEN_STALLS = 6000
-"""Bytes from one stall to the next, on average: a minute of commands and answers."""
+"""Mean number of bytes between stalls: a minute of traffic."""
 
 
 @dataclass(frozen=True)
 class Faults:
-    """What goes wrong on the line, byte by byte in both directions.
+    """Faults of the line, per byte in both directions.
 
     Attributes:
         drop: probability that a byte is lost.
-        flip: probability that one of its bits is turned over.
-        stall: s that a direction stands still, once in `BETWEEN_STALLS` bytes. Answers of that time come late. Commands
-            are lost: a robot that obeyed one of seconds ago would drive long after whoever sent it was gone.
+        flip: probability that one of its bits is flipped.
+        stall: s, length of a stall of one direction, once in `BETWEEN_STALLS` bytes. Stalled answers come late; stalled
+            commands are lost, or the robot would obey them after its sender was gone.
     """
 
     drop: float = 0.0
@@ -47,14 +40,13 @@ class Firmware:
     """The robot's side of the line: bytes in, answers out."""
 
     def __init__(self, robot: Robot, *, with_frames: bool) -> None:
-        """Nothing received yet."""
         self.robot = robot
         self._framed = with_frames
         self._pending = bytearray()
         self._came = -math.inf
 
     def receive(self, t: float, byte: int) -> bytes:
-        """A byte at time t [s]; the answer to the command that it ends, or nothing."""
+        """Process a byte at time t [s]; returns the answer to the command it completes, or nothing."""
         if t - self._came > COMMAND_PAUSE:
             self._pending.clear()
         self._came = t
@@ -76,14 +68,12 @@ class Firmware:
 class Wire:
     """Robot, firmware and both directions of the line.
 
-    Attributes:
-        sent: every answer as the robot gave it, and whether its bytes went onto the line unharmed.
+    With `keep`, `sent` holds every answer and whether its bytes went onto the line unharmed.
     """
 
     def __init__(
         self, robot: Robot, faults: Faults, rng: np.random.Generator, *, with_frames: bool = False, keep: bool = False
     ) -> None:
-        """`keep`: fill `sent`."""
         self.robot = robot
         self.sent: list[tuple[bytes, bool]] = []
         self._keep = keep
@@ -99,7 +89,7 @@ class Wire:
         self._put(t, data, self._to_robot, "to")
 
     def read(self, t: float) -> bytes:
-        """What has come from the robot up to time t [s]."""
+        """Bytes that came from the robot up to time t [s]."""
         self.advance(t)
         came = bytearray()
         while self._from_robot and self._from_robot[0][0] <= t:
@@ -107,11 +97,11 @@ class Wire:
         return bytes(came)
 
     def due(self) -> float:
-        """When the next byte arrives at either end [s]; inf if none is on its way."""
+        """Arrival time of the next byte at either end [s]; inf if none is on its way."""
         return min((queue[0][0] for queue in (self._to_robot, self._from_robot) if queue), default=math.inf)
 
     def advance(self, t: float) -> None:
-        """Let the robot live up to time t [s]."""
+        """Run the robot up to time t [s]."""
         while self._to_robot and self._to_robot[0][0] <= t:
             at, byte = self._to_robot.popleft()
             answer = self._firmware.receive(at, byte)
@@ -122,7 +112,7 @@ class Wire:
         self.robot.advance(t)
 
     def _put(self, t: float, data: bytes, queue: deque[tuple[float, int]], way: str) -> bool:
-        """Bytes onto the line, one behind the other; whether all of them, and as they are."""
+        """Put bytes onto the line in order; returns whether all of them passed unchanged."""
         rng, faults, unharmed = self._rng[way], self._faults, True
         at = max(t, queue[-1][0] if queue else t)
         for byte in data:

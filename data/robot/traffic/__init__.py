@@ -1,1 +1,1 @@
-"""What goes over the line: bytes to answers, answers to packets, faults by name, and the recording of it all."""
+"""The line's traffic: bytes to answers, answers to packets, faults by name, and its recording."""

@@ -1,8 +1,8 @@
-"""From an answer to a packet: is it possible at all, could the robot have come there, and where is that, unwrapped.
+"""From an answer to a packet: whether it is possible and reachable, and its unwrapped odometry.
 
-Odometry is counted in int16 and overflows; between two packets the robot moves far less than half a turn of the
-counters, so differences modulo 2^16 are right. A robot whose odometry began anew (switched off and on) is carried on
-from the pose it had; how far it moved meanwhile is not known, and the packet says so.
+Odometry is counted in int16 and overflows; between packets the robot moves less than half the counters' range, so
+differences modulo 2^16 are right. Odometry that restarted continues from the last pose, and the packet says that the
+motion in between is unknown.
 """
 
 from __future__ import annotations
@@ -17,19 +17,13 @@ from data.robot.packets import FASTEST, FASTEST_TURN, PERIOD, TIMEOUT_MM, WATCHD
 from data.se2 import Array, between, compose
 
 SLACK = 0.1
-"""s by which two answers may be farther apart than their stamps: how late a byte can be stamped."""
+"""s, largest delay of a byte's stamp."""
 ROUNDING = 2
-"""mm, mrad: the difference of two rounded numbers, one more for the ticks."""
+"""mm, mrad: rounding of a difference, and one for the ticks."""
 
 
 class Heard(NamedTuple):
-    """An answer as it came.
-
-    Attributes:
-        t: s, of its last byte.
-        answer: its numbers.
-        sure: probability that it is an answer and not bytes of two.
-    """
+    """An answer, the time t [s] of its last byte, and the probability that its bytes are those of one answer."""
 
     t: float
     answer: Answer
@@ -38,15 +32,15 @@ class Heard(NamedTuple):
 
 @dataclass(frozen=True)
 class Packet:
-    """An answer that can be used.
+    """A usable answer.
 
     Attributes:
-        t: s, when its last byte came.
-        ranges: (8,) m, inf where nothing was seen.
-        odometry: (3,) pose of the wheels' odometry [m, m, rad], unwrapped: it and its heading go on without bound.
-        joined: False where the motion since the packet before is not known: the first, and after odometry began anew.
+        t: s, time of its last byte.
+        ranges: (8,) m, inf for no echo.
+        odometry: (3,) pose by the wheels [m, m, rad], heading included unwrapped.
+        joined: False where the motion since the last packet is unknown: the first packet, or restarted odometry.
         sure: probability that the bytes are those of one answer.
-        answer: the numbers as they came.
+        answer: the transmitted numbers.
     """
 
     t: float
@@ -58,14 +52,14 @@ class Packet:
 
 
 def possible(answer: Answer) -> bool:
-    """Whether each distance is one: 0 to the timeout value. x, y and heading may have any value."""
+    """Whether each distance lies between 0 and the timeout value; the pose may have any value."""
     return min(answer.distances) >= 0 and max(answer.distances) <= TIMEOUT_MM
 
 
 def reachable(before: Answer, after: Answer, elapsed: float) -> bool:
-    """Whether the robot at its fastest can have moved from one answer to the other in `elapsed` [s] and `SLACK`.
+    """Whether the robot can have moved from one answer to the other within `elapsed` [s] and `SLACK`.
 
-    Commands and answers that waited somewhere come at once, so less than a period counts as one.
+    Delayed answers come at once, so less than a period counts as one.
     """
     time = max(elapsed, PERIOD) + SLACK
     dx, dy, turn = moved(before, after)
@@ -76,33 +70,28 @@ def reachable(before: Answer, after: Answer, elapsed: float) -> bool:
 
 
 def came_from(before: Answer, after: Answer, elapsed: float, *, held_up: bool) -> bool:
-    """Whether the robot can have come from one answer to a later one, stamped `elapsed` [s] after it.
+    """Whether the later answer, stamped `elapsed` [s] after the first, is reachable from it.
 
-    If the first was `held_up` on the line, the robot drove on meanwhile, until its watchdog stopped it.
+    An answer `held_up` on the line leaves the robot the time until its watchdog stopped it.
     """
     return reachable(before, after, elapsed + WATCHDOG * held_up)
 
 
 def moved(before: Answer, after: Answer) -> tuple[int, int, int]:
-    """Differences of x, y [mm] and heading [mrad], over the counters' overflow."""
-    return (
-        overflowed(after.x - before.x),
-        overflowed(after.y - before.y),
-        overflowed(after.heading - before.heading),
-    )
+    """Differences of x, y [mm] and heading [mrad], across overflow."""
+    return (overflowed(after.x - before.x), overflowed(after.y - before.y), overflowed(after.heading - before.heading))
 
 
 class Unwrapper:
-    """Carries the odometry on from answer to answer."""
+    """Unwraps the odometry from answer to answer."""
 
     def __init__(self) -> None:
-        """Before the first answer."""
         self._before: Answer | None = None
-        self._counted = np.zeros(3, np.int64)  # mm, mm, mrad: of the present count, without overflow
-        self._base = np.zeros(3)  # pose of the frame in which is counted
+        self._counted = np.zeros(3, np.int64)  # mm, mm, mrad, unwrapped
+        self._base = np.zeros(3)  # pose of the odometry's frame
 
     def packet(self, heard: Heard, joined: bool) -> Packet:
-        """The next packet; not `joined`, odometry counts in a frame of its own and goes on from the pose it had."""
+        """The next packet; if not `joined`, odometry continues from the last pose in a frame of its own."""
         answer = heard.answer
         present = np.array([answer.x, answer.y, answer.heading], np.int64)
         if self._before is None:
@@ -125,7 +114,7 @@ class Unwrapper:
 
 
 def _apart(pose: Array, counted: Array) -> Array:
-    """Pose of a frame in which `counted` stands where `pose` does; the headings' difference is not wrapped."""
+    """Pose of a frame in which `counted` is where `pose` is; the heading is not wrapped."""
     base = compose(pose, between(counted, np.zeros(3)))
     base[2] = pose[2] - counted[2]
     return base

@@ -1,14 +1,14 @@
-"""What went over a line, kept as it goes: a folder with `log.toml` and `packets.bin`, whole up to the last record.
+"""A recording of the line: a folder with `log.toml` and `packets.bin`, intact up to the last record.
 
-`packets.bin` is `MAGIC` and records, one behind the other, low byte first:
+`packets.bin` is `MAGIC` and records, little-endian:
 
     1 byte    kind: S command sent, R bytes received, O device opened, G device gone
     2 bytes   uint16, length of the data
-    8 bytes   int64, time since the link began [us]; each record's is greater than the one's before
+    8 bytes   int64, time since the link began [us], increasing
     data
     4 bytes   CRC-32 of all that
 
-Every record is one write to the system: a process that is killed leaves whole records and at most the beginning of one.
+Every record is one system write: a killed process leaves whole records and at most the beginning of one.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _CHECK = struct.Struct("<I")
 
 
 class Record(NamedTuple):
-    """What happened on the line: kind, time [s, a whole number of us], bytes."""
+    """An event of the line: kind, time [s, whole us], bytes."""
 
     kind: bytes
     t: float
@@ -45,14 +45,13 @@ class Record(NamedTuple):
 
 
 class Recorded(NamedTuple):
-    """A recording as it was read.
+    """A recording as read.
 
     Attributes:
         records: in the order of their times.
         framed: whether the line carried frames.
-        cut: bytes at the end that are the beginning of a record; 0 of a log that was closed.
-        noise: slip of the wheels [m per square root of a metre] and sigma of a sonar's distance [m], as they were told;
-            empty: not told.
+        cut: bytes of an unfinished record at the end; 0 of a closed log.
+        noise: stated slip [m per sqrt(m)] and sonar sigma [m]; empty if not stated.
         source: `[source]` of the header.
     """
 
@@ -64,24 +63,20 @@ class Recorded(NamedTuple):
 
 
 def to_microseconds(t: float) -> float:
-    """A time [s] as a record holds it."""
+    """A time [s] rounded as in a record."""
     return round(t * 1e6) / 1e6
 
 
 class Recording:
-    """A recording that is being written; `with` closes it."""
+    """A recording being written; `with` closes it."""
 
     def __init__(self, folder: Path, *, framed: bool = False, noise: tuple[float, ...] = ()) -> None:
-        """Make the folder with both files; arguments as of `Recorded`.
-
-        Raises:
-            UsageError: there is a log already; nothing recorded is ever written over.
-        """
+        """Create both files; `noise` as of `Recorded`. UsageError if the folder holds a log: nothing is overwritten."""
         if (folder / HEADER).exists() or (folder / PACKETS).exists():
-            raise UsageError(f"{folder}: holds a log already; name another folder")
+            raise UsageError(f"{folder}: the folder holds a log already; name another folder")
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
-        # unbuffered: a record is with the system when `append` returns
+        # unbuffered: the system has a record when `append` returns
         self._file = (folder / PACKETS).open("xb", buffering=0)
         self._file.write(MAGIC)
         with (folder / HEADER).open("wb") as file:
@@ -94,11 +89,11 @@ class Recording:
         self._file.write(head + _CHECK.pack(binascii.crc32(head)))
 
     def close(self) -> None:
-        """No more records."""
+        """Close the file."""
         self._file.close()
 
     def discard(self) -> None:
-        """Remove both files, and the folder if nothing else is in it: nothing came of it."""
+        """Remove both files, and the folder if it is empty then."""
         self.close()
         for name in (PACKETS, HEADER):
             (self.folder / name).unlink()
@@ -113,13 +108,9 @@ class Recording:
 
 
 def read_recording(folder: Path) -> Recorded:
-    """A recording, finished, cut off, or still being written.
-
-    Raises:
-        DataError: it is none, or damaged before its end.
-    """
+    """Read a recording that is finished, truncated, or still being written; DataError if it is damaged."""
     header = folder / HEADER
-    contents = load_toml(header, lambda what: DataError.at(header, what), "no such file; a recording has one")
+    contents = load_toml(header, lambda what: DataError.at(header, what), "no such file; a recording needs one")
     source = contents.get("source")
     if not isinstance(source, dict) or source.get("kind") != SOURCE or not isinstance(source.get("framed"), bool):
         raise DataError.at(header, f"not the recording of a link; [source] kind = {SOURCE!r} and framed are needed")
@@ -135,7 +126,7 @@ def read_recording(folder: Path) -> Recorded:
 
 
 def _records(path: Path, data: bytes) -> tuple[list[Record], int]:
-    """All whole records and where the last one ends."""
+    """All whole records and the position after the last one."""
     records: list[Record] = []
     at = min(len(MAGIC), len(data))
     while len(data) >= at + _HEAD.size:
@@ -145,9 +136,9 @@ def _records(path: Path, data: bytes) -> tuple[list[Record], int]:
         if end > len(data):
             break
         if _CHECK.unpack_from(data, middle)[0] != binascii.crc32(data[at:middle]):
-            if end == len(data):  # a system that stopped may leave the length of a file before its contents
+            if end == len(data):  # after a crash a file may have its length before its contents
                 break
-            raise DataError.at(path, f"the record at byte {at} is damaged; {len(records)} before it are whole")
+            raise DataError.at(path, f"the record at byte {at} is damaged; {len(records)} records before it are intact")
         records.append(Record(kind, microseconds / 1e6, data[at + _HEAD.size : middle]))
         at = end
     return records, at

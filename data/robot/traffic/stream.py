@@ -1,89 +1,84 @@
-"""Records of a line to packets and faults: where answers begin in bytes that have no marker and no checksum.
+"""Records of a line to packets and faults: finding answers in bytes without marker and checksum.
 
-A lost byte shifts everything behind it. Evidence that an answer begins at a byte, in points:
+A lost byte shifts all later ones. Evidence that an answer begins at a byte, in points:
 
-     1  it is possible: every distance in range, and the robot can have come there since the last packet
-    +1  the bytes before it were used as a packet
-    +1  a pause goes before it, +1 a pause comes after it (bytes of an answer follow each other, answers do not)
-    -2  a pause is inside it: held up on the way, or bytes of two answers
-    +1  for each of the next two behind it that is possible after it
+     1  it is possible: every distance in range, and reachable from the last packet
+     +1  the bytes before it were used as a packet
+     +1  a pause precedes it, +1 a pause follows it (answers have pauses between them, not inside)
+     -2  a pause is inside it: delayed, or bytes of two answers
+     +1  for each of the next two answers that is possible after it
 
-`ENOUGH` points make a packet; without a packet from which the robot can have come `ALONE`, and then either a pause
-goes before it or no other place begins three answers in a row. Three in a row that the robot can only have reached
-while the line was held up (it drives on until its watchdog stops it) are used as well; three that it cannot have
-reached at all show that its odometry began anew. What is not possible is never used, whatever its evidence.
-The same code runs while records come in and when they are read again.
+`ENOUGH` points make a packet. Where no packet precedes from which it is reachable, `ALONE` points are needed, and a
+pause before it or three answers in a row at no other alignment. Three in a row that are reachable only if the line was
+delayed are used as well; three that are not reachable at all show that the odometry restarted. Impossible answers are
+never used. The same code runs live and on recordings.
 """
 
 from __future__ import annotations
 
 import itertools
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from data.robot.packets import ANSWER_BYTES, ANSWER_TIMEOUT, FRAME_BYTES, PERIOD, Answer, decode_answer, next_frame
 from data.robot.traffic.motion import Heard, Packet, Unwrapper, came_from, possible, reachable
 from data.robot.traffic.recording import GONE, RECEIVED, SENT, Record
 
 PAUSE = 0.1
-"""s. Bytes of an answer come within an adapter's 16 ms, answers are 0.2 s apart; the middle."""
+"""s. Bytes of an answer come within 16 ms, answers are 0.2 s apart."""
 FRAME_SIZE = ANSWER_BYTES + FRAME_BYTES
 ENOUGH, ALONE = 2, 3
 CHAIN = 3
-"""Answers that go with each other when odometry began anew."""
+"""Consistent answers that show that the odometry restarted."""
 KEPT = 4 * ANSWER_BYTES
-"""Bytes among which an answer is looked for; older ones are given up."""
+"""Bytes searched for an answer; older ones are dropped."""
 SHORT, SHIFTED, GARBAGE = "short", "shifted", "garbage"
 SURE = {2: 0.999, 3: 0.9999}
-"""By points: share of answers that are one; see tests/data/robot/test_stream.py for what was measured."""
+"""Probability of a true answer by points, as measured in tests/data/robot/test_stream.py."""
 
 
 class _Place(NamedTuple):
-    """Where an answer begins, its points, and whether the robot can have come there from the last packet."""
+    """An answer that begins at byte k: whether it is reachable from the last packet, and its points."""
 
     k: int
-    points: int
     joined: bool
-
-    @property
-    def rank(self) -> tuple[bool, int]:
-        return self.joined, self.points
+    points: int
 
 
-class Stream(Protocol):
-    """Bytes in, packets out."""
-
-    faults: Counter[str]
-
-    def feed(self, t: float | None, data: bytes) -> list[Packet]:
-        """The packets that these bytes complete, oldest first; t [s] is when they came, None where nobody knows."""
-
-
-class Unframed:
-    """Packets of a stream without markers.
-
-    Attributes:
-        faults: pieces given up, by name: `short`, less than an answer between two pauses; `garbage`, as long as an
-            answer or longer, but not possible; `shifted`, an answer that begins at another byte than the ones before
-            led to expect, with no pause to show it.
-    """
+class Stream(ABC):
+    """Bytes in, packets out; `faults` counts pieces that are no packet, by name."""
 
     def __init__(self) -> None:
-        """Nothing received yet."""
         self.faults: Counter[str] = Counter()
         self._bytes = bytearray()
-        self._stamps: list[float] = []
-        self._fresh: list[bool] = []  # a pause goes before the byte
         self._last: tuple[float, Answer] | None = None
-        self._contiguous = False  # the byte before the first pending one ended a packet
-        self._came: float | None = None
         self._clock = 0.0
         self._unwrapper = Unwrapper()
 
+    @abstractmethod
     def feed(self, t: float | None, data: bytes) -> list[Packet]:
-        """The packets that these bytes complete, oldest first; t [s] is when they came, None where nobody knows."""
+        """The packets that bytes received at t [s] complete, oldest first; None: unknown time."""
+
+
+class Unframed(Stream):
+    """Packets of a stream without markers.
+
+    Faults: `short`, less than an answer between two pauses; `garbage`, at least an answer long but impossible;
+    `shifted`, an answer at an unexpected byte without a pause before it.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._stamps: list[float] = []
+        self._fresh: list[bool] = []  # a pause precedes the byte
+        self._contiguous = False  # the byte before the first pending one ended a packet
+        self._came: float | None = None
+
+    def feed(self, t: float | None, data: bytes) -> list[Packet]:
+        """See `Stream.feed`."""
         if not data:
             return []
         begins = t is not None and (self._came is None or t - self._came > PAUSE)
@@ -102,29 +97,29 @@ class Unframed:
         return found
 
     def _best(self) -> _Place | None:
-        """Where the next packet begins; None where no place is sure."""
+        """Where the next packet begins; None where no place has enough points."""
         best: _Place | None = None
         for k in range(len(self._bytes) - ANSWER_BYTES + 1):
             place = self._place(k)
-            if place is not None and (best is None or place.rank > best.rank):
+            if place is not None and (best is None or place[1:] > best[1:]):
                 best = place
             if best is not None and best.k == 0 and best.joined and best.points >= ALONE:  # the usual case
                 break
         return best
 
     def _answer(self, k: int) -> Answer | None:
-        """The answer that begins at byte k, if it is whole and possible."""
+        """The answer at byte k, if it is complete and possible."""
         if k + ANSWER_BYTES > len(self._bytes):
             return None
         answer = decode_answer(bytes(self._bytes[k : k + ANSWER_BYTES]))
         return answer if possible(answer) else None
 
     def _stamp(self, k: int) -> float:
-        """Of the last byte of the answer that begins at byte k."""
+        """Time [s] of the last byte of the answer at byte k."""
         return self._stamps[k + ANSWER_BYTES - 1]
 
     def _place(self, k: int) -> _Place | None:
-        """An answer that begins at byte k, if the evidence is enough."""
+        """The answer at byte k, if it has enough points."""
         answer = self._answer(k)
         if answer is None:
             return None
@@ -146,10 +141,10 @@ class Unframed:
             + (end < len(self._bytes) and self._fresh[end])
             - 2 * torn
         )
-        return _Place(k, points, joined) if points >= (ENOUGH if joined else ALONE) else None
+        return _Place(k, joined, points) if points >= (ENOUGH if joined else ALONE) else None
 
     def _only(self, k: int) -> bool:
-        """Whether no other alignment has as long a chain: a robot at rest repeats itself at every one."""
+        """Whether no other alignment has as long a chain; of a robot at rest all have."""
         for other in range(min(2 * ANSWER_BYTES, len(self._bytes))):
             answer = self._answer(other)
             if (other - k) % ANSWER_BYTES and answer is not None and self._chain(other, answer) >= CHAIN:
@@ -157,7 +152,7 @@ class Unframed:
         return True
 
     def _chain(self, k: int, answer: Answer) -> int:
-        """How many answers from byte k on, up to `CHAIN`, can follow each other."""
+        """Number of answers from byte k on, up to `CHAIN`, that are reachable one after the other."""
         for n in range(1, CHAIN):
             behind = self._answer(k + ANSWER_BYTES)
             if behind is None or not reachable(answer, behind, self._stamp(k + ANSWER_BYTES) - self._stamp(k)):
@@ -179,7 +174,7 @@ class Unframed:
         return self._unwrapper.packet(Heard(t, answer, SURE[min(place.points, max(SURE))]), place.joined)
 
     def _give_up(self, count: int) -> None:
-        """Drop bytes and count what they were: pieces between pauses."""
+        """Drop bytes and count them as pieces between pauses."""
         if count <= 0:
             return
         starts = [0, *(i for i in range(1, count) if self._fresh[i]), count]
@@ -192,24 +187,18 @@ class Unframed:
         del self._bytes[:count], self._stamps[:count], self._fresh[:count]
 
 
-class Framed:
-    """Packets of a stream of frames: the checksum says which bytes are an answer, the robot's motion is asked as well.
+class Framed(Stream):
+    """Packets of a stream of frames, checked by checksum and by the robot's motion.
 
-    Attributes:
-        faults: pieces that are no frame, by name: `short`, less than one; `garbage`, others, or not possible.
+    Faults: `short`, less than a frame; `garbage`, other bytes or an impossible answer.
     """
 
     def __init__(self) -> None:
-        """Nothing received yet."""
-        self.faults: Counter[str] = Counter()
-        self._bytes = bytearray()
-        self._last: tuple[float, Answer] | None = None
+        super().__init__()
         self._refused: list[tuple[float, Answer]] = []
-        self._clock = 0.0
-        self._unwrapper = Unwrapper()
 
     def feed(self, t: float | None, data: bytes) -> list[Packet]:
-        """The packets that these bytes complete, oldest first; t [s] is when they came, None where nobody knows."""
+        """See `Stream.feed`."""
         self._bytes += data
         found: list[Packet] = []
         while True:
@@ -223,7 +212,7 @@ class Framed:
             found += self._judged(self._clock, decode_answer(content))
 
     def _judged(self, t: float, answer: Answer) -> list[Packet]:
-        """The packet, if it is possible; three in a row that it is only after each other are judged together."""
+        """The packet, if it is possible; three in a row that are reachable only from each other are used together."""
         if not possible(answer):
             self.faults[GARBAGE] += 1
             return []
@@ -232,7 +221,7 @@ class Framed:
             row = row[-1:]
         joined = False
         if self._last is not None:
-            # the checksum vouches for the bytes, so an answer that was held up need not wait for others like it
+            # the checksum vouches for the bytes, so a delayed answer need not wait for others
             if came_from(self._last[1], answer, t - self._last[0], held_up=True):
                 joined, row = True, row[-1:]
             elif len(row) < CHAIN:
@@ -247,28 +236,26 @@ class Framed:
 
 LOST, LATE, DEVICE_GONE = "lost", "late", "device gone"
 FAULTS = (LOST, LATE, SHORT, SHIFTED, GARBAGE, DEVICE_GONE)
-"""lost: nothing came after a command. late: an answer after its time; it is used, unless a newer one came with it.
-short, shifted, garbage: see `data.robot.traffic.stream.Unframed`. device gone: the line broke off."""
+"""lost: no answer to a command. late: an answer after its time; it is used, unless a newer one came with it. short,
+shifted, garbage: see `Unframed`. device gone: the device disappeared."""
 
 
 class Exchange:
     """Commands and answers of a link, record by record.
 
-    The time of a packet is that of the bytes that ended it; of several that came at once only the newest is used, so
-    times increase.
+    A packet's time is that of its last bytes; of several received at once only the newest is used, so times increase.
     """
 
     def __init__(self, *, framed: bool) -> None:
-        """Before the first record."""
         self._stream: Stream = Framed() if framed else Unframed()
         self._counted: Counter[str] = Counter()
-        self._asked: float | None = None  # when the command was sent that has no answer yet
-        self._silent = True  # since then
-        self._unanswered = 0  # commands that were given up as lost, in a row
+        self._asked: float | None = None  # time of the unanswered command
+        self._silent = True  # no byte since then
+        self._unanswered = 0  # consecutive commands counted as lost
 
     @property
     def faults(self) -> dict[str, int]:
-        """How often each of `FAULTS` was met so far."""
+        """Counts of each of `FAULTS` so far."""
         both = self._counted + self._stream.faults
         return {name: both[name] for name in FAULTS}
 
@@ -288,9 +275,8 @@ class Exchange:
         return []
 
     def _received(self, record: Record) -> list[Packet]:
-        packets = self._stream.feed(record.t, record.data)
         used: list[Packet] = []
-        for packet in packets:
+        for packet in self._stream.feed(record.t, record.data):
             if used and used[-1].t == packet.t:
                 self._late()
                 packet = replace(packet, joined=packet.joined and used.pop().joined)
@@ -302,7 +288,7 @@ class Exchange:
         return used
 
     def _late(self) -> None:
-        """An answer that was taken for lost, if one was, is late."""
+        """Count a late answer, which may have been counted as lost."""
         self._counted[LATE] += 1
         if self._unanswered:
             self._unanswered -= 1
@@ -310,7 +296,7 @@ class Exchange:
 
 
 def decoded(records: Iterable[Record], *, framed: bool) -> tuple[list[Packet], dict[str, int]]:
-    """All packets of records, and how often each of `FAULTS` was met; as the link had them when they came."""
+    """All packets of records, and the counts of each of `FAULTS`; as the live link had them."""
     exchange = Exchange(framed=framed)
     packets = [packet for record in records for packet in exchange.consume(record)]
     return packets, exchange.faults

@@ -20,7 +20,7 @@ NOISE_MEMORY = 1000.0
 """Innovations over which a scale of the noise is learned."""
 NOISE_PRIOR = 10.0
 """Innovations that the stated noise is worth at the beginning, in a known map."""
-FINEST = 0.01
+LEAST_SCALE = 0.01
 """The noise is not taken for less than this share (of variance) of what was stated."""
 
 # --- Learned gates of SLAM (eval/replay/hindsight/gates.py, tentative.py, eval/replay/hindsight/gates.py) -------------
@@ -31,7 +31,7 @@ SCALES_PRIOR = 3.0
 """Innovations that the stated noise is worth at the beginning, in SLAM."""
 LEAST_SHARE = 1e-12
 """What an innovation tells of a scale is divided by its share in the covariance, or by this where that is none."""
-LEFT_OUT = 0.01
+FALSE_REJECTION = 0.01
 """Share of observations that the gate of pairings is to leave out."""
 TAILS_STEP = 0.1
 """Of the logarithm of the gate, for one observation left out, at most; ..."""
@@ -61,9 +61,9 @@ variety 1.4 to 1.6 give the same within three worlds."""
 
 # --- Evidence for a landmark (eval/replay/hindsight/record.py, eval/replay/hindsight/ledger.py) ---------------------
 
-CERTAIN = 4
+CONFIRMED = 4
 """Observations that make a landmark certain, if it is always seen; people are mostly seen two or three times as one."""
-CERTAIN_AT_LEAST = 2.0
+CONFIRMED_AT_LEAST = 2.0
 """Observations that make a landmark certain, however seldom landmarks in view are seen."""
 JUDGED_BY = 2
 """A pairing is judged by more others than this: three coordinates of the pose are common to all of them."""
@@ -84,21 +84,21 @@ SHADOW = math.radians(0.5)
 
 # --- There for good, or for a while (record.py) ---------------------------------------------------------------------
 
-PERMANENCE_MEANS = (0.5, 0.5, 0.2, 0.8, 0.5)
+PERSISTENCE_MEANS = (0.5, 0.5, 0.2, 0.8, 0.5)
 """Each value of `Permanence` before anything is known, ..."""
-PERMANENCE_WORTH = (2.0, 2.0, 5.0, 5.0, 4.0)
+PERSISTENCE_WORTH = (2.0, 2.0, 5.0, 5.0, 4.0)
 """... and how many landmarks or looks this is worth: little. Ten times as much of any changes the landmarks of two of a
 hundred simulated worlds."""
-PERMANENCE_OWN = 10.0
+PERSISTENCE_OWN = 10.0
 """Looks that the common rates are worth beside a landmark's own ones. On simulated worlds, whose landmarks are all
 alike, 20 gives the same and 5 loses four of a hundred maps; on Victoria Park 5 keeps four landmarks more, 20 six
 fewer."""
-PERMANENCE_CHANCE = 0.05
+PERSISTENCE_CHANCE = 0.05
 """Of what is gone is read by chance so often. Fitted, it takes up what is really seen seldom (Victoria Park: 0.13)."""
-PERMANENCE_LATER_LEAST = 0.15
+PERSISTENCE_LATER_LEAST = 0.15
 """What goes goes before one look in seven at least: what is seen longer cannot be told from what stays. 0.1 to 0.25
 give the same within two of a hundred maps."""
-PERMANENCE_ROUNDS = 20
+PERSISTENCE_ROUNDS = 20
 """Of expectation maximization. 40 change 17 of 7381 landmarks of 135 logs, 10 change 36."""
 REASSOCIATION_GATE = 0.999
 """Probability of the gate in which readings are paired anew with the smoothed map. On the choosing half 0.99 gives as
@@ -108,10 +108,10 @@ REASSOCIATION_QUANTILE = 0.9
 readings unpaired."""
 REASSOCIATION_OBSERVATIONS = 4
 """A landmark read so often tells of the noise: of one read once the reading itself says where it stands."""
-STAYS = 2.0 / 3.0
+PERSISTENT_PROBABILITY = 2.0 / 3.0
 """A landmark is kept at the end if it stays by odds of two to one; at even odds maps of people have too many."""
-STAYS_FEWEST = 0.05
-"""Share of kept landmarks, those with the fewest observations, that does not tell how many one needs. To CERTAIN; 0.1
+PERSISTENT_FEWEST = 0.05
+"""Share of kept landmarks, those with the fewest observations, that does not tell how many one needs. To CONFIRMED; 0.1
 loses a map of a hundred simulated ones, and 11 landmarks of Victoria Park."""
 
 # --- A frame without a prediction: pairs of observations on pairs of landmarks (placement.py) -------------------------
@@ -265,24 +265,24 @@ FOUND_AGAIN = 0.1
 
 HYPOTHESIS_ITERATIONS = 10
 """Of an update of a hypothesis: far travelled without observations, the first one is far from linear."""
-MAYBE = 0.5
+DECISION_WEIGHT = 0.5
 """A decision that fewer of the hypotheses share, by weight, is put off."""
 OTHER_PLACE = 0.9999
 """An estimator is somewhere else if its pose is outside this probability of the hypotheses' (3 dof)."""
 
 # --- Lost while mapping (lost.py) -----------------------------------------------------------------------------------
 
-THERE_HEALTHY = 0.5
+PAIRED_HEALTHY = 0.5
 """Share of the certain landmarks in view that are paired, of these and those that something newer is read for: a
 healthy robot pairs so many of them at least, ..."""
-THERE_LOST = 0.2
+PAIRED_LOST = 0.2
 """... and a lost one so many."""
-THERE_ALARM = 7.0
+PAIRED_ALARM = 7.0
 """Score of an alarm. By Wald's inequality there is a false one in exp(7) = 1100 frames from different places where just
 half are paired, in 10^5 where 60 % are."""
-THERE_GONE = 0.5
-"""Share of the landmarks read often (`CERTAIN`) that goes in the end where a robot was lost. On the choosing half of
+RETRACTED_SHARE = 0.5
+"""Share of the landmarks read often (`CONFIRMED`) that goes in the end where a robot was lost. On the choosing half of
 the variety that is so on 12 worlds: on one of 68 whose RMSE is up to 1.5 times that with labels (1.49), on 11 of 31
 others."""
-THERE_OFTEN = 4
+RETRACTED_FEWEST = 4
 """Such landmarks, for their share to tell anything."""

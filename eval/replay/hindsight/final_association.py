@@ -30,8 +30,8 @@ class Reassociation(NamedTuple):
 def noise_share(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observations, number: IntArray) -> float:
     """Which share of the stated variance readings (m) of the landmarks (m,), -1 for none, really have.
 
-    By the quantile `ANEW_QUANTILE` of squared distances, of landmarks that were read `ANEW_SIGHTINGS` times and more:
-    of the others the reading itself says where they stand. 1 where there are none; at least `FINEST`. pose: (N, 3).
+    By the quantile `REASSOCIATION_QUANTILE` of squared distances, of landmarks that were read `REASSOCIATION_OBSERVATIONS` times and more:
+    of the others the reading itself says where they stand. 1 where there are none; at least `LEAST_SCALE`. pose: (N, 3).
     """
     times = np.bincount(number[number >= 0], minlength=1)
     rows = np.flatnonzero((number >= 0) & (times[np.maximum(number, 0)] >= constants.REASSOCIATION_OBSERVATIONS))
@@ -40,13 +40,13 @@ def noise_share(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observati
     nu = sensor.residual(seen.z[rows], sensor.predict(pose[seen.frame[rows]], known.positions(number[rows])))
     d2 = (nu * np.linalg.solve(seen.R[rows], nu[..., None])[..., 0]).sum(axis=1)
     share = float(np.quantile(d2, constants.REASSOCIATION_QUANTILE)) / gate_threshold(constants.REASSOCIATION_QUANTILE)
-    return max(share, constants.FINEST)
+    return max(share, constants.LEAST_SCALE)
 
 
 def reassociate(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observations) -> Reassociation:
     """Global nearest neighbour in every frame, from poses (N, 3), of readings (m) ascending by frame.
 
-    Gate: `ANEW_GATE`. Poses and landmarks are taken as exact.
+    Gate: `REASSOCIATION_GATE`. Poses and landmarks are taken as exact.
     """
     number, alone = np.full(len(seen.frame), -1, np.int64), np.zeros(len(seen.frame), np.bool_)
     threshold = gate_threshold(constants.REASSOCIATION_GATE)

@@ -80,7 +80,7 @@ def counted(scales: Scales, inside: int, outside: int) -> Scales:
     """
     observations = max(scales.observations + inside + outside, 1.0)
     step = max(min(constants.TAILS_STEP, constants.TAILS_HORIZON / observations), constants.TAILS_SLOWEST)
-    log = max(0.0, scales.log_tails + step * (outside * (1.0 - constants.LEFT_OUT) - inside * constants.LEFT_OUT))
+    log = max(0.0, scales.log_tails + step * (outside * (1.0 - constants.FALSE_REJECTION) - inside * constants.FALSE_REJECTION))
     return scales._replace(log_tails=min(log, -math.log(_core(scales))), observations=observations)
 
 
@@ -109,7 +109,7 @@ def _toward(before: NoiseScale, part: Array, S: Array, v: Array, weight: Array) 
     total = float((share**2).sum())
     memory = min(before.weight + total, max(constants.NOISE_MEMORY, total))
     scale = before.scale * (1.0 + float(share**2 @ (ratio - 1.0)) / memory)
-    return NoiseScale(max(scale, constants.FINEST), memory)
+    return NoiseScale(max(scale, constants.LEAST_SCALE), memory)
 
 
 class TentativeObservation(NamedTuple):

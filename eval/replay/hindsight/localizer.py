@@ -71,7 +71,7 @@ class HindsightLocalizer:
         self._revise(past, self.bank.members[0].past)
         before, paired = self.health, int((standing.decisions >= 0).sum())
         self.health = watch(self.monitor, before, len(standing.decisions), paired, standing.nis, standing.dof)
-        decisions = np.where(standing.sure >= constants.MAYBE, standing.decisions, DISCARD)
+        decisions = np.where(standing.sure >= constants.DECISION_WEIGHT, standing.decisions, DISCARD)
         sums = self.health.unpaired, self.health.misfit
         self._scans = (self._since(sums[0], self._scans[0], frame), self._since(sums[1], self._scans[1], frame))
         if self.health.lost:

@@ -202,7 +202,7 @@ class LocalizingFrontEnd(FrontEnd):
         self._found_again = len(self.localizer.found) > times
         if self._found_again:
             return Pairing(self._decided)
-        self._hand_over(frame.first, constants.MAYBE)
+        self._hand_over(frame.first, constants.DECISION_WEIGHT)
         return super().associate(frame)
 
     def update(self, frame: Frame, pairing: Pairing) -> Updated:

@@ -140,13 +140,13 @@ def looked(before: Suspicion, frame: int, paired: int, replaced: int) -> Suspici
     """After a frame from another place that paired so many certain landmarks and read newer ones for so many others."""
     if not paired + replaced:
         return before
-    here, lost = constants.THERE_HEALTHY, constants.THERE_LOST
+    here, lost = constants.PAIRED_HEALTHY, constants.PAIRED_LOST
     ratio = paired * math.log(lost / here) + replaced * math.log((1.0 - lost) / (1.0 - here))
     after = before._replace(score=max(0.0, before.score + ratio / (paired + replaced)))
     if after.score == 0.0:
         over = frame if after.alarm is not None and after.over is None else after.over
         return after._replace(since=frame + 1, over=over)
-    if after.score >= constants.THERE_ALARM:
+    if after.score >= constants.PAIRED_ALARM:
         return after._replace(alarm=after.since if after.alarm is None else after.alarm, over=None)
     return after
 
@@ -184,6 +184,6 @@ class Lost:
         s, found = self.suspicion, []
         if s.alarm is not None:
             found.append(notice(Code.MAP_RESTARTED, frame=s.alarm, over=s.over))
-        if self.often >= constants.THERE_OFTEN and self.gone > constants.THERE_GONE * self.often:
+        if self.often >= constants.RETRACTED_FEWEST and self.gone > constants.RETRACTED_SHARE * self.often:
             found.append(notice(Code.RETRACTED, gone=self.gone, often=self.often))
         return found

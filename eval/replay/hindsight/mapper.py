@@ -186,7 +186,7 @@ class HindsightMapper:
 
         Those that may have been there for a while only, and those of which no reading is left.
         """
-        often = [n for n, r in self.ledger.records.items() if r.evidence.seen >= constants.CERTAIN]
+        often = [n for n, r in self.ledger.records.items() if r.evidence.seen >= constants.CONFIRMED]
         errs = self._systematic if self.filters.errs else None
         anew = self.whole.reassociate(self.ledger.records, self.filter.landmarks(), self.restated, errs)
         unread = self._remove(self.ledger.reassociate(anew)) if anew is not None else np.empty(0, np.int64)

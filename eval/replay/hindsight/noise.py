@@ -67,7 +67,7 @@ def learned(before: NoiseScale, d2: Array, share: Array) -> NoiseScale:
     counts = (constants.FREEDOM + 2.0) / (constants.FREEDOM + d2 / before.scale)
     weight = min(before.weight + total, max(constants.NOISE_MEMORY, total))
     scale = before.scale + (0.5 * float(share @ (counts * d2)) - total * before.scale) / weight
-    return NoiseScale(max(scale, constants.FINEST), weight)
+    return NoiseScale(max(scale, constants.LEAST_SCALE), weight)
 
 
 SOME = 0.1

@@ -132,8 +132,8 @@ def detection_rate(seen: int, missed: int) -> float:
 
 
 def certain(e: Evidence, v: Visibility) -> bool:
-    """Whether a landmark was seen as often as `CERTAIN` times in view would give, and at least twice."""
-    return e.seen >= max(constants.CERTAIN_AT_LEAST, constants.CERTAIN * v.rate)
+    """Whether a landmark was seen as often as `CONFIRMED` times in view would give, and at least twice."""
+    return e.seen >= max(constants.CONFIRMED_AT_LEAST, constants.CONFIRMED * v.rate)
 
 
 def verdict(e: Evidence, v: Visibility) -> str:
@@ -234,24 +234,24 @@ class Persistence(NamedTuple):
 
 def persistence(opportunities: Opportunities) -> Persistence:
     """Of the landmarks (n) of a log, those that were retracted included; without any it is the prior."""
-    own, chance, least = constants.PERMANENCE_OWN, constants.PERMANENCE_CHANCE, constants.PERMANENCE_LATER_LEAST
-    prior = np.array([constants.PERMANENCE_MEANS, constants.PERMANENCE_WORTH])
+    own, chance, least = constants.PERSISTENCE_OWN, constants.PERSISTENCE_CHANCE, constants.PERSISTENCE_LATER_LEAST
+    prior = np.array([constants.PERSISTENCE_MEANS, constants.PERSISTENCE_WORTH])
     return Persistence(
-        *_fitted(*_packed(opportunities), prior, own, chance, least, constants.PERMANENCE_ROUNDS).tolist()
+        *_fitted(*_packed(opportunities), prior, own, chance, least, constants.PERSISTENCE_ROUNDS).tolist()
     )
 
 
 def persistent(opportunities: Opportunities, p: Persistence) -> Array:
     """Probability (n,) that each of n landmarks is there for good."""
-    return _staying(*_packed(opportunities), np.array(p), constants.PERMANENCE_OWN, constants.PERMANENCE_CHANCE)
+    return _staying(*_packed(opportunities), np.array(p), constants.PERSISTENCE_OWN, constants.PERSISTENCE_CHANCE)
 
 
 def lasting(opportunities: Opportunities, former: Opportunities, observations: IntArray) -> BoolArray:
     """Which landmarks (n,) of a map stay in it at the end of a log.
 
-    Those that stay by odds of two to one (`STAYS`). Where most of these are read often, one that was read two or three
+    Those that stay by odds of two to one (`PERSISTENT_PROBABILITY`). Where most of these are read often, one that was read two or three
     times is somebody who came along in the end: it needs as many observations as all but the fewest of them have, or
-    `CERTAIN`. Where that leaves less than half of those that may be expected to stay, their number is better known than
+    `CONFIRMED`. Where that leaves less than half of those that may be expected to stay, their number is better known than
     which they are: then it is as many, the likeliest.
 
     Args:
@@ -259,11 +259,11 @@ def lasting(opportunities: Opportunities, former: Opportunities, observations: I
         former: at the landmarks that were retracted before.
         observations: (n,) of each of the map's.
     """
-    often = observations >= constants.CERTAIN_AT_LEAST
+    often = observations >= constants.CONFIRMED_AT_LEAST
     stay = np.where(often, persistent(opportunities, persistence([*opportunities, *former])), 0.0)
-    keep: BoolArray = stay > constants.STAYS
+    keep: BoolArray = stay > constants.PERSISTENT_PROBABILITY
     if keep.any():
-        keep &= observations >= min(constants.CERTAIN, float(np.quantile(observations[keep], constants.STAYS_FEWEST)))
+        keep &= observations >= min(constants.CONFIRMED, float(np.quantile(observations[keep], constants.PERSISTENT_FEWEST)))
     expected = round(float(stay.sum()))
     if 2 * keep.sum() < expected:
         keep = np.zeros(len(stay), np.bool_)

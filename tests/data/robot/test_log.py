@@ -88,12 +88,12 @@ def test_cut_off_it_ends_earlier_and_says_so(folder):
     n = len(log.recorded)
     assert 20 < n < len(whole.recorded)
     assert log.recorded.time.tobytes() == whole.recorded.time[:n].tobytes()
-    assert any("cut off" in note for note in log.notes)
+    assert any("truncated" in note for note in log.notes)
 
 
 def test_without_an_answer_it_is_no_log(tmp_path):
     Recording(tmp_path / "log").close()
-    with pytest.raises(DataError, match=r"packets.bin: 0 records, and no answer"):
+    with pytest.raises(DataError, match=r"packets.bin: 0 records, none of them an answer"):
         open_log(str(tmp_path / "log"))
 
 

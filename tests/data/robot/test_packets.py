@@ -13,10 +13,8 @@ from data.robot.packets import (
     command_of,
     decode_answer,
     decode_command,
-    decode_echoes,
     encode_answer,
     encode_command,
-    encode_echoes,
     framed,
     next_frame,
     overflowed,
@@ -48,12 +46,6 @@ def test_an_answer_is_eight_distances_and_a_pose_in_22_bytes():
     data = encode_answer(answer)
     assert data == bytes([1, 0, 2, 0, 3, 0, 4, 0, 5, 0, 6, 0, 7, 0, 0xA0, 0x0F, 0xFF, 0xFF, 0, 1, 0x45, 0x0C])
     assert decode_answer(data) == answer
-
-
-def test_an_echo_of_5_8_us_is_a_millimetre_and_one_as_long_as_the_timeout_is_nothing_seen():
-    assert decode_echoes(bytes([0x88, 0x16]) + bytes([0xFF, 0xFF]) * 7) == (994, *(4000,) * 7)  # 5768 us
-    distances = (20, 1, 999, 1000, 2345, 3999, 4000, 0)
-    assert decode_echoes(encode_echoes(distances)) == distances
 
 
 @pytest.mark.parametrize(("value", "counted"), [(32767, 32767), (32768, -32768), (65536, 0), (-32769, 32767)])

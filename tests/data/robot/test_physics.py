@@ -7,17 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from data.robot.packets import (
-    FASTEST,
-    PERIOD,
-    RADIUS,
-    SONARS,
-    WHEEL_BASE,
-    Command,
-    body_speeds,
-    command_of,
-    wheel_speeds,
-)
+from data.robot.packets import FASTEST, PERIOD, RADIUS, SONARS, WHEEL_BASE, Command, command_of, wheel_speeds
 from data.robot.simulated import physics
 from data.robot.simulated.physics import Physics, Robot, drive
 from data.robot.simulated.room import Room, cast, clearance, room
@@ -36,8 +26,9 @@ def driven(commands, place=LARGE, how=IDEAL, seed=0):
     return robot, robot.answer(len(commands) * PERIOD)
 
 
-def test_wheels_and_body_speeds_undo_each_other():
-    assert body_speeds(*wheel_speeds(0.3, -0.7)) == pytest.approx((0.3, -0.7))
+def test_wheels_of_a_turning_body_differ_by_the_turn_rate_times_the_base():
+    left, right = wheel_speeds(0.3, -0.7)
+    assert (0.5 * (left + right), (right - left) / WHEEL_BASE) == pytest.approx((0.3, -0.7))
 
 
 def test_it_drives_straight_turns_in_place_and_along_an_arc():

@@ -83,11 +83,7 @@ def test_a_link_through_pyserial_to_a_robot_on_a_terminal_and_its_log(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("flags", "message"),
-    [
-        (("--world", "walls:x"), "walls:SEED is one"),
-        (("--drop", "2"), "2 is not from 0 to 1"),
-    ],
+    ("flags", "message"), [(("--world", "walls:x"), "walls:SEED is one"), (("--drop", "2"), "2 is not from 0 to 1")]
 )
 def test_what_makes_no_sense_is_one_line(tmp_path, flags, message):
     result = ended("--link", tmp_path / "robot", *flags)
@@ -111,7 +107,7 @@ def test_a_link_to_a_terminal_is_replaced_and_removed_at_the_end_by_whose_it_is(
 def test_anything_else_of_that_name_is_left(tmp_path):
     path = tmp_path / "robot"
     path.symlink_to(tmp_path)
-    with pytest.raises(UsageError, match="there is something already"):
+    with pytest.raises(UsageError, match="exists already"):
         Terminal(path)
     assert path.resolve() == tmp_path.resolve()
     with pytest.raises(UsageError, match="No such file or directory"):

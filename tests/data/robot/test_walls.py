@@ -12,22 +12,19 @@ from scipy.stats import norm
 
 from data.robot.packets import CONE_HALF_ANGLE, RIGHT, SONARS
 from data.robot.simulated.room import Room, cast
-from data.robot.wall_study import Row, on_axis, passing, study, table
 from data.robot.walls import (
-    INLIER,
     MIRROR,
     NORMAL_MEDIAN,
     SIGMA,
-    TRUNCATED,
     WELSCH,
     echo_points,
-    fit_ransac,
     fit_weighted,
     predicted_ranges,
     sensor_poses,
     visible,
 )
 from data.se2 import compose, wrap_angle
+from tests.data.robot.wall_study import INLIER, TRUNCATED, Row, fit_ransac, on_axis, passing, study, table
 
 OFF = (-0.38, -0.2, -0.1, 0.0, 0.05, 0.13, 0.3)
 """rad, of the wall's normal from the sonar's axis."""

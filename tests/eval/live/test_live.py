@@ -184,7 +184,7 @@ def test_after_the_drive_it_says_where_the_log_is_and_whether_there_is_a_report(
     end = [] if made else [f"no report; the log is whole: {folder}"]
     lines = capsys.readouterr().out.splitlines()
     cut, rest = lines[-2 - len(end)], lines[-1 - len(end) :]
-    assert cut == "The recording was cut off: 1 bytes of an unfinished record at its end."
+    assert cut == "The recording is truncated: it ends with 1 bytes of an unfinished record."
     assert rest == [f"log: {folder}", *end]
     assert (folder / "frames.csv").is_file()
     words = ["--log", str(folder), "--task", "slam", "--out", f"{folder}-report"]

@@ -87,7 +87,7 @@ def test_only_one_error_of_odometry_is_changed():
 
 
 def test_an_unknown_name_is_an_error():
-    assert [c.name for c in chosen(["CERTAIN"])] == ["CERTAIN"]
+    assert [c.name for c in chosen(["CONFIRMED"])] == ["CONFIRMED"]
     assert chosen(None) == all_constants()
     with pytest.raises(UsageError, match="NOBODY is no constant"):
         chosen(["NOBODY"])
@@ -97,7 +97,7 @@ def test_what_is_read_is_counted_and_then_no_more():
     with recorded() as counts:
         assert constants.AGREE + constants.AGREE == 2 * constants.AGREE
     kind = type(constants)
-    _ = constants.CERTAIN
+    _ = constants.CONFIRMED
     assert counts == {"AGREE": 3}
     assert kind.__name__ == "module"
     assert counts_in(written(counts)) == {"AGREE": 3}

@@ -48,10 +48,10 @@ from tests.research.variety.measure import SLOW
 from tests.research.variety.worlds import draw
 
 SMALL = Case(world_name(23), SLAM)
-TWO = chosen(["CERTAIN", "TIGHT.curvature"])
+TWO = chosen(["CONFIRMED", "TIGHT.curvature"])
 
 
-def row(log="a", constant="", direction=BASE, rmse=1.0, fp=10, landmarks=100, same=1, status="ok", reads="CERTAIN=3"):
+def row(log="a", constant="", direction=BASE, rmse=1.0, fp=10, landmarks=100, same=1, status="ok", reads="CONFIRMED=3"):
     return Row(log, SLAM, constant, direction, "2", 1000, rmse, fp, 3, landmarks, same, "ab", 0.5, status, reads)
 
 
@@ -61,20 +61,20 @@ def test_the_baseline_is_the_decider_on_the_log_and_says_what_it_reads():
     ours = step_by_step("ekf", log.inputs().without_map(), "slam", HINDSIGHT)
     assert found.digest == study.digest(ours)
     assert found.landmarks == len(ours.map)
-    assert "CERTAIN=" in found.reads
+    assert "CONFIRMED=" in found.reads
     assert "LOST_SHARE" not in found.reads
     assert found._replace(seconds=0.0) == baseline(SMALL, log)._replace(seconds=0.0)
 
 
 def test_a_changed_constant_changes_the_run_alone():
     case = Case(world_name(197), SLAM)
-    log, before = load(case.log, None), constants.CERTAIN
+    log, before = load(case.log, None), constants.CONFIRMED
     base = baseline(case, log)
-    found = variant(Job(case, "CERTAIN", DOUBLED), log, base)
+    found = variant(Job(case, "CONFIRMED", DOUBLED), log, base)
     assert found.value == "8"
     assert found.digest != base.digest
     assert found.same == 0
-    assert before == constants.CERTAIN
+    assert before == constants.CONFIRMED
     assert run(log, SLAM).digest == base.digest
 
 
@@ -90,11 +90,11 @@ def test_a_constant_is_put_back_when_a_run_ends_in_an_error(monkeypatch):
     def broken(*_):
         raise ZeroDivisionError
 
-    before = constants.CERTAIN
+    before = constants.CONFIRMED
     monkeypatch.setattr(study, "run", broken)
     with pytest.raises(ZeroDivisionError):
-        variant(Job(SMALL, "CERTAIN", DOUBLED), None, row())
-    assert before == constants.CERTAIN
+        variant(Job(SMALL, "CONFIRMED", DOUBLED), None, row())
+    assert before == constants.CONFIRMED
 
 
 def test_a_run_that_takes_too_long_is_slow_and_nothing_is_varied_there():
@@ -120,18 +120,18 @@ def test_what_is_done_is_not_run_again(monkeypatch):
 
     monkeypatch.setattr(study, "do", done)
     cases = [Case("a", SLAM), Case("b", SLAM)]
-    kept = [row(), row("a", "CERTAIN", HALVED)]
-    places = [place for place, _ in measure_all(cases, chosen(["CERTAIN"]), kept)]
-    assert ran == [("b", "", BASE), ("a", "CERTAIN", DOUBLED), ("b", "CERTAIN", HALVED), ("b", "CERTAIN", DOUBLED)]
+    kept = [row(), row("a", "CONFIRMED", HALVED)]
+    places = [place for place, _ in measure_all(cases, chosen(["CONFIRMED"]), kept)]
+    assert ran == [("b", "", BASE), ("a", "CONFIRMED", DOUBLED), ("b", "CONFIRMED", HALVED), ("b", "CONFIRMED", DOUBLED)]
     assert places == ["1 of 1", "1 of 3", "2 of 3", "3 of 3"]
     ran.clear()
-    assert [r.log for _, r in measure_all(cases, chosen(["CERTAIN"]), kept[:1], only_base=True)] == ["b"]
+    assert [r.log for _, r in measure_all(cases, chosen(["CONFIRMED"]), kept[:1], only_base=True)] == ["b"]
     assert ran == [("b", "", BASE)]
 
 
 def test_a_file_of_rows_is_read_as_written_without_a_line_that_was_cut_off(tmp_path):
     file = tmp_path / "s.csv"
-    rows = [row(rmse=math.inf), row("b", "CERTAIN", HALVED, 0.25, status=SLOW, reads="")]
+    rows = [row(rmse=math.inf), row("b", "CONFIRMED", HALVED, 0.25, status=SLOW, reads="")]
     for r in rows:
         append(r, file)
     assert read(file) == rows
@@ -176,26 +176,26 @@ def test_a_change_is_put_beside_the_baseline():
     ("reads", "changes", "says"),
     [
         ("AGREE=1", None, "not read"),
-        ("CERTAIN=1", {}, "no result"),
-        ("CERTAIN=1", {"same": 0, "rmse": 1.09, "fp": 25, "landmarks": 104}, "little"),
-        ("CERTAIN=1", {"same": 0, "fp": 25, "landmarks": 106}, "matters"),
-        ("CERTAIN=1", {"same": 0, "rmse": 1.11}, "matters"),
-        ("CERTAIN=1", {"same": 0, "rmse": 0.9}, "matters"),
-        ("CERTAIN=1", {"same": 0, "status": SLOW, "rmse": math.nan}, "matters"),
+        ("CONFIRMED=1", {}, "no result"),
+        ("CONFIRMED=1", {"same": 0, "rmse": 1.09, "fp": 25, "landmarks": 104}, "little"),
+        ("CONFIRMED=1", {"same": 0, "fp": 25, "landmarks": 106}, "matters"),
+        ("CONFIRMED=1", {"same": 0, "rmse": 1.11}, "matters"),
+        ("CONFIRMED=1", {"same": 0, "rmse": 0.9}, "matters"),
+        ("CONFIRMED=1", {"same": 0, "status": SLOW, "rmse": math.nan}, "matters"),
     ],
 )
 def test_a_constant_is_of_a_class(reads, changes, says):
     rows = [row(reads=reads)]
     if changes is not None:
-        rows += [row(constant="CERTAIN", direction=HALVED), row(constant="CERTAIN", direction=DOUBLED, **changes)]
-    (found,) = summaries(rows, chosen(["CERTAIN"]))
+        rows += [row(constant="CONFIRMED", direction=HALVED), row(constant="CONFIRMED", direction=DOUBLED, **changes)]
+    (found,) = summaries(rows, chosen(["CONFIRMED"]))
     assert found.says == says
     assert found.runs == found.needed
     assert table([found])[-1].count(f"{says}: 1") == 1
 
 
 def test_the_table_says_what_is_not_done_yet():
-    lines = table(summaries([row(), row(constant="CERTAIN", direction=HALVED)], chosen(["CERTAIN"])))
+    lines = table(summaries([row(), row(constant="CONFIRMED", direction=HALVED)], chosen(["CONFIRMED"])))
     assert "no result (1 of 2 runs)" in lines[2]
     assert len({line.count("|") for line in lines[:3]}) == 1
 
@@ -203,14 +203,14 @@ def test_the_table_says_what_is_not_done_yet():
 def test_the_table_has_medians_of_changed_decisions_and_extremes_of_all_runs():
     rows = [
         row(), row("b"),
-        row(constant="CERTAIN", direction=HALVED, rmse=0.8, fp=5, landmarks=97, same=0),
-        row(constant="CERTAIN", direction=DOUBLED, rmse=1.5, fp=30, landmarks=110, same=0),
-        row("b", "CERTAIN", DOUBLED, rmse=3.0),
+        row(constant="CONFIRMED", direction=HALVED, rmse=0.8, fp=5, landmarks=97, same=0),
+        row(constant="CONFIRMED", direction=DOUBLED, rmse=1.5, fp=30, landmarks=110, same=0),
+        row("b", "CONFIRMED", DOUBLED, rmse=3.0),
     ]  # fmt: skip
-    head, _, line, blank, counts = table(summaries(rows, chosen(["CERTAIN"])))
+    head, _, line, blank, counts = table(summaries(rows, chosen(["CONFIRMED"])))
     # FP are 10 of 1000 readings in the baseline: 5 are 0.5 % less, 30 are 2 % more
     assert [cell.strip() for cell in line.strip("|").split("|")] == [
-        "`CERTAIN`", "4", "2", "8", "2", "1", "1", "1.150", "0.80", "3.00", "-0.5", "+2.0", "-3", "+10",
+        "`CONFIRMED`", "4", "2", "8", "2", "1", "1", "1.150", "0.80", "3.00", "-0.5", "+2.0", "-3", "+10",
         "matters (3 of 4 runs)",
     ]  # fmt: skip
     assert "FP, least [% of readings]" in head
@@ -219,28 +219,28 @@ def test_the_table_has_medians_of_changed_decisions_and_extremes_of_all_runs():
 
 
 def test_the_table_has_dashes_where_nothing_was_run_and_a_ratio_of_one_where_no_decision_changed():
-    (never,) = table(summaries([row(reads="AGREE=1")], chosen(["CERTAIN"])))[2:3]
+    (never,) = table(summaries([row(reads="AGREE=1")], chosen(["CONFIRMED"])))[2:3]
     assert [cell.strip() for cell in never.strip("|").split("|")][4:] == ["0", "0", "0", *"–" * 7, "not read"]
-    (same,) = table(summaries([row(), row(constant="CERTAIN", direction=HALVED)], chosen(["CERTAIN"])))[2:3]
+    (same,) = table(summaries([row(), row(constant="CONFIRMED", direction=HALVED)], chosen(["CONFIRMED"])))[2:3]
     cells = [cell.strip() for cell in same.strip("|").split("|")]
     assert cells[7:14] == ["1.000", "1.00", "1.00", "+0.0", "+0.0", "+0", "+0"]
 
 
 def test_costs_leave_out_what_is_not_read():
     base = [row(), row("b", reads="AGREE=1")]
-    assert cost_lines(base, chosen(["CERTAIN"]))[-1].startswith("2 runs instead of 4, ")
-    assert read_lines(base, TWO)[2] == "| `CERTAIN` | 4 | 1 of 2 | 3 |"
+    assert cost_lines(base, chosen(["CONFIRMED"]))[-1].startswith("2 runs instead of 4, ")
+    assert read_lines(base, TWO)[2] == "| `CONFIRMED` | 4 | 1 of 2 | 3 |"
     assert read_lines(base, TWO)[3] == "| `TIGHT.curvature` | 0.002 | 2 of 2 | every run |"
 
 
 def test_a_line_says_what_was_changed():
-    assert "CERTAIN halved (2)" in line_of(row(constant="CERTAIN", direction=HALVED, same=0), "3 of 9")
+    assert "CONFIRMED halved (2)" in line_of(row(constant="CONFIRMED", direction=HALVED, same=0), "3 of 9")
     assert "other decisions" in line_of(row(same=0), "")
 
 
 @pytest.mark.slow
 def test_the_command_writes_rows_and_table_and_goes_on(tmp_path, capsys):
-    arguments = ["sensitivity", str(tmp_path), "--worlds", "1", "--constant", "CERTAIN"]
+    arguments = ["sensitivity", str(tmp_path), "--worlds", "1", "--constant", "CONFIRMED"]
     assert main([*arguments, "--baseline"]) == 0
     assert "runs instead of" in capsys.readouterr().out
     file = tmp_path / "sensitivity.csv"
@@ -249,5 +249,5 @@ def test_the_command_writes_rows_and_table_and_goes_on(tmp_path, capsys):
     rows = read(file)
     assert file.read_text().startswith(text)
     assert len(rows) == 3 * len(first)
-    assert "| `CERTAIN` | 4 | 2 | 8 |" in (tmp_path / "sensitivity.md").read_text()
+    assert "| `CONFIRMED` | 4 | 2 | 8 |" in (tmp_path / "sensitivity.md").read_text()
     assert np.isfinite([r.rmse_m for r in rows if r.log.startswith("variety")]).all()

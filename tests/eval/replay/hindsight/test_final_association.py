@@ -60,7 +60,7 @@ def test_it_is_the_quantile_of_the_squared_distances_and_never_less_than_the_fin
     own = np.full(11, 2)
     assert noise_share(sensor, pose, known, seen, own) == pytest.approx(81.0 / gate_threshold(0.9))
     exact = Observations(np.arange(11), np.tile([1.0, 0.0], (11, 1)), seen.R)
-    assert noise_share(sensor, pose, known, exact, own) == constants.FINEST
+    assert noise_share(sensor, pose, known, exact, own) == constants.LEAST_SCALE
 
 
 def test_readings_that_no_landmark_is_named_for_do_not_count():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_t
 
-from eval.replay.hindsight.constants import FINEST, FREEDOM
+from eval.replay.hindsight.constants import LEAST_SCALE, FREEDOM
 from eval.replay.hindsight.noise import NoiseScale, learned, log_density, stated
 
 
@@ -50,4 +50,4 @@ def test_noise_free_data_do_not_make_it_vanish():
     noise = stated()
     for _ in range(5000):
         noise = learned(noise, np.zeros(1), np.ones(1))
-    assert noise.scale == FINEST
+    assert noise.scale == LEAST_SCALE

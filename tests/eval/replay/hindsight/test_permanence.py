@@ -23,7 +23,7 @@ def likelihood_of_what_stays(opportunities, p):
         counts[before, now] += 1
     total = 0.0
     for before, mean in ((1, p.seen), (0, p.again)):
-        a, b = constants.PERMANENCE_OWN * mean, constants.PERMANENCE_OWN * (1 - mean)
+        a, b = constants.PERSISTENCE_OWN * mean, constants.PERSISTENCE_OWN * (1 - mean)
         total += betaln(a + counts[before, 1], b + counts[before, 0]) - betaln(a, b)
     return math.exp(total)
 
@@ -34,7 +34,7 @@ def likelihood_of_what_goes(opportunities, p):
     for seen in opportunities:
         there, gone = there * (1 - p.later), gone + there * p.later
         there *= p.seen if seen else 1 - p.seen
-        gone *= constants.PERMANENCE_CHANCE if seen else 1 - constants.PERMANENCE_CHANCE
+        gone *= constants.PERSISTENCE_CHANCE if seen else 1 - constants.PERSISTENCE_CHANCE
     return there + gone
 
 
@@ -53,7 +53,7 @@ def drawn(rng, count, p):
         opportunities, before, there = [], 1, bool(stay or rng.random() > p.at_once)
         for _ in range(rng.integers(31)):
             there = there and bool(stay or rng.random() > p.later)
-            rate = constants.PERMANENCE_CHANCE if not there else p.seen if before or not stay else p.again
+            rate = constants.PERSISTENCE_CHANCE if not there else p.seen if before or not stay else p.again
             before = int(rng.random() < rate)
             opportunities.append(before)
         every.append(bytes(opportunities))
@@ -94,17 +94,17 @@ def test_what_a_log_is_like_is_found_again(p):
 
 
 def test_of_no_landmarks_the_prior_is_known():
-    assert persistence([]) == pytest.approx(constants.PERMANENCE_MEANS)
+    assert persistence([]) == pytest.approx(constants.PERSISTENCE_MEANS)
 
 
 def test_one_step_of_the_fit_is_the_expected_counts_by_hand(monkeypatch):
     """Two landmarks, one round: everything that can be counted, weighed by what is believed before."""
-    monkeypatch.setattr(constants, "PERMANENCE_ROUNDS", 1)
-    before = Persistence(*constants.PERMANENCE_MEANS)
-    worth = constants.PERMANENCE_WORTH
+    monkeypatch.setattr(constants, "PERSISTENCE_ROUNDS", 1)
+    before = Persistence(*constants.PERSISTENCE_MEANS)
+    worth = constants.PERSISTENCE_WORTH
     opportunities = [bytes([1, 0, 1, 0, 0]), b""]
     (a, b), own = persistent(opportunities, before), 1.0
-    chance, c = constants.PERMANENCE_CHANCE, before.seen
+    chance, c = constants.PERSISTENCE_CHANCE, before.seen
     # of the first one, if it goes: weights of having gone at once, and before look 0, 1, ... 4, never
     gone = [chance if s else 1 - chance for s in opportunities[0]]
     here = [c if s else 1 - c for s in opportunities[0]]
@@ -124,7 +124,7 @@ def test_one_step_of_the_fit_is_the_expected_counts_by_hand(monkeypatch):
         (worth[3] * before.seen + a) / (worth[3] + 2 * a),  # seen, missed: the row at the end does not count
         (worth[4] * before.again + a) / (worth[4] + a),
     ]
-    expected[2] = max(expected[2], constants.PERMANENCE_LATER_LEAST)
+    expected[2] = max(expected[2], constants.PERSISTENCE_LATER_LEAST)
     assert list(persistence(opportunities)) == pytest.approx(expected, rel=1e-9)
 
 
@@ -140,7 +140,7 @@ def test_misses_at_the_end_do_not_tell_how_often_landmarks_are_missed():
 
 def test_what_goes_does_not_take_longer_than_can_be_told():
     opportunities = [bytes([1] * 30)] * 20 + [bytes([1] * 29 + [0])] * 20
-    assert persistence(opportunities).later == constants.PERMANENCE_LATER_LEAST
+    assert persistence(opportunities).later == constants.PERSISTENCE_LATER_LEAST
 
 
 def test_of_a_map_stays_what_stays_by_odds_of_two_to_one():
@@ -182,7 +182,7 @@ def test_where_it_is_not_known_which_stay_the_likeliest_do_as_many_as_are_expect
     former = [b"\0\0\0"] * 20 + [b"\1\1\0\0\0\0"] * 30
     often = np.full(len(opportunities), 3)
     told = persistent(opportunities, persistence([*opportunities, *former]))
-    assert told.max() < constants.STAYS
+    assert told.max() < constants.PERSISTENT_PROBABILITY
     keep = lasting(opportunities, former, often)
     assert keep.sum() == round(told.sum())
     assert told[keep].min() >= told[~keep].max()

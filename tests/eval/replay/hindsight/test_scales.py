@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from association.expectation import Expectation
-from eval.replay.hindsight.constants import FREEDOM, LEFT_OUT, TAILS
+from eval.replay.hindsight.constants import FREEDOM, FALSE_REJECTION, TAILS
 from eval.replay.hindsight.gates import Scales, as_stated, counted, relearned, scaled, widest
 from eval.replay.hindsight.noise import NoiseScale
 
@@ -58,8 +58,8 @@ def test_the_gate_goes_to_where_it_leaves_out_its_share():
         out = d2 > 9.21 * widest(scales)
         scales = counted(scales, int(not out), int(out))
         outside.append(out)
-    assert np.mean(outside[5000:]) == pytest.approx(LEFT_OUT, rel=0.5)
-    assert np.mean(squares > 9.21 * 0.01 * TAILS) > 4 * LEFT_OUT  # without
+    assert np.mean(outside[5000:]) == pytest.approx(FALSE_REJECTION, rel=0.5)
+    assert np.mean(squares > 9.21 * 0.01 * TAILS) > 4 * FALSE_REJECTION  # without
 
 
 def test_the_gate_comes_back_at_once_from_what_was_stated():

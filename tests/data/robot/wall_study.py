@@ -1,9 +1,9 @@
-"""Weighted fit against RANSAC: bias and spread of a wall from the same readings, with more and more outliers.
+"""Weighted fit against RANSAC: bias and spread of a wall from the same readings, by share of outliers.
 
-    python -m data.robot.wall_study [TRIALS]
+    python -m tests.data.robot.wall_study [TRIALS]
 
-prints the table of `study`. A robot passes a wall of random distance and direction; outliers are echoes of another
-sonar's ping, too early by any amount, as in `data.robot.simulated.physics`.
+A robot passes a wall of random distance and direction; outliers are echoes of another sonar's ping, too early by any
+amount, as in `data.robot.simulated.physics`.
 """
 
 from __future__ import annotations
@@ -16,11 +16,15 @@ import numpy as np
 
 from data.robot.packets import CONE_HALF_ANGLE, LONGEST_RANGE, RIGHT, SONARS
 from data.robot.walls import (
+    CONVERGED,
+    ITERATIONS,
     MIRROR,
     SIGMA,
     Line,
+    _distances,
+    _least_squares,
+    _line,
     echo_points,
-    fit_ransac,
     fit_weighted,
     predicted_ranges,
     total_least_squares,
@@ -34,6 +38,37 @@ PASSED = 1.0
 """m, way of the robot over which they are taken."""
 DISTANCES = (0.4, 2.0)
 """m."""
+INLIER = 1.96
+"""Standard deviations; 95 % of good readings are within (Hartley and Zisserman, section 4.7.1)."""
+SAMPLES = 100
+"""Pairs of readings that RANSAC tries; neighbouring readings make a poor line, so the 17 of theory are too few."""
+TRUNCATED = 0.759
+"""1 - 2 t phi(t) / (2 Phi(t) - 1), t = `INLIER`: derivative of the truncated weight times distance, on average."""
+
+
+def fit_ransac(sensors: Array, ranges: Array, rng: np.random.Generator, sigma: float = SIGMA) -> Line:
+    """The line most readings agree with, by total least squares through these (Fischler and Bolles 1981)."""
+    n = len(ranges)
+    first = rng.integers(n, size=SAMPLES)
+    pairs = np.stack([first, (first + rng.integers(1, n, size=SAMPLES)) % n], axis=-1)
+    two, both = sensors[pairs], np.ones(pairs.shape)
+    alpha = two[..., 2]
+    for _ in range(4):  # the first places both echoes on their axes, the others by the line
+        rho, angle = total_least_squares(echo_points(two, ranges[pairs], alpha), both, two)
+        alpha = angle[:, None]
+    d = _distances(sensors, ranges, rho[:, None], alpha)
+    agree = np.minimum((d / (INLIER * sigma)) ** 2, 1.0)  # by cost, not by count: ties among few readings are common
+    best = int(np.argmin(agree.sum(-1)))
+    line_rho, line_alpha, inliers = float(rho[best]), float(angle[best]), agree[best] < 1.0
+    for _ in range(ITERATIONS):
+        if inliers.sum() < 2:
+            break
+        before = line_rho, line_alpha
+        line_rho, line_alpha = _least_squares(sensors, ranges, inliers.astype(float), line_alpha)
+        if max(abs(line_rho - before[0]), abs(wrap_angle(line_alpha - before[1]))) < CONVERGED:
+            break
+    d, weights = _distances(sensors, ranges, line_rho, line_alpha), inliers.astype(float)
+    return _line(sensors, ranges, (line_rho, line_alpha), d, weights, TRUNCATED * weights)
 
 
 class Row(NamedTuple):
