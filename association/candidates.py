@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from data.inputs import FrameObservations, Increment, IntArray
 from data.se2 import Array, BoolArray
@@ -98,7 +98,7 @@ class Places:
 
     def __init__(self, xy: Array) -> None:
         """Positions (n, 2)."""
-        self._count, self._tree = len(xy), cKDTree(xy) if len(xy) > FEW else None
+        self._count, self._tree = len(xy), scipy.spatial.cKDTree(xy) if len(xy) > FEW else None
 
     def around(self, point: Array, radius: float) -> IntArray:
         """Rows (m,), ascending, of the landmarks within a radius [m] of a point (2,); of a few landmarks all."""

@@ -7,7 +7,7 @@ which says of an unpaired observation whether it may found a landmark or is too 
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
+import scipy
 
 from association.expectation import Expectation, gate_threshold
 from data.inputs import IntArray
@@ -153,7 +153,7 @@ def gnn(expectation: Expectation, gate: float | None) -> IntArray:
     cost = np.full((len(rows), len(columns) + len(rows)), forbidden)
     cost[:, : len(columns)][allowed] = some[allowed]
     cost[np.arange(len(rows)), len(columns) + np.arange(len(rows))] = new
-    observation, choice = linear_sum_assignment(cost)
+    observation, choice = scipy.optimize.linear_sum_assignment(cost)
     paired = choice < len(columns)
     decisions[rows[observation[paired]]] = e.number[columns[choice[paired]]]
     return decisions

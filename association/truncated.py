@@ -12,9 +12,9 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numba import njit
-from scipy.special import ndtri
-from scipy.stats import chi2, qmc
+from scipy.special import chdtr, ndtri
 
 from association.expectation import gate_threshold
 from association.methods import ALPHA, RATIO
@@ -63,9 +63,9 @@ def truncated_square(threshold: float, dof: int = 2) -> tuple[float, float]:
     """
     if math.isinf(threshold):
         return float(dof), 2.0 * dof
-    inside = chi2.cdf(threshold, dof)
-    mean = dof * chi2.cdf(threshold, dof + 2) / inside
-    square = dof * (dof + 2) * chi2.cdf(threshold, dof + 4) / inside
+    inside = chdtr(dof, threshold)
+    mean = dof * chdtr(dof + 2, threshold) / inside
+    square = dof * (dof + 2) * chdtr(dof + 4, threshold) / inside
     return float(mean), float(square - mean**2)
 
 
@@ -96,7 +96,7 @@ def accepted_moments(S: Array, passed: Acceptance, turn: int) -> tuple[float, fl
 @cache
 def _points(dimension: int) -> Array:
     """Standard normal quasi-random points (POINTS, dimension)."""
-    sobol = qmc.Sobol(dimension, rng=np.random.default_rng(0))
+    sobol = scipy.stats.qmc.Sobol(dimension, rng=np.random.default_rng(0))
     return np.ascontiguousarray(ndtri(sobol.random(POINTS)))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from data.inputs import CLUTTER, UNLABELLED, IntArray
 from data.log import Log
@@ -221,7 +221,7 @@ def _landmarks(log: Log) -> list[Line]:
         return [("landmarks", f"{text}walls, rho {x0:.4g} to {x1:.4g} m")]
     text += f"x {x0:.4g} to {x1:.4g} m, y {y0:.4g} to {y1:.4g} m"
     if len(xy) > 1:
-        distance = np.asarray(cKDTree(xy).query(xy, k=2)[0])
+        distance = np.asarray(scipy.spatial.cKDTree(xy).query(xy, k=2)[0])
         text += f"; closest two {distance[:, 1].min():.3g} m apart"
     return [("landmarks", text)]
 

@@ -14,7 +14,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from data import se2
 from data.errors import UsageError
@@ -184,7 +184,7 @@ def _observe(
     park: Park, sensor: RangeBearing, truth: Array, trees: Array, rng: np.random.Generator
 ) -> tuple[IntArray, Array, IntArray]:
     """Frames (M,), readings (M, 2) and true ids (M,), by frame and tree."""
-    near = cKDTree(trees).query_ball_point(truth[:, :2], park.max_range, return_sorted=True)
+    near = scipy.spatial.cKDTree(trees).query_ball_point(truth[:, :2], park.max_range, return_sorted=True)
     count = [len(each) for each in near]  # type: ignore[arg-type]
     frame, tree = np.repeat(np.arange(len(truth)), count), np.concatenate(list(near)).astype(np.int64)
     exact = sensor.predict(truth[frame], trees[tree])

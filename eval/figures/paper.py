@@ -5,76 +5,20 @@ Text as LaTeX sets it, in tables and in figures.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
-from dataclasses import dataclass
-from typing import Any
-
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.legend import Legend
 from matplotlib.text import Text
 
+from eval.figures.figure_style import USUAL_TYPE, current
+
 DOUBLE = 7.0
 """in. Width of both columns."""
 NARROW = 5.0
 """in. Below, panels side by side are two at most."""
-USUAL_TYPE = 8.0
-"""pt, of titles and labels."""
 MARGIN = 0.06
 """in, left free at the right edge."""
-
-
-@dataclass(frozen=True)
-class FigureStyle:
-    """What is wished for: width [in] (None: as usual), fonts by preference, type size [pt], LaTeX, pgf."""
-
-    width: float | None = None
-    fonts: tuple[str, ...] = ()
-    mathematics: str | None = None
-    size: float = USUAL_TYPE
-    usetex: bool = False
-    pgf: str | None = None
-
-    def settings(self) -> dict[Any, Any]:
-        """What differs from the usual settings of matplotlib."""
-        made: dict[Any, Any] = {}
-        if self.fonts:
-            made["font.family"] = list(self.fonts)
-        if self.mathematics is not None:
-            made["mathtext.fontset"] = self.mathematics
-        if self.size != USUAL_TYPE:
-            made |= dict.fromkeys(("font.size", "axes.titlesize", "axes.labelsize"), self.size)
-            made |= dict.fromkeys(("legend.fontsize", "xtick.labelsize", "ytick.labelsize"), self.size - 1.0)
-            made["figure.titlesize"] = self.size + 0.5
-        if self.usetex:
-            made["text.usetex"] = True
-            made["axes.unicode_minus"] = False
-        if self.pgf is not None:
-            made["pgf.texsystem"] = self.pgf
-            made["pgf.rcfonts"] = False
-        return made
-
-
-USUAL = FigureStyle()
-_FIGURE_STYLE: ContextVar[FigureStyle] = ContextVar("look", default=USUAL)
-
-
-def current() -> FigureStyle:
-    """What is wished for now."""
-    return _FIGURE_STYLE.get()
-
-
-@contextmanager
-def figure_style(look: FigureStyle) -> Iterator[None]:
-    """Figures made within have this look."""
-    token = _FIGURE_STYLE.set(look)
-    try:
-        yield
-    finally:
-        _FIGURE_STYLE.reset(token)
 
 
 def page_width() -> float:

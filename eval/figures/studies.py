@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+import scipy
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator, StrMethodFormatter
-from scipy import stats
 
 from data.se2 import Array
 from data.terminal import counted
@@ -41,7 +41,7 @@ def run_end_figure(nees: Mapping[str, Array], dof: int, title: str) -> Figure:
     columns = max(math.ceil(len(nees) / rows), 1)
     fig = Figure(figsize=(page_width(), 0.85 + 1.55 * rows))
     axes = fig.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    end = float(np.ceil(stats.chi2.ppf(LAST, dof)))
+    end = float(np.ceil(scipy.stats.chi2.ppf(LAST, dof)))
     bins = _bins(max((len(v) for v in nees.values()), default=0))
     for ax, (name, values) in zip(axes.flat, nees.items(), strict=False):
         _histogram(ax, name, values, dof, np.linspace(0.0, end, bins + 1))
@@ -75,7 +75,7 @@ def _bins(runs: int) -> int:
 def _peak(dof: int, width: float) -> float:
     """Highest mean of the chi-square density over a bin."""
     edges = width * np.arange(0.0, max(dof, 1.0) / width + 2.0)
-    return float(np.diff(stats.chi2.cdf(edges, dof)).max() / width)
+    return float(np.diff(scipy.stats.chi2.cdf(edges, dof)).max() / width)
 
 
 def _histogram(ax: Axes, name: str, values: Array, dof: int, edges: Array) -> None:
@@ -89,7 +89,7 @@ def _histogram(ax: Axes, name: str, values: Array, dof: int, edges: Array) -> No
     ax.bar(end + 0.6 * width, scale * beyond, 1.6 * width, align="edge", **look)
     ax.text(end + 1.4 * width, scale * beyond, f"{beyond}", ha="center", va="bottom", fontsize=points(7))
     x = np.linspace(edges[0], end, 400)[1:]
-    ax.plot(x, stats.chi2.pdf(x, dof), color=EXPECTED_COLOUR, linewidth=1.0)
+    ax.plot(x, scipy.stats.chi2.pdf(x, dof), color=EXPECTED_COLOUR, linewidth=1.0)
     ax.set_xlim(0.0, end + 2.9 * width)
     said = counted(len(known), "run") + (f"\n{len(values) - len(known)} without" if len(known) < len(values) else "")
     ax.text(0.97, 0.95, said, transform=ax.transAxes, ha="right", va="top", fontsize=points(7))

@@ -17,7 +17,8 @@ from matplotlib.figure import Figure
 from matplotlib.typing import RcKeyType
 
 from data.result import Run, Trajectory
-from eval.figures.paper import current, refit, translate
+from eval.figures.figure_style import current
+from eval.figures.paper import refit, translate
 from eval.referee.given_runs import GivenRun
 from eval.replay.external.spec import place
 

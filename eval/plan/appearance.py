@@ -7,7 +7,7 @@ import shutil
 from matplotlib import font_manager
 
 from data.errors import UsageError
-from eval.figures.paper import FigureStyle
+from eval.figures.figure_style import FigureStyle
 from eval.plan.flags.table import Drawing, inches
 
 TIMES = ("times", "times new roman", "times roman")

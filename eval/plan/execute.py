@@ -5,6 +5,7 @@ The numbers are the same for any number of processes, and on a cluster.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
@@ -159,7 +160,21 @@ def _estimations(experiments: Sequence[Experiment], *, watched: bool) -> list[Jo
     """All work on logs, that of iSAM2 first."""
     parts = [Part(i, part) for i, e in enumerate(experiments) for w in e.work for part in w.parts()]
     parts.sort(key=lambda part: "isam2" not in part.work.estimators)
-    return [Job(part, estimate, (experiments[part.experiment], part.work, watched)) for part in parts]
+    return [
+        Job(part, estimate, (e := experiments[part.experiment], part.work, watched), seconds_of(e.log, part.work))
+        for part in parts
+    ]
+
+
+def seconds_of(log: Log, work: Work) -> float:
+    """Processor time that a part of the work takes, about; of laser logs unknown.
+
+    Measured are 0.2 ms for an observation and estimator with labels, up to 2 ms without.
+    """
+    if log.recorded.scans is not None:
+        return math.inf
+    each = 2e-4 if work.association == "known" else 2e-3
+    return each * len(log.recorded.observations.frame) * len(work.estimators)
 
 
 def _tutorial(log: Log, variant: Variant) -> Trial:

@@ -6,19 +6,18 @@ are finished. On a Dask cluster it is the same function on other machines, and t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-from joblib import Parallel, delayed
-from joblib.externals.loky import ProcessPoolExecutor  # type: ignore[import-untyped]
 from threadpoolctl import threadpool_limits
 
 from data.errors import SlamrefError, UsageError
 from data.notice import Code, Notice, Severity, notice
 from data.words import sentence
-from eval.figures.paper import FigureStyle, current, figure_style
+from eval.figures.figure_style import FigureStyle, current, figure_style
 from eval.plan.flags.table import Execution
 from eval.replay.external.spec import introduce, introduced
 
@@ -31,13 +30,21 @@ OwnerT = TypeVar("OwnerT", covariant=True)
 Call = tuple[Callable[..., Any], tuple[Any, ...]]
 
 
+START = 3.0
+"""s of processor time until a process has loaded what it needs; measured 2.7."""
+
+
 @dataclass(frozen=True)
 class Job(Generic[OwnerT]):
-    """A call that any process can do, and whom its result belongs to."""
+    """A call that any process can do, and whom its result belongs to.
+
+    `seconds`: processor time that it takes, about; unknown: as long as you like.
+    """
 
     owner: OwnerT
     function: Callable[..., Any]
     arguments: tuple[Any, ...] = ()
+    seconds: float = math.inf
 
 
 KILLED = notice(Code.OUT_OF_MEMORY, Severity.ERROR, killed=True)
@@ -59,14 +66,16 @@ def work(
     """Results with their owners as they come; `far`: on the cluster, if there is one (`--scheduler`).
 
     `apart`: one after the other, in a process of their own, which has all the memory. `lost` hears of each job that had
-    not enough memory, with the reason; without it, that raises `OutOfMemoryError`.
+    not enough memory, with the reason; without it, that raises `OutOfMemoryError`. Jobs that take less time than it
+    takes to start processes for them are done here.
     """
     names, look = introduced(), current()
     calls: dict[int, Call] = {i: (_done, (names, look, job.function, job.arguments)) for i, job in enumerate(jobs)}
     if far and execution.scheduler is not None:
         results = on_cluster(execution.scheduler, list(calls.values())) if calls else iter(())
     else:
-        results = (_one_at_a_time if apart else _together)(calls, execution.jobs)
+        processes = execution.jobs if sum(job.seconds for job in jobs) > 2.0 * START else 1
+        results = (_one_at_a_time if apart else _together)(calls, processes)
     for i, result in results:
         owner = jobs[i].owner
         if not isinstance(result, Notice):
@@ -97,8 +106,11 @@ def _together(calls: Mapping[int, Call], processes: int) -> Iterator[tuple[int, 
     Then each has all the memory, and only the one that needs more is lost.
     """
     waiting = dict(calls)
-    if not waiting:
+    if min(processes, len(waiting)) < 2:
+        yield from ((i, function(*arguments)) for i, (function, arguments) in calls.items())
         return
+    from joblib import Parallel, delayed
+
     try:
         pool = Parallel(
             n_jobs=min(processes, len(waiting)),
@@ -119,6 +131,8 @@ def _numbered(i: int, function: Callable[..., Any], arguments: tuple[Any, ...]) 
 
 def _one_at_a_time(calls: Mapping[int, Call], processes: int) -> Iterator[tuple[int, Any]]:
     """Calls in a process that nothing else runs in; a new one for the next after it was killed."""
+    from joblib.externals.loky import ProcessPoolExecutor  # type: ignore[import-untyped]
+
     pool = None
     for i, (function, arguments) in calls.items():
         pool = pool or ProcessPoolExecutor(max_workers=1, timeout=NEVER, initializer=_keep_workers)

@@ -24,7 +24,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from association.conditional import EXACT_VARIANCE, FREEDOM, SAME_PLACE
 from association.expectation import gate_threshold
@@ -463,7 +463,7 @@ def _near(m: MapEstimate, variance: Array) -> IntArray:
     reach = np.sqrt(threshold * (2.0 * np.maximum(size, 0.0) + variance.max(initial=0.0)))
     if len(xy) < 2:
         return np.empty((0, 2), np.int64)
-    distance, around = cKDTree(xy).query(xy, k=min(MOST + 1, len(xy)))
+    distance, around = scipy.spatial.cKDTree(xy).query(xy, k=min(MOST + 1, len(xy)))
     first, which = np.nonzero(distance <= reach[:, None])
     second = np.asarray(around)[first, which]
     pairs = np.unique(np.sort(np.stack([first, second], axis=1)[first != second], axis=1), axis=0)

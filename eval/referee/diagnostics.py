@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pandas as pd
-from scipy.spatial import cKDTree
+import scipy
 
 from data import se2
 from data.inputs import Inputs, IntArray
@@ -73,7 +73,7 @@ def _crowded(run: Run, inputs: Inputs) -> Notice | None:
     o, places = inputs.observations, run.map
     _, spread = inputs.sensor.body_points(o.z, o.R)
     reach = ON_TOP * float(np.sqrt(np.median(np.trace(spread, axis1=1, axis2=2))))
-    near = cKDTree(places.xy).query_pairs(reach, output_type="ndarray")
+    near = scipy.spatial.cKDTree(places.xy).query_pairs(reach, output_type="ndarray")
     if len(np.unique(near)) <= CROWDED * len(places):
         return None
     of = np.where(run.initialized >= 0, run.initialized, run.final_decisions)

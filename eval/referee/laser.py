@@ -28,7 +28,7 @@ from dataclasses import asdict, astuple, dataclass, replace
 from itertools import product
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from association.expectation import gate_threshold
 from association.scans.constraints import Chain, LaserRun, Loops
@@ -210,11 +210,11 @@ def closure_errors(loops: Loops, truth: Array) -> Array:
 
 def knowable(loops: Loops, truth: Array, points: Sequence[Array]) -> BoolArray:
     """Which loop closures (L,) are between key poses whose scans (P, 2) show the same at the true poses (K, 3)."""
-    trees: dict[int, cKDTree] = {}
+    trees: dict[int, scipy.spatial.cKDTree] = {}
     found = np.zeros(len(loops), np.bool_)
     for i, (a, b) in enumerate(zip(loops.key1.tolist(), loops.key2.tolist(), strict=True)):
         if a not in trees:
-            trees[a] = cKDTree(points[a])
+            trees[a] = scipy.spatial.cKDTree(points[a])
         found[i] = fits(points[a], points[b], between(truth[a], truth[b]), trees[a])
     return found
 
@@ -266,8 +266,8 @@ def revisits(truth: Array, points: list[Array]) -> BoolArray:
     the other's must reach `OVERLAP`.
     """
     way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(truth[:, 0:2], axis=0).T))])
-    tree = cKDTree(truth[:, :2])
-    trees: dict[int, cKDTree] = {}
+    tree = scipy.spatial.cKDTree(truth[:, :2])
+    trees: dict[int, scipy.spatial.cKDTree] = {}
     possible = np.zeros(len(truth), np.bool_)
     for k in range(len(truth)):
         around = np.array(tree.query_ball_point(truth[k, :2], REACH), np.int64)
@@ -275,22 +275,27 @@ def revisits(truth: Array, points: list[Array]) -> BoolArray:
         # the nearest first: it is the likeliest to show the same
         distance = np.hypot(*(truth[past, :2] - truth[k, :2]).T)
         for i in past[np.argsort(distance, kind="stable")]:
-            if fits(points[i], points[k], between(truth[i], truth[k]), trees.setdefault(int(i), cKDTree(points[i]))):
+            if fits(
+                points[i],
+                points[k],
+                between(truth[i], truth[k]),
+                trees.setdefault(int(i), scipy.spatial.cKDTree(points[i])),
+            ):
                 possible[k] = True
                 break
     return possible
 
 
-def fits(first: Array, second: Array, relative: Array, tree: cKDTree | None = None) -> bool:
+def fits(first: Array, second: Array, relative: Array, tree: scipy.spatial.cKDTree | None = None) -> bool:
     """Whether two scans (P, 2), (Q, 2) show the same at a relative pose (3,) of the second in the first's frame."""
     if not len(first) or not len(second):
         return False
     moved = transform_points(relative, second)
-    tree = cKDTree(first) if tree is None else tree
+    tree = scipy.spatial.cKDTree(first) if tree is None else tree
     there = float(np.mean(tree.query(moved, distance_upper_bound=FIT)[0] <= FIT))
     if there < OVERLAP:
         return False
-    return float(np.mean(cKDTree(moved).query(first, distance_upper_bound=FIT)[0] <= FIT)) >= OVERLAP
+    return float(np.mean(scipy.spatial.cKDTree(moved).query(first, distance_upper_bound=FIT)[0] <= FIT)) >= OVERLAP
 
 
 DOF = 3

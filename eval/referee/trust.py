@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy import optimize, special
+import scipy
+from scipy import special
 
 from data import se2
 from data.inputs import Inputs
@@ -130,7 +131,7 @@ def _median(dof: Array) -> float:
     """Median of chi-square variables whose degrees of freedom are those of the frames, mixed."""
     kinds, counts = np.unique(dof, return_counts=True)
     share = counts / counts.sum()
-    return float(optimize.brentq(lambda x: float(share @ special.chdtr(kinds, x)) - 0.5, 1e-9, 10.0))
+    return float(scipy.optimize.brentq(lambda x: float(share @ special.chdtr(kinds, x)) - 0.5, 1e-9, 10.0))
 
 
 def _nis(run: Run, phase: str) -> dict[str, Measured]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -30,6 +31,8 @@ RUN_FILES, PLAYER = -1, -2
 """Places of jobs that are no pictures."""
 MISSING = {RUN_FILES: "files", PLAYER: "player"}
 """What is missing without them; see `missing` in notices.j2."""
+DRAWING, WRITING = 0.5, 1e-3
+"""s of processor time for a figure, and for a frame of a log's files or player; measured, rounded up."""
 
 
 def publish(
@@ -47,11 +50,19 @@ def publish(
         others = variants(trial, trials)
         drawn = not (output.no_plots or _shown_elsewhere(trial, trials))
         for place, kind in enumerate(kinds(trial, others, quick=output.quick) if drawn else ()):
-            jobs.append(Job((i, place), partial(draw, quick=output.quick), (folder, trial, kind, others)))
+            jobs.append(Job((i, place), partial(draw, quick=output.quick), (folder, trial, kind, others), DRAWING))
     for i, trial in enumerate(trials):
-        jobs.append(Job((i, RUN_FILES), publish_runs, (folder, output, trial)))
+        length = WRITING * len(trial.log.recorded)
+        jobs.append(Job((i, RUN_FILES), publish_runs, (folder, output, trial), math.inf if output.animate else length))
     for group in () if output.no_plots else played(trials):
-        jobs.append(Job((trials.index(group[0]), PLAYER), write_player, (folder, group, setup)))
+        jobs.append(
+            Job(
+                (trials.index(group[0]), PLAYER),
+                write_player,
+                (folder, group, setup),
+                WRITING * len(group[0].log.recorded),
+            )
+        )
 
     def missing(owner: tuple[int, int], why: Notice) -> None:
         trial = trials[owner[0]]

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from scipy.optimize import Bounds, minimize
+import scipy
 
 from association.decide import known_decisions
 from data.errors import DataError
@@ -48,12 +48,12 @@ def search(objective: Objective, theta: Array, moving: IntArray, scale: Array, b
     def gradient(x: Array) -> Array:
         return slope(value, x, np.arange(len(x)), np.full(len(x), 1e-3))
 
-    found = minimize(
+    found = scipy.optimize.minimize(
         value,
         theta[moving] / unit,
         jac=gradient,
         method="L-BFGS-B",
-        bounds=Bounds(-bound[moving] / unit, bound[moving] / unit),
+        bounds=scipy.optimize.Bounds(-bound[moving] / unit, bound[moving] / unit),
         options={"maxiter": 300, "maxcor": 20, "ftol": 1e-13, "gtol": 1e-3},
     )
     return full(found.x)

@@ -15,8 +15,8 @@ from data.log import Log
 from data.sensors import RangeBearing
 from data.summary import longest_run, repeated_in_frame, summarize
 from data.truth import UNKNOWN_ID, Truth
+from eval.figures.figure_style import FigureStyle, figure_style
 from eval.figures.log import log_figure
-from eval.figures.paper import FigureStyle, figure_style
 from eval.inspect import main
 
 

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from data.errors import LARGEST, DataError, UsageError
 from data.formats.lab.matlab import Struct, Value, Variable, read
@@ -266,14 +266,16 @@ def _fits(
 
     # where pictures are far off, not having converged is as good an answer as any
     pairs = zip(seen, expected, strict=True)
-    costs = [2.0 * least_squares(residual, np.zeros(3), args=pair, max_nfev=STEPS).cost for pair in pairs]
+    costs = [
+        2.0 * scipy.optimize.least_squares(residual, np.zeros(3), args=pair, max_nfev=STEPS).cost for pair in pairs
+    ]
     cost = float(np.median(costs))
     return cost if cost < _gate() else None
 
 
 @lru_cache
 def _gate() -> float:
-    return float(chi2.ppf(CONFIDENCE, 2 * CORNERS))
+    return float(2.0 * gammaincinv(CORNERS, CONFIDENCE))
 
 
 def _width(corners: Array) -> Array:

@@ -26,7 +26,7 @@ from typing import IO, Any, TypeVar
 
 import cv2
 import numpy as np
-import scipy.io
+import scipy
 from numpy.typing import NDArray
 from PIL import Image
 

@@ -14,8 +14,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
+import scipy
 
 from data.inputs import IntArray, Locked
 from data.se2 import Array
@@ -60,11 +59,13 @@ class Ways(Locked):
         points: Array = np.repeat(a, n + 1, axis=0) * (1.0 - share) + np.repeat(b, n + 1, axis=0) * share
         return points
 
-    def routes(self, cost: Array) -> csr_array:
+    def routes(self, cost: Array) -> scipy.sparse.csr_array:
         """The graph with a cost (E,) of each way, for shortest paths."""
         i, j = self.edge.T
         n = len(self.place)
-        return csr_array((np.tile(cost, 2), (np.concatenate([i, j]), np.concatenate([j, i]))), shape=(n, n))
+        return scipy.sparse.csr_array(
+            (np.tile(cost, 2), (np.concatenate([i, j]), np.concatenate([j, i]))), shape=(n, n)
+        )
 
     @property
     def length(self) -> Array:
@@ -74,7 +75,7 @@ class Ways(Locked):
 
     def route(self, start: int, goal: int, cost: Array) -> list[int]:
         """Places from start to goal, both included, by the cheapest way."""
-        _, before = dijkstra(self.routes(cost), indices=[start], return_predecessors=True)
+        _, before = scipy.sparse.csgraph.dijkstra(self.routes(cost), indices=[start], return_predecessors=True)
         path = [goal]
         while path[-1] != start:
             path.append(int(before[0, path[-1]]))

@@ -80,7 +80,10 @@ def counted(scales: Scales, inside: int, outside: int) -> Scales:
     """
     observations = max(scales.observations + inside + outside, 1.0)
     step = max(min(constants.TAILS_STEP, constants.TAILS_HORIZON / observations), constants.TAILS_SLOWEST)
-    log = max(0.0, scales.log_tails + step * (outside * (1.0 - constants.FALSE_REJECTION) - inside * constants.FALSE_REJECTION))
+    log = max(
+        0.0,
+        scales.log_tails + step * (outside * (1.0 - constants.FALSE_REJECTION) - inside * constants.FALSE_REJECTION),
+    )
     return scales._replace(log_tails=min(log, -math.log(_core(scales))), observations=observations)
 
 

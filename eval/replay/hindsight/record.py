@@ -263,7 +263,9 @@ def lasting(opportunities: Opportunities, former: Opportunities, observations: I
     stay = np.where(often, persistent(opportunities, persistence([*opportunities, *former])), 0.0)
     keep: BoolArray = stay > constants.PERSISTENT_PROBABILITY
     if keep.any():
-        keep &= observations >= min(constants.CONFIRMED, float(np.quantile(observations[keep], constants.PERSISTENT_FEWEST)))
+        keep &= observations >= min(
+            constants.CONFIRMED, float(np.quantile(observations[keep], constants.PERSISTENT_FEWEST))
+        )
     expected = round(float(stay.sum()))
     if 2 * keep.sum() < expected:
         keep = np.zeros(len(stay), np.bool_)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
+import scipy
 
 from data.inputs import CLUTTER
 from data.log import Log
@@ -347,7 +347,7 @@ def true_against_stated(log: Log) -> Motion:
         float(distance[turned].mean()) if np.any(turned) else math.nan,
         float(abs(off[furthest, 0])),
         float(np.sqrt(Q[furthest, 0, 0])),
-        int((distance**2 < chi2.ppf(0.99, 3)).sum()),
+        int((distance**2 < scipy.stats.chi2.ppf(0.99, 3)).sum()),
         len(distance),
     )
 

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from scipy.special import logsumexp
-from scipy.stats import chi2
 
 from data.inputs import Increment, IntArray
 from data.log import Log
@@ -67,7 +67,7 @@ def fit(log: Log, frame: int, steps: Array) -> tuple[Array, IntArray]:
     d2 = (off[..., 0] * weights[..., 0, 0] + 2.0 * off[..., 1] * weights[..., 0, 1]) * off[..., 0]
     d2 += off[..., 1] ** 2 * weights[..., 1, 1]
     each = np.logaddexp(logsumexp(constant - 0.5 * d2, axis=2), elsewhere) - math.log(2.0)
-    return each.sum(axis=1), (d2.min(axis=2) < chi2.ppf(0.99, 2)).sum(axis=1)
+    return each.sum(axis=1), (d2.min(axis=2) < scipy.stats.chi2.ppf(0.99, 2)).sum(axis=1)
 
 
 def straight_pairs(log: Log) -> list[Pair]:

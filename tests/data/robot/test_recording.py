@@ -59,7 +59,9 @@ def test_damage_before_the_end_is_said_with_its_place_and_at_the_end_is_cut_off(
     whole = path.read_bytes()
     third = len(MAGIC) + 15 + 19
     path.write_bytes(whole[: third + 20] + b"\xff" + whole[third + 21 :])
-    with pytest.raises(DataError, match=r"packets.bin: the record at byte 42 is damaged; 2 records before it are intact"):
+    with pytest.raises(
+        DataError, match=r"packets.bin: the record at byte 42 is damaged; 2 records before it are intact"
+    ):
         read_recording(folder)
     path.write_bytes(whole[:-1] + b"\x00" if whole[-1] else whole[:-1] + b"\x01")
     assert read_recording(folder)[:3] == (RECORDS[:-1], False, 15)

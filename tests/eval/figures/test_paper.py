@@ -12,7 +12,8 @@ from matplotlib.text import Text
 import slamref
 from data.errors import UsageError
 from eval import figures
-from eval.figures.paper import FigureStyle, across, figure_style, page_width, translate
+from eval.figures.figure_style import FigureStyle, figure_style
+from eval.figures.paper import across, page_width, translate
 from eval.figures.style import drawing, save
 from eval.plan import appearance
 from eval.plan.flags.options import read_options

@@ -1,0 +1,62 @@
+"""The style that figures for a paper are asked to have: width, fonts, size, LaTeX. Loads nothing of matplotlib."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+from typing import Any
+
+USUAL_TYPE = 8.0
+"""pt, of titles and labels."""
+
+
+@dataclass(frozen=True)
+class FigureStyle:
+    """What is wished for: width [in] (None: as usual), fonts by preference, type size [pt], LaTeX, pgf."""
+
+    width: float | None = None
+    fonts: tuple[str, ...] = ()
+    mathematics: str | None = None
+    size: float = USUAL_TYPE
+    usetex: bool = False
+    pgf: str | None = None
+
+    def settings(self) -> dict[Any, Any]:
+        """What differs from the usual settings of matplotlib."""
+        made: dict[Any, Any] = {}
+        if self.fonts:
+            made["font.family"] = list(self.fonts)
+        if self.mathematics is not None:
+            made["mathtext.fontset"] = self.mathematics
+        if self.size != USUAL_TYPE:
+            made |= dict.fromkeys(("font.size", "axes.titlesize", "axes.labelsize"), self.size)
+            made |= dict.fromkeys(("legend.fontsize", "xtick.labelsize", "ytick.labelsize"), self.size - 1.0)
+            made["figure.titlesize"] = self.size + 0.5
+        if self.usetex:
+            made["text.usetex"] = True
+            made["axes.unicode_minus"] = False
+        if self.pgf is not None:
+            made["pgf.texsystem"] = self.pgf
+            made["pgf.rcfonts"] = False
+        return made
+
+
+USUAL = FigureStyle()
+_FIGURE_STYLE: ContextVar[FigureStyle] = ContextVar("look", default=USUAL)
+
+
+def current() -> FigureStyle:
+    """What is wished for now."""
+    return _FIGURE_STYLE.get()
+
+
+@contextmanager
+def figure_style(look: FigureStyle) -> Iterator[None]:
+    """Figures made within have this look."""
+    token = _FIGURE_STYLE.set(look)
+    try:
+        yield
+    finally:
+        _FIGURE_STYLE.reset(token)
