@@ -122,7 +122,12 @@ def test_what_is_done_is_not_run_again(monkeypatch):
     cases = [Case("a", SLAM), Case("b", SLAM)]
     kept = [row(), row("a", "CONFIRMED", HALVED)]
     places = [place for place, _ in measure_all(cases, chosen(["CONFIRMED"]), kept)]
-    assert ran == [("b", "", BASE), ("a", "CONFIRMED", DOUBLED), ("b", "CONFIRMED", HALVED), ("b", "CONFIRMED", DOUBLED)]
+    assert ran == [
+        ("b", "", BASE),
+        ("a", "CONFIRMED", DOUBLED),
+        ("b", "CONFIRMED", HALVED),
+        ("b", "CONFIRMED", DOUBLED),
+    ]
     assert places == ["1 of 1", "1 of 3", "2 of 3", "3 of 3"]
     ran.clear()
     assert [r.log for _, r in measure_all(cases, chosen(["CONFIRMED"]), kept[:1], only_base=True)] == ["b"]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_t
 
-from eval.replay.hindsight.constants import LEAST_SCALE, FREEDOM
+from eval.replay.hindsight.constants import FREEDOM, LEAST_SCALE
 from eval.replay.hindsight.noise import NoiseScale, learned, log_density, stated
 
 

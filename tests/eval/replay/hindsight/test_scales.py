@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from association.expectation import Expectation
-from eval.replay.hindsight.constants import FREEDOM, FALSE_REJECTION, TAILS
+from eval.replay.hindsight.constants import FALSE_REJECTION, FREEDOM, TAILS
 from eval.replay.hindsight.gates import Scales, as_stated, counted, relearned, scaled, widest
 from eval.replay.hindsight.noise import NoiseScale
 
